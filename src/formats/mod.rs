@@ -1,0 +1,3 @@
+//! Bytes to plain data and back.
+
+pub mod model_file;

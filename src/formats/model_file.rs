@@ -1,0 +1,215 @@
+//! The model file: safetensors with a versioned JSON header, nothing executable.
+
+use std::borrow::Cow;
+use std::collections::HashMap;
+
+use safetensors::tensor::{Dtype, SafeTensors, View};
+use serde::{Deserialize, Serialize};
+
+use crate::scene::{Field, Gaussians, Model, ShadingOptions};
+
+/// The header's version; a reader refuses any other.
+const VERSION: u32 = 1;
+const HEADER_KEY: &str = "relume";
+
+/// Why a model file was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelFileError {
+    /// Not a safetensors file, or cut short.
+    #[error("model file: {0}")]
+    Container(#[from] safetensors::SafeTensorError),
+    /// A header field or tensor is missing or wrong.
+    #[error("model file: {field}: {reason}")]
+    Field {
+        /// Name of the header field or tensor.
+        field: String,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    version: u32,
+    gaussians: usize,
+    prototypes: usize,
+    visibility_order: usize,
+    radiance_order: usize,
+    env_width: usize,
+    env_height: usize,
+    shading: ShadingOptions,
+    world_scale: f64,
+    world_offset: [f64; 3],
+    card: serde_json::Value,
+}
+
+/// A named f32 tensor view that safetensors can serialise.
+pub(crate) struct Tensor<'a> {
+    shape: Vec<usize>,
+    data: &'a [f32],
+}
+
+impl<'a> Tensor<'a> {
+    pub(crate) fn new(shape: impl Into<Vec<usize>>, data: &'a [f32]) -> Self {
+        Self { shape: shape.into(), data }
+    }
+}
+
+impl View for Tensor<'_> {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+    fn data(&self) -> Cow<'_, [u8]> {
+        Cow::Borrowed(bytemuck::cast_slice(self.data))
+    }
+    fn data_len(&self) -> usize {
+        std::mem::size_of_val(self.data)
+    }
+}
+
+/// The tensors of a model under their file names, `(name, tensor)`.
+pub(crate) fn tensors(model: &Model) -> Vec<(String, Tensor<'_>)> {
+    let g = &model.gaussians;
+    let gaussians = Field::ALL.map(|f| (f.name().to_owned(), Tensor::new([g.len(), g.width(f)], g.field(f))));
+    let mut out = Vec::from(gaussians);
+    let prototypes = bytemuck::cast_slice(&model.prototypes);
+    out.push(("prototypes".to_owned(), Tensor::new([model.prototypes.len(), 3], prototypes)));
+    let env = bytemuck::cast_slice(&model.env_raw);
+    out.push(("env_raw".to_owned(), Tensor::new([model.env_height, model.env_width, 3], env)));
+    out
+}
+
+/// The versioned header of a model, as JSON text.
+pub(crate) fn header(model: &Model) -> String {
+    let g = &model.gaussians;
+    let header = Header {
+        version: VERSION,
+        gaussians: g.len(),
+        prototypes: g.prototypes(),
+        visibility_order: g.visibility_order(),
+        radiance_order: g.radiance_order(),
+        env_width: model.env_width,
+        env_height: model.env_height,
+        shading: model.shading,
+        world_scale: model.world_scale,
+        world_offset: model.world_offset.to_array(),
+        card: model.card.clone(),
+    };
+    serde_json::to_string(&header).unwrap_or_default()
+}
+
+/// A model as the bytes of one file.
+///
+/// # Errors
+/// Only when the container library refuses a tensor, which a checked model does not cause.
+pub fn encode(model: &Model) -> Result<Vec<u8>, ModelFileError> {
+    let metadata = HashMap::from([(HEADER_KEY.to_owned(), header(model))]);
+    Ok(safetensors::serialize(tensors(model), Some(metadata))?)
+}
+
+/// Reads a model back and checks it.
+///
+/// # Errors
+/// Names the header field or tensor that is missing, of another length, or not finite.
+pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
+    let bad = |field: &str, reason: String| ModelFileError::Field { field: field.to_owned(), reason };
+    let (_, metadata) = SafeTensors::read_metadata(bytes)?;
+    let text = metadata.metadata().as_ref().and_then(|m| m.get(HEADER_KEY));
+    let text = text.ok_or_else(|| bad("header", "is missing: this is not a Relume model".into()))?;
+    let header: Header = serde_json::from_str(text).map_err(|e| bad("header", e.to_string()))?;
+    if header.version != VERSION {
+        return Err(bad("version", format!("is {}, this build reads {VERSION}", header.version)));
+    }
+    let file = SafeTensors::deserialize(bytes)?;
+    if header.visibility_order > 8 || header.radiance_order > 4 {
+        return Err(bad("visibility_order,radiance_order", "are beyond 8 and 4".into()));
+    }
+    // Sizes come from the file's own bytes before anything is allocated for them.
+    if header.gaussians.saturating_mul(3 * 4) > bytes.len() {
+        return Err(bad("gaussians", "names more than the file holds".into()));
+    }
+    if header.prototypes > 4096 {
+        return Err(bad("prototypes", "are more than 4096".into()));
+    }
+    let mut gaussians = Gaussians::zeroed(
+        header.gaussians,
+        header.prototypes,
+        header.visibility_order,
+        header.radiance_order,
+    );
+    for (field, _, data) in gaussians.fields_mut() {
+        *data = floats(&file, field.name(), data.len())?;
+    }
+    let triples = |name: &str, count: usize| -> Result<Vec<[f32; 3]>, ModelFileError> {
+        let flat = floats(&file, name, count.saturating_mul(3))?;
+        Ok(flat.as_chunks::<3>().0.to_vec())
+    };
+    let model = Model {
+        prototypes: triples("prototypes", header.prototypes)?,
+        env_raw: triples("env_raw", header.env_width.saturating_mul(header.env_height))?,
+        gaussians,
+        env_width: header.env_width,
+        env_height: header.env_height,
+        shading: header.shading,
+        world_scale: header.world_scale,
+        world_offset: header.world_offset.into(),
+        card: header.card,
+    };
+    model.check().map_err(|e| bad(e.field, e.reason))?;
+    Ok(model)
+}
+
+/// Tensor `name` as `count` floats.
+pub(crate) fn floats(file: &SafeTensors<'_>, name: &str, count: usize) -> Result<Vec<f32>, ModelFileError> {
+    let bad = |reason: String| ModelFileError::Field { field: name.to_owned(), reason };
+    let tensor = file.tensor(name).map_err(|_| bad("is missing".into()))?;
+    if tensor.dtype() != Dtype::F32 || tensor.data().len() != count.saturating_mul(4) {
+        return Err(bad(format!("must be {count} f32 values")));
+    }
+    let chunks = tensor.data().as_chunks::<4>().0;
+    Ok(chunks.iter().map(|b| f32::from_le_bytes(*b)).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example() -> Model {
+        let mut gaussians = Gaussians::zeroed(3, 2, 1, 0);
+        gaussians
+            .fields_mut()
+            .for_each(|(_, _, d)| d.iter_mut().enumerate().for_each(|(i, v)| *v = i as f32));
+        Model {
+            gaussians,
+            prototypes: vec![[0.1; 3]; 2],
+            env_raw: vec![[0.2; 3]; 8],
+            env_width: 4,
+            env_height: 2,
+            shading: ShadingOptions::default(),
+            world_scale: 2.0,
+            world_offset: glam::DVec3::X,
+            card: serde_json::json!({"seed": 3}),
+        }
+    }
+
+    #[test]
+    fn a_model_survives_the_file() {
+        let model = example();
+        assert_eq!(decode(&encode(&model).unwrap()).unwrap(), model);
+    }
+
+    #[test]
+    fn cut_short_or_poisoned_files_are_refused() {
+        let bytes = encode(&example()).unwrap();
+        for cut in [0, 7, 40, bytes.len() - 1] {
+            assert!(decode(&bytes[..cut]).is_err(), "cut at {cut}");
+        }
+        let mut model = example();
+        model.gaussians.field_mut(Field::Mean)[0] = f32::NAN;
+        let err = decode(&encode(&model).unwrap()).unwrap_err();
+        assert!(err.to_string().contains("gaussians"), "{err}");
+    }
+}

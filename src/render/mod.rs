@@ -1,0 +1,5 @@
+//! A camera and a light in, a frame out.
+
+mod renderer;
+
+pub use renderer::{Frame, Output, PreparedLight, RenderError, Renderer, Tier};

@@ -1,0 +1,230 @@
+//! Pinhole cameras. Inside Relume every camera uses OpenCV axes (x right, y down, z forward) and stores
+//! world-to-camera; the outside world (API, nerfstudio, Blender) speaks camera-to-world in OpenGL axes.
+
+use glam::{DMat3, DMat4, DVec3};
+
+/// A posed pinhole camera without distortion.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Camera {
+    /// Image width in pixels, at least 1.
+    pub width: u32,
+    /// Image height in pixels, at least 1.
+    pub height: u32,
+    /// Focal length along x, pixels.
+    pub fx: f64,
+    /// Focal length along y, pixels.
+    pub fy: f64,
+    /// Principal point x, pixels; pixel centres lie at +0.5.
+    pub cx: f64,
+    /// Principal point y, pixels.
+    pub cy: f64,
+    /// World-to-camera rotation (rows are the camera's right, down and forward axes in the world).
+    pub rotation: DMat3,
+    /// World-to-camera translation, capture units: `x_cam = rotation * x_world + translation`.
+    pub translation: DVec3,
+}
+
+/// Why a camera was refused. `field` names what was wrong in the caller's vocabulary.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{field}: {reason}")]
+pub struct CameraError {
+    /// The field at fault, e.g. `transform_matrix` or `fov_y_deg`.
+    pub field: &'static str,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
+impl CameraError {
+    fn new(field: &'static str, reason: impl Into<String>) -> Self {
+        Self { field, reason: reason.into() }
+    }
+}
+
+impl Camera {
+    /// From a camera-to-world matrix in OpenGL/Blender axes (x right, y up, looking along -z).
+    ///
+    /// The upper 3x3 may carry a uniform scale, which is removed.
+    ///
+    /// # Errors
+    /// Names `transform_matrix` when it has a non-finite entry, is singular, mirrored or not a similarity.
+    pub fn from_opengl(
+        c2w: &DMat4,
+        (width, height): (u32, u32),
+        (fx, fy): (f64, f64),
+        (cx, cy): (f64, f64),
+    ) -> Result<Self, CameraError> {
+        let bad = |reason: &str| Err(CameraError::new("transform_matrix", reason));
+        if !c2w.to_cols_array().iter().all(|v| v.is_finite()) {
+            return bad("has a value that is not finite");
+        }
+        let linear = DMat3::from_mat4(*c2w);
+        let det = linear.determinant();
+        let scale = det.abs().cbrt();
+        if scale < 1e-12 {
+            return bad("is singular (determinant 0)");
+        }
+        if det < 0.0 {
+            return bad("mirrors space (negative determinant)");
+        }
+        let axes = linear * (1.0 / scale);
+        let skew = (axes * axes.transpose() - DMat3::IDENTITY).to_cols_array();
+        if skew.iter().any(|v| v.abs() > 1e-3) {
+            return bad("is not a rotation: its columns are not orthogonal and of one length");
+        }
+        let right = axes.x_axis.normalize();
+        let up = (axes.y_axis - right * right.dot(axes.y_axis)).normalize();
+        let back = right.cross(up);
+        let rotation = DMat3::from_cols(right, -up, -back).transpose();
+        let centre = c2w.w_axis.truncate();
+        Self { width, height, fx, fy, cx, cy, rotation, translation: -(rotation * centre) }.validated()
+    }
+
+    /// Looks from `eye` at `target` with world up `up`; `fov_y` in radians, square pixels, centred.
+    ///
+    /// # Errors
+    /// Names `eye`, `target`, `up` or `fov_y` when they do not define a view.
+    pub fn look_at(
+        eye: DVec3,
+        target: DVec3,
+        up: DVec3,
+        fov_y: f64,
+        (width, height): (u32, u32),
+    ) -> Result<Self, CameraError> {
+        if !(fov_y > 0.0 && fov_y < std::f64::consts::PI) {
+            return Err(CameraError::new("fov_y", "must lie strictly between 0 and 180 degrees"));
+        }
+        let forward = (target - eye).try_normalize();
+        let forward =
+            forward.ok_or_else(|| CameraError::new("target", "coincides with eye or is not finite"))?;
+        // A view along the up axis leaves roll undefined: take any perpendicular, the same one each time.
+        let right = forward.cross(up).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
+        let down = forward.cross(right);
+        let rotation = DMat3::from_cols(right, down, forward).transpose();
+        let focal = 0.5 * f64::from(height) / (0.5 * fov_y).tan();
+        Self {
+            width,
+            height,
+            fx: focal,
+            fy: focal,
+            cx: 0.5 * f64::from(width),
+            cy: 0.5 * f64::from(height),
+            rotation,
+            translation: -(rotation * eye),
+        }
+        .validated()
+    }
+
+    /// The camera itself when every field is usable.
+    ///
+    /// # Errors
+    /// Names the first field that is not finite, not positive where it must be, or out of range.
+    pub fn validated(self) -> Result<Self, CameraError> {
+        if self.width == 0 || self.height == 0 {
+            return Err(CameraError::new("width,height", "must be at least 1 pixel"));
+        }
+        for (field, value) in [("fx", self.fx), ("fy", self.fy)] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(CameraError::new(field, format!("focal length must be positive, got {value}")));
+            }
+        }
+        for (field, value) in [("cx", self.cx), ("cy", self.cy)] {
+            if !value.is_finite() {
+                return Err(CameraError::new(field, "principal point must be finite"));
+            }
+        }
+        let pose = self.rotation.to_cols_array();
+        if !(pose.iter().all(|v| v.is_finite()) && self.translation.is_finite()) {
+            return Err(CameraError::new("transform_matrix", "has a value that is not finite"));
+        }
+        Ok(self)
+    }
+
+    /// The camera's centre in the world, capture units.
+    pub fn centre(&self) -> DVec3 {
+        -(self.rotation.transpose() * self.translation)
+    }
+
+    /// Unit vector of the optical axis in the world.
+    pub fn forward(&self) -> DVec3 {
+        self.rotation.row(2)
+    }
+
+    /// Unit ray direction in the world through the centre of pixel (`x`, `y`).
+    pub fn ray(&self, x: u32, y: u32) -> DVec3 {
+        let u = (f64::from(x) + 0.5 - self.cx) / self.fx;
+        let v = (f64::from(y) + 0.5 - self.cy) / self.fy;
+        (self.rotation.transpose() * DVec3::new(u, v, 1.0)).normalize()
+    }
+
+    /// The same view at another size: intrinsics scale with the image.
+    #[must_use]
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        let sx = f64::from(width) / f64::from(self.width);
+        let sy = f64::from(height) / f64::from(self.height);
+        Self {
+            width,
+            height,
+            fx: self.fx * sx,
+            fy: self.fy * sy,
+            cx: self.cx * sx,
+            cy: self.cy * sy,
+            ..*self
+        }
+    }
+
+    /// The camera after the world moved by `x' = scale * (x + offset)`.
+    #[must_use]
+    pub fn in_normalised_world(&self, scale: f64, offset: DVec3) -> Self {
+        let centre = (self.centre() + offset) * scale;
+        Self { translation: -(self.rotation * centre), ..*self }
+    }
+
+    /// Camera-to-world matrix in OpenGL/Blender axes, the inverse of [`Camera::from_opengl`].
+    pub fn to_opengl(&self) -> DMat4 {
+        let r = self.rotation;
+        let mut m = DMat4::from_mat3(DMat3::from_cols(r.row(0), -r.row(1), -r.row(2)));
+        m.w_axis = self.centre().extend(1.0);
+        m
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example() -> Camera {
+        let eye = DVec3::new(1.0, -3.0, 2.0);
+        Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.7, (64, 48)).unwrap()
+    }
+
+    #[test]
+    fn opengl_matrix_round_trips() {
+        let cam = example();
+        let back =
+            Camera::from_opengl(&cam.to_opengl(), (64, 48), (cam.fx, cam.fy), (cam.cx, cam.cy)).unwrap();
+        assert!((back.translation - cam.translation).length() < 1e-12);
+        assert!((back.rotation - cam.rotation).to_cols_array().iter().all(|v| v.abs() < 1e-12));
+    }
+
+    #[test]
+    fn the_target_is_straight_ahead_and_up_is_up() {
+        let cam = example();
+        assert!((cam.forward() - (-cam.centre()).normalize()).length() < 1e-12);
+        let above = cam.rotation * DVec3::Z;
+        assert!(above.y < 0.0, "the world's up must point to smaller image rows");
+    }
+
+    #[test]
+    fn a_singular_or_nan_pose_is_refused_by_name() {
+        for m in [DMat4::ZERO, DMat4::from_cols_array(&[f64::NAN; 16])] {
+            let err = Camera::from_opengl(&m, (4, 4), (1.0, 1.0), (2.0, 2.0)).unwrap_err();
+            assert_eq!(err.field, "transform_matrix");
+        }
+    }
+
+    #[test]
+    fn looking_along_up_still_gives_a_rotation() {
+        let cam = Camera::look_at(DVec3::Z, DVec3::ZERO, DVec3::Z, 1.0, (8, 8)).unwrap();
+        assert!((cam.rotation.determinant() - 1.0).abs() < 1e-12);
+    }
+}

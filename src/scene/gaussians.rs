@@ -1,0 +1,204 @@
+//! The Gaussians of a model: one flat array a parameter, so that optimiser, density control and files can
+//! walk over all of them alike.
+
+use crate::scene::model::sh_count;
+
+/// One per-Gaussian parameter array. The discriminant indexes every per-field table in the crate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[repr(usize)]
+pub enum Field {
+    /// Centre, capture units (3).
+    Mean,
+    /// Natural logarithm of the three standard deviations (3).
+    LogScale,
+    /// Orientation quaternion w x y z, not normalised (4).
+    Quaternion,
+    /// Opacity before the sigmoid (1).
+    OpacityLogit,
+    /// Free normal, or the offset added to the shortest axis (3).
+    Normal,
+    /// Metalness before the sigmoid (1).
+    MetalLogit,
+    /// Roughness before the sigmoid (1).
+    RoughLogit,
+    /// Prototype scores before the softmax (K).
+    ProtoLogits,
+    /// Albedo residual, linear (3).
+    Residual,
+    /// Visibility SH coefficients ((L+1)^2).
+    Visibility,
+    /// Indirect-light SH weights, article Eq. 19 (16).
+    Indirect,
+    /// Radiance-branch SH coefficients, coefficient-major RGB (3 (d+1)^2).
+    Radiance,
+}
+
+impl Field {
+    /// Every field, in storage order.
+    pub const ALL: [Self; 12] = [
+        Self::Mean,
+        Self::LogScale,
+        Self::Quaternion,
+        Self::OpacityLogit,
+        Self::Normal,
+        Self::MetalLogit,
+        Self::RoughLogit,
+        Self::ProtoLogits,
+        Self::Residual,
+        Self::Visibility,
+        Self::Indirect,
+        Self::Radiance,
+    ];
+
+    /// The stable name used in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mean => "means",
+            Self::LogScale => "log_scales",
+            Self::Quaternion => "quats",
+            Self::OpacityLogit => "opacity_logit",
+            Self::Normal => "normals_raw",
+            Self::MetalLogit => "metal_logit",
+            Self::RoughLogit => "rough_logit",
+            Self::ProtoLogits => "proto_logits",
+            Self::Residual => "residual",
+            Self::Visibility => "occ_sh",
+            Self::Indirect => "ind_sh",
+            Self::Radiance => "radiance_sh",
+        }
+    }
+}
+
+/// N Gaussians as arrays of raw (pre-activation) parameters, `field(f)[i * width(f) ..][.. width(f)]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gaussians {
+    len: usize,
+    prototypes: usize,
+    visibility_order: usize,
+    radiance_order: usize,
+    data: [Vec<f32>; 12],
+}
+
+impl Gaussians {
+    /// `len` zeroed Gaussians with K = `prototypes`, visibility order L and radiance order d.
+    pub fn zeroed(len: usize, prototypes: usize, visibility_order: usize, radiance_order: usize) -> Self {
+        let mut out = Self { len, prototypes, visibility_order, radiance_order, data: Default::default() };
+        for field in Field::ALL {
+            out.data[field as usize] = vec![0.0; len * out.width(field)];
+        }
+        out
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// True when there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Number of albedo prototypes K a Gaussian mixes.
+    pub fn prototypes(&self) -> usize {
+        self.prototypes
+    }
+
+    /// Highest SH degree of the visibility field.
+    pub fn visibility_order(&self) -> usize {
+        self.visibility_order
+    }
+
+    /// Highest SH degree of the radiance branch.
+    pub fn radiance_order(&self) -> usize {
+        self.radiance_order
+    }
+
+    /// Floats a Gaussian has in `field`.
+    pub fn width(&self, field: Field) -> usize {
+        match field {
+            Field::Mean | Field::LogScale | Field::Normal | Field::Residual => 3,
+            Field::Quaternion => 4,
+            Field::OpacityLogit | Field::MetalLogit | Field::RoughLogit => 1,
+            Field::ProtoLogits => self.prototypes,
+            Field::Visibility => sh_count(self.visibility_order),
+            Field::Indirect => 16,
+            Field::Radiance => 3 * sh_count(self.radiance_order),
+        }
+    }
+
+    /// The whole array of `field`, `len * width` floats.
+    pub fn field(&self, field: Field) -> &[f32] {
+        &self.data[field as usize]
+    }
+
+    /// The whole array of `field`, to be written.
+    pub fn field_mut(&mut self, field: Field) -> &mut [f32] {
+        &mut self.data[field as usize]
+    }
+
+    /// All arrays at once, in [`Field::ALL`] order, each with its width.
+    pub fn fields_mut(&mut self) -> impl Iterator<Item = (Field, usize, &mut Vec<f32>)> {
+        let widths = Field::ALL.map(|f| self.width(f));
+        Field::ALL.into_iter().zip(widths).zip(self.data.iter_mut()).map(|((f, w), d)| (f, w, d))
+    }
+
+    /// The floats of Gaussian `i` in `field`.
+    pub fn row(&self, field: Field, i: usize) -> &[f32] {
+        let w = self.width(field);
+        &self.data[field as usize][i * w..(i + 1) * w]
+    }
+
+    /// The floats of Gaussian `i` in `field`, to be written.
+    pub fn row_mut(&mut self, field: Field, i: usize) -> &mut [f32] {
+        let w = self.width(field);
+        &mut self.data[field as usize][i * w..(i + 1) * w]
+    }
+
+    /// The floats of Gaussian `i` as an array; `W` must be the field's width.
+    pub fn get<const W: usize>(&self, field: Field, i: usize) -> [f32; W] {
+        let mut out = [0.0; W];
+        out.copy_from_slice(self.row(field, i));
+        out
+    }
+
+    /// A copy holding the Gaussians named by `indices`, in that order; an index may repeat.
+    #[must_use]
+    pub fn gathered(&self, indices: &[usize]) -> Self {
+        let mut out = Self { len: indices.len(), data: Default::default(), ..*self };
+        for field in Field::ALL {
+            let rows = indices.iter().flat_map(|&i| self.row(field, i).iter().copied());
+            out.data[field as usize] = rows.collect();
+        }
+        out
+    }
+
+    /// True when every float is finite.
+    pub fn is_finite(&self) -> bool {
+        self.data.iter().flatten().all(|v| v.is_finite())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gathering_repeats_and_reorders_rows() {
+        let mut g = Gaussians::zeroed(3, 2, 1, 0);
+        for i in 0..3 {
+            g.row_mut(Field::Mean, i).fill(i as f32);
+        }
+        let picked = g.gathered(&[2, 0, 2]);
+        assert_eq!(picked.field(Field::Mean), &[2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 2.0, 2.0, 2.0]);
+        assert_eq!(picked.field(Field::ProtoLogits).len(), 6);
+    }
+
+    #[test]
+    fn one_nan_anywhere_is_noticed() {
+        let mut g = Gaussians::zeroed(2, 2, 4, 1);
+        assert!(g.is_finite());
+        g.field_mut(Field::Visibility)[30] = f32::NAN;
+        assert!(!g.is_finite());
+    }
+}

@@ -1,0 +1,14 @@
+//! What a relightable model *is*: Gaussians, materials, environment and camera. Plain data: no GPU, no IO.
+
+mod camera;
+mod environment;
+mod gaussians;
+mod model;
+
+pub use camera::{Camera, CameraError};
+pub use environment::{EnvMap, EnvMapError, EnvMapStats, direction_to_uv, texel_directions, uv_to_direction};
+pub use gaussians::{Field, Gaussians};
+pub use model::{
+    DiffuseForm, IndirectForm, Model, ModelError, NormalForm, ShadingOptions, VisibilityForm, sh_count,
+    softplus, softplus_inverse,
+};

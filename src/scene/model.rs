@@ -1,0 +1,184 @@
+//! A whole relightable model: Gaussians, albedo prototypes, the recovered environment and how to shade them.
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use crate::scene::{EnvMap, Gaussians};
+
+/// Number of real SH coefficients up to degree `order`.
+pub const fn sh_count(order: usize) -> usize {
+    (order + 1) * (order + 1)
+}
+
+/// How visibility coefficients become a visibility (article Eq. 13).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum VisibilityForm {
+    /// `V = sum c Y`, clamped to [0, 1] where it is used; V = 1 gives AO = 1 exactly.
+    #[default]
+    Linear,
+    /// `V = sigmoid(sum c Y)`, as the article's own listing.
+    Sigmoid,
+    /// No occlusion: V = 1 everywhere.
+    Off,
+}
+
+/// How occlusion enters the diffuse term.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum DiffuseForm {
+    /// The article's `AO * L_diff(n)` (Eq. 21).
+    AmbientOcclusion,
+    /// `E(n) = sum_j c_j T_j(n)`: the integral of visibility x light x cosine (DESIGN 4.2).
+    #[default]
+    Directional,
+}
+
+/// Where a Gaussian's normal comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum NormalForm {
+    /// The `Normal` field itself, normalised (the listing).
+    Free,
+    /// The shortest axis turned to the camera, plus the `Normal` field as an offset.
+    #[default]
+    ShortestAxis,
+}
+
+/// What lights a direction that is not visible.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum IndirectForm {
+    /// Nothing.
+    Off,
+    /// 16 learned SH weights on the low-frequency environment, specular only (Eq. 19-20).
+    Learned,
+    /// Irradiance gathered from the Gaussians that block it, diffuse and specular (DESIGN 4.4).
+    #[default]
+    Gathered,
+}
+
+/// Every choice of the forward model; stored with the model, since parameters only mean something under it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ShadingOptions {
+    /// Form of the visibility field.
+    pub visibility: VisibilityForm,
+    /// Form of the diffuse term.
+    pub diffuse: DiffuseForm,
+    /// Source of normals.
+    pub normal: NormalForm,
+    /// Indirect light.
+    pub indirect: IndirectForm,
+    /// Screen-space low-pass added to the projected covariance, px^2.
+    pub low_pass: f32,
+    /// Scale opacity so that the low-pass keeps a splat's total weight (Mip-Splatting).
+    pub low_pass_compensation: bool,
+    /// True: compare in sRGB (clamp, curve); false: clamp only, as the listing.
+    pub srgb: bool,
+}
+
+impl Default for ShadingOptions {
+    fn default() -> Self {
+        Self {
+            visibility: VisibilityForm::default(),
+            diffuse: DiffuseForm::default(),
+            normal: NormalForm::default(),
+            indirect: IndirectForm::default(),
+            low_pass: 0.3,
+            low_pass_compensation: false,
+            srgb: true,
+        }
+    }
+}
+
+/// A relightable model in a normalised world (the scene fills about the unit ball around the origin).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    /// The Gaussians.
+    pub gaussians: Gaussians,
+    /// K albedo prototypes, linear Rec.709 (Eq. 23).
+    pub prototypes: Vec<[f32; 3]>,
+    /// Raw environment of the capture, before softplus, row-major `env_height x env_width`.
+    pub env_raw: Vec<[f32; 3]>,
+    /// Columns of the environment.
+    pub env_width: usize,
+    /// Rows of the environment.
+    pub env_height: usize,
+    /// The forward model these parameters were fitted under.
+    pub shading: ShadingOptions,
+    /// Capture to model: `x_model = scale * (x_capture + offset)`.
+    pub world_scale: f64,
+    /// See `world_scale`; capture units.
+    pub world_offset: DVec3,
+    /// What was trained, how, and what was decided on what evidence (the model card).
+    pub card: serde_json::Value,
+}
+
+/// Why a model cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("model: {field}: {reason}")]
+pub struct ModelError {
+    /// The array or option at fault.
+    pub field: &'static str,
+    /// What is wrong.
+    pub reason: String,
+}
+
+impl Model {
+    /// The recovered environment as radiance (softplus of the raw values).
+    pub fn environment(&self) -> EnvMap {
+        let texels = self.env_raw.iter().map(|t| t.map(softplus)).collect();
+        match EnvMap::new(self.env_width, self.env_height, texels) {
+            Ok((map, _)) => map,
+            // Unreachable for a checked model; black is the safe picture of "no light".
+            Err(_) => EnvMap::constant(self.env_width, self.env_height, [0.0; 3]),
+        }
+    }
+
+    /// Checks lengths and finiteness, for models that come from a file.
+    ///
+    /// # Errors
+    /// Names the first array that is at fault.
+    pub fn check(&self) -> Result<(), ModelError> {
+        let err = |field, reason: &str| Err(ModelError { field, reason: reason.to_owned() });
+        if self.prototypes.len() != self.gaussians.prototypes() {
+            return err("prototypes", "their number differs from the Gaussians' K");
+        }
+        if self.env_raw.len() != self.env_width * self.env_height || self.env_raw.is_empty() {
+            return err("environment", "its size does not fit its texels");
+        }
+        if !self.gaussians.is_finite() {
+            return err("gaussians", "have a value that is not finite");
+        }
+        if !self.prototypes.iter().chain(&self.env_raw).flatten().all(|v| v.is_finite()) {
+            return err("prototypes,environment", "have a value that is not finite");
+        }
+        if !(self.world_scale.is_finite() && self.world_scale > 0.0 && self.world_offset.is_finite()) {
+            return err("world_scale,world_offset", "must be finite and the scale positive");
+        }
+        Ok(())
+    }
+}
+
+/// `ln(1 + e^x)` without overflow.
+pub fn softplus(x: f32) -> f32 {
+    if x > 20.0 { x } else { x.exp().ln_1p() }
+}
+
+/// The `x` with `softplus(x) = y`, for y > 0.
+pub fn softplus_inverse(y: f32) -> f32 {
+    if y > 20.0 { y } else { y.max(1e-12).exp_m1().ln() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn softplus_inverts_from_dim_to_half_float_max() {
+        for y in [1e-6f32, 0.1, 1.0, 15.0, 6e4] {
+            assert!((softplus(softplus_inverse(y)) / y - 1.0).abs() < 1e-3, "{y}");
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! The joint optimisation: objective, optimiser, density control, schedule, checkpoints, trainer.
+
+mod config;
+mod trainer;
+
+pub use config::{LabelSource, Preset, TrainConfig, TrainOverrides};
+pub use trainer::{Progress, StepReport, TrainError, Trainer};
