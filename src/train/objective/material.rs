@@ -68,7 +68,14 @@ pub fn residual(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
     for (row, eps) in out.rows.chunks_mut(layout.row).zip(g.field(Field::Residual).chunks_exact(3)) {
         for (o, e) in row[layout.range(Field::Residual)].iter_mut().zip(eps) {
             total += f64::from(scale * e.abs());
-            *o += scale * if *e > 0.0 { 1.0 } else if *e < 0.0 { -1.0 } else { 0.0 };
+            *o += scale
+                * if *e > 0.0 {
+                    1.0
+                } else if *e < 0.0 {
+                    -1.0
+                } else {
+                    0.0
+                };
         }
     }
     total as f32
@@ -82,7 +89,15 @@ pub fn light_neutrality(radiance: &[[f32; 3]], weight: f32) -> (f32, Vec<[f32; 3
         .iter()
         .map(|l| {
             let mean = (l[0] + l[1] + l[2]) / 3.0;
-            let sign = l.map(|v| if v > mean { 1.0 } else if v < mean { -1.0 } else { 0.0f32 });
+            let sign = l.map(|v| {
+                if v > mean {
+                    1.0
+                } else if v < mean {
+                    -1.0
+                } else {
+                    0.0f32
+                }
+            });
             total += f64::from(scale) * (0..3).map(|c| f64::from((l[c] - mean).abs())).sum::<f64>();
             let shared = (sign[0] + sign[1] + sign[2]) / 3.0;
             sign.map(|s| scale * (s - shared))
@@ -143,7 +158,13 @@ pub fn flatness(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
     let layout = out.layout;
     let mut total = 0.0f64;
     for (row, s) in out.rows.chunks_mut(layout.row).zip(g.field(Field::LogScale).chunks_exact(3)) {
-        let axis = if s[0] <= s[1] && s[0] <= s[2] { 0 } else if s[1] <= s[2] { 1 } else { 2 };
+        let axis = if s[0] <= s[1] && s[0] <= s[2] {
+            0
+        } else if s[1] <= s[2] {
+            1
+        } else {
+            2
+        };
         let sigma = s[axis].exp();
         total += f64::from(scale * sigma);
         row[layout.range(Field::LogScale)][axis] += scale * sigma;
