@@ -4,7 +4,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::light::{CubeGrid, LightTables, brdf::ggx_d, padded, sh_eval};
-use crate::scene::{EnvMap, sh_count, texel_directions};
+use crate::scene::{sh_count, texel_directions};
 
 /// Roughness of each prefiltered level; radiance between two levels is interpolated linearly.
 pub const SPECULAR_LEVELS: [f32; 6] = [0.1, 0.25, 0.4, 0.6, 0.8, 1.0];
@@ -39,8 +39,6 @@ pub struct TableResolution {
 impl TableResolution {
     /// For optimisation: tables are rebuilt every step.
     pub const TRAINING: Self = Self { diffuse: 9, sharp: 17, rough: 9 };
-    /// For rendering: tables are built once a light.
-    pub const RENDERING: Self = Self { diffuse: 17, sharp: 49, rough: 17 };
 }
 
 /// One level's rows in compressed form: node k is `sum over entries[start[k]..start[k+1]] of weight * L[texel]`.
@@ -158,14 +156,6 @@ impl EnvOperators {
                 out
             })
             .collect()
-    }
-
-    /// Tables for rendering under any map: it is first reduced to the size these operators take.
-    pub fn tables_of(&self, map: &EnvMap) -> LightTables {
-        if (map.width(), map.height()) == (self.width, self.height) {
-            return self.apply(map.texels());
-        }
-        self.apply(map.resampled(self.width, self.height).texels())
     }
 }
 

@@ -1,17 +1,12 @@
 //! Material start: albedo prototypes from the colours the radiance warm-up found.
 
-use crate::engine::cpu::sigmoid;
+use crate::engine::cpu::{linear_from_srgb, sigmoid};
 use crate::scene::{Field, Model};
 
 /// Rounds of k-means.
 const ROUNDS: usize = 12;
 /// Sharpness of the first prototype scores, per squared linear colour distance.
 const SHARPNESS: f32 = 60.0;
-
-fn linear(display: f32) -> f32 {
-    let v = display.clamp(0.0, 1.0);
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
-}
 
 fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|c| (a[c] - b[c]).powi(2)).sum()
@@ -24,7 +19,7 @@ pub fn initialise(model: &mut Model) {
     let g = &model.gaussians;
     let colour = |i: usize| -> [f32; 3] {
         let s = g.row(Field::Radiance, i);
-        std::array::from_fn(|c| linear(0.5 + 0.282_094_8 * s[c]).clamp(0.02, 0.9))
+        std::array::from_fn(|c| linear_from_srgb((0.5 + 0.282_094_8 * s[c]).clamp(0.0, 1.0)).clamp(0.02, 0.9))
     };
     let points: Vec<([f32; 3], f32)> =
         (0..g.len()).map(|i| (colour(i), sigmoid(g.row(Field::OpacityLogit, i)[0]))).collect();

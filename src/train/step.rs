@@ -3,10 +3,10 @@
 use crate::engine::Gradients;
 use crate::engine::channel::Channels;
 use crate::engine::cpu::{
-    AttributeSource, BufferGradient, Pass, Probes, Shader, Transport, View, fibonacci_sphere,
+    self, AttributeSource, BufferGradient, Pass, Probes, Shader, Transport, View, fibonacci_sphere,
     outward_normals, radiance_image, radiance_image_backward,
 };
-use crate::light::{EnvOperators, LightTables, sh_eval};
+use crate::light::{EnvOperators, LightTables};
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
 use crate::train::dataset::Photo;
 use crate::train::objective::image::Target;
@@ -43,24 +43,6 @@ pub struct Outcome {
     pub mse: f32,
     /// Its gradients.
     pub gradients: Gradients,
-}
-
-/// `E_j = 1/32 sum_k Y_j(w_k) L_low(w_k)` (Eq. 20) over 32 Fibonacci directions.
-pub fn indirect_basis(tables: &LightTables) -> [[f32; 3]; 16] {
-    let mut out = [[0.0f32; 3]; 16];
-    let last = tables.specular.len() - 1;
-    for d in fibonacci_sphere(32) {
-        let mut y = [0.0f32; 16];
-        sh_eval(3, d, &mut y);
-        let taps = tables.specular_grids[last].lookup(d);
-        for k in 0..4 {
-            let light = tables.specular[last][taps.node[k]];
-            for (o, y) in out.iter_mut().zip(&y) {
-                (0..3).for_each(|c| o[c] += y * taps.weight[k] * light[c] / 32.0);
-            }
-        }
-    }
-    out
 }
 
 fn source<'a>(state: &'a TrainState, basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
@@ -111,7 +93,7 @@ pub fn material(context: &StepContext<'_>, state: &TrainState, photo: &Photo) ->
     let w = &context.config.weights;
     let radiance = radiance_of(&state.model);
     let tables = context.operators.apply(&radiance);
-    let basis = indirect_basis(&tables);
+    let basis = cpu::indirect_basis(&tables);
     let source = source(state, &basis);
     let view = View::new(&photo.camera, source.options);
     let order = source.gaussians.visibility_order();
@@ -129,14 +111,13 @@ pub fn material(context: &StepContext<'_>, state: &TrainState, photo: &Photo) ->
     }
     loss += geometry::depth_normal(&pass, w.depth_normal, &mut by_buffers);
     loss += geometry::smoothness(&pass, &photo.pixels, w.smoothness, &mut by_buffers);
-    let by_images =
-        crate::engine::cpu::BranchImages { physical: physical.gradient, radiance: plain.gradient };
+    let by_images = cpu::BranchImages { physical: physical.gradient, radiance: plain.gradient };
     let count = differentiated(context.config, source.options.indirect, pass.channels);
     let (by_gbuffer, mut by_tables) =
         shader.images_backward(&pass, context.background, &by_images, &by_buffers, count);
     let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count);
     if source.options.indirect == IndirectForm::Learned {
-        indirect_basis_backward(&pass, &source, &by_gbuffer, count, &mut by_tables);
+        learned_indirect_backward(&pass, &source, &by_gbuffer, count, &mut by_tables);
     }
     let (neutral, by_neutral) = terms::light_neutrality(&radiance, w.light);
     let texels = texel_directions(state.model.env_width, state.model.env_height);
@@ -185,7 +166,7 @@ fn parameter_terms(
 
 /// Gradient of the light through `E_j` (Eq. 20): by `E_j` it is the sum over Gaussians of weight x channel gradient,
 /// which is the gradient of the indirect channels against a unit change of `E_j`.
-fn indirect_basis_backward(
+fn learned_indirect_backward(
     pass: &Pass,
     source: &AttributeSource<'_>,
     by_gbuffer: &[f32],
@@ -205,18 +186,7 @@ fn indirect_basis_backward(
             (0..3).for_each(|c| o[c] += w * g[c]);
         }
     }
-    let last = by_tables.specular.len() - 1;
-    for d in fibonacci_sphere(32) {
-        let mut y = [0.0f32; 16];
-        sh_eval(3, d, &mut y);
-        let taps = by_tables.specular_grids[last].lookup(d);
-        for k in 0..4 {
-            let node = &mut by_tables.specular[last][taps.node[k]];
-            for (g, y) in by_basis.iter().zip(&y) {
-                (0..3).for_each(|c| node[c] += y * taps.weight[k] * g[c] / 32.0);
-            }
-        }
-    }
+    cpu::indirect_basis_backward(&by_basis, by_tables);
 }
 
 /// Measures visibility and gathers bounced light anew (docs/MODEL.md section 6).

@@ -8,6 +8,7 @@ mod attributes;
 mod blend;
 mod blend_backward;
 mod gather;
+mod indirect;
 mod labels;
 mod lanes;
 mod pass;
@@ -21,6 +22,7 @@ mod view;
 pub use attributes::{AttributeSource, softmax};
 pub use blend::TRANSMITTANCE_STOP;
 pub use gather::Transport;
+pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use labels::{BackwardLabel, backward_labels};
 pub use pass::{Pass, project_all};
 pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
@@ -29,7 +31,7 @@ pub use project::{
 };
 pub use shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
 pub use shading::{
-    BranchImages, BufferGradient, LEAST_COVERAGE, radiance_image, radiance_image_backward, srgb, srgb_slope,
-    surface_at,
+    BranchImages, BufferGradient, LEAST_COVERAGE, linear_from_srgb, radiance_image, radiance_image_backward,
+    srgb, srgb_slope, surface_at,
 };
 pub use view::View;
