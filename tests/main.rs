@@ -1,1 +1,2 @@
-mod captures;
+mod service;
+mod service_support;

@@ -14,9 +14,8 @@ use crate::api::listing::{List, PageQuery, rfc3339};
 use crate::api::problem::ContentError;
 use crate::api::upload::{self, Expected};
 use crate::api::{Problem, Shared};
-use crate::capture::Capture;
+use crate::capture::{self, CaptureError, ImportOptions};
 use crate::store::{CaptureRecord, Incoming};
-use crate::worker::{CaptureError, import};
 
 /// The routes of this family.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
@@ -50,16 +49,22 @@ pub struct CaptureReport {
     pub train_images: usize,
     /// Held-out photographs.
     pub test_images: usize,
-    /// Width of the widest photograph, pixels.
-    pub max_width: u32,
-    /// Height of the highest photograph, pixels.
-    pub max_height: u32,
+    /// Width of the first training image, pixels.
+    pub width: u32,
+    /// Height of the first training image, pixels.
+    pub height: u32,
     /// Sparse points.
     pub points: usize,
     /// True when the alpha channel carries a mask.
     pub has_alpha: bool,
-    /// Lights with ground truth.
+    /// True when some held-out view has ground truth beyond its photograph.
+    pub has_ground_truth: bool,
+    /// Lights whose maps were found.
     pub lights: Vec<String>,
+    /// Centre of the region of interest, capture units.
+    pub centre: [f64; 3],
+    /// Radius of the region of interest, capture units.
+    pub radius: f64,
     /// What a user should know but that did not stop the import, e.g. missing images by name.
     pub warnings: Vec<String>,
 }
@@ -162,22 +167,26 @@ async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
 async fn validate(app: &Shared, incoming: &Incoming) -> Result<CaptureReport, Problem> {
     let _turn = app.imports.acquire().await.map_err(Problem::internal)?;
     let path = incoming.path.clone();
-    let imported = tokio::task::spawn_blocking(move || import(&path, None).map(|c| report(&c)));
-    imported.await.map_err(Problem::internal)?.map_err(refused)
+    let import = move || capture::import(&path, &ImportOptions::default()).map(|c| c.report().into());
+    tokio::task::spawn_blocking(import).await.map_err(Problem::internal)?.map_err(refused)
 }
 
-fn report(capture: &Capture) -> CaptureReport {
-    let images = || capture.train.iter().chain(&capture.test).map(|v| &v.image);
-    CaptureReport {
-        layout: capture.layout.clone(),
-        train_images: capture.train.len(),
-        test_images: capture.test.len(),
-        max_width: images().map(|i| i.width).max().unwrap_or(0),
-        max_height: images().map(|i| i.height).max().unwrap_or(0),
-        points: capture.points.len(),
-        has_alpha: capture.has_alpha,
-        lights: capture.lights.keys().cloned().collect(),
-        warnings: capture.warnings.clone(),
+impl From<capture::CaptureReport> for CaptureReport {
+    fn from(report: capture::CaptureReport) -> Self {
+        Self {
+            layout: report.layout,
+            train_images: report.train_images,
+            test_images: report.test_images,
+            width: report.width,
+            height: report.height,
+            points: report.points,
+            has_alpha: report.has_alpha,
+            has_ground_truth: report.has_ground_truth,
+            lights: report.lights,
+            centre: report.centre,
+            radius: report.radius,
+            warnings: report.warnings,
+        }
     }
 }
 

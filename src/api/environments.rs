@@ -14,9 +14,9 @@ use crate::api::listing::{List, PageQuery, rfc3339};
 use crate::api::problem::ContentError;
 use crate::api::upload::{self, Expected};
 use crate::api::{Problem, Shared};
-use crate::scene::EnvMap;
+use crate::formats::environment::{self, LoadedEnvironment};
 use crate::store::{EnvironmentRecord, Incoming};
-use crate::worker::{BUILTINS, decode_environment};
+use crate::worker::BUILTINS;
 
 /// The routes of this family.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
@@ -151,13 +151,13 @@ async fn validate(app: &Shared, incoming: &Incoming) -> Result<(i64, i64, Vec<St
     let _turn = app.imports.acquire().await.map_err(Problem::internal)?;
     let bytes = tokio::fs::read(&incoming.path).await.map_err(Problem::internal)?;
     let decoded = tokio::task::spawn_blocking(move || decode(&bytes)).await.map_err(Problem::internal)?;
-    let (map, warnings) = decoded?;
+    let LoadedEnvironment { map, warnings } = decoded?;
     Ok((map.width() as i64, map.height() as i64, warnings))
 }
 
 /// Decodes a map from a stranger.
-pub(super) fn decode(bytes: &[u8]) -> Result<(EnvMap, Vec<String>), Problem> {
-    decode_environment(bytes).map_err(|error| {
+pub(super) fn decode(bytes: &[u8]) -> Result<LoadedEnvironment, Problem> {
+    environment::decode(bytes).map_err(|error| {
         let code = "environment_invalid".to_owned();
         Problem::invalid_content(ContentError { code, file: None, field: None }, error.to_string())
     })

@@ -353,16 +353,17 @@ fn override_refused(message: &str) -> Problem {
 }
 
 fn preset_name(preset: Preset) -> Result<String, Problem> {
-    serde_json::to_value(preset).ok().and_then(|v| v.as_str().map(str::to_owned)).ok_or_else(|| {
-        Problem::internal("a preset without a name")
-    })
+    serde_json::to_value(preset)
+        .ok()
+        .and_then(|v| v.as_str().map(str::to_owned))
+        .ok_or_else(|| Problem::internal("a preset without a name"))
 }
 
 fn view(job: &JobRecord, queue_position: Option<i64>) -> JobView {
-    let error = job.error_code.clone().map(|code| JobError {
-        code,
-        detail: job.error_detail.clone().unwrap_or_default(),
-    });
+    let error = job
+        .error_code
+        .clone()
+        .map(|code| JobError { code, detail: job.error_detail.clone().unwrap_or_default() });
     JobView {
         id: job.id.clone(),
         capture: job.capture_id.clone(),

@@ -18,10 +18,7 @@ const MODEL_FILE: &str = "model.safetensors";
 
 /// The routes of this family.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
-    OpenApiRouter::new()
-        .routes(routes!(list_models))
-        .routes(routes!(get_model))
-        .routes(routes!(get_card))
+    OpenApiRouter::new().routes(routes!(list_models)).routes(routes!(get_model)).routes(routes!(get_card))
 }
 
 /// A model in a list.

@@ -189,9 +189,7 @@ impl From<RenderFailure> for Problem {
             RenderFailure::Busy => {
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "The device is busy").retry_after(1)
             }
-            RenderFailure::Refused(error) => {
-                Self::invalid_field(format!("/{}", error.field), error.reason)
-            }
+            RenderFailure::Refused(error) => Self::invalid_field(format!("/{}", error.field), error.reason),
             RenderFailure::Internal(cause) => Self::internal(cause),
         }
     }

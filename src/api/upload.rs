@@ -47,7 +47,8 @@ pub(super) async fn receive(
 
 async fn from_form(app: &Shared, request: Request, expected: &Expected) -> Result<Incoming, Problem> {
     let broken = |reason: String| {
-        Problem::new(StatusCode::BAD_REQUEST, "malformed-form", "The multipart form cannot be read").detail(reason)
+        Problem::new(StatusCode::BAD_REQUEST, "malformed-form", "The multipart form cannot be read")
+            .detail(reason)
     };
     let mut form = Multipart::from_request(request, app).await.map_err(|e| broken(e.body_text()))?;
     let mut file = None;

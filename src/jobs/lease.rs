@@ -41,8 +41,7 @@ impl Lease {
     pub async fn progress(&self, progress: &ProgressUpdate) -> Result<Held, StoreError> {
         let now = self.jobs.now_ms();
         let until = self.jobs.lease_end(now);
-        let held =
-            self.jobs.store.record_progress(&self.job.id, &self.token, progress, now, until).await?;
+        let held = self.jobs.store.record_progress(&self.job.id, &self.token, progress, now, until).await?;
         self.jobs.announce();
         Ok(held)
     }

@@ -22,6 +22,7 @@ use tokio_util::sync::CancellationToken;
 pub use adapters::*;
 pub use device::{Device, RenderFailure};
 pub use renders::{LightSource, ModelSource, RenderTask};
+pub use training::import_for_training;
 pub use view::{Orbit, View};
 
 use crate::jobs::Jobs;

@@ -45,7 +45,8 @@ impl Reporter {
     fn eta(&self, now_ms: i64, progress: Progress) -> Option<f64> {
         let done = progress.step.saturating_sub(self.first_step);
         let seconds = (now_ms - self.started_ms) as f64 / 1e3;
-        (done > 0).then(|| seconds / f64::from(done) * f64::from(progress.total.saturating_sub(progress.step)))
+        (done > 0)
+            .then(|| seconds / f64::from(done) * f64::from(progress.total.saturating_sub(progress.step)))
     }
 }
 
@@ -65,7 +66,10 @@ mod tests {
             let (report, progress) = step(n);
             reporter.report(ms, &report, progress).is_some()
         };
-        assert_eq!([at(0, 1), at(499, 2), at(500, 3), at(501, 99), at(502, 100)], [true, false, true, false, true]);
+        assert_eq!(
+            [at(0, 1), at(499, 2), at(500, 3), at(501, 99), at(502, 100)],
+            [true, false, true, false, true]
+        );
     }
 
     #[test]

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use crate::formats::model_file;
+use crate::formats::{environment, model_file};
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer, Tier};
 use crate::scene::EnvMap;
 use crate::worker::lru::Lru;
-use crate::worker::{RenderFailure, View, builtin, decode_environment};
+use crate::worker::{RenderFailure, View, builtin};
 
 /// A model to render: its identifier and its file.
 #[derive(Debug, Clone, PartialEq)]
@@ -113,12 +113,12 @@ fn load(source: &ModelSource) -> Result<Arc<Renderer>, RenderFailure> {
 }
 
 fn prepare(renderer: &Renderer, task: &RenderTask) -> Result<Arc<PreparedLight>, RenderFailure> {
-    let map = environment(renderer, &task.light)?;
+    let map = light_map(renderer, &task.light)?;
     let map = map.rotated_and_scaled(task.rotation_deg, task.exposure_ev.exp2() as f32);
     Ok(Arc::new(renderer.prepare_light(&map)))
 }
 
-fn environment(renderer: &Renderer, light: &LightSource) -> Result<Arc<EnvMap>, RenderFailure> {
+fn light_map(renderer: &Renderer, light: &LightSource) -> Result<Arc<EnvMap>, RenderFailure> {
     let internal = |e: String| RenderFailure::Internal(format!("environment {}: {e}", light.key()));
     match light {
         LightSource::Inline { map, .. } => Ok(map.clone()),
@@ -128,8 +128,8 @@ fn environment(renderer: &Renderer, light: &LightSource) -> Result<Arc<EnvMap>, 
         }
         LightSource::Stored { path, .. } => {
             let bytes = std::fs::read(path).map_err(|e| internal(e.to_string()))?;
-            let (map, _) = decode_environment(&bytes).map_err(|e| internal(e.to_string()))?;
-            Ok(Arc::new(map))
+            let loaded = environment::decode(&bytes).map_err(|e| internal(e.to_string()))?;
+            Ok(Arc::new(loaded.map))
         }
     }
 }

@@ -1,13 +1,15 @@
 //! One attempt at a job: import, train step by step, checkpoint, publish.
 
-use crate::capture::Capture;
+use std::path::Path;
+
+use crate::capture::{Capture, CaptureError, ImportOptions};
 use crate::formats::model_file;
 use crate::jobs::Lease;
 use crate::scene::Model;
 use crate::store::{Held, ModelFile, ModelRecord, ProgressUpdate, StoreError};
 use crate::train::{Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
 use crate::worker::progress::Reporter;
-use crate::worker::{Worker, import, ply};
+use crate::worker::{Worker, ply};
 
 /// How an attempt ended without a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -93,7 +95,7 @@ impl Worker {
         let record = self.jobs.store().capture(&job.capture_id).await?;
         let record = record.ok_or_else(|| Failure::new("capture_missing", "the capture is gone"))?;
         let path = self.jobs.store().artifacts().local_path(&record.artifact);
-        let capture = import(&path, Some(config.resolution));
+        let capture = import_for_training(&path, config);
         let capture = capture.map_err(|e| Failure::new(e.code(), e.to_string()))?;
         if job.attempts == 1 {
             for warning in &capture.warnings {
@@ -170,12 +172,24 @@ impl Attempt<'_> {
     }
 }
 
+/// A capture at the resolution it will be trained at, so that memory holds no pixel in vain.
+///
+/// # Errors
+/// What the importer refuses, by file and field.
+pub fn import_for_training(path: &Path, config: &TrainConfig) -> Result<Capture, CaptureError> {
+    let options =
+        ImportOptions { max_side: Some(config.resolution), load_truth: false, ..ImportOptions::default() };
+    crate::capture::import(path, &options)
+}
+
 /// The configuration the job was accepted with.
 fn config(lease: &Lease) -> Result<TrainConfig, Failure> {
     let invalid = |e: String| Failure::new("config_invalid", e);
     let job = lease.job();
-    let preset: Preset = serde_json::from_value(job.preset.clone().into()).map_err(|e| invalid(e.to_string()))?;
-    let overrides: TrainOverrides = serde_json::from_str(&job.overrides).map_err(|e| invalid(e.to_string()))?;
+    let preset: Preset =
+        serde_json::from_value(job.preset.clone().into()).map_err(|e| invalid(e.to_string()))?;
+    let overrides: TrainOverrides =
+        serde_json::from_str(&job.overrides).map_err(|e| invalid(e.to_string()))?;
     TrainConfig::new(preset, &overrides).map_err(invalid)
 }
 
@@ -233,5 +247,11 @@ async fn store_file(
     let artifact = format!("{}/{name}", lease.artifact_prefix());
     let size = i64::try_from(bytes.len()).unwrap_or(i64::MAX);
     let sha256 = lease.jobs().store().artifacts().put(&artifact, bytes).await?;
-    Ok(ModelFile { name: name.to_owned(), content_type: content_type.to_owned(), bytes: size, sha256, artifact })
+    Ok(ModelFile {
+        name: name.to_owned(),
+        content_type: content_type.to_owned(),
+        bytes: size,
+        sha256,
+        artifact,
+    })
 }
