@@ -20,6 +20,7 @@
 
 pub mod capture;
 pub mod engine;
+pub mod eval;
 pub mod formats;
 pub mod light;
 pub mod render;
