@@ -19,6 +19,7 @@
 //! - [`cli`]: the command line.
 
 pub mod capture;
+pub mod cli;
 pub mod engine;
 pub mod eval;
 pub mod formats;

@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use glam::DVec3;
 use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Plane, Scene3dBounds};
+use relume::cli::eval::{EvalArgs, run};
 use relume::eval::{EvalError, EvalOptions, Lpips, Picture, Report, contact_sheet, evaluate};
+use relume::formats::model_file;
 use relume::render::{Frame, Output, Renderer, Tier};
 use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadingOptions};
 
@@ -285,4 +287,58 @@ fn the_contact_sheet_is_a_png_with_a_cell_a_column_and_a_band_a_view() {
     // 3 pictures, one light beside its truth, 8 layers.
     assert_eq!(image.width(), 4 + 13 * (64 + 4));
     assert!(image.height() > 2 * 64 && image.height() < 3 * 64 + 60);
+}
+
+fn arguments(model: PathBuf, capture: PathBuf, json: PathBuf) -> EvalArgs {
+    EvalArgs {
+        model,
+        capture,
+        json: Some(json),
+        markdown: None,
+        sheet: None,
+        lpips: None,
+        resolution: Some(48),
+        views: Some(1),
+    }
+}
+
+#[test]
+fn the_command_writes_json_markdown_and_a_sheet_for_a_real_scene() {
+    let Some(scene) = test_data("scenes/helmet") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
+    let args = EvalArgs {
+        markdown: Some(file("report.md")),
+        sheet: Some(file("sheet.png")),
+        ..arguments(file("model"), scene, file("report.json"))
+    };
+    run(args).unwrap();
+    let report: Report = serde_json::from_slice(&std::fs::read(file("report.json")).unwrap()).unwrap();
+    let lights: Vec<&str> = report.relit.lights.keys().map(String::as_str).collect();
+    assert_eq!(lights, ["bridge", "city", "interior", "night"]);
+    assert!(report.relit.mean.psnr.unwrap().is_finite() && report.albedo.psnr_aligned.is_some());
+    assert!(report.normal_mae_deg.foreground.unwrap() > report.normal_mae_deg.all_pixels.unwrap());
+    assert!(report.protocol.contains("48x48"), "{}", report.protocol);
+    assert!(std::fs::read_to_string(file("report.md")).unwrap().contains("relit, night"));
+    assert!(image::open(file("sheet.png")).is_ok());
+}
+
+#[test]
+fn the_command_names_the_file_at_fault_and_checks_outputs_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    std::fs::write(file("model"), b"no model").unwrap();
+    let refused = |args: EvalArgs| run(args).unwrap_err().to_string();
+    let unreadable = refused(arguments(file("absent"), file("scene"), file("out.json")));
+    assert!(unreadable.contains("absent"), "{unreadable}");
+    let no_model = refused(arguments(file("model"), file("scene"), file("out.json")));
+    assert!(no_model.contains("model"), "{no_model}");
+    // Neither input exists either, yet it is the output that is complained of.
+    let unwritable = refused(arguments(file("absent"), file("scene"), file("nowhere/out.json")));
+    assert!(unwritable.contains("out.json"), "{unwritable}");
+    std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
+    let no_capture = refused(arguments(file("model"), file("scene"), file("out.json")));
+    assert!(no_capture.contains("scene"), "{no_capture}");
+    assert!(!file("out.json").exists(), "a failed evaluation leaves no report behind");
 }

@@ -6,7 +6,8 @@ use crate::capture::{Capture, CaptureView, Plane};
 use crate::eval::Picture;
 use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
 use crate::eval::sheet::{Sheet, error_map, grey};
-use crate::eval::views::{ViewLayers, alpha_of, photograph, relit, srgb};
+use crate::eval::views::{ViewLayers, alpha_of, photograph, relit};
+use crate::formats::srgb;
 use crate::render::{PreparedLight, Renderer, Tier};
 use crate::scene::Model;
 
@@ -60,7 +61,7 @@ fn layer_cells(layers: &ViewLayers, view: &CaptureView) -> [Option<Picture>; 8] 
     let (width, height) = (view.camera.width, view.camera.height);
     let true_alpha = alpha_of(&view.image);
     let picture = |values: Vec<[f32; 3]>, alpha: &[f32]| on_white(&Plane { width, height, values }, alpha);
-    let shown = |c: [f32; 3]| c.map(|v| srgb(v.clamp(0.0, 1.0)));
+    let shown = |c: [f32; 3]| c.map(srgb::encode);
     let coded = |n: [f32; 3]| n.map(|v| 0.5 * v + 0.5);
     let albedo = layers.albedo.iter().map(|c| shown(*c)).collect();
     let normal = layers.normal.iter().map(|n| coded(*n)).collect();

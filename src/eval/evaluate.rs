@@ -232,10 +232,10 @@ impl Run<'_> {
              ground-truth mask, no scaling of pictures; every figure per image, then averaged (relit.mean over \
              lights); PSNR peak 1; SSIM 11x11 Gaussian window, sigma 1.5, valid region, per channel (TensoIR); \
              LPIPS v0.1 AlexNet; relit uses the recovered albedo as it is, relit_aligned multiplies prototypes and \
-             residuals by albedo.scale = per-channel median of truth/prediction (prediction >= 1e-6) over all \
+             residuals (the renderer holds albedo at 1) by albedo.scale = per-channel median of truth/prediction (prediction >= 1e-6) over all \
              compared views where ground-truth alpha > 0.5; albedo compared linear, on white over the whole image \
              and apart over the foreground; normal foreground where ground-truth alpha > 0.5, all_pixels as TensoIR \
-             with both sides blended with (0,0,1) by alpha; AO, roughness, metalness, depth MAE over the foreground",
+             with both sides blended with (0,0,1) by alpha; AO, roughness, metalness, depth MAE over the foreground (depth where both know one)",
             self.views.len(),
             self.capture.test.len(),
         )

@@ -25,7 +25,9 @@ pub fn mean_squared_error<const C: usize>(a: &[[f32; C]], b: &[[f32; C]]) -> f64
 
 /// Peak signal to noise ratio in dB for a peak of 1, at most [`PSNR_CAP`].
 pub fn psnr_of(mean_squared_error: f64) -> f64 {
-    (-10.0 * mean_squared_error.log10()).min(PSNR_CAP)
+    // Not `f64::min`, which would turn NaN into the best score there is.
+    let psnr = -10.0 * mean_squared_error.log10();
+    if psnr > PSNR_CAP { PSNR_CAP } else { psnr }
 }
 
 /// PSNR in dB over the whole picture, at most [`PSNR_CAP`].
@@ -103,6 +105,8 @@ mod tests {
         let b = Plane { values: vec![[0.6; 3]; 4], ..a.clone() };
         assert!((psnr(&a, &b) - 20.0).abs() < 1e-5);
         assert_eq!(psnr(&a, &a), PSNR_CAP);
+        let poisoned = Plane { values: vec![[f32::NAN; 3]; 4], ..a.clone() };
+        assert!(psnr(&a, &poisoned).is_nan(), "NaN must not score");
     }
 
     #[test]

@@ -112,15 +112,15 @@ pub(crate) fn masked_psnr(a: &[[f32; 3]], b: &[[f32; 3]], mask: &[bool]) -> Opti
     (!a.is_empty()).then(|| psnr_of(mean_squared_error(&a, &b)))
 }
 
-/// Mean absolute error inside `mask`, over pixels where both values are finite; `None` when there are none.
+/// Mean absolute error inside `mask`; `None` when it is empty.
 pub(crate) fn masked_mae(
     predicted: &[f32],
     truth: impl IntoIterator<Item = f32>,
     mask: &[bool],
 ) -> Option<f64> {
     let pairs = predicted.iter().zip(truth).zip(mask).filter(|(_, m)| **m);
-    let errors = pairs.map(|((p, t), _)| f64::from(*p) - f64::from(t)).filter(|e| e.is_finite());
-    let (count, sum) = errors.fold((0usize, 0.0), |(n, s), e| (n + 1, s + e.abs()));
+    let errors = pairs.map(|((p, t), _)| (f64::from(*p) - f64::from(t)).abs());
+    let (count, sum) = errors.fold((0usize, 0.0), |(n, s), e| (n + 1, s + e));
     (count > 0).then(|| sum / count as f64)
 }
 
@@ -173,10 +173,10 @@ mod tests {
     }
 
     #[test]
-    fn masked_errors_see_only_the_mask_and_only_finite_values() {
-        let mask = [true, true, false];
-        let error = masked_mae(&[0.5, f32::INFINITY, 9.0], [0.25, 1.0, 0.0], &mask);
+    fn masked_errors_see_only_the_mask_and_do_not_hide_poison() {
+        let error = masked_mae(&[0.5, 0.75, 9.0], [0.25, 1.0, 0.0], &[true, true, false]);
         assert_eq!(error, Some(0.25));
+        assert!(masked_mae(&[f32::NAN, 0.5], [0.5, 0.5], &[true, true]).is_some_and(f64::is_nan));
         assert_eq!(masked_mae(&[1.0], [0.0], &[false]), None);
     }
 

@@ -85,9 +85,11 @@ impl LayerTotals {
             self.roughness.add(masked_mae(&layers.roughness, material.values.iter().map(|v| v[1]), &mask));
         }
         if let Some(depth) = &truth.depth {
-            // 0 marks "nothing there": made infinite, it drops out of the mean.
-            let seen = depth.values.iter().map(|v| if v[0] > 0.0 { v[0] } else { f32::INFINITY });
-            self.depth.add(masked_mae(&layers.depth, seen, &mask));
+            // 0 marks "nothing there" in the truth, infinity in the prediction: neither is a distance.
+            let pairs = depth.values.iter().zip(&layers.depth);
+            let known = pairs.zip(&mask).map(|((t, p), m)| *m && t[0] > 0.0 && !p.is_infinite());
+            let known: Vec<bool> = known.collect();
+            self.depth.add(masked_mae(&layers.depth, depth.values.iter().map(|v| v[0]), &known));
         }
     }
 

@@ -2,6 +2,7 @@
 
 use crate::capture::{ImageRgba, Plane};
 use crate::eval::Picture;
+use crate::formats::srgb;
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer, Tier};
 use crate::scene::{Camera, Model};
 
@@ -76,15 +77,10 @@ fn on_white(frame: &Frame, output: Output) -> Picture {
     let alpha = scalars(frame, Output::Alpha);
     let pixel = |(c, a): (&[f32; 3], &f32)| {
         let a = a.clamp(0.0, 1.0);
-        c.map(|v| srgb((v / a.max(1e-6)).clamp(0.0, 1.0)) * a + 1.0 - a)
+        c.map(|v| srgb::encode(v / a.max(1e-6)) * a + 1.0 - a)
     };
     let values = colours(frame, output).iter().zip(&alpha).map(pixel).collect();
     Plane { width: frame.width, height: frame.height, values }
-}
-
-/// The sRGB transfer curve of a linear value in [0, 1].
-pub(crate) fn srgb(linear: f32) -> f32 {
-    if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
 fn scalars(frame: &Frame, output: Output) -> Vec<f32> {
@@ -136,9 +132,9 @@ mod tests {
     fn the_curve_is_applied_before_the_picture_is_laid_on_white() {
         // Linear 0.25 at half coverage: premultiplied 0.125.
         let shown = on_white(&one_pixel([0.125; 3], 0.5), Output::Rgb).values[0][0];
-        assert!((shown - (0.5 * srgb(0.25) + 0.5)).abs() < 1e-6);
+        assert!((shown - (0.5 * srgb::encode(0.25) + 0.5)).abs() < 1e-6);
         // Negative control: blending in linear light first is another number.
-        assert!((shown - srgb(0.125 + 0.5)).abs() > 0.02);
+        assert!((shown - srgb::encode(0.125 + 0.5)).abs() > 0.02);
     }
 
     #[test]
