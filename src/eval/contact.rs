@@ -59,27 +59,46 @@ fn column_names(lights: &[&str]) -> Vec<String> {
 
 fn layer_cells(layers: &ViewLayers, view: &CaptureView) -> [Option<Picture>; 8] {
     let (width, height) = (view.camera.width, view.camera.height);
-    let true_alpha = alpha_of(&view.image);
-    let picture = |values: Vec<[f32; 3]>, alpha: &[f32]| on_white(&Plane { width, height, values }, alpha);
-    let shown = |c: [f32; 3]| c.map(srgb::encode);
-    let coded = |n: [f32; 3]| n.map(|v| 0.5 * v + 0.5);
-    let albedo = layers.albedo.iter().map(|c| shown(*c)).collect();
-    let normal = layers.normal.iter().map(|n| coded(*n)).collect();
+    let picture = |values: Vec<[f32; 3]>| on_white(&Plane { width, height, values }, &layers.alpha);
     let one = |values: &[f32]| on_white(&grey(width, height, values.iter().copied()), &layers.alpha);
-    let truth = &view.truth;
+    let [albedo, normal, _, visibility] = truth_layers(view);
     [
-        Some(picture(albedo, &layers.alpha)),
-        truth.albedo.as_ref().map(|p| picture(p.values.iter().map(|c| shown(*c)).collect(), &true_alpha)),
-        Some(picture(normal, &layers.alpha)),
-        truth.normal.as_ref().map(|p| picture(p.values.iter().map(|n| coded(*n)).collect(), &true_alpha)),
+        Some(picture(layers.albedo.iter().map(shown_colour).collect())),
+        albedo,
+        Some(picture(layers.normal.iter().map(shown_normal).collect())),
+        normal,
         Some(one(&layers.roughness)),
         Some(one(&layers.visibility)),
-        truth
-            .ambient_occlusion
-            .as_ref()
-            .map(|p| on_white(&grey(width, height, p.values.iter().map(|v| v[0])), &true_alpha)),
+        visibility,
         Some(error_map(&layers.shaded, &photograph(&view.image))),
     ]
+}
+
+/// A view's true albedo (sRGB curve), normal (`n / 2 + 1 / 2`), roughness and ambient occlusion, on white, as
+/// far as the view knows them.
+pub fn truth_layers(view: &CaptureView) -> [Option<Picture>; 4] {
+    let (width, height, alpha) = (view.image.width, view.image.height, alpha_of(&view.image));
+    let truth = &view.truth;
+    let colours = |p: &Plane<3>, shown: fn(&[f32; 3]) -> [f32; 3]| {
+        let values = p.values.iter().map(shown).collect();
+        on_white(&Plane { width, height, values }, &alpha)
+    };
+    let roughness = |p: &Plane<2>| on_white(&grey(width, height, p.values.iter().map(|v| v[1])), &alpha);
+    let open = |p: &Plane<1>| on_white(&grey(width, height, p.values.iter().map(|v| v[0])), &alpha);
+    [
+        truth.albedo.as_ref().map(|p| colours(p, shown_colour)),
+        truth.normal.as_ref().map(|p| colours(p, shown_normal)),
+        truth.metallic_roughness.as_ref().map(roughness),
+        truth.ambient_occlusion.as_ref().map(open),
+    ]
+}
+
+fn shown_colour(linear: &[f32; 3]) -> [f32; 3] {
+    linear.map(srgb::encode)
+}
+
+fn shown_normal(n: &[f32; 3]) -> [f32; 3] {
+    n.map(|v| 0.5 * v + 0.5)
 }
 
 fn on_white(picture: &Picture, alpha: &[f32]) -> Picture {

@@ -15,9 +15,10 @@ pub mod sheet;
 mod totals;
 mod views;
 
-pub use contact::contact_sheet;
+pub use contact::{contact_sheet, truth_layers};
 pub use evaluate::{EvalError, EvalOptions, evaluate};
 pub use image::{PSNR_CAP, Picture, mean_squared_error, psnr, psnr_of, ssim};
 pub use layers::{NormalErrors, RatioMedian, normal_errors};
 pub use lpips::{Lpips, LpipsError};
 pub use report::{AlbedoScores, ImageScores, NormalScores, RelitScores, Report};
+pub use views::photograph;

@@ -91,8 +91,8 @@ fn colours(frame: &Frame, output: Output) -> Vec<[f32; 3]> {
     frame.planes.get(&output).map(|p| p.as_chunks::<3>().0.to_vec()).unwrap_or_default()
 }
 
-/// A photograph or relit truth on white.
-pub(crate) fn photograph(image: &ImageRgba) -> Picture {
+/// A photograph or relit truth on white, display-referred.
+pub fn photograph(image: &ImageRgba) -> Picture {
     Plane { width: image.width, height: image.height, values: image.over([1.0; 3]) }
 }
 
