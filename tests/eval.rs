@@ -313,7 +313,7 @@ fn the_command_writes_json_markdown_and_a_sheet_for_a_real_scene() {
         sheet: Some(file("sheet.png")),
         ..arguments(file("model"), scene, file("report.json"))
     };
-    run(args).unwrap();
+    run(&args).unwrap();
     let report: Report = serde_json::from_slice(&std::fs::read(file("report.json")).unwrap()).unwrap();
     let lights: Vec<&str> = report.relit.lights.keys().map(String::as_str).collect();
     assert_eq!(lights, ["bridge", "city", "interior", "night"]);
@@ -329,13 +329,13 @@ fn the_command_names_the_file_at_fault_and_checks_outputs_first() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
     std::fs::write(file("model"), b"no model").unwrap();
-    let refused = |args: EvalArgs| run(args).unwrap_err().to_string();
+    let refused = |args: EvalArgs| run(&args).unwrap_err().to_string();
     let unreadable = refused(arguments(file("absent"), file("scene"), file("out.json")));
     assert!(unreadable.contains("absent"), "{unreadable}");
     let no_model = refused(arguments(file("model"), file("scene"), file("out.json")));
     assert!(no_model.contains("model"), "{no_model}");
     // Neither input exists either, yet it is the output that is complained of.
-    let unwritable = refused(arguments(file("absent"), file("scene"), file("nowhere/out.json")));
+    let unwritable = refused(arguments(file("absent"), file("scene"), file("model/out.json")));
     assert!(unwritable.contains("out.json"), "{unwritable}");
     std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
     let no_capture = refused(arguments(file("model"), file("scene"), file("out.json")));

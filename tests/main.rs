@@ -6,3 +6,5 @@
 mod architecture;
 mod captures;
 mod eval;
+mod service;
+mod service_support;

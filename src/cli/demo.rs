@@ -14,6 +14,7 @@ use crate::api::picture::Format;
 use crate::api::renders::{CameraSpec, EnvironmentSpec, IntrinsicsSpec, RenderRequest};
 use crate::api::server::ServeError;
 use crate::capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
+use crate::cli::output;
 use crate::client::{Client, ClientError, JobEvent};
 use crate::eval::sheet::Sheet;
 use crate::eval::{EvalError, EvalOptions, Picture, Report, evaluate, photograph, truth_layers};
@@ -148,8 +149,7 @@ async fn show(
 async fn train(client: &Client, capture: &str, args: &DemoArgs) -> Result<String, DemoError> {
     let overrides =
         TrainOverrides { seed: Some(args.seed), iterations: args.iterations, ..TrainOverrides::default() };
-    let order =
-        NewJob { capture: capture.to_owned(), preset: Preset::Draft, overrides, ..NewJob::default() };
+    let order = NewJob { capture: capture.to_owned(), preset: Preset::Draft, overrides, ..NewJob::default() };
     let job = client.create_job(&order, None).await?;
     println!("3/5 training, job {}", job.id);
     let bar = progress_bar();
@@ -251,7 +251,11 @@ fn summary(report: &Report, out: &Path, took: Duration) {
     for (light, scores) in &report.relit.lights {
         println!("relit under {light:<10} {} dB", figure(scores.psnr));
     }
-    println!("relit, mean            {} dB over {} held-out views", figure(report.relit.mean.psnr), report.views);
+    println!(
+        "relit, mean            {} dB over {} held-out views",
+        figure(report.relit.mean.psnr),
+        report.views
+    );
     println!("novel views            {} dB", figure(report.novel_view.psnr));
     println!("albedo, aligned        {} dB", figure(report.albedo.psnr_aligned));
     println!("normals                {} degrees off", figure(report.normal_mae_deg.foreground));
@@ -272,5 +276,5 @@ fn listed(capture: &Capture) -> String {
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), DemoError> {
-    std::fs::write(path, bytes).map_err(|source| DemoError::Write { path: path.to_owned(), source })
+    output::write_whole(path, bytes).map_err(|source| DemoError::Write { path: path.to_owned(), source })
 }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::capture::{Capture, CaptureError, ImportOptions, import};
+use crate::cli::output;
 use crate::eval::{EvalError, EvalOptions, Lpips, LpipsError, contact_sheet, evaluate};
 use crate::formats::model_file::{self, ModelFileError};
 use crate::render::Tier;
@@ -87,15 +88,15 @@ pub enum EvalCommandError {
 /// Evaluates, prints the Markdown report and writes what was asked for.
 ///
 /// # Errors
-/// [`EvalCommandError`] names the file at fault. Output folders are checked before the work begins.
-pub fn run(args: EvalArgs) -> Result<(), EvalCommandError> {
-    [&args.json, &args.markdown, &args.sheet].into_iter().flatten().try_for_each(|f| check_folder(f))?;
+/// [`EvalCommandError`] names the file at fault. Output folders are made before the work begins.
+pub fn run(args: &EvalArgs) -> Result<(), EvalCommandError> {
+    [&args.json, &args.markdown, &args.sheet].into_iter().flatten().try_for_each(|f| make_folder(f))?;
     let bytes = read(&args.model)?;
     let model = model_file::decode(&bytes)
         .map_err(|source| EvalCommandError::Model { path: args.model.clone(), source })?;
     let model = Arc::new(model);
     let lpips = args.lpips.as_deref().map(Lpips::read).transpose()?;
-    let capture = load_capture(&args)?;
+    let capture = load_capture(args)?;
 
     let bar = progress_bar();
     let progress = |done: usize, total: usize| {
@@ -143,18 +144,13 @@ fn read(path: &Path) -> Result<Vec<u8>, EvalCommandError> {
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), EvalCommandError> {
-    std::fs::write(path, bytes).map_err(|source| EvalCommandError::Write { path: path.to_owned(), source })
+    output::write_whole(path, bytes)
+        .map_err(|source| EvalCommandError::Write { path: path.to_owned(), source })
 }
 
 /// A report that cannot be written should be known before it is measured.
-fn check_folder(path: &Path) -> Result<(), EvalCommandError> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    match folder.metadata() {
-        Ok(found) if found.is_dir() => Ok(()),
-        Ok(_) => Err(EvalCommandError::Write {
-            path: path.to_owned(),
-            source: std::io::ErrorKind::NotADirectory.into(),
-        }),
-        Err(source) => Err(EvalCommandError::Write { path: path.to_owned(), source }),
-    }
+fn make_folder(file: &Path) -> Result<(), EvalCommandError> {
+    let Some(folder) = file.parent().filter(|p| !p.as_os_str().is_empty()) else { return Ok(()) };
+    std::fs::create_dir_all(folder)
+        .map_err(|source| EvalCommandError::Write { path: file.to_owned(), source })
 }
