@@ -18,6 +18,7 @@ use crate::cli::output;
 use crate::client::{Client, ClientError, JobEvent};
 use crate::eval::sheet::Sheet;
 use crate::eval::{EvalError, EvalOptions, Picture, Report, evaluate, photograph, truth_layers};
+use crate::formats::environment::{self, EnvironmentFileError};
 use crate::formats::model_file::{self, ModelFileError};
 use crate::render::{Output, Tier};
 use crate::testing;
@@ -70,6 +71,9 @@ pub enum DemoError {
         /// Its reason.
         detail: String,
     },
+    /// A light could not be encoded.
+    #[error(transparent)]
+    Light(#[from] EnvironmentFileError),
     /// The server sent no picture.
     #[error("rendered picture: {0}")]
     Picture(#[from] image::ImageError),
@@ -184,27 +188,40 @@ fn show_event(bar: &ProgressBar, event: &JobEvent) {
 
 /// Two rows a view: what the service renders, and the truth.
 async fn contact_sheet(client: &Client, model: &str, capture: &Capture) -> Result<Sheet, DemoError> {
-    let lights: Vec<&str> = capture.lights.keys().map(String::as_str).collect();
+    let lights = upload_lights(client, capture).await?;
     let mut columns = vec!["input".to_owned()];
-    columns.extend(lights.iter().map(|light| format!("relit {light}")));
+    columns.extend(lights.iter().map(|(name, _)| format!("relit {name}")));
     columns.extend(["albedo", "normal", "roughness", "ao"].map(str::to_owned));
     let mut sheet = Sheet::new(columns);
     let step = capture.test.len().div_ceil(SHEET_VIEWS).max(1);
     for view in capture.test.iter().step_by(step) {
         let mut rendered = vec![Some(frame(client, model, view, Output::Rgb, None).await?)];
-        for light in &lights {
-            rendered.push(Some(frame(client, model, view, Output::Rgb, Some(light)).await?));
+        for (_, id) in &lights {
+            rendered.push(Some(frame(client, model, view, Output::Rgb, Some(id)).await?));
         }
         for output in [Output::Albedo, Output::Normal, Output::Roughness, Output::Visibility] {
             rendered.push(Some(frame(client, model, view, output, None).await?));
         }
         let mut truth = vec![Some(photograph(&view.image))];
-        truth.extend(lights.iter().map(|light| view.truth.relit.get(*light).map(photograph)));
+        truth.extend(lights.iter().map(|(name, _)| view.truth.relit.get(*name).map(photograph)));
         truth.extend(truth_layers(view));
         sheet.push(format!("{}: recovered by Relume", view.name), rendered);
         sheet.push(format!("{}: truth", view.name), truth);
     }
     Ok(sheet)
+}
+
+/// The truth's lights as environments of the server: name and identifier.
+async fn upload_lights<'a>(
+    client: &Client,
+    capture: &'a Capture,
+) -> Result<Vec<(&'a str, String)>, DemoError> {
+    let mut lights = Vec::new();
+    for (name, map) in &capture.lights {
+        let uploaded = client.upload_environment(environment::encode_exr(map)?).await?;
+        lights.push((name.as_str(), uploaded.id));
+    }
+    Ok(lights)
 }
 
 /// One output of one view from the render endpoint, on white; under the recovered light when none is named.
@@ -213,7 +230,7 @@ async fn frame(
     model: &str,
     view: &CaptureView,
     output: Output,
-    light: Option<&str>,
+    light: Option<&String>,
 ) -> Result<Picture, DemoError> {
     let camera = &view.camera;
     let matrix = camera.to_opengl().transpose().to_cols_array_2d();
@@ -224,7 +241,7 @@ async fn frame(
             intrinsics: Some(intrinsics),
             ..CameraSpec::default()
         },
-        environment: EnvironmentSpec { builtin: light.map(str::to_owned), ..EnvironmentSpec::default() },
+        environment: EnvironmentSpec { id: light.cloned(), ..EnvironmentSpec::default() },
         width: camera.width,
         height: camera.height,
         tier: Tier::Standard,
