@@ -14,9 +14,10 @@ use crate::api::listing::{List, PageQuery, rfc3339};
 use crate::api::problem::ContentError;
 use crate::api::upload::{self, Expected};
 use crate::api::{Problem, Shared};
+use crate::capture::BUILTIN;
 use crate::formats::environment::{self, LoadedEnvironment};
 use crate::store::{EnvironmentRecord, Incoming};
-use crate::worker::BUILTINS;
+
 
 /// The routes of this family.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
@@ -121,7 +122,7 @@ async fn list_environments(
     let records = app.store.environments(&page).await?;
     let items = records.iter().map(view).collect::<Result<_, _>>()?;
     Ok(Json(EnvironmentList {
-        builtin: BUILTINS.iter().map(|&name| name.to_owned()).collect(),
+        builtin: BUILTIN.iter().map(|&name| name.to_owned()).collect(),
         uploaded: List::new(items, &page, |e: &EnvironmentView| &e.id),
     }))
 }

@@ -17,10 +17,11 @@ use utoipa_axum::routes;
 use crate::api::extract::JsonBody;
 use crate::api::picture::{self, Format, Picture};
 use crate::api::{Problem, Shared, environments, models};
+use crate::capture::BUILTIN;
 use crate::render::{Output, Tier};
 use crate::scene::{Camera, CameraError};
 use crate::store::hex;
-use crate::worker::{BUILTINS, LightSource, RenderTask, View};
+use crate::worker::{LightSource, RenderTask, View};
 
 /// Largest body: a 2k map in base64 and the rest.
 const BODY_LIMIT: usize = 64 << 20;
@@ -279,7 +280,7 @@ async fn light(app: &Shared, spec: &EnvironmentSpec) -> Result<LightSource, Prob
             found.ok_or_else(|| Problem::invalid_field("/environment/id", format!("{id:?} does not exist")))
         }
         (None, Some(name), None) => builtin_light(name).ok_or_else(|| {
-            let detail = format!("must be recovered or one of {}", BUILTINS.join(", "));
+            let detail = format!("must be recovered or one of {}", BUILTIN.join(", "));
             Problem::invalid_field("/environment/builtin", detail)
         }),
         (None, None, Some(text)) => inline_light(app, text).await,
@@ -300,7 +301,7 @@ pub(super) async fn stored_light(app: &Shared, id: &str) -> Result<Option<LightS
 pub(super) fn builtin_light(name: &str) -> Option<LightSource> {
     match name {
         "recovered" => Some(LightSource::Recovered),
-        name if BUILTINS.contains(&name) => Some(LightSource::Builtin(name.to_owned())),
+        name if BUILTIN.contains(&name) => Some(LightSource::Builtin(name.to_owned())),
         _ => None,
     }
 }

@@ -5,7 +5,10 @@ use std::path::Path;
 use serde::Serialize;
 
 use crate::capture::photos::{self, Photo};
-use crate::capture::{Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, truth};
+use crate::capture::{
+    Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, nerfstudio, truth,
+};
+use crate::formats::ply_points::Point;
 
 /// Every how-manieth view, by sorted name, is held out where the set does not say.
 const HOLD_OUT_EVERY: usize = 8;
@@ -26,7 +29,8 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureEr
     Ok(Capture { layout, train, test, points, bounds, has_alpha, lights, warnings })
 }
 
-type Layout = (String, Vec<Photo>, Vec<(glam::DVec3, [f32; 3])>);
+/// The layout's name, its photographs and its points.
+type Layout = (String, Vec<Photo>, Vec<Point>);
 
 fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
     if source.contains(blender::MARKER) {
@@ -34,6 +38,14 @@ fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, Ca
         let in_own_folders = photos.iter().all(|p| p.image.contains("/rgba"));
         let layout = if in_own_folders { "tensoir" } else { "nerf-synthetic" };
         return Ok((layout.to_owned(), photos, Vec::new()));
+    }
+    if source.contains(nerfstudio::MARKER) {
+        let (photos, points) = nerfstudio::read(source, warnings)?;
+        return Ok(("nerfstudio".to_owned(), photos, points));
+    }
+    if let Some((folder, ending)) = colmap::find(source) {
+        let (photos, points) = colmap::read(source, (&folder, ending), warnings)?;
+        return Ok(("colmap".to_owned(), photos, points));
     }
     let first: Vec<&str> = source.paths().take(5).collect();
     let reason = if first.is_empty() {

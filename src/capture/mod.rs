@@ -3,10 +3,13 @@
 mod archive;
 mod blender;
 mod bounds;
+mod colmap;
+mod colmap_files;
 mod error;
 mod import;
 mod lens;
 mod lights;
+mod nerfstudio;
 mod options;
 mod photos;
 mod source;

@@ -1,5 +1,7 @@
 //! The `transforms*.json` files of NeRF-synthetic, TensoIR and nerfstudio: one vocabulary, three layouts.
 
+use std::collections::BTreeSet;
+
 use glam::{DMat4, DVec4};
 use serde::Deserialize;
 
@@ -15,6 +17,8 @@ pub(super) struct Transforms {
     pub frames: Vec<Frame>,
     /// Path of a point cloud, if the file names one.
     pub points: Option<String>,
+    /// `file_path`s that the file itself holds out.
+    pub held_out: BTreeSet<String>,
 }
 
 /// One frame: names, pose and lens.
@@ -66,6 +70,8 @@ struct RawFrame {
 struct RawTransforms {
     frames: Option<Vec<RawFrame>>,
     ply_file_path: Option<String>,
+    #[serde(default)]
+    test_filenames: Vec<String>,
     #[serde(flatten)]
     lens: RawLens,
 }
@@ -102,7 +108,11 @@ pub(super) fn read(source: &Source, file: &str) -> Result<Transforms, CaptureErr
         Ok(Frame { field, path, mask: mask.transpose()?, pose, lens })
     };
     let frames = frames.into_iter().enumerate().map(check).collect::<Result<_, _>>()?;
-    Ok(Transforms { file: file.to_owned(), frames, points: raw.ply_file_path })
+    let points = raw
+        .ply_file_path
+        .map(|p| relative(&p).ok_or_else(|| bad("ply_file_path".into(), "leads out of the capture")));
+    let held_out = raw.test_filenames.iter().filter_map(|p| relative(p)).collect();
+    Ok(Transforms { file: file.to_owned(), frames, points: points.transpose()?, held_out })
 }
 
 /// Parses JSON so that a refusal names the file and, where it can be told, the key in front of the fault.

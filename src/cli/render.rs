@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::api::picture::{self, Format};
+use crate::capture::{BUILTIN, builtin};
 use crate::cli::args::{Device, named};
 use crate::cli::{CommandResult, output};
 use crate::formats::{environment, model_file};
 use crate::render::{Output, Renderer, Tier};
 use crate::scene::{EnvMap, Model};
-use crate::worker::{BUILTINS, Orbit, View, builtin};
+use crate::worker::{Orbit, View};
 
 /// Options of `relume render`.
 #[derive(Debug, clap::Args)]
@@ -83,7 +84,7 @@ fn light(name: &str, model: &Model) -> Result<EnvMap, Box<dyn std::error::Error 
         return Ok(map);
     }
     let bytes = std::fs::read(name).map_err(|error| {
-        format!("{name}: {error}; expected a file, recovered or one of {}", BUILTINS.join(", "))
+        format!("{name}: {error}; expected a file, recovered or one of {}", BUILTIN.join(", "))
     })?;
     let loaded = environment::decode(&bytes)?;
     for warning in &loaded.warnings {

@@ -4,4 +4,5 @@ pub mod environment;
 pub mod exr_image;
 pub mod image_file;
 pub mod model_file;
+pub mod ply_points;
 pub mod srgb;

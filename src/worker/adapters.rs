@@ -1,14 +1,7 @@
-//! Stand-ins until the built-in environments, the PLY and the multi-part EXR writers land.
+//! Stand-ins until the PLY and the multi-part EXR writers land.
 
 use crate::render::{Frame, Output};
-use crate::scene::EnvMap;
 
-/// x
-pub const BUILTINS: &[&str] = &["studio"];
-/// x
-pub fn builtin(name: &str) -> Option<EnvMap> {
-    BUILTINS.contains(&name).then(|| EnvMap::constant(4, 2, [1.0; 3]))
-}
 /// x
 pub fn ply(_model: &crate::scene::Model) -> Vec<u8> {
     b"ply\n".to_vec()

@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use crate::capture::builtin;
 use crate::formats::{environment, model_file};
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer, Tier};
 use crate::scene::EnvMap;
 use crate::worker::lru::Lru;
-use crate::worker::{RenderFailure, View, builtin};
+use crate::worker::{RenderFailure, View};
 
 /// A model to render: its identifier and its file.
 #[derive(Debug, Clone, PartialEq)]

@@ -71,3 +71,56 @@ fn helmet_comes_with_its_truth_and_its_lights() {
         assert!(facing as f64 > 0.98 * covered as f64, "normals face the camera: {facing} of {covered}");
     }
 }
+
+#[test]
+fn fox_names_its_seventeen_missing_images_and_goes_on() {
+    let Some(path) = data("captures/fox") else { return };
+    let capture = small(path, 240);
+    assert_eq!((capture.layout.as_str(), capture.train.len() + capture.test.len()), ("nerfstudio", 50));
+    assert_eq!(capture.test.len(), 7, "every 8th of 50");
+    let warning = &capture.warnings[0];
+    assert!(warning.contains("names 17 images that are missing, 50 remain"), "{warning}");
+    assert_eq!(warning.matches("images/").count(), 17, "{warning}");
+    assert!(!capture.has_alpha && capture.train.iter().all(|v| v.image.pixels.iter().all(|p| p[3] == 1.0)));
+    assert_eq!((capture.train[0].camera.width, capture.train[0].camera.height), (135, 240));
+    for view in &capture.train {
+        let toward = (capture.bounds.centre - view.camera.centre()).normalize();
+        assert!(view.camera.forward().dot(toward) > 0.8, "{} looks away from the subject", view.name);
+        assert!(-view.camera.rotation.row(1).z > 0.5, "{} is not upright", view.name);
+    }
+}
+
+/// Share of point-in-view pairs, over points near the subject, that land inside the image.
+fn share_in_view(capture: &Capture, mirror: f64) -> f64 {
+    let (mut inside, mut all) = (0, 0);
+    for view in capture.train.iter().chain(&capture.test) {
+        let c = &view.camera;
+        for (point, _) in &capture.points {
+            if (*point - capture.bounds.centre).length() > 0.5 * capture.bounds.radius {
+                continue;
+            }
+            let p = c.rotation * *point * mirror + c.translation;
+            let (u, v) = (c.fx * p.x / p.z + c.cx, c.fy * p.y / p.z + c.cy);
+            let seen = p.z > 0.0 && u >= 0.0 && v >= 0.0 && u < f64::from(c.width) && v < f64::from(c.height);
+            inside += usize::from(seen);
+            all += 1;
+        }
+    }
+    f64::from(inside as u32) / f64::from(all as u32)
+}
+
+#[test]
+fn colmap_points_project_into_their_images() {
+    for (name, images) in [("captures/fox9_colmap", 9), ("captures/beer71_colmap", 71)] {
+        let Some(path) = data(name) else { return };
+        let capture = small(path, 320);
+        assert_eq!((capture.layout.as_str(), capture.train.len() + capture.test.len()), ("colmap", images));
+        assert_eq!(capture.warnings, Vec::<String>::new());
+        assert!(capture.points.len() > 500 && !capture.has_alpha);
+        let (share, mirrored) = (share_in_view(&capture, 1.0), share_in_view(&capture, -1.0));
+        eprintln!("{name}: {share} {mirrored} {:?}", capture.bounds);
+        assert!(share > 0.7 && mirrored < 0.3, "{name}: {share} {mirrored}");
+        let up = capture.train.iter().map(|v| -v.camera.rotation.row(1)).sum::<glam::DVec3>();
+        assert!(up.normalize().z > 0.99);
+    }
+}

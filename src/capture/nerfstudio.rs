@@ -1,0 +1,51 @@
+//! nerfstudio and Instant-NGP: one `transforms.json`, shared or per-frame intrinsics, masks, a point cloud.
+
+use crate::capture::photos::{Photo, check_missing, locate};
+use crate::capture::transforms;
+use crate::capture::truth::TruthFiles;
+use crate::capture::{CaptureError, Source};
+use crate::formats::ply_points::{self, Point};
+
+/// The file that tells this layout.
+pub(super) const MARKER: &str = "transforms.json";
+
+/// The photographs and the points of `ply_file_path`. The world is +Z up as it stands.
+///
+/// # Errors
+/// Names the field of `transforms.json`, the mask or the point cloud at fault.
+pub(super) fn read(
+    source: &Source,
+    warnings: &mut Vec<String>,
+) -> Result<(Vec<Photo>, Vec<Point>), CaptureError> {
+    let set = transforms::read(source, MARKER)?;
+    let (mut photos, mut missing) = (Vec::new(), Vec::new());
+    for frame in set.frames {
+        let Some(image) = locate(source, &frame.path) else {
+            missing.push(frame.path);
+            continue;
+        };
+        photos.push(Photo {
+            image,
+            mask: frame.mask,
+            pose: frame.pose,
+            lens: frame.lens,
+            stated_in: MARKER.to_owned(),
+            held_out: set.held_out.contains(&frame.path),
+            field: frame.field,
+            truth: TruthFiles::default(),
+        });
+    }
+    check_missing(MARKER, photos.len(), missing, warnings)?;
+    let points = set.points.map_or(Ok(Vec::new()), |file| read_cloud(source, &file, warnings))?;
+    Ok((photos, points))
+}
+
+/// The point cloud; one that is named but absent is a warning, since training can do without.
+fn read_cloud(source: &Source, file: &str, warnings: &mut Vec<String>) -> Result<Vec<Point>, CaptureError> {
+    if !source.contains(file) {
+        warnings.push(format!("{MARKER} names the point cloud {file}, which is missing"));
+        return Ok(Vec::new());
+    }
+    let points = ply_points::read_points(&source.read(file)?, source.limits().max_points);
+    points.map_err(|e| CaptureError::Field { file: file.to_owned(), field: e.field, reason: e.reason })
+}
