@@ -1,1 +1,3 @@
 //! The differentiable renderer.
+
+pub mod reference;
