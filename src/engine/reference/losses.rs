@@ -1,8 +1,7 @@
 //! The terms of the objective (Eq. 15, 24, 25, 29-32).
 
-use super::array::Array;
 use super::compositing::Weights;
-use super::tape::{Tape, Var};
+use super::tape::Var;
 
 /// Mean absolute error of two images.
 pub fn mean_absolute_error<'t>(image: Var<'t>, target: Var<'t>) -> Var<'t> {
@@ -59,27 +58,27 @@ pub fn residual_sparsity(residual: Var<'_>) -> Var<'_> {
     residual.abs().sum_last().mean()
 }
 
-/// Binary cross entropy of `sigmoid(logits)` against `labels`, averaged (Eq. 15).
-pub fn binary_cross_entropy<'t>(logits: Var<'t>, labels: Var<'t>) -> Var<'t> {
-    (logits.softplus() - logits * labels).mean()
+/// Binary cross entropy of `sigmoid(logits)` against `labels`, row by row.
+pub fn cross_entropy_of_logits<'t>(logits: Var<'t>, labels: Var<'t>) -> Var<'t> {
+    logits.softplus() - logits * labels
 }
 
-/// Visibility labels from backward transmittance: for each of V splats the mean of `That` over the pixels,
-/// weighted by its blending weights, and that weight's sum. Labels are data: no gradient flows through them.
-pub fn backward_labels(weights: &Weights<'_>) -> (Array, Array) {
-    let (w, t) = (weights.weights.value(), weights.backward.value());
-    let count = w.shape()[1];
-    let mut sums = vec![[0.0; 2]; count];
-    for (i, (w, t)) in w.data().iter().zip(t.data()).enumerate() {
-        sums[i % count][0] += w * t;
-        sums[i % count][1] += w;
-    }
-    let labels = sums.iter().map(|[wt, w]| wt / w.max(1e-8)).collect();
-    let totals = sums.iter().map(|s| s[1]).collect();
-    (Array::new(&[count, 1], labels), Array::new(&[count, 1], totals))
+/// Binary cross entropy of probabilities, kept off 0 and 1 by 1e-3, against `labels`, row by row (Eq. 15).
+pub fn cross_entropy<'t>(probabilities: Var<'t>, labels: Var<'t>) -> Var<'t> {
+    let p = probabilities.clamp(1e-3, 1.0 - 1e-3);
+    -(labels * p.ln() + (1.0 - labels) * (1.0 - p).ln())
 }
 
-/// A zero on the tape, for terms that have nothing to measure.
-pub fn nothing(tape: &Tape) -> Var<'_> {
-    tape.scalar(0.0)
+/// Visibility labels from backward transmittance, (V, 1): the mean of `That` over the pixels, weighted by the
+/// splat's blending weights; and the sum of those weights, (V, 1).
+pub fn backward_labels<'t>(weights: &Weights<'t>) -> (Var<'t>, Var<'t>) {
+    let totals = weights.weights.sum_axis(0);
+    let labels = (weights.weights * weights.backward).sum_axis(0) / totals.at_least(1e-8);
+    (labels.transposed(), totals.transposed())
+}
+
+/// Mean squared distance over the sphere of visibility fields (N, J) from measured ones.
+pub fn probe_distance<'t>(coefficients: Var<'t>, measured: Var<'t>) -> Var<'t> {
+    let difference = coefficients - measured;
+    difference.dot(difference).mean() * (1.0 / (4.0 * std::f64::consts::PI))
 }

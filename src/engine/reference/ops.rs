@@ -18,6 +18,25 @@ impl<'t> Var<'t> {
         })
     }
 
+    /// `f` of every row of a (P, A) value, (P, B), where `f` returns its value and its Jacobian `[B][A]`:
+    /// how functions that live outside the tape, such as table look-ups, are recorded.
+    pub fn map_rows<const A: usize, const B: usize>(
+        self,
+        f: impl Fn([f64; A]) -> ([f64; B], [[f64; A]; B]),
+    ) -> Var<'t> {
+        let x = self.value();
+        assert_eq!(x.shape().last(), Some(&A), "rows of {A} wanted");
+        let rows = x.data().as_chunks::<A>().0.iter().map(|row| f(*row));
+        let (values, jacobians): (Vec<_>, Vec<_>) = rows.unzip();
+        self.tape.custom(&[self], Array::from_rows(&values), move |g| {
+            let pull = |(g, j): (&[f64; B], &[[f64; A]; B])| -> [f64; A] {
+                std::array::from_fn(|a| (0..B).map(|b| g[b] * j[b][a]).sum())
+            };
+            let rows: Vec<_> = g.data().as_chunks::<B>().0.iter().zip(&jacobians).map(pull).collect();
+            vec![Array::from_rows(&rows)]
+        })
+    }
+
     /// `f(a, b)` over the broadcast of two arrays; `df(a, b)` are its two partial derivatives.
     fn zip(
         self,

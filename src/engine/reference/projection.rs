@@ -13,8 +13,8 @@ pub const NEAR: f64 = 0.05;
 pub struct Splats<'t> {
     /// Which Gaussians these are, V indices.
     pub indices: Vec<usize>,
-    /// Centres in camera axes, (V, 3).
-    pub centres: Var<'t>,
+    /// Depths `z_c`, (V, 1).
+    pub depths: Var<'t>,
     /// Projected centres, pixels, (V, 2).
     pub pixels: Var<'t>,
     /// Entries a, b, c of the inverse 2D covariance `[[a, b], [b, c]]`, 1/px^2, (V, 3).
@@ -50,8 +50,15 @@ pub fn covariances<'t>(p: &Parameters<'t>) -> Var<'t> {
     m.matmul(m.transposed())
 }
 
-/// Projects every Gaussian in front of the camera with the local affine approximation of perspective.
-pub fn project<'t>(tape: &'t Tape, p: &Parameters<'t>, camera: &Camera, low_pass: f64) -> Splats<'t> {
+/// Projects every Gaussian in front of the camera with the local affine approximation of perspective, which
+/// is taken within the `guard` band around the image only (docs/MODEL.md section 2).
+pub fn project<'t>(
+    tape: &'t Tape,
+    p: &Parameters<'t>,
+    camera: &Camera,
+    low_pass: f64,
+    guard: GuardBand,
+) -> Splats<'t> {
     let rotation = tape.input(Array::new(&[3, 3], camera.rotation.transpose().to_cols_array().to_vec()));
     let translation = tape.input(Array::new(&[3], camera.translation.to_array().to_vec()));
     let all = p.get(Field::Mean).matmul(rotation.transposed()) + translation;
@@ -61,8 +68,9 @@ pub fn project<'t>(tape: &'t Tape, p: &Parameters<'t>, camera: &Camera, low_pass
     let centres = all.gather(0, &indices);
     let [x, y, z] = [0, 1, 2].map(|i| centres.column(i));
     let pixels = concat(tape, 1, &[x / z * camera.fx + camera.cx, y / z * camera.fy + camera.cy]);
-    let (zero, zz) = (z * 0.0, z * z);
-    let jacobian = [camera.fx / z, zero, x / zz * -camera.fx, zero, camera.fy / z, y / zz * -camera.fy];
+    let [slope_x, slope_y] = guard.limited(camera, x / z, y / z);
+    let (zero, fx_z, fy_z) = (z * 0.0, camera.fx / z, camera.fy / z);
+    let jacobian = [fx_z, zero, -fx_z * slope_x, zero, fy_z, -fy_z * slope_y];
     let jacobian = concat(tape, 1, &jacobian).reshaped(&[count, 2, 3]);
 
     let to_image = jacobian.matmul(rotation.reshaped(&[1, 3, 3]));
@@ -74,7 +82,30 @@ pub fn project<'t>(tape: &'t Tape, p: &Parameters<'t>, camera: &Camera, low_pass
     let blurred = a * c - b * b;
     let conics = concat(tape, 1, &[c / blurred, -b / blurred, a / blurred]);
     let compensation = (sharp.at_least(0.0) / blurred).sqrt();
-    Splats { indices, centres, pixels, conics, compensation }
+    Splats { indices, depths: z, pixels, conics, compensation }
+}
+
+/// Where the affine approximation may be taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum GuardBand {
+    /// Anywhere, as the listing.
+    Unlimited,
+    /// At most 15 % of the image's size outside of it.
+    Image,
+}
+
+impl GuardBand {
+    /// The ratios x/z and y/z at which the Jacobian is taken; a limited ratio passes no gradient.
+    fn limited<'t>(self, camera: &Camera, x: Var<'t>, y: Var<'t>) -> [Var<'t>; 2] {
+        let limit = |ratio: Var<'t>, size: u32, centre: f64, focal: f64| match self {
+            Self::Unlimited => ratio,
+            Self::Image => {
+                let (size, margin) = (f64::from(size), 0.15 * f64::from(size));
+                ratio.clamp((-centre - margin) / focal, (size - centre + margin) / focal)
+            }
+        };
+        [limit(x, camera.width, camera.cx, camera.fx), limit(y, camera.height, camera.cy, camera.fy)]
+    }
 }
 
 /// Indices of the centres beyond [`NEAR`], nearest first; ties keep their order.

@@ -3,7 +3,9 @@
 use std::f64::consts::PI;
 
 use super::array::Array;
-use super::tape::{Tape, Var};
+use super::lighting::Lighting;
+use super::spherical::{order_of, real_sh};
+use super::tape::Var;
 
 /// The fixed tables of the quadrature.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,40 +16,61 @@ pub struct Quadrature {
     pub solid_angles: Array,
     /// Split-sum table indexed channel, roughness, n.v: (2, R, R).
     pub brdf: Array,
-    /// Directions at which indirect light samples the low-frequency environment, (D, 3).
-    pub indirect_directions: Array,
 }
 
 /// Smallest GGX alpha the texels can resolve.
 const SMALLEST_ALPHA: f64 = 0.02;
 
 impl Quadrature {
+    /// The quadrature of one `radiance`, (M, 3).
+    pub fn lit<'t>(&self, radiance: Var<'t>) -> LitQuadrature<'t> {
+        let tape = radiance.tape;
+        LitQuadrature {
+            directions: tape.input(self.directions.clone()),
+            solid_angles: tape.input(self.solid_angles.clone()),
+            brdf: self.brdf.clone(),
+            radiance,
+        }
+    }
+}
+
+/// A [`Quadrature`] of one environment.
+pub struct LitQuadrature<'t> {
+    directions: Var<'t>,
+    solid_angles: Var<'t>,
+    brdf: Array,
+    radiance: Var<'t>,
+}
+
+impl<'t> LitQuadrature<'t> {
     /// Cosines between rows (P, 3) and every texel, (P, M), 0 below the horizon.
-    fn cosines<'t>(&self, rows: Var<'t>) -> Var<'t> {
-        rows.matmul(rows.tape.input(self.directions.transposed())).at_least(0.0)
+    fn cosines(&self, rows: Var<'t>) -> Var<'t> {
+        rows.matmul(self.directions.transposed()).at_least(0.0)
+    }
+}
+
+impl<'t> Lighting<'t> for LitQuadrature<'t> {
+    fn irradiance(&self, normals: Var<'t>) -> Var<'t> {
+        (self.cosines(normals) * self.solid_angles).matmul(self.radiance)
     }
 
-    /// Irradiance `int L(w) (n.w)+ dw` (Eq. 7) of `radiance` (M, 3) at unit normals (P, 3).
-    pub fn irradiance<'t>(&self, radiance: Var<'t>, normals: Var<'t>) -> Var<'t> {
-        (self.cosines(normals) * normals.tape.input(self.solid_angles.clone())).matmul(radiance)
+    fn transfer(&self, normals: Var<'t>, visibility: Var<'t>) -> Var<'t> {
+        let basis = real_sh(self.directions, order_of(visibility));
+        let seen = visibility.matmul(basis.transposed());
+        (self.cosines(normals) * self.solid_angles * seen).matmul(self.radiance)
     }
 
-    /// Radiance averaged over the GGX lobe of roughness (P, 1) around unit directions (P, 3).
-    pub fn prefiltered<'t>(&self, radiance: Var<'t>, directions: Var<'t>, roughness: Var<'t>) -> Var<'t> {
+    /// The article's lobe: GGX of the angle to the reflected direction itself.
+    fn prefiltered(&self, directions: Var<'t>, roughness: Var<'t>) -> Var<'t> {
         let cosines = self.cosines(directions);
         let alpha = (roughness * roughness).at_least(SMALLEST_ALPHA);
-        let lobe = ggx(cosines, alpha) * cosines * directions.tape.input(self.solid_angles.clone());
-        lobe.matmul(radiance) / (lobe.sum_last() + 1e-8)
+        let lobe = ggx(cosines, alpha) * cosines * self.solid_angles;
+        lobe.matmul(self.radiance) / (lobe.sum_last() + 1e-8)
     }
 
-    /// Scale and offset of F0 at n.v and roughness (each (P, 1)), bilinear, constant past the border: (P, 2).
-    pub fn brdf<'t>(&self, n_dot_v: Var<'t>, roughness: Var<'t>) -> Var<'t> {
+    /// Bilinear, constant past the border.
+    fn brdf(&self, n_dot_v: Var<'t>, roughness: Var<'t>) -> Var<'t> {
         bilinear(&self.brdf, n_dot_v, roughness)
-    }
-
-    /// Directions at which indirect light samples the environment, (D, 3).
-    pub fn indirect_directions<'t>(&self, tape: &'t Tape) -> Var<'t> {
-        tape.input(self.indirect_directions.clone())
     }
 }
 

@@ -8,6 +8,7 @@ use super::ops::concat;
 use super::tape::Var;
 
 /// Eigenvalues of the clamped cosine per SH degree (Funk-Hecke): `int (n.w)+ Y_lm(w) dw = lambda_l Y_lm(n)`.
+/// Beyond degree 6 the kernel is taken as 0.
 pub const CLAMPED_COSINE: [f64; 7] = [PI, 2.0 * PI / 3.0, PI / 4.0, 0.0, -PI / 24.0, 0.0, PI / 64.0];
 
 /// Orthonormal real SH up to degree `order` of unit rows (n, 3) -> (n, (order + 1)^2), index `l*l + l + m`.
@@ -38,14 +39,21 @@ pub fn real_sh(directions: Var<'_>, order: usize) -> Var<'_> {
     concat(directions.tape, 1, &columns)
 }
 
+/// SH degree l of each coefficient up to `order`, by index.
+pub fn degrees(order: usize) -> Vec<usize> {
+    (0..=order).flat_map(|l| std::iter::repeat_n(l, 2 * l + 1)).collect()
+}
+
+/// The highest degree of SH coefficients (n, (order + 1)^2).
+pub fn order_of(coefficients: Var<'_>) -> usize {
+    coefficients.value().shape()[1].isqrt() - 1
+}
+
 /// Normal-related SH of unit rows (n, 3) -> (n, (order + 1)^2): `AO = <c, NRSH(n)>` (article Eq. 16-18).
-///
-/// # Panics
-/// When `order` exceeds 6.
 pub fn normal_related_sh(normals: Var<'_>, order: usize) -> Var<'_> {
-    let per_degree = (0..=order).flat_map(|l| std::iter::repeat_n(CLAMPED_COSINE[l] / PI, 2 * l + 1));
-    let per_degree: Vec<f64> = per_degree.collect();
-    real_sh(normals, order) * normals.tape.input(Array::new(&[per_degree.len()], per_degree))
+    let factor = |l: usize| CLAMPED_COSINE.get(l).map_or(0.0, |lambda| lambda / PI);
+    let factors: Vec<f64> = degrees(order).into_iter().map(factor).collect();
+    real_sh(normals, order) * normals.tape.input(Array::new(&[factors.len()], factors))
 }
 
 /// `n` directions spread evenly over the sphere on a golden spiral, (n, 3).
