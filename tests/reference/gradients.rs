@@ -16,6 +16,8 @@ use relume::scene::{
 
 const GAUSSIANS: usize = 8;
 const OUTSIDE: usize = GAUSSIANS - 2;
+/// Relative to the largest gradient of a parameter.
+const TOLERANCE: f64 = 1e-7;
 const ENV: (usize, usize) = (12, 6);
 
 /// Evenly spread numbers in [-1, 1], a sequence of its own for each `seed`.
@@ -118,16 +120,20 @@ fn analytic(options: &Options) -> Arrays {
 
 /// The worst difference to central differences over one parameter, relative to its largest gradient.
 fn worst_error(name: &str, gradient: &Array, options: &Options) -> f64 {
-    const STEP: f64 = 1e-5;
     let moved = |i: usize, by: f64| {
         let mut scene = scene();
         scene.values_mut(name).unwrap()[i] += by;
         value(&scene, options)
     };
     let largest = gradient.data().iter().fold(1e-9, |m: f64, g| m.max(g.abs()));
-    let error = |i: usize| {
-        let numeric = (moved(i, STEP) - moved(i, -STEP)) / (2.0 * STEP);
+    let error = |i: usize, step: f64| {
+        let numeric = (moved(i, step) - moved(i, -step)) / (2.0 * step);
         (numeric - gradient.data()[i]).abs() / largest
+    };
+    // A step may cross a kink, such as a cosine turning negative; a hundredth of it hardly does.
+    let error = |i: usize| match error(i, 1e-5) {
+        coarse if coarse < TOLERANCE => coarse,
+        coarse => coarse.min(error(i, 1e-7)),
     };
     (0..gradient.len()).map(error).fold(0.0, f64::max)
 }
@@ -141,7 +147,7 @@ fn gradients_hold(form: &str, options: &Options, idle: &[&str]) {
         assert_eq!(used, !idle.contains(&name), "{form}: {name} used");
         let worst = worst_error(name, gradient, options);
         println!("{form:12} {name:14} worst relative error {worst:.1e}");
-        assert!(worst < 1e-7, "{form}: {name} {worst:e}");
+        assert!(worst < TOLERANCE, "{form}: {name} {worst:e}");
     }
     let behind = &gradients["means"].data()[3 * (GAUSSIANS - 1)..];
     assert_eq!(behind, [0.0; 3], "a Gaussian behind the camera has no place to go");
@@ -192,7 +198,7 @@ fn directional_light_by_quadrature_has_the_gradients_differences_measure() {
 fn differences_notice_a_sign_and_a_percent() {
     let options = model(ShadingOptions::default());
     let gradient = &analytic(&options)["quats"];
-    assert!(worst_error("quats", gradient, &options) < 1e-7);
+    assert!(worst_error("quats", gradient, &options) < TOLERANCE);
     assert!(worst_error("quats", &gradient.map(|g| -g), &options) > 1.0);
     assert!(worst_error("quats", &gradient.map(|g| 1.01 * g), &options) > 5e-3);
 }

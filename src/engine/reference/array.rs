@@ -109,11 +109,11 @@ impl Array {
         let (batch_b, inner_b, cols) = other.matrices();
         assert_eq!(inner, inner_b, "matrix product of {:?} and {:?}", self.shape, other.shape);
         assert!(batch_a == batch_b || batch_a == 1 || batch_b == 1, "batches differ");
-        let batched = if batch_a >= batch_b { self } else { other };
+        let batched = if batch_b == 1 { self } else { other };
         let mut shape = batched.shape.clone();
         let rank = shape.len();
         (shape[rank - 2], shape[rank - 1]) = (rows, cols);
-        let batch = batch_a.max(batch_b);
+        let batch = if batch_a == 1 { batch_b } else { batch_a };
         let mut data = vec![0.0; batch * rows * cols];
         for (i, out) in data.chunks_exact_mut(cols.max(1)).enumerate() {
             let (b, r) = (i / rows, i % rows);

@@ -105,7 +105,9 @@ impl<'t> Table<'t> {
     fn at(&self, directions: Var<'t>) -> Var<'t> {
         let weights = directions.map_rows(|d: [f64; 3]| {
             let taps = self.grid.lookup(d);
-            (taps.weight, taps.gradient)
+            // A null vector has a node but no direction it could turn to.
+            let gradient = if d == [0.0; 3] { [[0.0; 3]; 4] } else { taps.gradient };
+            (taps.weight, gradient)
         });
         let rows = directions.value();
         let nodes = |corner: usize| -> Vec<usize> {
