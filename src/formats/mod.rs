@@ -1,3 +1,7 @@
 //! Bytes to plain data and back.
 
+pub mod environment;
+pub mod exr_image;
+pub mod image_file;
 pub mod model_file;
+pub mod srgb;

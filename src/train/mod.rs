@@ -1,6 +1,7 @@
 //! The joint optimisation: objective, optimiser, density control, schedule, checkpoints, trainer.
 
 mod config;
+pub mod objective;
 mod trainer;
 
 pub use config::{LabelSource, Preset, TrainConfig, TrainOverrides};

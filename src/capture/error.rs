@@ -1,0 +1,143 @@
+//! Why a capture was refused, in words for a person and a code for a program.
+
+/// A refusal that names the file, and the field in it, that is at fault.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// The file system failed.
+    #[error("{file}: cannot be read: {source}")]
+    Io {
+        /// What was read.
+        file: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The archive is cut short, corrupt or of no known kind.
+    #[error("{file}: {reason}")]
+    ArchiveDamaged {
+        /// The archive, or the entry in it.
+        file: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// An entry that no honest capture contains: a path that escapes, a link, a device, a duplicate.
+    #[error("{file}: refused: {reason}")]
+    UnsafeEntry {
+        /// The entry's name as the archive spells it.
+        file: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A limit of [`super::Limits`] was passed.
+    #[error("{file}: over the limit {limit}: {reason}")]
+    OverLimit {
+        /// The archive, entry or image.
+        file: String,
+        /// The field of [`super::Limits`] that was passed.
+        limit: &'static str,
+        /// By how much.
+        reason: String,
+    },
+    /// No importer recognises what is there.
+    #[error(
+        "no known layout: {reason}; expected transforms_train.json (NeRF-synthetic, TensoIR), transforms.json (nerfstudio) or sparse/0 (COLMAP)"
+    )]
+    UnknownLayout {
+        /// What was found instead.
+        reason: String,
+    },
+    /// A file of the layout is missing or cannot be parsed at all.
+    #[error("{file}: {reason}")]
+    File {
+        /// The file.
+        file: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A field of a file is missing or has an unusable value.
+    #[error("{file}: {field}: {reason}")]
+    Field {
+        /// The file.
+        file: String,
+        /// The field, as a path like `frames[3].transform_matrix`.
+        field: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// An image cannot be used.
+    #[error("{file}: {reason}")]
+    Image {
+        /// The image.
+        file: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// Too few photographs are there to train on.
+    #[error("{file}: {usable} usable images, at least {required} are needed{}", missing_note(.missing))]
+    TooFewImages {
+        /// The file that lists the images.
+        file: String,
+        /// Images found.
+        usable: usize,
+        /// Images needed.
+        required: usize,
+        /// Images that are listed but absent.
+        missing: Vec<String>,
+    },
+}
+
+fn missing_note(missing: &[String]) -> String {
+    if missing.is_empty() { String::new() } else { format!("; missing: {}", name_list(missing)) }
+}
+
+/// Names joined by commas; beyond 64, a count of the rest.
+pub(super) fn name_list(names: &[String]) -> String {
+    const SHOWN: usize = 64;
+    let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+    if names.len() > SHOWN { format!("{shown} and {} more", names.len() - SHOWN) } else { shown }
+}
+
+impl CaptureError {
+    /// A stable identifier of the kind of refusal, for APIs.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Io { .. } => "capture_io",
+            Self::ArchiveDamaged { .. } => "capture_archive_damaged",
+            Self::UnsafeEntry { .. } => "capture_archive_unsafe",
+            Self::OverLimit { .. } => "capture_over_limit",
+            Self::UnknownLayout { .. } => "capture_layout_unknown",
+            Self::File { .. } => "capture_file_invalid",
+            Self::Field { .. } => "capture_field_invalid",
+            Self::Image { .. } => "capture_image_invalid",
+            Self::TooFewImages { .. } => "capture_too_few_images",
+        }
+    }
+
+    /// The file at fault, relative to the capture, when there is one.
+    pub fn file(&self) -> Option<&str> {
+        match self {
+            Self::UnknownLayout { .. } => None,
+            Self::Io { file, .. }
+            | Self::ArchiveDamaged { file, .. }
+            | Self::UnsafeEntry { file, .. }
+            | Self::OverLimit { file, .. }
+            | Self::File { file, .. }
+            | Self::Field { file, .. }
+            | Self::Image { file, .. }
+            | Self::TooFewImages { file, .. } => Some(file),
+        }
+    }
+
+    /// The field at fault inside [`Self::file`], when there is one.
+    pub fn field(&self) -> Option<&str> {
+        match self {
+            Self::Field { field, .. } => Some(field),
+            Self::OverLimit { limit, .. } => Some(limit),
+            _ => None,
+        }
+    }
+
+    /// True when the caller's data is at fault, false when the machine is.
+    pub fn is_users_fault(&self) -> bool {
+        !matches!(self, Self::Io { .. })
+    }
+}

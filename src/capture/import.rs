@@ -1,0 +1,111 @@
+//! The one entry: a folder or an archive in, a [`Capture`] out.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::capture::photos::{self, Photo};
+use crate::capture::{Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, truth};
+
+/// Every how-manieth view, by sorted name, is held out where the set does not say.
+const HOLD_OUT_EVERY: usize = 8;
+
+/// Imports a folder, zip, tar or tar.gz, whatever supported layout it holds.
+///
+/// # Errors
+/// [`CaptureError`] names the file and field at fault.
+pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureError> {
+    let source = Source::open(path, &options.limits)?;
+    let mut warnings = Vec::new();
+    let (layout, photos, points) = read_layout(&source, &mut warnings)?;
+    let views = photos::load(&source, &photos, options)?;
+    let (train, test) = split(&photos, views);
+    let has_alpha = train.iter().any(|v| v.image.pixels.iter().any(|p| p[3] < 1.0));
+    let bounds = bounds::bounds(&train, &points, has_alpha);
+    let lights = truth::lights(&source, &test, &mut warnings)?;
+    Ok(Capture { layout, train, test, points, bounds, has_alpha, lights, warnings })
+}
+
+type Layout = (String, Vec<Photo>, Vec<(glam::DVec3, [f32; 3])>);
+
+fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
+    if source.contains(blender::MARKER) {
+        let photos = blender::read(source, warnings)?;
+        let in_own_folders = photos.iter().all(|p| p.image.contains("/rgba"));
+        let layout = if in_own_folders { "tensoir" } else { "nerf-synthetic" };
+        return Ok((layout.to_owned(), photos, Vec::new()));
+    }
+    let first: Vec<&str> = source.paths().take(5).collect();
+    let reason = if first.is_empty() {
+        "there are no files".to_owned()
+    } else {
+        format!("the files begin with {}", first.join(", "))
+    };
+    Err(CaptureError::UnknownLayout { reason })
+}
+
+/// Training and held-out views: as the set says, else every 8th by sorted name.
+fn split(photos: &[Photo], views: Vec<CaptureView>) -> (Vec<CaptureView>, Vec<CaptureView>) {
+    let set_says = photos.iter().any(|p| p.held_out);
+    let mut by_name: Vec<usize> = (0..views.len()).collect();
+    by_name.sort_by(|&a, &b| views[a].name.cmp(&views[b].name));
+    let mut held_out: Vec<bool> = photos.iter().map(|p| p.held_out).collect();
+    if !set_says {
+        by_name.iter().step_by(HOLD_OUT_EVERY).for_each(|&i| held_out[i] = true);
+    }
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for (view, out) in views.into_iter().zip(held_out) {
+        if out { test.push(view) } else { train.push(view) }
+    }
+    (train, test)
+}
+
+/// What an import found, for a validation report.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CaptureReport {
+    /// The layout that was recognised.
+    pub layout: String,
+    /// Views to train on.
+    pub train_images: usize,
+    /// Held-out views.
+    pub test_images: usize,
+    /// Width of the first training image as loaded, pixels.
+    pub width: u32,
+    /// Height of the first training image as loaded, pixels.
+    pub height: u32,
+    /// Sparse points.
+    pub points: usize,
+    /// True when alpha carries a mask.
+    pub has_alpha: bool,
+    /// True when some test view has ground truth beyond its photograph.
+    pub has_ground_truth: bool,
+    /// Lights whose maps were found.
+    pub lights: Vec<String>,
+    /// Centre of the region of interest, capture units.
+    pub centre: [f64; 3],
+    /// Radius of the region of interest, capture units.
+    pub radius: f64,
+    /// What a user should know.
+    pub warnings: Vec<String>,
+}
+
+impl Capture {
+    /// A summary for people and APIs.
+    pub fn report(&self) -> CaptureReport {
+        let (width, height) = self.train.first().map_or((0, 0), |v| (v.image.width, v.image.height));
+        CaptureReport {
+            layout: self.layout.clone(),
+            train_images: self.train.len(),
+            test_images: self.test.len(),
+            width,
+            height,
+            points: self.points.len(),
+            has_alpha: self.has_alpha,
+            has_ground_truth: self.test.iter().any(|v| v.truth != Default::default()),
+            lights: self.lights.keys().cloned().collect(),
+            centre: self.bounds.centre.to_array(),
+            radius: self.bounds.radius,
+            warnings: self.warnings.clone(),
+        }
+    }
+}

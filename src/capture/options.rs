@@ -1,0 +1,73 @@
+//! What an import may cost and how large its images become.
+
+/// Bounds on what an import accepts; archives come from strangers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Entries in an archive or files in a folder.
+    pub max_entries: usize,
+    /// Uncompressed bytes of one entry.
+    pub max_entry_bytes: u64,
+    /// Uncompressed bytes of all entries together.
+    pub max_total_bytes: u64,
+    /// Bytes a gzipped tar may unpack to; it is held in memory, unlike every other kind.
+    pub max_gzip_bytes: u64,
+    /// Uncompressed size over compressed size, for entries beyond 1 MiB and for the whole archive.
+    pub max_ratio: u64,
+    /// Pixels of one image, checked in its header before it is decoded.
+    pub max_image_pixels: u64,
+    /// Photographs in a capture.
+    pub max_images: usize,
+    /// Pixels of all photographs together after reduction; each costs 16 bytes of memory.
+    pub max_total_pixels: u64,
+    /// Sparse points in a capture.
+    pub max_points: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            max_entries: 100_000,
+            max_entry_bytes: 1 << 30,
+            max_total_bytes: 64 << 30,
+            max_gzip_bytes: 4 << 30,
+            max_ratio: 200,
+            max_image_pixels: 64 << 20,
+            max_images: 10_000,
+            max_total_pixels: 512 << 20,
+            max_points: 20_000_000,
+        }
+    }
+}
+
+/// How to import.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ImportOptions {
+    /// Longest image side, pixels: larger photographs are reduced by area right after decoding, cameras with
+    /// them. Absent keeps the stored size.
+    pub max_side: Option<u32>,
+    /// What is too much.
+    pub limits: Limits,
+    /// Load ground-truth layers of test views and the lights they name.
+    pub load_truth: bool,
+}
+
+impl Default for ImportOptions {
+    fn default() -> Self {
+        Self { max_side: None, limits: Limits::default(), load_truth: true }
+    }
+}
+
+impl ImportOptions {
+    /// The size an image of `width` x `height` pixels is reduced to; never enlarged, at least 1 x 1.
+    pub fn reduced_size(&self, (width, height): (u32, u32)) -> (u32, u32) {
+        let longest = width.max(height);
+        match self.max_side {
+            Some(side) if side < longest => {
+                let scale = f64::from(side.max(1)) / f64::from(longest);
+                let reduce = |n: u32| (f64::from(n) * scale).round().max(1.0) as u32;
+                (reduce(width), reduce(height))
+            }
+            _ => (width, height),
+        }
+    }
+}

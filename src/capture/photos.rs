@@ -1,0 +1,184 @@
+//! From a list of named, posed photographs to loaded views: the part every layout shares.
+
+use glam::DMat4;
+use rayon::prelude::*;
+
+use crate::capture::error::name_list;
+use crate::capture::lens::{Distortion, Intrinsics, Lens};
+use crate::capture::truth::TruthFiles;
+use crate::capture::{
+    CaptureError, CaptureView, GroundTruthView, ImageRgba, ImportOptions, Source, undistort,
+};
+use crate::formats::image_file;
+use crate::scene::Camera;
+
+/// A photograph an importer has found, before its pixels are read.
+#[derive(Debug, Clone)]
+pub(super) struct Photo {
+    /// Path of the image in the capture.
+    pub image: String,
+    /// Path of a mask, black = not the subject.
+    pub mask: Option<String>,
+    /// Camera-to-world, OpenGL axes, in the world of the [`crate::capture::Capture`].
+    pub pose: DMat4,
+    /// Intrinsics.
+    pub lens: Lens,
+    /// The file that states pose and lens, for errors.
+    pub stated_in: String,
+    /// The entry in that file, e.g. `frames[3]`, for errors.
+    pub field: String,
+    /// True when the set itself holds it out.
+    pub held_out: bool,
+    /// Ground-truth layers beside it.
+    pub truth: TruthFiles,
+}
+
+/// Fewest photographs that make a capture.
+pub(super) const MIN_IMAGES: usize = 3;
+
+/// Says which listed images are absent: a warning while enough remain, a refusal below [`MIN_IMAGES`].
+pub(super) fn check_missing(
+    file: &str,
+    usable: usize,
+    missing: Vec<String>,
+    warnings: &mut Vec<String>,
+) -> Result<(), CaptureError> {
+    if usable < MIN_IMAGES {
+        return Err(CaptureError::TooFewImages {
+            file: file.to_owned(),
+            usable,
+            required: MIN_IMAGES,
+            missing,
+        });
+    }
+    if !missing.is_empty() {
+        warnings.push(format!(
+            "{file} names {} images that are missing, {usable} remain: {}",
+            missing.len(),
+            name_list(&missing)
+        ));
+    }
+    Ok(())
+}
+
+/// The image a `file_path` means: as written, or with the ending or light name its writer left out.
+pub(super) fn locate(source: &Source, path: &str) -> Option<String> {
+    if source.contains(path) {
+        return Some(path.to_owned());
+    }
+    const ENDINGS: [&str; 9] =
+        [".png", ".jpg", ".jpeg", ".webp", ".exr", ".JPG", ".PNG", "_sunset.png", "_sunset_000.png"];
+    ENDINGS.iter().map(|e| format!("{path}{e}")).find(|p| source.contains(p))
+}
+
+/// Loads the photographs in parallel; the order, and which error is told, depend on the list alone.
+///
+/// # Errors
+/// The first photograph in the list whose image, mask, pose or lens is unusable.
+pub(super) fn load(
+    source: &Source,
+    photos: &[Photo],
+    options: &ImportOptions,
+) -> Result<Vec<CaptureView>, CaptureError> {
+    check_total_pixels(source, photos, options)?;
+    let views: Vec<_> = photos.par_iter().map(|photo| load_one(source, photo, options)).collect();
+    views.into_iter().collect()
+}
+
+/// Adds up the reduced sizes told by the image headers, so that a capture too large for memory is refused
+/// before it fills it. Reading every file twice is cheap beside decoding it once.
+fn check_total_pixels(
+    source: &Source,
+    photos: &[Photo],
+    options: &ImportOptions,
+) -> Result<(), CaptureError> {
+    let limit = options.limits.max_total_pixels;
+    let pixels = |photo: &Photo| {
+        let bytes = source.read(&photo.image).ok()?;
+        let (w, h) = options.reduced_size(image_file::dimensions(&bytes).ok()?);
+        Some(u64::from(w) * u64::from(h))
+    };
+    // An unreadable image is refused with its name when its turn comes.
+    let total: u64 = photos.par_iter().filter_map(pixels).sum();
+    if total > limit {
+        let reason = format!("{total} pixels in all, {limit} allowed; reduce the resolution");
+        return Err(CaptureError::OverLimit {
+            file: source.label().to_owned(),
+            limit: "max_total_pixels",
+            reason,
+        });
+    }
+    Ok(())
+}
+
+/// Decodes an image and reduces it as the options ask; also tells its stored size.
+pub(super) fn load_image(
+    source: &Source,
+    path: &str,
+    options: &ImportOptions,
+) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
+    let bytes = source.read(path)?;
+    let image = image_file::decode(&bytes, options.limits.max_image_pixels);
+    let image = image.map_err(|error| match error {
+        image_file::ImageFileError::TooManyPixels { .. } => CaptureError::OverLimit {
+            file: path.to_owned(),
+            limit: "max_image_pixels",
+            reason: error.to_string(),
+        },
+        other => CaptureError::Image { file: path.to_owned(), reason: other.to_string() },
+    })?;
+    let stored = (image.width, image.height);
+    let (width, height) = options.reduced_size(stored);
+    Ok((image.resized(width, height), stored))
+}
+
+fn load_one(source: &Source, photo: &Photo, options: &ImportOptions) -> Result<CaptureView, CaptureError> {
+    let (mut image, stored) = load_image(source, &photo.image, options)?;
+    if let Some(mask) = &photo.mask {
+        apply_mask(source, mask, &mut image, options)?;
+    }
+    let intrinsics = photo.lens.resolve(&photo.stated_in, stored)?;
+    let camera = camera(photo, intrinsics, stored)?.resized(image.width, image.height);
+    let (camera, image) = match photo.lens.distortion {
+        Distortion::None => (camera, image),
+        bent => undistort::undistort(&camera, &bent, &image).map_err(|reason| CaptureError::Field {
+            file: photo.stated_in.clone(),
+            field: format!("{}.k1", photo.field),
+            reason,
+        })?,
+    };
+    let truth = if options.load_truth {
+        photo.truth.load(source, (image.width, image.height), options)?
+    } else {
+        GroundTruthView::default()
+    };
+    Ok(CaptureView { name: photo.image.clone(), camera, image, truth })
+}
+
+fn camera(photo: &Photo, intrinsics: Intrinsics, stored: (u32, u32)) -> Result<Camera, CaptureError> {
+    let camera = Camera::from_opengl(&photo.pose, stored, intrinsics.focal, intrinsics.centre);
+    camera.map_err(|error| CaptureError::Field {
+        file: photo.stated_in.clone(),
+        field: format!("{}.{}", photo.field, error.field),
+        reason: error.reason,
+    })
+}
+
+/// Multiplies the image's alpha by the mask's brightness.
+fn apply_mask(
+    source: &Source,
+    path: &str,
+    image: &mut ImageRgba,
+    options: &ImportOptions,
+) -> Result<(), CaptureError> {
+    let (mask, _) = load_image(source, path, options)?;
+    let mask = if (mask.width, mask.height) == (image.width, image.height) {
+        mask
+    } else {
+        mask.resized(image.width, image.height)
+    };
+    for (pixel, m) in image.pixels.iter_mut().zip(&mask.pixels) {
+        pixel[3] *= m[0] * m[3];
+    }
+    Ok(())
+}
