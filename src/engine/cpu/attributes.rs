@@ -3,7 +3,9 @@
 
 use crate::engine::RowLayout;
 use crate::engine::channel::{self, Channels};
-use crate::engine::cpu::project::{Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid};
+use crate::engine::cpu::project::{
+    Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid,
+};
 use crate::engine::cpu::view::View;
 use crate::light::{sh_eval, sh_eval_with_gradient};
 use crate::scene::{Field, Gaussians, IndirectForm, NormalForm, ShadingOptions};
@@ -177,7 +179,13 @@ impl AttributeSource<'_> {
             NormalForm::Free => (None, 1.0),
             NormalForm::ShortestAxis => {
                 let s = geometry.log_scale;
-                let axis = if s[0] <= s[1] && s[0] <= s[2] { 0 } else if s[1] <= s[2] { 1 } else { 2 };
+                let axis = if s[0] <= s[1] && s[0] <= s[2] {
+                    0
+                } else if s[1] <= s[2] {
+                    1
+                } else {
+                    2
+                };
                 let q = rotation(geometry.quaternion);
                 let facing: f32 = (0..3).map(|r| q[r][axis] * to_mean[r]).sum();
                 (Some((axis, q)), if facing > 0.0 { -1.0 } else { 1.0 })

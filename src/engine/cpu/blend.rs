@@ -122,7 +122,8 @@ impl BlendScratch {
             for i in 0..LANES {
                 transmittance.0[i] *= 1.0 - capped(alpha.0[i]);
             }
-            if early_stop && self.entries.len().is_multiple_of(4) && transmittance.max() < TRANSMITTANCE_STOP {
+            if early_stop && self.entries.len().is_multiple_of(4) && transmittance.max() < TRANSMITTANCE_STOP
+            {
                 break;
             }
         }

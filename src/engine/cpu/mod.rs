@@ -18,9 +18,12 @@ mod view;
 pub use attributes::{AttributeSource, softmax};
 pub use blend::TRANSMITTANCE_STOP;
 pub use pass::{Pass, project_all};
-pub use project::{ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, sigmoid};
+pub use project::{
+    ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, sigmoid,
+};
 pub use shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
 pub use shading::{
-    BranchImages, BufferGradient, LEAST_COVERAGE, radiance_image, radiance_image_backward, srgb, srgb_slope, surface_at,
+    BranchImages, BufferGradient, LEAST_COVERAGE, radiance_image, radiance_image_backward, srgb, srgb_slope,
+    surface_at,
 };
 pub use view::View;

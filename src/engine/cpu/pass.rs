@@ -67,7 +67,8 @@ impl Pass {
                     return;
                 }
                 let origin = tiles.origin(tile);
-                let job = TileJob { splats: &splats, ranks, attributes: &attributes, stored, origin, early_stop };
+                let job =
+                    TileJob { splats: &splats, ranks, attributes: &attributes, stored, origin, early_stop };
                 blend_tile(&job, scratch, out);
             },
         );
@@ -171,7 +172,12 @@ impl Pass {
         summed
     }
 
-    fn prototypes_backward(&self, source: &AttributeSource<'_>, summed: &[f32], width: usize) -> Vec<[f32; 3]> {
+    fn prototypes_backward(
+        &self,
+        source: &AttributeSource<'_>,
+        summed: &[f32],
+        width: usize,
+    ) -> Vec<[f32; 3]> {
         let zero = vec![[0.0f32; 3]; source.prototypes.len()];
         let partial: Vec<Vec<[f32; 3]>> = self
             .splats

@@ -165,8 +165,9 @@ fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
 pub fn project(view: &View, index: u32, g: &Geometry) -> Option<Splat> {
     let p = prepare(view, g)?;
     // 2 x 3 matrix of the three axes on screen: squares of it cannot turn negative.
-    let screen: [[f32; 3]; 2] =
-        std::array::from_fn(|r| std::array::from_fn(|c| (0..3).map(|k| p.to_screen[r][k] * p.axes[k][c]).sum()));
+    let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
+        std::array::from_fn(|c| (0..3).map(|k| p.to_screen[r][k] * p.axes[k][c]).sum())
+    });
     let dot = |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f32>();
     let raw = [dot(&screen[0], &screen[0]), dot(&screen[0], &screen[1]), dot(&screen[1], &screen[1])];
     if !(raw[0] < 1e12 && raw[2] < 1e12) {
@@ -214,10 +215,12 @@ pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient)
         compensation_backward(view, s, d.opacity * sigma, &mut cov);
     }
     // M = Q S, screen = T M, covariance = screen screen^T.
-    let screen: [[f32; 3]; 2] =
-        std::array::from_fn(|r| std::array::from_fn(|k| (0..3).map(|j| p.to_screen[r][j] * p.axes[j][k]).sum()));
-    let by_screen: [[f32; 3]; 2] =
-        std::array::from_fn(|r| std::array::from_fn(|k| 2.0 * (cov[r][0] * screen[0][k] + cov[r][1] * screen[1][k])));
+    let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
+        std::array::from_fn(|k| (0..3).map(|j| p.to_screen[r][j] * p.axes[j][k]).sum())
+    });
+    let by_screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
+        std::array::from_fn(|k| 2.0 * (cov[r][0] * screen[0][k] + cov[r][1] * screen[1][k]))
+    });
     for row in 0..3 {
         for k in 0..3 {
             let by_axis = p.to_screen[0][row] * by_screen[0][k] + p.to_screen[1][row] * by_screen[1][k];
@@ -226,8 +229,9 @@ pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient)
         }
     }
     // T = J R.
-    let by_t: [[f32; 3]; 2] =
-        std::array::from_fn(|r| std::array::from_fn(|j| (0..3).map(|k| by_screen[r][k] * p.axes[j][k]).sum()));
+    let by_t: [[f32; 3]; 2] = std::array::from_fn(|r| {
+        std::array::from_fn(|j| (0..3).map(|k| by_screen[r][k] * p.axes[j][k]).sum())
+    });
     let by_j = |r: usize, k: usize| (0..3).map(|c| by_t[r][c] * view.rotation[k][c]).sum::<f32>();
     let inverse = 1.0 / p.camera[2];
     let mut camera = [0.0f32; 3];

@@ -2,8 +2,8 @@
 
 use crate::engine::cpu::project::{normalise, normalise_backward};
 use crate::light::{
-    BrdfLut, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Taps, level_position, nrsh_factor, sh_eval,
-    sh_eval_with_gradient,
+    BrdfLut, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Taps, level_position, nrsh_factor,
+    sh_eval, sh_eval_with_gradient,
 };
 use crate::scene::{DiffuseForm, ShadingOptions, VisibilityForm};
 
@@ -167,21 +167,19 @@ impl Shader<'_> {
         // Diffuse: four tabulated normals around n, each a dot product with the visibility coefficients.
         let taps = self.tables.diffuse_grid.lookup(normal);
         let scalar = open || self.options.diffuse == DiffuseForm::AmbientOcclusion;
-        let tap_irradiance: [[f32; 3]; 4] = std::array::from_fn(|k| {
-            let rows = self.tables.diffuse_rows(taps.node[k]);
-            rows.map(|row| {
-                if scalar { row[0] * FULLY_OPEN } else { dot_padded(row, &s.visibility[..row.len()]) }
-            })
-        });
+        let tap_irradiance: [[f32; 3]; 4] =
+            std::array::from_fn(|k| {
+                let rows = self.tables.diffuse_rows(taps.node[k]);
+                rows.map(|row| {
+                    if scalar { row[0] * FULLY_OPEN } else { dot_padded(row, &s.visibility[..row.len()]) }
+                })
+            });
         let mut irradiance_raw = [0.0f32; 3];
         for k in 0..4 {
             (0..3).for_each(|c| irradiance_raw[c] += taps.weight[k] * tap_irradiance[k][c]);
         }
-        let (ambient, ambient_raw) = if scalar && !open {
-            self.ambient_with_raw(&s.visibility, normal)
-        } else {
-            (1.0, 1.0)
-        };
+        let (ambient, ambient_raw) =
+            if scalar && !open { self.ambient_with_raw(&s.visibility, normal) } else { (1.0, 1.0) };
         let irradiance = irradiance_raw.map(|e| e.max(0.0) * ambient);
         let kd = (1.0 - s.metal) * INV_PI;
         let diffuse = std::array::from_fn(|c| s.albedo[c] * kd * (irradiance[c] + s.gathered[c]));
@@ -273,7 +271,13 @@ impl Shader<'_> {
     }
 
     /// Chain rule through [`Self::shade`]: `g` is the gradient by radiance. Table gradients are added to `tables`.
-    pub fn shade_backward(&self, s: &Surface, f: &Shaded, g: [f32; 3], tables: &mut LightTables) -> SurfaceGradient {
+    pub fn shade_backward(
+        &self,
+        s: &Surface,
+        f: &Shaded,
+        g: [f32; 3],
+        tables: &mut LightTables,
+    ) -> SurfaceGradient {
         let mut out = SurfaceGradient {
             normal: [0.0; 3],
             albedo: [0.0; 3],

@@ -147,7 +147,15 @@ impl Shader<'_> {
                         let mut pixel = PixelGradient { target, base, count };
                         let extra = by_buffers.get(i).copied().unwrap_or_default();
                         radiance_backward(background, by.radiance.get(i), &mut pixel);
-                        self.pixel_backward(pass, (x, y), background, by.physical.get(i), extra, &mut pixel, &mut tables);
+                        self.pixel_backward(
+                            pass,
+                            (x, y),
+                            background,
+                            by.physical.get(i),
+                            extra,
+                            &mut pixel,
+                            &mut tables,
+                        );
                     }
                 }
                 tables

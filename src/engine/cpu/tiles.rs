@@ -94,7 +94,11 @@ impl TileLists {
 }
 
 /// `(first column, end column, row)` of the tiles under the splat's bounding box.
-fn touched_rows(s: &Splat, columns: usize, rows: usize) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
+fn touched_rows(
+    s: &Splat,
+    columns: usize,
+    rows: usize,
+) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
     let span = |mean: f32, variance: f32, tiles: usize| {
         let extent = (2.0 * s.reach.max(0.0) * variance).sqrt();
         // Casting saturates, so far-away splats give empty or full spans instead of wrapping.

@@ -8,55 +8,76 @@ use super::tape::Var;
 pub struct Surface<'t> {
     /// Coverage (1).
     pub coverage: Var<'t>,
-    /// Unit shading normals, turned to the camera (3).
+    /// Blended normals divided by coverage, not of unit length (3).
     pub normal: Var<'t>,
-    /// Blended normals, not of unit length (3).
-    pub blended_normal: Var<'t>,
-    /// Blended plane distances under the same division (1).
+    /// Blended plane distances divided by coverage (1).
     pub plane: Var<'t>,
-    /// Unit directions from the camera through the pixels (3).
+    /// Directions from the camera through the pixels, `z_c = 1` (3).
     pub rays: Var<'t>,
 }
 
-/// Planes seen at a flatter cosine than this have no reliable intersection.
-const FLATTEST: f64 = 1e-2;
-/// Pixels covered less than this show no surface.
-const LEAST_COVERAGE: f64 = 1e-3;
+/// Coverage below which a pixel's depth is not trusted.
+const TRUSTED_COVERAGE: f64 = 0.5;
+/// Planes must face the ray by this much for their intersection to be trusted.
+const LEAST_FACING: f64 = 0.05;
+/// Depths beyond this are not trusted, world units.
+const FARTHEST: f64 = 1e4;
+/// Neighbouring depths further apart than this fraction are an edge, not a surface.
+const DEPTH_JUMP: f64 = 0.05;
 
-/// `mean coverage (1 - n . n_d)` over the image (docs/MODEL.md section 5).
+/// `coverage (1 - n . n_d)` summed over the pixels whose own, right and lower depths form a surface, divided by
+/// all pixels (docs/MODEL.md section 5).
 ///
-/// `n_d` is the normal, turned to the camera, of central differences between the points
-/// `ray D / (N . ray)` of the four neighbours; where one of them shows no surface the pixel counts as 0.
+/// Depths are `t = D / (N . ray)`; `n_d` is the normal of the triangle of the three points `t ray`, towards
+/// the camera. Which pixels count is decided on values, and is no function of the parameters.
 pub fn depth_normal<'t>(surface: &Surface<'t>) -> Var<'t> {
     let tape = surface.coverage.tape;
     let [height, width] = [0, 1].map(|axis| surface.coverage.value().shape()[axis]);
-    if height < 3 || width < 3 {
+    if height < 2 || width < 2 {
         return tape.scalar(0.0);
     }
-    let slant = surface.blended_normal.dot(surface.rays);
-    let shown = shown(&slant.value(), &surface.coverage.value());
-    // Where nothing is shown the quotient only has to be finite.
-    let hidden = tape.input(shown.map(|s| 1.0 - s));
-    let points = surface.rays * surface.plane / (slant * tape.input(shown.clone()) + hidden);
+    let facing = surface.normal.dot(surface.rays);
+    let trusted = trusted(&surface.coverage.value(), &facing.value(), &surface.plane.value());
+    // Elsewhere the quotient only has to be finite.
+    let elsewhere = tape.input(trusted.map(|t| 1.0 - t));
+    let depth = surface.plane / (facing * tape.input(trusted.clone()) + elsewhere);
+    let counted = tape.input(surfaces(&depth.value(), &trusted));
 
-    let crop = |x: Var<'t>, row: usize, column: usize| {
-        x.slice(0, row..row + height - 2).slice(1, column..column + width - 2)
+    let crop = |x: Var<'t>, [row, column]: [usize; 2]| {
+        x.slice(0, row..row + height - 1).slice(1, column..column + width - 1)
     };
-    let right = crop(points, 1, 2) - crop(points, 1, 0);
-    let down = crop(points, 2, 1) - crop(points, 0, 1);
+    let points = surface.rays * depth;
+    let [own, right, lower] = [[0, 0], [0, 1], [1, 0]].map(|at| crop(points, at));
     // In OpenCV axes right x down points into the scene, down x right at the camera.
-    let from_depth = cross(down, right).normalised();
-    let shown = tape.input(shown);
-    let counted = [(1, 1), (1, 0), (1, 2), (0, 1), (2, 1)].map(|(r, c)| crop(shown, r, c));
-    let counted = counted.into_iter().reduce(|all, one| all * one).unwrap_or(shown);
-    let disagreement = 1.0 - crop(surface.normal, 1, 1).dot(from_depth);
-    (crop(surface.coverage, 1, 1) * counted * disagreement).sum() * (1.0 / (height * width) as f64)
+    let from_depth = cross(lower - own, right - own).normalised();
+    let disagreement = 1.0 - crop(surface.normal.normalised(), [0, 0]).dot(from_depth);
+    let share = 1.0 / (height * width) as f64;
+    (crop(surface.coverage, [0, 0]) * counted * disagreement).sum() * share
 }
 
-/// 1 where a surface is seen under a usable angle, else 0.
-fn shown(slant: &Array, coverage: &Array) -> Array {
-    let shown = |(s, c): (&f64, &f64)| f64::from(u8::from(s.abs() > FLATTEST && *c >= LEAST_COVERAGE));
-    Array::new(slant.shape(), slant.data().iter().zip(coverage.data()).map(shown).collect())
+/// 1 where a pixel's plane has a usable depth, else 0.
+fn trusted(coverage: &Array, facing: &Array, plane: &Array) -> Array {
+    let usable = |i: usize| {
+        let [coverage, facing, plane] = [coverage, facing, plane].map(|a| a.data()[i]);
+        let depth = plane / facing;
+        coverage >= TRUSTED_COVERAGE && facing * coverage < -LEAST_FACING && depth > 0.0 && depth < FARTHEST
+    };
+    Array::new(coverage.shape(), (0..coverage.len()).map(|i| f64::from(u8::from(usable(i)))).collect())
+}
+
+/// 1 where a pixel, its right and its lower neighbour lie on one surface, (H - 1, W - 1, 1).
+fn surfaces(depth: &Array, trusted: &Array) -> Array {
+    let [height, width] = [0, 1].map(|axis| depth.shape()[axis]);
+    let one_surface = |own: usize| {
+        let near = |i: usize| {
+            let jump = (depth.data()[i] - depth.data()[own]).abs();
+            trusted.data()[i] == 1.0 && jump <= DEPTH_JUMP * depth.data()[own]
+        };
+        near(own) && near(own + 1) && near(own + width)
+    };
+    let own = (0..height - 1).flat_map(|y| (0..width - 1).map(move |x| y * width + x));
+    let counted = own.map(|i| f64::from(u8::from(one_surface(i)))).collect();
+    Array::new(&[height - 1, width - 1, 1], counted)
 }
 
 /// Cross product along the last axis.

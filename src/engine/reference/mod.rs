@@ -57,6 +57,15 @@ impl Conventions {
         }
     }
 
+    /// 1 where a pixel of some coverage is shaded, else 0.
+    fn shaded(self, coverage: &Array) -> Array {
+        let least = match self {
+            Self::Listing => 0.0,
+            Self::Model => LEAST_SHADED,
+        };
+        coverage.map(|c| f64::from(u8::from(c >= least)))
+    }
+
     fn ssim_window(self) -> Vec<f64> {
         let taps = match self {
             Self::Listing => 7,
@@ -187,12 +196,10 @@ pub fn forward<'t>(tape: &'t Tape, scene: &Scene, camera: &Camera, options: &Opt
     let radiance = shaded.diffuse + shaded.specular;
     let display = match options.conventions {
         Conventions::Listing => radiance.clamp(0.0, 1.0),
-        Conventions::Model => {
-            let shaded = buffer.coverage.value().map(|c| f64::from(u8::from(c >= LEAST_SHADED)));
-            display::display(radiance, shading.srgb) * tape.input(shaded)
-        }
+        Conventions::Model => display::display(radiance, shading.srgb),
     };
-    let image = display * buffer.coverage + background;
+    let seen = tape.input(options.conventions.shaded(&buffer.coverage.value()));
+    let image = display * seen * buffer.coverage + background;
     let radiance_image = buffer.radiance + background;
     Pass { parameters, attributes, splats, weights, buffer, shaded, image, radiance_image }
 }

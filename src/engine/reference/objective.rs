@@ -6,7 +6,7 @@ use super::array::Array;
 use super::attributes::{field, from_camera};
 use super::geometry_loss::{Surface, depth_normal};
 use super::losses;
-use super::projection::view_vectors;
+use super::projection::rays;
 use super::shading::squashed;
 use super::tape::{Tape, Var};
 use super::{Conventions, Options, Pass};
@@ -88,16 +88,21 @@ fn image_terms<'t>(pass: &Pass<'t>, camera: &Camera, target: &Target, options: &
     let window = options.conventions.ssim_window();
     let difference = |image| losses::mean_absolute_error(image, photograph);
     let dissimilarity = |image| losses::structural_dissimilarity(image, photograph, &window);
-    let smooth = |x: Var<'t>| losses::edge_aware_smoothness(picture(x), photograph);
     let (image, radiance) = (picture(pass.image), picture(pass.radiance_image));
     let coverage = picture(pass.buffer.coverage);
     let surface = Surface {
         coverage,
-        normal: picture(pass.shaded.normal),
-        blended_normal: picture(pass.buffer.normal),
+        normal: picture(pass.buffer.normal),
         plane: picture(pass.buffer.plane),
-        rays: -picture(tape.input(view_vectors(camera))),
+        rays: picture(tape.input(rays(camera))),
     };
+    let normal = match options.conventions {
+        Conventions::Listing => pass.shaded.normal,
+        Conventions::Model => pass.buffer.normal,
+    };
+    // Where next to nothing is seen the attributes say nothing.
+    let seen = tape.input(options.conventions.shaded(&pass.buffer.coverage.value()));
+    let smooth = |x: Var<'t>| losses::edge_aware_smoothness(picture(x * seen), photograph);
     let mut terms = Terms::from([
         ("img_mae", difference(image)),
         ("img_dssim", dissimilarity(image)),
@@ -105,7 +110,7 @@ fn image_terms<'t>(pass: &Pass<'t>, camera: &Camera, target: &Target, options: &
         ("radiance_dssim", dissimilarity(radiance)),
         ("smooth_metal", smooth(pass.buffer.metal)),
         ("smooth_rough", smooth(pass.buffer.rough)),
-        ("smooth_normal", smooth(pass.shaded.normal)),
+        ("smooth_normal", smooth(normal)),
         ("depth_normal", depth_normal(&surface)),
     ]);
     if let Some(mask) = &target.coverage {

@@ -1,5 +1,7 @@
 //! From Gaussians in space to ellipses on the image plane.
 
+use glam::DVec3;
+
 use super::array::Array;
 use super::ops::concat;
 use super::scene::Parameters;
@@ -127,6 +129,15 @@ pub fn pixel_centres<'t>(tape: &'t Tape, camera: &Camera) -> (Var<'t>, Var<'t>) 
 
 /// Unit vectors from the pixels to the camera, row-major, (P, 3).
 pub fn view_vectors(camera: &Camera) -> Array {
+    per_pixel(camera, |ray| -ray)
+}
+
+/// Directions from the camera through the pixels, `z_c = 1`, row-major, (P, 3).
+pub fn rays(camera: &Camera) -> Array {
+    per_pixel(camera, |ray| ray / ray.dot(camera.forward()))
+}
+
+fn per_pixel(camera: &Camera, f: impl Fn(DVec3) -> DVec3) -> Array {
     let pixels = (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y)));
-    Array::from_rows(&pixels.map(|(x, y)| (-camera.ray(x, y)).to_array()).collect::<Vec<_>>())
+    Array::from_rows(&pixels.map(|(x, y)| f(camera.ray(x, y)).to_array()).collect::<Vec<_>>())
 }

@@ -144,7 +144,15 @@ pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weight: f32, out: &mut [Buffe
         let factor = scale * (-edge).exp();
         for k in 0..5 {
             let d = attributes[j][k] - attributes[i][k];
-            let g = factor * share[k] * if d > 0.0 { 1.0 } else if d < 0.0 { -1.0 } else { 0.0 };
+            let g = factor
+                * share[k]
+                * if d > 0.0 {
+                    1.0
+                } else if d < 0.0 {
+                    -1.0
+                } else {
+                    0.0
+                };
             total += f64::from(g * d);
             by[j][k] += g;
             by[i][k] -= g;
@@ -184,7 +192,14 @@ pub fn coverage(pass: &Pass, alpha: &[f32], weight: f32, out: &mut [BufferGradie
     for (i, (o, a)) in out.iter_mut().zip(alpha).enumerate() {
         let d = pass.at(i % w, i / w, channel::COVERAGE) - a;
         total += f64::from(scale * d.abs());
-        o.coverage += scale * if d > 0.0 { 1.0 } else if d < 0.0 { -1.0 } else { 0.0 };
+        o.coverage += scale
+            * if d > 0.0 {
+                1.0
+            } else if d < 0.0 {
+                -1.0
+            } else {
+                0.0
+            };
     }
     total as f32
 }

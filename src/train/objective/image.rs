@@ -68,7 +68,13 @@ impl Target {
                     let d = a[c] - b[c];
                     absolute += f64::from(d.abs());
                     squared += f64::from(d * d);
-                    let sign = if d > 0.0 { 1.0 } else if d < 0.0 { -1.0 } else { 0.0 };
+                    let sign = if d > 0.0 {
+                        1.0
+                    } else if d < 0.0 {
+                        -1.0
+                    } else {
+                        0.0
+                    };
                     l1 * scale * sign + channels[c].1[i]
                 })
             })
@@ -90,7 +96,8 @@ impl Target {
         let mean_ab = blur(w, h, &products);
         let (mean_b, mean_bb) = (&self.mean[c], &self.mean_of_square[c]);
         let n = a.len();
-        let (mut by_mean, mut by_square, mut by_product) = (vec![0.0f32; n], vec![0.0f32; n], vec![0.0f32; n]);
+        let (mut by_mean, mut by_square, mut by_product) =
+            (vec![0.0f32; n], vec![0.0f32; n], vec![0.0f32; n]);
         let mut total = 0.0f64;
         for i in 0..n {
             let (ma, mb) = (mean_a[i], mean_b[i]);
@@ -184,7 +191,11 @@ mod tests {
                 shifted[0][i][c] += 4e-3;
                 shifted[1][i][c] -= 4e-3;
                 let numeric = (loss(&shifted[0]) - loss(&shifted[1])) / 8e-3;
-                assert!((numeric - f64::from(analytic[i][c])).abs() < 5e-5, "{i} {c} {numeric} {}", analytic[i][c]);
+                assert!(
+                    (numeric - f64::from(analytic[i][c])).abs() < 5e-5,
+                    "{i} {c} {numeric} {}",
+                    analytic[i][c]
+                );
             }
         }
     }

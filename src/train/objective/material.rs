@@ -62,7 +62,14 @@ pub fn residual(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
     for (row, eps) in out.rows.chunks_mut(layout.row).zip(g.field(Field::Residual).chunks_exact(3)) {
         for (o, e) in row[layout.range(Field::Residual)].iter_mut().zip(eps) {
             total += f64::from(scale * e.abs());
-            *o += scale * if *e > 0.0 { 1.0 } else if *e < 0.0 { -1.0 } else { 0.0 };
+            *o += scale
+                * if *e > 0.0 {
+                    1.0
+                } else if *e < 0.0 {
+                    -1.0
+                } else {
+                    0.0
+                };
         }
     }
     total as f32
@@ -76,7 +83,15 @@ pub fn light_neutrality(radiance: &[[f32; 3]], weight: f32) -> (f32, Vec<[f32; 3
         .iter()
         .map(|l| {
             let mean = (l[0] + l[1] + l[2]) / 3.0;
-            let sign = l.map(|v| if v > mean { 1.0 } else if v < mean { -1.0 } else { 0.0f32 });
+            let sign = l.map(|v| {
+                if v > mean {
+                    1.0
+                } else if v < mean {
+                    -1.0
+                } else {
+                    0.0f32
+                }
+            });
             total += f64::from(scale) * (0..3).map(|c| f64::from((l[c] - mean).abs())).sum::<f64>();
             let shared = (sign[0] + sign[1] + sign[2]) / 3.0;
             sign.map(|s| scale * (s - shared))
