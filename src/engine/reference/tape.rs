@@ -90,6 +90,11 @@ impl Gradients {
 }
 
 impl<'t> Var<'t> {
+    /// The tape it is recorded on.
+    pub fn tape(self) -> &'t Tape {
+        self.tape
+    }
+
     /// The value itself.
     pub fn value(self) -> Rc<Array> {
         self.tape.nodes.borrow()[self.id].value.clone()
