@@ -6,4 +6,5 @@
 mod fixtures;
 mod gradients;
 mod laws;
+mod objective;
 mod parity;

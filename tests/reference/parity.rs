@@ -12,29 +12,29 @@ use relume::scene::{
     softplus,
 };
 
-const GAUSSIANS: usize = 40;
-const SIZE: (u32, u32) = (37, 21);
-const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
+pub(super) const GAUSSIANS: usize = 40;
+pub(super) const SIZE: (u32, u32) = (37, 21);
+pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
 /// Relative to the largest value of an image; measured 1e-6.
 const TOLERANCE_VALUE: f64 = 1e-5;
 /// Relative to the largest gradient of a parameter; measured 1e-5.
 const TOLERANCE_GRADIENT: f64 = 1e-4;
 
 /// A reproducible stream of numbers in [-1, 1).
-struct Noise(u64);
+pub(super) struct Noise(pub(super) u64);
 
 impl Noise {
-    fn next(&mut self) -> f32 {
+    pub(super) fn next(&mut self) -> f32 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 40) as f32 / 8_388_608.0 - 1.0
     }
 
-    fn fill(&mut self, out: &mut [f32], centre: f32, spread: f32) {
+    pub(super) fn fill(&mut self, out: &mut [f32], centre: f32, spread: f32) {
         out.iter_mut().for_each(|v| *v = centre + spread * self.next());
     }
 }
 
-fn model(seed: u64, shading: ShadingOptions) -> Model {
+pub(super) fn model(seed: u64, shading: ShadingOptions) -> Model {
     let mut noise = Noise(seed);
     let mut gaussians = Gaussians::zeroed(GAUSSIANS, 5, 4, 2);
     let spreads = [
@@ -107,7 +107,7 @@ impl Functional {
     }
 }
 
-fn wide<const W: usize>(rows: &[[f32; W]]) -> Array {
+pub(super) fn wide<const W: usize>(rows: &[[f32; W]]) -> Array {
     Array::from_rows(&rows.iter().map(|r| r.map(f64::from)).collect::<Vec<_>>())
 }
 
@@ -185,13 +185,13 @@ fn by_cpu(model: &Model, camera: &Camera, gathered: &[[f32; 6]], functional: &Fu
 }
 
 /// Largest difference relative to the reference's largest value.
-fn distance(ours: &Array, reference: &Array) -> f64 {
+pub(super) fn distance(ours: &Array, reference: &Array) -> f64 {
     let largest = reference.data().iter().fold(1e-6, |m: f64, v| m.max(v.abs()));
     let differences = ours.data().iter().zip(reference.data()).map(|(a, b)| (a - b).abs() / largest);
     differences.fold(0.0, |worst, d| if d > worst || d.is_nan() { d } else { worst })
 }
 
-fn camera(seed: u64) -> Camera {
+pub(super) fn camera(seed: u64) -> Camera {
     let (sine, cosine) = (seed as f64 * 1.3).sin_cos();
     Camera::look_at(DVec3::new(3.0 * cosine, 3.0 * sine, 1.0), DVec3::ZERO, DVec3::Z, 0.6, SIZE).unwrap()
 }
