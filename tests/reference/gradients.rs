@@ -14,11 +14,11 @@ use relume::scene::{
     Camera, DiffuseForm, IndirectForm, NormalForm, ShadingOptions, VisibilityForm, texel_directions,
 };
 
-const GAUSSIANS: usize = 8;
+const GAUSSIANS: usize = 7;
 const OUTSIDE: usize = GAUSSIANS - 2;
 /// Relative to the largest gradient of a parameter.
 const TOLERANCE: f64 = 1e-7;
-const ENV: (usize, usize) = (12, 6);
+const ENV: (usize, usize) = (8, 4);
 
 /// Evenly spread numbers in [-1, 1], a sequence of its own for each `seed`.
 fn noise(shape: &[usize], seed: f64, centre: f64, spread: f64) -> Array {
@@ -192,6 +192,45 @@ fn directional_light_by_quadrature_has_the_gradients_differences_measure() {
     let mut options = listing();
     options.shading = ShadingOptions { indirect: IndirectForm::Learned, ..ShadingOptions::default() };
     gradients_hold("quadrature", &options, &[]);
+}
+
+/// A thin, slightly bent wall right before the camera: depths that form a surface.
+fn wall() -> Scene {
+    let mut scene = scene();
+    let mut set = |name: &str, values: Vec<f64>| scene.values_mut(name).unwrap().copy_from_slice(&values);
+    let spread = |f: fn(usize) -> [f64; 3]| (0..GAUSSIANS).flat_map(f).collect::<Vec<f64>>();
+    set("means", spread(|i| [(i % 4) as f64 * 0.6 - 0.9, 0.05 * (i % 3) as f64, (i / 4) as f64 * 0.8 - 0.4]));
+    set("log_scales", spread(|i| [-0.9, -3.0, -0.8 - 0.01 * i as f64]));
+    set("quats", (0..GAUSSIANS).flat_map(|i| [1.0, 0.0, 0.02 * i as f64, 0.1]).collect());
+    scene
+}
+
+#[test]
+fn the_depth_normal_term_has_the_gradients_differences_measure() {
+    let options = model(ShadingOptions::default());
+    let camera = Camera::look_at(DVec3::new(0.2, -3.0, 0.3), DVec3::ZERO, DVec3::Z, 0.4, (9, 8)).unwrap();
+    let term = |scene: &Scene| {
+        let tape = Tape::new();
+        let pass = forward(&tape, scene, &camera, &options);
+        let term = objective(&pass, &camera, &target(), &options, &[])["depth_normal"];
+        (term.value().data()[0], pass.parameters.gradients(&tape.gradients(term)))
+    };
+    let (value, gradients) = term(&wall());
+    assert!(value > 1e-3, "a wall must form a surface: {value}");
+    for name in ["means", "log_scales", "quats", "opacity_logit", "normals_raw"] {
+        let gradient = &gradients[name];
+        let largest = gradient.data().iter().fold(0.0, |m: f64, g| m.max(g.abs()));
+        assert!(largest > 1e-6, "{name} must matter");
+        for i in 0..gradient.len() {
+            let moved = |by: f64| {
+                let mut scene = wall();
+                scene.values_mut(name).unwrap()[i] += by;
+                term(&scene).0
+            };
+            let numeric = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+            assert!((numeric - gradient.data()[i]).abs() < 1e-6 * largest, "{name} {i}");
+        }
+    }
 }
 
 #[test]

@@ -234,6 +234,7 @@ fn outputs_and_gradients_stay_finite_at_the_extremes() {
     let target = Target::from(Array::filled(&[17, 17, 3], 0.5));
     let weights =
         [("img_mae", 1.0), ("img_dssim", 1.0), ("radiance_mae", 1.0), ("depth_normal", 1.0), ("occ", 1.0)];
+    let tables = Tables::new(ENV.0, ENV.1, TableResolution { diffuse: 3, sharp: 5, rough: 3 });
     let extremes: [(&str, f64); 14] = [
         ("opacity_logit", 800.0),
         ("opacity_logit", -800.0),
@@ -256,9 +257,13 @@ fn outputs_and_gradients_stay_finite_at_the_extremes() {
             let shape = arrays[name].shape().to_vec();
             arrays.insert(name, Array::filled(&shape, value));
             let scene = Scene::new(arrays).unwrap();
-            let mut options = Options { environment: None, ..options(constant_sky()) };
-            options.shading.diffuse = form;
-            options.shading.low_pass_compensation = true;
+            let shading = ShadingOptions {
+                diffuse: form,
+                normal: NormalForm::Free,
+                low_pass_compensation: true,
+                ..ShadingOptions::default()
+            };
+            let options = Options::model(shading, tables.clone());
             for eye in [DVec3::new(0.0, 0.0, 4.0), DVec3::new(0.1, 0.2, 0.3)] {
                 let (terms, gradients) =
                     loss_and_gradients(&scene, &camera_from(eye), &target, &options, &weights);

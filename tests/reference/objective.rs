@@ -1,17 +1,14 @@
 //! The objective of the trainer, f32 with gradients by hand, against the reference's terms.
 
 use glam::DVec3;
-use relume::engine::Gradients;
 use relume::engine::channel::Channels;
 use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, Shader, View};
-use relume::engine::reference::{
-    Array, Arrays, ENVIRONMENT, Options, PROTOTYPES, Scene, Tables, Tape, Target, forward, objective,
-};
+use relume::engine::reference::{Array, Arrays, Options, Scene, Tables, Tape, Target, forward, objective};
 use relume::light::{EnvOperators, TableResolution};
 use relume::scene::{Camera, Field, Model, ShadingOptions, softplus};
 use relume::train::objective::{geometry, image, material};
 
-use super::parity::{BACKGROUND, GAUSSIANS, Noise, SIZE, camera, distance, model, wide};
+use super::parity::{BACKGROUND, GAUSSIANS, Noise, SIZE, as_arrays, camera, distance, model, wide};
 
 /// Every term with a weight of its own, so that none can stand in for another.
 const WEIGHTS: [(&str, f64); 12] = [
@@ -139,16 +136,6 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
         })
         .collect();
     (total.into(), as_arrays(model, &found, &by_raw))
-}
-
-fn as_arrays(model: &Model, found: &Gradients, by_raw: &[[f32; 3]]) -> Arrays {
-    let mut gradients = Arrays::from([(PROTOTYPES, wide(&found.prototypes)), (ENVIRONMENT, wide(by_raw))]);
-    for field in Field::ALL {
-        let rows = (0..GAUSSIANS).flat_map(|i| found.get(field, i).iter().map(|v| f64::from(*v)));
-        let shape = [GAUSSIANS, model.gaussians.width(field)];
-        gradients.insert(field.name(), Array::new(&shape, rows.collect()));
-    }
-    gradients
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The f32 CPU engine and the f64 reference are the same function, and so are their gradients.
 
 use glam::DVec3;
+use relume::engine::Gradients;
 use relume::engine::channel::Channels;
 use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, Shader, View};
 use relume::engine::reference::{
@@ -175,13 +176,22 @@ fn by_cpu(model: &Model, camera: &Camera, gathered: &[[f32; 6]], functional: &Fu
         .zip(&model.env_raw)
         .map(|(g, raw)| std::array::from_fn(|c| g[c] / (1.0 + (-raw[c]).exp())))
         .collect();
-    let mut gradients = Arrays::from([(PROTOTYPES, wide(&found.prototypes)), (ENVIRONMENT, wide(&by_raw))]);
+    Answer {
+        physical: wide(&images.physical),
+        radiance: wide(&images.radiance),
+        gradients: as_arrays(model, &found, &by_raw),
+    }
+}
+
+/// The CPU engine's gradients under the reference's names.
+pub(super) fn as_arrays(model: &Model, found: &Gradients, by_raw: &[[f32; 3]]) -> Arrays {
+    let mut gradients = Arrays::from([(PROTOTYPES, wide(&found.prototypes)), (ENVIRONMENT, wide(by_raw))]);
     for field in Field::ALL {
         let rows = (0..GAUSSIANS).flat_map(|i| found.get(field, i).iter().map(|v| f64::from(*v)));
         let shape = [GAUSSIANS, model.gaussians.width(field)];
         gradients.insert(field.name(), Array::new(&shape, rows.collect()));
     }
-    Answer { physical: wide(&images.physical), radiance: wide(&images.radiance), gradients }
+    gradients
 }
 
 /// Largest difference relative to the reference's largest value.

@@ -75,6 +75,13 @@ impl Array {
         Self { shape: self.shape.clone(), data: self.data.iter().map(|&x| f(x)).collect() }
     }
 
+    /// The column of each row's smallest value, the first on a tie.
+    pub(super) fn smallest_columns(&self) -> Vec<usize> {
+        let smallest =
+            |row: &[f64]| (1..row.len()).fold(0, |best, k| if row[k] < row[best] { k } else { best });
+        (0..self.shape[0]).map(|i| smallest(self.row(i))).collect()
+    }
+
     /// The shape seen from one axis: (product of the axes before, its size, product of the axes after).
     pub(super) fn around(&self, axis: usize) -> (usize, usize, usize) {
         let (before, rest) = self.shape.split_at(axis);

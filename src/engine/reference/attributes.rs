@@ -24,10 +24,9 @@ pub fn normals<'t>(tape: &'t Tape, p: &Parameters<'t>, camera: &Camera, form: No
 /// The axis of smallest scale, turned against `outward`, (N, 3). Which axis and side is no matter of degree,
 /// so the choice is constant.
 fn shortest_axes<'t>(p: &Parameters<'t>, outward: Var<'t>) -> Var<'t> {
-    let scales = p.get(Field::LogScale).value();
-    let count = scales.shape()[0];
-    let smallest = |row: &[f64]| (1..3).fold(0, |best, k| if row[k] < row[best] { k } else { best });
-    let columns: Vec<usize> = (0..count).map(|i| 3 * i + smallest(scales.row(i))).collect();
+    let smallest = p.get(Field::LogScale).value().smallest_columns();
+    let columns: Vec<usize> = smallest.iter().enumerate().map(|(i, column)| 3 * i + column).collect();
+    let count = columns.len();
     let axes = rotations(p.get(Field::Quaternion)).transposed().reshaped(&[3 * count, 3]);
     let axes = axes.gather(0, &columns);
     let side = axes.dot(outward).value().map(|along| if along > 0.0 { -1.0 } else { 1.0 });

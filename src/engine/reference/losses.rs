@@ -1,5 +1,10 @@
 //! The terms of the objective (Eq. 15, 24, 25, 29-32).
 
+use std::f64::consts::PI;
+
+use glam::DVec3;
+
+use super::array::Array;
 use super::compositing::Weights;
 use super::tape::Var;
 
@@ -45,6 +50,22 @@ pub fn light_neutrality(environment: Var<'_>) -> Var<'_> {
     (environment - environment.mean_last()).abs().mean()
 }
 
+/// `ln(Y / pi)^2` of the rgb-mean irradiance Y that `environment` (texels, 3) gives a surface facing up: a
+/// well-exposed photograph shows white as white. `texels` are directions and solid angles.
+pub fn exposure<'t>(environment: Var<'t>, texels: &[(DVec3, f64)]) -> Var<'t> {
+    let shares = texels.iter().map(|(d, w)| d.z.max(0.0) * w / PI).collect();
+    let shares = environment.tape.input(Array::new(&[texels.len(), 1], shares));
+    let log = (environment.mean_last() * shares).sum().at_least(1e-6).ln();
+    log * log
+}
+
+/// Mean of each Gaussian's smallest standard deviation, from log-scales (N, 3).
+pub fn flatness(log_scales: Var<'_>) -> Var<'_> {
+    let smallest: Vec<usize> = log_scales.value().smallest_columns();
+    let cells = smallest.iter().enumerate().map(|(i, column)| 3 * i + column).collect::<Vec<_>>();
+    log_scales.reshaped(&[3 * smallest.len()]).gather(0, &cells).exp().mean()
+}
+
 /// `-ln` of the probability that exactly one prototype is active, averaged over the rows of (N, K) (Eq. 24).
 pub fn aggregation(assignment: Var<'_>) -> Var<'_> {
     const FLOOR: f64 = 1e-6;
@@ -65,7 +86,7 @@ pub fn cross_entropy_of_logits<'t>(logits: Var<'t>, labels: Var<'t>) -> Var<'t> 
 
 /// Binary cross entropy of probabilities, kept off 0 and 1 by 1e-3, against `labels`, row by row (Eq. 15).
 pub fn cross_entropy<'t>(probabilities: Var<'t>, labels: Var<'t>) -> Var<'t> {
-    let p = probabilities.clamp(1e-3, 1.0 - 1e-3);
+    let p = probabilities.clamp_recoverable(1e-3, 1.0 - 1e-3);
     -(labels * p.ln() + (1.0 - labels) * (1.0 - p).ln())
 }
 
@@ -80,5 +101,5 @@ pub fn backward_labels<'t>(weights: &Weights<'t>) -> (Var<'t>, Var<'t>) {
 /// Mean squared distance over the sphere of visibility fields (N, J) from measured ones.
 pub fn probe_distance<'t>(coefficients: Var<'t>, measured: Var<'t>) -> Var<'t> {
     let difference = coefficients - measured;
-    difference.dot(difference).mean() * (1.0 / (4.0 * std::f64::consts::PI))
+    difference.dot(difference).mean() * (1.0 / (4.0 * PI))
 }

@@ -7,10 +7,9 @@ use super::attributes::{field, from_camera};
 use super::geometry_loss::{Surface, depth_normal};
 use super::losses;
 use super::projection::rays;
-use super::shading::squashed;
 use super::tape::{Tape, Var};
 use super::{Conventions, Options, Pass};
-use crate::scene::{Camera, Field, VisibilityForm};
+use crate::scene::{Camera, Field, VisibilityForm, texel_directions};
 
 /// What a view is compared with.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,6 +59,11 @@ pub fn objective<'t>(
     let tape = pass.image.tape;
     let mut terms = image_terms(pass, camera, target, options);
     terms.insert("light", losses::light_neutrality(p.environment()));
+    if options.conventions == Conventions::Model {
+        let [rows, columns] = p.environment_size();
+        terms.insert("exposure", losses::exposure(p.environment(), &texel_directions(columns, rows)));
+    }
+    terms.insert("flatness", losses::flatness(p.get(Field::LogScale)));
     terms.insert("agg", losses::aggregation(p.assignment()));
     terms.insert("res", losses::residual_sparsity(p.get(Field::Residual)));
     terms.insert("occ", occlusion(pass, camera, options, Labels::Constant));
@@ -147,13 +151,7 @@ pub fn occlusion<'t>(pass: &Pass<'t>, camera: &Camera, options: &Options, labels
     let linear = field(p.get(Field::Visibility).gather(0, &gaussians), directions);
     let entropies = match options.shading.visibility {
         VisibilityForm::Sigmoid => losses::cross_entropy_of_logits(linear, backward),
-        form => losses::cross_entropy(squashed(linear, form), backward),
+        VisibilityForm::Linear | VisibilityForm::Off => losses::cross_entropy(linear, backward),
     };
-    match options.conventions {
-        Conventions::Listing => entropies.mean(),
-        Conventions::Model => {
-            let gaussians = p.get(Field::Mean).value().shape()[0];
-            entropies.sum() * (1.0 / gaussians as f64)
-        }
-    }
+    entropies.mean()
 }

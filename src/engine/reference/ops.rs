@@ -109,6 +109,20 @@ impl<'t> Var<'t> {
         self.clamp(f64::NEG_INFINITY, high)
     }
 
+    /// Limits to `[low, high]`, where outside a gradient passes only if following it downhill leads back in:
+    /// a saturated value cannot run away, yet is not stuck either.
+    pub fn clamp_recoverable(self, low: f64, high: f64) -> Var<'t> {
+        let x = self.value();
+        self.tape.custom(&[self], x.map(|x| x.clamp(low, high)), move |g| {
+            let pull = |(&x, &g): (&f64, &f64)| match x {
+                x if x < low => g.min(0.0),
+                x if x > high => g.max(0.0),
+                _ => g,
+            };
+            vec![Array::new(g.shape(), x.data().iter().zip(g.data()).map(pull).collect())]
+        })
+    }
+
     /// Sum along `axis`, which stays with size 1.
     pub fn sum_axis(self, axis: usize) -> Var<'t> {
         let x = self.value();
@@ -394,6 +408,15 @@ mod tests {
             let error = gradient_error(&sample(), op);
             assert!(error < 1e-8, "{name}: {error:e}");
         }
+    }
+
+    #[test]
+    fn a_saturated_value_can_only_be_told_to_come_back() {
+        let tape = Tape::new();
+        let x = tape.input(Array::new(&[3], vec![-1.0, 0.5, 2.0]));
+        let down = tape.gradients(x.clamp_recoverable(0.0, 1.0).sum()).of(x);
+        let up = tape.gradients((-x.clamp_recoverable(0.0, 1.0)).sum()).of(x);
+        assert_eq!((down.data(), up.data()), (&[0.0, 1.0, 1.0][..], &[-1.0, -1.0, 0.0][..]));
     }
 
     #[test]

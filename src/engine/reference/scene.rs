@@ -115,6 +115,12 @@ impl<'t> Parameters<'t> {
         raw.softplus().reshaped(&[texels, 3])
     }
 
+    /// Rows and columns of the environment.
+    pub fn environment_size(&self) -> [usize; 2] {
+        let raw = self.vars[ENVIRONMENT].value();
+        [raw.shape()[0], raw.shape()[1]]
+    }
+
     /// Soft assignment of each Gaussian to the prototypes, (N, K).
     pub fn assignment(&self) -> Var<'t> {
         self.get(Field::ProtoLogits).softmax()

@@ -81,7 +81,7 @@ fn open(coefficients: Var<'_>) -> Var<'_> {
 }
 
 /// A linear field made a visibility.
-pub fn squashed(linear: Var<'_>, form: VisibilityForm) -> Var<'_> {
+fn squashed(linear: Var<'_>, form: VisibilityForm) -> Var<'_> {
     match form {
         VisibilityForm::Sigmoid => linear.sigmoid(),
         VisibilityForm::Linear | VisibilityForm::Off => linear.clamp(0.0, 1.0),
