@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 
 use glam::DVec3;
 use relume::engine::reference::{
-    Array, Arrays, ENVIRONMENT, Lighting, Options, Scene, Tables, Tape, Target, forward, loss_and_gradients,
-    losses, normal_related_sh, parameter_names, real_sh, render,
+    Array, Arrays, ENVIRONMENT, Lighting, Options, Probes, Scene, Tables, Tape, Target, fibonacci_sphere,
+    forward, loss_and_gradients, losses, normal_related_sh, parameter_names, real_sh, render,
 };
 use relume::light::{EnvOperators, TableResolution, sh_eval};
 use relume::scene::{Camera, DiffuseForm, NormalForm, ShadingOptions, direction_to_uv};
@@ -18,7 +18,7 @@ fn tables() -> Tables {
 
 /// A closed ball of radius 1 made of `count` flat Gaussians with outward normals, all of one material.
 fn ball(count: usize, metal_logit: f64, rough_logit: f64) -> Arrays {
-    let directions = relume::engine::reference::fibonacci_sphere(count);
+    let directions = fibonacci_sphere(count);
     let mut visibility = Array::zeros(&[count, 25]);
     visibility.data_mut().iter_mut().step_by(25).for_each(|c| *c = 2.0 * PI.sqrt());
     Arrays::from([
@@ -84,7 +84,7 @@ fn harmonics_are_orthonormal_to_order_six_and_those_of_the_light_module() {
 #[test]
 fn full_visibility_means_ambient_occlusion_of_exactly_one() {
     let tape = Tape::new();
-    let normals = tape.input(relume::engine::reference::fibonacci_sphere(50));
+    let normals = tape.input(fibonacci_sphere(50));
     for order in [0, 2, 4, 6] {
         let mut open = Array::zeros(&[1, (order + 1) * (order + 1)]);
         open.data_mut()[0] = 2.0 * PI.sqrt();
@@ -172,7 +172,7 @@ fn the_f64_tables_are_those_of_the_light_module() {
     let tape = Tape::new();
     let wide: Vec<f64> = radiance.as_flattened().iter().map(|v| f64::from(*v)).collect();
     let ours = tables().lit(tape.input(Array::new(&[512, 3], wide)), 4);
-    let directions = relume::engine::reference::fibonacci_sphere(60);
+    let directions = fibonacci_sphere(60);
     let normals = tape.input(directions.clone());
     let coefficients: Vec<f64> = (0..60 * 25).map(|i| (i as f64 * 0.31).sin()).collect();
     let transfer = ours.transfer(normals, tape.input(Array::new(&[60, 25], coefficients.clone()))).value();
@@ -213,6 +213,64 @@ fn what_passes_in_front_at_and_behind_a_layer_is_what_passes_the_ray() {
             in_front *= 1.0 - alpha;
         }
     }
+}
+
+#[test]
+fn a_closed_glowing_ball_hides_the_sky_and_lights_what_is_inside() {
+    let normals = |outward: &Array| outward.map(|v| -v);
+    let directions = fibonacci_sphere(96);
+    // A small Gaussian in the middle of the ball, looking up; the ball's own normals look inwards.
+    let inside = |shell: usize| {
+        let mut arrays = ball(shell + 1, 0.0, 0.0);
+        let mut means = fibonacci_sphere(shell).data().to_vec();
+        means.extend([0.0; 3]);
+        let mut facing = normals(&fibonacci_sphere(shell)).data().to_vec();
+        facing.extend([0.0, 0.0, 1.0]);
+        let mut scales = Array::filled(&[shell + 1, 3], 0.2f64.ln());
+        scales.data_mut()[3 * shell..].fill(-4.0);
+        arrays.insert("means", Array::new(&[shell + 1, 3], means));
+        arrays.insert("log_scales", scales);
+        let facing = Array::new(&[shell + 1, 3], facing);
+        let probes = Probes::measure(&Scene::new(arrays).unwrap(), &facing, &directions, 1.0);
+        let irradiance = probes.gathered_irradiance(&facing, &Array::filled(&[shell + 1, 3], 1.0));
+        let seen = probes.transmittance.row(shell).iter().sum::<f64>() / 96.0;
+        (seen, irradiance.row(shell)[0], probes.coefficients(2).row(shell)[0])
+    };
+    let (sky, irradiance, first) = inside(300);
+    assert!(sky < 1e-2 && first.abs() < 0.05, "{sky} {first}");
+    assert!((irradiance / PI - 1.0).abs() < 0.02, "{irradiance}");
+    let (sky, irradiance, first) = inside(0);
+    assert_eq!((sky, irradiance), (1.0, 0.0));
+    assert!((first - 2.0 * PI.sqrt()).abs() < 1e-12, "alone, everything is visible");
+}
+
+#[test]
+fn a_wall_hides_what_is_behind_it_and_nothing_else() {
+    // A sheet of opaque Gaussians one unit along +x from a small one at the origin.
+    const SIDE: usize = 17;
+    let count = SIDE * SIDE + 1;
+    let mut means = vec![0.0; 3];
+    let place = |i: usize| 0.2 * i as f64 - 0.1 * (SIDE - 1) as f64;
+    means.extend((0..SIDE * SIDE).flat_map(|i| [1.0, place(i % SIDE), place(i / SIDE)]));
+    let mut scales = Array::filled(&[count, 3], 0.15f64.ln());
+    scales.data_mut()[..3].fill(-4.0);
+    let mut arrays = ball(count, 0.0, 0.0);
+    arrays.insert("means", Array::new(&[count, 3], means));
+    arrays.insert("log_scales", scales);
+    let directions = fibonacci_sphere(200);
+    let normals = Array::from_rows(&vec![[0.0, 0.0, 1.0]; count]);
+    let probes = Probes::measure(&Scene::new(arrays).unwrap(), &normals, &directions, 1.0);
+    for (d, t) in (0..200).map(|k| (directions.row(k), probes.transmittance.row(0)[k])) {
+        match d[0] {
+            x if x > 0.7 => assert!(t < 0.05, "{d:?} {t}"),
+            x if x < 0.0 => assert_eq!(t, 1.0, "{d:?}"),
+            _ => {}
+        }
+    }
+    // Degree one points to the open side: Y_1 = k (-y, z, -x).
+    let coefficients = probes.coefficients(1);
+    let open = [3, 1, 2].map(|j| coefficients.row(0)[j]);
+    assert!(open[0] > 1.0 && open[1].abs() < 0.1 && open[2].abs() < 0.1, "{open:?}");
 }
 
 #[test]
