@@ -7,8 +7,11 @@
 mod attributes;
 mod blend;
 mod blend_backward;
+mod gather;
+mod labels;
 mod lanes;
 mod pass;
+mod probes;
 mod project;
 mod shade;
 mod shading;
@@ -16,7 +19,10 @@ mod tiles;
 mod view;
 
 pub use attributes::{AttributeSource, softmax};
+pub use gather::Transport;
 pub use blend::TRANSMITTANCE_STOP;
+pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
+pub use labels::{BackwardLabel, backward_labels};
 pub use pass::{Pass, project_all};
 pub use project::{
     ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, sigmoid,

@@ -131,6 +131,20 @@ impl Pass {
         out
     }
 
+    /// Gradients of some attribute channels by rank, `[rank][channel in range]`.
+    pub fn channel_gradients(
+        &self,
+        by_gbuffer: &[f32],
+        stored: usize,
+        count: usize,
+        range: std::ops::Range<usize>,
+    ) -> Vec<f32> {
+        let width = ROW_HEADER + count;
+        let summed = self.sum_instances(&self.blend_backward(by_gbuffer, stored, count), width);
+        let wanted = ROW_HEADER + range.start..ROW_HEADER + range.end;
+        summed.chunks_exact(width).flat_map(|row| row[wanted.clone()].iter().copied()).collect()
+    }
+
     fn blend_backward(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
         let width = ROW_HEADER + count;
         let mut rows = vec![0.0f32; self.tiles.rank_of_slot.len() * width];

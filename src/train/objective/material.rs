@@ -3,8 +3,14 @@
 use rayon::prelude::*;
 
 use crate::engine::Gradients;
-use crate::engine::cpu::softmax;
+use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass, softmax};
+use crate::light::sh_eval;
 use crate::scene::{Field, Gaussians};
+
+/// Gaussians with less summed weight in a view get no label from it.
+const LEAST_LABEL_WEIGHT: f32 = 1e-3;
+/// Visibility is kept this far from 0 and 1 inside the logarithms.
+const LABEL_MARGIN: f32 = 1e-3;
 
 /// Clamp inside the aggregation term.
 const EPSILON: f32 = 1e-6;
@@ -117,6 +123,57 @@ pub fn probe_labels(g: &Gaussians, labels: &[f32], weight: f32, out: &mut Gradie
         }
     }
     total as f32
+}
+
+/// BCE of the visibility towards the continuing view direction against backward transmittance (Eq. 15): the mean over
+/// Gaussians with weight. Adds its gradient, returns its value.
+pub fn backward_labels(g: &Gaussians, pass: &Pass, weight: f32, out: &mut Gradients) -> f32 {
+    let labels = cpu::backward_labels(pass);
+    let counted = labels.iter().filter(|l| l.weight > LEAST_LABEL_WEIGHT).count();
+    let scale = weight / counted.max(1) as f32;
+    let (order, width) = (g.visibility_order(), g.width(Field::Visibility));
+    let layout = out.layout;
+    let mut total = 0.0f64;
+    for (splat, label) in pass.splats.iter().zip(&labels).filter(|(_, l)| l.weight > LEAST_LABEL_WEIGHT) {
+        let i = splat.gaussian as usize;
+        let mean: [f32; 3] = g.get(Field::Mean, i);
+        let (direction, _) = cpu::normalise(std::array::from_fn(|k| mean[k] - pass.view.eye[k]));
+        let mut y = [0.0f32; MAX_COEFFICIENTS];
+        sh_eval(order, direction, &mut y);
+        let raw: f32 = g.row(Field::Visibility, i).iter().zip(&y).map(|(c, y)| c * y).sum();
+        let v = raw.clamp(LABEL_MARGIN, 1.0 - LABEL_MARGIN);
+        let p = label.transmittance;
+        total -= f64::from(scale * (p * v.ln() + (1.0 - p) * (1.0 - v).ln()));
+        // Outside the margin the slope of its edge pulls back in, so that a saturated field is not stuck.
+        let by_v = scale * ((1.0 - p) / (1.0 - v) - p / v);
+        let row = &mut out.rows[i * layout.row..][layout.range(Field::Visibility)];
+        row.iter_mut().zip(&y[..width]).for_each(|(o, y)| *o += by_v * y);
+    }
+    total as f32
+}
+
+/// `mean smallest standard deviation`: adds its gradient, returns its value.
+pub fn flatness(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
+    let scale = weight / g.len().max(1) as f32;
+    let layout = out.layout;
+    let mut total = 0.0f64;
+    for (row, s) in out.rows.chunks_mut(layout.row).zip(g.field(Field::LogScale).chunks_exact(3)) {
+        let axis = if s[0] <= s[1] && s[0] <= s[2] { 0 } else if s[1] <= s[2] { 1 } else { 2 };
+        let sigma = s[axis].exp();
+        total += f64::from(scale * sigma);
+        row[layout.range(Field::LogScale)][axis] += scale * sigma;
+    }
+    total as f32
+}
+
+/// `weight ln(Y / pi)^2` with Y the irradiance of a white surface facing up: a well-exposed photograph shows such a
+/// surface as white. It fixes the scale that light and albedo could trade. `(value, gradient by radiance)`.
+pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
+    let share = |(d, w): &(glam::DVec3, f64)| (d.z.max(0.0) * w / (3.0 * std::f64::consts::PI)) as f32;
+    let up: f32 = radiance.iter().zip(texels).map(|(l, t)| share(t) * (l[0] + l[1] + l[2])).sum();
+    let log = up.max(1e-6).ln();
+    let slope = 2.0 * weight * log / up.max(1e-6);
+    (weight * log * log, texels.iter().map(|t| [slope * share(t); 3]).collect())
 }
 
 fn sum(values: &[f32]) -> f32 {
