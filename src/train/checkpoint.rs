@@ -55,8 +55,10 @@ pub fn encode(state: &TrainState, config: &TrainConfig) -> Result<Vec<u8>, Train
         gathered: state.gathered.len(),
     };
     let text = serde_json::to_string(&header).map_err(|e| bad("header", e))?;
-    let metadata =
-        HashMap::from([(HEADER_KEY.to_owned(), text), ("relume".to_owned(), model_file::header(&state.model))]);
+    let metadata = HashMap::from([
+        (HEADER_KEY.to_owned(), text),
+        ("relume".to_owned(), model_file::header(&state.model)),
+    ]);
     let mut tensors = model_file::tensors(&state.model);
     for (prefix, g) in [("first", &state.moments.first), ("second", &state.moments.second)] {
         for field in Field::ALL {
@@ -64,7 +66,8 @@ pub fn encode(state: &TrainState, config: &TrainConfig) -> Result<Vec<u8>, Train
             tensors.push((name, Tensor::new([g.len(), g.width(field)], g.field(field))));
         }
     }
-    let mut flat = |name: &str, data| tensors.push((name.to_owned(), Tensor::new([<[f32]>::len(data)], data)));
+    let mut flat =
+        |name: &str, data| tensors.push((name.to_owned(), Tensor::new([<[f32]>::len(data)], data)));
     flat("first.globals", bytemuck::cast_slice(&state.moments.globals[0]));
     flat("second.globals", bytemuck::cast_slice(&state.moments.globals[1]));
     flat("density.gradient", &state.density.gradient);

@@ -296,9 +296,26 @@ impl TrainConfig {
             ($($field:ident),*) => { $(if let Some(v) = overrides.$field { config.$field = v; })* };
         }
         apply!(
-            iterations, resolution, initial_gaussians, max_gaussians, prototypes, visibility_order, radiance_order,
-            environment_rows, warm_up, densify_until, half_resolution, labels, probe_directions, probe_every, bounces,
-            shading, weights, rates, seed, checkpoint_every
+            iterations,
+            resolution,
+            initial_gaussians,
+            max_gaussians,
+            prototypes,
+            visibility_order,
+            radiance_order,
+            environment_rows,
+            warm_up,
+            densify_until,
+            half_resolution,
+            labels,
+            probe_directions,
+            probe_every,
+            bounces,
+            shading,
+            weights,
+            rates,
+            seed,
+            checkpoint_every
         );
         config.initial_gaussians = config.initial_gaussians.min(config.max_gaussians);
         config.checked()
@@ -367,7 +384,9 @@ mod tests {
     fn what_is_out_of_range_is_named() {
         let refused = |o: TrainOverrides| TrainConfig::new(Preset::Draft, &o).unwrap_err();
         assert!(refused(TrainOverrides { iterations: Some(0), ..Default::default() }).contains("iterations"));
-        assert!(refused(TrainOverrides { warm_up: Some(f32::NAN), ..Default::default() }).contains("warm_up"));
+        assert!(
+            refused(TrainOverrides { warm_up: Some(f32::NAN), ..Default::default() }).contains("warm_up")
+        );
         let rates = LearningRates { mean: f32::INFINITY, ..Default::default() };
         assert!(refused(TrainOverrides { rates: Some(rates), ..Default::default() }).contains("rates.mean"));
         let unknown = serde_json::from_str::<TrainOverrides>(r#"{"iterration": 5}"#).unwrap_err();

@@ -46,7 +46,8 @@ impl Dataset {
             let side = |s: u32| (u64::from(s) * u64::from(target)).div_ceil(u64::from(longest)).max(1) as u32;
             let image = view.image.resized(side(view.image.width), side(view.image.height));
             let camera = view.camera.resized(image.width, image.height).in_normalised_world(scale, offset);
-            let alpha = if capture.has_alpha { image.pixels.iter().map(|p| p[3]).collect() } else { Vec::new() };
+            let alpha =
+                if capture.has_alpha { image.pixels.iter().map(|p| p[3]).collect() } else { Vec::new() };
             Photo { camera, pixels: image.over(background), alpha }
         };
         let all = |divisor: u32| capture.train.par_iter().map(|v| photo(v, divisor)).collect();

@@ -46,7 +46,13 @@ impl DensityStats {
 /// One round: drops what is faint or huge, splits what matters most, resets the statistics.
 ///
 /// `large_allowed`: scenes without masks keep their big background Gaussians.
-pub fn refine(model: &mut Model, moments: &mut Moments, stats: &mut DensityStats, budget: usize, large_allowed: bool) {
+pub fn refine(
+    model: &mut Model,
+    moments: &mut Moments,
+    stats: &mut DensityStats,
+    budget: usize,
+    large_allowed: bool,
+) {
     let g = &model.gaussians;
     let keep: Vec<usize> = (0..g.len()).filter(|&i| !is_waste(g, i, large_allowed)).collect();
     let room = budget.saturating_sub(keep.len()).min((keep.len() as f32 * MOST_GROWTH) as usize + 8);
@@ -69,7 +75,8 @@ pub fn refine(model: &mut Model, moments: &mut Moments, stats: &mut DensityStats
             halve(&mut next, new, side);
         }
     }
-    let fresh = |(new, old): (usize, &usize)| if new < keep.len() && !chosen[*old] { Some(*old) } else { None };
+    let fresh =
+        |(new, old): (usize, &usize)| if new < keep.len() && !chosen[*old] { Some(*old) } else { None };
     let sources: Vec<Option<usize>> = indices.iter().enumerate().map(fresh).collect();
     moments.gather(&sources);
     *stats = DensityStats::zeroed(next.len());
@@ -85,7 +92,13 @@ fn is_waste(g: &Gaussians, i: usize, large_allowed: bool) -> bool {
 /// opaque so that both halves together hide what the whole did.
 fn halve(g: &mut Gaussians, i: usize, side: f32) {
     let scale: [f32; 3] = g.get(Field::LogScale, i);
-    let axis = if scale[0] >= scale[1] && scale[0] >= scale[2] { 0 } else if scale[1] >= scale[2] { 1 } else { 2 };
+    let axis = if scale[0] >= scale[1] && scale[0] >= scale[2] {
+        0
+    } else if scale[1] >= scale[2] {
+        1
+    } else {
+        2
+    };
     let q = rotation(g.get(Field::Quaternion, i));
     let step = side * 0.5 * scale[axis].exp();
     for (r, m) in g.row_mut(Field::Mean, i).iter_mut().enumerate() {

@@ -87,7 +87,9 @@ impl Moments {
         let layout = gradients.layout;
         let dc = 3;
         let moments = self.first.fields_mut().zip(self.second.fields_mut());
-        for ((field, width, data), ((_, _, first), (_, _, second))) in model.gaussians.fields_mut().zip(moments) {
+        for ((field, width, data), ((_, _, first), (_, _, second))) in
+            model.gaussians.fields_mut().zip(moments)
+        {
             let (correction1, correction2) = corrections[usize::from(is_material(field))];
             let rate = sizes.fields[field as usize] / correction1;
             if rate == 0.0 || width == 0 {

@@ -3,8 +3,8 @@
 use crate::engine::Gradients;
 use crate::engine::channel::Channels;
 use crate::engine::cpu::{
-    AttributeSource, BufferGradient, Pass, Probes, Shader, Transport, View, fibonacci_sphere, outward_normals,
-    radiance_image, radiance_image_backward,
+    AttributeSource, BufferGradient, Pass, Probes, Shader, Transport, View, fibonacci_sphere,
+    outward_normals, radiance_image, radiance_image_backward,
 };
 use crate::light::{EnvOperators, LightTables, sh_eval};
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
@@ -65,7 +65,13 @@ pub fn indirect_basis(tables: &LightTables) -> [[f32; 3]; 16] {
 
 fn source<'a>(state: &'a TrainState, basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
     let Model { gaussians, prototypes, shading, .. } = &state.model;
-    AttributeSource { gaussians, prototypes, options: shading, gathered: &state.gathered, indirect_basis: basis }
+    AttributeSource {
+        gaussians,
+        prototypes,
+        options: shading,
+        gathered: &state.gathered,
+        indirect_basis: basis,
+    }
 }
 
 fn radiance_of(model: &Model) -> Vec<[f32; 3]> {
@@ -186,7 +192,12 @@ fn indirect_basis_backward(
     count: usize,
     by_tables: &mut LightTables,
 ) {
-    let by_rows = pass.channel_gradients(by_gbuffer, count.next_multiple_of(4), count, crate::engine::channel::INDIRECT);
+    let by_rows = pass.channel_gradients(
+        by_gbuffer,
+        count.next_multiple_of(4),
+        count,
+        crate::engine::channel::INDIRECT,
+    );
     let mut by_basis = [[0.0f32; 3]; 16];
     for (splat, g) in pass.splats.iter().zip(by_rows.chunks_exact(3)) {
         let weights = source.gaussians.row(Field::Indirect, splat.gaussian as usize);
@@ -229,7 +240,9 @@ pub fn refresh_probes(config: &TrainConfig, operators: &EnvOperators, state: &mu
             let transport = Transport::new(&probes, outward_normals(&source));
             state.gathered = transport.gather(&source, &tables, config.bounces as usize);
         }
-        if config.labels == LabelSource::Probes || (config.labels == LabelSource::Both && state.labels.is_empty()) {
+        if config.labels == LabelSource::Probes
+            || (config.labels == LabelSource::Both && state.labels.is_empty())
+        {
             state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&labels);
         }
         state.labels = labels;

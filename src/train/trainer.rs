@@ -151,7 +151,8 @@ impl Trainer {
         }
         self.state.density.record(&outcome.gradients);
         let learned = self.config.labels != LabelSource::Probes;
-        let sizes = StepSizes::new(&self.config.rates, progress, material, learned).scaled(self.state.rate_factor);
+        let sizes =
+            StepSizes::new(&self.config.rates, progress, material, learned).scaled(self.state.rate_factor);
         self.state.step += 1;
         let ages = [self.state.step, self.state.step.saturating_sub(self.config.warm_up_steps()).max(1)];
         self.state.moments.step(&mut self.state.model, &outcome.gradients, &sizes, ages);
@@ -235,7 +236,13 @@ impl Trainer {
         let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
         let budget = (low + (high - low) * share) as usize;
         let state = &mut self.state;
-        density::refine(&mut state.model, &mut state.moments, &mut state.density, budget, !self.data.has_alpha);
+        density::refine(
+            &mut state.model,
+            &mut state.moments,
+            &mut state.density,
+            budget,
+            !self.data.has_alpha,
+        );
         if step >= self.config.warm_up_steps() && !state.labels.is_empty() {
             // New Gaussians need labels and light of their own.
             step::refresh_probes(&self.config, &self.operators, state, false);

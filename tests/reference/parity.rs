@@ -3,9 +3,9 @@
 use glam::DVec3;
 use relume::engine::Gradients;
 use relume::engine::channel::Channels;
-use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, Shader, View};
+use relume::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, Shader, View};
 use relume::engine::reference::{
-    Array, Arrays, ENVIRONMENT, Gathered, Options, PROTOTYPES, Scene, Tables, Tape, Var, forward,
+    Array, Arrays, ENVIRONMENT, Gathered, Options, PROTOTYPES, Probes, Scene, Tables, Tape, Var, forward,
 };
 use relume::light::{EnvOperators, TableResolution};
 use relume::scene::{
@@ -252,6 +252,40 @@ fn the_cpu_engine_is_the_reference_without_visibility() {
         ..ShadingOptions::default()
     };
     engines_agree("open", shading);
+}
+
+#[test]
+fn the_cpu_engines_probes_see_what_the_references_see() {
+    let model = model(6, ShadingOptions::default());
+    let source = AttributeSource {
+        gaussians: &model.gaussians,
+        prototypes: &model.prototypes,
+        options: &model.shading,
+        gathered: &[],
+        indirect_basis: &[[0.0; 3]; 16],
+    };
+    let directions = cpu::fibonacci_sphere(48);
+    let normals = cpu::outward_normals(&source);
+    let ours = cpu::Probes::measure(&source, directions.clone(), 1.0);
+    let scene = Scene::from_model(&model);
+    let measure = |normals: &[[f32; 3]]| Probes::measure(&scene, &wide(normals), &wide(&directions), 1.0);
+    let reference = measure(&normals);
+    // The CPU engine calls a transmittance below 1e-3 opaque.
+    let worst = |reference: &Probes| {
+        let pairs = (0..GAUSSIANS).flat_map(|i| (0..48).map(move |k| (i, k)));
+        let error = |(i, k): (usize, usize)| {
+            (f64::from(ours.transmittance[k][i]) - reference.transmittance.row(i)[k]).abs()
+        };
+        pairs.map(error).fold(0.0, f64::max)
+    };
+    let blocked = reference.transmittance.data().iter().filter(|t| **t < 0.5).count();
+    assert!(blocked > 20, "the scene must occlude something: {blocked}");
+    assert!(worst(&reference) < 1.1e-3, "{}", worst(&reference));
+    let coefficients = reference.coefficients(4);
+    let floats = ours.coefficients(4).into_iter().map(f64::from).collect();
+    assert!(distance(&Array::new(&[GAUSSIANS, 25], floats), &coefficients) < 1e-3);
+    let inside_out: Vec<[f32; 3]> = normals.iter().map(|n| n.map(|v| -v)).collect();
+    assert!(worst(&measure(&inside_out)) > 0.05, "starting on the other side must be noticed");
 }
 
 #[test]

@@ -65,7 +65,12 @@ impl Transport {
     }
 
     /// Gathered irradiance and mean blocked radiance per Gaussian after `bounces` rounds.
-    pub fn gather(&self, source: &AttributeSource<'_>, tables: &LightTables, bounces: usize) -> Vec<[f32; 6]> {
+    pub fn gather(
+        &self,
+        source: &AttributeSource<'_>,
+        tables: &LightTables,
+        bounces: usize,
+    ) -> Vec<[f32; 6]> {
         let n = self.normals.len();
         let diffuse: Vec<Vec3> = (0..n)
             .into_par_iter()
@@ -82,7 +87,8 @@ impl Transport {
             let emitted: Vec<Vec3> = (0..n)
                 .map(|i| std::array::from_fn(|c| diffuse[i][c] * (direct[i][c] + gathered[i][c])))
                 .collect();
-            gathered = (0..n).into_par_iter().with_min_len(256).map(|i| self.gather_one(&emitted, i)).collect();
+            gathered =
+                (0..n).into_par_iter().with_min_len(256).map(|i| self.gather_one(&emitted, i)).collect();
         }
         gathered
     }

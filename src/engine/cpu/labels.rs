@@ -56,7 +56,13 @@ pub fn backward_labels(pass: &Pass) -> Vec<BackwardLabel> {
 
 /// Adds `[sum w That, sum w]` over the tile's pixels inside the image.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
-fn label_tile(job: &TileJob<'_>, columns: usize, rows: usize, scratch: &mut BlendScratch, out: &mut [[f32; 2]]) {
+fn label_tile(
+    job: &TileJob<'_>,
+    columns: usize,
+    rows: usize,
+    scratch: &mut BlendScratch,
+    out: &mut [[f32; 2]],
+) {
     scratch.gather(job);
     for row in 0..rows {
         scratch.find_entries(job.origin.0, job.origin.1 + row, false);

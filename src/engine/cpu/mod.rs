@@ -19,11 +19,11 @@ mod tiles;
 mod view;
 
 pub use attributes::{AttributeSource, softmax};
-pub use gather::Transport;
 pub use blend::TRANSMITTANCE_STOP;
-pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
+pub use gather::Transport;
 pub use labels::{BackwardLabel, backward_labels};
 pub use pass::{Pass, project_all};
+pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
 pub use project::{
     ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, sigmoid,
 };

@@ -85,7 +85,13 @@ pub fn outward_normals(source: &AttributeSource<'_>) -> Vec<Vec3> {
         .with_min_len(256)
         .map(|i| {
             let s: Vec3 = g.get(Field::LogScale, i);
-            let axis = if s[0] <= s[1] && s[0] <= s[2] { 0 } else if s[1] <= s[2] { 1 } else { 2 };
+            let axis = if s[0] <= s[1] && s[0] <= s[2] {
+                0
+            } else if s[1] <= s[2] {
+                1
+            } else {
+                2
+            };
             let q = rotation(g.get(Field::Quaternion, i));
             let n: Vec3 = std::array::from_fn(|r| q[r][axis]);
             // The degree-1 part of the field points to the open side: Y_1 = k (-y, z, -x).
@@ -101,8 +107,11 @@ impl Probes {
     ///
     /// A query starts `offset` standard deviations along the outward normal.
     pub fn measure(source: &AttributeSource<'_>, directions: Vec<Vec3>, offset: f32) -> Self {
-        let occluders: Vec<Occluder> =
-            (0..source.gaussians.len()).into_par_iter().with_min_len(256).map(|i| occluder(source, i)).collect();
+        let occluders: Vec<Occluder> = (0..source.gaussians.len())
+            .into_par_iter()
+            .with_min_len(256)
+            .map(|i| occluder(source, i))
+            .collect();
         let normals = outward_normals(source);
         let queries: Vec<Query> = occluders
             .iter()
@@ -211,7 +220,8 @@ impl Cells {
         }
         let side = ((flats.len() as f32).sqrt() as usize).clamp(1, 256);
         let inverse_size = std::array::from_fn(|k| side as f32 / (hi[k] - lo[k]).max(1e-20));
-        let mut cells = Self { origin: lo, inverse_size, side, first: vec![0; side * side + 1], members: Vec::new() };
+        let mut cells =
+            Self { origin: lo, inverse_size, side, first: vec![0; side * side + 1], members: Vec::new() };
         for f in flats {
             cells.for_each_cell(f, |first, cell| first[cell + 1] += 1);
         }

@@ -158,7 +158,13 @@ pub fn flatness(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
     let layout = out.layout;
     let mut total = 0.0f64;
     for (row, s) in out.rows.chunks_mut(layout.row).zip(g.field(Field::LogScale).chunks_exact(3)) {
-        let axis = if s[0] <= s[1] && s[0] <= s[2] { 0 } else if s[1] <= s[2] { 1 } else { 2 };
+        let axis = if s[0] <= s[1] && s[0] <= s[2] {
+            0
+        } else if s[1] <= s[2] {
+            1
+        } else {
+            2
+        };
         let sigma = s[axis].exp();
         total += f64::from(scale * sigma);
         row[layout.range(Field::LogScale)][axis] += scale * sigma;
