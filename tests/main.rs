@@ -8,3 +8,4 @@ mod captures;
 mod eval;
 mod service;
 mod service_support;
+mod reference;

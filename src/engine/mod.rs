@@ -4,5 +4,6 @@
 pub mod channel;
 pub mod cpu;
 mod gradients;
+pub mod reference;
 
 pub use gradients::{Gradients, RowLayout};
