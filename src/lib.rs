@@ -18,10 +18,18 @@
 //! - [`testing`]: start a server on a free port from your own tests.
 //! - [`cli`]: the command line.
 
+pub mod api;
 pub mod capture;
+pub mod cli;
+pub mod client;
 pub mod engine;
+pub mod eval;
 pub mod formats;
+pub mod jobs;
 pub mod light;
 pub mod render;
 pub mod scene;
+pub mod store;
+pub mod testing;
 pub mod train;
+pub mod worker;

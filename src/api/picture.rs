@@ -1,0 +1,183 @@
+//! Frames as image files, and which kind of file a caller wants.
+
+use axum::http::{HeaderMap, StatusCode, header};
+
+use crate::api::Problem;
+use crate::formats::image_file::{ImageFileError, encode_jpeg, encode_png, encode_png16};
+use crate::render::{Frame, Output};
+use crate::worker::multi_part_exr;
+
+const JPEG_QUALITY: u8 = 90;
+
+/// A kind of image file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Format {
+    /// One output, display-referred or mapped to integers.
+    Png,
+    /// One output over white.
+    Jpeg,
+    /// Every output, linear, 32-bit float.
+    Exr,
+}
+
+impl Format {
+    const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::Exr];
+
+    /// Media type.
+    pub fn media_type(self) -> &'static str {
+        match self {
+            Self::Png => "image/png",
+            Self::Jpeg => "image/jpeg",
+            Self::Exr => "image/x-exr",
+        }
+    }
+
+    /// The kind that `Accept` likes best; PNG when it does not care.
+    ///
+    /// # Errors
+    /// 406 when it accepts none of ours.
+    pub(super) fn negotiate(headers: &HeaderMap) -> Result<Self, Problem> {
+        let Some(accept) = headers.get(header::ACCEPT) else { return Ok(Self::Png) };
+        let mut ranges: Vec<(f32, &str)> =
+            accept.to_str().unwrap_or_default().split(',').map(weighted).filter(|(q, _)| *q > 0.0).collect();
+        // Stable: among equals the caller's order counts.
+        ranges.sort_by(|a, b| b.0.total_cmp(&a.0));
+        ranges.iter().find_map(|(_, range)| Self::matching(range)).ok_or_else(|| {
+            Problem::new(StatusCode::NOT_ACCEPTABLE, "not-acceptable", "No acceptable representation")
+                .detail("image/png, image/jpeg and image/x-exr are available")
+        })
+    }
+
+    fn matching(range: &str) -> Option<Self> {
+        match range {
+            "*/*" | "image/*" => Some(Self::Png),
+            _ => Self::ALL.into_iter().find(|f| f.media_type() == range),
+        }
+    }
+}
+
+/// One entry of `Accept` with its weight.
+fn weighted(entry: &str) -> (f32, &str) {
+    let mut parts = entry.split(';').map(str::trim);
+    let range = parts.next().unwrap_or_default();
+    let q = parts.find_map(|p| p.strip_prefix("q=")).map_or(Some(1.0), |q| q.parse().ok());
+    (q.unwrap_or(0.0), range)
+}
+
+/// An encoded frame.
+#[derive(Debug)]
+pub struct Picture {
+    /// The file.
+    pub bytes: Vec<u8>,
+    /// For a depth PNG: the depths of levels 0 and 65,534, capture units; 65,535 is "nothing there".
+    pub depth_range: Option<[f32; 2]>,
+}
+
+/// Encodes a frame.
+///
+/// - Colours (`rgb`, `albedo`, `diffuse`, `specular`, `radiance`): clamped, sRGB curve, 8 bit, straight alpha.
+/// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`: 8-bit grey, linear.
+/// - `depth`: 16-bit grey, linear between the nearest and farthest depth of the frame.
+///
+/// # Errors
+/// When the frame lacks an output, or the encoder fails.
+pub fn encode(frame: &Frame, outputs: &[Output], format: Format) -> Result<Picture, ImageFileError> {
+    let bare = |bytes| Picture { bytes, depth_range: None };
+    match format {
+        Format::Exr => multi_part_exr(frame, outputs).map(bare).map_err(ImageFileError::Encode),
+        Format::Png => png(frame, outputs.first().copied().unwrap_or(Output::Rgb)),
+        Format::Jpeg => {
+            let pixels = over_white(&colour(frame, outputs.first().copied().unwrap_or(Output::Rgb))?);
+            encode_jpeg(frame.width, frame.height, &pixels, JPEG_QUALITY).map(bare)
+        }
+    }
+}
+
+/// True when the output is a colour, which JPEG can hold.
+pub(super) fn is_colour(output: Output) -> bool {
+    use Output::{Albedo, Diffuse, Radiance, Rgb, Specular};
+    matches!(output, Rgb | Albedo | Diffuse | Specular | Radiance)
+}
+
+fn png(frame: &Frame, output: Output) -> Result<Picture, ImageFileError> {
+    let (w, h) = (frame.width, frame.height);
+    let bare = |bytes| Picture { bytes, depth_range: None };
+    if is_colour(output) {
+        return encode_png(w, h, &colour(frame, output)?).map(bare);
+    }
+    let values = plane(frame, output)?;
+    if output == Output::Depth {
+        let (levels, range) = depth_levels(values);
+        let bytes = encode_png16(w, h, &levels)?;
+        return Ok(Picture { bytes, depth_range: Some(range) });
+    }
+    if output.channels() == 3 {
+        let level = |v: f32| ((v * 0.5 + 0.5).clamp(0.0, 1.0) * 65535.0).round() as u16;
+        let pixels: Vec<[u16; 3]> = values.as_chunks::<3>().0.iter().map(|p| p.map(level)).collect();
+        return encode_png16(w, h, &pixels).map(bare);
+    }
+    let level = |v: &f32| [(v.clamp(0.0, 1.0) * 255.0).round() as u8];
+    encode_png(w, h, &values.iter().map(level).collect::<Vec<_>>()).map(bare)
+}
+
+fn plane(frame: &Frame, output: Output) -> Result<&[f32], ImageFileError> {
+    let plane = frame.planes.get(&output).map(Vec::as_slice);
+    plane.ok_or_else(|| ImageFileError::Encode(format!("the frame lacks {output:?}")))
+}
+
+/// A colour output as display-referred RGBA: it takes the place of `rgb` in a frame of its own.
+fn colour(frame: &Frame, output: Output) -> Result<Vec<[u8; 4]>, ImageFileError> {
+    if output == Output::Rgb {
+        return Ok(frame.to_srgb8());
+    }
+    let planes = [(Output::Rgb, output), (Output::Alpha, Output::Alpha)]
+        .into_iter()
+        .map(|(to, from)| plane(frame, from).map(|p| (to, p.to_vec())))
+        .collect::<Result<_, _>>()?;
+    Ok(Frame { width: frame.width, height: frame.height, planes }.to_srgb8())
+}
+
+fn over_white(pixels: &[[u8; 4]]) -> Vec<[u8; 3]> {
+    let blend = |c: u8, a: u8| ((u32::from(c) * u32::from(a) + 255 * (255 - u32::from(a)) + 127) / 255) as u8;
+    pixels.iter().map(|&[r, g, b, a]| [blend(r, a), blend(g, a), blend(b, a)]).collect()
+}
+
+/// Finite depths spread over 0 to 65,534; 65,535 where nothing is.
+fn depth_levels(values: &[f32]) -> (Vec<[u16; 1]>, [f32; 2]) {
+    let there = |v: &&f32| v.is_finite() && **v > 0.0;
+    let near = values.iter().filter(there).copied().reduce(f32::min).unwrap_or(0.0);
+    let far = values.iter().filter(there).copied().reduce(f32::max).unwrap_or(0.0);
+    let span = (far - near).max(f32::MIN_POSITIVE);
+    let level = |v: &f32| match there(&v) {
+        true => [((v - near) / span * 65534.0).round() as u16],
+        false => [u16::MAX],
+    };
+    (values.iter().map(level).collect(), [near, far])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn accept(value: &str) -> Option<Format> {
+        let headers = HeaderMap::from_iter([(header::ACCEPT, value.parse().unwrap())]);
+        Format::negotiate(&headers).ok()
+    }
+
+    #[test]
+    fn the_callers_favourite_is_served() {
+        assert_eq!(accept("image/jpeg;q=0.5, image/x-exr"), Some(Format::Exr));
+        assert_eq!(accept("text/html, image/*;q=0.8"), Some(Format::Png));
+        assert_eq!(accept("image/webp, image/jpeg, image/png"), Some(Format::Jpeg));
+        assert_eq!(accept("text/html"), None);
+        assert_eq!(accept("image/png;q=0"), None);
+    }
+
+    #[test]
+    fn depth_keeps_its_range_and_marks_nothing() {
+        let (levels, range) = depth_levels(&[2.0, f32::INFINITY, 4.0, 3.0]);
+        assert_eq!(range, [2.0, 4.0]);
+        assert_eq!(levels, [[0], [65535], [65534], [32767]]);
+    }
+}

@@ -1,0 +1,58 @@
+//! What several commands' arguments share.
+
+use clap::ValueEnum;
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
+
+use crate::train::TrainOverrides;
+
+/// Where to compute.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
+pub(super) enum Device {
+    /// The best device there is; in this build the CPU.
+    #[default]
+    Auto,
+    /// The CPU engine.
+    Cpu,
+}
+
+/// A named value, spelled as in the API.
+pub(super) fn named<T: DeserializeOwned>(name: &str) -> Result<T, String> {
+    serde_json::from_value(Value::String(name.to_owned())).map_err(|e| e.to_string())
+}
+
+/// Overrides from flags and `--set key=value` pairs; a value is JSON, or else a string.
+pub(super) fn overrides(flags: &[(&str, Option<Value>)], set: &[String]) -> Result<TrainOverrides, String> {
+    let mut fields = Map::new();
+    for pair in set {
+        let (key, value) = pair.split_once('=').ok_or_else(|| format!("--set {pair}: must be key=value"))?;
+        let value = serde_json::from_str(value).unwrap_or_else(|_| Value::String(value.to_owned()));
+        fields.insert(key.trim().to_owned(), value);
+    }
+    for (key, value) in flags {
+        if let Some(value) = value {
+            fields.insert((*key).to_owned(), value.clone());
+        }
+    }
+    serde_path_to_error::deserialize(Value::Object(fields))
+        .map_err(|e| format!("--set {}: {}", e.path(), e.inner()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn set_takes_json_or_words_and_flags_win() {
+        let set = ["labels=both".to_owned(), "seed=3".to_owned()];
+        let overrides = overrides(&[("seed", Some(4.into())), ("resolution", None)], &set).unwrap();
+        assert_eq!(overrides.seed, Some(4));
+        assert_eq!(overrides.labels, Some(crate::train::LabelSource::Both));
+    }
+
+    #[test]
+    fn an_unknown_key_is_named() {
+        let error = overrides(&[], &["speed=11".to_owned()]).unwrap_err();
+        assert!(error.contains("speed"), "{error}");
+    }
+}

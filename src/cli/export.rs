@@ -1,0 +1,27 @@
+//! `relume export`: a model file in, a PLY of Gaussians out.
+
+use std::path::PathBuf;
+
+use crate::cli::{CommandResult, output};
+use crate::formats::model_file;
+use crate::worker::ply;
+
+/// Options of `relume export`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The model file.
+    model: PathBuf,
+    /// The file to write, ending in `.ply`.
+    #[arg(long, default_value = "model.ply")]
+    out: PathBuf,
+}
+
+pub(super) fn run(args: &Args) -> CommandResult {
+    if args.out.extension().is_none_or(|e| !e.eq_ignore_ascii_case("ply")) {
+        return Err(format!("{}: only .ply can be written", args.out.display()).into());
+    }
+    let model = model_file::decode(&std::fs::read(&args.model)?)?;
+    output::write_whole(&args.out, &ply(&model))?;
+    eprintln!("wrote {}", args.out.display());
+    Ok(())
+}

@@ -1,0 +1,90 @@
+//! The command line: one file a command.
+
+mod args;
+pub mod demo;
+mod doctor;
+pub mod eval;
+mod export;
+mod output;
+mod render;
+mod serve;
+mod train;
+
+use std::io::IsTerminal;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+
+/// What every command returns: an error is printed with its causes.
+type CommandResult = Result<(), Box<dyn std::error::Error + Send + Sync>>;
+
+/// Turns posed photographs into relightable 3D Gaussian models and serves them relit.
+#[derive(Debug, Parser)]
+#[command(name = "relume", version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Log as JSON, one object a line.
+    #[arg(long, global = true)]
+    json_logs: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// See it work: train on a synthetic capture, relight it, measure it against the exact truth.
+    Demo(demo::DemoArgs),
+    /// Run the HTTP service.
+    Serve(serve::Args),
+    /// Train a model from a capture on this machine.
+    Train(train::Args),
+    /// Render a model on this machine.
+    Render(render::Args),
+    /// Measure a model against a capture's held-out views and ground truth.
+    Eval(eval::EvalArgs),
+    /// Write a model in another format.
+    Export(export::Args),
+    /// Show what this machine offers and whether everything is in order.
+    Doctor(doctor::Args),
+    /// Print the description of the HTTP API.
+    Openapi,
+}
+
+/// Runs the command that the process was started with.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    log_to_stderr(cli.json_logs, matches!(cli.command, Command::Serve(_)));
+    let outcome = match cli.command {
+        Command::Demo(args) => demo::run(&args).map_err(Into::into),
+        Command::Serve(args) => serve::run(args),
+        Command::Train(args) => train::run(&args),
+        Command::Render(args) => render::run(&args),
+        Command::Eval(args) => eval::run(&args).map_err(Into::into),
+        Command::Export(args) => export::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Openapi => openapi(),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("relume: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn openapi() -> CommandResult {
+    println!("{}", crate::api::openapi().to_pretty_json()?);
+    Ok(())
+}
+
+/// `RUST_LOG` decides; a server tells what it does, other commands only what goes wrong.
+fn log_to_stderr(json: bool, server: bool) {
+    let default = if server { "relume=info,warn" } else { "warn" };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal());
+    if json { builder.json().init() } else { builder.init() }
+}

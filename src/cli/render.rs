@@ -1,0 +1,94 @@
+//! `relume render`: a model file and a light in, an image file out.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::api::picture::{self, Format};
+use crate::capture::{BUILTIN, builtin};
+use crate::cli::args::{Device, named};
+use crate::cli::{CommandResult, output};
+use crate::formats::{environment, model_file};
+use crate::render::{Output, Renderer, Tier};
+use crate::scene::{EnvMap, Model};
+use crate::worker::{Orbit, View};
+
+/// Options of `relume render`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The model file.
+    model: PathBuf,
+    /// A `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
+    #[arg(long, default_value = "recovered")]
+    env: String,
+    /// Turn of the light about +Z, degrees counter-clockwise.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    rotation: f64,
+    /// Exposure of the light, stops.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    exposure: f64,
+    /// Degrees around the model, counter-clockwise seen from above; 0 stands on the +x side.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    azimuth: f64,
+    /// Degrees above the horizon.
+    #[arg(long, default_value_t = 20.0, allow_negative_numbers = true)]
+    elevation: f64,
+    /// Side of the image, pixels.
+    #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..=8192))]
+    size: u32,
+    /// `preview` or `standard`.
+    #[arg(long, default_value = "standard", value_parser = named::<Tier>)]
+    tier: Tier,
+    /// What to render, with commas; a PNG or JPEG holds one, an EXR all.
+    #[arg(long, default_value = "rgb", value_delimiter = ',', value_parser = named::<Output>)]
+    output: Vec<Output>,
+    /// Where to compute.
+    #[arg(long, value_enum, default_value_t)]
+    device: Device,
+    /// The image file to write: `.png`, `.jpg` or `.exr`.
+    #[arg(long, default_value = "frame.png")]
+    out: PathBuf,
+}
+
+pub(super) fn run(args: &Args) -> CommandResult {
+    let format = format(&args.out)?;
+    if format != Format::Exr && args.output.len() > 1 {
+        return Err("only an .exr holds several outputs".into());
+    }
+    let model = Arc::new(model_file::decode(&std::fs::read(&args.model)?)?);
+    let light = light(&args.env, &model)?.rotated_and_scaled(args.rotation, args.exposure.exp2() as f32);
+    let orbit = Orbit { azimuth_deg: args.azimuth, elevation_deg: args.elevation, size: args.size };
+    let camera = View::Orbit(orbit).camera(&model)?;
+    let renderer = Renderer::new(model);
+    let frame = renderer.render(&camera, &renderer.prepare_light(&light), args.tier, &args.output)?;
+    let picture = picture::encode(&frame, &args.output, format)?;
+    output::write_whole(&args.out, &picture.bytes)?;
+    eprintln!("wrote {}", args.out.display());
+    Ok(())
+}
+
+fn format(path: &Path) -> Result<Format, String> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    match extension.as_str() {
+        "png" => Ok(Format::Png),
+        "jpg" | "jpeg" => Ok(Format::Jpeg),
+        "exr" => Ok(Format::Exr),
+        _ => Err(format!("{}: must end in .png, .jpg or .exr", path.display())),
+    }
+}
+
+fn light(name: &str, model: &Model) -> Result<EnvMap, Box<dyn std::error::Error + Send + Sync>> {
+    if name == "recovered" {
+        return Ok(model.environment());
+    }
+    if let Some(map) = builtin(name) {
+        return Ok(map);
+    }
+    let bytes = std::fs::read(name).map_err(|error| {
+        format!("{name}: {error}; expected a file, recovered or one of {}", BUILTIN.join(", "))
+    })?;
+    let loaded = environment::decode(&bytes)?;
+    for warning in &loaded.warnings {
+        eprintln!("warning: {name}: {warning}");
+    }
+    Ok(loaded.map)
+}

@@ -1,0 +1,77 @@
+//! `relume serve`.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use axum::http::HeaderValue;
+use tokio::net::TcpListener;
+use tokio::signal::unix::{SignalKind, signal};
+
+use crate::api::auth::ApiKeys;
+use crate::api::server::{self, ServerConfig};
+use crate::cli::CommandResult;
+
+/// Options of `relume serve`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Address to listen on. Anything but loopback needs an API key.
+    #[arg(long, env = "RELUME_LISTEN", default_value = "127.0.0.1:7878")]
+    listen: SocketAddr,
+    /// Where everything is kept.
+    #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
+    data_dir: PathBuf,
+    /// Keys that are let in, as `Authorization: Bearer KEY`; several with commas.
+    #[arg(
+        long = "api-key",
+        env = "RELUME_API_KEYS",
+        hide_env_values = true,
+        value_delimiter = ',',
+        value_parser = api_key
+    )]
+    api_keys: Vec<String>,
+    /// Origins whose web pages may call the API, e.g. https://app.example.org.
+    #[arg(long = "cors-origin", env = "RELUME_CORS_ORIGINS", value_delimiter = ',')]
+    cors_origins: Vec<HeaderValue>,
+    /// Most bytes of a capture archive.
+    #[arg(long, env = "RELUME_MAX_CAPTURE_BYTES", default_value_t = 16 << 30)]
+    max_capture_bytes: u64,
+    /// Most bytes of an environment file.
+    #[arg(long, env = "RELUME_MAX_ENVIRONMENT_BYTES", default_value_t = 256 << 20)]
+    max_environment_bytes: u64,
+    /// Attempts without a new checkpoint before a job is given up.
+    #[arg(long, env = "RELUME_MAX_ATTEMPTS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    max_attempts: u32,
+}
+
+/// Long enough that nobody guesses it.
+fn api_key(text: &str) -> Result<String, String> {
+    let key = text.trim();
+    if key.len() < 16 { Err("a key needs at least 16 characters".to_owned()) } else { Ok(key.to_owned()) }
+}
+
+pub(super) fn run(args: Args) -> CommandResult {
+    tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(serve(args))
+}
+
+async fn serve(args: Args) -> CommandResult {
+    let mut config = ServerConfig::new(&args.data_dir);
+    config.api_keys = ApiKeys::new(&args.api_keys);
+    config.cors_origins = args.cors_origins;
+    config.limits.capture_bytes = args.max_capture_bytes;
+    config.limits.environment_bytes = args.max_environment_bytes;
+    config.lease.max_idle_attempts = args.max_attempts;
+    let listener = TcpListener::bind(args.listen).await?;
+    // For people and scripts alike: with port 0 this is how they learn the address.
+    println!("listening on http://{}", listener.local_addr()?);
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut terminate = signal(SignalKind::terminate())?;
+    let shutdown = async move {
+        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
+        tokio::spawn(async move {
+            tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
+            tracing::warn!("stopped hard; the running job goes on from its last checkpoint next time");
+            std::process::exit(130);
+        });
+    };
+    Ok(server::run(config, listener, shutdown).await?)
+}

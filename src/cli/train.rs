@@ -1,0 +1,83 @@
+//! `relume train`: a capture in, a model file out, no server involved.
+
+use std::path::PathBuf;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::cli::args::{Device, named, overrides};
+use crate::cli::{CommandResult, output};
+use crate::formats::model_file;
+use crate::train::{Preset, StepReport, TrainConfig, Trainer};
+use crate::worker::import_for_training;
+
+/// Options of `relume train`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// A folder, zip, tar or tar.gz of posed photographs.
+    capture: PathBuf,
+    /// `draft`, `standard` or `high`.
+    #[arg(long, default_value = "standard", value_parser = named::<Preset>)]
+    preset: Preset,
+    /// Longest image side, pixels.
+    #[arg(long)]
+    resolution: Option<u32>,
+    /// Optimisation steps.
+    #[arg(long)]
+    iterations: Option<u32>,
+    /// Seed of every random choice.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Where to compute.
+    #[arg(long, value_enum, default_value_t)]
+    device: Device,
+    /// Any other override of the preset, e.g. `--set labels=both`; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// The model file to write.
+    #[arg(long, default_value = "model.safetensors")]
+    out: PathBuf,
+}
+
+pub(super) fn run(args: &Args) -> CommandResult {
+    let flags = [
+        ("resolution", args.resolution.map(Into::into)),
+        ("iterations", args.iterations.map(Into::into)),
+        ("seed", args.seed.map(Into::into)),
+    ];
+    let config = TrainConfig::new(args.preset, &overrides(&flags, &args.set)?)?;
+    let capture = import_for_training(&args.capture, &config)?;
+    for warning in &capture.warnings {
+        eprintln!("warning: {warning}");
+    }
+    eprintln!(
+        "{}: {} images to train on, {} held out",
+        capture.layout,
+        capture.train.len(),
+        capture.test.len()
+    );
+    let mut trainer = Trainer::new(&capture, config)?;
+    train(&mut trainer)?;
+    output::write_whole(&args.out, &model_file::encode(&trainer.model())?)?;
+    eprintln!("wrote {}", args.out.display());
+    Ok(())
+}
+
+fn train(trainer: &mut Trainer) -> CommandResult {
+    let bar = ProgressBar::new(u64::from(trainer.progress().total));
+    let style = "{bar:32} {pos}/{len} {per_sec:>12} eta {eta:>4}  {msg}";
+    bar.set_style(ProgressStyle::with_template(style)?);
+    while !trainer.is_done() {
+        let report = trainer.step()?;
+        if let Some(warning) = &report.warning {
+            bar.suspend(|| eprintln!("warning: {warning}"));
+        }
+        bar.set_position(u64::from(trainer.progress().step));
+        bar.set_message(summary(&report));
+    }
+    bar.finish();
+    Ok(())
+}
+
+fn summary(report: &StepReport) -> String {
+    format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", report.loss, report.psnr, report.gaussians)
+}

@@ -1,0 +1,217 @@
+//! The job state machine, leases and events.
+//!
+//! ```text
+//! queued ──claim──▶ running ──publish──▶ succeeded
+//!   │  ▲              │ │ └──fail──────▶ failed
+//!   │  └──release─────┘ └──cancel──▶ cancelling ──▶ cancelled
+//!   └──cancel──────────────────────────────────────▶ cancelled
+//! ```
+//!
+//! [`Jobs`] is what clients of the service do to jobs; [`Lease`] is what a worker may do to the one it holds.
+//! The database is the truth. A change is also announced on a [`tokio::sync::watch`] channel, as a hint to look.
+
+mod clock;
+mod lease;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+
+pub use clock::{Clock, Ids, ManualClock, RandomIds, SequentialIds, SystemClock};
+pub use lease::Lease;
+
+use crate::store::{
+    Cancelled, EventRecord, IdempotencyKey, JobRecord, JobState, NewJob, Page, Store, StoreError, Submitted,
+};
+
+/// How leases behave.
+#[derive(Debug, Clone, Copy)]
+pub struct LeasePolicy {
+    /// How long a claim lasts without a heartbeat.
+    pub duration: Duration,
+    /// Attempts without a new checkpoint before a job is given up.
+    pub max_idle_attempts: u32,
+}
+
+impl Default for LeasePolicy {
+    fn default() -> Self {
+        // Heartbeats follow steps only, and importing a large capture is one long silence.
+        Self { duration: Duration::from_secs(600), max_idle_attempts: 5 }
+    }
+}
+
+/// The job queue.
+#[derive(Clone)]
+pub struct Jobs {
+    store: Store,
+    clock: Arc<dyn Clock>,
+    ids: Arc<dyn Ids>,
+    policy: LeasePolicy,
+    changes: Arc<watch::Sender<()>>,
+}
+
+/// What a caller wants trained.
+#[derive(Debug, Clone)]
+pub struct JobOrder {
+    /// The capture to train on.
+    pub capture_id: String,
+    /// The job that this one repeats.
+    pub retry_of: Option<String>,
+    /// Preset name.
+    pub preset: String,
+    /// Overrides, JSON.
+    pub overrides: String,
+    /// Device asked for.
+    pub device: String,
+    /// Higher runs first.
+    pub priority: i64,
+    /// Steps in all.
+    pub total: i64,
+}
+
+impl Jobs {
+    /// A queue on `store`.
+    pub fn new(store: Store, clock: Arc<dyn Clock>, ids: Arc<dyn Ids>, policy: LeasePolicy) -> Self {
+        Self { store, clock, ids, policy, changes: Arc::new(watch::Sender::new(())) }
+    }
+
+    /// The store beneath.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// The current time, milliseconds since 1970 UTC.
+    pub fn now_ms(&self) -> i64 {
+        self.clock.now_ms()
+    }
+
+    /// A fresh identifier.
+    pub fn fresh_id(&self) -> String {
+        self.ids.fresh()
+    }
+
+    /// Wakes when some job may have changed. A hint: look at the store for the truth.
+    pub fn subscribe(&self) -> watch::Receiver<()> {
+        self.changes.subscribe()
+    }
+
+    /// Queues a job; see [`Store::submit_job`].
+    ///
+    /// # Errors
+    /// [`StoreError::KeyReused`] when the key came with another request before.
+    pub async fn submit(
+        &self,
+        order: JobOrder,
+        key: Option<&IdempotencyKey>,
+        answer: impl FnOnce(&JobRecord, Option<i64>) -> String + Send,
+    ) -> Result<Submitted, StoreError> {
+        let job = NewJob {
+            id: self.fresh_id(),
+            capture_id: order.capture_id,
+            retry_of: order.retry_of,
+            preset: order.preset,
+            overrides: order.overrides,
+            device: order.device,
+            priority: order.priority,
+            total: order.total,
+        };
+        let submitted = self.store.submit_job(&job, key, self.now_ms(), answer).await?;
+        self.announce();
+        Ok(submitted)
+    }
+
+    /// A job and, while it waits, how many run before it.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn get(&self, id: &str) -> Result<Option<(JobRecord, Option<i64>)>, StoreError> {
+        let Some(job) = self.store.job(id).await? else { return Ok(None) };
+        let position = match job.state {
+            JobState::Queued => self.store.queue_position(id).await?,
+            _ => None,
+        };
+        Ok(Some((job, position)))
+    }
+
+    /// Jobs, newest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn list(&self, state: Option<JobState>, page: &Page) -> Result<Vec<JobRecord>, StoreError> {
+        self.store.jobs(state, page).await
+    }
+
+    /// Cancels a queued job at once, asks a running one to stop.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn cancel(&self, id: &str) -> Result<Cancelled, StoreError> {
+        let outcome = self.store.cancel_job(id, self.now_ms()).await?;
+        self.announce();
+        Ok(outcome)
+    }
+
+    /// Changes the priority of a job that waits; `false` when it does not wait.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn set_priority(&self, id: &str, priority: i64) -> Result<bool, StoreError> {
+        self.store.set_priority(id, priority).await
+    }
+
+    /// Events of a job after number `after`, oldest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn events_after(&self, id: &str, after: i64) -> Result<Vec<EventRecord>, StoreError> {
+        self.store.events_after(id, after).await
+    }
+
+    /// Claims the next job for a worker.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn claim(&self) -> Result<Option<Lease>, StoreError> {
+        let (token, now) = (self.fresh_id(), self.now_ms());
+        let job = self.store.claim_job(&token, now, self.lease_end(now)).await?;
+        if job.is_some() {
+            self.announce();
+        }
+        Ok(job.map(|job| Lease::new(self.clone(), job, token)))
+    }
+
+    /// Takes back leases that ran out.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn reclaim_expired(&self) -> Result<Vec<JobRecord>, StoreError> {
+        self.reclaim(self.now_ms()).await
+    }
+
+    /// Takes back every lease. Only the holder of the node lock may: it knows that every worker is dead.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn reclaim_all(&self) -> Result<Vec<JobRecord>, StoreError> {
+        self.reclaim(i64::MAX).await
+    }
+
+    async fn reclaim(&self, expired_ms: i64) -> Result<Vec<JobRecord>, StoreError> {
+        let max_idle = i64::from(self.policy.max_idle_attempts);
+        let jobs = self.store.reclaim_leases(expired_ms, max_idle, self.now_ms()).await?;
+        for job in &jobs {
+            tracing::info!(job = job.id, state = job.state.name(), "took a lease back");
+        }
+        self.announce();
+        Ok(jobs)
+    }
+
+    fn lease_end(&self, now_ms: i64) -> i64 {
+        now_ms.saturating_add(i64::try_from(self.policy.duration.as_millis()).unwrap_or(i64::MAX))
+    }
+
+    fn announce(&self) {
+        self.changes.send_replace(());
+    }
+}

@@ -1,0 +1,187 @@
+//! Artifacts: immutable bytes under keys, fsynced and hashed as they stream in.
+//!
+//! Nothing is ever written in place. Bytes arrive under `incoming/`, which belongs to the running server alone,
+//! and are moved to their key when they are complete. Files that the server does not know are left alone.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use futures::stream::BoxStream;
+use futures::{Stream, StreamExt, TryStreamExt};
+use object_store::local::LocalFileSystem;
+use object_store::path::Path as Key;
+use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
+use sha2::{Digest, Sha256};
+use tokio_util::bytes::Bytes;
+
+use crate::store::StoreError;
+
+const INCOMING: &str = "incoming";
+
+/// The artifact store of one data directory.
+#[derive(Clone)]
+pub struct Artifacts {
+    files: Arc<LocalFileSystem>,
+    root: PathBuf,
+}
+
+/// A complete upload that has no key yet. Publish it, or it is forgotten when dropped.
+#[derive(Debug)]
+pub struct Incoming {
+    key: Key,
+    published: bool,
+    /// Where the bytes lie on this machine.
+    pub path: PathBuf,
+    /// Hash of the bytes, lower-case hex.
+    pub sha256: String,
+    /// Number of bytes.
+    pub bytes: u64,
+}
+
+impl Drop for Incoming {
+    fn drop(&mut self) {
+        if !self.published
+            && let Err(error) = std::fs::remove_file(&self.path)
+        {
+            tracing::warn!(%error, key = %self.key, "an upload could not be discarded");
+        }
+    }
+}
+
+impl Artifacts {
+    /// Opens `root/artifacts`.
+    ///
+    /// # Errors
+    /// When the directory cannot be made.
+    pub fn open(root: &Path) -> Result<Self, StoreError> {
+        let root = root.join("artifacts");
+        std::fs::create_dir_all(&root)?;
+        let files = LocalFileSystem::new_with_prefix(&root)?.with_fsync(true);
+        Ok(Self { files: Arc::new(files), root })
+    }
+
+    /// Removes what uploads of a dead server left under `incoming/`. Call it as the owner of the node lock only.
+    ///
+    /// # Errors
+    /// When a left-over cannot be removed.
+    pub fn sweep_incoming(&self) -> Result<(), StoreError> {
+        match std::fs::remove_dir_all(self.root.join(INCOMING)) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Streams a body to disk, hashing it. On any error nothing stays behind.
+    ///
+    /// # Errors
+    /// [`StoreError::TooLarge`] beyond `limit` bytes, [`StoreError::Body`] when the sender fails,
+    /// [`StoreError::Full`] when there is no room.
+    pub async fn receive<E: std::fmt::Display>(
+        &self,
+        name: &str,
+        body: impl Stream<Item = Result<Bytes, E>>,
+        limit: u64,
+    ) -> Result<Incoming, StoreError> {
+        let key = Key::from(format!("{INCOMING}/{name}"));
+        let mut upload = WriteMultipart::new(self.files.put_multipart(&key).await?);
+        match copy(&mut upload, body, limit).await {
+            Ok((sha256, bytes)) => {
+                upload.finish().await?;
+                let path = self.local_path(key.as_ref());
+                Ok(Incoming { key, published: false, path, sha256, bytes })
+            }
+            Err(error) => {
+                upload.abort().await.ok();
+                Err(error)
+            }
+        }
+    }
+
+    /// Moves a complete upload to its key. Content-addressed keys may exist already: the bytes are the same.
+    ///
+    /// # Errors
+    /// When the move fails; the upload is then forgotten.
+    pub async fn publish(&self, mut incoming: Incoming, key: &str) -> Result<(), StoreError> {
+        self.files.rename(&incoming.key, &Key::from(key)).await?;
+        incoming.published = true;
+        Ok(())
+    }
+
+    /// Writes a whole artifact and returns its sha256 in hex; durable when it returns.
+    ///
+    /// # Errors
+    /// [`StoreError::Full`] when there is no room; nothing is at `key` then.
+    pub async fn put(&self, key: &str, bytes: Vec<u8>) -> Result<String, StoreError> {
+        let sha256 = hex(&Sha256::digest(&bytes));
+        self.files.put(&Key::from(key), PutPayload::from(bytes)).await?;
+        Ok(sha256)
+    }
+
+    /// Reads a whole artifact.
+    ///
+    /// # Errors
+    /// [`StoreError::Missing`] when there is none.
+    pub async fn get(&self, key: &str) -> Result<Bytes, StoreError> {
+        Ok(self.files.get(&Key::from(key)).await?.bytes().await?)
+    }
+
+    /// Streams bytes `range` of an artifact.
+    ///
+    /// # Errors
+    /// [`StoreError::Missing`] when there is none.
+    pub async fn stream(
+        &self,
+        key: &str,
+        range: std::ops::Range<u64>,
+    ) -> Result<BoxStream<'static, Result<Bytes, StoreError>>, StoreError> {
+        if range.is_empty() {
+            return Ok(futures::stream::empty().boxed());
+        }
+        let options = GetOptions { range: Some(GetRange::Bounded(range)), ..GetOptions::default() };
+        let result = self.files.get_opts(&Key::from(key), options).await?;
+        Ok(result.into_stream().map_err(StoreError::from).boxed())
+    }
+
+    /// Removes an artifact that was superseded before anyone was told of it; a missing one is fine.
+    pub async fn remove(&self, key: &str) {
+        if let Err(error) = self.files.delete(&Key::from(key)).await {
+            tracing::debug!(%error, key, "an artifact was not removed");
+        }
+    }
+
+    /// Where an artifact lies on this machine.
+    pub fn local_path(&self, key: &str) -> PathBuf {
+        self.root.join(key)
+    }
+}
+
+/// Copies `body` into `upload`, hashing and counting.
+async fn copy<E: std::fmt::Display>(
+    upload: &mut WriteMultipart,
+    body: impl Stream<Item = Result<Bytes, E>>,
+    limit: u64,
+) -> Result<(String, u64), StoreError> {
+    let mut body = std::pin::pin!(body);
+    let (mut hasher, mut bytes) = (Sha256::new(), 0u64);
+    while let Some(chunk) = body.next().await {
+        let chunk = chunk.map_err(|e| StoreError::Body(e.to_string()))?;
+        bytes += chunk.len() as u64;
+        if bytes > limit {
+            return Err(StoreError::TooLarge { limit });
+        }
+        hasher.update(&chunk);
+        upload.wait_for_capacity(2).await?;
+        upload.put(chunk);
+    }
+    Ok((hex(&hasher.finalize()), bytes))
+}
+
+/// Bytes as lower-case hex.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut out, byte| {
+        // Writing to a String cannot fail.
+        let _ = write!(out, "{byte:02x}");
+        out
+    })
+}

@@ -1,0 +1,66 @@
+//! Environment maps.
+
+use crate::store::{EnvironmentRecord, Page, Store, StoreError};
+
+impl Store {
+    /// Records an environment, or returns the one of the same content that was there first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn insert_environment(&self, env: &EnvironmentRecord) -> Result<EnvironmentRecord, StoreError> {
+        let mut tx = self.write().await?;
+        sqlx::query(
+            "INSERT INTO environments
+                 (id, sha256, name, bytes, artifact, width, height, warnings, created_ms)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT (sha256) DO NOTHING",
+        )
+        .bind(&env.id)
+        .bind(&env.sha256)
+        .bind(&env.name)
+        .bind(env.bytes)
+        .bind(&env.artifact)
+        .bind(env.width)
+        .bind(env.height)
+        .bind(&env.warnings)
+        .bind(env.created_ms)
+        .execute(&mut *tx)
+        .await?;
+        let stored = sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1")
+            .bind(&env.sha256)
+            .fetch_one(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        Ok(stored)
+    }
+
+    /// An environment by identifier.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn environment(&self, id: &str) -> Result<Option<EnvironmentRecord>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM environments WHERE id = ?1").bind(id);
+        Ok(query.fetch_optional(&self.pool).await?)
+    }
+
+    /// An environment by content.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn environment_by_hash(&self, sha256: &str) -> Result<Option<EnvironmentRecord>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1").bind(sha256);
+        Ok(query.fetch_optional(&self.pool).await?)
+    }
+
+    /// Environments, newest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn environments(&self, page: &Page) -> Result<Vec<EnvironmentRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT * FROM environments
+             WHERE ?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM environments WHERE id = ?1)
+             ORDER BY created_ms DESC, id DESC LIMIT ?2",
+        );
+        Ok(query.bind(&page.before).bind(page.limit).fetch_all(&self.pool).await?)
+    }
+}

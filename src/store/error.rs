@@ -1,0 +1,104 @@
+//! What can go wrong with the store, sorted by what a caller can do about it.
+
+use std::error::Error;
+use std::io::ErrorKind;
+
+/// Why the store refused.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The disk, a quota or a file-size limit is exhausted. Nothing was published.
+    #[error("storage is full")]
+    Full,
+    /// A body is larger than its limit.
+    #[error("the body is larger than {limit} bytes")]
+    TooLarge {
+        /// The limit, bytes.
+        limit: u64,
+    },
+    /// The sender broke off or sent garbage; the message is the transport's.
+    #[error("the body could not be read: {0}")]
+    Body(String),
+    /// Nothing by that name.
+    #[error("{0} does not exist")]
+    Missing(String),
+    /// Another process owns the data directory.
+    #[error("the data directory {0} is in use by another server")]
+    Locked(String),
+    /// The same idempotency key came with another request.
+    #[error("the idempotency key was used with a different request")]
+    KeyReused,
+    /// A stored value cannot be read back.
+    #[error("stored {what}: {reason}")]
+    Corrupt {
+        /// The column or file.
+        what: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The database failed.
+    #[error("database: {0}")]
+    Database(sqlx::Error),
+    /// The schema could not be migrated.
+    #[error("migration: {0}")]
+    Migration(#[from] sqlx::migrate::MigrateError),
+    /// The artifact store failed.
+    #[error("artifacts: {0}")]
+    Artifacts(object_store::Error),
+    /// A file operation failed.
+    #[error("file: {0}")]
+    File(std::io::Error),
+}
+
+impl From<sqlx::Error> for StoreError {
+    fn from(error: sqlx::Error) -> Self {
+        // 13 is SQLITE_FULL; 778 is SQLITE_IOERR_WRITE, what SQLite makes of EFBIG and EDQUOT.
+        let code = error.as_database_error().and_then(|e| e.code());
+        if matches!(code.as_deref(), Some("13" | "778")) { Self::Full } else { Self::Database(error) }
+    }
+}
+
+impl From<object_store::Error> for StoreError {
+    fn from(error: object_store::Error) -> Self {
+        match error {
+            object_store::Error::NotFound { path, .. } => Self::Missing(path),
+            error if is_full(&error) => Self::Full,
+            error => Self::Artifacts(error),
+        }
+    }
+}
+
+impl From<std::io::Error> for StoreError {
+    fn from(error: std::io::Error) -> Self {
+        if is_full(&error) { Self::Full } else { Self::File(error) }
+    }
+}
+
+/// True when any error of the chain says that there is no room.
+fn is_full(error: &(dyn Error + 'static)) -> bool {
+    let mut next = Some(error);
+    while let Some(error) = next {
+        let kind = error.downcast_ref::<std::io::Error>().map(std::io::Error::kind);
+        if matches!(kind, Some(ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge)) {
+            return true;
+        }
+        next = error.source();
+    }
+    false
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wrapped(kind: ErrorKind) -> StoreError {
+        object_store::Error::Generic { store: "test", source: Box::new(std::io::Error::from(kind)) }.into()
+    }
+
+    #[test]
+    fn a_full_disk_is_recognised_however_deep_it_is_wrapped() {
+        for kind in [ErrorKind::StorageFull, ErrorKind::QuotaExceeded, ErrorKind::FileTooLarge] {
+            assert!(matches!(wrapped(kind), StoreError::Full), "{kind:?}");
+        }
+        assert!(matches!(wrapped(ErrorKind::PermissionDenied), StoreError::Artifacts(_)));
+    }
+}

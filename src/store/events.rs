@@ -1,0 +1,36 @@
+//! The history of a job, numbered so that a listener can go on where it stopped.
+
+use serde_json::Value;
+use sqlx::{Sqlite, Transaction};
+
+use crate::store::{EventRecord, Store, StoreError};
+
+impl Store {
+    /// Events of a job with a number above `after`, oldest first, 1,000 at most.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn events_after(&self, job: &str, after: i64) -> Result<Vec<EventRecord>, StoreError> {
+        let query =
+            sqlx::query_as("SELECT * FROM events WHERE job_id = ?1 AND seq > ?2 ORDER BY seq LIMIT 1000");
+        Ok(query.bind(job).bind(after).fetch_all(&self.pool).await?)
+    }
+}
+
+/// Appends to a job's history, in the transaction of the change it tells of.
+pub(super) async fn append(
+    tx: &mut Transaction<'_, Sqlite>,
+    job: &str,
+    now_ms: i64,
+    kind: &str,
+    data: Value,
+) -> Result<(), StoreError> {
+    sqlx::query("INSERT INTO events (job_id, at_ms, kind, data) VALUES (?1, ?2, ?3, ?4)")
+        .bind(job)
+        .bind(now_ms)
+        .bind(kind)
+        .bind(data.to_string())
+        .execute(&mut **tx)
+        .await?;
+    Ok(())
+}

@@ -1,0 +1,57 @@
+//! Idempotency keys. A key is written in the transaction of the change it guards, so there is no moment at which
+//! the key exists and the change does not: a second request waits for the first and then sees its answer.
+
+use sqlx::{Sqlite, Transaction};
+
+use crate::store::StoreError;
+
+/// How long a key is remembered.
+const KEEP_MS: i64 = 24 * 3600 * 1000;
+
+/// A client's promise that two requests with this key are one.
+#[derive(Debug, Clone)]
+pub struct IdempotencyKey {
+    /// The key.
+    pub key: String,
+    /// Hash of the request it came with.
+    pub fingerprint: String,
+}
+
+/// The answer that `key` was given before.
+pub(super) async fn replay(
+    tx: &mut Transaction<'_, Sqlite>,
+    key: &IdempotencyKey,
+    now_ms: i64,
+) -> Result<Option<String>, StoreError> {
+    sqlx::query("DELETE FROM idempotency WHERE created_ms < ?1")
+        .bind(now_ms - KEEP_MS)
+        .execute(&mut **tx)
+        .await?;
+    let known: Option<(String, String)> =
+        sqlx::query_as("SELECT fingerprint, response FROM idempotency WHERE key = ?1")
+            .bind(&key.key)
+            .fetch_optional(&mut **tx)
+            .await?;
+    match known {
+        Some((fingerprint, _)) if fingerprint != key.fingerprint => Err(StoreError::KeyReused),
+        Some((_, response)) => Ok(Some(response)),
+        None => Ok(None),
+    }
+}
+
+/// Remembers the answer to `key`.
+pub(super) async fn remember(
+    tx: &mut Transaction<'_, Sqlite>,
+    key: &IdempotencyKey,
+    response: &str,
+    now_ms: i64,
+) -> Result<(), StoreError> {
+    sqlx::query("INSERT INTO idempotency (key, fingerprint, response, created_ms) VALUES (?1, ?2, ?3, ?4)")
+        .bind(&key.key)
+        .bind(&key.fingerprint)
+        .bind(response)
+        .bind(now_ms)
+        .execute(&mut **tx)
+        .await?;
+    Ok(())
+}

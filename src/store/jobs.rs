@@ -1,0 +1,170 @@
+//! Jobs as clients see them: submit, look, cancel, re-order.
+
+use serde_json::json;
+use sqlx::{Sqlite, Transaction};
+
+use crate::store::idempotency::{remember, replay};
+use crate::store::{IdempotencyKey, JobRecord, JobState, NewJob, Page, Store, StoreError, events};
+
+/// Outcome of a submission.
+#[derive(Debug, Clone)]
+pub enum Submitted {
+    /// A job was queued; the text is the answer that the key, if any, now remembers.
+    Created(String),
+    /// The key was known; this is its answer.
+    Replayed(String),
+}
+
+/// Outcome of a request to cancel.
+#[derive(Debug, Clone)]
+pub enum Cancelled {
+    /// It is cancelled or about to be.
+    Accepted(JobRecord),
+    /// It had ended otherwise before.
+    AlreadyFinished(JobRecord),
+    /// There is no such job.
+    NotFound,
+}
+
+impl Store {
+    /// Queues a job and remembers the answer under its idempotency key, in one transaction.
+    ///
+    /// `answer` turns the new job and its place in the queue into the response text.
+    ///
+    /// # Errors
+    /// [`StoreError::KeyReused`] when the key came with another request before.
+    pub async fn submit_job(
+        &self,
+        job: &NewJob,
+        key: Option<&IdempotencyKey>,
+        now_ms: i64,
+        answer: impl FnOnce(&JobRecord, Option<i64>) -> String + Send,
+    ) -> Result<Submitted, StoreError> {
+        let mut tx = self.write().await?;
+        if let Some(key) = key
+            && let Some(response) = replay(&mut tx, key, now_ms).await?
+        {
+            tx.commit().await?;
+            return Ok(Submitted::Replayed(response));
+        }
+        let record = insert(&mut tx, job, now_ms).await?;
+        events::append(&mut tx, &job.id, now_ms, "state", json!({ "state": JobState::Queued })).await?;
+        let position = sqlx::query_scalar(POSITION).bind(&job.id).fetch_optional(&mut *tx).await?;
+        let response = answer(&record, position);
+        if let Some(key) = key {
+            remember(&mut tx, key, &response, now_ms).await?;
+        }
+        tx.commit().await?;
+        Ok(Submitted::Created(response))
+    }
+
+    /// A job by identifier.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn job(&self, id: &str) -> Result<Option<JobRecord>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM jobs WHERE id = ?1").bind(id);
+        Ok(query.fetch_optional(&self.pool).await?)
+    }
+
+    /// Jobs, newest first, of one state or of all.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn jobs(&self, state: Option<JobState>, page: &Page) -> Result<Vec<JobRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT * FROM jobs
+             WHERE (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM jobs WHERE id = ?1))
+               AND (?2 IS NULL OR state = ?2)
+             ORDER BY created_ms DESC, id DESC LIMIT ?3",
+        );
+        Ok(query.bind(&page.before).bind(state).bind(page.limit).fetch_all(&self.pool).await?)
+    }
+
+    /// How many queued jobs run before this one; `None` when it is not queued.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn queue_position(&self, id: &str) -> Result<Option<i64>, StoreError> {
+        Ok(sqlx::query_scalar(POSITION).bind(id).fetch_optional(&self.pool).await?)
+    }
+
+    /// Number of jobs in each state that has any.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn job_counts(&self) -> Result<Vec<(JobState, i64)>, StoreError> {
+        let query = sqlx::query_as("SELECT state, COUNT(*) FROM jobs GROUP BY state");
+        Ok(query.fetch_all(&self.pool).await?)
+    }
+
+    /// Cancels a queued job at once, asks a running one to stop.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn cancel_job(&self, id: &str, now_ms: i64) -> Result<Cancelled, StoreError> {
+        let mut tx = self.write().await?;
+        let changed: Option<JobRecord> = sqlx::query_as(
+            "UPDATE jobs SET
+                 state = CASE state WHEN 'queued' THEN 'cancelled' ELSE 'cancelling' END,
+                 finished_ms = CASE state WHEN 'queued' THEN ?2 END,
+                 eta_seconds = NULL
+             WHERE id = ?1 AND state IN ('queued', 'running') RETURNING *",
+        )
+        .bind(id)
+        .bind(now_ms)
+        .fetch_optional(&mut *tx)
+        .await?;
+        if let Some(job) = changed {
+            events::append(&mut tx, id, now_ms, "state", json!({ "state": job.state })).await?;
+            tx.commit().await?;
+            return Ok(Cancelled::Accepted(job));
+        }
+        drop(tx);
+        Ok(match self.job(id).await? {
+            None => Cancelled::NotFound,
+            Some(job) if matches!(job.state, JobState::Succeeded | JobState::Failed) => {
+                Cancelled::AlreadyFinished(job)
+            }
+            Some(job) => Cancelled::Accepted(job),
+        })
+    }
+
+    /// Changes the priority of a job that waits; `false` when it does not wait.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn set_priority(&self, id: &str, priority: i64) -> Result<bool, StoreError> {
+        let query = sqlx::query("UPDATE jobs SET priority = ?2 WHERE id = ?1 AND state = 'queued'");
+        let done = query.bind(id).bind(priority).execute(&self.pool).await?;
+        Ok(done.rows_affected() == 1)
+    }
+}
+
+const POSITION: &str = "SELECT (SELECT COUNT(*) FROM jobs AS other WHERE other.state = 'queued'
+         AND (-other.priority, other.created_ms, other.id) < (-me.priority, me.created_ms, me.id))
+     FROM jobs AS me WHERE me.id = ?1 AND me.state = 'queued'";
+
+async fn insert(
+    tx: &mut Transaction<'_, Sqlite>,
+    job: &NewJob,
+    now_ms: i64,
+) -> Result<JobRecord, StoreError> {
+    let query = sqlx::query_as(
+        "INSERT INTO jobs
+             (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 'queued', ?9) RETURNING *",
+    );
+    Ok(query
+        .bind(&job.id)
+        .bind(&job.capture_id)
+        .bind(&job.retry_of)
+        .bind(&job.preset)
+        .bind(&job.overrides)
+        .bind(&job.device)
+        .bind(job.priority)
+        .bind(job.total)
+        .bind(now_ms)
+        .fetch_one(&mut **tx)
+        .await?)
+}

@@ -1,0 +1,45 @@
+//! Published models.
+
+use crate::store::{ModelFile, ModelRecord, Page, Store, StoreError};
+
+impl Store {
+    /// A model by identifier.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn model(&self, id: &str) -> Result<Option<ModelRecord>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM models WHERE id = ?1").bind(id);
+        Ok(query.fetch_optional(&self.pool).await?)
+    }
+
+    /// Models, newest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn models(&self, page: &Page) -> Result<Vec<ModelRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT * FROM models
+             WHERE ?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM models WHERE id = ?1)
+             ORDER BY created_ms DESC, id DESC LIMIT ?2",
+        );
+        Ok(query.bind(&page.before).bind(page.limit).fetch_all(&self.pool).await?)
+    }
+
+    /// The files of a model, by name.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn model_files(&self, id: &str) -> Result<Vec<ModelFile>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM model_files WHERE model_id = ?1 ORDER BY name").bind(id);
+        Ok(query.fetch_all(&self.pool).await?)
+    }
+
+    /// One file of a model.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn model_file(&self, id: &str, name: &str) -> Result<Option<ModelFile>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM model_files WHERE model_id = ?1 AND name = ?2");
+        Ok(query.bind(id).bind(name).fetch_optional(&self.pool).await?)
+    }
+}

@@ -1,0 +1,44 @@
+//! One server a data directory: an advisory lock that dies with its process.
+
+use std::fs::{File, TryLockError};
+use std::path::Path;
+
+use crate::store::StoreError;
+
+/// Held as long as the server lives. Whoever holds it knows that every lease in the database belongs to a dead
+/// process and may be taken over at once.
+#[derive(Debug)]
+pub struct NodeLock {
+    _file: File,
+}
+
+impl NodeLock {
+    /// Takes the data directory, creating it when it is missing.
+    ///
+    /// # Errors
+    /// [`StoreError::Locked`] while another process holds it.
+    pub fn acquire(root: &Path) -> Result<Self, StoreError> {
+        std::fs::create_dir_all(root)?;
+        let path = root.join("node.lock");
+        let file = File::options().create(true).truncate(false).write(true).open(path)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Self { _file: file }),
+            Err(TryLockError::WouldBlock) => Err(StoreError::Locked(root.display().to_string())),
+            Err(TryLockError::Error(error)) => Err(error.into()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_data_directory_has_one_owner_at_a_time() {
+        let dir = tempfile::tempdir().unwrap();
+        let first = NodeLock::acquire(dir.path()).unwrap();
+        assert!(matches!(NodeLock::acquire(dir.path()), Err(StoreError::Locked(_))));
+        drop(first);
+        NodeLock::acquire(dir.path()).unwrap();
+    }
+}

@@ -1,0 +1,80 @@
+//! Start a server on a free port from your own tests.
+//!
+//! ```no_run
+//! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
+//! let server = relume::testing::spawn().await?;
+//! let models = server.client().models().await?;
+//! assert!(models.items.is_empty());
+//! server.stop().await?;
+//! # Ok(()) }
+//! ```
+
+use std::path::Path;
+
+use tempfile::TempDir;
+use tokio::net::TcpListener;
+use tokio::task::JoinHandle;
+use tokio_util::sync::{CancellationToken, DropGuard};
+
+use crate::api::server::{ServeError, ServerConfig, run};
+use crate::client::Client;
+
+/// A running server with a data directory of its own; both end when it is dropped.
+pub struct TestServer {
+    client: Client,
+    data: TempDir,
+    stop: DropGuard,
+    task: JoinHandle<Result<(), ServeError>>,
+}
+
+/// Starts a server with the defaults on a free port of 127.0.0.1 and a temporary data directory.
+///
+/// # Errors
+/// When it cannot start.
+pub async fn spawn() -> Result<TestServer, ServeError> {
+    spawn_with(TempDir::new()?, |_| {}).await
+}
+
+/// As [`spawn`], on a directory that may hold what an earlier server left, with changes to the configuration.
+///
+/// # Errors
+/// When it cannot start.
+pub async fn spawn_with(
+    data: TempDir,
+    change: impl FnOnce(&mut ServerConfig),
+) -> Result<TestServer, ServeError> {
+    let mut config = ServerConfig::new(data.path());
+    change(&mut config);
+    let listener = TcpListener::bind("127.0.0.1:0").await?;
+    let base = format!("http://{}", listener.local_addr()?);
+    let client = Client::new(&base, None).map_err(std::io::Error::other)?;
+    let stop = CancellationToken::new();
+    let shutdown = stop.clone();
+    let serving = run(config, listener, async move { shutdown.cancelled().await });
+    let task = tokio::spawn(serving);
+    Ok(TestServer { client, data, stop: stop.drop_guard(), task })
+}
+
+impl TestServer {
+    /// A client of this server.
+    pub fn client(&self) -> &Client {
+        &self.client
+    }
+
+    /// The data directory.
+    pub fn data_dir(&self) -> &Path {
+        self.data.path()
+    }
+
+    /// Shuts the server down as a signal would and hands its data directory over.
+    ///
+    /// # Errors
+    /// What the server ended with.
+    pub async fn stop(self) -> Result<TempDir, ServeError> {
+        self.stop.disarm().cancel();
+        match self.task.await {
+            Ok(ended) => ended.map(|()| self.data),
+            Err(error) => Err(std::io::Error::other(error).into()),
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! Renders on the device thread, with models and prepared lights kept ready.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crate::capture::builtin;
+use crate::formats::{environment, model_file};
+use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer, Tier};
+use crate::scene::EnvMap;
+use crate::worker::lru::Lru;
+use crate::worker::{RenderFailure, View};
+
+/// A model to render: its identifier and its file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelSource {
+    /// Identifier, the cache key: a published model never changes.
+    pub id: String,
+    /// The model file on this machine.
+    pub path: PathBuf,
+}
+
+/// A light to render under.
+#[derive(Debug, Clone)]
+pub enum LightSource {
+    /// A map that comes with the program.
+    Builtin(String),
+    /// The light the model was captured under, as training recovered it.
+    Recovered,
+    /// An environment file on this machine, by content hash.
+    Stored {
+        /// Content hash, the cache key.
+        sha256: String,
+        /// The file.
+        path: PathBuf,
+    },
+    /// A map that came with the request.
+    Inline {
+        /// Content hash, the cache key.
+        sha256: String,
+        /// The map.
+        map: Arc<EnvMap>,
+    },
+}
+
+impl LightSource {
+    /// Names the light's content: equal keys, equal light on equal models.
+    pub fn key(&self) -> String {
+        match self {
+            Self::Builtin(name) => format!("builtin:{name}"),
+            Self::Recovered => "recovered".to_owned(),
+            Self::Stored { sha256, .. } | Self::Inline { sha256, .. } => format!("sha256:{sha256}"),
+        }
+    }
+}
+
+/// One frame to render.
+#[derive(Debug, Clone)]
+pub struct RenderTask {
+    /// The model.
+    pub model: ModelSource,
+    /// The light.
+    pub light: LightSource,
+    /// Turn of the light about +Z, degrees counter-clockwise.
+    pub rotation_deg: f64,
+    /// Exposure of the light, stops.
+    pub exposure_ev: f64,
+    /// From where.
+    pub view: View,
+    /// How.
+    pub tier: Tier,
+    /// What.
+    pub outputs: Vec<Output>,
+}
+
+/// Model, light, rotation and exposure; floats by their bits.
+type LightKey = (String, String, u64, u64);
+
+/// Models and lights that were used lately.
+pub(super) struct RenderCache {
+    models: Lru<String, Arc<Renderer>>,
+    lights: Lru<LightKey, Arc<PreparedLight>>,
+}
+
+impl RenderCache {
+    pub(super) fn new(models: usize, lights: usize) -> Self {
+        Self { models: Lru::new(models), lights: Lru::new(lights) }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.models.clear();
+        self.lights.clear();
+    }
+
+    pub(super) fn render(&mut self, task: &RenderTask) -> Result<Frame, RenderFailure> {
+        let renderer = self.models.get_or_insert(task.model.id.clone(), || load(&task.model))?;
+        let key = (
+            task.model.id.clone(),
+            task.light.key(),
+            task.rotation_deg.to_bits(),
+            task.exposure_ev.to_bits(),
+        );
+        let light = self.lights.get_or_insert(key, || prepare(&renderer, task))?;
+        let camera = task.view.camera(renderer.model());
+        let camera = camera.map_err(|e| RenderError { field: e.field, reason: e.reason })?;
+        Ok(renderer.render(&camera, &light, task.tier, &task.outputs)?)
+    }
+}
+
+fn load(source: &ModelSource) -> Result<Arc<Renderer>, RenderFailure> {
+    let internal = |e: String| RenderFailure::Internal(format!("model {}: {e}", source.id));
+    let bytes = std::fs::read(&source.path).map_err(|e| internal(e.to_string()))?;
+    let model = model_file::decode(&bytes).map_err(|e| internal(e.to_string()))?;
+    Ok(Arc::new(Renderer::new(Arc::new(model))))
+}
+
+fn prepare(renderer: &Renderer, task: &RenderTask) -> Result<Arc<PreparedLight>, RenderFailure> {
+    let map = light_map(renderer, &task.light)?;
+    let map = map.rotated_and_scaled(task.rotation_deg, task.exposure_ev.exp2() as f32);
+    Ok(Arc::new(renderer.prepare_light(&map)))
+}
+
+fn light_map(renderer: &Renderer, light: &LightSource) -> Result<Arc<EnvMap>, RenderFailure> {
+    let internal = |e: String| RenderFailure::Internal(format!("environment {}: {e}", light.key()));
+    match light {
+        LightSource::Inline { map, .. } => Ok(map.clone()),
+        LightSource::Recovered => Ok(Arc::new(renderer.model().environment())),
+        LightSource::Builtin(name) => {
+            builtin(name).map(Arc::new).ok_or_else(|| internal("is not built in".to_owned()))
+        }
+        LightSource::Stored { path, .. } => {
+            let bytes = std::fs::read(path).map_err(|e| internal(e.to_string()))?;
+            let loaded = environment::decode(&bytes).map_err(|e| internal(e.to_string()))?;
+            Ok(Arc::new(loaded.map))
+        }
+    }
+}

@@ -1,0 +1,257 @@
+//! One attempt at a job: import, train step by step, checkpoint, publish.
+
+use std::path::Path;
+
+use crate::capture::{Capture, CaptureError, ImportOptions};
+use crate::formats::model_file;
+use crate::jobs::Lease;
+use crate::scene::Model;
+use crate::store::{Held, ModelFile, ModelRecord, ProgressUpdate, StoreError};
+use crate::train::{Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
+use crate::worker::progress::Reporter;
+use crate::worker::{Worker, ply};
+
+/// How an attempt ended without a failure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Ending {
+    /// The model is published.
+    Published,
+    /// The job was cancelled.
+    Cancelled,
+    /// The lease was lost; someone else has the job.
+    Lost,
+    /// The server is stopping; the job is checkpointed and back in the queue.
+    Stopped,
+}
+
+/// A failure that ends the job: it would happen again.
+pub(super) struct Failure {
+    /// Stable code.
+    pub(super) code: &'static str,
+    /// For people; no internals.
+    pub(super) detail: String,
+}
+
+impl Failure {
+    fn new(code: &'static str, detail: impl Into<String>) -> Self {
+        Self { code, detail: detail.into() }
+    }
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        tracing::error!(%error, "the store failed under a job");
+        match error {
+            StoreError::Full => Self::new("storage_full", "there was no room to store the result"),
+            _ => Self::new("storage_failed", "the store failed; the server's log says how"),
+        }
+    }
+}
+
+impl From<TrainError> for Failure {
+    fn from(error: TrainError) -> Self {
+        Self::new("training_failed", error.to_string())
+    }
+}
+
+/// What one attempt carries from step to step.
+struct Attempt<'a> {
+    lease: &'a Lease,
+    trainer: Trainer,
+    reporter: Reporter,
+    checkpoint_every: u32,
+}
+
+impl Worker {
+    /// Trains the lease's job until it ends one way or another.
+    pub(super) async fn train(&mut self, lease: &Lease) -> Result<Ending, Failure> {
+        let config = config(lease)?;
+        let checkpoint_every = config.checkpoint_every.max(1);
+        let capture = self.import(lease, &config).await?;
+        let trainer = self.trainer(lease, &capture, config).await?;
+        let reporter = Reporter::new(self.jobs.now_ms(), trainer.progress().step);
+        let mut attempt = Attempt { lease, trainer, reporter, checkpoint_every };
+        while !attempt.trainer.is_done() {
+            if self.stop.is_cancelled() {
+                return attempt.suspend().await;
+            }
+            if self.changes.has_changed().unwrap_or(false) {
+                self.changes.mark_unchanged();
+                if lease.check().await? != Held::Yes {
+                    return Ok(settle(lease).await?);
+                }
+            }
+            if attempt.step(self.jobs.now_ms()).await? != Held::Yes {
+                return Ok(settle(lease).await?);
+            }
+            self.serve_waiting();
+        }
+        publish(lease, &attempt.trainer.model()).await
+    }
+
+    async fn import(&self, lease: &Lease, config: &TrainConfig) -> Result<Capture, Failure> {
+        let job = lease.job();
+        announce(lease, "reading the capture").await?;
+        let record = self.jobs.store().capture(&job.capture_id).await?;
+        let record = record.ok_or_else(|| Failure::new("capture_missing", "the capture is gone"))?;
+        let path = self.jobs.store().artifacts().local_path(&record.artifact);
+        let capture = import_for_training(&path, config);
+        let capture = capture.map_err(|e| Failure::new(e.code(), e.to_string()))?;
+        if job.attempts == 1 {
+            for warning in &capture.warnings {
+                lease.warn(warning).await?;
+            }
+        }
+        Ok(capture)
+    }
+
+    /// Goes on from the last checkpoint, or starts over when there is none that can be read.
+    async fn trainer(
+        &self,
+        lease: &Lease,
+        capture: &Capture,
+        config: TrainConfig,
+    ) -> Result<Trainer, Failure> {
+        announce(lease, "preparing").await?;
+        let Some(key) = &lease.job().checkpoint else { return Ok(Trainer::new(capture, config)?) };
+        let resumed = match self.jobs.store().artifacts().get(key).await {
+            Ok(bytes) => Trainer::resume(capture, config.clone(), &bytes).map_err(|e| e.to_string()),
+            Err(error) => Err(error.to_string()),
+        };
+        match resumed {
+            Ok(trainer) => Ok(trainer),
+            Err(error) => {
+                tracing::warn!(error, key, "a checkpoint cannot be used");
+                lease.warn("the last checkpoint cannot be read; training starts over").await?;
+                Ok(Trainer::new(capture, config)?)
+            }
+        }
+    }
+}
+
+impl Attempt<'_> {
+    /// One step and what it has to tell.
+    async fn step(&mut self, now_ms: i64) -> Result<Held, Failure> {
+        let report = self.trainer.step()?;
+        metrics::counter!("relume_training_steps_total").increment(1);
+        if let Some(warning) = &report.warning {
+            self.lease.warn(warning).await?;
+        }
+        let progress = self.trainer.progress();
+        let mut held = Held::Yes;
+        if let Some(update) = self.reporter.report(now_ms, &report, progress) {
+            held = self.lease.progress(&update).await?;
+        }
+        if progress.step % self.checkpoint_every == 0 && !self.trainer.is_done() {
+            self.checkpoint().await?;
+        }
+        Ok(held)
+    }
+
+    /// Stores a checkpoint. One that cannot be stored is a pity, not the end: the one before still counts.
+    async fn checkpoint(&self) -> Result<(), Failure> {
+        let step = i64::from(self.trainer.progress().step);
+        let bytes = self.trainer.checkpoint()?;
+        if let Err(error) = self.lease.checkpoint(step, bytes).await {
+            tracing::error!(%error, step, "a checkpoint could not be stored");
+            self.lease.warn("a checkpoint could not be stored; training goes on").await?;
+        }
+        Ok(())
+    }
+
+    /// Leaves the job where another worker finds it.
+    async fn suspend(&self) -> Result<Ending, Failure> {
+        let step = i64::from(self.trainer.progress().step);
+        if step > self.lease.job().checkpoint_step.unwrap_or(0) {
+            self.checkpoint().await?;
+        }
+        match self.lease.release(true).await? {
+            Held::Yes => Ok(Ending::Stopped),
+            Held::Cancelling | Held::Lost => Ok(settle(self.lease).await?),
+        }
+    }
+}
+
+/// A capture at the resolution it will be trained at, so that memory holds no pixel in vain.
+///
+/// # Errors
+/// What the importer refuses, by file and field.
+pub fn import_for_training(path: &Path, config: &TrainConfig) -> Result<Capture, CaptureError> {
+    let options =
+        ImportOptions { max_side: Some(config.resolution), load_truth: false, ..ImportOptions::default() };
+    crate::capture::import(path, &options)
+}
+
+/// The configuration the job was accepted with.
+fn config(lease: &Lease) -> Result<TrainConfig, Failure> {
+    let invalid = |e: String| Failure::new("config_invalid", e);
+    let job = lease.job();
+    let preset: Preset =
+        serde_json::from_value(job.preset.clone().into()).map_err(|e| invalid(e.to_string()))?;
+    let overrides: TrainOverrides =
+        serde_json::from_str(&job.overrides).map_err(|e| invalid(e.to_string()))?;
+    TrainConfig::new(preset, &overrides).map_err(invalid)
+}
+
+/// Says what goes on before the first step, keeping what earlier attempts reached.
+async fn announce(lease: &Lease, message: &str) -> Result<(), StoreError> {
+    let job = lease.job();
+    let update = ProgressUpdate {
+        step: job.checkpoint_step.unwrap_or(0),
+        total: job.total,
+        message: Some(message.to_owned()),
+        ..ProgressUpdate::default()
+    };
+    lease.progress(&update).await.map(drop)
+}
+
+/// Ends an attempt that does not hold a running job any more.
+async fn settle(lease: &Lease) -> Result<Ending, StoreError> {
+    match lease.check().await? {
+        Held::Cancelling => {
+            lease.confirm_cancel().await?;
+            Ok(Ending::Cancelled)
+        }
+        Held::Yes | Held::Lost => Ok(Ending::Lost),
+    }
+}
+
+/// Writes the model's files, then publishes them and ends the job in one transaction.
+async fn publish(lease: &Lease, model: &Model) -> Result<Ending, Failure> {
+    let job = lease.job();
+    let encoded = model_file::encode(model).map_err(|e| Failure::new("model_invalid", e.to_string()))?;
+    let files = [
+        store_file(lease, "model.safetensors", "application/octet-stream", encoded).await?,
+        store_file(lease, "model.ply", "application/octet-stream", ply(model)).await?,
+    ];
+    let record = ModelRecord {
+        id: lease.jobs().fresh_id(),
+        job_id: job.id.clone(),
+        capture_id: job.capture_id.clone(),
+        gaussians: i64::try_from(model.gaussians.len()).unwrap_or(i64::MAX),
+        card: model.card.to_string(),
+        created_ms: lease.jobs().now_ms(),
+    };
+    match lease.publish(&record, &files).await? {
+        Held::Yes => Ok(Ending::Published),
+        Held::Cancelling | Held::Lost => Ok(settle(lease).await?),
+    }
+}
+
+async fn store_file(
+    lease: &Lease,
+    name: &str,
+    content_type: &str,
+    bytes: Vec<u8>,
+) -> Result<ModelFile, StoreError> {
+    let artifact = format!("{}/{name}", lease.artifact_prefix());
+    let size = i64::try_from(bytes.len()).unwrap_or(i64::MAX);
+    let sha256 = lease.jobs().store().artifacts().put(&artifact, bytes).await?;
+    Ok(ModelFile {
+        name: name.to_owned(),
+        content_type: content_type.to_owned(),
+        bytes: size,
+        sha256,
+        artifact,
+    })
+}

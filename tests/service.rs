@@ -1,0 +1,42 @@
+//! The service from outside: upload, train, look, download, render.
+
+use relume::api::picture::Format;
+use relume::api::renders::{CameraSpec, LookAtSpec, RenderRequest};
+use relume::formats::image_file;
+use relume::store::JobState;
+use relume::testing;
+
+use crate::service_support::{capture_zip, small_job};
+
+fn look_at() -> CameraSpec {
+    let look = LookAtSpec { eye: [3.0, 0.0, 1.0], target: [0.0; 3], up: [0.0, 0.0, 1.0], fov_y_deg: 40.0 };
+    CameraSpec { look_at: Some(look), ..CameraSpec::default() }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_capture_becomes_a_model_that_renders_over_http() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    assert_eq!(capture.report.layout, "nerf-synthetic");
+    let job = client.create_job(&small_job(&capture.id, 10, 5), None).await.unwrap();
+    let mut kinds = Vec::new();
+    let job = client.wait(&job.id, |event| kinds.push(event.kind.clone())).await.unwrap();
+    assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+    assert_eq!(job.progress.step, 10);
+    assert!(
+        ["state", "progress", "checkpoint"].iter().all(|k| kinds.iter().any(|seen| seen == k)),
+        "{kinds:?}"
+    );
+
+    let model = client.model(&job.model.unwrap()).await.unwrap();
+    let names: Vec<_> = model.files.iter().map(|f| f.name.as_str()).collect();
+    assert_eq!(names, ["model.ply", "model.safetensors"]);
+    let request = RenderRequest { camera: look_at(), width: 24, height: 16, ..RenderRequest::default() };
+    let request = RenderRequest { outputs: vec![relume::render::Output::Rgb], ..request };
+    let png = client.render(&model.summary.id, &request, Format::Png).await.unwrap();
+    assert_eq!(image_file::dimensions(&png).unwrap(), (24, 16));
+    let thumbnail = client.thumbnail(&model.summary.id, "env=studio&size=32").await.unwrap();
+    assert_eq!(image_file::dimensions(&thumbnail).unwrap(), (32, 32));
+    server.stop().await.unwrap();
+}
