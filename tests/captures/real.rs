@@ -130,8 +130,10 @@ fn colmap_points_project_into_their_images() {
 
 /// What COLMAP measured: per image name, the lens `[f, cx, cy, k]` and observations `(x, y, index of point)`.
 struct Measured {
-    images: BTreeMap<String, ([f64; 4], Vec<(DVec2, usize)>)>,
+    images: BTreeMap<String, MeasuredImage>,
 }
+
+type MeasuredImage = ([f64; 4], Vec<(DVec2, usize)>);
 
 /// Walks a SIMPLE_RADIAL binary model by hand, apart from the importer's own reader.
 fn measured(folder: PathBuf) -> Measured {
@@ -158,7 +160,7 @@ fn measured(folder: PathBuf) -> Measured {
     for _ in 0..cameras.long() {
         let (id, model) = (cameras.int(), cameras.int());
         assert_eq!(model, 2, "SIMPLE_RADIAL");
-        (cameras.long(), cameras.long());
+        let _size = [cameras.long(), cameras.long()];
         lenses.insert(id, [(); 4].map(|()| cameras.float()));
     }
     let mut order = BTreeMap::new();
@@ -186,22 +188,24 @@ fn measured(folder: PathBuf) -> Measured {
     Measured { images: out }
 }
 
-/// Median distance, in stored pixels, between where a point was observed and where the imported camera puts it.
+/// Median distance, in stored pixels, between where a point was observed and where the imported camera puts it,
+/// over the outer part of the image, where the lens bends: it moves points by 2 px at 400 px from the middle.
 fn reprojection_error(capture: &Capture, measured: &Measured, bend: f64) -> f64 {
     let mut errors = Vec::new();
     for view in capture.train.iter().chain(&capture.test) {
         let ([f, cx, cy, k], seen) = &measured.images[&view.name];
         let lens = Distortion::RadialTangential { k: [k * bend, 0.0, 0.0, 0.0], p: [0.0; 2] };
         let c = &view.camera;
-        for (at, point) in seen {
-            let straight = lens.undistort((*at - DVec2::new(*cx, *cy)) / f).unwrap();
+        let middle = DVec2::new(*cx, *cy);
+        for (at, point) in seen.iter().filter(|(at, _)| at.distance(middle) > 400.0) {
+            let straight = lens.undistort((*at - middle) / f).unwrap();
             let p = c.rotation * capture.points[*point].0 + c.translation;
             let difference = straight - DVec2::new(p.x, p.y) / p.z;
             errors.push((difference * *f).length());
         }
     }
     errors.sort_by(f64::total_cmp);
-    assert!(errors.len() > 10_000);
+    assert!(errors.len() > 2_000, "{}", errors.len());
     errors[errors.len() / 2]
 }
 
@@ -212,7 +216,7 @@ fn distorted_observations_agree_with_the_straightened_cameras_to_a_pixel() {
     let measured = measured(path.join("sparse/0"));
     let [right, none, opposite] = [1.0, 0.0, -1.0].map(|bend| reprojection_error(&capture, &measured, bend));
     eprintln!("median reprojection error {right} px; no lens {none} px; the opposite lens {opposite} px");
-    assert!(right < 0.8 && none > 1.2 * right && opposite > 1.6 * right, "{right} {none} {opposite}");
+    assert!(right < 1.0 && none > 2.0 * right && opposite > 4.0 * right, "{right} {none} {opposite}");
 }
 
 #[test]
