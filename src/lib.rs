@@ -23,6 +23,7 @@ pub mod capture;
 pub mod cli;
 pub mod client;
 pub mod engine;
+pub mod eval;
 pub mod formats;
 pub mod jobs;
 pub mod light;

@@ -1,5 +1,10 @@
-//! Captures through the public importer: real sets where the test data is there, hostile ones always.
+//! Captures through the public importer: real sets where the test data is there, made ones and hostile ones
+//! always.
 
 #![allow(clippy::unwrap_used)]
 
+mod archives;
+mod bad_input;
+mod layouts;
 mod real;
+mod small_set;

@@ -125,7 +125,7 @@ mod tests {
     fn cameras_without_a_common_up_leave_the_world_alone() {
         let image = |rotation| PosedImage { name: "a".into(), camera: 1, rotation, translation: DVec3::ZERO };
         let mut warnings = Vec::new();
-        let turn = upright(&[image(DQuat::IDENTITY), image(DQuat::from_rotation_z(3.1415))], &mut warnings);
+        let turn = upright(&[image(DQuat::IDENTITY), image(DQuat::from_rotation_z(3.1))], &mut warnings);
         assert_eq!((turn, warnings.len()), (DQuat::IDENTITY, 1));
     }
 }

@@ -1,7 +1,9 @@
 //! The command line: one file a command.
 
 mod args;
+pub mod demo;
 mod doctor;
+pub mod eval;
 mod export;
 mod output;
 mod render;
@@ -30,12 +32,16 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// See it work: train on a synthetic capture, relight it, measure it against the exact truth.
+    Demo(demo::DemoArgs),
     /// Run the HTTP service.
     Serve(serve::Args),
     /// Train a model from a capture on this machine.
     Train(train::Args),
     /// Render a model on this machine.
     Render(render::Args),
+    /// Measure a model against a capture's held-out views and ground truth.
+    Eval(eval::EvalArgs),
     /// Write a model in another format.
     Export(export::Args),
     /// Show what this machine offers and whether everything is in order.
@@ -49,9 +55,11 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     log_to_stderr(cli.json_logs, matches!(cli.command, Command::Serve(_)));
     let outcome = match cli.command {
+        Command::Demo(args) => demo::run(&args).map_err(Into::into),
         Command::Serve(args) => serve::run(args),
         Command::Train(args) => train::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Eval(args) => eval::run(&args).map_err(Into::into),
         Command::Export(args) => export::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Openapi => openapi(),

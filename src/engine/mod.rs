@@ -1,1 +1,8 @@
-//! The differentiable renderer.
+//! The differentiable renderer. `docs/MODEL.md` says what every engine computes; [`reference`] says it in f64,
+//! [`cpu`] does it fast.
+
+pub mod channel;
+pub mod cpu;
+mod gradients;
+
+pub use gradients::{Gradients, RowLayout};

@@ -1,8 +1,10 @@
 //! Bytes to plain data and back.
 
 pub mod environment;
+pub mod exr_frame;
 pub mod exr_image;
 pub mod image_file;
 pub mod model_file;
+pub mod ply_model;
 pub mod ply_points;
 pub mod srgb;

@@ -1,1 +1,18 @@
-//! Light.
+//! Light: spherical harmonics, the split-sum BRDF table, and the linear operators that turn an environment
+//! into what a pixel looks up.
+
+mod brdf;
+mod grid;
+mod lobe;
+mod operators;
+mod prefilter;
+mod sh;
+mod tables;
+
+pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
+pub use grid::{CubeGrid, Taps};
+pub use lobe::{LOBE_ORDERS, LobeAttenuation, LobeSample};
+pub use operators::{EnvOperators, SPECULAR_LEVELS, TableResolution, level_position};
+pub use prefilter::rendering_tables;
+pub use sh::{CLAMPED_COSINE, nrsh, nrsh_factor, sh_eval, sh_eval_with_gradient};
+pub use tables::{LightTables, TABLE_LANES, padded};

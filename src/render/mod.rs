@@ -1,5 +1,8 @@
 //! A camera and a light in, a frame out.
 
+mod frame;
+mod preview;
 mod renderer;
 
-pub use renderer::{Frame, Output, PreparedLight, RenderError, Renderer, Tier};
+pub use frame::{Frame, Output};
+pub use renderer::{PreparedLight, RenderError, Renderer, Tier};

@@ -1,11 +1,26 @@
 //! The renderer a service keeps per model.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::scene::{Camera, EnvMap, Model};
+use crate::engine::channel::{self, Channels};
+use crate::engine::cpu::{
+    AttributeSource, LEAST_COVERAGE, Pass, Probes, Shader, Surface, Transport, View, fibonacci_sphere,
+    normalise, outward_normals, surface_at,
+};
+use crate::light::{LightTables, rendering_tables};
+use crate::render::{Frame, Output, preview};
+use crate::scene::{Camera, EnvMap, Field, IndirectForm, Model};
+
+/// Most pixels of a frame.
+const MOST_PIXELS: u64 = 64 << 20;
+/// Probe directions behind the gathered light of a render.
+const PROBE_DIRECTIONS: usize = 96;
+/// Rounds of gathered light.
+const BOUNCES: usize = 3;
 
 /// A named trade of time against accuracy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Default)]
@@ -16,62 +31,6 @@ pub enum Tier {
     /// Deferred split-sum with directional diffuse.
     #[default]
     Standard,
-}
-
-/// A picture that can be asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Output {
-    /// Relit linear radiance, premultiplied by alpha (3).
-    Rgb,
-    /// Linear base colour (3).
-    Albedo,
-    /// World-space unit normal (3).
-    Normal,
-    /// Metalness (1).
-    Metallic,
-    /// Roughness (1).
-    Roughness,
-    /// Ambient occlusion, 1 = open (1).
-    Visibility,
-    /// Distance along the view axis, capture units; infinite where nothing is (1).
-    Depth,
-    /// Coverage (1).
-    Alpha,
-    /// Diffuse part of `rgb` (3).
-    Diffuse,
-    /// Specular part of `rgb` (3).
-    Specular,
-    /// The radiance branch: the scene under its own light, linear (3).
-    Radiance,
-}
-
-impl Output {
-    /// Floats a pixel.
-    pub fn channels(self) -> usize {
-        match self {
-            Self::Rgb | Self::Albedo | Self::Normal | Self::Diffuse | Self::Specular | Self::Radiance => 3,
-            Self::Metallic | Self::Roughness | Self::Visibility | Self::Depth | Self::Alpha => 1,
-        }
-    }
-}
-
-/// A rendered frame: each output row-major with its own channel count. Linear, scene-referred.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Frame {
-    /// Width in pixels.
-    pub width: u32,
-    /// Height in pixels.
-    pub height: u32,
-    /// The outputs asked for, plus [`Output::Alpha`] always.
-    pub planes: BTreeMap<Output, Vec<f32>>,
-}
-
-impl Frame {
-    /// Display-referred 8-bit RGBA (straight alpha) of `rgb`: clamp, sRGB curve.
-    pub fn to_srgb8(&self) -> Vec<[u8; 4]> {
-        vec![[128, 128, 128, 255]; (self.width * self.height) as usize]
-    }
 }
 
 /// Why a frame was refused.
@@ -86,18 +45,21 @@ pub struct RenderError {
 
 /// An environment turned into the tables a model is shaded with; costs a second at most, keep it.
 pub struct PreparedLight {
-    _env: EnvMap,
+    tables: LightTables,
+    gathered: Vec<[f32; 6]>,
+    indirect_basis: [[f32; 3]; 16],
 }
 
 /// A model ready to be rendered many times. Shared between threads.
 pub struct Renderer {
     model: Arc<Model>,
+    transport: OnceLock<Transport>,
 }
 
 impl Renderer {
     /// Takes a checked model in.
     pub fn new(model: Arc<Model>) -> Self {
-        Self { model }
+        Self { model, transport: OnceLock::new() }
     }
 
     /// The model.
@@ -105,9 +67,32 @@ impl Renderer {
         &self.model
     }
 
-    /// Tables for relighting this model under `environment`.
+    fn source<'a>(&'a self, gathered: &'a [[f32; 6]], basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
+        AttributeSource {
+            gaussians: &self.model.gaussians,
+            prototypes: &self.model.prototypes,
+            options: &self.model.shading,
+            gathered,
+            indirect_basis: basis,
+        }
+    }
+
+    /// Tables for relighting this model under `environment`, light that bounces between its surfaces included.
     pub fn prepare_light(&self, environment: &EnvMap) -> PreparedLight {
-        PreparedLight { _env: environment.clone() }
+        let tables = rendering_tables(environment, self.model.gaussians.visibility_order());
+        let mut gathered = Vec::new();
+        if self.model.shading.indirect == IndirectForm::Gathered {
+            let none = [[0.0; 3]; 16];
+            let source = self.source(&[], &none);
+            // What hides what does not depend on the light: measured once a model.
+            let transport = self.transport.get_or_init(|| {
+                let probes = Probes::measure(&source, fibonacci_sphere(PROBE_DIRECTIONS), 1.0);
+                Transport::new(&probes, outward_normals(&source))
+            });
+            gathered = transport.gather(&source, &tables, BOUNCES);
+        }
+        let indirect_basis = crate::engine::cpu::indirect_basis(&tables);
+        PreparedLight { tables, gathered, indirect_basis }
     }
 
     /// Renders `outputs` for a camera in capture coordinates.
@@ -121,10 +106,116 @@ impl Renderer {
         tier: Tier,
         outputs: &[Output],
     ) -> Result<Frame, RenderError> {
-        let _ = (light, tier);
-        let pixels = (camera.width * camera.height) as usize;
-        let plane = |o: &Output| (*o, vec![0.5; pixels * o.channels()]);
-        let planes = outputs.iter().chain(&[Output::Alpha]).map(plane).collect();
-        Ok(Frame { width: camera.width, height: camera.height, planes })
+        let checked = camera.validated().map_err(|e| RenderError { field: e.field, reason: e.reason })?;
+        if u64::from(checked.width) * u64::from(checked.height) > MOST_PIXELS {
+            let reason = format!("more than {MOST_PIXELS} pixels");
+            return Err(RenderError { field: "width,height", reason });
+        }
+        let camera = checked.in_normalised_world(self.model.world_scale, self.model.world_offset);
+        let source = self.source(&light.gathered, &light.indirect_basis);
+        let view = View::new(&camera, &self.model.shading);
+        let order = self.model.gaussians.visibility_order();
+        let shader = Shader { tables: &light.tables, options: &self.model.shading, order };
+        let mut wanted: Vec<Output> = outputs.to_vec();
+        wanted.push(Output::Alpha);
+        wanted.sort_unstable();
+        wanted.dedup();
+        // The preview tier only has a colour; anything else needs the G-buffer anyway.
+        let colour_only = wanted.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
+        if tier == Tier::Preview && colour_only {
+            return Ok(preview::render(&source, view, &shader));
+        }
+        let coefficients = self.model.gaussians.width(Field::Visibility);
+        let pass = Pass::forward(&source, view, Channels::Full(coefficients), true);
+        let depth_scale = (1.0 / self.model.world_scale) as f32;
+        Ok(develop(&pass, &shader, &wanted, depth_scale))
+    }
+}
+
+/// Turns a G-buffer into the planes asked for.
+fn develop(pass: &Pass, shader: &Shader<'_>, outputs: &[Output], depth_scale: f32) -> Frame {
+    let (w, h) = (pass.view.width, pass.view.height);
+    let stride: usize = outputs.iter().map(|o| o.channels()).sum();
+    let mut pixels = vec![0.0f32; w * h * stride];
+    pixels.par_chunks_mut(w * stride).enumerate().for_each(|(y, row)| {
+        for (x, out) in row.chunks_exact_mut(stride).enumerate() {
+            write_pixel(pass, shader, outputs, depth_scale, (x, y), out);
+        }
+    });
+    let mut planes = BTreeMap::new();
+    let mut first = 0;
+    for output in outputs {
+        let n = output.channels();
+        let plane = pixels.chunks_exact(stride).flat_map(|p| p[first..first + n].iter().copied()).collect();
+        planes.insert(*output, plane);
+        first += n;
+    }
+    Frame { width: w as u32, height: h as u32, planes }
+}
+
+fn write_pixel(
+    pass: &Pass,
+    shader: &Shader<'_>,
+    outputs: &[Output],
+    depth_scale: f32,
+    (x, y): (usize, usize),
+    out: &mut [f32],
+) {
+    let surface = surface_at(pass, x, y);
+    let lit = outputs.iter().any(|o| matches!(o, Output::Rgb | Output::Diffuse | Output::Specular));
+    let shaded = surface.as_ref().filter(|_| lit).map(|(s, coverage)| (shader.shade(s), *coverage));
+    let mut first = 0;
+    for output in outputs {
+        let target = &mut out[first..first + output.channels()];
+        first += output.channels();
+        match output {
+            Output::Alpha => target[0] = pass.at(x, y, channel::COVERAGE),
+            Output::Depth if surface.is_none() => target[0] = f32::INFINITY,
+            Output::Rgb | Output::Diffuse | Output::Specular => {
+                let Some((s, coverage)) = &shaded else { continue };
+                let part = |c: usize| match output {
+                    Output::Diffuse => s.diffuse[c],
+                    Output::Specular => s.specular[c],
+                    _ => s.diffuse[c] + s.specular[c],
+                };
+                (0..3).for_each(|c| target[c] = part(c) * coverage);
+            }
+            _ => {
+                if let Some((s, coverage)) = &surface {
+                    write_attribute(pass, shader, *output, (s, *coverage), depth_scale, (x, y), target);
+                }
+            }
+        }
+    }
+}
+
+fn write_attribute(
+    pass: &Pass,
+    shader: &Shader<'_>,
+    output: Output,
+    (surface, coverage): (&Surface, f32),
+    depth_scale: f32,
+    (x, y): (usize, usize),
+    target: &mut [f32],
+) {
+    let (unit, length) = normalise(surface.normal);
+    let facing: f32 = (0..3).map(|k| unit[k] * surface.view[k]).sum();
+    let normal = if facing < 0.0 { unit.map(|v| -v) } else { unit };
+    match output {
+        Output::Albedo => target.copy_from_slice(&surface.albedo),
+        Output::Normal if length > LEAST_COVERAGE => target.copy_from_slice(&normal),
+        Output::Metallic => target[0] = surface.metal,
+        Output::Roughness => target[0] = surface.rough,
+        Output::Visibility => {
+            target[0] = shader.ambient_occlusion(&surface.visibility, normal).clamp(0.0, 1.0)
+        }
+        Output::Depth => target[0] = pass.at(x, y, channel::DEPTH) / coverage * depth_scale,
+        Output::Radiance => {
+            for (k, t) in target.iter_mut().enumerate() {
+                let shown = (pass.at(x, y, channel::RADIANCE.start + k) / coverage).clamp(0.0, 1.0);
+                *t = crate::engine::cpu::linear_from_srgb(shown) * coverage;
+            }
+        }
+        _ => {}
     }
 }

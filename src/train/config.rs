@@ -1,6 +1,8 @@
-//! Everything that decides how a training runs; the presets live here and nowhere else.
+//! Everything that decides how a training runs. The presets live here and nowhere else.
 
 use serde::{Deserialize, Serialize};
+
+use crate::scene::ShadingOptions;
 
 /// A named trade of time against quality.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -30,58 +32,364 @@ pub enum LabelSource {
     Both,
 }
 
-/// What a caller may change on top of a preset. Absent means the preset's value.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+/// Weights of the objective's terms (docs/MODEL.md section 5).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct TrainOverrides {
-    /// Optimisation steps, 1 to 1,000,000.
-    pub iterations: Option<u32>,
-    /// Longest image side in pixels, 16 to 8192; photographs are never enlarged.
-    pub resolution: Option<u32>,
-    /// Most Gaussians the model may have, 16 to 4,000,000.
-    pub max_gaussians: Option<u32>,
-    /// Source of the visibility labels.
-    pub labels: Option<LabelSource>,
-    /// Seed of every random choice.
-    pub seed: Option<u64>,
-    /// Steps between checkpoints, at least 1.
-    pub checkpoint_every: Option<u32>,
+pub struct LossWeights {
+    /// Mean absolute error of the physically based branch.
+    pub l1: f32,
+    /// D-SSIM of both branches.
+    pub ssim: f32,
+    /// Radiance branch beside the physically based one.
+    pub radiance: f32,
+    /// Coverage against the masks.
+    pub coverage: f32,
+    /// Depth-normal consistency.
+    pub depth_normal: f32,
+    /// Edge-aware smoothness (Eq. 32).
+    pub smoothness: f32,
+    /// Light neutrality (Eq. 31).
+    pub light: f32,
+    /// White stays white: the light's level (docs/MODEL.md section 5).
+    pub exposure: f32,
+    /// Aggregation (Eq. 24).
+    pub aggregation: f32,
+    /// Residual (Eq. 25).
+    pub residual: f32,
+    /// Visibility labels (Eq. 15).
+    pub visibility: f32,
+    /// Mean smallest standard deviation: flat Gaussians have meaningful normals.
+    pub flatness: f32,
 }
 
-/// A complete, resolved configuration.
+impl Default for LossWeights {
+    fn default() -> Self {
+        Self {
+            l1: 1.0,
+            ssim: 0.25,
+            radiance: 0.5,
+            coverage: 0.5,
+            depth_normal: 0.05,
+            smoothness: 0.01,
+            light: 0.01,
+            exposure: 0.01,
+            aggregation: 0.001,
+            residual: 0.01,
+            visibility: 0.1,
+            flatness: 1.0,
+        }
+    }
+}
+
+/// Adam step sizes, per parameter group, in the normalised world.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearningRates {
+    /// Centres at the start; decays exponentially to `mean_final`.
+    pub mean: f32,
+    /// Centres at the end.
+    pub mean_final: f32,
+    /// ln scales.
+    pub scale: f32,
+    /// Quaternions.
+    pub rotation: f32,
+    /// Opacity logits.
+    pub opacity: f32,
+    /// Normal offsets.
+    pub normal: f32,
+    /// Metalness and roughness logits.
+    pub material: f32,
+    /// Prototype scores.
+    pub scores: f32,
+    /// Prototypes.
+    pub prototypes: f32,
+    /// Albedo residuals.
+    pub residual: f32,
+    /// Visibility and indirect coefficients.
+    pub visibility: f32,
+    /// Radiance colour; higher degrees take a twentieth.
+    pub radiance: f32,
+    /// Environment texels.
+    pub environment: f32,
+}
+
+impl Default for LearningRates {
+    fn default() -> Self {
+        Self {
+            mean: 3e-4,
+            mean_final: 6e-6,
+            scale: 5e-3,
+            rotation: 1e-3,
+            opacity: 0.03,
+            normal: 1e-3,
+            material: 1e-2,
+            scores: 2e-2,
+            prototypes: 2e-3,
+            residual: 2e-3,
+            visibility: 2e-3,
+            radiance: 2.5e-3,
+            environment: 1e-2,
+        }
+    }
+}
+
+/// A complete, resolved configuration; its JSON is part of the model card and of every checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct TrainConfig {
     /// The preset it started from.
     pub preset: Preset,
     /// Optimisation steps.
     pub iterations: u32,
-    /// Longest image side, pixels.
+    /// Longest image side, pixels; photographs are never enlarged.
     pub resolution: u32,
+    /// Gaussians at the start.
+    pub initial_gaussians: u32,
     /// Most Gaussians.
     pub max_gaussians: u32,
+    /// Albedo prototypes K, 1 to 256.
+    pub prototypes: u32,
+    /// Degree of the visibility field, 0 to 6.
+    pub visibility_order: u32,
+    /// Degree of the radiance branch, 0 to 3.
+    pub radiance_order: u32,
+    /// Rows of the environment; it has twice as many columns.
+    pub environment_rows: u32,
+    /// Share of the steps that only fit radiance and geometry.
+    pub warm_up: f32,
+    /// Share of the steps after which no Gaussian is added.
+    pub densify_until: f32,
+    /// Share of the steps taken at half resolution.
+    pub half_resolution: f32,
     /// Source of the visibility labels.
     pub labels: LabelSource,
+    /// Probe directions.
+    pub probe_directions: u32,
+    /// Steps between probe refreshes.
+    pub probe_every: u32,
+    /// Rounds of gathered light, 0 to 8.
+    pub bounces: u32,
+    /// The forward model.
+    pub shading: ShadingOptions,
+    /// Weights of the objective.
+    pub weights: LossWeights,
+    /// Step sizes.
+    pub rates: LearningRates,
     /// Seed of every random choice.
     pub seed: u64,
     /// Steps between checkpoints.
     pub checkpoint_every: u32,
 }
 
+/// What a caller may change on top of a preset. Absent means the preset's value.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainOverrides {
+    /// Optimisation steps, 1 to 1,000,000.
+    pub iterations: Option<u32>,
+    /// Longest image side in pixels, 16 to 8192.
+    pub resolution: Option<u32>,
+    /// Gaussians at the start, 16 to 4,000,000.
+    pub initial_gaussians: Option<u32>,
+    /// Most Gaussians the model may have, 16 to 4,000,000.
+    pub max_gaussians: Option<u32>,
+    /// Albedo prototypes, 1 to 256.
+    pub prototypes: Option<u32>,
+    /// Degree of the visibility field, 0 to 6.
+    pub visibility_order: Option<u32>,
+    /// Degree of the radiance branch, 0 to 3.
+    pub radiance_order: Option<u32>,
+    /// Rows of the environment, 4 to 64.
+    pub environment_rows: Option<u32>,
+    /// Share of radiance-only steps, 0 to 1.
+    pub warm_up: Option<f32>,
+    /// Share of the steps after which no Gaussian is added, 0 to 1.
+    pub densify_until: Option<f32>,
+    /// Share of the steps taken at half resolution, 0 to 1.
+    pub half_resolution: Option<f32>,
+    /// Source of the visibility labels.
+    pub labels: Option<LabelSource>,
+    /// Probe directions, 8 to 1024.
+    pub probe_directions: Option<u32>,
+    /// Steps between probe refreshes, at least 1.
+    pub probe_every: Option<u32>,
+    /// Rounds of gathered light, 0 to 8.
+    pub bounces: Option<u32>,
+    /// The forward model, whole.
+    pub shading: Option<ShadingOptions>,
+    /// Weights of the objective, whole; absent ones take their default.
+    pub weights: Option<LossWeights>,
+    /// Step sizes, whole; absent ones take their default.
+    pub rates: Option<LearningRates>,
+    /// Seed of every random choice.
+    pub seed: Option<u64>,
+    /// Steps between checkpoints, at least 1.
+    pub checkpoint_every: Option<u32>,
+}
+
 impl TrainConfig {
+    /// The preset itself.
+    ///
+    /// | preset | steps | px | Gaussians | probes | prototypes |
+    /// |---|---|---|---|---|---|
+    /// | draft | 1,500 | 160 | 8,000 | 48 | 8 |
+    /// | standard | 12,000 | 400 | 30,000 | 64 | 16 |
+    /// | high | 30,000 | 800 | 100,000 | 128 | 32 |
+    pub fn preset(preset: Preset) -> Self {
+        let standard = Self {
+            preset,
+            iterations: 12_000,
+            resolution: 400,
+            initial_gaussians: 6_000,
+            max_gaussians: 30_000,
+            prototypes: 16,
+            visibility_order: 4,
+            radiance_order: 2,
+            environment_rows: 16,
+            warm_up: 0.25,
+            densify_until: 0.6,
+            half_resolution: 0.15,
+            labels: LabelSource::Probes,
+            probe_directions: 64,
+            probe_every: 500,
+            bounces: 2,
+            shading: ShadingOptions::default(),
+            weights: LossWeights::default(),
+            rates: LearningRates::default(),
+            seed: 0,
+            checkpoint_every: 1_000,
+        };
+        match preset {
+            Preset::Standard => standard,
+            Preset::Draft => Self {
+                iterations: 1_500,
+                resolution: 160,
+                initial_gaussians: 3_000,
+                max_gaussians: 8_000,
+                prototypes: 8,
+                radiance_order: 1,
+                probe_directions: 48,
+                probe_every: 250,
+                checkpoint_every: 250,
+                ..standard
+            },
+            Preset::High => Self {
+                iterations: 30_000,
+                resolution: 800,
+                initial_gaussians: 20_000,
+                max_gaussians: 100_000,
+                prototypes: 32,
+                radiance_order: 3,
+                probe_directions: 128,
+                ..standard
+            },
+        }
+    }
+
     /// A preset with a caller's changes.
     ///
     /// # Errors
     /// Names the field that is out of range.
     pub fn new(preset: Preset, overrides: &TrainOverrides) -> Result<Self, String> {
-        let _ = overrides;
-        Ok(Self {
-            preset,
-            iterations: overrides.iterations.unwrap_or(200),
-            resolution: overrides.resolution.unwrap_or(200),
-            max_gaussians: overrides.max_gaussians.unwrap_or(1000),
-            labels: overrides.labels.unwrap_or_default(),
-            seed: overrides.seed.unwrap_or(0),
-            checkpoint_every: overrides.checkpoint_every.unwrap_or(50),
-        })
+        let mut config = Self::preset(preset);
+        macro_rules! apply {
+            ($($field:ident),*) => { $(if let Some(v) = overrides.$field { config.$field = v; })* };
+        }
+        apply!(
+            iterations,
+            resolution,
+            initial_gaussians,
+            max_gaussians,
+            prototypes,
+            visibility_order,
+            radiance_order,
+            environment_rows,
+            warm_up,
+            densify_until,
+            half_resolution,
+            labels,
+            probe_directions,
+            probe_every,
+            bounces,
+            shading,
+            weights,
+            rates,
+            seed,
+            checkpoint_every
+        );
+        config.initial_gaussians = config.initial_gaussians.min(config.max_gaussians);
+        config.checked()
+    }
+
+    fn checked(self) -> Result<Self, String> {
+        let whole = [
+            ("iterations", self.iterations, 1, 1_000_000),
+            ("resolution", self.resolution, 16, 8192),
+            ("initial_gaussians", self.initial_gaussians, 16, 4_000_000),
+            ("max_gaussians", self.max_gaussians, 16, 4_000_000),
+            ("prototypes", self.prototypes, 1, 256),
+            ("visibility_order", self.visibility_order, 0, 6),
+            ("radiance_order", self.radiance_order, 0, 3),
+            ("environment_rows", self.environment_rows, 4, 64),
+            ("probe_directions", self.probe_directions, 8, 1024),
+            ("probe_every", self.probe_every, 1, 1_000_000),
+            ("bounces", self.bounces, 0, 8),
+            ("checkpoint_every", self.checkpoint_every, 1, 1_000_000),
+        ];
+        for (name, value, lo, hi) in whole {
+            if !(lo..=hi).contains(&value) {
+                return Err(format!("{name}: {value} is outside {lo} to {hi}"));
+            }
+        }
+        let shares = [
+            ("warm_up", self.warm_up),
+            ("densify_until", self.densify_until),
+            ("half_resolution", self.half_resolution),
+        ];
+        for (name, value) in shares {
+            if !(0.0..=1.0).contains(&value) {
+                return Err(format!("{name}: {value} is outside 0 to 1"));
+            }
+        }
+        let json = serde_json::json!({"weights": self.weights, "rates": self.rates});
+        for (group, fields) in json.as_object().into_iter().flatten() {
+            for (name, value) in fields.as_object().into_iter().flatten() {
+                // A non-finite float serialises as null.
+                if !value.as_f64().is_some_and(|v| (0.0..=1e3).contains(&v)) {
+                    return Err(format!("{group}.{name}: must lie in 0 to 1000"));
+                }
+            }
+        }
+        Ok(self)
+    }
+
+    /// Steps of the radiance warm-up.
+    pub fn warm_up_steps(&self) -> u32 {
+        (self.warm_up * self.iterations as f32) as u32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn overrides_change_only_what_they_name() {
+        let overrides = TrainOverrides { iterations: Some(7), ..Default::default() };
+        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+        assert_eq!(TrainConfig { iterations: 1_500, ..config }, TrainConfig::preset(Preset::Draft));
+    }
+
+    #[test]
+    fn what_is_out_of_range_is_named() {
+        let refused = |o: TrainOverrides| TrainConfig::new(Preset::Draft, &o).unwrap_err();
+        assert!(refused(TrainOverrides { iterations: Some(0), ..Default::default() }).contains("iterations"));
+        assert!(
+            refused(TrainOverrides { warm_up: Some(f32::NAN), ..Default::default() }).contains("warm_up")
+        );
+        let rates = LearningRates { mean: f32::INFINITY, ..Default::default() };
+        assert!(refused(TrainOverrides { rates: Some(rates), ..Default::default() }).contains("rates.mean"));
+        let unknown = serde_json::from_str::<TrainOverrides>(r#"{"iterration": 5}"#).unwrap_err();
+        assert!(unknown.to_string().contains("iterration"));
     }
 }

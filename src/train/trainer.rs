@@ -1,8 +1,29 @@
 //! The trainer: one object that owns everything a step needs.
 
+use std::time::Instant;
+
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
 use crate::capture::Capture;
-use crate::scene::{Field, Gaussians, Model, ShadingOptions};
-use crate::train::TrainConfig;
+use crate::light::{EnvOperators, TableResolution};
+use crate::scene::Model;
+use crate::train::dataset::{Dataset, Photo};
+use crate::train::density::{self, DensityStats};
+use crate::train::optimiser::{Moments, StepSizes};
+use crate::train::state::TrainState;
+use crate::train::step::{self, StepContext};
+use crate::train::{LabelSource, TrainConfig, checkpoint, initial, materials};
+
+/// Fewest photographs worth training on.
+const LEAST_VIEWS: usize = 3;
+/// Steps between the states a roll-back can return to.
+const SNAPSHOT_EVERY: u32 = 50;
+/// Roll-backs in a row after which the optimisation is given up.
+const MOST_ROLLBACKS: u32 = 6;
+/// Steps between density rounds.
+const REFINE_EVERY: u32 = 100;
 
 /// Why a training cannot start or go on.
 #[derive(Debug, thiserror::Error)]
@@ -13,6 +34,12 @@ pub enum TrainError {
     /// A checkpoint could not be read; the message names the field.
     #[error("checkpoint: {0}")]
     Checkpoint(String),
+    /// Loss or gradients stayed non-finite through every roll-back.
+    #[error("optimisation diverged at step {step}: still not finite after {MOST_ROLLBACKS} roll-backs")]
+    Diverged {
+        /// The step that could not be passed.
+        step: u32,
+    },
 }
 
 /// What one step did.
@@ -22,7 +49,7 @@ pub struct StepReport {
     pub step: u32,
     /// The objective.
     pub loss: f32,
-    /// PSNR of the physically based branch on this step's view, dB.
+    /// PSNR on this step's photograph, dB: physically based branch, or the radiance branch during its warm-up.
     pub psnr: f32,
     /// Gaussians now.
     pub gaussians: usize,
@@ -42,7 +69,11 @@ pub struct Progress {
 /// A training in progress. The same capture, configuration and seed give the same bytes.
 pub struct Trainer {
     config: TrainConfig,
-    step: u32,
+    data: Dataset,
+    operators: EnvOperators,
+    state: TrainState,
+    last_good: TrainState,
+    rollbacks: u32,
 }
 
 impl Trainer {
@@ -51,38 +82,186 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Invalid`] names what cannot be trained on.
     pub fn new(capture: &Capture, config: TrainConfig) -> Result<Self, TrainError> {
-        let _ = capture;
-        Ok(Self { config, step: 0 })
+        let data = prepare(capture, &config)?;
+        let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+        let model = initial::model(capture, &data, &config, &mut rng);
+        let state = TrainState {
+            step: 0,
+            moments: Moments::zeroed(&model),
+            density: DensityStats::zeroed(model.gaussians.len()),
+            labels: Vec::new(),
+            gathered: Vec::new(),
+            order: (0..data.full.len() as u32).collect(),
+            cursor: data.full.len() as u32,
+            rng,
+            rate_factor: 1.0,
+            seconds: 0.0,
+            model,
+        };
+        Ok(Self::assemble(config, data, state))
     }
 
     /// Goes on from [`Trainer::checkpoint`] bytes, bit for bit.
     ///
     /// # Errors
-    /// [`TrainError::Checkpoint`] names what does not fit.
-    pub fn resume(capture: &Capture, config: TrainConfig, checkpoint: &[u8]) -> Result<Self, TrainError> {
-        let _ = capture;
-        let bytes: [u8; 4] = checkpoint.try_into().map_err(|_| TrainError::Checkpoint("length".into()))?;
-        Ok(Self { config, step: u32::from_le_bytes(bytes) })
+    /// [`TrainError::Checkpoint`] names what does not fit, [`TrainError::Invalid`] what cannot be trained on.
+    pub fn resume(capture: &Capture, config: TrainConfig, bytes: &[u8]) -> Result<Self, TrainError> {
+        let data = prepare(capture, &config)?;
+        let state = checkpoint::decode(bytes, &config)?;
+        if state.order.len() != data.full.len() {
+            return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
+        }
+        Ok(Self::assemble(config, data, state))
+    }
+
+    fn assemble(config: TrainConfig, data: Dataset, state: TrainState) -> Self {
+        let rows = config.environment_rows as usize;
+        let order = config.visibility_order as usize;
+        let operators = EnvOperators::new(rows * 2, rows, order, TableResolution::TRAINING);
+        Self { last_good: state.clone(), config, data, operators, state, rollbacks: 0 }
     }
 
     /// One optimisation step.
     ///
+    /// A non-finite loss or gradient returns to the last good state with smaller steps and says so in the report.
+    ///
     /// # Errors
-    /// When the optimisation cannot be saved from non-finite values.
+    /// [`TrainError::Diverged`] when that did not help either.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
-        self.step += 1;
-        std::thread::sleep(std::time::Duration::from_millis(5));
-        Ok(StepReport { step: self.step, loss: 1.0, psnr: 20.0, gaussians: 4, warning: None })
+        let start = Instant::now();
+        self.prepare_step();
+        let photo = self.next_photo();
+        let progress = self.state.step as f32 / self.config.iterations as f32;
+        let material = self.state.step >= self.config.warm_up_steps();
+        let context = StepContext {
+            config: &self.config,
+            operators: &self.operators,
+            background: self.data.background,
+            has_alpha: self.data.has_alpha,
+            progress,
+        };
+        let photo = photo_at(&self.data, photo, progress < self.config.half_resolution);
+        let outcome = if material {
+            step::material(&context, &self.state, photo)
+        } else {
+            step::radiance(&context, &self.state, photo)
+        };
+        if !(outcome.loss.is_finite() && outcome.gradients.is_finite()) {
+            return self.roll_back();
+        }
+        self.state.density.record(&outcome.gradients);
+        let learned = self.config.labels != LabelSource::Probes;
+        let sizes =
+            StepSizes::new(&self.config.rates, progress, material, learned).scaled(self.state.rate_factor);
+        self.state.step += 1;
+        let ages = [self.state.step, self.state.step.saturating_sub(self.config.warm_up_steps()).max(1)];
+        self.state.moments.step(&mut self.state.model, &outcome.gradients, &sizes, ages);
+        self.refine();
+        self.state.seconds += start.elapsed().as_secs_f64();
+        if self.is_snapshot_step() {
+            if !self.state.model.gaussians.is_finite() {
+                return self.roll_back();
+            }
+            self.last_good = self.state.clone();
+            self.rollbacks = 0;
+        }
+        Ok(StepReport {
+            step: self.state.step,
+            loss: outcome.loss,
+            psnr: -10.0 * outcome.mse.max(1e-10).log10(),
+            gaussians: self.state.model.gaussians.len(),
+            warning: None,
+        })
+    }
+
+    fn is_snapshot_step(&self) -> bool {
+        let step = self.state.step;
+        step.is_multiple_of(SNAPSHOT_EVERY) || step.is_multiple_of(self.config.checkpoint_every)
+    }
+
+    fn roll_back(&mut self) -> Result<StepReport, TrainError> {
+        let failed = self.state.step;
+        self.rollbacks += 1;
+        if self.rollbacks > MOST_ROLLBACKS {
+            return Err(TrainError::Diverged { step: failed });
+        }
+        self.state = self.last_good.clone();
+        self.state.rate_factor *= 0.5f32.powi(self.rollbacks as i32);
+        let factor = self.state.rate_factor;
+        let step = self.state.step;
+        Ok(StepReport {
+            step,
+            loss: f32::MAX,
+            psnr: 0.0,
+            gaussians: self.state.model.gaussians.len(),
+            warning: Some(format!(
+                "step {failed} was not finite: back to step {step} with step sizes at {factor} of the schedule"
+            )),
+        })
+    }
+
+    /// What has to happen before certain steps: materials start, probes are refreshed.
+    fn prepare_step(&mut self) {
+        let (step, warm_up) = (self.state.step, self.config.warm_up_steps());
+        if step == warm_up {
+            materials::initialise(&mut self.state.model);
+        }
+        let uses_probes = matches!(self.config.labels, LabelSource::Probes | LabelSource::Both);
+        let needs = uses_probes || self.config.bounces > 0;
+        if needs && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every) {
+            let twice = step == warm_up;
+            step::refresh_probes(&self.config, &self.operators, &mut self.state, twice);
+        }
+    }
+
+    fn next_photo(&mut self) -> usize {
+        let state = &mut self.state;
+        if state.cursor as usize >= state.order.len() {
+            state.order.shuffle(&mut state.rng);
+            state.cursor = 0;
+        }
+        state.cursor += 1;
+        state.order[state.cursor as usize - 1] as usize
+    }
+
+    fn refine(&mut self) {
+        let (step, total) = (self.state.step, self.config.iterations);
+        let last = (self.config.densify_until * total as f32) as u32;
+        let first = (total / 50).max(50);
+        if step < first || step > last || !step.is_multiple_of(REFINE_EVERY.min((total / 15).max(10))) {
+            return;
+        }
+        // The budget opens with the square root of progress, so that early Gaussians settle first.
+        let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
+        let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
+        let budget = (low + (high - low) * share) as usize;
+        let state = &mut self.state;
+        density::refine(
+            &mut state.model,
+            &mut state.moments,
+            &mut state.density,
+            budget,
+            !self.data.has_alpha,
+        );
+        if step >= self.config.warm_up_steps() && !state.labels.is_empty() {
+            // New Gaussians need labels and light of their own.
+            step::refresh_probes(&self.config, &self.operators, state, false);
+        }
     }
 
     /// Where it stands.
     pub fn progress(&self) -> Progress {
-        Progress { step: self.step, total: self.config.iterations }
+        Progress { step: self.state.step, total: self.config.iterations }
     }
 
     /// True when every step is done.
     pub fn is_done(&self) -> bool {
-        self.step >= self.config.iterations
+        self.state.step >= self.config.iterations
+    }
+
+    /// The configuration in force.
+    pub fn config(&self) -> &TrainConfig {
+        &self.config
     }
 
     /// Everything a bit-exact resume needs, as one safetensors file with a versioned header.
@@ -90,24 +269,40 @@ impl Trainer {
     /// # Errors
     /// When the state is not finite: a poisoned checkpoint is never written.
     pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
-        Ok(self.step.to_le_bytes().to_vec())
+        checkpoint::encode(&self.state, &self.config)
     }
 
-    /// The model as it is now.
+    /// The model as it is now, with its card.
     pub fn model(&self) -> Model {
-        let mut gaussians = Gaussians::zeroed(4, 4, 4, 1);
-        gaussians.field_mut(Field::LogScale).fill(-1.0);
-        gaussians.field_mut(Field::Quaternion).fill(0.5);
-        Model {
-            gaussians,
-            prototypes: vec![[0.5; 3]; 4],
-            env_raw: vec![[0.5; 3]; 512],
-            env_width: 32,
-            env_height: 16,
-            shading: ShadingOptions::default(),
-            world_scale: 1.0,
-            world_offset: glam::DVec3::ZERO,
-            card: serde_json::json!({"steps": self.step}),
-        }
+        let mut model = self.state.model.clone();
+        model.card = serde_json::json!({
+            "relume_version": env!("CARGO_PKG_VERSION"),
+            "engine": "cpu",
+            "steps": self.state.step,
+            "gaussians": model.gaussians.len(),
+            "photographs": self.data.full.len(),
+            "has_alpha": self.data.has_alpha,
+            "config": self.config,
+        });
+        model
     }
+
+    /// Seconds spent in steps so far, over all runs.
+    pub fn seconds(&self) -> f64 {
+        self.state.seconds
+    }
+}
+
+fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainError> {
+    if capture.train.len() < LEAST_VIEWS {
+        let n = capture.train.len();
+        return Err(TrainError::Invalid(format!(
+            "capture: {n} usable training photographs, at least {LEAST_VIEWS} are needed"
+        )));
+    }
+    Ok(Dataset::new(capture, config.resolution))
+}
+
+fn photo_at(data: &Dataset, index: usize, half: bool) -> &Photo {
+    if half { &data.half[index] } else { &data.full[index] }
 }

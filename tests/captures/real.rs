@@ -1,8 +1,11 @@
 //! Real captures with known content.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use relume::capture::{Capture, ImportOptions, import};
+use glam::DVec2;
+use relume::capture::{Capture, Distortion, ImportOptions, import};
+use relume::formats::environment;
 
 /// A path in the test data, or nothing, said aloud, when the data is not there.
 fn data(relative: &str) -> Option<PathBuf> {
@@ -122,5 +125,116 @@ fn colmap_points_project_into_their_images() {
         assert!(share > 0.7 && mirrored < 0.3, "{name}: {share} {mirrored}");
         let up = capture.train.iter().map(|v| -v.camera.rotation.row(1)).sum::<glam::DVec3>();
         assert!(up.normalize().z > 0.99);
+    }
+}
+
+/// What COLMAP measured: per image name, the lens `[f, cx, cy, k]` and observations `(x, y, index of point)`.
+struct Measured {
+    images: BTreeMap<String, MeasuredImage>,
+}
+
+type MeasuredImage = ([f64; 4], Vec<(DVec2, usize)>);
+
+/// Walks a SIMPLE_RADIAL binary model by hand, apart from the importer's own reader.
+fn measured(folder: PathBuf) -> Measured {
+    struct Cursor(Vec<u8>, usize);
+    impl Cursor {
+        fn bytes<const N: usize>(&mut self) -> [u8; N] {
+            self.1 += N;
+            self.0[self.1 - N..self.1].try_into().unwrap()
+        }
+        fn long(&mut self) -> usize {
+            u64::from_le_bytes(self.bytes()) as usize
+        }
+        fn int(&mut self) -> u32 {
+            u32::from_le_bytes(self.bytes())
+        }
+        fn float(&mut self) -> f64 {
+            f64::from_le_bytes(self.bytes())
+        }
+    }
+    let open = |name: &str| Cursor(std::fs::read(folder.join(name)).unwrap(), 0);
+    let (mut cameras, mut images, mut points) =
+        (open("cameras.bin"), open("images.bin"), open("points3D.bin"));
+    let mut lenses = BTreeMap::new();
+    for _ in 0..cameras.long() {
+        let (id, model) = (cameras.int(), cameras.int());
+        assert_eq!(model, 2, "SIMPLE_RADIAL");
+        let _size = [cameras.long(), cameras.long()];
+        lenses.insert(id, [(); 4].map(|()| cameras.float()));
+    }
+    let mut order = BTreeMap::new();
+    for i in 0..points.long() {
+        order.insert(points.long(), i);
+        points.1 += 24 + 3 + 8;
+        points.1 += points.long() * 8;
+    }
+    let mut out = BTreeMap::new();
+    for _ in 0..images.long() {
+        images.1 += 4 + 56;
+        let camera = images.int();
+        let mut name = String::new();
+        loop {
+            match images.bytes::<1>() {
+                [0] => break,
+                [c] => name.push(c as char),
+            }
+        }
+        let count = images.long();
+        let seen = (0..count).map(|_| (images.float(), images.float(), images.long()));
+        let seen = seen.filter_map(|(x, y, id)| Some((DVec2::new(x, y), *order.get(&id)?))).collect();
+        out.insert(format!("images/{name}"), (lenses[&camera], seen));
+    }
+    Measured { images: out }
+}
+
+/// Median distance, in stored pixels, between where a point was observed and where the imported camera puts it,
+/// over the outer part of the image, where the lens bends: it moves points by 2 px at 400 px from the middle.
+fn reprojection_error(capture: &Capture, measured: &Measured, bend: f64) -> f64 {
+    let mut errors = Vec::new();
+    for view in capture.train.iter().chain(&capture.test) {
+        let ([f, cx, cy, k], seen) = &measured.images[&view.name];
+        let lens = Distortion::RadialTangential { k: [k * bend, 0.0, 0.0, 0.0], p: [0.0; 2] };
+        let c = &view.camera;
+        let middle = DVec2::new(*cx, *cy);
+        for (at, point) in seen.iter().filter(|(at, _)| at.distance(middle) > 400.0) {
+            let straight = lens.undistort((*at - middle) / f).unwrap();
+            let p = c.rotation * capture.points[*point].0 + c.translation;
+            let difference = straight - DVec2::new(p.x, p.y) / p.z;
+            errors.push((difference * *f).length());
+        }
+    }
+    errors.sort_by(f64::total_cmp);
+    assert!(errors.len() > 2_000, "{}", errors.len());
+    errors[errors.len() / 2]
+}
+
+#[test]
+fn distorted_observations_agree_with_the_straightened_cameras_to_a_pixel() {
+    let Some(path) = data("captures/beer71_colmap") else { return };
+    let capture = small(path.clone(), 160);
+    let measured = measured(path.join("sparse/0"));
+    let [right, none, opposite] = [1.0, 0.0, -1.0].map(|bend| reprojection_error(&capture, &measured, bend));
+    eprintln!("median reprojection error {right} px; no lens {none} px; the opposite lens {opposite} px");
+    assert!(right < 1.0 && none > 2.0 * right && opposite > 4.0 * right, "{right} {none} {opposite}");
+}
+
+#[test]
+fn every_environment_loads_and_the_nasty_ones_warn() {
+    let Some(folder) = data("envmaps") else { return };
+    for name in ["bridge", "city", "dawn", "forest", "interior", "night", "studio", "sunset"] {
+        let loaded =
+            environment::decode(&std::fs::read(folder.join(format!("{name}.hdr"))).unwrap()).unwrap();
+        assert_eq!(
+            (loaded.map.width(), loaded.map.height(), loaded.warnings.len()),
+            (1024, 512, 0),
+            "{name}"
+        );
+    }
+    for name in ["negative_pixels.exr", "dwa_studio.exr"] {
+        let loaded = environment::decode(&std::fs::read(folder.join(name)).unwrap()).unwrap();
+        assert!(loaded.warnings[0].contains("negative"), "{name}: {:?}", loaded.warnings);
+        assert!(loaded.map.texels().iter().flatten().all(|v| *v >= 0.0));
+        eprintln!("{name} {}x{} {:?}", loaded.map.width(), loaded.map.height(), loaded.warnings);
     }
 }

@@ -230,10 +230,9 @@ mod tests {
                 continue;
             }
             seen += 1;
-            for k in 0..3 {
+            for (encoded, albedo) in p[..3].iter().zip(albedo.values[i]) {
                 // What is not diffuse is a few percent of gloss on top.
-                let shown = srgb::decode(p[k]);
-                let diffuse = albedo.values[i][k] * ao.values[i][0];
+                let (shown, diffuse) = (srgb::decode(*encoded), albedo * ao.values[i][0]);
                 assert!((diffuse - 0.01..diffuse + 0.09).contains(&shown), "{shown} {diffuse}");
             }
         }

@@ -1,0 +1,297 @@
+//! `relume demo`: the whole service on a scene whose truth is known, in one command and in a few minutes.
+//!
+//! Everything a user would do goes over HTTP to a server started for the occasion: upload, train, render,
+//! download. Only the verdict is passed locally, since only the caller knows the truth.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::api::jobs::NewJob;
+use crate::api::picture::Format;
+use crate::api::renders::{CameraSpec, EnvironmentSpec, IntrinsicsSpec, RenderRequest};
+use crate::api::server::ServeError;
+use crate::capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
+use crate::cli::output;
+use crate::client::{Client, ClientError, JobEvent};
+use crate::eval::sheet::Sheet;
+use crate::eval::{EvalError, EvalOptions, Picture, Report, evaluate, photograph, truth_layers};
+use crate::formats::environment::{self, EnvironmentFileError};
+use crate::formats::model_file::{self, ModelFileError};
+use crate::render::{Output, Tier};
+use crate::testing;
+use crate::train::{Preset, TrainOverrides};
+
+/// Test views on the contact sheet, two rows each.
+const SHEET_VIEWS: usize = 3;
+/// Side of the contact sheet's cells, pixels.
+const CELL: u32 = 160;
+
+/// See it work: train on a synthetic capture, relight it and measure the result against the exact truth.
+#[derive(Debug, Clone, clap::Args)]
+pub struct DemoArgs {
+    /// Where the contact sheet, the report and the model go; made when it is not there.
+    #[arg(long, value_name = "DIR", default_value = "demo-out")]
+    pub out: PathBuf,
+    /// Seed of the scene's noise and of the training.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    pub seed: u64,
+    /// Training steps; the draft preset's when absent.
+    #[arg(long, value_name = "N")]
+    pub iterations: Option<u32>,
+}
+
+/// Why the demo did not reach its end.
+#[derive(Debug, thiserror::Error)]
+pub enum DemoError {
+    /// A file or folder could not be written.
+    #[error("cannot write {path}: {source}")]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The synthetic capture could not be made.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// The server did not start or end well.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    /// A request failed.
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    /// The training failed.
+    #[error("the job ended {state}: {detail}")]
+    Job {
+        /// The job's last state.
+        state: String,
+        /// Its reason.
+        detail: String,
+    },
+    /// A light could not be encoded.
+    #[error(transparent)]
+    Light(#[from] EnvironmentFileError),
+    /// The server sent no picture.
+    #[error("rendered picture: {0}")]
+    Picture(#[from] image::ImageError),
+    /// The server sent no model.
+    #[error(transparent)]
+    Model(#[from] ModelFileError),
+    /// The model could not be measured.
+    #[error(transparent)]
+    Eval(#[from] EvalError),
+    /// A computation died.
+    #[error("a computation was cut off: {0}")]
+    Join(#[from] tokio::task::JoinError),
+}
+
+/// Runs the demo and prints what it does and finds.
+///
+/// # Errors
+/// [`DemoError`] says which step failed.
+pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
+    let begin = Instant::now();
+    let runtime = tokio::runtime::Runtime::new().map_err(ServeError::from)?;
+    let report = runtime.block_on(demo(args))?;
+    summary(&report, &args.out, begin.elapsed());
+    Ok(())
+}
+
+/// The demo from the first pixel of truth to the report; prints each step as it begins.
+///
+/// # Errors
+/// [`DemoError`] says which step failed.
+pub async fn demo(args: &DemoArgs) -> Result<Report, DemoError> {
+    let failed = |source| DemoError::Write { path: args.out.clone(), source };
+    std::fs::create_dir_all(&args.out).map_err(failed)?;
+
+    println!("1/5 drawing a synthetic capture with exact truth");
+    let options = SyntheticOptions { seed: args.seed, ..SyntheticOptions::default() };
+    let (capture, archive) = tokio::task::spawn_blocking(move || -> Result<_, CaptureError> {
+        let capture = synthetic(&options)?;
+        let archive = write_archive(&capture)?;
+        Ok((Arc::new(capture), archive))
+    })
+    .await??;
+
+    let server = testing::spawn().await?;
+    println!("2/5 uploading {} kB to {}", archive.len() / 1024, server.client().base());
+    let uploaded = server.client().upload_capture_bytes(archive).await?;
+    let report = show(server.client(), &uploaded.id, capture, args).await;
+    // A failed demo stops its server, too; what failed first is what the user should read.
+    let stopped = server.stop().await;
+    let report = report?;
+    stopped?;
+    Ok(report)
+}
+
+/// Everything between upload and summary.
+async fn show(
+    client: &Client,
+    capture_id: &str,
+    capture: Arc<Capture>,
+    args: &DemoArgs,
+) -> Result<Report, DemoError> {
+    let model = train(client, capture_id, args).await?;
+    println!("4/5 relighting held-out views under {}", listed(&capture));
+    let sheet = contact_sheet(client, &model, &capture).await?;
+    write(&args.out.join("contact_sheet.png"), &sheet.to_png(CELL)?)?;
+
+    println!("5/5 measuring against the truth, every held-out view under every light");
+    let bytes = client.file(&model, "model.safetensors").await?;
+    write(&args.out.join("model.safetensors"), &bytes)?;
+    let report = tokio::task::spawn_blocking(move || measure(&bytes, &capture)).await??;
+    write(&args.out.join("report.json"), report.to_json().as_bytes())?;
+    write(&args.out.join("report.md"), report.to_markdown().as_bytes())?;
+    Ok(report)
+}
+
+/// Queues the training and follows it; the model's identifier.
+async fn train(client: &Client, capture: &str, args: &DemoArgs) -> Result<String, DemoError> {
+    let overrides =
+        TrainOverrides { seed: Some(args.seed), iterations: args.iterations, ..TrainOverrides::default() };
+    let order = NewJob { capture: capture.to_owned(), preset: Preset::Draft, overrides, ..NewJob::default() };
+    let job = client.create_job(&order, None).await?;
+    println!("3/5 training, job {}", job.id);
+    let bar = progress_bar();
+    let job = client.wait(&job.id, |event| show_event(&bar, event)).await?;
+    bar.finish();
+    let failed = || DemoError::Job {
+        state: format!("{:?}", job.state).to_lowercase(),
+        detail: job.error.as_ref().map_or_else(|| "it left no model".to_owned(), |e| e.detail.clone()),
+    };
+    job.model.clone().ok_or_else(failed)
+}
+
+fn progress_bar() -> ProgressBar {
+    let style = ProgressStyle::with_template("    {bar:32} {pos}/{len} {msg} {eta}");
+    ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+fn show_event(bar: &ProgressBar, event: &JobEvent) {
+    let number = |name: &str| event.data.get(name).and_then(serde_json::Value::as_f64);
+    match event.kind.as_str() {
+        "progress" => {
+            bar.set_length(number("total").unwrap_or_default() as u64);
+            bar.set_position(number("step").unwrap_or_default() as u64);
+            let (loss, psnr) = (number("loss").unwrap_or_default(), number("psnr").unwrap_or_default());
+            let gaussians = number("gaussians").unwrap_or_default();
+            bar.set_message(format!("loss {loss:.4}  PSNR {psnr:.2} dB  {gaussians} Gaussians"));
+        }
+        "warning" => bar.println(format!("    warning: {}", event.data)),
+        _ => {}
+    }
+}
+
+/// Two rows a view: what the service renders, and the truth.
+async fn contact_sheet(client: &Client, model: &str, capture: &Capture) -> Result<Sheet, DemoError> {
+    let lights = upload_lights(client, capture).await?;
+    let mut columns = vec!["input".to_owned()];
+    columns.extend(lights.iter().map(|(name, _)| format!("relit {name}")));
+    columns.extend(["albedo", "normal", "roughness", "ao"].map(str::to_owned));
+    let mut sheet = Sheet::new(columns);
+    let step = capture.test.len().div_ceil(SHEET_VIEWS).max(1);
+    for view in capture.test.iter().step_by(step) {
+        let mut rendered = vec![Some(frame(client, model, view, Output::Rgb, None).await?)];
+        for (_, id) in &lights {
+            rendered.push(Some(frame(client, model, view, Output::Rgb, Some(id)).await?));
+        }
+        for output in [Output::Albedo, Output::Normal, Output::Roughness, Output::Visibility] {
+            rendered.push(Some(frame(client, model, view, output, None).await?));
+        }
+        let mut truth = vec![Some(photograph(&view.image))];
+        truth.extend(lights.iter().map(|(name, _)| view.truth.relit.get(*name).map(photograph)));
+        truth.extend(truth_layers(view));
+        sheet.push(format!("{}: recovered by Relume", view.name), rendered);
+        sheet.push(format!("{}: truth", view.name), truth);
+    }
+    Ok(sheet)
+}
+
+/// The truth's lights as environments of the server: name and identifier.
+async fn upload_lights<'a>(
+    client: &Client,
+    capture: &'a Capture,
+) -> Result<Vec<(&'a str, String)>, DemoError> {
+    let mut lights = Vec::new();
+    for (name, map) in &capture.lights {
+        let uploaded = client.upload_environment(environment::encode_exr(map)?).await?;
+        lights.push((name.as_str(), uploaded.id));
+    }
+    Ok(lights)
+}
+
+/// One output of one view from the render endpoint, on white; under the recovered light when none is named.
+async fn frame(
+    client: &Client,
+    model: &str,
+    view: &CaptureView,
+    output: Output,
+    light: Option<&String>,
+) -> Result<Picture, DemoError> {
+    let camera = &view.camera;
+    let matrix = camera.to_opengl().transpose().to_cols_array_2d();
+    let intrinsics = IntrinsicsSpec { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
+    let request = RenderRequest {
+        camera: CameraSpec {
+            camera_to_world: Some(matrix),
+            intrinsics: Some(intrinsics),
+            ..CameraSpec::default()
+        },
+        environment: EnvironmentSpec { id: light.cloned(), ..EnvironmentSpec::default() },
+        width: camera.width,
+        height: camera.height,
+        tier: Tier::Standard,
+        outputs: vec![output],
+    };
+    let png = client.render(model, &request, Format::Png).await?;
+    let image = image::load_from_memory(&png)?.into_rgba32f();
+    let on_white = |p: &image::Rgba<f32>| {
+        let [r, g, b, a] = p.0;
+        [r, g, b].map(|v| v * a + 1.0 - a)
+    };
+    let values = image.pixels().map(on_white).collect();
+    Ok(Picture { width: image.width(), height: image.height(), values })
+}
+
+fn measure(model: &[u8], capture: &Capture) -> Result<Report, DemoError> {
+    let model = Arc::new(model_file::decode(model)?);
+    Ok(evaluate(model, capture, &EvalOptions::default())?)
+}
+
+fn summary(report: &Report, out: &Path, took: Duration) {
+    let figure = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |v| format!("{v:.2}"));
+    println!();
+    for (light, scores) in &report.relit.lights {
+        println!("relit under {light:<10} {} dB", figure(scores.psnr));
+    }
+    println!(
+        "relit, mean            {} dB over {} held-out views",
+        figure(report.relit.mean.psnr),
+        report.views
+    );
+    println!("novel views            {} dB", figure(report.novel_view.psnr));
+    println!("albedo, aligned        {} dB", figure(report.albedo.psnr_aligned));
+    println!("normals                {} degrees off", figure(report.normal_mae_deg.foreground));
+    println!("{} Gaussians, {:.0} s in all", report.gaussians, took.as_secs_f64());
+    println!();
+    for (file, what) in [
+        ("contact_sheet.png", "what it looks like"),
+        ("report.md", "every figure and how it was measured"),
+        ("report.json", "the same for programs"),
+        ("model.safetensors", "the model"),
+    ] {
+        println!("{}  {what}", out.join(file).display());
+    }
+}
+
+fn listed(capture: &Capture) -> String {
+    capture.lights.keys().map(String::as_str).collect::<Vec<_>>().join(", ")
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), DemoError> {
+    output::write_whole(path, bytes).map_err(|source| DemoError::Write { path: path.to_owned(), source })
+}

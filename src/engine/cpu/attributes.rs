@@ -1,0 +1,288 @@
+//! From a Gaussian's raw parameters to the row of attributes that is blended, and back
+//! (docs/MODEL.md sections 1 and 3).
+
+use crate::engine::RowLayout;
+use crate::engine::channel::{self, Channels};
+use crate::engine::cpu::project::{
+    Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid,
+};
+use crate::engine::cpu::view::View;
+use crate::light::{sh_eval, sh_eval_with_gradient};
+use crate::scene::{Field, Gaussians, IndirectForm, NormalForm, ShadingOptions};
+
+/// Most radiance coefficients a Gaussian has (order 4).
+const MAX_RADIANCE: usize = 25;
+
+/// The model as the attribute kernels read it.
+#[derive(Debug, Clone, Copy)]
+pub struct AttributeSource<'a> {
+    /// The Gaussians.
+    pub gaussians: &'a Gaussians,
+    /// Albedo prototypes.
+    pub prototypes: &'a [[f32; 3]],
+    /// The forward model.
+    pub options: &'a ShadingOptions,
+    /// Measured indirect light per Gaussian: irradiance RGB, mean blocked radiance RGB. Empty = none.
+    pub gathered: &'a [[f32; 6]],
+    /// `E_j` of Eq. 20, for `IndirectForm::Learned`.
+    pub indirect_basis: &'a [[f32; 3]; 16],
+}
+
+impl AttributeSource<'_> {
+    /// Raw geometry of Gaussian `i`.
+    #[inline]
+    pub fn geometry(&self, i: usize) -> Geometry {
+        let g = self.gaussians;
+        Geometry {
+            mean: g.get(Field::Mean, i),
+            log_scale: g.get(Field::LogScale, i),
+            quaternion: g.get(Field::Quaternion, i),
+            opacity_logit: g.row(Field::OpacityLogit, i)[0],
+        }
+    }
+
+    /// Fills `row` (zeroed, `channels.stored()` floats) for a visible splat.
+    pub fn write(&self, view: &View, splat: &Splat, channels: Channels, row: &mut [f32]) {
+        let i = splat.gaussian as usize;
+        row[channel::COVERAGE] = 1.0;
+        let geometry = self.geometry(i);
+        let to_mean: [f32; 3] = std::array::from_fn(|k| geometry.mean[k] - view.eye[k]);
+        row[channel::RADIANCE].copy_from_slice(&self.radiance(i, to_mean).colour);
+        if channels == Channels::Colour {
+            return;
+        }
+        let normal = self.normal(i, &geometry, to_mean);
+        row[channel::NORMAL].copy_from_slice(&normal.unit);
+        row[channel::PLANE] = (0..3).map(|k| normal.unit[k] * to_mean[k]).sum();
+        if channels == Channels::Geometry {
+            return;
+        }
+        row[channel::ALBEDO].copy_from_slice(&self.albedo(i).map(|a| a.clamp(0.0, 1.0)));
+        row[channel::METAL] = sigmoid(self.gaussians.row(Field::MetalLogit, i)[0]);
+        row[channel::ROUGH] = sigmoid(self.gaussians.row(Field::RoughLogit, i)[0]);
+        let Channels::Full(coefficients) = channels else { return };
+        row[channel::DEPTH] = splat.depth;
+        match self.options.indirect {
+            IndirectForm::Off => {}
+            IndirectForm::Learned => {
+                let weights = self.gaussians.row(Field::Indirect, i);
+                for (w, e) in weights.iter().zip(self.indirect_basis) {
+                    (0..3).for_each(|c| row[channel::INDIRECT.start + c] += w * e[c]);
+                }
+            }
+            IndirectForm::Gathered => {
+                if let Some(g) = self.gathered.get(i) {
+                    row[channel::GATHERED.start..channel::INDIRECT.end].copy_from_slice(g);
+                }
+            }
+        }
+        row[channel::VISIBILITY..channel::VISIBILITY + coefficients]
+            .copy_from_slice(&self.gaussians.row(Field::Visibility, i)[..coefficients]);
+    }
+
+    /// Chain rule from a blended row's gradient (`by_row`, as many channels as were differentiated) into
+    /// the Gaussian's gradient row; geometry shared with the projection goes to `geometry_gradient`.
+    pub fn write_backward(
+        &self,
+        view: &View,
+        splat: &Splat,
+        by_row: &[f32],
+        layout: &RowLayout,
+        geometry_gradient: &mut GeometryGradient,
+        out: &mut [f32],
+    ) {
+        let i = splat.gaussian as usize;
+        let geometry = self.geometry(i);
+        let to_mean: [f32; 3] = std::array::from_fn(|k| geometry.mean[k] - view.eye[k]);
+        self.radiance_backward(i, to_mean, by_row, layout, geometry_gradient, out);
+        if by_row.len() > channel::PLANE {
+            self.normal_backward(i, &geometry, to_mean, by_row, layout, geometry_gradient, out);
+        }
+        if by_row.len() > channel::ROUGH {
+            self.material_backward(i, by_row, layout, out);
+        }
+        if by_row.len() > channel::DEPTH {
+            (0..3).for_each(|c| geometry_gradient.mean[c] += view.rotation[2][c] * by_row[channel::DEPTH]);
+        }
+        if by_row.len() >= channel::VISIBILITY {
+            if self.options.indirect == IndirectForm::Learned {
+                let g = &by_row[channel::INDIRECT];
+                for (o, e) in out[layout.range(Field::Indirect)].iter_mut().zip(self.indirect_basis) {
+                    *o += (0..3).map(|c| g[c] * e[c]).sum::<f32>();
+                }
+            }
+            let visibility = &by_row[channel::VISIBILITY..];
+            for (o, g) in out[layout.range(Field::Visibility)].iter_mut().zip(visibility) {
+                *o += g;
+            }
+        }
+    }
+
+    /// Unclamped albedo of Gaussian `i` (Eq. 23).
+    pub fn albedo(&self, i: usize) -> [f32; 3] {
+        let mut p = [0.0f32; 256];
+        let p = self.mixture(i, &mut p);
+        let residual: [f32; 3] = self.gaussians.get(Field::Residual, i);
+        std::array::from_fn(|c| {
+            residual[c] + p.iter().zip(self.prototypes).map(|(p, a)| p * a[c].clamp(0.0, 1.0)).sum::<f32>()
+        })
+    }
+
+    /// `softmax` of the prototype scores, into the front of `buffer`.
+    fn mixture<'b>(&self, i: usize, buffer: &'b mut [f32; 256]) -> &'b [f32] {
+        let scores = self.gaussians.row(Field::ProtoLogits, i);
+        softmax(scores, &mut buffer[..scores.len().min(256)])
+    }
+
+    fn material_backward(&self, i: usize, by_row: &[f32], layout: &RowLayout, out: &mut [f32]) {
+        let albedo = self.albedo(i);
+        let by_albedo: [f32; 3] = std::array::from_fn(|c| {
+            let inside = albedo[c] > 0.0 && albedo[c] < 1.0;
+            if inside { by_row[channel::ALBEDO.start + c] } else { 0.0 }
+        });
+        for (o, g) in out[layout.range(Field::Residual)].iter_mut().zip(by_albedo) {
+            *o += g;
+        }
+        let mut buffer = [0.0f32; 256];
+        let p = self.mixture(i, &mut buffer);
+        let by_p = |a: &[f32; 3]| (0..3).map(|c| by_albedo[c] * a[c].clamp(0.0, 1.0)).sum::<f32>();
+        let mean: f32 = p.iter().zip(self.prototypes).map(|(p, a)| p * by_p(a)).sum();
+        let scores = &mut out[layout.range(Field::ProtoLogits)];
+        for ((o, p), a) in scores.iter_mut().zip(p).zip(self.prototypes) {
+            *o += p * (by_p(a) - mean);
+        }
+        for (field, channel) in [(Field::MetalLogit, channel::METAL), (Field::RoughLogit, channel::ROUGH)] {
+            let s = sigmoid(self.gaussians.row(field, i)[0]);
+            out[layout.range(field)][0] += by_row[channel] * s * (1.0 - s);
+        }
+    }
+
+    /// Adds this Gaussian's share to the prototypes' gradient.
+    pub fn prototypes_backward(&self, i: usize, by_row: &[f32], out: &mut [[f32; 3]]) {
+        if by_row.len() <= channel::ROUGH {
+            return;
+        }
+        let albedo = self.albedo(i);
+        let mut buffer = [0.0f32; 256];
+        let p = self.mixture(i, &mut buffer);
+        for ((o, p), a) in out.iter_mut().zip(p).zip(self.prototypes) {
+            for c in 0..3 {
+                let inside = albedo[c] > 0.0 && albedo[c] < 1.0 && a[c] > 0.0 && a[c] < 1.0;
+                o[c] += if inside { p * by_row[channel::ALBEDO.start + c] } else { 0.0 };
+            }
+        }
+    }
+
+    fn normal(&self, i: usize, geometry: &Geometry, to_mean: [f32; 3]) -> Normal {
+        let raw: [f32; 3] = self.gaussians.get(Field::Normal, i);
+        let (axis, sign) = match self.options.normal {
+            NormalForm::Free => (None, 1.0),
+            NormalForm::ShortestAxis => {
+                let s = geometry.log_scale;
+                let axis = if s[0] <= s[1] && s[0] <= s[2] {
+                    0
+                } else if s[1] <= s[2] {
+                    1
+                } else {
+                    2
+                };
+                let q = rotation(geometry.quaternion);
+                let facing: f32 = (0..3).map(|r| q[r][axis] * to_mean[r]).sum();
+                (Some((axis, q)), if facing > 0.0 { -1.0 } else { 1.0 })
+            }
+        };
+        let sum = std::array::from_fn(|r| raw[r] + axis.map_or(0.0, |(a, q)| sign * q[r][a]));
+        let (unit, length) = normalise(sum);
+        Normal { unit, length, axis: axis.map(|(a, _)| (a, sign)) }
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one chain-rule step with its three destinations")]
+    fn normal_backward(
+        &self,
+        i: usize,
+        geometry: &Geometry,
+        to_mean: [f32; 3],
+        by_row: &[f32],
+        layout: &RowLayout,
+        geometry_gradient: &mut GeometryGradient,
+        out: &mut [f32],
+    ) {
+        let normal = self.normal(i, geometry, to_mean);
+        let by_plane = by_row[channel::PLANE];
+        let by_unit = std::array::from_fn(|k| by_row[channel::NORMAL.start + k] + by_plane * to_mean[k]);
+        (0..3).for_each(|k| geometry_gradient.mean[k] += by_plane * normal.unit[k]);
+        let by_sum = normalise_backward(normal.unit, normal.length, by_unit);
+        for (o, g) in out[layout.range(Field::Normal)].iter_mut().zip(by_sum) {
+            *o += g;
+        }
+        if let Some((axis, sign)) = normal.axis {
+            (0..3).for_each(|r| geometry_gradient.rotation[r][axis] += sign * by_sum[r]);
+        }
+    }
+
+    fn radiance(&self, i: usize, to_mean: [f32; 3]) -> Radiance {
+        let coefficients = self.gaussians.row(Field::Radiance, i);
+        let (direction, length) = normalise(to_mean);
+        let mut basis = [0.0f32; MAX_RADIANCE];
+        sh_eval(self.gaussians.radiance_order(), direction, &mut basis);
+        let mut raw = [0.5f32; 3];
+        for (s, y) in coefficients.chunks_exact(3).zip(&basis) {
+            (0..3).for_each(|c| raw[c] += s[c] * y);
+        }
+        Radiance { colour: raw.map(|v| v.max(0.0)), lit: raw.map(|v| v > 0.0), direction, length }
+    }
+
+    fn radiance_backward(
+        &self,
+        i: usize,
+        to_mean: [f32; 3],
+        by_row: &[f32],
+        layout: &RowLayout,
+        geometry_gradient: &mut GeometryGradient,
+        out: &mut [f32],
+    ) {
+        let by_colour = &by_row[channel::RADIANCE];
+        if by_colour.iter().all(|g| *g == 0.0) {
+            return;
+        }
+        let radiance = self.radiance(i, to_mean);
+        let g: [f32; 3] = std::array::from_fn(|c| if radiance.lit[c] { by_colour[c] } else { 0.0 });
+        let (mut basis, mut slope) = ([0.0f32; MAX_RADIANCE], [[0.0f32; 3]; MAX_RADIANCE]);
+        sh_eval_with_gradient(self.gaussians.radiance_order(), radiance.direction, &mut basis, &mut slope);
+        let coefficients = self.gaussians.row(Field::Radiance, i).chunks_exact(3);
+        let gradients = out[layout.range(Field::Radiance)].chunks_exact_mut(3);
+        let mut by_direction = [0.0f32; 3];
+        for (((o, s), y), dy) in gradients.zip(coefficients).zip(&basis).zip(&slope) {
+            let along: f32 = (0..3).map(|c| g[c] * s[c]).sum();
+            (0..3).for_each(|c| o[c] += g[c] * y);
+            (0..3).for_each(|k| by_direction[k] += along * dy[k]);
+        }
+        let by_mean = normalise_backward(radiance.direction, radiance.length, by_direction);
+        (0..3).for_each(|k| geometry_gradient.mean[k] += by_mean[k]);
+    }
+}
+
+struct Normal {
+    unit: [f32; 3],
+    length: f32,
+    /// Column of the rotation that was used and its sign.
+    axis: Option<(usize, f32)>,
+}
+
+struct Radiance {
+    colour: [f32; 3],
+    lit: [bool; 3],
+    direction: [f32; 3],
+    length: f32,
+}
+
+/// `softmax(scores)` into `out` of the same length.
+pub fn softmax<'b>(scores: &[f32], out: &'b mut [f32]) -> &'b [f32] {
+    let top = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    for (o, s) in out.iter_mut().zip(scores) {
+        *o = crate::engine::cpu::lanes::exp_negative(s - top);
+    }
+    let total: f32 = out.iter().sum();
+    out.iter_mut().for_each(|o| *o /= total);
+    out
+}

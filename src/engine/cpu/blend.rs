@@ -1,0 +1,167 @@
+//! Front-to-back blending of N channels in one tile (Eq. 4-5).
+//!
+//! A tile is worked on strip by strip (one row of 16 pixels = one vector). For a strip, the weights of the splats that
+//! reach it are found first; the G-buffer of the strip is then the small matrix product `attributes^T x weights`, four
+//! channels at a time so that the sums stay in registers. Everything a strip touches fits the L1 cache.
+
+use multiversion::multiversion;
+
+use crate::engine::cpu::lanes::{LANES, Lanes, exp_negative};
+use crate::engine::cpu::project::{ALPHA_MAX, ALPHA_MIN, Splat};
+use crate::engine::cpu::tiles::TILE;
+
+/// A pixel whose transmittance is below this may be left; the weight missed is less than this in all.
+pub const TRANSMITTANCE_STOP: f32 = 1e-4;
+
+/// The part of a splat that a strip needs.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LocalSplat {
+    mean: [f32; 2],
+    conic: [f32; 3],
+    opacity: f32,
+    reach: f32,
+    /// Minimum power in a row is `row_power * dy^2`.
+    row_power: f32,
+}
+
+impl LocalSplat {
+    fn new(s: &Splat) -> Self {
+        let row_power = 0.5 * (s.conic[2] - s.conic[1] * s.conic[1] / s.conic[0]).max(0.0);
+        Self { mean: s.mean, conic: s.conic, opacity: s.opacity, reach: s.reach, row_power }
+    }
+
+    /// Offset of lane 0 of a tile at `x` from the mean.
+    #[inline(always)]
+    pub(super) fn dx(&self, x: usize) -> f32 {
+        x as f32 + 0.5 - self.mean[0]
+    }
+
+    /// Offset of row `y` from the mean.
+    #[inline(always)]
+    pub(super) fn dy(&self, y: usize) -> f32 {
+        y as f32 + 0.5 - self.mean[1]
+    }
+
+    #[inline(always)]
+    pub(super) fn conic(&self) -> [f32; 3] {
+        self.conic
+    }
+
+    #[inline(always)]
+    pub(super) fn opacity(&self) -> f32 {
+        self.opacity
+    }
+}
+
+/// One splat in one strip.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Entry {
+    /// Position in the tile's list.
+    pub(super) local: u32,
+    /// Alpha before the cap, 0 where below 1/255.
+    pub(super) alpha: Lanes,
+    /// Transmittance in front.
+    pub(super) transmittance: Lanes,
+}
+
+/// Memory a thread reuses from tile to tile.
+#[derive(Debug, Default)]
+pub struct BlendScratch {
+    pub(super) splats: Vec<LocalSplat>,
+    pub(super) entries: Vec<Entry>,
+    pub(super) weights: Vec<Lanes>,
+}
+
+/// A tile to blend: what is in it and where it is.
+#[derive(Debug, Clone, Copy)]
+pub struct TileJob<'a> {
+    /// All splats, depth-sorted.
+    pub splats: &'a [Splat],
+    /// Ranks in this tile, front to back.
+    pub ranks: &'a [u32],
+    /// Attributes by rank, `stored` floats each.
+    pub attributes: &'a [f32],
+    /// Floats in an attribute row, a multiple of 4.
+    pub stored: usize,
+    /// Top-left pixel.
+    pub origin: (usize, usize),
+    /// Whether saturated pixels may be left early.
+    pub early_stop: bool,
+}
+
+impl BlendScratch {
+    pub(super) fn gather(&mut self, job: &TileJob<'_>) {
+        self.splats.clear();
+        self.splats.extend(job.ranks.iter().map(|&r| LocalSplat::new(&job.splats[r as usize])));
+    }
+
+    /// Alpha and transmittance of every splat that reaches the strip at row `y`.
+    #[inline(always)]
+    pub(super) fn find_entries(&mut self, x: usize, y: usize, early_stop: bool) {
+        self.entries.clear();
+        let mut transmittance = Lanes::ONE;
+        for (local, s) in self.splats.iter().enumerate() {
+            let dy = s.dy(y);
+            if s.row_power * dy * dy > s.reach {
+                continue;
+            }
+            let x0 = s.dx(x);
+            let (a, b, c) = (0.5 * s.conic[0], s.conic[1] * dy, 0.5 * s.conic[2] * dy * dy);
+            let mut alpha = Lanes::ZERO;
+            for i in 0..LANES {
+                let dx = x0 + i as f32;
+                let power = (a * dx + b) * dx + c;
+                let power = if power > 0.0 { power } else { 0.0 };
+                let value = s.opacity * exp_negative(-power);
+                alpha.0[i] = if value >= ALPHA_MIN { value } else { 0.0 };
+            }
+            if alpha.max() <= 0.0 {
+                continue;
+            }
+            self.entries.push(Entry { local: local as u32, alpha, transmittance });
+            for i in 0..LANES {
+                transmittance.0[i] *= 1.0 - capped(alpha.0[i]);
+            }
+            if early_stop && self.entries.len().is_multiple_of(4) && transmittance.max() < TRANSMITTANCE_STOP
+            {
+                break;
+            }
+        }
+    }
+}
+
+/// Alpha after the cap.
+#[inline(always)]
+pub(super) fn capped(alpha: f32) -> f32 {
+    if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX }
+}
+
+/// Blends one tile into `out`: `[row][channel][lane]`, `TILE * stored * LANES` floats.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+pub fn blend_tile(job: &TileJob<'_>, scratch: &mut BlendScratch, out: &mut [f32]) {
+    scratch.gather(job);
+    for row in 0..TILE {
+        scratch.find_entries(job.origin.0, job.origin.1 + row, job.early_stop);
+        let BlendScratch { entries, weights, .. } = &mut *scratch;
+        weights.clear();
+        for e in entries.iter() {
+            weights.push(Lanes::from_fn(|i| e.transmittance.0[i] * capped(e.alpha.0[i])));
+        }
+        let strip = &mut out[row * job.stored * LANES..(row + 1) * job.stored * LANES];
+        for (block, target) in strip.chunks_exact_mut(4 * LANES).enumerate() {
+            let mut sums = [Lanes::ZERO; 4];
+            for (e, w) in entries.iter().zip(weights.iter()) {
+                let rank = job.ranks[e.local as usize] as usize;
+                let base = rank * job.stored + 4 * block;
+                let Some(a) = job.attributes[base..].first_chunk::<4>() else { continue };
+                sums[0].add_product(a[0], w);
+                sums[1].add_product(a[1], w);
+                sums[2].add_product(a[2], w);
+                sums[3].add_product(a[3], w);
+            }
+            for (lane_row, sum) in target.chunks_exact_mut(LANES).zip(&sums) {
+                lane_row.copy_from_slice(&sum.0);
+            }
+        }
+    }
+}

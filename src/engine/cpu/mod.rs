@@ -1,0 +1,37 @@
+//! The native CPU engine: f32, tiles, sixteen pixels at a time, rayon over tiles and Gaussians.
+//!
+//! The same inputs give the same bytes for any number of threads: work is split by tile or Gaussian, never by thread,
+//! and every sum across tiles is taken in a fixed order. Kernels round products and sums separately, so that the bytes
+//! do not depend on which CPU features were found either.
+
+mod attributes;
+mod blend;
+mod blend_backward;
+mod gather;
+mod indirect;
+mod labels;
+mod lanes;
+mod pass;
+mod probes;
+mod project;
+mod shade;
+mod shading;
+mod tiles;
+mod view;
+
+pub use attributes::{AttributeSource, softmax};
+pub use blend::TRANSMITTANCE_STOP;
+pub use gather::Transport;
+pub use indirect::{indirect_basis, indirect_basis_backward};
+pub use labels::{BackwardLabel, backward_labels};
+pub use pass::{Pass, project_all};
+pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
+pub use project::{
+    ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, sigmoid,
+};
+pub use shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
+pub use shading::{
+    BranchImages, BufferGradient, LEAST_COVERAGE, linear_from_srgb, radiance_image, radiance_image_backward,
+    srgb, srgb_slope, surface_at,
+};
+pub use view::View;

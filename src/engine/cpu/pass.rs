@@ -1,0 +1,227 @@
+//! One rasterisation: project, sort, bin and blend; and the way back to the parameters.
+
+use rayon::prelude::*;
+
+use crate::engine::Gradients;
+use crate::engine::channel::Channels;
+use crate::engine::cpu::attributes::AttributeSource;
+use crate::engine::cpu::blend::{BlendScratch, TileJob, blend_tile};
+use crate::engine::cpu::blend_backward::{BackwardScratch, ROW_HEADER, blend_tile_backward};
+use crate::engine::cpu::lanes::LANES;
+use crate::engine::cpu::project::{Splat, SplatGradient, project, project_backward, rotation_backward};
+use crate::engine::cpu::tiles::{TILE, TileLists};
+use crate::engine::cpu::view::View;
+use crate::scene::Field;
+
+/// Gaussians a task takes; fixed, so that sums come out the same for any number of threads.
+const CHUNK: usize = 512;
+
+/// A rasterised view: the G-buffer and everything its backward pass needs.
+#[derive(Debug, Clone)]
+pub struct Pass {
+    /// The camera.
+    pub view: View,
+    /// Visible splats, front to back.
+    pub splats: Vec<Splat>,
+    /// Their tiles.
+    pub tiles: TileLists,
+    /// Channels carried.
+    pub channels: Channels,
+    /// Attribute rows by rank, `channels.stored()` floats each.
+    pub attributes: Vec<f32>,
+    /// `[tile][row][channel][lane]`.
+    pub gbuffer: Vec<f32>,
+    early_stop: bool,
+}
+
+impl Pass {
+    /// Rasterises `source` as seen by `view`.
+    pub fn forward(source: &AttributeSource<'_>, view: View, channels: Channels, early_stop: bool) -> Self {
+        let splats = project_all(source, &view);
+        let stored = channels.stored();
+        let mut attributes = vec![0.0f32; splats.len() * stored];
+        attributes
+            .par_chunks_mut(stored)
+            .zip(&splats)
+            .with_min_len(64)
+            .for_each(|(row, splat)| source.write(&view, splat, channels, row));
+        Self::blend(view, splats, channels, attributes, early_stop)
+    }
+
+    /// Blends given attribute rows; for callers that make their own, such as the preview tier.
+    pub fn blend(
+        view: View,
+        splats: Vec<Splat>,
+        channels: Channels,
+        attributes: Vec<f32>,
+        early_stop: bool,
+    ) -> Self {
+        let tiles = TileLists::new(view.width, view.height, &splats);
+        let stored = channels.stored();
+        let mut gbuffer = vec![0.0f32; tiles.len() * TILE * stored * LANES];
+        gbuffer.par_chunks_mut(TILE * stored * LANES).enumerate().for_each_init(
+            BlendScratch::default,
+            |scratch, (tile, out)| {
+                let ranks = tiles.ranks(tile);
+                if ranks.is_empty() {
+                    return;
+                }
+                let origin = tiles.origin(tile);
+                let job =
+                    TileJob { splats: &splats, ranks, attributes: &attributes, stored, origin, early_stop };
+                blend_tile(&job, scratch, out);
+            },
+        );
+        Self { view, splats, tiles, channels, attributes, gbuffer, early_stop }
+    }
+
+    /// Index of channel 0 of pixel (`x`, `y`) in a buffer of `stored` channels; channels are [`LANES`] apart.
+    #[inline]
+    pub fn locate(&self, x: usize, y: usize, stored: usize) -> usize {
+        let tile = y / TILE * self.tiles.columns + x / TILE;
+        (tile * TILE + y % TILE) * stored * LANES + x % TILE
+    }
+
+    /// Channel `channel` of pixel (`x`, `y`).
+    #[inline]
+    pub fn at(&self, x: usize, y: usize, channel: usize) -> f32 {
+        self.gbuffer[self.locate(x, y, self.channels.stored()) + channel * LANES]
+    }
+
+    /// Gradients of all parameters from that of the first `count` G-buffer channels, laid out as the G-buffer
+    /// with `stored` channels a pixel. Does not touch `env_raw`.
+    pub fn backward(
+        &self,
+        source: &AttributeSource<'_>,
+        by_gbuffer: &[f32],
+        stored: usize,
+        count: usize,
+    ) -> Gradients {
+        let width = ROW_HEADER + count;
+        let rows = self.blend_backward(by_gbuffer, stored, count);
+        let summed = self.sum_instances(&rows, width);
+        let mut out = Gradients::zeroed(source.gaussians, 0);
+        let layout = out.layout;
+        let mut rank_of = vec![u32::MAX; source.gaussians.len()];
+        for (rank, splat) in self.splats.iter().enumerate() {
+            rank_of[splat.gaussian as usize] = rank as u32;
+        }
+        let half_width = 0.5 * self.view.width.max(self.view.height) as f32;
+        let per_gaussian = out.rows.par_chunks_mut(layout.row).zip(&mut out.screen).zip(&mut out.visible);
+        per_gaussian.zip(&rank_of).with_min_len(64).for_each(|(((row, screen), visible), rank)| {
+            let Some(splat) = self.splats.get(*rank as usize) else { return };
+            let summed = &summed[*rank as usize * width..(*rank as usize + 1) * width];
+            let [mx, my, xx, xy, yy, opacity] = [0, 1, 2, 3, 4, 5].map(|k| summed[k]);
+            let gradient = SplatGradient { mean: [mx, my], conic: [xx, xy, yy], opacity };
+            let geometry = source.geometry(splat.gaussian as usize);
+            let mut by = project_backward(&self.view, &geometry, splat, &gradient);
+            source.write_backward(&self.view, splat, &summed[ROW_HEADER..], &layout, &mut by, row);
+            let quaternion = rotation_backward(geometry.quaternion, &by.rotation);
+            let mut add = |field: Field, values: &[f32]| {
+                row[layout.range(field)].iter_mut().zip(values).for_each(|(o, v)| *o += v);
+            };
+            add(Field::Mean, &by.mean);
+            add(Field::LogScale, &by.log_scale);
+            add(Field::Quaternion, &quaternion);
+            add(Field::OpacityLogit, &[by.opacity_logit]);
+            *screen = (mx * mx + my * my).sqrt() * half_width;
+            *visible = true;
+        });
+        out.prototypes = self.prototypes_backward(source, &summed, width);
+        out
+    }
+
+    /// Gradients of some attribute channels by rank, `[rank][channel in range]`.
+    pub fn channel_gradients(
+        &self,
+        by_gbuffer: &[f32],
+        stored: usize,
+        count: usize,
+        range: std::ops::Range<usize>,
+    ) -> Vec<f32> {
+        let width = ROW_HEADER + count;
+        let summed = self.sum_instances(&self.blend_backward(by_gbuffer, stored, count), width);
+        let wanted = ROW_HEADER + range.start..ROW_HEADER + range.end;
+        summed.chunks_exact(width).flat_map(|row| row[wanted.clone()].iter().copied()).collect()
+    }
+
+    fn blend_backward(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
+        let width = ROW_HEADER + count;
+        let mut rows = vec![0.0f32; self.tiles.rank_of_slot.len() * width];
+        let mut parts = Vec::with_capacity(self.tiles.len());
+        let mut rest = rows.as_mut_slice();
+        for tile in 0..self.tiles.len() {
+            let (part, tail) = rest.split_at_mut(self.tiles.slots(tile).len() * width);
+            parts.push(part);
+            rest = tail;
+        }
+        parts.into_par_iter().enumerate().for_each_init(BackwardScratch::default, |scratch, (tile, out)| {
+            let ranks = self.tiles.ranks(tile);
+            if ranks.is_empty() {
+                return;
+            }
+            let job = TileJob {
+                splats: &self.splats,
+                ranks,
+                attributes: &self.attributes,
+                stored: self.channels.stored(),
+                origin: self.tiles.origin(tile),
+                early_stop: self.early_stop,
+            };
+            let gradient = &by_gbuffer[tile * TILE * stored * LANES..(tile + 1) * TILE * stored * LANES];
+            blend_tile_backward(&job, gradient, stored, count, scratch, out);
+        });
+        rows
+    }
+
+    /// Each rank's gradient summed over its tiles, in tile order.
+    fn sum_instances(&self, rows: &[f32], width: usize) -> Vec<f32> {
+        let mut summed = vec![0.0f32; self.splats.len() * width];
+        summed.par_chunks_mut(width).enumerate().with_min_len(64).for_each(|(rank, out)| {
+            for &slot in self.tiles.slots_of_rank(rank) {
+                let row = &rows[slot as usize * width..(slot as usize + 1) * width];
+                out.iter_mut().zip(row).for_each(|(o, v)| *o += v);
+            }
+        });
+        summed
+    }
+
+    fn prototypes_backward(
+        &self,
+        source: &AttributeSource<'_>,
+        summed: &[f32],
+        width: usize,
+    ) -> Vec<[f32; 3]> {
+        let zero = vec![[0.0f32; 3]; source.prototypes.len()];
+        let partial: Vec<Vec<[f32; 3]>> = self
+            .splats
+            .par_chunks(CHUNK)
+            .zip(summed.par_chunks(CHUNK * width))
+            .map(|(splats, rows)| {
+                let mut out = zero.clone();
+                for (splat, row) in splats.iter().zip(rows.chunks_exact(width)) {
+                    source.prototypes_backward(splat.gaussian as usize, &row[ROW_HEADER..], &mut out);
+                }
+                out
+            })
+            .collect();
+        partial.into_iter().fold(zero, |mut sum, part| {
+            for (s, p) in sum.iter_mut().zip(part) {
+                (0..3).for_each(|c| s[c] += p[c]);
+            }
+            sum
+        })
+    }
+}
+
+/// Every visible Gaussian as a splat, sorted front to back, ties by index.
+pub fn project_all(source: &AttributeSource<'_>, view: &View) -> Vec<Splat> {
+    let mut splats: Vec<Splat> = (0..source.gaussians.len())
+        .into_par_iter()
+        .with_min_len(256)
+        .filter_map(|i| project(view, i as u32, &source.geometry(i)))
+        .collect();
+    // Positive floats order like their bits.
+    splats.par_sort_unstable_by_key(|s| (s.depth.to_bits(), s.gaussian));
+    splats
+}

@@ -1,0 +1,266 @@
+//! Projection of one Gaussian to a screen-space splat, and back (docs/MODEL.md section 2).
+
+use crate::engine::cpu::view::View;
+
+/// A projected Gaussian.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Splat {
+    /// Which Gaussian of the model.
+    pub gaussian: u32,
+    /// Projected mean, pixels.
+    pub mean: [f32; 2],
+    /// Inverse of the screen covariance: `xx, xy, yy`.
+    pub conic: [f32; 3],
+    /// Screen covariance, low-pass included: `xx, xy, yy`, px^2.
+    pub covariance: [f32; 3],
+    /// Opacity, compensation included.
+    pub opacity: f32,
+    /// Factor the compensation multiplied the opacity by (1 without).
+    pub compensation: f32,
+    /// `ln(255 opacity)`: beyond this exponent alpha is below 1/255.
+    pub reach: f32,
+    /// Camera depth.
+    pub depth: f32,
+}
+
+/// Raw geometry of one Gaussian.
+#[derive(Debug, Clone, Copy)]
+pub struct Geometry {
+    /// Centre.
+    pub mean: [f32; 3],
+    /// ln of the standard deviations.
+    pub log_scale: [f32; 3],
+    /// Quaternion w x y z, any length.
+    pub quaternion: [f32; 4],
+    /// Opacity logit.
+    pub opacity_logit: f32,
+}
+
+/// What the blending's backward pass knows about a splat.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct SplatGradient {
+    /// By projected mean, per pixel.
+    pub mean: [f32; 2],
+    /// By conic `xx, xy, yy`.
+    pub conic: [f32; 3],
+    /// By effective opacity.
+    pub opacity: f32,
+}
+
+/// Gradient of [`Geometry`].
+#[derive(Debug, Clone, Copy, Default)]
+pub struct GeometryGradient {
+    /// By centre.
+    pub mean: [f32; 3],
+    /// By ln scale.
+    pub log_scale: [f32; 3],
+    /// By rotation matrix, row-major; turned into the quaternion's with everything else that uses it.
+    pub rotation: [[f32; 3]; 3],
+    /// By opacity logit.
+    pub opacity_logit: f32,
+}
+
+type Mat3 = [[f32; 3]; 3];
+
+/// Nearest camera depth that is drawn, world units.
+pub const NEAR: f32 = 0.05;
+/// Alpha below this is treated as nothing.
+pub const ALPHA_MIN: f32 = 1.0 / 255.0;
+/// Alpha is capped here.
+pub const ALPHA_MAX: f32 = 0.99;
+
+/// `1 / (1 + e^-x)`.
+#[inline]
+pub fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+/// `v / max(|v|, 1e-12)` and the length used.
+#[inline]
+pub fn normalise<const N: usize>(v: [f32; N]) -> ([f32; N], f32) {
+    // f64 inside: squares of small components would underflow f32.
+    let length = v.iter().map(|x| f64::from(*x) * f64::from(*x)).sum::<f64>().sqrt().max(1e-12);
+    (v.map(|x| (f64::from(x) / length) as f32), length as f32)
+}
+
+/// Gradient through `v / |v|`, given the unit vector and the length.
+#[inline]
+pub fn normalise_backward<const N: usize>(unit: [f32; N], length: f32, gradient: [f32; N]) -> [f32; N] {
+    let radial: f32 = (0..N).map(|k| unit[k] * gradient[k]).sum();
+    std::array::from_fn(|k| (gradient[k] - radial * unit[k]) / length)
+}
+
+/// Rotation matrix (row-major) of a quaternion of any length; zero length is the identity.
+pub fn rotation(quaternion: [f32; 4]) -> Mat3 {
+    let ([w, x, y, z], length) = normalise(quaternion);
+    if length <= 1e-12 {
+        return [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    }
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+/// Gradient of the raw quaternion from that of the rotation matrix.
+pub fn rotation_backward(quaternion: [f32; 4], g: &Mat3) -> [f32; 4] {
+    let (unit, length) = normalise(quaternion);
+    if length <= 1e-12 {
+        return [0.0; 4];
+    }
+    let [w, x, y, z] = unit;
+    let by_unit = [
+        2.0 * (x * (g[2][1] - g[1][2]) + y * (g[0][2] - g[2][0]) + z * (g[1][0] - g[0][1])),
+        2.0 * (y * (g[0][1] + g[1][0]) + z * (g[0][2] + g[2][0]) + w * (g[2][1] - g[1][2])
+            - 2.0 * x * (g[1][1] + g[2][2])),
+        2.0 * (x * (g[0][1] + g[1][0]) + z * (g[1][2] + g[2][1]) + w * (g[0][2] - g[2][0])
+            - 2.0 * y * (g[0][0] + g[2][2])),
+        2.0 * (x * (g[0][2] + g[2][0]) + y * (g[1][2] + g[2][1]) + w * (g[1][0] - g[0][1])
+            - 2.0 * z * (g[0][0] + g[1][1])),
+    ];
+    normalise_backward(unit, length, by_unit)
+}
+
+/// What forward and backward share.
+struct Projection {
+    /// Camera-space mean.
+    camera: [f32; 3],
+    /// `J R`, 2 x 3.
+    to_screen: [[f32; 3]; 2],
+    /// Clamped `x/z`, `y/z` and whether each was inside.
+    ratio: [(f32, bool); 2],
+    /// `Q S`, columns are the scaled axes.
+    axes: Mat3,
+    rotation: Mat3,
+    scale: [f32; 3],
+}
+
+fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
+    let camera = view.to_camera(g.mean);
+    // Written so that NaN fails.
+    if !(camera[2] > NEAR && camera[2] < 1e30) {
+        return None;
+    }
+    let inverse = 1.0 / camera[2];
+    let ratio = std::array::from_fn(|k| {
+        let r = camera[k] * inverse;
+        let [lo, hi] = view.ratio_limits[k];
+        (r.clamp(lo, hi), r > lo && r < hi)
+    });
+    let jacobian = [
+        [view.focal[0] * inverse, 0.0, -view.focal[0] * ratio[0].0 * inverse],
+        [0.0, view.focal[1] * inverse, -view.focal[1] * ratio[1].0 * inverse],
+    ];
+    let to_screen = std::array::from_fn(|r| {
+        std::array::from_fn(|c| (0..3).map(|k| jacobian[r][k] * view.rotation[k][c]).sum())
+    });
+    let rotation = rotation(g.quaternion);
+    let scale = g.log_scale.map(|s| s.clamp(-60.0, 60.0).exp());
+    let axes = std::array::from_fn(|r| std::array::from_fn(|c| rotation[r][c] * scale[c]));
+    Some(Projection { camera, to_screen, ratio, axes, rotation, scale })
+}
+
+/// Projects a Gaussian, or `None` when no pixel can see it.
+pub fn project(view: &View, index: u32, g: &Geometry) -> Option<Splat> {
+    let p = prepare(view, g)?;
+    // 2 x 3 matrix of the three axes on screen: squares of it cannot turn negative.
+    let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
+        std::array::from_fn(|c| (0..3).map(|k| p.to_screen[r][k] * p.axes[k][c]).sum())
+    });
+    let dot = |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f32>();
+    let raw = [dot(&screen[0], &screen[0]), dot(&screen[0], &screen[1]), dot(&screen[1], &screen[1])];
+    if !(raw[0] < 1e12 && raw[2] < 1e12) {
+        return None;
+    }
+    let covariance = [raw[0] + view.low_pass, raw[1], raw[2] + view.low_pass];
+    let determinant = det(covariance);
+    if !(determinant > 1e-12) {
+        return None;
+    }
+    let conic = [covariance[2], -covariance[1], covariance[0]].map(|v| v / determinant);
+    let compensation =
+        if view.low_pass_compensation { (det(raw).max(0.0) / determinant).sqrt() } else { 1.0 };
+    let opacity = sigmoid(g.opacity_logit) * compensation;
+    if !(opacity >= ALPHA_MIN) {
+        return None;
+    }
+    let mean = std::array::from_fn(|k| view.focal[k] * (p.camera[k] / p.camera[2]) + view.centre_px[k]);
+    let reach = (255.0 * opacity).ln();
+    let depth = p.camera[2];
+    Some(Splat { gaussian: index, mean, conic, covariance, opacity, compensation, reach, depth })
+}
+
+/// `xx yy - xy^2` in f64: a needle's determinant is the difference of two large numbers.
+fn det(c: [f32; 3]) -> f32 {
+    let [xx, xy, yy] = c.map(f64::from);
+    (xx * yy - xy * xy) as f32
+}
+
+/// Chain rule from a splat's gradient to the Gaussian's geometry; `s` is the forward result.
+pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient) -> GeometryGradient {
+    let Some(p) = prepare(view, g) else { return GeometryGradient::default() };
+    let mut out = GeometryGradient::default();
+    let sigma = sigmoid(g.opacity_logit);
+    out.opacity_logit = d.opacity * s.compensation * sigma * (1.0 - sigma);
+    // d covariance = -C dC C with C the conic.
+    let [a, b, c] = s.conic;
+    let (da, db, dc) = (d.conic[0], 0.5 * d.conic[1], d.conic[2]);
+    let left = [[a * da + b * db, a * db + b * dc], [b * da + c * db, b * db + c * dc]];
+    let mut cov = [
+        [-(left[0][0] * a + left[0][1] * b), -(left[0][0] * b + left[0][1] * c)],
+        [-(left[1][0] * a + left[1][1] * b), -(left[1][0] * b + left[1][1] * c)],
+    ];
+    if view.low_pass_compensation {
+        compensation_backward(view, s, d.opacity * sigma, &mut cov);
+    }
+    // M = Q S, screen = T M, covariance = screen screen^T.
+    let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
+        std::array::from_fn(|k| (0..3).map(|j| p.to_screen[r][j] * p.axes[j][k]).sum())
+    });
+    let by_screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
+        std::array::from_fn(|k| 2.0 * (cov[r][0] * screen[0][k] + cov[r][1] * screen[1][k]))
+    });
+    for row in 0..3 {
+        for k in 0..3 {
+            let by_axis = p.to_screen[0][row] * by_screen[0][k] + p.to_screen[1][row] * by_screen[1][k];
+            out.rotation[row][k] = by_axis * p.scale[k];
+            out.log_scale[k] += by_axis * p.axes[row][k];
+        }
+    }
+    // T = J R.
+    let by_t: [[f32; 3]; 2] = std::array::from_fn(|r| {
+        std::array::from_fn(|j| (0..3).map(|k| by_screen[r][k] * p.axes[j][k]).sum())
+    });
+    let by_j = |r: usize, k: usize| (0..3).map(|c| by_t[r][c] * view.rotation[k][c]).sum::<f32>();
+    let inverse = 1.0 / p.camera[2];
+    let mut camera = [0.0f32; 3];
+    for k in 0..2 {
+        let f = view.focal[k];
+        let (diagonal, slanted) = (by_j(k, k), by_j(k, 2));
+        let (ratio, inside) = p.ratio[k];
+        camera[2] += inverse * inverse * f * (slanted * ratio - diagonal);
+        let by_ratio = f * d.mean[k] + if inside { -f * inverse * slanted } else { 0.0 };
+        // Inside, the clamped ratio is the true one; outside only the mean's own ratio moves.
+        let true_ratio = p.camera[k] * inverse;
+        camera[k] += by_ratio * inverse;
+        camera[2] -= by_ratio * true_ratio * inverse;
+    }
+    out.mean = std::array::from_fn(|c| (0..3).map(|k| view.rotation[k][c] * camera[k]).sum());
+    out
+}
+
+/// Adds the gradient of `compensation = sqrt(det raw / det covariance)`.
+fn compensation_backward(view: &View, s: &Splat, by_compensation: f32, cov: &mut [[f32; 2]; 2]) {
+    let raw = [s.covariance[0] - view.low_pass, s.covariance[1], s.covariance[2] - view.low_pass];
+    let determinant = det(raw);
+    if determinant <= 1e-12 {
+        return;
+    }
+    let factor = 0.5 * s.compensation * by_compensation;
+    let inverse = [raw[2] / determinant, -raw[1] / determinant, raw[0] / determinant];
+    cov[0][0] += factor * (inverse[0] - s.conic[0]);
+    cov[0][1] += factor * (inverse[1] - s.conic[1]);
+    cov[1][0] += factor * (inverse[1] - s.conic[1]);
+    cov[1][1] += factor * (inverse[2] - s.conic[2]);
+}

@@ -1,0 +1,426 @@
+//! Deferred shading of one pixel (docs/MODEL.md section 4), forward and backward.
+
+use crate::engine::cpu::project::{normalise, normalise_backward};
+use crate::light::{
+    BrdfLut, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Taps, level_position, nrsh_factor,
+    sh_eval, sh_eval_with_gradient,
+};
+use crate::scene::{DiffuseForm, ShadingOptions, VisibilityForm};
+
+/// Most visibility coefficients (order 6, padded).
+pub const MAX_COEFFICIENTS: usize = 64;
+const INV_PI: f32 = std::f32::consts::FRAC_1_PI;
+/// `c_00` of a field that is 1 everywhere.
+pub const FULLY_OPEN: f32 = 3.544_907_7;
+
+/// What a pixel is shaded from: attributes already divided by coverage.
+#[derive(Debug, Clone, Copy)]
+pub struct Surface {
+    /// Blended normal, any length.
+    pub normal: [f32; 3],
+    /// Linear base colour.
+    pub albedo: [f32; 3],
+    /// Metalness.
+    pub metal: f32,
+    /// Roughness.
+    pub rough: f32,
+    /// Gathered irradiance.
+    pub gathered: [f32; 3],
+    /// Radiance where the environment is blocked.
+    pub indirect: [f32; 3],
+    /// Visibility coefficients, zero-padded.
+    pub visibility: [f32; MAX_COEFFICIENTS],
+    /// Unit direction from the pixel to the camera.
+    pub view: [f32; 3],
+}
+
+/// Gradient of [`Surface`].
+#[derive(Debug, Clone, Copy)]
+pub struct SurfaceGradient {
+    /// By normal.
+    pub normal: [f32; 3],
+    /// By base colour.
+    pub albedo: [f32; 3],
+    /// By metalness.
+    pub metal: f32,
+    /// By roughness.
+    pub rough: f32,
+    /// By indirect radiance.
+    pub indirect: [f32; 3],
+    /// By gathered irradiance.
+    pub gathered: [f32; 3],
+    /// By visibility coefficients.
+    pub visibility: [f32; MAX_COEFFICIENTS],
+}
+
+/// A shaded pixel and what its backward pass needs.
+#[derive(Debug, Clone, Copy)]
+pub struct Shaded {
+    /// Diffuse radiance.
+    pub diffuse: [f32; 3],
+    /// Specular radiance.
+    pub specular: [f32; 3],
+    /// Ambient occlusion in [0, 1] (Eq. 16-18), only filled by [`Shader::ambient_occlusion`]'s callers.
+    normal: [f32; 3],
+    normal_length: f32,
+    flipped: bool,
+    nov: f32,
+    nov_inside: bool,
+    reflection: [f32; 3],
+    reflection_length: f32,
+    irradiance: [f32; 3],
+    /// Irradiance before the clamp, and per tap.
+    irradiance_raw: [f32; 3],
+    tap_irradiance: [[f32; 3]; 4],
+    diffuse_taps: Taps<f32>,
+    ambient: f32,
+    ambient_raw: f32,
+    level: (usize, f32, f32),
+    level_taps: [Taps<f32>; 2],
+    level_value: [[f32; 3]; 2],
+    prefiltered: [f32; 3],
+    visible: f32,
+    visible_raw: f32,
+    lut: LutSample<f32>,
+}
+
+/// Shading under one light.
+#[derive(Debug, Clone, Copy)]
+pub struct Shader<'a> {
+    /// Tables of the light.
+    pub tables: &'a LightTables,
+    /// The forward model.
+    pub options: &'a ShadingOptions,
+    /// Degree of the visibility field.
+    pub order: usize,
+}
+
+fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Dot product of two slices of equal length, a multiple of 16: sixteen running sums, then a fixed tree.
+#[inline]
+fn dot_padded(a: &[f32], b: &[f32]) -> f32 {
+    let mut sums = [0.0f32; 16];
+    for (x, y) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
+        for i in 0..16 {
+            sums[i] += x[i] * y[i];
+        }
+    }
+    let mut width = 8;
+    while width > 0 {
+        for i in 0..width {
+            sums[i] += sums[i + width];
+        }
+        width /= 2;
+    }
+    sums[0]
+}
+
+impl Shader<'_> {
+    fn squash(&self, x: f32) -> f32 {
+        match self.options.visibility {
+            VisibilityForm::Sigmoid => 1.0 / (1.0 + (-x).exp()),
+            VisibilityForm::Linear => x.clamp(0.0, 1.0),
+            VisibilityForm::Off => 1.0,
+        }
+    }
+
+    /// Slope of [`Self::squash`] at `x`, where it gave `y`.
+    fn squash_slope(&self, x: f32, y: f32) -> f32 {
+        match self.options.visibility {
+            VisibilityForm::Sigmoid => y * (1.0 - y),
+            VisibilityForm::Linear => f32::from(x > 0.0 && x < 1.0),
+            VisibilityForm::Off => 0.0,
+        }
+    }
+
+    /// `AO = squash(<c, NRSH(n)>)` (Eq. 16-18) for a unit normal.
+    pub fn ambient_occlusion(&self, visibility: &[f32], normal: [f32; 3]) -> f32 {
+        if self.options.visibility == VisibilityForm::Off {
+            return 1.0;
+        }
+        let mut y = [0.0f32; MAX_COEFFICIENTS];
+        sh_eval(self.order, normal, &mut y);
+        let sum = (0..=self.order).map(|l| {
+            let band = l * l..(l + 1) * (l + 1);
+            let dot: f32 = y[band.clone()].iter().zip(&visibility[band]).map(|(a, b)| a * b).sum();
+            nrsh_factor(l) as f32 * dot
+        });
+        self.squash(sum.sum())
+    }
+
+    /// Radiance leaving the pixel towards the camera.
+    pub fn shade(&self, s: &Surface) -> Shaded {
+        let (mut normal, normal_length) = normalise(s.normal);
+        let facing = dot3(normal, s.view);
+        let flipped = facing < 0.0;
+        if flipped {
+            normal = normal.map(|v| -v);
+        }
+        let nov_raw = facing.abs();
+        let nov = nov_raw.clamp(1e-4, 1.0);
+        let bent = std::array::from_fn(|k| 2.0 * nov * normal[k] - s.view[k]);
+        let (reflection, reflection_length) = normalise(bent);
+        let open = self.options.visibility == VisibilityForm::Off;
+        // Diffuse: four tabulated normals around n, each a dot product with the visibility coefficients.
+        let taps = self.tables.diffuse_grid.lookup(normal);
+        let scalar = open || self.options.diffuse == DiffuseForm::AmbientOcclusion;
+        let tap_irradiance: [[f32; 3]; 4] =
+            std::array::from_fn(|k| {
+                let rows = self.tables.diffuse_rows(taps.node[k]);
+                rows.map(|row| {
+                    if scalar { row[0] * FULLY_OPEN } else { dot_padded(row, &s.visibility[..row.len()]) }
+                })
+            });
+        let mut irradiance_raw = [0.0f32; 3];
+        for k in 0..4 {
+            (0..3).for_each(|c| irradiance_raw[c] += taps.weight[k] * tap_irradiance[k][c]);
+        }
+        let (ambient, ambient_raw) =
+            if scalar && !open { self.ambient_with_raw(&s.visibility, normal) } else { (1.0, 1.0) };
+        let irradiance = irradiance_raw.map(|e| e.max(0.0) * ambient);
+        let kd = (1.0 - s.metal) * INV_PI;
+        let diffuse = std::array::from_fn(|c| s.albedo[c] * kd * (irradiance[c] + s.gathered[c]));
+        // Specular: split sum, visibility through the lobe.
+        let (level, fraction, slope) = level_position(s.rough);
+        let level_taps = [0, 1].map(|k| self.tables.specular_grids[level + k].lookup(reflection));
+        let level_value = [0, 1].map(|k| {
+            let values = &self.tables.specular[level + k];
+            let t = &level_taps[k];
+            let mut sum = [0.0f32; 3];
+            for j in 0..4 {
+                (0..3).for_each(|c| sum[c] += t.weight[j] * values[t.node[j]][c]);
+            }
+            sum
+        });
+        let prefiltered =
+            std::array::from_fn(|c| level_value[0][c] * (1.0 - fraction) + level_value[1][c] * fraction);
+        let (visible, visible_raw) = self.visible(s, reflection);
+        let lut = BrdfLut::shared().sample(nov, s.rough);
+        let specular = std::array::from_fn(|c| {
+            let f0 = 0.04 * (1.0 - s.metal) + s.albedo[c] * s.metal;
+            let light = visible * prefiltered[c] + (1.0 - visible) * s.indirect[c];
+            light * (f0 * lut.value[0] + lut.value[1])
+        });
+        Shaded {
+            diffuse,
+            specular,
+            normal,
+            normal_length,
+            flipped,
+            nov,
+            nov_inside: nov_raw > 1e-4 && nov_raw < 1.0,
+            reflection,
+            reflection_length,
+            irradiance,
+            irradiance_raw,
+            tap_irradiance,
+            diffuse_taps: taps,
+            ambient,
+            ambient_raw,
+            level: (level, fraction, slope),
+            level_taps,
+            level_value,
+            prefiltered,
+            visible,
+            visible_raw,
+            lut,
+        }
+    }
+
+    fn ambient_with_raw(&self, visibility: &[f32], normal: [f32; 3]) -> (f32, f32) {
+        let mut y = [0.0f32; MAX_COEFFICIENTS];
+        sh_eval(self.order, normal, &mut y);
+        let mut raw = 0.0;
+        for l in 0..=self.order {
+            for j in l * l..(l + 1) * (l + 1) {
+                raw += nrsh_factor(l) as f32 * y[j] * visibility[j];
+            }
+        }
+        (self.squash(raw), raw)
+    }
+
+    /// `h_l(r)` of the lobe form, or 1 for the article's `V(R)`.
+    fn attenuation(&self, rough: f32) -> ([f32; LOBE_ORDERS], [f32; LOBE_ORDERS]) {
+        if self.options.visibility == VisibilityForm::Sigmoid {
+            return ([1.0; LOBE_ORDERS], [0.0; LOBE_ORDERS]);
+        }
+        let s = LobeAttenuation::shared().sample(rough);
+        (s.value, s.by_roughness)
+    }
+
+    /// Visibility through the specular lobe, squashed and raw.
+    fn visible(&self, s: &Surface, reflection: [f32; 3]) -> (f32, f32) {
+        if self.options.visibility == VisibilityForm::Off {
+            return (1.0, 1.0);
+        }
+        let mut y = [0.0f32; MAX_COEFFICIENTS];
+        sh_eval(self.order, reflection, &mut y);
+        let (h, _) = self.attenuation(s.rough);
+        let mut raw = 0.0;
+        for (l, h) in h.iter().enumerate().take(self.order + 1) {
+            let mut band = 0.0;
+            for j in l * l..(l + 1) * (l + 1) {
+                band += y[j] * s.visibility[j];
+            }
+            raw += h * band;
+        }
+        (self.squash(raw), raw)
+    }
+
+    /// Chain rule through [`Self::shade`]: `g` is the gradient by radiance. Table gradients are added to `tables`.
+    pub fn shade_backward(
+        &self,
+        s: &Surface,
+        f: &Shaded,
+        g: [f32; 3],
+        tables: &mut LightTables,
+    ) -> SurfaceGradient {
+        let mut out = SurfaceGradient {
+            normal: [0.0; 3],
+            albedo: [0.0; 3],
+            metal: 0.0,
+            rough: 0.0,
+            indirect: [0.0; 3],
+            gathered: [0.0; 3],
+            visibility: [0.0; MAX_COEFFICIENTS],
+        };
+        let mut by_normal = self.diffuse_backward(s, f, g, tables, &mut out);
+        let (by_nov, by_reflection) = self.specular_backward(s, f, g, tables, &mut out);
+        // R = normalize(2 nov n - v), nov = n . v.
+        let by_bent = normalise_backward(f.reflection, f.reflection_length, by_reflection);
+        let by_nov = by_nov + 2.0 * dot3(by_bent, f.normal);
+        for k in 0..3 {
+            by_normal[k] += 2.0 * f.nov * by_bent[k];
+            if f.nov_inside {
+                by_normal[k] += by_nov * s.view[k];
+            }
+        }
+        if f.flipped {
+            by_normal = by_normal.map(|v| -v);
+        }
+        let unit = if f.flipped { f.normal.map(|v| -v) } else { f.normal };
+        out.normal = normalise_backward(unit, f.normal_length, by_normal);
+        out
+    }
+
+    fn diffuse_backward(
+        &self,
+        s: &Surface,
+        f: &Shaded,
+        g: [f32; 3],
+        tables: &mut LightTables,
+        out: &mut SurfaceGradient,
+    ) -> [f32; 3] {
+        let kd = (1.0 - s.metal) * INV_PI;
+        let open = self.options.visibility == VisibilityForm::Off;
+        let scalar = open || self.options.diffuse == DiffuseForm::AmbientOcclusion;
+        let mut by_irradiance = [0.0f32; 3];
+        let mut by_ambient = 0.0;
+        for c in 0..3 {
+            let light = f.irradiance[c] + s.gathered[c];
+            out.albedo[c] += g[c] * kd * light;
+            out.metal -= g[c] * s.albedo[c] * INV_PI * light;
+            out.gathered[c] = g[c] * s.albedo[c] * kd;
+            let by_light = g[c] * s.albedo[c] * kd;
+            if f.irradiance_raw[c] > 0.0 {
+                by_irradiance[c] = by_light * f.ambient;
+                by_ambient += by_light * f.irradiance_raw[c];
+            }
+        }
+        let mut by_normal = [0.0f32; 3];
+        let n = tables.coefficients;
+        for k in 0..4 {
+            let along = dot3(by_irradiance, f.tap_irradiance[k]);
+            (0..3).for_each(|a| by_normal[a] += along * f.diffuse_taps.gradient[k][a]);
+            let node = f.diffuse_taps.node[k];
+            for c in 0..3 {
+                let w = f.diffuse_taps.weight[k] * by_irradiance[c];
+                let base = (node * 3 + c) * n;
+                let row = &mut tables.diffuse[base..base + n];
+                if scalar {
+                    row[0] += w * FULLY_OPEN;
+                    continue;
+                }
+                let table = &self.tables.diffuse[base..base + n];
+                for j in 0..n {
+                    row[j] += w * s.visibility[j];
+                    out.visibility[j] += w * table[j];
+                }
+            }
+        }
+        if scalar && !open {
+            let slope = by_ambient * self.squash_slope(f.ambient_raw, f.ambient);
+            let (mut y, mut dy) = ([0.0f32; MAX_COEFFICIENTS], [[0.0f32; 3]; MAX_COEFFICIENTS]);
+            sh_eval_with_gradient(self.order, f.normal, &mut y, &mut dy);
+            for l in 0..=self.order {
+                let factor = slope * nrsh_factor(l) as f32;
+                for j in l * l..(l + 1) * (l + 1) {
+                    out.visibility[j] += factor * y[j];
+                    (0..3).for_each(|a| by_normal[a] += factor * s.visibility[j] * dy[j][a]);
+                }
+            }
+        }
+        by_normal
+    }
+
+    fn specular_backward(
+        &self,
+        s: &Surface,
+        f: &Shaded,
+        g: [f32; 3],
+        tables: &mut LightTables,
+        out: &mut SurfaceGradient,
+    ) -> (f32, [f32; 3]) {
+        let (level, fraction, level_slope) = f.level;
+        let mut by_reflection = [0.0f32; 3];
+        let (mut by_nov, mut by_visible) = (0.0, 0.0);
+        let mut by_level = [[0.0f32; 3]; 2];
+        for c in 0..3 {
+            let f0 = 0.04 * (1.0 - s.metal) + s.albedo[c] * s.metal;
+            let reflectance = f0 * f.lut.value[0] + f.lut.value[1];
+            let light = f.visible * f.prefiltered[c] + (1.0 - f.visible) * s.indirect[c];
+            let by_light = g[c] * reflectance;
+            let by_reflectance = g[c] * light;
+            let by_f0 = by_reflectance * f.lut.value[0];
+            out.albedo[c] += by_f0 * s.metal;
+            out.metal += by_f0 * (s.albedo[c] - 0.04);
+            by_nov += by_reflectance * (f0 * f.lut.by_nov[0] + f.lut.by_nov[1]);
+            out.rough += by_reflectance * (f0 * f.lut.by_roughness[0] + f.lut.by_roughness[1]);
+            by_visible += by_light * (f.prefiltered[c] - s.indirect[c]);
+            out.indirect[c] = by_light * (1.0 - f.visible);
+            let by_prefiltered = by_light * f.visible;
+            by_level[0][c] = by_prefiltered * (1.0 - fraction);
+            by_level[1][c] = by_prefiltered * fraction;
+            out.rough += by_prefiltered * level_slope * (f.level_value[1][c] - f.level_value[0][c]);
+        }
+        for k in 0..2 {
+            let taps = &f.level_taps[k];
+            for j in 0..4 {
+                let value = self.tables.specular[level + k][taps.node[j]];
+                let along = dot3(by_level[k], value);
+                (0..3).for_each(|a| by_reflection[a] += along * taps.gradient[j][a]);
+                let target = &mut tables.specular[level + k][taps.node[j]];
+                (0..3).for_each(|c| target[c] += taps.weight[j] * by_level[k][c]);
+            }
+        }
+        let slope = by_visible * self.squash_slope(f.visible_raw, f.visible);
+        if slope != 0.0 {
+            let (mut y, mut dy) = ([0.0f32; MAX_COEFFICIENTS], [[0.0f32; 3]; MAX_COEFFICIENTS]);
+            sh_eval_with_gradient(self.order, f.reflection, &mut y, &mut dy);
+            let (h, dh) = self.attenuation(s.rough);
+            for l in 0..=self.order {
+                let mut band = 0.0;
+                for j in l * l..(l + 1) * (l + 1) {
+                    out.visibility[j] += slope * h[l] * y[j];
+                    band += y[j] * s.visibility[j];
+                    (0..3).for_each(|a| by_reflection[a] += slope * h[l] * s.visibility[j] * dy[j][a]);
+                }
+                out.rough += slope * dh[l] * band;
+            }
+        }
+        (by_nov, by_reflection)
+    }
+}

@@ -1,0 +1,303 @@
+//! Deferred shading of a whole view, forward and backward.
+
+use rayon::prelude::*;
+
+use crate::engine::channel::{self, Channels};
+use crate::engine::cpu::lanes::LANES;
+use crate::engine::cpu::pass::Pass;
+use crate::engine::cpu::project::normalise;
+use crate::engine::cpu::shade::{MAX_COEFFICIENTS, Shader, Surface};
+use crate::engine::cpu::tiles::TILE;
+use crate::light::LightTables;
+use crate::scene::sh_count;
+
+/// Pixels of less coverage are not shaded.
+pub const LEAST_COVERAGE: f32 = 1e-3;
+
+/// Both branches of a view, composited over the background, row-major.
+#[derive(Debug, Clone, Default)]
+pub struct BranchImages {
+    /// Physically based branch, display-referred.
+    pub physical: Vec<[f32; 3]>,
+    /// Radiance branch, display-referred.
+    pub radiance: Vec<[f32; 3]>,
+}
+
+/// Extra gradient of one pixel's G-buffer, from losses on the buffers themselves.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct BufferGradient {
+    /// By blended (not normalised) normal.
+    pub normal: [f32; 3],
+    /// By blended plane distance.
+    pub plane: f32,
+    /// By blended metalness.
+    pub metal: f32,
+    /// By blended roughness.
+    pub rough: f32,
+    /// By coverage.
+    pub coverage: f32,
+}
+
+/// sRGB curve on [0, 1].
+#[inline]
+pub fn srgb(x: f32) -> f32 {
+    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// Inverse of [`srgb`] on [0, 1].
+#[inline]
+pub fn linear_from_srgb(x: f32) -> f32 {
+    if x <= 0.040_45 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
+}
+
+/// Slope of [`srgb`].
+#[inline]
+pub fn srgb_slope(x: f32) -> f32 {
+    if x <= 0.003_130_8 { 12.92 } else { 1.055 / 2.4 * x.powf(1.0 / 2.4 - 1.0) }
+}
+
+/// The surface seen by pixel (`x`, `y`), or `None` where coverage is too small to shade.
+pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
+    let base = pass.locate(x, y, pass.channels.stored());
+    let at = |c: usize| pass.gbuffer[base + c * LANES];
+    let coverage = at(channel::COVERAGE);
+    if !(coverage >= LEAST_COVERAGE) {
+        return None;
+    }
+    let inverse = 1.0 / coverage;
+    let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| at(r.start + k) * inverse);
+    let mut visibility = [0.0f32; MAX_COEFFICIENTS];
+    if let Channels::Full(n) = pass.channels {
+        for (j, v) in visibility.iter_mut().enumerate().take(n) {
+            *v = at(channel::VISIBILITY + j) * inverse;
+        }
+    }
+    let (ray, _) = normalise(pass.view.ray(x, y));
+    let surface = Surface {
+        normal: triple(channel::NORMAL),
+        albedo: triple(channel::ALBEDO),
+        metal: at(channel::METAL) * inverse,
+        rough: at(channel::ROUGH) * inverse,
+        gathered: triple(channel::GATHERED),
+        indirect: triple(channel::INDIRECT),
+        visibility,
+        view: ray.map(|v| -v),
+    };
+    Some((surface, coverage))
+}
+
+impl Shader<'_> {
+    /// Linear radiance to display, per channel.
+    #[inline]
+    pub fn display(&self, linear: f32) -> f32 {
+        let clamped = linear.clamp(0.0, 1.0);
+        if self.options.srgb { srgb(clamped) } else { clamped }
+    }
+
+    /// Slope of [`Self::display`]; above 1 only gradients that lower the value pass (docs/MODEL.md section 4).
+    #[inline]
+    fn display_backward(&self, linear: f32, g: f32) -> f32 {
+        if linear < 0.0 || (linear > 1.0 && g <= 0.0) {
+            return 0.0;
+        }
+        if self.options.srgb { g * srgb_slope(linear.min(1.0)) } else { g }
+    }
+
+    /// Shades every pixel of a full pass and composites both branches over `background`.
+    pub fn images(&self, pass: &Pass, background: [f32; 3]) -> BranchImages {
+        let (w, h) = (pass.view.width, pass.view.height);
+        let mut out = BranchImages { physical: vec![[0.0; 3]; w * h], radiance: vec![[0.0; 3]; w * h] };
+        let rows = out.physical.par_chunks_mut(w).zip(out.radiance.par_chunks_mut(w)).enumerate();
+        rows.for_each(|(y, (physical, radiance))| {
+            for x in 0..w {
+                let coverage = pass.at(x, y, channel::COVERAGE);
+                radiance[x] = radiance_pixel(pass, x, y, background);
+                physical[x] = match surface_at(pass, x, y) {
+                    None => background.map(|b| b * (1.0 - coverage)),
+                    Some((surface, coverage)) => {
+                        let s = self.shade(&surface);
+                        std::array::from_fn(|c| {
+                            let shown = self.display(s.diffuse[c] + s.specular[c]);
+                            shown * coverage + background[c] * (1.0 - coverage)
+                        })
+                    }
+                };
+            }
+        });
+        out
+    }
+
+    /// Gradient of the first `count` G-buffer channels (`[tile][row][channel][lane]`, rounded up to 4 channels)
+    /// and of the light tables, from the gradients of both images and of the buffers.
+    pub fn images_backward(
+        &self,
+        pass: &Pass,
+        background: [f32; 3],
+        by: &BranchImages,
+        by_buffers: &[BufferGradient],
+        count: usize,
+    ) -> (Vec<f32>, LightTables) {
+        let stored = count.next_multiple_of(4);
+        let band = pass.tiles.columns * TILE * stored * LANES;
+        let mut out = vec![0.0f32; pass.tiles.rows * band];
+        let partial: Vec<LightTables> = out
+            .par_chunks_mut(band.max(1))
+            .enumerate()
+            .map(|(tile_row, target)| {
+                let mut tables = self.tables.zeroed();
+                let first = tile_row * TILE;
+                for y in first..(first + TILE).min(pass.view.height) {
+                    for x in 0..pass.view.width {
+                        let i = y * pass.view.width + x;
+                        let base = pass.locate(x, y, stored) - tile_row * band;
+                        let mut pixel = PixelGradient { target, base, count };
+                        let extra = by_buffers.get(i).copied().unwrap_or_default();
+                        radiance_backward(background, by.radiance.get(i), &mut pixel);
+                        self.pixel_backward(
+                            pass,
+                            (x, y),
+                            background,
+                            by.physical.get(i),
+                            extra,
+                            &mut pixel,
+                            &mut tables,
+                        );
+                    }
+                }
+                tables
+            })
+            .collect();
+        let mut tables = self.tables.zeroed();
+        partial.iter().for_each(|p| tables.accumulate(p));
+        (out, tables)
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one pixel's inputs and its two destinations")]
+    fn pixel_backward(
+        &self,
+        pass: &Pass,
+        (x, y): (usize, usize),
+        background: [f32; 3],
+        by_image: Option<&[f32; 3]>,
+        extra: BufferGradient,
+        out: &mut PixelGradient<'_>,
+        tables: &mut LightTables,
+    ) {
+        out.add(channel::COVERAGE, extra.coverage);
+        out.add_triple(channel::NORMAL, extra.normal);
+        out.add(channel::PLANE, extra.plane);
+        out.add(channel::METAL, extra.metal);
+        out.add(channel::ROUGH, extra.rough);
+        let Some(g) = by_image else { return };
+        let Some((surface, coverage)) = surface_at(pass, x, y) else {
+            let by_coverage: f32 = (0..3).map(|c| -g[c] * background[c]).sum();
+            out.add(channel::COVERAGE, by_coverage);
+            return;
+        };
+        let shaded = self.shade(&surface);
+        let mut by_linear = [0.0f32; 3];
+        let mut by_coverage = 0.0;
+        for c in 0..3 {
+            let linear = shaded.diffuse[c] + shaded.specular[c];
+            by_coverage += g[c] * (self.display(linear) - background[c]);
+            by_linear[c] = self.display_backward(linear, g[c] * coverage);
+        }
+        let by = self.shade_backward(&surface, &shaded, by_linear, tables);
+        // Attributes are buffers divided by coverage.
+        let inverse = 1.0 / coverage;
+        let mut along = 0.0;
+        for k in 0..3 {
+            along += by.normal[k] * surface.normal[k]
+                + by.albedo[k] * surface.albedo[k]
+                + by.gathered[k] * surface.gathered[k]
+                + by.indirect[k] * surface.indirect[k];
+        }
+        along += by.metal * surface.metal + by.rough * surface.rough;
+        for j in 0..sh_count(self.order) {
+            along += by.visibility[j] * surface.visibility[j];
+        }
+        out.add(channel::COVERAGE, by_coverage - along * inverse);
+        out.add_triple(channel::NORMAL, by.normal.map(|v| v * inverse));
+        out.add_triple(channel::ALBEDO, by.albedo.map(|v| v * inverse));
+        out.add(channel::METAL, by.metal * inverse);
+        out.add(channel::ROUGH, by.rough * inverse);
+        if out.count > channel::VISIBILITY {
+            out.add_triple(channel::GATHERED, by.gathered.map(|v| v * inverse));
+            out.add_triple(channel::INDIRECT, by.indirect.map(|v| v * inverse));
+            for j in 0..out.count - channel::VISIBILITY {
+                out.add(channel::VISIBILITY + j, by.visibility[j] * inverse);
+            }
+        }
+    }
+}
+
+/// One pixel's place in the G-buffer gradient.
+struct PixelGradient<'a> {
+    target: &'a mut [f32],
+    base: usize,
+    count: usize,
+}
+
+impl PixelGradient<'_> {
+    #[inline]
+    fn add(&mut self, channel: usize, value: f32) {
+        if channel < self.count {
+            self.target[self.base + channel * LANES] += value;
+        }
+    }
+
+    #[inline]
+    fn add_triple(&mut self, channels: std::ops::Range<usize>, values: [f32; 3]) {
+        for (channel, value) in channels.zip(values) {
+            self.add(channel, value);
+        }
+    }
+}
+
+/// Radiance branch of one pixel over the background.
+fn radiance_pixel(pass: &Pass, x: usize, y: usize, background: [f32; 3]) -> [f32; 3] {
+    let rest = 1.0 - pass.at(x, y, channel::COVERAGE);
+    std::array::from_fn(|c| pass.at(x, y, channel::RADIANCE.start + c) + background[c] * rest)
+}
+
+fn radiance_backward(background: [f32; 3], by_image: Option<&[f32; 3]>, out: &mut PixelGradient<'_>) {
+    let Some(g) = by_image else { return };
+    out.add_triple(channel::RADIANCE, *g);
+    out.add(channel::COVERAGE, (0..3).map(|c| -g[c] * background[c]).sum());
+}
+
+/// The radiance branch alone, for passes that carry no material.
+pub fn radiance_image(pass: &Pass, background: [f32; 3]) -> Vec<[f32; 3]> {
+    let w = pass.view.width;
+    let pixel = |i: usize| radiance_pixel(pass, i % w, i / w, background);
+    (0..w * pass.view.height).into_par_iter().with_min_len(1024).map(pixel).collect()
+}
+
+/// Backward of [`radiance_image`], with extra buffer gradients, for the first `count` channels.
+pub fn radiance_image_backward(
+    pass: &Pass,
+    background: [f32; 3],
+    by_image: &[[f32; 3]],
+    by_buffers: &[BufferGradient],
+    count: usize,
+) -> Vec<f32> {
+    let stored = count.next_multiple_of(4);
+    let band = pass.tiles.columns * TILE * stored * LANES;
+    let mut out = vec![0.0f32; pass.tiles.rows * band];
+    out.par_chunks_mut(band.max(1)).enumerate().for_each(|(tile_row, target)| {
+        let first = tile_row * TILE;
+        for y in first..(first + TILE).min(pass.view.height) {
+            for x in 0..pass.view.width {
+                let i = y * pass.view.width + x;
+                let base = pass.locate(x, y, stored) - tile_row * band;
+                let mut pixel = PixelGradient { target, base, count };
+                let extra = by_buffers.get(i).copied().unwrap_or_default();
+                radiance_backward(background, by_image.get(i), &mut pixel);
+                pixel.add(channel::COVERAGE, extra.coverage);
+                pixel.add_triple(channel::NORMAL, extra.normal);
+                pixel.add(channel::PLANE, extra.plane);
+            }
+        }
+    });
+    out
+}

@@ -1,0 +1,193 @@
+//! Which splats touch which tile, in depth order.
+
+use crate::engine::cpu::lanes::LANES;
+use crate::engine::cpu::project::Splat;
+
+/// Side of a tile in pixels: a strip is one tile row.
+pub const TILE: usize = LANES;
+
+/// For each tile, the ranks (positions in the depth-sorted splat list) of the splats that reach a pixel of it.
+///
+/// `slot` is a position in `rank_of_slot`; a tile owns consecutive slots, a splat owns consecutive instances.
+#[derive(Debug, Clone, Default)]
+pub struct TileLists {
+    /// Tiles across.
+    pub columns: usize,
+    /// Tiles down.
+    pub rows: usize,
+    /// First slot of each tile, and the end.
+    pub first_slot: Vec<u32>,
+    /// Rank in each slot, ascending inside a tile.
+    pub rank_of_slot: Vec<u32>,
+    /// First instance of each rank, and the end.
+    pub first_instance: Vec<u32>,
+    /// Slot of each instance.
+    pub slot_of_instance: Vec<u32>,
+}
+
+impl TileLists {
+    /// Bins depth-sorted splats over a `width` x `height` image.
+    pub fn new(width: usize, height: usize, splats: &[Splat]) -> Self {
+        let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
+        let mut tile_of_instance = Vec::with_capacity(splats.len() * 3);
+        let mut first_instance = Vec::with_capacity(splats.len() + 1);
+        let mut count = vec![0u32; columns * rows + 1];
+        for splat in splats {
+            first_instance.push(tile_of_instance.len() as u32);
+            for (x0, x1, row) in touched_rows(splat, columns, rows) {
+                for column in x0..x1 {
+                    if touches(splat, column, row) {
+                        let tile = row * columns + column;
+                        tile_of_instance.push(tile as u32);
+                        count[tile + 1] += 1;
+                    }
+                }
+            }
+        }
+        first_instance.push(tile_of_instance.len() as u32);
+        for i in 1..count.len() {
+            count[i] += count[i - 1];
+        }
+        let first_slot = count.clone();
+        let mut rank_of_slot = vec![0u32; tile_of_instance.len()];
+        let mut slot_of_instance = vec![0u32; tile_of_instance.len()];
+        for rank in 0..splats.len() {
+            for instance in first_instance[rank] as usize..first_instance[rank + 1] as usize {
+                let next = &mut count[tile_of_instance[instance] as usize];
+                rank_of_slot[*next as usize] = rank as u32;
+                slot_of_instance[instance] = *next;
+                *next += 1;
+            }
+        }
+        Self { columns, rows, first_slot, rank_of_slot, first_instance, slot_of_instance }
+    }
+
+    /// Number of tiles.
+    pub fn len(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// True when the image has no pixel.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The slots of tile `tile`.
+    pub fn slots(&self, tile: usize) -> std::ops::Range<usize> {
+        self.first_slot[tile] as usize..self.first_slot[tile + 1] as usize
+    }
+
+    /// Ranks in tile `tile`, front to back.
+    pub fn ranks(&self, tile: usize) -> &[u32] {
+        &self.rank_of_slot[self.slots(tile)]
+    }
+
+    /// Slots in which rank `rank` appears, in a fixed order.
+    pub fn slots_of_rank(&self, rank: usize) -> &[u32] {
+        &self.slot_of_instance[self.first_instance[rank] as usize..self.first_instance[rank + 1] as usize]
+    }
+
+    /// Top-left pixel of tile `tile`.
+    pub fn origin(&self, tile: usize) -> (usize, usize) {
+        (tile % self.columns * TILE, tile / self.columns * TILE)
+    }
+}
+
+/// `(first column, end column, row)` of the tiles under the splat's bounding box.
+fn touched_rows(
+    s: &Splat,
+    columns: usize,
+    rows: usize,
+) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
+    let span = |mean: f32, variance: f32, tiles: usize| {
+        let extent = (2.0 * s.reach.max(0.0) * variance).sqrt();
+        // Casting saturates, so far-away splats give empty or full spans instead of wrapping.
+        let first = ((mean - extent - 0.5) / TILE as f32).floor().max(0.0) as usize;
+        let end = ((mean + extent - 0.5) / TILE as f32 + 1.0).floor().max(0.0) as usize;
+        (first.min(tiles), end.min(tiles))
+    };
+    let (x0, x1) = span(s.mean[0], s.covariance[0], columns);
+    let (y0, y1) = span(s.mean[1], s.covariance[2], rows);
+    (y0..y1.max(y0)).map(move |row| (x0, x1.max(x0), row))
+}
+
+/// Exact test: does alpha reach 1/255 anywhere in the rectangle of the tile's pixel centres?
+fn touches(s: &Splat, column: usize, row: usize) -> bool {
+    let lo = [(column * TILE) as f32 + 0.5 - s.mean[0], (row * TILE) as f32 + 0.5 - s.mean[1]];
+    let hi = [lo[0] + (TILE - 1) as f32, lo[1] + (TILE - 1) as f32];
+    least_power(s.conic, lo, hi) <= s.reach
+}
+
+/// Smallest `0.5 d^T C d` over the box `lo..hi` of offsets from the mean.
+fn least_power([a, b, c]: [f32; 3], lo: [f32; 2], hi: [f32; 2]) -> f32 {
+    let power = |x: f32, y: f32| 0.5 * (a * x * x + c * y * y) + b * x * y;
+    let nearest = [0.0f32.clamp(lo[0], hi[0]), 0.0f32.clamp(lo[1], hi[1])];
+    if nearest == [0.0, 0.0] {
+        return 0.0;
+    }
+    // The convex minimum outside the box's centre lies on an edge that faces the mean.
+    let on_vertical = power(nearest[0], (-b / c * nearest[0]).clamp(lo[1], hi[1]));
+    let on_horizontal = power((-b / a * nearest[1]).clamp(lo[0], hi[0]), nearest[1]);
+    match (nearest[0] != 0.0, nearest[1] != 0.0) {
+        (true, true) => on_vertical.min(on_horizontal),
+        (true, false) => on_vertical,
+        _ => on_horizontal,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn splat(mean: [f32; 2], covariance: [f32; 3], opacity: f32) -> Splat {
+        let [xx, xy, yy] = covariance;
+        let d = xx * yy - xy * xy;
+        Splat {
+            gaussian: 0,
+            mean,
+            conic: [yy / d, -xy / d, xx / d],
+            covariance,
+            opacity,
+            compensation: 1.0,
+            reach: (255.0 * opacity).ln(),
+            depth: 1.0,
+        }
+    }
+
+    #[test]
+    fn the_tile_test_is_exact_against_every_pixel() {
+        let cases = [
+            splat([20.3, 17.9], [4.0, 0.0, 4.0], 0.5),
+            splat([40.0, 25.0], [300.0, 290.0, 300.0], 0.9),
+            splat([-10.0, 70.0], [90.0, -60.0, 50.0], 0.3),
+            splat([32.0, 32.0], [0.3, 0.0, 0.3], 0.02),
+        ];
+        for s in cases {
+            let lists = TileLists::new(64, 64, std::slice::from_ref(&s));
+            for tile in 0..lists.len() {
+                let (ox, oy) = lists.origin(tile);
+                let reaches = (0..256).any(|i| {
+                    let (x, y) = ((ox + i % 16) as f32 + 0.5, (oy + i / 16) as f32 + 0.5);
+                    let (dx, dy) = (x - s.mean[0], y - s.mean[1]);
+                    0.5 * (s.conic[0] * dx * dx + s.conic[2] * dy * dy) + s.conic[1] * dx * dy <= s.reach
+                });
+                if reaches {
+                    assert_eq!(lists.ranks(tile), [0], "a visible pixel of tile {tile} was missed");
+                }
+            }
+            let kept = (0..lists.len()).filter(|t| !lists.ranks(*t).is_empty()).count();
+            assert!(kept < 16, "the test must cull something");
+        }
+    }
+
+    #[test]
+    fn slots_and_instances_name_each_other() {
+        let splats = [splat([15.0, 15.0], [30.0, 0.0, 30.0], 0.9), splat([30.0, 8.0], [9.0, 0.0, 9.0], 0.9)];
+        let lists = TileLists::new(48, 32, &splats);
+        for rank in 0..2 {
+            for &slot in lists.slots_of_rank(rank) {
+                assert_eq!(lists.rank_of_slot[slot as usize] as usize, rank);
+            }
+        }
+    }
+}

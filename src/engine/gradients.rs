@@ -1,0 +1,83 @@
+//! Gradients of a model's parameters, one row a Gaussian.
+
+use crate::scene::{Field, Gaussians};
+
+/// Where each field starts in a gradient row.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RowLayout {
+    offset: [usize; 12],
+    width: [usize; 12],
+    /// Floats in a row.
+    pub row: usize,
+}
+
+impl RowLayout {
+    /// The layout for Gaussians shaped like `g`.
+    pub fn new(g: &Gaussians) -> Self {
+        let width = Field::ALL.map(|f| g.width(f));
+        let mut offset = [0; 12];
+        let mut row = 0;
+        for field in Field::ALL {
+            offset[field as usize] = row;
+            row += width[field as usize];
+        }
+        Self { offset, width, row }
+    }
+
+    /// Range of `field` in a row.
+    #[inline]
+    pub fn range(&self, field: Field) -> std::ops::Range<usize> {
+        let start = self.offset[field as usize];
+        start..start + self.width[field as usize]
+    }
+}
+
+/// Gradient of a scalar by every parameter of a model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gradients {
+    /// Layout of the rows.
+    pub layout: RowLayout,
+    /// One row a Gaussian, `layout.row` floats.
+    pub rows: Vec<f32>,
+    /// By prototype, RGB.
+    pub prototypes: Vec<[f32; 3]>,
+    /// By raw environment texel.
+    pub env_raw: Vec<[f32; 3]>,
+    /// Length of the gradient by the projected mean in half image widths, per Gaussian (3DGS's density signal).
+    pub screen: Vec<f32>,
+    /// Gaussians that were on screen.
+    pub visible: Vec<bool>,
+}
+
+impl Gradients {
+    /// All zero, for a model with these Gaussians and this many environment texels.
+    pub fn zeroed(g: &Gaussians, texels: usize) -> Self {
+        let layout = RowLayout::new(g);
+        Self {
+            layout,
+            rows: vec![0.0; g.len() * layout.row],
+            prototypes: vec![[0.0; 3]; g.prototypes()],
+            env_raw: vec![[0.0; 3]; texels],
+            screen: vec![0.0; g.len()],
+            visible: vec![false; g.len()],
+        }
+    }
+
+    /// The floats of Gaussian `i` in `field`.
+    pub fn get(&self, field: Field, i: usize) -> &[f32] {
+        let range = self.layout.range(field);
+        &self.rows[i * self.layout.row..][range]
+    }
+
+    /// The floats of Gaussian `i` in `field`, to be added to.
+    pub fn get_mut(&mut self, field: Field, i: usize) -> &mut [f32] {
+        let range = self.layout.range(field);
+        &mut self.rows[i * self.layout.row..][range]
+    }
+
+    /// True when every value is finite.
+    pub fn is_finite(&self) -> bool {
+        let globals = self.prototypes.iter().chain(&self.env_raw).flatten();
+        self.rows.iter().chain(globals).all(|v| v.is_finite())
+    }
+}

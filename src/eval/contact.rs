@@ -1,0 +1,107 @@
+//! The contact sheet of an evaluation: what the report's figures look like.
+
+use std::sync::Arc;
+
+use crate::capture::{Capture, CaptureView, Plane};
+use crate::eval::Picture;
+use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
+use crate::eval::sheet::{Sheet, error_map, grey};
+use crate::eval::views::{ViewLayers, alpha_of, photograph, relit};
+use crate::formats::srgb;
+use crate::render::{PreparedLight, Renderer, Tier};
+use crate::scene::Model;
+
+/// Draws a sheet of `rows` test views, evenly spaced: photograph, both branches, each light beside its truth,
+/// albedo, normal, roughness and ambient occlusion beside theirs, and the error of the novel view.
+///
+/// # Errors
+/// [`EvalError`] when there is no test view or one cannot be rendered.
+pub fn contact_sheet(
+    model: Arc<Model>,
+    capture: &Capture,
+    tier: Tier,
+    rows: usize,
+) -> Result<Sheet, EvalError> {
+    let views = evenly_spaced(&capture.test, Some(rows));
+    if views.is_empty() {
+        return Err(EvalError::NoTestViews);
+    }
+    let lights = lights_of(&views, capture);
+    let renderer = Renderer::new(model);
+    let own = renderer.prepare_light(&renderer.model().environment());
+    let prepared: Vec<(&str, PreparedLight)> =
+        lights.iter().map(|name| (*name, renderer.prepare_light(&capture.lights[*name]))).collect();
+    let mut sheet = Sheet::new(column_names(&lights));
+    for view in views {
+        let layers = ViewLayers::render(&renderer, &view.camera, &own, tier)
+            .map_err(|source| refused(view, source))?;
+        let mut cells =
+            vec![Some(photograph(&view.image)), Some(layers.shaded.clone()), Some(layers.radiance.clone())];
+        for (name, light) in &prepared {
+            let picture =
+                relit(&renderer, &view.camera, light, tier).map_err(|source| refused(view, source))?;
+            cells.extend([Some(picture), view.truth.relit.get(*name).map(photograph)]);
+        }
+        cells.extend(layer_cells(&layers, view));
+        sheet.push(view.name.clone(), cells);
+    }
+    Ok(sheet)
+}
+
+fn column_names(lights: &[&str]) -> Vec<String> {
+    let mut names = ["photograph", "novel view", "radiance"].map(str::to_owned).to_vec();
+    names.extend(lights.iter().flat_map(|light| [(*light).to_owned(), format!("{light} truth")]));
+    let layers =
+        ["albedo", "albedo truth", "normal", "normal truth", "roughness", "ao", "ao truth", "error x4"];
+    names.extend(layers.map(str::to_owned));
+    names
+}
+
+fn layer_cells(layers: &ViewLayers, view: &CaptureView) -> [Option<Picture>; 8] {
+    let (width, height) = (view.camera.width, view.camera.height);
+    let picture = |values: Vec<[f32; 3]>| on_white(&Plane { width, height, values }, &layers.alpha);
+    let one = |values: &[f32]| on_white(&grey(width, height, values.iter().copied()), &layers.alpha);
+    let [albedo, normal, _, visibility] = truth_layers(view);
+    [
+        Some(picture(layers.albedo.iter().map(shown_colour).collect())),
+        albedo,
+        Some(picture(layers.normal.iter().map(shown_normal).collect())),
+        normal,
+        Some(one(&layers.roughness)),
+        Some(one(&layers.visibility)),
+        visibility,
+        Some(error_map(&layers.shaded, &photograph(&view.image))),
+    ]
+}
+
+/// A view's true albedo (sRGB curve), normal (`n / 2 + 1 / 2`), roughness and ambient occlusion, on white, as
+/// far as the view knows them.
+pub fn truth_layers(view: &CaptureView) -> [Option<Picture>; 4] {
+    let (width, height, alpha) = (view.image.width, view.image.height, alpha_of(&view.image));
+    let truth = &view.truth;
+    let colours = |p: &Plane<3>, shown: fn(&[f32; 3]) -> [f32; 3]| {
+        let values = p.values.iter().map(shown).collect();
+        on_white(&Plane { width, height, values }, &alpha)
+    };
+    let roughness = |p: &Plane<2>| on_white(&grey(width, height, p.values.iter().map(|v| v[1])), &alpha);
+    let open = |p: &Plane<1>| on_white(&grey(width, height, p.values.iter().map(|v| v[0])), &alpha);
+    [
+        truth.albedo.as_ref().map(|p| colours(p, shown_colour)),
+        truth.normal.as_ref().map(|p| colours(p, shown_normal)),
+        truth.metallic_roughness.as_ref().map(roughness),
+        truth.ambient_occlusion.as_ref().map(open),
+    ]
+}
+
+fn shown_colour(linear: &[f32; 3]) -> [f32; 3] {
+    linear.map(srgb::encode)
+}
+
+fn shown_normal(n: &[f32; 3]) -> [f32; 3] {
+    n.map(|v| 0.5 * v + 0.5)
+}
+
+fn on_white(picture: &Picture, alpha: &[f32]) -> Picture {
+    let pixel = |(c, a): (&[f32; 3], &f32)| c.map(|v| v * a + 1.0 - a);
+    Plane { values: picture.values.iter().zip(alpha).map(pixel).collect(), ..*picture }
+}

@@ -1,0 +1,302 @@
+//! Environment operators as explicit linear maps: tables = M L, and the gradient is M^T g (DESIGN section 3).
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::light::{CubeGrid, LightTables, brdf::ggx_d, padded, sh_eval};
+use crate::scene::{sh_count, texel_directions};
+
+/// Roughness of each prefiltered level; radiance between two levels is interpolated linearly.
+pub const SPECULAR_LEVELS: [f32; 6] = [0.1, 0.25, 0.4, 0.6, 0.8, 1.0];
+
+/// Level below `roughness`, the fraction towards the next, and the fraction's slope (0 where clamped).
+#[inline]
+pub fn level_position<T: num_traits::Float>(roughness: T) -> (usize, T, T) {
+    let level = |k: usize| T::from(SPECULAR_LEVELS[k]).unwrap_or_else(T::one);
+    let last = SPECULAR_LEVELS.len() - 1;
+    if !(roughness > level(0)) {
+        return (0, T::zero(), T::zero());
+    }
+    if roughness >= level(last) {
+        return (last - 1, T::one(), T::zero());
+    }
+    let k = (0..last).rev().find(|&k| roughness >= level(k)).unwrap_or(0);
+    let slope = T::one() / (level(k + 1) - level(k));
+    (k, (roughness - level(k)) * slope, slope)
+}
+
+/// How finely directions are tabulated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TableResolution {
+    /// Nodes along a cube edge for normals.
+    pub diffuse: usize,
+    /// Nodes along a cube edge for the two sharpest levels.
+    pub sharp: usize,
+    /// Nodes along a cube edge for the other levels.
+    pub rough: usize,
+}
+
+impl TableResolution {
+    /// For optimisation: tables are rebuilt every step.
+    pub const TRAINING: Self = Self { diffuse: 9, sharp: 17, rough: 9 };
+}
+
+/// One level's rows in compressed form: node k is `sum over entries[start[k]..start[k+1]] of weight * L[texel]`.
+#[derive(Debug, Clone)]
+struct SparseRows {
+    start: Vec<u32>,
+    entries: Vec<(u32, f32)>,
+}
+
+/// The operators of one environment size.
+#[derive(Debug, Clone)]
+pub struct EnvOperators {
+    width: usize,
+    height: usize,
+    order: usize,
+    diffuse_grid: CubeGrid,
+    specular_grids: [CubeGrid; SPECULAR_LEVELS.len()],
+    /// `(n.w)+ dw`, node-major.
+    cosine: SparseRows,
+    cosine_transposed: SparseRows,
+    specular: [SparseRows; SPECULAR_LEVELS.len()],
+    specular_transposed: [SparseRows; SPECULAR_LEVELS.len()],
+    /// `Y_j(w)` a texel, padded.
+    harmonics: Vec<f32>,
+}
+
+impl EnvOperators {
+    /// Operators for `width` x `height` environments and visibility of degree `order`.
+    pub fn new(width: usize, height: usize, order: usize, resolution: TableResolution) -> Self {
+        let texels = texel_directions(width, height);
+        let diffuse_grid = CubeGrid::new(resolution.diffuse);
+        let cosine =
+            SparseRows::new(&diffuse_grid, |n| texels.iter().map(|(d, w)| n.dot(*d).max(0.0) * w).collect());
+        let specular_grids =
+            std::array::from_fn(|k| CubeGrid::new(if k < 2 { resolution.sharp } else { resolution.rough }));
+        // A lobe narrower than a texel would fall between texel centres: widen it to about one texel.
+        let texel_angle = std::f64::consts::PI / height as f64;
+        let specular: [SparseRows; SPECULAR_LEVELS.len()] = std::array::from_fn(|k| {
+            let alpha = f64::from(SPECULAR_LEVELS[k]).powi(2).max(0.25 * texel_angle);
+            SparseRows::new(&specular_grids[k], |r| lobe_weights(r, alpha, &texels))
+        });
+        let coefficients = padded(sh_count(order));
+        let mut harmonics = vec![0.0f32; texels.len() * coefficients];
+        for ((d, _), row) in texels.iter().zip(harmonics.chunks_mut(coefficients)) {
+            sh_eval(order, d.to_array().map(|v| v as f32), row);
+        }
+        Self {
+            width,
+            height,
+            order,
+            diffuse_grid,
+            cosine_transposed: cosine.transposed(texels.len()),
+            specular_transposed: std::array::from_fn(|k| specular[k].transposed(texels.len())),
+            cosine,
+            specular_grids,
+            specular,
+            harmonics,
+        }
+    }
+
+    /// Columns and rows of the environments these operators take.
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// Degree of the visibility field the diffuse table serves.
+    pub fn order(&self) -> usize {
+        self.order
+    }
+
+    /// `M L`: the tables of an environment given as `width * height` radiances.
+    pub fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
+        let n = padded(sh_count(self.order));
+        // F[t] = Y_j(t) L_c(t), the light that a coefficient lets through at texel t.
+        let lit: Vec<f32> = radiance
+            .par_iter()
+            .zip(self.harmonics.par_chunks(n))
+            .flat_map_iter(|(l, y)| (0..3).flat_map(move |c| y.iter().map(move |v| v * l[c])))
+            .collect();
+        let mut diffuse = vec![0.0f32; self.diffuse_grid.len() * 3 * n];
+        diffuse.par_chunks_mut(3 * n).enumerate().for_each(|(node, out)| {
+            for &(t, w) in self.cosine.row(node) {
+                let t = t as usize * 3 * n;
+                out.iter_mut().zip(&lit[t..t + 3 * n]).for_each(|(o, v)| *o += w * v);
+            }
+        });
+        LightTables {
+            diffuse_grid: self.diffuse_grid,
+            coefficients: n,
+            diffuse,
+            specular_grids: self.specular_grids,
+            specular: std::array::from_fn(|k| self.specular[k].times(radiance)),
+        }
+    }
+
+    /// `M^T g`: the gradient of each texel's radiance from the gradient of the tables.
+    pub fn apply_transposed(&self, gradient: &LightTables) -> Vec<[f32; 3]> {
+        let n = padded(sh_count(self.order));
+        (0..self.width * self.height)
+            .into_par_iter()
+            .map(|t| {
+                let mut lit = vec![0.0f32; 3 * n];
+                for &(node, w) in self.cosine_transposed.row(t) {
+                    let row = &gradient.diffuse[node as usize * 3 * n..(node as usize + 1) * 3 * n];
+                    lit.iter_mut().zip(row).for_each(|(o, v)| *o += w * v);
+                }
+                let y = &self.harmonics[t * n..(t + 1) * n];
+                let mut out: [f32; 3] =
+                    std::array::from_fn(|c| lit[c * n..(c + 1) * n].iter().zip(y).map(|(a, b)| a * b).sum());
+                for (rows, grad) in self.specular_transposed.iter().zip(&gradient.specular) {
+                    for &(node, w) in rows.row(t) {
+                        (0..3).for_each(|c| out[c] += w * grad[node as usize][c]);
+                    }
+                }
+                out
+            })
+            .collect()
+    }
+}
+
+/// Normalised prefilter weights around `r`: GGX over the half vector of R and w with N = V = R (Karis 2013).
+fn lobe_weights(r: DVec3, alpha: f64, texels: &[(DVec3, f64)]) -> Vec<f64> {
+    let weight = |(d, solid_angle): &(DVec3, f64)| {
+        let cos = r.dot(*d);
+        if cos <= 0.0 { 0.0 } else { ggx_d((0.5 + 0.5 * cos).sqrt(), alpha) * cos * solid_angle }
+    };
+    let mut weights: Vec<f64> = texels.iter().map(weight).collect();
+    let total: f64 = weights.iter().sum();
+    weights.iter_mut().for_each(|w| *w /= total.max(1e-300));
+    weights
+}
+
+impl SparseRows {
+    /// Rows from a function giving all weights of a node; entries too small to matter are dropped and the
+    /// rest rescaled, so a row's sum is kept.
+    fn new(grid: &CubeGrid, weights: impl Fn(DVec3) -> Vec<f64> + Sync) -> Self {
+        let rows: Vec<Vec<(u32, f32)>> = grid
+            .directions()
+            .into_par_iter()
+            .map(|d| {
+                let dense = weights(d);
+                let total: f64 = dense.iter().sum();
+                let floor = dense.iter().copied().fold(0.0, f64::max) * 1e-4;
+                let kept: f64 = dense.iter().filter(|w| **w > floor).sum();
+                let scale = if kept > 0.0 { total / kept } else { 0.0 };
+                let keep = dense.iter().enumerate().filter(|(_, w)| **w > floor);
+                keep.map(|(t, w)| (t as u32, (w * scale) as f32)).collect()
+            })
+            .collect();
+        Self::from_rows(rows)
+    }
+
+    fn from_rows(rows: Vec<Vec<(u32, f32)>>) -> Self {
+        let mut start = Vec::with_capacity(rows.len() + 1);
+        start.push(0u32);
+        let mut entries = Vec::with_capacity(rows.iter().map(Vec::len).sum());
+        for row in rows {
+            entries.extend(row);
+            start.push(entries.len() as u32);
+        }
+        Self { start, entries }
+    }
+
+    fn row(&self, k: usize) -> &[(u32, f32)] {
+        &self.entries[self.start[k] as usize..self.start[k + 1] as usize]
+    }
+
+    fn transposed(&self, columns: usize) -> Self {
+        let mut rows = vec![Vec::new(); columns];
+        for node in 0..self.start.len() - 1 {
+            self.row(node).iter().for_each(|&(t, w)| rows[t as usize].push((node as u32, w)));
+        }
+        Self::from_rows(rows)
+    }
+
+    fn times(&self, radiance: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        let node = |k: usize| {
+            let mut sum = [0.0f32; 3];
+            for &(t, w) in self.row(k) {
+                (0..3).for_each(|c| sum[c] += w * radiance[t as usize][c]);
+            }
+            sum
+        };
+        (0..self.start.len() - 1).into_par_iter().map(node).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn irradiance(tables: &LightTables, visibility: &[f32], n: DVec3) -> [f32; 3] {
+        let taps = tables.diffuse_grid.lookup(n.to_array().map(|v| v as f32));
+        std::array::from_fn(|c| {
+            let dot = |k: usize| -> f32 {
+                let row = tables.diffuse_rows(taps.node[k])[c];
+                row.iter().zip(visibility).map(|(a, b)| a * b).sum()
+            };
+            (0..4).map(|k| taps.weight[k] * dot(k)).sum()
+        })
+    }
+
+    fn open_sky() -> Vec<f32> {
+        let mut c = vec![0.0; 32];
+        c[0] = 2.0 * std::f32::consts::PI.sqrt();
+        c
+    }
+
+    #[test]
+    fn one_bright_texel_lights_the_sphere_from_its_own_side() {
+        let operators = EnvOperators::new(32, 16, 4, TableResolution::TRAINING);
+        for (index, (d, solid_angle)) in texel_directions(32, 16).into_iter().enumerate().step_by(37) {
+            let mut radiance = vec![[0.0; 3]; 512];
+            radiance[index] = [1.0, 2.0, 0.0];
+            let tables = operators.apply(&radiance);
+            let [r, g, b] = irradiance(&tables, &open_sky(), d);
+            let expected = solid_angle as f32;
+            assert!(
+                (r / expected - 1.0).abs() < 0.02 && (g / r - 2.0).abs() < 1e-4 && b == 0.0,
+                "{r} {expected}"
+            );
+            assert!(irradiance(&tables, &open_sky(), -d)[0].abs() < 1e-6, "the far side must stay dark");
+            let level = &tables.specular[1];
+            let brightest = (0..level.len()).max_by(|a, b| level[*a][0].total_cmp(&level[*b][0])).unwrap();
+            assert!(tables.specular_grids[1].directions()[brightest].dot(d) > 0.97);
+        }
+    }
+
+    #[test]
+    fn a_constant_sky_gives_pi_and_one() {
+        let tables = EnvOperators::new(32, 16, 4, TableResolution::TRAINING).apply(&[[1.0; 3]; 512]);
+        for n in CubeGrid::new(5).directions() {
+            let e = irradiance(&tables, &open_sky(), n)[0];
+            assert!((e / std::f32::consts::PI - 1.0).abs() < 0.01, "{n} {e}");
+        }
+        assert!(tables.specular.iter().flatten().all(|v| (v[0] - 1.0).abs() < 1e-4));
+    }
+
+    #[test]
+    fn the_transposed_operator_is_the_transpose() {
+        let operators = EnvOperators::new(16, 8, 2, TableResolution::TRAINING);
+        let radiance: Vec<[f32; 3]> = (0..128).map(|i| [(i % 7) as f32, (i % 5) as f32, 1.0]).collect();
+        let tables = operators.apply(&radiance);
+        let mut probe = tables.zeroed();
+        probe.diffuse.iter_mut().enumerate().for_each(|(i, v)| *v = ((i * 31) % 11) as f32 - 5.0);
+        for level in &mut probe.specular {
+            level.iter_mut().enumerate().for_each(|(i, v)| *v = [(i % 3) as f32, 1.0, -((i % 4) as f32)]);
+        }
+        let dot3 =
+            |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|c| f64::from(a[c]) * f64::from(b[c])).sum::<f64>();
+        let flat = |t: &LightTables, u: &LightTables| {
+            let d: f64 = t.diffuse.iter().zip(&u.diffuse).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
+            let pairs = t.specular.iter().flatten().zip(u.specular.iter().flatten());
+            d + pairs.map(|(a, b)| dot3(a, b)).sum::<f64>()
+        };
+        let forward = flat(&tables, &probe);
+        let back = operators.apply_transposed(&probe);
+        let backward: f64 = back.iter().zip(&radiance).map(|(a, b)| dot3(a, b)).sum();
+        assert!((forward - backward).abs() < 1e-4 * forward.abs().max(1.0), "{forward} {backward}");
+    }
+}

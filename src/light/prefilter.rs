@@ -1,0 +1,190 @@
+//! Light tables for rendering under a posted map of any size, built once a map.
+//!
+//! The training operators are explicit matrices over few texels. A 4k map would need matrices of gigabytes, so here the
+//! same kernels are evaluated on the fly: the diffuse transfer by quadrature over a reduced map, the specular levels by
+//! importance sampling of the lobe with each sample read from the map's pyramid at the sample's own solid angle.
+
+use std::f64::consts::PI;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
+use crate::scene::{EnvMap, sh_count, texel_directions};
+
+/// Rows of the map the diffuse transfer is integrated over.
+const DIFFUSE_ROWS: usize = 32;
+/// Nodes along a cube edge: normals, then each specular level.
+const DIFFUSE_NODES: usize = 17;
+const SPECULAR_NODES: [usize; SPECULAR_LEVELS.len()] = [65, 33, 33, 17, 17, 17];
+/// Lobe samples a node.
+const SAMPLES: u32 = 192;
+
+/// The tables of `map` for visibility fields of degree `order`.
+pub fn rendering_tables(map: &EnvMap, order: usize) -> LightTables {
+    let diffuse_grid = CubeGrid::new(DIFFUSE_NODES);
+    let pyramid = Pyramid::new(map);
+    let specular_grids = SPECULAR_NODES.map(CubeGrid::new);
+    let specular = std::array::from_fn(|k| {
+        let alpha = f64::from(SPECULAR_LEVELS[k]).powi(2);
+        let lobe = lobe_samples(alpha);
+        specular_grids[k].directions().into_par_iter().map(|r| pyramid.filtered(r, &lobe)).collect()
+    });
+    LightTables {
+        diffuse_grid,
+        coefficients: padded(sh_count(order)),
+        diffuse: diffuse_transfer(&diffuse_grid, map, order),
+        specular_grids,
+        specular,
+    }
+}
+
+/// `T_j(n) = int Y_j L (n . w)+ dw` at each node.
+fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, order: usize) -> Vec<f32> {
+    let small;
+    let map = if map.height() > DIFFUSE_ROWS {
+        small = map.resampled(2 * DIFFUSE_ROWS, DIFFUSE_ROWS);
+        &small
+    } else {
+        map
+    };
+    let n = padded(sh_count(order));
+    let directions = texel_directions(map.width(), map.height());
+    let lit: Vec<f32> = directions
+        .iter()
+        .zip(map.texels())
+        .flat_map(|((d, w), l)| {
+            let mut y = vec![0.0f32; n];
+            sh_eval(order, d.to_array().map(|v| v as f32), &mut y);
+            let weight = *w as f32;
+            let l = *l;
+            (0..3).flat_map(move |c| y.clone().into_iter().map(move |y| y * l[c] * weight))
+        })
+        .collect();
+    let nodes = grid.directions();
+    let mut out = vec![0.0f32; nodes.len() * 3 * n];
+    out.par_chunks_mut(3 * n).zip(&nodes).for_each(|(row, node)| {
+        for ((d, _), light) in directions.iter().zip(lit.chunks_exact(3 * n)) {
+            let cos = node.dot(*d) as f32;
+            if cos > 0.0 {
+                row.iter_mut().zip(light).for_each(|(o, v)| *o += cos * v);
+            }
+        }
+    });
+    out
+}
+
+/// One sample of the lobe around +Z: direction, weight, solid angle.
+struct LobeSample {
+    direction: DVec3,
+    weight: f64,
+    solid_angle: f64,
+}
+
+/// Samples of `D(half) cos` with N = V = R, weights summing to 1.
+fn lobe_samples(alpha: f64) -> Vec<LobeSample> {
+    let mut out: Vec<LobeSample> = (0..SAMPLES)
+        .filter_map(|i| {
+            let u1 = (f64::from(i) + 0.5) / f64::from(SAMPLES);
+            let u2 = (f64::from(i.reverse_bits()) + 0.5) / 4_294_967_296.0;
+            let cos_h = ((1.0 - u2) / (1.0 + (alpha * alpha - 1.0) * u2)).sqrt();
+            let sin_h = (1.0 - cos_h * cos_h).max(0.0).sqrt();
+            let phi = 2.0 * PI * u1;
+            let h = DVec3::new(sin_h * phi.cos(), sin_h * phi.sin(), cos_h);
+            let direction = 2.0 * cos_h * h - DVec3::Z;
+            // The density of the reflected direction is D(h) cos_h / (4 cos_h).
+            let density = 0.25 * ggx_d(cos_h, alpha);
+            let solid_angle = 1.0 / (f64::from(SAMPLES) * density.max(1e-12));
+            (direction.z > 0.0).then_some(LobeSample { direction, weight: direction.z, solid_angle })
+        })
+        .collect();
+    let total: f64 = out.iter().map(|s| s.weight).sum();
+    out.iter_mut().for_each(|s| s.weight /= total);
+    out
+}
+
+/// A map and its reductions by two.
+struct Pyramid {
+    levels: Vec<EnvMap>,
+}
+
+impl Pyramid {
+    fn new(map: &EnvMap) -> Self {
+        let mut levels = vec![map.clone()];
+        while let Some(last) = levels.last() {
+            if last.height() <= 4 {
+                break;
+            }
+            let next = last.resampled((last.width() / 2).max(1), (last.height() / 2).max(1));
+            levels.push(next);
+        }
+        Self { levels }
+    }
+
+    /// Mean radiance of the lobe turned to `r`.
+    fn filtered(&self, r: DVec3, lobe: &[LobeSample]) -> [f32; 3] {
+        let (u, v) = r.any_orthonormal_pair();
+        let texel = 4.0 * PI / (self.levels[0].width() * self.levels[0].height()) as f64;
+        let mut sum = [0.0f64; 3];
+        for s in lobe {
+            let d = s.direction.x * u + s.direction.y * v + s.direction.z * r;
+            // One level coarser than the sample's own footprint, so that neighbours overlap.
+            let level =
+                (0.5 * (s.solid_angle / texel).log2() + 1.0).clamp(0.0, (self.levels.len() - 1) as f64);
+            let (low, fraction) = (level as usize, level.fract());
+            let a = self.levels[low].sample(d);
+            let b = self.levels[(low + 1).min(self.levels.len() - 1)].sample(d);
+            for c in 0..3 {
+                sum[c] += s.weight * (f64::from(a[c]) * (1.0 - fraction) + f64::from(b[c]) * fraction);
+            }
+        }
+        sum.map(|v| v as f32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::{EnvOperators, TableResolution};
+
+    fn map() -> EnvMap {
+        EnvMap::from_fn(64, 32, |d| {
+            let sun = (40.0 * (d.dot(DVec3::new(0.6, 0.0, 0.8)) - 1.0)).exp();
+            [(8.0 * sun + 0.3) as f32, (5.0 * sun + 0.4) as f32, (0.6 + 0.4 * d.z) as f32]
+        })
+    }
+
+    #[test]
+    fn importance_sampling_agrees_with_the_explicit_operators() {
+        let fast = rendering_tables(&map(), 4);
+        let exact = EnvOperators::new(64, 32, 4, TableResolution { diffuse: 9, sharp: 9, rough: 9 });
+        let exact = exact.apply(map().texels());
+        for k in 2..SPECULAR_LEVELS.len() {
+            for (node, d) in exact.specular_grids[k].directions().iter().enumerate() {
+                let taps = fast.specular_grids[k].lookup(d.to_array().map(|v| v as f32));
+                for c in 0..3 {
+                    let got: f32 = (0..4).map(|j| taps.weight[j] * fast.specular[k][taps.node[j]][c]).sum();
+                    let want = exact.specular[k][node][c];
+                    assert!((got - want).abs() < 0.06 * want + 0.02, "level {k} {d} {got} {want}");
+                }
+            }
+        }
+        for (node, d) in exact.diffuse_grid.directions().iter().enumerate() {
+            let taps = fast.diffuse_grid.lookup(d.to_array().map(|v| v as f32));
+            for c in 0..3 {
+                let rows = taps.node.map(|n| fast.diffuse_rows(n)[c][0]);
+                let got: f32 = (0..4).map(|j| taps.weight[j] * rows[j]).sum();
+                let want = exact.diffuse_rows(node)[c][0];
+                assert!((got - want).abs() < 0.01 * want, "{d} {got} {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn another_light_gives_other_tables() {
+        let turned = map().rotated_and_scaled(120.0, 1.0);
+        let (a, b) = (rendering_tables(&map(), 0), rendering_tables(&turned, 0));
+        let most = a.diffuse.iter().zip(&b.diffuse).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
+        assert!(most > 0.1);
+    }
+}

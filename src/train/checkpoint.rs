@@ -1,0 +1,127 @@
+//! Checkpoints: the whole state of a training as one safetensors file with a versioned header.
+
+use std::collections::HashMap;
+
+use rand_chacha::ChaCha8Rng;
+use safetensors::SafeTensors;
+use serde::{Deserialize, Serialize};
+
+use crate::formats::model_file::{self, Tensor, floats};
+use crate::scene::{Field, Gaussians};
+use crate::train::density::DensityStats;
+use crate::train::optimiser::Moments;
+use crate::train::state::TrainState;
+use crate::train::{TrainConfig, TrainError};
+
+const VERSION: u32 = 1;
+const HEADER_KEY: &str = "relume_checkpoint";
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    version: u32,
+    config: TrainConfig,
+    step: u32,
+    order: Vec<u32>,
+    cursor: u32,
+    rng: ChaCha8Rng,
+    rate_factor: f32,
+    seconds: f64,
+    labels: usize,
+    gathered: usize,
+}
+
+fn bad(field: &str, reason: impl std::fmt::Display) -> TrainError {
+    TrainError::Checkpoint(format!("{field}: {reason}"))
+}
+
+/// The bytes of a checkpoint.
+///
+/// # Errors
+/// When a parameter is not finite.
+pub fn encode(state: &TrainState, config: &TrainConfig) -> Result<Vec<u8>, TrainError> {
+    if let Err(e) = state.model.check() {
+        return Err(bad(e.field, e.reason));
+    }
+    let header = Header {
+        version: VERSION,
+        config: config.clone(),
+        step: state.step,
+        order: state.order.clone(),
+        cursor: state.cursor,
+        rng: state.rng.clone(),
+        rate_factor: state.rate_factor,
+        seconds: state.seconds,
+        labels: state.labels.len(),
+        gathered: state.gathered.len(),
+    };
+    let text = serde_json::to_string(&header).map_err(|e| bad("header", e))?;
+    let metadata = HashMap::from([
+        (HEADER_KEY.to_owned(), text),
+        ("relume".to_owned(), model_file::header(&state.model)),
+    ]);
+    let mut tensors = model_file::tensors(&state.model);
+    for (prefix, g) in [("first", &state.moments.first), ("second", &state.moments.second)] {
+        for field in Field::ALL {
+            let name = format!("{prefix}.{}", field.name());
+            tensors.push((name, Tensor::new([g.len(), g.width(field)], g.field(field))));
+        }
+    }
+    let mut flat =
+        |name: &str, data| tensors.push((name.to_owned(), Tensor::new([<[f32]>::len(data)], data)));
+    flat("first.globals", bytemuck::cast_slice(&state.moments.globals[0]));
+    flat("second.globals", bytemuck::cast_slice(&state.moments.globals[1]));
+    flat("density.gradient", &state.density.gradient);
+    flat("density.seen", &state.density.seen);
+    flat("labels", &state.labels);
+    flat("gathered", bytemuck::cast_slice(&state.gathered));
+    safetensors::serialize(tensors, Some(metadata)).map_err(|e| bad("container", e))
+}
+
+/// Reads a checkpoint that was made under the same configuration.
+///
+/// # Errors
+/// Names the part that is missing, damaged, or from another configuration.
+pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<TrainState, TrainError> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| bad("container", e))?;
+    let text = metadata.metadata().as_ref().and_then(|m| m.get(HEADER_KEY));
+    let text = text.ok_or_else(|| bad("header", "is missing: this is not a checkpoint"))?;
+    let header: Header = serde_json::from_str(text).map_err(|e| bad("header", e))?;
+    if header.version != VERSION {
+        return Err(bad("version", format!("is {}, this build reads {VERSION}", header.version)));
+    }
+    if header.config != *config {
+        return Err(bad("config", "differs from the one this training was asked for"));
+    }
+    let model = model_file::decode(bytes).map_err(|e| bad("model", e))?;
+    let file = SafeTensors::deserialize(bytes).map_err(|e| bad("container", e))?;
+    let read = |name: &str, count: usize| floats(&file, name, count).map_err(|e| bad(name, e));
+    let n = model.gaussians.len();
+    let moments = |prefix: &str| -> Result<Gaussians, TrainError> {
+        let g = &model.gaussians;
+        let mut out = Gaussians::zeroed(n, g.prototypes(), g.visibility_order(), g.radiance_order());
+        for (field, _, data) in out.fields_mut() {
+            *data = read(&format!("{prefix}.{}", field.name()), data.len())?;
+        }
+        Ok(out)
+    };
+    let globals = 3 * (model.prototypes.len() + model.env_raw.len());
+    let triples = |name: &str| Ok(read(name, globals)?.as_chunks::<3>().0.to_vec());
+    let gathered = read("gathered", header.gathered.saturating_mul(6))?;
+    Ok(TrainState {
+        step: header.step,
+        moments: Moments {
+            first: moments("first")?,
+            second: moments("second")?,
+            globals: [triples("first.globals")?, triples("second.globals")?],
+        },
+        density: DensityStats { gradient: read("density.gradient", n)?, seen: read("density.seen", n)? },
+        labels: read("labels", header.labels)?,
+        gathered: gathered.as_chunks::<6>().0.to_vec(),
+        order: header.order,
+        cursor: header.cursor,
+        rng: header.rng,
+        rate_factor: header.rate_factor,
+        seconds: header.seconds,
+        model,
+    })
+}

@@ -1,0 +1,56 @@
+//! Photographs and cameras as a training step wants them: in the normalised world, at two resolutions, composited.
+
+use rayon::prelude::*;
+
+use crate::capture::{Capture, CaptureView};
+use crate::scene::Camera;
+
+/// One photograph at one resolution.
+#[derive(Debug, Clone)]
+pub struct Photo {
+    /// Camera in the normalised world.
+    pub camera: Camera,
+    /// Display-referred pixels over the background.
+    pub pixels: Vec<[f32; 3]>,
+    /// Mask, when the capture has masks.
+    pub alpha: Vec<f32>,
+}
+
+/// All training photographs.
+#[derive(Debug, Clone)]
+pub struct Dataset {
+    /// At the configured resolution.
+    pub full: Vec<Photo>,
+    /// At half of it.
+    pub half: Vec<Photo>,
+    /// Capture to normalised world: `x' = scale * (x + offset)`.
+    pub scale: f64,
+    /// See `scale`.
+    pub offset: glam::DVec3,
+    /// Background the photographs were composited over.
+    pub background: [f32; 3],
+    /// True when `alpha` means something.
+    pub has_alpha: bool,
+}
+
+impl Dataset {
+    /// Prepares the training views with their longest side at most `resolution` pixels.
+    pub fn new(capture: &Capture, resolution: u32) -> Self {
+        let scale = 1.0 / capture.bounds.radius.max(1e-12);
+        let offset = -capture.bounds.centre;
+        // White is what relighting benchmarks composite over; without a mask nothing shows through.
+        let background = if capture.has_alpha { [1.0; 3] } else { [0.0; 3] };
+        let photo = |view: &CaptureView, divisor: u32| {
+            let longest = view.image.width.max(view.image.height);
+            let target = (resolution.min(longest) / divisor).max(1);
+            let side = |s: u32| (u64::from(s) * u64::from(target)).div_ceil(u64::from(longest)).max(1) as u32;
+            let image = view.image.resized(side(view.image.width), side(view.image.height));
+            let camera = view.camera.resized(image.width, image.height).in_normalised_world(scale, offset);
+            let alpha =
+                if capture.has_alpha { image.pixels.iter().map(|p| p[3]).collect() } else { Vec::new() };
+            Photo { camera, pixels: image.over(background), alpha }
+        };
+        let all = |divisor: u32| capture.train.par_iter().map(|v| photo(v, divisor)).collect();
+        Self { full: all(1), half: all(2), scale, offset, background, has_alpha: capture.has_alpha }
+    }
+}

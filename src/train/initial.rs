@@ -1,0 +1,188 @@
+//! The first Gaussians: from the capture's points, from the hull of its masks, or at random inside its bounds.
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use crate::capture::Capture;
+use crate::scene::{Field, Gaussians, Model, softplus_inverse};
+use crate::train::TrainConfig;
+use crate::train::dataset::{Dataset, Photo};
+
+/// Voxels along an edge of the carved cube.
+const HULL_SIDE: usize = 80;
+/// Opacity of a new Gaussian.
+const OPACITY: f32 = 0.3;
+
+type Seed = ([f32; 3], [f32; 3]);
+
+/// The model training starts from.
+pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut ChaCha8Rng) -> Model {
+    let wanted = config.initial_gaussians as usize;
+    let (seeds, spacing) = seeds(capture, data, wanted, rng);
+    let mut gaussians = Gaussians::zeroed(
+        seeds.len(),
+        config.prototypes as usize,
+        config.visibility_order as usize,
+        config.radiance_order as usize,
+    );
+    let logit = |p: f32| (p / (1.0 - p)).ln();
+    for (i, ((position, colour), spacing)) in seeds.iter().zip(&spacing).enumerate() {
+        gaussians.row_mut(Field::Mean, i).copy_from_slice(position);
+        gaussians.row_mut(Field::LogScale, i).fill(spacing.clamp(1e-4, 1.0).ln());
+        gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
+        gaussians.row_mut(Field::OpacityLogit, i)[0] = logit(OPACITY);
+        gaussians.row_mut(Field::MetalLogit, i)[0] = logit(0.1);
+        gaussians.row_mut(Field::RoughLogit, i)[0] = logit(0.6);
+        gaussians.row_mut(Field::Visibility, i)[0] = crate::engine::cpu::FULLY_OPEN;
+        for (s, c) in gaussians.row_mut(Field::Radiance, i).iter_mut().zip(colour) {
+            *s = (c - 0.5) / 0.282_094_8;
+        }
+    }
+    let rows = config.environment_rows as usize;
+    Model {
+        gaussians,
+        prototypes: vec![[0.5; 3]; config.prototypes as usize],
+        env_raw: vec![[softplus_inverse(0.6); 3]; rows * rows * 2],
+        env_width: rows * 2,
+        env_height: rows,
+        shading: config.shading,
+        world_scale: data.scale,
+        world_offset: data.offset,
+        card: serde_json::Value::Null,
+    }
+}
+
+/// Positions with display colours, and each one's standard deviation.
+fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng) -> (Vec<Seed>, Vec<f32>) {
+    let in_model = |p: glam::DVec3| ((p + data.offset) * data.scale).as_vec3().to_array();
+    let hull = if data.has_alpha { hull_surface(data) } else { Vec::new() };
+    let mut seeds: Vec<Seed> = if capture.points.len() >= 100 {
+        let step = (capture.points.len() as f64 / wanted as f64).max(1.0);
+        let count = capture.points.len().min(wanted);
+        let pick = |i: usize| &capture.points[(i as f64 * step) as usize];
+        let display = |c: [f32; 3]| c.map(|v| crate::engine::cpu::srgb(v.clamp(0.0, 1.0)));
+        (0..count).map(|i| (in_model(pick(i).0), display(pick(i).1))).collect()
+    } else if hull.is_empty() {
+        random_seeds(wanted, rng)
+    } else {
+        let cell = 2.0 / HULL_SIDE as f32;
+        let jitter = |rng: &mut ChaCha8Rng| (rng.random::<f32>() - 0.5) * cell;
+        let centres = (0..wanted).map(|_| hull[rng.random_range(0..hull.len())]).collect::<Vec<_>>();
+        centres.into_iter().map(|c| (c.map(|v| v + jitter(rng)), [0.5; 3])).collect()
+    };
+    if capture.points.len() < 100 && !hull.is_empty() {
+        seeds.iter_mut().for_each(|(p, c)| *c = mean_colour(&data.half, *p));
+    }
+    let spacing = nearest_neighbour_distance(&seeds);
+    (seeds, spacing)
+}
+
+/// Uniform in the unit ball, and a third of them further out for what lies behind the subject.
+fn random_seeds(wanted: usize, rng: &mut ChaCha8Rng) -> Vec<Seed> {
+    (0..wanted)
+        .map(|i| {
+            let direction = loop {
+                let v: [f32; 3] = std::array::from_fn(|_| rng.random::<f32>() * 2.0 - 1.0);
+                let n = v.iter().map(|x| x * x).sum::<f32>();
+                if n > 1e-4 && n <= 1.0 {
+                    break v.map(|x| x / n.sqrt());
+                }
+            };
+            let u = rng.random::<f32>();
+            let radius = if i % 3 == 2 { 8.0f32.powf(u) } else { u.cbrt() };
+            (direction.map(|d| d * radius), [0.5; 3])
+        })
+        .collect()
+}
+
+/// Pixel of `photo` under a point, if it is in front and inside.
+fn pixel_of(photo: &Photo, p: [f32; 3]) -> Option<usize> {
+    let c = &photo.camera;
+    let x = c.rotation * glam::DVec3::new(p[0].into(), p[1].into(), p[2].into()) + c.translation;
+    if x.z < 0.05 {
+        return None;
+    }
+    let (u, v) = (c.fx * x.x / x.z + c.cx, c.fy * x.y / x.z + c.cy);
+    let inside = u >= 0.0 && v >= 0.0 && u < f64::from(c.width) && v < f64::from(c.height);
+    inside.then(|| v as usize * c.width as usize + u as usize)
+}
+
+/// Mean colour of the photographs' pixels over a point.
+fn mean_colour(photos: &[Photo], p: [f32; 3]) -> [f32; 3] {
+    let mut sum = [0.0f32; 3];
+    let mut n = 0.0;
+    for photo in photos {
+        if let Some(i) = pixel_of(photo, p) {
+            (0..3).for_each(|k| sum[k] += photo.pixels[i][k]);
+            n += 1.0;
+        }
+    }
+    if n > 0.0 { sum.map(|s| s / n) } else { [0.5; 3] }
+}
+
+/// Centres of the voxels on the surface of the visual hull, in the unit ball's cube (normalised world).
+fn hull_surface(data: &Dataset) -> Vec<[f32; 3]> {
+    use rayon::prelude::*;
+    let n = HULL_SIDE;
+    let centre = |i: usize| {
+        let at = |k: usize| -1.0 + (2 * k + 1) as f32 / n as f32;
+        [at(i % n), at(i / n % n), at(i / (n * n))]
+    };
+    let solid: Vec<bool> = (0..n * n * n)
+        .into_par_iter()
+        .with_min_len(4096)
+        .map(|i| {
+            let p = centre(i);
+            let mut seen = 0;
+            let mut missed = 0;
+            for photo in &data.half {
+                if let Some(pixel) = pixel_of(photo, p) {
+                    seen += 1;
+                    missed += usize::from(photo.alpha[pixel] < 0.3);
+                }
+            }
+            // A few misses are forgiven: masks are blurred at half resolution.
+            seen >= 3 && missed * 40 <= seen
+        })
+        .collect();
+    let open = |i: usize, axis: usize, step: isize| {
+        let stride = [1, n, n * n][axis];
+        let k = (i / stride % n) as isize + step;
+        if k < 0 || k >= n as isize { true } else { !solid[(i as isize + step * stride as isize) as usize] }
+    };
+    let surface = |i: &usize| (0..3).any(|a| open(*i, a, 1) || open(*i, a, -1));
+    (0..n * n * n).filter(|i| solid[*i]).filter(surface).map(centre).collect()
+}
+
+/// Distance of each seed to its third nearest neighbour, by a hash grid; the mean where there are too few.
+fn nearest_neighbour_distance(seeds: &[Seed]) -> Vec<f32> {
+    use rayon::prelude::*;
+    use std::collections::HashMap;
+    let extent = seeds.iter().flat_map(|(p, _)| p).fold(0.0f32, |m, v| m.max(v.abs())).max(1e-6);
+    let cell = (2.0 * extent / (seeds.len() as f32).cbrt()).max(1e-6);
+    let key = |p: &[f32; 3]| p.map(|v| (v / cell).floor() as i32);
+    let mut grid: HashMap<[i32; 3], Vec<usize>> = HashMap::new();
+    for (i, (p, _)) in seeds.iter().enumerate() {
+        grid.entry(key(p)).or_default().push(i);
+    }
+    seeds
+        .par_iter()
+        .enumerate()
+        .map(|(i, (p, _))| {
+            let k = key(p);
+            let mut nearest = [cell * cell; 3];
+            for offset in 0..27 {
+                let at = [k[0] + offset % 3 - 1, k[1] + offset / 3 % 3 - 1, k[2] + offset / 9 - 1];
+                // The order of a cell's members is the order of insertion, so this is deterministic.
+                for &j in grid.get(&at).into_iter().flatten() {
+                    let d = (0..3).map(|a| (p[a] - seeds[j].0[a]).powi(2)).sum::<f32>();
+                    if j != i && d < nearest[2] {
+                        nearest[2] = d;
+                        nearest.sort_unstable_by(f32::total_cmp);
+                    }
+                }
+            }
+            (nearest.iter().sum::<f32>() / 3.0).sqrt()
+        })
+        .collect()
+}

@@ -1,0 +1,223 @@
+//! Terms on the parameters themselves: aggregation, residual, light neutrality, visibility labels.
+
+use rayon::prelude::*;
+
+use crate::engine::Gradients;
+use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass, softmax};
+use crate::light::sh_eval;
+use crate::scene::{Field, Gaussians};
+
+/// Gaussians with less summed weight in a view get no label from it.
+const LEAST_LABEL_WEIGHT: f32 = 1e-3;
+/// Visibility is kept this far from 0 and 1 inside the logarithms.
+const LABEL_MARGIN: f32 = 1e-3;
+
+/// Clamp inside the aggregation term.
+const EPSILON: f32 = 1e-6;
+
+/// `-mean ln Q` with `Q = sum_k p_k prod_{j != k} (1 - p_j)` (Eq. 24); adds its gradient, returns its value.
+pub fn aggregation(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
+    if weight == 0.0 || g.is_empty() {
+        return 0.0;
+    }
+    let (k, scale) = (g.prototypes(), weight / g.len() as f32);
+    let layout = out.layout;
+    let scores = g.field(Field::ProtoLogits).par_chunks(k);
+    let values: Vec<f32> = out
+        .rows
+        .par_chunks_mut(layout.row)
+        .zip(scores)
+        .with_min_len(256)
+        .map(|(row, scores)| aggregation_of_one(scores, scale, &mut row[layout.range(Field::ProtoLogits)]))
+        .collect();
+    sum(&values)
+}
+
+/// One Gaussian's `-scale ln Q`, its gradient added to `out`.
+fn aggregation_of_one(scores: &[f32], scale: f32, out: &mut [f32]) -> f32 {
+    let mut buffer = [[0.0f32; 256]; 2];
+    let k = scores.len().min(256);
+    let [p, by_p] = &mut buffer;
+    let p = softmax(scores, &mut p[..k]);
+    let rest = |v: f32| (1.0 - v).max(EPSILON);
+    // prod_{j != k} (1 - p_j) = all / (1 - p_k), never divided by less than epsilon.
+    let all: f32 = p.iter().map(|v| rest(*v)).product();
+    let q: f32 = p.iter().map(|v| v * all / rest(*v)).sum();
+    if q <= EPSILON {
+        return -scale * EPSILON.ln();
+    }
+    // dQ/dp_m = prod_{j != m} - (1 / (1 - p_m)) sum_{k != m} p_k prod_{j != k}, the second part where unclamped.
+    for (m, by) in by_p[..k].iter_mut().enumerate() {
+        let own = all / rest(p[m]);
+        let others = q - p[m] * own;
+        let through = if 1.0 - p[m] > EPSILON { others / rest(p[m]) } else { 0.0 };
+        *by = -scale / q * (own - through);
+    }
+    let mean: f32 = p.iter().zip(by_p.iter()).map(|(p, b)| p * b).sum();
+    for (m, o) in out.iter_mut().enumerate() {
+        *o += p[m] * (by_p[m] - mean);
+    }
+    -scale * q.ln()
+}
+
+/// `mean sum |eps|` (Eq. 25); adds its gradient, returns its value.
+pub fn residual(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
+    let scale = weight / g.len().max(1) as f32;
+    let layout = out.layout;
+    let mut total = 0.0f64;
+    for (row, eps) in out.rows.chunks_mut(layout.row).zip(g.field(Field::Residual).chunks_exact(3)) {
+        for (o, e) in row[layout.range(Field::Residual)].iter_mut().zip(eps) {
+            total += f64::from(scale * e.abs());
+            *o += scale
+                * if *e > 0.0 {
+                    1.0
+                } else if *e < 0.0 {
+                    -1.0
+                } else {
+                    0.0
+                };
+        }
+    }
+    total as f32
+}
+
+/// Mean deviation of each texel's channels from their mean (Eq. 31): `(value, gradient by radiance)`.
+pub fn light_neutrality(radiance: &[[f32; 3]], weight: f32) -> (f32, Vec<[f32; 3]>) {
+    let scale = weight / (3 * radiance.len()).max(1) as f32;
+    let mut total = 0.0f64;
+    let gradient = radiance
+        .iter()
+        .map(|l| {
+            let mean = (l[0] + l[1] + l[2]) / 3.0;
+            let sign = l.map(|v| {
+                if v > mean {
+                    1.0
+                } else if v < mean {
+                    -1.0
+                } else {
+                    0.0f32
+                }
+            });
+            total += f64::from(scale) * (0..3).map(|c| f64::from((l[c] - mean).abs())).sum::<f64>();
+            let shared = (sign[0] + sign[1] + sign[2]) / 3.0;
+            sign.map(|s| scale * (s - shared))
+        })
+        .collect();
+    (total as f32, gradient)
+}
+
+/// `mean |c - label|^2 / 4 pi`: the mean squared visibility error over the sphere (Parseval).
+pub fn probe_labels(g: &Gaussians, labels: &[f32], weight: f32, out: &mut Gradients) -> f32 {
+    let width = g.width(Field::Visibility);
+    if labels.len() != g.len() * width || g.is_empty() {
+        return 0.0;
+    }
+    let scale = weight / (g.len() as f32 * 4.0 * std::f32::consts::PI);
+    let layout = out.layout;
+    let pairs = g.field(Field::Visibility).chunks_exact(width).zip(labels.chunks_exact(width));
+    let mut total = 0.0f64;
+    for (row, (c, label)) in out.rows.chunks_mut(layout.row).zip(pairs) {
+        for ((o, c), l) in row[layout.range(Field::Visibility)].iter_mut().zip(c).zip(label) {
+            total += f64::from(scale * (c - l) * (c - l));
+            *o += 2.0 * scale * (c - l);
+        }
+    }
+    total as f32
+}
+
+/// BCE of the visibility towards the continuing view direction against backward transmittance (Eq. 15): the mean over
+/// Gaussians with weight. Adds its gradient, returns its value.
+pub fn backward_labels(g: &Gaussians, pass: &Pass, weight: f32, out: &mut Gradients) -> f32 {
+    let labels = cpu::backward_labels(pass);
+    let counted = labels.iter().filter(|l| l.weight > LEAST_LABEL_WEIGHT).count();
+    let scale = weight / counted.max(1) as f32;
+    let (order, width) = (g.visibility_order(), g.width(Field::Visibility));
+    let layout = out.layout;
+    let mut total = 0.0f64;
+    for (splat, label) in pass.splats.iter().zip(&labels).filter(|(_, l)| l.weight > LEAST_LABEL_WEIGHT) {
+        let i = splat.gaussian as usize;
+        let mean: [f32; 3] = g.get(Field::Mean, i);
+        let (direction, _) = cpu::normalise(std::array::from_fn(|k| mean[k] - pass.view.eye[k]));
+        let mut y = [0.0f32; MAX_COEFFICIENTS];
+        sh_eval(order, direction, &mut y);
+        let raw: f32 = g.row(Field::Visibility, i).iter().zip(&y).map(|(c, y)| c * y).sum();
+        let v = raw.clamp(LABEL_MARGIN, 1.0 - LABEL_MARGIN);
+        let p = label.transmittance;
+        total -= f64::from(scale * (p * v.ln() + (1.0 - p) * (1.0 - v).ln()));
+        // Outside the margin the slope of its edge pulls back in, so that a saturated field is not stuck.
+        let by_v = scale * ((1.0 - p) / (1.0 - v) - p / v);
+        let row = &mut out.rows[i * layout.row..][layout.range(Field::Visibility)];
+        row.iter_mut().zip(&y[..width]).for_each(|(o, y)| *o += by_v * y);
+    }
+    total as f32
+}
+
+/// `mean smallest standard deviation`: adds its gradient, returns its value.
+pub fn flatness(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
+    let scale = weight / g.len().max(1) as f32;
+    let layout = out.layout;
+    let mut total = 0.0f64;
+    for (row, s) in out.rows.chunks_mut(layout.row).zip(g.field(Field::LogScale).chunks_exact(3)) {
+        let axis = if s[0] <= s[1] && s[0] <= s[2] {
+            0
+        } else if s[1] <= s[2] {
+            1
+        } else {
+            2
+        };
+        let sigma = s[axis].exp();
+        total += f64::from(scale * sigma);
+        row[layout.range(Field::LogScale)][axis] += scale * sigma;
+    }
+    total as f32
+}
+
+/// `weight ln(Y / pi)^2` with Y the irradiance of a white surface facing up: a well-exposed photograph shows such a
+/// surface as white. It fixes the scale that light and albedo could trade. `(value, gradient by radiance)`.
+pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
+    let share = |(d, w): &(glam::DVec3, f64)| (d.z.max(0.0) * w / (3.0 * std::f64::consts::PI)) as f32;
+    let up: f32 = radiance.iter().zip(texels).map(|(l, t)| share(t) * (l[0] + l[1] + l[2])).sum();
+    let log = up.max(1e-6).ln();
+    let slope = 2.0 * weight * log / up.max(1e-6);
+    (weight * log * log, texels.iter().map(|t| [slope * share(t); 3]).collect())
+}
+
+fn sum(values: &[f32]) -> f32 {
+    values.iter().map(|v| f64::from(*v)).sum::<f64>() as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn aggregation_is_zero_at_one_hot_and_known_at_uniform() {
+        let mut one_hot = [-60.0f32; 32];
+        one_hot[7] = 60.0;
+        assert!(aggregation_of_one(&one_hot, 1.0, &mut [0.0; 32]).abs() < 1e-5);
+        let uniform = aggregation_of_one(&[0.3; 32], 1.0, &mut [0.0; 32]);
+        assert!((uniform - 0.98421).abs() < 1e-5, "{uniform}");
+    }
+
+    #[test]
+    fn the_aggregation_gradient_agrees_with_central_differences() {
+        let scores: Vec<f32> = (0..8).map(|i| (i as f32 * 1.7).sin()).collect();
+        let mut gradient = [0.0f32; 8];
+        aggregation_of_one(&scores, 1.0, &mut gradient);
+        for i in 0..8 {
+            let (mut hi, mut lo) = (scores.clone(), scores.clone());
+            hi[i] += 1e-2;
+            lo[i] -= 1e-2;
+            let f = |s: &[f32]| aggregation_of_one(s, 1.0, &mut [0.0; 8]);
+            let numeric = (f(&hi) - f(&lo)) / 2e-2;
+            assert!((numeric - gradient[i]).abs() < 2e-4, "{i} {numeric} {}", gradient[i]);
+        }
+    }
+
+    #[test]
+    fn a_grey_light_is_neutral_and_a_red_one_is_not() {
+        assert_eq!(light_neutrality(&[[0.4; 3]; 5], 1.0).0, 0.0);
+        let (value, gradient) = light_neutrality(&[[1.0, 0.0, 0.0]], 1.0);
+        assert!(value > 0.3 && gradient[0][0] > 0.0 && gradient[0][1] < 0.0);
+    }
+}

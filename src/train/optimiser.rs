@@ -1,0 +1,156 @@
+//! Adam over all parameters of a model (Kingma and Ba 2015).
+
+use rayon::prelude::*;
+
+use crate::engine::Gradients;
+use crate::scene::{Field, Gaussians, Model};
+use crate::train::LearningRates;
+
+const BETA1: f32 = 0.9;
+const BETA2: f32 = 0.999;
+const EPSILON: f32 = 1e-15;
+/// Gaussians a task takes.
+const CHUNK: usize = 512;
+
+/// First and second moments, shaped like the model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moments {
+    /// First moments of the Gaussians.
+    pub first: Gaussians,
+    /// Second moments of the Gaussians.
+    pub second: Gaussians,
+    /// Moments of prototypes then environment: first, second.
+    pub globals: [Vec<[f32; 3]>; 2],
+}
+
+/// Step sizes of this step, per field; zero leaves a field alone.
+#[derive(Debug, Clone, Copy)]
+pub struct StepSizes {
+    fields: [f32; 12],
+    prototypes: f32,
+    environment: f32,
+}
+
+impl StepSizes {
+    /// The schedule at `progress` in [0, 1]; `material` says whether the physically based branch trains.
+    pub fn new(rates: &LearningRates, progress: f32, material: bool, visibility: bool) -> Self {
+        let mean = rates.mean * (rates.mean_final / rates.mean.max(1e-20)).powf(progress);
+        // Everything but the centres falls to a tenth over the second half.
+        let late = 0.1f32.powf((2.0 * progress - 1.0).max(0.0));
+        let on = if material { late } else { 0.0 };
+        let vis = if visibility { on } else { 0.0 };
+        let mut fields = [0.0; 12];
+        let table = [
+            (Field::Mean, mean),
+            (Field::LogScale, rates.scale * late),
+            (Field::Quaternion, rates.rotation * late),
+            (Field::OpacityLogit, rates.opacity * late),
+            (Field::Normal, rates.normal * on),
+            (Field::MetalLogit, rates.material * on),
+            (Field::RoughLogit, rates.material * on),
+            (Field::ProtoLogits, rates.scores * on),
+            (Field::Residual, rates.residual * on),
+            (Field::Visibility, rates.visibility * vis),
+            (Field::Indirect, rates.visibility * vis),
+            (Field::Radiance, rates.radiance * late),
+        ];
+        for (field, rate) in table {
+            fields[field as usize] = rate;
+        }
+        Self { fields, prototypes: rates.prototypes * on, environment: rates.environment * on }
+    }
+
+    /// All sizes times `factor`.
+    #[must_use]
+    pub fn scaled(mut self, factor: f32) -> Self {
+        self.fields.iter_mut().for_each(|f| *f *= factor);
+        self.prototypes *= factor;
+        self.environment *= factor;
+        self
+    }
+}
+
+impl Moments {
+    /// Zero moments for `model`.
+    pub fn zeroed(model: &Model) -> Self {
+        let g = &model.gaussians;
+        let zero = Gaussians::zeroed(g.len(), g.prototypes(), g.visibility_order(), g.radiance_order());
+        let globals = vec![[0.0; 3]; model.prototypes.len() + model.env_raw.len()];
+        Self { first: zero.clone(), second: zero, globals: [globals.clone(), globals] }
+    }
+
+    /// One Adam step. `ages`: how many steps geometry with radiance, and material with light, have trained, this one
+    /// included.
+    pub fn step(&mut self, model: &mut Model, gradients: &Gradients, sizes: &StepSizes, ages: [u32; 2]) {
+        let correction = |age: u32, beta: f32| 1.0 - beta.powi(age.min(100_000) as i32);
+        let corrections = ages.map(|age| (correction(age, BETA1), correction(age, BETA2).sqrt()));
+        let layout = gradients.layout;
+        let dc = 3;
+        let moments = self.first.fields_mut().zip(self.second.fields_mut());
+        for ((field, width, data), ((_, _, first), (_, _, second))) in
+            model.gaussians.fields_mut().zip(moments)
+        {
+            let (correction1, correction2) = corrections[usize::from(is_material(field))];
+            let rate = sizes.fields[field as usize] / correction1;
+            if rate == 0.0 || width == 0 {
+                continue;
+            }
+            let range = layout.range(field);
+            let chunks = data
+                .par_chunks_mut(CHUNK * width)
+                .zip(first.par_chunks_mut(CHUNK * width))
+                .zip(second.par_chunks_mut(CHUNK * width))
+                .zip(gradients.rows.par_chunks(CHUNK * layout.row));
+            chunks.for_each(|(((data, first), second), rows)| {
+                let rows = rows.chunks_exact(layout.row).map(|row| &row[range.clone()]);
+                let values = data.chunks_exact_mut(width).zip(first.chunks_exact_mut(width));
+                for (((p, m), v), g) in values.zip(second.chunks_exact_mut(width)).zip(rows) {
+                    for k in 0..width {
+                        let rate = if field == Field::Radiance && k >= dc { rate * 0.05 } else { rate };
+                        p[k] -= adam(&mut m[k], &mut v[k], g[k], rate, correction2);
+                    }
+                }
+            });
+        }
+        let (correction1, correction2) = corrections[1];
+        let globals = model.prototypes.iter_mut().map(|p| (p, sizes.prototypes));
+        let globals = globals.chain(model.env_raw.iter_mut().map(|p| (p, sizes.environment)));
+        let [first, second] = &mut self.globals;
+        let slopes = gradients.prototypes.iter().chain(&gradients.env_raw);
+        for (((p, rate), (m, v)), g) in globals.zip(first.iter_mut().zip(second)).zip(slopes) {
+            if rate > 0.0 {
+                for c in 0..3 {
+                    p[c] -= adam(&mut m[c], &mut v[c], g[c], rate / correction1, correction2);
+                }
+            }
+        }
+    }
+
+    /// Moments of the Gaussians that survive density control; new ones (index beyond) start from zero.
+    pub fn gather(&mut self, indices: &[Option<usize>]) {
+        let pick: Vec<usize> = indices.iter().map(|i| i.unwrap_or(0)).collect();
+        for moments in [&mut self.first, &mut self.second] {
+            let mut picked = moments.gathered(&pick);
+            for (_, width, data) in picked.fields_mut() {
+                for (row, _) in data.chunks_mut(width.max(1)).zip(indices).filter(|(_, i)| i.is_none()) {
+                    row.fill(0.0);
+                }
+            }
+            *moments = picked;
+        }
+    }
+}
+
+/// Fields that only the physically based branch trains.
+fn is_material(field: Field) -> bool {
+    use Field::{Indirect, MetalLogit, Normal, ProtoLogits, Residual, RoughLogit, Visibility};
+    matches!(field, Normal | MetalLogit | RoughLogit | ProtoLogits | Residual | Visibility | Indirect)
+}
+
+/// Updates the moments and returns the step.
+#[inline]
+fn adam(m: &mut f32, v: &mut f32, g: f32, rate: f32, correction2: f32) -> f32 {
+    *m = BETA1 * *m + (1.0 - BETA1) * g;
+    *v = BETA2 * *v + (1.0 - BETA2) * g * g;
+    rate * *m / (v.sqrt() / correction2 + EPSILON)
+}

@@ -1,0 +1,34 @@
+//! Everything that changes while a training runs; saving it saves the training.
+
+use rand_chacha::ChaCha8Rng;
+
+use crate::scene::Model;
+use crate::train::density::DensityStats;
+use crate::train::optimiser::Moments;
+
+/// The state of a training between two steps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainState {
+    /// Steps done.
+    pub step: u32,
+    /// The model.
+    pub model: Model,
+    /// Optimiser moments.
+    pub moments: Moments,
+    /// Density statistics since the last round.
+    pub density: DensityStats,
+    /// Probe labels, `[Gaussian][coefficient]`; empty before the first refresh.
+    pub labels: Vec<f32>,
+    /// Gathered light per Gaussian; empty before the first refresh.
+    pub gathered: Vec<[f32; 6]>,
+    /// Order in which this epoch visits the photographs.
+    pub order: Vec<u32>,
+    /// Position in `order`.
+    pub cursor: u32,
+    /// Source of every random choice.
+    pub rng: ChaCha8Rng,
+    /// Factor on all step sizes, lowered after a roll-back.
+    pub rate_factor: f32,
+    /// Seconds spent in steps.
+    pub seconds: f64,
+}

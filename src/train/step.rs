@@ -1,0 +1,220 @@
+//! The objective of one photograph and its gradients, and the refresh of what is measured rather than learned.
+
+use crate::engine::Gradients;
+use crate::engine::channel::Channels;
+use crate::engine::cpu::{
+    self, AttributeSource, BufferGradient, Pass, Probes, Shader, Transport, View, fibonacci_sphere,
+    outward_normals, radiance_image, radiance_image_backward,
+};
+use crate::light::{EnvOperators, LightTables};
+use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
+use crate::train::dataset::Photo;
+use crate::train::objective::image::Target;
+use crate::train::objective::{geometry, material as terms};
+use crate::train::state::TrainState;
+use crate::train::{LabelSource, TrainConfig};
+
+/// Standard deviations a probe starts from its Gaussian's centre.
+const PROBE_OFFSET: f32 = 1.0;
+/// Progress after which depth-normal consistency acts: before, depth is noise.
+const GEOMETRY_FROM: f32 = 0.05;
+
+/// What is the same for every step of a training.
+#[derive(Debug, Clone, Copy)]
+pub struct StepContext<'a> {
+    /// The configuration.
+    pub config: &'a TrainConfig,
+    /// Operators of the training environment.
+    pub operators: &'a EnvOperators,
+    /// Display-referred background.
+    pub background: [f32; 3],
+    /// Whether masks mean something.
+    pub has_alpha: bool,
+    /// Share of the steps done.
+    pub progress: f32,
+}
+
+/// Value and gradients of the objective.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// The objective.
+    pub loss: f32,
+    /// Mean squared error of the leading branch.
+    pub mse: f32,
+    /// Its gradients.
+    pub gradients: Gradients,
+}
+
+fn source<'a>(state: &'a TrainState, basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
+    let Model { gaussians, prototypes, shading, .. } = &state.model;
+    AttributeSource {
+        gaussians,
+        prototypes,
+        options: shading,
+        gathered: &state.gathered,
+        indirect_basis: basis,
+    }
+}
+
+fn radiance_of(model: &Model) -> Vec<[f32; 3]> {
+    model.env_raw.iter().map(|t| t.map(softplus)).collect()
+}
+
+/// The objective during warm-up: radiance branch and geometry only.
+pub fn radiance(context: &StepContext<'_>, state: &TrainState, photo: &Photo) -> Outcome {
+    let w = &context.config.weights;
+    let basis = [[0.0; 3]; 16];
+    let source = source(state, &basis);
+    let view = View::new(&photo.camera, source.options);
+    let shaped = context.progress >= GEOMETRY_FROM && w.depth_normal > 0.0;
+    let channels = if shaped { Channels::Geometry } else { Channels::Colour };
+    let pass = Pass::forward(&source, view, channels, true);
+    let image = radiance_image(&pass, context.background);
+    let target = Target::new(view.width, view.height, photo.pixels.clone());
+    let fit = target.compare(&image, w.l1, w.ssim);
+    let mut by_buffers = vec![BufferGradient::default(); image.len()];
+    let mut loss = w.l1 * fit.mae + w.ssim * (1.0 - fit.ssim);
+    if context.has_alpha {
+        loss += geometry::coverage(&pass, &photo.alpha, w.coverage, &mut by_buffers);
+    }
+    if shaped {
+        loss += geometry::depth_normal(&pass, w.depth_normal, &mut by_buffers);
+    }
+    let count = channels.count();
+    let by_gbuffer = radiance_image_backward(&pass, context.background, &fit.gradient, &by_buffers, count);
+    let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count);
+    gradients.env_raw = vec![[0.0; 3]; state.model.env_raw.len()];
+    loss += terms::flatness(source.gaussians, w.flatness, &mut gradients);
+    Outcome { loss, mse: fit.mse, gradients }
+}
+
+/// The whole objective (Eq. 29 and additions).
+pub fn material(context: &StepContext<'_>, state: &TrainState, photo: &Photo) -> Outcome {
+    let w = &context.config.weights;
+    let radiance = radiance_of(&state.model);
+    let tables = context.operators.apply(&radiance);
+    let basis = cpu::indirect_basis(&tables);
+    let source = source(state, &basis);
+    let view = View::new(&photo.camera, source.options);
+    let order = source.gaussians.visibility_order();
+    let pass = Pass::forward(&source, view, Channels::Full(source.gaussians.width(Field::Visibility)), true);
+    let shader = Shader { tables: &tables, options: source.options, order };
+    let images = shader.images(&pass, context.background);
+    let target = Target::new(view.width, view.height, photo.pixels.clone());
+    let physical = target.compare(&images.physical, w.l1, w.ssim);
+    let plain = target.compare(&images.radiance, w.l1 * w.radiance, w.ssim * w.radiance);
+    let mut loss = w.l1 * physical.mae + w.ssim * (1.0 - physical.ssim);
+    loss += w.radiance * (w.l1 * plain.mae + w.ssim * (1.0 - plain.ssim));
+    let mut by_buffers = vec![BufferGradient::default(); photo.pixels.len()];
+    if context.has_alpha {
+        loss += geometry::coverage(&pass, &photo.alpha, w.coverage, &mut by_buffers);
+    }
+    loss += geometry::depth_normal(&pass, w.depth_normal, &mut by_buffers);
+    loss += geometry::smoothness(&pass, &photo.pixels, w.smoothness, &mut by_buffers);
+    let by_images = cpu::BranchImages { physical: physical.gradient, radiance: plain.gradient };
+    let count = differentiated(context.config, source.options.indirect, pass.channels);
+    let (by_gbuffer, mut by_tables) =
+        shader.images_backward(&pass, context.background, &by_images, &by_buffers, count);
+    let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count);
+    if source.options.indirect == IndirectForm::Learned {
+        learned_indirect_backward(&pass, &source, &by_gbuffer, count, &mut by_tables);
+    }
+    let (neutral, by_neutral) = terms::light_neutrality(&radiance, w.light);
+    let texels = texel_directions(state.model.env_width, state.model.env_height);
+    let (level, by_level) = terms::exposure(&radiance, &texels, w.exposure);
+    loss += neutral + level;
+    let mut by_radiance = context.operators.apply_transposed(&by_tables);
+    for ((g, a), b) in by_radiance.iter_mut().zip(&by_neutral).zip(&by_level) {
+        (0..3).for_each(|c| g[c] += a[c] + b[c]);
+    }
+    gradients.env_raw = by_radiance
+        .iter()
+        .zip(&state.model.env_raw)
+        .map(|(g, raw)| std::array::from_fn(|c| g[c] / (1.0 + (-raw[c]).exp())))
+        .collect();
+    loss += parameter_terms(context.config, &source, &pass, &state.labels, &mut gradients);
+    Outcome { loss, mse: physical.mse, gradients }
+}
+
+/// Channels the backward pass carries: visibility and indirect light only when they are learned.
+fn differentiated(config: &TrainConfig, indirect: IndirectForm, channels: Channels) -> usize {
+    let learned = config.labels != LabelSource::Probes || indirect == IndirectForm::Learned;
+    if learned { channels.count() } else { Channels::Material.count() }
+}
+
+fn parameter_terms(
+    config: &TrainConfig,
+    source: &AttributeSource<'_>,
+    pass: &Pass,
+    labels: &[f32],
+    gradients: &mut Gradients,
+) -> f32 {
+    let (w, g) = (&config.weights, source.gaussians);
+    let mut loss = terms::aggregation(g, w.aggregation, gradients);
+    loss += terms::residual(g, w.residual, gradients);
+    loss += terms::flatness(g, w.flatness, gradients);
+    if source.options.visibility != VisibilityForm::Off {
+        if matches!(config.labels, LabelSource::Backward | LabelSource::Both) {
+            loss += terms::backward_labels(g, pass, w.visibility, gradients);
+        }
+        if config.labels == LabelSource::Both {
+            loss += terms::probe_labels(g, labels, w.visibility, gradients);
+        }
+    }
+    loss
+}
+
+/// Gradient of the light through `E_j` (Eq. 20): by `E_j` it is the sum over Gaussians of weight x channel gradient,
+/// which is the gradient of the indirect channels against a unit change of `E_j`.
+fn learned_indirect_backward(
+    pass: &Pass,
+    source: &AttributeSource<'_>,
+    by_gbuffer: &[f32],
+    count: usize,
+    by_tables: &mut LightTables,
+) {
+    let by_rows = pass.channel_gradients(
+        by_gbuffer,
+        count.next_multiple_of(4),
+        count,
+        crate::engine::channel::INDIRECT,
+    );
+    let mut by_basis = [[0.0f32; 3]; 16];
+    for (splat, g) in pass.splats.iter().zip(by_rows.chunks_exact(3)) {
+        let weights = source.gaussians.row(Field::Indirect, splat.gaussian as usize);
+        for (o, w) in by_basis.iter_mut().zip(weights) {
+            (0..3).for_each(|c| o[c] += w * g[c]);
+        }
+    }
+    cpu::indirect_basis_backward(&by_basis, by_tables);
+}
+
+/// Measures visibility and gathers bounced light anew (docs/MODEL.md section 6).
+///
+/// With labels `Probes` the field *is* the measurement. `twice`: the first measurement also finds each Gaussian's open
+/// side, which the second one starts from.
+pub fn refresh_probes(config: &TrainConfig, operators: &EnvOperators, state: &mut TrainState, twice: bool) {
+    let tables = operators.apply(&radiance_of(&state.model));
+    let order = state.model.gaussians.visibility_order();
+    let basis = [[0.0; 3]; 16];
+    let gathers = config.bounces > 0 && state.model.shading.indirect == IndirectForm::Gathered;
+    if state.model.shading.visibility == VisibilityForm::Off && !gathers {
+        return;
+    }
+    for _ in 0..if twice { 2 } else { 1 } {
+        let source = source(state, &basis);
+        let directions = fibonacci_sphere(config.probe_directions as usize);
+        let probes = Probes::measure(&source, directions, PROBE_OFFSET);
+        let labels = probes.coefficients(order);
+        if gathers {
+            let transport = Transport::new(&probes, outward_normals(&source));
+            state.gathered = transport.gather(&source, &tables, config.bounces as usize);
+        }
+        if config.labels == LabelSource::Probes
+            || (config.labels == LabelSource::Both && state.labels.is_empty())
+        {
+            state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&labels);
+        }
+        state.labels = labels;
+    }
+}

@@ -1,0 +1,344 @@
+//! Evaluation through the public API: LPIPS against its authors' figures, and a model against pictures that it
+//! drew itself.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use glam::DVec3;
+use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Plane, Scene3dBounds};
+use relume::cli::eval::{EvalArgs, run};
+use relume::eval::{EvalError, EvalOptions, Lpips, Picture, Report, contact_sheet, evaluate};
+use relume::formats::model_file;
+use relume::render::{Frame, Output, Renderer, Tier};
+use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadingOptions};
+
+const SIDE: u32 = 40;
+
+/// The folder of real inputs, or a visible word that the test does without.
+fn test_data(what: &str) -> Option<PathBuf> {
+    let given = std::env::var_os("RELUME_TEST_DATA").map(PathBuf::from);
+    let root = given.unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
+    let path = root.join(what);
+    if path.exists() {
+        return Some(path);
+    }
+    eprintln!("SKIPPED: {what} is not in the test data folder (RELUME_TEST_DATA)");
+    None
+}
+
+fn picture(path: PathBuf) -> Picture {
+    let image = image::open(path).unwrap().into_rgb32f();
+    let values = image.pixels().map(|p| p.0).collect();
+    Plane { width: image.width(), height: image.height(), values }
+}
+
+#[test]
+fn lpips_gives_its_authors_published_figures() {
+    let Some(folder) = test_data("lpips") else { return };
+    let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
+    let image = |name: &str| picture(folder.join("reference_images").join(name));
+    let reference = image("ex_ref.png");
+    for (other, published) in [("ex_p0.png", 0.722), ("ex_p1.png", 0.138)] {
+        let distance = lpips.distance(&reference, &image(other)).unwrap();
+        assert!((distance - published).abs() < 2e-3, "{other}: {distance}, published {published}");
+    }
+    assert_eq!(lpips.distance(&reference, &reference), Some(0.0));
+    // Negative control: another range of inputs is another metric.
+    let mut dark = (reference.clone(), image("ex_p0.png"));
+    dark.0.values.iter_mut().chain(&mut dark.1.values).flatten().for_each(|v| *v *= 0.5);
+    assert!((lpips.distance(&dark.0, &dark.1).unwrap() - 0.722).abs() > 2e-3);
+}
+
+#[test]
+fn lpips_of_pictures_too_small_for_the_network_is_absent() {
+    let Some(folder) = test_data("lpips") else { return };
+    let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
+    let flat =
+        |side: u32| Plane { width: side, height: side, values: vec![[0.5; 3]; (side * side) as usize] };
+    assert_eq!(lpips.distance(&flat(30), &flat(30)), None);
+    assert_eq!(lpips.distance(&flat(31), &flat(31)), Some(0.0));
+    assert_eq!(lpips.distance(&flat(31), &flat(32)), None);
+}
+
+/// A handful of fat Gaussians of several colours around the origin.
+fn model() -> Model {
+    let mut gaussians = Gaussians::zeroed(9, 2, 0, 0);
+    for i in 0..9 {
+        let angle = i as f32 * 0.7;
+        gaussians.row_mut(Field::Mean, i).copy_from_slice(&[
+            0.5 * angle.cos(),
+            0.5 * angle.sin(),
+            0.1 * i as f32 - 0.4,
+        ]);
+        gaussians.row_mut(Field::LogScale, i).copy_from_slice(&[-1.2, -1.4, -2.5]);
+        gaussians.row_mut(Field::Quaternion, i).copy_from_slice(&[1.0, angle.sin(), 0.3, 0.1]);
+        gaussians.row_mut(Field::OpacityLogit, i).fill(5.0);
+        gaussians.row_mut(Field::ProtoLogits, i).copy_from_slice(&[i as f32 - 4.0, 0.0]);
+        gaussians.row_mut(Field::Visibility, i).fill(3.0);
+        gaussians.row_mut(Field::Radiance, i).copy_from_slice(&[0.4, 0.1 * i as f32, 0.2]);
+    }
+    Model {
+        gaussians,
+        prototypes: vec![[0.5, 0.3, 0.2], [0.2, 0.3, 0.4]],
+        env_raw: vec![[0.3; 3]; 512],
+        env_width: 32,
+        env_height: 16,
+        shading: ShadingOptions::default(),
+        world_scale: 1.0,
+        world_offset: DVec3::ZERO,
+        card: serde_json::json!({"training_seconds": 12.5}),
+    }
+}
+
+fn straight(frame: &Frame, output: Output) -> ImageRgba {
+    let curve = |v: f32| if v <= 0.0031308 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+    let colours = frame.planes[&output].as_chunks::<3>().0;
+    let pixel = |(c, a): (&[f32; 3], &f32)| {
+        let [r, g, b] = c.map(|v| curve((v / a.max(1e-6)).clamp(0.0, 1.0)));
+        [r, g, b, *a]
+    };
+    let pixels = colours.iter().zip(&frame.planes[&Output::Alpha]).map(pixel).collect();
+    ImageRgba { width: frame.width, height: frame.height, pixels }
+}
+
+fn plane<const C: usize>(frame: &Frame, output: Output) -> Plane<C> {
+    let values = frame.planes[&output].as_chunks::<C>().0.to_vec();
+    Plane { width: frame.width, height: frame.height, values }
+}
+
+/// What `model` itself shows, as a capture with all its ground truth.
+fn drawn_by(model: &Arc<Model>) -> Capture {
+    let renderer = Renderer::new(model.clone());
+    let lamp = EnvMap::from_fn(32, 16, |d| [0.4 + 0.5 * d.z.max(0.0) as f32, 0.5, 0.6]);
+    let (own, lit) = (renderer.prepare_light(&model.environment()), renderer.prepare_light(&lamp));
+    let layers = [
+        Output::Rgb,
+        Output::Albedo,
+        Output::Normal,
+        Output::Metallic,
+        Output::Roughness,
+        Output::Visibility,
+        Output::Depth,
+    ];
+    let view = |i: usize| {
+        let angle = i as f64;
+        let eye = DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.5);
+        let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.7, (SIDE, SIDE)).unwrap();
+        let frame = renderer.render(&camera, &own, Tier::Standard, &layers).unwrap();
+        let relit = renderer.render(&camera, &lit, Tier::Standard, &[Output::Rgb]).unwrap();
+        let (metal, rough) = (&frame.planes[&Output::Metallic], &frame.planes[&Output::Roughness]);
+        let material = metal.iter().zip(rough).map(|(m, r)| [*m, *r]).collect();
+        let truth = GroundTruthView {
+            relit: [("lamp".to_owned(), straight(&relit, Output::Rgb))].into(),
+            albedo: Some(plane(&frame, Output::Albedo)),
+            normal: Some(plane(&frame, Output::Normal)),
+            metallic_roughness: Some(Plane { width: SIDE, height: SIDE, values: material }),
+            ambient_occlusion: Some(plane(&frame, Output::Visibility)),
+            depth: Some(plane(&frame, Output::Depth)),
+        };
+        CaptureView { name: format!("test_{i}"), camera, image: straight(&frame, Output::Rgb), truth }
+    };
+    Capture {
+        layout: "synthetic".into(),
+        train: Vec::new(),
+        test: (0..3).map(view).collect(),
+        points: Vec::new(),
+        bounds: Scene3dBounds { centre: DVec3::ZERO, radius: 1.0 },
+        has_alpha: true,
+        lights: [("lamp".to_owned(), lamp)].into(),
+        warnings: Vec::new(),
+    }
+}
+
+fn measured(model: &Arc<Model>, capture: &Capture) -> Report {
+    let options = EvalOptions { frame_rate_time: Duration::ZERO, ..EvalOptions::default() };
+    evaluate(model.clone(), capture, &options).unwrap()
+}
+
+#[test]
+fn a_model_is_perfect_against_what_it_drew_itself() {
+    let model = Arc::new(model());
+    let report = measured(&model, &drawn_by(&model));
+    assert!(report.novel_view.psnr.unwrap() > 80.0, "{:?}", report.novel_view);
+    assert!(report.relit.mean.psnr.unwrap() > 80.0, "{:?}", report.relit);
+    assert!(report.albedo.psnr_raw.unwrap() > 80.0, "{:?}", report.albedo);
+    assert!(report.novel_view.ssim.unwrap() > 0.999_999);
+    assert!(report.normal_mae_deg.foreground.unwrap() < 1e-3, "{:?}", report.normal_mae_deg);
+    assert!(report.normal_mae_deg.all_pixels.unwrap() < 1e-3, "{:?}", report.normal_mae_deg);
+    for error in [report.ao_mae, report.roughness_mae, report.metallic_mae, report.depth_mae] {
+        assert!(error.unwrap() < 1e-6);
+    }
+    assert_eq!(report.training_seconds, Some(12.5));
+    assert_eq!((report.views, report.gaussians), (3, 9));
+}
+
+#[test]
+fn every_figure_notices_when_its_own_truth_is_spoilt() {
+    let model = Arc::new(model());
+    let mut capture = drawn_by(&model);
+    for view in &mut capture.test {
+        let truth = &mut view.truth;
+        view.image.pixels.iter_mut().for_each(|p| p[0] = 1.0 - p[0]);
+        for image in truth.relit.values_mut() {
+            image.pixels.iter_mut().for_each(|p| p[1] *= 0.5);
+        }
+        truth.albedo.as_mut().unwrap().values.iter_mut().flatten().for_each(|v| *v *= 0.5);
+        truth.normal.as_mut().unwrap().values.iter_mut().for_each(|n| *n = [-n[0], -n[1], -n[2]]);
+        let add = |plane: &mut Plane<1>| plane.values.iter_mut().for_each(|v| v[0] += 0.25);
+        add(truth.ambient_occlusion.as_mut().unwrap());
+        add(truth.depth.as_mut().unwrap());
+        let material = truth.metallic_roughness.as_mut().unwrap();
+        material.values.iter_mut().for_each(|v| *v = [v[0] + 0.125, v[1] + 0.5]);
+    }
+    let report = measured(&model, &capture);
+    assert!(report.novel_view.psnr.unwrap() < 40.0 && report.novel_view.ssim.unwrap() < 0.999);
+    assert!(report.relit.mean.psnr.unwrap() < 40.0);
+    assert!(report.albedo.psnr_raw.unwrap() < 40.0);
+    for scale in report.albedo.scale.unwrap() {
+        assert!((scale - 0.5).abs() < 1e-3, "{:?}", report.albedo);
+    }
+    assert!((report.normal_mae_deg.foreground.unwrap() - 180.0).abs() < 1e-2);
+    assert!(report.normal_mae_deg.all_pixels.unwrap() > 1.0);
+    assert!((report.ao_mae.unwrap() - 0.25).abs() < 1e-5);
+    assert!((report.depth_mae.unwrap() - 0.25).abs() < 1e-5);
+    assert!((report.metallic_mae.unwrap() - 0.125).abs() < 1e-5);
+    assert!((report.roughness_mae.unwrap() - 0.5).abs() < 1e-5);
+}
+
+#[test]
+fn what_cannot_be_measured_is_null_and_the_notes_say_why() {
+    let model = Arc::new(Model { card: serde_json::Value::Null, ..model() });
+    let mut capture = drawn_by(&model);
+    capture.lights.clear();
+    capture.test.iter_mut().for_each(|view| view.truth.albedo = None);
+    let report = measured(&model, &capture);
+    let json: serde_json::Value = serde_json::from_str(&report.to_json()).unwrap();
+    for (pointer, note) in [
+        ("/relit/mean/psnr", "relit.lamp"),
+        ("/albedo/psnr_raw", "albedo"),
+        ("/novel_view/lpips", "novel_view.lpips"),
+        ("/training_seconds", "training_seconds"),
+    ] {
+        assert!(json.pointer(pointer).unwrap().is_null(), "{pointer} is not null");
+        assert!(report.notes.contains_key(note), "no note on {note}: {:?}", report.notes);
+    }
+    assert!(report.novel_view.psnr.is_some() && report.ao_mae.is_some());
+    assert!(!report.notes.contains_key("ao_mae"));
+}
+
+#[test]
+fn lpips_enters_the_report_when_its_weights_are_given() {
+    let Some(folder) = test_data("lpips") else { return };
+    let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
+    let model = Arc::new(model());
+    let options = EvalOptions {
+        lpips: Some(&lpips),
+        views: Some(1),
+        frame_rate_time: Duration::ZERO,
+        ..EvalOptions::default()
+    };
+    let report = evaluate(model.clone(), &drawn_by(&model), &options).unwrap();
+    assert!(report.novel_view.lpips.unwrap() < 1e-6 && report.relit.lights["lamp"].lpips.is_some());
+    assert!(!report.notes.keys().any(|key| key.ends_with("lpips")), "{:?}", report.notes);
+    assert_eq!(report.views, 1);
+}
+
+#[test]
+fn frame_rates_are_reported_for_every_tier() {
+    let model = Arc::new(model());
+    let options =
+        EvalOptions { views: Some(1), frame_rate_time: Duration::from_millis(1), ..EvalOptions::default() };
+    let report = evaluate(model.clone(), &drawn_by(&model), &options).unwrap();
+    for tier in ["preview", "standard"] {
+        assert!(report.render_fps[tier] > 0.0);
+    }
+}
+
+#[test]
+fn a_layer_of_another_size_is_refused_by_view_and_layer() {
+    let model = Arc::new(model());
+    let mut capture = drawn_by(&model);
+    let albedo = capture.test[1].truth.albedo.as_mut().unwrap();
+    *albedo = albedo.resized(20, 20);
+    let refused = evaluate(model, &capture, &EvalOptions::default()).unwrap_err().to_string();
+    assert!(
+        refused.contains("test_1") && refused.contains("albedo") && refused.contains("20x20"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn a_capture_without_held_out_views_is_refused() {
+    let model = Arc::new(model());
+    let mut capture = drawn_by(&model);
+    capture.test.clear();
+    let refused = evaluate(model.clone(), &capture, &EvalOptions::default());
+    assert_eq!(refused.unwrap_err(), EvalError::NoTestViews);
+    assert!(contact_sheet(model, &capture, Tier::Standard, 2).is_err());
+}
+
+#[test]
+fn the_contact_sheet_is_a_png_with_a_cell_a_column_and_a_band_a_view() {
+    let model = Arc::new(model());
+    let capture = drawn_by(&model);
+    let sheet = contact_sheet(model, &capture, Tier::Standard, 2).unwrap();
+    let image = image::load_from_memory(&sheet.to_png(64).unwrap()).unwrap().into_rgb8();
+    // 3 pictures, one light beside its truth, 8 layers.
+    assert_eq!(image.width(), 4 + 13 * (64 + 4));
+    assert!(image.height() > 2 * 64 && image.height() < 3 * 64 + 60);
+}
+
+fn arguments(model: PathBuf, capture: PathBuf, json: PathBuf) -> EvalArgs {
+    EvalArgs {
+        model,
+        capture,
+        json: Some(json),
+        markdown: None,
+        sheet: None,
+        lpips: None,
+        resolution: Some(48),
+        views: Some(1),
+    }
+}
+
+#[test]
+fn the_command_writes_json_markdown_and_a_sheet_for_a_real_scene() {
+    let Some(scene) = test_data("scenes/helmet") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
+    let args = EvalArgs {
+        markdown: Some(file("report.md")),
+        sheet: Some(file("sheet.png")),
+        ..arguments(file("model"), scene, file("report.json"))
+    };
+    run(&args).unwrap();
+    let report: Report = serde_json::from_slice(&std::fs::read(file("report.json")).unwrap()).unwrap();
+    let lights: Vec<&str> = report.relit.lights.keys().map(String::as_str).collect();
+    assert_eq!(lights, ["bridge", "city", "interior", "night"]);
+    assert!(report.relit.mean.psnr.unwrap().is_finite() && report.albedo.psnr_aligned.is_some());
+    assert!(report.normal_mae_deg.foreground.unwrap() > report.normal_mae_deg.all_pixels.unwrap());
+    assert!(report.protocol.contains("48x48"), "{}", report.protocol);
+    assert!(std::fs::read_to_string(file("report.md")).unwrap().contains("relit, night"));
+    assert!(image::open(file("sheet.png")).is_ok());
+}
+
+#[test]
+fn the_command_names_the_file_at_fault_and_checks_outputs_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    std::fs::write(file("model"), b"no model").unwrap();
+    let refused = |args: EvalArgs| run(&args).unwrap_err().to_string();
+    let unreadable = refused(arguments(file("absent"), file("scene"), file("out.json")));
+    assert!(unreadable.contains("absent"), "{unreadable}");
+    let no_model = refused(arguments(file("model"), file("scene"), file("out.json")));
+    assert!(no_model.contains("model"), "{no_model}");
+    // Neither input exists either, yet it is the output that is complained of.
+    let unwritable = refused(arguments(file("absent"), file("scene"), file("model/out.json")));
+    assert!(unwritable.contains("out.json"), "{unwritable}");
+    std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
+    let no_capture = refused(arguments(file("model"), file("scene"), file("out.json")));
+    assert!(no_capture.contains("scene"), "{no_capture}");
+    assert!(!file("out.json").exists(), "a failed evaluation leaves no report behind");
+}
