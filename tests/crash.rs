@@ -136,7 +136,8 @@ async fn half_an_upload_of_a_killed_server_is_swept_away_and_nothing_else_is() {
     let server = Server::start(data.path());
     let (sender, receiver) = futures::channel::mpsc::unbounded::<Result<Vec<u8>, std::io::Error>>();
     let request = server.client.request(Method::POST, "/v1/captures").unwrap();
-    let request = request.header("content-type", "application/zip").body(reqwest::Body::wrap_stream(receiver));
+    let request =
+        request.header("content-type", "application/zip").body(reqwest::Body::wrap_stream(receiver));
     let upload = tokio::spawn(request.send());
     sender.unbounded_send(Ok(vec![0; 8 << 20])).unwrap();
     let artifacts = data.path().join("artifacts");
