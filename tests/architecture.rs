@@ -19,7 +19,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("jobs", &["store"]),
     ("worker", &["scene", "capture", "formats", "train", "render", "store", "jobs"]),
     ("api", &["scene", "capture", "formats", "train", "render", "store", "jobs", "worker"]),
-    ("client", &[]),
+    ("client", &["api"]),
     ("testing", &EVERY_ROOM),
     ("cli", &EVERY_ROOM),
 ];

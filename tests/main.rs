@@ -5,7 +5,11 @@
 
 mod architecture;
 mod captures;
+mod crash;
 mod eval;
+mod hostile;
 mod service;
+mod service_api;
+mod service_promises;
 mod service_support;
 mod reference;

@@ -3,9 +3,9 @@
 use axum::http::{HeaderMap, StatusCode, header};
 
 use crate::api::Problem;
+use crate::formats::exr_frame::{self, ColourDepth, FrameLayer, FrameLayers};
 use crate::formats::image_file::{ImageFileError, encode_jpeg, encode_png, encode_png16};
 use crate::render::{Frame, Output};
-use crate::worker::multi_part_exr;
 
 const JPEG_QUALITY: u8 = 90;
 
@@ -79,13 +79,15 @@ pub struct Picture {
 /// - Colours (`rgb`, `albedo`, `diffuse`, `specular`, `radiance`): clamped, sRGB curve, 8 bit, straight alpha.
 /// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`: 8-bit grey, linear.
 /// - `depth`: 16-bit grey, linear between the nearest and farthest depth of the frame.
+/// - EXR: linear 32-bit floats, colours premultiplied as rendered in part `beauty` (`rgb` with alpha as `RGBA`),
+///   everything else in part `data`.
 ///
 /// # Errors
 /// When the frame lacks an output, or the encoder fails.
 pub fn encode(frame: &Frame, outputs: &[Output], format: Format) -> Result<Picture, ImageFileError> {
     let bare = |bytes| Picture { bytes, depth_range: None };
     match format {
-        Format::Exr => multi_part_exr(frame, outputs).map(bare).map_err(ImageFileError::Encode),
+        Format::Exr => exr(frame, outputs).map(bare),
         Format::Png => png(frame, outputs.first().copied().unwrap_or(Output::Rgb)),
         Format::Jpeg => {
             let pixels = over_white(&colour(frame, outputs.first().copied().unwrap_or(Output::Rgb))?);
@@ -128,14 +130,53 @@ fn plane(frame: &Frame, output: Output) -> Result<&[f32], ImageFileError> {
 
 /// A colour output as display-referred RGBA: it takes the place of `rgb` in a frame of its own.
 fn colour(frame: &Frame, output: Output) -> Result<Vec<[u8; 4]>, ImageFileError> {
-    if output == Output::Rgb {
-        return Ok(frame.to_srgb8());
+    let alpha = plane(frame, Output::Alpha)?.to_vec();
+    let mut values = plane(frame, output)?.to_vec();
+    if output == Output::Albedo {
+        // The one colour that is not premultiplied.
+        values.iter_mut().enumerate().for_each(|(i, v)| *v *= alpha[i / 3]);
     }
-    let planes = [(Output::Rgb, output), (Output::Alpha, Output::Alpha)]
-        .into_iter()
-        .map(|(to, from)| plane(frame, from).map(|p| (to, p.to_vec())))
-        .collect::<Result<_, _>>()?;
+    let planes = [(Output::Rgb, values), (Output::Alpha, alpha)].into();
     Ok(Frame { width: frame.width, height: frame.height, planes }.to_srgb8())
+}
+
+/// Colours and measurements in parts of their own.
+fn exr(frame: &Frame, outputs: &[Output]) -> Result<Vec<u8>, ImageFileError> {
+    let alpha = plane(frame, Output::Alpha)?;
+    let with_rgb = outputs.contains(&Output::Rgb);
+    let rgba = if with_rgb { interleaved(plane(frame, Output::Rgb)?, alpha) } else { Vec::new() };
+    let (mut colour, mut data) = (Vec::new(), Vec::new());
+    if with_rgb {
+        colour.push(FrameLayer { name: "", suffixes: "RGBA", values: &rgba });
+    }
+    for output in outputs.iter().filter(|o| **o != Output::Rgb) {
+        let (name, suffixes) = layer_name(*output);
+        let layer = FrameLayer { name, suffixes, values: plane(frame, *output)? };
+        if is_colour(*output) { colour.push(layer) } else { data.push(layer) }
+    }
+    let layers = FrameLayers { width: frame.width, height: frame.height, colour: &colour, data: &data };
+    exr_frame::encode(&layers, ColourDepth::Full)
+}
+
+/// The names compositing tools expect.
+fn layer_name(output: Output) -> (&'static str, &'static str) {
+    match output {
+        Output::Rgb => ("", "RGB"),
+        Output::Albedo => ("albedo", "RGB"),
+        Output::Diffuse => ("diffuse", "RGB"),
+        Output::Specular => ("specular", "RGB"),
+        Output::Radiance => ("radiance", "RGB"),
+        Output::Normal => ("N", "XYZ"),
+        Output::Depth => ("", "Z"),
+        Output::Metallic => ("metallic", "Y"),
+        Output::Roughness => ("roughness", "Y"),
+        Output::Visibility => ("visibility", "Y"),
+        Output::Alpha => ("alpha", "Y"),
+    }
+}
+
+fn interleaved(rgb: &[f32], alpha: &[f32]) -> Vec<f32> {
+    rgb.as_chunks::<3>().0.iter().zip(alpha).flat_map(|(&[r, g, b], &a)| [r, g, b, a]).collect()
 }
 
 fn over_white(pixels: &[[u8; 4]]) -> Vec<[u8; 3]> {
@@ -172,6 +213,30 @@ mod tests {
         assert_eq!(accept("image/webp, image/jpeg, image/png"), Some(Format::Jpeg));
         assert_eq!(accept("text/html"), None);
         assert_eq!(accept("image/png;q=0"), None);
+    }
+
+    #[test]
+    fn a_half_covered_pixel_keeps_its_albedo() {
+        let planes = [(Output::Albedo, vec![0.5; 3]), (Output::Alpha, vec![0.5])].into();
+        let frame = Frame { width: 1, height: 1, planes };
+        assert_eq!(colour(&frame, Output::Albedo).unwrap(), [[188, 188, 188, 128]]);
+        assert_eq!(over_white(&[[188, 188, 188, 128]]), [[221; 3]]);
+    }
+
+    #[test]
+    fn an_exr_holds_every_output_asked_for_and_depth_may_be_infinite() {
+        let outputs = [Output::Rgb, Output::Normal, Output::Depth, Output::Visibility, Output::Alpha];
+        let planes = outputs.map(|o| (o, vec![f32::INFINITY; o.channels()])).into();
+        let mut frame = Frame { width: 1, height: 1, planes };
+        frame.planes.insert(Output::Rgb, vec![0.25, 0.5, 2.0]);
+        frame.planes.insert(Output::Alpha, vec![1.0]);
+        let bytes = encode(&frame, &outputs, Format::Exr).unwrap().bytes;
+        let (_, _, pixels) = crate::formats::exr_image::decode_rgba(&bytes).unwrap();
+        assert_eq!(pixels, [[0.25, 0.5, 2.0, 1.0]], "linear and unclamped");
+        let names = ["N.X", "Z", "visibility.Y", "alpha.Y"];
+        let text = String::from_utf8_lossy(&bytes);
+        assert!(names.iter().all(|name| text.contains(name)) && !text.contains("albedo"));
+        assert!(encode(&frame, &[Output::Albedo], Format::Exr).is_err(), "what is not there is not made up");
     }
 
     #[test]

@@ -3,8 +3,7 @@
 use std::path::PathBuf;
 
 use crate::cli::{CommandResult, output};
-use crate::formats::model_file;
-use crate::worker::ply;
+use crate::formats::{model_file, ply_model};
 
 /// Options of `relume export`.
 #[derive(Debug, clap::Args)]
@@ -21,7 +20,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
         return Err(format!("{}: only .ply can be written", args.out.display()).into());
     }
     let model = model_file::decode(&std::fs::read(&args.model)?)?;
-    output::write_whole(&args.out, &ply(&model))?;
+    output::write_whole(&args.out, &ply_model::encode(&model))?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
 }

@@ -57,7 +57,12 @@ pub(super) fn run(args: &Args) -> CommandResult {
     );
     let mut trainer = Trainer::new(&capture, config)?;
     train(&mut trainer)?;
-    output::write_whole(&args.out, &model_file::encode(&trainer.model())?)?;
+    let mut model = trainer.model();
+    // Only here: a job's model file leaves the time out, so that its bytes depend on nothing else.
+    if let Some(card) = model.card.as_object_mut() {
+        card.insert("training_seconds".to_owned(), trainer.seconds().into());
+    }
+    output::write_whole(&args.out, &model_file::encode(&model)?)?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
 }

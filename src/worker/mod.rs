@@ -3,7 +3,6 @@
 //! The thread drives one future with `block_on`, so that a training step may take as long as it likes without
 //! stalling the server, and nothing else ever touches the device.
 
-mod adapters;
 mod device;
 mod lru;
 mod progress;
@@ -19,7 +18,6 @@ use futures::FutureExt;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-pub use adapters::*;
 pub use device::{Device, RenderFailure};
 pub use renders::{LightSource, ModelSource, RenderTask};
 pub use training::import_for_training;

@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use crate::capture::{Capture, CaptureError, ImportOptions};
-use crate::formats::model_file;
+use crate::formats::{model_file, ply_model};
 use crate::jobs::Lease;
 use crate::scene::Model;
 use crate::store::{Held, ModelFile, ModelRecord, ProgressUpdate, StoreError};
 use crate::train::{Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
+use crate::worker::Worker;
 use crate::worker::progress::Reporter;
-use crate::worker::{Worker, ply};
 
 /// How an attempt ended without a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,7 +86,7 @@ impl Worker {
             }
             self.serve_waiting();
         }
-        publish(lease, &attempt.trainer.model()).await
+        publish(lease, &attempt.trainer).await
     }
 
     async fn import(&self, lease: &Lease, config: &TrainConfig) -> Result<Capture, Failure> {
@@ -217,25 +217,34 @@ async fn settle(lease: &Lease) -> Result<Ending, StoreError> {
 }
 
 /// Writes the model's files, then publishes them and ends the job in one transaction.
-async fn publish(lease: &Lease, model: &Model) -> Result<Ending, Failure> {
-    let job = lease.job();
+async fn publish(lease: &Lease, trainer: &Trainer) -> Result<Ending, Failure> {
+    let (job, model) = (lease.job(), &trainer.model());
     let encoded = model_file::encode(model).map_err(|e| Failure::new("model_invalid", e.to_string()))?;
     let files = [
         store_file(lease, "model.safetensors", "application/octet-stream", encoded).await?,
-        store_file(lease, "model.ply", "application/octet-stream", ply(model)).await?,
+        store_file(lease, "model.ply", "application/octet-stream", ply_model::encode(model)).await?,
     ];
     let record = ModelRecord {
         id: lease.jobs().fresh_id(),
         job_id: job.id.clone(),
         capture_id: job.capture_id.clone(),
         gaussians: i64::try_from(model.gaussians.len()).unwrap_or(i64::MAX),
-        card: model.card.to_string(),
+        card: timed_card(trainer, model).to_string(),
         created_ms: lease.jobs().now_ms(),
     };
     match lease.publish(&record, &files).await? {
         Held::Yes => Ok(Ending::Published),
         Held::Cancelling | Held::Lost => Ok(settle(lease).await?),
     }
+}
+
+/// The model's card with the time it took, which the file leaves out so that its bytes depend on the job alone.
+fn timed_card(trainer: &Trainer, model: &Model) -> serde_json::Value {
+    let mut card = model.card.clone();
+    if let Some(fields) = card.as_object_mut() {
+        fields.insert("training_seconds".to_owned(), trainer.seconds().into());
+    }
+    card
 }
 
 async fn store_file(

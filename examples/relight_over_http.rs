@@ -1,0 +1,55 @@
+//! A whole round over HTTP against a server of the example's own, as an integration test would do it:
+//! upload a capture, train, relight, download.
+//!
+//! ```sh
+//! cargo run --release --example relight_over_http
+//! ```
+
+use std::path::Path;
+
+use relume::api::jobs::NewJob;
+use relume::api::picture::Format;
+use relume::api::renders::{CameraSpec, EnvironmentSpec, LookAtSpec, RenderRequest};
+use relume::capture::{SyntheticOptions, synthetic, write_archive};
+use relume::render::{Output, Tier};
+use relume::train::{Preset, TrainOverrides};
+
+#[tokio::main]
+async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    // A server on a free port with a temporary store. Against a real one: `Client::new(url, key)`.
+    let server = relume::testing::spawn().await?;
+    let client = server.client();
+
+    let options = SyntheticOptions { train_views: 12, test_views: 2, size: 64, paths: 16, ..Default::default() };
+    let capture = client.upload_capture_bytes(write_archive(&synthetic(&options)?)?).await?;
+    println!("capture {}: {} photographs", capture.id, capture.report.train_images);
+
+    let job = NewJob {
+        capture: capture.id,
+        preset: Preset::Draft,
+        overrides: TrainOverrides { iterations: Some(300), resolution: Some(64), ..Default::default() },
+        ..NewJob::default()
+    };
+    let job = client.create_job(&job, Some("example-1")).await?;
+    let job = client.wait(&job.id, |event| println!("{:>10} {}", event.kind, event.data)).await?;
+    let model = job.model.ok_or("the job did not succeed")?;
+
+    let look_at = LookAtSpec { eye: [3.0, -1.5, 1.5], target: [0.0; 3], up: [0.0, 0.0, 1.0], fov_y_deg: 40.0 };
+    for light in ["studio", "sunset", "night"] {
+        let request = RenderRequest {
+            camera: CameraSpec { look_at: Some(look_at.clone()), ..CameraSpec::default() },
+            environment: EnvironmentSpec { builtin: Some(light.to_owned()), ..EnvironmentSpec::default() },
+            width: 256,
+            height: 256,
+            tier: Tier::Standard,
+            outputs: vec![Output::Rgb],
+        };
+        let file = format!("relit_{light}.png");
+        std::fs::write(&file, client.render(&model, &request, Format::Png).await?)?;
+        println!("wrote {file}");
+    }
+    client.download(&model, "model.ply", Path::new("relit_model.ply")).await?;
+    println!("wrote relit_model.ply");
+    server.stop().await?;
+    Ok(())
+}

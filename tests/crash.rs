@@ -1,0 +1,191 @@
+//! kill -9 of the real server, at random moments, as often as it takes.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use futures::TryStreamExt;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use relume::client::{Client, JobEvent};
+use relume::store::JobState;
+use reqwest::Method;
+use tempfile::TempDir;
+
+use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, until};
+
+const STEPS: u32 = 120;
+const CHECKPOINT_EVERY: u32 = 5;
+const KILLS: usize = 10;
+
+/// A server process; dying with the test.
+struct Server {
+    child: Child,
+    client: Client,
+}
+
+impl Server {
+    fn start(data: &Path) -> Self {
+        Self::start_under(Command::new(env!("CARGO_BIN_EXE_relume")), data)
+    }
+
+    /// `command` runs the server once it gets the server's own arguments.
+    fn start_under(mut command: Command, data: &Path) -> Self {
+        command.args(["serve", "--listen", "127.0.0.1:0", "--data-dir"]).arg(data);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let base = line.trim().strip_prefix("listening on ").unwrap_or_else(|| panic!("{line:?}"));
+        Self { client: Client::new(base, None).unwrap(), child }
+    }
+
+    /// SIGKILL: nothing is flushed, nothing is handed over.
+    fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+/// Uploads the capture and submits the job that every test here runs.
+async fn submit(client: &Client) -> String {
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    client.create_job(&small_job(&capture.id, STEPS, CHECKPOINT_EVERY), Some("once")).await.unwrap().id
+}
+
+async fn model_bytes(client: &Client, job: &str) -> Vec<u8> {
+    let job = ended(client, job).await;
+    assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+    client.file(&job.model.unwrap(), "model.safetensors").await.unwrap().to_vec()
+}
+
+/// Listens until a checkpoint at or beyond `step`, keeping what was heard.
+async fn hear_checkpoint(client: &Client, job: &str, step: i64, heard: &mut Vec<JobEvent>) {
+    let after = heard.last().map_or(0, |e: &JobEvent| e.seq);
+    let mut events = std::pin::pin!(client.events(job, after).await.unwrap());
+    while let Some(event) = events.try_next().await.unwrap() {
+        let reached = event.kind == "checkpoint" && event.data["step"].as_i64() >= Some(step);
+        heard.push(event);
+        if reached {
+            return;
+        }
+    }
+    panic!("the job ended before step {step}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ten_kills_at_random_moments_change_no_byte_of_the_model() {
+    let undisturbed = {
+        let data = TempDir::new().unwrap();
+        let server = Server::start(data.path());
+        let job = submit(&server.client).await;
+        model_bytes(&server.client, &job).await
+    };
+
+    let data = TempDir::new().unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let mut server = Server::start(data.path());
+    let job = submit(&server.client).await;
+    let mut heard = Vec::new();
+    for kill in 0..KILLS {
+        // Half of them in mid-training, later and later; half at any moment of a start.
+        if kill % 2 == 0 {
+            let step = (kill + 1) * STEPS as usize * 8 / 10 / KILLS;
+            hear_checkpoint(&server.client, &job, step as i64, &mut heard).await;
+            tokio::time::sleep(Duration::from_millis(random.random_range(0..30))).await;
+        } else {
+            tokio::time::sleep(Duration::from_millis(random.random_range(0..150))).await;
+        }
+        server.kill();
+        server = Server::start(data.path());
+    }
+
+    assert_eq!(model_bytes(&server.client, &job).await, undisturbed);
+    let view = server.client.job(&job).await.unwrap();
+    assert!(view.attempts > KILLS as i64 / 2, "killed while it ran: {} attempts", view.attempts);
+    assert_eq!(server.client.models().await.unwrap().items.len(), 1, "published once");
+    let mut history = Vec::new();
+    server.client.wait(&job, |event| history.push(event.clone())).await.unwrap();
+    assert!(heard.iter().all(|event| history.contains(event)), "a restart loses no event");
+    let succeeded = history.iter().filter(|e| e.data["state"] == "succeeded").count();
+    assert_eq!(succeeded, 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_accepted_job_and_its_capture_survive_kill_9() {
+    let data = TempDir::new().unwrap();
+    let server = Server::start(data.path());
+    let job = submit(&server.client).await;
+    server.kill();
+    let server = Server::start(data.path());
+    let again = submit(&server.client).await;
+    assert_eq!(again, job, "the idempotency key survived too");
+    assert_eq!(ended(&server.client, &job).await.state, JobState::Succeeded);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn half_an_upload_of_a_killed_server_is_swept_away_and_nothing_else_is() {
+    let data = TempDir::new().unwrap();
+    let server = Server::start(data.path());
+    let (sender, receiver) = futures::channel::mpsc::unbounded::<Result<Vec<u8>, std::io::Error>>();
+    let request = server.client.request(Method::POST, "/v1/captures").unwrap();
+    let request =
+        request.header("content-type", "application/zip").body(reqwest::Body::wrap_stream(receiver));
+    let upload = tokio::spawn(request.send());
+    sender.unbounded_send(Ok(vec![0; 8 << 20])).unwrap();
+    let artifacts = data.path().join("artifacts");
+    while files_under(&artifacts).iter().all(|(_, size)| *size < 1 << 20) {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    server.kill();
+    assert!(upload.await.unwrap().is_err());
+    std::fs::write(artifacts.join("not-ours"), "a stranger's file").unwrap();
+    let server = Server::start(data.path());
+    server.client.models().await.unwrap();
+    assert_eq!(files_under(&artifacts), [("not-ours".to_owned(), 17)]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sigterm_checkpoints_releases_the_lease_and_ends_well() {
+    let data = TempDir::new().unwrap();
+    let mut server = Server::start(data.path());
+    let job = submit(&server.client).await;
+    until(&server.client, &job, |job| job.state == JobState::Running).await;
+    let terminated = Command::new("kill").arg(server.child.id().to_string()).status().unwrap();
+    assert!(terminated.success());
+    assert!(server.child.wait().unwrap().success());
+    let server = Server::start(data.path());
+    assert_eq!(ended(&server.client, &job).await.state, JobState::Succeeded);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_full_disk_gives_507_and_no_corruption() {
+    let data = TempDir::new().unwrap();
+    // No file may grow beyond 1 MiB, which the server meets as it would meet a quota.
+    let mut shell = Command::new("bash");
+    shell.args(["-c", "trap '' XFSZ; ulimit -f 1024; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
+    let server = Server::start_under(shell, data.path());
+    let mut large = CaptureZip::new(8, 32);
+    large.images.push(("noise.bin".to_owned(), noise(4 << 20)));
+    let error = server.client.upload_capture_bytes(large.zip()).await.unwrap_err();
+    let problem = error.problem().unwrap_or_else(|| panic!("{error}"));
+    assert_eq!((problem.status, problem.kind.as_str()), (507, "urn:relume:problem:insufficient-storage"));
+    assert!(files_under(data.path()).is_empty(), "nothing is left behind");
+    // And the server goes on with what fits.
+    let capture = server.client.upload_capture_bytes(capture_zip()).await.unwrap();
+    assert_eq!(server.client.captures().await.unwrap().items, [capture]);
+}
+
+/// Bytes that do not compress.
+fn noise(count: usize) -> Vec<u8> {
+    let mut bytes = vec![0; count];
+    rand::Rng::fill_bytes(&mut ChaCha8Rng::seed_from_u64(1), &mut bytes);
+    bytes
+}

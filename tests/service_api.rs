@@ -1,0 +1,399 @@
+//! The HTTP conventions: problems, caching, ranges, paging, keys, metrics, the description.
+
+use relume::api::auth::ApiKeys;
+use relume::client::Client;
+use relume::store::JobState;
+use relume::testing;
+use reqwest::{Method, RequestBuilder, StatusCode, header};
+use serde_json::{Value, json};
+
+use crate::service_support::{capture_zip, ended, small_job, trained};
+
+/// Sends, and checks that the answer is a problem of a kind with this request's identifier.
+async fn problem(request: RequestBuilder, status: u16, kind: &str) -> Value {
+    let response = request.header("x-request-id", "test-1").send().await.unwrap();
+    assert_eq!(response.headers()["x-request-id"], "test-1");
+    let media = response.headers()[header::CONTENT_TYPE].to_str().unwrap().to_owned();
+    let found = response.status().as_u16();
+    let body: Value = serde_json::from_str(&response.text().await.unwrap()).unwrap();
+    assert_eq!((found, media.as_str()), (status, "application/problem+json"), "{body}");
+    assert_eq!(body["type"], format!("urn:relume:problem:{kind}"), "{body}");
+    assert_eq!((&body["status"], &body["request_id"]), (&json!(status), &json!("test-1")));
+    body
+}
+
+fn post_json(client: &Client, path: &str, body: &Value) -> RequestBuilder {
+    client.request(Method::POST, path).unwrap().json(body)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_error_is_a_problem_with_the_requests_identifier() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let get = |path: &str| client.request(Method::GET, path).unwrap();
+    problem(get("/nowhere"), 404, "not-found").await;
+    problem(client.request(Method::DELETE, "/v1/jobs").unwrap(), 405, "method-not-allowed").await;
+    for family in ["captures", "environments", "jobs", "models"] {
+        problem(get(&format!("/v1/{family}/nobody")), 404, "not-found").await;
+        problem(get(&format!("/v1/{family}?limit=0")), 422, "invalid-field").await;
+        let body = problem(get(&format!("/v1/{family}?colour=red")), 422, "invalid-field").await;
+        assert_eq!(body["errors"][0]["pointer"], "query/colour", "{body}");
+    }
+    for path in ["events", "cancel", "retry"] {
+        let method = if path == "events" { Method::GET } else { Method::POST };
+        problem(client.request(method, &format!("/v1/jobs/nobody/{path}")).unwrap(), 404, "not-found").await;
+    }
+    problem(get("/v1/models/nobody/thumbnail"), 404, "not-found").await;
+    problem(get("/v1/models/nobody/files/model.ply"), 404, "not-found").await;
+    let plain = client.request(Method::POST, "/v1/jobs").unwrap().body("{}");
+    problem(plain, 415, "unsupported-media-type").await;
+    let broken = client.request(Method::POST, "/v1/jobs").unwrap().body("{");
+    problem(broken.header(header::CONTENT_TYPE, "application/json"), 400, "malformed-json").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_with_a_wrong_field_is_refused_by_pointer() {
+    let server = testing::spawn().await.unwrap();
+    let capture = server.client().upload_capture_bytes(capture_zip()).await.unwrap().id;
+    let cases = [
+        (json!({}), "/capture"),
+        (json!({ "capture": "nobody" }), "/capture"),
+        (json!({ "capture": capture, "colour": 1 }), "/colour"),
+        (json!({ "capture": capture, "preset": "best" }), "/preset"),
+        (json!({ "capture": capture, "overrides": { "speed": 11 } }), "/overrides/speed"),
+        (json!({ "capture": capture, "overrides": { "seed": -1 } }), "/overrides/seed"),
+        (json!({ "capture": capture, "priority": 101 }), "/priority"),
+        (json!({ "capture": capture, "device": "gpu" }), "/device"),
+    ];
+    for (body, pointer) in cases {
+        let answer = problem(post_json(server.client(), "/v1/jobs", &body), 422, "invalid-field").await;
+        assert_eq!(answer["errors"][0]["pointer"], pointer, "{answer}");
+    }
+    assert!(server.client().jobs().await.unwrap().items.is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_same_content_uploaded_twice_is_one_capture() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let send = |zip: Vec<u8>| {
+        let part = reqwest::multipart::Part::bytes(zip).file_name("scan.zip");
+        let form = reqwest::multipart::Form::new().part("archive", part);
+        client.request(Method::POST, "/v1/captures").unwrap().multipart(form).send()
+    };
+    let first = send(capture_zip()).await.unwrap();
+    assert_eq!(first.status(), StatusCode::CREATED);
+    let location = first.headers()[header::LOCATION].to_str().unwrap().to_owned();
+    let second = client.request(Method::POST, "/v1/captures").unwrap();
+    let second =
+        second.header(header::CONTENT_TYPE, "application/zip").body(capture_zip()).send().await.unwrap();
+    assert_eq!(second.status(), StatusCode::OK);
+    let again: Value = serde_json::from_str(&second.text().await.unwrap()).unwrap();
+    assert_eq!(location, format!("/v1/captures/{}", again["id"].as_str().unwrap()));
+    assert_eq!(client.captures().await.unwrap().items.len(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn validating_keeps_nothing() {
+    let server = testing::spawn().await.unwrap();
+    let report = server.client().validate_capture_bytes(capture_zip()).await.unwrap();
+    assert_eq!(report.train_images + report.test_images, 8);
+    assert!(server.client().captures().await.unwrap().items.is_empty());
+    assert!(crate::service_support::files_under(server.data_dir()).is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn lists_page_from_the_newest_to_the_oldest() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
+    let mut made = Vec::new();
+    for _ in 0..5 {
+        made.push(client.create_job(&small_job(&capture, 100_000, 1000), None).await.unwrap().id);
+    }
+    let (mut seen, mut before) = (Vec::new(), String::new());
+    loop {
+        let request = client.request(Method::GET, &format!("/v1/jobs?limit=2{before}")).unwrap();
+        let page: Value = serde_json::from_str(&request.send().await.unwrap().text().await.unwrap()).unwrap();
+        seen.extend(page["items"].as_array().unwrap().iter().map(|j| j["id"].as_str().unwrap().to_owned()));
+        match page["next"].as_str() {
+            Some(next) => before = format!("&before={next}"),
+            None => break,
+        }
+    }
+    made.reverse();
+    assert_eq!(seen, made);
+    for id in &made {
+        client.cancel_job(id).await.unwrap();
+    }
+    let request = client.request(Method::GET, "/v1/jobs?state=succeeded").unwrap();
+    let none: Value = serde_json::from_str(&request.send().await.unwrap().text().await.unwrap()).unwrap();
+    assert_eq!(none["items"], json!([]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_repeated_submission_with_the_same_key_is_answered_with_the_same_bytes() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
+    let submit = |iterations: u32| {
+        let job = small_job(&capture, iterations, 5);
+        client.request(Method::POST, "/v1/jobs").unwrap().header("idempotency-key", "abc").json(&job)
+    };
+    let first = submit(10).send().await.unwrap();
+    assert_eq!(first.status(), StatusCode::ACCEPTED);
+    assert!(!first.headers().contains_key("idempotent-replayed"));
+    let first = first.text().await.unwrap();
+    let again = submit(10).send().await.unwrap();
+    assert_eq!(again.headers()["idempotent-replayed"], "true");
+    assert_eq!(again.text().await.unwrap(), first);
+    problem(submit(11), 422, "idempotency-key-reused").await;
+    assert_eq!(client.jobs().await.unwrap().items.len(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cancelled_job_runs_again_as_a_new_one() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
+    let long = client.create_job(&small_job(&capture, 100_000, 1000), None).await.unwrap();
+    let waiting = client.create_job(&small_job(&capture, 3, 5), None).await.unwrap();
+    let retry = |id: &str| client.request(Method::POST, &format!("/v1/jobs/{id}/retry")).unwrap();
+    problem(retry(&waiting.id), 409, "job-not-retryable").await;
+    assert_eq!(client.cancel_job(&waiting.id).await.unwrap().state, JobState::Cancelled);
+    client.cancel_job(&long.id).await.unwrap();
+    let again = client.retry_job(&waiting.id).await.unwrap();
+    assert_eq!((again.retry_of.as_ref(), again.state), (Some(&waiting.id), JobState::Queued));
+    assert_eq!(ended(client, &again.id).await.state, JobState::Succeeded);
+    assert_eq!(client.job(&waiting.id).await.unwrap().state, JobState::Cancelled, "the old one stays");
+    let cancel = client.request(Method::POST, &format!("/v1/jobs/{}/cancel", again.id)).unwrap();
+    problem(cancel, 409, "job-finished").await;
+    let patch = client.request(Method::PATCH, &format!("/v1/jobs/{}", again.id)).unwrap();
+    problem(patch.json(&json!({ "priority": 1 })), 409, "job-not-queued").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_listener_that_comes_back_misses_nothing_and_sees_nothing_twice() {
+    let server = testing::spawn().await.unwrap();
+    let job = trained(server.client()).await;
+    let listen = async |after: Option<&str>| -> Vec<i64> {
+        let request = server.client().request(Method::GET, &format!("/v1/jobs/{}/events", job.id)).unwrap();
+        let request = match after {
+            Some(after) => request.header("last-event-id", after),
+            None => request,
+        };
+        let text = request.send().await.unwrap().text().await.unwrap();
+        text.lines().filter_map(|l| l.strip_prefix("id: ")).map(|id| id.parse().unwrap()).collect()
+    };
+    let all = listen(None).await;
+    assert!(all.len() >= 4 && all.windows(2).all(|p| p[0] < p[1]), "{all:?}");
+    for cut in 0..=all.len() {
+        let after = if cut == 0 { "0".to_owned() } else { all[cut - 1].to_string() };
+        assert_eq!(listen(Some(&after)).await, all[cut..], "after {after}");
+    }
+    let request = server.client().request(Method::GET, &format!("/v1/jobs/{}/events", job.id)).unwrap();
+    problem(request.header("last-event-id", "x"), 422, "invalid-field").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn files_answer_ranges_and_validators_and_match_their_digest() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let id = trained(client).await.model.unwrap();
+    let model = client.model(&id).await.unwrap();
+    let file = model.files.iter().find(|f| f.name == "model.safetensors").unwrap();
+    let whole = client.file(&id, "model.safetensors").await.unwrap();
+    let digest = <sha2::Sha256 as sha2::Digest>::digest(&whole);
+    assert_eq!(relume::store::hex(&digest), file.sha256);
+    let get = || client.request(Method::GET, &file.href).unwrap();
+    let part = get().header(header::RANGE, "bytes=4-9").send().await.unwrap();
+    assert_eq!(part.status(), StatusCode::PARTIAL_CONTENT);
+    assert_eq!(part.headers()[header::CONTENT_RANGE], format!("bytes 4-9/{}", whole.len()));
+    let etag = part.headers()[header::ETAG].to_str().unwrap().to_owned();
+    assert_eq!(etag, format!("\"{}\"", file.sha256));
+    assert_eq!(part.bytes().await.unwrap(), whole.slice(4..10));
+    let stale =
+        get().header(header::RANGE, "bytes=4-9").header(header::IF_RANGE, "\"old\"").send().await.unwrap();
+    assert_eq!(stale.status(), StatusCode::OK);
+    let beyond = get().header(header::RANGE, format!("bytes={}-", whole.len()));
+    problem(beyond, 416, "range-not-satisfiable").await;
+    let known = get().header(header::IF_NONE_MATCH, etag).send().await.unwrap();
+    assert_eq!(known.status(), StatusCode::NOT_MODIFIED);
+    let head = client.request(Method::HEAD, &file.href).unwrap().send().await.unwrap();
+    assert_eq!(head.headers()[header::CONTENT_LENGTH], whole.len().to_string());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_thumbnails_tag_is_stable_and_tells_different_pictures_apart() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let id = trained(client).await.model.unwrap();
+    let get =
+        |query: &str| client.request(Method::GET, &format!("/v1/models/{id}/thumbnail?{query}")).unwrap();
+    let tag = async |query: &str| {
+        let response = get(query).send().await.unwrap();
+        assert_eq!(response.status(), StatusCode::OK, "{query}");
+        response.headers()[header::ETAG].to_str().unwrap().to_owned()
+    };
+    let base = tag("size=32&env=studio").await;
+    assert_eq!(tag("env=studio&size=32").await, base, "the order of the query does not matter");
+    let others = [
+        "size=33&env=studio",
+        "size=32&env=sunset",
+        "size=32&env=studio&azimuth=1",
+        "size=32&env=studio&format=jpeg",
+    ];
+    for other in others {
+        assert_ne!(tag(other).await, base, "{other}");
+    }
+    let known = get("size=32&env=studio").header(header::IF_NONE_MATCH, &base).send().await.unwrap();
+    assert_eq!(known.status(), StatusCode::NOT_MODIFIED);
+    for (query, name) in [
+        ("size=9999", "size"),
+        ("azimuth=NaN", "azimuth"),
+        ("elevation=91", "elevation"),
+        ("env=mars", "env"),
+        ("format=exr", "format"),
+    ] {
+        let body = problem(get(query), 422, "invalid-field").await;
+        assert_eq!(body["errors"][0]["pointer"], format!("query/{name}"), "{body}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_render_is_refused_by_the_field_at_fault() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let id = trained(client).await.model.unwrap();
+    let path = format!("/v1/models/{id}/render");
+    let look = json!({ "look_at": { "eye": [3, 0, 1], "target": [0, 0, 0], "fov_y_deg": 40 } });
+    let good = json!({ "camera": look, "width": 8, "height": 8, "environment": { "builtin": "studio" } });
+    let with = |pointer: &str, value: Value| {
+        let mut body = good.clone();
+        let (parent, field) = pointer.rsplit_once('/').unwrap();
+        body.pointer_mut(parent).unwrap().as_object_mut().unwrap().insert(field.to_owned(), value);
+        body
+    };
+    let ok = post_json(client, &path, &good).send().await.unwrap();
+    assert_eq!(
+        (ok.status(), &ok.headers()[header::CONTENT_TYPE]),
+        (StatusCode::OK, &"image/png".parse().unwrap())
+    );
+    let identity = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]);
+    let singular = json!([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]]);
+    let cases = [
+        (with("/width", json!(0)), "/width"),
+        (with("/height", json!(5000)), "/height"),
+        (with("/width", json!("wide")), "/width"),
+        (with("/colour", json!(1)), "/colour"),
+        (with("/camera/roll", json!(1)), "/camera/roll"),
+        (with("/camera/look_at/fov_y_deg", json!(180)), "/camera/look_at/fov_y_deg"),
+        (with("/camera/look_at/target", json!([3, 0, 1])), "/camera/look_at/target"),
+        (with("/camera/look_at/eye", json!([3, 0])), "/camera/look_at/eye"),
+        (with("/camera", json!({})), "/camera"),
+        (with("/camera", json!({ "camera_to_world": identity })), "/camera"),
+        (with("/camera", json!({ "camera_to_world": singular, "fov_y_deg": 40 })), "/camera/camera_to_world"),
+        (with("/camera", json!({ "camera_to_world": identity, "fov_y_deg": 0 })), "/camera/fov_y_deg"),
+        (
+            with(
+                "/camera",
+                json!({ "camera_to_world": identity, "intrinsics": { "fx": -1, "fy": 1, "cx": 1, "cy": 1 } }),
+            ),
+            "/camera/intrinsics/fx",
+        ),
+        (with("/environment/builtin", json!("mars")), "/environment/builtin"),
+        (with("/environment/id", json!("x")), "/environment"),
+        (with("/environment", json!({ "id": "nobody" })), "/environment/id"),
+        (with("/environment", json!({ "inline_base64": "%" })), "/environment/inline_base64"),
+        (with("/environment/exposure_ev", json!(99)), "/environment/exposure_ev"),
+        (with("/outputs", json!([])), "/outputs"),
+        (with("/outputs", json!(["rgb", "normal"])), "/outputs"),
+        (with("/outputs", json!(["colour"])), "/outputs/0"),
+        (with("/tier", json!("best")), "/tier"),
+    ];
+    for (body, pointer) in cases {
+        let answer = problem(post_json(client, &path, &body), 422, "invalid-field").await;
+        assert_eq!(answer["errors"][0]["pointer"], pointer, "{body}\n{answer}");
+    }
+    let odd = post_json(client, &path, &good).header(header::ACCEPT, "text/html");
+    problem(odd, 406, "not-acceptable").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn with_keys_only_their_bearers_are_let_in() {
+    let keys =
+        |config: &mut relume::api::server::ServerConfig| config.api_keys = ApiKeys::new(["one-long-api-key"]);
+    let server = testing::spawn_with(tempfile::tempdir().unwrap(), keys).await.unwrap();
+    let get = |path: &str| server.client().request(Method::GET, path).unwrap();
+    problem(get("/v1/jobs"), 401, "unauthorized").await;
+    problem(get("/v1/jobs").bearer_auth("another-api-key"), 401, "unauthorized").await;
+    problem(get("/metrics"), 401, "unauthorized").await;
+    assert_eq!(
+        get("/v1/jobs").bearer_auth("one-long-api-key").send().await.unwrap().status(),
+        StatusCode::OK
+    );
+    for open in ["/healthz", "/readyz", "/v1/openapi.json"] {
+        assert_eq!(get(open).send().await.unwrap().status(), StatusCode::OK, "{open}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_listed_origins_get_cors_headers() {
+    let origins = |config: &mut relume::api::server::ServerConfig| {
+        config.cors_origins = vec!["https://app.example".parse().unwrap()];
+    };
+    let server = testing::spawn_with(tempfile::tempdir().unwrap(), origins).await.unwrap();
+    let from = |origin: &str| {
+        server.client().request(Method::GET, "/healthz").unwrap().header(header::ORIGIN, origin)
+    };
+    let listed = from("https://app.example").send().await.unwrap();
+    assert_eq!(listed.headers()[header::ACCESS_CONTROL_ALLOW_ORIGIN], "https://app.example");
+    let other = from("https://evil.example").send().await.unwrap();
+    assert!(
+        other.headers().get(header::ACCESS_CONTROL_ALLOW_ORIGIN).is_none_or(|o| o != "https://evil.example")
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn metrics_count_requests_by_route_and_never_by_path() {
+    let server = testing::spawn().await.unwrap();
+    let get = async |path: &str| {
+        server.client().request(Method::GET, path).unwrap().send().await.unwrap().text().await.unwrap()
+    };
+    for i in 0..3 {
+        get(&format!("/v1/jobs/secret-{i}")).await;
+        get(&format!("/secret-{i}")).await;
+    }
+    let text = get("/metrics").await;
+    assert!(text.contains("route=\"/v1/jobs/{id}\""), "{text}");
+    assert!(text.contains("route=\"unmatched\"") && !text.contains("secret"));
+    assert!(text.contains("relume_jobs{state=\"queued\"} 0"), "{text}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn environments_are_kept_once_and_mended_with_a_warning() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let mut texels = vec![[1.0f32; 3]; 8];
+    let good = relume::formats::exr_image::encode_rgb(4, 2, &texels).unwrap();
+    let first = client.upload_environment(good.clone()).await.unwrap();
+    assert_eq!((first.width, first.height, first.warnings.len()), (4, 2, 0));
+    assert_eq!(client.upload_environment(good).await.unwrap().id, first.id);
+    texels[3] = [-1.0, 0.5, 0.5];
+    let negative = relume::formats::exr_image::encode_rgb(4, 2, &texels).unwrap();
+    assert_eq!(client.upload_environment(negative).await.unwrap().warnings.len(), 1);
+    let list = client.environments().await.unwrap();
+    assert!(list.builtin.contains(&"studio".to_owned()) && list.uploaded.items.len() == 2);
+    let id = trained(client).await.model.unwrap();
+    client.thumbnail(&id, &format!("env={}&size=16", first.id)).await.unwrap();
+}
+
+#[test]
+fn the_checked_in_description_is_what_the_code_says() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json");
+    let stored: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let generated = serde_json::to_value(relume::api::openapi()).unwrap();
+    assert_eq!(stored, generated, "run: cargo run --release -- openapi > openapi/openapi.json");
+    let paths = generated["paths"].as_object().unwrap();
+    assert!(paths.len() >= 18, "{:?}", paths.keys().collect::<Vec<_>>());
+}

@@ -1,0 +1,345 @@
+//! What the service promises, one test a promise, on the queue and the store themselves.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use relume::jobs::{JobOrder, Jobs, Lease, LeasePolicy, ManualClock, SequentialIds};
+use relume::store::{
+    Cancelled, CaptureRecord, Held, IdempotencyKey, JobState, ModelFile, ModelRecord, Page, ProgressUpdate,
+    Store, StoreError, Submitted,
+};
+use relume::testing;
+use tempfile::TempDir;
+
+use crate::service_support::{capture_zip, ended, files_under, small_job, until};
+
+/// A queue with a clock of its own and one capture in it.
+struct Bench {
+    jobs: Jobs,
+    clock: Arc<ManualClock>,
+    dir: TempDir,
+}
+
+const LEASE: Duration = Duration::from_secs(60);
+
+impl Bench {
+    async fn new() -> Self {
+        let bench = Self::open(TempDir::new().unwrap()).await;
+        let capture = CaptureRecord {
+            id: "capture".into(),
+            sha256: "00".into(),
+            bytes: 1,
+            artifact: "captures/00".into(),
+            report: "{}".into(),
+            created_ms: 0,
+        };
+        bench.jobs.store().insert_capture(&capture).await.unwrap();
+        bench
+    }
+
+    async fn open(dir: TempDir) -> Self {
+        let clock = Arc::new(ManualClock::default());
+        let store = Store::open(dir.path()).await.unwrap();
+        let policy = LeasePolicy { duration: LEASE, max_idle_attempts: 3 };
+        let jobs = Jobs::new(store, clock.clone(), Arc::new(SequentialIds::default()), policy);
+        Self { jobs, clock, dir }
+    }
+
+    async fn submit(&self, priority: i64) -> String {
+        self.submit_with(priority, None).await.unwrap()
+    }
+
+    /// Submits and answers with the identifier.
+    async fn submit_with(&self, priority: i64, key: Option<&IdempotencyKey>) -> Result<String, StoreError> {
+        let order = JobOrder {
+            capture_id: "capture".into(),
+            retry_of: None,
+            preset: "draft".into(),
+            overrides: "{}".into(),
+            device: "auto".into(),
+            priority,
+            total: 100,
+        };
+        match self.jobs.submit(order, key, |job, _| job.id.clone()).await? {
+            Submitted::Created(id) | Submitted::Replayed(id) => Ok(id),
+        }
+    }
+
+    async fn claim(&self) -> Lease {
+        self.jobs.claim().await.unwrap().expect("a job waits")
+    }
+
+    async fn state(&self, id: &str) -> JobState {
+        self.jobs.store().job(id).await.unwrap().unwrap().state
+    }
+}
+
+fn model_of(lease: &Lease, id: &str) -> (ModelRecord, Vec<ModelFile>) {
+    let model = ModelRecord {
+        id: id.into(),
+        job_id: lease.job().id.clone(),
+        capture_id: "capture".into(),
+        gaussians: 1,
+        card: "{}".into(),
+        created_ms: 0,
+    };
+    let file = ModelFile {
+        name: "model.safetensors".into(),
+        content_type: "application/octet-stream".into(),
+        bytes: 1,
+        sha256: "00".into(),
+        artifact: format!("{}/model.safetensors", lease.artifact_prefix()),
+    };
+    (model, vec![file])
+}
+
+async fn publish(lease: &Lease, id: &str) -> Held {
+    let (model, files) = model_of(lease, id);
+    lease.publish(&model, &files).await.unwrap()
+}
+
+#[tokio::test]
+async fn a_paused_worker_that_lost_its_lease_publishes_nothing() {
+    let bench = Bench::new().await;
+    let id = bench.submit(0).await;
+    let paused = bench.claim().await;
+    bench.clock.advance(LEASE + Duration::from_millis(1));
+    assert_eq!(bench.jobs.reclaim_expired().await.unwrap().len(), 1);
+    let second = bench.claim().await;
+
+    let progress = ProgressUpdate { step: 99, total: 100, ..ProgressUpdate::default() };
+    assert_eq!(paused.progress(&progress).await.unwrap(), Held::Lost);
+    assert_eq!(paused.checkpoint(99, vec![1]).await.unwrap(), Held::Lost);
+    assert_eq!(paused.fail("x", "y").await.unwrap(), Held::Lost);
+    assert_eq!(paused.release(true).await.unwrap(), Held::Lost);
+    assert_eq!(publish(&paused, "from-the-paused").await, Held::Lost);
+    assert!(bench.jobs.store().models(&Page { limit: 10, before: None }).await.unwrap().is_empty());
+    let job = bench.jobs.store().job(&id).await.unwrap().unwrap();
+    assert_eq!((job.state, job.step, job.checkpoint), (JobState::Running, 0, None));
+
+    // The control: the same calls with a lease that stands do change things.
+    assert_eq!(second.progress(&progress).await.unwrap(), Held::Yes);
+    assert_eq!(publish(&second, "from-the-second").await, Held::Yes);
+    assert_eq!(bench.state(&id).await, JobState::Succeeded);
+}
+
+#[tokio::test]
+async fn a_job_publishes_exactly_once() {
+    let bench = Bench::new().await;
+    let id = bench.submit(0).await;
+    let lease = bench.claim().await;
+    assert_eq!(publish(&lease, "first").await, Held::Yes);
+    assert_eq!(publish(&lease, "again").await, Held::Lost);
+    let models = bench.jobs.store().models(&Page { limit: 10, before: None }).await.unwrap();
+    assert_eq!(models.iter().map(|m| m.id.as_str()).collect::<Vec<_>>(), ["first"]);
+    assert_eq!(bench.jobs.store().job(&id).await.unwrap().unwrap().model_id.as_deref(), Some("first"));
+}
+
+#[tokio::test]
+async fn terminal_states_never_change() {
+    let bench = Bench::new().await;
+    for end in [JobState::Succeeded, JobState::Failed, JobState::Cancelled] {
+        let id = bench.submit(0).await;
+        let lease = bench.claim().await;
+        match end {
+            JobState::Succeeded => publish(&lease, &id).await,
+            JobState::Failed => lease.fail("code", "detail").await.unwrap(),
+            _ => {
+                bench.jobs.cancel(&id).await.unwrap();
+                lease.confirm_cancel().await.unwrap()
+            }
+        };
+        assert_eq!(bench.state(&id).await, end);
+        let before = bench.jobs.events_after(&id, 0).await.unwrap();
+        let cancelled = bench.jobs.cancel(&id).await.unwrap();
+        assert_eq!(matches!(cancelled, Cancelled::Accepted(_)), end == JobState::Cancelled);
+        assert_eq!(lease.fail("other", "other").await.unwrap(), Held::Lost);
+        assert_eq!(lease.release(true).await.unwrap(), Held::Lost);
+        assert!(!bench.jobs.set_priority(&id, 5).await.unwrap());
+        bench.jobs.reclaim_all().await.unwrap();
+        assert_eq!(bench.state(&id).await, end);
+        assert_eq!(bench.jobs.events_after(&id, 0).await.unwrap(), before, "and nothing was told");
+    }
+}
+
+#[tokio::test]
+async fn the_database_itself_refuses_to_change_a_terminal_state() {
+    let bench = Bench::new().await;
+    let id = bench.submit(0).await;
+    bench.jobs.cancel(&id).await.unwrap();
+    let path = format!("sqlite://{}", bench.dir.path().join("relume.db").display());
+    let pool = sqlx::SqlitePool::connect(&path).await.unwrap();
+    let forced = sqlx::query("UPDATE jobs SET state = 'queued'").execute(&pool).await;
+    assert!(forced.unwrap_err().to_string().contains("terminal"));
+    sqlx::query("UPDATE jobs SET priority = 7").execute(&pool).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_job_that_only_ever_crashes_is_given_up_with_attempts_exhausted() {
+    let bench = Bench::new().await;
+    let id = bench.submit(0).await;
+    for _ in 0..3 {
+        bench.claim().await;
+        bench.jobs.reclaim_all().await.unwrap();
+    }
+    let job = bench.jobs.store().job(&id).await.unwrap().unwrap();
+    assert_eq!((job.state, job.error_code.as_deref()), (JobState::Failed, Some("attempts_exhausted")));
+}
+
+#[tokio::test]
+async fn a_job_that_reaches_checkpoints_may_crash_as_often_as_it_likes() {
+    let bench = Bench::new().await;
+    let id = bench.submit(0).await;
+    for step in 1..=10 {
+        let lease = bench.claim().await;
+        assert_eq!(lease.checkpoint(step, vec![step as u8]).await.unwrap(), Held::Yes);
+        bench.jobs.reclaim_all().await.unwrap();
+    }
+    let job = bench.jobs.store().job(&id).await.unwrap().unwrap();
+    assert_eq!((job.state, job.checkpoint_step, job.attempts), (JobState::Queued, Some(10), 10));
+    let kept = files_under(&bench.dir.path().join("artifacts"));
+    assert_eq!(kept.len(), 1, "a checkpoint replaces the one before: {kept:?}");
+}
+
+#[tokio::test]
+async fn a_release_at_shutdown_does_not_count_against_the_job() {
+    let bench = Bench::new().await;
+    let id = bench.submit(0).await;
+    for _ in 0..10 {
+        assert_eq!(bench.claim().await.release(true).await.unwrap(), Held::Yes);
+    }
+    assert_eq!(bench.state(&id).await, JobState::Queued);
+}
+
+#[tokio::test]
+async fn higher_priority_runs_first_and_equals_run_in_order() {
+    let bench = Bench::new().await;
+    let mut ids = Vec::new();
+    for priority in [0, 5, 0, 5] {
+        ids.push(bench.submit(priority).await);
+        bench.clock.advance(Duration::from_millis(1));
+    }
+    let position = async |id: &str| bench.jobs.get(id).await.unwrap().unwrap().1.unwrap();
+    assert_eq!([position(&ids[1]).await, position(&ids[3]).await, position(&ids[0]).await], [0, 1, 2]);
+    assert!(bench.jobs.set_priority(&ids[2], 9).await.unwrap());
+    let mut order = Vec::new();
+    for _ in 0..4 {
+        order.push(bench.claim().await.job().id.clone());
+    }
+    assert_eq!(order, [&ids[2], &ids[1], &ids[3], &ids[0]].map(String::clone));
+    assert!(bench.jobs.claim().await.unwrap().is_none());
+}
+
+#[tokio::test]
+async fn a_repeated_key_queues_one_job_and_another_body_is_refused() {
+    let bench = Bench::new().await;
+    let key = |f: &str| IdempotencyKey { key: "k".into(), fingerprint: f.into() };
+    let (one, two) = (key("a"), key("a"));
+    let (first, second) = tokio::join!(bench.submit_with(0, Some(&one)), bench.submit_with(0, Some(&two)));
+    assert_eq!(first.unwrap(), second.unwrap());
+    let refused = bench.submit_with(0, Some(&key("b"))).await;
+    assert!(matches!(refused, Err(StoreError::KeyReused)));
+    assert_eq!(bench.jobs.list(None, &Page { limit: 10, before: None }).await.unwrap().len(), 1);
+    bench.clock.advance(Duration::from_secs(25 * 3600));
+    bench.submit_with(0, Some(&key("b"))).await.expect("a key is forgotten after a day");
+}
+
+#[tokio::test]
+async fn events_are_numbered_upwards_and_survive_a_restart() {
+    let bench = Bench::new().await;
+    let id = bench.submit(0).await;
+    bench.claim().await.warn("look out").await.unwrap();
+    let before = bench.jobs.events_after(&id, 0).await.unwrap();
+    bench.jobs.store().close().await;
+    let bench = Bench::open(bench.dir).await;
+    bench.jobs.reclaim_all().await.unwrap();
+    let after = bench.jobs.events_after(&id, 0).await.unwrap();
+    assert_eq!(after[..before.len()], before);
+    assert_eq!(after.len(), before.len() + 1, "and going back to the queue was told");
+    assert!(after.windows(2).all(|pair| pair[0].seq < pair[1].seq));
+    let tail = bench.jobs.events_after(&id, before.last().unwrap().seq).await.unwrap();
+    assert_eq!(tail, after[before.len()..], "a listener goes on where it stopped");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_acknowledged_upload_byte_is_on_disk() {
+    let server = testing::spawn().await.unwrap();
+    let zip = capture_zip();
+    let capture = server.client().upload_capture_bytes(zip.clone()).await.unwrap();
+    let path = server.data_dir().join("artifacts/captures").join(&capture.sha256);
+    assert_eq!(std::fs::read(path).unwrap(), zip);
+    assert_eq!(capture.bytes, zip.len() as i64);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn cancelling_frees_the_device_for_the_next_job() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let long = client.create_job(&small_job(&capture.id, 1_000_000, 1000), None).await.unwrap();
+    until(client, &long.id, |job| job.state == JobState::Running && job.progress.step > 0).await;
+    let next = client.create_job(&small_job(&capture.id, 3, 5), None).await.unwrap();
+    assert_eq!(next.queue_position, Some(0));
+    let asked = client.cancel_job(&long.id).await.unwrap();
+    assert!(matches!(asked.state, JobState::Cancelling | JobState::Cancelled));
+    assert_eq!(ended(client, &long.id).await.state, JobState::Cancelled);
+    assert_eq!(ended(client, &next.id).await.state, JobState::Succeeded);
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_shutdown_checkpoints_and_the_next_server_goes_on_from_there() {
+    let server = testing::spawn().await.unwrap();
+    let capture = server.client().upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = server.client().create_job(&small_job(&capture.id, 200, 100_000), None).await.unwrap();
+    let seen = until(server.client(), &job.id, |job| job.progress.step > 0).await;
+    let data = server.stop().await.unwrap();
+    let server = testing::spawn_with(data, |_| {}).await.unwrap();
+    let events = events_until(&server, &job.id).await;
+    let checkpoint = events.iter().find(|e| e.kind == "checkpoint").expect("the shutdown made a checkpoint");
+    assert!(checkpoint.data["step"].as_i64().unwrap() >= seen.progress.step);
+    let done = ended(server.client(), &job.id).await;
+    assert_eq!((done.state, done.attempts), (JobState::Succeeded, 2));
+}
+
+/// The whole history of a job.
+async fn events_until(server: &testing::TestServer, id: &str) -> Vec<relume::client::JobEvent> {
+    let mut events = Vec::new();
+    server.client().wait(id, |event| events.push(event.clone())).await.unwrap();
+    events
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn thumbnails_answer_while_a_job_trains() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let model = crate::service_support::trained(client).await.model.unwrap();
+    let capture = client.captures().await.unwrap().items.remove(0);
+    let long = client.create_job(&small_job(&capture.id, 1_000_000, 1000), None).await.unwrap();
+    until(client, &long.id, |job| job.progress.step > 0).await;
+    client.thumbnail(&model, "env=studio&size=32").await.unwrap();
+    assert_eq!(client.job(&long.id).await.unwrap().state, JobState::Running, "it was not waited for");
+    client.cancel_job(&long.id).await.unwrap();
+    ended(client, &long.id).await;
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_servers_never_share_a_data_directory() {
+    let server = testing::spawn().await.unwrap();
+    server.client().models().await.unwrap();
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let config = relume::api::server::ServerConfig::new(server.data_dir());
+    let refused = relume::api::server::run(config, listener, async {}).await.unwrap_err();
+    assert!(refused.to_string().contains("in use by another server"), "{refused}");
+}
+
+#[tokio::test]
+async fn a_server_without_a_key_refuses_to_listen_beyond_loopback() {
+    let dir = TempDir::new().unwrap();
+    let listener = tokio::net::TcpListener::bind("0.0.0.0:0").await.unwrap();
+    let config = relume::api::server::ServerConfig::new(dir.path());
+    let refused = relume::api::server::run(config, listener, async {}).await.unwrap_err();
+    assert!(matches!(refused, relume::api::server::ServeError::Exposed(_)), "{refused}");
+    assert!(!dir.path().join("relume.db").exists());
+}
