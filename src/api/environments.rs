@@ -18,7 +18,6 @@ use crate::capture::BUILTIN;
 use crate::formats::environment::{self, LoadedEnvironment};
 use crate::store::{EnvironmentRecord, Incoming};
 
-
 /// The routes of this family.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new()
