@@ -20,7 +20,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let server = relume::testing::spawn().await?;
     let client = server.client();
 
-    let options = SyntheticOptions { train_views: 12, test_views: 2, size: 64, paths: 16, ..Default::default() };
+    let options =
+        SyntheticOptions { train_views: 12, test_views: 2, size: 64, paths: 16, ..Default::default() };
     let capture = client.upload_capture_bytes(write_archive(&synthetic(&options)?)?).await?;
     println!("capture {}: {} photographs", capture.id, capture.report.train_images);
 
@@ -34,7 +35,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let job = client.wait(&job.id, |event| println!("{:>10} {}", event.kind, event.data)).await?;
     let model = job.model.ok_or("the job did not succeed")?;
 
-    let look_at = LookAtSpec { eye: [3.0, -1.5, 1.5], target: [0.0; 3], up: [0.0, 0.0, 1.0], fov_y_deg: 40.0 };
+    let look_at =
+        LookAtSpec { eye: [3.0, -1.5, 1.5], target: [0.0; 3], up: [0.0, 0.0, 1.0], fov_y_deg: 40.0 };
     for light in ["studio", "sunset", "night"] {
         let request = RenderRequest {
             camera: CameraSpec { look_at: Some(look_at.clone()), ..CameraSpec::default() },

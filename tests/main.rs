@@ -10,5 +10,6 @@ mod eval;
 mod hostile;
 mod service;
 mod service_api;
+mod service_cli;
 mod service_promises;
 mod service_support;
