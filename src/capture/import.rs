@@ -8,6 +8,7 @@ use crate::capture::photos::{self, Photo};
 use crate::capture::{
     Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, nerfstudio, truth,
 };
+use crate::formats::image_file;
 use crate::formats::ply_points::Point;
 
 /// Every how-manieth view, by sorted name, is held out where the set does not say.
@@ -18,14 +19,37 @@ const HOLD_OUT_EVERY: usize = 8;
 /// # Errors
 /// [`CaptureError`] names the file and field at fault.
 pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureError> {
+    read(&Source::open(path, &options.limits)?, options)
+}
+
+/// Says what an import would find. Everything is decoded and checked as [`import`] does, but reduced to
+/// thumbnails at once, so that a capture of any size needs little memory; `options.max_side` is ignored.
+///
+/// # Errors
+/// As [`import`], except that the limit on all pixels together cannot be reached.
+pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, CaptureError> {
     let source = Source::open(path, &options.limits)?;
+    let capture = read(&source, &ImportOptions { max_side: Some(THUMBNAIL), ..*options })?;
+    let mut report = capture.report();
+    if let Some(view) = capture.train.first() {
+        let stored = image_file::dimensions(&source.read(&view.name)?);
+        (report.width, report.height) =
+            stored.map_err(|e| CaptureError::Image { file: view.name.clone(), reason: e.to_string() })?;
+    }
+    Ok(report)
+}
+
+/// Longest side of the images that [`inspect`] keeps, pixels.
+const THUMBNAIL: u32 = 64;
+
+fn read(source: &Source, options: &ImportOptions) -> Result<Capture, CaptureError> {
     let mut warnings = Vec::new();
-    let (layout, photos, points) = read_layout(&source, &mut warnings)?;
-    let views = photos::load(&source, &photos, options)?;
+    let (layout, photos, points) = read_layout(source, &mut warnings)?;
+    let views = photos::load(source, &photos, options)?;
     let (train, test) = split(&photos, views);
     let has_alpha = train.iter().any(|v| v.image.pixels.iter().any(|p| p[3] < 1.0));
     let bounds = bounds::bounds(&train, &points, has_alpha);
-    let lights = truth::lights(&source, &test, &mut warnings)?;
+    let lights = truth::lights(source, &test, &mut warnings)?;
     Ok(Capture { layout, train, test, points, bounds, has_alpha, lights, warnings })
 }
 

@@ -21,7 +21,7 @@ mod undistort;
 mod write_archive;
 
 pub use error::CaptureError;
-pub use import::{CaptureReport, import};
+pub use import::{CaptureReport, import, inspect};
 pub use lens::{Distortion, Intrinsics, Lens};
 pub use lights::{BUILTIN, builtin};
 pub use options::{ImportOptions, Limits};

@@ -199,8 +199,11 @@ async fn contact_sheet(client: &Client, model: &str, capture: &Capture) -> Resul
         for (_, id) in &lights {
             rendered.push(Some(frame(client, model, view, Output::Rgb, Some(id)).await?));
         }
-        for output in [Output::Albedo, Output::Normal, Output::Roughness, Output::Visibility] {
-            rendered.push(Some(frame(client, model, view, output, None).await?));
+        rendered.push(Some(frame(client, model, view, Output::Albedo, None).await?));
+        let coverage = frame(client, model, view, Output::Alpha, None).await?;
+        for output in [Output::Normal, Output::Roughness, Output::Visibility] {
+            let layer = frame(client, model, view, output, None).await?;
+            rendered.push(Some(cut_out(&layer, &coverage)));
         }
         let mut truth = vec![Some(photograph(&view.image))];
         truth.extend(lights.iter().map(|(name, _)| view.truth.relit.get(*name).map(photograph)));
@@ -255,6 +258,12 @@ async fn frame(
     };
     let values = image.pixels().map(on_white).collect();
     Ok(Picture { width: image.width(), height: image.height(), values })
+}
+
+/// A layer without alpha of its own, on white by the frame's coverage.
+fn cut_out(layer: &Picture, coverage: &Picture) -> Picture {
+    let pixel = |(c, a): (&[f32; 3], &[f32; 3])| std::array::from_fn(|k| c[k] * a[k] + 1.0 - a[k]);
+    Picture { values: layer.values.iter().zip(&coverage.values).map(pixel).collect(), ..*layer }
 }
 
 fn measure(model: &[u8], capture: &Capture) -> Result<Report, DemoError> {

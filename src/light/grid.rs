@@ -71,7 +71,9 @@ impl CubeGrid {
         };
         let (us, ut) = ((axis + 1) % 3, (axis + 2) % 3);
         let one = T::one();
-        let inverse = one / magnitude[axis].max(T::min_positive_value());
+        // A null direction has no neighbours to move to: node 0 side, no slope.
+        let length = magnitude[axis];
+        let inverse = if length > T::min_positive_value() { one / length } else { T::zero() };
         let (s, t) = (d[us] * inverse, d[ut] * inverse);
         let face = 2 * axis + usize::from(d[axis] < T::zero());
         let half = T::from(self.n - 1).unwrap_or(one) / (one + one);

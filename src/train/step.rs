@@ -3,7 +3,7 @@
 use crate::engine::Gradients;
 use crate::engine::channel::Channels;
 use crate::engine::cpu::{
-    self, AttributeSource, BufferGradient, Pass, Probes, Shader, Transport, View, fibonacci_sphere,
+    self, AttributeSource, BufferGradient, Pass, ProbeSettings, Probes, Shader, Transport, View, fibonacci_sphere,
     outward_normals, radiance_image, radiance_image_backward,
 };
 use crate::light::{EnvOperators, LightTables};
@@ -14,8 +14,6 @@ use crate::train::objective::{geometry, material as terms};
 use crate::train::state::TrainState;
 use crate::train::{LabelSource, TrainConfig};
 
-/// Standard deviations a probe starts from its Gaussian's centre.
-const PROBE_OFFSET: f32 = 1.0;
 /// Progress after which depth-normal consistency acts: before, depth is noise.
 const GEOMETRY_FROM: f32 = 0.05;
 
@@ -155,7 +153,7 @@ fn parameter_terms(
     loss += terms::flatness(g, w.flatness, gradients);
     if source.options.visibility != VisibilityForm::Off {
         if matches!(config.labels, LabelSource::Backward | LabelSource::Both) {
-            loss += terms::backward_labels(g, pass, w.visibility, gradients);
+            loss += terms::backward_labels(g, pass, source.options.visibility, w.visibility, gradients);
         }
         if config.labels == LabelSource::Both {
             loss += terms::probe_labels(g, labels, w.visibility, gradients);
@@ -204,7 +202,7 @@ pub fn refresh_probes(config: &TrainConfig, operators: &EnvOperators, state: &mu
     for _ in 0..if twice { 2 } else { 1 } {
         let source = source(state, &basis);
         let directions = fibonacci_sphere(config.probe_directions as usize);
-        let probes = Probes::measure(&source, directions, PROBE_OFFSET);
+        let probes = Probes::measure(&source, directions, ProbeSettings::default());
         let labels = probes.coefficients(order);
         if gathers {
             let transport = Transport::new(&probes, outward_normals(&source));

@@ -6,7 +6,7 @@ use serde_json::json;
 use super::small_set::{
     Files, blender, camera, colmap, import_bytes, import_folder, nerfstudio, pose_error, transforms, zip,
 };
-use relume::capture::{Capture, CaptureView, ImportOptions, import};
+use relume::capture::{Capture, CaptureView, ImportOptions, import, inspect};
 use relume::formats::image_file;
 
 fn view<'a>(capture: &'a Capture, name: &str) -> &'a CaptureView {
@@ -151,4 +151,25 @@ fn the_report_is_json_with_the_facts() {
         (report["has_alpha"].as_bool(), report["has_ground_truth"].as_bool()),
         (Some(true), Some(false))
     );
+}
+
+#[test]
+fn an_inspection_reports_what_an_import_would_find() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("set.zip");
+    let wide: Vec<[u8; 3]> = vec![[90, 60, 30]; 160 * 120];
+    let mut files = blender();
+    for i in 0..4 {
+        files.insert(format!("train/r_{i}.png"), image_file::encode_png(160, 120, &wide).unwrap());
+    }
+    std::fs::write(&path, zip(&files)).unwrap();
+    let report = inspect(&path, &ImportOptions::default()).unwrap();
+    let mut imported = import(&path, &ImportOptions::default()).unwrap().report();
+    assert!((imported.radius - report.radius).abs() < 1e-9);
+    imported.radius = report.radius;
+    assert_eq!(report, imported);
+    assert_eq!((report.width, report.height, report.has_alpha), (160, 120, false));
+    files.insert("train/r_2.png".into(), b"no picture".to_vec());
+    std::fs::write(&path, zip(&files)).unwrap();
+    assert_eq!(inspect(&path, &ImportOptions::default()).unwrap_err().file(), Some("train/r_2.png"));
 }

@@ -25,7 +25,7 @@ pub use gather::Transport;
 pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use labels::{BackwardLabel, backward_labels};
 pub use pass::{Pass, project_all};
-pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
+pub use probes::{NO_HIT, ProbeSettings, Probes, fibonacci_sphere, outward_normals};
 pub use project::{
     ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, sigmoid,
 };

@@ -35,6 +35,25 @@ pub fn fibonacci_sphere(n: usize) -> Vec<Vec3> {
         .collect()
 }
 
+/// How a query keeps clear of the surface it starts from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ProbeSettings {
+    /// Start this many standard deviations along the outward normal.
+    pub offset: f32,
+    /// Start this much further along the outward normal, world units.
+    pub lift: f32,
+    /// An occluder must be this many of its own standard deviations further along the direction.
+    pub clearance: f32,
+    /// And this much besides, world units.
+    pub bias: f32,
+}
+
+impl Default for ProbeSettings {
+    fn default() -> Self {
+        Self { offset: 1.0, lift: 0.0, clearance: 2.0, bias: 0.02 }
+    }
+}
+
 /// A Gaussian as the probes see it.
 #[derive(Debug, Clone, Copy)]
 struct Occluder {
@@ -105,8 +124,8 @@ pub fn outward_normals(source: &AttributeSource<'_>) -> Vec<Vec3> {
 impl Probes {
     /// Measures `directions` from every Gaussian of `source`.
     ///
-    /// A query starts `offset` standard deviations along the outward normal.
-    pub fn measure(source: &AttributeSource<'_>, directions: Vec<Vec3>, offset: f32) -> Self {
+    /// Each from its centre, moved outwards as `settings` say.
+    pub fn measure(source: &AttributeSource<'_>, directions: Vec<Vec3>, settings: ProbeSettings) -> Self {
         let occluders: Vec<Occluder> = (0..source.gaussians.len())
             .into_par_iter()
             .with_min_len(256)
@@ -118,12 +137,12 @@ impl Probes {
             .zip(&normals)
             .map(|(o, n)| {
                 let sigma = o.axes.iter().map(|a| dot(*a, *n).powi(2)).sum::<f32>().sqrt();
-                let point = std::array::from_fn(|k| o.mean[k] + offset * sigma * n[k]);
-                Query { point, clearance: sigma }
+                let point = std::array::from_fn(|k| o.mean[k] + (settings.offset * sigma + settings.lift) * n[k]);
+                Query { point, clearance: sigma + settings.bias }
             })
             .collect();
         let measured: Vec<(Vec<f32>, Vec<u32>)> =
-            directions.par_iter().map(|d| measure_direction(&occluders, &queries, *d)).collect();
+            directions.par_iter().map(|d| measure_direction(&occluders, &queries, *d, settings)).collect();
         let (transmittance, hit) = measured.into_iter().unzip();
         Self { directions, transmittance, hit }
     }
@@ -262,7 +281,7 @@ impl Cells {
 }
 
 /// Transmittance and dominant occluder of every query towards `d`.
-fn measure_direction(occluders: &[Occluder], queries: &[Query], d: Vec3) -> (Vec<f32>, Vec<u32>) {
+fn measure_direction(occluders: &[Occluder], queries: &[Query], d: Vec3, settings: ProbeSettings) -> (Vec<f32>, Vec<u32>) {
     let (u, v) = plane_basis(d);
     let mut flats: Vec<Flat> =
         occluders.iter().enumerate().filter_map(|(i, o)| flatten(o, i as u32, d, u, v)).collect();
@@ -276,7 +295,7 @@ fn measure_direction(occluders: &[Occluder], queries: &[Query], d: Vec3) -> (Vec
         let (mut transmittance, mut strongest, mut hit) = (1.0f32, 0.0f32, NO_HIT);
         for m in &members[start..] {
             let f = &flats[*m as usize];
-            if f.index as usize == i || f.depth - depth < f.thickness + q.clearance {
+            if f.index as usize == i || f.depth - depth < settings.clearance * f.thickness + q.clearance {
                 continue;
             }
             let (dx, dy) = (p[0] - f.centre[0], p[1] - f.centre[1]);

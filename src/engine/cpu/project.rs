@@ -132,7 +132,6 @@ struct Projection {
     ratio: [(f32, bool); 2],
     /// `Q S`, columns are the scaled axes.
     axes: Mat3,
-    rotation: Mat3,
     scale: [f32; 3],
 }
 
@@ -158,7 +157,7 @@ fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
     let rotation = rotation(g.quaternion);
     let scale = g.log_scale.map(|s| s.clamp(-60.0, 60.0).exp());
     let axes = std::array::from_fn(|r| std::array::from_fn(|c| rotation[r][c] * scale[c]));
-    Some(Projection { camera, to_screen, ratio, axes, rotation, scale })
+    Some(Projection { camera, to_screen, ratio, axes, scale })
 }
 
 /// Projects a Gaussian, or `None` when no pixel can see it.

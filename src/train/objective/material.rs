@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::engine::Gradients;
 use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass, softmax};
 use crate::light::sh_eval;
-use crate::scene::{Field, Gaussians};
+use crate::scene::{Field, Gaussians, VisibilityForm};
 
 /// Gaussians with less summed weight in a view get no label from it.
 const LEAST_LABEL_WEIGHT: f32 = 1e-3;
@@ -127,7 +127,14 @@ pub fn probe_labels(g: &Gaussians, labels: &[f32], weight: f32, out: &mut Gradie
 
 /// BCE of the visibility towards the continuing view direction against backward transmittance (Eq. 15): the mean over
 /// Gaussians with weight. Adds its gradient, returns its value.
-pub fn backward_labels(g: &Gaussians, pass: &Pass, weight: f32, out: &mut Gradients) -> f32 {
+pub fn backward_labels(
+    g: &Gaussians,
+    pass: &Pass,
+    form: VisibilityForm,
+    weight: f32,
+    out: &mut Gradients,
+) -> f32 {
+    let sigmoid_form = form == VisibilityForm::Sigmoid;
     let labels = cpu::backward_labels(pass);
     let counted = labels.iter().filter(|l| l.weight > LEAST_LABEL_WEIGHT).count();
     let scale = weight / counted.max(1) as f32;
@@ -141,11 +148,20 @@ pub fn backward_labels(g: &Gaussians, pass: &Pass, weight: f32, out: &mut Gradie
         let mut y = [0.0f32; MAX_COEFFICIENTS];
         sh_eval(order, direction, &mut y);
         let raw: f32 = g.row(Field::Visibility, i).iter().zip(&y).map(|(c, y)| c * y).sum();
-        let v = raw.clamp(LABEL_MARGIN, 1.0 - LABEL_MARGIN);
         let p = label.transmittance;
+        let (v, by_raw) = if sigmoid_form {
+            // BCE with logits: the slope by the logit is V - p.
+            let v = cpu::sigmoid(raw).clamp(1e-6, 1.0 - 1e-6);
+            (v, v - p)
+        } else {
+            let v = raw.clamp(LABEL_MARGIN, 1.0 - LABEL_MARGIN);
+            let slope = (1.0 - p) / (1.0 - v) - p / v;
+            // Outside the margin only a slope that leads back in passes: saturated, but neither stuck nor running away.
+            let runs_away = (raw < v && slope > 0.0) || (raw > v && slope < 0.0);
+            (v, if runs_away { 0.0 } else { slope })
+        };
         total -= f64::from(scale * (p * v.ln() + (1.0 - p) * (1.0 - v).ln()));
-        // Outside the margin the slope of its edge pulls back in, so that a saturated field is not stuck.
-        let by_v = scale * ((1.0 - p) / (1.0 - v) - p / v);
+        let by_v = scale * by_raw;
         let row = &mut out.rows[i * layout.row..][layout.range(Field::Visibility)];
         row.iter_mut().zip(&y[..width]).for_each(|(o, y)| *o += by_v * y);
     }

@@ -1,0 +1,18 @@
+//! What shading asks of an environment. Two answers exist: the listing's quadrature and our tables.
+
+use super::tape::Var;
+
+/// An environment on the tape, with the tables of the BRDF.
+pub trait Lighting<'t> {
+    /// Irradiance `int L(w) (n.w)+ dw` (Eq. 7) at unit normals (P, 3): (P, 3).
+    fn irradiance(&self, normals: Var<'t>) -> Var<'t>;
+
+    /// `int V(w) L(w) (n.w)+ dw` for visibility coefficients (P, (L + 1)^2) at unit normals (P, 3): (P, 3).
+    fn transfer(&self, normals: Var<'t>, visibility: Var<'t>) -> Var<'t>;
+
+    /// Radiance averaged over the specular lobe of roughness (P, 1) around unit directions (P, 3): (P, 3).
+    fn prefiltered(&self, directions: Var<'t>, roughness: Var<'t>) -> Var<'t>;
+
+    /// Split-sum scale and offset of F0 at n.v and roughness, each (P, 1): (P, 2).
+    fn brdf(&self, n_dot_v: Var<'t>, roughness: Var<'t>) -> Var<'t>;
+}

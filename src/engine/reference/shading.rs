@@ -1,0 +1,108 @@
+//! Deferred split-sum shading: each pixel once, from the G-buffer (Eq. 16-22, docs/MODEL.md section 4).
+
+use std::f64::consts::PI;
+
+use super::array::Array;
+use super::gbuffer::GBuffer;
+use super::lighting::Lighting;
+use super::projection::view_vectors;
+use super::scene::Parameters;
+use super::spherical::{degrees, fibonacci_sphere, normal_related_sh, order_of, real_sh};
+use super::tape::{Tape, Var};
+use crate::light::LobeAttenuation;
+use crate::scene::{Camera, DiffuseForm, Field, ShadingOptions, VisibilityForm};
+
+/// What shading makes of P pixels.
+pub struct Shaded<'t> {
+    /// Unit normals turned to the camera, (P, 3).
+    pub normal: Var<'t>,
+    /// Ambient occlusion, 1 = open, (P, 1).
+    pub ambient_occlusion: Var<'t>,
+    /// Diffuse radiance, (P, 3).
+    pub diffuse: Var<'t>,
+    /// Specular radiance, (P, 3).
+    pub specular: Var<'t>,
+}
+
+/// Indirect light of each Gaussian, (N, 3): 16 learned SH weights on the low-frequency environment at 32
+/// fixed directions (Eq. 19-20). It is linear in the weights, so it is contracted before blending.
+pub fn learned_indirect<'t>(tape: &'t Tape, p: &Parameters<'t>, light: &dyn Lighting<'t>) -> Var<'t> {
+    const DIRECTIONS: usize = 32;
+    let directions = tape.input(fibonacci_sphere(DIRECTIONS));
+    let matte = tape.input(Array::filled(&[DIRECTIONS, 1], 1.0));
+    let low = light.prefiltered(directions, matte);
+    let basis = real_sh(directions, 3).transposed().matmul(low) * (1.0 / DIRECTIONS as f64);
+    p.get(Field::Indirect).matmul(basis)
+}
+
+/// Shades the G-buffer seen by `camera`.
+pub fn shade<'t>(
+    tape: &'t Tape,
+    buffer: &GBuffer<'t>,
+    camera: &Camera,
+    light: &dyn Lighting<'t>,
+    options: &ShadingOptions,
+) -> Shaded<'t> {
+    let view = tape.input(view_vectors(camera));
+    let blended = buffer.normal.normalised();
+    let facing = blended.dot(view).value().map(|c| if c < 0.0 { -1.0 } else { 1.0 });
+    let normal = blended * tape.input(facing);
+    let n_dot_v = normal.dot(view).clamp(1e-4, 1.0);
+    let reflection = (2.0 * n_dot_v * normal - view).normalised();
+
+    let visibility = match options.visibility {
+        VisibilityForm::Off => open(buffer.visibility),
+        VisibilityForm::Linear | VisibilityForm::Sigmoid => buffer.visibility,
+    };
+    let occlusion = normal_related_sh(normal, order_of(visibility));
+    let ambient_occlusion = squashed(visibility.dot(occlusion), options.visibility);
+    let irradiance = match options.diffuse {
+        DiffuseForm::AmbientOcclusion => ambient_occlusion * light.irradiance(normal),
+        DiffuseForm::Directional => light.transfer(normal, visibility).at_least(0.0),
+    };
+    let base = buffer.albedo * (1.0 - buffer.metal);
+    let diffuse = base * (1.0 / PI) * (irradiance + buffer.gathered);
+
+    let mirrored = lobe_visibility(visibility, reflection, buffer.rough, options.visibility);
+    let f0 = 0.04 * (1.0 - buffer.metal) + buffer.albedo * buffer.metal;
+    let split = light.brdf(n_dot_v, buffer.rough);
+    let prefiltered = light.prefiltered(reflection, buffer.rough);
+    let incoming = mirrored * prefiltered + (1.0 - mirrored) * buffer.indirect;
+    let specular = incoming * (f0 * split.column(0) + split.column(1));
+    Shaded { normal, ambient_occlusion, diffuse, specular }
+}
+
+/// Coefficients of V = 1 in the shape of `coefficients`.
+fn open(coefficients: Var<'_>) -> Var<'_> {
+    let mut open = Array::zeros(coefficients.value().shape());
+    let width = open.shape()[1];
+    open.data_mut().iter_mut().step_by(width).for_each(|c| *c = 2.0 * PI.sqrt());
+    coefficients.tape.input(open)
+}
+
+/// A linear field made a visibility.
+fn squashed(linear: Var<'_>, form: VisibilityForm) -> Var<'_> {
+    match form {
+        VisibilityForm::Sigmoid => linear.sigmoid(),
+        VisibilityForm::Linear | VisibilityForm::Off => linear.clamp(0.0, 1.0),
+    }
+}
+
+/// Visibility through the specular lobe, (P, 1); along the reflection alone in the article's form.
+fn lobe_visibility<'t>(
+    coefficients: Var<'t>,
+    reflection: Var<'t>,
+    roughness: Var<'t>,
+    form: VisibilityForm,
+) -> Var<'t> {
+    let order = order_of(coefficients);
+    let along = coefficients * real_sh(reflection, order);
+    if form == VisibilityForm::Sigmoid {
+        return squashed(along.sum_last(), form);
+    }
+    let attenuation = roughness.map_rows(|[roughness]: [f64; 1]| {
+        let sample = LobeAttenuation::shared().sample(roughness);
+        (sample.value, sample.by_roughness.map(|slope| [slope]))
+    });
+    squashed(along.dot(attenuation.gather(1, &degrees(order))), form)
+}

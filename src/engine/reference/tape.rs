@@ -1,0 +1,120 @@
+//! Reverse-mode differentiation over dense arrays: every operation appends its value and its pullback to a
+//! tape, and the gradient of a scalar is one walk back along it.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use super::array::Array;
+
+/// Maps the gradient at a node's value to one gradient per parent.
+type Pullback = Box<dyn Fn(&Array) -> Vec<Array>>;
+
+struct Node {
+    value: Rc<Array>,
+    parents: Vec<usize>,
+    pullback: Pullback,
+}
+
+/// The record of a computation.
+#[derive(Default)]
+pub struct Tape {
+    nodes: RefCell<Vec<Node>>,
+}
+
+/// A value on a tape. Cheap to copy; operators and methods record new values.
+#[derive(Clone, Copy)]
+pub struct Var<'t> {
+    pub(super) tape: &'t Tape,
+    id: usize,
+}
+
+impl Tape {
+    /// An empty tape.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Puts a value on the tape that depends on nothing.
+    pub fn input(&self, value: Array) -> Var<'_> {
+        self.custom(&[], value, |_| Vec::new())
+    }
+
+    /// Puts a single number on the tape, shape (1).
+    pub fn scalar(&self, value: f64) -> Var<'_> {
+        self.input(Array::new(&[1], vec![value]))
+    }
+
+    /// Records an operation: its `value`, and a `pullback` from the gradient at the value to the gradients
+    /// at the `parents`, in their order and shapes.
+    pub fn custom<'t>(
+        &'t self,
+        parents: &[Var<'t>],
+        value: Array,
+        pullback: impl Fn(&Array) -> Vec<Array> + 'static,
+    ) -> Var<'t> {
+        let parents = parents.iter().map(|p| p.id).collect();
+        let mut nodes = self.nodes.borrow_mut();
+        nodes.push(Node { value: Rc::new(value), parents, pullback: Box::new(pullback) });
+        Var { tape: self, id: nodes.len() - 1 }
+    }
+
+    /// Gradients of the sum of `of` with respect to everything recorded before it.
+    pub fn gradients(&self, of: Var<'_>) -> Gradients {
+        let nodes = self.nodes.borrow();
+        let mut grads: Vec<Option<Array>> = vec![None; of.id + 1];
+        grads[of.id] = Some(Array::filled(nodes[of.id].value.shape(), 1.0));
+        for (id, node) in nodes.iter().enumerate().take(of.id + 1).rev() {
+            let Some(grad) = &grads[id] else { continue };
+            for (&parent, pulled) in node.parents.iter().zip((node.pullback)(grad)) {
+                match &mut grads[parent] {
+                    Some(sum) => sum.data_mut().iter_mut().zip(pulled.data()).for_each(|(s, p)| *s += p),
+                    empty => *empty = Some(pulled),
+                }
+            }
+        }
+        Gradients { grads }
+    }
+}
+
+/// What [`Tape::gradients`] found.
+pub struct Gradients {
+    grads: Vec<Option<Array>>,
+}
+
+impl Gradients {
+    /// The gradient with respect to `var`; zeros where nothing depends on it.
+    pub fn of(&self, var: Var<'_>) -> Array {
+        let found = self.grads.get(var.id).and_then(Clone::clone);
+        found.unwrap_or_else(|| Array::zeros(var.value().shape()))
+    }
+}
+
+impl<'t> Var<'t> {
+    /// The tape it is recorded on.
+    pub fn tape(self) -> &'t Tape {
+        self.tape
+    }
+
+    /// The value itself.
+    pub fn value(self) -> Rc<Array> {
+        self.tape.nodes.borrow()[self.id].value.clone()
+    }
+
+    /// The same value, through which no gradient flows.
+    pub fn detached(self) -> Var<'t> {
+        self.tape.input((*self.value()).clone())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_used_twice_collects_both_gradients_and_detached_ones_none() {
+        let tape = Tape::new();
+        let x = tape.input(Array::new(&[2], vec![2.0, -3.0]));
+        let y = (x * x + x * 5.0 + x.detached() * x).sum();
+        assert_eq!(tape.gradients(y).of(x).data(), [2.0 * 2.0 + 5.0 + 2.0, -2.0 * 3.0 + 5.0 - 3.0]);
+    }
+}
