@@ -86,7 +86,13 @@ async fn ten_kills_at_random_moments_change_no_byte_of_the_model() {
         let data = TempDir::new().unwrap();
         let server = Server::start(data.path());
         let job = submit(&server.client).await;
-        model_bytes(&server.client, &job).await
+        let bytes = model_bytes(&server.client, &job).await;
+        // The control: these bytes do depend on what was computed.
+        let mut other = small_job(&server.client.job(&job).await.unwrap().capture, STEPS, CHECKPOINT_EVERY);
+        other.overrides.seed = Some(1);
+        let other = server.client.create_job(&other, None).await.unwrap();
+        assert_ne!(model_bytes(&server.client, &other.id).await, bytes);
+        bytes
     };
 
     let data = TempDir::new().unwrap();

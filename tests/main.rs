@@ -11,6 +11,7 @@ mod hostile;
 mod reference;
 mod service;
 mod service_api;
+mod service_cli;
 mod service_promises;
 mod service_support;
 mod training;

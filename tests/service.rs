@@ -3,6 +3,7 @@
 use relume::api::picture::Format;
 use relume::api::renders::{CameraSpec, LookAtSpec, RenderRequest};
 use relume::formats::image_file;
+use relume::render::Output;
 use relume::store::JobState;
 use relume::testing;
 
@@ -33,9 +34,15 @@ async fn a_capture_becomes_a_model_that_renders_over_http() {
     let names: Vec<_> = model.files.iter().map(|f| f.name.as_str()).collect();
     assert_eq!(names, ["model.ply", "model.safetensors"]);
     let request = RenderRequest { camera: look_at(), width: 24, height: 16, ..RenderRequest::default() };
-    let request = RenderRequest { outputs: vec![relume::render::Output::Rgb], ..request };
+    let request = RenderRequest { outputs: vec![Output::Rgb], ..request };
     let png = client.render(&model.summary.id, &request, Format::Png).await.unwrap();
     assert_eq!(image_file::dimensions(&png).unwrap(), (24, 16));
+    let jpeg = client.render(&model.summary.id, &request, Format::Jpeg).await.unwrap();
+    assert_eq!(image_file::dimensions(&jpeg).unwrap(), (24, 16));
+    let outputs = vec![Output::Rgb, Output::Normal, Output::Depth, Output::Visibility];
+    let request = RenderRequest { outputs, ..request };
+    let exr = client.render(&model.summary.id, &request, Format::Exr).await.unwrap();
+    assert_eq!(image_file::dimensions(&exr).unwrap(), (24, 16));
     let thumbnail = client.thumbnail(&model.summary.id, "env=studio&size=32").await.unwrap();
     assert_eq!(image_file::dimensions(&thumbnail).unwrap(), (32, 32));
     server.stop().await.unwrap();

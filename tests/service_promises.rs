@@ -202,6 +202,17 @@ async fn a_job_that_reaches_checkpoints_may_crash_as_often_as_it_likes() {
 }
 
 #[tokio::test]
+async fn a_job_that_has_ended_keeps_no_checkpoint() {
+    let bench = Bench::new().await;
+    bench.submit(0).await;
+    let lease = bench.claim().await;
+    lease.checkpoint(1, vec![1]).await.unwrap();
+    assert_eq!(files_under(&bench.dir.path().join("artifacts")).len(), 1);
+    assert_eq!(publish(&lease, "model").await, Held::Yes);
+    assert!(files_under(&bench.dir.path().join("artifacts")).is_empty());
+}
+
+#[tokio::test]
 async fn a_release_at_shutdown_does_not_count_against_the_job() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
@@ -295,7 +306,7 @@ async fn a_shutdown_checkpoints_and_the_next_server_goes_on_from_there() {
     let seen = until(server.client(), &job.id, |job| job.progress.step > 0).await;
     let data = server.stop().await.unwrap();
     let server = testing::spawn_with(data, |_| {}).await.unwrap();
-    let events = events_until(&server, &job.id).await;
+    let events = history(&server, &job.id).await;
     let checkpoint = events.iter().find(|e| e.kind == "checkpoint").expect("the shutdown made a checkpoint");
     assert!(checkpoint.data["step"].as_i64().unwrap() >= seen.progress.step);
     let done = ended(server.client(), &job.id).await;
@@ -303,7 +314,7 @@ async fn a_shutdown_checkpoints_and_the_next_server_goes_on_from_there() {
 }
 
 /// The whole history of a job.
-async fn events_until(server: &testing::TestServer, id: &str) -> Vec<relume::client::JobEvent> {
+async fn history(server: &testing::TestServer, id: &str) -> Vec<relume::client::JobEvent> {
     let mut events = Vec::new();
     server.client().wait(id, |event| events.push(event.clone())).await.unwrap();
     events

@@ -119,13 +119,14 @@ pub fn files_under(root: &std::path::Path) -> Vec<(String, u64)> {
     let mut found = Vec::new();
     let mut folders = vec![root.to_owned()];
     while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
+        // What a living server takes away while this looks is not there.
+        for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
             let path = entry.path();
             let name = path.strip_prefix(root).unwrap().display().to_string();
             if path.is_dir() {
                 folders.push(path);
             } else if !name.starts_with("relume.db") && name != "node.lock" {
-                found.push((name, entry.metadata().unwrap().len()));
+                found.extend(entry.metadata().map(|m| (name, m.len())));
             }
         }
     }

@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use std::time::Instant;
 
 use axum::extract::{MatchedPath, Request};
-use axum::http::{HeaderName, HeaderValue};
+use axum::http::{HeaderName, HeaderValue, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
@@ -33,14 +33,15 @@ pub(super) async fn observe(request: Request, next: Next) -> Response {
     let route = path.map_or("unmatched", MatchedPath::as_str).to_owned();
     let span = tracing::info_span!("request", id, %method, route);
     let started = Instant::now();
-    let header = HeaderValue::from_str(&id).ok();
+    let id_header = HeaderValue::from_str(&id).ok();
     let mut response = CURRENT.scope(id, next.run(request).instrument(span.clone())).await;
     let seconds = started.elapsed().as_secs_f64();
     let status = response.status().as_u16();
     span.in_scope(|| tracing::info!(status, seconds, "answered"));
     record(method.as_str(), route, status, seconds);
-    if let Some(header) = header {
-        response.headers_mut().insert(REQUEST_ID, header);
+    response.headers_mut().insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    if let Some(id) = id_header {
+        response.headers_mut().insert(REQUEST_ID, id);
     }
     response
 }

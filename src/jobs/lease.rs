@@ -83,8 +83,9 @@ impl Lease {
     /// When the database fails.
     pub async fn publish(&self, model: &ModelRecord, files: &[ModelFile]) -> Result<Held, StoreError> {
         let now = self.jobs.now_ms();
+        let checkpoint = self.last_checkpoint().await?;
         let held = self.jobs.store.publish_model(&self.token, model, files, now).await?;
-        self.jobs.announce();
+        self.ended(held, checkpoint).await;
         Ok(held)
     }
 
@@ -106,9 +107,22 @@ impl Lease {
 
     async fn end(&self, state: JobState, error: Option<(&str, &str)>) -> Result<Held, StoreError> {
         let now = self.jobs.now_ms();
+        let checkpoint = self.last_checkpoint().await?;
         let held = self.jobs.store.end_job(&self.job.id, &self.token, state, error, now).await?;
-        self.jobs.announce();
+        self.ended(held, checkpoint).await;
         Ok(held)
+    }
+
+    async fn last_checkpoint(&self) -> Result<Option<String>, StoreError> {
+        Ok(self.jobs.store.job(&self.job.id).await?.and_then(|job| job.checkpoint))
+    }
+
+    /// A job that has ended resumes no more: its checkpoint goes once the end is durable.
+    async fn ended(&self, held: Held, checkpoint: Option<String>) {
+        if let (Held::Yes, Some(key)) = (held, checkpoint) {
+            self.jobs.store.artifacts().remove(&key).await;
+        }
+        self.jobs.announce();
     }
 
     /// Gives the job back to the queue; `blameless` when the attempt should not count against it.

@@ -203,7 +203,9 @@ impl Jobs {
         for job in &jobs {
             tracing::info!(job = job.id, state = job.state.name(), "took a lease back");
         }
-        self.announce();
+        if !jobs.is_empty() {
+            self.announce();
+        }
         Ok(jobs)
     }
 

@@ -155,7 +155,7 @@ impl Store {
         let mut tx = self.write().await?;
         let done = sqlx::query(
             "UPDATE jobs SET state = 'succeeded', finished_ms = ?3, model_id = ?4, step = total,
-                 eta_seconds = NULL, message = NULL, lease_token = NULL, lease_until_ms = NULL
+                 eta_seconds = NULL, message = NULL, checkpoint = NULL, lease_token = NULL, lease_until_ms = NULL
              WHERE id = ?1 AND lease_token = ?2 AND state = 'running'",
         )
         .bind(&model.job_id)
@@ -194,7 +194,7 @@ impl Store {
         let (code, detail) = error.unzip();
         let done = sqlx::query(
             "UPDATE jobs SET state = ?3, finished_ms = ?4, error_code = ?5, error_detail = ?6,
-                 eta_seconds = NULL, message = NULL, lease_token = NULL, lease_until_ms = NULL
+                 eta_seconds = NULL, message = NULL, checkpoint = NULL, lease_token = NULL, lease_until_ms = NULL
              WHERE id = ?1 AND lease_token = ?2 AND state IN ('running', 'cancelling')",
         )
         .bind(job)

@@ -1,0 +1,84 @@
+//! The commands that work without a server, as a user types them.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use relume::formats::{image_file, model_file};
+use tempfile::TempDir;
+
+use crate::service_support::capture_zip;
+
+fn relume(folder: &Path, args: &[&str]) -> Output {
+    let output = Command::new(env!("CARGO_BIN_EXE_relume")).args(args).current_dir(folder).output();
+    output.unwrap()
+}
+
+fn succeeds(folder: &Path, args: &[&str]) -> String {
+    let output = relume(folder, args);
+    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn fails_with(folder: &Path, args: &[&str], word: &str) {
+    let output = relume(folder, args);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && message.contains(word), "{args:?}: {message}");
+}
+
+#[test]
+fn a_folder_becomes_a_model_a_picture_and_a_ply() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    std::fs::write(at.join("scan.zip"), capture_zip()).unwrap();
+    let train =
+        ["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--seed", "3", "--device", "cpu"];
+    let more = ["--set", "iterations=12", "--set", "max_gaussians=64", "--out", "m.safetensors"];
+    succeeds(at, &[&train[..], &more].concat());
+    let model = model_file::decode(&std::fs::read(at.join("m.safetensors")).unwrap()).unwrap();
+    assert_eq!((&model.card["steps"], &model.card["config"]["seed"]), (&12.into(), &3.into()));
+    for (file, env) in [("a.png", "studio"), ("b.exr", "recovered"), ("c.jpg", "night")] {
+        succeeds(
+            at,
+            &["render", "m.safetensors", "--env", env, "--size", "24", "--azimuth", "-30", "--out", file],
+        );
+        assert_eq!(
+            image_file::dimensions(&std::fs::read(at.join(file)).unwrap()).unwrap(),
+            (24, 24),
+            "{file}"
+        );
+    }
+    succeeds(at, &["export", "m.safetensors", "--out", "m.ply"]);
+    assert!(std::fs::read(at.join("m.ply")).unwrap().starts_with(b"ply\n"));
+
+    fails_with(at, &["render", "m.safetensors", "--env", "mars", "--out", "d.png"], "mars");
+    fails_with(at, &["render", "m.safetensors", "--out", "d.gif"], "d.gif");
+    fails_with(at, &["render", "m.safetensors", "--output", "colour", "--out", "d.png"], "colour");
+    fails_with(at, &["export", "m.safetensors", "--out", "m.obj"], "m.obj");
+    fails_with(at, &["export", "scan.zip"], "model file");
+    fails_with(at, &["train", "scan.zip", "--set", "speed=11"], "speed");
+    fails_with(at, &["train", "scan.zip", "--set", "iterations=0"], "iterations");
+    fails_with(at, &["train", "nowhere.zip"], "nowhere.zip");
+    let left = ["d.png", "d.gif", "m.obj", "model.ply", "model.safetensors"].map(|f| at.join(f).exists());
+    assert_eq!(left, [false; 5], "a refusal leaves nothing behind");
+}
+
+#[test]
+fn doctor_and_openapi_tell_what_they_should() {
+    let folder = TempDir::new().unwrap();
+    let report = succeeds(folder.path(), &["doctor"]);
+    for line in ["cpu threads", "cpu features", "sqlite", "data dir"] {
+        assert!(report.contains(line), "{report}");
+    }
+    assert!(!folder.path().join("relume-data").exists(), "looking makes nothing");
+    let description: serde_json::Value =
+        serde_json::from_str(&succeeds(folder.path(), &["openapi"])).unwrap();
+    assert_eq!(description, serde_json::to_value(relume::api::openapi()).unwrap());
+}
+
+#[test]
+fn serve_refuses_to_be_open_to_the_network_and_weak_keys() {
+    let folder = TempDir::new().unwrap();
+    fails_with(folder.path(), &["serve", "--listen", "0.0.0.0:0"], "API key");
+    fails_with(folder.path(), &["serve", "--listen", "0.0.0.0:0", "--api-key", "short"], "16 characters");
+    assert!(!folder.path().join("relume-data").join("relume.db").exists());
+}
