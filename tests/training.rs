@@ -149,7 +149,8 @@ fn a_step_that_is_not_finite_is_rolled_back_and_said() {
 
 #[test]
 fn extreme_weights_do_not_poison_a_model() {
-    let heavy = LossWeights { depth_normal: 1000.0, flatness: 1000.0, smoothness: 1000.0, ..Default::default() };
+    let heavy =
+        LossWeights { depth_normal: 1000.0, flatness: 1000.0, smoothness: 1000.0, ..Default::default() };
     let bytes = trained(&TrainOverrides { weights: Some(heavy), iterations: Some(40), ..overrides() });
     assert!(model_file::decode(&bytes).unwrap().gaussians.is_finite());
 }
