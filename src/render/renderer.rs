@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::{
-    AttributeSource, LEAST_COVERAGE, Pass, ProbeSettings, Probes, Shader, Surface, Transport, View, fibonacci_sphere,
-    normalise, outward_normals, surface_at,
+    AttributeSource, LEAST_COVERAGE, Pass, ProbeSettings, Probes, Shader, Surface, Transport, View,
+    fibonacci_sphere, normalise, outward_normals, surface_at,
 };
 use crate::light::{LightTables, rendering_tables};
 use crate::render::{Frame, Output, preview};
@@ -86,7 +86,8 @@ impl Renderer {
             let source = self.source(&[], &none);
             // What hides what does not depend on the light: measured once a model.
             let transport = self.transport.get_or_init(|| {
-                let probes = Probes::measure(&source, fibonacci_sphere(PROBE_DIRECTIONS), ProbeSettings::default());
+                let probes =
+                    Probes::measure(&source, fibonacci_sphere(PROBE_DIRECTIONS), ProbeSettings::default());
                 Transport::new(&probes, outward_normals(&source))
             });
             gathered = transport.gather(&source, &tables, BOUNCES);

@@ -3,8 +3,8 @@
 use crate::engine::Gradients;
 use crate::engine::channel::Channels;
 use crate::engine::cpu::{
-    self, AttributeSource, BufferGradient, Pass, ProbeSettings, Probes, Shader, Transport, View, fibonacci_sphere,
-    outward_normals, radiance_image, radiance_image_backward,
+    self, AttributeSource, BufferGradient, Pass, ProbeSettings, Probes, Shader, Transport, View,
+    fibonacci_sphere, outward_normals, radiance_image, radiance_image_backward,
 };
 use crate::light::{EnvOperators, LightTables};
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};

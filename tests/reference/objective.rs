@@ -129,7 +129,13 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
     let texels = texel_directions(32, 16);
     let (exposure, by_exposure) = material::exposure(&radiance, &texels, weight("exposure"));
     total += neutrality + exposure;
-    total += material::backward_labels(&model.gaussians, &pass, model.shading.visibility, weight("occ"), &mut found);
+    total += material::backward_labels(
+        &model.gaussians,
+        &pass,
+        model.shading.visibility,
+        weight("occ"),
+        &mut found,
+    );
     total += material::flatness(&model.gaussians, weight("flatness"), &mut found);
     total += material::aggregation(&model.gaussians, weight("agg"), &mut found);
     total += material::residual(&model.gaussians, weight("res"), &mut found);

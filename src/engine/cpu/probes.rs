@@ -137,7 +137,8 @@ impl Probes {
             .zip(&normals)
             .map(|(o, n)| {
                 let sigma = o.axes.iter().map(|a| dot(*a, *n).powi(2)).sum::<f32>().sqrt();
-                let point = std::array::from_fn(|k| o.mean[k] + (settings.offset * sigma + settings.lift) * n[k]);
+                let point =
+                    std::array::from_fn(|k| o.mean[k] + (settings.offset * sigma + settings.lift) * n[k]);
                 Query { point, clearance: sigma + settings.bias }
             })
             .collect();
@@ -281,7 +282,12 @@ impl Cells {
 }
 
 /// Transmittance and dominant occluder of every query towards `d`.
-fn measure_direction(occluders: &[Occluder], queries: &[Query], d: Vec3, settings: ProbeSettings) -> (Vec<f32>, Vec<u32>) {
+fn measure_direction(
+    occluders: &[Occluder],
+    queries: &[Query],
+    d: Vec3,
+    settings: ProbeSettings,
+) -> (Vec<f32>, Vec<u32>) {
     let (u, v) = plane_basis(d);
     let mut flats: Vec<Flat> =
         occluders.iter().enumerate().filter_map(|(i, o)| flatten(o, i as u32, d, u, v)).collect();
