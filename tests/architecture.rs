@@ -112,7 +112,7 @@ fn a_dependency_without_its_line_is_noticed() {
     let manifest = "[package]\nname = \"x\"\n[dependencies]\nserde = \"1\"\n# a = \"1\"\nzip = { version = \"9\" }\n\
                     [dependencies.tar]\nversion = \"1\"\n[dev-dependencies]\ndivan = \"1\"\n";
     assert_eq!(dependencies(manifest), ["serde", "zip", "tar"]);
-    let document = "| `serde`, `tar` | plain data |\n";
+    let document = "We zip files.\n| `serde`, tar | plain data, zip |\n";
     assert!(is_explained("serde", document) && is_explained("tar", document));
     assert!(!is_explained("zip", document) && !is_explained("ser", document));
 }
@@ -248,7 +248,8 @@ fn dependencies(manifest: &str) -> Vec<String> {
     names
 }
 
-/// True when the document names the crate as code, so that no other word is taken for it.
+/// True when the first cell of some table row lists the crate, so that no word in a sentence is taken for it.
 fn is_explained(name: &str, document: &str) -> bool {
-    document.contains(&format!("`{name}`"))
+    let first_cells = document.lines().filter_map(|line| line.trim().strip_prefix('|')?.split('|').next());
+    first_cells.flat_map(|cell| cell.split(',')).any(|item| item.trim().trim_matches('`') == name)
 }

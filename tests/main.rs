@@ -14,3 +14,4 @@ mod service_api;
 mod service_cli;
 mod service_promises;
 mod service_support;
+mod training;

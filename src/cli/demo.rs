@@ -135,7 +135,7 @@ async fn show(
     capture: Arc<Capture>,
     args: &DemoArgs,
 ) -> Result<Report, DemoError> {
-    let model = train(client, capture_id, args).await?;
+    let (model, training_seconds) = train(client, capture_id, args).await?;
     println!("4/5 relighting held-out views under {}", listed(&capture));
     let sheet = contact_sheet(client, &model, &capture).await?;
     write(&args.out.join("contact_sheet.png"), &sheet.to_png(CELL)?)?;
@@ -143,14 +143,15 @@ async fn show(
     println!("5/5 measuring against the truth, every held-out view under every light");
     let bytes = client.file(&model, "model.safetensors").await?;
     write(&args.out.join("model.safetensors"), &bytes)?;
-    let report = tokio::task::spawn_blocking(move || measure(&bytes, &capture)).await??;
+    let mut report = tokio::task::spawn_blocking(move || measure(&bytes, &capture)).await??;
+    report.note_training_seconds(training_seconds);
     write(&args.out.join("report.json"), report.to_json().as_bytes())?;
     write(&args.out.join("report.md"), report.to_markdown().as_bytes())?;
     Ok(report)
 }
 
-/// Queues the training and follows it; the model's identifier.
-async fn train(client: &Client, capture: &str, args: &DemoArgs) -> Result<String, DemoError> {
+/// Queues the training and follows it; the model's identifier and how long the job ran, seconds.
+async fn train(client: &Client, capture: &str, args: &DemoArgs) -> Result<(String, Option<f64>), DemoError> {
     let overrides =
         TrainOverrides { seed: Some(args.seed), iterations: args.iterations, ..TrainOverrides::default() };
     let order = NewJob { capture: capture.to_owned(), preset: Preset::Draft, overrides, ..NewJob::default() };
@@ -163,7 +164,13 @@ async fn train(client: &Client, capture: &str, args: &DemoArgs) -> Result<String
         state: format!("{:?}", job.state).to_lowercase(),
         detail: job.error.as_ref().map_or_else(|| "it left no model".to_owned(), |e| e.detail.clone()),
     };
-    job.model.clone().ok_or_else(failed)
+    Ok((job.model.clone().ok_or_else(failed)?, seconds_between(&job.started_at, &job.finished_at)))
+}
+
+/// Seconds between two RFC 3339 times, when both are there.
+fn seconds_between(from: &Option<String>, to: &Option<String>) -> Option<f64> {
+    let parse = |time: &Option<String>| time.as_ref()?.parse::<jiff::Timestamp>().ok();
+    Some(parse(to)?.duration_since(parse(from)?).as_secs_f64())
 }
 
 fn progress_bar() -> ProgressBar {

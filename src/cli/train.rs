@@ -76,7 +76,12 @@ fn train(trainer: &mut Trainer) -> CommandResult {
         if let Some(warning) = &report.warning {
             bar.suspend(|| eprintln!("warning: {warning}"));
         }
-        bar.set_position(u64::from(trainer.progress().step));
+        let progress = trainer.progress();
+        // Without a terminal there is no bar; a log wants a line now and then.
+        if bar.is_hidden() && progress.step.is_multiple_of((progress.total / 20).max(1)) {
+            eprintln!("step {}/{}  {}", progress.step, progress.total, summary(&report));
+        }
+        bar.set_position(u64::from(progress.step));
         bar.set_message(summary(&report));
     }
     bar.finish();

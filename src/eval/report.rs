@@ -88,6 +88,14 @@ pub struct Report {
 }
 
 impl Report {
+    /// Enters a training time that the caller knows, e.g. from a job, where the model card has none.
+    pub fn note_training_seconds(&mut self, seconds: Option<f64>) {
+        if self.training_seconds.is_none() && seconds.is_some() {
+            self.training_seconds = seconds;
+            self.notes.remove("training_seconds");
+        }
+    }
+
     /// The report as indented JSON, ending in a newline.
     pub fn to_json(&self) -> String {
         // Numbers and strings only: serialisation cannot fail.

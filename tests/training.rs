@@ -1,0 +1,164 @@
+//! The trainer as its callers see it: it learns, repeats itself byte for byte, resumes, and refuses.
+
+use std::collections::BTreeMap;
+use std::sync::OnceLock;
+
+use relume::capture::{Capture, SyntheticOptions, synthetic};
+use relume::formats::model_file;
+use relume::scene::Field;
+use relume::train::{LabelSource, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
+
+fn capture() -> &'static Capture {
+    static CAPTURE: OnceLock<Capture> = OnceLock::new();
+    CAPTURE.get_or_init(|| {
+        let options = SyntheticOptions {
+            train_views: 8,
+            test_views: 1,
+            size: 40,
+            paths: 16,
+            relit: BTreeMap::new(),
+            ..Default::default()
+        };
+        synthetic(&options).unwrap()
+    })
+}
+
+fn overrides() -> TrainOverrides {
+    TrainOverrides {
+        iterations: Some(60),
+        resolution: Some(40),
+        initial_gaussians: Some(300),
+        max_gaussians: Some(500),
+        probe_directions: Some(16),
+        probe_every: Some(13),
+        checkpoint_every: Some(17),
+        ..Default::default()
+    }
+}
+
+fn config(overrides: &TrainOverrides) -> TrainConfig {
+    TrainConfig::new(Preset::Draft, overrides).unwrap()
+}
+
+fn run(mut trainer: Trainer) -> Vec<u8> {
+    while !trainer.is_done() {
+        trainer.step().unwrap();
+    }
+    model_file::encode(&trainer.model()).unwrap()
+}
+
+fn trained(overrides: &TrainOverrides) -> Vec<u8> {
+    run(Trainer::new(capture(), config(overrides)).unwrap())
+}
+
+fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_for_one_thread_and_for_three() {
+    let one = with_threads(1, || trained(&overrides()));
+    let three = with_threads(3, || trained(&overrides()));
+    assert!(one == three, "the number of threads must not show in the bytes");
+    let other = trained(&TrainOverrides { seed: Some(1), ..overrides() });
+    assert!(one != other, "another seed must show in the bytes");
+}
+
+#[test]
+fn a_resumed_training_ends_with_the_bytes_of_an_undisturbed_one() {
+    // 30 lies between two probe refreshes, two density rounds and two snapshots.
+    for stop in [1, 17, 30, 59] {
+        let mut trainer = Trainer::new(capture(), config(&overrides())).unwrap();
+        (0..stop).for_each(|_| {
+            trainer.step().unwrap();
+        });
+        let checkpoint = trainer.checkpoint().unwrap();
+        drop(trainer);
+        let resumed = Trainer::resume(capture(), config(&overrides()), &checkpoint).unwrap();
+        assert_eq!(resumed.progress().step, stop);
+        assert!(run(resumed) == trained(&overrides()), "resumed at step {stop}");
+    }
+}
+
+#[test]
+fn a_checkpoint_of_another_configuration_or_cut_short_is_refused_by_name() {
+    let mut trainer = Trainer::new(capture(), config(&overrides())).unwrap();
+    trainer.step().unwrap();
+    let bytes = trainer.checkpoint().unwrap();
+    let other = config(&TrainOverrides { seed: Some(9), ..overrides() });
+    let refusal = |config, bytes: &[u8]| match Trainer::resume(capture(), config, bytes) {
+        Err(TrainError::Checkpoint(why)) => why,
+        Err(e) => panic!("another refusal: {e}"),
+        Ok(_) => panic!("must be refused"),
+    };
+    assert!(refusal(other, &bytes).contains("config"));
+    for cut in [0, 8, bytes.len() / 2, bytes.len() - 1] {
+        refusal(config(&overrides()), &bytes[..cut]);
+    }
+}
+
+#[test]
+fn training_explains_the_photographs_better_step_by_step() {
+    let long = TrainOverrides { iterations: Some(240), ..overrides() };
+    let mut trainer = Trainer::new(capture(), config(&long)).unwrap();
+    let mut psnr = Vec::new();
+    while !trainer.is_done() {
+        psnr.push(trainer.step().unwrap().psnr);
+    }
+    let mean = |range: std::ops::Range<usize>| {
+        let n = range.len() as f32;
+        psnr[range].iter().sum::<f32>() / n
+    };
+    let (early, late) = (mean(0..20), mean(220..240));
+    assert!(late > early + 4.0, "{early} dB at first, {late} dB at last");
+}
+
+#[test]
+fn every_label_source_and_form_trains_to_finite_parameters() {
+    for labels in [LabelSource::None, LabelSource::Backward, LabelSource::Probes, LabelSource::Both] {
+        let bytes = trained(&TrainOverrides { labels: Some(labels), iterations: Some(40), ..overrides() });
+        let model = model_file::decode(&bytes).unwrap();
+        assert!(model.gaussians.is_finite(), "{labels:?}");
+        let moved = model.gaussians.field(Field::Visibility).chunks_exact(25).any(|c| c[3].abs() > 1e-4);
+        assert!(moved, "{labels:?}: visibility must have been learned or measured");
+    }
+}
+
+#[test]
+fn a_step_that_is_not_finite_is_rolled_back_and_said() {
+    // Weights at their upper limit overflow the loss in f32 only if something is already wrong; a step size of 1000
+    // on everything is what sends parameters to infinity.
+    let rates = serde_json::from_value(serde_json::json!({
+        "mean": 1000.0, "mean_final": 1000.0, "scale": 1000.0, "opacity": 1000.0, "radiance": 1000.0
+    }));
+    let wild = TrainOverrides { rates: Some(rates.unwrap()), ..overrides() };
+    let mut trainer = Trainer::new(capture(), config(&wild)).unwrap();
+    for _ in 0..200 {
+        if trainer.is_done() {
+            break;
+        }
+        match trainer.step() {
+            Ok(report) => assert!(report.warning.is_some() || report.loss.is_finite()),
+            Err(TrainError::Diverged { .. }) => return,
+            Err(e) => panic!("{e}"),
+        }
+    }
+    assert!(trainer.model().gaussians.is_finite(), "a poisoned model must never be handed out");
+    trainer.checkpoint().unwrap();
+}
+
+#[test]
+fn extreme_weights_do_not_poison_a_model() {
+    let heavy =
+        LossWeights { depth_normal: 1000.0, flatness: 1000.0, smoothness: 1000.0, ..Default::default() };
+    let bytes = trained(&TrainOverrides { weights: Some(heavy), iterations: Some(40), ..overrides() });
+    assert!(model_file::decode(&bytes).unwrap().gaussians.is_finite());
+}
+
+#[test]
+fn too_few_photographs_are_refused_with_their_number() {
+    let mut few = capture().clone();
+    few.train.truncate(2);
+    let error = Trainer::new(&few, config(&overrides())).err().unwrap().to_string();
+    assert!(error.contains("2 usable"), "{error}");
+}
