@@ -15,8 +15,9 @@ use tempfile::TempDir;
 
 use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, until};
 
-const STEPS: u32 = 120;
-const CHECKPOINT_EVERY: u32 = 5;
+/// Long enough that ten starts, each with a moment of training, do not reach the end.
+const STEPS: u32 = 600;
+const CHECKPOINT_EVERY: u32 = 10;
 const KILLS: usize = 10;
 
 /// A server process; dying with the test.
@@ -54,10 +55,10 @@ impl Drop for Server {
     }
 }
 
-/// Uploads the capture and submits the job that every test here runs.
-async fn submit(client: &Client) -> String {
+/// Uploads the capture and submits a job on it, always under the same key.
+async fn submit(client: &Client, steps: u32) -> String {
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
-    client.create_job(&small_job(&capture.id, STEPS, CHECKPOINT_EVERY), Some("once")).await.unwrap().id
+    client.create_job(&small_job(&capture.id, steps, CHECKPOINT_EVERY), Some("once")).await.unwrap().id
 }
 
 async fn model_bytes(client: &Client, job: &str) -> Vec<u8> {
@@ -77,7 +78,7 @@ async fn hear_checkpoint(client: &Client, job: &str, step: i64, heard: &mut Vec<
             return;
         }
     }
-    panic!("the job ended before step {step}");
+    panic!("the job ended before it could be killed at step {step}: STEPS is too small");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -85,7 +86,7 @@ async fn ten_kills_at_random_moments_change_no_byte_of_the_model() {
     let undisturbed = {
         let data = TempDir::new().unwrap();
         let server = Server::start(data.path());
-        let job = submit(&server.client).await;
+        let job = submit(&server.client, STEPS).await;
         let bytes = model_bytes(&server.client, &job).await;
         // The control: these bytes do depend on what was computed.
         let mut other = small_job(&server.client.job(&job).await.unwrap().capture, STEPS, CHECKPOINT_EVERY);
@@ -98,7 +99,7 @@ async fn ten_kills_at_random_moments_change_no_byte_of_the_model() {
     let data = TempDir::new().unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(7);
     let mut server = Server::start(data.path());
-    let job = submit(&server.client).await;
+    let job = submit(&server.client, STEPS).await;
     let mut heard = Vec::new();
     for kill in 0..KILLS {
         // Half of them in mid-training, later and later; half at any moment of a start.
@@ -107,7 +108,7 @@ async fn ten_kills_at_random_moments_change_no_byte_of_the_model() {
             hear_checkpoint(&server.client, &job, step as i64, &mut heard).await;
             tokio::time::sleep(Duration::from_millis(random.random_range(0..30))).await;
         } else {
-            tokio::time::sleep(Duration::from_millis(random.random_range(0..150))).await;
+            tokio::time::sleep(Duration::from_millis(random.random_range(0..100))).await;
         }
         server.kill();
         server = Server::start(data.path());
@@ -128,10 +129,10 @@ async fn ten_kills_at_random_moments_change_no_byte_of_the_model() {
 async fn an_accepted_job_and_its_capture_survive_kill_9() {
     let data = TempDir::new().unwrap();
     let server = Server::start(data.path());
-    let job = submit(&server.client).await;
+    let job = submit(&server.client, 200).await;
     server.kill();
     let server = Server::start(data.path());
-    let again = submit(&server.client).await;
+    let again = submit(&server.client, 200).await;
     assert_eq!(again, job, "the idempotency key survived too");
     assert_eq!(ended(&server.client, &job).await.state, JobState::Succeeded);
 }
@@ -162,7 +163,7 @@ async fn half_an_upload_of_a_killed_server_is_swept_away_and_nothing_else_is() {
 async fn sigterm_checkpoints_releases_the_lease_and_ends_well() {
     let data = TempDir::new().unwrap();
     let mut server = Server::start(data.path());
-    let job = submit(&server.client).await;
+    let job = submit(&server.client, 200).await;
     until(&server.client, &job, |job| job.state == JobState::Running).await;
     let terminated = Command::new("kill").arg(server.child.id().to_string()).status().unwrap();
     assert!(terminated.success());

@@ -163,12 +163,12 @@ async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
     upload::receive(app, request, &expected).await
 }
 
-/// Imports the archive to see whether it can be; one or two at a time, since images take memory.
+/// Decodes everything to see whether it can be; a few at a time, since images take memory.
 async fn validate(app: &Shared, incoming: &Incoming) -> Result<CaptureReport, Problem> {
     let _turn = app.imports.acquire().await.map_err(Problem::internal)?;
     let path = incoming.path.clone();
-    let import = move || capture::import(&path, &ImportOptions::default()).map(|c| c.report().into());
-    tokio::task::spawn_blocking(import).await.map_err(Problem::internal)?.map_err(refused)
+    let inspect = move || capture::inspect(&path, &ImportOptions::default()).map(Into::into);
+    tokio::task::spawn_blocking(inspect).await.map_err(Problem::internal)?.map_err(refused)
 }
 
 impl From<capture::CaptureReport> for CaptureReport {

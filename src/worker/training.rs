@@ -77,7 +77,7 @@ impl Worker {
             }
             if self.changes.has_changed().unwrap_or(false) {
                 self.changes.mark_unchanged();
-                if lease.check().await? != Held::Yes {
+                if held_or_unknown(lease.check().await) != Held::Yes {
                     return Ok(settle(lease).await?);
                 }
             }
@@ -135,12 +135,12 @@ impl Attempt<'_> {
         let report = self.trainer.step()?;
         metrics::counter!("relume_training_steps_total").increment(1);
         if let Some(warning) = &report.warning {
-            self.lease.warn(warning).await?;
+            self.tell(warning).await;
         }
         let progress = self.trainer.progress();
         let mut held = Held::Yes;
         if let Some(update) = self.reporter.report(now_ms, &report, progress) {
-            held = self.lease.progress(&update).await?;
+            held = held_or_unknown(self.lease.progress(&update).await);
         }
         if progress.step % self.checkpoint_every == 0 && !self.trainer.is_done() {
             self.checkpoint().await?;
@@ -154,9 +154,15 @@ impl Attempt<'_> {
         let bytes = self.trainer.checkpoint()?;
         if let Err(error) = self.lease.checkpoint(step, bytes).await {
             tracing::error!(%error, step, "a checkpoint could not be stored");
-            self.lease.warn("a checkpoint could not be stored; training goes on").await?;
+            self.tell("a checkpoint could not be stored; training goes on").await;
         }
         Ok(())
+    }
+
+    async fn tell(&self, warning: &str) {
+        if let Err(error) = self.lease.warn(warning).await {
+            tracing::warn!(%error, warning, "a warning could not be recorded");
+        }
     }
 
     /// Leaves the job where another worker finds it.
@@ -203,6 +209,15 @@ async fn announce(lease: &Lease, message: &str) -> Result<(), StoreError> {
         ..ProgressUpdate::default()
     };
     lease.progress(&update).await.map(drop)
+}
+
+/// A store that fails for a while, e.g. on a full disk, is no reason to throw hours of training away: whether the
+/// lease still stands shows at the next write that succeeds, and nothing is published without one.
+fn held_or_unknown(held: Result<Held, StoreError>) -> Held {
+    held.unwrap_or_else(|error| {
+        tracing::error!(%error, "the store failed under a running job");
+        Held::Yes
+    })
 }
 
 /// Ends an attempt that does not hold a running job any more.
