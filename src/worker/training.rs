@@ -142,7 +142,7 @@ impl Attempt<'_> {
         if let Some(update) = self.reporter.report(now_ms, &report, progress) {
             held = held_or_unknown(self.lease.progress(&update).await);
         }
-        if progress.step % self.checkpoint_every == 0 && !self.trainer.is_done() {
+        if progress.step.is_multiple_of(self.checkpoint_every) && !self.trainer.is_done() {
             self.checkpoint().await?;
         }
         Ok(held)
