@@ -187,6 +187,10 @@ mod tests {
         let analytic = target.compare(&image, 0.7, 0.4).gradient;
         for i in [0, 5, 70, 100, w * h - 1] {
             for c in 0..3 {
+                // The absolute error has no slope where image and photograph agree.
+                if (image[i][c] - target.pixels[i][c]).abs() < 5e-3 {
+                    continue;
+                }
                 let mut shifted = [image.clone(), image.clone()];
                 shifted[0][i][c] += 4e-3;
                 shifted[1][i][c] -= 4e-3;
