@@ -233,15 +233,15 @@ impl TrainConfig {
     /// | preset | steps | px | Gaussians | probes | prototypes |
     /// |---|---|---|---|---|---|
     /// | draft | 1,500 | 160 | 8,000 | 48 | 8 |
-    /// | standard | 12,000 | 400 | 30,000 | 64 | 16 |
-    /// | high | 30,000 | 800 | 100,000 | 128 | 32 |
+    /// | standard | 6,000 | 400 | 20,000 | 64 | 16 |
+    /// | high | 20,000 | 800 | 60,000 | 128 | 32 |
     pub fn preset(preset: Preset) -> Self {
         let standard = Self {
             preset,
-            iterations: 12_000,
+            iterations: 6_000,
             resolution: 400,
             initial_gaussians: 6_000,
-            max_gaussians: 30_000,
+            max_gaussians: 20_000,
             prototypes: 16,
             visibility_order: 4,
             radiance_order: 2,
@@ -257,7 +257,7 @@ impl TrainConfig {
             weights: LossWeights::default(),
             rates: LearningRates::default(),
             seed: 0,
-            checkpoint_every: 1_000,
+            checkpoint_every: 500,
         };
         match preset {
             Preset::Standard => standard,
@@ -274,10 +274,10 @@ impl TrainConfig {
                 ..standard
             },
             Preset::High => Self {
-                iterations: 30_000,
+                iterations: 20_000,
                 resolution: 800,
                 initial_gaussians: 20_000,
-                max_gaussians: 100_000,
+                max_gaussians: 60_000,
                 prototypes: 32,
                 radiance_order: 3,
                 probe_directions: 128,

@@ -226,6 +226,9 @@ fn engines_agree(name: &str, shading: ShadingOptions) {
     }
 }
 
+/// One sigma of offset and of clearance, as the reference has it.
+const PLAIN: cpu::ProbeSettings = cpu::ProbeSettings { offset: 1.0, lift: 0.0, clearance: 1.0, bias: 0.0 };
+
 #[test]
 fn the_cpu_engine_is_the_reference_in_the_default_form() {
     engines_agree("default", ShadingOptions::default());
@@ -266,7 +269,7 @@ fn the_cpu_engines_probes_see_what_the_references_see() {
     };
     let directions = cpu::fibonacci_sphere(48);
     let normals = cpu::outward_normals(&source);
-    let ours = cpu::Probes::measure(&source, directions.clone(), 1.0);
+    let ours = cpu::Probes::measure(&source, directions.clone(), PLAIN);
     let scene = Scene::from_model(&model);
     let measure = |normals: &[[f32; 3]]| Probes::measure(&scene, &wide(normals), &wide(&directions), 1.0);
     let reference = measure(&normals);

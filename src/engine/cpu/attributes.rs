@@ -196,7 +196,6 @@ impl AttributeSource<'_> {
         Normal { unit, length, axis: axis.map(|(a, _)| (a, sign)) }
     }
 
-    #[expect(clippy::too_many_arguments, reason = "one chain-rule step with its three destinations")]
     fn normal_backward(
         &self,
         i: usize,

@@ -172,7 +172,6 @@ impl Shader<'_> {
         (out, tables)
     }
 
-    #[expect(clippy::too_many_arguments, reason = "one pixel's inputs and its two destinations")]
     fn pixel_backward(
         &self,
         pass: &Pass,
