@@ -8,7 +8,7 @@ mod captures;
 mod crash;
 mod eval;
 mod hostile;
-//mod reference;
+mod reference;
 mod service;
 mod service_api;
 mod service_cli;

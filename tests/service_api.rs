@@ -392,7 +392,8 @@ async fn environments_are_kept_once_and_mended_with_a_warning() {
 fn every_reference_of_the_description_leads_somewhere() {
     let description = serde_json::to_value(relume::api::openapi()).unwrap();
     let text = description.to_string();
-    let references: Vec<&str> = text.split("\"$ref\":\"#").skip(1).map(|t| t.split('"').next().unwrap()).collect();
+    let references: Vec<&str> =
+        text.split("\"$ref\":\"#").skip(1).map(|t| t.split('"').next().unwrap()).collect();
     assert!(references.len() > 20);
     for reference in references {
         assert!(description.pointer(reference).is_some(), "{reference} is dangling");
