@@ -9,6 +9,7 @@ use utoipa::ToSchema;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use crate::api::description::{ArchiveForm, File};
 use crate::api::extract::QueryString;
 use crate::api::listing::{List, PageQuery, rfc3339};
 use crate::api::problem::ContentError;
@@ -75,7 +76,10 @@ pub struct CaptureReport {
 /// validated; 201 means that every byte is durable. The same content again gives the same capture and 200.
 #[utoipa::path(
     post, path = "/v1/captures", tag = "captures",
-    request_body(content = Vec<u8>, content_type = "application/zip"),
+    request_body(content(
+        (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
+        (ArchiveForm = "multipart/form-data")
+    )),
     responses(
         (status = 201, body = CaptureView), (status = 200, body = CaptureView, description = "Known already"),
         (status = 413, body = Problem), (status = 415, body = Problem),
@@ -111,7 +115,10 @@ async fn upload_capture(State(app): State<Shared>, request: Request) -> Result<R
 /// Takes what an upload takes and answers with the report, or with the problem that an upload would meet.
 #[utoipa::path(
     post, path = "/v1/captures/validate", tag = "captures",
-    request_body(content = Vec<u8>, content_type = "application/zip"),
+    request_body(content(
+        (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
+        (ArchiveForm = "multipart/form-data")
+    )),
     responses((status = 200, body = CaptureReport), (status = 422, body = Problem))
 )]
 async fn validate_capture(

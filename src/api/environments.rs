@@ -9,6 +9,7 @@ use utoipa::{IntoParams, ToSchema};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use crate::api::description::{EnvironmentForm, File};
 use crate::api::extract::QueryString;
 use crate::api::listing::{List, PageQuery, rfc3339};
 use crate::api::problem::ContentError;
@@ -72,7 +73,9 @@ struct UploadQuery {
 /// looks along world +Z. NaN and infinity are refused; negative values are set to 0 with a warning.
 #[utoipa::path(
     post, path = "/v1/environments", tag = "environments", params(UploadQuery),
-    request_body(content = Vec<u8>, content_type = "image/vnd.radiance"),
+    request_body(content(
+        (File = "image/vnd.radiance"), (File = "image/x-exr"), (EnvironmentForm = "multipart/form-data")
+    )),
     responses(
         (status = 201, body = EnvironmentView),
         (status = 200, body = EnvironmentView, description = "Known already"),

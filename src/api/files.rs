@@ -11,6 +11,7 @@ use base64::engine::general_purpose::STANDARD;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use crate::api::description::File;
 use crate::api::{Problem, Shared};
 use crate::store::ModelFile;
 
@@ -28,8 +29,8 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
     get, path = "/v1/models/{id}/files/{name}", tag = "models",
     params(("id" = String, Path), ("name" = String, Path)),
     responses(
-        (status = 200, content_type = "application/octet-stream", body = Vec<u8>),
-        (status = 206, content_type = "application/octet-stream", body = Vec<u8>),
+        (status = 200, content_type = "application/octet-stream", body = File),
+        (status = 206, content_type = "application/octet-stream", body = File),
         (status = 304, description = "The caller has it already"),
         (status = 404, body = Problem), (status = 416, body = Problem)
     )

@@ -1,7 +1,11 @@
 //! The HTTP service: one file an endpoint family, each with its own routes, documentation and refusals.
 
+// A refusal is made once a request; what it costs to move is nothing beside the request itself.
+#![allow(clippy::result_large_err)]
+
 pub mod auth;
 pub mod captures;
+mod description;
 pub mod environments;
 mod events;
 mod extract;
@@ -26,7 +30,6 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::cors::{AllowHeaders, AllowMethods, CorsLayer};
-use utoipa::openapi::{InfoBuilder, OpenApiBuilder};
 use utoipa_axum::router::OpenApiRouter;
 
 pub use observe::REQUEST_ID;
@@ -70,15 +73,7 @@ struct App {
 }
 
 fn families() -> OpenApiRouter<Shared> {
-    let info = InfoBuilder::new()
-        .title("Relume")
-        .version(env!("CARGO_PKG_VERSION"))
-        .description(Some(
-            "Posed photographs in, relightable 3D Gaussian models and relit frames out. Every error is an RFC 9457 \
-             problem (`application/problem+json`) with a stable `type`.",
-        ))
-        .build();
-    OpenApiRouter::with_openapi(OpenApiBuilder::new().info(info).build())
+    OpenApiRouter::with_openapi(description::preamble())
         .merge(captures::routes())
         .merge(environments::routes())
         .merge(jobs::routes())
@@ -92,7 +87,7 @@ fn families() -> OpenApiRouter<Shared> {
 
 /// The description of the API.
 pub fn openapi() -> utoipa::openapi::OpenApi {
-    families().split_for_parts().1
+    description::with_problems(families().split_for_parts().1)
 }
 
 /// The whole service. Layers run from the last to the first.

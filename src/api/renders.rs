@@ -14,6 +14,7 @@ use utoipa::ToSchema;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use crate::api::description::File;
 use crate::api::extract::JsonBody;
 use crate::api::picture::{self, Format, Picture};
 use crate::api::{Problem, Shared, environments, models};
@@ -144,7 +145,7 @@ fn world_up() -> [f64; 3] {
     post, path = "/v1/models/{id}/render", tag = "models", params(("id" = String, Path)),
     request_body = RenderRequest,
     responses(
-        (status = 200, content_type = "image/png", body = Vec<u8>),
+        (status = 200, content_type = "image/png", body = File),
         (status = 404, body = Problem), (status = 406, body = Problem), (status = 413, body = Problem),
         (status = 422, body = Problem), (status = 503, body = Problem, description = "Busy; try again")
     )

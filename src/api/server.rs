@@ -17,8 +17,8 @@ use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
 use crate::store::{NodeLock, Store, StoreError};
 use crate::worker::{self, WorkerOptions};
 
-/// How often leases that ran out are looked for.
-const RECLAIM_EVERY: Duration = Duration::from_secs(10);
+/// How often leases that ran out are looked for, and metrics are tidied.
+const UPKEEP_EVERY: Duration = Duration::from_secs(10);
 /// How long open connections may take to end after a shutdown was asked for.
 const DRAIN: Duration = Duration::from_secs(20);
 /// Archives that are validated at the same time; each may take gigabytes of memory.
@@ -99,7 +99,7 @@ pub async fn run(
 
     let stop = CancellationToken::new();
     let (device, thread) = worker::start(jobs.clone(), config.worker, stop.clone())?;
-    let reclaiming = tokio::spawn(reclaim(jobs.clone(), stop.clone()));
+    let upkeep = tokio::spawn(upkeep(jobs.clone(), stop.clone()));
     let app = App {
         store: store.clone(),
         jobs,
@@ -118,7 +118,7 @@ pub async fn run(
     if !matches!(joined, Ok(Ok(()))) {
         tracing::error!("the device thread did not end well");
     }
-    reclaiming.abort();
+    upkeep.abort();
     store.close().await;
     tracing::info!("stopped");
     served
@@ -160,11 +160,12 @@ async fn serve(
     }
 }
 
-async fn reclaim(jobs: Jobs, stop: CancellationToken) {
+async fn upkeep(jobs: Jobs, stop: CancellationToken) {
     while !stop.is_cancelled() {
         if let Err(error) = jobs.reclaim_expired().await {
             tracing::error!(%error, "expired leases cannot be taken back");
         }
-        tokio::time::sleep(RECLAIM_EVERY).await;
+        observe::metrics_handle().run_upkeep();
+        tokio::time::sleep(UPKEEP_EVERY).await;
     }
 }

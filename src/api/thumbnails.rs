@@ -9,6 +9,7 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use crate::api::description::File;
 use crate::api::extract::QueryString;
 use crate::api::files::{etag, matches_etag};
 use crate::api::picture::Format;
@@ -39,6 +40,7 @@ pub struct ThumbnailQuery {
     #[param(value_type = Option<String>)]
     pub tier: Option<Tier>,
     /// `png` (the default, with alpha) or `jpeg` (over white).
+    #[param(inline)]
     pub format: Option<Format>,
 }
 
@@ -48,7 +50,7 @@ pub struct ThumbnailQuery {
 #[utoipa::path(
     get, path = "/v1/models/{id}/thumbnail", tag = "models", params(("id" = String, Path), ThumbnailQuery),
     responses(
-        (status = 200, content_type = "image/png", body = Vec<u8>),
+        (status = 200, content_type = "image/png", body = File),
         (status = 304, description = "The caller has it already"),
         (status = 404, body = Problem), (status = 422, body = Problem), (status = 503, body = Problem)
     )

@@ -1,5 +1,6 @@
 //! One attempt at a job: import, train step by step, checkpoint, publish.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use crate::capture::{Capture, CaptureError, ImportOptions};
@@ -67,7 +68,10 @@ impl Worker {
     pub(super) async fn train(&mut self, lease: &Lease) -> Result<Ending, Failure> {
         let config = config(lease)?;
         let checkpoint_every = config.checkpoint_every.max(1);
-        let capture = self.import(lease, &config).await?;
+        let capture = match self.import(lease, &config).await? {
+            ControlFlow::Continue(capture) => capture,
+            ControlFlow::Break(ending) => return Ok(ending),
+        };
         let trainer = self.trainer(lease, &capture, config).await?;
         let reporter = Reporter::new(self.jobs.now_ms(), trainer.progress().step);
         let mut attempt = Attempt { lease, trainer, reporter, checkpoint_every };
@@ -89,20 +93,40 @@ impl Worker {
         publish(lease, &attempt.trainer).await
     }
 
-    async fn import(&self, lease: &Lease, config: &TrainConfig) -> Result<Capture, Failure> {
+    /// Reads the capture beside this thread, which renders meanwhile; breaks off when the job is to stop.
+    async fn import(
+        &mut self,
+        lease: &Lease,
+        config: &TrainConfig,
+    ) -> Result<ControlFlow<Ending, Capture>, Failure> {
         let job = lease.job();
         announce(lease, "reading the capture").await?;
         let record = self.jobs.store().capture(&job.capture_id).await?;
         let record = record.ok_or_else(|| Failure::new("capture_missing", "the capture is gone"))?;
         let path = self.jobs.store().artifacts().local_path(&record.artifact);
-        let capture = import_for_training(&path, config);
+        let config = config.clone();
+        let mut importing = tokio::task::spawn_blocking(move || import_for_training(&path, &config));
+        let capture = loop {
+            tokio::select! {
+                imported = &mut importing => break imported,
+                Some(request) = self.renders.recv() => self.serve(request),
+                _ = self.changes.changed() => if lease.check().await? != Held::Yes {
+                    return Ok(ControlFlow::Break(settle(lease).await?));
+                },
+                () = self.stop.cancelled() => {
+                    lease.release(true).await?;
+                    return Ok(ControlFlow::Break(Ending::Stopped));
+                }
+            }
+        };
+        let capture = capture.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic()));
         let capture = capture.map_err(|e| Failure::new(e.code(), e.to_string()))?;
         if job.attempts == 1 {
             for warning in &capture.warnings {
                 lease.warn(warning).await?;
             }
         }
-        Ok(capture)
+        Ok(ControlFlow::Continue(capture))
     }
 
     /// Goes on from the last checkpoint, or starts over when there is none that can be read.

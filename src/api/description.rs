@@ -1,0 +1,85 @@
+//! The description of the API: what the handlers say of themselves, and what is true of all of them.
+
+use utoipa::ToSchema;
+use utoipa::openapi::path::Operation;
+use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme};
+use utoipa::openapi::{
+    ComponentsBuilder, ContentBuilder, InfoBuilder, OpenApi, OpenApiBuilder, PathItem, Ref, RefOr, Response,
+    ResponseBuilder,
+};
+
+/// A file as a body.
+#[derive(ToSchema)]
+#[schema(value_type = String, format = Binary)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct File(Vec<u8>);
+
+/// A capture as a form.
+#[derive(ToSchema)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct ArchiveForm {
+    /// A zip, tar or tar.gz.
+    #[schema(value_type = String, format = Binary)]
+    archive: Vec<u8>,
+}
+
+/// An environment map as a form.
+#[derive(ToSchema)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct EnvironmentForm {
+    /// A `.hdr` or `.exr`.
+    #[schema(value_type = String, format = Binary)]
+    environment: Vec<u8>,
+}
+
+/// What stands before the endpoints.
+pub(super) fn preamble() -> OpenApi {
+    let info = InfoBuilder::new()
+        .title("Relume")
+        .version(env!("CARGO_PKG_VERSION"))
+        .description(Some(
+            "Posed photographs in, relightable 3D Gaussian models and relit frames out. Every error is an RFC 9457 \
+             problem (`application/problem+json`) with a stable `type`.",
+        ))
+        .build();
+    let bearer = SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer));
+    let components = ComponentsBuilder::new().security_scheme("bearer", bearer).build();
+    // A server without keys asks for none, hence the empty alternative.
+    let security =
+        [SecurityRequirement::new::<_, [&str; 0], &str>("bearer", []), SecurityRequirement::default()];
+    OpenApiBuilder::new().info(info).components(Some(components)).security(Some(security)).build()
+}
+
+/// Gives every operation the errors that any of them may answer with, under their own media type.
+pub(super) fn with_problems(mut api: OpenApi) -> OpenApi {
+    for operation in api.paths.paths.values_mut().flat_map(operations) {
+        for response in operation.responses.responses.values_mut() {
+            if let RefOr::T(response) = response {
+                rename_problem(response);
+            }
+        }
+        let any = ResponseBuilder::new()
+            .description("Any other problem, e.g. 401, 413, 500")
+            .content(PROBLEM, ContentBuilder::new().schema(Some(problem())).build());
+        operation.responses.responses.insert("default".to_owned(), RefOr::T(any.build()));
+    }
+    api
+}
+
+const PROBLEM: &str = "application/problem+json";
+
+fn problem() -> RefOr<utoipa::openapi::Schema> {
+    RefOr::Ref(Ref::from_schema_name("Problem"))
+}
+
+fn rename_problem(response: &mut Response) {
+    let json = response.content.get("application/json");
+    let is_problem = matches!(json, Some(RefOr::T(content)) if content.schema == Some(problem()));
+    if is_problem && let Some(content) = response.content.shift_remove("application/json") {
+        response.content.insert(PROBLEM.to_owned(), content);
+    }
+}
+
+fn operations(item: &mut PathItem) -> impl Iterator<Item = &mut Operation> {
+    [&mut item.get, &mut item.post, &mut item.patch].into_iter().flatten()
+}
