@@ -7,7 +7,12 @@ use std::path::Path;
 pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
     std::fs::create_dir_all(folder)?;
-    let mut file = tempfile::Builder::new().suffix(".relume-tmp").tempfile_in(folder)?;
+    let mut builder = tempfile::Builder::new();
+    builder.suffix(".relume-tmp");
+    // Results are for others too: as readable as the umask allows, unlike a private temporary file.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut file = builder.tempfile_in(folder)?;
     file.write_all(bytes)?;
     file.as_file().sync_all()?;
     file.persist(path)?;

@@ -69,14 +69,14 @@ impl Default for LossWeights {
             ssim: 0.25,
             radiance: 0.5,
             coverage: 0.5,
-            depth_normal: 0.05,
-            smoothness: 0.01,
-            light: 0.01,
+            depth_normal: 0.2,
+            smoothness: 0.15,
+            light: 0.001,
             exposure: 0.01,
             aggregation: 0.001,
             residual: 0.01,
             visibility: 0.1,
-            flatness: 1.0,
+            flatness: 5.0,
         }
     }
 }

@@ -75,7 +75,7 @@ impl Pass {
         Self { view, splats, tiles, channels, attributes, gbuffer, early_stop }
     }
 
-    /// Index of channel 0 of pixel (`x`, `y`) in a buffer of `stored` channels; channels are [`LANES`] apart.
+    /// Index of channel 0 of pixel (`x`, `y`) in a buffer of `stored` channels; channels are a strip (16 floats) apart.
     #[inline]
     pub fn locate(&self, x: usize, y: usize, stored: usize) -> usize {
         let tile = y / TILE * self.tiles.columns + x / TILE;
