@@ -86,8 +86,11 @@ impl Renderer {
             let source = self.source(&[], &none);
             // What hides what does not depend on the light: measured once a model.
             let transport = self.transport.get_or_init(|| {
-                let probes =
-                    Probes::measure(&source, fibonacci_sphere(PROBE_DIRECTIONS), ProbeSettings::default());
+                let probes = Probes::measure(
+                    &source,
+                    fibonacci_sphere(PROBE_DIRECTIONS),
+                    ProbeSettings::of(source.options),
+                );
                 Transport::new(&probes, outward_normals(&source))
             });
             gathered = transport.gather(&source, &tables, BOUNCES);

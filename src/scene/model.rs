@@ -74,6 +74,9 @@ pub struct ShadingOptions {
     pub low_pass: f32,
     /// Scale opacity so that the low-pass keeps a splat's total weight (Mip-Splatting).
     pub low_pass_compensation: bool,
+    /// Farthest an occluder may be from what it shades, world units; absent = any distance. Captures without masks
+    /// model their surroundings, and what is far away is where their light comes from, not what hides it.
+    pub occluder_reach: Option<f32>,
     /// True: compare in sRGB (clamp, curve); false: clamp only, as the listing.
     pub srgb: bool,
 }
@@ -87,6 +90,7 @@ impl Default for ShadingOptions {
             indirect: IndirectForm::default(),
             low_pass: 0.3,
             low_pass_compensation: false,
+            occluder_reach: None,
             srgb: true,
         }
     }

@@ -10,6 +10,8 @@ use crate::train::dataset::{Dataset, Photo};
 
 /// Voxels along an edge of the carved cube.
 const HULL_SIDE: usize = 80;
+/// Without masks, what is further away than this (scene radii) counts as light, not as an occluder.
+const SURROUNDINGS: f32 = 0.5;
 /// Opacity of a new Gaussian.
 const OPACITY: f32 = 0.3;
 
@@ -39,13 +41,17 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
         }
     }
     let rows = config.environment_rows as usize;
+    let mut shading = config.shading;
+    if !data.has_alpha && shading.occluder_reach.is_none() {
+        shading.occluder_reach = Some(SURROUNDINGS);
+    }
     Model {
         gaussians,
         prototypes: vec![[0.5; 3]; config.prototypes as usize],
         env_raw: vec![[softplus_inverse(0.6); 3]; rows * rows * 2],
         env_width: rows * 2,
         env_height: rows,
-        shading: config.shading,
+        shading,
         world_scale: data.scale,
         world_offset: data.offset,
         card: serde_json::Value::Null,

@@ -202,7 +202,7 @@ pub fn refresh_probes(config: &TrainConfig, operators: &EnvOperators, state: &mu
     for _ in 0..if twice { 2 } else { 1 } {
         let source = source(state, &basis);
         let directions = fibonacci_sphere(config.probe_directions as usize);
-        let probes = Probes::measure(&source, directions, ProbeSettings::default());
+        let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
         let labels = probes.coefficients(order);
         if gathers {
             let transport = Transport::new(&probes, outward_normals(&source));

@@ -227,7 +227,8 @@ fn engines_agree(name: &str, shading: ShadingOptions) {
 }
 
 /// One sigma of offset and of clearance, as the reference has it.
-const PLAIN: cpu::ProbeSettings = cpu::ProbeSettings { offset: 1.0, lift: 0.0, clearance: 1.0, bias: 0.0 };
+const PLAIN: cpu::ProbeSettings =
+    cpu::ProbeSettings { offset: 1.0, lift: 0.0, clearance: 1.0, bias: 0.0, reach: f32::INFINITY };
 
 #[test]
 fn the_cpu_engine_is_the_reference_in_the_default_form() {

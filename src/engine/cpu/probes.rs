@@ -9,7 +9,7 @@ use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::lanes::exp_negative;
 use crate::engine::cpu::project::{ALPHA_MAX, ALPHA_MIN, rotation, sigmoid};
 use crate::light::sh_eval;
-use crate::scene::{Field, sh_count};
+use crate::scene::{Field, ShadingOptions, sh_count};
 
 /// A query stops when less than this gets through.
 const OPAQUE: f32 = 1e-3;
@@ -46,11 +46,20 @@ pub struct ProbeSettings {
     pub clearance: f32,
     /// And this much besides, world units.
     pub bias: f32,
+    /// And no further than this, world units.
+    pub reach: f32,
+}
+
+impl ProbeSettings {
+    /// The settings a model is trained and rendered with.
+    pub fn of(options: &ShadingOptions) -> Self {
+        Self { reach: options.occluder_reach.unwrap_or(f32::INFINITY), ..Self::default() }
+    }
 }
 
 impl Default for ProbeSettings {
     fn default() -> Self {
-        Self { offset: 1.0, lift: 0.0, clearance: 2.0, bias: 0.02 }
+        Self { offset: 1.0, lift: 0.0, clearance: 2.0, bias: 0.02, reach: f32::INFINITY }
     }
 }
 
@@ -301,6 +310,9 @@ fn measure_direction(
         let (mut transmittance, mut strongest, mut hit) = (1.0f32, 0.0f32, NO_HIT);
         for m in &members[start..] {
             let f = &flats[*m as usize];
+            if f.depth - depth > settings.reach {
+                break;
+            }
             if f.index as usize == i || f.depth - depth < settings.clearance * f.thickness + q.clearance {
                 continue;
             }
