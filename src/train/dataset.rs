@@ -53,4 +53,9 @@ impl Dataset {
         let all = |divisor: u32| capture.train.par_iter().map(|v| photo(v, divisor)).collect();
         Self { full: all(1), half: all(2), scale, offset, background, has_alpha: capture.has_alpha }
     }
+
+    /// Camera centres, normalised world.
+    pub fn eyes(&self) -> Vec<[f32; 3]> {
+        self.full.iter().map(|p| p.camera.centre().as_vec3().to_array()).collect()
+    }
 }

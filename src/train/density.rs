@@ -14,6 +14,8 @@ const SPLIT_GRADIENT: f32 = 1.5e-4;
 const LEAST_OPACITY: f32 = 0.008;
 /// Gaussians longer than this share of the scene radius are dropped.
 const MOST_SCALE: f32 = 0.5;
+/// Without masks, Gaussians nearer than this to a camera are dropped, scene radii.
+const CAMERA_CLEARANCE: f32 = 0.2;
 /// Most growth of one round.
 const MOST_GROWTH: f32 = 0.25;
 
@@ -45,16 +47,17 @@ impl DensityStats {
 
 /// One round: drops what is faint or huge, splits what matters most, resets the statistics.
 ///
-/// `large_allowed`: scenes without masks keep their big background Gaussians.
+/// `eyes`: camera centres of a scene without masks. Such a scene keeps its big background Gaussians, and loses those that
+/// hang right in front of a camera, where no other view can correct them.
 pub fn refine(
     model: &mut Model,
     moments: &mut Moments,
     stats: &mut DensityStats,
     budget: usize,
-    large_allowed: bool,
+    eyes: Option<&[[f32; 3]]>,
 ) {
     let g = &model.gaussians;
-    let keep: Vec<usize> = (0..g.len()).filter(|&i| !is_waste(g, i, large_allowed)).collect();
+    let keep: Vec<usize> = (0..g.len()).filter(|&i| !is_waste(g, i, eyes)).collect();
     let room = budget.saturating_sub(keep.len()).min((keep.len() as f32 * MOST_GROWTH) as usize + 8);
     let mut wanted: Vec<(f32, usize)> = keep
         .iter()
@@ -83,9 +86,19 @@ pub fn refine(
     model.gaussians = next;
 }
 
-fn is_waste(g: &Gaussians, i: usize, large_allowed: bool) -> bool {
+fn is_waste(g: &Gaussians, i: usize, eyes: Option<&[[f32; 3]]>) -> bool {
     let largest = g.row(Field::LogScale, i).iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    sigmoid(g.row(Field::OpacityLogit, i)[0]) < LEAST_OPACITY || (!large_allowed && largest > MOST_SCALE.ln())
+    let misplaced = match eyes {
+        None => largest > MOST_SCALE.ln(),
+        Some(eyes) => {
+            let mean: [f32; 3] = g.get(Field::Mean, i);
+            let near = |eye: &[f32; 3]| {
+                (0..3).map(|k| (mean[k] - eye[k]).powi(2)).sum::<f32>() < CAMERA_CLEARANCE.powi(2)
+            };
+            eyes.iter().any(near)
+        }
+    };
+    sigmoid(g.row(Field::OpacityLogit, i)[0]) < LEAST_OPACITY || misplaced
 }
 
 /// Turns Gaussian `i` into one half of itself: moved half a sigma along its longest axis, shorter there, and less

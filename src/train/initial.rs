@@ -12,6 +12,8 @@ use crate::train::dataset::{Dataset, Photo};
 const HULL_SIDE: usize = 80;
 /// Without masks, what is further away than this (scene radii) counts as light, not as an occluder.
 const SURROUNDINGS: f32 = 0.5;
+/// Nearest and farthest first Gaussian along a ray, in distances from the camera to the subject.
+const RAY_DEPTHS: [f64; 2] = [0.4, 4.0];
 /// Opacity of a new Gaussian.
 const OPACITY: f32 = 0.3;
 
@@ -69,7 +71,7 @@ fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng)
         let display = |c: [f32; 3]| c.map(|v| crate::engine::cpu::srgb(v.clamp(0.0, 1.0)));
         (0..count).map(|i| (in_model(pick(i).0), display(pick(i).1))).collect()
     } else if hull.is_empty() {
-        random_seeds(wanted, rng)
+        seeds_along_rays(&data.half, wanted, rng)
     } else {
         let cell = 2.0 / HULL_SIDE as f32;
         let jitter = |rng: &mut ChaCha8Rng| (rng.random::<f32>() - 0.5) * cell;
@@ -83,20 +85,19 @@ fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng)
     (seeds, spacing)
 }
 
-/// Uniform in the unit ball, and a third of them further out for what lies behind the subject.
-fn random_seeds(wanted: usize, rng: &mut ChaCha8Rng) -> Vec<Seed> {
+/// Along random pixels of random photographs, at log-uniform depths around the subject's distance: everywhere a camera
+/// looks and never right in front of one.
+fn seeds_along_rays(photos: &[Photo], wanted: usize, rng: &mut ChaCha8Rng) -> Vec<Seed> {
     (0..wanted)
-        .map(|i| {
-            let direction = loop {
-                let v: [f32; 3] = std::array::from_fn(|_| rng.random::<f32>() * 2.0 - 1.0);
-                let n = v.iter().map(|x| x * x).sum::<f32>();
-                if n > 1e-4 && n <= 1.0 {
-                    break v.map(|x| x / n.sqrt());
-                }
-            };
-            let u = rng.random::<f32>();
-            let radius = if i % 3 == 2 { 8.0f32.powf(u) } else { u.cbrt() };
-            (direction.map(|d| d * radius), [0.5; 3])
+        .map(|_| {
+            let photo = &photos[rng.random_range(0..photos.len())];
+            let camera = &photo.camera;
+            let (x, y) = (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
+            let [near, far] = RAY_DEPTHS;
+            let depth = camera.centre().length().max(1e-3) * near * (far / near).powf(rng.random::<f64>());
+            let position = camera.centre() + camera.ray(x, y) * depth;
+            let pixel = y as usize * camera.width as usize + x as usize;
+            (position.as_vec3().to_array(), photo.pixels[pixel])
         })
         .collect()
 }

@@ -236,13 +236,9 @@ impl Trainer {
         let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
         let budget = (low + (high - low) * share) as usize;
         let state = &mut self.state;
-        density::refine(
-            &mut state.model,
-            &mut state.moments,
-            &mut state.density,
-            budget,
-            !self.data.has_alpha,
-        );
+        let eyes = (!self.data.has_alpha).then(|| self.data.eyes());
+        let TrainState { model, moments, density, .. } = state;
+        density::refine(model, moments, density, budget, eyes.as_deref());
         if step >= self.config.warm_up_steps() && !state.labels.is_empty() {
             // New Gaussians need labels and light of their own.
             step::refresh_probes(&self.config, &self.operators, state, false);
