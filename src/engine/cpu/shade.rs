@@ -60,7 +60,6 @@ pub struct Shaded {
     pub diffuse: [f32; 3],
     /// Specular radiance.
     pub specular: [f32; 3],
-    /// Ambient occlusion in [0, 1] (Eq. 16-18), only filled by [`Shader::ambient_occlusion`]'s callers.
     normal: [f32; 3],
     normal_length: f32,
     flipped: bool,
