@@ -302,3 +302,39 @@ fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainErro
 fn photo_at(data: &Dataset, index: usize, half: bool) -> &Photo {
     if half { &data.half[index] } else { &data.full[index] }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::{SyntheticOptions, synthetic};
+    use crate::train::{Preset, TrainOverrides};
+
+    #[test]
+    fn a_poisoned_step_is_rolled_back_with_smaller_steps_and_said() {
+        let options = SyntheticOptions {
+            train_views: 3,
+            test_views: 1,
+            size: 24,
+            paths: 4,
+            relit: Default::default(),
+            ..Default::default()
+        };
+        let overrides = TrainOverrides {
+            resolution: Some(24),
+            initial_gaussians: Some(64),
+            max_gaussians: Some(64),
+            warm_up: Some(0.0),
+            probe_directions: Some(8),
+            ..Default::default()
+        };
+        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+        let mut trainer = Trainer::new(&synthetic(&options).unwrap(), config).unwrap();
+        assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
+        trainer.state.model.env_raw[5] = [f32::NAN; 3];
+        assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
+        let warning = trainer.step().unwrap().warning.unwrap();
+        assert!(warning.contains("back to step 0"), "{warning}");
+        assert_eq!(trainer.state.rate_factor, 0.5);
+        assert!(trainer.state.model.check().is_ok());
+    }
+}
