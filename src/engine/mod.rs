@@ -1,8 +1,9 @@
 //! The differentiable renderer. `docs/MODEL.md` says what every engine computes; [`mod@reference`] says it in f64,
-//! [`cpu`] does it fast.
+//! [`cpu`] does it fast on any machine, [`gpu`] on a graphics card.
 
 pub mod channel;
 pub mod cpu;
+pub mod gpu;
 mod gradients;
 pub mod reference;
 

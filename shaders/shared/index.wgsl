@@ -1,0 +1,11 @@
+// Linear indices out of dispatches that the host folds over the limit of 65,535 workgroups a dimension.
+
+// Index of this invocation, for workgroups of WG_SIZE x 1 x 1.
+fn invocation_ix(gid: vec3u, n_wg: vec3u) -> u32 {
+    return gid.y * n_wg.x * WG_SIZE + gid.x;
+}
+
+// Index of this workgroup.
+fn workgroup_ix(wid: vec3u, n_wg: vec3u) -> u32 {
+    return wid.y * n_wg.x + wid.x;
+}

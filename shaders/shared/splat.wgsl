@@ -1,0 +1,29 @@
+// A projected Gaussian, 64 bytes, indexed by gaussian_ix. Kept in step with `SplatRecord` of src/engine/gpu/view.rs.
+struct Splat {
+    // Projected mean, pixels.
+    mean: vec2f,
+    // Opacity, compensation included.
+    opacity: f32,
+    // ln(255 opacity): beyond this exponent alpha is below 1/255.
+    reach: f32,
+    // Inverse of the screen covariance: xx, xy, yy.
+    conic: vec3f,
+    // Camera depth.
+    depth: f32,
+    // Screen covariance, low-pass included: xx, xy, yy.
+    covariance: vec3f,
+    // Factor the compensation multiplied the opacity by.
+    compensation: f32,
+    // Tiles it reaches a pixel of.
+    n_tiles: u32,
+    // SPLAT_VISIBLE or 0; then no other member may be read.
+    flags: u32,
+    // Determinant of the screen covariance without the low-pass.
+    raw_determinant: f32,
+    pad: u32,
+}
+
+const SPLAT_VISIBLE = 1u;
+const NEAR = 0.05;
+const ALPHA_MIN = 1.0 / 255.0;
+const ALPHA_MAX = 0.99;

@@ -1,0 +1,270 @@
+//! Recording of dispatches, clears and copies, submitted together.
+
+use crate::engine::gpu::GpuError;
+use crate::engine::gpu::buffer::Buffer;
+use crate::engine::gpu::device::{Gpu, UNIFORM_BYTES, locked};
+use crate::engine::gpu::shaders::Shader;
+
+/// Most workgroups in one dimension of a dispatch.
+const MOST_GROUPS: u64 = 65_535;
+/// Stages that one submission can time.
+const MOST_STAGES: u32 = 128;
+
+/// How many workgroups a dispatch has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Groups {
+    /// Enough for this many invocations, folded into two dimensions (`invocation_ix` of `index.wgsl`).
+    Linear(usize),
+    /// This many workgroups, folded into two dimensions (`workgroup_ix` of `index.wgsl`).
+    Workgroups(usize),
+    /// Columns and rows, each at most 65,535.
+    Grid(u32, u32),
+}
+
+impl Groups {
+    /// Dispatch dimensions for workgroups of `size` invocations.
+    fn dimensions(self, size: [u32; 3]) -> [u32; 2] {
+        let folded = |groups: u64| {
+            let columns = groups.min(MOST_GROUPS);
+            [columns as u32, groups.div_ceil(columns.max(1)).min(MOST_GROUPS) as u32]
+        };
+        match self {
+            Self::Linear(n) => folded((n as u64).div_ceil(u64::from(size.iter().product::<u32>().max(1)))),
+            Self::Workgroups(n) => folded(n as u64),
+            Self::Grid(x, y) => [x, y],
+        }
+    }
+}
+
+/// One binding of a dispatch.
+pub enum Bind<'a> {
+    /// A buffer and the bytes of it that are elements, so that `arrayLength` counts those.
+    Buffer(&'a wgpu::Buffer, u64),
+    /// The bytes of a uniform struct.
+    Uniform(Vec<u8>),
+}
+
+impl<'a, T> From<&'a Buffer<T>> for Bind<'a> {
+    fn from(buffer: &'a Buffer<T>) -> Self {
+        Self::Buffer(buffer.raw(), buffer.bytes())
+    }
+}
+
+/// A uniform struct as a binding.
+pub fn uniform<T: bytemuck::Pod>(value: &T) -> Bind<'static> {
+    Bind::Uniform(bytemuck::bytes_of(value).to_vec())
+}
+
+/// Work for the device, in order; nothing happens before [`Recorder::submit`].
+pub struct Recorder<'g> {
+    gpu: &'g Gpu,
+    encoder: wgpu::CommandEncoder,
+    pass: Option<wgpu::ComputePass<'static>>,
+    uniforms: Vec<u8>,
+    stage: &'static str,
+    queries: Option<(wgpu::QuerySet, Vec<&'static str>)>,
+}
+
+impl<'g> Recorder<'g> {
+    pub(super) fn new(gpu: &'g Gpu) -> Self {
+        let device = &gpu.inner.device;
+        let queries = locked(&gpu.inner.timings).is_some().then(|| {
+            let descriptor = wgpu::QuerySetDescriptor {
+                label: Some("stages"),
+                ty: wgpu::QueryType::Timestamp,
+                count: 2 * MOST_STAGES,
+            };
+            (device.create_query_set(&descriptor), Vec::new())
+        });
+        let encoder = device.create_command_encoder(&Default::default());
+        Self { gpu, encoder, pass: None, uniforms: Vec::new(), stage: "other", queries }
+    }
+
+    /// The device recorded for.
+    pub fn gpu(&self) -> &'g Gpu {
+        self.gpu
+    }
+
+    /// Names what follows, for [`Gpu::timings`].
+    pub fn stage(&mut self, name: &'static str) {
+        if self.stage != name {
+            self.stage = name;
+            if self.queries.is_some() {
+                self.pass = None;
+            }
+        }
+    }
+
+    /// Runs `shader` with `bindings` 0, 1, 2, ...; a dispatch without workgroups is left out.
+    pub fn dispatch(&mut self, shader: &'static Shader, groups: Groups, bindings: &[Bind<'_>]) {
+        debug_assert_eq!(bindings.len(), shader.bindings.len(), "bindings of {}", shader.name);
+        let [x, y] = groups.dimensions(shader.workgroup);
+        if x == 0 || y == 0 {
+            return;
+        }
+        let pipeline = self.gpu.pipeline(shader);
+        let spare: Vec<(wgpu::Buffer, u64, u64)> = bindings.iter().map(|b| self.place(b)).collect();
+        let entries: Vec<wgpu::BindGroupEntry<'_>> = spare
+            .iter()
+            .enumerate()
+            .map(|(i, (buffer, offset, bytes))| wgpu::BindGroupEntry {
+                binding: i as u32,
+                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                    buffer,
+                    offset: *offset,
+                    size: std::num::NonZero::new(*bytes),
+                }),
+            })
+            .collect();
+        let group = self.gpu.inner.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(shader.name),
+            layout: &pipeline.layout,
+            entries: &entries,
+        });
+        let pass = self.compute_pass();
+        pass.set_pipeline(&pipeline.pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        pass.dispatch_workgroups(x, y, 1);
+    }
+
+    /// Zeroes a buffer.
+    pub fn clear<T>(&mut self, buffer: &Buffer<T>) {
+        self.pass = None;
+        self.encoder.clear_buffer(buffer.raw(), 0, None);
+    }
+
+    /// Copies `len` elements of four bytes or a multiple of them.
+    pub fn copy<T>(
+        &mut self,
+        from: &Buffer<T>,
+        from_offset: usize,
+        to: &Buffer<T>,
+        to_offset: usize,
+        len: usize,
+    ) {
+        let len = len.min(from.len().saturating_sub(from_offset)).min(to.len().saturating_sub(to_offset));
+        if len == 0 {
+            return;
+        }
+        self.pass = None;
+        let bytes = |n: usize| (n * size_of::<T>()) as u64;
+        let (source, target) = (bytes(from_offset), bytes(to_offset));
+        self.encoder.copy_buffer_to_buffer(from.raw(), source, to.raw(), target, bytes(len));
+    }
+
+    /// Hands everything to the device.
+    ///
+    /// # Errors
+    /// A fault of the device, of this or of earlier work.
+    pub fn submit(mut self) -> Result<(), GpuError> {
+        self.pass = None;
+        let inner = &self.gpu.inner;
+        if !self.uniforms.is_empty() {
+            inner.queue.write_buffer(&inner.uniforms, 0, &self.uniforms);
+        }
+        let resolved = self.queries.take().filter(|(_, names)| !names.is_empty()).map(|(set, names)| {
+            let count = 2 * names.len() as u32;
+            let usage = wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC;
+            let descriptor = wgpu::BufferDescriptor {
+                label: Some("stage times"),
+                size: u64::from(count) * 8,
+                usage,
+                mapped_at_creation: false,
+            };
+            let buffer = inner.device.create_buffer(&descriptor);
+            self.encoder.resolve_query_set(&set, 0..count, &buffer, 0);
+            (Buffer::<u64>::new(buffer, count as usize, &Default::default()), names)
+        });
+        inner.queue.submit([self.encoder.finish()]);
+        if let Some((buffer, names)) = resolved {
+            let ticks = self.gpu.read(&buffer, 0..buffer.len())?;
+            let period = f64::from(inner.queue.get_timestamp_period()) * 1e-6;
+            if let Some(timings) = locked(&inner.timings).as_mut() {
+                for (name, pair) in names.iter().zip(ticks.as_chunks::<2>().0) {
+                    timings.add(name, pair[1].saturating_sub(pair[0]) as f64 * period);
+                }
+            }
+        }
+        self.gpu.healthy()
+    }
+
+    /// Buffer, offset and size behind a binding.
+    fn place(&mut self, bind: &Bind<'_>) -> (wgpu::Buffer, u64, u64) {
+        let bytes = match bind {
+            Bind::Buffer(buffer, bytes) => return ((*buffer).clone(), 0, *bytes),
+            Bind::Uniform(bytes) => bytes,
+        };
+        let inner = &self.gpu.inner;
+        let offset = (self.uniforms.len() as u64).next_multiple_of(inner.uniform_align);
+        let size = bytes.len() as u64;
+        if offset + size <= UNIFORM_BYTES {
+            self.uniforms.resize(offset as usize, 0);
+            self.uniforms.extend_from_slice(bytes);
+            return (inner.uniforms.clone(), offset, size);
+        }
+        // A very long recording: the shared buffer is full.
+        let buffer = inner.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("uniform"),
+            size,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        inner.queue.write_buffer(&buffer, 0, bytes);
+        (buffer, 0, size)
+    }
+
+    fn compute_pass(&mut self) -> &mut wgpu::ComputePass<'static> {
+        let Self { encoder, queries, stage, pass, .. } = self;
+        pass.get_or_insert_with(|| {
+            let timed = queries.as_mut().filter(|(_, names)| (names.len() as u32) < MOST_STAGES);
+            let timestamp_writes = timed.map(|(set, names)| {
+                names.push(stage);
+                let first = 2 * (names.len() as u32 - 1);
+                wgpu::ComputePassTimestampWrites {
+                    query_set: &*set,
+                    beginning_of_pass_write_index: Some(first),
+                    end_of_pass_write_index: Some(first + 1),
+                }
+            });
+            let descriptor = wgpu::ComputePassDescriptor { label: Some(stage), timestamp_writes };
+            encoder.begin_compute_pass(&descriptor).forget_lifetime()
+        })
+    }
+}
+
+/// Time per stage.
+#[derive(Debug, Default)]
+pub(super) struct Timings {
+    stages: Vec<(&'static str, f64, u32)>,
+}
+
+impl Timings {
+    fn add(&mut self, name: &'static str, ms: f64) {
+        match self.stages.iter_mut().find(|s| s.0 == name) {
+            Some(stage) => {
+                stage.1 += ms;
+                stage.2 += 1;
+            }
+            None => self.stages.push((name, ms, 1)),
+        }
+    }
+
+    pub(super) fn listed(&self) -> Vec<(&'static str, f64, u32)> {
+        self.stages.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dispatches_fold_where_one_dimension_is_not_enough() {
+        let size = [256, 1, 1];
+        assert_eq!(Groups::Linear(0).dimensions(size)[0], 0);
+        assert_eq!(Groups::Linear(257).dimensions(size), [2, 1]);
+        let [x, y] = Groups::Linear(65_536 * 256).dimensions(size);
+        assert!(x == 65_535 && y == 2);
+        assert_eq!(Groups::Grid(3, 4).dimensions([16, 16, 1]), [3, 4]);
+    }
+}

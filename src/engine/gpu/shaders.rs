@@ -1,0 +1,62 @@
+//! The compiled shaders: text, bindings and struct layouts, as the build script checked them.
+
+/// A shader with one entry point `main`.
+#[derive(Debug)]
+pub struct Shader {
+    /// Name of the permutation.
+    pub name: &'static str,
+    /// WGSL.
+    pub source: &'static str,
+    /// WGSL for devices without float atomics, where it differs.
+    pub fallback: Option<&'static str>,
+    /// Workgroup size.
+    pub workgroup: [u32; 3],
+    /// Kinds of bindings 0, 1, 2, ... of group 0.
+    pub bindings: &'static [BindingKind],
+    /// Layouts of its named structs.
+    pub structs: &'static [StructLayout],
+}
+
+/// What a binding is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BindingKind {
+    /// A small constant struct.
+    Uniform,
+    /// A buffer that is only read.
+    Read,
+    /// A buffer that is written.
+    Write,
+}
+
+/// Size and member offsets of a WGSL struct, bytes.
+#[derive(Debug)]
+pub struct StructLayout {
+    /// Its name.
+    pub name: &'static str,
+    /// Its size.
+    pub size: usize,
+    /// Names and offsets.
+    pub members: &'static [(&'static str, usize)],
+}
+
+impl Shader {
+    /// The layout of struct `name`, if this shader has it.
+    pub fn layout(&self, name: &str) -> Option<&'static StructLayout> {
+        self.structs.iter().find(|s| s.name == name)
+    }
+}
+
+include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
+
+/// Asserts that a host struct has the size and the member offsets of its WGSL twin.
+#[cfg(test)]
+macro_rules! assert_layout {
+    ($host:ty as $name:literal in $shader:expr; $($member:ident),+ $(,)?) => {
+        let layout = $shader.layout($name).unwrap_or_else(|| panic!("no struct {}", $name));
+        assert_eq!(layout.size, size_of::<$host>(), "size of {}", $name);
+        let host = [$((stringify!($member), std::mem::offset_of!($host, $member))),+];
+        assert_eq!(layout.members, host, "members of {}", $name);
+    };
+}
+#[cfg(test)]
+pub(crate) use assert_layout;

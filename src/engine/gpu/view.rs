@@ -1,0 +1,96 @@
+//! Cameras and splats as the shaders see them.
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::engine::cpu::View;
+
+/// Side of a tile, pixels.
+pub const TILE: u32 = 16;
+
+/// `View` of `shaders/shared/view.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct ViewUniform {
+    /// Focal lengths, pixels.
+    pub focal: [f32; 2],
+    /// Principal point, pixels.
+    pub centre_px: [f32; 2],
+    /// Rows of the world-to-camera rotation, padded.
+    pub rotation: [[f32; 4]; 3],
+    /// Camera centre, padded.
+    pub eye: [f32; 4],
+    /// Limits of x/z, then of y/z.
+    pub ratio_limits: [f32; 4],
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// Tile columns and rows.
+    pub tiles: [u32; 2],
+    /// Screen-space low-pass, px^2.
+    pub low_pass: f32,
+    /// Keep a splat's weight under the low-pass: 0 or 1.
+    pub low_pass_compensation: u32,
+    /// Pixels of the image.
+    pub n_pixels: u32,
+    /// Unused.
+    pub pad: u32,
+}
+
+impl ViewUniform {
+    /// The shaders' form of `view`.
+    pub fn new(view: &View) -> Self {
+        let padded = |v: [f32; 3]| [v[0], v[1], v[2], 0.0];
+        let [x, y] = view.ratio_limits;
+        let size = [view.width as u32, view.height as u32];
+        Self {
+            focal: view.focal,
+            centre_px: view.centre_px,
+            rotation: view.rotation.map(padded),
+            eye: padded(view.eye),
+            ratio_limits: [x[0], x[1], y[0], y[1]],
+            size,
+            tiles: size.map(|s| s.div_ceil(TILE)),
+            low_pass: view.low_pass,
+            low_pass_compensation: u32::from(view.low_pass_compensation),
+            n_pixels: size[0] * size[1],
+            pad: 0,
+        }
+    }
+
+    /// Pixels of the image.
+    pub fn pixels(&self) -> usize {
+        self.n_pixels as usize
+    }
+
+    /// Tiles of the image.
+    pub fn tile_count(&self) -> usize {
+        self.tiles[0] as usize * self.tiles[1] as usize
+    }
+}
+
+/// `Splat` of `shaders/shared/splat.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct SplatRecord {
+    /// Projected mean, pixels.
+    pub mean: [f32; 2],
+    /// Opacity, compensation included.
+    pub opacity: f32,
+    /// `ln(255 opacity)`.
+    pub reach: f32,
+    /// Inverse of the screen covariance.
+    pub conic: [f32; 3],
+    /// Camera depth.
+    pub depth: f32,
+    /// Screen covariance, low-pass included.
+    pub covariance: [f32; 3],
+    /// Factor of the compensation.
+    pub compensation: f32,
+    /// Tiles it reaches.
+    pub n_tiles: u32,
+    /// 1 when visible; otherwise nothing else may be read.
+    pub flags: u32,
+    /// Determinant of the screen covariance without the low-pass.
+    pub raw_determinant: f32,
+    /// Unused.
+    pub pad: u32,
+}
