@@ -9,7 +9,9 @@ mod device;
 mod error;
 pub mod model;
 mod recorder;
+mod scan;
 pub mod shaders;
+mod sort;
 #[cfg(test)]
 mod tests;
 mod trusted;
@@ -20,4 +22,6 @@ pub use buffer::Buffer;
 pub use device::{Gpu, GpuOptions};
 pub use error::GpuError;
 pub use recorder::{Bind, Groups, Recorder, uniform};
+pub use scan::Scan;
+pub use sort::{Pairs, Sorter};
 pub use view::{SplatRecord, TILE, ViewUniform};
