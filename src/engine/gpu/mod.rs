@@ -7,6 +7,7 @@ mod adapter;
 mod buffer;
 mod device;
 mod error;
+pub mod light;
 pub mod model;
 mod recorder;
 pub mod shaders;
