@@ -4,21 +4,29 @@
 //! against the CPU engine. Data layouts are written down where the shaders declare them (`shaders/shared/`).
 
 mod adapter;
+mod attributes;
 mod buffer;
 mod device;
 mod error;
 pub mod light;
 pub mod model;
+pub mod raster;
 mod recorder;
+mod scan;
 pub mod shaders;
+mod sort;
 #[cfg(test)]
 mod tests;
 mod trusted;
 mod view;
 
 pub use adapter::{AdapterReport, Adapters, DeviceChoice};
+pub use attributes::AttributeBuffers;
 pub use buffer::Buffer;
 pub use device::{Gpu, GpuOptions};
 pub use error::GpuError;
+pub use raster::{Raster, RasterCounts};
 pub use recorder::{Bind, Groups, Recorder, StageTime, uniform};
+pub use scan::Scan;
+pub use sort::{Pairs, Sorter};
 pub use view::{SplatRecord, TILE, ViewUniform};
