@@ -14,6 +14,7 @@ use crate::engine::gpu::{
     Buffer, Gpu, GpuError, Groups, Recorder, SplatRecord, ViewUniform, shaders, uniform,
 };
 
+mod backward;
 #[cfg(test)]
 mod tests;
 
@@ -84,6 +85,8 @@ pub struct Raster {
     pub splat_gradients: Option<Buffer<f32>>,
     /// `sum w That, sum w` by Gaussian ([`Raster::backward_labels`]).
     pub labels: Option<Buffer<[f32; 2]>>,
+    /// Groups of channels blended last, 0 before.
+    blended_groups: usize,
     /// A short buffer for bindings without data.
     pub(super) nothing: Buffer<f32>,
     counts: Buffer<u32>,
@@ -114,6 +117,7 @@ impl Raster {
             ends: None,
             splat_gradients: None,
             labels: None,
+            blended_groups: 0,
             nothing: gpu.buffer("nothing", 4)?,
             counts: gpu.buffer("raster counts", 4)?,
             depth_keys: None,
@@ -141,6 +145,7 @@ impl Raster {
         params: &Buffer<f32>,
     ) -> Result<RasterCounts, GpuError> {
         self.prepared = None;
+        self.blended_groups = 0;
         let gpu = self.gpu.clone();
         let mut rec = gpu.record();
         let gaussian_of_rank = self.project(&mut rec, view, model, params)?;
@@ -196,6 +201,7 @@ impl Raster {
             (&ends).into(),
         ];
         rec.dispatch(shader, Groups::Grid(p.view.tiles[0], p.view.tiles[1]), &bindings);
+        self.blended_groups = groups;
         Ok(())
     }
 

@@ -1,4 +1,8 @@
-//! The rasteriser against the CPU engine.
+//! The rasteriser against the CPU engine, and against f64 where the CPU's f32 is no better.
+
+mod backward;
+mod cases;
+mod exact;
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
