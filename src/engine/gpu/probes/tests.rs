@@ -297,7 +297,11 @@ fn what_is_too_transparent_too_far_or_no_number_hides_nothing() {
         0 => g.row_mut(Field::Mean, i)[1] = f32::NAN,
         1 => g.row_mut(Field::LogScale, i)[0] = f32::NAN,
         3 => g.row_mut(Field::OpacityLogit, i)[0] = f32::NAN,
-        4 => g.row_mut(Field::LogScale, i)[2] = 200.0,
+        4 => {
+            g.row_mut(Field::LogScale, i)[2] = 200.0;
+            // Along the axes: across so long an axis, rounding alone would move the query.
+            g.row_mut(Field::Quaternion, i).copy_from_slice(&[2.0, 0.0, 0.0, 0.0]);
+        }
         5 => g.row_mut(Field::Quaternion, i).fill(0.0),
         _ => {}
     });
