@@ -5,6 +5,7 @@
 
 mod adapter;
 mod buffer;
+pub mod density;
 mod device;
 mod error;
 pub mod model;
@@ -13,6 +14,7 @@ pub mod shaders;
 #[cfg(test)]
 mod tests;
 mod trusted;
+pub mod update;
 mod view;
 
 pub use adapter::{AdapterReport, Adapters, DeviceChoice};
