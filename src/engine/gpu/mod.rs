@@ -21,5 +21,5 @@ pub use adapter::{AdapterReport, Adapters, DeviceChoice};
 pub use buffer::Buffer;
 pub use device::{Gpu, GpuOptions};
 pub use error::GpuError;
-pub use recorder::{Bind, Groups, Recorder, uniform};
+pub use recorder::{Bind, Groups, Recorder, StageTime, uniform};
 pub use view::{SplatRecord, TILE, ViewUniform};
