@@ -57,6 +57,8 @@ pub(super) struct Inner {
     pub(super) report: AdapterReport,
     pub(super) uniforms: wgpu::Buffer,
     pub(super) uniform_align: u64,
+    /// Held from filling the shared uniforms to the submission that reads them.
+    pub(super) submitting: Mutex<()>,
     pub(super) timings: Mutex<Option<Timings>>,
     options: GpuOptions,
     pipelines: Mutex<HashMap<&'static str, Arc<Pipeline>>>,
@@ -119,6 +121,7 @@ impl Gpu {
             report: report.clone(),
             uniforms,
             uniform_align,
+            submitting: Mutex::default(),
             timings: Mutex::new(None),
             options,
             pipelines: Mutex::default(),

@@ -167,6 +167,8 @@ impl<'g> Recorder<'g> {
     pub fn submit(mut self) -> Result<(), GpuError> {
         self.pass = None;
         let inner = &self.gpu.inner;
+        // Recordings of other threads share the uniforms.
+        let submitting = locked(&inner.submitting);
         if !self.uniforms.is_empty() {
             inner.queue.write_buffer(&inner.uniforms, 0, &self.uniforms);
         }
@@ -184,6 +186,7 @@ impl<'g> Recorder<'g> {
             (Buffer::<u64>::new(buffer, count as usize, &Default::default()), names)
         });
         inner.queue.submit([self.encoder.finish()]);
+        drop(submitting);
         if let Some((buffer, names)) = resolved {
             let ticks = self.gpu.read(&buffer, 0..buffer.len())?;
             let period = f64::from(inner.queue.get_timestamp_period()) * 1e-6;
