@@ -220,7 +220,8 @@ impl Gpu {
             let _ = sender.send(result);
         });
         self.wait()?;
-        match receiver.try_recv() {
+        // The callback may run in another thread that waits too, a moment after this one's wait is over.
+        match receiver.recv_timeout(Duration::from_secs(PATIENCE)) {
             Ok(Ok(())) => {}
             other => return Err(self.failure(format!("a buffer could not be read: {other:?}"))),
         }
