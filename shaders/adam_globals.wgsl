@@ -3,6 +3,7 @@
 #import index
 #import status
 #import adam
+#import finite
 
 const WG_SIZE = 256u;
 

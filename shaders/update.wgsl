@@ -6,17 +6,19 @@
 // Workgroup memory: the gradients of what all Gaussians share (prototypes, basis of the learned indirect light) are
 // outer products factor x slope summed over Gaussians; factors of BLOCK rows and the slopes are laid out there so that
 // a row is summed by 32 threads and costs three atomics a workgroup. The sums of the losses reuse it.
+#import attributes
 #import index
-#import parameters
 #import view
 #import splat
-#import quaternion
 #import sh_walk
 #import losses
 #import fields
-#import labels
 #import status
 #import adam
+#import project_backward
+#import score_mixture
+#import view_label
+#import finite
 
 const WG_SIZE = 256u;
 // Rows of an outer product summed at a time: as many threads a row as make up the workgroup.
@@ -27,11 +29,6 @@ const GROUPS_GEOMETRY = 2u;
 const GROUPS_MATERIAL = 4u;
 const GROUPS_FULL = 6u;
 const FIRST_VISIBILITY = 20u;
-// Clamp inside the aggregation term.
-const AGGREGATION_EPSILON = 1e-6;
-// Visibility is kept this far from 0 and 1 inside the logarithms; the sigmoid's, this far.
-const LABEL_MARGIN = 1e-3;
-const SIGMOID_MARGIN = 1e-6;
 
 struct Update {
     // By field: rate over the correction of the first moment, root of the correction of the second.
@@ -120,14 +117,6 @@ fn emit3(element_ix: u32, gradient: vec3f, field: u32) {
     emit(element_ix + 2u, gradient.z, field);
 }
 
-fn params3(element_ix: u32) -> vec3f {
-    return vec3f(params[element_ix], params[element_ix + 1u], params[element_ix + 2u]);
-}
-
-fn sigmoid(x: f32) -> f32 {
-    return 1.0 / (1.0 + exp(-x));
-}
-
 // Slope of the sigmoid.
 fn sigmoid_slope(x: f32) -> f32 {
     let s = sigmoid(x);
@@ -154,106 +143,20 @@ fn channels(up: Upstream, group: u32) -> vec4f {
     return splat_gradients[up.row + 2u + group];
 }
 
-// Gradients of what several chain rules share.
-struct Geometry {
-    mean: vec3f,
-    log_scale: vec3f,
-    // Column c is the gradient of axis c.
-    rotation: mat3x3f,
-    opacity: f32,
-}
-
-// Adds the gradient of `sqrt(det raw / det covariance)`, raw being the covariance without the low-pass.
-fn compensation_backward(s: Splat, by_compensation: f32) -> vec3f {
-    let determinant = s.raw_determinant;
-    if !(determinant > 1e-12) {
-        return vec3f(0.0);
-    }
-    let xx = s.covariance.x - view.low_pass;
-    let yy = s.covariance.z - view.low_pass;
-    let inverse = vec3f(yy, -s.covariance.y, xx) / determinant;
-    return 0.5 * s.compensation * by_compensation * (inverse - s.conic);
-}
-
-// Chain rule of the projection (docs/MODEL.md section 2).
-fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: vec3f, mean: vec3f) -> Geometry {
-    let s = splats[gaussian_ix];
-    let by_head = splat_gradients[up.row];
-    let by_tail = splat_gradients[up.row + 1u];
-    let logit = params[model.opacity + gaussian_ix];
-    let camera = to_camera(view, mean);
-    let inverse = 1.0 / camera.z;
-    let ratio = camera.xy * inverse;
-    let clamped = clamp(ratio, view.ratio_limits.xz, view.ratio_limits.yw);
-    let is_inside = (ratio > view.ratio_limits.xz) & (ratio < view.ratio_limits.yw);
-    // T = J R, its two rows.
-    let scaled = view.focal * inverse;
-    let t0 = scaled.x * (view.rotation[0].xyz - clamped.x * view.rotation[2].xyz);
-    let t1 = scaled.y * (view.rotation[1].xyz - clamped.y * view.rotation[2].xyz);
-    let scale = exp(clamp(log_scale, vec3f(-60.0), vec3f(60.0)));
-    let m = mat3x3f(axes[0] * scale.x, axes[1] * scale.y, axes[2] * scale.z);
-    let screen0 = t0 * m;
-    let screen1 = t1 * m;
-    // By covariance: -C dC C with C the conic.
-    let c = s.conic;
-    let d = vec3f(by_head.z, 0.5 * by_head.w, by_tail.x);
-    let left0 = vec2f(c.x * d.x + c.y * d.y, c.x * d.y + c.y * d.z);
-    let left1 = vec2f(c.y * d.x + c.z * d.y, c.y * d.y + c.z * d.z);
-    var cov = -vec3f(dot(left0, c.xy), dot(left0, c.yz), dot(left1, c.yz));
-    if view.low_pass_compensation != 0u {
-        cov += compensation_backward(s, by_tail.y * sigmoid(logit));
-    }
-    let by_screen0 = 2.0 * (cov.x * screen0 + cov.y * screen1);
-    let by_screen1 = 2.0 * (cov.y * screen0 + cov.z * screen1);
-    var out: Geometry;
-    out.opacity = by_tail.y * s.compensation * sigmoid_slope(logit);
-    let by_m0 = t0 * by_screen0.x + t1 * by_screen1.x;
-    let by_m1 = t0 * by_screen0.y + t1 * by_screen1.y;
-    let by_m2 = t0 * by_screen0.z + t1 * by_screen1.z;
-    out.rotation = mat3x3f(by_m0 * scale.x, by_m1 * scale.y, by_m2 * scale.z);
-    out.log_scale = vec3f(dot(by_m0, m[0]), dot(by_m1, m[1]), dot(by_m2, m[2]));
-    let by_t0 = m * by_screen0;
-    let by_t1 = m * by_screen1;
-    let diagonal = vec2f(dot(by_t0, view.rotation[0].xyz), dot(by_t1, view.rotation[1].xyz));
-    let slanted = vec2f(dot(by_t0, view.rotation[2].xyz), dot(by_t1, view.rotation[2].xyz));
-    // Inside, the clamped ratio is the true one; outside only the mean's own ratio moves.
-    let by_ratio = view.focal * by_head.xy + select(vec2f(0.0), -view.focal * inverse * slanted, is_inside);
-    let by_depth = inverse * inverse * view.focal * (slanted * clamped - diagonal) - by_ratio * ratio * inverse;
-    out.mean = to_world(view, vec3f(by_ratio * inverse, by_depth.x + by_depth.y));
-    return out;
-}
-
 // Chain rule of the normal and the plane's distance; returns the gradient of the field `Normal`.
-fn normal_backward(up: Upstream, raw: vec3f, axes: mat3x3f, log_scale: vec3f, to_mean: vec3f,
-    geometry: ptr<function, Geometry>) -> vec3f {
+fn normal_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f, geometry: ptr<function, Geometry>) -> vec3f {
     if !up.visible || update.groups < GROUPS_GEOMETRY {
         return vec3f(0.0);
     }
     let by = channels(up, 1u);
-    var shortest = vec3<bool>(false);
-    var axis = vec3f(0.0);
-    var side = 1.0;
-    if model.normal_form == NORMAL_SHORTEST_AXIS {
-        shortest = vec3u(0u, 1u, 2u) == vec3u(shortest_axis(log_scale));
-        axis = select(select(axes[2], axes[1], shortest.y), axes[0], shortest.x);
-        side = select(1.0, -1.0, dot(axis, to_mean) > 0.0);
-    }
-    let sum = raw + side * axis;
-    let unit = normalised3(sum);
-    (*geometry).mean += by.w * unit;
-    let by_sum = normalised3_backward(unit, length3(sum), by.xyz + by.w * to_mean);
-    (*geometry).rotation[0] += select(vec3f(0.0), side * by_sum, shortest.x);
-    (*geometry).rotation[1] += select(vec3f(0.0), side * by_sum, shortest.y);
-    (*geometry).rotation[2] += select(vec3f(0.0), side * by_sum, shortest.z);
+    let normal = normal_of(gaussian_ix, to_mean);
+    (*geometry).mean += by.w * normal.unit;
+    let by_sum = normalised3_backward(normal.unit, normal.length, by.xyz + by.w * to_mean);
+    let by_axis = normal.sign * by_sum;
+    (*geometry).rotation[0] += select(vec3f(0.0), by_axis, normal.axis == 0u);
+    (*geometry).rotation[1] += select(vec3f(0.0), by_axis, normal.axis == 1u);
+    (*geometry).rotation[2] += select(vec3f(0.0), by_axis, normal.axis == 2u);
     return by_sum;
-}
-
-// Axis of the smallest scale, the lowest on a tie.
-fn shortest_axis(s: vec3f) -> u32 {
-    if s.x <= s.y && s.x <= s.z {
-        return 0u;
-    }
-    return select(2u, 1u, s.y <= s.z);
 }
 
 // Emits the radiance coefficients; returns the gradient of the centre through the direction.
@@ -268,9 +171,9 @@ fn radiance_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f) -> vec3f {
         for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
             let ix = sh_indices(walk);
             let y = sh_values(walk);
-            raw += y.x * params3(base + 3u * ix.x);
+            raw += y.x * params_vec3(base + 3u * ix.x);
             if walk.m > 0u {
-                raw += y.y * params3(base + 3u * ix.y);
+                raw += y.y * params_vec3(base + 3u * ix.y);
             }
         }
     }
@@ -284,47 +187,13 @@ fn radiance_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f) -> vec3f {
         for (var side = 0u; side < select(2u, 1u, walk.m == 0u); side++) {
             let element_ix = base + 3u * select(ix.y, ix.x, side == 0u);
             if is_active {
-                by_direction += dot(g, params3(element_ix)) * select(slopes[1], slopes[0], side == 0u);
+                by_direction += dot(g, params_vec3(element_ix)) * select(slopes[1], slopes[0], side == 0u);
             }
             let field = select(FIELD_RADIANCE_REST, FIELD_RADIANCE, element_ix == base);
             emit3(element_ix, g * select(y.y, y.x, side == 0u), field);
         }
     }
     return select(vec3f(0.0), normalised3_backward(direction, length3(to_mean), by_direction), is_active);
-}
-
-// Loss of the view's label and its slope by the visibility towards the continuing ray; zero without a label.
-fn view_label(gaussian_ix: u32, up: Upstream, order: u32, direction: vec3f) -> vec2f {
-    let base = model.visibility + gaussian_ix * model.n_visibility;
-    let label = view_labels[gaussian_ix];
-    if !(up.visible && label.y > LEAST_LABEL_WEIGHT) {
-        return vec2f(0.0);
-    }
-    let p = label.x / label.y;
-    var raw = 0.0;
-    for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
-        let ix = sh_indices(walk);
-        let y = sh_values(walk);
-        raw += y.x * params[base + ix.x];
-        if walk.m > 0u {
-            raw += y.y * params[base + ix.y];
-        }
-    }
-    var v: f32;
-    var slope: f32;
-    if model.visibility_form == VISIBILITY_SIGMOID {
-        // With logits: the slope by the logit is V - p.
-        v = clamp(sigmoid(raw), SIGMOID_MARGIN, 1.0 - SIGMOID_MARGIN);
-        slope = v - p;
-    } else {
-        v = clamp(raw, LABEL_MARGIN, 1.0 - LABEL_MARGIN);
-        slope = (1.0 - p) / (1.0 - v) - p / v;
-        // Outside the margin only a slope that leads back in passes: saturated, but neither stuck nor running away.
-        let runs_away = (raw < v && slope > 0.0) || (raw > v && slope < 0.0);
-        slope = select(slope, 0.0, runs_away);
-    }
-    let scale = update.view_labels / f32(max(label_count[0], 1u));
-    return scale * vec2f(-(p * log(v) + (1.0 - p) * log(1.0 - v)), slope);
 }
 
 // Emits the visibility coefficients; returns the value of the label terms.
@@ -362,91 +231,12 @@ fn visibility_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f) -> f32 {
     return value;
 }
 
-// What the softmax of a Gaussian's scores is needed for.
-struct Mixture {
-    // Largest score and the sum of e^(score - top).
-    top: f32,
-    total: f32,
-    // Gradient by albedo where its clamp lets it through, and its product with the mixture.
-    by_albedo: vec3f,
-    by_mixture: f32,
-    // Aggregation (Eq. 24): prod (1 - p), Q, sum of p times the gradient by p.
-    all: f32,
-    q: f32,
-    by_aggregation: f32,
-}
-
-fn score_ix(gaussian_ix: u32, k: u32) -> u32 {
-    return model.scores + gaussian_ix * model.n_scores + k;
-}
-
-fn share(m: Mixture, gaussian_ix: u32, k: u32) -> f32 {
-    return exp(params[score_ix(gaussian_ix, k)] - m.top) / m.total;
-}
-
-fn prototype(k: u32) -> vec3f {
-    let a = vec3f(globals[3u * k], globals[3u * k + 1u], globals[3u * k + 2u]);
-    return clamp(a, vec3f(0.0), vec3f(1.0));
-}
-
-fn rest(p: f32) -> f32 {
-    return max(1.0 - p, AGGREGATION_EPSILON);
-}
-
-// Slope of `-scale ln Q` by p.
-fn aggregation_slope(m: Mixture, p: f32) -> f32 {
-    if m.q <= AGGREGATION_EPSILON {
-        return 0.0;
-    }
-    let own = m.all / rest(p);
-    let others = m.q - p * own;
-    let through = select(0.0, others / rest(p), 1.0 - p > AGGREGATION_EPSILON);
-    return -update.aggregation / m.q * (own - through);
-}
-
-// Sums over the scores, recomputing each share when it is needed: K values do not fit in registers.
-fn mixture_of(gaussian_ix: u32, up: Upstream) -> Mixture {
-    var m: Mixture;
-    m.top = params[score_ix(gaussian_ix, 0u)];
-    for (var k = 1u; k < model.n_scores; k++) {
-        m.top = max(m.top, params[score_ix(gaussian_ix, k)]);
-    }
-    m.total = 0.0;
-    for (var k = 0u; k < model.n_scores; k++) {
-        m.total += exp(params[score_ix(gaussian_ix, k)] - m.top);
-    }
-    var mixed = vec3f(0.0);
-    m.all = 1.0;
-    for (var k = 0u; k < model.n_scores; k++) {
-        let p = share(m, gaussian_ix, k);
-        mixed += p * prototype(k);
-        m.all *= rest(p);
-    }
-    let albedo = mixed + params3(model.residual + 3u * gaussian_ix);
-    let is_inside = (albedo > vec3f(0.0)) & (albedo < vec3f(1.0));
-    m.by_albedo = select(vec3f(0.0), channels(up, 2u).xyz, is_inside);
-    m.by_mixture = select(0.0, dot(m.by_albedo, mixed), up.visible && update.groups >= GROUPS_MATERIAL);
-    m.q = 0.0;
-    m.by_aggregation = 0.0;
-    if update.aggregation != 0.0 {
-        for (var k = 0u; k < model.n_scores; k++) {
-            let p = share(m, gaussian_ix, k);
-            m.q += p * m.all / rest(p);
-        }
-        for (var k = 0u; k < model.n_scores; k++) {
-            let p = share(m, gaussian_ix, k);
-            m.by_aggregation += p * aggregation_slope(m, p);
-        }
-    }
-    return m;
-}
-
 // Emits score `k`; returns the factor of prototype `k` in the Gaussian's albedo.
 fn score_backward(m: Mixture, gaussian_ix: u32, up: Upstream, k: u32) -> f32 {
     let p = share(m, gaussian_ix, k);
     var gradient = 0.0;
     if up.visible && update.groups >= GROUPS_MATERIAL {
-        gradient = p * (dot(m.by_albedo, prototype(k)) - m.by_mixture);
+        gradient = p * (dot(m.by_albedo, albedo_of_prototype(k)) - m.by_mixture);
     }
     if update.aggregation != 0.0 {
         gradient += p * (aggregation_slope(m, p) - m.by_aggregation);
@@ -567,7 +357,7 @@ fn material_backward(gaussian_ix: u32, up: Upstream, by_albedo: vec3f) -> f32 {
     var value = 0.0;
     let residual_ix = model.residual + 3u * gaussian_ix;
     if update.residual != 0.0 {
-        let residual = params3(residual_ix);
+        let residual = params_vec3(residual_ix);
         gradient += update.residual * sign(residual);
         value = update.residual * dot(abs(residual), vec3f(1.0));
     }
@@ -577,10 +367,10 @@ fn material_backward(gaussian_ix: u32, up: Upstream, by_albedo: vec3f) -> f32 {
 
 // Centre, scales, rotation, opacity, normal, radiance and visibility; returns the values of flatness and of the labels.
 fn geometry_backward(gaussian_ix: u32, up: Upstream) -> vec2f {
-    let mean = params3(model.mean + 3u * gaussian_ix);
-    let log_scale = params3(model.log_scale + 3u * gaussian_ix);
+    let mean = params_vec3(model.mean + 3u * gaussian_ix);
+    let log_scale = params_vec3(model.log_scale + 3u * gaussian_ix);
     let quaternion_ix = model.quaternion + 4u * gaussian_ix;
-    let quaternion = vec4f(params3(quaternion_ix), params[quaternion_ix + 3u]);
+    let quaternion = quaternion_at(gaussian_ix);
     let to_mean = mean - view.eye.xyz;
     var by = Geometry(vec3f(0.0), vec3f(0.0), mat3x3f(), 0.0);
     var by_quaternion = vec4f(0.0);
@@ -588,7 +378,7 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream) -> vec2f {
     if up.visible {
         let axes = rotation_of(quaternion);
         by = project_backward(gaussian_ix, up, axes, log_scale, mean);
-        by_normal = normal_backward(up, params3(model.normal + 3u * gaussian_ix), axes, log_scale, to_mean, &by);
+        by_normal = normal_backward(gaussian_ix, up, to_mean, &by);
         by_quaternion = rotation_backward(quaternion, by.rotation);
         if update.groups >= GROUPS_FULL {
             by.mean += channels(up, 3u).y * view.rotation[2].xyz;
@@ -599,8 +389,10 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream) -> vec2f {
     let labels = visibility_backward(gaussian_ix, up, to_mean);
     var flatness = 0.0;
     if update.flatness != 0.0 {
-        let axis = shortest_axis(log_scale);
-        flatness = update.flatness * exp(select(select(log_scale.z, log_scale.y, axis == 1u), log_scale.x, axis == 0u));
+        // The lowest axis on a tie, as the normal.
+        let s = log_scale;
+        let axis = select(select(2u, 1u, s.y <= s.z), 0u, s.x <= s.y && s.x <= s.z);
+        flatness = update.flatness * exp(min(s.x, min(s.y, s.z)));
         by.log_scale += select(vec3f(0.0), vec3f(flatness), vec3u(axis) == vec3u(0u, 1u, 2u));
     }
     emit3(model.mean + 3u * gaussian_ix, by.mean, FIELD_MEAN);
@@ -626,11 +418,13 @@ fn reduce_losses(local_ix: u32, values: vec4f) {
             sh_partial[local_ix] += sh_partial[local_ix + n];
         }
     }
-    if local_ix == 0u {
-        accumulate!(losses[LOSS_AGGREGATION], sh_partial[0].x);
-        accumulate!(losses[LOSS_RESIDUAL], sh_partial[0].y);
-        accumulate!(losses[LOSS_FLATNESS], sh_partial[0].z);
-        accumulate!(losses[LOSS_VISIBILITY], sh_partial[0].w);
+    workgroupBarrier();
+    // The four slots follow each other.
+    if local_ix < 4u {
+        let total = sh_partial[0][local_ix];
+        if total != 0.0 {
+            accumulate!(losses[LOSS_AGGREGATION + local_ix], total);
+        }
     }
 }
 

@@ -17,8 +17,3 @@ fn adam(first: f32, second: f32, gradient: f32, rate: f32, correction: f32) -> A
     let v = BETA2 * second + (1.0 - BETA2) * gradient * gradient;
     return Adam(rate * m / (sqrt(v) / correction + ADAM_EPSILON), m, v);
 }
-
-// Asked of the bits: compilers may take for granted that floats are finite.
-fn is_finite(x: f32) -> bool {
-    return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
-}

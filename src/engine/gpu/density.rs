@@ -133,6 +133,7 @@ pub fn gather(
         (&out.first).into(),
         (&out.second).into(),
     ];
+    recorder.stage("density");
     recorder.dispatch(&shaders::DENSITY_GATHER, Groups::Linear(floats), &bindings);
     Ok(out)
 }
@@ -198,7 +199,7 @@ mod tests {
             let old = ModelBuffers::upload(&gpu, &model).unwrap();
             gpu.write(&old.first, 0, &crate::engine::gpu::model::planar(&model.gaussians));
             let keep: Vec<u32> = (0..n as u32).filter(|i| i % 3 != 1).collect();
-            let is_split = |i: u32| i % 4 == 0;
+            let is_split = |i: u32| i.is_multiple_of(4);
             let plan = GatherPlan::new(&keep, is_split);
             let mut recorder = gpu.record();
             let new = gather(&mut recorder, &old, &plan).unwrap();

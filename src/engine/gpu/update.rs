@@ -210,6 +210,7 @@ impl Updater {
             (&model.globals_second).into(),
             sums.status.into(),
         ];
+        recorder.stage("update");
         recorder.dispatch(&shaders::ADAM_GLOBALS, Groups::Linear(n), &bindings);
     }
 
@@ -223,6 +224,7 @@ impl Updater {
         let StepInput { model, upstream, terms, .. } = input;
         let has_views = upstream.view_labels.filter(|_| terms.view_labels != 0.0);
         if let Some(labels) = has_views {
+            recorder.stage("labels");
             recorder.clear(&self.label_count);
             let uniforms = LabelCount { n: model.layout.n, pad_0: 0, pad_1: 0, pad_2: 0 };
             let bindings = [uniform(&uniforms), labels.into(), (&self.label_count).into()];
@@ -274,6 +276,11 @@ impl Updater {
             (&model.params).into(),
         ];
         bindings.extend(outputs.iter().map(|b| (*b).into()));
+        recorder.stage("update");
+        let (floats, row) = (model.layout.floats() as u64, 8 + 4 * upstream.groups as u64);
+        // Parameters and two moments in and out, or parameters in and gradients out; splats and their gradients in.
+        let passes = 2 * outputs.len() as u64 + u64::from(outputs.len() > 1) * 2;
+        recorder.work(4 * (passes * floats + model.len() as u64 * (16 + row)), 12 * floats);
         recorder.dispatch(shader, Groups::Linear(model.len()), &bindings);
     }
 }

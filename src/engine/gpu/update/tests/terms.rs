@@ -129,7 +129,7 @@ fn labelled(visibility: usize, form: VisibilityForm) -> (Case, Vec<[f32; 2]>) {
     case.rows.iter_mut().for_each(|v| *v *= 0.0);
     let mut rng = ChaCha8Rng::seed_from_u64(61);
     let mut one = |i: usize| {
-        let weight = if i % 5 == 0 { 5e-4 } else { rng.random_range(0.01f32..4.0) };
+        let weight = if i.is_multiple_of(5) { 5e-4 } else { rng.random_range(0.01f32..4.0) };
         let share = [0.0, 1.0, rng.random_range(0.0f32..1.0)][(i % 7).min(2)];
         let label = [weight * share, weight];
         if case.expected.visible[i] { label } else { [0.0; 2] }
