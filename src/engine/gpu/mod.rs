@@ -6,6 +6,7 @@
 mod adapter;
 mod attributes;
 mod buffer;
+pub mod density;
 mod device;
 mod error;
 pub mod light;
@@ -18,6 +19,7 @@ mod sort;
 #[cfg(test)]
 mod tests;
 mod trusted;
+pub mod update;
 mod view;
 
 pub use adapter::{AdapterReport, Adapters, DeviceChoice};
