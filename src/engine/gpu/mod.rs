@@ -7,9 +7,12 @@ mod adapter;
 mod buffer;
 mod device;
 mod error;
+pub mod light;
+pub mod losses;
 pub mod model;
 mod recorder;
 pub mod shaders;
+pub mod shading;
 #[cfg(test)]
 mod tests;
 mod trusted;
