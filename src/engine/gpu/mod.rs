@@ -11,12 +11,15 @@ mod device;
 mod error;
 mod gather;
 pub mod light;
+pub mod light;
+pub mod losses;
 pub mod model;
 mod probes;
 pub mod raster;
 mod recorder;
 mod scan;
 pub mod shaders;
+pub mod shading;
 mod sort;
 #[cfg(test)]
 mod tests;
