@@ -1,92 +1,113 @@
-//! Environments on the device: tables of a finished light, and the operators of one that trains.
+//! Light in device memory: the tables a pixel looks up, the constants of the reflectance model, and the operators of an
+//! environment that trains.
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::engine::cpu::fibonacci_sphere;
+use crate::engine::cpu::{self, fibonacci_sphere};
 use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, shaders, uniform};
-use crate::light::{CubeGrid, EnvOperators, LightTables, sh_eval};
-use crate::scene::{sh_count, texel_directions};
+use crate::light::{BrdfLut, CubeGrid, EnvOperators, LightTables, LobeAttenuation, SPECULAR_LEVELS, sh_eval};
+use crate::scene::texel_directions;
 
 /// Directions the low-frequency environment is read in (article Eq. 20).
 const INDIRECT_DIRECTIONS: usize = 32;
 
-/// `Tables` of `shaders/shared/tables.wgsl`.
+/// The split-sum table and the lobe rows, uploaded once a device: 2,048 floats `[roughness][n.v][scale, bias]`, then
+/// 33 x 9 attenuations.
+#[derive(Debug, Clone)]
+pub struct Constants {
+    pub(super) buffer: Buffer<f32>,
+}
+
+impl Constants {
+    /// Uploads the tables that all engines share.
+    ///
+    /// # Errors
+    /// When the device has no memory left.
+    pub fn upload(gpu: &Gpu) -> Result<Self, GpuError> {
+        let lut = BrdfLut::shared().values().iter().flatten();
+        let lobe = LobeAttenuation::shared().rows().iter().flatten();
+        let values: Vec<f32> = lut.chain(lobe).copied().collect();
+        Ok(Self { buffer: gpu.upload("reflectance tables", &values)? })
+    }
+}
+
+/// `Tables` of `shaders/shared/light_tables.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
 pub struct TablesUniform {
     /// Nodes along an edge of the grid of normals.
     pub diffuse_n: u32,
-    /// Padded coefficients a colour.
+    /// Coefficients a row has, padding included.
     pub coefficients: u32,
-    /// Coefficients in use.
+    /// Coefficients that can differ from zero.
     pub n_coefficients: u32,
-    /// Nodes of all levels together.
-    pub n_specular: u32,
+    /// Unused.
+    pub pad: u32,
     /// Nodes along an edge, per level; the last two are unused.
     pub specular_n: [u32; 8],
-    /// First float, per level; the last two are unused.
+    /// First float of each level; the last two are unused.
     pub specular_first: [u32; 8],
 }
 
 impl TablesUniform {
-    /// Where `tables`, for a visibility field of degree `order`, lie in one buffer.
-    pub fn new(tables: &LightTables, order: usize) -> Self {
-        let edge = |grid: &CubeGrid| ((grid.len() / 6) as f64).sqrt().round() as u32;
-        let mut out = Self {
-            diffuse_n: edge(&tables.diffuse_grid),
-            coefficients: tables.coefficients as u32,
-            n_coefficients: sh_count(order) as u32,
-            ..Self::zeroed()
-        };
-        let mut next = tables.diffuse.len() as u32;
-        for (k, (grid, level)) in tables.specular_grids.iter().zip(&tables.specular).enumerate() {
-            out.specular_n[k] = edge(grid);
-            out.specular_first[k] = next;
-            out.n_specular += level.len() as u32;
-            next += 3 * level.len() as u32;
+    /// Where tables over these grids lie.
+    pub fn new(diffuse: CubeGrid, specular: &[CubeGrid; SPECULAR_LEVELS.len()], coefficients: usize) -> Self {
+        let (mut specular_n, mut specular_first) = ([2u32; 8], [0u32; 8]);
+        let mut next = diffuse.len() * 3 * coefficients;
+        for (k, grid) in specular.iter().enumerate() {
+            specular_n[k] = grid.edge() as u32;
+            specular_first[k] = next as u32;
+            next += 3 * grid.len();
         }
-        out
+        Self {
+            diffuse_n: diffuse.edge() as u32,
+            coefficients: coefficients as u32,
+            n_coefficients: coefficients as u32,
+            pad: 0,
+            specular_n,
+            specular_first,
+        }
     }
 
-    /// Floats of the whole buffer.
+    /// Floats of the tables, a multiple of four.
     pub fn floats(&self) -> usize {
-        self.specular_first[0] as usize + 3 * self.n_specular as usize
+        let (last, edge) = (SPECULAR_LEVELS.len() - 1, self.specular_n[SPECULAR_LEVELS.len() - 1] as usize);
+        (self.specular_first[last] as usize + 18 * edge * edge).next_multiple_of(4)
     }
 }
 
-/// The tables of one light in device memory.
+/// All floats of `tables` in the device's order.
+pub fn flat(tables: &LightTables) -> Vec<f32> {
+    let specular = tables.specular.iter().flatten().flatten();
+    let mut out: Vec<f32> = tables.diffuse.iter().chain(specular).copied().collect();
+    out.resize(out.len().next_multiple_of(4), 0.0);
+    out
+}
+
+/// Light tables in device memory.
 #[derive(Debug, Clone)]
 pub struct LightBuffers {
-    /// Where they lie.
-    pub layout: TablesUniform,
-    /// The tables.
-    pub values: Buffer<f32>,
+    /// Where their parts lie.
+    pub uniform: TablesUniform,
+    /// Diffuse transfer, then specular levels.
+    pub tables: Buffer<f32>,
     /// `E_j` of Eq. 20, `[16][3]`.
     pub indirect_basis: Buffer<f32>,
 }
 
-/// All floats of `tables` in the order of the device's buffer.
-pub fn flat(tables: &LightTables) -> Vec<f32> {
-    let levels = tables.specular.iter().flatten().flatten();
-    tables.diffuse.iter().chain(levels).copied().collect()
-}
-
 impl LightBuffers {
-    /// Uploads finished tables.
+    /// Uploads finished tables, e.g. those of a posted map.
     ///
     /// # Errors
-    /// When they do not fit.
-    pub fn upload(
-        gpu: &Gpu,
-        tables: &LightTables,
-        order: usize,
-        indirect_basis: &[[f32; 3]; 16],
-    ) -> Result<Self, GpuError> {
+    /// When the device has no memory left.
+    pub fn upload(gpu: &Gpu, tables: &LightTables) -> Result<Self, GpuError> {
+        let uniform = TablesUniform::new(tables.diffuse_grid, &tables.specular_grids, tables.coefficients);
+        let basis: Vec<f32> = cpu::indirect_basis(tables).into_iter().flatten().collect();
         Ok(Self {
-            layout: TablesUniform::new(tables, order),
-            values: gpu.upload("light tables", &flat(tables))?,
-            indirect_basis: gpu.upload("indirect basis", indirect_basis.as_flattened())?,
+            uniform,
+            tables: gpu.upload("light tables", &flat(tables))?,
+            indirect_basis: gpu.upload("indirect basis", &basis)?,
         })
     }
 }
@@ -136,7 +157,7 @@ impl TrainingLight {
     /// When they do not fit.
     pub fn new(gpu: &Gpu, operators: &EnvOperators) -> Result<Self, GpuError> {
         let tables = operators.shape();
-        let light = LightBuffers::upload(gpu, &tables, operators.order(), &[[0.0; 3]; 16])?;
+        let light = LightBuffers::upload(gpu, &tables)?;
         let (forward, backward) = (operators.rows(), operators.transposed_rows());
         let (width, height) = operators.size();
         let upward: Vec<f32> = texel_directions(width, height)
@@ -144,7 +165,7 @@ impl TrainingLight {
             .map(|(d, w)| (d.z.max(0.0) * w / (3.0 * std::f64::consts::PI)) as f32)
             .collect();
         Ok(Self {
-            tables_gradient: gpu.buffer("gradient of the light tables", light.values.len())?,
+            tables_gradient: gpu.buffer("gradient of the light tables", light.tables.len())?,
             basis_gradient: gpu.buffer("gradient of the indirect basis", 48)?,
             radiance: gpu.buffer("radiance", 3 * width * height)?,
             exposure_slope: gpu.buffer("exposure slope", 1)?,
@@ -195,9 +216,9 @@ impl TrainingLight {
             losses.into(),
         ];
         recorder.dispatch(&shaders::ENV_RADIANCE, Groups::Workgroups(1), &bindings);
-        let values = &self.light.values;
+        let values = &self.light.tables;
         let bindings = [
-            uniform(&self.light.layout),
+            uniform(&self.light.uniform),
             (&self.radiance).into(),
             (&self.rows[0]).into(),
             (&self.entries[0]).into(),
@@ -206,7 +227,7 @@ impl TrainingLight {
         ];
         recorder.dispatch(&shaders::ENV_TABLES, Groups::Linear(values.len()), &bindings);
         let bindings = [
-            uniform(&self.light.layout),
+            uniform(&self.light.uniform),
             values.into(),
             (&self.reading).into(),
             (&self.light.indirect_basis).into(),
@@ -227,7 +248,7 @@ impl TrainingLight {
         recorder.stage("light backward");
         if learned_indirect {
             let bindings = [
-                uniform(&self.light.layout),
+                uniform(&self.light.uniform),
                 (&self.basis_gradient).into(),
                 (&self.reading).into(),
                 (&self.tables_gradient).into(),
@@ -236,7 +257,7 @@ impl TrainingLight {
             recorder.dispatch(&shaders::ENV_BASIS_BACKWARD, Groups::Linear(floats), &bindings);
         }
         let bindings = [
-            uniform(&self.light.layout),
+            uniform(&self.light.uniform),
             uniform(&self.environment(model, weights)),
             (&model.globals).into(),
             (&self.radiance).into(),
@@ -348,11 +369,11 @@ mod tests {
         let run = applied(&gpu, &model);
         let expected = run.operators.apply(&radiance(&model));
         assert_layout!(TablesUniform as "Tables" in shaders::ENV_TABLES; diffuse_n, coefficients, n_coefficients,
-            n_specular, specular_n, specular_first);
+            pad, specular_n, specular_first);
         assert_layout!(EnvironmentUniform as "Environment" in shaders::ENV_BACKWARD; n_texels, first_texel, neutrality,
             exposure);
         let light = &run.light.light;
-        let values = gpu.read(&light.values, 0..light.values.len()).unwrap();
+        let values = gpu.read(&light.tables, 0..light.tables.len()).unwrap();
         assert!(worst(&values, &flat(&expected)) < 2e-6);
         let basis = gpu.read(&light.indirect_basis, 0..48).unwrap();
         assert!(worst(&basis, indirect_basis(&expected).as_flattened()) < 3e-6);
@@ -392,7 +413,7 @@ mod tests {
         // The terms by central differences of their f64 values.
         for t in 0..expected.len() {
             for c in 0..3 {
-                let mut at = |step: f32| {
+                let at = |step: f32| {
                     let mut moved = radiance(&model);
                     moved[t][c] += step;
                     let (a, b) = terms(&moved);

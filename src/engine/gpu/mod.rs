@@ -6,20 +6,24 @@
 mod adapter;
 mod attributes;
 mod buffer;
+pub mod density;
 mod device;
 mod error;
-mod gather;
+pub mod gather;
 pub mod light;
+pub mod losses;
 pub mod model;
-mod probes;
+pub mod probes;
 pub mod raster;
 mod recorder;
 mod scan;
 pub mod shaders;
+pub mod shading;
 mod sort;
 #[cfg(test)]
 mod tests;
 mod trusted;
+pub mod update;
 mod view;
 
 pub use adapter::{AdapterReport, Adapters, DeviceChoice};
