@@ -7,7 +7,7 @@ use relume::render::Output;
 use relume::store::JobState;
 use relume::testing;
 
-use crate::service_support::{capture_zip, small_job};
+use crate::service_support::{capture_zip, ended, small_job, trained, until};
 
 fn look_at() -> CameraSpec {
     let look = LookAtSpec { eye: [3.0, 0.0, 1.0], target: [0.0; 3], up: [0.0, 0.0, 1.0], fov_y_deg: 40.0 };
@@ -60,7 +60,7 @@ async fn thumbnails_during_training(server: &testing::TestServer) {
     let client = server.client();
     let model = trained(client).await.model.unwrap();
     let url = |azimuth: u32| {
-        format!("{}/v1/models/{model}/thumbnail?tier=standard&size=256&azimuth={azimuth}", client.base())
+        format!("{}v1/models/{model}/thumbnail?tier=standard&size=256&azimuth={azimuth}", client.base())
     };
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
     let job = client.create_job(&small_job(&capture.id, 100_000, 50_000), None).await.unwrap();

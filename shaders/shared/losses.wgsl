@@ -1,4 +1,4 @@
-// Slots of the losses buffer; kept in step with `losses::Loss` of src/engine/gpu/losses.rs.
+// Slots of the losses buffer; kept in step with `LossSlot` of src/engine/gpu/losses.rs.
 const LOSS_PHYSICAL_L1 = 0u;
 const LOSS_PHYSICAL_SQUARED = 1u;
 const LOSS_PHYSICAL_SSIM = 2u;

@@ -65,6 +65,11 @@ impl BrdfLut {
         &TABLE
     }
 
+    /// The texels, `[roughness][n.v]` of `[scale, bias]`.
+    pub fn values(&self) -> &[[f32; 2]] {
+        &self.values
+    }
+
     /// Bilinear look-up, clamped at the border, with derivatives (zero where clamped).
     #[inline]
     pub fn sample<T: Float>(&self, nov: T, roughness: T) -> LutSample<T> {

@@ -29,6 +29,11 @@ impl CubeGrid {
         Self { n: n.max(2) }
     }
 
+    /// Nodes along a cube edge.
+    pub fn edge(&self) -> usize {
+        self.n
+    }
+
     /// Number of nodes.
     pub fn len(&self) -> usize {
         6 * self.n * self.n

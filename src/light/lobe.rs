@@ -35,6 +35,11 @@ impl LobeAttenuation {
         &TABLE
     }
 
+    /// `h_l` at equally spaced roughnesses from 0 to 1.
+    pub fn rows(&self) -> &[[f32; LOBE_ORDERS]] {
+        &self.rows
+    }
+
     /// Linear interpolation in roughness, clamped to [0, 1].
     #[inline]
     pub fn sample<T: Float>(&self, roughness: T) -> LobeSample<T> {

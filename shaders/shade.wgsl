@@ -1,0 +1,27 @@
+// G-buffer to the images of both branches, composited over the background. A thread owns a pixel; workgroups are squares
+// of 16 x 16, whose pixels look up neighbouring table nodes. No workgroup memory.
+#import shading
+#import pixel_surface
+
+@group(0) @binding(6) var<storage, read> gbuffer: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> physical: array<vec4f>;
+@group(0) @binding(8) var<storage, read_write> radiance: array<vec4f>;
+
+@compute @workgroup_size(16, 16)
+fn main(@builtin(global_invocation_id) gid: vec3u) {
+    if gid.x >= view.size.x || gid.y >= view.size.y {
+        return;
+    }
+    let pixel_ix = gid.y * view.size.x + gid.x;
+    let first = gbuffer[pixel_ix];
+    let coverage = first.x;
+    let behind = shading.background.xyz * (1.0 - coverage);
+    radiance[pixel_ix] = vec4f(first.yzw + behind, 0.0);
+    if !(coverage >= LEAST_COVERAGE) {
+        physical[pixel_ix] = vec4f(behind, 0.0);
+        return;
+    }
+    var s = pixel_surface(gid.xy, pixel_ix, coverage);
+    let f = shade(&s);
+    physical[pixel_ix] = vec4f(display(f.diffuse + f.specular) * coverage + behind, 0.0);
+}

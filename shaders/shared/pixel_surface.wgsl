@@ -1,0 +1,27 @@
+// The surface behind a pixel of a full G-buffer, which the importer binds as `gbuffer`.
+#import surface
+#import view
+#import quaternion
+
+// Group `quad` of the visibility behind a pixel, divided by coverage.
+fn pixel_visibility(pixel_ix: u32, quad: u32, inverse: f32) -> vec4f {
+    return masked_quad(quad, gbuffer[(VISIBILITY_GROUP + quad) * view.n_pixels + pixel_ix] * inverse);
+}
+
+// For pixels of coverage >= LEAST_COVERAGE.
+fn pixel_surface(pixel: vec2u, pixel_ix: u32, coverage: f32) -> Surface {
+    let n = view.n_pixels;
+    let inverse = 1.0 / coverage;
+    var s = surface_of_groups(
+        gbuffer[n + pixel_ix],
+        gbuffer[2u * n + pixel_ix],
+        gbuffer[3u * n + pixel_ix],
+        gbuffer[4u * n + pixel_ix],
+        inverse,
+        -normalised3(pixel_ray(view, pixel.x, pixel.y)),
+    );
+    for (var quad = 0u; quad < N_QUADS; quad++) {
+        s.visibility[quad] = pixel_visibility(pixel_ix, quad, inverse);
+    }
+    return s;
+}

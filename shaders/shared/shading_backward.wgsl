@@ -1,0 +1,165 @@
+// Chain rule through `shade` (src/engine/cpu/shade.rs). With VISIBILITY defined it also gives the gradient by visibility.
+#import shading
+
+struct SurfaceGradient {
+    normal: vec3f,
+    albedo: vec3f,
+    metal: f32,
+    rough: f32,
+    indirect: vec3f,
+    gathered: vec3f,
+    // By irradiance before the clamp, for the diffuse table.
+    irradiance: vec3f,
+    // By the light of the two specular levels, for the specular tables.
+    level: array<vec3f, 2>,
+    // Gradient by visibility times visibility, summed.
+    along_visibility: f32,
+#ifdef VISIBILITY
+    visibility: array<vec4f, N_QUADS>,
+#endif
+}
+
+// Adds the gradient by a visibility field along `d`: `factors[l]` times SH to the coefficients, and returns that by `d`.
+fn field_backward(
+    s: ptr<function, Surface>,
+    d: vec3f,
+    factors: ptr<function, array<f32, 7>>,
+    out: ptr<function, SurfaceGradient>,
+) -> vec3f {
+    var y: array<f32, 49>;
+    var dy: array<vec3f, 49>;
+    sh_basis_with_gradient(ORDER, d, &y, &dy);
+    var by_d = vec3f(0.0);
+    for (var l = 0u; l <= ORDER; l++) {
+        let factor = (*factors)[l];
+        for (var j = l * l; j < (l + 1u) * (l + 1u); j++) {
+            let c = (*s).visibility[j / 4u][j % 4u];
+            by_d += (factor * c) * dy[j];
+            (*out).along_visibility += factor * y[j] * c;
+#ifdef VISIBILITY
+            (*out).visibility[j / 4u][j % 4u] += factor * y[j];
+#endif
+        }
+    }
+    return by_d;
+}
+
+#ifdef VISIBILITY
+// Adds the rows of `node`, weighted by colour, to the gradient by visibility.
+fn rows_backward(out: ptr<function, SurfaceGradient>, node: u32, weight: vec3f) {
+    let quads = tables.coefficients / 4u;
+    let first = node * 3u * quads;
+    for (var quad = 0u; quad < N_QUADS; quad++) {
+        let at = first + quad;
+        let row = weight.x * light_quads[at] + weight.y * light_quads[at + quads] + weight.z * light_quads[at + 2u * quads];
+        (*out).visibility[quad] += masked_quad(quad, row);
+    }
+}
+#endif
+
+// Gradient by the normal of the diffuse part; `g` is the gradient by radiance.
+fn diffuse_backward(
+    s: ptr<function, Surface>,
+    f: ptr<function, Shaded>,
+    g: vec3f,
+    out: ptr<function, SurfaceGradient>,
+) -> vec3f {
+    let kd = (1.0 - (*s).metal) * INV_PI;
+    let light = (*f).irradiance + (*s).gathered;
+    (*out).albedo += g * kd * light;
+    (*out).metal -= dot(g, (*s).albedo * light) * INV_PI;
+    let by_light = g * (*s).albedo * kd;
+    (*out).gathered = by_light;
+    let lit = (*f).irradiance_raw > vec3f(0.0);
+    let by_irradiance = select(vec3f(0.0), by_light * (*f).ambient, lit);
+    let by_ambient = dot(select(vec3f(0.0), by_light, lit), (*f).irradiance_raw);
+    (*out).irradiance = by_irradiance;
+    var by_normal = vec3f(0.0);
+    let scalar = is_scalar();
+#repeat k 4
+    {
+        let along = dot(by_irradiance, (*f).tap_irradiance[$k]);
+        by_normal += along * (*f).diffuse_taps.gradient[$k];
+        if !scalar {
+            (*out).along_visibility += (*f).diffuse_taps.weight[$k] * along;
+#ifdef VISIBILITY
+            rows_backward(out, (*f).diffuse_taps.node[$k], (*f).diffuse_taps.weight[$k] * by_irradiance);
+#endif
+        }
+    }
+#end
+    if scalar && !is_open() {
+        let slope = by_ambient * squash_slope((*f).ambient_raw, (*f).ambient);
+        if slope != 0.0 {
+            var factors = NRSH_FACTORS;
+            for (var l = 0u; l <= ORDER; l++) {
+                factors[l] *= slope;
+            }
+            by_normal += field_backward(s, (*f).normal, &factors, out);
+        }
+    }
+    return by_normal;
+}
+
+// Gradient by n.v (x) and by the reflection (yzw) of the specular part.
+fn specular_backward(
+    s: ptr<function, Surface>,
+    f: ptr<function, Shaded>,
+    g: vec3f,
+    out: ptr<function, SurfaceGradient>,
+) -> vec4f {
+    let f0 = 0.04 * (1.0 - (*s).metal) + (*s).albedo * (*s).metal;
+    let lut = (*f).lut;
+    let visible = (*f).visible;
+    let light = visible * (*f).prefiltered + (1.0 - visible) * (*s).indirect;
+    let by_light = g * (f0 * lut.value.x + lut.value.y);
+    let by_reflectance = g * light;
+    let by_f0 = by_reflectance * lut.value.x;
+    (*out).albedo += by_f0 * (*s).metal;
+    (*out).metal += dot(by_f0, (*s).albedo - 0.04);
+    let by_nov = dot(by_reflectance, f0 * lut.by_nov.x + lut.by_nov.y);
+    (*out).rough += dot(by_reflectance, f0 * lut.by_roughness.x + lut.by_roughness.y);
+    let by_visible = dot(by_light, (*f).prefiltered - (*s).indirect);
+    (*out).indirect = by_light * (1.0 - visible);
+    let by_prefiltered = by_light * visible;
+    let position = (*f).position;
+    (*out).level[0] = by_prefiltered * (1.0 - position.fraction);
+    (*out).level[1] = by_prefiltered * position.fraction;
+    (*out).rough += position.slope * dot(by_prefiltered, (*f).level_value[1] - (*f).level_value[0]);
+    var by_reflection = vec3f(0.0);
+#repeat k 2
+#repeat j 4
+    {
+        let value = specular_node(position.level + $ku, (*f).level_taps[$k].node[$j]);
+        by_reflection += dot((*out).level[$k], value) * (*f).level_taps[$k].gradient[$j];
+    }
+#end
+#end
+    let slope = by_visible * squash_slope((*f).visible_raw, visible);
+    if slope != 0.0 {
+        let cell = lobe_cell((*s).rough);
+        var factors: array<f32, 7>;
+        var slopes: array<f32, 7>;
+        for (var l = 0u; l <= ORDER; l++) {
+            let h = attenuation(cell, l);
+            factors[l] = slope * h.x;
+            slopes[l] = slope * h.y;
+        }
+        by_reflection += field_backward(s, (*f).reflection, &factors, out);
+        (*out).rough += field_along(s, (*f).reflection, &slopes);
+    }
+    return vec4f(by_nov, by_reflection);
+}
+
+fn shade_backward(s: ptr<function, Surface>, f: ptr<function, Shaded>, g: vec3f) -> SurfaceGradient {
+    var out: SurfaceGradient;
+    var by_normal = diffuse_backward(s, f, g, &out);
+    let by = specular_backward(s, f, g, &out);
+    // R = normalize(2 nov n - v), nov = n . v.
+    let by_bent = normalised3_backward((*f).reflection, (*f).reflection_length, by.yzw);
+    let by_nov = by.x + 2.0 * dot(by_bent, (*f).normal);
+    by_normal += 2.0 * (*f).nov * by_bent + select(0.0, by_nov, (*f).nov_inside) * (*s).view;
+    let sign = select(1.0, -1.0, (*f).flipped);
+    out.normal = normalised3_backward(sign * (*f).normal, (*f).normal_length, sign * by_normal);
+    return out;
+}
