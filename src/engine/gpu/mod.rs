@@ -7,6 +7,7 @@ mod adapter;
 mod attributes;
 mod buffer;
 pub mod density;
+pub mod develop;
 mod device;
 mod error;
 pub mod gather;
@@ -23,6 +24,7 @@ mod sort;
 #[cfg(test)]
 mod tests;
 mod trusted;
+pub mod training;
 pub mod update;
 mod view;
 
