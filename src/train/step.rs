@@ -58,13 +58,18 @@ fn radiance_of(model: &Model) -> Vec<[f32; 3]> {
     model.env_raw.iter().map(|t| t.map(softplus)).collect()
 }
 
+/// Whether depth-normal consistency acts at this progress of the warm-up.
+pub(super) fn is_shaped(config: &TrainConfig, progress: f32) -> bool {
+    progress >= GEOMETRY_FROM && config.weights.depth_normal > 0.0
+}
+
 /// The objective during warm-up: radiance branch and geometry only.
 pub fn radiance(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Outcome {
     let w = &context.config.weights;
     let basis = [[0.0; 3]; 16];
     let source = source(state, &basis);
     let view = View::new(&photo.camera, source.options);
-    let shaped = context.progress >= GEOMETRY_FROM && w.depth_normal > 0.0;
+    let shaped = is_shaped(context.config, context.progress);
     let channels = if shaped { Channels::Geometry } else { Channels::Colour };
     let pass = Pass::forward(&source, view, channels, true);
     let image = radiance_image(&pass, context.background);
@@ -135,7 +140,7 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
 }
 
 /// Channels the backward pass carries: visibility and indirect light only when they are learned.
-fn differentiated(config: &TrainConfig, indirect: IndirectForm, channels: Channels) -> usize {
+pub(super) fn differentiated(config: &TrainConfig, indirect: IndirectForm, channels: Channels) -> usize {
     let learned = config.labels != LabelSource::Probes || indirect == IndirectForm::Learned;
     if learned { channels.count() } else { Channels::Material.count() }
 }

@@ -5,19 +5,23 @@
 
 use crate::engine::channel::Channels;
 use crate::engine::cpu::{ProbeSettings, View, fibonacci_sphere};
+use crate::engine::gpu::density::{self, DensitySignals, GatherPlan};
 use crate::engine::gpu::gather::{GatherSource, gather};
 use crate::engine::gpu::light::{Constants, LightWeights, TrainingLight};
-use crate::engine::gpu::losses::{ImageWeights, Losses, SurfaceWeights};
-use crate::engine::gpu::model::ModelBuffers;
+use crate::engine::gpu::losses::{self, Branch, ImageWeights, LossSlot, Losses, SurfaceWeights};
+use crate::engine::gpu::model::{ModelBuffers, planar};
 use crate::engine::gpu::probes::Probes;
 use crate::engine::gpu::raster::groups;
+use crate::engine::gpu::scan::grow;
 use crate::engine::gpu::shading::{
     Images, ShadeGradients, ShadeJob, ShadingUniform, radiance_image, radiance_image_backward, shade, shade_backward,
 };
-use crate::engine::gpu::update::{Ages, ParameterTerms, Rates, STATUS_WORDS, Sums, Updater, Upstream};
+use crate::engine::gpu::update::{
+    Ages, ParameterTerms, Rates, STATUS_WORDS, StepInput, Sums, Updater, Upstream,
+};
 use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, Recorder, ViewUniform};
 use crate::light::EnvOperators;
-use crate::scene::{IndirectForm, ShadingOptions};
+use crate::scene::{Gaussians, IndirectForm, Model, ShadingOptions};
 
 /// Weights of all terms of the objective (docs/MODEL.md section 5); 0 is off.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -73,6 +77,8 @@ pub struct Measured {
     pub labels: Option<Buffer<f32>>,
     /// Gathered light, 6 floats a Gaussian.
     pub gathered: Option<Buffer<f32>>,
+    /// True once anything was measured, also for Gaussians that are gone.
+    pub ever: bool,
 }
 
 /// The state a training can return to.
@@ -105,4 +111,358 @@ pub struct Training {
     globals_gradient: Buffer<f32>,
     status: Buffer<u32>,
     kept: Option<Kept>,
+}
+
+/// A training's state on the host, to be taken over.
+#[derive(Debug, Clone, Copy)]
+pub struct HostState<'a> {
+    /// The model.
+    pub model: &'a Model,
+    /// First and second moments of the Gaussians.
+    pub moments: [&'a Gaussians; 2],
+    /// First and second moments of prototypes, then environment.
+    pub globals: [&'a [[f32; 3]]; 2],
+    /// Sum of screen gradients and steps on screen, by Gaussian.
+    pub density: [&'a [f32]; 2],
+    /// Probe labels; empty if nothing was measured.
+    pub labels: &'a [f32],
+    /// Gathered light; empty if nothing was gathered.
+    pub gathered: &'a [[f32; 6]],
+}
+
+impl HostState<'_> {
+    /// The same state in device memory.
+    fn upload(&self, gpu: &Gpu) -> Result<(ModelBuffers, Buffer<[f32; 2]>, Measured), GpuError> {
+        let model = ModelBuffers::upload(gpu, self.model)?;
+        for (buffer, moments) in [&model.first, &model.second].into_iter().zip(self.moments) {
+            gpu.write(buffer, 0, &planar(moments));
+        }
+        for (buffer, moments) in [&model.globals_first, &model.globals_second].into_iter().zip(self.globals) {
+            gpu.write(buffer, 0, moments.as_flattened());
+        }
+        let pairs: Vec<[f32; 2]> =
+            self.density[0].iter().zip(self.density[1]).map(|(sum, seen)| [*sum, *seen]).collect();
+        let density = gpu.upload("density statistics", &pairs)?;
+        let some = |data: &[f32], label: &str| {
+            if data.is_empty() { Ok(None) } else { gpu.upload(label, data).map(Some) }
+        };
+        let measured = Measured {
+            labels: some(self.labels, "probe labels")?,
+            gathered: some(self.gathered.as_flattened(), "gathered light")?,
+            ever: !self.labels.is_empty(),
+        };
+        Ok((model, density, measured))
+    }
+}
+
+/// How visibility and bounced light are measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measurement {
+    /// Probe directions.
+    pub directions: usize,
+    /// Rounds of gathered light, or none at all.
+    pub bounces: Option<usize>,
+    /// The measurement becomes the visibility field.
+    pub replaces_field: bool,
+    /// The measurement becomes the visibility field if there was none before.
+    pub starts_field: bool,
+}
+
+impl Training {
+    /// Takes a training over.
+    ///
+    /// # Errors
+    /// [`GpuError::TooLarge`] or [`GpuError::OutOfMemory`] when it does not fit.
+    pub fn new(gpu: &Gpu, operators: &EnvOperators, state: &HostState<'_>) -> Result<Self, GpuError> {
+        let (model, density, measured) = state.upload(gpu)?;
+        Ok(Self {
+            options: state.model.shading,
+            order: operators.order(),
+            raster: Raster::new(gpu)?,
+            light: TrainingLight::new(gpu, operators)?,
+            constants: Constants::upload(gpu)?,
+            losses: Losses::new(gpu)?,
+            updater: Updater::new(gpu)?,
+            by_gbuffer: None,
+            images: None,
+            globals_gradient: gpu.buffer("gradient of what is shared", model.globals.len())?,
+            status: gpu.buffer("status", STATUS_WORDS)?,
+            kept: None,
+            gpu: gpu.clone(),
+            model,
+            density,
+            measured,
+        })
+    }
+
+    /// Goes on from another state.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn load(&mut self, state: &HostState<'_>) -> Result<(), GpuError> {
+        (self.model, self.density, self.measured) = state.upload(&self.gpu)?;
+        Ok(())
+    }
+
+    /// One optimisation step; waits for its sums.
+    ///
+    /// # Errors
+    /// What went wrong on the device.
+    pub fn step(&mut self, step: &Step<'_>) -> Result<StepSums, GpuError> {
+        let view = ViewUniform::new(&step.view);
+        self.raster.prepare(&view, &self.model.layout, &self.model.params)?;
+        let gpu = self.gpu.clone();
+        let mut recorder = gpu.record();
+        self.losses.clear(&mut recorder);
+        recorder.clear(&self.globals_gradient);
+        recorder.clear(&self.status);
+        let groups = groups(step.differentiated);
+        let by_gbuffer = grow(&gpu, "gradient of the G-buffer", &mut self.by_gbuffer, groups * view.pixels())?;
+        let images = self.images(view.pixels())?;
+        let is_full = matches!(step.channels, Channels::Full(_));
+        if is_full {
+            self.light.apply(&mut recorder, &self.model, &step.weights.light, self.losses.sums());
+        }
+        self.picture(&mut recorder, step, &view, &images)?;
+        self.raster.blend_backward(&mut recorder, &by_gbuffer, groups)?;
+        self.update(&mut recorder, step, &view, groups, is_full)?;
+        recorder.submit()?;
+        let sums = gpu.read(self.losses.sums(), 0..self.losses.sums().len())?;
+        let poisoned = gpu.read(&self.status, 0..1)?[0] != 0;
+        let weights = &step.weights;
+        let loss = losses::objective(&sums, &weights.physical, &weights.radiance);
+        let leading = if is_full { LossSlot::PhysicalSquared } else { LossSlot::RadianceSquared };
+        Ok(StepSums { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned })
+    }
+
+    fn images(&mut self, pixels: usize) -> Result<Images, GpuError> {
+        match &self.images {
+            Some(images) if images.physical.len() >= pixels => Ok(images.clone()),
+            _ => Ok(self.images.insert(Images::new(&self.gpu, pixels)?).clone()),
+        }
+    }
+
+    /// From attributes to images, and from the terms on images and buffers to the gradient of the G-buffer.
+    fn picture(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        step: &Step<'_>,
+        view: &ViewUniform,
+        images: &Images,
+    ) -> Result<(), GpuError> {
+        let source = AttributeBuffers {
+            params: &self.model.params,
+            globals: &self.model.globals,
+            gathered: self.measured.gathered.as_ref(),
+            indirect_basis: Some(&self.light.light.indirect_basis),
+        };
+        self.raster.attributes(recorder, step.channels, &source)?;
+        self.raster.blend(recorder, step.channels, true)?;
+        let (Some(gbuffer), Some(by_gbuffer)) = (&self.raster.gbuffer, &self.by_gbuffer) else {
+            return Err(GpuError::Internal("a pass without G-buffer".to_owned()));
+        };
+        let weights = &step.weights;
+        let shading = ShadingUniform::new(&self.options, step.background);
+        let full = match step.channels {
+            Channels::Full(n_visibility) => Some(ShadeJob {
+                view,
+                shading: &shading,
+                n_visibility,
+                light: &self.light.light,
+                constants: &self.constants,
+                gbuffer,
+            }),
+            _ => None,
+        };
+        recorder.stage("shade");
+        match &full {
+            Some(job) => shade(recorder, job, images)?,
+            None => radiance_image(recorder, view, step.background, gbuffer, &images.radiance),
+        }
+        recorder.stage("losses");
+        if full.is_some() {
+            self.losses.image_term(recorder, view, &images.physical, step.photo, &weights.physical, Branch::Physical)?;
+        }
+        self.losses.image_term(recorder, view, &images.radiance, step.photo, &weights.radiance, Branch::Radiance)?;
+        self.losses.surface_terms(recorder, view, gbuffer, groups(step.channels), step.photo, &weights.surface)?;
+        recorder.stage("shade backward");
+        match &full {
+            Some(job) => shade_backward(
+                recorder,
+                job,
+                &ShadeGradients {
+                    by_images: self.losses.by_images()?,
+                    by_buffers: self.losses.by_buffers()?,
+                    by_gbuffer,
+                    by_tables: &self.light.tables_gradient,
+                    all_channels: matches!(step.differentiated, Channels::Full(_)),
+                },
+            )?,
+            None => radiance_image_backward(
+                recorder,
+                view,
+                step.background,
+                &self.losses.by_images()?.radiance,
+                self.losses.by_buffers()?,
+                by_gbuffer,
+                step.channels,
+            ),
+        }
+        Ok(())
+    }
+
+    /// From the splats' gradients to new parameters.
+    fn update(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        step: &Step<'_>,
+        view: &ViewUniform,
+        groups: usize,
+        is_full: bool,
+    ) -> Result<(), GpuError> {
+        let terms = step.weights.parameters;
+        if terms.view_labels != 0.0 {
+            self.raster.backward_labels(recorder)?;
+        }
+        let (Some(splats), Some(gradients)) = (&self.raster.splats, &self.raster.splat_gradients) else {
+            return Err(GpuError::Internal("a way back without splats".to_owned()));
+        };
+        let learned = is_full && self.options.indirect == IndirectForm::Learned;
+        let basis = (&self.light.light.indirect_basis, &self.light.basis_gradient);
+        let sums = Sums {
+            globals_gradient: &self.globals_gradient,
+            losses: self.losses.sums(),
+            density: &self.density,
+            status: &self.status,
+        };
+        let input = StepInput {
+            model: &self.model,
+            upstream: Upstream {
+                view,
+                splats,
+                gradients,
+                groups,
+                indirect_basis: learned.then_some(basis),
+                probe_labels: self.measured.labels.as_ref(),
+                view_labels: self.raster.labels.as_ref().filter(|_| terms.view_labels != 0.0),
+            },
+            sums,
+            terms,
+        };
+        self.updater.step(recorder, &input, &step.rates, step.ages);
+        if is_full {
+            let weights = &step.weights.light;
+            self.light.backward(recorder, &self.model, weights, learned, &self.globals_gradient);
+            self.updater.step_globals(recorder, &self.model, &sums, &step.rates, step.ages);
+        }
+        Ok(())
+    }
+
+    /// Measures visibility and gathers bounced light anew (docs/MODEL.md section 6).
+    ///
+    /// # Errors
+    /// What went wrong on the device.
+    pub fn measure(&mut self, how: &Measurement) -> Result<(), GpuError> {
+        let (gpu, layout) = (self.gpu.clone(), self.model.layout);
+        let settings = ProbeSettings::of(&self.options);
+        let directions = fibonacci_sphere(how.directions);
+        let probes = Probes::measure(&gpu, &self.model.params, &layout, settings, &directions, self.order)?;
+        let mut recorder = gpu.record();
+        if let Some(bounces) = how.bounces {
+            self.light.apply(&mut recorder, &self.model, &LightWeights::default(), self.losses.sums());
+            let source = GatherSource {
+                params: &self.model.params,
+                model: &layout,
+                globals: &self.model.globals,
+                tables: &self.light.light.tables,
+                diffuse_n: self.light.light.uniform.diffuse_n,
+                coefficients: self.light.light.uniform.coefficients,
+            };
+            self.measured.gathered = Some(gather(&mut recorder, &probes, &source, bounces)?);
+        }
+        if how.replaces_field || (how.starts_field && !self.measured.ever) {
+            probes.store(&mut recorder, &self.model.params, &layout)?;
+        }
+        recorder.submit()?;
+        self.measured.labels = Some(probes.coefficients);
+        self.measured.ever = true;
+        Ok(())
+    }
+
+    /// What density control chooses from.
+    ///
+    /// # Errors
+    /// What went wrong on the device.
+    pub fn signals(&self, with_means: bool) -> Result<DensitySignals, GpuError> {
+        density::read_signals(&self.gpu, &self.model, &self.density, with_means)
+    }
+
+    /// Rebuilds the model as `plan` says, and clears the statistics. Labels and gathered light of the old Gaussians are
+    /// dropped: measure anew.
+    ///
+    /// # Errors
+    /// When the device has no memory left.
+    pub fn rebuild(&mut self, plan: &GatherPlan) -> Result<(), GpuError> {
+        let gpu = self.gpu.clone();
+        let mut recorder = gpu.record();
+        self.model = density::gather(&mut recorder, &self.model, plan)?;
+        self.density = gpu.buffer("density statistics", plan.len())?;
+        recorder.clear(&self.density);
+        recorder.submit()?;
+        self.measured = Measured { ever: self.measured.ever, ..Measured::default() };
+        Ok(())
+    }
+
+    /// Makes this the state that [`Self::restore`] returns to.
+    ///
+    /// # Errors
+    /// When the device has no memory left for a copy.
+    pub fn keep(&mut self) -> Result<(), GpuError> {
+        // The old copy goes first: three states at once may not fit.
+        self.kept = None;
+        self.kept = Some(self.copied(&self.model, &self.density, &self.measured)?);
+        Ok(())
+    }
+
+    /// Returns to the state kept last.
+    ///
+    /// # Errors
+    /// When nothing was kept, or the device has no memory left for a copy.
+    pub fn restore(&mut self) -> Result<(), GpuError> {
+        let kept = self.kept.as_ref().ok_or_else(|| GpuError::Internal("no state was kept".to_owned()))?;
+        let copy = self.copied(&kept.model, &kept.density, &kept.measured)?;
+        (self.model, self.density, self.measured) = (copy.model, copy.density, copy.measured);
+        Ok(())
+    }
+
+    fn copied(
+        &self,
+        model: &ModelBuffers,
+        density: &Buffer<[f32; 2]>,
+        measured: &Measured,
+    ) -> Result<Kept, GpuError> {
+        let mut recorder = self.gpu.record();
+        let mut copy = |buffer: &Buffer<f32>| -> Result<Buffer<f32>, GpuError> {
+            let out = self.gpu.buffer("kept state", buffer.len())?;
+            recorder.copy(buffer, 0, &out, 0, buffer.len());
+            Ok(out)
+        };
+        let model = ModelBuffers {
+            params: copy(&model.params)?,
+            first: copy(&model.first)?,
+            second: copy(&model.second)?,
+            globals: copy(&model.globals)?,
+            globals_first: copy(&model.globals_first)?,
+            globals_second: copy(&model.globals_second)?,
+            ..model.clone()
+        };
+        let density = copy(&density.cast())?.cast();
+        let measured = Measured {
+            labels: measured.labels.as_ref().map(&mut copy).transpose()?,
+            gathered: measured.gathered.as_ref().map(&mut copy).transpose()?,
+            ever: measured.ever,
+        };
+        recorder.submit()?;
+        Ok(Kept { model, density, measured })
+    }
 }
