@@ -11,6 +11,7 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Scene3dBounds};
+use relume::engine::Device;
 use relume::engine::channel::Channels;
 use relume::engine::cpu::{
     AttributeSource, BranchImages, Pass, ProbeSettings, Probes, Shader, View, fibonacci_sphere,
@@ -177,7 +178,7 @@ fn training_step(b: Bencher, warm_up: f32) {
         ..Default::default()
     };
     let config = TrainConfig::new(Preset::Standard, &overrides).unwrap();
-    let mut trainer = Trainer::new(&capture(), config).unwrap();
+    let mut trainer = Trainer::new(&capture(), config, &Device::Cpu).unwrap();
     trainer.step().unwrap();
     b.bench_local(|| trainer.step().unwrap());
 }
@@ -185,7 +186,7 @@ fn training_step(b: Bencher, warm_up: f32) {
 #[divan::bench(args = [Tier::Preview, Tier::Standard])]
 fn relit_frame_256(b: Bencher, tier: Tier) {
     let renderer = Renderer::new(model().clone().into());
-    let light = renderer.prepare_light(&EnvMap::constant(64, 32, [1.0; 3]));
+    let light = renderer.prepare_light(&EnvMap::constant(64, 32, [1.0; 3])).unwrap();
     b.bench_local(|| renderer.render(&camera(256), &light, tier, &[Output::Rgb]).unwrap());
 }
 

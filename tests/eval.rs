@@ -8,6 +8,8 @@ use std::time::Duration;
 use glam::DVec3;
 use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Plane, Scene3dBounds};
 use relume::cli::eval::{EvalArgs, run};
+use relume::engine::Device;
+use relume::engine::gpu::DeviceChoice;
 use relume::eval::{EvalError, EvalOptions, Lpips, Picture, Report, contact_sheet, evaluate};
 use relume::formats::model_file;
 use relume::render::{Frame, Output, Renderer, Tier};
@@ -111,7 +113,8 @@ fn plane<const C: usize>(frame: &Frame, output: Output) -> Plane<C> {
 fn drawn_by(model: &Arc<Model>) -> Capture {
     let renderer = Renderer::new(model.clone());
     let lamp = EnvMap::from_fn(32, 16, |d| [0.4 + 0.5 * d.z.max(0.0) as f32, 0.5, 0.6]);
-    let (own, lit) = (renderer.prepare_light(&model.environment()), renderer.prepare_light(&lamp));
+    let (own, lit) =
+        (renderer.prepare_light(&model.environment()).unwrap(), renderer.prepare_light(&lamp).unwrap());
     let layers = [
         Output::Rgb,
         Output::Albedo,
@@ -275,14 +278,14 @@ fn a_capture_without_held_out_views_is_refused() {
     capture.test.clear();
     let refused = evaluate(model.clone(), &capture, &EvalOptions::default());
     assert_eq!(refused.unwrap_err(), EvalError::NoTestViews);
-    assert!(contact_sheet(model, &capture, Tier::Standard, 2).is_err());
+    assert!(contact_sheet(model, &capture, Tier::Standard, 2, &Device::Cpu).is_err());
 }
 
 #[test]
 fn the_contact_sheet_is_a_png_with_a_cell_a_column_and_a_band_a_view() {
     let model = Arc::new(model());
     let capture = drawn_by(&model);
-    let sheet = contact_sheet(model, &capture, Tier::Standard, 2).unwrap();
+    let sheet = contact_sheet(model, &capture, Tier::Standard, 2, &Device::Cpu).unwrap();
     let image = image::load_from_memory(&sheet.to_png(64).unwrap()).unwrap().into_rgb8();
     // 3 pictures, one light beside its truth, 8 layers.
     assert_eq!(image.width(), 4 + 13 * (64 + 4));
@@ -294,6 +297,7 @@ fn arguments(model: PathBuf, capture: PathBuf, json: PathBuf) -> EvalArgs {
         model,
         capture,
         json: Some(json),
+        device: DeviceChoice::Cpu,
         markdown: None,
         sheet: None,
         lpips: None,

@@ -7,7 +7,7 @@ use relume::render::Output;
 use relume::store::JobState;
 use relume::testing;
 
-use crate::service_support::{capture_zip, small_job};
+use crate::service_support::{capture_zip, ended, small_job, trained, until};
 
 fn look_at() -> CameraSpec {
     let look = LookAtSpec { eye: [3.0, 0.0, 1.0], target: [0.0; 3], up: [0.0, 0.0, 1.0], fov_y_deg: 40.0 };
@@ -45,5 +45,39 @@ async fn a_capture_becomes_a_model_that_renders_over_http() {
     assert_eq!(image_file::dimensions(&exr).unwrap(), (24, 16));
     let thumbnail = client.thumbnail(&model.summary.id, "env=studio&size=32").await.unwrap();
     assert_eq!(image_file::dimensions(&thumbnail).unwrap(), (32, 32));
+    server.stop().await.unwrap();
+}
+
+/// What `Server-Timing` says about the wait: training steps that ended meanwhile.
+fn steps_waited(response: &reqwest::Response) -> u64 {
+    let timing = response.headers()["server-timing"].to_str().unwrap();
+    let steps = timing.split("desc=\"").nth(1).unwrap().split(' ').next().unwrap();
+    steps.parse().unwrap()
+}
+
+/// Renders thumbnails while a job trains on the server's device.
+async fn thumbnails_during_training(server: &testing::TestServer) {
+    let client = server.client();
+    let model = trained(client).await.model.unwrap();
+    let url = |azimuth: u32| {
+        format!("{}v1/models/{model}/thumbnail?tier=standard&size=256&azimuth={azimuth}", client.base())
+    };
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = client.create_job(&small_job(&capture.id, 100_000, 50_000), None).await.unwrap();
+    let begin = until(client, &job.id, |job| job.progress.step > 2).await.progress.step;
+    for azimuth in 0..8 {
+        let response = reqwest::get(url(azimuth * 45)).await.unwrap();
+        assert!(response.status().is_success());
+        assert!(steps_waited(&response) <= 1, "{:?}", response.headers()["server-timing"]);
+    }
+    until(client, &job.id, |job| job.progress.step > begin).await;
+    client.cancel_job(&job.id).await.unwrap();
+    assert_eq!(ended(client, &job.id).await.state, JobState::Cancelled);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_thumbnail_during_training_waits_for_at_most_one_step() {
+    let server = testing::spawn().await.unwrap();
+    thumbnails_during_training(&server).await;
     server.stop().await.unwrap();
 }

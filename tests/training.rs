@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
 use relume::capture::{Capture, SyntheticOptions, synthetic};
+use relume::engine::Device;
 use relume::formats::model_file;
 use relume::scene::Field;
 use relume::train::{LabelSource, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
@@ -44,11 +45,11 @@ fn run(mut trainer: Trainer) -> Vec<u8> {
     while !trainer.is_done() {
         trainer.step().unwrap();
     }
-    model_file::encode(&trainer.model()).unwrap()
+    model_file::encode(&trainer.model().unwrap()).unwrap()
 }
 
 fn trained(overrides: &TrainOverrides) -> Vec<u8> {
-    run(Trainer::new(capture(), config(overrides)).unwrap())
+    run(Trainer::new(capture(), config(overrides), &Device::Cpu).unwrap())
 }
 
 fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
@@ -68,13 +69,13 @@ fn the_same_seed_gives_the_same_bytes_for_one_thread_and_for_three() {
 fn a_resumed_training_ends_with_the_bytes_of_an_undisturbed_one() {
     // 30 lies between two probe refreshes, two density rounds and two snapshots.
     for stop in [1, 17, 30, 59] {
-        let mut trainer = Trainer::new(capture(), config(&overrides())).unwrap();
+        let mut trainer = Trainer::new(capture(), config(&overrides()), &Device::Cpu).unwrap();
         (0..stop).for_each(|_| {
             trainer.step().unwrap();
         });
         let checkpoint = trainer.checkpoint().unwrap();
         drop(trainer);
-        let resumed = Trainer::resume(capture(), config(&overrides()), &checkpoint).unwrap();
+        let resumed = Trainer::resume(capture(), config(&overrides()), &checkpoint, &Device::Cpu).unwrap();
         assert_eq!(resumed.progress().step, stop);
         assert!(run(resumed) == trained(&overrides()), "resumed at step {stop}");
     }
@@ -82,11 +83,11 @@ fn a_resumed_training_ends_with_the_bytes_of_an_undisturbed_one() {
 
 #[test]
 fn a_checkpoint_of_another_configuration_or_cut_short_is_refused_by_name() {
-    let mut trainer = Trainer::new(capture(), config(&overrides())).unwrap();
+    let mut trainer = Trainer::new(capture(), config(&overrides()), &Device::Cpu).unwrap();
     trainer.step().unwrap();
     let bytes = trainer.checkpoint().unwrap();
     let other = config(&TrainOverrides { seed: Some(9), ..overrides() });
-    let refusal = |config, bytes: &[u8]| match Trainer::resume(capture(), config, bytes) {
+    let refusal = |config, bytes: &[u8]| match Trainer::resume(capture(), config, bytes, &Device::Cpu) {
         Err(TrainError::Checkpoint(why)) => why,
         Err(e) => panic!("another refusal: {e}"),
         Ok(_) => panic!("must be refused"),
@@ -100,7 +101,7 @@ fn a_checkpoint_of_another_configuration_or_cut_short_is_refused_by_name() {
 #[test]
 fn training_explains_the_photographs_better_step_by_step() {
     let long = TrainOverrides { iterations: Some(240), ..overrides() };
-    let mut trainer = Trainer::new(capture(), config(&long)).unwrap();
+    let mut trainer = Trainer::new(capture(), config(&long), &Device::Cpu).unwrap();
     let mut psnr = Vec::new();
     while !trainer.is_done() {
         psnr.push(trainer.step().unwrap().psnr);
@@ -132,7 +133,7 @@ fn a_step_that_is_not_finite_is_rolled_back_and_said() {
         "mean": 1000.0, "mean_final": 1000.0, "scale": 1000.0, "opacity": 1000.0, "radiance": 1000.0
     }));
     let wild = TrainOverrides { rates: Some(rates.unwrap()), ..overrides() };
-    let mut trainer = Trainer::new(capture(), config(&wild)).unwrap();
+    let mut trainer = Trainer::new(capture(), config(&wild), &Device::Cpu).unwrap();
     for _ in 0..200 {
         if trainer.is_done() {
             break;
@@ -143,7 +144,7 @@ fn a_step_that_is_not_finite_is_rolled_back_and_said() {
             Err(e) => panic!("{e}"),
         }
     }
-    assert!(trainer.model().gaussians.is_finite(), "a poisoned model must never be handed out");
+    assert!(trainer.model().unwrap().gaussians.is_finite(), "a poisoned model must never be handed out");
     trainer.checkpoint().unwrap();
 }
 
@@ -159,6 +160,6 @@ fn extreme_weights_do_not_poison_a_model() {
 fn too_few_photographs_are_refused_with_their_number() {
     let mut few = capture().clone();
     few.train.truncate(2);
-    let error = Trainer::new(&few, config(&overrides())).err().unwrap().to_string();
+    let error = Trainer::new(&few, config(&overrides()), &Device::Cpu).err().unwrap().to_string();
     assert!(error.contains("2 usable"), "{error}");
 }

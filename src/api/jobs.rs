@@ -47,7 +47,7 @@ pub struct NewJob {
     /// -100 to 100; higher runs first.
     #[serde(default)]
     pub priority: i64,
-    /// `auto` or `cpu`.
+    /// `auto`, `cpu` or `gpu`.
     #[serde(default)]
     pub device: DeviceChoice,
 }
@@ -56,11 +56,13 @@ pub struct NewJob {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DeviceChoice {
-    /// The best device there is.
+    /// The device of the server.
     #[default]
     Auto,
     /// The CPU engine.
     Cpu,
+    /// A GPU; refused where the server has none.
+    Gpu,
 }
 
 impl DeviceChoice {
@@ -68,6 +70,7 @@ impl DeviceChoice {
         match self {
             Self::Auto => "auto",
             Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
         }
     }
 }
@@ -184,6 +187,9 @@ async fn create_job(
 ) -> Result<Response, Problem> {
     let config = TrainConfig::new(job.preset, &job.overrides).map_err(|e| override_refused(&e))?;
     check_priority(job.priority)?;
+    if job.device == DeviceChoice::Gpu && !app.device.has_gpu() {
+        return Err(Problem::invalid_field("/device", "this server has no GPU"));
+    }
     if app.store.capture(&job.capture).await?.is_none() {
         return Err(Problem::invalid_field("/capture", format!("{:?} does not exist", job.capture)));
     }

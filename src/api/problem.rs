@@ -189,7 +189,12 @@ impl From<RenderFailure> for Problem {
             RenderFailure::Busy => {
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "The device is busy").retry_after(1)
             }
-            RenderFailure::Refused(error) => Self::invalid_field(format!("/{}", error.field), error.reason),
+            RenderFailure::Refused { field, reason } => Self::invalid_field(format!("/{field}"), reason),
+            RenderFailure::Device(error) => {
+                tracing::error!(%error, "the device failed under a render");
+                Self::new(StatusCode::SERVICE_UNAVAILABLE, "device-failed", "The device failed")
+                    .retry_after(5)
+            }
             RenderFailure::Internal(cause) => Self::internal(cause),
         }
     }

@@ -171,20 +171,37 @@ async fn render(
         tier: request.tier,
         outputs: request.outputs,
     };
-    let picture = picture(&app, task, format).await?;
-    Ok(respond(picture, format))
+    let shown = picture(&app, task, format).await?;
+    Ok(respond(shown, format))
+}
+
+/// An encoded picture and a `Server-Timing` header's value: how long it waited and took.
+pub(super) struct Shown {
+    picture: Picture,
+    timing: String,
 }
 
 /// Renders on the device thread and encodes off it.
-pub(super) async fn picture(app: &Shared, task: RenderTask, format: Format) -> Result<Picture, Problem> {
+pub(super) async fn picture(app: &Shared, task: RenderTask, format: Format) -> Result<Shown, Problem> {
     let outputs = task.outputs.clone();
-    let frame = app.device.render(task).await?;
-    let encoded = tokio::task::spawn_blocking(move || picture::encode(&frame, &outputs, format));
-    encoded.await.map_err(Problem::internal)?.map_err(Problem::internal)
+    let rendered = app.device.render(task).await?;
+    let ms = |d: std::time::Duration| d.as_secs_f64() * 1e3;
+    let timing = format!(
+        "queue;dur={:.1};desc=\"{} training steps\", render;dur={:.1}",
+        ms(rendered.waited),
+        rendered.steps_waited,
+        ms(rendered.took)
+    );
+    let encoded = tokio::task::spawn_blocking(move || picture::encode(&rendered.frame, &outputs, format));
+    let picture = encoded.await.map_err(Problem::internal)?.map_err(Problem::internal)?;
+    Ok(Shown { picture, timing })
 }
 
-pub(super) fn respond(picture: Picture, format: Format) -> Response {
+pub(super) fn respond(Shown { picture, timing }: Shown, format: Format) -> Response {
     let mut response = picture.bytes.into_response();
+    if let Ok(value) = HeaderValue::from_str(&timing) {
+        response.headers_mut().insert("server-timing", value);
+    }
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
     if let Some([near, far]) = picture.depth_range

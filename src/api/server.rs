@@ -15,7 +15,7 @@ use crate::api::auth::ApiKeys;
 use crate::api::{App, Limits, observe, router};
 use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
 use crate::store::{NodeLock, Store, StoreError};
-use crate::worker::{self, WorkerOptions};
+use crate::worker::{self, GpuError, StartError, WorkerOptions};
 
 /// How often leases that ran out are looked for, and metrics are tidied.
 const UPKEEP_EVERY: Duration = Duration::from_secs(10);
@@ -72,6 +72,9 @@ pub enum ServeError {
     /// The data directory cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// The device that was asked for cannot be had.
+    #[error(transparent)]
+    Device(#[from] GpuError),
     /// The network or a thread failed.
     #[error(transparent)]
     Io(#[from] std::io::Error),
@@ -98,7 +101,10 @@ pub async fn run(
     recover(&store, &jobs).await?;
 
     let stop = CancellationToken::new();
-    let (device, thread) = worker::start(jobs.clone(), config.worker, stop.clone())?;
+    let (device, thread) = worker::start(jobs.clone(), config.worker, stop.clone()).map_err(|e| match e {
+        StartError::Device(error) => ServeError::Device(error),
+        StartError::Thread(error) => ServeError::Io(error),
+    })?;
     let upkeep = tokio::spawn(upkeep(jobs.clone(), stop.clone()));
     let app = App {
         store: store.clone(),

@@ -1,20 +1,9 @@
 //! What several commands' arguments share.
 
-use clap::ValueEnum;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use crate::train::TrainOverrides;
-
-/// Where to compute.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
-pub(super) enum Device {
-    /// The best device there is; in this build the CPU.
-    #[default]
-    Auto,
-    /// The CPU engine.
-    Cpu,
-}
 
 /// A named value, spelled as in the API.
 pub(super) fn named<T: DeserializeOwned>(name: &str) -> Result<T, String> {

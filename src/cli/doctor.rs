@@ -1,9 +1,9 @@
-//! `relume doctor`: what this machine offers and whether everything is in order.
+//! `relume doctor`: what this machine offers, what will be used and why, and whether everything is in order.
 
 use std::path::{Path, PathBuf};
 
 use crate::cli::CommandResult;
-use crate::cli::args::Device;
+use crate::engine::gpu::{AdapterReport, Adapters, DeviceChoice, Gpu, GpuOptions};
 use crate::store::Store;
 
 /// Options of `relume doctor`.
@@ -12,21 +12,65 @@ pub(super) struct Args {
     /// The data directory to look at.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
-    /// The device to look for.
-    #[arg(long, value_enum, default_value_t)]
-    device: Device,
+    /// The device to look for: `auto`, `cpu`, `gpu` or `gpu:N`.
+    #[arg(long, default_value_t)]
+    device: DeviceChoice,
 }
 
 pub(super) fn run(args: &Args) -> CommandResult {
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     println!("relume        {}", env!("CARGO_PKG_VERSION"));
-    println!("device        cpu{}", if args.device == Device::Auto { " (chosen by auto)" } else { "" });
     println!("cpu threads   {threads}");
     println!("cpu features  {}", features().join(" "));
-    println!("gpu           the GPU engine is not part of this build");
+    let adapters = Adapters::find();
+    if adapters.reports().is_empty() {
+        println!("gpus          none: no Vulkan, Metal or DX12 driver found");
+    }
+    adapters.reports().iter().for_each(describe);
     println!("sqlite        {}", sqlite_version()?);
     println!("data dir      {}", data_dir(&args.data_dir)?);
+    let chosen = adapters.choose(args.device)?;
+    println!("device        {}", verdict(args.device, chosen, adapters.reports()));
+    if let Some(index) = chosen {
+        Gpu::open(&adapters, index, GpuOptions::from_env())?.self_test()?;
+        println!("self-test     passed");
+    }
     Ok(())
+}
+
+fn describe(r: &AdapterReport) {
+    let mib = |bytes: u64| bytes >> 20;
+    let yes = |on: bool| if on { "yes" } else { "no" };
+    println!(
+        "gpu:{:<9} {} ({}, {}{})",
+        r.index,
+        r.name,
+        r.backend,
+        r.driver,
+        if r.software { ", software" } else { "" }
+    );
+    println!(
+        "              buffers to {} MiB, bindings to {} MiB, workgroup memory {} KiB, float atomics {}, timestamps {}",
+        mib(r.max_buffer),
+        mib(r.max_binding),
+        r.workgroup_memory >> 10,
+        yes(r.float_atomics),
+        yes(r.timestamps)
+    );
+    r.lacks.iter().for_each(|what| println!("              cannot be used: {what}"));
+}
+
+/// What will be used, and why.
+fn verdict(choice: DeviceChoice, chosen: Option<usize>, reports: &[AdapterReport]) -> String {
+    match (choice, chosen) {
+        (_, Some(index)) => format!("gpu:{index} ({choice})"),
+        (DeviceChoice::Cpu, None) => "cpu (as asked)".to_owned(),
+        _ if reports.is_empty() => "cpu (there is no GPU)".to_owned(),
+        _ if reports.iter().all(|r| r.software) => {
+            "cpu (a software GPU is slower than the CPU engine; gpu:N takes it all the same)".to_owned()
+        }
+        _ => "cpu (no GPU has what the engine needs)".to_owned(),
+    }
 }
 
 /// What the CPU engine can make use of.

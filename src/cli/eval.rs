@@ -7,6 +7,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::capture::{Capture, CaptureError, ImportOptions, import};
 use crate::cli::output;
+use crate::engine::Device;
+use crate::engine::gpu::{DeviceChoice, GpuError};
 use crate::eval::{EvalError, EvalOptions, Lpips, LpipsError, contact_sheet, evaluate};
 use crate::formats::model_file::{self, ModelFileError};
 use crate::render::Tier;
@@ -39,6 +41,9 @@ pub struct EvalArgs {
     /// Longest side in pixels to compare at; the stored size when absent.
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=8192))]
     pub resolution: Option<u32>,
+    /// Where to render: `auto`, `cpu`, `gpu` or `gpu:N`.
+    #[arg(long, default_value_t)]
+    pub device: DeviceChoice,
     /// Compare only this many held-out views, evenly spaced.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub views: Option<u32>,
@@ -77,6 +82,9 @@ pub enum EvalCommandError {
     /// The LPIPS weights were refused.
     #[error(transparent)]
     Lpips(#[from] LpipsError),
+    /// The device cannot be had.
+    #[error(transparent)]
+    Device(#[from] GpuError),
     /// Nothing could be compared.
     #[error(transparent)]
     Eval(#[from] EvalError),
@@ -103,7 +111,9 @@ pub fn run(args: &EvalArgs) -> Result<(), EvalCommandError> {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
     };
+    let device = Device::open(args.device)?;
     let options = EvalOptions {
+        device: &device,
         lpips: lpips.as_ref(),
         views: args.views.map(|n| n as usize),
         progress: &progress,
@@ -121,7 +131,7 @@ pub fn run(args: &EvalArgs) -> Result<(), EvalCommandError> {
         write(path, markdown.as_bytes())?;
     }
     if let Some(path) = &args.sheet {
-        let sheet = contact_sheet(model, &capture, Tier::default(), SHEET_ROWS)?;
+        let sheet = contact_sheet(model, &capture, Tier::default(), SHEET_ROWS, &device)?;
         write(path, &sheet.to_png(CELL)?)?;
     }
     Ok(())

@@ -5,8 +5,10 @@ use std::sync::Arc;
 
 use crate::api::picture::{self, Format};
 use crate::capture::{BUILTIN, builtin};
-use crate::cli::args::{Device, named};
+use crate::cli::args::named;
 use crate::cli::{CommandResult, output};
+use crate::engine::Device;
+use crate::engine::gpu::DeviceChoice;
 use crate::formats::{environment, model_file};
 use crate::render::{Output, Renderer, Tier};
 use crate::scene::{EnvMap, Model};
@@ -41,9 +43,9 @@ pub(super) struct Args {
     /// What to render, with commas; a PNG or JPEG holds one, an EXR all.
     #[arg(long, default_value = "rgb", value_delimiter = ',', value_parser = named::<Output>)]
     output: Vec<Output>,
-    /// Where to compute.
-    #[arg(long, value_enum, default_value_t)]
-    device: Device,
+    /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
+    #[arg(long, default_value_t)]
+    device: DeviceChoice,
     /// The image file to write: `.png`, `.jpg` or `.exr`.
     #[arg(long, default_value = "frame.png")]
     out: PathBuf,
@@ -58,8 +60,8 @@ pub(super) fn run(args: &Args) -> CommandResult {
     let light = light(&args.env, &model)?.rotated_and_scaled(args.rotation, args.exposure.exp2() as f32);
     let orbit = Orbit { azimuth_deg: args.azimuth, elevation_deg: args.elevation, size: args.size };
     let camera = View::Orbit(orbit).camera(&model)?;
-    let renderer = Renderer::new(model);
-    let frame = renderer.render(&camera, &renderer.prepare_light(&light), args.tier, &args.output)?;
+    let renderer = Renderer::on(model, &Device::open(args.device)?)?;
+    let frame = renderer.render(&camera, &renderer.prepare_light(&light)?, args.tier, &args.output)?;
     let picture = picture::encode(&frame, &args.output, format)?;
     output::write_whole(&args.out, &picture.bytes)?;
     eprintln!("wrote {}", args.out.display());

@@ -10,6 +10,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use crate::api::auth::ApiKeys;
 use crate::api::server::{self, ServerConfig};
 use crate::cli::CommandResult;
+use crate::worker::DeviceChoice;
 
 /// Options of `relume serve`.
 #[derive(Debug, clap::Args)]
@@ -38,6 +39,9 @@ pub(super) struct Args {
     /// Most bytes of an environment file.
     #[arg(long, env = "RELUME_MAX_ENVIRONMENT_BYTES", default_value_t = 256 << 20)]
     max_environment_bytes: u64,
+    /// Where to train and render: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
+    #[arg(long, env = "RELUME_DEVICE", default_value_t)]
+    device: DeviceChoice,
     /// Attempts without a new checkpoint before a job is given up.
     #[arg(long, env = "RELUME_MAX_ATTEMPTS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     max_attempts: u32,
@@ -59,6 +63,7 @@ async fn serve(args: Args) -> CommandResult {
     config.cors_origins = args.cors_origins;
     config.limits.capture_bytes = args.max_capture_bytes;
     config.limits.environment_bytes = args.max_environment_bytes;
+    config.worker.device = args.device;
     config.lease.max_idle_attempts = args.max_attempts;
     let listener = TcpListener::bind(args.listen).await?;
     // For people and scripts alike: with port 0 this is how they learn the address.

@@ -4,8 +4,10 @@ use std::path::PathBuf;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::cli::args::{Device, named, overrides};
+use crate::cli::args::{named, overrides};
 use crate::cli::{CommandResult, output};
+use crate::engine::Device;
+use crate::engine::gpu::DeviceChoice;
 use crate::formats::model_file;
 use crate::train::{Preset, StepReport, TrainConfig, Trainer};
 use crate::worker::import_for_training;
@@ -27,9 +29,9 @@ pub(super) struct Args {
     /// Seed of every random choice.
     #[arg(long)]
     seed: Option<u64>,
-    /// Where to compute.
-    #[arg(long, value_enum, default_value_t)]
-    device: Device,
+    /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
+    #[arg(long, default_value_t)]
+    device: DeviceChoice,
     /// Any other override of the preset, e.g. `--set labels=both`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
@@ -55,9 +57,11 @@ pub(super) fn run(args: &Args) -> CommandResult {
         capture.train.len(),
         capture.test.len()
     );
-    let mut trainer = Trainer::new(&capture, config)?;
+    let device = Device::open(args.device)?;
+    eprintln!("device: {}", device.name());
+    let mut trainer = Trainer::new(&capture, config, &device)?;
     train(&mut trainer)?;
-    let mut model = trainer.model();
+    let mut model = trainer.model()?;
     // Only here: a job's model file leaves the time out, so that its bytes depend on nothing else.
     if let Some(card) = model.card.as_object_mut() {
         card.insert("training_seconds".to_owned(), trainer.seconds().into());

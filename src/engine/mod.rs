@@ -3,8 +3,10 @@
 
 pub mod channel;
 pub mod cpu;
+mod device;
 pub mod gpu;
 mod gradients;
 pub mod reference;
 
+pub use device::Device;
 pub use gradients::{Gradients, RowLayout};

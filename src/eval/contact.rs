@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::capture::{Capture, CaptureView, Plane};
+use crate::engine::Device;
 use crate::eval::Picture;
 use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
 use crate::eval::sheet::{Sheet, error_map, grey};
@@ -21,16 +22,19 @@ pub fn contact_sheet(
     capture: &Capture,
     tier: Tier,
     rows: usize,
+    device: &Device,
 ) -> Result<Sheet, EvalError> {
     let views = evenly_spaced(&capture.test, Some(rows));
     if views.is_empty() {
         return Err(EvalError::NoTestViews);
     }
     let lights = lights_of(&views, capture);
-    let renderer = Renderer::new(model);
-    let own = renderer.prepare_light(&renderer.model().environment());
-    let prepared: Vec<(&str, PreparedLight)> =
-        lights.iter().map(|name| (*name, renderer.prepare_light(&capture.lights[*name]))).collect();
+    let renderer = Renderer::on(model, device)?;
+    let own = renderer.prepare_light(&renderer.model().environment())?;
+    let mut prepared: Vec<(&str, PreparedLight)> = Vec::with_capacity(lights.len());
+    for name in &lights {
+        prepared.push((*name, renderer.prepare_light(&capture.lights[*name])?));
+    }
     let mut sheet = Sheet::new(column_names(&lights));
     for view in views {
         let layers = ViewLayers::render(&renderer, &view.camera, &own, tier)

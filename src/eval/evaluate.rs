@@ -5,6 +5,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::capture::{Capture, CaptureView, ImageRgba, Plane};
+use crate::engine::Device;
+use crate::engine::gpu::GpuError;
 use crate::eval::report::{ImageScores, RelitScores, Report};
 use crate::eval::totals::{LayerTotals, Mean, PictureTotals};
 use crate::eval::views::{ViewLayers, photograph, relit, with_scaled_albedo};
@@ -22,6 +24,8 @@ pub struct EvalOptions<'a> {
     pub tier: Tier,
     /// Least wall-clock time to spend on the frame rate of each tier; zero leaves frame rates out.
     pub frame_rate_time: Duration,
+    /// Where to render.
+    pub device: &'a Device,
     /// Told how many view renderings are done, of how many.
     pub progress: &'a dyn Fn(usize, usize),
 }
@@ -33,6 +37,7 @@ impl Default for EvalOptions<'_> {
             views: None,
             tier: Tier::default(),
             frame_rate_time: Duration::from_secs(1),
+            device: &Device::Cpu,
             progress: &|_, _| {},
         }
     }
@@ -64,6 +69,9 @@ pub enum EvalError {
         /// What the renderer said.
         source: RenderError,
     },
+    /// The device failed.
+    #[error(transparent)]
+    Device(#[from] GpuError),
 }
 
 /// Compares a model with a capture: novel views (both branches), relit views a light, material and geometry
@@ -99,7 +107,7 @@ struct Run<'a> {
 
 impl Run<'_> {
     fn evaluate(&mut self, model: Arc<Model>) -> Result<Report, EvalError> {
-        let renderer = Renderer::new(model.clone());
+        let renderer = Renderer::on(model.clone(), self.options.device)?;
         let mut report = Report {
             protocol: self.protocol(),
             views: self.views.len(),
@@ -110,7 +118,7 @@ impl Run<'_> {
         self.own_light(&renderer, &mut report)?;
         report.relit = self.relit(&renderer)?;
         if let Some(scale) = report.albedo.scale {
-            let aligned = Renderer::new(Arc::new(with_scaled_albedo(&model, scale)));
+            let aligned = Renderer::on(Arc::new(with_scaled_albedo(&model, scale)), self.options.device)?;
             self.aligned_albedo(&aligned, &mut report)?;
             report.relit_aligned = self.relit(&aligned)?;
         }
@@ -121,7 +129,7 @@ impl Run<'_> {
 
     /// Novel views and layers under the light the model recovered.
     fn own_light(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
-        let light = renderer.prepare_light(&renderer.model().environment());
+        let light = renderer.prepare_light(&renderer.model().environment())?;
         let (mut shaded, mut radiance) = (PictureTotals::default(), PictureTotals::default());
         let mut totals = LayerTotals::default();
         for view in &self.views {
@@ -141,7 +149,7 @@ impl Run<'_> {
 
     /// Albedo after alignment: the aligned model's own albedo, so nothing is scaled twice.
     fn aligned_albedo(&self, aligned: &Renderer, report: &mut Report) -> Result<(), EvalError> {
-        let light = aligned.prepare_light(&aligned.model().environment());
+        let light = aligned.prepare_light(&aligned.model().environment())?;
         let (mut whole, mut foreground) = (Mean::default(), Mean::default());
         for view in &self.views {
             let Some(truth) = &view.truth.albedo else { continue };
@@ -164,7 +172,7 @@ impl Run<'_> {
     fn relit(&self, renderer: &Renderer) -> Result<RelitScores, EvalError> {
         let mut scores = RelitScores::default();
         for &name in &self.lights {
-            let light = renderer.prepare_light(&self.capture.lights[name]);
+            let light = renderer.prepare_light(&self.capture.lights[name])?;
             let mut totals = PictureTotals::default();
             for view in &self.views {
                 let Some(truth) = view.truth.relit.get(name) else { continue };
@@ -192,7 +200,7 @@ impl Run<'_> {
         }
         let environment = renderer.model().environment();
         let map = self.lights.first().map_or(&environment, |name| &self.capture.lights[*name]);
-        let light = renderer.prepare_light(map);
+        let light = renderer.prepare_light(map)?;
         for (name, tier) in [("preview", Tier::Preview), ("standard", Tier::Standard)] {
             let draw = |view: &CaptureView| {
                 let frame = renderer.render(&view.camera, &light, tier, &[Output::Rgb]);

@@ -12,7 +12,7 @@ mod tables;
 pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
 pub use grid::{CubeGrid, Taps};
 pub use lobe::{LOBE_ORDERS, LobeAttenuation, LobeSample};
-pub use operators::{EnvOperators, SPECULAR_LEVELS, TableResolution, level_position};
+pub use operators::{CompressedRows, EnvOperators, SPECULAR_LEVELS, TableResolution, level_position};
 pub use prefilter::rendering_tables;
 pub use sh::{CLAMPED_COSINE, nrsh, nrsh_factor, sh_eval, sh_eval_with_gradient};
 pub use tables::{LightTables, TABLE_LANES, padded};

@@ -48,6 +48,26 @@ struct SparseRows {
     entries: Vec<(u32, f32)>,
 }
 
+/// Sparse rows as two plain arrays, for devices: row k is `entries[start[k]..start[k + 1]]`.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct CompressedRows {
+    /// First entry of each row, and the end.
+    pub start: Vec<u32>,
+    /// Column, and the bits of the weight.
+    pub entries: Vec<[u32; 2]>,
+}
+
+impl CompressedRows {
+    fn new<'a>(rows: impl Iterator<Item = &'a [(u32, f32)]>) -> Self {
+        let mut out = Self { start: vec![0], entries: Vec::new() };
+        for row in rows {
+            out.entries.extend(row.iter().map(|(column, weight)| [*column, weight.to_bits()]));
+            out.start.push(out.entries.len() as u32);
+        }
+        out
+    }
+}
+
 /// The operators of one environment size.
 #[derive(Debug, Clone)]
 pub struct EnvOperators {
@@ -102,6 +122,39 @@ impl EnvOperators {
     /// Columns and rows of the environments these operators take.
     pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
+    }
+
+    /// Sparse rows of the whole operator: those of the normals' cosine first, then the prefilter levels' one after another.
+    pub fn rows(&self) -> CompressedRows {
+        let levels = self.specular.iter().flat_map(|rows| (0..rows.len()).map(|k| rows.row(k)));
+        CompressedRows::new((0..self.cosine.len()).map(|k| self.cosine.row(k)).chain(levels))
+    }
+
+    /// The transpose, two rows a texel: its normals, then its nodes of all prefilter levels counted through.
+    pub fn transposed_rows(&self) -> CompressedRows {
+        let mut first_node = [0u32; SPECULAR_LEVELS.len()];
+        for k in 1..first_node.len() {
+            first_node[k] = first_node[k - 1] + self.specular[k - 1].len() as u32;
+        }
+        let mut rows: Vec<Vec<(u32, f32)>> = Vec::with_capacity(2 * self.width * self.height);
+        for texel in 0..self.width * self.height {
+            rows.push(self.cosine_transposed.row(texel).to_vec());
+            let levels = self.specular_transposed.iter().zip(first_node);
+            let shifted =
+                levels.flat_map(|(t, first)| t.row(texel).iter().map(move |&(n, w)| (first + n, w)));
+            rows.push(shifted.collect());
+        }
+        CompressedRows::new(rows.iter().map(Vec::as_slice))
+    }
+
+    /// `Y_j` of each texel, padded: `[texel][coefficient]`.
+    pub fn harmonics(&self) -> &[f32] {
+        &self.harmonics
+    }
+
+    /// Empty tables of the shape [`Self::apply`] gives.
+    pub fn shape(&self) -> LightTables {
+        self.apply(&vec![[0.0; 3]; self.width * self.height])
     }
 
     /// Degree of the visibility field the diffuse table serves.
@@ -200,6 +253,10 @@ impl SparseRows {
             start.push(entries.len() as u32);
         }
         Self { start, entries }
+    }
+
+    fn len(&self) -> usize {
+        self.start.len() - 1
     }
 
     fn row(&self, k: usize) -> &[(u32, f32)] {

@@ -6,11 +6,13 @@ use std::sync::{Arc, OnceLock};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::engine::Device;
 use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::{
     AttributeSource, LEAST_COVERAGE, Pass, ProbeSettings, Probes, Shader, Surface, Transport, View,
     fibonacci_sphere, normalise, outward_normals, surface_at,
 };
+use crate::engine::gpu::GpuError;
 use crate::light::{LightTables, rendering_tables};
 use crate::render::{Frame, Output, preview};
 use crate::scene::{Camera, EnvMap, Field, IndirectForm, Model};
@@ -33,14 +35,20 @@ pub enum Tier {
     Standard,
 }
 
-/// Why a frame was refused.
+/// Why there is no frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{field}: {reason}")]
-pub struct RenderError {
-    /// The request field at fault.
-    pub field: &'static str,
-    /// What is wrong.
-    pub reason: String,
+pub enum RenderError {
+    /// The request cannot be rendered.
+    #[error("{field}: {reason}")]
+    Refused {
+        /// The request field at fault.
+        field: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The device failed.
+    #[error(transparent)]
+    Device(#[from] GpuError),
 }
 
 /// An environment turned into the tables a model is shaded with; costs a second at most, keep it.
@@ -62,6 +70,14 @@ impl Renderer {
         Self { model, transport: OnceLock::new() }
     }
 
+    /// Takes a checked model in, to be rendered on `device`.
+    ///
+    /// # Errors
+    /// When the device cannot hold the model.
+    pub fn on(model: Arc<Model>, _device: &Device) -> Result<Self, GpuError> {
+        Ok(Self::new(model))
+    }
+
     /// The model.
     pub fn model(&self) -> &Model {
         &self.model
@@ -78,7 +94,10 @@ impl Renderer {
     }
 
     /// Tables for relighting this model under `environment`, light that bounces between its surfaces included.
-    pub fn prepare_light(&self, environment: &EnvMap) -> PreparedLight {
+    ///
+    /// # Errors
+    /// When the device failed.
+    pub fn prepare_light(&self, environment: &EnvMap) -> Result<PreparedLight, GpuError> {
         let tables = rendering_tables(environment, self.model.gaussians.visibility_order());
         let mut gathered = Vec::new();
         if self.model.shading.indirect == IndirectForm::Gathered {
@@ -96,7 +115,7 @@ impl Renderer {
             gathered = transport.gather(&source, &tables, BOUNCES);
         }
         let indirect_basis = crate::engine::cpu::indirect_basis(&tables);
-        PreparedLight { tables, gathered, indirect_basis }
+        Ok(PreparedLight { tables, gathered, indirect_basis })
     }
 
     /// Renders `outputs` for a camera in capture coordinates.
@@ -110,10 +129,11 @@ impl Renderer {
         tier: Tier,
         outputs: &[Output],
     ) -> Result<Frame, RenderError> {
-        let checked = camera.validated().map_err(|e| RenderError { field: e.field, reason: e.reason })?;
+        let checked =
+            camera.validated().map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
         if u64::from(checked.width) * u64::from(checked.height) > MOST_PIXELS {
             let reason = format!("more than {MOST_PIXELS} pixels");
-            return Err(RenderError { field: "width,height", reason });
+            return Err(RenderError::Refused { field: "width,height", reason });
         }
         let camera = checked.in_normalised_world(self.model.world_scale, self.model.world_offset);
         let source = self.source(&light.gathered, &light.indirect_basis);

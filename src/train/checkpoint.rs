@@ -10,7 +10,7 @@ use crate::formats::model_file::{self, Tensor, floats};
 use crate::scene::{Field, Gaussians};
 use crate::train::density::DensityStats;
 use crate::train::optimiser::Moments;
-use crate::train::state::TrainState;
+use crate::train::state::{Course, Learned};
 use crate::train::{TrainConfig, TrainError};
 
 const VERSION: u32 = 1;
@@ -38,29 +38,29 @@ fn bad(field: &str, reason: impl std::fmt::Display) -> TrainError {
 ///
 /// # Errors
 /// When a parameter is not finite.
-pub fn encode(state: &TrainState, config: &TrainConfig) -> Result<Vec<u8>, TrainError> {
-    if let Err(e) = state.model.check() {
+pub fn encode(course: &Course, learned: &Learned, config: &TrainConfig) -> Result<Vec<u8>, TrainError> {
+    if let Err(e) = learned.model.check() {
         return Err(bad(e.field, e.reason));
     }
     let header = Header {
         version: VERSION,
         config: config.clone(),
-        step: state.step,
-        order: state.order.clone(),
-        cursor: state.cursor,
-        rng: state.rng.clone(),
-        rate_factor: state.rate_factor,
-        seconds: state.seconds,
-        labels: state.labels.len(),
-        gathered: state.gathered.len(),
+        step: course.step,
+        order: course.order.clone(),
+        cursor: course.cursor,
+        rng: course.rng.clone(),
+        rate_factor: course.rate_factor,
+        seconds: course.seconds,
+        labels: learned.labels.len(),
+        gathered: learned.gathered.len(),
     };
     let text = serde_json::to_string(&header).map_err(|e| bad("header", e))?;
     let metadata = HashMap::from([
         (HEADER_KEY.to_owned(), text),
-        ("relume".to_owned(), model_file::header(&state.model)),
+        ("relume".to_owned(), model_file::header(&learned.model)),
     ]);
-    let mut tensors = model_file::tensors(&state.model);
-    for (prefix, g) in [("first", &state.moments.first), ("second", &state.moments.second)] {
+    let mut tensors = model_file::tensors(&learned.model);
+    for (prefix, g) in [("first", &learned.moments.first), ("second", &learned.moments.second)] {
         for field in Field::ALL {
             let name = format!("{prefix}.{}", field.name());
             tensors.push((name, Tensor::new([g.len(), g.width(field)], g.field(field))));
@@ -68,12 +68,12 @@ pub fn encode(state: &TrainState, config: &TrainConfig) -> Result<Vec<u8>, Train
     }
     let mut flat =
         |name: &str, data| tensors.push((name.to_owned(), Tensor::new([<[f32]>::len(data)], data)));
-    flat("first.globals", bytemuck::cast_slice(&state.moments.globals[0]));
-    flat("second.globals", bytemuck::cast_slice(&state.moments.globals[1]));
-    flat("density.gradient", &state.density.gradient);
-    flat("density.seen", &state.density.seen);
-    flat("labels", &state.labels);
-    flat("gathered", bytemuck::cast_slice(&state.gathered));
+    flat("first.globals", bytemuck::cast_slice(&learned.moments.globals[0]));
+    flat("second.globals", bytemuck::cast_slice(&learned.moments.globals[1]));
+    flat("density.gradient", &learned.density.gradient);
+    flat("density.seen", &learned.density.seen);
+    flat("labels", &learned.labels);
+    flat("gathered", bytemuck::cast_slice(&learned.gathered));
     safetensors::serialize(tensors, Some(metadata)).map_err(|e| bad("container", e))
 }
 
@@ -81,7 +81,7 @@ pub fn encode(state: &TrainState, config: &TrainConfig) -> Result<Vec<u8>, Train
 ///
 /// # Errors
 /// Names the part that is missing, damaged, or from another configuration.
-pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<TrainState, TrainError> {
+pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(Course, Learned), TrainError> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| bad("container", e))?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get(HEADER_KEY));
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a checkpoint"))?;
@@ -105,10 +105,9 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<TrainState, TrainErr
         Ok(out)
     };
     let globals = 3 * (model.prototypes.len() + model.env_raw.len());
-    let triples = |name: &str| Ok(read(name, globals)?.as_chunks::<3>().0.to_vec());
+    let triples = |name: &str| read(name, globals).map(|values| values.as_chunks::<3>().0.to_vec());
     let gathered = read("gathered", header.gathered.saturating_mul(6))?;
-    Ok(TrainState {
-        step: header.step,
+    let learned = Learned {
         moments: Moments {
             first: moments("first")?,
             second: moments("second")?,
@@ -117,11 +116,15 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<TrainState, TrainErr
         density: DensityStats { gradient: read("density.gradient", n)?, seen: read("density.seen", n)? },
         labels: read("labels", header.labels)?,
         gathered: gathered.as_chunks::<6>().0.to_vec(),
+        model,
+    };
+    let course = Course {
+        step: header.step,
         order: header.order,
         cursor: header.cursor,
         rng: header.rng,
         rate_factor: header.rate_factor,
         seconds: header.seconds,
-        model,
-    })
+    };
+    Ok((course, learned))
 }

@@ -45,19 +45,43 @@ impl DensityStats {
     }
 }
 
-/// One round: drops what is faint or huge, splits what matters most, resets the statistics.
+/// A round of density control: where each Gaussian of the next generation comes from.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Plan {
+    /// Index in the old generation.
+    pub source: Vec<u32>,
+    /// 0: unchanged. 1 or -1: that half of its source, with fresh moments.
+    pub side: Vec<f32>,
+}
+
+/// What the choice is made from, a row a Gaussian.
+#[derive(Debug, Clone, Copy)]
+pub struct Candidates<'a> {
+    /// Centres (3).
+    pub means: &'a [f32],
+    /// ln of the standard deviations (3).
+    pub log_scales: &'a [f32],
+    /// Opacity logits (1).
+    pub opacity_logits: &'a [f32],
+}
+
+impl<'a> From<&'a Gaussians> for Candidates<'a> {
+    fn from(g: &'a Gaussians) -> Self {
+        Self {
+            means: g.field(Field::Mean),
+            log_scales: g.field(Field::LogScale),
+            opacity_logits: g.field(Field::OpacityLogit),
+        }
+    }
+}
+
+/// Drops what is faint or huge, splits what matters most while the budget lasts.
 ///
 /// `eyes`: camera centres of a scene without masks. Such a scene keeps its big background Gaussians, and loses those that
 /// hang right in front of a camera, where no other view can correct them.
-pub fn refine(
-    model: &mut Model,
-    moments: &mut Moments,
-    stats: &mut DensityStats,
-    budget: usize,
-    eyes: Option<&[[f32; 3]]>,
-) {
-    let g = &model.gaussians;
-    let keep: Vec<usize> = (0..g.len()).filter(|&i| !is_waste(g, i, eyes)).collect();
+pub fn plan(of: Candidates<'_>, stats: &DensityStats, budget: usize, eyes: Option<&[[f32; 3]]>) -> Plan {
+    let n = of.opacity_logits.len();
+    let keep: Vec<usize> = (0..n).filter(|&i| !is_waste(&of, i, eyes)).collect();
     let room = budget.saturating_sub(keep.len()).min((keep.len() as f32 * MOST_GROWTH) as usize + 8);
     let mut wanted: Vec<(f32, usize)> = keep
         .iter()
@@ -66,39 +90,57 @@ pub fn refine(
         .collect();
     wanted.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     wanted.truncate(room);
-    let mut chosen = vec![false; g.len()];
+    let mut chosen = vec![false; n];
     wanted.iter().for_each(|&(_, i)| chosen[i] = true);
     // Survivors in order, then the second halves in order.
-    let second: Vec<usize> = keep.iter().copied().filter(|&i| chosen[i]).collect();
-    let indices: Vec<usize> = keep.iter().chain(&second).copied().collect();
-    let mut next = g.gathered(&indices);
-    for (new, old) in indices.iter().enumerate() {
-        if chosen[*old] {
-            let side = if new < keep.len() { 1.0 } else { -1.0 };
-            halve(&mut next, new, side);
-        }
+    let mut out = Plan::default();
+    for &i in &keep {
+        out.source.push(i as u32);
+        out.side.push(if chosen[i] { 1.0 } else { 0.0 });
     }
-    let fresh =
-        |(new, old): (usize, &usize)| if new < keep.len() && !chosen[*old] { Some(*old) } else { None };
-    let sources: Vec<Option<usize>> = indices.iter().enumerate().map(fresh).collect();
+    for &i in keep.iter().filter(|&&i| chosen[i]) {
+        out.source.push(i as u32);
+        out.side.push(-1.0);
+    }
+    out
+}
+
+/// One round on the host: plans, rebuilds the model and its moments, resets the statistics.
+pub fn refine(
+    model: &mut Model,
+    moments: &mut Moments,
+    stats: &mut DensityStats,
+    budget: usize,
+    eyes: Option<&[[f32; 3]]>,
+) {
+    let g = &model.gaussians;
+    let plan = plan(g.into(), stats, budget, eyes);
+    let indices: Vec<usize> = plan.source.iter().map(|i| *i as usize).collect();
+    let mut next = g.gathered(&indices);
+    for (new, side) in plan.side.iter().enumerate().filter(|(_, side)| **side != 0.0) {
+        halve(&mut next, new, *side);
+    }
+    let kept = |(old, side): (&usize, &f32)| (*side == 0.0).then_some(*old);
+    let sources: Vec<Option<usize>> = indices.iter().zip(&plan.side).map(kept).collect();
     moments.gather(&sources);
     *stats = DensityStats::zeroed(next.len());
     model.gaussians = next;
 }
 
-fn is_waste(g: &Gaussians, i: usize, eyes: Option<&[[f32; 3]]>) -> bool {
-    let largest = g.row(Field::LogScale, i).iter().copied().fold(f32::NEG_INFINITY, f32::max);
+fn is_waste(of: &Candidates<'_>, i: usize, eyes: Option<&[[f32; 3]]>) -> bool {
+    let row = |values: &[f32]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
+    let largest = row(of.log_scales).into_iter().fold(f32::NEG_INFINITY, f32::max);
     let misplaced = match eyes {
         None => largest > MOST_SCALE.ln(),
         Some(eyes) => {
-            let mean: [f32; 3] = g.get(Field::Mean, i);
+            let mean = row(of.means);
             let near = |eye: &[f32; 3]| {
                 (0..3).map(|k| (mean[k] - eye[k]).powi(2)).sum::<f32>() < CAMERA_CLEARANCE.powi(2)
             };
             eyes.iter().any(near)
         }
     };
-    sigmoid(g.row(Field::OpacityLogit, i)[0]) < LEAST_OPACITY || misplaced
+    sigmoid(of.opacity_logits[i]) < LEAST_OPACITY || misplaced
 }
 
 /// Turns Gaussian `i` into one half of itself: moved half a sigma along its longest axis, shorter there, and less

@@ -1,5 +1,6 @@
 //! The joint optimisation: objective, optimiser, density control, schedule, checkpoints, trainer.
 
+mod backend;
 mod checkpoint;
 mod config;
 mod dataset;
@@ -7,6 +8,8 @@ mod density;
 mod initial;
 mod materials;
 pub mod objective;
+mod on_cpu;
+mod on_gpu;
 mod optimiser;
 mod state;
 mod step;

@@ -6,21 +6,11 @@ use crate::scene::Model;
 use crate::train::density::DensityStats;
 use crate::train::optimiser::Moments;
 
-/// The state of a training between two steps.
+/// Where a training stands in its schedule; kept on the host whatever device trains.
 #[derive(Debug, Clone, PartialEq)]
-pub struct TrainState {
+pub struct Course {
     /// Steps done.
     pub step: u32,
-    /// The model.
-    pub model: Model,
-    /// Optimiser moments.
-    pub moments: Moments,
-    /// Density statistics since the last round.
-    pub density: DensityStats,
-    /// Probe labels, `[Gaussian][coefficient]`; empty before the first refresh.
-    pub labels: Vec<f32>,
-    /// Gathered light per Gaussian; empty before the first refresh.
-    pub gathered: Vec<[f32; 6]>,
     /// Order in which this epoch visits the photographs.
     pub order: Vec<u32>,
     /// Position in `order`.
@@ -31,4 +21,32 @@ pub struct TrainState {
     pub rate_factor: f32,
     /// Seconds spent in steps.
     pub seconds: f64,
+}
+
+/// What has been learned and measured so far; lives where the training runs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Learned {
+    /// The model.
+    pub model: Model,
+    /// Optimiser moments.
+    pub moments: Moments,
+    /// Density statistics since the last round.
+    pub density: DensityStats,
+    /// Probe labels, `[Gaussian][coefficient]`; empty before the first refresh.
+    pub labels: Vec<f32>,
+    /// Gathered light per Gaussian; empty before the first refresh.
+    pub gathered: Vec<[f32; 6]>,
+}
+
+impl Learned {
+    /// The start from an initial model.
+    pub fn new(model: Model) -> Self {
+        Self {
+            moments: Moments::zeroed(&model),
+            density: DensityStats::zeroed(model.gaussians.len()),
+            labels: Vec::new(),
+            gathered: Vec::new(),
+            model,
+        }
+    }
 }

@@ -11,7 +11,7 @@ use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_d
 use crate::train::dataset::Photo;
 use crate::train::objective::image::Target;
 use crate::train::objective::{geometry, material as terms};
-use crate::train::state::TrainState;
+use crate::train::state::Learned;
 use crate::train::{LabelSource, TrainConfig};
 
 /// Progress after which depth-normal consistency acts: before, depth is noise.
@@ -43,7 +43,7 @@ pub struct Outcome {
     pub gradients: Gradients,
 }
 
-fn source<'a>(state: &'a TrainState, basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
+fn source<'a>(state: &'a Learned, basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
     let Model { gaussians, prototypes, shading, .. } = &state.model;
     AttributeSource {
         gaussians,
@@ -59,7 +59,7 @@ fn radiance_of(model: &Model) -> Vec<[f32; 3]> {
 }
 
 /// The objective during warm-up: radiance branch and geometry only.
-pub fn radiance(context: &StepContext<'_>, state: &TrainState, photo: &Photo) -> Outcome {
+pub fn radiance(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Outcome {
     let w = &context.config.weights;
     let basis = [[0.0; 3]; 16];
     let source = source(state, &basis);
@@ -87,7 +87,7 @@ pub fn radiance(context: &StepContext<'_>, state: &TrainState, photo: &Photo) ->
 }
 
 /// The whole objective (Eq. 29 and additions).
-pub fn material(context: &StepContext<'_>, state: &TrainState, photo: &Photo) -> Outcome {
+pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Outcome {
     let w = &context.config.weights;
     let radiance = radiance_of(&state.model);
     let tables = context.operators.apply(&radiance);
@@ -191,7 +191,7 @@ fn learned_indirect_backward(
 ///
 /// With labels `Probes` the field *is* the measurement. `twice`: the first measurement also finds each Gaussian's open
 /// side, which the second one starts from.
-pub fn refresh_probes(config: &TrainConfig, operators: &EnvOperators, state: &mut TrainState, twice: bool) {
+pub fn refresh_probes(config: &TrainConfig, operators: &EnvOperators, state: &mut Learned, twice: bool) {
     let tables = operators.apply(&radiance_of(&state.model));
     let order = state.model.gaussians.visibility_order();
     let basis = [[0.0; 3]; 16];

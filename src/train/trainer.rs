@@ -7,13 +7,17 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
+use crate::engine::Device;
+use crate::engine::gpu::GpuError;
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::Model;
+use crate::train::backend::{Backend, StepTask};
 use crate::train::dataset::{Dataset, Photo};
-use crate::train::density::{self, DensityStats};
-use crate::train::optimiser::{Moments, StepSizes};
-use crate::train::state::TrainState;
-use crate::train::step::{self, StepContext};
+use crate::train::on_cpu::OnCpu;
+use crate::train::on_gpu::OnGpu;
+use crate::train::optimiser::StepSizes;
+use crate::train::state::{Course, Learned};
+use crate::train::step::StepContext;
 use crate::train::{LabelSource, TrainConfig, checkpoint, initial, materials};
 
 /// Fewest photographs worth training on.
@@ -40,6 +44,9 @@ pub enum TrainError {
         /// The step that could not be passed.
         step: u32,
     },
+    /// The device failed; the training can go on from its last checkpoint, here or elsewhere.
+    #[error(transparent)]
+    Device(#[from] GpuError),
 }
 
 /// What one step did.
@@ -66,13 +73,15 @@ pub struct Progress {
     pub total: u32,
 }
 
-/// A training in progress. The same capture, configuration and seed give the same bytes.
+/// A training in progress. The same capture, configuration and seed give the same bytes on the CPU engine; on a GPU
+/// sums are taken in no fixed order, and the result agrees to the last digits only.
 pub struct Trainer {
     config: TrainConfig,
     data: Dataset,
     operators: EnvOperators,
-    state: TrainState,
-    last_good: TrainState,
+    course: Course,
+    kept: Course,
+    backend: Box<dyn Backend>,
     rollbacks: u32,
 }
 
@@ -80,45 +89,65 @@ impl Trainer {
     /// Starts from nothing.
     ///
     /// # Errors
-    /// [`TrainError::Invalid`] names what cannot be trained on.
-    pub fn new(capture: &Capture, config: TrainConfig) -> Result<Self, TrainError> {
+    /// [`TrainError::Invalid`] names what cannot be trained on, [`TrainError::Device`] what the device lacks.
+    pub fn new(capture: &Capture, config: TrainConfig, device: &Device) -> Result<Self, TrainError> {
         let data = prepare(capture, &config)?;
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let model = initial::model(capture, &data, &config, &mut rng);
-        let state = TrainState {
+        let course = Course {
             step: 0,
-            moments: Moments::zeroed(&model),
-            density: DensityStats::zeroed(model.gaussians.len()),
-            labels: Vec::new(),
-            gathered: Vec::new(),
             order: (0..data.full.len() as u32).collect(),
             cursor: data.full.len() as u32,
             rng,
             rate_factor: 1.0,
             seconds: 0.0,
-            model,
         };
-        Ok(Self::assemble(config, data, state))
+        Self::assemble(config, data, course, Learned::new(model), device)
     }
 
-    /// Goes on from [`Trainer::checkpoint`] bytes, bit for bit.
+    /// Goes on from [`Trainer::checkpoint`] bytes, on whatever device; on the CPU engine bit for bit.
     ///
     /// # Errors
     /// [`TrainError::Checkpoint`] names what does not fit, [`TrainError::Invalid`] what cannot be trained on.
-    pub fn resume(capture: &Capture, config: TrainConfig, bytes: &[u8]) -> Result<Self, TrainError> {
+    pub fn resume(
+        capture: &Capture,
+        config: TrainConfig,
+        bytes: &[u8],
+        device: &Device,
+    ) -> Result<Self, TrainError> {
         let data = prepare(capture, &config)?;
-        let state = checkpoint::decode(bytes, &config)?;
-        if state.order.len() != data.full.len() {
+        let (course, learned) = checkpoint::decode(bytes, &config)?;
+        if course.order.len() != data.full.len() {
             return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
         }
-        Ok(Self::assemble(config, data, state))
+        Self::assemble(config, data, course, learned, device)
     }
 
-    fn assemble(config: TrainConfig, data: Dataset, state: TrainState) -> Self {
+    fn assemble(
+        config: TrainConfig,
+        data: Dataset,
+        course: Course,
+        learned: Learned,
+        device: &Device,
+    ) -> Result<Self, TrainError> {
         let rows = config.environment_rows as usize;
         let order = config.visibility_order as usize;
         let operators = EnvOperators::new(rows * 2, rows, order, TableResolution::TRAINING);
-        Self { last_good: state.clone(), config, data, operators, state, rollbacks: 0 }
+        let backend: Box<dyn Backend> = match device {
+            Device::Cpu => Box::new(OnCpu::new(learned)),
+            Device::Gpu(gpu) => Box::new(OnGpu::new(gpu, &config, &operators, learned)?),
+        };
+        Ok(Self { kept: course.clone(), config, data, operators, course, backend, rollbacks: 0 })
+    }
+
+    fn context(&self) -> StepContext<'_> {
+        StepContext {
+            config: &self.config,
+            operators: &self.operators,
+            background: self.data.background,
+            has_alpha: self.data.has_alpha,
+            progress: self.course.step as f32 / self.config.iterations as f32,
+        }
     }
 
     /// One optimisation step.
@@ -126,13 +155,18 @@ impl Trainer {
     /// A non-finite loss or gradient returns to the last good state with smaller steps and says so in the report.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] when that did not help either.
+    /// [`TrainError::Diverged`] when that did not help either, [`TrainError::Device`] when the device failed.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let start = Instant::now();
-        self.prepare_step();
+        self.prepare_step()?;
         let photo = self.next_photo();
-        let progress = self.state.step as f32 / self.config.iterations as f32;
-        let material = self.state.step >= self.config.warm_up_steps();
+        let progress = self.context().progress;
+        let material = self.course.step >= self.config.warm_up_steps();
+        let half = progress < self.config.half_resolution;
+        let learned = self.config.labels != LabelSource::Probes;
+        let sizes = StepSizes::new(&self.config.rates, progress, material, learned);
+        let next = self.course.step + 1;
+        // Spelled out, not `self.context()`: the backend is borrowed beside it.
         let context = StepContext {
             config: &self.config,
             operators: &self.operators,
@@ -140,119 +174,132 @@ impl Trainer {
             has_alpha: self.data.has_alpha,
             progress,
         };
-        let photo = photo_at(&self.data, photo, progress < self.config.half_resolution);
-        let outcome = if material {
-            step::material(&context, &self.state, photo)
-        } else {
-            step::radiance(&context, &self.state, photo)
-        };
-        if !(outcome.loss.is_finite() && outcome.gradients.is_finite()) {
+        let value = self.backend.step(&StepTask {
+            context,
+            photo: photo_at(&self.data, photo, half),
+            photo_key: (photo, half),
+            material,
+            sizes: sizes.scaled(self.course.rate_factor),
+            ages: [next, next.saturating_sub(self.config.warm_up_steps()).max(1)],
+        })?;
+        if !value.finite {
             return self.roll_back();
         }
-        self.state.density.record(&outcome.gradients);
-        let learned = self.config.labels != LabelSource::Probes;
-        let sizes =
-            StepSizes::new(&self.config.rates, progress, material, learned).scaled(self.state.rate_factor);
-        self.state.step += 1;
-        let ages = [self.state.step, self.state.step.saturating_sub(self.config.warm_up_steps()).max(1)];
-        self.state.moments.step(&mut self.state.model, &outcome.gradients, &sizes, ages);
-        self.refine();
-        self.state.seconds += start.elapsed().as_secs_f64();
+        self.course.step = next;
+        self.refine()?;
+        self.course.seconds += start.elapsed().as_secs_f64();
         if self.is_snapshot_step() {
-            if !self.state.model.gaussians.is_finite() {
+            if !self.backend.keep()? {
                 return self.roll_back();
             }
-            self.last_good = self.state.clone();
+            self.kept = self.course.clone();
             self.rollbacks = 0;
         }
         Ok(StepReport {
-            step: self.state.step,
-            loss: outcome.loss,
-            psnr: -10.0 * outcome.mse.max(1e-10).log10(),
-            gaussians: self.state.model.gaussians.len(),
-            warning: None,
+            step: self.course.step,
+            loss: value.loss,
+            psnr: -10.0 * value.mse.max(1e-10).log10(),
+            gaussians: self.backend.gaussians(),
+            warning: self.backend.notice(&self.config),
         })
     }
 
     fn is_snapshot_step(&self) -> bool {
-        let step = self.state.step;
+        let step = self.course.step;
         step.is_multiple_of(SNAPSHOT_EVERY) || step.is_multiple_of(self.config.checkpoint_every)
     }
 
     fn roll_back(&mut self) -> Result<StepReport, TrainError> {
-        let failed = self.state.step;
+        let failed = self.course.step;
         self.rollbacks += 1;
         if self.rollbacks > MOST_ROLLBACKS {
             return Err(TrainError::Diverged { step: failed });
         }
-        self.state = self.last_good.clone();
-        self.state.rate_factor *= 0.5f32.powi(self.rollbacks as i32);
-        let factor = self.state.rate_factor;
-        let step = self.state.step;
+        self.backend.restore()?;
+        self.course = self.kept.clone();
+        self.course.rate_factor *= 0.5f32.powi(self.rollbacks as i32);
+        let factor = self.course.rate_factor;
+        let step = self.course.step;
         Ok(StepReport {
             step,
             loss: f32::MAX,
             psnr: 0.0,
-            gaussians: self.state.model.gaussians.len(),
+            gaussians: self.backend.gaussians(),
             warning: Some(format!(
                 "step {failed} was not finite: back to step {step} with step sizes at {factor} of the schedule"
             )),
         })
     }
 
-    /// What has to happen before certain steps: materials start, probes are refreshed.
-    fn prepare_step(&mut self) {
-        let (step, warm_up) = (self.state.step, self.config.warm_up_steps());
-        if step == warm_up {
-            materials::initialise(&mut self.state.model);
-        }
+    /// True when the training measures visibility, for labels or for the light that bounces.
+    fn measures(&self) -> bool {
         let uses_probes = matches!(self.config.labels, LabelSource::Probes | LabelSource::Both);
-        let needs = uses_probes || self.config.bounces > 0;
-        if needs && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every) {
-            let twice = step == warm_up;
-            step::refresh_probes(&self.config, &self.operators, &mut self.state, twice);
+        uses_probes || self.config.bounces > 0
+    }
+
+    /// What has to happen before certain steps: materials start, probes are refreshed.
+    fn prepare_step(&mut self) -> Result<(), TrainError> {
+        let (step, warm_up) = (self.course.step, self.config.warm_up_steps());
+        if step == warm_up {
+            let mut learned = self.backend.learned()?.into_owned();
+            materials::initialise(&mut learned.model);
+            self.backend.load(learned)?;
         }
+        if self.measures() && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every) {
+            self.refresh_probes(step == warm_up)?;
+        }
+        Ok(())
+    }
+
+    fn refresh_probes(&mut self, twice: bool) -> Result<(), TrainError> {
+        let context = StepContext {
+            config: &self.config,
+            operators: &self.operators,
+            background: self.data.background,
+            has_alpha: self.data.has_alpha,
+            progress: 0.0,
+        };
+        self.backend.refresh_probes(&context, twice)
     }
 
     fn next_photo(&mut self) -> usize {
-        let state = &mut self.state;
-        if state.cursor as usize >= state.order.len() {
-            state.order.shuffle(&mut state.rng);
-            state.cursor = 0;
+        let course = &mut self.course;
+        if course.cursor as usize >= course.order.len() {
+            course.order.shuffle(&mut course.rng);
+            course.cursor = 0;
         }
-        state.cursor += 1;
-        state.order[state.cursor as usize - 1] as usize
+        course.cursor += 1;
+        course.order[course.cursor as usize - 1] as usize
     }
 
-    fn refine(&mut self) {
-        let (step, total) = (self.state.step, self.config.iterations);
+    fn refine(&mut self) -> Result<(), TrainError> {
+        let (step, total) = (self.course.step, self.config.iterations);
         let last = (self.config.densify_until * total as f32) as u32;
         let first = (total / 50).max(50);
         if step < first || step > last || !step.is_multiple_of(REFINE_EVERY.min((total / 15).max(10))) {
-            return;
+            return Ok(());
         }
         // The budget opens with the square root of progress, so that early Gaussians settle first.
         let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
         let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
         let budget = (low + (high - low) * share) as usize;
-        let state = &mut self.state;
         let eyes = (!self.data.has_alpha).then(|| self.data.eyes());
-        let TrainState { model, moments, density, .. } = state;
-        density::refine(model, moments, density, budget, eyes.as_deref());
-        if step >= self.config.warm_up_steps() && !state.labels.is_empty() {
+        self.backend.refine(budget, eyes.as_deref())?;
+        if step > self.config.warm_up_steps() && self.measures() {
             // New Gaussians need labels and light of their own.
-            step::refresh_probes(&self.config, &self.operators, state, false);
+            self.refresh_probes(false)?;
         }
+        Ok(())
     }
 
     /// Where it stands.
     pub fn progress(&self) -> Progress {
-        Progress { step: self.state.step, total: self.config.iterations }
+        Progress { step: self.course.step, total: self.config.iterations }
     }
 
     /// True when every step is done.
     pub fn is_done(&self) -> bool {
-        self.state.step >= self.config.iterations
+        self.course.step >= self.config.iterations
     }
 
     /// The configuration in force.
@@ -260,32 +307,35 @@ impl Trainer {
         &self.config
     }
 
-    /// Everything a bit-exact resume needs, as one safetensors file with a versioned header.
+    /// Everything a resume needs, as one safetensors file with a versioned header.
     ///
     /// # Errors
-    /// When the state is not finite: a poisoned checkpoint is never written.
+    /// When the state is not finite (a poisoned checkpoint is never written) or the device failed.
     pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
-        checkpoint::encode(&self.state, &self.config)
+        checkpoint::encode(&self.course, self.backend.learned()?.as_ref(), &self.config)
     }
 
     /// The model as it is now, with its card.
-    pub fn model(&self) -> Model {
-        let mut model = self.state.model.clone();
+    ///
+    /// # Errors
+    /// [`TrainError::Device`] when the device failed.
+    pub fn model(&self) -> Result<Model, TrainError> {
+        let mut model = self.backend.learned()?.model.clone();
         model.card = serde_json::json!({
             "relume_version": env!("CARGO_PKG_VERSION"),
-            "engine": "cpu",
-            "steps": self.state.step,
+            "engine": self.backend.engine(),
+            "steps": self.course.step,
             "gaussians": model.gaussians.len(),
             "photographs": self.data.full.len(),
             "has_alpha": self.data.has_alpha,
             "config": self.config,
         });
-        model
+        Ok(model)
     }
 
     /// Seconds spent in steps so far, over all runs.
     pub fn seconds(&self) -> f64 {
-        self.state.seconds
+        self.course.seconds
     }
 }
 
@@ -328,13 +378,15 @@ mod tests {
             ..Default::default()
         };
         let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-        let mut trainer = Trainer::new(&synthetic(&options).unwrap(), config).unwrap();
+        let mut trainer = Trainer::new(&synthetic(&options).unwrap(), config, &Device::Cpu).unwrap();
         assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
-        trainer.state.model.env_raw[5] = [f32::NAN; 3];
+        let mut learned = trainer.backend.learned().unwrap().into_owned();
+        learned.model.env_raw[5] = [f32::NAN; 3];
+        trainer.backend.load(learned).unwrap();
         assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
         let warning = trainer.step().unwrap().warning.unwrap();
         assert!(warning.contains("back to step 0"), "{warning}");
-        assert_eq!(trainer.state.rate_factor, 0.5);
-        assert!(trainer.state.model.check().is_ok());
+        assert_eq!(trainer.course.rate_factor, 0.5);
+        assert!(trainer.model().unwrap().check().is_ok());
     }
 }

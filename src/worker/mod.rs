@@ -11,6 +11,8 @@ mod training;
 mod view;
 
 use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -18,11 +20,13 @@ use futures::FutureExt;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-pub use device::{Device, RenderFailure};
+pub use device::{Device, RenderFailure, Rendered};
 pub use renders::{LightSource, ModelSource, RenderTask};
 pub use training::import_for_training;
 pub use view::{Orbit, View};
 
+use crate::engine;
+pub use crate::engine::gpu::{DeviceChoice, GpuError};
 use crate::jobs::Jobs;
 use device::Request;
 use renders::RenderCache;
@@ -39,19 +43,36 @@ pub struct WorkerOptions {
     pub models: usize,
     /// Prepared lights kept ready.
     pub lights: usize,
+    /// Where to train and render.
+    pub device: DeviceChoice,
 }
 
 impl Default for WorkerOptions {
     fn default() -> Self {
-        Self { render_queue: 64, models: 4, lights: 32 }
+        Self { render_queue: 64, models: 4, lights: 32, device: DeviceChoice::Auto }
     }
+}
+
+/// Why the device thread did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The device that was asked for cannot be had.
+    #[error(transparent)]
+    Device(#[from] GpuError),
+    /// The operating system refused a thread.
+    #[error(transparent)]
+    Thread(#[from] std::io::Error),
 }
 
 /// The device thread.
 struct Worker {
     jobs: Jobs,
+    choice: DeviceChoice,
+    device: engine::Device,
     renders: mpsc::Receiver<Request>,
     cache: RenderCache,
+    /// Training steps done.
+    steps: Arc<AtomicU64>,
     changes: watch::Receiver<()>,
     stop: CancellationToken,
 }
@@ -61,21 +82,26 @@ struct Worker {
 /// Must be called inside a tokio runtime.
 ///
 /// # Errors
-/// When the operating system refuses a thread.
+/// When the device cannot be had or the operating system refuses a thread.
 pub fn start(
     jobs: Jobs,
     options: WorkerOptions,
     stop: CancellationToken,
-) -> std::io::Result<(Device, JoinHandle<()>)> {
+) -> Result<(Device, JoinHandle<()>), StartError> {
+    let device = engine::Device::open(options.device)?;
+    tracing::info!(device = device.name(), "device ready");
+    let has_gpu = matches!(device, engine::Device::Gpu(_));
     let (sender, renders) = mpsc::channel(options.render_queue);
     let changes = jobs.subscribe();
     let cache = RenderCache::new(options.models, options.lights);
-    let worker = Worker { jobs, renders, cache, changes, stop };
+    let steps = Arc::new(AtomicU64::new(0));
+    let worker =
+        Worker { jobs, choice: options.device, device, renders, cache, steps: steps.clone(), changes, stop };
     let runtime = tokio::runtime::Handle::current();
     let thread = std::thread::Builder::new()
         .name("relume-device".to_owned())
         .spawn(move || runtime.block_on(worker.run()))?;
-    Ok((Device::new(sender), thread))
+    Ok((Device::new(sender, steps, has_gpu), thread))
 }
 
 impl Worker {
@@ -119,17 +145,33 @@ impl Worker {
     }
 
     fn serve(&mut self, request: Request) {
-        let tier = request.task.tier;
-        let frame = std::panic::catch_unwind(AssertUnwindSafe(|| self.cache.render(&request.task)));
-        let frame = frame.unwrap_or_else(|panic| {
-            self.cache.clear();
-            Err(RenderFailure::Internal(panic_message(panic.as_ref())))
+        let steps = self.steps.load(Ordering::SeqCst);
+        request.answer(steps, |task| {
+            let (cache, device) = (&mut self.cache, &self.device);
+            let frame = std::panic::catch_unwind(AssertUnwindSafe(|| cache.render(task, device)));
+            let frame = frame.unwrap_or_else(|panic| {
+                self.cache.clear();
+                Err(RenderFailure::Internal(panic_message(panic.as_ref())))
+            });
+            if matches!(frame, Err(RenderFailure::Device(_))) {
+                self.reopen();
+            }
+            metrics::counter!("relume_renders_total", "tier" => format!("{:?}", task.tier).to_lowercase(),
+                "ok" => if frame.is_ok() { "true" } else { "false" })
+            .increment(1);
+            frame
         });
-        metrics::counter!("relume_renders_total", "tier" => format!("{tier:?}").to_lowercase(),
-            "ok" => if frame.is_ok() { "true" } else { "false" })
-        .increment(1);
-        // The caller may have gone; its frame goes with it.
-        let _ = request.reply.send(frame);
+    }
+
+    /// Opens the device anew after it failed; nothing on a failed one can be used any more. What cannot be had again
+    /// is replaced by the CPU engine, so that the service goes on.
+    fn reopen(&mut self) {
+        self.cache.clear();
+        self.device = engine::Device::open(self.choice).unwrap_or_else(|error| {
+            tracing::error!(%error, "the device cannot be opened again; the CPU engine takes over");
+            engine::Device::Cpu
+        });
+        tracing::warn!(device = self.device.name(), "device opened again");
     }
 
     /// One attempt at a job, whatever happens in it.
@@ -144,7 +186,14 @@ impl Worker {
             }
             Ok(Err(failure)) => {
                 tracing::warn!(parent: &span, code = failure.code, detail = failure.detail, "failed");
-                lease.fail(failure.code, &failure.detail).await
+                if failure.is_of_the_device() {
+                    self.reopen();
+                }
+                if failure.may_pass && !lease.is_last_chance() {
+                    lease.release(false).await
+                } else {
+                    lease.fail(failure.code, &failure.detail).await
+                }
             }
             Err(panic) => {
                 let detail = panic_message(panic.as_ref());

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::capture::builtin;
+use crate::engine::Device;
 use crate::formats::{environment, model_file};
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer, Tier};
 use crate::scene::EnvMap;
@@ -91,8 +92,8 @@ impl RenderCache {
         self.lights.clear();
     }
 
-    pub(super) fn render(&mut self, task: &RenderTask) -> Result<Frame, RenderFailure> {
-        let renderer = self.models.get_or_insert(task.model.id.clone(), || load(&task.model))?;
+    pub(super) fn render(&mut self, task: &RenderTask, device: &Device) -> Result<Frame, RenderFailure> {
+        let renderer = self.models.get_or_insert(task.model.id.clone(), || load(&task.model, device))?;
         let key = (
             task.model.id.clone(),
             task.light.key(),
@@ -101,22 +102,22 @@ impl RenderCache {
         );
         let light = self.lights.get_or_insert(key, || prepare(&renderer, task))?;
         let camera = task.view.camera(renderer.model());
-        let camera = camera.map_err(|e| RenderError { field: e.field, reason: e.reason })?;
+        let camera = camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
         Ok(renderer.render(&camera, &light, task.tier, &task.outputs)?)
     }
 }
 
-fn load(source: &ModelSource) -> Result<Arc<Renderer>, RenderFailure> {
+fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFailure> {
     let internal = |e: String| RenderFailure::Internal(format!("model {}: {e}", source.id));
     let bytes = std::fs::read(&source.path).map_err(|e| internal(e.to_string()))?;
     let model = model_file::decode(&bytes).map_err(|e| internal(e.to_string()))?;
-    Ok(Arc::new(Renderer::new(Arc::new(model))))
+    Ok(Arc::new(Renderer::on(Arc::new(model), device)?))
 }
 
 fn prepare(renderer: &Renderer, task: &RenderTask) -> Result<Arc<PreparedLight>, RenderFailure> {
     let map = light_map(renderer, &task.light)?;
     let map = map.rotated_and_scaled(task.rotation_deg, task.exposure_ev.exp2() as f32);
-    Ok(Arc::new(renderer.prepare_light(&map)))
+    Ok(Arc::new(renderer.prepare_light(&map)?))
 }
 
 fn light_map(renderer: &Renderer, light: &LightSource) -> Result<Arc<EnvMap>, RenderFailure> {

@@ -2,8 +2,11 @@
 
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::atomic::Ordering;
 
 use crate::capture::{Capture, CaptureError, ImportOptions};
+use crate::engine::Device;
+use crate::engine::gpu::GpuError;
 use crate::formats::{model_file, ply_model};
 use crate::jobs::Lease;
 use crate::scene::Model;
@@ -25,17 +28,27 @@ pub(super) enum Ending {
     Stopped,
 }
 
-/// A failure that ends the job: it would happen again.
+/// Code of failures after which the device is opened anew.
+const DEVICE_FAILED: &str = "device_failed";
+
+/// A failure that ends the attempt and, unless it may pass, the job.
 pub(super) struct Failure {
     /// Stable code.
     pub(super) code: &'static str,
     /// For people; no internals.
     pub(super) detail: String,
+    /// Another attempt may succeed: the job goes on from its checkpoint.
+    pub(super) may_pass: bool,
 }
 
 impl Failure {
     fn new(code: &'static str, detail: impl Into<String>) -> Self {
-        Self { code, detail: detail.into() }
+        Self { code, detail: detail.into(), may_pass: false }
+    }
+
+    /// The device can no longer be trusted.
+    pub(super) fn is_of_the_device(&self) -> bool {
+        self.code == DEVICE_FAILED
     }
 }
 
@@ -51,7 +64,16 @@ impl From<StoreError> for Failure {
 
 impl From<TrainError> for Failure {
     fn from(error: TrainError) -> Self {
-        Self::new("training_failed", error.to_string())
+        match error {
+            // A model that is too large for the device stays so.
+            TrainError::Device(error @ (GpuError::TooLarge { .. } | GpuError::Unavailable(_))) => {
+                Self::new("device_unfit", error.to_string())
+            }
+            TrainError::Device(error) => {
+                Self { may_pass: true, ..Self::new(DEVICE_FAILED, error.to_string()) }
+            }
+            error => Self::new("training_failed", error.to_string()),
+        }
     }
 }
 
@@ -85,7 +107,9 @@ impl Worker {
                     return Ok(settle(lease).await?);
                 }
             }
-            if attempt.step(self.jobs.now_ms()).await? != Held::Yes {
+            let held = attempt.step(self.jobs.now_ms()).await?;
+            self.steps.fetch_add(1, Ordering::SeqCst);
+            if held != Held::Yes {
                 return Ok(settle(lease).await?);
             }
             self.serve_waiting();
@@ -137,17 +161,23 @@ impl Worker {
         config: TrainConfig,
     ) -> Result<Trainer, Failure> {
         announce(lease, "preparing").await?;
-        let Some(key) = &lease.job().checkpoint else { return Ok(Trainer::new(capture, config)?) };
+        let device = match (lease.job().device.as_str(), &self.device) {
+            ("cpu", _) => &Device::Cpu,
+            ("gpu", Device::Cpu) => return Err(Failure::new("device_unfit", "this server has no GPU")),
+            (_, device) => device,
+        };
+        let Some(key) = &lease.job().checkpoint else { return Ok(Trainer::new(capture, config, device)?) };
         let resumed = match self.jobs.store().artifacts().get(key).await {
-            Ok(bytes) => Trainer::resume(capture, config.clone(), &bytes).map_err(|e| e.to_string()),
-            Err(error) => Err(error.to_string()),
+            Ok(bytes) => Trainer::resume(capture, config.clone(), &bytes, device),
+            Err(error) => Err(TrainError::Checkpoint(error.to_string())),
         };
         match resumed {
             Ok(trainer) => Ok(trainer),
+            Err(error @ TrainError::Device(_)) => Err(error.into()),
             Err(error) => {
-                tracing::warn!(error, key, "a checkpoint cannot be used");
+                tracing::warn!(%error, key, "a checkpoint cannot be used");
                 lease.warn("the last checkpoint cannot be read; training starts over").await?;
-                Ok(Trainer::new(capture, config)?)
+                Ok(Trainer::new(capture, config, device)?)
             }
         }
     }
@@ -257,7 +287,7 @@ async fn settle(lease: &Lease) -> Result<Ending, StoreError> {
 
 /// Writes the model's files, then publishes them and ends the job in one transaction.
 async fn publish(lease: &Lease, trainer: &Trainer) -> Result<Ending, Failure> {
-    let (job, model) = (lease.job(), &trainer.model());
+    let (job, model) = (lease.job(), &trainer.model()?);
     let encoded = model_file::encode(model).map_err(|e| Failure::new("model_invalid", e.to_string()))?;
     let files = [
         store_file(lease, "model.safetensors", "application/octet-stream", encoded).await?,

@@ -98,8 +98,7 @@ impl Pass {
         count: usize,
     ) -> Gradients {
         let width = ROW_HEADER + count;
-        let rows = self.blend_backward(by_gbuffer, stored, count);
-        let summed = self.sum_instances(&rows, width);
+        let summed = self.splat_gradients(by_gbuffer, stored, count);
         let mut out = Gradients::zeroed(source.gaussians, 0);
         let layout = out.layout;
         let mut rank_of = vec![u32::MAX; source.gaussians.len()];
@@ -131,6 +130,11 @@ impl Pass {
         out
     }
 
+    /// The splats' own gradients by rank, summed over their tiles: mean, conic, opacity, then `count` channels.
+    pub fn splat_gradients(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
+        self.sum_instances(&self.blend_backward(by_gbuffer, stored, count), ROW_HEADER + count)
+    }
+
     /// Gradients of some attribute channels by rank, `[rank][channel in range]`.
     pub fn channel_gradients(
         &self,
@@ -140,7 +144,7 @@ impl Pass {
         range: std::ops::Range<usize>,
     ) -> Vec<f32> {
         let width = ROW_HEADER + count;
-        let summed = self.sum_instances(&self.blend_backward(by_gbuffer, stored, count), width);
+        let summed = self.splat_gradients(by_gbuffer, stored, count);
         let wanted = ROW_HEADER + range.start..ROW_HEADER + range.end;
         summed.chunks_exact(width).flat_map(|row| row[wanted.clone()].iter().copied()).collect()
     }

@@ -9,9 +9,9 @@ use bytemuck::Pod;
 
 use crate::engine::gpu::adapter::{AdapterReport, Adapters};
 use crate::engine::gpu::buffer::{Buffer, MemoryAccount};
-use crate::engine::gpu::recorder::{Recorder, Timings};
-use crate::engine::gpu::shaders::{BindingKind, Shader};
-use crate::engine::gpu::{GpuError, trusted};
+use crate::engine::gpu::recorder::{Recorder, StageTime, Timings};
+use crate::engine::gpu::shaders::{self, BindingKind, Shader};
+use crate::engine::gpu::{GpuError, Groups, trusted};
 
 /// How long the host waits for the device before it gives up on it, s.
 const PATIENCE: u64 = 120;
@@ -57,6 +57,8 @@ pub(super) struct Inner {
     pub(super) report: AdapterReport,
     pub(super) uniforms: wgpu::Buffer,
     pub(super) uniform_align: u64,
+    /// Held from filling the shared uniforms to the submission that reads them.
+    pub(super) submitting: Mutex<()>,
     pub(super) timings: Mutex<Option<Timings>>,
     options: GpuOptions,
     pipelines: Mutex<HashMap<&'static str, Arc<Pipeline>>>,
@@ -119,6 +121,7 @@ impl Gpu {
             report: report.clone(),
             uniforms,
             uniform_align,
+            submitting: Mutex::default(),
             timings: Mutex::new(None),
             options,
             pipelines: Mutex::default(),
@@ -217,7 +220,8 @@ impl Gpu {
             let _ = sender.send(result);
         });
         self.wait()?;
-        match receiver.try_recv() {
+        // The callback may run in another thread that waits too, a moment after this one's wait is over.
+        match receiver.recv_timeout(Duration::from_secs(PATIENCE)) {
             Ok(Ok(())) => {}
             other => return Err(self.failure(format!("a buffer could not be read: {other:?}"))),
         }
@@ -250,6 +254,26 @@ impl Gpu {
         }
     }
 
+    /// Proves that dispatches, float accumulation and transfers work on this device.
+    ///
+    /// # Errors
+    /// [`GpuError::Internal`] when the device computes something else, or what went wrong.
+    pub fn self_test(&self) -> Result<(), GpuError> {
+        let n = 100_000;
+        let seen: Buffer<u32> = self.buffer("self-test", n)?;
+        let sums: Buffer<f32> = self.buffer("self-test sums", 2)?;
+        let mut recorder = self.record();
+        recorder.clear(&sums);
+        recorder.dispatch(&shaders::SELF_TEST, Groups::Linear(n), &[(&seen).into(), (&sums).into()]);
+        recorder.submit()?;
+        let counted = self.read(&seen, 0..n)?.iter().enumerate().all(|(i, v)| *v == i as u32);
+        let sums = self.read(&sums, 0..2)?;
+        if counted && sums.iter().all(|s| *s == n as f32 / 2.0) {
+            return Ok(());
+        }
+        Err(GpuError::Internal(format!("the self-test of the device failed: sums {sums:?}")))
+    }
+
     /// Starts recording work.
     pub fn record(&self) -> Recorder<'_> {
         Recorder::new(self)
@@ -261,8 +285,8 @@ impl Gpu {
         *locked(&self.inner.timings) = able.then(Timings::default);
     }
 
-    /// Milliseconds and count per stage since [`Self::measure`], in order of first appearance.
-    pub fn timings(&self) -> Vec<(&'static str, f64, u32)> {
+    /// What each stage took since [`Self::measure`], in order of first appearance.
+    pub fn timings(&self) -> Vec<StageTime> {
         locked(&self.inner.timings).as_ref().map(Timings::listed).unwrap_or_default()
     }
 

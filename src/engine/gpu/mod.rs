@@ -4,23 +4,37 @@
 //! against the CPU engine. Data layouts are written down where the shaders declare them (`shaders/shared/`).
 
 mod adapter;
+mod attributes;
 mod buffer;
+pub mod density;
 mod device;
 mod error;
+mod gather;
 pub mod light;
 pub mod losses;
 pub mod model;
+mod probes;
+pub mod raster;
 mod recorder;
+mod scan;
 pub mod shaders;
 pub mod shading;
+mod sort;
 #[cfg(test)]
 mod tests;
 mod trusted;
+pub mod update;
 mod view;
 
 pub use adapter::{AdapterReport, Adapters, DeviceChoice};
+pub use attributes::AttributeBuffers;
 pub use buffer::Buffer;
 pub use device::{Gpu, GpuOptions};
 pub use error::GpuError;
-pub use recorder::{Bind, Groups, Recorder, uniform};
+pub use gather::{GatherSource, gather};
+pub use probes::{ProbeBuffers, Probes};
+pub use raster::{Raster, RasterCounts};
+pub use recorder::{Bind, Groups, Recorder, StageTime, uniform};
+pub use scan::Scan;
+pub use sort::{Pairs, Sorter};
 pub use view::{SplatRecord, TILE, ViewUniform};

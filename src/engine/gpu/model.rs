@@ -4,7 +4,9 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::engine::RowLayout;
 use crate::engine::gpu::{Buffer, Gpu, GpuError};
-use crate::scene::{DiffuseForm, Field, Gaussians, IndirectForm, NormalForm, ShadingOptions, VisibilityForm};
+use crate::scene::{
+    DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions, VisibilityForm,
+};
 
 /// `Layout` of `shaders/shared/parameters.wgsl`: where each field starts in the planar parameter buffer.
 #[repr(C)]
@@ -75,6 +77,125 @@ impl LayoutUniform {
                 DiffuseForm::Directional => 1,
             },
         }
+    }
+
+    /// The same fields for `n` Gaussians.
+    #[must_use]
+    pub fn resized(&self, n: u32) -> Self {
+        let mut next = 0;
+        let mut place = |width: u32| {
+            next += n * width;
+            next - n * width
+        };
+        Self {
+            n,
+            mean: place(3),
+            log_scale: place(3),
+            quaternion: place(4),
+            opacity: place(1),
+            normal: place(3),
+            metal: place(1),
+            rough: place(1),
+            scores: place(self.n_scores),
+            residual: place(3),
+            visibility: place(self.n_visibility),
+            indirect: place(16),
+            radiance: place(3 * self.n_radiance),
+            ..*self
+        }
+    }
+
+    /// Floats of all Gaussians together.
+    pub fn floats(&self) -> usize {
+        self.radiance as usize + 3 * self.n_radiance as usize * self.n as usize
+    }
+}
+
+/// A model with its optimiser's moments in device memory.
+#[derive(Debug, Clone)]
+pub struct ModelBuffers {
+    /// Where each field of the Gaussians is.
+    pub layout: LayoutUniform,
+    /// Raw parameters of the Gaussians, planar.
+    pub params: Buffer<f32>,
+    /// Their first moments, likewise.
+    pub first: Buffer<f32>,
+    /// Their second moments, likewise.
+    pub second: Buffer<f32>,
+    /// Albedo prototypes, then the raw environment, RGB each.
+    pub globals: Buffer<f32>,
+    /// First moments of `globals`.
+    pub globals_first: Buffer<f32>,
+    /// Second moments of `globals`.
+    pub globals_second: Buffer<f32>,
+    /// Albedo prototypes K.
+    pub n_prototypes: usize,
+    /// Texels of the environment.
+    pub n_texels: usize,
+}
+
+impl ModelBuffers {
+    /// `model` with zero moments.
+    ///
+    /// # Errors
+    /// [`GpuError::TooLarge`] or [`GpuError::OutOfMemory`] when it does not fit.
+    pub fn upload(gpu: &Gpu, model: &Model) -> Result<Self, GpuError> {
+        let shared: Vec<[f32; 3]> = model.prototypes.iter().chain(&model.env_raw).copied().collect();
+        let params = gpu.upload_gaussians(&model.gaussians)?;
+        let globals = gpu.upload("prototypes and environment", bytemuck::cast_slice::<_, f32>(&shared))?;
+        let out = Self {
+            layout: LayoutUniform::new(&model.gaussians, &model.shading),
+            first: gpu.buffer("first moments", params.len())?,
+            second: gpu.buffer("second moments", params.len())?,
+            params,
+            globals_first: gpu.buffer("first moments of what is shared", globals.len())?,
+            globals_second: gpu.buffer("second moments of what is shared", globals.len())?,
+            globals,
+            n_prototypes: model.prototypes.len(),
+            n_texels: model.env_raw.len(),
+        };
+        let mut recorder = gpu.record();
+        for moments in [&out.first, &out.second, &out.globals_first, &out.globals_second] {
+            recorder.clear(moments);
+        }
+        recorder.submit()?;
+        Ok(out)
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.layout.n as usize
+    }
+
+    /// True without Gaussians.
+    pub fn is_empty(&self) -> bool {
+        self.layout.n == 0
+    }
+
+    /// The Gaussians as they are now, shaped like `shape` but for their number; `buffer` is the parameters or a moment.
+    ///
+    /// # Errors
+    /// What went wrong on the device.
+    pub fn read_gaussians(
+        &self,
+        gpu: &Gpu,
+        buffer: &Buffer<f32>,
+        shape: &Gaussians,
+    ) -> Result<Gaussians, GpuError> {
+        let (l, order) = (shape.visibility_order(), shape.radiance_order());
+        let mut out = Gaussians::zeroed(self.len(), shape.prototypes(), l, order);
+        from_planar(&gpu.read(buffer, 0..self.layout.floats())?, &mut out);
+        Ok(out)
+    }
+
+    /// Prototypes and environment as they are now (or their moments).
+    ///
+    /// # Errors
+    /// What went wrong on the device.
+    pub fn read_globals(&self, gpu: &Gpu, buffer: &Buffer<f32>) -> Result<[Vec<[f32; 3]>; 2], GpuError> {
+        let values = gpu.read(buffer, 0..3 * (self.n_prototypes + self.n_texels))?;
+        let (prototypes, texels) = values.split_at(3 * self.n_prototypes);
+        Ok([prototypes, texels].map(|part| bytemuck::cast_slice(part).to_vec()))
     }
 }
 

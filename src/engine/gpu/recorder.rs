@@ -63,6 +63,7 @@ pub struct Recorder<'g> {
     uniforms: Vec<u8>,
     stage: &'static str,
     queries: Option<(wgpu::QuerySet, Vec<&'static str>)>,
+    work: Vec<(&'static str, u64, u64)>,
 }
 
 impl<'g> Recorder<'g> {
@@ -77,7 +78,7 @@ impl<'g> Recorder<'g> {
             (device.create_query_set(&descriptor), Vec::new())
         });
         let encoder = device.create_command_encoder(&Default::default());
-        Self { gpu, encoder, pass: None, uniforms: Vec::new(), stage: "other", queries }
+        Self { gpu, encoder, pass: None, uniforms: Vec::new(), stage: "other", queries, work: Vec::new() }
     }
 
     /// The device recorded for.
@@ -92,6 +93,13 @@ impl<'g> Recorder<'g> {
             if self.queries.is_some() {
                 self.pass = None;
             }
+        }
+    }
+
+    /// Says what the current stage has to move and compute at the least, for the comparison with the device's limits.
+    pub fn work(&mut self, bytes: u64, flops: u64) {
+        if self.queries.is_some() {
+            self.work.push((self.stage, bytes, flops));
         }
     }
 
@@ -159,6 +167,8 @@ impl<'g> Recorder<'g> {
     pub fn submit(mut self) -> Result<(), GpuError> {
         self.pass = None;
         let inner = &self.gpu.inner;
+        // Recordings of other threads share the uniforms.
+        let submitting = locked(&inner.submitting);
         if !self.uniforms.is_empty() {
             inner.queue.write_buffer(&inner.uniforms, 0, &self.uniforms);
         }
@@ -176,12 +186,16 @@ impl<'g> Recorder<'g> {
             (Buffer::<u64>::new(buffer, count as usize, &Default::default()), names)
         });
         inner.queue.submit([self.encoder.finish()]);
+        drop(submitting);
         if let Some((buffer, names)) = resolved {
             let ticks = self.gpu.read(&buffer, 0..buffer.len())?;
             let period = f64::from(inner.queue.get_timestamp_period()) * 1e-6;
             if let Some(timings) = locked(&inner.timings).as_mut() {
+                for (name, bytes, flops) in &self.work {
+                    timings.add(name, [0.0, *bytes as f64, *flops as f64]);
+                }
                 for (name, pair) in names.iter().zip(ticks.as_chunks::<2>().0) {
-                    timings.add(name, pair[1].saturating_sub(pair[0]) as f64 * period);
+                    timings.add(name, [pair[1].saturating_sub(pair[0]) as f64 * period, 0.0, 0.0]);
                 }
             }
         }
@@ -232,24 +246,38 @@ impl<'g> Recorder<'g> {
     }
 }
 
-/// Time per stage.
+/// What a stage took and had to do, summed over all its submissions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StageTime {
+    /// Name of the stage.
+    pub name: &'static str,
+    /// Milliseconds on the device.
+    pub ms: f64,
+    /// Bytes it has to move at the least; 0 where nobody counted.
+    pub bytes: f64,
+    /// Floating-point operations; 0 where nobody counted.
+    pub flops: f64,
+}
+
+/// Time per stage, in order of first appearance.
 #[derive(Debug, Default)]
 pub(super) struct Timings {
-    stages: Vec<(&'static str, f64, u32)>,
+    stages: Vec<StageTime>,
 }
 
 impl Timings {
-    fn add(&mut self, name: &'static str, ms: f64) {
-        match self.stages.iter_mut().find(|s| s.0 == name) {
-            Some(stage) => {
-                stage.1 += ms;
-                stage.2 += 1;
-            }
-            None => self.stages.push((name, ms, 1)),
-        }
+    fn add(&mut self, name: &'static str, [ms, bytes, flops]: [f64; 3]) {
+        let at = self.stages.iter().position(|s| s.name == name).unwrap_or_else(|| {
+            self.stages.push(StageTime { name, ms: 0.0, bytes: 0.0, flops: 0.0 });
+            self.stages.len() - 1
+        });
+        let stage = &mut self.stages[at];
+        stage.ms += ms;
+        stage.bytes += bytes;
+        stage.flops += flops;
     }
 
-    pub(super) fn listed(&self) -> Vec<(&'static str, f64, u32)> {
+    pub(super) fn listed(&self) -> Vec<StageTime> {
         self.stages.clone()
     }
 }

@@ -128,10 +128,10 @@ impl ShadeJob<'_> {
         let mut bindings = vec![
             uniform(self.view),
             uniform(self.shading),
-            uniform(&self.light.uniform),
+            uniform(&self.light.layout),
             (&self.constants.buffer).into(),
-            (&self.light.tables).into(),
-            (&self.light.tables).into(),
+            (&self.light.values).into(),
+            (&self.light.values).into(),
         ];
         bindings.extend(rest);
         recorder.dispatch(shader, groups, &bindings);

@@ -81,7 +81,7 @@ fn stages_are_timed_when_the_device_can() {
     gpu.measure(true);
     self_test(&gpu, 100_000);
     let timings = gpu.timings();
-    assert_eq!(timings.iter().map(|t| t.2).sum::<u32>(), u32::from(gpu.report().timestamps));
+    assert_eq!(timings.len(), usize::from(gpu.report().timestamps));
     gpu.measure(false);
     assert!(gpu.timings().is_empty());
 }

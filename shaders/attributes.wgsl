@@ -1,0 +1,106 @@
+// Rows of attributes that are blended, for visible splats (docs/MODEL.md section 3): the port of cpu/attributes.rs.
+// GROUPS vec4 a row: 1 = colour, 2 = geometry, 4 = material, more = everything.
+// A thread owns one Gaussian. No workgroup memory. Threads go by Gaussian, not by rank: parameters of neighbours lie next
+// to each other, in depth order every read would be a line of its own.
+#import attributes
+#import index
+#import sh
+#import splat
+#import view
+
+const WG_SIZE = 256u;
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<uniform> model: Layout;
+@group(0) @binding(2) var<storage, read> params: array<f32>;
+@group(0) @binding(3) var<storage, read> globals: array<f32>;
+@group(0) @binding(4) var<storage, read> splats: array<Splat>;
+// Six floats a Gaussian; shorter = nothing was gathered.
+@group(0) @binding(5) var<storage, read> gathered: array<f32>;
+// E_j of Eq. 20: 16 x 3.
+@group(0) @binding(6) var<storage, read> indirect_basis: array<f32>;
+@group(0) @binding(7) var<storage, read_write> rows: array<vec4f>;
+
+fn radiance_of(gaussian_ix: u32, to_mean: vec3f) -> vec3f {
+    var basis: array<f32, 49>;
+    sh_basis(sh_order_of(model.n_radiance), normalised3(to_mean), &basis);
+    var colour = vec3f(0.5);
+    let first = model.radiance + 3u * model.n_radiance * gaussian_ix;
+    for (var j = 0u; j < model.n_radiance; j++) {
+        colour += basis[j] * params_vec3(first + 3u * j);
+    }
+    return max(colour, vec3f(0.0));
+}
+
+fn gathered_vec3(at: u32) -> vec3f {
+    return vec3f(gathered[at], gathered[at + 1u], gathered[at + 2u]);
+}
+
+// Specular indirect light, and the irradiance of a gathered transport.
+struct Indirect {
+    irradiance: vec3f,
+    radiance: vec3f,
+}
+
+fn indirect_of(gaussian_ix: u32) -> Indirect {
+    var out = Indirect(vec3f(0.0), vec3f(0.0));
+    if model.indirect_form == INDIRECT_LEARNED {
+        let first = model.indirect + 16u * gaussian_ix;
+        for (var j = 0u; j < 16u; j++) {
+            let e = vec3f(indirect_basis[3u * j], indirect_basis[3u * j + 1u], indirect_basis[3u * j + 2u]);
+            out.radiance += params[first + j] * e;
+        }
+    }
+    if model.indirect_form == INDIRECT_GATHERED && 6u * gaussian_ix + 6u <= arrayLength(&gathered) {
+        out.irradiance = gathered_vec3(6u * gaussian_ix);
+        out.radiance = gathered_vec3(6u * gaussian_ix + 3u);
+    }
+    return out;
+}
+
+fn visibility_at(gaussian_ix: u32, coefficient_ix: u32) -> f32 {
+    if coefficient_ix >= model.n_visibility {
+        return 0.0;
+    }
+    return params[model.visibility + model.n_visibility * gaussian_ix + coefficient_ix];
+}
+
+@compute @workgroup_size(256)
+fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u) {
+    let gaussian_ix = invocation_ix(gid, n_wg);
+    if gaussian_ix >= model.n {
+        return;
+    }
+    if splats[gaussian_ix].n_tiles == 0u {
+        return;
+    }
+    let to_mean = params_vec3(model.mean + 3u * gaussian_ix) - view.eye.xyz;
+    let row = gaussian_ix * GROUPS;
+    rows[row] = vec4f(1.0, radiance_of(gaussian_ix, to_mean));
+#ifndef COLOUR
+    let normal = normal_of(gaussian_ix, to_mean);
+    rows[row + 1u] = vec4f(normal.unit, dot(normal.unit, to_mean));
+#ifndef GEOMETRY
+    let albedo = clamp(albedo_of(gaussian_ix), vec3f(0.0), vec3f(1.0));
+    rows[row + 2u] = vec4f(albedo, sigmoid(params[model.metal + gaussian_ix]));
+    let rough = sigmoid(params[model.rough + gaussian_ix]);
+#ifdef MATERIAL
+    rows[row + 3u] = vec4f(rough, 0.0, 0.0, 0.0);
+#else
+    let indirect = indirect_of(gaussian_ix);
+    rows[row + 3u] = vec4f(rough, splats[gaussian_ix].depth, indirect.irradiance.xy);
+    rows[row + 4u] = vec4f(indirect.irradiance.z, indirect.radiance);
+    // Visibility begins with channel 20, the first of group 5.
+    for (var group = 5u; group < GROUPS; group++) {
+        let first = 4u * (group - 5u);
+        rows[row + group] = vec4f(
+            visibility_at(gaussian_ix, first),
+            visibility_at(gaussian_ix, first + 1u),
+            visibility_at(gaussian_ix, first + 2u),
+            visibility_at(gaussian_ix, first + 3u),
+        );
+    }
+#endif
+#endif
+#endif
+}

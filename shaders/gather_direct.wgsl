@@ -1,0 +1,60 @@
+// Per Gaussian, what a bounce starts from: the sky's irradiance through its own visibility, and what share of its
+// irradiance a diffuse surface sends back (albedo (1 - metal) / pi). A thread owns one Gaussian. No workgroup memory.
+#import attributes
+#import cube_grid
+#import gather
+#import index
+
+// Visibility coefficient 0 of a point that sees the whole sky: 2 sqrt(pi).
+const FULLY_OPEN = 3.5449077;
+
+@group(0) @binding(0) var<uniform> model: Layout;
+@group(0) @binding(1) var<uniform> transport: GatherSize;
+@group(0) @binding(2) var<storage, read> params: array<f32>;
+@group(0) @binding(3) var<storage, read> globals: array<f32>;
+// Light tables; the diffuse one comes first.
+@group(0) @binding(4) var<storage, read> tables: array<f32>;
+@group(0) @binding(5) var<storage, read> normals: array<vec4f>;
+@group(0) @binding(6) var<storage, read_write> direct: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> diffuse: array<vec4f>;
+
+// Row of one colour of one node times the Gaussian's visibility.
+fn through_visibility(gaussian_ix: u32, row: u32) -> f32 {
+    if model.visibility_form == VISIBILITY_OFF {
+        return tables[row] * FULLY_OPEN;
+    }
+    let first = model.visibility + model.n_visibility * gaussian_ix;
+    var sum = 0.0;
+    for (var k = 0u; k < min(model.n_visibility, transport.coefficients); k++) {
+        sum += tables[row + k] * params[first + k];
+    }
+    return sum;
+}
+
+@compute @workgroup_size(256)
+fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u) {
+    let gaussian_ix = invocation_ix(gid, n_wg);
+    if gaussian_ix >= model.n {
+        return;
+    }
+    let normal = normals[gaussian_ix].xyz;
+    var sky = vec3f(0.0);
+    // Parameters that are no numbers have no normal either.
+    if is_finite(normal.x) && is_finite(normal.y) && is_finite(normal.z) {
+        let taps = cube_taps(transport.diffuse_n, normal);
+#repeat k 4
+        {
+            let row = taps.node[$k] * 3u * transport.coefficients;
+            sky += taps.weight[$k] * vec3f(
+                through_visibility(gaussian_ix, row),
+                through_visibility(gaussian_ix, row + transport.coefficients),
+                through_visibility(gaussian_ix, row + 2u * transport.coefficients),
+            );
+        }
+#end
+    }
+    direct[gaussian_ix] = vec4f(max(sky, vec3f(0.0)), 0.0);
+    let rest = 1.0 - sigmoid(params[model.metal + gaussian_ix]);
+    let albedo = clamp(albedo_of(gaussian_ix), vec3f(0.0), vec3f(1.0));
+    diffuse[gaussian_ix] = vec4f(albedo * rest * FRAC_1_PI, 0.0);
+}

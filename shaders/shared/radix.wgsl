@@ -1,0 +1,19 @@
+// What the two kernels of a radix sort pass share: the digit of a key, and who owns which elements.
+
+const WG_SIZE = 256u;
+const PER_THREAD = 8u;
+// Elements a workgroup sorts.
+const BLOCK = 2048u;
+
+struct SortPass {
+    n: u32,
+    n_blocks: u32,
+    // Lowest bit of this pass's digit.
+    shift: u32,
+    // Digits there are, a power of two, at most 256.
+    n_digits: u32,
+}
+
+fn digit_of(key: u32, sort: SortPass) -> u32 {
+    return (key >> sort.shift) & (sort.n_digits - 1u);
+}

@@ -1,0 +1,451 @@
+// From the summed gradients of the splats to the parameters of the Gaussians: chain rules of projection and attributes,
+// terms of the objective on the parameters themselves, and Adam (or, under GRADIENTS, the gradients written out).
+//
+// A thread owns a Gaussian, on screen or not: it reads its parameters, writes them in place, and no other thread touches
+// them. Whatever a gradient needs of a field is read before that field is emitted.
+// Workgroup memory: the gradients of what all Gaussians share (prototypes, basis of the learned indirect light) are
+// outer products factor x slope summed over Gaussians; factors of BLOCK rows and the slopes are laid out there so that
+// a row is summed by 32 threads and costs three atomics a workgroup. The sums of the losses reuse it.
+#import attributes
+#import index
+#import view
+#import splat
+#import sh_walk
+#import losses
+#import fields
+#import status
+#import adam
+#import project_backward
+#import score_mixture
+#import view_label
+#import finite
+
+const WG_SIZE = 256u;
+// Rows of an outer product summed at a time: as many threads a row as make up the workgroup.
+const BLOCK = 8u;
+const LANES = 32u;
+// Differentiated groups from which on these channels are among them.
+const GROUPS_GEOMETRY = 2u;
+const GROUPS_MATERIAL = 4u;
+const GROUPS_FULL = 6u;
+const FIRST_VISIBILITY = 20u;
+
+struct Update {
+    // By field: rate over the correction of the first moment, root of the correction of the second.
+    rates: array<vec4f, 13>,
+    // Groups of 4 channels in a row of splat gradients.
+    groups: u32,
+    // Half the longer side of the image, pixels.
+    half_width: f32,
+    // Weights of the terms over their number of Gaussians; 0 = off.
+    aggregation: f32,
+    residual: f32,
+    flatness: f32,
+    probe_labels: f32,
+    // Weight alone: how many Gaussians have a label is known on the device.
+    view_labels: f32,
+    pad: u32,
+}
+
+@group(0) @binding(0) var<uniform> model: Layout;
+@group(0) @binding(1) var<uniform> view: View;
+@group(0) @binding(2) var<uniform> update: Update;
+@group(0) @binding(3) var<storage, read> splats: array<Splat>;
+// Rows of 2 + groups: mean and conic xx, xy; conic yy, opacity, 0, 0; channels.
+@group(0) @binding(4) var<storage, read> splat_gradients: array<vec4f>;
+@group(0) @binding(5) var<storage, read> globals: array<f32>;
+@group(0) @binding(6) var<storage, read_write> globals_gradient: array<accumulator>;
+// E_j (docs/MODEL.md section 3) and its gradient.
+@group(0) @binding(7) var<storage, read> indirect_basis: array<f32>;
+@group(0) @binding(8) var<storage, read_write> basis_gradient: array<accumulator>;
+@group(0) @binding(9) var<storage, read> probe_labels: array<f32>;
+// By Gaussian: sum w That, sum w.
+@group(0) @binding(10) var<storage, read> view_labels: array<vec2f>;
+@group(0) @binding(11) var<storage, read> label_count: array<u32>;
+@group(0) @binding(12) var<storage, read_write> losses: array<accumulator>;
+// By Gaussian: sum of screen gradients, steps on screen.
+@group(0) @binding(13) var<storage, read_write> density: array<vec2f>;
+@group(0) @binding(14) var<storage, read_write> status: array<atomic<u32>>;
+#ifdef GRADIENTS
+@group(0) @binding(15) var<storage, read> params: array<f32>;
+@group(0) @binding(16) var<storage, read_write> gradients: array<f32>;
+#else
+@group(0) @binding(15) var<storage, read_write> params: array<f32>;
+@group(0) @binding(16) var<storage, read_write> first: array<f32>;
+@group(0) @binding(17) var<storage, read_write> second: array<f32>;
+#endif
+
+var<workgroup> sh_factor: array<f32, 2048>;
+var<workgroup> sh_slope: array<vec4f, 256>;
+var<workgroup> sh_partial: array<vec4f, 256>;
+
+// Whether anything happens to `field` when it is emitted.
+fn trains(field: u32) -> bool {
+#ifdef GRADIENTS
+    return true;
+#else
+    return update.rates[field].x != 0.0;
+#endif
+}
+
+// The one place where a parameter's gradient goes.
+fn emit(element_ix: u32, gradient: f32, field: u32) {
+#ifdef GRADIENTS
+    gradients[element_ix] = gradient;
+    if !is_finite(gradient) {
+        atomicOr(&status[STATUS_POISON], POISON_GAUSSIAN);
+    }
+#else
+    let rate = update.rates[field];
+    if rate.x == 0.0 {
+        return;
+    }
+    if !is_finite(gradient) {
+        atomicOr(&status[STATUS_POISON], POISON_GAUSSIAN);
+        return;
+    }
+    let by = adam(first[element_ix], second[element_ix], gradient, rate.x, rate.y);
+    first[element_ix] = by.first;
+    second[element_ix] = by.second;
+    params[element_ix] -= by.step;
+#endif
+}
+
+fn emit3(element_ix: u32, gradient: vec3f, field: u32) {
+    emit(element_ix, gradient.x, field);
+    emit(element_ix + 1u, gradient.y, field);
+    emit(element_ix + 2u, gradient.z, field);
+}
+
+// Slope of the sigmoid.
+fn sigmoid_slope(x: f32) -> f32 {
+    let s = sigmoid(x);
+    return s * (1.0 - s);
+}
+
+// The gradient that reaches a Gaussian from the picture.
+struct Upstream {
+    // Projected; otherwise all gradients are zero and the row is not read.
+    visible: bool,
+    // Where its row starts.
+    row: u32,
+}
+
+fn upstream_of(gaussian_ix: u32) -> Upstream {
+    return Upstream((splats[gaussian_ix].flags & SPLAT_VISIBLE) != 0u, gaussian_ix * (2u + update.groups));
+}
+
+// Four channels' gradient.
+fn channels(up: Upstream, group: u32) -> vec4f {
+    if !up.visible || group >= update.groups {
+        return vec4f(0.0);
+    }
+    return splat_gradients[up.row + 2u + group];
+}
+
+// Chain rule of the normal and the plane's distance; returns the gradient of the field `Normal`.
+fn normal_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f, geometry: ptr<function, Geometry>) -> vec3f {
+    if !up.visible || update.groups < GROUPS_GEOMETRY {
+        return vec3f(0.0);
+    }
+    let by = channels(up, 1u);
+    let normal = normal_of(gaussian_ix, to_mean);
+    (*geometry).mean += by.w * normal.unit;
+    let by_sum = normalised3_backward(normal.unit, normal.length, by.xyz + by.w * to_mean);
+    let by_axis = normal.sign * by_sum;
+    (*geometry).rotation[0] += select(vec3f(0.0), by_axis, normal.axis == 0u);
+    (*geometry).rotation[1] += select(vec3f(0.0), by_axis, normal.axis == 1u);
+    (*geometry).rotation[2] += select(vec3f(0.0), by_axis, normal.axis == 2u);
+    return by_sum;
+}
+
+// Emits the radiance coefficients; returns the gradient of the centre through the direction.
+fn radiance_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f) -> vec3f {
+    let base = model.radiance + gaussian_ix * 3u * model.n_radiance;
+    let order = sh_order_of(model.n_radiance);
+    let by_colour = channels(up, 0u).yzw;
+    let is_active = any(by_colour != vec3f(0.0));
+    let direction = normalised3(to_mean);
+    var raw = vec3f(0.5);
+    if is_active {
+        for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
+            let ix = sh_indices(walk);
+            let y = sh_values(walk);
+            raw += y.x * params_vec3(base + 3u * ix.x);
+            if walk.m > 0u {
+                raw += y.y * params_vec3(base + 3u * ix.y);
+            }
+        }
+    }
+    let g = select(vec3f(0.0), by_colour, raw > vec3f(0.0));
+    var by_direction = vec3f(0.0);
+    for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
+        let ix = sh_indices(walk);
+        // A Gaussian without gradient may have a direction that is not finite.
+        let y = select(vec2f(0.0), sh_values(walk), is_active);
+        let slopes = sh_slopes(walk);
+        for (var side = 0u; side < select(2u, 1u, walk.m == 0u); side++) {
+            let element_ix = base + 3u * select(ix.y, ix.x, side == 0u);
+            if is_active {
+                by_direction += dot(g, params_vec3(element_ix)) * select(slopes[1], slopes[0], side == 0u);
+            }
+            let field = select(FIELD_RADIANCE_REST, FIELD_RADIANCE, element_ix == base);
+            emit3(element_ix, g * select(y.y, y.x, side == 0u), field);
+        }
+    }
+    return select(vec3f(0.0), normalised3_backward(direction, length3(to_mean), by_direction), is_active);
+}
+
+// Emits the visibility coefficients; returns the value of the label terms.
+fn visibility_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f) -> f32 {
+    if !(trains(FIELD_VISIBILITY) || update.probe_labels != 0.0 || update.view_labels != 0.0) {
+        return 0.0;
+    }
+    let first_ix = gaussian_ix * model.n_visibility;
+    let order = sh_order_of(model.n_visibility);
+    let direction = normalised3(to_mean);
+    var label = vec2f(0.0);
+    if update.view_labels != 0.0 {
+        label = view_label(gaussian_ix, up, order, direction);
+    }
+    var value = label.x;
+    for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
+        let ix = sh_indices(walk);
+        let by_y = select(vec2f(0.0), label.y * sh_values(walk), label.y != 0.0);
+        for (var side = 0u; side < select(2u, 1u, walk.m == 0u); side++) {
+            let k = select(ix.y, ix.x, side == 0u);
+            let element_ix = model.visibility + first_ix + k;
+            var gradient = select(by_y.y, by_y.x, side == 0u);
+            if up.visible && update.groups >= GROUPS_FULL {
+                let channel = FIRST_VISIBILITY + k;
+                gradient += splat_gradients[up.row + 2u + channel / 4u][channel % 4u];
+            }
+            if update.probe_labels != 0.0 {
+                let error = params[element_ix] - probe_labels[first_ix + k];
+                value += update.probe_labels * error * error;
+                gradient += 2.0 * update.probe_labels * error;
+            }
+            emit(element_ix, gradient, FIELD_VISIBILITY);
+        }
+    }
+    return value;
+}
+
+// Emits score `k`; returns the factor of prototype `k` in the Gaussian's albedo.
+fn score_backward(m: Mixture, gaussian_ix: u32, up: Upstream, k: u32) -> f32 {
+    let p = share(m, gaussian_ix, k);
+    var gradient = 0.0;
+    if up.visible && update.groups >= GROUPS_MATERIAL {
+        gradient = p * (dot(m.by_albedo, albedo_of_prototype(k)) - m.by_mixture);
+    }
+    if update.aggregation != 0.0 {
+        gradient += p * (aggregation_slope(m, p) - m.by_aggregation);
+    }
+    emit(score_ix(gaussian_ix, k), gradient, FIELD_SCORES);
+    // Without slope the share may be anything, and must not spoil the sum.
+    return select(0.0, p, any(m.by_albedo != vec3f(0.0)));
+}
+
+// Sum over the workgroup of factor x slope for this thread's row and channel, given factors and slopes in workgroup
+// memory. Threads below 3 * BLOCK get it: row `local_ix / 3`, channel `local_ix % 3`.
+fn reduce_products(local_ix: u32) -> f32 {
+    workgroupBarrier();
+    let row = local_ix / LANES;
+    let lane = local_ix % LANES;
+    var sum = vec3f(0.0);
+    for (var i = lane; i < WG_SIZE; i += LANES) {
+        sum += sh_factor[row * WG_SIZE + i] * sh_slope[i].xyz;
+    }
+    sh_partial[local_ix] = vec4f(sum, 0.0);
+    workgroupBarrier();
+    var total = 0.0;
+    if local_ix < 3u * BLOCK {
+        for (var i = 0u; i < LANES; i++) {
+            total += sh_partial[local_ix / 3u * LANES + i][local_ix % 3u];
+        }
+    }
+    workgroupBarrier();
+    return total;
+}
+
+// Emits all scores and sums the gradient of the prototypes; returns the aggregation's value. Uniform control flow.
+fn scores_backward(gaussian_ix: u32, is_owner: bool, up: Upstream, local_ix: u32, by_albedo: ptr<function, vec3f>) -> f32 {
+    let reduces = update.groups >= GROUPS_MATERIAL;
+    if !(reduces || update.aggregation != 0.0 || trains(FIELD_SCORES)) {
+        return 0.0;
+    }
+    var m: Mixture;
+    var value = 0.0;
+    if is_owner {
+        m = mixture_of(gaussian_ix, up);
+        *by_albedo = m.by_albedo;
+        if update.aggregation != 0.0 {
+            value = -update.aggregation * log(select(m.q, AGGREGATION_EPSILON, m.q <= AGGREGATION_EPSILON));
+        }
+    }
+    sh_slope[local_ix] = vec4f(*by_albedo, 0.0);
+    for (var k = 0u; k < model.n_scores; k += BLOCK) {
+        for (var row = 0u; row < BLOCK; row++) {
+            var factor = 0.0;
+            if is_owner && k + row < model.n_scores {
+                factor = score_backward(m, gaussian_ix, up, k + row);
+            }
+            sh_factor[row * WG_SIZE + local_ix] = factor;
+        }
+        if reduces {
+            let total = reduce_products(local_ix);
+            let element_ix = 3u * k + local_ix;
+            if local_ix < 3u * BLOCK && element_ix < 3u * model.n_scores && total != 0.0 {
+                let a = globals[element_ix];
+                if a > 0.0 && a < 1.0 {
+                    accumulate!(globals_gradient[element_ix], total);
+                }
+            }
+        }
+    }
+    return value;
+}
+
+// Emits the weights of the learned indirect light and sums the gradient of its basis. Uniform control flow.
+fn indirect_backward(gaussian_ix: u32, is_owner: bool, up: Upstream, local_ix: u32) {
+    let reduces = model.indirect_form == INDIRECT_LEARNED && update.groups >= GROUPS_FULL;
+    if !(reduces || trains(FIELD_INDIRECT)) {
+        return;
+    }
+    var by_light = vec3f(0.0);
+    if reduces && is_owner {
+        by_light = channels(up, 4u).yzw;
+    }
+    let is_active = any(by_light != vec3f(0.0));
+    sh_slope[local_ix] = vec4f(by_light, 0.0);
+    for (var j = 0u; j < 16u; j += BLOCK) {
+        for (var row = 0u; row < BLOCK; row++) {
+            var factor = 0.0;
+            if is_owner {
+                let element_ix = model.indirect + 16u * gaussian_ix + j + row;
+                var gradient = 0.0;
+                if is_active {
+                    let e = 3u * (j + row);
+                    factor = params[element_ix];
+                    gradient = dot(by_light, vec3f(indirect_basis[e], indirect_basis[e + 1u], indirect_basis[e + 2u]));
+                }
+                emit(element_ix, gradient, FIELD_INDIRECT);
+            }
+            sh_factor[row * WG_SIZE + local_ix] = factor;
+        }
+        if reduces {
+            let total = reduce_products(local_ix);
+            if local_ix < 3u * BLOCK && total != 0.0 {
+                accumulate!(basis_gradient[3u * j + local_ix], total);
+            }
+        }
+    }
+}
+
+// Metalness, roughness and residual; returns the residual term's value.
+fn material_backward(gaussian_ix: u32, up: Upstream, by_albedo: vec3f) -> f32 {
+    let by_metal = channels(up, 2u).w;
+    let by_rough = channels(up, 3u).x;
+    var slopes = vec2f(0.0);
+    if up.visible && update.groups >= GROUPS_MATERIAL {
+        slopes.x = by_metal * sigmoid_slope(params[model.metal + gaussian_ix]);
+        slopes.y = by_rough * sigmoid_slope(params[model.rough + gaussian_ix]);
+    }
+    emit(model.metal + gaussian_ix, slopes.x, FIELD_METAL);
+    emit(model.rough + gaussian_ix, slopes.y, FIELD_ROUGH);
+    var gradient = by_albedo;
+    var value = 0.0;
+    let residual_ix = model.residual + 3u * gaussian_ix;
+    if update.residual != 0.0 {
+        let residual = params_vec3(residual_ix);
+        gradient += update.residual * sign(residual);
+        value = update.residual * dot(abs(residual), vec3f(1.0));
+    }
+    emit3(residual_ix, gradient, FIELD_RESIDUAL);
+    return value;
+}
+
+// Centre, scales, rotation, opacity, normal, radiance and visibility; returns the values of flatness and of the labels.
+fn geometry_backward(gaussian_ix: u32, up: Upstream) -> vec2f {
+    let mean = params_vec3(model.mean + 3u * gaussian_ix);
+    let log_scale = params_vec3(model.log_scale + 3u * gaussian_ix);
+    let quaternion_ix = model.quaternion + 4u * gaussian_ix;
+    let quaternion = quaternion_at(gaussian_ix);
+    let to_mean = mean - view.eye.xyz;
+    var by = Geometry(vec3f(0.0), vec3f(0.0), mat3x3f(), 0.0);
+    var by_quaternion = vec4f(0.0);
+    var by_normal = vec3f(0.0);
+    if up.visible {
+        let axes = rotation_of(quaternion);
+        by = project_backward(gaussian_ix, up, axes, log_scale, mean);
+        by_normal = normal_backward(gaussian_ix, up, to_mean, &by);
+        by_quaternion = rotation_backward(quaternion, by.rotation);
+        if update.groups >= GROUPS_FULL {
+            by.mean += channels(up, 3u).y * view.rotation[2].xyz;
+        }
+        record_density(gaussian_ix, splat_gradients[up.row].xy);
+    }
+    by.mean += radiance_backward(gaussian_ix, up, to_mean);
+    let labels = visibility_backward(gaussian_ix, up, to_mean);
+    var flatness = 0.0;
+    if update.flatness != 0.0 {
+        // The lowest axis on a tie, as the normal.
+        let s = log_scale;
+        let axis = select(select(2u, 1u, s.y <= s.z), 0u, s.x <= s.y && s.x <= s.z);
+        flatness = update.flatness * exp(min(s.x, min(s.y, s.z)));
+        by.log_scale += select(vec3f(0.0), vec3f(flatness), vec3u(axis) == vec3u(0u, 1u, 2u));
+    }
+    emit3(model.mean + 3u * gaussian_ix, by.mean, FIELD_MEAN);
+    emit3(model.log_scale + 3u * gaussian_ix, by.log_scale, FIELD_LOG_SCALE);
+    emit3(quaternion_ix, by_quaternion.xyz, FIELD_QUATERNION);
+    emit(quaternion_ix + 3u, by_quaternion.w, FIELD_QUATERNION);
+    emit(model.opacity + gaussian_ix, by.opacity, FIELD_OPACITY);
+    emit3(model.normal + 3u * gaussian_ix, by_normal, FIELD_NORMAL);
+    return vec2f(flatness, labels);
+}
+
+// The signal of density control: length of the gradient by the projected mean, half image widths.
+fn record_density(gaussian_ix: u32, by_mean: vec2f) {
+    density[gaussian_ix] += vec2f(length(by_mean) * update.half_width, 1.0);
+}
+
+// Adds the workgroup's sums of aggregation, residual, flatness and label terms. Uniform control flow.
+fn reduce_losses(local_ix: u32, values: vec4f) {
+    sh_partial[local_ix] = values;
+    for (var n = WG_SIZE / 2u; n > 0u; n /= 2u) {
+        workgroupBarrier();
+        if local_ix < n {
+            sh_partial[local_ix] += sh_partial[local_ix + n];
+        }
+    }
+    workgroupBarrier();
+    // The four slots follow each other.
+    if local_ix < 4u {
+        let total = sh_partial[0][local_ix];
+        if total != 0.0 {
+            accumulate!(losses[LOSS_AGGREGATION + local_ix], total);
+        }
+    }
+}
+
+@compute @workgroup_size(WG_SIZE)
+fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u,
+    @builtin(local_invocation_index) local_ix: u32) {
+    let gaussian_ix = invocation_ix(gid, n_wg);
+    let is_owner = gaussian_ix < model.n;
+    var up = Upstream(false, 0u);
+    if is_owner {
+        up = upstream_of(gaussian_ix);
+    }
+    var by_albedo = vec3f(0.0);
+    var values = vec4f(0.0);
+    values.x = scores_backward(gaussian_ix, is_owner, up, local_ix, &by_albedo);
+    indirect_backward(gaussian_ix, is_owner, up, local_ix);
+    if is_owner {
+        values.y = material_backward(gaussian_ix, up, by_albedo);
+        let terms = geometry_backward(gaussian_ix, up);
+        values.z = terms.x;
+        values.w = terms.y;
+    }
+    reduce_losses(local_ix, values);
+}

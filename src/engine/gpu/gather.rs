@@ -1,0 +1,126 @@
+//! Bounced light on the device: the port of [`crate::engine::cpu::Transport`] (docs/MODEL.md section 6).
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::engine::gpu::model::LayoutUniform;
+use crate::engine::gpu::probes::{ProbeBuffers, direction_weight};
+use crate::engine::gpu::{Buffer, GpuError, Groups, Recorder, shaders, uniform};
+
+#[cfg(test)]
+mod tests;
+
+/// `GatherSize` of `shared/gather.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+struct GatherSize {
+    n: u32,
+    n_directions: u32,
+    weight: f32,
+    diffuse_n: u32,
+    coefficients: u32,
+    pad_a: u32,
+    pad_b: u32,
+    pad_c: u32,
+}
+
+/// The model and the light that a gathering reads.
+#[derive(Debug, Clone, Copy)]
+pub struct GatherSource<'a> {
+    /// Planar parameters.
+    pub params: &'a Buffer<f32>,
+    /// Their layout.
+    pub model: &'a LayoutUniform,
+    /// Prototypes (K x 3), then anything.
+    pub globals: &'a Buffer<f32>,
+    /// Light tables, `[node][rgb][coefficient]` of the diffuse one first.
+    pub tables: &'a Buffer<f32>,
+    /// Nodes along an edge of the diffuse table's cube grid, at least 2.
+    pub diffuse_n: u32,
+    /// Floats a colour has in the diffuse table, padding included.
+    pub coefficients: u32,
+}
+
+/// Gathered irradiance and mean blocked radiance after `bounces` rounds: six floats a Gaussian.
+///
+/// `probes` are of the same model; what hides what does not depend on the light, so one measurement serves any number
+/// of lights. The sky is seen through the visibility field that `params` hold now.
+///
+/// # Errors
+/// [`GpuError::Internal`] for probes of another model or buffers that are too short, or as
+/// [`Gpu::buffer`](crate::engine::gpu::Gpu::buffer).
+pub fn gather(
+    rec: &mut Recorder<'_>,
+    probes: &ProbeBuffers,
+    source: &GatherSource<'_>,
+    bounces: usize,
+) -> Result<Buffer<f32>, GpuError> {
+    let n = probes.n;
+    check(probes, source)?;
+    rec.stage("gather");
+    let gpu = rec.gpu();
+    let gathered: Buffer<f32> = gpu.buffer("gathered light", 6 * n)?;
+    rec.clear(&gathered);
+    if bounces == 0 {
+        return Ok(gathered);
+    }
+    let direct: Buffer<[f32; 4]> = gpu.buffer("light from the sky", n)?;
+    let diffuse: Buffer<[f32; 4]> = gpu.buffer("diffuse reflectance", n)?;
+    let emitted: Buffer<[f32; 4]> = gpu.buffer("light sent back", n)?;
+    let n_directions = probes.directions.len();
+    let size = GatherSize {
+        n: n as u32,
+        n_directions: n_directions as u32,
+        weight: direction_weight(n_directions),
+        diffuse_n: source.diffuse_n,
+        coefficients: source.coefficients,
+        pad_a: 0,
+        pad_b: 0,
+        pad_c: 0,
+    };
+    let bindings = [
+        uniform(source.model),
+        uniform(&size),
+        source.params.into(),
+        source.globals.into(),
+        source.tables.into(),
+        (&probes.normals).into(),
+        (&direct).into(),
+        (&diffuse).into(),
+    ];
+    rec.dispatch(&shaders::GATHER_DIRECT, Groups::Linear(n), &bindings);
+    for _ in 0..bounces {
+        let bindings =
+            [uniform(&size), (&direct).into(), (&diffuse).into(), (&gathered).into(), (&emitted).into()];
+        rec.dispatch(&shaders::GATHER_EMIT, Groups::Linear(n), &bindings);
+        let bindings = [
+            uniform(&size),
+            (&probes.directions).into(),
+            (&probes.normals).into(),
+            (&probes.transmittance).into(),
+            (&probes.hit).into(),
+            (&emitted).into(),
+            (&gathered).into(),
+        ];
+        rec.dispatch(&shaders::GATHER_BOUNCE, Groups::Linear(n), &bindings);
+    }
+    Ok(gathered)
+}
+
+fn check(probes: &ProbeBuffers, source: &GatherSource<'_>) -> Result<(), GpuError> {
+    let edge = source.diffuse_n as usize;
+    let wrong = if source.model.n as usize != probes.n {
+        Some("probes")
+    } else if source.globals.len() < 3 * source.model.n_scores as usize {
+        Some("prototypes")
+    } else if edge < 2 || source.coefficients == 0 {
+        Some("light tables' shape")
+    } else if source.tables.len() < 18 * edge * edge * source.coefficients as usize {
+        Some("light tables")
+    } else {
+        None
+    };
+    match wrong {
+        Some(what) => Err(GpuError::Internal(format!("gathered light: the {what} do not fit"))),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,145 @@
+//! The gathering against the CPU engine.
+
+use super::*;
+use crate::engine::cpu::{ProbeSettings, Transport, fibonacci_sphere, outward_normals};
+use crate::engine::gpu::Gpu;
+use crate::engine::gpu::model::planar;
+use crate::engine::gpu::probes::tests::{Scene, read};
+use crate::engine::gpu::shaders::assert_layout;
+use crate::light::{LightTables, rendering_tables};
+use crate::scene::{EnvMap, Field, VisibilityForm};
+
+fn tables(order: usize) -> LightTables {
+    let sky = |d: glam::DVec3| [1.0 + d.z.max(0.0) as f32, 0.8 + 0.5 * d.x as f32, (d.y * d.y) as f32];
+    rendering_tables(&EnvMap::from_fn(16, 8, sky), order)
+}
+
+/// Nodes along an edge.
+fn edge(tables: &LightTables) -> u32 {
+    ((tables.diffuse_grid.len() / 6) as f32).sqrt() as u32
+}
+
+struct Case {
+    scene: Scene,
+    bounces: usize,
+}
+
+impl Case {
+    /// What the device and the CPU gather, from the device's probes.
+    fn gathered(&self, gpu: &Gpu) -> (Vec<f32>, Vec<f32>) {
+        let Scene { gaussians, prototypes, .. } = &self.scene;
+        let probes = self.scene.on_device(gpu, ProbeSettings::default(), &fibonacci_sphere(32));
+        let tables = tables(gaussians.visibility_order());
+        // As all tables lie in memory: the diffuse one, then others.
+        let all: Vec<f32> = tables.diffuse.iter().copied().chain([f32::NAN; 8]).collect();
+        let globals: Vec<f32> = prototypes.as_flattened().iter().copied().chain([f32::NAN; 5]).collect();
+        let model = self.scene.layout();
+        let source = GatherSource {
+            params: &gpu.upload("params", &planar(gaussians)).unwrap(),
+            model: &model,
+            globals: &gpu.upload("globals", &globals).unwrap(),
+            tables: &gpu.upload("tables", &all).unwrap(),
+            diffuse_n: edge(&tables),
+            coefficients: tables.coefficients as u32,
+        };
+        let mut rec = gpu.record();
+        let gathered = gather(&mut rec, &probes, &source, self.bounces).unwrap();
+        rec.submit().unwrap();
+        let got = gpu.read(&gathered, 0..6 * gaussians.len()).unwrap();
+        let attributes = self.scene.source();
+        let transport = Transport::new(&read(gpu, &probes), outward_normals(&attributes));
+        let expected = transport.gather(&attributes, &tables, self.bounces);
+        (got, expected.as_flattened().to_vec())
+    }
+}
+
+/// Largest difference, in units of the largest value.
+fn error(got: &[f32], expected: &[f32]) -> f32 {
+    assert_eq!(got.len(), expected.len());
+    let most = expected.iter().fold(1e-20f32, |m, v| m.max(v.abs()));
+    got.iter()
+        .zip(expected)
+        .fold(0.0f32, |m, (a, b)| if (a - b).abs() <= m * most { m } else { (a - b).abs() / most })
+}
+
+#[test]
+fn host_and_shaders_agree_on_the_structs() {
+    for shader in [&shaders::GATHER_DIRECT, &shaders::GATHER_EMIT, &shaders::GATHER_BOUNCE] {
+        assert_layout!(GatherSize as "GatherSize" in shader; n, n_directions, weight, diffuse_n, coefficients, pad_a, pad_b, pad_c);
+    }
+}
+
+#[test]
+fn bounced_light_is_that_of_the_cpu() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    for (bounces, order) in [(1, 4), (2, 2), (4, 0), (0, 1)] {
+        let case = Case { scene: Scene::random(1, 300, order), bounces };
+        let (got, expected) = case.gathered(&gpu);
+        let error = error(&got, &expected);
+        assert!(error < 1e-5, "{bounces} bounces, order {order}: {error}");
+        let lit = expected.iter().filter(|v| **v > 1e-3).count();
+        assert!(bounces == 0 || lit > 300, "only {lit} values are lit");
+    }
+}
+
+#[test]
+fn an_open_sky_and_prototypes_alone_are_those_of_the_cpu() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut scene = Scene::random(2, 200, 2);
+    scene.options.visibility = VisibilityForm::Off;
+    scene.gaussians.field_mut(Field::Residual).fill(0.0);
+    let (got, expected) = Case { scene, bounces: 2 }.gathered(&gpu);
+    assert!(error(&got, &expected) < 1e-5);
+}
+
+#[test]
+fn the_comparison_notices_another_albedo_another_light_and_one_more_bounce() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let (_, expected) = Case { scene: Scene::random(1, 300, 2), bounces: 2 }.gathered(&gpu);
+    let (more, _) = Case { scene: Scene::random(1, 300, 2), bounces: 3 }.gathered(&gpu);
+    assert!(error(&more, &expected) > 1e-3);
+    let albedo = Scene::random(1, 300, 2).with(|i, g| g.row_mut(Field::Residual, i)[1] += 0.05);
+    assert!(error(&Case { scene: albedo, bounces: 2 }.gathered(&gpu).0, &expected) > 1e-3);
+    let metal = Scene::random(1, 300, 2).with(|i, g| g.row_mut(Field::MetalLogit, i)[0] += 0.1);
+    assert!(error(&Case { scene: metal, bounces: 2 }.gathered(&gpu).0, &expected) > 1e-3);
+    let sky = Scene::random(1, 300, 2).with(|i, g| g.row_mut(Field::Visibility, i)[2] += 0.1);
+    assert!(error(&Case { scene: sky, bounces: 2 }.gathered(&gpu).0, &expected) > 1e-3);
+}
+
+#[test]
+fn no_gaussian_and_one_gaussian_gather_nothing() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    for n in [0, 1] {
+        let (got, expected) = Case { scene: Scene::random(1, n, 2), bounces: 2 }.gathered(&gpu);
+        assert_eq!((&got, got.iter().all(|v| *v == 0.0)), (&expected, true));
+    }
+}
+
+#[test]
+fn light_that_does_not_fit_is_refused() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let scene = Scene::random(1, 3, 2);
+    let probes = scene.on_device(&gpu, ProbeSettings::default(), &fibonacci_sphere(4));
+    let (model, other) = (scene.layout(), Scene::random(1, 4, 2).layout());
+    let (params, short) = (gpu.buffer("params", 400).unwrap(), gpu.buffer("short", 4).unwrap());
+    let tables = gpu.buffer("tables", 6 * 4 * 48).unwrap();
+    let source = GatherSource {
+        params: &params,
+        model: &model,
+        globals: &params,
+        tables: &tables,
+        diffuse_n: 2,
+        coefficients: 16,
+    };
+    let attempt = |source: &GatherSource<'_>| gather(&mut gpu.record(), &probes, source, 1).err();
+    assert_eq!(attempt(&source), None);
+    for wrong in [
+        GatherSource { model: &other, ..source },
+        GatherSource { globals: &short, ..source },
+        GatherSource { diffuse_n: 1, ..source },
+        GatherSource { diffuse_n: 3, ..source },
+        GatherSource { coefficients: 17, ..source },
+    ] {
+        assert!(matches!(attempt(&wrong), Some(GpuError::Internal(_))));
+    }
+}

@@ -1,0 +1,173 @@
+//! Scenes at the edges of what can be drawn.
+
+use super::backward::{attributes_by_gaussian, check, label_error};
+use super::*;
+
+/// Largest error of the G-buffer against f64 in units of each channel's largest value: device, CPU.
+fn forward_errors(raster: &mut Raster, scene: &Scene, channels: Channels) -> (f32, f32) {
+    scene.gpu(raster, channels, false);
+    let pass = scene.cpu(channels, false);
+    let (n, stored) = (scene.gaussians.len(), channels.stored());
+    let attributes = attributes_by_gaussian(&pass, n, stored);
+    let splats = exact::project(&scene.view, &scene.gaussians);
+    let expected = exact::blend(&scene.view, &splats, &attributes, stored);
+    let got = gbuffer(raster, &scene.view, channels);
+    let (mut device, mut cpu) = (0.0f32, 0.0f32);
+    for c in 0..stored {
+        let scale = expected.iter().map(|r| r[c].abs()).fold(1e-6, f32::max);
+        for (pixel, e) in expected.iter().enumerate() {
+            let error = (got[pixel][c] - e[c]).abs() / scale;
+            assert!(error.is_finite(), "pixel {pixel} channel {c}");
+            device = device.max(error);
+            let (x, y) = (pixel % scene.view.width, pixel / scene.view.width);
+            cpu = cpu.max((pass.at(x, y, c) - e[c]).abs() / scale);
+        }
+    }
+    (device, cpu)
+}
+
+#[test]
+fn needles_are_drawn_to_more_digits_than_the_quadratic_form_has() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    let scene = Scene::random(31, 60, (64, 48), 1).fill(Field::LogScale, &[0.7, -6.0, -6.5]);
+    let (device, cpu) = forward_errors(&mut raster, &scene, Channels::Material);
+    let back = check(&mut raster, &scene, Channels::Material, 13);
+    eprintln!("needles: device {device:e}, CPU {cpu:e}, backward {back:e}");
+    assert!(device < 1e-3 && device <= cpu, "device {device:e}, CPU {cpu:e}");
+    assert!(back < 1e-3, "{back:e}");
+}
+
+#[test]
+fn pancakes_and_splats_that_cover_everything_match_f64() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    for (name, scale, n) in [("pancakes", [-1.5, -1.2, -8.0], 80), ("covering", [1.0, 1.2, 0.8], 40)] {
+        let scene = Scene::random(32, n, (64, 48), 1).fill(Field::LogScale, &scale);
+        let (device, cpu) = forward_errors(&mut raster, &scene, Channels::Material);
+        let back = check(&mut raster, &scene, Channels::Material, 13);
+        let labels = label_error(&mut raster, &scene);
+        eprintln!("{name}: device {device:e}, CPU {cpu:e}, backward {back:e}, labels {labels:e}");
+        assert!(device < 2e-5 && back < 1e-4 && labels < 1e-4, "{name}");
+    }
+}
+
+#[test]
+fn three_hundred_opaque_layers_have_gradients_in_front_and_none_behind() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    for logit in [-1.0, 4.0, 9.0] {
+        let scene = Scene::random(33, 300, (16, 16), 1)
+            .fill(Field::LogScale, &[0.0, 0.2, -0.3])
+            .fill(Field::OpacityLogit, &[logit]);
+        let (device, cpu) = forward_errors(&mut raster, &scene, Channels::Material);
+        let back = check(&mut raster, &scene, Channels::Material, 13);
+        let labels = label_error(&mut raster, &scene);
+        eprintln!("layers {logit}: device {device:e}, CPU {cpu:e}, backward {back:e}, labels {labels:e}");
+        assert!(device < 2e-5 && back < 1e-4 && labels < 1e-4, "{logit}");
+    }
+}
+
+#[test]
+fn early_stop_misses_no_more_than_its_threshold() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    let scene = Scene::random(34, 300, (37, 21), 1).fill(Field::LogScale, &[-1.0, -0.8, -1.2]);
+    scene.gpu(&mut raster, Channels::Colour, false);
+    let whole = gbuffer(&raster, &scene.view, Channels::Colour);
+    scene.gpu(&mut raster, Channels::Colour, true);
+    let stopped = gbuffer(&raster, &scene.view, Channels::Colour);
+    let missed = whole.iter().zip(&stopped).map(|(w, s)| w[0] - s[0]);
+    let most = missed.fold(0.0f32, |m, v| m.max(v.abs()));
+    assert!(most > 0.0 && most <= EARLY_STOP, "{most}");
+}
+
+#[test]
+fn any_image_size_matches_the_cpu() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    for size in [(1, 1), (1, 40), (16, 16), (17, 15), (37, 21), (3, 64)] {
+        let scene = Scene::random(35, 100, size, 1);
+        assert_forward(&mut raster, &scene, Channels::Geometry, 2e-5, &format!("{size:?}"));
+        let back = check(&mut raster, &scene, Channels::Geometry, 8);
+        assert!(back < 1e-4, "{size:?}: {back:e}");
+    }
+}
+
+#[test]
+fn nothing_to_see_is_an_empty_picture() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    for n in [0, 5] {
+        // Behind the camera, if any.
+        let scene = Scene::random(36, n, (20, 20), 1).fill(Field::Mean, &[0.4, -20.0, 0.9]);
+        assert_eq!(scene.gpu(&mut raster, Channels::Colour, true), RasterCounts::default());
+        assert!(gbuffer(&raster, &scene.view, Channels::Colour).iter().flatten().all(|v| *v == 0.0));
+        let by = gpu.upload("by", &[[1.0f32; 4]; 400]).unwrap();
+        let mut rec = gpu.record();
+        raster.blend_backward(&mut rec, &by, 1).unwrap();
+        raster.backward_labels(&mut rec).unwrap();
+        rec.submit().unwrap();
+        let gradients = gpu.read(raster.splat_gradients.as_ref().unwrap(), 0..n * 12).unwrap();
+        assert!(gradients.iter().all(|v| *v == 0.0));
+    }
+}
+
+#[test]
+fn what_is_no_number_is_invisible() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    let fields = [Field::Mean, Field::LogScale, Field::Quaternion, Field::OpacityLogit];
+    let mut scene = Scene::random(37, 40, (20, 20), 1);
+    let all = scene.gpu(&mut raster, Channels::Colour, true).visible;
+    for (i, field) in fields.into_iter().enumerate() {
+        for k in 0..scene.gaussians.width(field) {
+            scene.gaussians.row_mut(field, 4 * i + k)[k] = f32::NAN;
+        }
+    }
+    scene.gaussians.row_mut(Field::Mean, 20)[1] = f32::INFINITY;
+    scene.gaussians.row_mut(Field::OpacityLogit, 21)[0] = f32::NEG_INFINITY;
+    scene.gaussians.row_mut(Field::LogScale, 22)[0] = 1e30;
+    let counts = scene.gpu(&mut raster, Channels::Colour, true);
+    assert_eq!(counts.visible, all - (3 + 3 + 4 + 1) - 3);
+    assert!(gbuffer(&raster, &scene.view, Channels::Colour).iter().flatten().all(|v| v.is_finite()));
+    // A certain opacity is a number.
+    scene.gaussians.row_mut(Field::OpacityLogit, 23)[0] = f32::INFINITY;
+    assert_eq!(scene.gpu(&mut raster, Channels::Colour, true).visible, counts.visible);
+}
+
+#[test]
+fn equal_depths_are_ordered_by_index() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    let scene = Scene::random(38, 100, (37, 21), 1)
+        .fill(Field::Mean, &[0.1, 0.0, 0.1])
+        .fill(Field::LogScale, &[-1.5, -1.6, -1.2]);
+    assert_forward(&mut raster, &scene, Channels::Material, 2e-5, "equal depths");
+    let order = gpu.read(raster.gaussian_of_rank().unwrap(), 0..100).unwrap();
+    assert!(order.iter().enumerate().all(|(rank, g)| rank == *g as usize));
+}
+
+#[test]
+fn more_pairs_than_a_binding_holds_are_refused_with_numbers() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let raster = Raster::new(&gpu).unwrap();
+    let most = gpu.report().max_binding.min(gpu.report().max_buffer);
+    let pairs = (1u64 << 33) + 5;
+    let Err(GpuError::TooLarge { needs, most: said, what }) = raster.check_instances(pairs) else {
+        panic!("was not refused")
+    };
+    assert_eq!((needs, said), (4 * pairs, most));
+    assert!(what.contains("8589934597"), "{what}");
+    raster.check_instances(1000).unwrap();
+}
+
+#[test]
+fn steps_out_of_order_are_errors() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    let mut rec = gpu.record();
+    assert!(raster.blend(&mut rec, Channels::Colour, true).is_err());
+    assert!(raster.backward_labels(&mut rec).is_err());
+    assert!(raster.blend_backward(&mut rec, &gpu.buffer("by", 1).unwrap(), 1).is_err());
+}

@@ -1,0 +1,199 @@
+//! Stable radix sort of (key, value) pairs in device memory.
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::engine::gpu::scan::{Scan, grow};
+use crate::engine::gpu::{Buffer, GpuError, Groups, Recorder, shaders, uniform};
+
+/// Pairs a workgroup sorts.
+const BLOCK: usize = 2048;
+/// Most bits a pass sorts by.
+const PASS_BITS: u32 = 8;
+
+/// `SortPass` of `shared/radix.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+struct SortPass {
+    n: u32,
+    n_blocks: u32,
+    shift: u32,
+    n_digits: u32,
+}
+
+/// Pairs in device memory.
+#[derive(Debug, Clone)]
+pub struct Pairs {
+    /// Keys.
+    pub keys: Buffer<u32>,
+    /// Values, in step with the keys.
+    pub values: Buffer<u32>,
+}
+
+/// Memory for sorting, kept from one sort to the next.
+#[derive(Debug, Default)]
+pub struct Sorter {
+    keys: [Option<Buffer<u32>>; 2],
+    values: [Option<Buffer<u32>>; 2],
+    counts: Option<Buffer<u32>>,
+    places: Option<Buffer<u32>>,
+    scan: Scan,
+}
+
+impl Sorter {
+    /// The first `n` pairs in ascending order of the lowest `bits` bits of their keys (1 to 32); equal keys keep
+    /// their order. The input is left as it is; the result lies in this sorter's memory and lasts until its next sort.
+    /// Elements beyond `n` are undefined.
+    ///
+    /// # Errors
+    /// [`GpuError::Internal`] when an input is shorter than `n` or `bits` out of range, or as
+    /// [`Gpu::buffer`](crate::engine::gpu::Gpu::buffer).
+    pub fn sort(
+        &mut self,
+        rec: &mut Recorder<'_>,
+        keys: &Buffer<u32>,
+        values: &Buffer<u32>,
+        n: usize,
+        bits: u32,
+    ) -> Result<Pairs, GpuError> {
+        if keys.len() < n || values.len() < n || !(1..=32).contains(&bits) {
+            return Err(GpuError::Internal(format!("sort of {n} pairs by {bits} bits from shorter buffers")));
+        }
+        let n_passes = bits.div_ceil(PASS_BITS);
+        let mut from = Pairs { keys: keys.clone(), values: values.clone() };
+        let mut shift = 0;
+        for pass in 0..n_passes {
+            // Bits are shared out evenly: a smaller table of counts costs less.
+            let pass_bits = (bits - shift).div_ceil(n_passes - pass);
+            let side = pass as usize % 2;
+            let to = Pairs {
+                keys: grow(rec.gpu(), "sorted keys", &mut self.keys[side], n)?,
+                values: grow(rec.gpu(), "sorted values", &mut self.values[side], n)?,
+            };
+            self.pass(rec, &from, &to, (n, shift, pass_bits))?;
+            from = to;
+            shift += pass_bits;
+        }
+        Ok(from)
+    }
+
+    fn pass(
+        &mut self,
+        rec: &mut Recorder<'_>,
+        from: &Pairs,
+        to: &Pairs,
+        (n, shift, bits): (usize, u32, u32),
+    ) -> Result<(), GpuError> {
+        let n_blocks = n.div_ceil(BLOCK);
+        let n_counts = n_blocks << bits;
+        let counts = grow(rec.gpu(), "digit counts", &mut self.counts, n_counts)?;
+        let places = grow(rec.gpu(), "digit places", &mut self.places, n_counts + 1)?;
+        let sort = SortPass { n: n as u32, n_blocks: n_blocks as u32, shift, n_digits: 1 << bits };
+        let bindings = [uniform(&sort), (&from.keys).into(), (&counts).into()];
+        rec.dispatch(&shaders::SORT_COUNT, Groups::Workgroups(n_blocks), &bindings);
+        self.scan.exclusive(rec, &counts, &places, n_counts)?;
+        let bindings = [
+            uniform(&sort),
+            (&from.keys).into(),
+            (&from.values).into(),
+            (&places).into(),
+            (&to.keys).into(),
+            (&to.values).into(),
+        ];
+        rec.dispatch(&shaders::SORT_SCATTER, Groups::Workgroups(n_blocks), &bindings);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt as _, SeedableRng as _};
+
+    use super::*;
+    use crate::engine::gpu::Gpu;
+    use crate::engine::gpu::shaders::assert_layout;
+
+    fn sorted(gpu: &Gpu, sorter: &mut Sorter, keys: &[u32], bits: u32) -> Vec<(u32, u32)> {
+        let n = keys.len();
+        let values: Vec<u32> = (0..n as u32).collect();
+        let (k, v) = (gpu.upload("keys", keys).unwrap(), gpu.upload("values", &values).unwrap());
+        let mut rec = gpu.record();
+        let out = sorter.sort(&mut rec, &k, &v, n, bits).unwrap();
+        rec.submit().unwrap();
+        assert_eq!(gpu.read(&k, 0..n).unwrap(), keys, "the input is left alone");
+        let values = gpu.read(&out.values, 0..n).unwrap();
+        gpu.read(&out.keys, 0..n).unwrap().into_iter().zip(values).collect()
+    }
+
+    fn expected(keys: &[u32], bits: u32) -> Vec<(u32, u32)> {
+        let mask = u32::MAX >> (32 - bits);
+        let mut pairs: Vec<(u32, u32)> = keys.iter().copied().zip(0..).collect();
+        pairs.sort_by_key(|p| p.0 & mask);
+        pairs
+    }
+
+    fn random(n: usize, seed: u64) -> Vec<u32> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        (0..n).map(|_| rng.random()).collect()
+    }
+
+    #[test]
+    fn host_and_shaders_agree_on_the_pass_struct() {
+        for shader in [&shaders::SORT_COUNT, &shaders::SORT_SCATTER] {
+            assert_layout!(SortPass as "SortPass" in shader; n, n_blocks, shift, n_digits);
+        }
+    }
+
+    #[test]
+    fn sorts_any_number_of_pairs_like_the_stable_sort_of_the_standard_library() {
+        let Some(gpu) = Gpu::for_tests() else { return };
+        let mut sorter = Sorter::default();
+        for n in [0, 1, 255, 256, 257, 2047, 2049, 5000, 70_000] {
+            let keys = random(n, n as u64);
+            assert_eq!(sorted(&gpu, &mut sorter, &keys, 32), expected(&keys, 32), "n = {n}");
+        }
+    }
+
+    #[test]
+    fn sorts_by_any_number_of_bits() {
+        let Some(gpu) = Gpu::for_tests() else { return };
+        let mut sorter = Sorter::default();
+        let keys = random(4500, 7);
+        for bits in 1..=32 {
+            assert_eq!(sorted(&gpu, &mut sorter, &keys, bits), expected(&keys, bits), "{bits} bits");
+        }
+    }
+
+    #[test]
+    fn equal_and_extreme_keys_keep_their_order() {
+        let Some(gpu) = Gpu::for_tests() else { return };
+        let mut sorter = Sorter::default();
+        for key in [0, 0x8000_0000, u32::MAX] {
+            let keys = vec![key; 4100];
+            assert_eq!(sorted(&gpu, &mut sorter, &keys, 32), expected(&keys, 32), "{key:x}");
+        }
+        // Few distinct keys: stability decides nearly everything. The last digit is also the filling's.
+        let keys: Vec<u32> =
+            random(5000, 3).iter().map(|k| if k % 3 == 0 { u32::MAX } else { k % 4 }).collect();
+        assert_eq!(sorted(&gpu, &mut sorter, &keys, 32), expected(&keys, 32));
+    }
+
+    #[test]
+    fn the_comparison_tells_an_unstable_order_from_a_stable_one() {
+        let Some(gpu) = Gpu::for_tests() else { return };
+        let mut keys = random(300, 5);
+        keys[17] = keys[200];
+        let mut wrong = expected(&keys, 32);
+        let at = wrong.windows(2).position(|w| w[0].0 == w[1].0).unwrap();
+        wrong.swap(at, at + 1);
+        assert_ne!(sorted(&gpu, &mut Sorter::default(), &keys, 32), wrong);
+    }
+
+    #[test]
+    fn what_cannot_be_sorted_is_an_error() {
+        let Some(gpu) = Gpu::for_tests() else { return };
+        let short = gpu.upload("keys", &[1u32; 4]).unwrap();
+        for (n, bits) in [(5, 8), (4, 0), (4, 33)] {
+            assert!(Sorter::default().sort(&mut gpu.record(), &short, &short, n, bits).is_err());
+        }
+    }
+}
