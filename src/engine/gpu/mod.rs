@@ -7,6 +7,7 @@ mod adapter;
 mod attributes;
 mod buffer;
 pub mod density;
+pub mod develop;
 mod device;
 mod error;
 mod gather;

@@ -186,12 +186,12 @@ impl Case {
             n_visibility: sh_count(self.order),
             light: &light,
             constants: &constants,
-            gbuffer: &gbuffer,
         };
         let mut recorder = gpu.record();
-        shade(&mut recorder, &job, &images).unwrap();
+        shade(&mut recorder, &job, &gbuffer, &images).unwrap();
         recorder.clear(&by_tables);
         let gradients = ShadeGradients {
+            gbuffer: &gbuffer,
             by_images: &by_images,
             by_buffers: &by_buffers,
             by_gbuffer: &by_gbuffer,
