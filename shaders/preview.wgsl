@@ -1,5 +1,5 @@
-// The preview tier: shades every visible Gaussian once, from its attribute row to a row of coverage and colour.
-// A thread owns one Gaussian. No workgroup memory.
+// The preview tier: shades every visible Gaussian once, as a surface with its attributes, into a row of coverage and linear
+// colour that is then blended (src/render/preview.rs). A thread owns a Gaussian; no workgroup memory.
 const WG_SIZE = 256u;
 #import index
 #import shading
@@ -8,11 +8,9 @@ const WG_SIZE = 256u;
 @group(0) @binding(6) var<uniform> model: Layout;
 @group(0) @binding(7) var<storage, read> params: array<f32>;
 @group(0) @binding(8) var<storage, read> splats: array<Splat>;
-// Full attribute rows by Gaussian.
-@group(0) @binding(9) var<storage, read> rows: array<vec4f>;
+// Rows of all channels.
+@group(0) @binding(9) var<storage, read> attributes: array<vec4f>;
 @group(0) @binding(10) var<storage, read_write> colours: array<vec4f>;
-
-const GROUPS = VISIBILITY_GROUP + N_QUADS;
 
 @compute @workgroup_size(WG_SIZE)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u) {
@@ -20,17 +18,22 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     if gaussian_ix >= model.n {
         return;
     }
-    // Rows of what reaches no tile are undefined, and never blended.
-    if splats[gaussian_ix].n_tiles == 0u {
+    if splats[gaussian_ix].flags != SPLAT_VISIBLE || splats[gaussian_ix].n_tiles == 0u {
         return;
     }
     let at = model.mean + 3u * gaussian_ix;
     let mean = vec3f(params[at], params[at + 1u], params[at + 2u]);
-    let row = gaussian_ix * GROUPS;
-    let towards = normalised3(view.eye.xyz - mean);
-    var s = surface_of_groups(rows[row + 1u], rows[row + 2u], rows[row + 3u], rows[row + 4u], 1.0, towards);
+    let row = gaussian_ix * (VISIBILITY_GROUP + N_QUADS);
+    var s = surface_of_groups(
+        attributes[row + 1u],
+        attributes[row + 2u],
+        attributes[row + 3u],
+        attributes[row + 4u],
+        1.0,
+        normalised3(view.eye.xyz - mean),
+    );
     for (var quad = 0u; quad < N_QUADS; quad++) {
-        s.visibility[quad] = masked_quad(quad, rows[row + VISIBILITY_GROUP + quad]);
+        s.visibility[quad] = masked_quad(quad, attributes[row + VISIBILITY_GROUP + quad]);
     }
     let f = shade(&s);
     colours[gaussian_ix] = vec4f(1.0, f.diffuse + f.specular);

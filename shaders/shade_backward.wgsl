@@ -40,7 +40,7 @@ fn add_quad(at: u32, value: vec4f) {
 fn add_specular(level: u32, taps: Taps, by_light: vec3f) {
 #repeat k 4
     {
-        let at = specular_start(tables, level) + 3u * taps.node[$k];
+        let at = specular_start(level) + 3u * taps.node[$k];
         let value = taps.weight[$k] * by_light;
 #repeat c 3
         if value[$c] != 0.0 {

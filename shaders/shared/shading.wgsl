@@ -6,7 +6,7 @@
 #import quaternion
 #import sh
 #import cube_grid
-#import light_tables
+#import tables
 #import brdf
 #import lobe
 #import srgb
@@ -103,8 +103,16 @@ fn node_irradiance(s: ptr<function, Surface>, node: u32) -> vec3f {
     return sum;
 }
 
+fn specular_nodes(level: u32) -> u32 {
+    return tables.specular_n[level / 4u][level % 4u];
+}
+
+fn specular_start(level: u32) -> u32 {
+    return tables.specular_first[level / 4u][level % 4u];
+}
+
 fn specular_node(level: u32, node: u32) -> vec3f {
-    let at = specular_start(tables, level) + 3u * node;
+    let at = specular_start(level) + 3u * node;
     return vec3f(light_tables[at], light_tables[at + 1u], light_tables[at + 2u]);
 }
 
@@ -195,7 +203,7 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     // Specular: split sum, visibility through the lobe.
     f.position = level_position((*s).rough);
 #repeat k 2
-    f.level_taps[$k] = cube_taps(specular_nodes(tables, f.position.level + $ku), f.reflection);
+    f.level_taps[$k] = cube_taps(specular_nodes(f.position.level + $ku), f.reflection);
     f.level_value[$k] = level_light(f.position.level + $ku, f.level_taps[$k]);
 #end
     f.prefiltered = f.level_value[0] * (1.0 - f.position.fraction) + f.level_value[1] * f.position.fraction;

@@ -1,90 +1,147 @@
-//! From a G-buffer to the planes of a frame, and the preview tier's colours.
+//! From a G-buffer to the pictures that were asked for, and the preview tier's shading of Gaussians.
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::engine::gpu::model::LayoutUniform;
+use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::shading::{ShadeJob, by_coefficients};
-use crate::engine::gpu::{Buffer, GpuError, Groups, Recorder, SplatRecord, shaders, uniform};
+use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, SplatRecord, shaders, uniform};
+
+#[cfg(test)]
+mod tests;
+
+/// A picture that can be developed, in the order of `develop.wgsl`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(usize)]
+pub enum Plane {
+    /// Relit linear radiance, premultiplied by coverage (3).
+    Rgb = 0,
+    /// Linear base colour (3).
+    Albedo = 1,
+    /// World-space unit normal; zero where nothing is (3).
+    Normal = 2,
+    /// Metalness (1).
+    Metallic = 3,
+    /// Roughness (1).
+    Roughness = 4,
+    /// Ambient occlusion, 1 = open (1).
+    Visibility = 5,
+    /// Distance along the view axis, capture units; infinite where nothing is (1).
+    Depth = 6,
+    /// Coverage (1).
+    Alpha = 7,
+    /// Diffuse part of `Rgb`, premultiplied (3).
+    Diffuse = 8,
+    /// Specular part of `Rgb`, premultiplied (3).
+    Specular = 9,
+    /// The radiance branch, linear, premultiplied (3).
+    Radiance = 10,
+}
+
+impl Plane {
+    /// Floats a pixel.
+    pub fn channels(self) -> usize {
+        match self {
+            Self::Metallic | Self::Roughness | Self::Visibility | Self::Depth | Self::Alpha => 1,
+            _ => 3,
+        }
+    }
+}
 
 /// `Develop` of `shaders/develop.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 struct DevelopUniform {
-    wanted: u32,
+    first: [u32; 12],
     depth_scale: f32,
-    infinity: f32,
-    pad: u32,
+    pad_a: u32,
+    pad_b: u32,
+    pad_c: u32,
 }
 
-/// Writes the planes named in `wanted` (bit k: output k of `render::Output`, in that order, one after the other, each
-/// row-major with its own channels) into `planes`, which must hold them all. `depth_scale`: capture units a world unit.
+/// Pictures of one view in device memory, one after another.
+#[derive(Debug, Clone)]
+pub struct Planes {
+    wanted: Vec<Plane>,
+    /// First float of each wanted plane, and the end.
+    first: Vec<usize>,
+    values: Buffer<f32>,
+}
+
+impl Planes {
+    /// Room for `wanted` (each at most once) of `pixels` pixels.
+    ///
+    /// # Errors
+    /// [`GpuError::TooLarge`] with the numbers, [`GpuError::OutOfMemory`].
+    pub fn new(gpu: &Gpu, pixels: usize, wanted: &[Plane]) -> Result<Self, GpuError> {
+        let mut first = vec![0];
+        let mut end = 0;
+        for plane in wanted {
+            end += plane.channels() * pixels;
+            first.push(end);
+        }
+        Ok(Self { wanted: wanted.to_vec(), first, values: gpu.buffer("the pictures", end)? })
+    }
+
+    /// Develops a full G-buffer, `[group][pixel]`; `depth_scale` turns model units into capture units.
+    ///
+    /// # Errors
+    /// When there is no kernel for the number of visibility coefficients.
+    pub fn develop(
+        &self,
+        recorder: &mut Recorder<'_>,
+        job: &ShadeJob<'_>,
+        gbuffer: &Buffer<[f32; 4]>,
+        depth_scale: f32,
+    ) -> Result<(), GpuError> {
+        use shaders::*;
+        let all = [&DEVELOP_1, &DEVELOP_4, &DEVELOP_9, &DEVELOP_16, &DEVELOP_25, &DEVELOP_36, &DEVELOP_49];
+        let shader = by_coefficients(job.n_visibility, all)?;
+        let mut wanted = DevelopUniform { first: [u32::MAX; 12], depth_scale, pad_a: 0, pad_b: 0, pad_c: 0 };
+        for (plane, first) in self.wanted.iter().zip(&self.first) {
+            wanted.first[*plane as usize] = *first as u32;
+        }
+        job.dispatch(
+            recorder,
+            shader,
+            job.tiles(),
+            vec![uniform(&wanted), gbuffer.into(), (&self.values).into()],
+        );
+        Ok(())
+    }
+
+    /// Copies the pictures to the host, in the order they were asked for; waits for the device.
+    ///
+    /// # Errors
+    /// Whatever went wrong on the device meanwhile.
+    pub fn read(&self, gpu: &Gpu) -> Result<Vec<(Plane, Vec<f32>)>, GpuError> {
+        let ranges = self.first.windows(2).map(|w| w[0]..w[1]);
+        self.wanted.iter().zip(ranges).map(|(p, range)| Ok((*p, gpu.read(&self.values, range)?))).collect()
+    }
+}
+
+/// Shades every visible Gaussian's row of all channels into one group, coverage 1 and linear colour, to be blended.
+/// Rows of Gaussians that reach no tile are left as they are.
 ///
 /// # Errors
-/// [`GpuError::Internal`] for a number of visibility coefficients that no field has.
-pub fn develop(
+/// When there is no kernel for the number of visibility coefficients.
+pub fn shade_gaussians(
     recorder: &mut Recorder<'_>,
     job: &ShadeJob<'_>,
-    wanted: u32,
-    depth_scale: f32,
-    planes: &Buffer<f32>,
-) -> Result<(), GpuError> {
-    use shaders::*;
-    let shaders =
-        [&DEVELOP_1, &DEVELOP_4, &DEVELOP_9, &DEVELOP_16, &DEVELOP_25, &DEVELOP_36, &DEVELOP_49];
-    let shader = by_coefficients(job.n_visibility, shaders)?;
-    let options = DevelopUniform { wanted, depth_scale, infinity: f32::INFINITY, pad: 0 };
-    let tiles = Groups::Grid(job.view.tiles[0], job.view.tiles[1]);
-    recorder.stage("develop");
-    job.dispatch(recorder, shader, tiles, vec![uniform(&options), job.gbuffer.into(), planes.into()]);
-    Ok(())
-}
-
-/// What the preview tier shades: full attribute rows by Gaussian, where they are and whether they are seen.
-#[derive(Debug, Clone, Copy)]
-pub struct PreviewSource<'a> {
-    /// Layout of `params`.
-    pub model: &'a LayoutUniform,
-    /// Planar parameters.
-    pub params: &'a Buffer<f32>,
-    /// Splats by Gaussian.
-    pub splats: &'a Buffer<SplatRecord>,
-    /// Full attribute rows.
-    pub rows: &'a Buffer<[f32; 4]>,
-}
-
-/// Shades every visible Gaussian once into rows of coverage and linear colour. The job's G-buffer is not read.
-///
-/// # Errors
-/// [`GpuError::Internal`] for a number of visibility coefficients that no field has.
-pub fn preview(
-    recorder: &mut Recorder<'_>,
-    job: &ShadeJob<'_>,
-    source: &PreviewSource<'_>,
+    model: &ModelBuffers,
+    splats: &Buffer<SplatRecord>,
+    attributes: &Buffer<[f32; 4]>,
     colours: &Buffer<[f32; 4]>,
 ) -> Result<(), GpuError> {
     use shaders::*;
-    let shaders =
-        [&PREVIEW_1, &PREVIEW_4, &PREVIEW_9, &PREVIEW_16, &PREVIEW_25, &PREVIEW_36, &PREVIEW_49];
-    let shader = by_coefficients(job.n_visibility, shaders)?;
-    recorder.stage("preview");
+    let all = [&PREVIEW_1, &PREVIEW_4, &PREVIEW_9, &PREVIEW_16, &PREVIEW_25, &PREVIEW_36, &PREVIEW_49];
+    let shader = by_coefficients(job.n_visibility, all)?;
     let rest = vec![
-        uniform(source.model),
-        source.params.into(),
-        source.splats.into(),
-        source.rows.into(),
+        uniform(&model.layout),
+        (&model.params).into(),
+        splats.into(),
+        attributes.into(),
         colours.into(),
     ];
-    job.dispatch(recorder, shader, Groups::Linear(source.model.n as usize), rest);
+    job.dispatch(recorder, shader, Groups::Linear(model.len()), rest);
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::engine::gpu::shaders::assert_layout;
-
-    #[test]
-    fn host_and_shader_agree_on_the_develop_struct() {
-        assert_layout!(DevelopUniform as "Develop" in shaders::DEVELOP_1; wanted, depth_scale, infinity, pad);
-    }
 }

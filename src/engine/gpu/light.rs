@@ -1,19 +1,18 @@
-//! Light in device memory: the tables a pixel looks up, the constants of the reflectance model, and the operators of an
-//! environment that trains.
+//! Environments on the device: tables of a finished light, and the operators of one that trains.
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::engine::cpu::{self, fibonacci_sphere};
+use crate::engine::cpu::fibonacci_sphere;
 use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, shaders, uniform};
-use crate::light::{BrdfLut, CubeGrid, EnvOperators, LightTables, LobeAttenuation, SPECULAR_LEVELS, sh_eval};
-use crate::scene::texel_directions;
+use crate::light::{BrdfLut, CubeGrid, EnvOperators, LightTables, LobeAttenuation, sh_eval};
+use crate::scene::{sh_count, texel_directions};
 
 /// Directions the low-frequency environment is read in (article Eq. 20).
 const INDIRECT_DIRECTIONS: usize = 32;
 
-/// The split-sum table and the lobe rows, uploaded once a device: 2,048 floats `[roughness][n.v][scale, bias]`, then
-/// 33 x 9 attenuations.
+/// The tables of the reflectance model, uploaded once a device: 32 x 32 pairs `[roughness][n.v][scale, bias]`, then
+/// 33 x 9 attenuations `[roughness][degree]`.
 #[derive(Debug, Clone)]
 pub struct Constants {
     pub(super) buffer: Buffer<f32>,
@@ -32,82 +31,82 @@ impl Constants {
     }
 }
 
-/// `Tables` of `shaders/shared/light_tables.wgsl`.
+/// `Tables` of `shaders/shared/tables.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
 pub struct TablesUniform {
     /// Nodes along an edge of the grid of normals.
     pub diffuse_n: u32,
-    /// Coefficients a row has, padding included.
+    /// Padded coefficients a colour.
     pub coefficients: u32,
-    /// Coefficients that can differ from zero.
+    /// Coefficients in use.
     pub n_coefficients: u32,
-    /// Unused.
-    pub pad: u32,
+    /// Nodes of all levels together.
+    pub n_specular: u32,
     /// Nodes along an edge, per level; the last two are unused.
     pub specular_n: [u32; 8],
-    /// First float of each level; the last two are unused.
+    /// First float, per level; the last two are unused.
     pub specular_first: [u32; 8],
 }
 
 impl TablesUniform {
-    /// Where tables over these grids lie.
-    pub fn new(diffuse: CubeGrid, specular: &[CubeGrid; SPECULAR_LEVELS.len()], coefficients: usize) -> Self {
-        let (mut specular_n, mut specular_first) = ([2u32; 8], [0u32; 8]);
-        let mut next = diffuse.len() * 3 * coefficients;
-        for (k, grid) in specular.iter().enumerate() {
-            specular_n[k] = grid.edge() as u32;
-            specular_first[k] = next as u32;
-            next += 3 * grid.len();
+    /// Where `tables`, for a visibility field of degree `order`, lie in one buffer.
+    pub fn new(tables: &LightTables, order: usize) -> Self {
+        let edge = |grid: &CubeGrid| grid.edge() as u32;
+        let mut out = Self {
+            diffuse_n: edge(&tables.diffuse_grid),
+            coefficients: tables.coefficients as u32,
+            n_coefficients: sh_count(order) as u32,
+            ..Self::zeroed()
+        };
+        let mut next = tables.diffuse.len() as u32;
+        for (k, (grid, level)) in tables.specular_grids.iter().zip(&tables.specular).enumerate() {
+            out.specular_n[k] = edge(grid);
+            out.specular_first[k] = next;
+            out.n_specular += level.len() as u32;
+            next += 3 * level.len() as u32;
         }
-        Self {
-            diffuse_n: diffuse.edge() as u32,
-            coefficients: coefficients as u32,
-            n_coefficients: coefficients as u32,
-            pad: 0,
-            specular_n,
-            specular_first,
-        }
+        out
     }
 
-    /// Floats of the tables, a multiple of four.
+    /// Floats of the whole buffer.
     pub fn floats(&self) -> usize {
-        let (last, edge) = (SPECULAR_LEVELS.len() - 1, self.specular_n[SPECULAR_LEVELS.len() - 1] as usize);
-        (self.specular_first[last] as usize + 18 * edge * edge).next_multiple_of(4)
+        self.specular_first[0] as usize + 3 * self.n_specular as usize
     }
 }
 
-/// All floats of `tables` in the device's order.
-pub fn flat(tables: &LightTables) -> Vec<f32> {
-    let specular = tables.specular.iter().flatten().flatten();
-    let mut out: Vec<f32> = tables.diffuse.iter().chain(specular).copied().collect();
-    out.resize(out.len().next_multiple_of(4), 0.0);
-    out
-}
-
-/// Light tables in device memory.
+/// The tables of one light in device memory.
 #[derive(Debug, Clone)]
 pub struct LightBuffers {
-    /// Where their parts lie.
-    pub uniform: TablesUniform,
-    /// Diffuse transfer, then specular levels.
-    pub tables: Buffer<f32>,
+    /// Where they lie.
+    pub layout: TablesUniform,
+    /// The tables.
+    pub values: Buffer<f32>,
     /// `E_j` of Eq. 20, `[16][3]`.
     pub indirect_basis: Buffer<f32>,
 }
 
+/// All floats of `tables` in the order of the device's buffer.
+pub fn flat(tables: &LightTables) -> Vec<f32> {
+    let levels = tables.specular.iter().flatten().flatten();
+    tables.diffuse.iter().chain(levels).copied().collect()
+}
+
 impl LightBuffers {
-    /// Uploads finished tables, e.g. those of a posted map.
+    /// Uploads finished tables.
     ///
     /// # Errors
-    /// When the device has no memory left.
-    pub fn upload(gpu: &Gpu, tables: &LightTables) -> Result<Self, GpuError> {
-        let uniform = TablesUniform::new(tables.diffuse_grid, &tables.specular_grids, tables.coefficients);
-        let basis: Vec<f32> = cpu::indirect_basis(tables).into_iter().flatten().collect();
+    /// When they do not fit.
+    pub fn upload(
+        gpu: &Gpu,
+        tables: &LightTables,
+        order: usize,
+        indirect_basis: &[[f32; 3]; 16],
+    ) -> Result<Self, GpuError> {
         Ok(Self {
-            uniform,
-            tables: gpu.upload("light tables", &flat(tables))?,
-            indirect_basis: gpu.upload("indirect basis", &basis)?,
+            layout: TablesUniform::new(tables, order),
+            values: gpu.upload("light tables", &flat(tables))?,
+            indirect_basis: gpu.upload("indirect basis", indirect_basis.as_flattened())?,
         })
     }
 }

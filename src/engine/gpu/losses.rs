@@ -1,11 +1,19 @@
-//! Terms of the objective on images and buffers (docs/MODEL.md section 5): structural similarity, absolute error,
-//! coverage, depth-normal consistency and smoothness.
+//! Terms of the objective on images and buffers (docs/MODEL.md section 5): absolute error and structural similarity of an
+//! image, and coverage, depth-normal consistency and smoothness of a G-buffer.
 
-/// Slots of a losses buffer; kept in step with `shaders/shared/losses.wgsl`.
+use bytemuck::{Pod, Zeroable};
+
+use crate::engine::channel::Channels;
+use crate::engine::gpu::{Buffer, Groups, Recorder, ViewUniform, shaders, uniform};
+
+#[cfg(test)]
+mod tests;
+
+/// Floats of a losses buffer; the caller clears it before the first term of a step.
 pub const LOSS_SLOTS: usize = 16;
 
-/// A slot of the losses buffer. Image slots hold means without weight; the others carry their weight already and are
-/// their share of the objective.
+/// A slot of the losses buffer, as in `shaders/shared/losses.wgsl`. Image slots hold means without weight; the others
+/// carry their weight already and are their share of the objective.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(usize)]
 pub enum LossSlot {
@@ -39,4 +47,112 @@ pub enum LossSlot {
     Flatness = 13,
     /// Visibility labels (Eq. 15).
     Visibility = 14,
+}
+
+/// `ImageTerm` of `shaders/shared/ssim_window.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+struct ImageTermUniform {
+    size: [u32; 2],
+    first_slot: u32,
+    scale: f32,
+    l1: f32,
+    ssim: f32,
+    pad_a: u32,
+    pad_b: u32,
+}
+
+/// One branch's image term `l1 mean |I - photo| + ssim (1 - SSIM)` (Eq. 30).
+#[derive(Debug, Clone, Copy)]
+pub struct ImageTerm<'a> {
+    /// Image size.
+    pub view: &'a ViewUniform,
+    /// The rendered image, rgb.
+    pub image: &'a Buffer<[f32; 4]>,
+    /// The photograph, rgb and mask.
+    pub photo: &'a Buffer<[f32; 4]>,
+    /// First of the branch's three slots: `PhysicalL1` or `RadianceL1`.
+    pub slot: LossSlot,
+    /// Weight of the absolute error.
+    pub l1: f32,
+    /// Weight of `1 - SSIM`.
+    pub ssim: f32,
+    /// Scratch of three elements a pixel; both branches can share it.
+    pub partials: &'a Buffer<[f32; 4]>,
+}
+
+impl ImageTerm<'_> {
+    /// Adds the means to the branch's slots of `losses` and writes the gradient by the image to `by_image`.
+    pub fn record(&self, recorder: &mut Recorder<'_>, by_image: &Buffer<[f32; 4]>, losses: &Buffer<f32>) {
+        let term = ImageTermUniform {
+            size: self.view.size,
+            first_slot: self.slot as u32,
+            scale: 1.0 / (3 * self.view.n_pixels).max(1) as f32,
+            l1: self.l1,
+            ssim: self.ssim,
+            pad_a: 0,
+            pad_b: 0,
+        };
+        let groups = Groups::Grid(self.view.tiles[0], self.view.tiles[1]);
+        let bindings =
+            [uniform(&term), self.image.into(), self.photo.into(), self.partials.into(), losses.into()];
+        recorder.dispatch(&shaders::SSIM, groups, &bindings);
+        let bindings =
+            [uniform(&term), self.image.into(), self.photo.into(), self.partials.into(), by_image.into()];
+        recorder.dispatch(&shaders::SSIM_BACKWARD, groups, &bindings);
+    }
+}
+
+/// Weights of the terms on the buffers; zero leaves a term out.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SurfaceWeights {
+    /// Coverage against the mask; zero for captures without masks.
+    pub coverage: f32,
+    /// Depth-normal consistency; passes with normals only.
+    pub depth_normal: f32,
+    /// Smoothness; passes with material only.
+    pub smoothness: f32,
+}
+
+/// `SurfaceTerms` of `shaders/surface_terms.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+struct SurfaceTermsUniform {
+    coverage: f32,
+    depth_normal: f32,
+    smooth_across: f32,
+    smooth_down: f32,
+}
+
+impl SurfaceTermsUniform {
+    fn new(weights: &SurfaceWeights, [w, h]: [u32; 2]) -> Self {
+        let share = |weight: f32, count: u32| if w < 2 || h < 2 { 0.0 } else { weight / count as f32 };
+        Self {
+            coverage: weights.coverage / (w * h).max(1) as f32,
+            depth_normal: share(weights.depth_normal, w * h),
+            smooth_across: share(weights.smoothness, w.saturating_sub(1) * h),
+            smooth_down: share(weights.smoothness, w * h.saturating_sub(1)),
+        }
+    }
+}
+
+/// Adds the values of the terms on a G-buffer of `channels` to `losses` and writes their gradient to `by_buffers`: two
+/// elements a pixel, planar, (normal, plane distance) and (coverage, metalness, roughness, unused).
+pub fn surface_terms(
+    recorder: &mut Recorder<'_>,
+    view: &ViewUniform,
+    channels: Channels,
+    weights: &SurfaceWeights,
+    [gbuffer, photo, by_buffers]: [&Buffer<[f32; 4]>; 3],
+    losses: &Buffer<f32>,
+) {
+    let shader = match channels {
+        Channels::Colour => &shaders::SURFACE_TERMS_COLOUR,
+        Channels::Geometry => &shaders::SURFACE_TERMS_GEOMETRY,
+        Channels::Material | Channels::Full(_) => &shaders::SURFACE_TERMS_MATERIAL,
+    };
+    let terms = SurfaceTermsUniform::new(weights, view.size);
+    let bindings =
+        [uniform(view), uniform(&terms), gbuffer.into(), photo.into(), by_buffers.into(), losses.into()];
+    recorder.dispatch(shader, Groups::Grid(view.tiles[0], view.tiles[1]), &bindings);
 }

@@ -10,7 +10,7 @@ pub mod density;
 pub mod develop;
 mod device;
 mod error;
-pub mod gather;
+mod gather;
 pub mod light;
 pub mod losses;
 pub mod model;

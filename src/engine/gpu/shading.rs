@@ -88,21 +88,19 @@ impl Images {
     }
 }
 
-/// A full G-buffer and the light it is shaded under.
+/// How surfaces are shaded, and under which light.
 #[derive(Debug, Clone, Copy)]
 pub struct ShadeJob<'a> {
     /// The camera.
     pub view: &'a ViewUniform,
     /// The forward model.
     pub shading: &'a ShadingUniform,
-    /// Visibility coefficients the G-buffer carries: (order + 1)^2 for orders 0 to 6.
+    /// Visibility coefficients the surfaces carry: (order + 1)^2 for orders 0 to 6.
     pub n_visibility: usize,
     /// Tables of the light.
     pub light: &'a LightBuffers,
     /// Tables of the reflectance model.
     pub constants: &'a Constants,
-    /// All groups of the G-buffer, `[group][pixel]`.
-    pub gbuffer: &'a Buffer<[f32; 4]>,
 }
 
 /// One shader a number of visibility coefficients; `None` for what no field has.
@@ -128,29 +126,35 @@ impl ShadeJob<'_> {
         let mut bindings = vec![
             uniform(self.view),
             uniform(self.shading),
-            uniform(&self.light.uniform),
+            uniform(&self.light.layout),
             (&self.constants.buffer).into(),
-            (&self.light.tables).into(),
-            (&self.light.tables).into(),
+            (&self.light.values).into(),
+            (&self.light.values).into(),
         ];
         bindings.extend(rest);
         recorder.dispatch(shader, groups, &bindings);
     }
 
-    fn tiles(&self) -> Groups {
+    /// One workgroup of 16 x 16 a tile.
+    pub(super) fn tiles(&self) -> Groups {
         Groups::Grid(self.view.tiles[0], self.view.tiles[1])
     }
 }
 
-/// Shades every pixel and composites both branches over the background.
+/// Shades every pixel of a full G-buffer, `[group][pixel]`, and composites both branches over the background.
 ///
 /// # Errors
 /// When there is no kernel for the number of visibility coefficients.
-pub fn shade(recorder: &mut Recorder<'_>, job: &ShadeJob<'_>, images: &Images) -> Result<(), GpuError> {
+pub fn shade(
+    recorder: &mut Recorder<'_>,
+    job: &ShadeJob<'_>,
+    gbuffer: &Buffer<[f32; 4]>,
+    images: &Images,
+) -> Result<(), GpuError> {
     use shaders::*;
     let all = [&SHADE_1, &SHADE_4, &SHADE_9, &SHADE_16, &SHADE_25, &SHADE_36, &SHADE_49];
     let shader = by_coefficients(job.n_visibility, all)?;
-    let rest = vec![job.gbuffer.into(), (&images.physical).into(), (&images.radiance).into()];
+    let rest = vec![gbuffer.into(), (&images.physical).into(), (&images.radiance).into()];
     job.dispatch(recorder, shader, job.tiles(), rest);
     Ok(())
 }
@@ -158,6 +162,8 @@ pub fn shade(recorder: &mut Recorder<'_>, job: &ShadeJob<'_>, images: &Images) -
 /// What [`shade_backward`] is given and where it writes.
 #[derive(Debug, Clone, Copy)]
 pub struct ShadeGradients<'a> {
+    /// The full G-buffer that was shaded.
+    pub gbuffer: &'a Buffer<[f32; 4]>,
     /// Gradient by both images.
     pub by_images: &'a Images,
     /// Gradient by the buffers themselves (`losses::surface_terms`), two vec4 a pixel, planar.
@@ -203,7 +209,7 @@ pub fn shade_backward(
     };
     let shader = by_coefficients(job.n_visibility, all)?;
     let rest = vec![
-        job.gbuffer.into(),
+        gradients.gbuffer.into(),
         (&gradients.by_images.physical).into(),
         (&gradients.by_images.radiance).into(),
         gradients.by_buffers.into(),

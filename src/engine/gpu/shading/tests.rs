@@ -168,7 +168,7 @@ impl Case {
         let padded = |p: &Vec<[f32; 3]>| p.iter().map(|v| [v[0], v[1], v[2], f32::NAN]).collect::<Vec<_>>();
         let gbuffer = planar_gbuffer(&self.pass, &self.pass.gbuffer, self.pass.channels);
         let gbuffer = gpu.upload("gbuffer", &gbuffer).unwrap();
-        let light = LightBuffers::upload(gpu, &self.tables).unwrap();
+        let light = LightBuffers::upload(gpu, &self.tables, self.order, &[[0.0; 3]; 16]).unwrap();
         let constants = Constants::upload(gpu).unwrap();
         let images = Images::new(gpu, n).unwrap();
         let by_images = Images {
@@ -178,7 +178,7 @@ impl Case {
         let by_buffers = gpu.upload("by buffers", &packed(by_buffers)).unwrap();
         let groups = self.differentiated(all).stored() / 4;
         let by_gbuffer = gpu.buffer("by gbuffer", n * groups).unwrap();
-        let by_tables = gpu.buffer("by tables", light.uniform.floats()).unwrap();
+        let by_tables = gpu.buffer("by tables", light.layout.floats()).unwrap();
         let shading = ShadingUniform::new(&self.options, self.background);
         let job = ShadeJob {
             view: &view,
@@ -186,12 +186,12 @@ impl Case {
             n_visibility: sh_count(self.order),
             light: &light,
             constants: &constants,
-            gbuffer: &gbuffer,
         };
         let mut recorder = gpu.record();
-        shade(&mut recorder, &job, &images).unwrap();
+        shade(&mut recorder, &job, &gbuffer, &images).unwrap();
         recorder.clear(&by_tables);
         let gradients = ShadeGradients {
+            gbuffer: &gbuffer,
             by_images: &by_images,
             by_buffers: &by_buffers,
             by_gbuffer: &by_gbuffer,
@@ -368,6 +368,4 @@ fn the_radiance_branch_alone_is_that_of_the_cpu_engine() {
 fn uniforms_are_laid_out_as_the_shaders_read_them() {
     assert_layout!(ShadingUniform as "Shading" in shaders::SHADE_1; background, visibility_form, diffuse_form, srgb, pad);
     assert_layout!(CompositeUniform as "Composite" in shaders::RADIANCE; background, n_pixels, pad_a, pad_b, pad_c);
-    assert_layout!(crate::engine::gpu::light::TablesUniform as "Tables" in shaders::SHADE_1;
-        diffuse_n, coefficients, n_coefficients, pad, specular_n, specular_first);
 }
