@@ -5,7 +5,7 @@
 const WG_SIZE = 128u;
 #import environment
 #import index
-#import light_tables
+#import tables
 
 @group(0) @binding(0) var<uniform> tables: Tables;
 @group(0) @binding(1) var<uniform> environment: Environment;

@@ -1,7 +1,7 @@
 // Basis of the learned indirect light, `E_j = sum over nodes of B_j(node) L_low(node)` (article Eq. 20), B on the host.
 // A thread owns one of the 16 x 3 values. No workgroup memory.
 const WG_SIZE = 64u;
-#import light_tables
+#import tables
 
 @group(0) @binding(0) var<uniform> tables: Tables;
 @group(0) @binding(1) var<storage, read> values: array<f32>;

@@ -2,7 +2,7 @@
 // A thread owns one float of that level. No workgroup memory.
 const WG_SIZE = 256u;
 #import index
-#import light_tables
+#import tables
 
 @group(0) @binding(0) var<uniform> tables: Tables;
 @group(0) @binding(1) var<storage, read> basis_gradient: array<f32>;

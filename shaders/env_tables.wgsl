@@ -3,7 +3,7 @@
 // No workgroup memory.
 const WG_SIZE = 256u;
 #import index
-#import light_tables
+#import tables
 
 @group(0) @binding(0) var<uniform> tables: Tables;
 @group(0) @binding(1) var<storage, read> radiance: array<f32>;
@@ -21,12 +21,6 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
         return;
     }
     let n_diffuse = 6u * tables.diffuse_n * tables.diffuse_n;
-    let last_edge = specular_nodes(tables, N_LEVELS - 1u);
-    // What is left at the end makes the buffer a multiple of four floats.
-    if float_ix >= specular_start(tables, N_LEVELS - 1u) + 18u * last_edge * last_edge {
-        values[float_ix] = 0.0;
-        return;
-    }
     let diffuse_floats = n_diffuse * 3u * tables.coefficients;
     var sum = 0.0;
     if float_ix < diffuse_floats {

@@ -4,7 +4,7 @@
 #import cube_grid
 #import finite
 #import index
-#import light_tables
+#import tables
 
 const WG_SIZE = 256u;
 const FRAC_1_PI = 0.31830989;

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
 use crate::engine::channel::Channels;
-use crate::engine::cpu::{ProbeSettings, View, fibonacci_sphere};
-use crate::engine::gpu::develop::{PreviewSource, develop, preview};
+use crate::engine::cpu::{ProbeSettings, View, fibonacci_sphere, indirect_basis};
+use crate::engine::gpu::develop::{Plane, Planes, shade_gaussians};
 use crate::engine::gpu::gather::{GatherSource, gather};
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::model::LayoutUniform;
@@ -28,7 +28,7 @@ struct Scratch {
     raster: Raster,
     /// Rows of the preview tier.
     colours: Option<Buffer<[f32; 4]>>,
-    planes: Option<Buffer<f32>>,
+    planes: Option<Planes>,
     /// What hides what, once it was needed: it does not depend on the light.
     probes: Option<ProbeBuffers>,
 }
@@ -59,7 +59,8 @@ impl OnGpu {
     }
 
     pub(super) fn prepare_light(&self, model: &Model, tables: &LightTables) -> Result<LightOnGpu, GpuError> {
-        let buffers = LightBuffers::upload(&self.gpu, tables)?;
+        let basis = indirect_basis(tables);
+        let buffers = LightBuffers::upload(&self.gpu, tables, self.order, &basis)?;
         if model.shading.indirect != IndirectForm::Gathered {
             return Ok(LightOnGpu { buffers, gathered: None });
         }
@@ -76,9 +77,8 @@ impl OnGpu {
             params: &self.params,
             model: &self.layout,
             globals: &self.prototypes,
-            tables: &buffers.tables,
-            diffuse_n: buffers.uniform.diffuse_n,
-            coefficients: buffers.uniform.coefficients,
+            tables: &buffers.values,
+            shape: &buffers.layout,
         };
         let mut recorder = self.gpu.record();
         let gathered = gather(&mut recorder, probes, &source, BOUNCES)?;
@@ -110,23 +110,19 @@ impl OnGpu {
         let full = Channels::Full(n_visibility);
         raster.attributes(&mut recorder, full, &source)?;
         let shading = ShadingUniform::new(&model.shading, [0.0; 3]);
-        let nothing: Buffer<[f32; 4]> = self.gpu.buffer("no G-buffer", 1)?;
-        let mut job = ShadeJob {
+        let job = ShadeJob {
             view: &view,
             shading: &shading,
             n_visibility,
             light: &light.buffers,
             constants: &self.constants,
-            gbuffer: &nothing,
         };
         if is_preview {
             let colours = grown(&self.gpu, "preview colours", colours, self.layout.n as usize)?;
             let (Some(splats), Some(rows)) = (raster.splats.clone(), raster.attributes.clone()) else {
                 return Err(GpuError::Internal("a pass without splats".to_owned()));
             };
-            let source =
-                PreviewSource { model: &self.layout, params: &self.params, splats: &splats, rows: &rows };
-            preview(&mut recorder, &job, &source, &colours)?;
+            shade_gaussians(&mut recorder, &job, (&self.layout, &self.params), &splats, &rows, &colours)?;
             raster.attributes = Some(colours);
             raster.blend(&mut recorder, Channels::Colour, true)?;
             raster.attributes = Some(rows);
@@ -134,25 +130,24 @@ impl OnGpu {
             return self.preview_frame(&view, raster);
         }
         raster.blend(&mut recorder, full, true)?;
-        let floats: usize = view.pixels() * wanted.iter().map(|o| o.channels()).sum::<usize>();
-        let planes = grown(&self.gpu, "planes", planes, floats)?;
+        let wanted_planes: Vec<Plane> = wanted.iter().map(|o| plane(*o)).collect();
+        if !planes.as_ref().is_some_and(|p| p.fits(view.pixels(), &wanted_planes)) {
+            *planes = None;
+        }
+        let planes = match planes {
+            Some(planes) => planes,
+            None => planes.insert(Planes::new(&self.gpu, view.pixels(), &wanted_planes)?),
+        };
         let Some(gbuffer) = &raster.gbuffer else {
             return Err(GpuError::Internal("a pass without G-buffer".to_owned()));
         };
-        job.gbuffer = gbuffer;
-        let mask = wanted.iter().fold(0, |mask, output| mask | 1 << *output as u32);
         let depth_scale = (1.0 / model.world_scale) as f32;
-        develop(&mut recorder, &job, mask, depth_scale, &planes)?;
+        recorder.stage("develop");
+        planes.develop(&mut recorder, &job, gbuffer, depth_scale)?;
         recorder.submit()?;
-        let values = self.gpu.read(&planes, 0..floats)?;
-        let mut frame = Frame { width: view.size[0], height: view.size[1], planes: BTreeMap::new() };
-        let mut rest = &values[..];
-        for output in wanted {
-            let (plane, tail) = rest.split_at(view.pixels() * output.channels());
-            frame.planes.insert(*output, plane.to_vec());
-            rest = tail;
-        }
-        Ok(frame)
+        let values = planes.read(&self.gpu)?;
+        let planes = wanted.iter().zip(values).map(|(output, (_, values))| (*output, values)).collect();
+        Ok(Frame { width: view.size[0], height: view.size[1], planes })
     }
 
     /// Coverage and colour of the blended group as a frame.
@@ -181,4 +176,21 @@ fn grown<T: bytemuck::Pod>(
     }
     *kept = None;
     Ok(kept.insert(gpu.buffer(label, len)?).clone())
+}
+
+/// The device's word for an output.
+fn plane(output: Output) -> Plane {
+    match output {
+        Output::Rgb => Plane::Rgb,
+        Output::Albedo => Plane::Albedo,
+        Output::Normal => Plane::Normal,
+        Output::Metallic => Plane::Metallic,
+        Output::Roughness => Plane::Roughness,
+        Output::Visibility => Plane::Visibility,
+        Output::Depth => Plane::Depth,
+        Output::Alpha => Plane::Alpha,
+        Output::Diffuse => Plane::Diffuse,
+        Output::Specular => Plane::Specular,
+        Output::Radiance => Plane::Radiance,
+    }
 }

@@ -5,11 +5,11 @@
 
 use std::borrow::Cow;
 
+use crate::train::TrainError;
 use crate::train::dataset::Photo;
 use crate::train::optimiser::StepSizes;
 use crate::train::state::Learned;
 use crate::train::step::StepContext;
-use crate::train::TrainError;
 
 /// One optimisation step, as the schedule wants it.
 pub(super) struct StepTask<'a> {

@@ -3,16 +3,16 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-use crate::engine::channel::Channels;
-use crate::engine::gpu::density::{GatherPlan, Origin};
-use crate::engine::gpu::losses::{ImageWeights, SurfaceWeights};
-use crate::engine::gpu::light::LightWeights;
-use crate::engine::gpu::training::{HostState, Measurement, Step, StepWeights, Training};
-use crate::engine::gpu::update::{Ages, ParameterTerms, Rates};
 use crate::engine::RowLayout;
-use crate::engine::gpu::raster::GRADIENT_HEADER;
-use crate::engine::gpu::{Buffer, Gpu, GpuError};
+use crate::engine::channel::Channels;
 use crate::engine::cpu::View;
+use crate::engine::gpu::density::{GatherPlan, Origin};
+use crate::engine::gpu::light::LightWeights;
+use crate::engine::gpu::losses::SurfaceWeights;
+use crate::engine::gpu::raster::GRADIENT_HEADER;
+use crate::engine::gpu::training::{HostState, ImageWeights, Measurement, Step, StepWeights, Training};
+use crate::engine::gpu::update::{Ages, ParameterTerms, Rates};
+use crate::engine::gpu::{Buffer, Gpu, GpuError};
 use crate::light::EnvOperators;
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm};
 use crate::train::backend::{Backend, StepTask, StepValue};
@@ -205,9 +205,8 @@ impl Backend for OnGpu {
         let mut model = self.frame.clone();
         model.gaussians = buffers.read_gaussians(gpu, &buffers.params, shape)?;
         [model.prototypes, model.env_raw] = buffers.read_globals(gpu, &buffers.globals)?;
-        let globals = |buffer| -> Result<Vec<[f32; 3]>, TrainError> {
-            Ok(buffers.read_globals(gpu, buffer)?.concat())
-        };
+        let globals =
+            |buffer| -> Result<Vec<[f32; 3]>, TrainError> { Ok(buffers.read_globals(gpu, buffer)?.concat()) };
         let moments = Moments {
             first: buffers.read_gaussians(gpu, &buffers.first, shape)?,
             second: buffers.read_gaussians(gpu, &buffers.second, shape)?,
@@ -228,7 +227,6 @@ impl Backend for OnGpu {
     fn engine(&self) -> &'static str {
         "gpu"
     }
-
 }
 
 /// Refuses a training whose largest array would not fit one binding of the device when it has all its Gaussians.

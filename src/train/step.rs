@@ -115,7 +115,7 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     loss += geometry::depth_normal(&pass, w.depth_normal, &mut by_buffers);
     loss += geometry::smoothness(&pass, &photo.pixels, w.smoothness, &mut by_buffers);
     let by_images = cpu::BranchImages { physical: physical.gradient, radiance: plain.gradient };
-    let count = differentiated(context.config, source.options.indirect, pass.channels);
+    let count = differentiated(context.config, source.options.indirect, pass.channels).count();
     let (by_gbuffer, mut by_tables) =
         shader.images_backward(&pass, context.background, &by_images, &by_buffers, count);
     let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count);
@@ -140,9 +140,9 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
 }
 
 /// Channels the backward pass carries: visibility and indirect light only when they are learned.
-pub(super) fn differentiated(config: &TrainConfig, indirect: IndirectForm, channels: Channels) -> usize {
+pub(super) fn differentiated(config: &TrainConfig, indirect: IndirectForm, channels: Channels) -> Channels {
     let learned = config.labels != LabelSource::Probes || indirect == IndirectForm::Learned;
-    if learned { channels.count() } else { Channels::Material.count() }
+    if learned { channels } else { Channels::Material }
 }
 
 fn parameter_terms(

@@ -188,7 +188,10 @@ fn report(args: &Args, device: &Device, all: &[Figures]) -> Result<String, std::
 /// The three costliest counted stages against the device's limits.
 fn limits(args: &Args, all: &[Figures], text: &mut String) -> std::fmt::Result {
     let (Some(bandwidth), Some(tflops)) = (args.bandwidth, args.tflops) else { return Ok(()) };
-    writeln!(text, "\nAgainst {bandwidth} GB/s and {tflops} TFLOP/s (least bytes and operations, as counted):\n")?;
+    writeln!(
+        text,
+        "\nAgainst {bandwidth} GB/s and {tflops} TFLOP/s (least bytes and operations, as counted):\n"
+    )?;
     writeln!(text, "| stage | Gaussians | ms | MB | GFLOP | limit, ms | of the limit |")?;
     writeln!(text, "|---|---:|---:|---:|---:|---:|---:|")?;
     for figures in all {

@@ -156,7 +156,7 @@ impl TrainingLight {
     /// When they do not fit.
     pub fn new(gpu: &Gpu, operators: &EnvOperators) -> Result<Self, GpuError> {
         let tables = operators.shape();
-        let light = LightBuffers::upload(gpu, &tables)?;
+        let light = LightBuffers::upload(gpu, &tables, operators.order(), &[[0.0; 3]; 16])?;
         let (forward, backward) = (operators.rows(), operators.transposed_rows());
         let (width, height) = operators.size();
         let upward: Vec<f32> = texel_directions(width, height)
@@ -164,7 +164,7 @@ impl TrainingLight {
             .map(|(d, w)| (d.z.max(0.0) * w / (3.0 * std::f64::consts::PI)) as f32)
             .collect();
         Ok(Self {
-            tables_gradient: gpu.buffer("gradient of the light tables", light.tables.len())?,
+            tables_gradient: gpu.buffer("gradient of the light tables", light.values.len())?,
             basis_gradient: gpu.buffer("gradient of the indirect basis", 48)?,
             radiance: gpu.buffer("radiance", 3 * width * height)?,
             exposure_slope: gpu.buffer("exposure slope", 1)?,
@@ -215,9 +215,9 @@ impl TrainingLight {
             losses.into(),
         ];
         recorder.dispatch(&shaders::ENV_RADIANCE, Groups::Workgroups(1), &bindings);
-        let values = &self.light.tables;
+        let values = &self.light.values;
         let bindings = [
-            uniform(&self.light.uniform),
+            uniform(&self.light.layout),
             (&self.radiance).into(),
             (&self.rows[0]).into(),
             (&self.entries[0]).into(),
@@ -226,7 +226,7 @@ impl TrainingLight {
         ];
         recorder.dispatch(&shaders::ENV_TABLES, Groups::Linear(values.len()), &bindings);
         let bindings = [
-            uniform(&self.light.uniform),
+            uniform(&self.light.layout),
             values.into(),
             (&self.reading).into(),
             (&self.light.indirect_basis).into(),
@@ -247,7 +247,7 @@ impl TrainingLight {
         recorder.stage("light backward");
         if learned_indirect {
             let bindings = [
-                uniform(&self.light.uniform),
+                uniform(&self.light.layout),
                 (&self.basis_gradient).into(),
                 (&self.reading).into(),
                 (&self.tables_gradient).into(),
@@ -256,7 +256,7 @@ impl TrainingLight {
             recorder.dispatch(&shaders::ENV_BASIS_BACKWARD, Groups::Linear(floats), &bindings);
         }
         let bindings = [
-            uniform(&self.light.uniform),
+            uniform(&self.light.layout),
             uniform(&self.environment(model, weights)),
             (&model.globals).into(),
             (&self.radiance).into(),
@@ -368,11 +368,11 @@ mod tests {
         let run = applied(&gpu, &model);
         let expected = run.operators.apply(&radiance(&model));
         assert_layout!(TablesUniform as "Tables" in shaders::ENV_TABLES; diffuse_n, coefficients, n_coefficients,
-            pad, specular_n, specular_first);
+            n_specular, specular_n, specular_first);
         assert_layout!(EnvironmentUniform as "Environment" in shaders::ENV_BACKWARD; n_texels, first_texel, neutrality,
             exposure);
         let light = &run.light.light;
-        let values = gpu.read(&light.tables, 0..light.tables.len()).unwrap();
+        let values = gpu.read(&light.values, 0..light.values.len()).unwrap();
         assert!(worst(&values, &flat(&expected)) < 2e-6);
         let basis = gpu.read(&light.indirect_basis, 0..48).unwrap();
         assert!(worst(&basis, indirect_basis(&expected).as_flattened()) < 3e-6);

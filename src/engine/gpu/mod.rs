@@ -10,7 +10,7 @@ pub mod density;
 pub mod develop;
 mod device;
 mod error;
-mod gather;
+pub mod gather;
 pub mod light;
 pub mod losses;
 pub mod model;
@@ -23,8 +23,8 @@ pub mod shading;
 mod sort;
 #[cfg(test)]
 mod tests;
-mod trusted;
 pub mod training;
+mod trusted;
 pub mod update;
 mod view;
 

@@ -8,13 +8,14 @@ use crate::engine::cpu::{ProbeSettings, View, fibonacci_sphere};
 use crate::engine::gpu::density::{self, DensitySignals, GatherPlan};
 use crate::engine::gpu::gather::{GatherSource, gather};
 use crate::engine::gpu::light::{Constants, LightWeights, TrainingLight};
-use crate::engine::gpu::losses::{self, Branch, ImageWeights, LossSlot, Losses, SurfaceWeights};
+use crate::engine::gpu::losses::{ImageTerm, LOSS_SLOTS, LossSlot, SurfaceWeights, surface_terms};
 use crate::engine::gpu::model::{ModelBuffers, planar};
 use crate::engine::gpu::probes::Probes;
 use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::scan::grow;
 use crate::engine::gpu::shading::{
-    Images, ShadeGradients, ShadeJob, ShadingUniform, radiance_image, radiance_image_backward, shade, shade_backward,
+    Images, ShadeGradients, ShadeJob, ShadingUniform, radiance_image, radiance_image_backward, shade,
+    shade_backward,
 };
 use crate::engine::gpu::update::{
     Ages, ParameterTerms, Rates, STATUS_WORDS, StepInput, Sums, Updater, Upstream,
@@ -22,6 +23,15 @@ use crate::engine::gpu::update::{
 use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, Recorder, ViewUniform};
 use crate::light::EnvOperators;
 use crate::scene::{Gaussians, IndirectForm, Model, ShadingOptions};
+
+/// Weights of one branch's image term (Eq. 30).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ImageWeights {
+    /// Mean absolute error.
+    pub l1: f32,
+    /// `1 - SSIM`.
+    pub ssim: f32,
+}
 
 /// Weights of all terms of the objective (docs/MODEL.md section 5); 0 is off.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -89,6 +99,30 @@ struct Kept {
     measured: Measured,
 }
 
+/// Buffers of the size of the picture.
+#[derive(Debug, Clone)]
+struct Canvas {
+    pixels: usize,
+    images: Images,
+    by_images: Images,
+    /// Partial derivatives of the image terms, three elements a pixel.
+    partials: Buffer<[f32; 4]>,
+    /// Gradient by the buffers themselves, two elements a pixel.
+    by_buffers: Buffer<[f32; 4]>,
+}
+
+impl Canvas {
+    fn new(gpu: &Gpu, pixels: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            pixels,
+            images: Images::new(gpu, pixels)?,
+            by_images: Images::new(gpu, pixels)?,
+            partials: gpu.buffer("partial derivatives of the image terms", 3 * pixels)?,
+            by_buffers: gpu.buffer("gradient by the buffers", 2 * pixels)?,
+        })
+    }
+}
+
 /// A training on the device.
 #[derive(Debug)]
 pub struct Training {
@@ -104,9 +138,9 @@ pub struct Training {
     raster: Raster,
     light: TrainingLight,
     constants: Constants,
-    losses: Losses,
+    losses: Buffer<f32>,
     updater: Updater,
-    images: Option<Images>,
+    canvas: Option<Canvas>,
     by_gbuffer: Option<Buffer<[f32; 4]>>,
     globals_gradient: Buffer<f32>,
     status: Buffer<u32>,
@@ -181,10 +215,10 @@ impl Training {
             raster: Raster::new(gpu)?,
             light: TrainingLight::new(gpu, operators)?,
             constants: Constants::upload(gpu)?,
-            losses: Losses::new(gpu)?,
+            losses: gpu.buffer("losses", LOSS_SLOTS)?,
             updater: Updater::new(gpu)?,
             by_gbuffer: None,
-            images: None,
+            canvas: None,
             globals_gradient: gpu.buffer("gradient of what is shared", model.globals.len())?,
             status: gpu.buffer("status", STATUS_WORDS)?,
             kept: None,
@@ -213,32 +247,36 @@ impl Training {
         self.raster.prepare(&view, &self.model.layout, &self.model.params)?;
         let gpu = self.gpu.clone();
         let mut recorder = gpu.record();
-        self.losses.clear(&mut recorder);
+        recorder.clear(&self.losses);
         recorder.clear(&self.globals_gradient);
         recorder.clear(&self.status);
         let groups = groups(step.differentiated);
-        let by_gbuffer = grow(&gpu, "gradient of the G-buffer", &mut self.by_gbuffer, groups * view.pixels())?;
-        let images = self.images(view.pixels())?;
+        let by_gbuffer =
+            grow(&gpu, "gradient of the G-buffer", &mut self.by_gbuffer, groups * view.pixels())?;
+        let canvas = self.canvas(view.pixels())?;
         let is_full = matches!(step.channels, Channels::Full(_));
         if is_full {
-            self.light.apply(&mut recorder, &self.model, &step.weights.light, self.losses.sums());
+            self.light.apply(&mut recorder, &self.model, &step.weights.light, &self.losses);
         }
-        self.picture(&mut recorder, step, &view, &images)?;
+        self.picture(&mut recorder, step, &view, &canvas)?;
         self.raster.blend_backward(&mut recorder, &by_gbuffer, groups)?;
         self.update(&mut recorder, step, &view, groups, is_full)?;
         recorder.submit()?;
-        let sums = gpu.read(self.losses.sums(), 0..self.losses.sums().len())?;
+        let sums = gpu.read(&self.losses, 0..LOSS_SLOTS)?;
         let poisoned = gpu.read(&self.status, 0..1)?[0] != 0;
-        let weights = &step.weights;
-        let loss = losses::objective(&sums, &weights.physical, &weights.radiance);
+        let loss = objective(&sums, &step.weights);
         let leading = if is_full { LossSlot::PhysicalSquared } else { LossSlot::RadianceSquared };
         Ok(StepSums { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned })
     }
 
-    fn images(&mut self, pixels: usize) -> Result<Images, GpuError> {
-        match &self.images {
-            Some(images) if images.physical.len() >= pixels => Ok(images.clone()),
-            _ => Ok(self.images.insert(Images::new(&self.gpu, pixels)?).clone()),
+    fn canvas(&mut self, pixels: usize) -> Result<Canvas, GpuError> {
+        match &self.canvas {
+            Some(canvas) if canvas.pixels == pixels => Ok(canvas.clone()),
+            _ => {
+                // The old one goes first: both at once may not fit.
+                self.canvas = None;
+                Ok(self.canvas.insert(Canvas::new(&self.gpu, pixels)?).clone())
+            }
         }
     }
 
@@ -248,7 +286,7 @@ impl Training {
         recorder: &mut Recorder<'_>,
         step: &Step<'_>,
         view: &ViewUniform,
-        images: &Images,
+        canvas: &Canvas,
     ) -> Result<(), GpuError> {
         let source = AttributeBuffers {
             params: &self.model.params,
@@ -270,29 +308,41 @@ impl Training {
                 n_visibility,
                 light: &self.light.light,
                 constants: &self.constants,
-                gbuffer,
             }),
             _ => None,
         };
         recorder.stage("shade");
         match &full {
-            Some(job) => shade(recorder, job, images)?,
-            None => radiance_image(recorder, view, step.background, gbuffer, &images.radiance),
+            Some(job) => shade(recorder, job, gbuffer, &canvas.images)?,
+            None => radiance_image(recorder, view, step.background, gbuffer, &canvas.images.radiance),
         }
         recorder.stage("losses");
+        let term = |image, weights: &ImageWeights, slot| ImageTerm {
+            view,
+            image,
+            photo: step.photo,
+            slot,
+            l1: weights.l1,
+            ssim: weights.ssim,
+            partials: &canvas.partials,
+        };
         if full.is_some() {
-            self.losses.image_term(recorder, view, &images.physical, step.photo, &weights.physical, Branch::Physical)?;
+            let physical = term(&canvas.images.physical, &weights.physical, LossSlot::PhysicalL1);
+            physical.record(recorder, &canvas.by_images.physical, &self.losses);
         }
-        self.losses.image_term(recorder, view, &images.radiance, step.photo, &weights.radiance, Branch::Radiance)?;
-        self.losses.surface_terms(recorder, view, gbuffer, groups(step.channels), step.photo, &weights.surface)?;
+        let radiance = term(&canvas.images.radiance, &weights.radiance, LossSlot::RadianceL1);
+        radiance.record(recorder, &canvas.by_images.radiance, &self.losses);
+        let buffers = [gbuffer, step.photo, &canvas.by_buffers];
+        surface_terms(recorder, view, step.channels, &weights.surface, buffers, &self.losses);
         recorder.stage("shade backward");
         match &full {
             Some(job) => shade_backward(
                 recorder,
                 job,
                 &ShadeGradients {
-                    by_images: self.losses.by_images()?,
-                    by_buffers: self.losses.by_buffers()?,
+                    gbuffer,
+                    by_images: &canvas.by_images,
+                    by_buffers: &canvas.by_buffers,
                     by_gbuffer,
                     by_tables: &self.light.tables_gradient,
                     all_channels: matches!(step.differentiated, Channels::Full(_)),
@@ -302,8 +352,8 @@ impl Training {
                 recorder,
                 view,
                 step.background,
-                &self.losses.by_images()?.radiance,
-                self.losses.by_buffers()?,
+                &canvas.by_images.radiance,
+                &canvas.by_buffers,
                 by_gbuffer,
                 step.channels,
             ),
@@ -331,7 +381,7 @@ impl Training {
         let basis = (&self.light.light.indirect_basis, &self.light.basis_gradient);
         let sums = Sums {
             globals_gradient: &self.globals_gradient,
-            losses: self.losses.sums(),
+            losses: &self.losses,
             density: &self.density,
             status: &self.status,
         };
@@ -369,14 +419,13 @@ impl Training {
         let probes = Probes::measure(&gpu, &self.model.params, &layout, settings, &directions, self.order)?;
         let mut recorder = gpu.record();
         if let Some(bounces) = how.bounces {
-            self.light.apply(&mut recorder, &self.model, &LightWeights::default(), self.losses.sums());
+            self.light.apply(&mut recorder, &self.model, &LightWeights::default(), &self.losses);
             let source = GatherSource {
                 params: &self.model.params,
                 model: &layout,
                 globals: &self.model.globals,
-                tables: &self.light.light.tables,
-                diffuse_n: self.light.light.uniform.diffuse_n,
-                coefficients: self.light.light.uniform.coefficients,
+                tables: &self.light.light.values,
+                shape: &self.light.light.layout,
             };
             self.measured.gathered = Some(gather(&mut recorder, &probes, &source, bounces)?);
         }
@@ -465,4 +514,13 @@ impl Training {
         recorder.submit()?;
         Ok(Kept { model, density, measured })
     }
+}
+
+/// The objective from its sums: the image slots hold means without weight, the others carry theirs.
+fn objective(sums: &[f32], weights: &StepWeights) -> f32 {
+    let at = |slot: LossSlot| sums[slot as usize];
+    let image = |w: &ImageWeights, l1: LossSlot, ssim: LossSlot| w.l1 * at(l1) + w.ssim * (1.0 - at(ssim));
+    let rest: f32 = sums[LossSlot::Coverage as usize..].iter().sum();
+    rest + image(&weights.physical, LossSlot::PhysicalL1, LossSlot::PhysicalSsim)
+        + image(&weights.radiance, LossSlot::RadianceL1, LossSlot::RadianceSsim)
 }
