@@ -63,7 +63,7 @@ impl Raster {
             (&rows).into(),
         ];
         rec.dispatch(attributes_shader(groups)?, Groups::Linear(n), &bindings);
-        (self.attribute_groups, self.blended_groups) = (groups, 0);
+        self.blended_groups = 0;
         Ok(())
     }
 }

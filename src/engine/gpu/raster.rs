@@ -75,7 +75,8 @@ pub struct Raster {
     /// Splats by Gaussian ([`Raster::prepare`]).
     pub splats: Option<Buffer<SplatRecord>>,
     /// Attribute rows by Gaussian, `4 groups` floats each, undefined where a splat reaches no tile
-    /// ([`Raster::attributes`]). May be overwritten before blending, by a caller with other attributes.
+    /// ([`Raster::attributes`]). A caller with attributes of its own puts its buffer here before
+    /// blending.
     pub attributes: Option<Buffer<[f32; 4]>>,
     /// `[group][pixel]` ([`Raster::blend`]).
     pub gbuffer: Option<Buffer<[f32; 4]>>,
@@ -85,8 +86,6 @@ pub struct Raster {
     pub splat_gradients: Option<Buffer<f32>>,
     /// `sum w That, sum w` by Gaussian ([`Raster::backward_labels`]).
     pub labels: Option<Buffer<[f32; 2]>>,
-    /// Groups of channels of the attributes as they are, 0 before.
-    pub(super) attribute_groups: usize,
     /// Groups of channels blended from these attributes, 0 before.
     pub(super) blended_groups: usize,
     /// A short buffer for bindings without data.
@@ -119,7 +118,6 @@ impl Raster {
             ends: None,
             splat_gradients: None,
             labels: None,
-            attribute_groups: 0,
             blended_groups: 0,
             nothing: gpu.buffer("nothing", 4)?,
             counts: gpu.buffer("raster counts", 4)?,
@@ -148,7 +146,7 @@ impl Raster {
         params: &Buffer<f32>,
     ) -> Result<RasterCounts, GpuError> {
         self.prepared = None;
-        (self.attribute_groups, self.blended_groups) = (0, 0);
+        self.blended_groups = 0;
         let gpu = self.gpu.clone();
         let mut rec = gpu.record();
         let gaussian_of_rank = self.project(&mut rec, view, model, params)?;
@@ -189,9 +187,8 @@ impl Raster {
         let ends = grow(&self.gpu, "blend ends", &mut self.ends, p.view.pixels())?;
         let splats = available(&self.splats, "splats")?;
         let attributes = available(&self.attributes, "attributes")?;
-        if self.attribute_groups != groups {
-            let text = format!("{groups} groups of channels to blend, {} present", self.attribute_groups);
-            return Err(GpuError::Internal(text));
+        if attributes.len() < p.model.n as usize * groups {
+            return Err(GpuError::Internal("the attributes have fewer channels than are blended".into()));
         }
         let least = if early_stop { EARLY_STOP } else { LATE_STOP };
         let bindings = [

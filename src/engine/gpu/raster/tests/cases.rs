@@ -173,7 +173,7 @@ fn steps_out_of_order_are_errors() {
     assert!(raster.blend_backward(&mut rec, &by, 1).is_err());
     let scene = Scene::random(39, 10, (1, 1), 1);
     scene.gpu(&mut raster, Channels::Geometry, true);
-    assert!(raster.blend(&mut rec, Channels::Material, true).is_err(), "more channels than there are");
+    assert!(raster.blend(&mut rec, Channels::Full(49), true).is_err(), "more channels than there are");
     raster.blend_backward(&mut rec, &by.cast(), 1).unwrap();
     raster.prepared = None;
     assert!(raster.blend_backward(&mut rec, &by, 1).is_err());
