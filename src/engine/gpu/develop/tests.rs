@@ -3,9 +3,9 @@
 use super::*;
 use crate::engine::channel;
 use crate::engine::cpu::{self, Pass, Shader, Surface, linear_from_srgb, normalise, surface_at};
-use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::ViewUniform;
 use crate::engine::gpu::light::{Constants, LightBuffers};
+use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::shading::ShadingUniform;
 use crate::engine::gpu::shading::tests::{

@@ -33,7 +33,7 @@ impl Case {
             model: &model,
             globals: &gpu.upload("globals", &globals).unwrap(),
             tables: &gpu.upload("tables", &flat(&tables)).unwrap(),
-            shape: &TablesUniform::new(tables.diffuse_grid, &tables.specular_grids, tables.coefficients),
+            shape: &TablesUniform::new(&tables, gaussians.visibility_order()),
         };
         let mut rec = gpu.record();
         let gathered = gather(&mut rec, &probes, &source, self.bounces).unwrap();
