@@ -2,6 +2,9 @@
 
 use relume::api::picture::Format;
 use relume::api::renders::{CameraSpec, LookAtSpec, RenderRequest};
+use relume::api::server::ServerConfig;
+use relume::engine::Device;
+use relume::engine::gpu::DeviceChoice;
 use relume::formats::image_file;
 use relume::render::Output;
 use relume::store::JobState;
@@ -80,4 +83,33 @@ async fn a_thumbnail_during_training_waits_for_at_most_one_step() {
     let server = testing::spawn().await.unwrap();
     thumbnails_during_training(&server).await;
     server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_thumbnail_during_training_on_a_gpu_waits_for_at_most_one_step() {
+    let Some(Device::Gpu(gpu)) = crate::gpu::device() else { return };
+    let index = gpu.report().index;
+    let folder = tempfile::TempDir::new().unwrap();
+    let on_gpu = |config: &mut ServerConfig| config.worker.device = DeviceChoice::Gpu(Some(index));
+    let server = testing::spawn_with(folder, on_gpu).await.unwrap();
+    thumbnails_during_training(&server).await;
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_without_a_gpu_refuses_jobs_that_ask_for_one_and_one_that_has_none_does_not_start() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let server = testing::spawn_with(folder, |c| c.worker.device = DeviceChoice::Cpu).await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let mut job = small_job(&capture.id, 10, 5);
+    job.device = relume::api::jobs::DeviceChoice::Gpu;
+    let refusal = client.create_job(&job, None).await.unwrap_err().to_string();
+    assert!(refusal.contains("/device") || refusal.contains("no GPU"), "{refusal}");
+    server.stop().await.unwrap();
+    let folder = tempfile::TempDir::new().unwrap();
+    let missing =
+        testing::spawn_with(folder, |c| c.worker.device = DeviceChoice::Gpu(Some(99))).await.unwrap();
+    let Err(error) = missing.stop().await else { panic!("it started") };
+    assert!(error.to_string().contains("gpu:99"), "{error}");
 }

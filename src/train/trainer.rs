@@ -357,6 +357,7 @@ fn photo_at(data: &Dataset, index: usize, half: bool) -> &Photo {
 mod tests {
     use super::*;
     use crate::capture::{SyntheticOptions, synthetic};
+    use crate::engine::gpu::Gpu;
     use crate::train::{Preset, TrainOverrides};
 
     #[test]
@@ -377,16 +378,21 @@ mod tests {
             probe_directions: Some(8),
             ..Default::default()
         };
-        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-        let mut trainer = Trainer::new(&synthetic(&options).unwrap(), config, &Device::Cpu).unwrap();
-        assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
-        let mut learned = trainer.backend.learned().unwrap().into_owned();
-        learned.model.env_raw[5] = [f32::NAN; 3];
-        trainer.backend.load(learned).unwrap();
-        assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
-        let warning = trainer.step().unwrap().warning.unwrap();
-        assert!(warning.contains("back to step 0"), "{warning}");
-        assert_eq!(trainer.course.rate_factor, 0.5);
-        assert!(trainer.model().unwrap().check().is_ok());
+        let capture = synthetic(&options).unwrap();
+        let devices = [Some(Device::Cpu), Gpu::for_tests().map(Device::Gpu)];
+        for device in devices.into_iter().flatten() {
+            let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+            let mut trainer = Trainer::new(&capture, config, &device).unwrap();
+            assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
+            let mut learned = trainer.backend.learned().unwrap().into_owned();
+            learned.model.env_raw[5] = [f32::NAN; 3];
+            trainer.backend.load(learned).unwrap();
+            assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
+            let warning = trainer.step().unwrap().warning.unwrap();
+            assert!(warning.contains("back to step 0"), "{warning}");
+            assert_eq!(trainer.course.rate_factor, 0.5);
+            assert!(trainer.model().unwrap().check().is_ok());
+            assert_eq!(trainer.step().unwrap().warning, None, "and goes on");
+        }
     }
 }

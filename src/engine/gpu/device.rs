@@ -279,6 +279,12 @@ impl Gpu {
         Recorder::new(self)
     }
 
+    /// Gives the device up: everything asked of it from now on fails with [`GpuError::Lost`].
+    pub fn destroy(&self) {
+        locked(&self.inner.fault).get_or_insert(GpuError::Lost("it was given up".to_owned()));
+        self.inner.device.destroy();
+    }
+
     /// Starts or stops measuring the time of each stage; measuring waits for the device after every submission.
     pub fn measure(&self, on: bool) {
         let able = on && self.inner.report.timestamps;

@@ -1,0 +1,298 @@
+//! The GPU engine against the CPU engine from outside: the same frames, the same training, the same files. On a machine
+//! without any adapter these tests say that they are skipped; with `RELUME_REQUIRE_GPU=1` they fail.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, OnceLock};
+
+use relume::capture::{Capture, SyntheticOptions, synthetic};
+use relume::engine::Device;
+use relume::engine::gpu::{Adapters, DeviceChoice, Gpu, GpuError, GpuOptions};
+use relume::eval::{EvalOptions, Report, evaluate};
+use relume::render::{Output, Renderer, Tier};
+use relume::scene::{EnvMap, Field, Model};
+use relume::train::{LabelSource, Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
+
+/// The first adapter that can be used, software or not, with garbage in fresh buffers.
+pub fn device() -> Option<&'static Device> {
+    static DEVICE: OnceLock<Option<Device>> = OnceLock::new();
+    let found = DEVICE.get_or_init(|| {
+        let adapters = Adapters::find();
+        let index = adapters.reports().iter().position(|r| r.lacks.is_empty());
+        let Some(index) = index else {
+            assert!(
+                std::env::var_os("RELUME_REQUIRE_GPU").is_none(),
+                "no adapter, and RELUME_REQUIRE_GPU is set"
+            );
+            eprintln!("SKIPPED: no Vulkan adapter; install mesa-vulkan-drivers to run the GPU tests");
+            return None;
+        };
+        let options = GpuOptions { garbage: true, ..GpuOptions::from_env() };
+        Some(Device::Gpu(Gpu::open(&adapters, index, options).unwrap()))
+    });
+    found.as_ref()
+}
+
+fn capture() -> &'static Capture {
+    static CAPTURE: OnceLock<Capture> = OnceLock::new();
+    CAPTURE.get_or_init(|| {
+        let lamp = EnvMap::from_fn(32, 16, |d| [0.3 + d.x.max(0.0) as f32, 0.5, 0.6]);
+        let options = SyntheticOptions {
+            train_views: 8,
+            test_views: 2,
+            size: 40,
+            paths: 16,
+            relit: BTreeMap::from([("lamp".to_owned(), lamp)]),
+            ..Default::default()
+        };
+        synthetic(&options).unwrap()
+    })
+}
+
+fn overrides() -> TrainOverrides {
+    TrainOverrides {
+        iterations: Some(60),
+        resolution: Some(40),
+        initial_gaussians: Some(300),
+        max_gaussians: Some(500),
+        probe_directions: Some(16),
+        probe_every: Some(13),
+        checkpoint_every: Some(17),
+        ..Default::default()
+    }
+}
+
+fn trainer(overrides: &TrainOverrides, device: &Device) -> Trainer {
+    Trainer::new(capture(), TrainConfig::new(Preset::Draft, overrides).unwrap(), device).unwrap()
+}
+
+/// Trains to the end and returns the losses.
+fn finish(trainer: &mut Trainer) -> Vec<f32> {
+    let mut losses = Vec::new();
+    while !trainer.is_done() {
+        losses.push(trainer.step().unwrap().loss);
+    }
+    losses
+}
+
+/// A model with everything in it: some steps of a training.
+fn model() -> Arc<Model> {
+    static MODEL: OnceLock<Arc<Model>> = OnceLock::new();
+    let made = MODEL.get_or_init(|| {
+        let mut trainer = trainer(&overrides(), &Device::Cpu);
+        finish(&mut trainer);
+        Arc::new(trainer.model().unwrap())
+    });
+    made.clone()
+}
+
+fn worst(a: &[f32], b: &[f32]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    let pairs = a.iter().zip(b).filter(|(a, b)| a.is_finite() || b.is_finite());
+    pairs.fold(0.0, |worst, (a, b)| if (a - b).abs() > worst { (a - b).abs() } else { worst })
+}
+
+#[test]
+fn every_output_of_every_tier_is_that_of_the_cpu_engine() {
+    let Some(device) = device() else { return };
+    let all = [
+        Output::Rgb,
+        Output::Albedo,
+        Output::Normal,
+        Output::Metallic,
+        Output::Roughness,
+        Output::Visibility,
+        Output::Depth,
+        Output::Alpha,
+        Output::Diffuse,
+        Output::Specular,
+        Output::Radiance,
+    ];
+    let lamp = EnvMap::from_fn(64, 32, |d| [0.4 + d.z.max(0.0) as f32, 0.5, 0.3 + d.y.max(0.0) as f32]);
+    let (cpu, gpu) = (Renderer::new(model()), Renderer::on(model(), device).unwrap());
+    let lights = (cpu.prepare_light(&lamp).unwrap(), gpu.prepare_light(&lamp).unwrap());
+    let camera = &capture().test[0].camera;
+    for (tier, outputs) in
+        [(Tier::Standard, &all[..]), (Tier::Preview, &all[..1]), (Tier::Preview, &all[..3])]
+    {
+        let expected = cpu.render(camera, &lights.0, tier, outputs).unwrap();
+        let found = gpu.render(camera, &lights.1, tier, outputs).unwrap();
+        assert!(expected.planes.keys().eq(found.planes.keys()));
+        for (output, plane) in &expected.planes {
+            let error = worst(plane, &found.planes[output]);
+            // A pixel's normal may tip over where two surfaces blend to nothing.
+            assert!(error < 2e-3, "{tier:?} {output:?}: {error}");
+        }
+    }
+    let other = gpu.prepare_light(&EnvMap::constant(8, 4, [1.0; 3])).unwrap();
+    let (a, b) = (&lights.1, &other);
+    let rgb = |light| {
+        gpu.render(camera, light, Tier::Standard, &[Output::Rgb]).unwrap().planes[&Output::Rgb].clone()
+    };
+    assert!(worst(&rgb(a), &rgb(b)) > 0.05, "the control: another light is another picture");
+}
+
+#[test]
+fn a_light_of_one_renderer_is_refused_by_another_and_bad_cameras_are_refused_alike() {
+    let Some(device) = device() else { return };
+    let (cpu, gpu) = (Renderer::new(model()), Renderer::on(model(), device).unwrap());
+    let light = EnvMap::constant(8, 4, [1.0; 3]);
+    let (on_cpu, on_gpu) = (cpu.prepare_light(&light).unwrap(), gpu.prepare_light(&light).unwrap());
+    let camera = capture().test[0].camera.clone();
+    assert!(gpu.render(&camera, &on_cpu, Tier::Standard, &[Output::Rgb]).is_err());
+    let bad = relume::scene::Camera { fx: f64::NAN, ..camera };
+    let refusal =
+        |r: &Renderer, l| r.render(&bad, l, Tier::Standard, &[Output::Rgb]).unwrap_err().to_string();
+    assert_eq!(refusal(&gpu, &on_gpu), refusal(&cpu, &on_cpu));
+}
+
+#[test]
+fn the_first_steps_of_a_training_are_those_of_the_cpu_engine() {
+    let Some(device) = device() else { return };
+    let forms = [
+        overrides(),
+        TrainOverrides { warm_up: Some(0.0), labels: Some(LabelSource::Both), ..overrides() },
+        TrainOverrides {
+            warm_up: Some(0.0),
+            labels: Some(LabelSource::Backward),
+            bounces: Some(0),
+            ..overrides()
+        },
+        TrainOverrides { warm_up: Some(0.0), visibility_order: Some(2), prototypes: Some(3), ..overrides() },
+    ];
+    for form in &forms {
+        let (mut on_cpu, mut on_gpu) = (trainer(form, &Device::Cpu), trainer(form, device));
+        for step in 0..6 {
+            let (a, b) = (on_cpu.step().unwrap(), on_gpu.step().unwrap());
+            // From the second step on, what Adam made of gradients that are next to nothing shows.
+            let allowed = if step == 0 { 2e-5 } else { 5e-3 };
+            assert!(
+                (a.loss - b.loss).abs() < allowed * a.loss,
+                "{form:?} step {step}: {} {}",
+                a.loss,
+                b.loss
+            );
+        }
+        let (a, b) = (on_cpu.model().unwrap(), on_gpu.model().unwrap());
+        let means = |m: &Model| m.gaussians.field(Field::Mean).to_vec();
+        assert!(worst(&means(&a), &means(&b)) < 1e-3);
+        // Adam's first steps go by the sign of the gradient alone: where it is next to nothing, engines may disagree.
+        let apart = |field| {
+            let pairs = a.gaussians.field(field).iter().zip(b.gaussians.field(field));
+            let far = pairs.filter(|(a, b)| (**a - **b).abs() > 2e-3).count();
+            far as f64 / a.gaussians.field(field).len().max(1) as f64
+        };
+        for field in Field::ALL {
+            assert!(apart(field) < 0.02, "{form:?} {field:?}: {}", apart(field));
+        }
+    }
+}
+
+fn report(model: Model) -> Report {
+    let options = EvalOptions { frame_rate_time: std::time::Duration::ZERO, ..EvalOptions::default() };
+    evaluate(Arc::new(model), capture(), &options).unwrap()
+}
+
+#[test]
+fn the_trained_result_is_that_of_the_cpu_engine() {
+    let Some(device) = device() else { return };
+    let long = TrainOverrides { iterations: Some(300), probe_every: Some(50), ..overrides() };
+    let (mut on_cpu, mut on_gpu) = (trainer(&long, &Device::Cpu), trainer(&long, device));
+    let (first, last) = (finish(&mut on_cpu), finish(&mut on_gpu));
+    assert_eq!(first.len(), last.len());
+    let (a, b) = (report(on_cpu.model().unwrap()), report(on_gpu.model().unwrap()));
+    let psnr = |r: &Report| [r.novel_view.psnr.unwrap(), r.relit.mean.psnr.unwrap()];
+    for (a, b) in psnr(&a).into_iter().zip(psnr(&b)) {
+        assert!((a - b).abs() < 0.25, "{a} {b}");
+    }
+    let untrained = report(trainer(&long, device).model().unwrap());
+    assert!(psnr(&untrained)[0] < psnr(&b)[0] - 3.0, "the control: training is what makes them alike");
+}
+
+#[test]
+fn a_checkpoint_goes_from_engine_to_engine_and_back() {
+    let Some(device) = device() else { return };
+    let config = || TrainConfig::new(Preset::Draft, &overrides()).unwrap();
+    let mut first = trainer(&overrides(), &Device::Cpu);
+    (0..20).for_each(|_| drop(first.step().unwrap()));
+    let handed_over = first.checkpoint().unwrap();
+    let mut second = Trainer::resume(capture(), config(), &handed_over, device).unwrap();
+    assert!(
+        second.checkpoint().unwrap() == handed_over,
+        "the device hands back what it was given, bit for bit"
+    );
+    assert_eq!(second.progress().step, 20);
+    (0..20).for_each(|_| drop(second.step().unwrap()));
+    let back = second.checkpoint().unwrap();
+    let mut third = Trainer::resume(capture(), config(), &back, &Device::Cpu).unwrap();
+    let (mut uninterrupted, mut psnr) = (trainer(&overrides(), &Device::Cpu), 0.0);
+    while !uninterrupted.is_done() {
+        psnr = uninterrupted.step().unwrap().psnr;
+    }
+    let mut changed = 0.0;
+    while !third.is_done() {
+        changed = third.step().unwrap().psnr;
+    }
+    assert!((psnr - changed).abs() < 0.3, "{psnr} {changed}");
+}
+
+#[test]
+fn what_the_device_cannot_hold_is_refused_before_the_first_step_with_numbers() {
+    let Some(device) = device() else { return };
+    let Device::Gpu(gpu) = device else { panic!("not a GPU") };
+    let huge = TrainOverrides { max_gaussians: Some(4_000_000), prototypes: Some(256), ..overrides() };
+    let config = TrainConfig::new(Preset::Draft, &huge).unwrap();
+    let outcome = Trainer::new(capture(), config, device);
+    if gpu.report().max_binding > 4 << 30 {
+        assert!(outcome.is_ok());
+        return;
+    }
+    let Err(TrainError::Device(GpuError::TooLarge { what, needs, most })) = outcome else {
+        panic!("must be refused")
+    };
+    assert!(what.contains("max_gaussians") && needs > most, "{what} {needs} {most}");
+}
+
+#[test]
+fn wild_step_sizes_end_in_a_finite_model_or_a_refusal() {
+    let Some(device) = device() else { return };
+    let rates = serde_json::from_value(serde_json::json!({
+        "mean": 1000.0, "mean_final": 1000.0, "scale": 1000.0, "opacity": 1000.0, "radiance": 1000.0
+    }));
+    let mut trainer = trainer(&TrainOverrides { rates: Some(rates.unwrap()), ..overrides() }, device);
+    while !trainer.is_done() {
+        match trainer.step() {
+            Ok(report) => assert!(report.warning.is_some() || report.loss.is_finite()),
+            Err(TrainError::Diverged { .. }) => return,
+            Err(error) => panic!("{error}"),
+        }
+    }
+    assert!(trainer.model().unwrap().gaussians.is_finite(), "a poisoned model must never be handed out");
+    trainer.checkpoint().unwrap();
+}
+
+#[test]
+fn a_lost_device_is_said_and_the_training_goes_on_from_its_checkpoint_elsewhere() {
+    let Some(Device::Gpu(shared)) = device() else { return };
+    let adapters = Adapters::find();
+    let own = Gpu::open(&adapters, shared.report().index, GpuOptions::default()).unwrap();
+    let mut first = trainer(&overrides(), &Device::Gpu(own.clone()));
+    (0..5).for_each(|_| drop(first.step().unwrap()));
+    let checkpoint = first.checkpoint().unwrap();
+    own.destroy();
+    for _ in 0..2 {
+        let Err(TrainError::Device(GpuError::Lost(_))) = first.step() else {
+            panic!("a lost device must be said")
+        };
+    }
+    assert!(first.checkpoint().is_err() && first.model().is_err(), "nothing can be read from it");
+    let config = TrainConfig::new(Preset::Draft, &overrides()).unwrap();
+    let mut second = Trainer::resume(capture(), config, &checkpoint, &Device::Cpu).unwrap();
+    finish(&mut second);
+    assert!(second.model().unwrap().gaussians.is_finite());
+}
+
+#[test]
+fn a_device_that_is_not_there_is_refused_by_name() {
+    let error = Device::open(DeviceChoice::Gpu(Some(99))).unwrap_err().to_string();
+    assert!(error.contains("gpu:99"), "{error}");
+}
