@@ -28,9 +28,9 @@ fn field_backward(
 ) -> vec3f {
     var y: array<f32, 49>;
     var dy: array<vec3f, 49>;
-    sh_basis_with_gradient(ORDER, d, &y, &dy);
+    sh_basis_with_gradient(order(), d, &y, &dy);
     var by_d = vec3f(0.0);
-    for (var l = 0u; l <= ORDER; l++) {
+    for (var l = 0u; l <= order(); l++) {
         let factor = (*factors)[l];
         for (var j = l * l; j < (l + 1u) * (l + 1u); j++) {
             let c = (*s).visibility[j / 4u][j % 4u];
@@ -92,7 +92,7 @@ fn diffuse_backward(
         let slope = by_ambient * squash_slope((*f).ambient_raw, (*f).ambient);
         if slope != 0.0 {
             var factors = NRSH_FACTORS;
-            for (var l = 0u; l <= ORDER; l++) {
+            for (var l = 0u; l <= order(); l++) {
                 factors[l] *= slope;
             }
             by_normal += field_backward(s, (*f).normal, &factors, out);
@@ -140,7 +140,7 @@ fn specular_backward(
         let cell = lobe_cell((*s).rough);
         var factors: array<f32, 7>;
         var slopes: array<f32, 7>;
-        for (var l = 0u; l <= ORDER; l++) {
+        for (var l = 0u; l <= order(); l++) {
             let h = attenuation(cell, l);
             factors[l] = slope * h.x;
             slopes[l] = slope * h.y;
