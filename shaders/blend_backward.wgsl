@@ -10,9 +10,10 @@
 // an output and tile goes out. The same memory then carries the alpha gradients, which are multiplied with the moments
 // 1, dx, dy, dx^2, dx dy, dy^2 of the pixels about the splat's mean: mean, conic and opacity follow from those.
 // Compared with summing each of the 8 + 4 GROUPS outputs over the workgroup by itself this needs a few barriers per 16
-// splats instead of some per output, and no subgroup operations.
+// splats instead of some per output, and no subgroup operations. Tried and lost: all sixteen splats of a batch unrolled
+// (three times the compilation time at GROUPS = 18, the same results).
 //
-// Workgroup memory: `sh_matrix` 16 KiB, moments 6 KiB, attributes 256 B a group, footprints 0.5 KiB; 27.3 KiB at GROUPS = 18.
+// Workgroup memory: `sh_matrix` 16 KiB, moments 6 KiB, attributes 256 B a group, footprints 0.5 KiB: 27 KiB at most.
 // Rows of `sh_matrix` are rotated by half the pixel index, so that neither pixels side by side (writing) nor groups of four
 // splats side by side (reading) meet in a memory bank. A pixel's own gradient stays in registers; the matrix product
 // reads the gradients of other pixels from memory, where the tile's share (4 KiB a group) stays in the cache.
@@ -219,11 +220,13 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
         var weight_$a = vec4f(0.0);
         var flow_$a = vec4f(0.0);
 #end
-        // Back to front: `weight_0` and `flow_0` are of the batch's last quad.
+        // Back to front: `weight_0` and `flow_0` are of the batch's last quad. Values are shifted in, so that no vector is
+        // indexed at run time and the loop over a quad need not be unrolled.
 #repeat a 4
-#repeat b 4
-        {
-            let k = 15u - (4u * $au + $bu);
+        for (var b = 0u; b < 4u; b++) {
+            let k = 15u - 4u * $au - b;
+            var weight = 0.0;
+            var flow = 0.0;
             if first + k < own_end {
                 let free = alpha_at(sh_footprint[k], centre);
                 if free > 0.0 {
@@ -234,16 +237,15 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
 #repeat g GROUPS
                     s += dot(sh_attributes[k * GROUPS + $gu], gradient_$g);
 #end
-                    let weight = transmittance * alpha;
-                    weight_$a[3u - $bu] = weight;
+                    weight = transmittance * alpha;
                     // Capped alpha does not move.
-                    let by_alpha = transmittance * s - behind * inverse;
-                    flow_$a[3u - $bu] = select(0.0, by_alpha * alpha, free < ALPHA_MAX);
+                    flow = select(0.0, (transmittance * s - behind * inverse) * alpha, free < ALPHA_MAX);
                     behind += weight * s;
                 }
             }
+            weight_$a = vec4f(weight, weight_$a.xyz);
+            flow_$a = vec4f(flow, flow_$a.xyz);
         }
-#end
 #end
 #repeat a 4
         sh_matrix[matrix_ix(local_ix, 3u - $au)] = weight_$a;

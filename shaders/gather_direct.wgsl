@@ -2,18 +2,20 @@
 // irradiance a diffuse surface sends back (albedo (1 - metal) / pi). A thread owns one Gaussian. No workgroup memory.
 #import attributes
 #import cube_grid
-#import gather
+#import finite
 #import index
+#import tables
 
+const WG_SIZE = 256u;
+const FRAC_1_PI = 0.31830989;
 // Visibility coefficient 0 of a point that sees the whole sky: 2 sqrt(pi).
 const FULLY_OPEN = 3.5449077;
 
 @group(0) @binding(0) var<uniform> model: Layout;
-@group(0) @binding(1) var<uniform> transport: GatherSize;
+@group(0) @binding(1) var<uniform> shape: Tables;
 @group(0) @binding(2) var<storage, read> params: array<f32>;
 @group(0) @binding(3) var<storage, read> globals: array<f32>;
-// Light tables; the diffuse one comes first.
-@group(0) @binding(4) var<storage, read> tables: array<f32>;
+@group(0) @binding(4) var<storage, read> values: array<f32>;
 @group(0) @binding(5) var<storage, read> normals: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> direct: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> diffuse: array<vec4f>;
@@ -21,12 +23,12 @@ const FULLY_OPEN = 3.5449077;
 // Row of one colour of one node times the Gaussian's visibility.
 fn through_visibility(gaussian_ix: u32, row: u32) -> f32 {
     if model.visibility_form == VISIBILITY_OFF {
-        return tables[row] * FULLY_OPEN;
+        return values[row] * FULLY_OPEN;
     }
     let first = model.visibility + model.n_visibility * gaussian_ix;
     var sum = 0.0;
-    for (var k = 0u; k < min(model.n_visibility, transport.coefficients); k++) {
-        sum += tables[row + k] * params[first + k];
+    for (var k = 0u; k < min(model.n_visibility, shape.coefficients); k++) {
+        sum += values[row + k] * params[first + k];
     }
     return sum;
 }
@@ -41,14 +43,14 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     var sky = vec3f(0.0);
     // Parameters that are no numbers have no normal either.
     if is_finite(normal.x) && is_finite(normal.y) && is_finite(normal.z) {
-        let taps = cube_taps(transport.diffuse_n, normal);
+        let taps = cube_taps(shape.diffuse_n, normal);
 #repeat k 4
         {
-            let row = taps.node[$k] * 3u * transport.coefficients;
+            let row = taps.node[$k] * 3u * shape.coefficients;
             sky += taps.weight[$k] * vec3f(
                 through_visibility(gaussian_ix, row),
-                through_visibility(gaussian_ix, row + transport.coefficients),
-                through_visibility(gaussian_ix, row + 2u * transport.coefficients),
+                through_visibility(gaussian_ix, row + shape.coefficients),
+                through_visibility(gaussian_ix, row + 2u * shape.coefficients),
             );
         }
 #end

@@ -5,6 +5,9 @@
 #import probe
 #import quaternion
 
+// Where a Gaussian asks from whose parameters are no numbers: beyond all that is measured.
+const NOWHERE = 2.0 * FAR_OUT;
+
 struct ProbeStart {
     // Standard deviations, and world units besides, that a query starts along the outward normal.
     offset: f32,
@@ -45,9 +48,9 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
 #repeat k 3
     o.axes[$k] = vec4f(scale[$k] * rotation[$k], 0.0);
 #end
-    let numbers = !(is_nan(log_scale.x) || is_nan(log_scale.y) || is_nan(log_scale.z) || is_nan(logit));
-    let usable = numbers && within_reason(mean) && is_finite(quaternion.x) && all_finite3(quaternion.yzw);
-    o.opacity = select(0.0, 1.0 / (1.0 + exp(-clamp(logit, -80.0, 80.0))), usable);
+    let sized = !(is_nan(log_scale.x) || is_nan(log_scale.y) || is_nan(log_scale.z));
+    let usable = sized && within_reason(mean) && is_finite(quaternion.x) && all_finite3(quaternion.yzw);
+    o.opacity = select(0.0, 1.0 / (1.0 + exp(-clamp(logit, -80.0, 80.0))), usable && !is_nan(logit));
     occluders[gaussian_ix] = o;
 
     // The shortest axis, on the side to which the degree-1 part of the field points: Y_1 = k (-y, z, -x).
@@ -62,5 +65,6 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     }
     normals[gaussian_ix] = vec4f(normal, 0.0);
     let sigma = length(vec3f(dot(o.axes[0].xyz, normal), dot(o.axes[1].xyz, normal), dot(o.axes[2].xyz, normal)));
-    queries[gaussian_ix] = vec4f(mean + (start.offset * sigma + start.lift) * normal, sigma + start.bias);
+    let query = vec4f(mean + (start.offset * sigma + start.lift) * normal, sigma + start.bias);
+    queries[gaussian_ix] = select(vec4f(NOWHERE), query, usable);
 }

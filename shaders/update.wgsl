@@ -1,11 +1,14 @@
 // From the summed gradients of the splats to the parameters of the Gaussians: chain rules of projection and attributes,
 // terms of the objective on the parameters themselves, and Adam (or, under GRADIENTS, the gradients written out).
 //
-// A thread owns a Gaussian, on screen or not: it reads its parameters, writes them in place, and no other thread touches
-// them. Whatever a gradient needs of a field is read before that field is emitted.
-// Workgroup memory: the gradients of what all Gaussians share (prototypes, basis of the learned indirect light) are
-// outer products factor x slope summed over Gaussians; factors of BLOCK rows and the slopes are laid out there so that
-// a row is summed by 32 threads and costs three atomics a workgroup. The sums of the losses reuse it.
+// A thread owns a Gaussian, on screen or not, and finds its gradients; a workgroup updates its own Gaussians' parameters
+// in place. Whatever a gradient needs of a field is read before that field is emitted.
+// Workgroup memory, 24 KiB: (1) Gradients of the wide fields (scores, indirect, radiance), N_STAGED values a Gaussian at a
+// time: its thread writes them, then neighbouring threads emit neighbouring elements, so that parameters and moments are
+// read and written a whole line at a time; rows are one longer than the workgroup, against bank conflicts. (2) Gradients of
+// what all Gaussians share (prototypes, basis of the learned indirect light) are outer products factor x slope summed
+// over Gaussians; factors and slopes lie there, a row is summed by 32 threads and costs three atomics a workgroup.
+// (3) The sums of the losses reuse it.
 #import attributes
 #import index
 #import view
@@ -24,6 +27,9 @@ const WG_SIZE = 256u;
 // Rows of an outer product summed at a time: as many threads a row as make up the workgroup.
 const BLOCK = 8u;
 const LANES = 32u;
+// Values a Gaussian can stage, and the distance between rows of them. BLOCK factors, then BLOCK gradients; or harmonics.
+const N_STAGED = 16u;
+const STRIDE = 257u;
 // Differentiated groups from which on these channels are among them.
 const GROUPS_GEOMETRY = 2u;
 const GROUPS_MATERIAL = 4u;
@@ -75,7 +81,8 @@ struct Update {
 @group(0) @binding(17) var<storage, read_write> second: array<f32>;
 #endif
 
-var<workgroup> sh_factor: array<f32, 2048>;
+// [value][Gaussian].
+var<workgroup> sh_staged: array<f32, 4112>;
 var<workgroup> sh_slope: array<vec4f, 256>;
 var<workgroup> sh_partial: array<vec4f, 256>;
 
@@ -115,6 +122,19 @@ fn emit3(element_ix: u32, gradient: vec3f, field: u32) {
     emit(element_ix, gradient.x, field);
     emit(element_ix + 1u, gradient.y, field);
     emit(element_ix + 2u, gradient.z, field);
+}
+
+// Emits BLOCK staged gradients, or `count` if fewer are left, of each Gaussian of the workgroup that starts at
+// `first_ix`; `start` is where Gaussian 0 has the first of them, `width` its field's width.
+fn emit_block(first_ix: u32, local_ix: u32, start: u32, width: u32, count: u32, field: u32) {
+    let n = min(count, BLOCK);
+    for (var at = local_ix; at < WG_SIZE * n; at += WG_SIZE) {
+        let gaussian_ix = first_ix + at / n;
+        let k = at % n;
+        if gaussian_ix < model.n {
+            emit(start + gaussian_ix * width + k, sh_staged[(BLOCK + k) * STRIDE + at / n], field);
+        }
+    }
 }
 
 // Slope of the sigmoid.
@@ -159,41 +179,81 @@ fn normal_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f, geometry: ptr
     return by_sum;
 }
 
-// Emits the radiance coefficients; returns the gradient of the centre through the direction.
-fn radiance_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f) -> vec3f {
+// What the radiance coefficients' gradient is the product of.
+struct Radiance {
+    // By the colour where its clamp lets it through.
+    by_colour: vec3f,
+    direction: vec3f,
+    // A Gaussian without gradient may have a direction that is not finite.
+    is_active: bool,
+}
+
+// Returns the gradient of the centre through the direction.
+fn radiance_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f, out: ptr<function, Radiance>) -> vec3f {
     let base = model.radiance + gaussian_ix * 3u * model.n_radiance;
     let order = sh_order_of(model.n_radiance);
     let by_colour = channels(up, 0u).yzw;
-    let is_active = any(by_colour != vec3f(0.0));
+    if all(by_colour == vec3f(0.0)) {
+        return vec3f(0.0);
+    }
     let direction = normalised3(to_mean);
     var raw = vec3f(0.5);
-    if is_active {
-        for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
-            let ix = sh_indices(walk);
-            let y = sh_values(walk);
-            raw += y.x * params_vec3(base + 3u * ix.x);
-            if walk.m > 0u {
-                raw += y.y * params_vec3(base + 3u * ix.y);
-            }
+    for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
+        let ix = sh_indices(walk);
+        let y = sh_values(walk);
+        raw += y.x * params_vec3(base + 3u * ix.x);
+        if walk.m > 0u {
+            raw += y.y * params_vec3(base + 3u * ix.y);
         }
     }
     let g = select(vec3f(0.0), by_colour, raw > vec3f(0.0));
     var by_direction = vec3f(0.0);
     for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
         let ix = sh_indices(walk);
-        // A Gaussian without gradient may have a direction that is not finite.
-        let y = select(vec2f(0.0), sh_values(walk), is_active);
         let slopes = sh_slopes(walk);
-        for (var side = 0u; side < select(2u, 1u, walk.m == 0u); side++) {
-            let element_ix = base + 3u * select(ix.y, ix.x, side == 0u);
-            if is_active {
-                by_direction += dot(g, params_vec3(element_ix)) * select(slopes[1], slopes[0], side == 0u);
-            }
-            let field = select(FIELD_RADIANCE_REST, FIELD_RADIANCE, element_ix == base);
-            emit3(element_ix, g * select(y.y, y.x, side == 0u), field);
+        by_direction += dot(g, params_vec3(base + 3u * ix.x)) * slopes[0];
+        if walk.m > 0u {
+            by_direction += dot(g, params_vec3(base + 3u * ix.y)) * slopes[1];
         }
     }
-    return select(vec3f(0.0), normalised3_backward(direction, length3(to_mean), by_direction), is_active);
+    *out = Radiance(g, direction, true);
+    return normalised3_backward(direction, length3(to_mean), by_direction);
+}
+
+// Emits the radiance coefficients of the workgroup that starts at `first_ix`. Uniform control flow.
+fn emit_radiance(first_ix: u32, local_ix: u32, own: Radiance) {
+    if !trains(FIELD_RADIANCE) {
+        return;
+    }
+    sh_slope[local_ix] = vec4f(own.by_colour, 0.0);
+    for (var coefficient = 0u; coefficient < model.n_radiance; coefficient += N_STAGED) {
+        for (var walk = sh_walk(sh_order_of(model.n_radiance), own.direction); sh_walking(walk); sh_walk_on(&walk)) {
+            // Below `coefficient` the difference wraps around and is large.
+            let ix = sh_indices(walk) - coefficient;
+            let y = select(vec2f(0.0), sh_values(walk), own.is_active);
+            if ix.x < N_STAGED {
+                sh_staged[ix.x * STRIDE + local_ix] = y.x;
+            }
+            if walk.m > 0u && ix.y < N_STAGED {
+                sh_staged[ix.y * STRIDE + local_ix] = y.y;
+            }
+        }
+        workgroupBarrier();
+        // The owners' reads of the coefficients stay before the neighbours' writes.
+        storageBarrier();
+        let width = 3u * min(model.n_radiance - coefficient, N_STAGED);
+        for (var at = local_ix; at < WG_SIZE * width; at += WG_SIZE) {
+            let owner_ix = at / width;
+            let k = at % width;
+            let gaussian_ix = first_ix + owner_ix;
+            if gaussian_ix < model.n {
+                let gradient = sh_slope[owner_ix][k % 3u] * sh_staged[k / 3u * STRIDE + owner_ix];
+                let field = select(FIELD_RADIANCE_REST, FIELD_RADIANCE, coefficient == 0u && k < 3u);
+                emit(model.radiance + 3u * (gaussian_ix * model.n_radiance + coefficient) + k, gradient, field);
+            }
+        }
+        workgroupBarrier();
+    }
 }
 
 // Emits the visibility coefficients; returns the value of the label terms.
@@ -231,8 +291,8 @@ fn visibility_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f) -> f32 {
     return value;
 }
 
-// Emits score `k`; returns the factor of prototype `k` in the Gaussian's albedo.
-fn score_backward(m: Mixture, gaussian_ix: u32, up: Upstream, k: u32) -> f32 {
+// Gradient of score `k`, and the factor of prototype `k` in the Gaussian's albedo.
+fn score_backward(m: Mixture, gaussian_ix: u32, up: Upstream, k: u32) -> vec2f {
     let p = share(m, gaussian_ix, k);
     var gradient = 0.0;
     if up.visible && update.groups >= GROUPS_MATERIAL {
@@ -241,20 +301,18 @@ fn score_backward(m: Mixture, gaussian_ix: u32, up: Upstream, k: u32) -> f32 {
     if update.aggregation != 0.0 {
         gradient += p * (aggregation_slope(m, p) - m.by_aggregation);
     }
-    emit(score_ix(gaussian_ix, k), gradient, FIELD_SCORES);
     // Without slope the share may be anything, and must not spoil the sum.
-    return select(0.0, p, any(m.by_albedo != vec3f(0.0)));
+    return vec2f(gradient, select(0.0, p, any(m.by_albedo != vec3f(0.0))));
 }
 
 // Sum over the workgroup of factor x slope for this thread's row and channel, given factors and slopes in workgroup
-// memory. Threads below 3 * BLOCK get it: row `local_ix / 3`, channel `local_ix % 3`.
+// memory. Threads below 3 * BLOCK get it: row `local_ix / 3`, channel `local_ix % 3`. Between two barriers of the caller.
 fn reduce_products(local_ix: u32) -> f32 {
-    workgroupBarrier();
     let row = local_ix / LANES;
     let lane = local_ix % LANES;
     var sum = vec3f(0.0);
     for (var i = lane; i < WG_SIZE; i += LANES) {
-        sum += sh_factor[row * WG_SIZE + i] * sh_slope[i].xyz;
+        sum += sh_staged[row * STRIDE + i] * sh_slope[i].xyz;
     }
     sh_partial[local_ix] = vec4f(sum, 0.0);
     workgroupBarrier();
@@ -264,7 +322,6 @@ fn reduce_products(local_ix: u32) -> f32 {
             total += sh_partial[local_ix / 3u * LANES + i][local_ix % 3u];
         }
     }
-    workgroupBarrier();
     return total;
 }
 
@@ -286,12 +343,16 @@ fn scores_backward(gaussian_ix: u32, is_owner: bool, up: Upstream, local_ix: u32
     sh_slope[local_ix] = vec4f(*by_albedo, 0.0);
     for (var k = 0u; k < model.n_scores; k += BLOCK) {
         for (var row = 0u; row < BLOCK; row++) {
-            var factor = 0.0;
+            var by = vec2f(0.0);
             if is_owner && k + row < model.n_scores {
-                factor = score_backward(m, gaussian_ix, up, k + row);
+                by = score_backward(m, gaussian_ix, up, k + row);
             }
-            sh_factor[row * WG_SIZE + local_ix] = factor;
+            sh_staged[row * STRIDE + local_ix] = by.y;
+            sh_staged[(BLOCK + row) * STRIDE + local_ix] = by.x;
         }
+        workgroupBarrier();
+        let first_ix = gaussian_ix - local_ix;
+        emit_block(first_ix, local_ix, model.scores + k, model.n_scores, model.n_scores - k, FIELD_SCORES);
         if reduces {
             let total = reduce_products(local_ix);
             let element_ix = 3u * k + local_ix;
@@ -302,6 +363,7 @@ fn scores_backward(gaussian_ix: u32, is_owner: bool, up: Upstream, local_ix: u32
                 }
             }
         }
+        workgroupBarrier();
     }
     return value;
 }
@@ -321,24 +383,24 @@ fn indirect_backward(gaussian_ix: u32, is_owner: bool, up: Upstream, local_ix: u
     for (var j = 0u; j < 16u; j += BLOCK) {
         for (var row = 0u; row < BLOCK; row++) {
             var factor = 0.0;
-            if is_owner {
-                let element_ix = model.indirect + 16u * gaussian_ix + j + row;
-                var gradient = 0.0;
-                if is_active {
-                    let e = 3u * (j + row);
-                    factor = params[element_ix];
-                    gradient = dot(by_light, vec3f(indirect_basis[e], indirect_basis[e + 1u], indirect_basis[e + 2u]));
-                }
-                emit(element_ix, gradient, FIELD_INDIRECT);
+            var gradient = 0.0;
+            if is_active {
+                let e = 3u * (j + row);
+                factor = params[model.indirect + 16u * gaussian_ix + j + row];
+                gradient = dot(by_light, vec3f(indirect_basis[e], indirect_basis[e + 1u], indirect_basis[e + 2u]));
             }
-            sh_factor[row * WG_SIZE + local_ix] = factor;
+            sh_staged[row * STRIDE + local_ix] = factor;
+            sh_staged[(BLOCK + row) * STRIDE + local_ix] = gradient;
         }
+        workgroupBarrier();
+        emit_block(gaussian_ix - local_ix, local_ix, model.indirect + j, 16u, BLOCK, FIELD_INDIRECT);
         if reduces {
             let total = reduce_products(local_ix);
             if local_ix < 3u * BLOCK && total != 0.0 {
                 accumulate!(basis_gradient[3u * j + local_ix], total);
             }
         }
+        workgroupBarrier();
     }
 }
 
@@ -365,8 +427,8 @@ fn material_backward(gaussian_ix: u32, up: Upstream, by_albedo: vec3f) -> f32 {
     return value;
 }
 
-// Centre, scales, rotation, opacity, normal, radiance and visibility; returns the values of flatness and of the labels.
-fn geometry_backward(gaussian_ix: u32, up: Upstream) -> vec2f {
+// Emits centre, scales, rotation, opacity, normal and visibility; returns the values of flatness and of the labels.
+fn geometry_backward(gaussian_ix: u32, up: Upstream, radiance: ptr<function, Radiance>) -> vec2f {
     let mean = params_vec3(model.mean + 3u * gaussian_ix);
     let log_scale = params_vec3(model.log_scale + 3u * gaussian_ix);
     let quaternion_ix = model.quaternion + 4u * gaussian_ix;
@@ -385,7 +447,7 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream) -> vec2f {
         }
         record_density(gaussian_ix, splat_gradients[up.row].xy);
     }
-    by.mean += radiance_backward(gaussian_ix, up, to_mean);
+    by.mean += radiance_backward(gaussian_ix, up, to_mean, radiance);
     let labels = visibility_backward(gaussian_ix, up, to_mean);
     var flatness = 0.0;
     if update.flatness != 0.0 {
@@ -438,14 +500,16 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
         up = upstream_of(gaussian_ix);
     }
     var by_albedo = vec3f(0.0);
+    var radiance = Radiance(vec3f(0.0), vec3f(0.0, 0.0, 1.0), false);
     var values = vec4f(0.0);
     values.x = scores_backward(gaussian_ix, is_owner, up, local_ix, &by_albedo);
     indirect_backward(gaussian_ix, is_owner, up, local_ix);
     if is_owner {
         values.y = material_backward(gaussian_ix, up, by_albedo);
-        let terms = geometry_backward(gaussian_ix, up);
+        let terms = geometry_backward(gaussian_ix, up, &radiance);
         values.z = terms.x;
         values.w = terms.y;
     }
+    emit_radiance(gaussian_ix - local_ix, local_ix, radiance);
     reduce_losses(local_ix, values);
 }

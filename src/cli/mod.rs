@@ -1,6 +1,7 @@
 //! The command line: one file a command.
 
 mod args;
+mod bench;
 pub mod demo;
 mod doctor;
 pub mod eval;
@@ -42,6 +43,8 @@ enum Command {
     Render(render::Args),
     /// Measure a model against a capture's held-out views and ground truth.
     Eval(eval::EvalArgs),
+    /// Measure speed on this machine.
+    Bench(bench::Args),
     /// Write a model in another format.
     Export(export::Args),
     /// Show what this machine offers and whether everything is in order.
@@ -60,6 +63,7 @@ pub fn main() -> ExitCode {
         Command::Train(args) => train::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Eval(args) => eval::run(&args).map_err(Into::into),
+        Command::Bench(args) => bench::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Openapi => openapi(),

@@ -1,6 +1,7 @@
 //! A camera and a light in, a frame out.
 
 mod frame;
+mod on_gpu;
 mod preview;
 mod renderer;
 

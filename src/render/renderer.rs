@@ -14,15 +14,16 @@ use crate::engine::cpu::{
 };
 use crate::engine::gpu::GpuError;
 use crate::light::{LightTables, rendering_tables};
+use crate::render::on_gpu::{LightOnGpu, OnGpu};
 use crate::render::{Frame, Output, preview};
 use crate::scene::{Camera, EnvMap, Field, IndirectForm, Model};
 
 /// Most pixels of a frame.
 const MOST_PIXELS: u64 = 64 << 20;
 /// Probe directions behind the gathered light of a render.
-const PROBE_DIRECTIONS: usize = 96;
+pub(super) const PROBE_DIRECTIONS: usize = 96;
 /// Rounds of gathered light.
-const BOUNCES: usize = 3;
+pub(super) const BOUNCES: usize = 3;
 
 /// A named trade of time against accuracy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Default)]
@@ -51,31 +52,52 @@ pub enum RenderError {
     Device(#[from] GpuError),
 }
 
-/// An environment turned into the tables a model is shaded with; costs a second at most, keep it.
-pub struct PreparedLight {
+/// An environment turned into the tables a model is shaded with; costs a second at most, keep it. Belongs to the renderer
+/// that prepared it.
+pub struct PreparedLight(Prepared);
+
+enum Prepared {
+    Cpu(CpuLight),
+    Gpu(LightOnGpu),
+}
+
+struct CpuLight {
     tables: LightTables,
     gathered: Vec<[f32; 6]>,
     indirect_basis: [[f32; 3]; 16],
 }
 
+/// Where the frames are made.
+enum Engine {
+    /// With what hides what, once it was needed: it does not depend on the light.
+    Cpu(OnceLock<Transport>),
+    Gpu(Box<OnGpu>),
+}
+
 /// A model ready to be rendered many times. Shared between threads.
 pub struct Renderer {
     model: Arc<Model>,
-    transport: OnceLock<Transport>,
+    engine: Engine,
 }
 
 impl Renderer {
-    /// Takes a checked model in.
+    /// Takes a checked model in, to be rendered on the CPU engine.
     pub fn new(model: Arc<Model>) -> Self {
-        Self { model, transport: OnceLock::new() }
+        Self { model, engine: Engine::Cpu(OnceLock::new()) }
     }
 
     /// Takes a checked model in, to be rendered on `device`.
     ///
     /// # Errors
     /// When the device cannot hold the model.
-    pub fn on(model: Arc<Model>, _device: &Device) -> Result<Self, GpuError> {
-        Ok(Self::new(model))
+    pub fn on(model: Arc<Model>, device: &Device) -> Result<Self, GpuError> {
+        match device {
+            Device::Cpu => Ok(Self::new(model)),
+            Device::Gpu(gpu) => {
+                let engine = Engine::Gpu(Box::new(OnGpu::new(gpu, &model)?));
+                Ok(Self { model, engine })
+            }
+        }
     }
 
     /// The model.
@@ -99,12 +121,18 @@ impl Renderer {
     /// When the device failed.
     pub fn prepare_light(&self, environment: &EnvMap) -> Result<PreparedLight, GpuError> {
         let tables = rendering_tables(environment, self.model.gaussians.visibility_order());
+        Ok(PreparedLight(match &self.engine {
+            Engine::Cpu(transport) => Prepared::Cpu(self.light_on_cpu(transport, tables)),
+            Engine::Gpu(engine) => Prepared::Gpu(engine.prepare_light(&self.model, &tables)?),
+        }))
+    }
+
+    fn light_on_cpu(&self, transport: &OnceLock<Transport>, tables: LightTables) -> CpuLight {
         let mut gathered = Vec::new();
         if self.model.shading.indirect == IndirectForm::Gathered {
             let none = [[0.0; 3]; 16];
             let source = self.source(&[], &none);
-            // What hides what does not depend on the light: measured once a model.
-            let transport = self.transport.get_or_init(|| {
+            let transport = transport.get_or_init(|| {
                 let probes = Probes::measure(
                     &source,
                     fibonacci_sphere(PROBE_DIRECTIONS),
@@ -115,7 +143,7 @@ impl Renderer {
             gathered = transport.gather(&source, &tables, BOUNCES);
         }
         let indirect_basis = crate::engine::cpu::indirect_basis(&tables);
-        Ok(PreparedLight { tables, gathered, indirect_basis })
+        CpuLight { tables, gathered, indirect_basis }
     }
 
     /// Renders `outputs` for a camera in capture coordinates.
@@ -136,17 +164,25 @@ impl Renderer {
             return Err(RenderError::Refused { field: "width,height", reason });
         }
         let camera = checked.in_normalised_world(self.model.world_scale, self.model.world_offset);
-        let source = self.source(&light.gathered, &light.indirect_basis);
         let view = View::new(&camera, &self.model.shading);
-        let order = self.model.gaussians.visibility_order();
-        let shader = Shader { tables: &light.tables, options: &self.model.shading, order };
         let mut wanted: Vec<Output> = outputs.to_vec();
         wanted.push(Output::Alpha);
         wanted.sort_unstable();
         wanted.dedup();
         // The preview tier only has a colour; anything else needs the G-buffer anyway.
         let colour_only = wanted.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
-        if tier == Tier::Preview && colour_only {
+        let is_preview = tier == Tier::Preview && colour_only;
+        let light = match (&self.engine, &light.0) {
+            (Engine::Cpu(_), Prepared::Cpu(light)) => light,
+            (Engine::Gpu(engine), Prepared::Gpu(light)) => {
+                return Ok(engine.render(&self.model, &view, light, is_preview, &wanted)?);
+            }
+            _ => return Err(GpuError::Internal("a light that another renderer prepared".to_owned()).into()),
+        };
+        let source = self.source(&light.gathered, &light.indirect_basis);
+        let order = self.model.gaussians.visibility_order();
+        let shader = Shader { tables: &light.tables, options: &self.model.shading, order };
+        if is_preview {
             return Ok(preview::render(&source, view, &shader));
         }
         let coefficients = self.model.gaussians.width(Field::Visibility);

@@ -5,11 +5,11 @@
 
 use std::borrow::Cow;
 
+use crate::train::TrainError;
 use crate::train::dataset::Photo;
 use crate::train::optimiser::StepSizes;
 use crate::train::state::Learned;
 use crate::train::step::StepContext;
-use crate::train::{TrainConfig, TrainError};
 
 /// One optimisation step, as the schedule wants it.
 pub(super) struct StepTask<'a> {
@@ -66,9 +66,4 @@ pub(super) trait Backend: Send {
 
     /// Name of the engine, for the model card.
     fn engine(&self) -> &'static str;
-
-    /// Something a user should know about how the device does it, once.
-    fn notice(&mut self, _config: &TrainConfig) -> Option<String> {
-        None
-    }
 }

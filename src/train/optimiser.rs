@@ -26,9 +26,12 @@ pub struct Moments {
 /// Step sizes of this step, per field; zero leaves a field alone.
 #[derive(Debug, Clone, Copy)]
 pub struct StepSizes {
-    fields: [f32; 12],
-    prototypes: f32,
-    environment: f32,
+    /// Per field.
+    pub fields: [f32; 12],
+    /// Albedo prototypes.
+    pub prototypes: f32,
+    /// Raw environment texels.
+    pub environment: f32,
 }
 
 impl StepSizes {

@@ -58,13 +58,18 @@ fn radiance_of(model: &Model) -> Vec<[f32; 3]> {
     model.env_raw.iter().map(|t| t.map(softplus)).collect()
 }
 
+/// Whether depth-normal consistency acts at this progress of the warm-up.
+pub(super) fn is_shaped(config: &TrainConfig, progress: f32) -> bool {
+    progress >= GEOMETRY_FROM && config.weights.depth_normal > 0.0
+}
+
 /// The objective during warm-up: radiance branch and geometry only.
 pub fn radiance(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Outcome {
     let w = &context.config.weights;
     let basis = [[0.0; 3]; 16];
     let source = source(state, &basis);
     let view = View::new(&photo.camera, source.options);
-    let shaped = context.progress >= GEOMETRY_FROM && w.depth_normal > 0.0;
+    let shaped = is_shaped(context.config, context.progress);
     let channels = if shaped { Channels::Geometry } else { Channels::Colour };
     let pass = Pass::forward(&source, view, channels, true);
     let image = radiance_image(&pass, context.background);
@@ -110,7 +115,7 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     loss += geometry::depth_normal(&pass, w.depth_normal, &mut by_buffers);
     loss += geometry::smoothness(&pass, &photo.pixels, w.smoothness, &mut by_buffers);
     let by_images = cpu::BranchImages { physical: physical.gradient, radiance: plain.gradient };
-    let count = differentiated(context.config, source.options.indirect, pass.channels);
+    let count = differentiated(context.config, source.options.indirect, pass.channels).count();
     let (by_gbuffer, mut by_tables) =
         shader.images_backward(&pass, context.background, &by_images, &by_buffers, count);
     let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count);
@@ -135,9 +140,9 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
 }
 
 /// Channels the backward pass carries: visibility and indirect light only when they are learned.
-fn differentiated(config: &TrainConfig, indirect: IndirectForm, channels: Channels) -> usize {
+pub(super) fn differentiated(config: &TrainConfig, indirect: IndirectForm, channels: Channels) -> Channels {
     let learned = config.labels != LabelSource::Probes || indirect == IndirectForm::Learned;
-    if learned { channels.count() } else { Channels::Material.count() }
+    if learned { channels } else { Channels::Material }
 }
 
 fn parameter_terms(

@@ -63,6 +63,7 @@ impl Raster {
             (&rows).into(),
         ];
         rec.dispatch(attributes_shader(groups)?, Groups::Linear(n), &bindings);
+        self.blended_groups = 0;
         Ok(())
     }
 }

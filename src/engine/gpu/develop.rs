@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::engine::gpu::model::ModelBuffers;
+use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::shading::{ShadeJob, by_coefficients};
 use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, SplatRecord, shaders, uniform};
 
@@ -82,6 +82,12 @@ impl Planes {
         Ok(Self { wanted: wanted.to_vec(), first, values: gpu.buffer("the pictures", end)? })
     }
 
+    /// True when this is room for exactly `wanted` of `pixels` pixels.
+    pub fn fits(&self, pixels: usize, wanted: &[Plane]) -> bool {
+        self.wanted == wanted
+            && self.values.len() == pixels * wanted.iter().map(|p| p.channels()).sum::<usize>()
+    }
+
     /// Develops a full G-buffer, `[group][pixel]`; `depth_scale` turns model units into capture units.
     ///
     /// # Errors
@@ -114,8 +120,9 @@ impl Planes {
     /// # Errors
     /// Whatever went wrong on the device meanwhile.
     pub fn read(&self, gpu: &Gpu) -> Result<Vec<(Plane, Vec<f32>)>, GpuError> {
+        let values = gpu.read(&self.values, 0..self.values.len())?;
         let ranges = self.first.windows(2).map(|w| w[0]..w[1]);
-        self.wanted.iter().zip(ranges).map(|(p, range)| Ok((*p, gpu.read(&self.values, range)?))).collect()
+        Ok(self.wanted.iter().zip(ranges).map(|(p, range)| (*p, values[range].to_vec())).collect())
     }
 }
 
@@ -127,7 +134,7 @@ impl Planes {
 pub fn shade_gaussians(
     recorder: &mut Recorder<'_>,
     job: &ShadeJob<'_>,
-    model: &ModelBuffers,
+    (model, params): (&LayoutUniform, &Buffer<f32>),
     splats: &Buffer<SplatRecord>,
     attributes: &Buffer<[f32; 4]>,
     colours: &Buffer<[f32; 4]>,
@@ -135,13 +142,7 @@ pub fn shade_gaussians(
     use shaders::*;
     let all = [&PREVIEW_1, &PREVIEW_4, &PREVIEW_9, &PREVIEW_16, &PREVIEW_25, &PREVIEW_36, &PREVIEW_49];
     let shader = by_coefficients(job.n_visibility, all)?;
-    let rest = vec![
-        uniform(&model.layout),
-        (&model.params).into(),
-        splats.into(),
-        attributes.into(),
-        colours.into(),
-    ];
-    job.dispatch(recorder, shader, Groups::Linear(model.len()), rest);
+    let rest = vec![uniform(model), params.into(), splats.into(), attributes.into(), colours.into()];
+    job.dispatch(recorder, shader, Groups::Linear(model.n as usize), rest);
     Ok(())
 }

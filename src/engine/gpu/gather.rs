@@ -2,6 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::engine::gpu::light::TablesUniform;
 use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::probes::{ProbeBuffers, direction_weight};
 use crate::engine::gpu::{Buffer, GpuError, Groups, Recorder, shaders, uniform};
@@ -16,11 +17,7 @@ struct GatherSize {
     n: u32,
     n_directions: u32,
     weight: f32,
-    diffuse_n: u32,
-    coefficients: u32,
-    pad_a: u32,
-    pad_b: u32,
-    pad_c: u32,
+    pad: u32,
 }
 
 /// The model and the light that a gathering reads.
@@ -32,12 +29,10 @@ pub struct GatherSource<'a> {
     pub model: &'a LayoutUniform,
     /// Prototypes (K x 3), then anything.
     pub globals: &'a Buffer<f32>,
-    /// Light tables, `[node][rgb][coefficient]` of the diffuse one first.
+    /// Light tables, of which the diffuse one is read.
     pub tables: &'a Buffer<f32>,
-    /// Nodes along an edge of the diffuse table's cube grid, at least 2.
-    pub diffuse_n: u32,
-    /// Floats a colour has in the diffuse table, padding included.
-    pub coefficients: u32,
+    /// Where they lie.
+    pub shape: &'a TablesUniform,
 }
 
 /// Gathered irradiance and mean blocked radiance after `bounces` rounds: six floats a Gaussian.
@@ -71,15 +66,11 @@ pub fn gather(
         n: n as u32,
         n_directions: n_directions as u32,
         weight: direction_weight(n_directions),
-        diffuse_n: source.diffuse_n,
-        coefficients: source.coefficients,
-        pad_a: 0,
-        pad_b: 0,
-        pad_c: 0,
+        pad: 0,
     };
     let bindings = [
         uniform(source.model),
-        uniform(&size),
+        uniform(source.shape),
         source.params.into(),
         source.globals.into(),
         source.tables.into(),
@@ -107,14 +98,14 @@ pub fn gather(
 }
 
 fn check(probes: &ProbeBuffers, source: &GatherSource<'_>) -> Result<(), GpuError> {
-    let edge = source.diffuse_n as usize;
+    let (edge, coefficients) = (source.shape.diffuse_n as usize, source.shape.coefficients as usize);
     let wrong = if source.model.n as usize != probes.n {
         Some("probes")
     } else if source.globals.len() < 3 * source.model.n_scores as usize {
         Some("prototypes")
-    } else if edge < 2 || source.coefficients == 0 {
+    } else if edge < 2 || coefficients == 0 {
         Some("light tables' shape")
-    } else if source.tables.len() < 18 * edge * edge * source.coefficients as usize {
+    } else if source.tables.len() < 18 * edge * edge * coefficients {
         Some("light tables")
     } else {
         None

@@ -412,7 +412,7 @@ mod tests {
         // The terms by central differences of their f64 values.
         for t in 0..expected.len() {
             for c in 0..3 {
-                let mut at = |step: f32| {
+                let at = |step: f32| {
                     let mut moved = radiance(&model);
                     moved[t][c] += step;
                     let (a, b) = terms(&moved);

@@ -75,7 +75,8 @@ pub struct Raster {
     /// Splats by Gaussian ([`Raster::prepare`]).
     pub splats: Option<Buffer<SplatRecord>>,
     /// Attribute rows by Gaussian, `4 groups` floats each, undefined where a splat reaches no tile
-    /// ([`Raster::attributes`]).
+    /// ([`Raster::attributes`]). A caller with attributes of its own puts its buffer here before
+    /// blending.
     pub attributes: Option<Buffer<[f32; 4]>>,
     /// `[group][pixel]` ([`Raster::blend`]).
     pub gbuffer: Option<Buffer<[f32; 4]>>,
@@ -85,8 +86,8 @@ pub struct Raster {
     pub splat_gradients: Option<Buffer<f32>>,
     /// `sum w That, sum w` by Gaussian ([`Raster::backward_labels`]).
     pub labels: Option<Buffer<[f32; 2]>>,
-    /// Groups of channels blended last, 0 before.
-    blended_groups: usize,
+    /// Groups of channels blended from these attributes, 0 before.
+    pub(super) blended_groups: usize,
     /// A short buffer for bindings without data.
     pub(super) nothing: Buffer<f32>,
     counts: Buffer<u32>,

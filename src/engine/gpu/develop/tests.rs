@@ -5,6 +5,7 @@ use crate::engine::channel;
 use crate::engine::cpu::{self, Pass, Shader, Surface, linear_from_srgb, normalise, surface_at};
 use crate::engine::gpu::ViewUniform;
 use crate::engine::gpu::light::{Constants, LightBuffers};
+use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::shading::ShadingUniform;
 use crate::engine::gpu::shading::tests::{
@@ -180,7 +181,8 @@ fn gaussians_are_shaded_as_the_preview_tier_does() {
     let job =
         ShadeJob { view: &uniform, shading: &shading, n_visibility, light: &light, constants: &constants };
     let mut recorder = gpu.record();
-    shade_gaussians(&mut recorder, &job, &buffers, &splats, &attributes, &colours).unwrap();
+    shade_gaussians(&mut recorder, &job, (&buffers.layout, &buffers.params), &splats, &attributes, &colours)
+        .unwrap();
     recorder.submit().unwrap();
     let found: Vec<[f32; 4]> = gpu.read(&colours, 0..n).unwrap();
     let host: Vec<[f32; 4]> = (0..n)

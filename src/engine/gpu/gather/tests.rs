@@ -3,6 +3,7 @@
 use super::*;
 use crate::engine::cpu::{ProbeSettings, Transport, fibonacci_sphere, outward_normals};
 use crate::engine::gpu::Gpu;
+use crate::engine::gpu::light::flat;
 use crate::engine::gpu::model::planar;
 use crate::engine::gpu::probes::tests::{Scene, read};
 use crate::engine::gpu::shaders::assert_layout;
@@ -12,11 +13,6 @@ use crate::scene::{EnvMap, Field, VisibilityForm};
 fn tables(order: usize) -> LightTables {
     let sky = |d: glam::DVec3| [1.0 + d.z.max(0.0) as f32, 0.8 + 0.5 * d.x as f32, (d.y * d.y) as f32];
     rendering_tables(&EnvMap::from_fn(16, 8, sky), order)
-}
-
-/// Nodes along an edge.
-fn edge(tables: &LightTables) -> u32 {
-    ((tables.diffuse_grid.len() / 6) as f32).sqrt() as u32
 }
 
 struct Case {
@@ -30,17 +26,14 @@ impl Case {
         let Scene { gaussians, prototypes, .. } = &self.scene;
         let probes = self.scene.on_device(gpu, ProbeSettings::default(), &fibonacci_sphere(32));
         let tables = tables(gaussians.visibility_order());
-        // As all tables lie in memory: the diffuse one, then others.
-        let all: Vec<f32> = tables.diffuse.iter().copied().chain([f32::NAN; 8]).collect();
         let globals: Vec<f32> = prototypes.as_flattened().iter().copied().chain([f32::NAN; 5]).collect();
         let model = self.scene.layout();
         let source = GatherSource {
             params: &gpu.upload("params", &planar(gaussians)).unwrap(),
             model: &model,
             globals: &gpu.upload("globals", &globals).unwrap(),
-            tables: &gpu.upload("tables", &all).unwrap(),
-            diffuse_n: edge(&tables),
-            coefficients: tables.coefficients as u32,
+            tables: &gpu.upload("tables", &flat(&tables)).unwrap(),
+            shape: &TablesUniform::new(&tables, gaussians.visibility_order()),
         };
         let mut rec = gpu.record();
         let gathered = gather(&mut rec, &probes, &source, self.bounces).unwrap();
@@ -64,8 +57,8 @@ fn error(got: &[f32], expected: &[f32]) -> f32 {
 
 #[test]
 fn host_and_shaders_agree_on_the_structs() {
-    for shader in [&shaders::GATHER_DIRECT, &shaders::GATHER_EMIT, &shaders::GATHER_BOUNCE] {
-        assert_layout!(GatherSize as "GatherSize" in shader; n, n_directions, weight, diffuse_n, coefficients, pad_a, pad_b, pad_c);
+    for shader in [&shaders::GATHER_EMIT, &shaders::GATHER_BOUNCE] {
+        assert_layout!(GatherSize as "GatherSize" in shader; n, n_directions, weight, pad);
     }
 }
 
@@ -123,23 +116,16 @@ fn light_that_does_not_fit_is_refused() {
     let (model, other) = (scene.layout(), Scene::random(1, 4, 2).layout());
     let (params, short) = (gpu.buffer("params", 400).unwrap(), gpu.buffer("short", 4).unwrap());
     let tables = gpu.buffer("tables", 6 * 4 * 48).unwrap();
-    let source = GatherSource {
-        params: &params,
-        model: &model,
-        globals: &params,
-        tables: &tables,
-        diffuse_n: 2,
-        coefficients: 16,
-    };
+    let shape = TablesUniform { diffuse_n: 2, coefficients: 16, ..bytemuck::Zeroable::zeroed() };
+    let source =
+        GatherSource { params: &params, model: &model, globals: &params, tables: &tables, shape: &shape };
     let attempt = |source: &GatherSource<'_>| gather(&mut gpu.record(), &probes, source, 1).err();
     assert_eq!(attempt(&source), None);
-    for wrong in [
-        GatherSource { model: &other, ..source },
-        GatherSource { globals: &short, ..source },
-        GatherSource { diffuse_n: 1, ..source },
-        GatherSource { diffuse_n: 3, ..source },
-        GatherSource { coefficients: 17, ..source },
-    ] {
+    for wrong in [GatherSource { model: &other, ..source }, GatherSource { globals: &short, ..source }] {
         assert!(matches!(attempt(&wrong), Some(GpuError::Internal(_))));
+    }
+    for (diffuse_n, coefficients) in [(1, 16), (3, 16), (2, 17), (2, 0)] {
+        let shape = TablesUniform { diffuse_n, coefficients, ..shape };
+        assert!(matches!(attempt(&GatherSource { shape: &shape, ..source }), Some(GpuError::Internal(_))));
     }
 }

@@ -12,8 +12,10 @@ use crate::scene::{Field, Gaussians, ShadingOptions};
 /// Largest difference of a transmittance or, in units of the largest, of a coefficient.
 const TOLERANCE: f32 = 1e-4;
 /// Share of entries that may differ by more: rounding decides whether an occluder at the very edge of its clearance,
-/// of its reach or of opaqueness counts, and which of two equally strong ones is the strongest.
-const FLIPPED: f64 = 0.005;
+/// of its reach or of opaqueness counts, and which of two equally strong ones is the strongest. Measured 3e-6 on 100,000
+/// Gaussians; 1.4e-3 on needles, whose exponents lose digits on the CPU.
+const FLIPPED: f64 = 0.001;
+const FLIPPED_NEEDLES: f64 = 0.005;
 
 /// A model and what the CPU engine needs besides.
 pub(in crate::engine::gpu) struct Scene {
@@ -107,11 +109,15 @@ fn directions() -> Vec<[f32; 3]> {
 
 /// Asserts parity of a scene; returns the share of directions that are blocked to some part, and hits.
 fn assert_parity(gpu: &Gpu, scene: &Scene, settings: ProbeSettings) -> f64 {
+    assert_parity_within(gpu, scene, settings, FLIPPED)
+}
+
+fn assert_parity_within(gpu: &Gpu, scene: &Scene, settings: ProbeSettings, flipped: f64) -> f64 {
     let expected = cpu::Probes::measure(&scene.source(), directions(), settings);
     let buffers = scene.on_device(gpu, settings, &directions());
     let got = read(gpu, &buffers);
     let shares = differing(&expected, &got);
-    assert!(shares.iter().all(|s| *s <= FLIPPED), "{shares:?} differ");
+    assert!(shares.iter().all(|s| *s <= flipped), "{shares:?} differ");
     let normals = gpu.read(&buffers.normals, 0..scene.gaussians.len()).unwrap();
     for (a, b) in outward_normals(&scene.source()).iter().zip(&normals) {
         assert!((0..3).all(|k| (a[k] - b[k]).abs() < 1e-5 || a[k].is_nan()), "{a:?} {b:?}");
@@ -161,7 +167,7 @@ fn the_comparison_notices_other_settings_and_another_scene() {
     ] {
         let got = read(&gpu, &scene.on_device(&gpu, settings, &directions()));
         let shares = differing(&expected, &got);
-        assert!(shares.iter().all(|s| *s > 4.0 * FLIPPED), "{settings:?}: only {shares:?} differ");
+        assert!(shares.iter().all(|s| *s > 20.0 * FLIPPED), "{settings:?}: only {shares:?} differ");
     }
     let other = scene.with(|i, g| {
         if i == 7 {
@@ -170,7 +176,7 @@ fn the_comparison_notices_other_settings_and_another_scene() {
         }
     });
     let got = read(&gpu, &other.on_device(&gpu, default, &directions()));
-    assert!(differing(&expected, &got)[0] > 4.0 * FLIPPED);
+    assert!(differing(&expected, &got)[0] > 20.0 * FLIPPED);
 }
 
 #[test]
@@ -189,7 +195,7 @@ fn coefficients_are_the_projection_of_the_transmittances() {
         let cpu = cpu::Probes::measure(&scene.source(), directions(), ProbeSettings::default());
         let cpu = cpu.coefficients(order);
         let far = got.iter().zip(&cpu).filter(|(a, b)| !((*a - *b).abs() <= TOLERANCE * most)).count();
-        assert!(far as f64 <= 4.0 * FLIPPED * got.len() as f64, "order {order}: {far} of {}", got.len());
+        assert!(far as f64 <= 5.0 * FLIPPED * got.len() as f64, "order {order}: {far} of {}", got.len());
     }
 }
 
@@ -276,7 +282,7 @@ fn needles_and_pancakes_are_seen_as_on_the_cpu() {
                 g.row_mut(Field::Quaternion, i).copy_from_slice(&[1.0, 0.0, 0.0, 0.0]);
             }
         });
-        assert_parity(&gpu, &scene, ProbeSettings::default());
+        assert_parity_within(&gpu, &scene, ProbeSettings::default(), FLIPPED_NEEDLES);
     }
 }
 
@@ -297,7 +303,11 @@ fn what_is_too_transparent_too_far_or_no_number_hides_nothing() {
         0 => g.row_mut(Field::Mean, i)[1] = f32::NAN,
         1 => g.row_mut(Field::LogScale, i)[0] = f32::NAN,
         3 => g.row_mut(Field::OpacityLogit, i)[0] = f32::NAN,
-        4 => g.row_mut(Field::LogScale, i)[2] = 200.0,
+        4 => {
+            g.row_mut(Field::LogScale, i)[2] = 200.0;
+            // Along the axes: across so long an axis, rounding alone would move the query.
+            g.row_mut(Field::Quaternion, i).copy_from_slice(&[2.0, 0.0, 0.0, 0.0]);
+        }
         5 => g.row_mut(Field::Quaternion, i).fill(0.0),
         _ => {}
     });

@@ -6,12 +6,13 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::engine::Gradients;
 use crate::engine::channel::{self, Channels};
-use crate::engine::cpu::{AttributeSource, Pass, View};
+use crate::engine::cpu::{AttributeSource, Pass, View, backward_labels};
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{GpuOptions, model::LayoutUniform};
 use crate::scene::{Camera, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions, VisibilityForm};
 
 mod parity;
+mod pipeline;
 mod steps;
 mod terms;
 
@@ -49,6 +50,9 @@ struct Case {
     rows: Vec<f32>,
     expected: Gradients,
     by_basis: [[f64; 3]; 16],
+    /// Gradient of the G-buffer, `[group][pixel]`.
+    by_gbuffer: Vec<[f32; 4]>,
+    labels: Vec<[f32; 2]>,
 }
 
 fn random_model(shape: &Shape, rng: &mut ChaCha8Rng) -> Model {
@@ -122,10 +126,17 @@ impl Case {
         let pass = Pass::forward(&source, view, shape.channels, true);
         let (count, stored) = (shape.channels.count(), shape.channels.stored());
         let mut by_gbuffer = vec![0.0f32; pass.gbuffer.len()];
+        let mut planes = vec![[0.0f32; 4]; stored / 4 * view.width * view.height];
         for (x, y) in (0..view.height).flat_map(|y| (0..view.width).map(move |x| (x, y))) {
             for c in 0..count {
-                by_gbuffer[pass.locate(x, y, stored) + c * 16] = rng.random_range(-1.0..1.0);
+                let by = rng.random_range(-1.0..1.0);
+                by_gbuffer[pass.locate(x, y, stored) + c * 16] = by;
+                planes[(c / 4 * view.height + y) * view.width + x][c % 4] = by;
             }
+        }
+        let mut labels = vec![[0.0; 2]; shape.n];
+        for (splat, l) in pass.splats.iter().zip(backward_labels(&pass)) {
+            labels[splat.gaussian as usize] = [l.transmittance * l.weight, l.weight];
         }
         let expected = pass.backward(&source, &by_gbuffer, stored, count);
         let summed = pass.splat_gradients(&by_gbuffer, stored, count);
@@ -142,7 +153,7 @@ impl Case {
                 }
             }
         }
-        Self { basis, view, groups, records, rows, expected, by_basis, model }
+        Self { basis, view, groups, records, rows, expected, by_basis, by_gbuffer: planes, labels, model }
     }
 }
 

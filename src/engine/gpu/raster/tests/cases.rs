@@ -169,5 +169,88 @@ fn steps_out_of_order_are_errors() {
     let mut rec = gpu.record();
     assert!(raster.blend(&mut rec, Channels::Colour, true).is_err());
     assert!(raster.backward_labels(&mut rec).is_err());
-    assert!(raster.blend_backward(&mut rec, &gpu.buffer("by", 1).unwrap(), 1).is_err());
+    let by = gpu.buffer("by", 1).unwrap();
+    assert!(raster.blend_backward(&mut rec, &by, 1).is_err());
+    let scene = Scene::random(39, 10, (1, 1), 1);
+    scene.gpu(&mut raster, Channels::Geometry, true);
+    assert!(raster.blend(&mut rec, Channels::Full(49), true).is_err(), "more channels than there are");
+    raster.blend_backward(&mut rec, &by.cast(), 1).unwrap();
+    raster.prepared = None;
+    assert!(raster.blend_backward(&mut rec, &by, 1).is_err());
+}
+
+/// What `tile_emit` writes when the instances of every rank were miscounted by `off`: tiles and Gaussians.
+fn emitted(raster: &Raster, scene: &Scene, off: i32, room: usize) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
+    let gpu = &raster.gpu;
+    let n = scene.gaussians.len();
+    let order = raster.gaussian_of_rank().unwrap();
+    let splats = gpu.read(raster.splats.as_ref().unwrap(), 0..n).unwrap();
+    let mut first = vec![0u32];
+    for g in gpu.read(order, 0..n).unwrap() {
+        let counted = splats[g as usize].n_tiles.saturating_add_signed(off);
+        first.push(first[first.len() - 1] + counted);
+    }
+    let starts = gpu.upload("first", &first).unwrap();
+    let (tiles, gaussians) = (gpu.buffer("tiles", room).unwrap(), gpu.buffer("gaussians", room).unwrap());
+    let most = (*first.last().unwrap()).min(room as u32 - 8);
+    let mut rec = gpu.record();
+    let bindings = [
+        uniform(&ViewUniform::new(&scene.view)),
+        uniform(&Words([n as u32, most, 0, 0])),
+        raster.splats.as_ref().unwrap().into(),
+        order.into(),
+        (&starts).into(),
+        (&tiles).into(),
+        (&gaussians).into(),
+    ];
+    rec.dispatch(&shaders::TILE_EMIT, Groups::Linear(n), &bindings);
+    rec.submit().unwrap();
+    (gpu.read(&tiles, 0..room).unwrap(), gpu.read(&gaussians, 0..room).unwrap(), first)
+}
+
+#[test]
+fn miscounted_tiles_are_neither_written_past_nor_left_undefined() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    let scene = Scene::random(40, 60, (40, 40), 1);
+    let counts = scene.gpu(&mut raster, Channels::Colour, true);
+    let garbage = (-12345.0f32).to_bits();
+    for (off, room) in [(0, counts.instances + 8), (2, counts.instances + 200), (-1, 500), (2, 90)] {
+        let (tiles, gaussians, first) = emitted(&raster, &scene, off, room);
+        let end = (*first.last().unwrap() as usize).min(room - 8);
+        assert!(tiles[end..].iter().chain(&gaussians[end..]).all(|v| *v == garbage), "{off}: written past");
+        assert!(tiles[..end].iter().all(|t| *t <= 9), "{off}: a tile that is none");
+        assert!(gaussians[..end].iter().all(|g| *g < 60), "{off}");
+        let unused = tiles[..end].iter().filter(|t| **t == 9).count();
+        assert_eq!(unused > 0, off > 0, "{off}: {unused} instances marked as unused");
+    }
+}
+
+#[test]
+fn the_count_of_pairs_carries_beyond_32_bits() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    let scene = Scene::random(41, 300, (64, 48), 1);
+    let counts = scene.gpu(&mut raster, Channels::Colour, true);
+    let n = scene.gaussians.len();
+    let start = u32::MAX - 5;
+    let counted = gpu.upload("counts", &[0, start, 0, 0]).unwrap();
+    let params = gpu.upload("params", &planar(&scene.gaussians)).unwrap();
+    let (keys, indices) = (gpu.buffer::<u32>("keys", n).unwrap(), gpu.buffer::<u32>("indices", n).unwrap());
+    let mut rec = gpu.record();
+    let bindings = [
+        uniform(&ViewUniform::new(&scene.view)),
+        uniform(&LayoutUniform::new(&scene.gaussians, &scene.options)),
+        (&params).into(),
+        raster.splats.as_ref().unwrap().into(),
+        (&keys).into(),
+        (&indices).into(),
+        (&counted).into(),
+    ];
+    rec.dispatch(&shaders::PROJECT, Groups::Linear(n), &bindings);
+    rec.submit().unwrap();
+    let [visible, low, high, _] = gpu.read(&counted, 0..4).unwrap()[..] else { panic!() };
+    assert_eq!(visible as usize, counts.visible);
+    assert_eq!((u64::from(high) << 32) + u64::from(low), u64::from(start) + counts.instances as u64);
+    assert_eq!(high, 1);
 }

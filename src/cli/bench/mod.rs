@@ -1,0 +1,24 @@
+//! `relume bench`: figures anyone can repeat, each with the machine it was measured on.
+
+mod device;
+
+use crate::cli::CommandResult;
+
+/// Options of `relume bench`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// Milliseconds per stage and step, frames a second and memory of a device, by number of Gaussians.
+    Device(device::Args),
+}
+
+pub(super) fn run(args: &Args) -> CommandResult {
+    match &args.what {
+        What::Device(args) => device::run(args),
+    }
+}

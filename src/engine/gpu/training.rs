@@ -1,0 +1,526 @@
+//! Everything a training keeps on the device, and one optimisation step in terms of the kernels' hosts.
+//!
+//! A step is two submissions: one that finds out how many tile instances the view has, and one with all the rest, which
+//! ends with a read of sixteen sums. Nothing else crosses the bus.
+
+use crate::engine::channel::Channels;
+use crate::engine::cpu::{ProbeSettings, View, fibonacci_sphere};
+use crate::engine::gpu::density::{self, DensitySignals, GatherPlan};
+use crate::engine::gpu::gather::{GatherSource, gather};
+use crate::engine::gpu::light::{Constants, LightWeights, TrainingLight};
+use crate::engine::gpu::losses::{ImageTerm, LOSS_SLOTS, LossSlot, SurfaceWeights, surface_terms};
+use crate::engine::gpu::model::{ModelBuffers, planar};
+use crate::engine::gpu::probes::Probes;
+use crate::engine::gpu::raster::groups;
+use crate::engine::gpu::scan::grow;
+use crate::engine::gpu::shading::{
+    Images, ShadeGradients, ShadeJob, ShadingUniform, radiance_image, radiance_image_backward, shade,
+    shade_backward,
+};
+use crate::engine::gpu::update::{
+    Ages, ParameterTerms, Rates, STATUS_WORDS, StepInput, Sums, Updater, Upstream,
+};
+use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, Recorder, ViewUniform};
+use crate::light::EnvOperators;
+use crate::scene::{Gaussians, IndirectForm, Model, ShadingOptions};
+
+/// Weights of one branch's image term (Eq. 30).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ImageWeights {
+    /// Mean absolute error.
+    pub l1: f32,
+    /// `1 - SSIM`.
+    pub ssim: f32,
+}
+
+/// Weights of all terms of the objective (docs/MODEL.md section 5); 0 is off.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct StepWeights {
+    /// Image term of the physically based branch.
+    pub physical: ImageWeights,
+    /// Image term of the radiance branch.
+    pub radiance: ImageWeights,
+    /// Terms on the G-buffer.
+    pub surface: SurfaceWeights,
+    /// Terms on the light.
+    pub light: LightWeights,
+    /// Terms on the parameters.
+    pub parameters: ParameterTerms,
+}
+
+/// One optimisation step.
+#[derive(Debug, Clone, Copy)]
+pub struct Step<'a> {
+    /// The camera.
+    pub view: View,
+    /// The photograph, row-major: rgb over the background, mask.
+    pub photo: &'a Buffer<[f32; 4]>,
+    /// What the photograph was composited over, display-referred.
+    pub background: [f32; 3],
+    /// Channels of the pass: `Full` for the physically based branch, fewer for the radiance branch alone.
+    pub channels: Channels,
+    /// Channels the way back carries.
+    pub differentiated: Channels,
+    /// The objective.
+    pub weights: StepWeights,
+    /// Adam's step sizes.
+    pub rates: Rates,
+    /// Adam's ages.
+    pub ages: Ages,
+}
+
+/// What a step came to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepSums {
+    /// The objective.
+    pub loss: f32,
+    /// Mean squared error of the leading branch.
+    pub mse: f32,
+    /// False when a gradient or the objective was not finite: the state must not be built on.
+    pub finite: bool,
+}
+
+/// What is measured, not learned.
+#[derive(Debug, Clone, Default)]
+pub struct Measured {
+    /// Probe labels, `[Gaussian][coefficient]`.
+    pub labels: Option<Buffer<f32>>,
+    /// Gathered light, 6 floats a Gaussian.
+    pub gathered: Option<Buffer<f32>>,
+    /// True once anything was measured, also for Gaussians that are gone.
+    pub ever: bool,
+}
+
+/// The state a training can return to.
+#[derive(Debug)]
+struct Kept {
+    model: ModelBuffers,
+    density: Buffer<[f32; 2]>,
+    measured: Measured,
+}
+
+/// Buffers of the size of the picture.
+#[derive(Debug, Clone)]
+struct Canvas {
+    pixels: usize,
+    images: Images,
+    by_images: Images,
+    /// Partial derivatives of the image terms, three elements a pixel.
+    partials: Buffer<[f32; 4]>,
+    /// Gradient by the buffers themselves, two elements a pixel.
+    by_buffers: Buffer<[f32; 4]>,
+}
+
+impl Canvas {
+    fn new(gpu: &Gpu, pixels: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            pixels,
+            images: Images::new(gpu, pixels)?,
+            by_images: Images::new(gpu, pixels)?,
+            partials: gpu.buffer("partial derivatives of the image terms", 3 * pixels)?,
+            by_buffers: gpu.buffer("gradient by the buffers", 2 * pixels)?,
+        })
+    }
+}
+
+/// A training on the device.
+#[derive(Debug)]
+pub struct Training {
+    gpu: Gpu,
+    /// Parameters and moments.
+    pub model: ModelBuffers,
+    /// Sum of screen gradients and steps on screen, by Gaussian.
+    pub density: Buffer<[f32; 2]>,
+    /// What is measured, not learned.
+    pub measured: Measured,
+    options: ShadingOptions,
+    order: usize,
+    raster: Raster,
+    light: TrainingLight,
+    constants: Constants,
+    losses: Buffer<f32>,
+    updater: Updater,
+    canvas: Option<Canvas>,
+    by_gbuffer: Option<Buffer<[f32; 4]>>,
+    globals_gradient: Buffer<f32>,
+    status: Buffer<u32>,
+    kept: Option<Kept>,
+}
+
+/// A training's state on the host, to be taken over.
+#[derive(Debug, Clone, Copy)]
+pub struct HostState<'a> {
+    /// The model.
+    pub model: &'a Model,
+    /// First and second moments of the Gaussians.
+    pub moments: [&'a Gaussians; 2],
+    /// First and second moments of prototypes, then environment.
+    pub globals: [&'a [[f32; 3]]; 2],
+    /// Sum of screen gradients and steps on screen, by Gaussian.
+    pub density: [&'a [f32]; 2],
+    /// Probe labels; empty if nothing was measured.
+    pub labels: &'a [f32],
+    /// Gathered light; empty if nothing was gathered.
+    pub gathered: &'a [[f32; 6]],
+}
+
+impl HostState<'_> {
+    /// The same state in device memory.
+    fn upload(&self, gpu: &Gpu) -> Result<(ModelBuffers, Buffer<[f32; 2]>, Measured), GpuError> {
+        let model = ModelBuffers::upload(gpu, self.model)?;
+        for (buffer, moments) in [&model.first, &model.second].into_iter().zip(self.moments) {
+            gpu.write(buffer, 0, &planar(moments));
+        }
+        for (buffer, moments) in [&model.globals_first, &model.globals_second].into_iter().zip(self.globals) {
+            gpu.write(buffer, 0, moments.as_flattened());
+        }
+        let pairs: Vec<[f32; 2]> =
+            self.density[0].iter().zip(self.density[1]).map(|(sum, seen)| [*sum, *seen]).collect();
+        let density = gpu.upload("density statistics", &pairs)?;
+        let some = |data: &[f32], label: &str| {
+            if data.is_empty() { Ok(None) } else { gpu.upload(label, data).map(Some) }
+        };
+        let measured = Measured {
+            labels: some(self.labels, "probe labels")?,
+            gathered: some(self.gathered.as_flattened(), "gathered light")?,
+            ever: !self.labels.is_empty(),
+        };
+        Ok((model, density, measured))
+    }
+}
+
+/// How visibility and bounced light are measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measurement {
+    /// Probe directions.
+    pub directions: usize,
+    /// Rounds of gathered light, or none at all.
+    pub bounces: Option<usize>,
+    /// The measurement becomes the visibility field.
+    pub replaces_field: bool,
+    /// The measurement becomes the visibility field if there was none before.
+    pub starts_field: bool,
+}
+
+impl Training {
+    /// Takes a training over.
+    ///
+    /// # Errors
+    /// [`GpuError::TooLarge`] or [`GpuError::OutOfMemory`] when it does not fit.
+    pub fn new(gpu: &Gpu, operators: &EnvOperators, state: &HostState<'_>) -> Result<Self, GpuError> {
+        let (model, density, measured) = state.upload(gpu)?;
+        Ok(Self {
+            options: state.model.shading,
+            order: operators.order(),
+            raster: Raster::new(gpu)?,
+            light: TrainingLight::new(gpu, operators)?,
+            constants: Constants::upload(gpu)?,
+            losses: gpu.buffer("losses", LOSS_SLOTS)?,
+            updater: Updater::new(gpu)?,
+            by_gbuffer: None,
+            canvas: None,
+            globals_gradient: gpu.buffer("gradient of what is shared", model.globals.len())?,
+            status: gpu.buffer("status", STATUS_WORDS)?,
+            kept: None,
+            gpu: gpu.clone(),
+            model,
+            density,
+            measured,
+        })
+    }
+
+    /// Goes on from another state.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn load(&mut self, state: &HostState<'_>) -> Result<(), GpuError> {
+        (self.model, self.density, self.measured) = state.upload(&self.gpu)?;
+        Ok(())
+    }
+
+    /// One optimisation step; waits for its sums.
+    ///
+    /// # Errors
+    /// What went wrong on the device.
+    pub fn step(&mut self, step: &Step<'_>) -> Result<StepSums, GpuError> {
+        let view = ViewUniform::new(&step.view);
+        self.raster.prepare(&view, &self.model.layout, &self.model.params)?;
+        let gpu = self.gpu.clone();
+        let mut recorder = gpu.record();
+        recorder.clear(&self.losses);
+        recorder.clear(&self.globals_gradient);
+        recorder.clear(&self.status);
+        let groups = groups(step.differentiated);
+        let by_gbuffer =
+            grow(&gpu, "gradient of the G-buffer", &mut self.by_gbuffer, groups * view.pixels())?;
+        let canvas = self.canvas(view.pixels())?;
+        let is_full = matches!(step.channels, Channels::Full(_));
+        if is_full {
+            self.light.apply(&mut recorder, &self.model, &step.weights.light, &self.losses);
+        }
+        self.picture(&mut recorder, step, &view, &canvas)?;
+        self.raster.blend_backward(&mut recorder, &by_gbuffer, groups)?;
+        self.update(&mut recorder, step, &view, groups, is_full)?;
+        recorder.submit()?;
+        let sums = gpu.read(&self.losses, 0..LOSS_SLOTS)?;
+        let poisoned = gpu.read(&self.status, 0..1)?[0] != 0;
+        let loss = objective(&sums, &step.weights);
+        let leading = if is_full { LossSlot::PhysicalSquared } else { LossSlot::RadianceSquared };
+        Ok(StepSums { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned })
+    }
+
+    fn canvas(&mut self, pixels: usize) -> Result<Canvas, GpuError> {
+        match &self.canvas {
+            Some(canvas) if canvas.pixels == pixels => Ok(canvas.clone()),
+            _ => {
+                // The old one goes first: both at once may not fit.
+                self.canvas = None;
+                Ok(self.canvas.insert(Canvas::new(&self.gpu, pixels)?).clone())
+            }
+        }
+    }
+
+    /// From attributes to images, and from the terms on images and buffers to the gradient of the G-buffer.
+    fn picture(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        step: &Step<'_>,
+        view: &ViewUniform,
+        canvas: &Canvas,
+    ) -> Result<(), GpuError> {
+        let source = AttributeBuffers {
+            params: &self.model.params,
+            globals: &self.model.globals,
+            gathered: self.measured.gathered.as_ref(),
+            indirect_basis: Some(&self.light.light.indirect_basis),
+        };
+        self.raster.attributes(recorder, step.channels, &source)?;
+        self.raster.blend(recorder, step.channels, true)?;
+        let (Some(gbuffer), Some(by_gbuffer)) = (&self.raster.gbuffer, &self.by_gbuffer) else {
+            return Err(GpuError::Internal("a pass without G-buffer".to_owned()));
+        };
+        let weights = &step.weights;
+        let shading = ShadingUniform::new(&self.options, step.background);
+        let full = match step.channels {
+            Channels::Full(n_visibility) => Some(ShadeJob {
+                view,
+                shading: &shading,
+                n_visibility,
+                light: &self.light.light,
+                constants: &self.constants,
+            }),
+            _ => None,
+        };
+        recorder.stage("shade");
+        match &full {
+            Some(job) => shade(recorder, job, gbuffer, &canvas.images)?,
+            None => radiance_image(recorder, view, step.background, gbuffer, &canvas.images.radiance),
+        }
+        recorder.stage("losses");
+        let term = |image, weights: &ImageWeights, slot| ImageTerm {
+            view,
+            image,
+            photo: step.photo,
+            slot,
+            l1: weights.l1,
+            ssim: weights.ssim,
+            partials: &canvas.partials,
+        };
+        if full.is_some() {
+            let physical = term(&canvas.images.physical, &weights.physical, LossSlot::PhysicalL1);
+            physical.record(recorder, &canvas.by_images.physical, &self.losses);
+        }
+        let radiance = term(&canvas.images.radiance, &weights.radiance, LossSlot::RadianceL1);
+        radiance.record(recorder, &canvas.by_images.radiance, &self.losses);
+        let buffers = [gbuffer, step.photo, &canvas.by_buffers];
+        surface_terms(recorder, view, step.channels, &weights.surface, buffers, &self.losses);
+        recorder.stage("shade backward");
+        match &full {
+            Some(job) => shade_backward(
+                recorder,
+                job,
+                &ShadeGradients {
+                    gbuffer,
+                    by_images: &canvas.by_images,
+                    by_buffers: &canvas.by_buffers,
+                    by_gbuffer,
+                    by_tables: &self.light.tables_gradient,
+                    all_channels: matches!(step.differentiated, Channels::Full(_)),
+                },
+            )?,
+            None => radiance_image_backward(
+                recorder,
+                view,
+                step.background,
+                &canvas.by_images.radiance,
+                &canvas.by_buffers,
+                by_gbuffer,
+                step.channels,
+            ),
+        }
+        Ok(())
+    }
+
+    /// From the splats' gradients to new parameters.
+    fn update(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        step: &Step<'_>,
+        view: &ViewUniform,
+        groups: usize,
+        is_full: bool,
+    ) -> Result<(), GpuError> {
+        let terms = step.weights.parameters;
+        if terms.view_labels != 0.0 {
+            self.raster.backward_labels(recorder)?;
+        }
+        let (Some(splats), Some(gradients)) = (&self.raster.splats, &self.raster.splat_gradients) else {
+            return Err(GpuError::Internal("a way back without splats".to_owned()));
+        };
+        let learned = is_full && self.options.indirect == IndirectForm::Learned;
+        let basis = (&self.light.light.indirect_basis, &self.light.basis_gradient);
+        let sums = Sums {
+            globals_gradient: &self.globals_gradient,
+            losses: &self.losses,
+            density: &self.density,
+            status: &self.status,
+        };
+        let input = StepInput {
+            model: &self.model,
+            upstream: Upstream {
+                view,
+                splats,
+                gradients,
+                groups,
+                indirect_basis: learned.then_some(basis),
+                probe_labels: self.measured.labels.as_ref(),
+                view_labels: self.raster.labels.as_ref().filter(|_| terms.view_labels != 0.0),
+            },
+            sums,
+            terms,
+        };
+        self.updater.step(recorder, &input, &step.rates, step.ages);
+        if is_full {
+            let weights = &step.weights.light;
+            self.light.backward(recorder, &self.model, weights, learned, &self.globals_gradient);
+            self.updater.step_globals(recorder, &self.model, &sums, &step.rates, step.ages);
+        }
+        Ok(())
+    }
+
+    /// Measures visibility and gathers bounced light anew (docs/MODEL.md section 6).
+    ///
+    /// # Errors
+    /// What went wrong on the device.
+    pub fn measure(&mut self, how: &Measurement) -> Result<(), GpuError> {
+        let (gpu, layout) = (self.gpu.clone(), self.model.layout);
+        let settings = ProbeSettings::of(&self.options);
+        let directions = fibonacci_sphere(how.directions);
+        let probes = Probes::measure(&gpu, &self.model.params, &layout, settings, &directions, self.order)?;
+        let mut recorder = gpu.record();
+        if let Some(bounces) = how.bounces {
+            self.light.apply(&mut recorder, &self.model, &LightWeights::default(), &self.losses);
+            let source = GatherSource {
+                params: &self.model.params,
+                model: &layout,
+                globals: &self.model.globals,
+                tables: &self.light.light.values,
+                shape: &self.light.light.layout,
+            };
+            self.measured.gathered = Some(gather(&mut recorder, &probes, &source, bounces)?);
+        }
+        if how.replaces_field || (how.starts_field && !self.measured.ever) {
+            probes.store(&mut recorder, &self.model.params, &layout)?;
+        }
+        recorder.submit()?;
+        self.measured.labels = Some(probes.coefficients);
+        self.measured.ever = true;
+        Ok(())
+    }
+
+    /// What density control chooses from.
+    ///
+    /// # Errors
+    /// What went wrong on the device.
+    pub fn signals(&self, with_means: bool) -> Result<DensitySignals, GpuError> {
+        density::read_signals(&self.gpu, &self.model, &self.density, with_means)
+    }
+
+    /// Rebuilds the model as `plan` says, and clears the statistics. Labels and gathered light of the old Gaussians are
+    /// dropped: measure anew.
+    ///
+    /// # Errors
+    /// When the device has no memory left.
+    pub fn rebuild(&mut self, plan: &GatherPlan) -> Result<(), GpuError> {
+        let gpu = self.gpu.clone();
+        let mut recorder = gpu.record();
+        self.model = density::gather(&mut recorder, &self.model, plan)?;
+        self.density = gpu.buffer("density statistics", plan.len())?;
+        recorder.clear(&self.density);
+        recorder.submit()?;
+        self.measured = Measured { ever: self.measured.ever, ..Measured::default() };
+        Ok(())
+    }
+
+    /// Makes this the state that [`Self::restore`] returns to.
+    ///
+    /// # Errors
+    /// When the device has no memory left for a copy.
+    pub fn keep(&mut self) -> Result<(), GpuError> {
+        // The old copy goes first: three states at once may not fit.
+        self.kept = None;
+        self.kept = Some(self.copied(&self.model, &self.density, &self.measured)?);
+        Ok(())
+    }
+
+    /// Returns to the state kept last.
+    ///
+    /// # Errors
+    /// When nothing was kept, or the device has no memory left for a copy.
+    pub fn restore(&mut self) -> Result<(), GpuError> {
+        let kept = self.kept.as_ref().ok_or_else(|| GpuError::Internal("no state was kept".to_owned()))?;
+        let copy = self.copied(&kept.model, &kept.density, &kept.measured)?;
+        (self.model, self.density, self.measured) = (copy.model, copy.density, copy.measured);
+        Ok(())
+    }
+
+    fn copied(
+        &self,
+        model: &ModelBuffers,
+        density: &Buffer<[f32; 2]>,
+        measured: &Measured,
+    ) -> Result<Kept, GpuError> {
+        let mut recorder = self.gpu.record();
+        let mut copy = |buffer: &Buffer<f32>| -> Result<Buffer<f32>, GpuError> {
+            let out = self.gpu.buffer("kept state", buffer.len())?;
+            recorder.copy(buffer, 0, &out, 0, buffer.len());
+            Ok(out)
+        };
+        let model = ModelBuffers {
+            params: copy(&model.params)?,
+            first: copy(&model.first)?,
+            second: copy(&model.second)?,
+            globals: copy(&model.globals)?,
+            globals_first: copy(&model.globals_first)?,
+            globals_second: copy(&model.globals_second)?,
+            ..model.clone()
+        };
+        let density = copy(&density.cast())?.cast();
+        let measured = Measured {
+            labels: measured.labels.as_ref().map(&mut copy).transpose()?,
+            gathered: measured.gathered.as_ref().map(&mut copy).transpose()?,
+            ever: measured.ever,
+        };
+        recorder.submit()?;
+        Ok(Kept { model, density, measured })
+    }
+}
+
+/// The objective from its sums: the image slots hold means without weight, the others carry theirs.
+fn objective(sums: &[f32], weights: &StepWeights) -> f32 {
+    let at = |slot: LossSlot| sums[slot as usize];
+    let image = |w: &ImageWeights, l1: LossSlot, ssim: LossSlot| w.l1 * at(l1) + w.ssim * (1.0 - at(ssim));
+    let rest: f32 = sums[LossSlot::Coverage as usize..].iter().sum();
+    rest + image(&weights.physical, LossSlot::PhysicalL1, LossSlot::PhysicalSsim)
+        + image(&weights.radiance, LossSlot::RadianceL1, LossSlot::RadianceSsim)
+}

@@ -1,0 +1,196 @@
+//! Frames from the GPU engine.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+
+use crate::engine::channel::Channels;
+use crate::engine::cpu::{ProbeSettings, View, fibonacci_sphere, indirect_basis};
+use crate::engine::gpu::develop::{Plane, Planes, shade_gaussians};
+use crate::engine::gpu::gather::{GatherSource, gather};
+use crate::engine::gpu::light::{Constants, LightBuffers};
+use crate::engine::gpu::model::LayoutUniform;
+use crate::engine::gpu::probes::{ProbeBuffers, Probes};
+use crate::engine::gpu::shading::{ShadeJob, ShadingUniform};
+use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUniform};
+use crate::light::LightTables;
+use crate::render::renderer::{BOUNCES, PROBE_DIRECTIONS};
+use crate::render::{Frame, Output};
+use crate::scene::{Field, IndirectForm, Model};
+
+/// A light in device memory, with what the model's surfaces send back under it.
+pub(super) struct LightOnGpu {
+    buffers: LightBuffers,
+    gathered: Option<Buffer<f32>>,
+}
+
+/// Memory that frames use one after the other.
+struct Scratch {
+    raster: Raster,
+    /// Rows of the preview tier.
+    colours: Option<Buffer<[f32; 4]>>,
+    planes: Option<Planes>,
+    /// What hides what, once it was needed: it does not depend on the light.
+    probes: Option<ProbeBuffers>,
+}
+
+/// A model in device memory.
+pub(super) struct OnGpu {
+    gpu: Gpu,
+    layout: LayoutUniform,
+    params: Buffer<f32>,
+    prototypes: Buffer<f32>,
+    constants: Constants,
+    order: usize,
+    scratch: Mutex<Scratch>,
+}
+
+impl OnGpu {
+    pub(super) fn new(gpu: &Gpu, model: &Model) -> Result<Self, GpuError> {
+        let scratch = Scratch { raster: Raster::new(gpu)?, colours: None, planes: None, probes: None };
+        Ok(Self {
+            layout: LayoutUniform::new(&model.gaussians, &model.shading),
+            params: gpu.upload_gaussians(&model.gaussians)?,
+            prototypes: gpu.upload("prototypes", model.prototypes.as_flattened())?,
+            constants: Constants::upload(gpu)?,
+            order: model.gaussians.visibility_order(),
+            scratch: Mutex::new(scratch),
+            gpu: gpu.clone(),
+        })
+    }
+
+    pub(super) fn prepare_light(&self, model: &Model, tables: &LightTables) -> Result<LightOnGpu, GpuError> {
+        let basis = indirect_basis(tables);
+        let buffers = LightBuffers::upload(&self.gpu, tables, self.order, &basis)?;
+        if model.shading.indirect != IndirectForm::Gathered {
+            return Ok(LightOnGpu { buffers, gathered: None });
+        }
+        let mut scratch = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        if scratch.probes.is_none() {
+            let settings = ProbeSettings::of(&model.shading);
+            let directions = fibonacci_sphere(PROBE_DIRECTIONS);
+            let measured =
+                Probes::measure(&self.gpu, &self.params, &self.layout, settings, &directions, self.order)?;
+            scratch.probes = Some(measured);
+        }
+        let Some(probes) = &scratch.probes else { return Ok(LightOnGpu { buffers, gathered: None }) };
+        let source = GatherSource {
+            params: &self.params,
+            model: &self.layout,
+            globals: &self.prototypes,
+            tables: &buffers.values,
+            shape: &buffers.layout,
+        };
+        let mut recorder = self.gpu.record();
+        let gathered = gather(&mut recorder, probes, &source, BOUNCES)?;
+        recorder.submit()?;
+        Ok(LightOnGpu { buffers, gathered: Some(gathered) })
+    }
+
+    /// `wanted` is sorted and without repetition.
+    pub(super) fn render(
+        &self,
+        model: &Model,
+        view: &View,
+        light: &LightOnGpu,
+        is_preview: bool,
+        wanted: &[Output],
+    ) -> Result<Frame, GpuError> {
+        let view = ViewUniform::new(view);
+        let mut scratch = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        let Scratch { raster, colours, planes, .. } = &mut *scratch;
+        raster.prepare(&view, &self.layout, &self.params)?;
+        let n_visibility = model.gaussians.width(Field::Visibility);
+        let mut recorder = self.gpu.record();
+        let source = AttributeBuffers {
+            params: &self.params,
+            globals: &self.prototypes,
+            gathered: light.gathered.as_ref(),
+            indirect_basis: Some(&light.buffers.indirect_basis),
+        };
+        let full = Channels::Full(n_visibility);
+        raster.attributes(&mut recorder, full, &source)?;
+        let shading = ShadingUniform::new(&model.shading, [0.0; 3]);
+        let job = ShadeJob {
+            view: &view,
+            shading: &shading,
+            n_visibility,
+            light: &light.buffers,
+            constants: &self.constants,
+        };
+        if is_preview {
+            let colours = grown(&self.gpu, "preview colours", colours, self.layout.n as usize)?;
+            let (Some(splats), Some(rows)) = (raster.splats.clone(), raster.attributes.clone()) else {
+                return Err(GpuError::Internal("a pass without splats".to_owned()));
+            };
+            shade_gaussians(&mut recorder, &job, (&self.layout, &self.params), &splats, &rows, &colours)?;
+            raster.attributes = Some(colours);
+            raster.blend(&mut recorder, Channels::Colour, true)?;
+            raster.attributes = Some(rows);
+            recorder.submit()?;
+            return self.preview_frame(&view, raster);
+        }
+        raster.blend(&mut recorder, full, true)?;
+        let wanted_planes: Vec<Plane> = wanted.iter().map(|o| plane(*o)).collect();
+        if !planes.as_ref().is_some_and(|p| p.fits(view.pixels(), &wanted_planes)) {
+            *planes = None;
+        }
+        let planes = match planes {
+            Some(planes) => planes,
+            None => planes.insert(Planes::new(&self.gpu, view.pixels(), &wanted_planes)?),
+        };
+        let Some(gbuffer) = &raster.gbuffer else {
+            return Err(GpuError::Internal("a pass without G-buffer".to_owned()));
+        };
+        let depth_scale = (1.0 / model.world_scale) as f32;
+        recorder.stage("develop");
+        planes.develop(&mut recorder, &job, gbuffer, depth_scale)?;
+        recorder.submit()?;
+        let values = planes.read(&self.gpu)?;
+        let planes = wanted.iter().zip(values).map(|(output, (_, values))| (*output, values)).collect();
+        Ok(Frame { width: view.size[0], height: view.size[1], planes })
+    }
+
+    /// Coverage and colour of the blended group as a frame.
+    fn preview_frame(&self, view: &ViewUniform, raster: &Raster) -> Result<Frame, GpuError> {
+        let Some(gbuffer) = &raster.gbuffer else {
+            return Err(GpuError::Internal("a pass without G-buffer".to_owned()));
+        };
+        let pixels = self.gpu.read(gbuffer, 0..view.pixels())?;
+        let planes = BTreeMap::from([
+            (Output::Rgb, pixels.iter().flat_map(|p| [p[1], p[2], p[3]]).collect()),
+            (Output::Alpha, pixels.iter().map(|p| p[0]).collect()),
+        ]);
+        Ok(Frame { width: view.size[0], height: view.size[1], planes })
+    }
+}
+
+/// A buffer of at least `len` elements, the one kept if it is long enough.
+fn grown<T: bytemuck::Pod>(
+    gpu: &Gpu,
+    label: &str,
+    kept: &mut Option<Buffer<T>>,
+    len: usize,
+) -> Result<Buffer<T>, GpuError> {
+    if let Some(buffer) = kept.as_ref().filter(|b| b.len() >= len) {
+        return Ok(buffer.clone());
+    }
+    *kept = None;
+    Ok(kept.insert(gpu.buffer(label, len)?).clone())
+}
+
+/// The device's word for an output.
+fn plane(output: Output) -> Plane {
+    match output {
+        Output::Rgb => Plane::Rgb,
+        Output::Albedo => Plane::Albedo,
+        Output::Normal => Plane::Normal,
+        Output::Metallic => Plane::Metallic,
+        Output::Roughness => Plane::Roughness,
+        Output::Visibility => Plane::Visibility,
+        Output::Depth => Plane::Depth,
+        Output::Alpha => Plane::Alpha,
+        Output::Diffuse => Plane::Diffuse,
+        Output::Specular => Plane::Specular,
+        Output::Radiance => Plane::Radiance,
+    }
+}
