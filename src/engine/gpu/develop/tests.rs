@@ -165,8 +165,8 @@ fn gaussians_are_shaded_as_the_preview_tier_does() {
         .collect();
     // Every fifth reaches no tile, every seventh is not visible at all.
     let record = |i: usize| SplatRecord {
-        n_tiles: u32::from(i % 5 != 0),
-        flags: u32::from(i % 7 != 0),
+        n_tiles: u32::from(!i.is_multiple_of(5)),
+        flags: u32::from(!i.is_multiple_of(7)),
         ..SplatRecord::zeroed()
     };
     let view = camera_view((16, 16), &options);
