@@ -1,10 +1,11 @@
 // Gradients of the G-buffer and of the light tables from those of both images and of the buffers. A thread owns a pixel of
 // a 16 x 16 square: it writes BY_GROUPS groups of its G-buffer gradient (4: Material; all with VISIBILITY).
 //
-// The diffuse table takes 12 x S sums a pixel, and neighbouring pixels share their four nodes. So the square's pixels are
-// sorted by cell in workgroup memory (weights, gradient and cell a pixel: 10 KiB), then each thread owns one (tap, colour,
-// four coefficients), walks the sorted pixels, and adds to memory only where the cell changes. Visibility is read again
-// from the G-buffer, which the square has just brought into the cache: it would not fit beside the rest.
+// A pixel adds to four nodes of the diffuse table, 12 x S sums, and to four of each of two specular levels, and
+// neighbouring pixels share their nodes. So for each of the three in turn the square's pixels are sorted by cell in
+// workgroup memory (cell, weights, gradient and place a pixel: 10 KiB), then each thread owns one (tap, colour, four
+// coefficients), walks the sorted pixels, and adds to memory only where the cell changes. Visibility is read again from the
+// G-buffer, which the square has just brought into the cache: it would not fit beside the rest.
 const WG_SIZE = 256u;
 #import shading_backward
 #import pixel_surface
@@ -18,91 +19,101 @@ const WG_SIZE = 256u;
 @group(0) @binding(11) var<storage, read_write> by_tables: array<accumulator>;
 
 const NO_CELL = 0xffffffffu;
-// Sums a cell takes, in quads, and how many threads share one.
-const N_OUTPUTS = 12u * N_QUADS;
-const N_STRIPS = WG_SIZE / N_OUTPUTS;
+// A cell is its level in the upper 8 bits and its first node below; the grid of normals counts as a level.
+const DIFFUSE_LEVEL = 7u;
+const NODE_BITS = 24u;
 
-// First node of the pixel's diffuse cell, or NO_CELL when it adds nothing.
+// What a pixel adds to the diffuse table and to the two specular levels.
+struct Shares {
+    // NO_CELL where it adds nothing.
+    cell: vec3u,
+    // Bilinear weights of the cell's nodes.
+    weight: array<vec4f, 3>,
+    // Gradient by what was looked up, rgb.
+    by: array<vec3f, 3>,
+    // 1 / coverage.
+    inverse: f32,
+}
+
 var<workgroup> sh_cell: array<u32, WG_SIZE>;
 var<workgroup> sh_weight: array<vec4f, WG_SIZE>;
-// Gradient by irradiance; 1 / coverage.
+// Gradient by what was looked up; 1 / coverage.
 var<workgroup> sh_by: array<vec4f, WG_SIZE>;
 var<workgroup> sh_pixel_of_place: array<u32, WG_SIZE>;
 
+fn cell_of(level: u32, taps: Taps, by: vec3f) -> u32 {
+    return select(NO_CELL, (level << NODE_BITS) | taps.node.x, any(by != vec3f(0.0)));
+}
+
+// First float of the row of one colour of one node of a cell.
+fn row_of(cell: u32, tap: u32, colour: u32) -> u32 {
+    let level = cell >> NODE_BITS;
+    let is_diffuse = level == DIFFUSE_LEVEL;
+    let edge = select(specular_nodes(level), tables.diffuse_n, is_diffuse);
+    let node = (cell & ((1u << NODE_BITS) - 1u)) + (tap & 1u) + (tap >> 1u) * edge;
+    let row = 3u * node + colour;
+    return select(specular_start(level) + row, row * tables.coefficients, is_diffuse);
+}
+
 fn add_quad(at: u32, value: vec4f) {
-#repeat k 4
-    if value[$k] != 0.0 {
-        accumulate!(by_tables[at + $ku], value[$k]);
-    }
-#end
-}
-
-fn add_specular(level: u32, taps: Taps, by_light: vec3f) {
-#repeat k 4
-    {
-        let at = specular_start(level) + 3u * taps.node[$k];
-        let value = taps.weight[$k] * by_light;
-#repeat c 3
-        if value[$c] != 0.0 {
-            accumulate!(by_tables[at + $cu], value[$c]);
+    for (var k = 0u; k < 4u; k++) {
+        if value[k] != 0.0 {
+            accumulate!(by_tables[at + k], value[k]);
         }
-#end
     }
-#end
 }
 
-// The sums of one cell by one output of N_OUTPUTS.
-fn flush(cell: u32, output: u32, value: vec4f) {
-    let tap = output / (3u * N_QUADS);
-    let node = cell + select(0u, 1u, (tap & 1u) != 0u) + select(0u, tables.diffuse_n, tap > 1u);
-    let row = node * 3u + (output / N_QUADS) % 3u;
-    add_quad(row * tables.coefficients + 4u * (output % N_QUADS), value);
-}
-
-// What a pixel's share of the diffuse table is multiplied by: its visibility, or one number for it.
-fn shared_quad(pixel_ix: u32, quad: u32, inverse: f32) -> vec4f {
-    if is_scalar() {
-        return vec4f(select(0.0, FULLY_OPEN, quad == 0u), 0.0, 0.0, 0.0);
+// What a pixel's share is multiplied by: its visibility, or one number for it.
+fn shared_quad(part: u32, pixel_ix: u32, quad: u32, inverse: f32) -> vec4f {
+    if part > 0u || is_scalar() {
+        return vec4f(select(1.0, FULLY_OPEN, part == 0u), 0.0, 0.0, 0.0);
     }
     return pixel_visibility(pixel_ix, quad, inverse);
 }
 
-fn add_diffuse(local_ix: u32, origin: vec2u) {
-    let strip = local_ix / N_OUTPUTS;
-    if strip >= N_STRIPS {
+// Adds the sorted shares of one part: 0 diffuse, 1 and 2 specular.
+fn add_part(part: u32, local_ix: u32, origin: vec2u) {
+    let n_quads = select(N_QUADS, 1u, part > 0u || is_scalar());
+    // Threads that share one output each take a strip of the pixels.
+    let n_outputs = 12u * n_quads;
+    let n_strips = WG_SIZE / n_outputs;
+    let strip = local_ix / n_outputs;
+    if strip >= n_strips {
         return;
     }
-    let output = local_ix % N_OUTPUTS;
-    let tap = output / (3u * N_QUADS);
-    let colour = (output / N_QUADS) % 3u;
-    let quad = output % N_QUADS;
+    let output = local_ix % n_outputs;
+    let tap = output / (3u * n_quads);
+    let colour = (output / n_quads) % 3u;
+    let quad = output % n_quads;
+    let end = (strip + 1u) * WG_SIZE / n_strips;
     var cell = NO_CELL;
     var sum = vec4f(0.0);
-    for (var place = strip * WG_SIZE / N_STRIPS; place < (strip + 1u) * WG_SIZE / N_STRIPS; place++) {
-        let other_ix = sh_pixel_of_place[place];
-        if sh_cell[other_ix] != cell {
+    for (var place = strip * WG_SIZE / n_strips; place <= end; place++) {
+        // One step beyond the end adds what is left.
+        let other_ix = sh_pixel_of_place[min(place, WG_SIZE - 1u)];
+        let next = select(NO_CELL, sh_cell[other_ix], place < end);
+        if next != cell {
             if cell != NO_CELL {
-                flush(cell, output, sum);
+                add_quad(row_of(cell, tap, colour) + 4u * quad, sum);
             }
-            cell = sh_cell[other_ix];
+            cell = next;
             sum = vec4f(0.0);
-            // Pixels that add nothing come last.
-            if cell == NO_CELL {
-                break;
-            }
+        }
+        // Pixels that add nothing come last.
+        if next == NO_CELL {
+            break;
         }
         let by = sh_by[other_ix];
         let pixel = origin + vec2u(other_ix % 16u, other_ix / 16u);
-        let value = shared_quad(pixel.y * view.size.x + pixel.x, quad, by.w);
+        let value = shared_quad(part, pixel.y * view.size.x + pixel.x, quad, by.w);
         sum += (sh_weight[other_ix][tap] * by[colour]) * value;
-    }
-    if cell != NO_CELL {
-        flush(cell, output, sum);
     }
 }
 
-// Everything of one pixel but the diffuse table, for which it leaves its share in workgroup memory.
-fn pixel_backward(pixel: vec2u, local_ix: u32) {
+// Writes one pixel's G-buffer gradient; what it adds to the tables.
+fn pixel_backward(pixel: vec2u) -> Shares {
+    var shares: Shares;
+    shares.cell = vec3u(NO_CELL);
     let n = view.n_pixels;
     let pixel_ix = pixel.y * view.size.x + pixel.x;
     let coverage = gbuffer[pixel_ix].x;
@@ -129,13 +140,14 @@ fn pixel_backward(pixel: vec2u, local_ix: u32) {
         let along = dot(by.normal, s.normal) + dot(by.albedo, s.albedo) + dot(by.gathered, s.gathered)
             + dot(by.indirect, s.indirect) + by.metal * s.metal + by.rough * s.rough + by.along_visibility;
         by_coverage -= along * inverse;
-        add_specular(f.position.level, f.level_taps[0], by.level[0]);
-        add_specular(f.position.level + 1u, f.level_taps[1], by.level[1]);
-        if any(by.irradiance != vec3f(0.0)) {
-            sh_cell[local_ix] = f.diffuse_taps.node.x;
-            sh_weight[local_ix] = f.diffuse_taps.weight;
-            sh_by[local_ix] = vec4f(by.irradiance, inverse);
-        }
+        shares.cell = vec3u(
+            cell_of(DIFFUSE_LEVEL, f.diffuse_taps, by.irradiance),
+            cell_of(f.position.level, f.level_taps[0], by.level[0]),
+            cell_of(f.position.level + 1u, f.level_taps[1], by.level[1]),
+        );
+        shares.weight = array<vec4f, 3>(f.diffuse_taps.weight, f.level_taps[0].weight, f.level_taps[1].weight);
+        shares.by = array<vec3f, 3>(by.irradiance, by.level[0], by.level[1]);
+        shares.inverse = inverse;
     } else {
         by_coverage -= dot(g, shading.background.xyz);
     }
@@ -152,6 +164,7 @@ fn pixel_backward(pixel: vec2u, local_ix: u32) {
 #else
     by_gbuffer[3u * n + pixel_ix] = vec4f(by_rough, 0.0, 0.0, 0.0);
 #endif
+    return shares;
 }
 
 @compute @workgroup_size(16, 16)
@@ -160,19 +173,26 @@ fn main(
     @builtin(workgroup_id) wid: vec3u,
     @builtin(local_invocation_index) local_ix: u32,
 ) {
-    sh_cell[local_ix] = NO_CELL;
+    var shares: Shares;
+    shares.cell = vec3u(NO_CELL);
     if gid.x < view.size.x && gid.y < view.size.y {
-        pixel_backward(gid.xy, local_ix);
+        shares = pixel_backward(gid.xy);
     }
-    workgroupBarrier();
-    // Place of this pixel in the order of cells, ties by index: a count, since 256 keys are few.
-    let cell = sh_cell[local_ix];
-    var place = 0u;
-    for (var other_ix = 0u; other_ix < WG_SIZE; other_ix++) {
-        let other = sh_cell[other_ix];
-        place += select(0u, 1u, other < cell || (other == cell && other_ix < local_ix));
+    for (var part = 0u; part < 3u; part++) {
+        let cell = shares.cell[part];
+        sh_cell[local_ix] = cell;
+        sh_weight[local_ix] = shares.weight[part];
+        sh_by[local_ix] = vec4f(shares.by[part], shares.inverse);
+        workgroupBarrier();
+        // Place of this pixel in the order of cells, ties by index: a count, since 256 keys are few.
+        var place = 0u;
+        for (var other_ix = 0u; other_ix < WG_SIZE; other_ix++) {
+            let other = sh_cell[other_ix];
+            place += select(0u, 1u, other < cell || (other == cell && other_ix < local_ix));
+        }
+        sh_pixel_of_place[place] = local_ix;
+        workgroupBarrier();
+        add_part(part, local_ix, 16u * wid.xy);
+        workgroupBarrier();
     }
-    sh_pixel_of_place[place] = local_ix;
-    workgroupBarrier();
-    add_diffuse(local_ix, 16u * wid.xy);
 }

@@ -63,6 +63,15 @@ struct Shaded {
     lut: LutSample,
 }
 
+// Degree of the visibility field: known to the compiler where unrolled loops over it stay small.
+fn order() -> u32 {
+#ifdef ORDER
+    return ORDER;
+#else
+    return sh_order_of(tables.n_coefficients);
+#endif
+}
+
 fn is_open() -> bool {
     return shading.visibility_form == VISIBILITY_OFF;
 }
@@ -127,9 +136,9 @@ fn level_light(level: u32, taps: Taps) -> vec3f {
 // `sum_l factors[l] <c, Y>_l` along `d`.
 fn field_along(s: ptr<function, Surface>, d: vec3f, factors: ptr<function, array<f32, 7>>) -> f32 {
     var y: array<f32, 49>;
-    sh_basis(ORDER, d, &y);
+    sh_basis(order(), d, &y);
     var sum = 0.0;
-    for (var l = 0u; l <= ORDER; l++) {
+    for (var l = 0u; l <= order(); l++) {
         var band = 0.0;
         for (var j = l * l; j < (l + 1u) * (l + 1u); j++) {
             band += y[j] * (*s).visibility[j / 4u][j % 4u];
@@ -165,7 +174,7 @@ fn attenuation(cell: LobeCell, l: u32) -> vec2f {
 fn visible_raw(s: ptr<function, Surface>, reflection: vec3f) -> f32 {
     let cell = lobe_cell((*s).rough);
     var factors: array<f32, 7>;
-    for (var l = 0u; l <= ORDER; l++) {
+    for (var l = 0u; l <= order(); l++) {
         factors[l] = attenuation(cell, l).x;
     }
     return field_along(s, reflection, &factors);

@@ -12,6 +12,9 @@ struct SurfaceGradient {
     irradiance: vec3f,
     // By the light of the two specular levels, for the specular tables.
     level: array<vec3f, 2>,
+    // By ambient occlusion and by visibility through the lobe, before the squash.
+    ambient_raw: f32,
+    visible_raw: f32,
     // Gradient by visibility times visibility, summed.
     along_visibility: f32,
 #ifdef VISIBILITY
@@ -19,29 +22,56 @@ struct SurfaceGradient {
 #endif
 }
 
-// Adds the gradient by a visibility field along `d`: `factors[l]` times SH to the coefficients, and returns that by `d`.
+// Adds the gradient through a sum over the visibility field along `d`, whose degree l counts `factors[l].x` and changes by
+// `factors[l].y` with roughness; returns the gradient by `d`.
 fn field_backward(
     s: ptr<function, Surface>,
     d: vec3f,
-    factors: ptr<function, array<f32, 7>>,
+    factors: ptr<function, array<vec2f, 7>>,
     out: ptr<function, SurfaceGradient>,
 ) -> vec3f {
     var y: array<f32, 49>;
     var dy: array<vec3f, 49>;
-    sh_basis_with_gradient(ORDER, d, &y, &dy);
+    sh_basis_with_gradient(order(), d, &y, &dy);
     var by_d = vec3f(0.0);
-    for (var l = 0u; l <= ORDER; l++) {
+    for (var l = 0u; l <= order(); l++) {
         let factor = (*factors)[l];
         for (var j = l * l; j < (l + 1u) * (l + 1u); j++) {
             let c = (*s).visibility[j / 4u][j % 4u];
-            by_d += (factor * c) * dy[j];
-            (*out).along_visibility += factor * y[j] * c;
+            by_d += (factor.x * c) * dy[j];
+            (*out).along_visibility += factor.x * y[j] * c;
+            (*out).rough += factor.y * y[j] * c;
 #ifdef VISIBILITY
-            (*out).visibility[j / 4u][j % 4u] += factor * y[j];
+            (*out).visibility[j / 4u][j % 4u] += factor.x * y[j];
 #endif
         }
     }
     return by_d;
+}
+
+// Gradients by the normal and by the reflection through ambient occlusion and specular visibility, given those by the two
+// before they are squashed. One loop, so that the large body is compiled once.
+fn visibility_backward(
+    s: ptr<function, Surface>,
+    f: ptr<function, Shaded>,
+    by_raw: vec2f,
+    out: ptr<function, SurfaceGradient>,
+) -> array<vec3f, 2> {
+    var nrsh = NRSH_FACTORS;
+    let cell = lobe_cell((*s).rough);
+    var by = array<vec3f, 2>(vec3f(0.0), vec3f(0.0));
+    for (var which = 0u; which < 2u; which++) {
+        let slope = by_raw[which];
+        if slope == 0.0 {
+            continue;
+        }
+        var factors: array<vec2f, 7>;
+        for (var l = 0u; l <= order(); l++) {
+            factors[l] = slope * select(attenuation(cell, l), vec2f(nrsh[l], 0.0), which == 0u);
+        }
+        by[which] = field_backward(s, select((*f).reflection, (*f).normal, which == 0u), &factors, out);
+    }
+    return by;
 }
 
 #ifdef VISIBILITY
@@ -88,16 +118,7 @@ fn diffuse_backward(
         }
     }
 #end
-    if scalar && !is_open() {
-        let slope = by_ambient * squash_slope((*f).ambient_raw, (*f).ambient);
-        if slope != 0.0 {
-            var factors = NRSH_FACTORS;
-            for (var l = 0u; l <= ORDER; l++) {
-                factors[l] *= slope;
-            }
-            by_normal += field_backward(s, (*f).normal, &factors, out);
-        }
-    }
+    (*out).ambient_raw = select(0.0, by_ambient * squash_slope((*f).ambient_raw, (*f).ambient), scalar && !is_open());
     return by_normal;
 }
 
@@ -135,19 +156,7 @@ fn specular_backward(
     }
 #end
 #end
-    let slope = by_visible * squash_slope((*f).visible_raw, visible);
-    if slope != 0.0 {
-        let cell = lobe_cell((*s).rough);
-        var factors: array<f32, 7>;
-        var slopes: array<f32, 7>;
-        for (var l = 0u; l <= ORDER; l++) {
-            let h = attenuation(cell, l);
-            factors[l] = slope * h.x;
-            slopes[l] = slope * h.y;
-        }
-        by_reflection += field_backward(s, (*f).reflection, &factors, out);
-        (*out).rough += field_along(s, (*f).reflection, &slopes);
-    }
+    (*out).visible_raw = by_visible * squash_slope((*f).visible_raw, visible);
     return vec4f(by_nov, by_reflection);
 }
 
@@ -155,8 +164,10 @@ fn shade_backward(s: ptr<function, Surface>, f: ptr<function, Shaded>, g: vec3f)
     var out: SurfaceGradient;
     var by_normal = diffuse_backward(s, f, g, &out);
     let by = specular_backward(s, f, g, &out);
+    let by_field = visibility_backward(s, f, vec2f(out.ambient_raw, out.visible_raw), &out);
+    by_normal += by_field[0];
     // R = normalize(2 nov n - v), nov = n . v.
-    let by_bent = normalised3_backward((*f).reflection, (*f).reflection_length, by.yzw);
+    let by_bent = normalised3_backward((*f).reflection, (*f).reflection_length, by.yzw + by_field[1]);
     let by_nov = by.x + 2.0 * dot(by_bent, (*f).normal);
     by_normal += 2.0 * (*f).nov * by_bent + select(0.0, by_nov, (*f).nov_inside) * (*s).view;
     let sign = select(1.0, -1.0, (*f).flipped);

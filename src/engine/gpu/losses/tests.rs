@@ -116,7 +116,6 @@ fn image_terms_and_gradients_are_those_of_the_formula() {
             }
         }
         let seen = error(&analytic, &numeric);
-        println!("{w}x{h}: {seen:e}");
         assert!(seen < 1e-4, "{w}x{h}: {seen}");
         analytic[0] += 1e-3 * numeric.iter().fold(0.0f32, |m, v| m.max(v.abs()));
         assert!(error(&analytic, &numeric) > 1e-4, "the control");
@@ -325,7 +324,6 @@ fn terms_on_the_buffers_and_their_gradients_are_those_of_the_formulas() {
         }
         for c in (0..13).filter(|c| !numeric[*c].is_empty() && numeric[*c].iter().any(|v| v.abs() > 1e-9)) {
             let seen = error(&analytic[c], &numeric[c]);
-            println!("{channels:?} channel {c}: {seen:e}");
             assert!(seen < 1e-4, "{channels:?} channel {c}: {seen}");
         }
         assert!(channels != Channels::Colour || analytic[4].iter().all(|v| *v == 0.0));

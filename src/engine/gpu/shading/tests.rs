@@ -267,7 +267,6 @@ fn every_form_shades_as_the_cpu_engine_does() {
         let case = Case::new(&gpu, seed as u64, (37, 21), 4, options);
         for all in [false, true] {
             let [physical, radiance, by_gbuffer, by_tables] = errors(&case, all);
-            println!("{options:?} {all} {physical:e} {radiance:e} {by_gbuffer:e} {by_tables:e}");
             assert!(physical < 2e-5 && radiance < 1e-6, "{options:?}: {physical} {radiance}");
             assert!(by_gbuffer < 1e-4 && by_tables < 1e-4, "{options:?} {all}: {by_gbuffer} {by_tables}");
         }
@@ -281,13 +280,22 @@ fn every_order_and_image_size_shades_as_the_cpu_engine_does() {
         [(0, (1, 1)), (1, (16, 16)), (2, (17, 3)), (3, (33, 16)), (5, (9, 31)), (6, (20, 20))]
     {
         let case = Case::new(&gpu, 40 + order as u64, size, order, ShadingOptions::default());
-        for all in [false, true] {
+        // The largest kernels take a software device seconds to compile: one of the two directions each.
+        for all in [false, true].into_iter().filter(|all| order < 5 || *all == (order == 6)) {
             let errors = errors(&case, all);
-            println!("{order} {size:?} {errors:?}");
             assert!(errors[0] < 2e-5 && errors[1] < 1e-6, "{order} {size:?}: {errors:?}");
             assert!(errors[2] < 1e-4 && errors[3] < 1e-4, "{order} {size:?} {all}: {errors:?}");
         }
     }
+}
+
+#[test]
+fn a_device_without_float_atomics_sums_the_same_tables() {
+    let options = crate::engine::gpu::GpuOptions { compare_exchange: true, garbage: true, checks: true };
+    let Some(gpu) = Gpu::with_options(options) else { return };
+    let case = Case::new(&gpu, 21, (20, 18), 1, ShadingOptions::default());
+    let errors = errors(&case, false);
+    assert!(errors[2] < 1e-4 && errors[3] < 1e-4, "{errors:?}");
 }
 
 #[test]
