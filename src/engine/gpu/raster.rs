@@ -11,7 +11,7 @@ use crate::engine::gpu::scan::{Scan, grow};
 use crate::engine::gpu::shaders::Shader;
 use crate::engine::gpu::sort::Sorter;
 use crate::engine::gpu::{
-    Buffer, Gpu, GpuError, Groups, Recorder, SplatRecord, ViewUniform, shaders, uniform,
+    Buffer, Gpu, GpuError, Groups, Recorder, SplatRecord, TILE, ViewUniform, shaders, uniform,
 };
 
 mod backward;
@@ -65,6 +65,14 @@ pub(super) struct Prepared {
     /// The splats of each tile, tile by tile, nearest first.
     pub(super) gaussian_of_slot: Buffer<u32>,
     pub(super) first_slot: Buffer<u32>,
+    pub(super) counts: RasterCounts,
+}
+
+impl Prepared {
+    /// (splat, pixel) pairs of all tiles.
+    pub(super) fn pairs(&self) -> u64 {
+        self.counts.instances as u64 * u64::from(TILE * TILE)
+    }
 }
 
 /// Buffers of the rasteriser. The public ones are `None` before the step that fills them.
@@ -160,7 +168,8 @@ impl Raster {
         rec.submit()?;
         let (gaussian_of_slot, first_slot) = lists;
         let (view, model) = (*view, *model);
-        self.prepared = Some(Prepared { view, model, gaussian_of_rank, gaussian_of_slot, first_slot });
+        self.prepared =
+            Some(Prepared { view, model, gaussian_of_rank, gaussian_of_slot, first_slot, counts });
         Ok(counts)
     }
 
@@ -202,6 +211,10 @@ impl Raster {
             (&ends).into(),
         ];
         rec.dispatch(shader, Groups::Grid(p.view.tiles[0], p.view.tiles[1]), &bindings);
+        // Footprints and rows once a tile, sums once a pixel; an exponent and 4 groups of multiply-adds a pair.
+        let row = 64 + 16 * groups as u64;
+        let bytes = p.counts.instances as u64 * row + p.view.pixels() as u64 * (16 * groups as u64 + 8);
+        rec.work(bytes, p.pairs() * (14 + 8 * groups as u64));
         self.blended_groups = groups;
         Ok(())
     }

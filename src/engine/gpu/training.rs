@@ -24,6 +24,9 @@ use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, Record
 use crate::light::EnvOperators;
 use crate::scene::{Gaussians, IndirectForm, Model, ShadingOptions};
 
+/// Slot of the sums that carries the status of the update instead.
+const STATUS_SLOT: usize = LOSS_SLOTS - 1;
+
 /// Weights of one branch's image term (Eq. 30).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ImageWeights {
@@ -261,9 +264,11 @@ impl Training {
         self.picture(&mut recorder, step, &view, &canvas)?;
         self.raster.blend_backward(&mut recorder, &by_gbuffer, groups)?;
         self.update(&mut recorder, step, &view, groups, is_full)?;
+        // The status rides in the last slot, which no term has: one read is one round trip less.
+        recorder.copy(&self.status.cast(), 0, &self.losses, STATUS_SLOT, 1);
         recorder.submit()?;
         let sums = gpu.read(&self.losses, 0..LOSS_SLOTS)?;
-        let poisoned = gpu.read(&self.status, 0..1)?[0] != 0;
+        let poisoned = sums[STATUS_SLOT].to_bits() != 0;
         let loss = objective(&sums, &step.weights);
         let leading = if is_full { LossSlot::PhysicalSquared } else { LossSlot::RadianceSquared };
         Ok(StepSums { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned })
@@ -335,6 +340,12 @@ impl Training {
         let buffers = [gbuffer, step.photo, &canvas.by_buffers];
         surface_terms(recorder, view, step.channels, &weights.surface, buffers, &self.losses);
         recorder.stage("shade backward");
+        let (seen, carried) = (groups(step.channels) as u64, groups(step.differentiated) as u64);
+        // The G-buffer read, its gradient written, images and buffer gradients read; four taps of a table a coefficient.
+        recorder.work(
+            view.pixels() as u64 * 16 * (seen + carried + 4),
+            view.pixels() as u64 * (600 + 4 * 3 * 4 * 4 * seen.saturating_sub(5)),
+        );
         match &full {
             Some(job) => shade_backward(
                 recorder,
@@ -520,7 +531,7 @@ impl Training {
 fn objective(sums: &[f32], weights: &StepWeights) -> f32 {
     let at = |slot: LossSlot| sums[slot as usize];
     let image = |w: &ImageWeights, l1: LossSlot, ssim: LossSlot| w.l1 * at(l1) + w.ssim * (1.0 - at(ssim));
-    let rest: f32 = sums[LossSlot::Coverage as usize..].iter().sum();
+    let rest: f32 = sums[LossSlot::Coverage as usize..STATUS_SLOT].iter().sum();
     rest + image(&weights.physical, LossSlot::PhysicalL1, LossSlot::PhysicalSsim)
         + image(&weights.radiance, LossSlot::RadianceL1, LossSlot::RadianceSsim)
 }

@@ -173,6 +173,9 @@ impl Updater {
         let uniforms = self.uniforms(recorder, input, rate_table(rates, ages));
         let model = input.model;
         self.dispatch(recorder, &shaders::UPDATE, &uniforms, input, &[&model.first, &model.second]);
+        // Parameters and both moments read and written, the gradient row read; about 20 operations an element.
+        let (floats, row) = (model.layout.floats() as u64, 8 + 4 * input.upstream.groups as u64);
+        recorder.work(24 * floats + model.len() as u64 * (64 + 4 * row), 20 * floats);
     }
 
     /// The gradient of every parameter instead of a step, into `out`, laid out as the parameters.

@@ -41,6 +41,11 @@ impl Raster {
             (&gradients).into(),
         ];
         rec.dispatch(shader, Groups::Grid(p.view.tiles[0], p.view.tiles[1]), &bindings);
+        // As forward, with the gradient rows read and written; the channels once for the slope of alpha, once for theirs.
+        let (row, sums) = (64 + 16 * groups as u64, 2 * 4 * (GRADIENT_HEADER + 4 * groups) as u64);
+        let bytes =
+            p.counts.instances as u64 * (row + sums) + p.view.pixels() as u64 * (16 * groups as u64 + 8);
+        rec.work(bytes, p.pairs() * (40 + 16 * groups as u64));
         Ok(())
     }
 
