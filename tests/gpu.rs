@@ -10,7 +10,7 @@ use relume::engine::gpu::{Adapters, DeviceChoice, Gpu, GpuError, GpuOptions};
 use relume::eval::{EvalOptions, Report, evaluate};
 use relume::render::{Output, Renderer, Tier};
 use relume::scene::{EnvMap, Field, Model};
-use relume::train::{LabelSource, Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
+use relume::train::{LabelSource, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
 
 /// The first adapter that can be used, software or not, with garbage in fresh buffers.
 pub fn device() -> Option<&'static Device> {
@@ -148,8 +148,10 @@ fn a_light_of_one_renderer_is_refused_by_another_and_bad_cameras_are_refused_ali
 #[test]
 fn the_first_steps_of_a_training_are_those_of_the_cpu_engine() {
     let Some(device) = device() else { return };
+    let weights = Some(LossWeights { smoothness: 0.0, ..LossWeights::default() });
     let forms = [
         overrides(),
+        TrainOverrides { warm_up: Some(0.0), weights, ..overrides() },
         TrainOverrides { warm_up: Some(0.0), labels: Some(LabelSource::Both), ..overrides() },
         TrainOverrides {
             warm_up: Some(0.0),
@@ -157,7 +159,13 @@ fn the_first_steps_of_a_training_are_those_of_the_cpu_engine() {
             bounces: Some(0),
             ..overrides()
         },
-        TrainOverrides { warm_up: Some(0.0), visibility_order: Some(2), prototypes: Some(3), ..overrides() },
+        TrainOverrides {
+            warm_up: Some(0.0),
+            visibility_order: Some(2),
+            prototypes: Some(3),
+            weights,
+            ..overrides()
+        },
     ];
     for form in &forms {
         let (mut on_cpu, mut on_gpu) = (trainer(form, &Device::Cpu), trainer(form, device));
@@ -171,6 +179,10 @@ fn the_first_steps_of_a_training_are_those_of_the_cpu_engine() {
                 a.loss,
                 b.loss
             );
+        }
+        if form.weights.is_none() {
+            // Smoothness goes by the sign of differences that are rounding at first.
+            continue;
         }
         let (a, b) = (on_cpu.model().unwrap(), on_gpu.model().unwrap());
         let means = |m: &Model| m.gaussians.field(Field::Mean).to_vec();
@@ -203,7 +215,7 @@ fn the_trained_result_is_that_of_the_cpu_engine() {
     let (a, b) = (report(on_cpu.model().unwrap()), report(on_gpu.model().unwrap()));
     let psnr = |r: &Report| [r.novel_view.psnr.unwrap(), r.relit.mean.psnr.unwrap()];
     for (a, b) in psnr(&a).into_iter().zip(psnr(&b)) {
-        assert!((a - b).abs() < 0.25, "{a} {b}");
+        assert!((a - b).abs() < 0.1, "{a} {b}");
     }
     let untrained = report(trainer(&long, device).model().unwrap());
     assert!(psnr(&untrained)[0] < psnr(&b)[0] - 3.0, "the control: training is what makes them alike");

@@ -9,7 +9,7 @@ use crate::engine::gpu::density::{self, DensitySignals, GatherPlan};
 use crate::engine::gpu::gather::{GatherSource, gather};
 use crate::engine::gpu::light::{Constants, LightWeights, TrainingLight};
 use crate::engine::gpu::losses::{ImageTerm, LOSS_SLOTS, LossSlot, SurfaceWeights, surface_terms};
-use crate::engine::gpu::model::{ModelBuffers, planar};
+use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::probes::Probes;
 use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::scan::grow;
@@ -22,7 +22,11 @@ use crate::engine::gpu::update::{
 };
 use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, Recorder, ViewUniform};
 use crate::light::EnvOperators;
-use crate::scene::{Gaussians, IndirectForm, Model, ShadingOptions};
+use crate::scene::{IndirectForm, ShadingOptions};
+
+mod state;
+
+pub use state::HostState;
 
 /// Slot of the sums that carries the status of the update instead.
 const STATUS_SLOT: usize = LOSS_SLOTS - 1;
@@ -148,48 +152,6 @@ pub struct Training {
     globals_gradient: Buffer<f32>,
     status: Buffer<u32>,
     kept: Option<Kept>,
-}
-
-/// A training's state on the host, to be taken over.
-#[derive(Debug, Clone, Copy)]
-pub struct HostState<'a> {
-    /// The model.
-    pub model: &'a Model,
-    /// First and second moments of the Gaussians.
-    pub moments: [&'a Gaussians; 2],
-    /// First and second moments of prototypes, then environment.
-    pub globals: [&'a [[f32; 3]]; 2],
-    /// Sum of screen gradients and steps on screen, by Gaussian.
-    pub density: [&'a [f32]; 2],
-    /// Probe labels; empty if nothing was measured.
-    pub labels: &'a [f32],
-    /// Gathered light; empty if nothing was gathered.
-    pub gathered: &'a [[f32; 6]],
-}
-
-impl HostState<'_> {
-    /// The same state in device memory.
-    fn upload(&self, gpu: &Gpu) -> Result<(ModelBuffers, Buffer<[f32; 2]>, Measured), GpuError> {
-        let model = ModelBuffers::upload(gpu, self.model)?;
-        for (buffer, moments) in [&model.first, &model.second].into_iter().zip(self.moments) {
-            gpu.write(buffer, 0, &planar(moments));
-        }
-        for (buffer, moments) in [&model.globals_first, &model.globals_second].into_iter().zip(self.globals) {
-            gpu.write(buffer, 0, moments.as_flattened());
-        }
-        let pairs: Vec<[f32; 2]> =
-            self.density[0].iter().zip(self.density[1]).map(|(sum, seen)| [*sum, *seen]).collect();
-        let density = gpu.upload("density statistics", &pairs)?;
-        let some = |data: &[f32], label: &str| {
-            if data.is_empty() { Ok(None) } else { gpu.upload(label, data).map(Some) }
-        };
-        let measured = Measured {
-            labels: some(self.labels, "probe labels")?,
-            gathered: some(self.gathered.as_flattened(), "gathered light")?,
-            ever: !self.labels.is_empty(),
-        };
-        Ok((model, density, measured))
-    }
 }
 
 /// How visibility and bounced light are measured.
