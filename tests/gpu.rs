@@ -137,7 +137,7 @@ fn a_light_of_one_renderer_is_refused_by_another_and_bad_cameras_are_refused_ali
     let (cpu, gpu) = (Renderer::new(model()), Renderer::on(model(), device).unwrap());
     let light = EnvMap::constant(8, 4, [1.0; 3]);
     let (on_cpu, on_gpu) = (cpu.prepare_light(&light).unwrap(), gpu.prepare_light(&light).unwrap());
-    let camera = capture().test[0].camera.clone();
+    let camera = capture().test[0].camera;
     assert!(gpu.render(&camera, &on_cpu, Tier::Standard, &[Output::Rgb]).is_err());
     let bad = relume::scene::Camera { fx: f64::NAN, ..camera };
     let refusal =

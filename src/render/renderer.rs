@@ -57,7 +57,7 @@ pub enum RenderError {
 pub struct PreparedLight(Prepared);
 
 enum Prepared {
-    Cpu(CpuLight),
+    Cpu(Box<CpuLight>),
     Gpu(LightOnGpu),
 }
 
@@ -122,7 +122,7 @@ impl Renderer {
     pub fn prepare_light(&self, environment: &EnvMap) -> Result<PreparedLight, GpuError> {
         let tables = rendering_tables(environment, self.model.gaussians.visibility_order());
         Ok(PreparedLight(match &self.engine {
-            Engine::Cpu(transport) => Prepared::Cpu(self.light_on_cpu(transport, tables)),
+            Engine::Cpu(transport) => Prepared::Cpu(Box::new(self.light_on_cpu(transport, tables))),
             Engine::Gpu(engine) => Prepared::Gpu(engine.prepare_light(&self.model, &tables)?),
         }))
     }

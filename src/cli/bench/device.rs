@@ -158,7 +158,7 @@ fn framed(camera: &Camera, width: u32, height: u32) -> Camera {
         fy: focal,
         cx: 0.5 * f64::from(width),
         cy: 0.5 * f64::from(height),
-        ..camera.clone()
+        ..*camera
     }
 }
 
