@@ -1,0 +1,220 @@
+//! `relume bench matrix`: trains each capture once per variant of the settings and writes one table.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use serde::Deserialize;
+use serde_json::{Map, Value, json};
+
+use crate::capture::{Capture, ImportOptions, import};
+use crate::cli::args::named;
+use crate::cli::{CommandResult, output};
+use crate::engine::{Device, RowLayout, gpu::DeviceChoice};
+use crate::eval::{EvalOptions, Report, evaluate};
+use crate::train::{Preset, TrainConfig, TrainOverrides, Trainer};
+
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+/// Options of `relume bench matrix`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Captures with held-out views and, for the relit columns, relit truth.
+    #[arg(required = true)]
+    captures: Vec<PathBuf>,
+    /// `ablation` (the article's rows and ours), `orders` (visibility orders 0 to 6), or a JSON file:
+    /// `[{"name": "...", "overrides": {...}}, ...]`.
+    #[arg(long, default_value = "ablation")]
+    variants: String,
+    /// Only these variants, by name, with commas.
+    #[arg(long, value_delimiter = ',')]
+    only: Vec<String>,
+    /// `draft`, `standard` or `high`.
+    #[arg(long, default_value = "draft", value_parser = named::<Preset>)]
+    preset: Preset,
+    /// Longest image side, pixels, in training and comparison.
+    #[arg(long, default_value_t = 128, value_parser = clap::value_parser!(u32).range(16..=8192))]
+    resolution: u32,
+    /// Optimisation steps; the preset's when absent.
+    #[arg(long)]
+    iterations: Option<u32>,
+    /// Held-out views to compare.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    views: u32,
+    /// Seed of every random choice.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`.
+    #[arg(long, default_value_t)]
+    device: DeviceChoice,
+    /// The Markdown file to write, row by row; printed in any case.
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+/// One variant of the settings.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Variant {
+    name: String,
+    overrides: Map<String, Value>,
+}
+
+pub(super) fn run(args: &Args) -> CommandResult {
+    let device = Device::open(args.device)?;
+    let variants = variants(args)?;
+    let mut text = format!(
+        "Device: {}; preset `{}`, {} px, {} held-out views, seed {}.\n\n{HEAD}",
+        device.name(),
+        serde_json::to_value(args.preset)?.as_str().unwrap_or_default(),
+        args.resolution,
+        args.views,
+        args.seed
+    );
+    println!("{text}");
+    for path in &args.captures {
+        let options = ImportOptions { max_side: Some(args.resolution), ..ImportOptions::default() };
+        let capture = import(path, &options)?;
+        for variant in &variants {
+            let row = row(args, &device, path, &capture, variant)?;
+            println!("{row}");
+            writeln!(text, "{row}")?;
+            // A long sweep that is cut short keeps what it has found.
+            if let Some(out) = &args.out {
+                output::write_whole(out, text.as_bytes())?;
+            }
+        }
+    }
+    Ok(())
+}
+
+const HEAD: &str = "| capture | variant | novel, dB | radiance, dB | relit, dB | relit aligned, dB | albedo aligned, dB | \
+normals, deg | AO MAE | roughness MAE | floats a Gaussian | s |\n|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
+
+/// Trains one variant and measures it.
+fn row(
+    args: &Args,
+    device: &Device,
+    path: &Path,
+    capture: &Capture,
+    variant: &Variant,
+) -> Result<String, Failure> {
+    let mut fields = variant.overrides.clone();
+    fields.insert("resolution".to_owned(), args.resolution.into());
+    fields.insert("seed".to_owned(), args.seed.into());
+    if let Some(iterations) = args.iterations {
+        fields.insert("iterations".to_owned(), iterations.into());
+    }
+    let overrides: TrainOverrides = serde_path_to_error::deserialize(Value::Object(fields))
+        .map_err(|e| format!("variant {}: {}: {}", variant.name, e.path(), e.inner()))?;
+    let config = TrainConfig::new(args.preset, &overrides)?;
+    let start = Instant::now();
+    let mut trainer = Trainer::new(capture, config, device)?;
+    while !trainer.is_done() {
+        trainer.step()?;
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    let model = Arc::new(trainer.model()?);
+    let floats = RowLayout::new(&model.gaussians).row;
+    let options = EvalOptions {
+        views: Some(args.views as usize),
+        frame_rate_time: Duration::ZERO,
+        device,
+        ..EvalOptions::default()
+    };
+    let report = evaluate(model, capture, &options)?;
+    let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into());
+    Ok(cells(&name, &variant.name, &report, floats, seconds))
+}
+
+fn cells(capture: &str, variant: &str, r: &Report, floats: usize, seconds: f64) -> String {
+    let cell = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+    [
+        capture.to_owned(),
+        variant.to_owned(),
+        cell(r.novel_view.psnr, 2),
+        cell(r.novel_view_radiance.psnr, 2),
+        cell(r.relit.mean.psnr, 2),
+        cell(r.relit_aligned.mean.psnr, 2),
+        cell(r.albedo.psnr_aligned, 2),
+        cell(r.normal_mae_deg.foreground, 1),
+        cell(r.ao_mae, 3),
+        cell(r.roughness_mae, 3),
+        floats.to_string(),
+        format!("{seconds:.0}"),
+    ]
+    .iter()
+    .fold("|".to_owned(), |row, cell| format!("{row} {cell} |"))
+}
+
+fn variants(args: &Args) -> Result<Vec<Variant>, Failure> {
+    let mut all = match args.variants.as_str() {
+        "ablation" => ablation(),
+        "orders" => orders(),
+        file => {
+            let text = std::fs::read_to_string(file).map_err(|e| format!("--variants {file}: {e}"))?;
+            serde_json::from_str(&text).map_err(|e| format!("--variants {file}: {e}"))?
+        }
+    };
+    if let Some(unknown) = args.only.iter().find(|name| all.iter().all(|v| v.name != **name)) {
+        return Err(format!("--only {unknown}: there is no such variant").into());
+    }
+    all.retain(|v| args.only.is_empty() || args.only.contains(&v.name));
+    Ok(all)
+}
+
+fn variant(name: &str, overrides: Value) -> Variant {
+    let overrides = match overrides {
+        Value::Object(fields) => fields,
+        _ => Map::new(),
+    };
+    Variant { name: name.to_owned(), overrides }
+}
+
+/// The article's ablation in kind, from nothing to everything, then what this engine adds, one thing a row.
+fn ablation() -> Vec<Variant> {
+    let ao = json!({"visibility": "linear", "diffuse": "ambient_occlusion", "indirect": "learned"});
+    let listing = json!({"visibility": "sigmoid", "diffuse": "ambient_occlusion", "indirect": "learned"});
+    let unlit = json!({"visibility": "off", "diffuse": "ambient_occlusion", "indirect": "off"});
+    let directional = json!({"visibility": "linear", "diffuse": "directional", "indirect": "off"});
+    vec![
+        variant("no occlusion", json!({"shading": unlit, "labels": "none", "bounces": 0})),
+        variant("field without label", json!({"shading": ao, "labels": "none", "bounces": 0})),
+        variant("backward labels", json!({"shading": ao, "labels": "backward", "bounces": 0})),
+        variant("backward, sigmoid field", json!({"shading": listing, "labels": "backward", "bounces": 0})),
+        variant("backward and probe labels", json!({"shading": ao, "labels": "both", "bounces": 0})),
+        variant("probes", json!({"shading": ao, "labels": "probes", "bounces": 0})),
+        variant(
+            "probes, directional diffuse",
+            json!({"shading": directional, "labels": "probes", "bounces": 0}),
+        ),
+        variant("everything (default)", json!({})),
+        variant("one prototype", json!({"prototypes": 1})),
+        variant("prototypes without losses", json!({"weights": {"aggregation": 0.0, "residual": 0.0}})),
+    ]
+}
+
+/// Visibility orders.
+fn orders() -> Vec<Variant> {
+    let one = |order: u32| variant(&format!("order {order}"), json!({"visibility_order": order}));
+    [0, 2, 3, 4, 5, 6].map(one).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_built_in_variant_is_a_configuration_of_its_own() {
+        let mut seen = Vec::new();
+        for v in ablation().into_iter().chain(orders()) {
+            let overrides: TrainOverrides = serde_json::from_value(Value::Object(v.overrides)).unwrap();
+            let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+            // Order 4 is the default.
+            assert!(v.name == "order 4" || !seen.contains(&config), "{} repeats another", v.name);
+            seen.push(config);
+        }
+        assert!(seen.len() > 10);
+    }
+}
