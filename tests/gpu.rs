@@ -131,6 +131,28 @@ fn every_output_of_every_tier_is_that_of_the_cpu_engine() {
     assert!(worst(&rgb(a), &rgb(b)) > 0.05, "the control: another light is another picture");
 }
 
+/// The shared device's adapter, opened as if it could bind no more than `bytes`.
+fn narrow_device(bytes: u64) -> Option<Device> {
+    let Some(Device::Gpu(shared)) = device() else { return None };
+    let options = GpuOptions { most_binding: Some(bytes), ..GpuOptions::from_env() };
+    Some(Device::Gpu(Gpu::open(&Adapters::find(), shared.report().index, options).unwrap()))
+}
+
+#[test]
+fn a_picture_too_large_for_one_binding_is_made_in_bands_without_a_seam() {
+    let Some(narrow) = narrow_device(4 << 20) else { return };
+    let renderers =
+        [Renderer::on(model(), device().unwrap()).unwrap(), Renderer::on(model(), &narrow).unwrap()];
+    let camera = capture().test[0].camera.resized(256, 256);
+    let frames = renderers.map(|r| {
+        let light = r.prepare_light(&EnvMap::constant(8, 4, [1.0; 3])).unwrap();
+        r.render(&camera, &light, Tier::Standard, &[Output::Rgb, Output::Depth]).unwrap()
+    });
+    for (output, plane) in &frames[0].planes {
+        assert!(worst(plane, &frames[1].planes[output]) < 1e-4, "{output:?}");
+    }
+}
+
 #[test]
 fn a_light_of_one_renderer_is_refused_by_another_and_bad_cameras_are_refused_alike() {
     let Some(device) = device() else { return };
@@ -256,19 +278,21 @@ fn a_checkpoint_goes_from_engine_to_engine_and_back() {
 
 #[test]
 fn what_the_device_cannot_hold_is_refused_before_the_first_step_with_numbers() {
-    let Some(device) = device() else { return };
-    let Device::Gpu(gpu) = device else { panic!("not a GPU") };
-    let huge = TrainOverrides { max_gaussians: Some(4_000_000), prototypes: Some(256), ..overrides() };
-    let config = TrainConfig::new(Preset::Draft, &huge).unwrap();
-    let outcome = Trainer::new(capture(), config, device);
-    if gpu.report().max_binding > 4 << 30 {
-        assert!(outcome.is_ok());
-        return;
-    }
-    let Err(TrainError::Device(GpuError::TooLarge { what, needs, most })) = outcome else {
-        panic!("must be refused")
+    let Some(narrow) = narrow_device(8 << 20) else { return };
+    let refusal = |overrides: TrainOverrides| {
+        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+        match Trainer::new(capture(), config, &narrow) {
+            Err(TrainError::Device(GpuError::TooLarge { what, needs, most })) => {
+                assert!(needs > most && most == 8 << 20, "{what} {needs} {most}");
+                what
+            }
+            Err(error) => panic!("another refusal: {error}"),
+            Ok(_) => panic!("must be refused"),
+        }
     };
-    assert!(what.contains("max_gaussians") && needs > most, "{what} {needs} {most}");
+    let many = refusal(TrainOverrides { max_gaussians: Some(400_000), ..overrides() });
+    assert!(many.contains("max_gaussians: 400000 (at most"), "{many}");
+    trainer(&overrides(), &narrow).step().unwrap();
 }
 
 #[test]

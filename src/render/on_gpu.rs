@@ -10,6 +10,7 @@ use crate::engine::gpu::gather::{GatherSource, gather};
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::probes::{ProbeBuffers, Probes};
+use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::shading::{ShadeJob, ShadingUniform};
 use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUniform};
 use crate::light::LightTables;
@@ -86,7 +87,7 @@ impl OnGpu {
         Ok(LightOnGpu { buffers, gathered: Some(gathered) })
     }
 
-    /// `wanted` is sorted and without repetition.
+    /// `wanted` is sorted and without repetition. A picture whose G-buffer no binding holds is made band by band.
     pub(super) fn render(
         &self,
         model: &Model,
@@ -95,10 +96,36 @@ impl OnGpu {
         is_preview: bool,
         wanted: &[Output],
     ) -> Result<Frame, GpuError> {
-        let view = ViewUniform::new(view);
+        let groups =
+            if is_preview { 1 } else { groups(Channels::Full(model.gaussians.width(Field::Visibility))) };
+        let report = self.gpu.report();
+        let row_bytes = (view.width * groups * 16).max(1) as u64;
+        let rows = (report.max_binding.min(report.max_buffer) / row_bytes).max(1) as usize;
+        let mut frame =
+            Frame { width: view.width as u32, height: view.height as u32, planes: BTreeMap::new() };
+        for first in (0..view.height).step_by(rows) {
+            let mut band = *view;
+            band.height = rows.min(view.height - first);
+            band.centre_px[1] -= first as f32;
+            let part = self.render_band(model, &ViewUniform::new(&band), light, is_preview, wanted)?;
+            for (output, mut values) in part {
+                frame.planes.entry(output).or_default().append(&mut values);
+            }
+        }
+        Ok(frame)
+    }
+
+    fn render_band(
+        &self,
+        model: &Model,
+        view: &ViewUniform,
+        light: &LightOnGpu,
+        is_preview: bool,
+        wanted: &[Output],
+    ) -> Result<BTreeMap<Output, Vec<f32>>, GpuError> {
         let mut scratch = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         let Scratch { raster, colours, planes, .. } = &mut *scratch;
-        raster.prepare(&view, &self.layout, &self.params)?;
+        raster.prepare(view, &self.layout, &self.params)?;
         let n_visibility = model.gaussians.width(Field::Visibility);
         let mut recorder = self.gpu.record();
         let source = AttributeBuffers {
@@ -111,7 +138,7 @@ impl OnGpu {
         raster.attributes(&mut recorder, full, &source)?;
         let shading = ShadingUniform::new(&model.shading, [0.0; 3]);
         let job = ShadeJob {
-            view: &view,
+            view,
             shading: &shading,
             n_visibility,
             light: &light.buffers,
@@ -127,7 +154,7 @@ impl OnGpu {
             raster.blend(&mut recorder, Channels::Colour, true)?;
             raster.attributes = Some(rows);
             recorder.submit()?;
-            return self.preview_frame(&view, raster);
+            return self.preview_planes(view, raster);
         }
         raster.blend(&mut recorder, full, true)?;
         let wanted_planes: Vec<Plane> = wanted.iter().map(|o| plane(*o)).collect();
@@ -146,21 +173,23 @@ impl OnGpu {
         planes.develop(&mut recorder, &job, gbuffer, depth_scale)?;
         recorder.submit()?;
         let values = planes.read(&self.gpu)?;
-        let planes = wanted.iter().zip(values).map(|(output, (_, values))| (*output, values)).collect();
-        Ok(Frame { width: view.size[0], height: view.size[1], planes })
+        Ok(wanted.iter().zip(values).map(|(output, (_, values))| (*output, values)).collect())
     }
 
-    /// Coverage and colour of the blended group as a frame.
-    fn preview_frame(&self, view: &ViewUniform, raster: &Raster) -> Result<Frame, GpuError> {
+    /// Coverage and colour of the blended group.
+    fn preview_planes(
+        &self,
+        view: &ViewUniform,
+        raster: &Raster,
+    ) -> Result<BTreeMap<Output, Vec<f32>>, GpuError> {
         let Some(gbuffer) = &raster.gbuffer else {
             return Err(GpuError::Internal("a pass without G-buffer".to_owned()));
         };
         let pixels = self.gpu.read(gbuffer, 0..view.pixels())?;
-        let planes = BTreeMap::from([
+        Ok(BTreeMap::from([
             (Output::Rgb, pixels.iter().flat_map(|p| [p[1], p[2], p[3]]).collect()),
             (Output::Alpha, pixels.iter().map(|p| p[0]).collect()),
-        ]);
-        Ok(Frame { width: view.size[0], height: view.size[1], planes })
+        ]))
     }
 }
 

@@ -54,8 +54,9 @@ impl OnGpu {
         config: &TrainConfig,
         operators: &EnvOperators,
         learned: Learned,
+        pixels: usize,
     ) -> Result<Self, TrainError> {
-        check_size(gpu, config, &learned.model)?;
+        check_size(gpu, config, &learned.model, pixels)?;
         let mut training = Training::new(gpu, operators, &host_state(&learned))?;
         training.keep()?;
         let (photos, photo_bytes) = (HashMap::new(), 0);
@@ -229,14 +230,20 @@ impl Backend for OnGpu {
     }
 }
 
-/// Refuses a training whose largest array would not fit one binding of the device when it has all its Gaussians.
-fn check_size(gpu: &Gpu, config: &TrainConfig, model: &Model) -> Result<(), GpuError> {
+/// Refuses a training whose largest array would not fit one binding of the device: of photographs of up to `pixels`
+/// pixels, or of all its Gaussians.
+fn check_size(gpu: &Gpu, config: &TrainConfig, model: &Model, pixels: usize) -> Result<(), GpuError> {
     let g = &model.gaussians;
     let attributes = Channels::Full(g.width(Field::Visibility)).stored();
     let gradients = GRADIENT_HEADER + attributes;
     let floats = RowLayout::new(g).row.max(gradients).max(config.probe_directions as usize) as u64;
     let report = gpu.report();
     let most = report.max_binding.min(report.max_buffer);
+    let picture = 4 * (attributes * pixels) as u64;
+    if picture > most {
+        let what = format!("resolution: {} (photographs of {pixels} pixels)", config.resolution);
+        return Err(GpuError::TooLarge { what, needs: picture, most });
+    }
     let needs = floats * 4 * u64::from(config.max_gaussians.max(config.initial_gaussians));
     if needs <= most {
         return Ok(());

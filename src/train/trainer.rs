@@ -135,7 +135,10 @@ impl Trainer {
         let operators = EnvOperators::new(rows * 2, rows, order, TableResolution::TRAINING);
         let backend: Box<dyn Backend> = match device {
             Device::Cpu => Box::new(OnCpu::new(learned)),
-            Device::Gpu(gpu) => Box::new(OnGpu::new(gpu, &config, &operators, learned)?),
+            Device::Gpu(gpu) => {
+                let pixels = data.full.iter().map(|photo| photo.pixels.len()).max().unwrap_or(0);
+                Box::new(OnGpu::new(gpu, &config, &operators, learned, pixels)?)
+            }
         };
         Ok(Self { kept: course.clone(), config, data, operators, course, backend, rollbacks: 0 })
     }

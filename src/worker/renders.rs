@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crate::capture::builtin;
 use crate::engine::Device;
+use crate::engine::gpu::GpuError;
 use crate::formats::{environment, model_file};
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer, Tier};
 use crate::scene::EnvMap;
@@ -111,7 +112,14 @@ fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFa
     let internal = |e: String| RenderFailure::Internal(format!("model {}: {e}", source.id));
     let bytes = std::fs::read(&source.path).map_err(|e| internal(e.to_string()))?;
     let model = model_file::decode(&bytes).map_err(|e| internal(e.to_string()))?;
-    Ok(Arc::new(Renderer::on(Arc::new(model), device)?))
+    let model = Arc::new(model);
+    Ok(Arc::new(match Renderer::on(model.clone(), device) {
+        Err(error @ GpuError::TooLarge { .. }) => {
+            tracing::warn!(%error, model = source.id, "the CPU engine renders this model");
+            Renderer::new(model)
+        }
+        other => other?,
+    }))
 }
 
 fn prepare(renderer: &Renderer, task: &RenderTask) -> Result<Arc<PreparedLight>, RenderFailure> {

@@ -31,6 +31,8 @@ pub struct GpuOptions {
     pub garbage: bool,
     /// Add floats by compare and exchange even where the device could do it natively.
     pub compare_exchange: bool,
+    /// Bind no more than this many bytes at once, as if the device could not.
+    pub most_binding: Option<u64>,
 }
 
 impl GpuOptions {
@@ -115,10 +117,12 @@ impl Gpu {
             mapped_at_creation: false,
         });
         let uniform_align = u64::from(adapter.limits().min_uniform_buffer_offset_alignment).max(16);
+        let mut report = report.clone();
+        report.max_binding = report.max_binding.min(options.most_binding.unwrap_or(u64::MAX));
         let inner = Inner {
             device,
             queue,
-            report: report.clone(),
+            report,
             uniforms,
             uniform_align,
             submitting: Mutex::default(),

@@ -28,7 +28,7 @@ fn a_dispatch_reaches_every_element_once_and_sums_are_whole() {
 
 #[test]
 fn a_device_without_float_atomics_sums_by_compare_and_exchange() {
-    let options = GpuOptions { compare_exchange: true, garbage: true, checks: true };
+    let options = GpuOptions { compare_exchange: true, garbage: true, checks: true, ..GpuOptions::default() };
     let Some(gpu) = Gpu::with_options(options) else { return };
     assert_eq!(self_test(&gpu, 5000).1, [2500.0, 2500.0]);
 }

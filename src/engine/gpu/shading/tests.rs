@@ -291,7 +291,12 @@ fn every_order_and_image_size_shades_as_the_cpu_engine_does() {
 
 #[test]
 fn a_device_without_float_atomics_sums_the_same_tables() {
-    let options = crate::engine::gpu::GpuOptions { compare_exchange: true, garbage: true, checks: true };
+    let options = crate::engine::gpu::GpuOptions {
+        compare_exchange: true,
+        garbage: true,
+        checks: true,
+        ..Default::default()
+    };
     let Some(gpu) = Gpu::with_options(options) else { return };
     let case = Case::new(&gpu, 21, (20, 18), 1, ShadingOptions::default());
     let errors = errors(&case, false);

@@ -171,7 +171,12 @@ fn no_gradient_gives_none_and_too_many_groups_are_refused() {
 
 #[test]
 fn a_device_without_float_atomics_finds_the_same_gradients() {
-    let options = crate::engine::gpu::GpuOptions { compare_exchange: true, garbage: true, checks: true };
+    let options = crate::engine::gpu::GpuOptions {
+        compare_exchange: true,
+        garbage: true,
+        checks: true,
+        ..Default::default()
+    };
     let Some(gpu) = Gpu::with_options(options) else { return };
     let mut raster = Raster::new(&gpu).unwrap();
     let error = check(&mut raster, &Scene::random(5, 150, (37, 21), 1), Channels::Material, 13);

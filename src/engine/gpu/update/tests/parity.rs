@@ -86,7 +86,7 @@ fn gradients_hold_for_every_number_of_channels_and_gaussians() {
 
 #[test]
 fn a_device_without_float_atomics_sums_the_same_prototypes() {
-    let options = GpuOptions { compare_exchange: true, garbage: true, checks: true };
+    let options = GpuOptions { compare_exchange: true, garbage: true, checks: true, ..GpuOptions::default() };
     let Some(gpu) = Gpu::with_options(options) else { return };
     check(&gpu, &Shape { n: 600, ..Default::default() }, 5);
 }
