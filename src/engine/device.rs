@@ -22,15 +22,16 @@ impl Device {
             return Ok(Self::Cpu);
         }
         let adapters = Adapters::find();
-        match (adapters.choose(choice)?, choice) {
-            (None, _) => Ok(Self::Cpu),
-            (Some(index), DeviceChoice::Auto) => Ok(Gpu::open(&adapters, index, GpuOptions::from_env())
-                .map(Self::Gpu)
-                .unwrap_or_else(|error| {
-                    tracing::warn!(%error, "the GPU cannot be used; the CPU engine is");
-                    Self::Cpu
-                })),
-            (Some(index), _) => Gpu::open(&adapters, index, GpuOptions::from_env()).map(Self::Gpu),
+        let Some(index) = adapters.choose(choice)? else { return Ok(Self::Cpu) };
+        // Nothing is built on a device that cannot add.
+        let opened = Gpu::open(&adapters, index, GpuOptions::from_env())
+            .and_then(|gpu| gpu.self_test().map(|()| Self::Gpu(gpu)));
+        match (opened, choice) {
+            (Err(error), DeviceChoice::Auto) => {
+                tracing::warn!(%error, "the GPU cannot be used; the CPU engine is");
+                Ok(Self::Cpu)
+            }
+            (opened, _) => opened,
         }
     }
 
