@@ -50,7 +50,7 @@ fn project(gaussian_ix: u32) -> Splat {
         return invisible();
     }
     let camera = to_camera(view, mean);
-    if !(camera.z > NEAR && camera.z < 1e30) {
+    if !(camera.z > NEAR && camera.z < FAR) {
         return invisible();
     }
     let inverse = 1.0 / camera.z;
@@ -64,7 +64,7 @@ fn project(gaussian_ix: u32) -> Splat {
     let x = scale * vec3f(dot(to_x, axes[0]), dot(to_x, axes[1]), dot(to_x, axes[2]));
     let y = scale * vec3f(dot(to_y, axes[0]), dot(to_y, axes[1]), dot(to_y, axes[2]));
     let raw = vec3f(dot(x, x), dot(x, y), dot(y, y));
-    if !(raw.x < 1e12 && raw.z < 1e12) {
+    if !(raw.x < LARGEST_VARIANCE && raw.z < LARGEST_VARIANCE) {
         return invisible();
     }
     let area = cross(x, y);
@@ -88,6 +88,10 @@ fn project(gaussian_ix: u32) -> Splat {
         return invisible();
     }
     s.mean = view.focal * (camera.xy / camera.z) + view.centre_px;
+    // Beyond this no pixel is anywhere near, and the way back would overflow.
+    if !(abs(s.mean.x) < FARTHEST_PIXEL && abs(s.mean.y) < FARTHEST_PIXEL) {
+        return invisible();
+    }
     s.reach = log(255.0 * s.opacity);
     s.depth = camera.z;
     s.flags = SPLAT_VISIBLE;

@@ -13,15 +13,13 @@ struct Geometry {
     opacity: f32,
 }
 
-// Adds the gradient of `sqrt(det raw / det covariance)`, raw being the covariance without the low-pass.
-fn compensation_backward(s: Splat, by_compensation: f32) -> vec3f {
+// The gradient of `sqrt(det raw / det covariance)`, raw being the covariance without the low-pass.
+fn compensation_backward(s: Splat, raw: vec3f, by_compensation: f32) -> vec3f {
     let determinant = s.raw_determinant;
     if !(determinant > 1e-12) {
         return vec3f(0.0);
     }
-    let xx = s.covariance.x - view.low_pass;
-    let yy = s.covariance.z - view.low_pass;
-    let inverse = vec3f(yy, -s.covariance.y, xx) / determinant;
+    let inverse = vec3f(raw.z, -raw.y, raw.x) / determinant;
     return 0.5 * s.compensation * by_compensation * (inverse - s.conic);
 }
 
@@ -51,7 +49,8 @@ fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: ve
     let left1 = vec2f(c.y * d.x + c.z * d.y, c.y * d.y + c.z * d.z);
     var cov = -vec3f(dot(left0, c.xy), dot(left0, c.yz), dot(left1, c.yz));
     if view.low_pass_compensation != 0u {
-        cov += compensation_backward(s, by_tail.y * sigmoid(logit));
+        let raw = vec3f(dot(screen0, screen0), dot(screen0, screen1), dot(screen1, screen1));
+        cov += compensation_backward(s, raw, by_tail.y * sigmoid(logit));
     }
     let by_screen0 = 2.0 * (cov.x * screen0 + cov.y * screen1);
     let by_screen1 = 2.0 * (cov.y * screen0 + cov.z * screen1);

@@ -25,5 +25,9 @@ struct Splat {
 
 const SPLAT_VISIBLE = 1u;
 const NEAR = 0.05;
+// As in src/engine/cpu/project.rs: depth, variance (px^2) and place on screen (px) beyond which nothing is drawn.
+const FAR = 1e12;
+const LARGEST_VARIANCE = 1e18;
+const FARTHEST_PIXEL = 1e12;
 const ALPHA_MIN = 1.0 / 255.0;
 const ALPHA_MAX = 0.99;

@@ -1,4 +1,8 @@
 //! Projection of one Gaussian to a screen-space splat, and back (docs/MODEL.md section 2).
+//!
+//! The determinant of the screen covariance `M M^T` is the squared length of the cross product of M's rows: for needles
+//! `xx yy - xy^2` would be the difference of two large numbers. With the low-pass l added to xx and yy it grows by
+//! `l (xx + yy) + l^2`, a sum of positive terms.
 
 use crate::engine::cpu::view::View;
 
@@ -17,6 +21,8 @@ pub struct Splat {
     pub opacity: f32,
     /// Factor the compensation multiplied the opacity by (1 without).
     pub compensation: f32,
+    /// Determinant of the screen covariance without the low-pass, px^4.
+    pub raw_determinant: f32,
     /// `ln(255 opacity)`: beyond this exponent alpha is below 1/255.
     pub reach: f32,
     /// Camera depth.
@@ -64,6 +70,12 @@ type Mat3 = [[f32; 3]; 3];
 
 /// Nearest camera depth that is drawn, world units.
 pub const NEAR: f32 = 0.05;
+/// Farthest camera depth that is drawn: its cube is still finite in f32.
+const FAR: f32 = 1e12;
+/// Farthest a projected mean may lie from the image's corner, pixels.
+const FARTHEST_PIXEL: f32 = 1e12;
+/// Largest variance of a splat on screen, px^2: its square is still finite in f32.
+const LARGEST_VARIANCE: f32 = 1e18;
 /// Alpha below this is treated as nothing.
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// Alpha is capped here.
@@ -122,6 +134,14 @@ pub fn rotation_backward(quaternion: [f32; 4], g: &Mat3) -> [f32; 4] {
     normalise_backward(unit, length, by_unit)
 }
 
+impl Geometry {
+    /// Whether this is a Gaussian at all. Scales and opacity may be infinite: they have limits.
+    pub(super) fn is_usable(&self) -> bool {
+        let finite = self.mean.iter().chain(&self.quaternion).all(|v| v.is_finite());
+        finite && !self.opacity_logit.is_nan() && !self.log_scale.iter().any(|s| s.is_nan())
+    }
+}
+
 /// What forward and backward share.
 struct Projection {
     /// Camera-space mean.
@@ -133,12 +153,21 @@ struct Projection {
     /// `Q S`, columns are the scaled axes.
     axes: Mat3,
     scale: [f32; 3],
+    /// The three scaled axes on screen, 2 x 3: squares of them cannot turn negative.
+    screen: [[f32; 3]; 2],
+    /// Screen covariance without the low-pass.
+    raw: [f32; 3],
+    /// Its determinant.
+    raw_determinant: f32,
 }
 
 fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
+    if !g.is_usable() {
+        return None;
+    }
     let camera = view.to_camera(g.mean);
     // Written so that NaN fails.
-    if !(camera[2] > NEAR && camera[2] < 1e30) {
+    if !(camera[2] > NEAR && camera[2] < FAR) {
         return None;
     }
     let inverse = 1.0 / camera[2];
@@ -156,44 +185,60 @@ fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
     });
     let rotation = rotation(g.quaternion);
     let scale = g.log_scale.map(|s| s.clamp(-60.0, 60.0).exp());
-    let axes = std::array::from_fn(|r| std::array::from_fn(|c| rotation[r][c] * scale[c]));
-    Some(Projection { camera, to_screen, ratio, axes, scale })
+    let axes: Mat3 = std::array::from_fn(|r| std::array::from_fn(|c| rotation[r][c] * scale[c]));
+    // The scale comes last: nothing cancels between axes of different length.
+    let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
+        std::array::from_fn(|c| scale[c] * (0..3).map(|k| to_screen[r][k] * rotation[k][c]).sum::<f32>())
+    });
+    let dot = |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f32>();
+    let raw = [dot(&screen[0], &screen[0]), dot(&screen[0], &screen[1]), dot(&screen[1], &screen[1])];
+    if !(raw[0] < LARGEST_VARIANCE && raw[2] < LARGEST_VARIANCE) {
+        return None;
+    }
+    let raw_determinant = squared_area(&screen[0], &screen[1]);
+    Some(Projection { camera, to_screen, ratio, axes, scale, screen, raw, raw_determinant })
 }
 
 /// Projects a Gaussian, or `None` when no pixel can see it.
 pub fn project(view: &View, index: u32, g: &Geometry) -> Option<Splat> {
     let p = prepare(view, g)?;
-    // 2 x 3 matrix of the three axes on screen: squares of it cannot turn negative.
-    let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|c| (0..3).map(|k| p.to_screen[r][k] * p.axes[k][c]).sum())
-    });
-    let dot = |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f32>();
-    let raw = [dot(&screen[0], &screen[0]), dot(&screen[0], &screen[1]), dot(&screen[1], &screen[1])];
-    if !(raw[0] < 1e12 && raw[2] < 1e12) {
-        return None;
-    }
-    let covariance = [raw[0] + view.low_pass, raw[1], raw[2] + view.low_pass];
-    let determinant = det(covariance);
+    let (raw, raw_determinant, low_pass) = (p.raw, p.raw_determinant, view.low_pass);
+    let covariance = [raw[0] + low_pass, raw[1], raw[2] + low_pass];
+    let determinant = raw_determinant + low_pass * (raw[0] + raw[2]) + low_pass * low_pass;
     if !(determinant > 1e-12) {
         return None;
     }
     let conic = [covariance[2], -covariance[1], covariance[0]].map(|v| v / determinant);
-    let compensation =
-        if view.low_pass_compensation { (det(raw).max(0.0) / determinant).sqrt() } else { 1.0 };
+    let compensation = if view.low_pass_compensation { (raw_determinant / determinant).sqrt() } else { 1.0 };
     let opacity = sigmoid(g.opacity_logit) * compensation;
     if !(opacity >= ALPHA_MIN) {
         return None;
     }
-    let mean = std::array::from_fn(|k| view.focal[k] * (p.camera[k] / p.camera[2]) + view.centre_px[k]);
+    let mean: [f32; 2] =
+        std::array::from_fn(|k| view.focal[k] * (p.camera[k] / p.camera[2]) + view.centre_px[k]);
+    // Beyond this no pixel is anywhere near, and the way back would overflow.
+    if !(mean[0].abs() < FARTHEST_PIXEL && mean[1].abs() < FARTHEST_PIXEL) {
+        return None;
+    }
     let reach = (255.0 * opacity).ln();
     let depth = p.camera[2];
-    Some(Splat { gaussian: index, mean, conic, covariance, opacity, compensation, reach, depth })
+    Some(Splat {
+        gaussian: index,
+        mean,
+        conic,
+        covariance,
+        opacity,
+        compensation,
+        raw_determinant,
+        reach,
+        depth,
+    })
 }
 
-/// `xx yy - xy^2` in f64: a needle's determinant is the difference of two large numbers.
-fn det(c: [f32; 3]) -> f32 {
-    let [xx, xy, yy] = c.map(f64::from);
-    (xx * yy - xy * xy) as f32
+/// Squared length of `a x b`.
+fn squared_area(a: &[f32; 3], b: &[f32; 3]) -> f32 {
+    let c = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    c.iter().map(|v| v * v).sum()
 }
 
 /// Chain rule from a splat's gradient to the Gaussian's geometry; `s` is the forward result.
@@ -211,14 +256,11 @@ pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient)
         [-(left[1][0] * a + left[1][1] * b), -(left[1][0] * b + left[1][1] * c)],
     ];
     if view.low_pass_compensation {
-        compensation_backward(view, s, d.opacity * sigma, &mut cov);
+        compensation_backward(&p, s, d.opacity * sigma, &mut cov);
     }
     // M = Q S, screen = T M, covariance = screen screen^T.
-    let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|k| (0..3).map(|j| p.to_screen[r][j] * p.axes[j][k]).sum())
-    });
     let by_screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|k| 2.0 * (cov[r][0] * screen[0][k] + cov[r][1] * screen[1][k]))
+        std::array::from_fn(|k| 2.0 * (cov[r][0] * p.screen[0][k] + cov[r][1] * p.screen[1][k]))
     });
     for row in 0..3 {
         for k in 0..3 {
@@ -250,14 +292,13 @@ pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient)
 }
 
 /// Adds the gradient of `compensation = sqrt(det raw / det covariance)`.
-fn compensation_backward(view: &View, s: &Splat, by_compensation: f32, cov: &mut [[f32; 2]; 2]) {
-    let raw = [s.covariance[0] - view.low_pass, s.covariance[1], s.covariance[2] - view.low_pass];
-    let determinant = det(raw);
-    if determinant <= 1e-12 {
+fn compensation_backward(p: &Projection, s: &Splat, by_compensation: f32, cov: &mut [[f32; 2]; 2]) {
+    let determinant = p.raw_determinant;
+    if !(determinant > 1e-12) {
         return;
     }
     let factor = 0.5 * s.compensation * by_compensation;
-    let inverse = [raw[2] / determinant, -raw[1] / determinant, raw[0] / determinant];
+    let inverse = [p.raw[2], -p.raw[1], p.raw[0]].map(|v| v / determinant);
     cov[0][0] += factor * (inverse[0] - s.conic[0]);
     cov[0][1] += factor * (inverse[1] - s.conic[1]);
     cov[1][0] += factor * (inverse[1] - s.conic[1]);

@@ -24,9 +24,8 @@ fn project_one(view: &View, g: &Gaussians, i: usize) -> Option<ExactSplat> {
     let wide = |v: &[f32]| -> [f64; 3] { std::array::from_fn(|k| f64::from(v[k])) };
     let rows = view.rotation.map(|r| wide(&r));
     let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f64>();
-    let (mean, eye) = (wide(g.row(Field::Mean, i)), wide(&view.eye));
-    let offset = std::array::from_fn(|k| mean[k] - eye[k]);
-    let camera = rows.map(|r| dot(r, offset));
+    let (mean, translation) = (wide(g.row(Field::Mean, i)), wide(&view.translation));
+    let camera: [f64; 3] = std::array::from_fn(|k| dot(rows[k], mean) + translation[k]);
     if camera[2] <= 0.05 {
         return None;
     }
