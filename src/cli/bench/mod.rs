@@ -1,6 +1,7 @@
 //! `relume bench`: figures anyone can repeat, each with the machine it was measured on.
 
 mod device;
+mod precision;
 
 use crate::cli::CommandResult;
 
@@ -15,10 +16,13 @@ pub(super) struct Args {
 enum What {
     /// Milliseconds per stage and step, frames a second and memory of a device, by number of Gaussians.
     Device(device::Args),
+    /// Error of a device's engine against f64, stage by stage.
+    Precision(precision::Args),
 }
 
 pub(super) fn run(args: &Args) -> CommandResult {
     match &args.what {
         What::Device(args) => device::run(args),
+        What::Precision(args) => precision::run(args),
     }
 }
