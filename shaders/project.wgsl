@@ -106,6 +106,15 @@ fn project(gaussian_ix: u32) -> Splat {
     return s;
 }
 
+// Orders Gaussians by depth: the bits of the part of depth that differs between them, r_3 . x. To a camera far away all
+// of a model has the same depth but for the last digits; this has all of its own.
+fn depth_key(mean: vec3f) -> u32 {
+    // Positive floats order like their bits, negative ones the other way; -0 goes with 0.
+    let bits = bitcast<u32>(dot(view.rotation[2].xyz, mean));
+    let positive = bits < 0x80000000u || bits == 0x80000000u;
+    return select(~bits, (bits & 0x7fffffffu) | 0x80000000u, positive);
+}
+
 @compute @workgroup_size(256)
 fn main(
     @builtin(global_invocation_id) gid: vec3u,
@@ -122,9 +131,8 @@ fn main(
         let s = project(gaussian_ix);
         splats[gaussian_ix] = s;
         gaussians[gaussian_ix] = gaussian_ix;
-        // Positive floats order like their bits.
         let visible = s.flags == SPLAT_VISIBLE;
-        depth_keys[gaussian_ix] = select(0xffffffffu, bitcast<u32>(s.depth), visible);
+        depth_keys[gaussian_ix] = select(0xffffffffu, depth_key(vec3_at(model.mean + 3u * gaussian_ix)), visible);
         if visible {
             atomicAdd(&sh_n_visible, 1u);
             atomicAdd(&sh_n_instances, s.n_tiles);

@@ -104,7 +104,7 @@ pub(super) struct Bounds {
 }
 
 /// Ordinary digits of f32.
-pub(super) const TIGHT: Bounds = Bounds { image: 1e-5, gradient: 1e-4 };
+pub(super) const TIGHT: Bounds = Bounds { image: 1e-5, gradient: 3e-5 };
 
 /// Worst relative errors of an answer, and the parameter with the worst gradient.
 pub(super) struct Errors {

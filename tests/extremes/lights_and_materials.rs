@@ -6,7 +6,7 @@ use relume::engine::Device;
 use relume::render::{Output, Renderer, Tier};
 use relume::scene::{DiffuseForm, EnvMap, EnvMapError, Field, NormalForm, VisibilityForm};
 
-use super::harness::{Bounds, ENV, Suite, TIGHT, in_front, model, set};
+use super::harness::{ENV, Suite, TIGHT, in_front, model, set};
 
 #[test]
 fn normals_square_to_the_view() {
@@ -61,12 +61,7 @@ fn environments_from_black_to_blinding() {
             model.env_raw[11] = [texel; 3];
         }
         // Most of the image is at its white limit.
-        suite.check(
-            &format!("texel {texel:e}"),
-            &model,
-            &in_front((16, 12)),
-            Bounds { image: 1e-4, gradient: 1e-3 },
-        );
+        suite.check(&format!("texel {texel:e}"), &model, &in_front((16, 12)), TIGHT);
     }
     suite.finish();
 }

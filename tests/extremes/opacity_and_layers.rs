@@ -16,7 +16,9 @@ fn layered(logit: f32) -> (Model, Camera) {
     for i in 0..LAYERS {
         let depth = (i * 7919 % LAYERS) as f32 / LAYERS as f32 * 2.0 - 1.0;
         model.gaussians.row_mut(Field::Mean, i).copy_from_slice(&[0.0, depth, 0.0]);
-        model.gaussians.row_mut(Field::LogScale, i).copy_from_slice(&[0.5, -3.0, 0.2]);
+        model.gaussians.row_mut(Field::Quaternion, i).copy_from_slice(&[1.0, 0.0, 0.0, 0.0]);
+        // Wider than sixteen pixels, which is what the CPU engine gives up together.
+        model.gaussians.row_mut(Field::LogScale, i).copy_from_slice(&[8.0, -3.0, 8.0]);
     }
     model.gaussians.field_mut(Field::OpacityLogit).fill(logit);
     (model, in_front((1, 1)))
@@ -48,7 +50,9 @@ fn ten_thousand_layers_on_one_ray() {
     // T ends at 1e-8, 1e-175 (below the smallest f32) and 1e-20000.
     for logit in [-5.3, -3.2, 9.0] {
         let (model, camera) = layered(logit);
-        suite.check(&format!("layers of {logit}"), &model, &camera, Bounds { image: 2e-5, gradient: 5e-4 });
+        // The GPU engine finds transmittances on its way back by division: a last digit a layer is 6e-4.
+        let bounds = Bounds { image: 2e-5, gradient: 2e-3 };
+        suite.check(&format!("layers of {logit}"), &model, &camera, bounds);
     }
     suite.finish();
 }

@@ -2,10 +2,12 @@
 
 use relume::capture::{Capture, ImageRgba, SyntheticOptions, synthetic};
 use relume::engine::Device;
-use relume::scene::Field;
+use relume::scene::{Camera, Field};
 use relume::train::{Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
 
-use super::harness::{BACKGROUND, Bounds, Suite, TIGHT, in_front, model};
+use glam::DVec3;
+
+use super::harness::{BACKGROUND, Suite, TIGHT, in_front, model};
 
 #[test]
 fn no_gaussian_is_the_background_and_one_is_one() {
@@ -31,9 +33,14 @@ fn a_hundred_thousand_gaussians_in_a_few_tiles() {
 fn images_of_one_pixel_and_of_8192() {
     let mut suite = Suite::default();
     suite.check("1 x 1", &model(6, 43), &in_front((1, 1)), TIGHT);
-    // A strip as wide as 8k: 34 degrees high, 180 nearly wide.
-    suite.check("8192 x 1", &model(3, 44), &in_front((8192, 1)), Bounds { image: 2e-5, gradient: 2e-4 });
-    suite.check("1 x 8192", &model(3, 44), &in_front((1, 8192)), Bounds { image: 2e-5, gradient: 2e-4 });
+    // Strips as long as 8k, 90 degrees from end to end.
+    for (size, fov) in [((8192, 1), 2.0 * (0.5f64 / 4096.0).atan()), ((1, 8192), 0.5 * std::f64::consts::PI)]
+    {
+        let mut model = model(3, 44);
+        (0..3).for_each(|i| model.gaussians.row_mut(Field::Mean, i)[if size.1 == 1 { 2 } else { 0 }] = 0.0);
+        let camera = Camera::look_at(DVec3::new(0.0, -3.0, 0.0), DVec3::ZERO, DVec3::Z, fov, size).unwrap();
+        suite.check(&format!("{size:?}"), &model, &camera, TIGHT);
+    }
     suite.finish();
 }
 

@@ -27,6 +27,8 @@ pub struct Splat {
     pub reach: f32,
     /// Camera depth.
     pub depth: f32,
+    /// Sorts like depth, see [`View::depth_key`].
+    pub depth_key: u32,
 }
 
 /// Raw geometry of one Gaussian.
@@ -85,6 +87,12 @@ pub const ALPHA_MAX: f32 = 0.99;
 #[inline]
 pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
+}
+
+/// Slope of [`sigmoid`]: `s(x) s(-x)`, which keeps its digits where `s` is nearly 1 and `1 - s` has none left.
+#[inline]
+pub fn sigmoid_slope(x: f32) -> f32 {
+    sigmoid(x) * sigmoid(-x)
 }
 
 /// `v / max(|v|, 1e-12)` and the length used.
@@ -159,6 +167,8 @@ struct Projection {
     raw: [f32; 3],
     /// Its determinant.
     raw_determinant: f32,
+    /// Cross product of the rows of `screen`.
+    area: [f32; 3],
 }
 
 fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
@@ -195,8 +205,9 @@ fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
     if !(raw[0] < LARGEST_VARIANCE && raw[2] < LARGEST_VARIANCE) {
         return None;
     }
-    let raw_determinant = squared_area(&screen[0], &screen[1]);
-    Some(Projection { camera, to_screen, ratio, axes, scale, screen, raw, raw_determinant })
+    let area = cross(&screen[0], &screen[1]);
+    let raw_determinant = dot(&area, &area);
+    Some(Projection { camera, to_screen, ratio, axes, scale, screen, raw, raw_determinant, area })
 }
 
 /// Projects a Gaussian, or `None` when no pixel can see it.
@@ -204,7 +215,7 @@ pub fn project(view: &View, index: u32, g: &Geometry) -> Option<Splat> {
     let p = prepare(view, g)?;
     let (raw, raw_determinant, low_pass) = (p.raw, p.raw_determinant, view.low_pass);
     let covariance = [raw[0] + low_pass, raw[1], raw[2] + low_pass];
-    let determinant = raw_determinant + low_pass * (raw[0] + raw[2]) + low_pass * low_pass;
+    let determinant = blurred_determinant(&p, low_pass);
     if !(determinant > 1e-12) {
         return None;
     }
@@ -232,13 +243,17 @@ pub fn project(view: &View, index: u32, g: &Geometry) -> Option<Splat> {
         raw_determinant,
         reach,
         depth,
+        depth_key: view.depth_key(g.mean),
     })
 }
 
-/// Squared length of `a x b`.
-fn squared_area(a: &[f32; 3], b: &[f32; 3]) -> f32 {
-    let c = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-    c.iter().map(|v| v * v).sum()
+fn cross(a: &[f32; 3], b: &[f32; 3]) -> [f32; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// Determinant of the screen covariance, low-pass included.
+fn blurred_determinant(p: &Projection, low_pass: f32) -> f32 {
+    p.raw_determinant + low_pass * (p.raw[0] + p.raw[2]) + low_pass * low_pass
 }
 
 /// Chain rule from a splat's gradient to the Gaussian's geometry; `s` is the forward result.
@@ -246,27 +261,15 @@ pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient)
     let Some(p) = prepare(view, g) else { return GeometryGradient::default() };
     let mut out = GeometryGradient::default();
     let sigma = sigmoid(g.opacity_logit);
-    out.opacity_logit = d.opacity * s.compensation * sigma * (1.0 - sigma);
-    // d covariance = -C dC C with C the conic.
-    let [a, b, c] = s.conic;
+    out.opacity_logit = d.opacity * s.compensation * sigmoid_slope(g.opacity_logit);
+    // Gradient by the conic as a symmetric matrix.
     let (da, db, dc) = (d.conic[0], 0.5 * d.conic[1], d.conic[2]);
-    let left = [[a * da + b * db, a * db + b * dc], [b * da + c * db, b * db + c * dc]];
-    let mut cov = [
-        [-(left[0][0] * a + left[0][1] * b), -(left[0][0] * b + left[0][1] * c)],
-        [-(left[1][0] * a + left[1][1] * b), -(left[1][0] * b + left[1][1] * c)],
-    ];
-    if view.low_pass_compensation {
-        compensation_backward(&p, s, d.opacity * sigma, &mut cov);
-    }
-    // M = Q S, screen = T M, covariance = screen screen^T.
-    let by_screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|k| 2.0 * (cov[r][0] * p.screen[0][k] + cov[r][1] * p.screen[1][k]))
-    });
+    let by_screen = screen_backward(view, &p, s, [da, db, dc], d.opacity * sigma, &mut out.log_scale);
+    // M = Q S, screen = T M.
     for row in 0..3 {
         for k in 0..3 {
             let by_axis = p.to_screen[0][row] * by_screen[0][k] + p.to_screen[1][row] * by_screen[1][k];
             out.rotation[row][k] = by_axis * p.scale[k];
-            out.log_scale[k] += by_axis * p.axes[row][k];
         }
     }
     // T = J R.
@@ -291,16 +294,42 @@ pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient)
     out
 }
 
-/// Adds the gradient of `compensation = sqrt(det raw / det covariance)`.
-fn compensation_backward(p: &Projection, s: &Splat, by_compensation: f32, cov: &mut [[f32; 2]; 2]) {
-    let determinant = p.raw_determinant;
-    if !(determinant > 1e-12) {
-        return;
+/// Gradient by the three axes on screen, and by their ln length, of the conic `C = (raw + low_pass)^-1` and of the
+/// compensation `sqrt(det raw / det covariance)`.
+///
+/// With x_k an axis on screen and `y_k = C x_k` they are `-2 C dC y_k` and `-2 y_k . dC y_k`. A needle's y is the inverse
+/// of its length: as a difference of C's entries times x it would be lost, so it is taken from the adjugate,
+/// `adj(raw) x_k = sum over the other axes j of (x_k x x_j) perp x_j`, in which the axis itself cancels exactly.
+fn screen_backward(
+    view: &View,
+    p: &Projection,
+    s: &Splat,
+    [da, db, dc]: [f32; 3],
+    by_compensation: f32,
+    by_log_scale: &mut [f32; 3],
+) -> [[f32; 3]; 2] {
+    let [a, b, c] = s.conic;
+    let (determinant, low_pass) = (blurred_determinant(p, view.low_pass), view.low_pass);
+    let adjugate = [cross(&p.screen[1], &p.area), cross(&p.area, &p.screen[0])];
+    // Below, its root no longer has a slope that f32 can hold.
+    let has_slope = view.low_pass_compensation && p.raw_determinant > 1e-12;
+    let factor = if has_slope { s.compensation * by_compensation } else { 0.0 };
+    let mut by_screen = [[0.0f32; 3]; 2];
+    for k in 0..3 {
+        let x = [p.screen[0][k], p.screen[1][k]];
+        let y: [f32; 2] = std::array::from_fn(|r| (adjugate[r][k] + low_pass * x[r]) / determinant);
+        let v = [da * y[0] + db * y[1], db * y[0] + dc * y[1]];
+        let mut by = [-2.0 * (a * v[0] + b * v[1]), -2.0 * (b * v[0] + c * v[1])];
+        let mut by_length = -2.0 * (y[0] * v[0] + y[1] * v[1]);
+        if has_slope {
+            for r in 0..2 {
+                let sharper = factor * (adjugate[r][k] / p.raw_determinant - y[r]);
+                by[r] += sharper;
+                by_length += sharper * x[r];
+            }
+        }
+        (0..2).for_each(|r| by_screen[r][k] = by[r]);
+        by_log_scale[k] += by_length;
     }
-    let factor = 0.5 * s.compensation * by_compensation;
-    let inverse = [p.raw[2], -p.raw[1], p.raw[0]].map(|v| v / determinant);
-    cov[0][0] += factor * (inverse[0] - s.conic[0]);
-    cov[0][1] += factor * (inverse[1] - s.conic[1]);
-    cov[1][0] += factor * (inverse[1] - s.conic[1]);
-    cov[1][1] += factor * (inverse[2] - s.conic[2]);
+    by_screen
 }

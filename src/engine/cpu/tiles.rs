@@ -156,6 +156,7 @@ mod tests {
             raw_determinant: d,
             reach: (255.0 * opacity).ln(),
             depth: 1.0,
+            depth_key: 0,
         }
     }
 

@@ -59,6 +59,16 @@ impl View {
         std::array::from_fn(|k| (0..3).map(|c| self.rotation[k][c] * x[c]).sum::<f32>() + self.translation[k])
     }
 
+    /// Orders world points by depth: the bits of the part of depth that differs between them, `r_3 . x`. To a camera far
+    /// away all of a model has the same depth but for the last digits; this has all of its own.
+    #[inline]
+    pub fn depth_key(&self, x: [f32; 3]) -> u32 {
+        let along: f32 = (0..3).map(|c| self.rotation[2][c] * x[c]).sum();
+        // Adding zero turns -0 into 0; then positive floats order like their bits, negative ones the other way.
+        let bits = (along + 0.0).to_bits();
+        if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
+    }
+
     /// World direction through pixel centre (`x`, `y`), z_c = 1, not normalised.
     #[inline]
     pub fn ray(&self, x: usize, y: usize) -> [f32; 3] {
