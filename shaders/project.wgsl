@@ -75,7 +75,6 @@ fn project(gaussian_ix: u32) -> Splat {
         return invisible();
     }
     var s: Splat;
-    s.raw_determinant = raw_determinant;
     s.covariance = raw + vec3f(lp, 0.0, lp);
     s.conic = vec3f(s.covariance.z, -s.covariance.y, s.covariance.x) / determinant;
     s.compensation = 1.0;
@@ -95,7 +94,8 @@ fn project(gaussian_ix: u32) -> Splat {
     s.reach = log(255.0 * s.opacity);
     s.depth = camera.z;
     s.flags = SPLAT_VISIBLE;
-    s.pad = 0u;
+    s.pad_a = 0u;
+    s.pad_b = 0u;
     let rows = tile_rows(s, view);
     var n_tiles = 0u;
     for (var row = rows.x; row < rows.y; row++) {

@@ -18,9 +18,8 @@ struct Splat {
     n_tiles: u32,
     // SPLAT_VISIBLE or 0; then no other member may be read.
     flags: u32,
-    // Determinant of the screen covariance without the low-pass.
-    raw_determinant: f32,
-    pad: u32,
+    pad_a: u32,
+    pad_b: u32,
 }
 
 const SPLAT_VISIBLE = 1u;

@@ -9,6 +9,8 @@ use relume::scene::{Camera, Field, Model};
 use super::harness::{Bounds, ENV, Suite, TABLES, TIGHT, gpu, in_front, model};
 
 const LAYERS: usize = 10_000;
+/// What early stop may miss, and the last digit of a coverage of 1.
+const MOST_MISSED: f32 = TRANSMITTANCE_STOP + f32::EPSILON;
 
 /// Ten thousand sheets behind each other over a single pixel.
 fn layered(logit: f32) -> (Model, Camera) {
@@ -75,7 +77,7 @@ fn early_stop_misses_less_weight_than_it_says() {
         let pass = |early| Pass::forward(&source(&model), view, Channels::Full(9), early);
         let (whole, stopped) = (pass(false), pass(true));
         let missed = whole.at(0, 0, COVERAGE) - stopped.at(0, 0, COVERAGE);
-        assert!((0.0..=TRANSMITTANCE_STOP).contains(&missed), "cpu {logit}: {missed:e}");
+        assert!((0.0..=MOST_MISSED).contains(&missed), "cpu {logit}: {missed:e}");
         assert!(missed > 0.0 || logit > 0.0, "the control: something is missed at {logit}");
         let Some(gpu) = gpu() else { continue };
         let on_gpu = |early| {
@@ -95,7 +97,7 @@ fn early_stop_misses_less_weight_than_it_says() {
             gpu.read(raster.gbuffer.as_ref().unwrap(), 0..1).unwrap()[0][0]
         };
         let missed = on_gpu(false) - on_gpu(true);
-        assert!((0.0..=TRANSMITTANCE_STOP).contains(&missed), "gpu {logit}: {missed:e}");
+        assert!((0.0..=MOST_MISSED).contains(&missed), "gpu {logit}: {missed:e}");
     }
 }
 

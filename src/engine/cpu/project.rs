@@ -21,8 +21,6 @@ pub struct Splat {
     pub opacity: f32,
     /// Factor the compensation multiplied the opacity by (1 without).
     pub compensation: f32,
-    /// Determinant of the screen covariance without the low-pass, px^4.
-    pub raw_determinant: f32,
     /// `ln(255 opacity)`: beyond this exponent alpha is below 1/255.
     pub reach: f32,
     /// Camera depth.
@@ -240,7 +238,6 @@ pub fn project(view: &View, index: u32, g: &Geometry) -> Option<Splat> {
         covariance,
         opacity,
         compensation,
-        raw_determinant,
         reach,
         depth,
         depth_key: view.depth_key(g.mean),

@@ -153,7 +153,6 @@ mod tests {
             covariance,
             opacity,
             compensation: 1.0,
-            raw_determinant: d,
             reach: (255.0 * opacity).ln(),
             depth: 1.0,
             depth_key: 0,

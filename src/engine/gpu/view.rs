@@ -93,8 +93,8 @@ pub struct SplatRecord {
     pub n_tiles: u32,
     /// 1 when visible; otherwise nothing else may be read.
     pub flags: u32,
-    /// Determinant of the screen covariance without the low-pass.
-    pub raw_determinant: f32,
     /// Unused.
-    pub pad: u32,
+    pub pad_a: u32,
+    /// Unused.
+    pub pad_b: u32,
 }

@@ -180,8 +180,8 @@ fn device_rows(
             compensation: splat.compensation,
             n_tiles: 1,
             flags: 1,
-            raw_determinant: splat.raw_determinant,
-            pad: 0,
+            pad_a: 0,
+            pad_b: 0,
         };
         let row = &mut rows[i * (8 + 4 * groups)..(i + 1) * (8 + 4 * groups)];
         row.fill(0.0);
