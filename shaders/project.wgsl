@@ -50,7 +50,7 @@ fn project(gaussian_ix: u32) -> Splat {
         return invisible();
     }
     let camera = to_camera(view, mean);
-    if !(camera.z > NEAR && camera.z < 1e30) {
+    if !(camera.z > NEAR && camera.z < FAR) {
         return invisible();
     }
     let inverse = 1.0 / camera.z;
@@ -64,7 +64,7 @@ fn project(gaussian_ix: u32) -> Splat {
     let x = scale * vec3f(dot(to_x, axes[0]), dot(to_x, axes[1]), dot(to_x, axes[2]));
     let y = scale * vec3f(dot(to_y, axes[0]), dot(to_y, axes[1]), dot(to_y, axes[2]));
     let raw = vec3f(dot(x, x), dot(x, y), dot(y, y));
-    if !(raw.x < 1e12 && raw.z < 1e12) {
+    if !(raw.x < LARGEST_VARIANCE && raw.z < LARGEST_VARIANCE) {
         return invisible();
     }
     let area = cross(x, y);
@@ -75,7 +75,6 @@ fn project(gaussian_ix: u32) -> Splat {
         return invisible();
     }
     var s: Splat;
-    s.raw_determinant = raw_determinant;
     s.covariance = raw + vec3f(lp, 0.0, lp);
     s.conic = vec3f(s.covariance.z, -s.covariance.y, s.covariance.x) / determinant;
     s.compensation = 1.0;
@@ -88,10 +87,15 @@ fn project(gaussian_ix: u32) -> Splat {
         return invisible();
     }
     s.mean = view.focal * (camera.xy / camera.z) + view.centre_px;
+    // Beyond this no pixel is anywhere near, and the way back would overflow.
+    if !(abs(s.mean.x) < FARTHEST_PIXEL && abs(s.mean.y) < FARTHEST_PIXEL) {
+        return invisible();
+    }
     s.reach = log(255.0 * s.opacity);
     s.depth = camera.z;
     s.flags = SPLAT_VISIBLE;
-    s.pad = 0u;
+    s.pad_a = 0u;
+    s.pad_b = 0u;
     let rows = tile_rows(s, view);
     var n_tiles = 0u;
     for (var row = rows.x; row < rows.y; row++) {
@@ -100,6 +104,15 @@ fn project(gaussian_ix: u32) -> Splat {
     }
     s.n_tiles = n_tiles;
     return s;
+}
+
+// Orders Gaussians by depth: the bits of the part of depth that differs between them, r_3 . x. To a camera far away all
+// of a model has the same depth but for the last digits; this has all of its own.
+fn depth_key(mean: vec3f) -> u32 {
+    // Positive floats order like their bits, negative ones the other way; -0 goes with 0.
+    let bits = bitcast<u32>(dot(view.rotation[2].xyz, mean));
+    let positive = bits < 0x80000000u || bits == 0x80000000u;
+    return select(~bits, (bits & 0x7fffffffu) | 0x80000000u, positive);
 }
 
 @compute @workgroup_size(256)
@@ -118,9 +131,8 @@ fn main(
         let s = project(gaussian_ix);
         splats[gaussian_ix] = s;
         gaussians[gaussian_ix] = gaussian_ix;
-        // Positive floats order like their bits.
         let visible = s.flags == SPLAT_VISIBLE;
-        depth_keys[gaussian_ix] = select(0xffffffffu, bitcast<u32>(s.depth), visible);
+        depth_keys[gaussian_ix] = select(0xffffffffu, depth_key(vec3_at(model.mean + 3u * gaussian_ix)), visible);
         if visible {
             atomicAdd(&sh_n_visible, 1u);
             atomicAdd(&sh_n_instances, s.n_tiles);

@@ -139,8 +139,8 @@ fn emit_block(first_ix: u32, local_ix: u32, start: u32, width: u32, count: u32, 
 
 // Slope of the sigmoid.
 fn sigmoid_slope(x: f32) -> f32 {
-    let s = sigmoid(x);
-    return s * (1.0 - s);
+    // Not s (1 - s): where s is nearly 1, 1 - s has no digits left.
+    return sigmoid(x) * sigmoid(-x);
 }
 
 // The gradient that reaches a Gaussian from the picture.

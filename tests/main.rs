@@ -7,6 +7,7 @@ mod architecture;
 mod captures;
 mod crash;
 mod eval;
+mod extremes;
 mod gpu;
 mod hostile;
 mod reference;

@@ -13,18 +13,6 @@ struct Geometry {
     opacity: f32,
 }
 
-// Adds the gradient of `sqrt(det raw / det covariance)`, raw being the covariance without the low-pass.
-fn compensation_backward(s: Splat, by_compensation: f32) -> vec3f {
-    let determinant = s.raw_determinant;
-    if !(determinant > 1e-12) {
-        return vec3f(0.0);
-    }
-    let xx = s.covariance.x - view.low_pass;
-    let yy = s.covariance.z - view.low_pass;
-    let inverse = vec3f(yy, -s.covariance.y, xx) / determinant;
-    return 0.5 * s.compensation * by_compensation * (inverse - s.conic);
-}
-
 // Chain rule of the projection (docs/MODEL.md section 2).
 fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: vec3f, mean: vec3f) -> Geometry {
     let s = splats[gaussian_ix];
@@ -44,24 +32,40 @@ fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: ve
     let m = mat3x3f(axes[0] * scale.x, axes[1] * scale.y, axes[2] * scale.z);
     let screen0 = t0 * m;
     let screen1 = t1 * m;
-    // By covariance: -C dC C with C the conic.
+    // With x_k an axis on screen and y_k = C x_k, the gradient of the conic C is -2 C dC y_k by x_k and -2 y_k . dC y_k by
+    // its ln length. A needle's y is the inverse of its length: as a difference of C's entries times x it would be lost.
+    // adj(raw) x_k = sum over the other axes j of (x_k x x_j) perp x_j has no such difference.
+    let lp = view.low_pass;
+    let area = cross(screen0, screen1);
+    let raw_determinant = dot(area, area);
+    let determinant = raw_determinant + lp * (dot(screen0, screen0) + dot(screen1, screen1)) + lp * lp;
+    let adjugate0 = cross(screen1, area);
+    let adjugate1 = cross(area, screen0);
+    let y0 = (adjugate0 + lp * screen0) / determinant;
+    let y1 = (adjugate1 + lp * screen1) / determinant;
     let c = s.conic;
     let d = vec3f(by_head.z, 0.5 * by_head.w, by_tail.x);
-    let left0 = vec2f(c.x * d.x + c.y * d.y, c.x * d.y + c.y * d.z);
-    let left1 = vec2f(c.y * d.x + c.z * d.y, c.y * d.y + c.z * d.z);
-    var cov = -vec3f(dot(left0, c.xy), dot(left0, c.yz), dot(left1, c.yz));
-    if view.low_pass_compensation != 0u {
-        cov += compensation_backward(s, by_tail.y * sigmoid(logit));
+    let v0 = d.x * y0 + d.y * y1;
+    let v1 = d.y * y0 + d.z * y1;
+    var by_screen0 = -2.0 * (c.x * v0 + c.y * v1);
+    var by_screen1 = -2.0 * (c.y * v0 + c.z * v1);
+    var by_length = -2.0 * (y0 * v0 + y1 * v1);
+    // The gradient of sqrt(det raw / det covariance); below, its root no longer has a slope that f32 can hold.
+    if view.low_pass_compensation != 0u && raw_determinant > 1e-12 {
+        let factor = s.compensation * by_tail.y * sigmoid(logit);
+        let sharper0 = factor * (adjugate0 / raw_determinant - y0);
+        let sharper1 = factor * (adjugate1 / raw_determinant - y1);
+        by_screen0 += sharper0;
+        by_screen1 += sharper1;
+        by_length += sharper0 * screen0 + sharper1 * screen1;
     }
-    let by_screen0 = 2.0 * (cov.x * screen0 + cov.y * screen1);
-    let by_screen1 = 2.0 * (cov.y * screen0 + cov.z * screen1);
     var out: Geometry;
     out.opacity = by_tail.y * s.compensation * sigmoid_slope(logit);
     let by_m0 = t0 * by_screen0.x + t1 * by_screen1.x;
     let by_m1 = t0 * by_screen0.y + t1 * by_screen1.y;
     let by_m2 = t0 * by_screen0.z + t1 * by_screen1.z;
     out.rotation = mat3x3f(by_m0 * scale.x, by_m1 * scale.y, by_m2 * scale.z);
-    out.log_scale = vec3f(dot(by_m0, m[0]), dot(by_m1, m[1]), dot(by_m2, m[2]));
+    out.log_scale = by_length;
     let by_t0 = m * by_screen0;
     let by_t1 = m * by_screen1;
     let diagonal = vec2f(dot(by_t0, view.rotation[0].xyz), dot(by_t1, view.rotation[1].xyz));

@@ -18,12 +18,15 @@ struct Splat {
     n_tiles: u32,
     // SPLAT_VISIBLE or 0; then no other member may be read.
     flags: u32,
-    // Determinant of the screen covariance without the low-pass.
-    raw_determinant: f32,
-    pad: u32,
+    pad_a: u32,
+    pad_b: u32,
 }
 
 const SPLAT_VISIBLE = 1u;
 const NEAR = 0.05;
+// As in src/engine/cpu/project.rs: depth, variance (px^2) and place on screen (px) beyond which nothing is drawn.
+const FAR = 1e12;
+const LARGEST_VARIANCE = 1e18;
+const FARTHEST_PIXEL = 1e12;
 const ALPHA_MIN = 1.0 / 255.0;
 const ALPHA_MAX = 0.99;

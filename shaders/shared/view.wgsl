@@ -2,7 +2,7 @@
 struct View {
     focal: vec2f,
     centre_px: vec2f,
-    // Rows of the world-to-camera rotation; w is unused.
+    // Rows of the world-to-camera matrix: rotation in xyz, translation in w.
     rotation: array<vec4f, 3>,
     eye: vec4f,
     // Limits of x/z (x, y) and of y/z (z, w) inside the projection's Jacobian.
@@ -19,10 +19,11 @@ struct View {
 
 const TILE = 16u;
 
-// Camera coordinates of a world point: `R (x - eye)`, which keeps precision far from the origin.
+// Camera coordinates of a world point: `R x + t`. Models lie around the origin, so this keeps the digits across the view
+// of a camera that is far away, where `R (x - eye)` would lose those of `x`.
 fn to_camera(view: View, x: vec3f) -> vec3f {
-    let d = x - view.eye.xyz;
-    return vec3f(dot(view.rotation[0].xyz, d), dot(view.rotation[1].xyz, d), dot(view.rotation[2].xyz, d));
+    let turned = vec3f(dot(view.rotation[0].xyz, x), dot(view.rotation[1].xyz, x), dot(view.rotation[2].xyz, x));
+    return turned + vec3f(view.rotation[0].w, view.rotation[1].w, view.rotation[2].w);
 }
 
 // World direction of a camera-space direction: `R^T d`.

@@ -7,6 +7,7 @@ mod device;
 pub mod gpu;
 mod gradients;
 pub mod reference;
+pub mod side_by_side;
 
 pub use device::Device;
 pub use gradients::{Gradients, RowLayout};

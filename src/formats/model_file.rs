@@ -210,6 +210,6 @@ mod tests {
         let mut model = example();
         model.gaussians.field_mut(Field::Mean)[0] = f32::NAN;
         let err = decode(&encode(&model).unwrap()).unwrap_err();
-        assert!(err.to_string().contains("gaussians"), "{err}");
+        assert!(err.to_string().contains("means"), "{err}");
     }
 }

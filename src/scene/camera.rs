@@ -24,6 +24,11 @@ pub struct Camera {
     pub translation: DVec3,
 }
 
+/// Focal lengths that are taken, pixels: 179.99999 degrees on one pixel to a thousandth of a second of arc on 8k.
+const FOCAL_LENGTHS: std::ops::RangeInclusive<f64> = 1e-7..=1e13;
+/// Farthest a principal point may lie from the image's corner, pixels.
+const FARTHEST_PRINCIPAL_POINT: f64 = 1e9;
+
 /// Why a camera was refused. `field` names what was wrong in the caller's vocabulary.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{field}: {reason}")]
@@ -126,10 +131,20 @@ impl Camera {
             if !(value.is_finite() && value > 0.0) {
                 return Err(CameraError::new(field, format!("focal length must be positive, got {value}")));
             }
+            if !FOCAL_LENGTHS.contains(&value) {
+                let reason = format!("focal length must be 1e-7 to 1e13 pixels, got {value:e}");
+                return Err(CameraError::new(field, reason));
+            }
         }
         for (field, value) in [("cx", self.cx), ("cy", self.cy)] {
             if !value.is_finite() {
                 return Err(CameraError::new(field, "principal point must be finite"));
+            }
+            if value.abs() > FARTHEST_PRINCIPAL_POINT {
+                return Err(CameraError::new(
+                    field,
+                    format!("principal point must be within 1e9 pixels, got {value:e}"),
+                ));
             }
         }
         let pose = self.rotation.to_cols_array();

@@ -36,7 +36,18 @@ pub enum EnvMapError {
         /// Row.
         y: usize,
     },
+    /// A texel is brighter than [`BRIGHTEST`].
+    #[error("environment: texel at column {x}, row {y} is brighter than {BRIGHTEST:e}")]
+    TooBright {
+        /// Column.
+        x: usize,
+        /// Row.
+        y: usize,
+    },
 }
+
+/// Brightest radiance that is taken: sums over the whole sphere stay finite in f32, exposed by up to 20 stops.
+pub const BRIGHTEST: f32 = 1e30;
 
 /// What was mended while an environment was taken in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -49,7 +60,8 @@ impl EnvMap {
     /// Takes linear radiance in; negative values are set to 0 and counted.
     ///
     /// # Errors
-    /// [`EnvMapError::Size`] when the lengths disagree, [`EnvMapError::NotFinite`] for NaN or infinity.
+    /// [`EnvMapError::Size`] when the lengths disagree, [`EnvMapError::NotFinite`] for NaN or infinity,
+    /// [`EnvMapError::TooBright`] beyond [`BRIGHTEST`].
     pub fn new(
         width: usize,
         height: usize,
@@ -62,6 +74,9 @@ impl EnvMap {
         for (i, value) in texels.iter_mut().enumerate().flat_map(|(i, t)| t.iter_mut().map(move |v| (i, v))) {
             if !value.is_finite() {
                 return Err(EnvMapError::NotFinite { x: i % width, y: i / width });
+            }
+            if *value > BRIGHTEST {
+                return Err(EnvMapError::TooBright { x: i % width, y: i / width });
             }
             if *value < 0.0 {
                 *value = 0.0;

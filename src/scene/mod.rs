@@ -6,7 +6,9 @@ mod gaussians;
 mod model;
 
 pub use camera::{Camera, CameraError};
-pub use environment::{EnvMap, EnvMapError, EnvMapStats, direction_to_uv, texel_directions, uv_to_direction};
+pub use environment::{
+    BRIGHTEST, EnvMap, EnvMapError, EnvMapStats, direction_to_uv, texel_directions, uv_to_direction,
+};
 pub use gaussians::{Field, Gaussians};
 pub use model::{
     DiffuseForm, IndirectForm, Model, ModelError, NormalForm, ShadingOptions, VisibilityForm, sh_count,

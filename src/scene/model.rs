@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use crate::scene::{EnvMap, Gaussians};
+use crate::scene::{EnvMap, Field, Gaussians};
 
 /// Number of real SH coefficients up to degree `order`.
 pub const fn sh_count(order: usize) -> usize {
@@ -152,16 +152,27 @@ impl Model {
         if self.env_raw.len() != self.env_width * self.env_height || self.env_raw.is_empty() {
             return err("environment", "its size does not fit its texels");
         }
-        if !self.gaussians.is_finite() {
-            return err("gaussians", "have a value that is not finite");
+        for field in Field::ALL {
+            check_values(field.name(), self.gaussians.field(field))?;
         }
-        if !self.prototypes.iter().chain(&self.env_raw).flatten().all(|v| v.is_finite()) {
-            return err("prototypes,environment", "have a value that is not finite");
-        }
+        check_values("prototypes", self.prototypes.as_flattened())?;
+        check_values("environment", self.env_raw.as_flattened())?;
         if !(self.world_scale.is_finite() && self.world_scale > 0.0 && self.world_offset.is_finite()) {
             return err("world_scale,world_offset", "must be finite and the scale positive");
         }
         Ok(())
+    }
+}
+
+/// Largest magnitude of a parameter in a file: its square, and sums of many, stay finite in f32.
+const LARGEST_VALUE: f32 = 1e18;
+
+fn check_values(field: &'static str, values: &[f32]) -> Result<(), ModelError> {
+    let err = |reason: String| Err(ModelError { field, reason });
+    match values.iter().position(|v| !(v.abs() <= LARGEST_VALUE)) {
+        Some(at) if values[at].is_finite() => err(format!("value {at} is beyond {LARGEST_VALUE:e}")),
+        Some(at) => err(format!("value {at} is not finite")),
+        None => Ok(()),
     }
 }
 

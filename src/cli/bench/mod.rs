@@ -2,6 +2,7 @@
 
 mod device;
 mod matrix;
+mod precision;
 
 use crate::cli::CommandResult;
 
@@ -18,11 +19,14 @@ enum What {
     Device(device::Args),
     /// Accuracy of each variant of the settings on each capture, in one table.
     Matrix(matrix::Args),
+    /// Error of a device's engine against f64, stage by stage.
+    Precision(precision::Args),
 }
 
 pub(super) fn run(args: &Args) -> CommandResult {
     match &args.what {
         What::Device(args) => device::run(args),
         What::Matrix(args) => matrix::run(args),
+        What::Precision(args) => precision::run(args),
     }
 }

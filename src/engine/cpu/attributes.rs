@@ -4,7 +4,7 @@
 use crate::engine::RowLayout;
 use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::project::{
-    Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid,
+    Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid, sigmoid_slope,
 };
 use crate::engine::cpu::view::View;
 use crate::light::{sh_eval, sh_eval_with_gradient};
@@ -152,8 +152,7 @@ impl AttributeSource<'_> {
             *o += p * (by_p(a) - mean);
         }
         for (field, channel) in [(Field::MetalLogit, channel::METAL), (Field::RoughLogit, channel::ROUGH)] {
-            let s = sigmoid(self.gaussians.row(field, i)[0]);
-            out[layout.range(field)][0] += by_row[channel] * s * (1.0 - s);
+            out[layout.range(field)][0] += by_row[channel] * sigmoid_slope(self.gaussians.row(field, i)[0]);
         }
     }
 

@@ -14,20 +14,28 @@ use crate::engine::cpu::tiles::TILE;
 pub const TRANSMITTANCE_STOP: f32 = 1e-4;
 
 /// The part of a splat that a strip needs.
+///
+/// The exponent `0.5 d^T C d` is taken as a sum of two squares (the Cholesky factor of C): for needles the terms of the
+/// quadratic form cancel, and the sum of squares neither loses digits nor turns negative. With `C = [a b; b c]` it is
+/// `0.5 ((sqrt(a) dx + b / sqrt(a) dy)^2 + dy^2 / yy)`, since `c - b^2 / a = 1 / yy`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LocalSplat {
     mean: [f32; 2],
     conic: [f32; 3],
     opacity: f32,
     reach: f32,
+    /// `sqrt(a / 2)`, `b / sqrt(2 a)`.
+    axes: [f32; 2],
     /// Minimum power in a row is `row_power * dy^2`.
     row_power: f32,
 }
 
 impl LocalSplat {
     fn new(s: &Splat) -> Self {
-        let row_power = 0.5 * (s.conic[2] - s.conic[1] * s.conic[1] / s.conic[0]).max(0.0);
-        Self { mean: s.mean, conic: s.conic, opacity: s.opacity, reach: s.reach, row_power }
+        let root = (0.5 * s.conic[0]).sqrt();
+        let axes = [root, 0.5 * s.conic[1] / root];
+        let row_power = 0.5 / s.covariance[2];
+        Self { mean: s.mean, conic: s.conic, opacity: s.opacity, reach: s.reach, axes, row_power }
     }
 
     /// Offset of lane 0 of a tile at `x` from the mean.
@@ -102,16 +110,17 @@ impl BlendScratch {
         let mut transmittance = Lanes::ONE;
         for (local, s) in self.splats.iter().enumerate() {
             let dy = s.dy(y);
-            if s.row_power * dy * dy > s.reach {
+            let least = s.row_power * dy * dy;
+            if least > s.reach {
                 continue;
             }
             let x0 = s.dx(x);
-            let (a, b, c) = (0.5 * s.conic[0], s.conic[1] * dy, 0.5 * s.conic[2] * dy * dy);
+            let (a, b) = (s.axes[0], s.axes[1] * dy);
             let mut alpha = Lanes::ZERO;
             for i in 0..LANES {
                 let dx = x0 + i as f32;
-                let power = (a * dx + b) * dx + c;
-                let power = if power > 0.0 { power } else { 0.0 };
+                let u = a * dx + b;
+                let power = u * u + least;
                 let value = s.opacity * exp_negative(-power);
                 alpha.0[i] = if value >= ALPHA_MIN { value } else { 0.0 };
             }

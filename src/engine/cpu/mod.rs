@@ -28,7 +28,7 @@ pub use pass::{Pass, project_all};
 pub use probes::{NO_HIT, ProbeSettings, Probes, fibonacci_sphere, outward_normals};
 pub use project::{
     ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, rotation_backward,
-    sigmoid,
+    sigmoid, sigmoid_slope,
 };
 pub use shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
 pub use shading::{

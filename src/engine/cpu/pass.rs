@@ -225,7 +225,6 @@ pub fn project_all(source: &AttributeSource<'_>, view: &View) -> Vec<Splat> {
         .with_min_len(256)
         .filter_map(|i| project(view, i as u32, &source.geometry(i)))
         .collect();
-    // Positive floats order like their bits.
-    splats.par_sort_unstable_by_key(|s| (s.depth.to_bits(), s.gaussian));
+    splats.par_sort_unstable_by_key(|s| (s.depth_key, s.gaussian));
     splats
 }

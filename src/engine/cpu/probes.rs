@@ -187,7 +187,8 @@ fn occluder(source: &AttributeSource<'_>, i: usize) -> Occluder {
     let q = rotation(g.quaternion);
     let scale = g.log_scale.map(|s| s.clamp(-60.0, 60.0).exp());
     let axes = std::array::from_fn(|k| std::array::from_fn(|r| q[r][k] * scale[k]));
-    Occluder { mean: g.mean, axes, opacity: sigmoid(g.opacity_logit) }
+    let opacity = if g.is_usable() { sigmoid(g.opacity_logit) } else { 0.0 };
+    Occluder { mean: g.mean, axes, opacity }
 }
 
 /// Two unit vectors that complete `d` to an orthonormal basis.

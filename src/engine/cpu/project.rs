@@ -1,4 +1,8 @@
 //! Projection of one Gaussian to a screen-space splat, and back (docs/MODEL.md section 2).
+//!
+//! The determinant of the screen covariance `M M^T` is the squared length of the cross product of M's rows: for needles
+//! `xx yy - xy^2` would be the difference of two large numbers. With the low-pass l added to xx and yy it grows by
+//! `l (xx + yy) + l^2`, a sum of positive terms.
 
 use crate::engine::cpu::view::View;
 
@@ -21,6 +25,8 @@ pub struct Splat {
     pub reach: f32,
     /// Camera depth.
     pub depth: f32,
+    /// Sorts like depth, see [`View::depth_key`].
+    pub depth_key: u32,
 }
 
 /// Raw geometry of one Gaussian.
@@ -64,6 +70,12 @@ type Mat3 = [[f32; 3]; 3];
 
 /// Nearest camera depth that is drawn, world units.
 pub const NEAR: f32 = 0.05;
+/// Farthest camera depth that is drawn: its cube is still finite in f32.
+const FAR: f32 = 1e12;
+/// Farthest a projected mean may lie from the image's corner, pixels.
+const FARTHEST_PIXEL: f32 = 1e12;
+/// Largest variance of a splat on screen, px^2: its square is still finite in f32.
+const LARGEST_VARIANCE: f32 = 1e18;
 /// Alpha below this is treated as nothing.
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// Alpha is capped here.
@@ -73,6 +85,12 @@ pub const ALPHA_MAX: f32 = 0.99;
 #[inline]
 pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
+}
+
+/// Slope of [`sigmoid`]: `s(x) s(-x)`, which keeps its digits where `s` is nearly 1 and `1 - s` has none left.
+#[inline]
+pub fn sigmoid_slope(x: f32) -> f32 {
+    sigmoid(x) * sigmoid(-x)
 }
 
 /// `v / max(|v|, 1e-12)` and the length used.
@@ -122,6 +140,14 @@ pub fn rotation_backward(quaternion: [f32; 4], g: &Mat3) -> [f32; 4] {
     normalise_backward(unit, length, by_unit)
 }
 
+impl Geometry {
+    /// Whether this is a Gaussian at all. Scales and opacity may be infinite: they have limits.
+    pub(super) fn is_usable(&self) -> bool {
+        let finite = self.mean.iter().chain(&self.quaternion).all(|v| v.is_finite());
+        finite && !self.opacity_logit.is_nan() && !self.log_scale.iter().any(|s| s.is_nan())
+    }
+}
+
 /// What forward and backward share.
 struct Projection {
     /// Camera-space mean.
@@ -133,12 +159,23 @@ struct Projection {
     /// `Q S`, columns are the scaled axes.
     axes: Mat3,
     scale: [f32; 3],
+    /// The three scaled axes on screen, 2 x 3: squares of them cannot turn negative.
+    screen: [[f32; 3]; 2],
+    /// Screen covariance without the low-pass.
+    raw: [f32; 3],
+    /// Its determinant.
+    raw_determinant: f32,
+    /// Cross product of the rows of `screen`.
+    area: [f32; 3],
 }
 
 fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
+    if !g.is_usable() {
+        return None;
+    }
     let camera = view.to_camera(g.mean);
     // Written so that NaN fails.
-    if !(camera[2] > NEAR && camera[2] < 1e30) {
+    if !(camera[2] > NEAR && camera[2] < FAR) {
         return None;
     }
     let inverse = 1.0 / camera[2];
@@ -156,44 +193,64 @@ fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
     });
     let rotation = rotation(g.quaternion);
     let scale = g.log_scale.map(|s| s.clamp(-60.0, 60.0).exp());
-    let axes = std::array::from_fn(|r| std::array::from_fn(|c| rotation[r][c] * scale[c]));
-    Some(Projection { camera, to_screen, ratio, axes, scale })
+    let axes: Mat3 = std::array::from_fn(|r| std::array::from_fn(|c| rotation[r][c] * scale[c]));
+    // The scale comes last: nothing cancels between axes of different length.
+    let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
+        std::array::from_fn(|c| scale[c] * (0..3).map(|k| to_screen[r][k] * rotation[k][c]).sum::<f32>())
+    });
+    let dot = |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f32>();
+    let raw = [dot(&screen[0], &screen[0]), dot(&screen[0], &screen[1]), dot(&screen[1], &screen[1])];
+    if !(raw[0] < LARGEST_VARIANCE && raw[2] < LARGEST_VARIANCE) {
+        return None;
+    }
+    let area = cross(&screen[0], &screen[1]);
+    let raw_determinant = dot(&area, &area);
+    Some(Projection { camera, to_screen, ratio, axes, scale, screen, raw, raw_determinant, area })
 }
 
 /// Projects a Gaussian, or `None` when no pixel can see it.
 pub fn project(view: &View, index: u32, g: &Geometry) -> Option<Splat> {
     let p = prepare(view, g)?;
-    // 2 x 3 matrix of the three axes on screen: squares of it cannot turn negative.
-    let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|c| (0..3).map(|k| p.to_screen[r][k] * p.axes[k][c]).sum())
-    });
-    let dot = |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f32>();
-    let raw = [dot(&screen[0], &screen[0]), dot(&screen[0], &screen[1]), dot(&screen[1], &screen[1])];
-    if !(raw[0] < 1e12 && raw[2] < 1e12) {
-        return None;
-    }
-    let covariance = [raw[0] + view.low_pass, raw[1], raw[2] + view.low_pass];
-    let determinant = det(covariance);
+    let (raw, raw_determinant, low_pass) = (p.raw, p.raw_determinant, view.low_pass);
+    let covariance = [raw[0] + low_pass, raw[1], raw[2] + low_pass];
+    let determinant = blurred_determinant(&p, low_pass);
     if !(determinant > 1e-12) {
         return None;
     }
     let conic = [covariance[2], -covariance[1], covariance[0]].map(|v| v / determinant);
-    let compensation =
-        if view.low_pass_compensation { (det(raw).max(0.0) / determinant).sqrt() } else { 1.0 };
+    let compensation = if view.low_pass_compensation { (raw_determinant / determinant).sqrt() } else { 1.0 };
     let opacity = sigmoid(g.opacity_logit) * compensation;
     if !(opacity >= ALPHA_MIN) {
         return None;
     }
-    let mean = std::array::from_fn(|k| view.focal[k] * (p.camera[k] / p.camera[2]) + view.centre_px[k]);
+    let mean: [f32; 2] =
+        std::array::from_fn(|k| view.focal[k] * (p.camera[k] / p.camera[2]) + view.centre_px[k]);
+    // Beyond this no pixel is anywhere near, and the way back would overflow.
+    if !(mean[0].abs() < FARTHEST_PIXEL && mean[1].abs() < FARTHEST_PIXEL) {
+        return None;
+    }
     let reach = (255.0 * opacity).ln();
     let depth = p.camera[2];
-    Some(Splat { gaussian: index, mean, conic, covariance, opacity, compensation, reach, depth })
+    Some(Splat {
+        gaussian: index,
+        mean,
+        conic,
+        covariance,
+        opacity,
+        compensation,
+        reach,
+        depth,
+        depth_key: view.depth_key(g.mean),
+    })
 }
 
-/// `xx yy - xy^2` in f64: a needle's determinant is the difference of two large numbers.
-fn det(c: [f32; 3]) -> f32 {
-    let [xx, xy, yy] = c.map(f64::from);
-    (xx * yy - xy * xy) as f32
+fn cross(a: &[f32; 3], b: &[f32; 3]) -> [f32; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// Determinant of the screen covariance, low-pass included.
+fn blurred_determinant(p: &Projection, low_pass: f32) -> f32 {
+    p.raw_determinant + low_pass * (p.raw[0] + p.raw[2]) + low_pass * low_pass
 }
 
 /// Chain rule from a splat's gradient to the Gaussian's geometry; `s` is the forward result.
@@ -201,30 +258,15 @@ pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient)
     let Some(p) = prepare(view, g) else { return GeometryGradient::default() };
     let mut out = GeometryGradient::default();
     let sigma = sigmoid(g.opacity_logit);
-    out.opacity_logit = d.opacity * s.compensation * sigma * (1.0 - sigma);
-    // d covariance = -C dC C with C the conic.
-    let [a, b, c] = s.conic;
+    out.opacity_logit = d.opacity * s.compensation * sigmoid_slope(g.opacity_logit);
+    // Gradient by the conic as a symmetric matrix.
     let (da, db, dc) = (d.conic[0], 0.5 * d.conic[1], d.conic[2]);
-    let left = [[a * da + b * db, a * db + b * dc], [b * da + c * db, b * db + c * dc]];
-    let mut cov = [
-        [-(left[0][0] * a + left[0][1] * b), -(left[0][0] * b + left[0][1] * c)],
-        [-(left[1][0] * a + left[1][1] * b), -(left[1][0] * b + left[1][1] * c)],
-    ];
-    if view.low_pass_compensation {
-        compensation_backward(view, s, d.opacity * sigma, &mut cov);
-    }
-    // M = Q S, screen = T M, covariance = screen screen^T.
-    let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|k| (0..3).map(|j| p.to_screen[r][j] * p.axes[j][k]).sum())
-    });
-    let by_screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|k| 2.0 * (cov[r][0] * screen[0][k] + cov[r][1] * screen[1][k]))
-    });
+    let by_screen = screen_backward(view, &p, s, [da, db, dc], d.opacity * sigma, &mut out.log_scale);
+    // M = Q S, screen = T M.
     for row in 0..3 {
         for k in 0..3 {
             let by_axis = p.to_screen[0][row] * by_screen[0][k] + p.to_screen[1][row] * by_screen[1][k];
             out.rotation[row][k] = by_axis * p.scale[k];
-            out.log_scale[k] += by_axis * p.axes[row][k];
         }
     }
     // T = J R.
@@ -249,17 +291,42 @@ pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient)
     out
 }
 
-/// Adds the gradient of `compensation = sqrt(det raw / det covariance)`.
-fn compensation_backward(view: &View, s: &Splat, by_compensation: f32, cov: &mut [[f32; 2]; 2]) {
-    let raw = [s.covariance[0] - view.low_pass, s.covariance[1], s.covariance[2] - view.low_pass];
-    let determinant = det(raw);
-    if determinant <= 1e-12 {
-        return;
+/// Gradient by the three axes on screen, and by their ln length, of the conic `C = (raw + low_pass)^-1` and of the
+/// compensation `sqrt(det raw / det covariance)`.
+///
+/// With x_k an axis on screen and `y_k = C x_k` they are `-2 C dC y_k` and `-2 y_k . dC y_k`. A needle's y is the inverse
+/// of its length: as a difference of C's entries times x it would be lost, so it is taken from the adjugate,
+/// `adj(raw) x_k = sum over the other axes j of (x_k x x_j) perp x_j`, in which the axis itself cancels exactly.
+fn screen_backward(
+    view: &View,
+    p: &Projection,
+    s: &Splat,
+    [da, db, dc]: [f32; 3],
+    by_compensation: f32,
+    by_log_scale: &mut [f32; 3],
+) -> [[f32; 3]; 2] {
+    let [a, b, c] = s.conic;
+    let (determinant, low_pass) = (blurred_determinant(p, view.low_pass), view.low_pass);
+    let adjugate = [cross(&p.screen[1], &p.area), cross(&p.area, &p.screen[0])];
+    // Below, its root no longer has a slope that f32 can hold.
+    let has_slope = view.low_pass_compensation && p.raw_determinant > 1e-12;
+    let factor = if has_slope { s.compensation * by_compensation } else { 0.0 };
+    let mut by_screen = [[0.0f32; 3]; 2];
+    for k in 0..3 {
+        let x = [p.screen[0][k], p.screen[1][k]];
+        let y: [f32; 2] = std::array::from_fn(|r| (adjugate[r][k] + low_pass * x[r]) / determinant);
+        let v = [da * y[0] + db * y[1], db * y[0] + dc * y[1]];
+        let mut by = [-2.0 * (a * v[0] + b * v[1]), -2.0 * (b * v[0] + c * v[1])];
+        let mut by_length = -2.0 * (y[0] * v[0] + y[1] * v[1]);
+        if has_slope {
+            for r in 0..2 {
+                let sharper = factor * (adjugate[r][k] / p.raw_determinant - y[r]);
+                by[r] += sharper;
+                by_length += sharper * x[r];
+            }
+        }
+        (0..2).for_each(|r| by_screen[r][k] = by[r]);
+        by_log_scale[k] += by_length;
     }
-    let factor = 0.5 * s.compensation * by_compensation;
-    let inverse = [raw[2] / determinant, -raw[1] / determinant, raw[0] / determinant];
-    cov[0][0] += factor * (inverse[0] - s.conic[0]);
-    cov[0][1] += factor * (inverse[1] - s.conic[1]);
-    cov[1][0] += factor * (inverse[1] - s.conic[1]);
-    cov[1][1] += factor * (inverse[2] - s.conic[2]);
+    by_screen
 }

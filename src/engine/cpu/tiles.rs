@@ -115,12 +115,16 @@ fn touched_rows(
 fn touches(s: &Splat, column: usize, row: usize) -> bool {
     let lo = [(column * TILE) as f32 + 0.5 - s.mean[0], (row * TILE) as f32 + 0.5 - s.mean[1]];
     let hi = [lo[0] + (TILE - 1) as f32, lo[1] + (TILE - 1) as f32];
-    least_power(s.conic, lo, hi) <= s.reach
+    least_power(s, lo, hi) <= s.reach
 }
 
-/// Smallest `0.5 d^T C d` over the box `lo..hi` of offsets from the mean.
-fn least_power([a, b, c]: [f32; 3], lo: [f32; 2], hi: [f32; 2]) -> f32 {
-    let power = |x: f32, y: f32| 0.5 * (a * x * x + c * y * y) + b * x * y;
+/// Smallest `0.5 d^T C d` over the box `lo..hi` of offsets from the mean, as the sum of squares that blending uses.
+fn least_power(s: &Splat, lo: [f32; 2], hi: [f32; 2]) -> f32 {
+    let ([a, b, c], root) = (s.conic, s.conic[0].sqrt());
+    let power = |x: f32, y: f32| {
+        let u = root * x + b / root * y;
+        0.5 * (u * u + y * y / s.covariance[2])
+    };
     let nearest = [0.0f32.clamp(lo[0], hi[0]), 0.0f32.clamp(lo[1], hi[1])];
     if nearest == [0.0, 0.0] {
         return 0.0;
@@ -151,6 +155,7 @@ mod tests {
             compensation: 1.0,
             reach: (255.0 * opacity).ln(),
             depth: 1.0,
+            depth_key: 0,
         }
     }
 

@@ -15,6 +15,8 @@ pub struct View {
     pub centre_px: [f32; 2],
     /// World-to-camera rotation, row-major.
     pub rotation: [[f32; 3]; 3],
+    /// World-to-camera translation.
+    pub translation: [f32; 3],
     /// Camera centre, world.
     pub eye: [f32; 3],
     /// Limits of x/z and y/z inside the projection's Jacobian.
@@ -39,6 +41,7 @@ impl View {
             focal: [camera.fx as f32, camera.fy as f32],
             centre_px: [camera.cx as f32, camera.cy as f32],
             rotation: std::array::from_fn(|k| r.row(k).to_array().map(|v| v as f32)),
+            translation: camera.translation.to_array().map(|v| v as f32),
             eye: camera.centre().to_array().map(|v| v as f32),
             ratio_limits: [
                 limits(camera.width, camera.cx, camera.fx),
@@ -49,11 +52,21 @@ impl View {
         }
     }
 
-    /// Camera coordinates of a world point: `R (x - eye)`, which keeps precision far from the origin.
+    /// Camera coordinates of a world point: `R x + t`. Models lie around the origin, so this keeps the digits across the
+    /// view of a camera that is far away, where `R (x - eye)` would lose those of `x`.
     #[inline]
     pub fn to_camera(&self, x: [f32; 3]) -> [f32; 3] {
-        let d: [f32; 3] = std::array::from_fn(|k| x[k] - self.eye[k]);
-        std::array::from_fn(|k| (0..3).map(|c| self.rotation[k][c] * d[c]).sum())
+        std::array::from_fn(|k| (0..3).map(|c| self.rotation[k][c] * x[c]).sum::<f32>() + self.translation[k])
+    }
+
+    /// Orders world points by depth: the bits of the part of depth that differs between them, `r_3 . x`. To a camera far
+    /// away all of a model has the same depth but for the last digits; this has all of its own.
+    #[inline]
+    pub fn depth_key(&self, x: [f32; 3]) -> u32 {
+        let along: f32 = (0..3).map(|c| self.rotation[2][c] * x[c]).sum();
+        // Adding zero turns -0 into 0; then positive floats order like their bits, negative ones the other way.
+        let bits = (along + 0.0).to_bits();
+        if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
     }
 
     /// World direction through pixel centre (`x`, `y`), z_c = 1, not normalised.

@@ -15,7 +15,7 @@ pub struct ViewUniform {
     pub focal: [f32; 2],
     /// Principal point, pixels.
     pub centre_px: [f32; 2],
-    /// Rows of the world-to-camera rotation, padded.
+    /// Rows of the world-to-camera matrix: rotation, then translation.
     pub rotation: [[f32; 4]; 3],
     /// Camera centre, padded.
     pub eye: [f32; 4],
@@ -39,12 +39,16 @@ impl ViewUniform {
     /// The shaders' form of `view`.
     pub fn new(view: &View) -> Self {
         let padded = |v: [f32; 3]| [v[0], v[1], v[2], 0.0];
+        let row = |k: usize| {
+            let [x, y, z] = view.rotation[k];
+            [x, y, z, view.translation[k]]
+        };
         let [x, y] = view.ratio_limits;
         let size = [view.width as u32, view.height as u32];
         Self {
             focal: view.focal,
             centre_px: view.centre_px,
-            rotation: view.rotation.map(padded),
+            rotation: std::array::from_fn(row),
             eye: padded(view.eye),
             ratio_limits: [x[0], x[1], y[0], y[1]],
             size,
@@ -89,8 +93,8 @@ pub struct SplatRecord {
     pub n_tiles: u32,
     /// 1 when visible; otherwise nothing else may be read.
     pub flags: u32,
-    /// Determinant of the screen covariance without the low-pass.
-    pub raw_determinant: f32,
     /// Unused.
-    pub pad: u32,
+    pub pad_a: u32,
+    /// Unused.
+    pub pad_b: u32,
 }

@@ -158,7 +158,7 @@ fn assert_forward(raster: &mut Raster, scene: &Scene, channels: Channels, tolera
 #[test]
 fn host_and_shaders_agree_on_structs() {
     assert_layout!(SplatRecord as "Splat" in shaders::PROJECT;
-        mean, opacity, reach, conic, depth, covariance, compensation, n_tiles, flags, raw_determinant, pad);
+        mean, opacity, reach, conic, depth, covariance, compensation, n_tiles, flags, pad_a, pad_b);
     assert_layout!(ViewUniform as "View" in shaders::BLEND_4;
         focal, centre_px, rotation, eye, ratio_limits, size, tiles, low_pass, low_pass_compensation, n_pixels, pad);
     assert_layout!(BlendEnd as "BlendEnd" in shaders::BLEND_4; transmittance, slot);

@@ -169,9 +169,6 @@ fn device_rows(
     let mut records = vec![garbage; n];
     let mut rows = vec![f32::NAN; n * (8 + 4 * groups)];
     for (splat, from) in pass.splats.iter().zip(summed.chunks_exact(6 + count)) {
-        let [xx, xy, yy] = splat.covariance;
-        let low = pass.view.low_pass;
-        let determinant = f64::from(xx - low) * f64::from(yy - low) - f64::from(xy) * f64::from(xy);
         let i = splat.gaussian as usize;
         records[i] = SplatRecord {
             mean: splat.mean,
@@ -183,8 +180,8 @@ fn device_rows(
             compensation: splat.compensation,
             n_tiles: 1,
             flags: 1,
-            raw_determinant: determinant as f32,
-            pad: 0,
+            pad_a: 0,
+            pad_b: 0,
         };
         let row = &mut rows[i * (8 + 4 * groups)..(i + 1) * (8 + 4 * groups)];
         row.fill(0.0);

@@ -27,14 +27,14 @@ fn forward_errors(raster: &mut Raster, scene: &Scene, channels: Channels) -> (f3
 }
 
 #[test]
-fn needles_are_drawn_to_more_digits_than_the_quadratic_form_has() {
+fn needles_keep_their_digits_on_both_engines() {
     let Some(gpu) = Gpu::for_tests() else { return };
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(31, 60, (64, 48), 1).fill(Field::LogScale, &[0.7, -6.0, -6.5]);
     let (device, cpu) = forward_errors(&mut raster, &scene, Channels::Material);
     let back = check(&mut raster, &scene, Channels::Material, 13);
     eprintln!("needles: device {device:e}, CPU {cpu:e}, backward {back:e}");
-    assert!(device < 1e-3 && device <= cpu, "device {device:e}, CPU {cpu:e}");
+    assert!(device < 5e-5 && cpu < 5e-5, "device {device:e}, CPU {cpu:e}");
     assert!(back < 1e-3, "{back:e}");
 }
 

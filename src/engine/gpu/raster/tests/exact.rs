@@ -10,13 +10,13 @@ pub struct ExactSplat {
     pub mean: [f64; 2],
     pub conic: [f64; 3],
     pub opacity: f64,
-    pub depth: f64,
+    order: u32,
 }
 
 /// Visible splats, nearest first. Without compensation; quaternions must not be zero.
 pub fn project(view: &View, g: &Gaussians) -> Vec<ExactSplat> {
     let mut out: Vec<ExactSplat> = (0..g.len()).filter_map(|i| project_one(view, g, i)).collect();
-    out.sort_by(|a, b| (a.depth as f32).total_cmp(&(b.depth as f32)).then(a.gaussian.cmp(&b.gaussian)));
+    out.sort_by(|a, b| a.order.cmp(&b.order).then(a.gaussian.cmp(&b.gaussian)));
     out
 }
 
@@ -24,9 +24,8 @@ fn project_one(view: &View, g: &Gaussians, i: usize) -> Option<ExactSplat> {
     let wide = |v: &[f32]| -> [f64; 3] { std::array::from_fn(|k| f64::from(v[k])) };
     let rows = view.rotation.map(|r| wide(&r));
     let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f64>();
-    let (mean, eye) = (wide(g.row(Field::Mean, i)), wide(&view.eye));
-    let offset = std::array::from_fn(|k| mean[k] - eye[k]);
-    let camera = rows.map(|r| dot(r, offset));
+    let (mean, translation) = (wide(g.row(Field::Mean, i)), wide(&view.translation));
+    let camera: [f64; 3] = std::array::from_fn(|k| dot(rows[k], mean) + translation[k]);
     if camera[2] <= 0.05 {
         return None;
     }
@@ -52,7 +51,7 @@ fn project_one(view: &View, g: &Gaussians, i: usize) -> Option<ExactSplat> {
         mean: std::array::from_fn(|k| focal[k] * camera[k] / camera[2] + f64::from(view.centre_px[k])),
         conic: [yy / determinant, -xy / determinant, xx / determinant],
         opacity,
-        depth: camera[2],
+        order: view.depth_key(g.get(Field::Mean, i)),
     })
 }
 

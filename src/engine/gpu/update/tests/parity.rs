@@ -100,7 +100,7 @@ fn control_one_changed_input_is_seen_in_the_gradients() {
         |c| c.model.gaussians.field_mut(Field::Quaternion).iter_mut().for_each(|q| *q += 0.01),
         |c| c.model.gaussians.field_mut(Field::ProtoLogits).iter_mut().step_by(8).for_each(|s| *s += 0.01),
         |c| c.view.rotation[1][2] += 0.001,
-        |c| c.records.iter_mut().for_each(|r| r.raw_determinant *= 1.01),
+        |c| c.records.iter_mut().for_each(|r| r.compensation *= 1.01),
         |c| c.model.shading.normal = NormalForm::Free,
     ];
     for (at, change) in changes.into_iter().enumerate() {

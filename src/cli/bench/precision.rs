@@ -1,0 +1,295 @@
+//! `relume bench precision`: how far an f32 engine is from the f64 reference, stage by stage, as scenes get harder.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use glam::DVec3;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use crate::cli::{CommandResult, output};
+use crate::engine::Device;
+use crate::engine::cpu::View;
+use crate::engine::gpu::losses::{ImageTerm, LOSS_SLOTS, LossSlot};
+use crate::engine::gpu::{DeviceChoice, Gpu, GpuError, ViewUniform};
+use crate::engine::reference::{Array, Tape, losses};
+use crate::engine::side_by_side::{
+    Answer, LightShape, Question, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
+};
+use crate::light::TableResolution;
+use crate::scene::{Camera, Field, Gaussians, Model, ShadingOptions};
+use crate::train::objective::image::Target;
+
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+const SIZE: (u32, u32) = (24, 16);
+const GAUSSIANS: usize = 24;
+const ENVIRONMENT: (usize, usize) = (16, 8);
+const ORDER: usize = 2;
+/// Pixels with a splat this close (relative) to a threshold of alpha are left out: which side f32 falls on is no matter
+/// of digits.
+const MARGIN: f64 = 2e-3;
+/// Weights of the image term (docs/MODEL.md section 5).
+const IMAGE_WEIGHTS: [f32; 2] = [1.0, 0.25];
+
+/// Options of `relume bench precision`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The engine that is measured: `auto`, `cpu`, `gpu` or `gpu:N`.
+    #[arg(long, default_value = "cpu")]
+    device: DeviceChoice,
+    /// First seed of the scenes.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Scenes of each kind.
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    scenes: u64,
+    /// The Markdown file to write; printed in any case.
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+/// How hard a scene is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Kind {
+    /// Soft Gaussians about the origin.
+    Ordinary,
+    /// A thousand times as long as thick, larger than the image.
+    Needles,
+    /// A hundred thousand scene radii away.
+    FarCamera,
+    /// Nearly opaque flakes, most of them hidden.
+    NearOpaque,
+}
+
+const KINDS: [(Kind, &str); 4] = [
+    (Kind::Ordinary, "ordinary"),
+    (Kind::Needles, "needles 1000 : 1"),
+    (Kind::FarCamera, "camera 1e5 away"),
+    (Kind::NearOpaque, "nearly opaque"),
+];
+
+const STAGES: [&str; 9] = [
+    "projected mean, of the image's width",
+    "conic, of its largest entry",
+    "coverage",
+    "radiance branch (blending)",
+    "shaded image",
+    "gradient of L1 + SSIM by the image",
+    "gradients by geometry",
+    "gradients by material",
+    "gradients by light, visibility and radiance",
+];
+
+pub(super) fn run(args: &Args) -> CommandResult {
+    let device = Device::open(args.device)?;
+    let resolution = TableResolution::TRAINING;
+    let light = LightShape::new(ENVIRONMENT.0, ENVIRONMENT.1, ORDER, resolution);
+    let mut columns = Vec::new();
+    for (kind, name) in KINDS {
+        eprintln!("{name}");
+        let mut worst = [0.0f64; STAGES.len()];
+        for seed in args.seed..args.seed + args.scenes {
+            let found = measure(&device, &light, kind, seed)?;
+            worst.iter_mut().zip(found).for_each(|(w, f)| *w = w.max(f));
+        }
+        columns.push(worst);
+    }
+    let text = report(args, &device, &columns)?;
+    println!("{text}");
+    if let Some(path) = &args.out {
+        output::write_whole(path, text.as_bytes())?;
+    }
+    Ok(())
+}
+
+fn report(args: &Args, device: &Device, columns: &[[f64; STAGES.len()]]) -> Result<String, std::fmt::Error> {
+    let mut text = String::new();
+    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    writeln!(text, "Device: {}; host with {threads} threads.", device.name())?;
+    let last = args.seed + args.scenes - 1;
+    writeln!(
+        text,
+        "Largest error against f64, relative to the largest value of the image or parameter: seeds {} to {last}, \
+         {GAUSSIANS} Gaussians, {}x{} pixels.\n",
+        args.seed, SIZE.0, SIZE.1
+    )?;
+    let names: Vec<&str> = KINDS.iter().map(|(_, name)| *name).collect();
+    writeln!(text, "| stage | {} |", names.join(" | "))?;
+    writeln!(text, "|---|{}", "---:|".repeat(names.len()))?;
+    for (stage, name) in STAGES.iter().enumerate() {
+        let cells: Vec<String> = columns.iter().map(|c| format!("{:.1e}", c[stage])).collect();
+        writeln!(text, "| {name} | {} |", cells.join(" | "))?;
+    }
+    Ok(text)
+}
+
+/// A model of this kind and a camera that sees it.
+fn scene(kind: Kind, seed: u64) -> Result<(Model, Camera), Failure> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut gaussians = Gaussians::zeroed(GAUSSIANS, 4, ORDER, 2);
+    for (field, centre, spread) in [
+        (Field::Mean, 0.0, 0.7),
+        (Field::LogScale, -1.7, 0.7),
+        (Field::Quaternion, 0.0, 1.0),
+        (Field::OpacityLogit, if kind == Kind::NearOpaque { 6.0 } else { 0.3 }, 1.5),
+        (Field::Normal, 0.0, 0.3),
+        (Field::MetalLogit, -0.5, 1.5),
+        (Field::RoughLogit, 0.0, 1.5),
+        (Field::ProtoLogits, 0.0, 1.5),
+        (Field::Residual, 0.0, 0.1),
+        (Field::Visibility, 0.0, 0.2),
+        (Field::Radiance, 0.0, 0.3),
+    ] {
+        let values = gaussians.field_mut(field).iter_mut();
+        values.for_each(|v| *v = centre + spread * rng.random_range(-1.0f32..1.0));
+    }
+    for i in 0..GAUSSIANS {
+        gaussians.row_mut(Field::Visibility, i)[0] += 2.2;
+        let scale = gaussians.row_mut(Field::LogScale, i);
+        match kind {
+            Kind::Needles => scale.copy_from_slice(&[2.3 + scale[0], -4.6 + scale[1], -4.6 + scale[2]]),
+            Kind::NearOpaque => scale.copy_from_slice(&[1.2 + scale[0], 1.2 + scale[1], -4.0]),
+            Kind::Ordinary | Kind::FarCamera => {}
+        }
+    }
+    let mut triples = |count: usize, centre: f32| -> Vec<[f32; 3]> {
+        let mut one = || centre + 0.4 * rng.random_range(-1.0f32..1.0);
+        (0..count).map(|_| [one(), one(), one()]).collect()
+    };
+    let model = Model {
+        prototypes: triples(4, 0.5),
+        env_raw: triples(ENVIRONMENT.0 * ENVIRONMENT.1, -0.6),
+        gaussians,
+        env_width: ENVIRONMENT.0,
+        env_height: ENVIRONMENT.1,
+        shading: ShadingOptions::default(),
+        world_scale: 1.0,
+        world_offset: DVec3::ZERO,
+        card: serde_json::Value::Null,
+    };
+    let distance = if kind == Kind::FarCamera { 1e5 } else { 3.0 };
+    let (sine, cosine) = (seed as f64 * 1.3).sin_cos();
+    let eye = DVec3::new(cosine, sine, 0.3).normalize() * distance;
+    let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 2.0 * (1.0 / distance).atan(), SIZE)?;
+    Ok((model, camera))
+}
+
+/// Errors of all stages.
+fn measure(
+    device: &Device,
+    light: &LightShape,
+    kind: Kind,
+    seed: u64,
+) -> Result<[f64; STAGES.len()], Failure> {
+    let (model, camera) = scene(kind, seed)?;
+    let mut question = Question::new(&model, &camera, [0.25, 0.5, 0.75], light, seed);
+    let kept = steady_pixels(&question, MARGIN);
+    question.keep(&kept);
+    let expected = by_reference(&question);
+    let (found, loss) = match device {
+        Device::Cpu => (by_cpu(&question), loss_gradient_cpu(&expected, seed)),
+        Device::Gpu(gpu) => (by_gpu(gpu, &question)?, loss_gradient_gpu(gpu, &question, &expected, seed)?),
+    };
+    let [mean, conic] = projection_errors(&found, &expected);
+    let steady = |rows: &[[f64; 3]]| -> Vec<f64> {
+        rows.iter().zip(&kept).filter(|(_, kept)| **kept).flat_map(|(p, _)| *p).collect()
+    };
+    let covered = |a: &Answer| -> Vec<f64> {
+        a.coverage.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(c, _)| *c).collect()
+    };
+    let gradients = |names: &[&str]| {
+        let errors =
+            names.iter().map(|n| relative_error(found.gradients[n].data(), expected.gradients[n].data()));
+        errors.fold(0.0, f64::max)
+    };
+    Ok([
+        mean,
+        conic,
+        relative_error(&covered(&found), &covered(&expected)),
+        relative_error(&steady(&found.radiance), &steady(&expected.radiance)),
+        relative_error(&steady(&found.physical), &steady(&expected.physical)),
+        relative_error(&loss, &loss_gradient_reference(&expected, seed)),
+        gradients(&["means", "log_scales", "quats", "opacity_logit"]),
+        gradients(&["normals_raw", "metal_logit", "rough_logit", "proto_logits", "residual", "prototypes"]),
+        gradients(&["occ_sh", "radiance_sh", "env_raw"]),
+    ])
+}
+
+/// Of the projected means in image widths, and of the conics each relative to its largest entry.
+fn projection_errors(found: &Answer, expected: &Answer) -> [f64; 2] {
+    let mut worst = [0.0f64; 2];
+    for theirs in &expected.splats {
+        // Gaussians that no pixel can see are not drawn by the engine.
+        let Ok(at) = found.splats.binary_search_by_key(&theirs.gaussian, |s| s.gaussian) else { continue };
+        let ours = &found.splats[at];
+        let apart = (0..2).map(|k| (ours.mean[k] - theirs.mean[k]).abs());
+        worst[0] = worst[0].max(apart.fold(0.0, f64::max) / f64::from(SIZE.0));
+        worst[1] = worst[1].max(relative_error(&ours.conic, &theirs.conic));
+    }
+    worst
+}
+
+/// A photograph of noise.
+fn photograph(seed: u64) -> Vec<[f32; 3]> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xf070);
+    (0..SIZE.0 * SIZE.1).map(|_| std::array::from_fn(|_| rng.random::<f32>())).collect()
+}
+
+/// The image that the terms are taken of, the same for every engine.
+fn rendered(answer: &Answer) -> Vec<[f32; 3]> {
+    answer.physical.iter().map(|p| p.map(|v| v as f32)).collect()
+}
+
+fn loss_gradient_reference(expected: &Answer, seed: u64) -> Vec<f64> {
+    let shape = [SIZE.1 as usize, SIZE.0 as usize, 3];
+    let wide =
+        |rows: &[[f32; 3]]| Array::new(&shape, rows.as_flattened().iter().map(|v| f64::from(*v)).collect());
+    let tape = Tape::new();
+    let (image, photo) = (tape.input(wide(&rendered(expected))), tape.input(wide(&photograph(seed))));
+    let window = losses::gaussian_window(11, 1.5);
+    let [l1, ssim] = IMAGE_WEIGHTS.map(f64::from);
+    let total = losses::mean_absolute_error(image, photo) * l1
+        + losses::structural_dissimilarity(image, photo, &window) * ssim;
+    tape.gradients(total).of(image).data().to_vec()
+}
+
+fn loss_gradient_cpu(expected: &Answer, seed: u64) -> Vec<f64> {
+    let target = Target::new(SIZE.0 as usize, SIZE.1 as usize, photograph(seed));
+    let [l1, ssim] = IMAGE_WEIGHTS;
+    let gradient = target.compare(&rendered(expected), l1, ssim).gradient;
+    gradient.as_flattened().iter().map(|v| f64::from(*v)).collect()
+}
+
+fn loss_gradient_gpu(
+    gpu: &Gpu,
+    question: &Question<'_>,
+    expected: &Answer,
+    seed: u64,
+) -> Result<Vec<f64>, GpuError> {
+    let padded =
+        |rows: &[[f32; 3]]| -> Vec<[f32; 4]> { rows.iter().map(|[r, g, b]| [*r, *g, *b, 1.0]).collect() };
+    let pixels = (SIZE.0 * SIZE.1) as usize;
+    let image = gpu.upload("image", &padded(&rendered(expected)))?;
+    let photo = gpu.upload("photograph", &padded(&photograph(seed)))?;
+    let partials = gpu.buffer("partials", 3 * pixels)?;
+    let by_image = gpu.buffer("by image", pixels)?;
+    let losses = gpu.buffer("losses", LOSS_SLOTS)?;
+    let view = ViewUniform::new(&View::new(question.camera, &question.model.shading));
+    let [l1, ssim] = IMAGE_WEIGHTS;
+    let term = ImageTerm {
+        view: &view,
+        image: &image,
+        photo: &photo,
+        slot: LossSlot::PhysicalL1,
+        l1,
+        ssim,
+        partials: &partials,
+    };
+    let mut recorder = gpu.record();
+    recorder.clear(&losses);
+    term.record(&mut recorder, &by_image, &losses);
+    recorder.submit()?;
+    let rows: Vec<[f32; 4]> = gpu.read(&by_image, 0..pixels)?;
+    Ok(rows.iter().flat_map(|p| [p[0], p[1], p[2]]).map(f64::from).collect())
+}

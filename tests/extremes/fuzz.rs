@@ -1,0 +1,169 @@
+//! Poison in the parameters: neither engine may panic, both give a finite picture of the same Gaussians, and what is no
+//! Gaussian changes nothing.
+
+use proptest::prelude::*;
+use relume::engine::side_by_side::{Answer, Question, by_cpu, by_gpu};
+use relume::scene::{Camera, Field, Model};
+
+use super::harness::{BACKGROUND, LIGHT, gpu, in_front, looking_from, model};
+
+const N: usize = 6;
+
+/// Parameters in which even NaN must do no harm: they decide what is drawn.
+const GEOMETRY: [Field; 4] = [Field::Mean, Field::LogScale, Field::Quaternion, Field::OpacityLogit];
+
+/// Finite values at which something ends: denormals, thresholds, tile edges, the largest a file may hold.
+fn finite() -> impl Strategy<Value = f32> {
+    let near_cut = -(254.0f32.ln());
+    prop_oneof![
+        Just(0.0f32),
+        Just(-0.0),
+        Just(1e-45),
+        Just(-1e-39),
+        Just(f32::MIN_POSITIVE),
+        Just(near_cut),
+        Just(near_cut.next_up()),
+        Just((0.99f32 / 0.01).ln()),
+        Just(-2.95),
+        Just(-3.0),
+        Just(88.0),
+        Just(-88.0),
+        Just(1e6),
+        Just(-1e12),
+        Just(1e18),
+        Just(-1e18),
+        -10.0f32..10.0,
+    ]
+}
+
+/// Also what no file may hold.
+fn poison() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        3 => finite(),
+        1 => prop_oneof![
+            Just(f32::NAN),
+            Just(f32::INFINITY),
+            Just(f32::NEG_INFINITY),
+            Just(1e38f32),
+            Just(-1e38),
+            Just(f32::MAX),
+            Just(f32::MIN),
+        ],
+    ]
+}
+
+/// Gaussian, field, component (taken modulo the width), value.
+fn injection() -> impl Strategy<Value = (usize, Field, usize, f32)> {
+    let geometry = (0..N, prop::sample::select(GEOMETRY.to_vec()), 0..4usize, poison());
+    let rest: Vec<Field> = Field::ALL.into_iter().filter(|f| !GEOMETRY.contains(f)).collect();
+    let rest = (0..N, prop::sample::select(rest), 0..32usize, finite());
+    prop_oneof![2 => geometry, 1 => rest]
+}
+
+fn cameras() -> [Camera; 4] {
+    [
+        in_front((18, 17)),
+        in_front((1, 1)),
+        looking_from([0.0, 0.0, 2.0], (33, 5)),
+        Camera::look_at([0.0, -3.0, 0.0].into(), glam::DVec3::ZERO, glam::DVec3::Z, 3.1, (16, 16)).unwrap(),
+    ]
+}
+
+fn images_are_finite(answer: &Answer) -> bool {
+    let images = answer.physical.iter().chain(&answer.radiance).flatten().chain(&answer.coverage);
+    images.into_iter().all(|v| v.is_finite())
+}
+
+/// True when rounding may decide whether Gaussian `i` is drawn.
+fn is_on_a_threshold(model: &Model, camera: &Camera, i: usize) -> bool {
+    let g = &model.gaussians;
+    let opacity = 1.0 / (1.0 + (-f64::from(g.row(Field::OpacityLogit, i)[0])).exp());
+    let mean = glam::DVec3::from_array(g.get::<3>(Field::Mean, i).map(f64::from));
+    let depth = (camera.rotation * mean + camera.translation).z;
+    let scales = g.row(Field::LogScale, i);
+    let near_zero = mean.length() > 1e5 && depth.abs() < 1e-4 * mean.length();
+    (opacity * 255.0 - 1.0).abs() < 1e-4
+        || (depth - 0.05).abs() < 1e-5
+        || (depth / 1e12 - 1.0).abs() < 1e-4
+        || near_zero
+        // Size and distance together, or place on screen, at their limit.
+        || scales.iter().any(|s| *s > 10.0)
+        || (depth > 0.05 && (mean.length() / depth) > 1e8)
+}
+
+fn check(model: &Model, camera: &Camera) -> Result<(), TestCaseError> {
+    let question = Question::new(model, camera, BACKGROUND, &LIGHT, 5);
+    let cpu = by_cpu(&question);
+    prop_assert!(images_are_finite(&cpu), "cpu");
+    let drawn = |answer: &Answer| -> Vec<usize> {
+        let steady = |i: &usize| !is_on_a_threshold(model, camera, *i);
+        answer.splats.iter().map(|s| s.gaussian).filter(steady).collect()
+    };
+    if let Some(gpu) = gpu() {
+        let on_gpu = by_gpu(gpu, &question).unwrap();
+        prop_assert!(images_are_finite(&on_gpu), "gpu");
+        prop_assert_eq!(drawn(&cpu), drawn(&on_gpu));
+    }
+    // What is not drawn changes nothing: leave it out.
+    let kept: Vec<usize> = cpu.splats.iter().map(|s| s.gaussian).collect();
+    let mut rest = model.clone();
+    rest.gaussians = model.gaussians.gathered(&kept);
+    let without = by_cpu(&Question::new(&rest, camera, BACKGROUND, &LIGHT, 5));
+    prop_assert_eq!(cpu.physical, without.physical);
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn poison_anywhere_gives_a_finite_picture_of_the_same_gaussians(
+        injections in prop::collection::vec(injection(), 1..5),
+        camera in 0..4usize,
+        seed in 0..1000u64,
+        compensation in any::<bool>(),
+    ) {
+        let mut model = model(N, seed);
+        model.shading.low_pass_compensation = compensation;
+        for (i, field, component, value) in injections {
+            let row = model.gaussians.row_mut(field, i);
+            let width = row.len();
+            row[component % width] = value;
+        }
+        check(&model, &cameras()[camera])?;
+    }
+}
+
+#[test]
+fn a_gaussian_that_is_none_is_drawn_by_no_engine() {
+    let camera = in_front((16, 12));
+    for field in GEOMETRY {
+        let mut poisoned = model(3, 50);
+        *poisoned.gaussians.row_mut(field, 1).last_mut().unwrap() = f32::NAN;
+        let question = Question::new(&poisoned, &camera, BACKGROUND, &LIGHT, 5);
+        for (engine, answer) in super::harness::answers(&question) {
+            let drawn: Vec<usize> = answer.splats.iter().map(|s| s.gaussian).collect();
+            assert_eq!(drawn, [0, 2], "{engine} {field:?}");
+            assert!(answer.is_finite(), "{engine} {field:?}");
+        }
+    }
+    let sound = model(3, 50);
+    let answer = by_cpu(&Question::new(&sound, &camera, BACKGROUND, &LIGHT, 5));
+    assert_eq!(answer.splats.len(), 3, "the control");
+}
+
+#[test]
+fn what_no_file_may_hold_is_refused_by_field() {
+    for field in Field::ALL {
+        for value in [f32::NAN, f32::INFINITY, 1e38] {
+            let mut poisoned = model(3, 51);
+            *poisoned.gaussians.row_mut(field, 1).last_mut().unwrap() = value;
+            let error = poisoned.check().unwrap_err();
+            assert_eq!(error.field, field.name(), "{error}");
+        }
+    }
+    let mut poisoned = model(3, 51);
+    poisoned.env_raw[2][1] = f32::NAN;
+    assert_eq!(poisoned.check().unwrap_err().field, "environment");
+    assert!(model(3, 51).check().is_ok(), "the control");
+}

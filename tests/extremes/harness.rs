@@ -1,0 +1,233 @@
+//! One case, three engines: the f64 reference says what is right, CPU and GPU engine must say the same.
+
+use std::sync::LazyLock;
+
+use glam::DVec3;
+use relume::engine::Device;
+use relume::engine::gpu::Gpu;
+use relume::engine::side_by_side::{
+    Answer, LightShape, Question, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
+};
+use relume::light::TableResolution;
+use relume::scene::{Camera, Field, Gaussians, Model, ShadingOptions};
+
+pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
+pub(super) const ENV: (usize, usize) = (8, 4);
+pub(super) const ORDER: usize = 2;
+pub(super) const TABLES: TableResolution = TableResolution { diffuse: 5, sharp: 7, rough: 5 };
+/// How far from a threshold of alpha a splat must be in a pixel for the pixel to count.
+const MARGIN: f64 = 2e-3;
+/// A parameter's gradient is measured against its largest entry, but at least against this share of the largest of all:
+/// where the true gradient is nothing, what is left of cancelled terms is no error.
+const LEAST_SHARE: f64 = 1e-5;
+
+pub(super) static LIGHT: LazyLock<LightShape> =
+    LazyLock::new(|| LightShape::new(ENV.0, ENV.1, ORDER, TABLES));
+
+/// A reproducible stream of numbers in [-1, 1).
+pub(super) struct Noise(pub(super) u64);
+
+impl Noise {
+    pub(super) fn next(&mut self) -> f32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 40) as f32 / 8_388_608.0 - 1.0
+    }
+}
+
+/// `n` ordinary Gaussians around the origin under an ordinary light.
+pub(super) fn model(n: usize, seed: u64) -> Model {
+    let mut noise = Noise(seed);
+    let mut gaussians = Gaussians::zeroed(n, 3, ORDER, 2);
+    for (field, centre, spread) in [
+        (Field::Mean, 0.0, 0.6),
+        (Field::LogScale, -1.5, 0.6),
+        (Field::Quaternion, 0.1, 1.0),
+        (Field::OpacityLogit, 0.3, 1.5),
+        (Field::Normal, 0.0, 0.3),
+        (Field::MetalLogit, -0.5, 1.5),
+        (Field::RoughLogit, 0.0, 1.5),
+        (Field::ProtoLogits, 0.0, 1.5),
+        (Field::Residual, 0.0, 0.1),
+        (Field::Visibility, 0.0, 0.2),
+        (Field::Radiance, 0.0, 0.3),
+    ] {
+        gaussians.field_mut(field).iter_mut().for_each(|v| *v = centre + spread * noise.next());
+    }
+    for i in 0..n {
+        gaussians.row_mut(Field::Visibility, i)[0] += 2.2;
+    }
+    let mut triples = |count: usize, centre: f32| {
+        (0..count).map(|_| std::array::from_fn(|_| centre + 0.4 * noise.next())).collect()
+    };
+    Model {
+        gaussians,
+        prototypes: triples(3, 0.5),
+        env_raw: triples(ENV.0 * ENV.1, -0.6),
+        env_width: ENV.0,
+        env_height: ENV.1,
+        shading: ShadingOptions::default(),
+        world_scale: 1.0,
+        world_offset: DVec3::ZERO,
+        card: serde_json::Value::Null,
+    }
+}
+
+/// Sets every row of `field` in turn.
+pub(super) fn set<const W: usize>(model: &mut Model, field: Field, rows: &[[f32; W]]) {
+    for (i, row) in rows.iter().enumerate() {
+        model.gaussians.row_mut(field, i).copy_from_slice(row);
+    }
+}
+
+/// Looks at the origin from `eye`, 34 degrees high.
+pub(super) fn looking_from(eye: [f64; 3], size: (u32, u32)) -> Camera {
+    Camera::look_at(eye.into(), DVec3::ZERO, DVec3::Z, 0.6, size).unwrap()
+}
+
+/// From (0, -3, 0): depth is exactly y + 3.
+pub(super) fn in_front(size: (u32, u32)) -> Camera {
+    looking_from([0.0, -3.0, 0.0], size)
+}
+
+pub(super) fn gpu() -> Option<&'static Gpu> {
+    match crate::gpu::device()? {
+        Device::Gpu(gpu) => Some(gpu),
+        Device::Cpu => None,
+    }
+}
+
+/// What is allowed, relative to the largest value of an image and to the largest gradient of a parameter.
+#[derive(Clone, Copy)]
+pub(super) struct Bounds {
+    pub(super) image: f64,
+    pub(super) gradient: f64,
+}
+
+/// Ordinary digits of f32.
+pub(super) const TIGHT: Bounds = Bounds { image: 1e-5, gradient: 3e-5 };
+
+/// Worst relative errors of an answer, and the parameter with the worst gradient.
+pub(super) struct Errors {
+    pub(super) image: f64,
+    pub(super) gradient: f64,
+    pub(super) worst: &'static str,
+}
+
+pub(super) fn errors(found: &Answer, expected: &Answer, kept: &[bool]) -> Errors {
+    let steady = |rows: &[[f64; 3]]| -> Vec<f64> {
+        rows.iter().zip(kept).filter(|(_, kept)| **kept).flat_map(|(p, _)| *p).collect()
+    };
+    let images = [(&found.physical, &expected.physical), (&found.radiance, &expected.radiance)];
+    let image = images.map(|(a, b)| relative_error(&steady(a), &steady(b)));
+    let most = |name| expected.gradients[name].data().iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let overall = expected.gradients.keys().map(|name| most(name)).fold(0.0, f64::max);
+    let (mut gradient, mut worst) = (0.0, "none");
+    for (name, theirs) in &expected.gradients {
+        let own = most(name).max(1e-9);
+        let error = relative_error(found.gradients[name].data(), theirs.data()) * own
+            / own.max(LEAST_SHARE * overall);
+        if !(error <= gradient) {
+            (gradient, worst) = (error, *name);
+        }
+    }
+    Errors { image: image[0].max(image[1]), gradient, worst }
+}
+
+/// Cases of one test; what goes wrong is collected, so that a run tells everything.
+#[derive(Default)]
+pub(super) struct Suite {
+    failures: Vec<String>,
+    ended: bool,
+}
+
+impl Suite {
+    /// CPU and GPU engine against the reference.
+    pub(super) fn check(&mut self, name: &str, model: &Model, camera: &Camera, bounds: Bounds) {
+        let mut question = Question::new(model, camera, BACKGROUND, &LIGHT, 7);
+        let kept = steady_pixels(&question, MARGIN);
+        question.keep(&kept);
+        let expected = by_reference(&question);
+        if !expected.is_finite() {
+            self.failures.push(format!("{name}: the reference itself is not finite"));
+        }
+        for (engine, found) in answers(&question) {
+            let e = errors(&found, &expected, &kept);
+            eprintln!(
+                "{name} {engine}: image {:.1e}, gradient {:.1e} ({}), {}/{} pixels",
+                e.image,
+                e.gradient,
+                e.worst,
+                kept.iter().filter(|k| **k).count(),
+                kept.len()
+            );
+            if !found.is_finite() {
+                self.failures.push(format!("{name} {engine}: not finite"));
+            }
+            if !(e.image < bounds.image && e.gradient < bounds.gradient) {
+                let line =
+                    format!("{name} {engine}: image {:e}, gradient {:e} of {}", e.image, e.gradient, e.worst);
+                self.failures.push(line);
+            }
+        }
+    }
+
+    /// Where f64 has no answer, or too slow a one: both engines are finite, draw the same Gaussians and agree to `bound`.
+    pub(super) fn alike(&mut self, name: &str, model: &Model, camera: &Camera, bound: f64) -> Answer {
+        let question = Question::new(model, camera, BACKGROUND, &LIGHT, 7);
+        let mut all = answers(&question).into_iter();
+        let Some((_, cpu)) = all.next() else { unreachable!("the CPU engine is always there") };
+        let all = [("cpu", cpu.clone())].into_iter().chain(all);
+        for (engine, found) in all {
+            if !found.is_finite() {
+                self.failures.push(format!("{name} {engine}: not finite"));
+            }
+            let drawn = |a: &Answer| a.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>();
+            if drawn(&found) != drawn(&cpu) {
+                self.failures.push(format!("{name} {engine}: draws other Gaussians than the CPU engine"));
+            }
+            let image = relative_error(found.radiance.as_flattened(), cpu.radiance.as_flattened());
+            eprintln!("{name} {engine}: {image:.1e} from the CPU engine");
+            if !(image <= bound) {
+                self.failures.push(format!("{name} {engine}: {image:e} from the CPU engine"));
+            }
+        }
+        cpu
+    }
+
+    pub(super) fn finish(mut self) {
+        self.ended = true;
+        assert!(self.failures.is_empty(), "{}", self.failures.join("\n"));
+    }
+}
+
+impl Drop for Suite {
+    fn drop(&mut self) {
+        assert!(self.ended || std::thread::panicking(), "a suite must be finished");
+    }
+}
+
+/// CPU engine first, then the GPU engine where there is one.
+pub(super) fn answers(question: &Question<'_>) -> Vec<(&'static str, Answer)> {
+    let mut out = vec![("cpu", by_cpu(question))];
+    if let Some(gpu) = gpu() {
+        out.push(("gpu", by_gpu(gpu, question).unwrap()));
+    }
+    out
+}
+
+#[test]
+fn the_harness_notices_a_changed_image_a_changed_gradient_and_nan() {
+    let (plain, camera) = (model(8, 1), in_front((16, 12)));
+    let question = Question::new(&plain, &camera, BACKGROUND, &LIGHT, 7);
+    let kept = vec![true; 192];
+    let expected = by_reference(&question);
+    let mut other = plain.clone();
+    other.gaussians.field_mut(Field::RoughLogit)[2] += 0.2;
+    let found = by_cpu(&Question::new(&other, &camera, BACKGROUND, &LIGHT, 7));
+    let e = errors(&found, &expected, &kept);
+    assert!(e.image > TIGHT.image && e.gradient > TIGHT.gradient, "{:e} {:e}", e.image, e.gradient);
+    let mut poisoned = by_cpu(&question);
+    poisoned.radiance[3][1] = f64::NAN;
+    assert!(!poisoned.is_finite());
+    assert_eq!(errors(&poisoned, &expected, &kept).image, f64::INFINITY);
+}
