@@ -1,5 +1,6 @@
 //! `relume bench`: figures anyone can repeat, each with the machine it was measured on.
 
+mod complexity;
 mod device;
 
 use crate::cli::CommandResult;
@@ -15,10 +16,13 @@ pub(super) struct Args {
 enum What {
     /// Milliseconds per stage and step, frames a second and memory of a device, by number of Gaussians.
     Device(device::Args),
+    /// What modelling only what a scene requires saves and costs, scene by scene.
+    Complexity(complexity::Args),
 }
 
 pub(super) fn run(args: &Args) -> CommandResult {
     match &args.what {
         What::Device(args) => device::run(args),
+        What::Complexity(args) => complexity::run(args),
     }
 }
