@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
-use relume::capture::{Capture, SyntheticOptions, synthetic};
+use relume::capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
 use relume::engine::Device;
 use relume::formats::model_file;
-use relume::scene::Field;
-use relume::train::{LabelSource, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
+use relume::scene::{Field, IndirectForm, Model, VisibilityForm};
+use relume::train::{
+    Complexity, LabelSource, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides, Trainer,
+};
 
 fn capture() -> &'static Capture {
     static CAPTURE: OnceLock<Capture> = OnceLock::new();
@@ -162,4 +164,66 @@ fn too_few_photographs_are_refused_with_their_number() {
     few.train.truncate(2);
     let error = Trainer::new(&few, config(&overrides()), &Device::Cpu).err().unwrap().to_string();
     assert!(error.contains("2 usable"), "{error}");
+}
+
+fn auto() -> TrainOverrides {
+    TrainOverrides { complexity: Some(Complexity::Auto), max_gaussians: None, ..overrides() }
+}
+
+fn sized(overrides: &TrainOverrides) -> TrainConfig {
+    TrainConfig {
+        max_gaussians: 500,
+        ..config(&TrainOverrides { initial_gaussians: Some(300), ..overrides.clone() })
+    }
+}
+
+fn auto_model(scene: SyntheticScene, overrides: &TrainOverrides) -> Model {
+    let options = SyntheticOptions {
+        scene,
+        train_views: 10,
+        test_views: 1,
+        size: 40,
+        paths: 16,
+        relit: BTreeMap::new(),
+        ..Default::default()
+    };
+    let config = TrainConfig { iterations: 120, ..sized(overrides) };
+    let trainer = Trainer::new(&synthetic(&options).unwrap(), config, &Device::Cpu).unwrap();
+    model_file::decode(&run(trainer)).unwrap()
+}
+
+#[test]
+fn a_convex_ball_gets_no_visibility_and_a_table_of_things_keeps_it() {
+    let ball = auto_model(SyntheticScene::MatteBall, &auto());
+    assert_eq!(ball.shading.visibility, VisibilityForm::Off, "{}", ball.card["complexity"]);
+    assert_eq!(ball.shading.indirect, IndirectForm::Off);
+    assert_eq!(ball.gaussians.visibility_order(), 0);
+    let table = auto_model(SyntheticScene::Table, &auto());
+    assert_eq!(table.shading.visibility, VisibilityForm::Linear, "{}", table.card["complexity"]);
+    assert!(table.gaussians.visibility_order() >= 1);
+    let named =
+        TrainOverrides { visibility_order: Some(2), bounces: Some(1), metalness: Some(false), ..auto() };
+    let forced = auto_model(SyntheticScene::MatteBall, &named);
+    assert_eq!(forced.shading.visibility, VisibilityForm::Linear, "what is named wins");
+    assert_eq!(forced.gaussians.visibility_order(), 2);
+    assert!(forced.gaussians.field(Field::MetalLogit).iter().all(|m| *m == -9.0));
+}
+
+#[test]
+fn a_training_resumed_around_its_decisions_ends_with_the_same_bytes() {
+    let start = || Trainer::new(capture(), sized(&auto()), &Device::Cpu).unwrap();
+    let undisturbed = run(start());
+    // Decisions fall after 15 and 37 steps and at the end.
+    for stop in [15, 16, 37, 38, 60] {
+        let mut trainer = start();
+        (0..stop).for_each(|_| {
+            trainer.step().unwrap();
+        });
+        let checkpoint = trainer.checkpoint().unwrap();
+        let resumed = Trainer::resume(capture(), sized(&auto()), &checkpoint, &Device::Cpu).unwrap();
+        assert!(run(resumed) == undisturbed, "resumed at step {stop}");
+    }
+    let full = TrainOverrides { complexity: Some(Complexity::Full), ..auto() };
+    let other = run(Trainer::new(capture(), sized(&full), &Device::Cpu).unwrap());
+    assert!(other != undisturbed, "the control: decisions show in the bytes");
 }

@@ -26,6 +26,6 @@ pub use lens::{Distortion, Intrinsics, Lens};
 pub use lights::{BUILTIN, builtin};
 pub use options::{ImportOptions, Limits};
 pub use source::Source;
-pub use synthetic::{SyntheticOptions, synthetic};
+pub use synthetic::{SyntheticOptions, SyntheticScene, synthetic};
 pub use types::{Capture, CaptureView, GroundTruthView, ImageRgba, Plane, Scene3dBounds};
 pub use write_archive::write_archive;

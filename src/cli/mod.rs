@@ -5,6 +5,7 @@ mod bench;
 pub mod demo;
 mod doctor;
 pub mod eval;
+mod explain;
 mod export;
 mod output;
 mod render;
@@ -45,6 +46,8 @@ enum Command {
     Eval(eval::EvalArgs),
     /// Measure speed on this machine.
     Bench(bench::Args),
+    /// Say in words what a model is, what was decided about it and on what evidence.
+    Explain(explain::Args),
     /// Write a model in another format.
     Export(export::Args),
     /// Show what this machine offers and whether everything is in order.
@@ -64,6 +67,7 @@ pub fn main() -> ExitCode {
         Command::Render(args) => render::run(&args),
         Command::Eval(args) => eval::run(&args).map_err(Into::into),
         Command::Bench(args) => bench::run(&args),
+        Command::Explain(args) => explain::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Openapi => openapi(),

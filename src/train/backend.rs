@@ -5,6 +5,7 @@
 
 use std::borrow::Cow;
 
+use crate::light::EnvOperators;
 use crate::train::TrainError;
 use crate::train::dataset::Photo;
 use crate::train::optimiser::StepSizes;
@@ -51,6 +52,10 @@ pub(super) trait Backend: Send {
 
     /// Goes on from another state.
     fn load(&mut self, learned: Learned) -> Result<(), TrainError>;
+
+    /// Goes on from a state of another shape (orders, prototypes, forward model, number of Gaussians), with the operators
+    /// that belong to it, and makes it the one that [`Backend::restore`] returns to. The state must be finite.
+    fn reshape(&mut self, learned: Learned, operators: &EnvOperators) -> Result<(), TrainError>;
 
     /// Makes this the state that [`Backend::restore`] returns to, unless it is not finite; says whether it is.
     fn keep(&mut self) -> Result<bool, TrainError>;

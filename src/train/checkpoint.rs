@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::formats::model_file::{self, Tensor, floats};
 use crate::scene::{Field, Gaussians};
+use crate::train::complexity::Ledger;
 use crate::train::density::DensityStats;
 use crate::train::optimiser::Moments;
 use crate::train::state::{Course, Learned};
@@ -26,6 +27,8 @@ struct Header {
     rng: ChaCha8Rng,
     rate_factor: f32,
     seconds: f64,
+    #[serde(default)]
+    complexity: Ledger,
     labels: usize,
     gathered: usize,
 }
@@ -51,6 +54,7 @@ pub fn encode(course: &Course, learned: &Learned, config: &TrainConfig) -> Resul
         rng: course.rng.clone(),
         rate_factor: course.rate_factor,
         seconds: course.seconds,
+        complexity: course.complexity.clone(),
         labels: learned.labels.len(),
         gathered: learned.gathered.len(),
     };
@@ -125,6 +129,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(Course, Learned), T
         rng: header.rng,
         rate_factor: header.rate_factor,
         seconds: header.seconds,
+        complexity: header.complexity,
     };
     Ok((course, learned))
 }

@@ -32,6 +32,35 @@ pub enum LabelSource {
     Both,
 }
 
+/// How much of the model a scene gets (DESIGN 7).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum Complexity {
+    /// What the scene is measured to require; evidence and decisions go into the model card.
+    Auto,
+    /// Everything that is configured.
+    #[default]
+    Full,
+}
+
+/// What [`Complexity::Auto`] decides on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Setting {
+    /// Degree of the visibility field, or none at all.
+    Visibility,
+    /// Light that bounces.
+    Indirect,
+    /// Degree of the radiance branch.
+    Radiance,
+    /// Metalness, learned or held at dielectric.
+    Metalness,
+    /// Number of albedo prototypes.
+    Prototypes,
+    /// Number of Gaussians.
+    Gaussians,
+}
+
 /// Weights of the objective's terms (docs/MODEL.md section 5).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -179,6 +208,19 @@ pub struct TrainConfig {
     pub seed: u64,
     /// Steps between checkpoints.
     pub checkpoint_every: u32,
+    /// Whether metalness is learned; false holds every surface at dielectric.
+    #[serde(default = "learned")]
+    pub metalness: bool,
+    /// Everything that is configured, or what the scene requires of it.
+    #[serde(default)]
+    pub complexity: Complexity,
+    /// What a caller named; [`Complexity::Auto`] leaves it alone.
+    #[serde(default)]
+    pub forced: Vec<Setting>,
+}
+
+fn learned() -> bool {
+    true
 }
 
 /// What a caller may change on top of a preset. Absent means the preset's value.
@@ -225,6 +267,25 @@ pub struct TrainOverrides {
     pub seed: Option<u64>,
     /// Steps between checkpoints, at least 1.
     pub checkpoint_every: Option<u32>,
+    /// Whether metalness is learned; false holds every surface at dielectric.
+    pub metalness: Option<bool>,
+    /// `auto`: leave out what the scene is measured not to require, except what is named here; `full`: everything.
+    pub complexity: Option<Complexity>,
+}
+
+impl TrainOverrides {
+    /// The decisions that these overrides take out of the hands of [`Complexity::Auto`].
+    fn forced(&self) -> Vec<Setting> {
+        let named = [
+            (Setting::Visibility, self.visibility_order.is_some() || self.shading.is_some()),
+            (Setting::Indirect, self.bounces.is_some() || self.shading.is_some()),
+            (Setting::Radiance, self.radiance_order.is_some()),
+            (Setting::Metalness, self.metalness.is_some()),
+            (Setting::Prototypes, self.prototypes.is_some()),
+            (Setting::Gaussians, self.max_gaussians.is_some()),
+        ];
+        named.into_iter().filter_map(|(setting, is_named)| is_named.then_some(setting)).collect()
+    }
 }
 
 impl TrainConfig {
@@ -258,6 +319,9 @@ impl TrainConfig {
             rates: LearningRates::default(),
             seed: 0,
             checkpoint_every: 500,
+            metalness: true,
+            complexity: Complexity::default(),
+            forced: Vec::new(),
         };
         match preset {
             Preset::Standard => standard,
@@ -315,8 +379,11 @@ impl TrainConfig {
             weights,
             rates,
             seed,
-            checkpoint_every
+            checkpoint_every,
+            metalness,
+            complexity
         );
+        config.forced = overrides.forced();
         config.initial_gaussians = config.initial_gaussians.min(config.max_gaussians);
         config.checked()
     }
@@ -378,6 +445,19 @@ mod tests {
         let overrides = TrainOverrides { iterations: Some(7), ..Default::default() };
         let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
         assert_eq!(TrainConfig { iterations: 1_500, ..config }, TrainConfig::preset(Preset::Draft));
+    }
+
+    #[test]
+    fn what_a_caller_names_is_forced_and_nothing_else_is() {
+        let forced = |o: TrainOverrides| TrainConfig::new(Preset::Draft, &o).unwrap().forced;
+        assert_eq!(
+            forced(TrainOverrides { visibility_order: Some(3), ..Default::default() }),
+            [Setting::Visibility]
+        );
+        let shading =
+            forced(TrainOverrides { shading: Some(ShadingOptions::default()), ..Default::default() });
+        assert_eq!(shading, [Setting::Visibility, Setting::Indirect]);
+        assert!(forced(TrainOverrides { iterations: Some(9), ..Default::default() }).is_empty());
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 mod backend;
 mod checkpoint;
+pub mod complexity;
 mod config;
 mod dataset;
 mod density;
@@ -15,5 +16,7 @@ mod state;
 mod step;
 mod trainer;
 
-pub use config::{LabelSource, LearningRates, LossWeights, Preset, TrainConfig, TrainOverrides};
+pub use config::{
+    Complexity, LabelSource, LearningRates, LossWeights, Preset, Setting, TrainConfig, TrainOverrides,
+};
 pub use trainer::{Progress, StepReport, TrainError, Trainer};

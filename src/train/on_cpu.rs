@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use crate::light::EnvOperators;
 use crate::train::backend::{Backend, StepTask, StepValue};
 use crate::train::state::Learned;
 use crate::train::step::{self, StepContext};
@@ -44,6 +45,12 @@ impl Backend for OnCpu {
     }
 
     fn load(&mut self, learned: Learned) -> Result<(), TrainError> {
+        self.learned = learned;
+        Ok(())
+    }
+
+    fn reshape(&mut self, learned: Learned, _operators: &EnvOperators) -> Result<(), TrainError> {
+        self.kept = learned.clone();
         self.learned = learned;
         Ok(())
     }

@@ -187,6 +187,12 @@ impl Backend for OnGpu {
         Ok(())
     }
 
+    fn reshape(&mut self, learned: Learned, operators: &EnvOperators) -> Result<(), TrainError> {
+        self.training.reshape(operators, &host_state(&learned))?;
+        self.frame = learned.model;
+        Ok(())
+    }
+
     fn keep(&mut self) -> Result<bool, TrainError> {
         self.training.keep()?;
         Ok(true)

@@ -3,6 +3,7 @@
 use rand_chacha::ChaCha8Rng;
 
 use crate::scene::Model;
+use crate::train::complexity::Ledger;
 use crate::train::density::DensityStats;
 use crate::train::optimiser::Moments;
 
@@ -21,6 +22,8 @@ pub struct Course {
     pub rate_factor: f32,
     /// Seconds spent in steps.
     pub seconds: f64,
+    /// What was decided about the model's size so far.
+    pub complexity: Ledger,
 }
 
 /// What has been learned and measured so far; lives where the training runs.

@@ -139,6 +139,38 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     Outcome { loss, mse: physical.mse, gradients }
 }
 
+/// Mean squared error of the physically based branch on one photograph; nothing is differentiated.
+pub fn physical_error(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> f32 {
+    let tables = context.operators.apply(&radiance_of(&state.model));
+    let basis = cpu::indirect_basis(&tables);
+    let source = source(state, &basis);
+    let view = View::new(&photo.camera, source.options);
+    let order = source.gaussians.visibility_order();
+    let pass = Pass::forward(&source, view, Channels::Full(source.gaussians.width(Field::Visibility)), true);
+    let shader = Shader { tables: &tables, options: source.options, order };
+    let images = shader.images(&pass, context.background);
+    let squares = images.physical.iter().zip(&photo.pixels);
+    let sum: f64 = squares.flat_map(|(a, b)| (0..3).map(move |c| f64::from(a[c] - b[c]).powi(2))).sum();
+    (sum / (3 * photo.pixels.len()).max(1) as f64) as f32
+}
+
+/// Summed blending weight, in pixels, that each Gaussian has in one photograph.
+pub fn weights_in(state: &Learned, photo: &Photo) -> Vec<f32> {
+    let basis = [[0.0; 3]; 16];
+    let source = source(state, &basis);
+    let pass = Pass::forward(&source, View::new(&photo.camera, source.options), Channels::Colour, true);
+    let mut out = vec![0.0; source.gaussians.len()];
+    for (splat, label) in pass.splats.iter().zip(cpu::backward_labels(&pass)) {
+        out[splat.gaussian as usize] = label.weight;
+    }
+    out
+}
+
+/// Outward unit normals of all Gaussians, as the last measurement of visibility has them.
+pub fn normals(state: &Learned) -> Vec<[f32; 3]> {
+    outward_normals(&source(state, &[[0.0; 3]; 16]))
+}
+
 /// Channels the backward pass carries: visibility and indirect light only when they are learned.
 pub(super) fn differentiated(config: &TrainConfig, indirect: IndirectForm, channels: Channels) -> Channels {
     let learned = config.labels != LabelSource::Probes || indirect == IndirectForm::Learned;

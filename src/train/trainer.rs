@@ -10,8 +10,9 @@ use crate::capture::Capture;
 use crate::engine::Device;
 use crate::engine::gpu::GpuError;
 use crate::light::{EnvOperators, TableResolution};
-use crate::scene::Model;
+use crate::scene::{Field, Model};
 use crate::train::backend::{Backend, StepTask};
+use crate::train::complexity::{self, Ledger};
 use crate::train::dataset::{Dataset, Photo};
 use crate::train::on_cpu::OnCpu;
 use crate::train::on_gpu::OnGpu;
@@ -101,6 +102,7 @@ impl Trainer {
             rng,
             rate_factor: 1.0,
             seconds: 0.0,
+            complexity: Ledger::default(),
         };
         Self::assemble(config, data, course, Learned::new(model), device)
     }
@@ -130,9 +132,7 @@ impl Trainer {
         learned: Learned,
         device: &Device,
     ) -> Result<Self, TrainError> {
-        let rows = config.environment_rows as usize;
-        let order = config.visibility_order as usize;
-        let operators = EnvOperators::new(rows * 2, rows, order, TableResolution::TRAINING);
+        let operators = operators_of(&learned.model);
         let backend: Box<dyn Backend> = match device {
             Device::Cpu => Box::new(OnCpu::new(learned)),
             Device::Gpu(gpu) => {
@@ -167,7 +167,10 @@ impl Trainer {
         let material = self.course.step >= self.config.warm_up_steps();
         let half = progress < self.config.half_resolution;
         let learned = self.config.labels != LabelSource::Probes;
-        let sizes = StepSizes::new(&self.config.rates, progress, material, learned);
+        let mut sizes = StepSizes::new(&self.config.rates, progress, material, learned);
+        if self.is_dielectric() {
+            sizes.fields[Field::MetalLogit as usize] = 0.0;
+        }
         let next = self.course.step + 1;
         // Spelled out, not `self.context()`: the backend is borrowed beside it.
         let context = StepContext {
@@ -188,8 +191,13 @@ impl Trainer {
         if !value.finite {
             return self.roll_back();
         }
+        let psnr = -10.0 * value.mse.max(1e-10).log10();
+        self.course.complexity.record(u32::from(material) + 2 * u32::from(half), psnr);
         self.course.step = next;
         self.refine()?;
+        if self.is_done() {
+            self.decide()?;
+        }
         self.course.seconds += start.elapsed().as_secs_f64();
         if self.is_snapshot_step() {
             if !self.backend.keep()? {
@@ -201,7 +209,7 @@ impl Trainer {
         Ok(StepReport {
             step: self.course.step,
             loss: value.loss,
-            psnr: -10.0 * value.mse.max(1e-10).log10(),
+            psnr,
             gaussians: self.backend.gaussians(),
             warning: None,
         })
@@ -246,11 +254,40 @@ impl Trainer {
         if step == warm_up {
             let mut learned = self.backend.learned()?.into_owned();
             materials::initialise(&mut learned.model);
+            if self.is_dielectric() {
+                complexity::hold_dielectric(&mut learned);
+            }
             self.backend.load(learned)?;
         }
         if self.measures() && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every) {
             self.refresh_probes(step == warm_up)?;
         }
+        self.decide()
+    }
+
+    /// True when metalness is not learned.
+    fn is_dielectric(&self) -> bool {
+        !self.config.metalness || self.course.complexity.is_dielectric
+    }
+
+    /// Makes the model as small as the scene allows, if a decision is due.
+    fn decide(&mut self) -> Result<(), TrainError> {
+        let steps = self.course.step;
+        let Some(point) = self.course.complexity.due(&self.config, steps) else { return Ok(()) };
+        let learned = self.backend.learned()?;
+        if learned.model.check().is_err() {
+            // The next step rolls back, and comes past here again.
+            return Ok(());
+        }
+        let mut learned = learned.into_owned();
+        let mut ledger = self.course.complexity.clone();
+        ledger.decide(point, &self.context(), steps, &self.data.full, &mut learned);
+        self.course.complexity = ledger;
+        if learned.model.gaussians.visibility_order() != self.operators.order() {
+            self.operators = operators_of(&learned.model);
+        }
+        self.backend.reshape(learned, &self.operators)?;
+        self.kept = self.course.clone();
         Ok(())
     }
 
@@ -285,7 +322,9 @@ impl Trainer {
         // The budget opens with the square root of progress, so that early Gaussians settle first.
         let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
         let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
-        let budget = (low + (high - low) * share) as usize;
+        self.course.complexity.before_round(&self.config, step, self.backend.gaussians());
+        let most = self.course.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
+        let budget = ((low + (high - low) * share) as usize).min(most);
         let eyes = (!self.data.has_alpha).then(|| self.data.eyes());
         self.backend.refine(budget, eyes.as_deref())?;
         if step > self.config.warm_up_steps() && self.measures() {
@@ -331,6 +370,7 @@ impl Trainer {
             "gaussians": model.gaussians.len(),
             "photographs": self.data.full.len(),
             "has_alpha": self.data.has_alpha,
+            "complexity": self.course.complexity.card(&self.config),
             "config": self.config,
         });
         Ok(model)
@@ -350,6 +390,12 @@ fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainErro
         )));
     }
     Ok(Dataset::new(capture, config.resolution))
+}
+
+/// The operators for a model's environment and visibility.
+fn operators_of(model: &Model) -> EnvOperators {
+    let order = model.gaussians.visibility_order();
+    EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING)
 }
 
 fn photo_at(data: &Dataset, index: usize, half: bool) -> &Photo {
@@ -396,6 +442,40 @@ mod tests {
             assert_eq!(trainer.course.rate_factor, 0.5);
             assert!(trainer.model().unwrap().check().is_ok());
             assert_eq!(trainer.step().unwrap().warning, None, "and goes on");
+        }
+    }
+
+    #[test]
+    fn a_smaller_model_goes_on_training_on_every_device() {
+        let options = SyntheticOptions {
+            scene: crate::capture::SyntheticScene::MatteBall,
+            train_views: 5,
+            test_views: 1,
+            size: 24,
+            paths: 8,
+            relit: Default::default(),
+            ..Default::default()
+        };
+        let capture = synthetic(&options).unwrap();
+        let overrides = TrainOverrides {
+            resolution: Some(24),
+            iterations: Some(24),
+            probe_directions: Some(16),
+            complexity: Some(crate::train::Complexity::Auto),
+            ..Default::default()
+        };
+        for device in [Some(Device::Cpu), Gpu::for_tests().map(Device::Gpu)].into_iter().flatten() {
+            let mut config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+            (config.initial_gaussians, config.max_gaussians) = (128, 160);
+            let mut trainer = Trainer::new(&capture, config, &device).unwrap();
+            while !trainer.is_done() {
+                assert_eq!(trainer.step().unwrap().warning, None);
+            }
+            assert_eq!(trainer.course.complexity.due(&trainer.config, 24), None, "all decisions are made");
+            let model = trainer.model().unwrap();
+            assert!(model.check().is_ok());
+            assert_eq!(trainer.operators.order(), model.gaussians.visibility_order());
+            assert!(model.card["complexity"]["findings"].as_array().unwrap().len() >= 6, "{}", model.card);
         }
     }
 }

@@ -16,6 +16,8 @@ use crate::capture::{
 };
 use crate::formats::srgb;
 use crate::scene::{Camera, EnvMap};
+use scene::Scene;
+pub use scene::SyntheticScene;
 use tracer::{Pixel, Tracer};
 
 /// Radius of the ball around the origin that holds the scene.
@@ -28,6 +30,8 @@ const FIELD_OF_VIEW: f64 = 0.691_111_2;
 /// What to generate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SyntheticOptions {
+    /// What is photographed.
+    pub scene: SyntheticScene,
     /// Training views, at least 3.
     pub train_views: usize,
     /// Held-out views with ground truth.
@@ -49,6 +53,7 @@ impl Default for SyntheticOptions {
     fn default() -> Self {
         let light = |name: &str| builtin(name).unwrap_or_else(|| EnvMap::constant(2, 1, [1.0; 3]));
         Self {
+            scene: SyntheticScene::default(),
             train_views: 24,
             test_views: 6,
             size: 128,
@@ -60,7 +65,7 @@ impl Default for SyntheticOptions {
     }
 }
 
-/// Renders the synthetic capture: some spheres, a block and a drum of different materials on a chequered table.
+/// Renders the synthetic capture: by default some spheres, a block and a drum of different materials on a chequered table.
 ///
 /// World +Z is up; the scene lies within 1.2 units of the origin; cameras stand on the upper hemisphere 3.6
 /// units away. Two bounces of indirect light. The same options give the same bytes on any number of threads.
@@ -69,10 +74,16 @@ impl Default for SyntheticOptions {
 /// [`CaptureError::Field`] names the option that is out of range.
 pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
     check(options)?;
-    let train_tracer = Tracer::new(vec![options.train_light.clone()], options.paths, options.seed, false);
+    let train_tracer = Tracer::new(
+        Scene::new(options.scene),
+        vec![options.train_light.clone()],
+        options.paths,
+        options.seed,
+        false,
+    );
     let mut all = vec![options.train_light.clone()];
     all.extend(options.relit.values().cloned());
-    let test_tracer = Tracer::new(all, options.paths, options.seed, true);
+    let test_tracer = Tracer::new(Scene::new(options.scene), all, options.paths, options.seed, true);
     let mut train = Vec::new();
     for i in 0..options.train_views {
         let camera = camera(spiral(i, options.train_views, 0.0), options.size)?;
@@ -200,7 +211,13 @@ mod tests {
     fn the_noise_is_small_and_falls_with_more_paths() {
         let camera = camera(spiral(3, 6, 1.1), 96).unwrap();
         let render = |seed, paths| {
-            let tracer = Tracer::new(vec![SyntheticOptions::default().train_light], paths, seed, false);
+            let tracer = Tracer::new(
+                Scene::new(SyntheticScene::Table),
+                vec![SyntheticOptions::default().train_light],
+                paths,
+                seed,
+                false,
+            );
             image(&camera, &tracer.render(&camera, 0), 0)
         };
         let noise = |paths| psnr(&render(1, paths), &render(2, paths));

@@ -52,7 +52,21 @@ struct Primitive {
     checker: Option<DVec3>,
 }
 
-/// The scene: six things on a round table, inside the ball of radius 1.2 around the origin, +Z up.
+/// Which scene to photograph; all lie inside the ball of radius 1.2 around the origin, +Z up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SyntheticScene {
+    /// Six things of different materials on a chequered round table.
+    #[default]
+    Table,
+    /// One matte ball: convex, dielectric, one colour.
+    MatteBall,
+    /// One polished metal ball.
+    MirrorBall,
+    /// The things and the table of [`SyntheticScene::Table`], all of one rough dielectric material.
+    OneMaterial,
+}
+
+/// The primitives of one scene.
 pub(super) struct Scene {
     primitives: Vec<Primitive>,
 }
@@ -61,10 +75,31 @@ pub(super) struct Scene {
 const TABLE: f64 = -0.42;
 /// Side of a field of the table's checkerboard.
 const FIELD: f64 = 0.25;
+/// Radius of a ball that is alone.
+const BALL: f64 = 0.85;
 
 impl Scene {
-    /// The one scene there is.
-    pub(super) fn new() -> Self {
+    /// The primitives of `which`.
+    pub(super) fn new(which: SyntheticScene) -> Self {
+        let ball = |metallic, roughness| {
+            let albedo = DVec3::new(0.7, 0.62, 0.5);
+            let shape = Shape::Sphere { centre: DVec3::ZERO, radius: BALL };
+            vec![Primitive { shape, material: Material { albedo, metallic, roughness }, checker: None }]
+        };
+        let primitives = match which {
+            SyntheticScene::Table => Self::table(),
+            SyntheticScene::MatteBall => ball(0.0, 0.9),
+            SyntheticScene::MirrorBall => ball(1.0, 0.15),
+            SyntheticScene::OneMaterial => {
+                let clay = Material { albedo: DVec3::new(0.66, 0.45, 0.33), metallic: 0.0, roughness: 0.8 };
+                let all = Self::table().into_iter();
+                all.map(|p| Primitive { material: clay, checker: None, ..p }).collect()
+            }
+        };
+        Self { primitives }
+    }
+
+    fn table() -> Vec<Primitive> {
         let material =
             |r, g, b, metallic, roughness| Material { albedo: DVec3::new(r, g, b), metallic, roughness };
         let plain = |shape, material| Primitive { shape, material, checker: None };
@@ -77,7 +112,7 @@ impl Scene {
             turn: DVec2::from_angle(0.5),
         };
         let drum = Shape::Drum { centre: DVec3::new(0.48, 0.42, TABLE + 0.2), radius: 0.2, half_height: 0.2 };
-        let primitives = vec![
+        vec![
             Primitive {
                 shape: table,
                 material: material(0.62, 0.58, 0.52, 0.0, 0.8),
@@ -88,8 +123,7 @@ impl Scene {
             plain(ball(0.62, -0.4, 0.16), material(0.75, 0.75, 0.72, 0.0, 0.9)),
             plain(block, material(0.08, 0.22, 0.55, 0.0, 0.7)),
             plain(drum, material(0.12, 0.42, 0.12, 0.0, 0.55)),
-        ];
-        Self { primitives }
+        ]
     }
 
     /// The nearest hit of the ray beyond a hair's breadth from its origin.
@@ -215,7 +249,7 @@ mod tests {
 
     #[test]
     fn hits_lie_inside_the_promised_ball_and_normals_face_the_ray() {
-        let scene = Scene::new();
+        let scene = Scene::new(SyntheticScene::Table);
         let mut hits = 0;
         for i in 0..4000 {
             let (a, z) = (i as f64 * 2.399_963, 1.0 - 2.0 * (i as f64 + 0.5) / 4000.0);

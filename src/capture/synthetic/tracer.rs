@@ -40,11 +40,11 @@ pub(super) struct Pixel {
 }
 
 impl Tracer {
-    /// A tracer of the scene under `lights`, all at once, with about `paths` paths a pixel; ambient occlusion
+    /// A tracer of `scene` under `lights`, all at once, with about `paths` paths a pixel; ambient occlusion
     /// costs extra rays and is left at 0 unless `wants_truth`.
-    pub(super) fn new(lights: Vec<EnvMap>, paths: u32, seed: u64, wants_truth: bool) -> Self {
+    pub(super) fn new(scene: Scene, lights: Vec<EnvMap>, paths: u32, seed: u64, wants_truth: bool) -> Self {
         let sampler = LightSampler::new(&lights);
-        Self { scene: Scene::new(), sampler, lights, paths, seed, wants_truth }
+        Self { scene, sampler, lights, paths, seed, wants_truth }
     }
 
     /// The pixels of a view, row-major; `stream` tells views apart so that their noise is independent.

@@ -1,5 +1,6 @@
 //! `relume bench`: figures anyone can repeat, each with the machine it was measured on.
 
+mod complexity;
 mod device;
 mod matrix;
 mod precision;
@@ -21,6 +22,8 @@ enum What {
     Matrix(matrix::Args),
     /// Error of a device's engine against f64, stage by stage.
     Precision(precision::Args),
+    /// What modelling only what a scene requires saves and costs, scene by scene.
+    Complexity(complexity::Args),
 }
 
 pub(super) fn run(args: &Args) -> CommandResult {
@@ -28,5 +31,6 @@ pub(super) fn run(args: &Args) -> CommandResult {
         What::Device(args) => device::run(args),
         What::Matrix(args) => matrix::run(args),
         What::Precision(args) => precision::run(args),
+        What::Complexity(args) => complexity::run(args),
     }
 }

@@ -203,6 +203,21 @@ impl Training {
         Ok(())
     }
 
+    /// Goes on from a state of another shape, with its operators, and keeps it.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn reshape(&mut self, operators: &EnvOperators, state: &HostState<'_>) -> Result<(), GpuError> {
+        // What is kept goes first: it could not be returned to.
+        self.kept = None;
+        self.load(state)?;
+        self.options = state.model.shading;
+        self.order = operators.order();
+        self.light = TrainingLight::new(&self.gpu, operators)?;
+        self.globals_gradient = self.gpu.buffer("gradient of what is shared", self.model.globals.len())?;
+        self.keep()
+    }
+
     /// One optimisation step; waits for its sums.
     ///
     /// # Errors

@@ -1,0 +1,147 @@
+//! Decisions: from evidence to the smallest model within stated tolerances. Pure.
+
+use crate::train::complexity::evidence::VisibilityErrors;
+
+/// Share of a silhouette's hull that a convex thing's silhouette may leave empty, mean over the photographs.
+pub const CONVEX_TOLERANCE: f32 = 0.01;
+/// Ambient occlusion (0 to 1) that leaving visibility out may change, mean. Generous: halfway through a training the
+/// measurement of a perfect ball is off by 0.04 to 0.07. It is there to notice what silhouettes cannot show, a bowl.
+pub const OFF_TOLERANCE: f32 = 0.12;
+/// Ambient occlusion that cutting degrees may change, mean.
+pub const AMBIENT_TOLERANCE: f32 = 0.005;
+/// Mean squared error of the field (0 to 1) that cutting degrees may cost.
+pub const FIELD_TOLERANCE: f32 = 0.005;
+/// Bounced over direct irradiance below which it is left out.
+pub const INDIRECT_TOLERANCE: f32 = 0.01;
+/// Display colour that the radiance branch may lose, root mean square.
+pub const RADIANCE_TOLERANCE: f32 = 0.01;
+/// Training PSNR that holding everything at dielectric may cost on the spot, dB.
+pub const METALNESS_TOLERANCE: f32 = 0.02;
+/// Prototypes nearer than this in every linear colour channel are twins.
+pub const TWINS: f32 = 0.08;
+/// Share of the picture below which a prototype is dropped.
+pub const UNUSED: f32 = 0.005;
+/// Pixels of a photograph, on average, below which a Gaussian is dropped.
+pub const UNSEEN: f32 = 0.01;
+/// Training PSNR per doubling of the Gaussians below which more are not worth it, dB.
+pub const FLAT: f32 = 0.2;
+/// Training PSNR beyond which more Gaussians are not worth it (an error of 3.6 / 255), dB.
+pub const ENOUGH: f32 = 37.0;
+
+/// What of the visibility field a scene requires.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Visibility {
+    /// Every surface is open to all that it faces.
+    Off,
+    /// Degrees up to this.
+    Order(usize),
+}
+
+/// Whether a thing is convex, by its silhouettes (`concavity`, `None` without masks) and by what its surfaces see.
+pub fn is_convex(concavity: Option<f32>, off: f32) -> bool {
+    concavity.is_some_and(|c| c <= CONVEX_TOLERANCE) && off <= OFF_TOLERANCE
+}
+
+/// The least visibility within tolerance; none for what is convex, unless light that bounces stays all the same.
+///
+/// Never degree 0 of a higher configured degree: degree 1 tells a surface's open side.
+pub fn visibility(errors: &VisibilityErrors, is_convex: bool, is_lit_by_others: bool) -> Visibility {
+    if is_convex && !is_lit_by_others {
+        return Visibility::Off;
+    }
+    let order = errors.field.len() - 1;
+    let fits = |l: &usize| errors.ambient[*l] <= AMBIENT_TOLERANCE && errors.field[*l] <= FIELD_TOLERANCE;
+    Visibility::Order((1..order).find(fits).unwrap_or(order))
+}
+
+/// The least degree of the radiance branch whose loss is within tolerance.
+pub fn radiance_order(residuals: &[f32]) -> usize {
+    residuals.iter().position(|r| *r <= RADIANCE_TOLERANCE).unwrap_or(residuals.len().saturating_sub(1))
+}
+
+/// Which prototypes become one: groups of twins, the heaviest member first; what is in no group is unused.
+pub fn prototypes(colours: &[[f32; 3]], masses: &[f32]) -> Vec<Vec<usize>> {
+    let mut by_mass: Vec<usize> = (0..colours.len()).collect();
+    by_mass.sort_by(|a, b| masses[*b].total_cmp(&masses[*a]).then(a.cmp(b)));
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for k in by_mass {
+        let shown = |v: f32| v.clamp(0.0, 1.0);
+        let apart = |a: usize| {
+            (0..3).map(|c| (shown(colours[a][c]) - shown(colours[k][c])).abs()).fold(0.0, f32::max)
+        };
+        if let Some(group) = groups.iter_mut().find(|group| apart(group[0]) <= TWINS) {
+            group.push(k);
+        } else if masses[k] >= UNUSED || groups.is_empty() {
+            groups.push(vec![k]);
+        }
+    }
+    groups
+}
+
+/// Whether more Gaussians are worth it, from `(Gaussians, training PSNR)` after each round of density control.
+///
+/// Twice in a row: one round's PSNR is a mean over some photographs and not over all.
+pub fn is_enough(history: &[(u32, f32)]) -> bool {
+    let [.., a, b, c] = history else { return false };
+    let is_flat = |from: &(u32, f32), to: &(u32, f32)| {
+        let doublings = (to.0 as f32 / from.0.max(1) as f32).log2();
+        doublings > 0.0 && to.1 - from.1 < FLAT * doublings
+    };
+    (is_flat(a, b) && is_flat(b, c)) || (b.1 > ENOUGH && c.1 > ENOUGH)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn errors(off: f32, ambient: [f32; 5], field: [f32; 5]) -> VisibilityErrors {
+        VisibilityErrors { off, ambient: ambient.into(), field: field.into() }
+    }
+
+    #[test]
+    fn visibility_is_the_least_within_both_tolerances() {
+        let flat = [0.0; 5];
+        assert_eq!(visibility(&errors(0.01, flat, flat), true, false), Visibility::Off);
+        assert_eq!(visibility(&errors(0.01, flat, flat), true, true), Visibility::Order(1));
+        assert_eq!(visibility(&errors(0.01, flat, flat), false, false), Visibility::Order(1));
+        assert!(is_convex(Some(0.0), 0.05) && !is_convex(Some(0.0), 0.3), "a bowl looks convex from outside");
+        assert!(!is_convex(Some(0.2), 0.0) && !is_convex(None, 0.0), "without masks nothing is known");
+        let needs_two = [0.5, 0.1, 0.001, 0.0, 0.0];
+        assert_eq!(visibility(&errors(0.2, needs_two, flat), false, false), Visibility::Order(2));
+        assert_eq!(visibility(&errors(0.2, flat, needs_two), false, false), Visibility::Order(2));
+        let needs_all = [0.5, 0.4, 0.3, 0.2, 0.0];
+        assert_eq!(visibility(&errors(0.2, flat, needs_all), false, false), Visibility::Order(4));
+    }
+
+    #[test]
+    fn twins_become_one_and_the_unused_go() {
+        let colours = [[0.5; 3], [0.52; 3], [0.9; 3], [0.1; 3]];
+        assert_eq!(prototypes(&colours, &[0.3, 0.4, 0.299, 0.001]), [vec![1, 0], vec![2]]);
+        assert_eq!(
+            prototypes(&colours[2..], &[0.5, 0.5]),
+            [vec![0], vec![1]],
+            "the control: far apart and used"
+        );
+        assert_eq!(prototypes(&colours[..1], &[0.0]), [vec![0]], "one always stays");
+    }
+
+    #[test]
+    fn growth_ends_when_twice_flat_or_beyond_what_shows() {
+        assert!(is_enough(&[(1000, 30.0), (1200, 30.01), (1400, 30.0)]));
+        assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.3)]), "once is not twice");
+        assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.6)]));
+        assert!(
+            !is_enough(&[(1000, 30.0), (1000, 30.0), (1000, 30.0)]),
+            "nothing was added, nothing is known"
+        );
+        assert!(is_enough(&[(1000, 42.5), (1200, 43.0), (1400, 43.5)]));
+        assert!(!is_enough(&[(1200, 30.0), (1400, 30.0)]));
+    }
+
+    #[test]
+    fn the_radiance_branch_keeps_what_matters() {
+        assert_eq!(radiance_order(&[0.005, 0.0]), 0);
+        assert_eq!(radiance_order(&[0.05, 0.004, 0.0]), 1);
+        assert_eq!(radiance_order(&[0.05, 0.04, 0.0]), 2);
+    }
+}
