@@ -120,7 +120,7 @@ pub(super) fn errors(found: &Answer, expected: &Answer, kept: &[bool]) -> Errors
     let images = [(&found.physical, &expected.physical), (&found.radiance, &expected.radiance)];
     let image = images.map(|(a, b)| relative_error(&steady(a), &steady(b)));
     let most = |name| expected.gradients[name].data().iter().fold(0.0f64, |m, v| m.max(v.abs()));
-    let overall = expected.gradients.keys().map(|name| most(name)).fold(0.0, f64::max);
+    let overall = expected.gradients.keys().map(&most).fold(0.0, f64::max);
     let (mut gradient, mut worst) = (0.0, "none");
     for (name, theirs) in &expected.gradients {
         let own = most(name).max(1e-9);
