@@ -12,7 +12,7 @@ use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::probes::{ProbeBuffers, Probes};
 use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::shading::{ShadeJob, ShadingUniform};
-use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUniform};
+use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUniform, grow};
 use crate::light::LightTables;
 use crate::render::renderer::{BOUNCES, PROBE_DIRECTIONS};
 use crate::render::{Frame, Output};
@@ -145,7 +145,7 @@ impl OnGpu {
             constants: &self.constants,
         };
         if is_preview {
-            let colours = grown(&self.gpu, "preview colours", colours, self.layout.n as usize)?;
+            let colours = grow(&self.gpu, "preview colours", colours, self.layout.n as usize)?;
             let (Some(splats), Some(rows)) = (raster.splats.clone(), raster.attributes.clone()) else {
                 return Err(GpuError::Internal("a pass without splats".to_owned()));
             };
@@ -191,20 +191,6 @@ impl OnGpu {
             (Output::Alpha, pixels.iter().map(|p| p[0]).collect()),
         ]))
     }
-}
-
-/// A buffer of at least `len` elements, the one kept if it is long enough.
-fn grown<T: bytemuck::Pod>(
-    gpu: &Gpu,
-    label: &str,
-    kept: &mut Option<Buffer<T>>,
-    len: usize,
-) -> Result<Buffer<T>, GpuError> {
-    if let Some(buffer) = kept.as_ref().filter(|b| b.len() >= len) {
-        return Ok(buffer.clone());
-    }
-    *kept = None;
-    Ok(kept.insert(gpu.buffer(label, len)?).clone())
 }
 
 /// The device's word for an output.

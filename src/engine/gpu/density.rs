@@ -34,9 +34,10 @@ pub struct GatherPlan {
 }
 
 impl GatherPlan {
-    /// A round that keeps `keep` in order and splits those of them that `is_split` names: first halves in their
+    /// For tests: a round that keeps `keep` in order and splits those of them that `is_split` names: first halves in their
     /// wholes' places, second halves at the end.
-    pub fn new(keep: &[u32], is_split: impl Fn(u32) -> bool) -> Self {
+    #[cfg(test)]
+    fn new(keep: &[u32], is_split: impl Fn(u32) -> bool) -> Self {
         let mut out = Self::default();
         for &i in keep {
             out.push(i, if is_split(i) { Origin::UpperHalf } else { Origin::Keep });

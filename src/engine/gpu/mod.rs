@@ -37,6 +37,6 @@ pub use gather::{GatherSource, gather};
 pub use probes::{ProbeBuffers, Probes};
 pub use raster::{Raster, RasterCounts};
 pub use recorder::{Bind, Groups, Recorder, StageTime, uniform};
-pub use scan::Scan;
+pub use scan::{Scan, grow};
 pub use sort::{Pairs, Sorter};
 pub use view::{SplatRecord, TILE, ViewUniform};

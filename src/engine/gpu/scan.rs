@@ -23,7 +23,7 @@ struct ScanSize {
 ///
 /// # Errors
 /// As [`Gpu::buffer`].
-pub(super) fn grow<T: Pod>(
+pub fn grow<T: Pod>(
     gpu: &Gpu,
     label: &str,
     buffer: &mut Option<Buffer<T>>,
