@@ -3,6 +3,7 @@
 //! The main protocol is TensoIR's (whole image on white, no mask, sRGB curve, no scaling of pictures); what it
 //! is exactly travels with every report as [`Report::protocol`].
 
+mod attribution;
 mod contact;
 mod conv;
 mod evaluate;
@@ -15,6 +16,7 @@ pub mod sheet;
 mod totals;
 mod views;
 
+pub use attribution::{Replaced, attribute};
 pub use contact::{contact_sheet, truth_layers};
 pub use evaluate::{EvalError, EvalOptions, evaluate};
 pub use image::{PSNR_CAP, Picture, mean_squared_error, psnr, psnr_of, ssim};

@@ -73,7 +73,7 @@ pub(crate) fn relit(
 
 /// A premultiplied linear colour plane, composited on white *after* the display curve, as photographs with
 /// straight alpha are: `srgb(clamp(rgb / alpha)) * alpha + 1 - alpha`.
-fn on_white(frame: &Frame, output: Output) -> Picture {
+pub(super) fn on_white(frame: &Frame, output: Output) -> Picture {
     let alpha = scalars(frame, Output::Alpha);
     let pixel = |(c, a): (&[f32; 3], &f32)| {
         let a = a.clamp(0.0, 1.0);

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use safetensors::tensor::{Dtype, SafeTensors, View};
 use serde::{Deserialize, Serialize};
 
-use crate::scene::{Field, Gaussians, Model, ShadingOptions};
+use crate::scene::{Field, Gaussians, IndirectForm, Model, ShadingOptions};
 
 /// The header's version; a reader refuses any other.
 const VERSION: u32 = 1;
@@ -101,13 +101,22 @@ pub(crate) fn header(model: &Model) -> String {
     serde_json::to_string(&header).unwrap_or_default()
 }
 
+/// Whether a model file holds a field: the weights of learned indirect light only where that is the model's form.
+fn is_stored(field: Field, shading: &ShadingOptions) -> bool {
+    field != Field::Indirect || shading.indirect == IndirectForm::Learned
+}
+
 /// A model as the bytes of one file.
 ///
 /// # Errors
 /// Only when the container library refuses a tensor, which a checked model does not cause.
 pub fn encode(model: &Model) -> Result<Vec<u8>, ModelFileError> {
     let metadata = HashMap::from([(HEADER_KEY.to_owned(), header(model))]);
-    Ok(safetensors::serialize(tensors(model), Some(metadata))?)
+    let mut tensors = tensors(model);
+    if !is_stored(Field::Indirect, &model.shading) {
+        tensors.retain(|(name, _)| name != Field::Indirect.name());
+    }
+    Ok(safetensors::serialize(tensors, Some(metadata))?)
 }
 
 /// Reads a model back and checks it.
@@ -140,7 +149,8 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
         header.visibility_order,
         header.radiance_order,
     );
-    for (field, _, data) in gaussians.fields_mut() {
+    let present = |field: Field| is_stored(field, &header.shading) || file.tensor(field.name()).is_ok();
+    for (field, _, data) in gaussians.fields_mut().filter(|(field, ..)| present(*field)) {
         *data = floats(&file, field.name(), data.len())?;
     }
     let triples = |name: &str, count: usize| -> Result<Vec<[f32; 3]>, ModelFileError> {
@@ -197,8 +207,28 @@ mod tests {
 
     #[test]
     fn a_model_survives_the_file() {
-        let model = example();
+        let mut model = example();
+        model.shading.indirect = IndirectForm::Learned;
         assert_eq!(decode(&encode(&model).unwrap()).unwrap(), model);
+    }
+
+    #[test]
+    fn weights_that_the_model_does_not_use_are_not_in_the_file() {
+        let mut model = example();
+        model.shading.indirect = IndirectForm::Learned;
+        let whole = encode(&model).unwrap().len();
+        model.shading.indirect = IndirectForm::Gathered;
+        let bytes = encode(&model).unwrap();
+        assert!(bytes.len() + model.gaussians.len() * 16 * 4 <= whole);
+        model.gaussians.field_mut(Field::Indirect).fill(0.0);
+        assert_eq!(decode(&bytes).unwrap(), model);
+        // The control: a file that needs them and lacks them is refused.
+        model.shading.indirect = IndirectForm::Learned;
+        let metadata = HashMap::from([(HEADER_KEY.to_owned(), header(&model))]);
+        let mut without = tensors(&model);
+        without.retain(|(name, _)| name != "ind_sh");
+        let err = decode(&safetensors::serialize(without, Some(metadata)).unwrap()).unwrap_err();
+        assert!(err.to_string().contains("ind_sh"), "{err}");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! A camera and a light in, a frame out.
 
+mod edited;
 mod frame;
 mod on_gpu;
 mod preview;

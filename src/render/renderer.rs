@@ -54,21 +54,21 @@ pub enum RenderError {
 
 /// An environment turned into the tables a model is shaded with; costs a second at most, keep it. Belongs to the renderer
 /// that prepared it.
-pub struct PreparedLight(Prepared);
+pub struct PreparedLight(pub(super) Prepared);
 
-enum Prepared {
+pub(super) enum Prepared {
     Cpu(Box<CpuLight>),
     Gpu(LightOnGpu),
 }
 
-struct CpuLight {
-    tables: LightTables,
-    gathered: Vec<[f32; 6]>,
-    indirect_basis: [[f32; 3]; 16],
+pub(super) struct CpuLight {
+    pub(super) tables: LightTables,
+    pub(super) gathered: Vec<[f32; 6]>,
+    pub(super) indirect_basis: [[f32; 3]; 16],
 }
 
 /// Where the frames are made.
-enum Engine {
+pub(super) enum Engine {
     /// With what hides what, once it was needed: it does not depend on the light.
     Cpu(OnceLock<Transport>),
     Gpu(Box<OnGpu>),
@@ -77,7 +77,7 @@ enum Engine {
 /// A model ready to be rendered many times. Shared between threads.
 pub struct Renderer {
     model: Arc<Model>,
-    engine: Engine,
+    pub(super) engine: Engine,
 }
 
 impl Renderer {
@@ -105,7 +105,11 @@ impl Renderer {
         &self.model
     }
 
-    fn source<'a>(&'a self, gathered: &'a [[f32; 6]], basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
+    pub(super) fn source<'a>(
+        &'a self,
+        gathered: &'a [[f32; 6]],
+        basis: &'a [[f32; 3]; 16],
+    ) -> AttributeSource<'a> {
         AttributeSource {
             gaussians: &self.model.gaussians,
             prototypes: &self.model.prototypes,
@@ -146,6 +150,17 @@ impl Renderer {
         CpuLight { tables, gathered, indirect_basis }
     }
 
+    /// A camera in capture coordinates, checked, in the model's normalised world.
+    pub(super) fn camera_inside(&self, camera: &Camera) -> Result<Camera, RenderError> {
+        let checked =
+            camera.validated().map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
+        if u64::from(checked.width) * u64::from(checked.height) > MOST_PIXELS {
+            let reason = format!("more than {MOST_PIXELS} pixels");
+            return Err(RenderError::Refused { field: "width,height", reason });
+        }
+        Ok(checked.in_normalised_world(self.model.world_scale, self.model.world_offset))
+    }
+
     /// Renders `outputs` for a camera in capture coordinates.
     ///
     /// # Errors
@@ -157,13 +172,7 @@ impl Renderer {
         tier: Tier,
         outputs: &[Output],
     ) -> Result<Frame, RenderError> {
-        let checked =
-            camera.validated().map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
-        if u64::from(checked.width) * u64::from(checked.height) > MOST_PIXELS {
-            let reason = format!("more than {MOST_PIXELS} pixels");
-            return Err(RenderError::Refused { field: "width,height", reason });
-        }
-        let camera = checked.in_normalised_world(self.model.world_scale, self.model.world_offset);
+        let camera = self.camera_inside(camera)?;
         let view = View::new(&camera, &self.model.shading);
         let mut wanted: Vec<Output> = outputs.to_vec();
         wanted.push(Output::Alpha);

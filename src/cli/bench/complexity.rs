@@ -106,9 +106,9 @@ fn head(args: &Args, device: &Device) -> Result<String, std::fmt::Error> {
     )?;
     writeln!(
         text,
-        "| scene | floats a Gaussian | Gaussians | file, kB | smaller | training, s | faster | novel view, dB | relit mean, dB |"
+        "| scene | floats a Gaussian | Gaussians | file, kB | smaller | training, s | faster | novel view, dB | relit mean, dB | relit mean, albedo aligned, dB |"
     )?;
-    writeln!(text, "|---|---:|---:|---:|---:|---:|---:|---:|---:|")?;
+    writeln!(text, "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|")?;
     Ok(text)
 }
 
@@ -129,7 +129,7 @@ fn row(
         _ => "-".to_owned(),
     };
     let line = format!(
-        "| {name} | {}, {} | {}, {} | {}, {} | {:.2}x | {:.1}, {:.1} | {:.2}x | {} | {} |",
+        "| {name} | {}, {} | {}, {} | {}, {} | {:.2}x | {:.1}, {:.1} | {:.2}x | {} | {} | {} |",
         full.floats,
         auto.floats,
         full.gaussians,
@@ -142,6 +142,7 @@ fn row(
         full.seconds / auto.seconds,
         pair(full.report.novel_view.psnr, auto.report.novel_view.psnr),
         pair(full.report.relit.mean.psnr, auto.report.relit.mean.psnr),
+        pair(full.report.relit_aligned.mean.psnr, auto.report.relit_aligned.mean.psnr),
     );
     eprintln!("{line}");
     writeln!(text, "{line}")?;

@@ -1,5 +1,6 @@
 //! `relume bench`: figures anyone can repeat, each with the machine it was measured on.
 
+mod attribution;
 mod complexity;
 mod device;
 mod matrix;
@@ -20,6 +21,8 @@ enum What {
     Device(device::Args),
     /// Accuracy of each variant of the settings on each capture, in one table.
     Matrix(matrix::Args),
+    /// What each layer of a model costs its relit pictures, in dB: the truth in its place, one layer after the other.
+    Attribution(attribution::Args),
     /// Error of a device's engine against f64, stage by stage.
     Precision(precision::Args),
     /// What modelling only what a scene requires saves and costs, scene by scene.
@@ -30,6 +33,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
     match &args.what {
         What::Device(args) => device::run(args),
         What::Matrix(args) => matrix::run(args),
+        What::Attribution(args) => attribution::run(args),
         What::Precision(args) => precision::run(args),
         What::Complexity(args) => complexity::run(args),
     }

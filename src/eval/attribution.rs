@@ -1,0 +1,110 @@
+//! What each layer of a recovered model costs its relit pictures: the truth is put in a layer's place, and what is left of
+//! the error is somebody else's.
+
+use std::sync::Arc;
+
+use crate::capture::{Capture, CaptureView};
+use crate::engine::cpu::{Shader, Surface};
+use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
+use crate::eval::image::{mean_squared_error, psnr_of};
+use crate::eval::views::{on_white, photograph};
+use crate::render::{Frame, Output, Renderer};
+use crate::scene::Model;
+
+/// One replacement: the layers named are ground truth, the others are the model's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Replaced {
+    /// Linear base colour.
+    pub albedo: bool,
+    /// Shading normal.
+    pub normal: bool,
+    /// Metalness and roughness.
+    pub material: bool,
+    /// Visibility, scaled until its ambient occlusion is the truth's; what is gathered from blocked directions likewise.
+    pub occlusion: bool,
+    /// Silhouette.
+    pub alpha: bool,
+}
+
+impl Replaced {
+    /// Nothing is replaced.
+    pub const NONE: Self =
+        Self { albedo: false, normal: false, material: false, occlusion: false, alpha: false };
+    /// Everything is.
+    pub const ALL: Self = Self { albedo: true, normal: true, material: true, occlusion: true, alpha: true };
+}
+
+/// Relit PSNR of `model` in dB, mean over `capture`'s lights of the mean over its views (at most `views`), for each of
+/// `replacements`; layers without truth stay the model's. `None` without relit truth.
+///
+/// # Errors
+/// What the renderer refuses, with the view.
+pub fn attribute(
+    model: &Arc<Model>,
+    capture: &Capture,
+    views: Option<usize>,
+    replacements: &[Replaced],
+) -> Result<Vec<Option<f64>>, EvalError> {
+    let views = evenly_spaced(&capture.test, views);
+    let lights = lights_of(&views, capture);
+    let renderer = Renderer::new(model.clone());
+    let mut sums = vec![0.0; replacements.len()];
+    for name in &lights {
+        let light = renderer.prepare_light(&capture.lights[*name])?;
+        for view in &views {
+            let Some(truth) = view.truth.relit.get(*name) else { continue };
+            let truth = photograph(truth);
+            for (sum, replaced) in sums.iter_mut().zip(replacements) {
+                let edit = |shader: &Shader<'_>, i: usize, surface: &mut Surface| {
+                    put_truth(view, *replaced, shader, i, surface);
+                };
+                let mut frame = renderer
+                    .render_edited(&view.camera, &light, &edit)
+                    .map_err(|source| refused(view, source))?;
+                if replaced.alpha {
+                    set_alpha(&mut frame, view);
+                }
+                let picture = on_white(&frame, Output::Rgb);
+                *sum += psnr_of(mean_squared_error(&picture.values, &truth.values));
+            }
+        }
+    }
+    let count = (lights.len() * views.len()) as f64;
+    Ok(sums.into_iter().map(|s| (count > 0.0).then(|| s / count)).collect())
+}
+
+fn put_truth(view: &CaptureView, replaced: Replaced, shader: &Shader<'_>, i: usize, surface: &mut Surface) {
+    let truth = &view.truth;
+    if view.image.pixels[i][3] < 0.5 {
+        return;
+    }
+    if let (true, Some(occlusion)) = (replaced.occlusion, &truth.ambient_occlusion) {
+        let wanted = occlusion.values[i][0].clamp(0.0, 1.0);
+        let normal = truth.normal.as_ref().map_or(surface.normal, |n| n.values[i]);
+        let found = shader.ambient_occlusion(&surface.visibility, normal).clamp(0.02, 1.0);
+        surface.visibility.iter_mut().for_each(|c| *c *= wanted / found);
+        let blocked = ((1.0 - wanted) / (1.0 - found).max(0.02)).min(10.0);
+        surface.gathered.iter_mut().for_each(|e| *e *= blocked);
+    }
+    if let (true, Some(albedo)) = (replaced.albedo, &truth.albedo) {
+        surface.albedo = albedo.values[i];
+    }
+    if let (true, Some(normal)) = (replaced.normal, &truth.normal) {
+        surface.normal = normal.values[i];
+    }
+    if let (true, Some(material)) = (replaced.material, &truth.metallic_roughness) {
+        [surface.metal, surface.rough] = material.values[i];
+    }
+}
+
+/// The silhouette of the photograph around the model's colours.
+fn set_alpha(frame: &mut Frame, view: &CaptureView) {
+    let found = frame.planes.get(&Output::Alpha).cloned().unwrap_or_default();
+    let wanted: Vec<f32> = view.image.pixels.iter().map(|p| p[3]).collect();
+    if let Some(colour) = frame.planes.get_mut(&Output::Rgb) {
+        for ((pixel, found), wanted) in colour.chunks_exact_mut(3).zip(&found).zip(&wanted) {
+            pixel.iter_mut().for_each(|c| *c *= wanted / found.max(1e-3));
+        }
+    }
+    frame.planes.insert(Output::Alpha, wanted);
+}
