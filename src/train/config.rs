@@ -77,7 +77,7 @@ pub struct LossWeights {
     pub depth_normal: f32,
     /// Edge-aware smoothness (Eq. 32).
     pub smoothness: f32,
-    /// Light neutrality (Eq. 31).
+    /// Light neutrality (Eq. 31); off by default (docs/ARCHITECTURE.md).
     pub light: f32,
     /// White stays white: the light's level (docs/MODEL.md section 5).
     pub exposure: f32,
@@ -100,7 +100,7 @@ impl Default for LossWeights {
             coverage: 0.5,
             depth_normal: 0.2,
             smoothness: 0.15,
-            light: 0.001,
+            light: 0.0,
             exposure: 0.01,
             aggregation: 0.001,
             residual: 0.01,
@@ -138,7 +138,7 @@ pub struct LearningRates {
     pub visibility: f32,
     /// Radiance colour; higher degrees take a twentieth.
     pub radiance: f32,
-    /// Environment texels.
+    /// Environment texels: large, since a sun is a hundred times brighter than the grey it starts from.
     pub environment: f32,
 }
 
@@ -157,7 +157,7 @@ impl Default for LearningRates {
             residual: 2e-3,
             visibility: 2e-3,
             radiance: 2.5e-3,
-            environment: 1e-2,
+            environment: 0.15,
         }
     }
 }
