@@ -11,7 +11,7 @@ use relume::api::jobs::NewJob;
 use relume::api::picture::Format;
 use relume::api::renders::{CameraSpec, EnvironmentSpec, LookAtSpec, RenderRequest};
 use relume::capture::{SyntheticOptions, synthetic, write_archive};
-use relume::render::{Output, Tier};
+use relume::render::Output;
 use relume::train::{Preset, TrainOverrides};
 
 #[tokio::main]
@@ -43,8 +43,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
             environment: EnvironmentSpec { builtin: Some(light.to_owned()), ..EnvironmentSpec::default() },
             width: 256,
             height: 256,
-            tier: Tier::Standard,
             outputs: vec![Output::Rgb],
+            ..RenderRequest::default()
         };
         let file = format!("relit_{light}.png");
         std::fs::write(&file, client.render(&model, &request, Format::Png).await?)?;

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Plane, Scene3dBounds};
-use relume::cli::eval::{EvalArgs, run};
+use relume::cli::eval::{EvalArgs, QualityArgs, run};
 use relume::engine::Device;
 use relume::engine::gpu::DeviceChoice;
 use relume::eval::{EvalError, EvalOptions, Lpips, Picture, Report, contact_sheet, evaluate};
@@ -298,6 +298,7 @@ fn arguments(model: PathBuf, capture: PathBuf, json: PathBuf) -> EvalArgs {
         capture,
         json: Some(json),
         device: DeviceChoice::Cpu,
+        quality: QualityArgs::default(),
         markdown: None,
         sheet: None,
         lpips: None,

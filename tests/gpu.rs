@@ -8,7 +8,7 @@ use relume::capture::{Capture, SyntheticOptions, synthetic};
 use relume::engine::Device;
 use relume::engine::gpu::{Adapters, DeviceChoice, Gpu, GpuError, GpuOptions};
 use relume::eval::{EvalOptions, Report, evaluate};
-use relume::render::{Output, Renderer, Tier};
+use relume::render::{Output, Quality, Renderer, Tier};
 use relume::scene::{EnvMap, Field, Model};
 use relume::train::{LabelSource, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
 
@@ -111,11 +111,16 @@ fn every_output_of_every_tier_is_that_of_the_cpu_engine() {
     let (cpu, gpu) = (Renderer::new(model()), Renderer::on(model(), device).unwrap());
     let lights = (cpu.prepare_light(&lamp).unwrap(), gpu.prepare_light(&lamp).unwrap());
     let camera = &capture().test[0].camera;
-    for (tier, outputs) in
-        [(Tier::Standard, &all[..]), (Tier::Preview, &all[..1]), (Tier::Preview, &all[..3])]
-    {
-        let expected = cpu.render(camera, &lights.0, tier, outputs).unwrap();
-        let found = gpu.render(camera, &lights.1, tier, outputs).unwrap();
+    for (tier, outputs) in [
+        (Tier::Standard, &all[..]),
+        (Tier::Preview, &all[..1]),
+        (Tier::Preview, &all[..3]),
+        (Tier::High, &all[..]),
+        (Tier::Reference, &all[..]),
+    ] {
+        let quality = Quality { samples: 2, ..tier.into() };
+        let expected = cpu.render(camera, &lights.0, quality, outputs).unwrap();
+        let found = gpu.render(camera, &lights.1, quality, outputs).unwrap();
         assert!(expected.planes.keys().eq(found.planes.keys()));
         for (output, plane) in &expected.planes {
             let error = worst(plane, &found.planes[output]);

@@ -16,4 +16,5 @@ mod service_api;
 mod service_cli;
 mod service_promises;
 mod service_support;
+mod tiers;
 mod training;

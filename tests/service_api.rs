@@ -254,6 +254,7 @@ async fn a_thumbnails_tag_is_stable_and_tells_different_pictures_apart() {
         ("elevation=91", "elevation"),
         ("env=mars", "env"),
         ("format=exr", "format"),
+        ("tier=reference", "tier"),
     ] {
         let body = problem(get(query), 422, "invalid-field").await;
         assert_eq!(body["errors"][0]["pointer"], format!("query/{name}"), "{body}");
@@ -279,6 +280,10 @@ async fn a_render_is_refused_by_the_field_at_fault() {
         (ok.status(), &ok.headers()[header::CONTENT_TYPE]),
         (StatusCode::OK, &"image/png".parse().unwrap())
     );
+    let reference = |side: u32, samples: u32| json!({ "camera": look, "width": side, "height": side, "tier": "reference", "samples": samples });
+    for body in [reference(8, 4), with("/tier", json!("high"))] {
+        assert_eq!(post_json(client, &path, &body).send().await.unwrap().status(), StatusCode::OK, "{body}");
+    }
     let identity = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]);
     let singular = json!([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]]);
     let cases = [
@@ -310,6 +315,12 @@ async fn a_render_is_refused_by_the_field_at_fault() {
         (with("/outputs", json!(["rgb", "normal"])), "/outputs"),
         (with("/outputs", json!(["colour"])), "/outputs/0"),
         (with("/tier", json!("best")), "/tier"),
+        (with("/samples", json!(0)), "/samples"),
+        (with("/samples", json!(70_000)), "/samples"),
+        (with("/seed", json!(-1)), "/seed"),
+        // 2^21 queries are the most: at 64 x 64 pixels 512 samples.
+        (reference(64, 513), "/samples"),
+        (reference(2048, 1), "/samples"),
     ];
     for (body, pointer) in cases {
         let answer = problem(post_json(client, &path, &body), 422, "invalid-field").await;

@@ -19,7 +19,7 @@ use crate::api::extract::JsonBody;
 use crate::api::picture::{self, Format, Picture};
 use crate::api::{Problem, Shared, environments, models};
 use crate::capture::BUILTIN;
-use crate::render::{Output, Tier};
+use crate::render::{Output, Quality, Tier};
 use crate::scene::{Camera, CameraError};
 use crate::store::hex;
 use crate::worker::{LightSource, RenderTask, View};
@@ -28,6 +28,8 @@ use crate::worker::{LightSource, RenderTask, View};
 const BODY_LIMIT: usize = 64 << 20;
 /// Longest side of a frame, pixels.
 const MAX_SIDE: u32 = 4096;
+/// Most queries through the Gaussians a frame of the reference tier may cost: some seconds of the device thread.
+const MOST_QUERIES: u64 = 1 << 21;
 const DEPTH_RANGE: HeaderName = HeaderName::from_static("relume-depth-range");
 
 /// The routes of this family.
@@ -48,10 +50,17 @@ pub struct RenderRequest {
     pub width: u32,
     /// 1 to 4096 pixels.
     pub height: u32,
-    /// `preview` or `standard` (the default).
+    /// `preview`, `standard` (the default), `high` (shadows of strong small lights) or `reference` (Monte-Carlo, slow).
     #[serde(default)]
     #[schema(value_type = String, example = "standard")]
     pub tier: Tier,
+    /// Directions a pixel that the tier `reference` draws; 64 when absent. Times the pixels at most 2,097,152.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(minimum = 1, maximum = 65536)]
+    pub samples: Option<u32>,
+    /// Seed of those directions; 0 when absent. Equal requests give equal bytes.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub seed: Option<u64>,
     /// `rgb albedo normal metallic roughness visibility depth alpha diffuse specular radiance`; `["rgb"]` when
     /// absent. PNG and JPEG hold one, EXR holds all.
     #[serde(default = "rgb_only")]
@@ -159,6 +168,7 @@ async fn render(
     let format = Format::negotiate(&headers)?;
     check_outputs(&request.outputs, format)?;
     let camera = camera(&request)?;
+    let quality = quality(&request)?;
     let (model, _) = models::source(&app, &id).await?;
     check_exposure(&request.environment)?;
     let light = light(&app, &request.environment).await?;
@@ -168,7 +178,7 @@ async fn render(
         rotation_deg: request.environment.rotation_deg,
         exposure_ev: request.environment.exposure_ev,
         view: View::Camera(camera),
-        tier: request.tier,
+        quality,
         outputs: request.outputs,
     };
     let shown = picture(&app, task, format).await?;
@@ -231,6 +241,28 @@ fn check_exposure(spec: &EnvironmentSpec) -> Result<(), Problem> {
         return Err(Problem::invalid_field("/environment/rotation_deg", "must be finite"));
     }
     Ok(())
+}
+
+/// The tier asked for, at a cost that others who wait can bear.
+fn quality(request: &RenderRequest) -> Result<Quality, Problem> {
+    let quality = Quality {
+        tier: request.tier,
+        samples: request.samples.unwrap_or(Quality::SAMPLES),
+        seed: request.seed.unwrap_or(0),
+    };
+    let most = match request.tier {
+        Tier::Reference => MOST_QUERIES / (u64::from(request.width) * u64::from(request.height)).max(1),
+        _ => u64::MAX,
+    };
+    let most = most.min(u64::from(Quality::MOST_SAMPLES));
+    if !(1..=most).contains(&u64::from(quality.samples)) {
+        let detail = match most {
+            0 => format!("the tier reference takes pictures of at most {MOST_QUERIES} pixels"),
+            most => format!("must be 1 to {most} at this tier and size, got {}", quality.samples),
+        };
+        return Err(Problem::invalid_field("/samples", detail));
+    }
+    Ok(quality)
 }
 
 /// The camera asked for.

@@ -36,7 +36,7 @@ pub struct ThumbnailQuery {
     pub azimuth: Option<f64>,
     /// Degrees above the horizon, -90 to 90; 20 when absent.
     pub elevation: Option<f64>,
-    /// `preview` (the default) or `standard`.
+    /// `preview` (the default), `standard` or `high`.
     #[param(value_type = Option<String>)]
     pub tier: Option<Tier>,
     /// `png` (the default, with alpha) or `jpeg` (over white).
@@ -63,7 +63,7 @@ async fn thumbnail(
 ) -> Result<Response, Problem> {
     let orbit = orbit(&query)?;
     let format = format(&query)?;
-    let tier = query.tier.unwrap_or(Tier::Preview);
+    let tier = tier(&query)?;
     let (model, model_hash) = models::source(&app, &id).await?;
     let light = light(&app, query.env.as_deref().unwrap_or("recovered")).await?;
     let tag = etag(&identity(&model_hash, &light, &orbit, tier, format));
@@ -71,7 +71,15 @@ async fn thumbnail(
         StatusCode::NOT_MODIFIED.into_response()
     } else {
         let (view, outputs) = (View::Orbit(orbit), vec![Output::Rgb]);
-        let task = RenderTask { model, light, rotation_deg: 0.0, exposure_ev: 0.0, view, tier, outputs };
+        let task = RenderTask {
+            model,
+            light,
+            rotation_deg: 0.0,
+            exposure_ev: 0.0,
+            view,
+            quality: tier.into(),
+            outputs,
+        };
         renders::respond(renders::picture(&app, task, format).await?, format)
     };
     let out = response.headers_mut();
@@ -97,6 +105,13 @@ fn orbit(query: &ThumbnailQuery) -> Result<Orbit, Problem> {
         return Err(Problem::invalid_field("query/elevation", "must be -90 to 90"));
     }
     Ok(orbit)
+}
+
+fn tier(query: &ThumbnailQuery) -> Result<Tier, Problem> {
+    match query.tier.unwrap_or(Tier::Preview) {
+        Tier::Reference => Err(Problem::invalid_field("query/tier", "must be preview, standard or high")),
+        tier => Ok(tier),
+    }
 }
 
 fn format(query: &ThumbnailQuery) -> Result<Format, Problem> {

@@ -3,7 +3,36 @@
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
+use crate::render::{Quality, Tier};
 use crate::train::TrainOverrides;
+
+/// At which tier to render.
+#[derive(Debug, Clone, Copy, clap::Args)]
+pub struct QualityArgs {
+    /// `preview`, `standard`, `high` or `reference`; the last two run on the CPU engine whatever the device.
+    #[arg(long, default_value = "standard", value_parser = named::<Tier>)]
+    pub tier: Tier,
+    /// Directions a pixel that the reference tier draws.
+    #[arg(long, default_value_t = Quality::SAMPLES,
+          value_parser = clap::value_parser!(u32).range(1..=i64::from(Quality::MOST_SAMPLES)))]
+    pub samples: u32,
+    /// Seed of those directions.
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+impl Default for QualityArgs {
+    fn default() -> Self {
+        let Quality { tier, samples, seed } = Quality::default();
+        Self { tier, samples, seed }
+    }
+}
+
+impl QualityArgs {
+    pub(super) fn quality(self) -> Quality {
+        Quality { tier: self.tier, samples: self.samples, seed: self.seed }
+    }
+}
 
 /// A named value, spelled as in the API.
 pub(super) fn named<T: DeserializeOwned>(name: &str) -> Result<T, String> {

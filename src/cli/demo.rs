@@ -20,7 +20,7 @@ use crate::eval::sheet::Sheet;
 use crate::eval::{EvalError, EvalOptions, Picture, Report, evaluate, photograph, truth_layers};
 use crate::formats::environment::{self, EnvironmentFileError};
 use crate::formats::model_file::{self, ModelFileError};
-use crate::render::{Output, Tier};
+use crate::render::Output;
 use crate::testing;
 use crate::train::{Preset, TrainOverrides};
 
@@ -254,8 +254,8 @@ async fn frame(
         environment: EnvironmentSpec { id: light.cloned(), ..EnvironmentSpec::default() },
         width: camera.width,
         height: camera.height,
-        tier: Tier::Standard,
         outputs: vec![output],
+        ..RenderRequest::default()
     };
     let png = client.render(model, &request, Format::Png).await?;
     let image = image::load_from_memory(&png)?.into_rgba32f();

@@ -6,12 +6,12 @@ use std::sync::Arc;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::capture::{Capture, CaptureError, ImportOptions, import};
+pub use crate::cli::args::QualityArgs;
 use crate::cli::output;
 use crate::engine::Device;
 use crate::engine::gpu::{DeviceChoice, GpuError};
 use crate::eval::{EvalError, EvalOptions, Lpips, LpipsError, contact_sheet, evaluate};
 use crate::formats::model_file::{self, ModelFileError};
-use crate::render::Tier;
 
 /// Side of a contact sheet's cells, pixels.
 const CELL: u32 = 200;
@@ -44,6 +44,9 @@ pub struct EvalArgs {
     /// Where to render: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     pub device: DeviceChoice,
+    /// The tier to compare.
+    #[command(flatten)]
+    pub quality: QualityArgs,
     /// Compare only this many held-out views, evenly spaced.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub views: Option<u32>,
@@ -117,6 +120,7 @@ pub fn run(args: &EvalArgs) -> Result<(), EvalCommandError> {
         lpips: lpips.as_ref(),
         views: args.views.map(|n| n as usize),
         progress: &progress,
+        quality: args.quality.quality(),
         ..EvalOptions::default()
     };
     let report = evaluate(model.clone(), &capture, &options)?;
@@ -131,7 +135,7 @@ pub fn run(args: &EvalArgs) -> Result<(), EvalCommandError> {
         write(path, markdown.as_bytes())?;
     }
     if let Some(path) = &args.sheet {
-        let sheet = contact_sheet(model, &capture, Tier::default(), SHEET_ROWS, &device)?;
+        let sheet = contact_sheet(model, &capture, args.quality.quality(), SHEET_ROWS, &device)?;
         write(path, &sheet.to_png(CELL)?)?;
     }
     Ok(())

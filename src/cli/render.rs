@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use crate::api::picture::{self, Format};
 use crate::capture::{BUILTIN, builtin};
-use crate::cli::args::named;
+use crate::cli::args::{QualityArgs, named};
 use crate::cli::{CommandResult, output};
 use crate::engine::Device;
 use crate::engine::gpu::DeviceChoice;
 use crate::formats::{environment, model_file};
-use crate::render::{Output, Renderer, Tier};
+use crate::render::{Output, Renderer};
 use crate::scene::{EnvMap, Model};
 use crate::worker::{Orbit, View};
 
@@ -37,9 +37,8 @@ pub(super) struct Args {
     /// Side of the image, pixels.
     #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..=8192))]
     size: u32,
-    /// `preview` or `standard`.
-    #[arg(long, default_value = "standard", value_parser = named::<Tier>)]
-    tier: Tier,
+    #[command(flatten)]
+    quality: QualityArgs,
     /// What to render, with commas; a PNG or JPEG holds one, an EXR all.
     #[arg(long, default_value = "rgb", value_delimiter = ',', value_parser = named::<Output>)]
     output: Vec<Output>,
@@ -61,7 +60,8 @@ pub(super) fn run(args: &Args) -> CommandResult {
     let orbit = Orbit { azimuth_deg: args.azimuth, elevation_deg: args.elevation, size: args.size };
     let camera = View::Orbit(orbit).camera(&model)?;
     let renderer = Renderer::on(model, &Device::open(args.device)?)?;
-    let frame = renderer.render(&camera, &renderer.prepare_light(&light)?, args.tier, &args.output)?;
+    let frame =
+        renderer.render(&camera, &renderer.prepare_light(&light)?, args.quality.quality(), &args.output)?;
     let picture = picture::encode(&frame, &args.output, format)?;
     output::write_whole(&args.out, &picture.bytes)?;
     eprintln!("wrote {}", args.out.display());

@@ -9,7 +9,7 @@ use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
 use crate::eval::sheet::{Sheet, error_map, grey};
 use crate::eval::views::{ViewLayers, alpha_of, photograph, relit};
 use crate::formats::srgb;
-use crate::render::{PreparedLight, Renderer, Tier};
+use crate::render::{PreparedLight, Quality, Renderer};
 use crate::scene::Model;
 
 /// Draws a sheet of `rows` test views, evenly spaced: photograph, both branches, each light beside its truth,
@@ -20,10 +20,11 @@ use crate::scene::Model;
 pub fn contact_sheet(
     model: Arc<Model>,
     capture: &Capture,
-    tier: Tier,
+    quality: impl Into<Quality>,
     rows: usize,
     device: &Device,
 ) -> Result<Sheet, EvalError> {
+    let quality = quality.into();
     let views = evenly_spaced(&capture.test, Some(rows));
     if views.is_empty() {
         return Err(EvalError::NoTestViews);
@@ -37,13 +38,13 @@ pub fn contact_sheet(
     }
     let mut sheet = Sheet::new(column_names(&lights));
     for view in views {
-        let layers = ViewLayers::render(&renderer, &view.camera, &own, tier)
+        let layers = ViewLayers::render(&renderer, &view.camera, &own, quality)
             .map_err(|source| refused(view, source))?;
         let mut cells =
             vec![Some(photograph(&view.image)), Some(layers.shaded.clone()), Some(layers.radiance.clone())];
         for (name, light) in &prepared {
             let picture =
-                relit(&renderer, &view.camera, light, tier).map_err(|source| refused(view, source))?;
+                relit(&renderer, &view.camera, light, quality).map_err(|source| refused(view, source))?;
             cells.extend([Some(picture), view.truth.relit.get(*name).map(photograph)]);
         }
         cells.extend(layer_cells(&layers, view));

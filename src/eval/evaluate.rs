@@ -11,7 +11,7 @@ use crate::eval::report::{ImageScores, RelitScores, Report};
 use crate::eval::totals::{LayerTotals, Mean, PictureTotals};
 use crate::eval::views::{ViewLayers, photograph, relit, with_scaled_albedo};
 use crate::eval::{Lpips, layers};
-use crate::render::{Output, RenderError, Renderer, Tier};
+use crate::render::{Output, Quality, RenderError, Renderer, Tier};
 use crate::scene::Model;
 
 /// How to evaluate.
@@ -21,7 +21,7 @@ pub struct EvalOptions<'a> {
     /// Compare only this many test views, evenly spaced; all when `None`.
     pub views: Option<usize>,
     /// The tier whose pictures are compared.
-    pub tier: Tier,
+    pub quality: Quality,
     /// Least wall-clock time to spend on the frame rate of each tier; zero leaves frame rates out.
     pub frame_rate_time: Duration,
     /// Where to render.
@@ -35,7 +35,7 @@ impl Default for EvalOptions<'_> {
         Self {
             lpips: None,
             views: None,
-            tier: Tier::default(),
+            quality: Quality::default(),
             frame_rate_time: Duration::from_secs(1),
             device: &Device::Cpu,
             progress: &|_, _| {},
@@ -133,7 +133,7 @@ impl Run<'_> {
         let (mut shaded, mut radiance) = (PictureTotals::default(), PictureTotals::default());
         let mut totals = LayerTotals::default();
         for view in &self.views {
-            let layers = ViewLayers::render(renderer, &view.camera, &light, self.options.tier)
+            let layers = ViewLayers::render(renderer, &view.camera, &light, self.options.quality)
                 .map_err(|source| refused(view, source))?;
             let truth = photograph(&view.image);
             shaded.add(&layers.shaded, &truth, self.options.lpips);
@@ -154,7 +154,7 @@ impl Run<'_> {
         for view in &self.views {
             let Some(truth) = &view.truth.albedo else { continue };
             let frame = aligned
-                .render(&view.camera, &light, self.options.tier, &[Output::Albedo])
+                .render(&view.camera, &light, self.options.quality, &[Output::Albedo])
                 .map_err(|source| refused(view, source))?;
             let plane = |o| frame.planes.get(&o).map_or(&[][..], |p| p.as_slice());
             let (albedo, alpha) = (plane(Output::Albedo).as_chunks::<3>().0, plane(Output::Alpha));
@@ -176,7 +176,7 @@ impl Run<'_> {
             let mut totals = PictureTotals::default();
             for view in &self.views {
                 let Some(truth) = view.truth.relit.get(name) else { continue };
-                let picture = relit(renderer, &view.camera, &light, self.options.tier)
+                let picture = relit(renderer, &view.camera, &light, self.options.quality)
                     .map_err(|source| refused(view, source))?;
                 totals.add(&picture, &photograph(truth), self.options.lpips);
                 self.step();
@@ -201,7 +201,7 @@ impl Run<'_> {
         let environment = renderer.model().environment();
         let map = self.lights.first().map_or(&environment, |name| &self.capture.lights[*name]);
         let light = renderer.prepare_light(map)?;
-        for (name, tier) in [("preview", Tier::Preview), ("standard", Tier::Standard)] {
+        for tier in [Tier::Preview, Tier::Standard, Tier::High] {
             let draw = |view: &CaptureView| {
                 let frame = renderer.render(&view.camera, &light, tier, &[Output::Rgb]);
                 frame.map(drop).map_err(|source| refused(view, source))
@@ -213,7 +213,7 @@ impl Run<'_> {
                 frames += 1;
             }
             let rate = f64::from(frames) / start.elapsed().as_secs_f64().max(1e-9);
-            report.render_fps.insert(name.to_owned(), rate);
+            report.render_fps.insert(tier.name().to_owned(), rate);
         }
         Ok(())
     }
@@ -230,9 +230,9 @@ impl Run<'_> {
         let sizes: BTreeSet<String> =
             self.views.iter().map(|v| format!("{}x{}", v.camera.width, v.camera.height)).collect();
         let sizes = sizes.into_iter().collect::<Vec<_>>().join(", ");
-        let tier = match self.options.tier {
-            Tier::Preview => "preview",
-            Tier::Standard => "standard",
+        let tier = match self.options.quality {
+            Quality { tier: Tier::Reference, samples, .. } => format!("reference ({samples} samples)"),
+            Quality { tier, .. } => tier.name().to_owned(),
         };
         format!(
             "{} of {} held-out views at {sizes} px, tier {tier}; whole image on white, \

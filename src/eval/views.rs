@@ -3,7 +3,7 @@
 use crate::capture::{ImageRgba, Plane};
 use crate::eval::Picture;
 use crate::formats::srgb;
-use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer, Tier};
+use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer};
 use crate::scene::{Camera, Model};
 
 /// A test view under the model's own recovered light, with every layer that ground truth may know.
@@ -41,9 +41,9 @@ impl ViewLayers {
         renderer: &Renderer,
         camera: &Camera,
         light: &PreparedLight,
-        tier: Tier,
+        quality: Quality,
     ) -> Result<Self, RenderError> {
-        let frame = renderer.render(camera, light, tier, &LAYERS)?;
+        let frame = renderer.render(camera, light, quality, &LAYERS)?;
         Ok(Self {
             shaded: on_white(&frame, Output::Rgb),
             radiance: on_white(&frame, Output::Radiance),
@@ -66,14 +66,14 @@ pub(crate) fn relit(
     renderer: &Renderer,
     camera: &Camera,
     light: &PreparedLight,
-    tier: Tier,
+    quality: Quality,
 ) -> Result<Picture, RenderError> {
-    Ok(on_white(&renderer.render(camera, light, tier, &[Output::Rgb])?, Output::Rgb))
+    Ok(on_white(&renderer.render(camera, light, quality, &[Output::Rgb])?, Output::Rgb))
 }
 
 /// A premultiplied linear colour plane, composited on white *after* the display curve, as photographs with
 /// straight alpha are: `srgb(clamp(rgb / alpha)) * alpha + 1 - alpha`.
-pub(super) fn on_white(frame: &Frame, output: Output) -> Picture {
+pub(crate) fn on_white(frame: &Frame, output: Output) -> Picture {
     let alpha = scalars(frame, Output::Alpha);
     let pixel = |(c, a): (&[f32; 3], &f32)| {
         let a = a.clamp(0.0, 1.0);

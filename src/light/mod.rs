@@ -2,17 +2,23 @@
 //! into what a pixel looks up.
 
 mod brdf;
+mod dominant;
 mod grid;
 mod lobe;
 mod operators;
 mod prefilter;
+mod reflector;
+mod sampler;
 mod sh;
 mod tables;
 
 pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
+pub use dominant::{DominantLight, SplitEnvironment};
 pub use grid::{CubeGrid, Taps};
 pub use lobe::{LOBE_ORDERS, LobeAttenuation, LobeSample};
 pub use operators::{CompressedRows, EnvOperators, SPECULAR_LEVELS, TableResolution, level_position};
 pub use prefilter::rendering_tables;
+pub use reflector::{Reflected, Reflector};
+pub use sampler::{EnvSampler, Shares, estimate};
 pub use sh::{CLAMPED_COSINE, nrsh, nrsh_factor, sh_eval, sh_eval_with_gradient};
 pub use tables::{LightTables, TABLE_LANES, padded};

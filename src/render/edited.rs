@@ -1,13 +1,10 @@
 //! A frame whose surfaces are edited before they are shaded.
 
-use std::collections::BTreeMap;
-
-use rayon::prelude::*;
-
-use crate::engine::channel::{self, Channels};
-use crate::engine::cpu::{Pass, Shader, Surface, View, surface_at};
+use crate::engine::channel::Channels;
+use crate::engine::cpu::{Pass, Shader, Surface};
 use crate::engine::gpu::GpuError;
-use crate::render::renderer::{Engine, Prepared};
+use crate::render::develop::develop;
+use crate::render::standard::shade;
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer};
 use crate::scene::{Camera, Field};
 
@@ -16,41 +13,27 @@ impl Renderer {
     /// shaded as the standard tier does: what a layer is worth is found by putting the truth in its place.
     ///
     /// # Errors
-    /// Names the camera field that cannot be rendered; a renderer on a GPU has no surfaces to edit.
+    /// Names the camera field that cannot be rendered; a light prepared on a GPU has no surfaces to edit.
     pub fn render_edited(
         &self,
         camera: &Camera,
         light: &PreparedLight,
         edit: &(dyn Fn(&Shader<'_>, usize, &mut Surface) + Sync),
     ) -> Result<Frame, RenderError> {
-        let camera = self.camera_inside(camera)?;
-        let (Engine::Cpu(_), Prepared::Cpu(light)) = (&self.engine, &light.0) else {
+        let view = self.view(camera)?;
+        let (None, Some(light)) = (&light.on_gpu, light.on_cpu.get()) else {
             return Err(GpuError::Internal("surfaces are edited on the CPU engine only".to_owned()).into());
         };
         let options = &self.model().shading;
         let source = self.source(&light.gathered, &light.indirect_basis);
-        let coefficients = source.gaussians.width(Field::Visibility);
-        let pass = Pass::forward(&source, View::new(&camera, options), Channels::Full(coefficients), true);
         let shader = Shader { tables: &light.tables, options, order: source.gaussians.visibility_order() };
-        let (width, height) = (pass.view.width, pass.view.height);
-        let pixels: Vec<[f32; 4]> = (0..width * height)
-            .into_par_iter()
-            .map(|i| {
-                let (x, y) = (i % width, i / width);
-                let alpha = pass.at(x, y, channel::COVERAGE);
-                let Some((mut surface, coverage)) = surface_at(&pass, x, y) else {
-                    return [0.0, 0.0, 0.0, alpha];
-                };
-                edit(&shader, i, &mut surface);
-                let shaded = shader.shade(&surface);
-                let [r, g, b] = std::array::from_fn(|c| (shaded.diffuse[c] + shaded.specular[c]) * coverage);
-                [r, g, b, alpha]
-            })
-            .collect();
-        let planes = BTreeMap::from([
-            (Output::Rgb, pixels.iter().flat_map(|p| [p[0], p[1], p[2]]).collect()),
-            (Output::Alpha, pixels.iter().map(|p| p[3]).collect()),
-        ]);
-        Ok(Frame { width: width as u32, height: height as u32, planes })
+        let coefficients = source.gaussians.width(Field::Visibility);
+        let pass = Pass::forward(&source, view, Channels::Full(coefficients), true);
+        let outputs = [Output::Rgb, Output::Alpha];
+        Ok(develop(&pass, &shader, &outputs, 1.0, |(x, y), surface| {
+            let mut surface = *surface;
+            edit(&shader, y * view.width + x, &mut surface);
+            shade(&shader, &surface)
+        }))
     }
 }

@@ -1,10 +1,18 @@
 //! A camera and a light in, a frame out.
 
+mod develop;
 mod edited;
 mod frame;
+mod high;
 mod on_gpu;
 mod preview;
+mod reference;
 mod renderer;
+mod standard;
+mod tier;
 
 pub use frame::{Frame, Output};
-pub use renderer::{PreparedLight, RenderError, Renderer, Tier};
+pub use renderer::{PreparedLight, RenderError, Renderer};
+pub use tier::{Quality, Tier};
+
+use renderer::Job;

@@ -14,7 +14,7 @@ use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::shading::{ShadeJob, ShadingUniform};
 use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUniform, grow};
 use crate::light::LightTables;
-use crate::render::renderer::{BOUNCES, PROBE_DIRECTIONS};
+use crate::render::standard::{BOUNCES, PROBE_DIRECTIONS};
 use crate::render::{Frame, Output};
 use crate::scene::{Field, IndirectForm, Model};
 

@@ -1,41 +1,19 @@
 //! The renderer a service keeps per model.
 
-use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-
 use crate::engine::Device;
-use crate::engine::channel::{self, Channels};
-use crate::engine::cpu::{
-    AttributeSource, LEAST_COVERAGE, Pass, ProbeSettings, Probes, Shader, Surface, Transport, View,
-    fibonacci_sphere, normalise, outward_normals, surface_at,
-};
+use crate::engine::cpu::{AttributeSource, Occluders, ProbeSettings, Shader, Transport, View};
 use crate::engine::gpu::GpuError;
-use crate::light::{LightTables, rendering_tables};
+use crate::light::{EnvSampler, rendering_tables};
+use crate::render::high::{self, SplitLight};
 use crate::render::on_gpu::{LightOnGpu, OnGpu};
-use crate::render::{Frame, Output, preview};
-use crate::scene::{Camera, EnvMap, Field, IndirectForm, Model};
+use crate::render::standard::{self, LightOnCpu};
+use crate::render::{Frame, Output, Quality, Tier, preview, reference};
+use crate::scene::{Camera, EnvMap, Model};
 
 /// Most pixels of a frame.
 const MOST_PIXELS: u64 = 64 << 20;
-/// Probe directions behind the gathered light of a render.
-pub(super) const PROBE_DIRECTIONS: usize = 96;
-/// Rounds of gathered light.
-pub(super) const BOUNCES: usize = 3;
-
-/// A named trade of time against accuracy.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Default)]
-#[serde(rename_all = "snake_case")]
-pub enum Tier {
-    /// Shade each Gaussian once, blend three channels.
-    Preview,
-    /// Deferred split-sum with directional diffuse.
-    #[default]
-    Standard,
-}
-
 /// Why there is no frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RenderError {
@@ -52,52 +30,54 @@ pub enum RenderError {
     Device(#[from] GpuError),
 }
 
-/// An environment turned into the tables a model is shaded with; costs a second at most, keep it. Belongs to the renderer
-/// that prepared it.
-pub struct PreparedLight(pub(super) Prepared);
-
-pub(super) enum Prepared {
-    Cpu(Box<CpuLight>),
-    Gpu(LightOnGpu),
-}
-
-pub(super) struct CpuLight {
-    pub(super) tables: LightTables,
-    pub(super) gathered: Vec<[f32; 6]>,
-    pub(super) indirect_basis: [[f32; 3]; 16],
-}
-
-/// Where the frames are made.
-pub(super) enum Engine {
-    /// With what hides what, once it was needed: it does not depend on the light.
-    Cpu(OnceLock<Transport>),
-    Gpu(Box<OnGpu>),
+/// An environment turned into what a model is shaded with; costs a second at most, keep it. Belongs to the renderer
+/// that prepared it. What only some tiers need is made when the first of them asks.
+pub struct PreparedLight {
+    environment: EnvMap,
+    pub(super) on_gpu: Option<LightOnGpu>,
+    pub(super) on_cpu: OnceLock<LightOnCpu>,
+    split: OnceLock<SplitLight>,
+    sampler: OnceLock<EnvSampler>,
 }
 
 /// A model ready to be rendered many times. Shared between threads.
 pub struct Renderer {
     model: Arc<Model>,
-    pub(super) engine: Engine,
+    /// Where the two fast tiers run, if not on the CPU engine.
+    gpu: Option<Box<OnGpu>>,
+    /// What sends light to what, and what hides what: independent of the light, made when first needed.
+    transport: OnceLock<Transport>,
+    occluders: OnceLock<Occluders>,
 }
+
+/// A frame to make on the CPU engine.
+pub(super) struct Job<'a> {
+    pub(super) source: AttributeSource<'a>,
+    pub(super) view: View,
+    pub(super) outputs: &'a [Output],
+    /// From model to capture units.
+    pub(super) depth_scale: f32,
+}
+
+const NO_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
 
 impl Renderer {
     /// Takes a checked model in, to be rendered on the CPU engine.
     pub fn new(model: Arc<Model>) -> Self {
-        Self { model, engine: Engine::Cpu(OnceLock::new()) }
+        Self { model, gpu: None, transport: OnceLock::new(), occluders: OnceLock::new() }
     }
 
-    /// Takes a checked model in, to be rendered on `device`.
+    /// Takes a checked model in, to be rendered on `device`: tiers `preview` and `standard` there, `high` and
+    /// `reference` on the CPU engine whatever the device.
     ///
     /// # Errors
     /// When the device cannot hold the model.
     pub fn on(model: Arc<Model>, device: &Device) -> Result<Self, GpuError> {
-        match device {
-            Device::Cpu => Ok(Self::new(model)),
-            Device::Gpu(gpu) => {
-                let engine = Engine::Gpu(Box::new(OnGpu::new(gpu, &model)?));
-                Ok(Self { model, engine })
-            }
-        }
+        let gpu = match device {
+            Device::Cpu => None,
+            Device::Gpu(gpu) => Some(Box::new(OnGpu::new(gpu, &model)?)),
+        };
+        Ok(Self { gpu, ..Self::new(model) })
     }
 
     /// The model.
@@ -119,172 +99,116 @@ impl Renderer {
         }
     }
 
-    /// Tables for relighting this model under `environment`, light that bounces between its surfaces included.
+    /// Makes `environment` ready for this model, light that bounces between its surfaces included.
     ///
     /// # Errors
     /// When the device failed.
     pub fn prepare_light(&self, environment: &EnvMap) -> Result<PreparedLight, GpuError> {
         let tables = rendering_tables(environment, self.model.gaussians.visibility_order());
-        Ok(PreparedLight(match &self.engine {
-            Engine::Cpu(transport) => Prepared::Cpu(Box::new(self.light_on_cpu(transport, tables))),
-            Engine::Gpu(engine) => Prepared::Gpu(engine.prepare_light(&self.model, &tables)?),
-        }))
-    }
-
-    fn light_on_cpu(&self, transport: &OnceLock<Transport>, tables: LightTables) -> CpuLight {
-        let mut gathered = Vec::new();
-        if self.model.shading.indirect == IndirectForm::Gathered {
-            let none = [[0.0; 3]; 16];
-            let source = self.source(&[], &none);
-            let transport = transport.get_or_init(|| {
-                let probes = Probes::measure(
-                    &source,
-                    fibonacci_sphere(PROBE_DIRECTIONS),
-                    ProbeSettings::of(source.options),
-                );
-                Transport::new(&probes, outward_normals(&source))
-            });
-            gathered = transport.gather(&source, &tables, BOUNCES);
+        let mut light = PreparedLight {
+            environment: at_most(environment, reference::MOST_ROWS),
+            on_gpu: None,
+            on_cpu: OnceLock::new(),
+            split: OnceLock::new(),
+            sampler: OnceLock::new(),
+        };
+        match &self.gpu {
+            Some(gpu) => light.on_gpu = Some(gpu.prepare_light(&self.model, &tables)?),
+            None => {
+                let on_cpu = LightOnCpu::new(&self.bare_source(), &self.transport, tables);
+                light.on_cpu = OnceLock::from(on_cpu);
+            }
         }
-        let indirect_basis = crate::engine::cpu::indirect_basis(&tables);
-        CpuLight { tables, gathered, indirect_basis }
+        Ok(light)
     }
 
-    /// A camera in capture coordinates, checked, in the model's normalised world.
-    pub(super) fn camera_inside(&self, camera: &Camera) -> Result<Camera, RenderError> {
-        let checked =
-            camera.validated().map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
-        if u64::from(checked.width) * u64::from(checked.height) > MOST_PIXELS {
-            let reason = format!("more than {MOST_PIXELS} pixels");
-            return Err(RenderError::Refused { field: "width,height", reason });
-        }
-        Ok(checked.in_normalised_world(self.model.world_scale, self.model.world_offset))
+    /// The model without gathered light.
+    fn bare_source(&self) -> AttributeSource<'_> {
+        self.source(&[], &NO_BASIS)
     }
 
-    /// Renders `outputs` for a camera in capture coordinates.
+    /// The light on the CPU engine, for the tiers that have no other.
+    fn on_cpu<'a>(&self, light: &'a PreparedLight) -> &'a LightOnCpu {
+        light.on_cpu.get_or_init(|| {
+            let tables = rendering_tables(&light.environment, self.model.gaussians.visibility_order());
+            LightOnCpu::new(&self.bare_source(), &self.transport, tables)
+        })
+    }
+
+    /// What hides what, as the reference tier asks it.
+    pub fn occluders(&self) -> &Occluders {
+        self.occluders.get_or_init(|| {
+            let source = self.bare_source();
+            Occluders::new(&source, ProbeSettings::of(source.options))
+        })
+    }
+
+    /// Renders `outputs` for a camera in capture coordinates, at a [`Tier`] or, with its samples and seed, a [`Quality`].
     ///
     /// # Errors
-    /// Names the camera field that cannot be rendered.
+    /// Names the field (of the camera, or `samples`) that cannot be rendered.
     pub fn render(
         &self,
         camera: &Camera,
         light: &PreparedLight,
-        tier: Tier,
+        quality: impl Into<Quality>,
         outputs: &[Output],
     ) -> Result<Frame, RenderError> {
-        let camera = self.camera_inside(camera)?;
-        let view = View::new(&camera, &self.model.shading);
+        let quality = quality.into();
+        quality.check()?;
+        let view = self.view(camera)?;
+        if light.on_gpu.is_some() != self.gpu.is_some() {
+            return Err(GpuError::Internal("a light that another renderer prepared".to_owned()).into());
+        }
         let mut wanted: Vec<Output> = outputs.to_vec();
         wanted.push(Output::Alpha);
         wanted.sort_unstable();
         wanted.dedup();
         // The preview tier only has a colour; anything else needs the G-buffer anyway.
         let colour_only = wanted.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
-        let is_preview = tier == Tier::Preview && colour_only;
-        let light = match (&self.engine, &light.0) {
-            (Engine::Cpu(_), Prepared::Cpu(light)) => light,
-            (Engine::Gpu(engine), Prepared::Gpu(light)) => {
-                return Ok(engine.render(&self.model, &view, light, is_preview, &wanted)?);
-            }
-            _ => return Err(GpuError::Internal("a light that another renderer prepared".to_owned()).into()),
-        };
-        let source = self.source(&light.gathered, &light.indirect_basis);
+        let is_preview = quality.tier == Tier::Preview && colour_only;
+        if let (Some(gpu), Some(on_gpu), Tier::Preview | Tier::Standard) =
+            (&self.gpu, &light.on_gpu, quality.tier)
+        {
+            return Ok(gpu.render(&self.model, &view, on_gpu, is_preview, &wanted)?);
+        }
+        let on_cpu = self.on_cpu(light);
+        let source = self.source(&on_cpu.gathered, &on_cpu.indirect_basis);
         let order = self.model.gaussians.visibility_order();
-        let shader = Shader { tables: &light.tables, options: &self.model.shading, order };
-        if is_preview {
-            return Ok(preview::render(&source, view, &shader));
-        }
-        let coefficients = self.model.gaussians.width(Field::Visibility);
-        let pass = Pass::forward(&source, view, Channels::Full(coefficients), true);
+        let shader = Shader { tables: &on_cpu.tables, options: &self.model.shading, order };
         let depth_scale = (1.0 / self.model.world_scale) as f32;
-        Ok(develop(&pass, &shader, &wanted, depth_scale))
+        let job = Job { source, view, outputs: &wanted, depth_scale };
+        Ok(match quality.tier {
+            Tier::Preview if is_preview => preview::render(&job.source, view, &shader),
+            Tier::Preview | Tier::Standard => standard::render(&job, &shader),
+            Tier::High => {
+                let split = light.split.get_or_init(|| SplitLight::new(&job.source, &light.environment));
+                high::render(&job, &shader, split)
+            }
+            Tier::Reference => {
+                let sampler = light.sampler.get_or_init(|| EnvSampler::new(light.environment.clone()));
+                reference::render(&job, &shader, sampler, self.occluders(), quality)
+            }
+        })
+    }
+
+    /// `camera` as the engines want it.
+    pub(super) fn view(&self, camera: &Camera) -> Result<View, RenderError> {
+        let checked =
+            camera.validated().map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
+        if u64::from(checked.width) * u64::from(checked.height) > MOST_PIXELS {
+            let reason = format!("more than {MOST_PIXELS} pixels");
+            return Err(RenderError::Refused { field: "width,height", reason });
+        }
+        let camera = checked.in_normalised_world(self.model.world_scale, self.model.world_offset);
+        Ok(View::new(&camera, &self.model.shading))
     }
 }
 
-/// Turns a G-buffer into the planes asked for.
-fn develop(pass: &Pass, shader: &Shader<'_>, outputs: &[Output], depth_scale: f32) -> Frame {
-    let (w, h) = (pass.view.width, pass.view.height);
-    let stride: usize = outputs.iter().map(|o| o.channels()).sum();
-    let mut pixels = vec![0.0f32; w * h * stride];
-    pixels.par_chunks_mut(w * stride).enumerate().for_each(|(y, row)| {
-        for (x, out) in row.chunks_exact_mut(stride).enumerate() {
-            write_pixel(pass, shader, outputs, depth_scale, (x, y), out);
-        }
-    });
-    let mut planes = BTreeMap::new();
-    let mut first = 0;
-    for output in outputs {
-        let n = output.channels();
-        let plane = pixels.chunks_exact(stride).flat_map(|p| p[first..first + n].iter().copied()).collect();
-        planes.insert(*output, plane);
-        first += n;
-    }
-    Frame { width: w as u32, height: h as u32, planes }
-}
-
-fn write_pixel(
-    pass: &Pass,
-    shader: &Shader<'_>,
-    outputs: &[Output],
-    depth_scale: f32,
-    (x, y): (usize, usize),
-    out: &mut [f32],
-) {
-    let surface = surface_at(pass, x, y);
-    let lit = outputs.iter().any(|o| matches!(o, Output::Rgb | Output::Diffuse | Output::Specular));
-    let shaded = surface.as_ref().filter(|_| lit).map(|(s, coverage)| (shader.shade(s), *coverage));
-    let mut first = 0;
-    for output in outputs {
-        let target = &mut out[first..first + output.channels()];
-        first += output.channels();
-        match output {
-            Output::Alpha => target[0] = pass.at(x, y, channel::COVERAGE),
-            Output::Depth if surface.is_none() => target[0] = f32::INFINITY,
-            Output::Rgb | Output::Diffuse | Output::Specular => {
-                let Some((s, coverage)) = &shaded else { continue };
-                let part = |c: usize| match output {
-                    Output::Diffuse => s.diffuse[c],
-                    Output::Specular => s.specular[c],
-                    _ => s.diffuse[c] + s.specular[c],
-                };
-                (0..3).for_each(|c| target[c] = part(c) * coverage);
-            }
-            _ => {
-                if let Some((s, coverage)) = &surface {
-                    write_attribute(pass, shader, *output, (s, *coverage), depth_scale, (x, y), target);
-                }
-            }
-        }
-    }
-}
-
-fn write_attribute(
-    pass: &Pass,
-    shader: &Shader<'_>,
-    output: Output,
-    (surface, coverage): (&Surface, f32),
-    depth_scale: f32,
-    (x, y): (usize, usize),
-    target: &mut [f32],
-) {
-    let (unit, length) = normalise(surface.normal);
-    let facing: f32 = (0..3).map(|k| unit[k] * surface.view[k]).sum();
-    let normal = if facing < 0.0 { unit.map(|v| -v) } else { unit };
-    match output {
-        Output::Albedo => target.copy_from_slice(&surface.albedo),
-        Output::Normal if length > LEAST_COVERAGE => target.copy_from_slice(&normal),
-        Output::Metallic => target[0] = surface.metal,
-        Output::Roughness => target[0] = surface.rough,
-        Output::Visibility => {
-            target[0] = shader.ambient_occlusion(&surface.visibility, normal).clamp(0.0, 1.0)
-        }
-        Output::Depth => target[0] = pass.at(x, y, channel::DEPTH) / coverage * depth_scale,
-        Output::Radiance => {
-            for (k, t) in target.iter_mut().enumerate() {
-                let shown = (pass.at(x, y, channel::RADIANCE.start + k) / coverage).clamp(0.0, 1.0);
-                *t = crate::engine::cpu::linear_from_srgb(shown) * coverage;
-            }
-        }
-        _ => {}
+/// The map with no more than `rows` rows.
+fn at_most(map: &EnvMap, rows: usize) -> EnvMap {
+    match map.height() > rows {
+        true => map.resampled((map.width() * rows / map.height()).max(1), rows),
+        false => map.clone(),
     }
 }

@@ -156,7 +156,7 @@ impl Worker {
             if matches!(frame, Err(RenderFailure::Device(_))) {
                 self.reopen();
             }
-            metrics::counter!("relume_renders_total", "tier" => format!("{:?}", task.tier).to_lowercase(),
+            metrics::counter!("relume_renders_total", "tier" => task.quality.tier.name(),
                 "ok" => if frame.is_ok() { "true" } else { "false" })
             .increment(1);
             frame

@@ -7,7 +7,7 @@ use crate::capture::builtin;
 use crate::engine::Device;
 use crate::engine::gpu::GpuError;
 use crate::formats::{environment, model_file};
-use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer, Tier};
+use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer};
 use crate::scene::EnvMap;
 use crate::worker::lru::Lru;
 use crate::worker::{RenderFailure, View};
@@ -69,7 +69,7 @@ pub struct RenderTask {
     /// From where.
     pub view: View,
     /// How.
-    pub tier: Tier,
+    pub quality: Quality,
     /// What.
     pub outputs: Vec<Output>,
 }
@@ -104,7 +104,7 @@ impl RenderCache {
         let light = self.lights.get_or_insert(key, || prepare(&renderer, task))?;
         let camera = task.view.camera(renderer.model());
         let camera = camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
-        Ok(renderer.render(&camera, &light, task.tier, &task.outputs)?)
+        Ok(renderer.render(&camera, &light, task.quality, &task.outputs)?)
     }
 }
 

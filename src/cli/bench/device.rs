@@ -135,14 +135,14 @@ fn frames(
     let square = &capture.test[0].camera;
     for (width, height) in [(args.size, args.size), (args.size * 12 / 5, args.size * 27 / 20)] {
         let camera = framed(square, width, height);
-        for (name, tier) in [("preview", Tier::Preview), ("standard", Tier::Standard)] {
+        for tier in [Tier::Preview, Tier::Standard] {
             renderer.render(&camera, &light, tier, &[Output::Rgb])?;
             let start = Instant::now();
             for _ in 0..args.steps {
                 renderer.render(&camera, &light, tier, &[Output::Rgb])?;
             }
             let rate = f64::from(args.steps) / start.elapsed().as_secs_f64();
-            out.push((format!("{name} {width}x{height}"), rate));
+            out.push((format!("{} {width}x{height}", tier.name()), rate));
         }
     }
     Ok(out)

@@ -5,6 +5,9 @@ mod complexity;
 mod device;
 mod matrix;
 mod precision;
+mod subject;
+mod tradeoff;
+mod visibility;
 
 use crate::cli::CommandResult;
 
@@ -27,6 +30,10 @@ enum What {
     Precision(precision::Args),
     /// What modelling only what a scene requires saves and costs, scene by scene.
     Complexity(complexity::Args),
+    /// Time of every render tier against its error, by model; a table, a CSV and a plot.
+    Tradeoff(tradeoff::Args),
+    /// How right the visibility is that models learned, by the source of its labels.
+    Visibility(visibility::Args),
 }
 
 pub(super) fn run(args: &Args) -> CommandResult {
@@ -36,5 +43,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
         What::Attribution(args) => attribution::run(args),
         What::Precision(args) => precision::run(args),
         What::Complexity(args) => complexity::run(args),
+        What::Tradeoff(args) => tradeoff::run(args),
+        What::Visibility(args) => visibility::run(args),
     }
 }

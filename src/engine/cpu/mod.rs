@@ -11,9 +11,12 @@ mod gather;
 mod indirect;
 mod labels;
 mod lanes;
+mod occluder;
 mod pass;
+mod point;
 mod probes;
 mod project;
+mod rays;
 mod shade;
 mod shading;
 mod tiles;
@@ -24,12 +27,15 @@ pub use blend::TRANSMITTANCE_STOP;
 pub use gather::Transport;
 pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use labels::{BackwardLabel, backward_labels};
+pub use occluder::ProbeSettings;
 pub use pass::{Pass, project_all};
-pub use probes::{NO_HIT, ProbeSettings, Probes, fibonacci_sphere, outward_normals};
+pub use point::surface_point;
+pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
 pub use project::{
     ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, rotation_backward,
     sigmoid, sigmoid_slope,
 };
+pub use rays::Occluders;
 pub use shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
 pub use shading::{
     BranchImages, BufferGradient, LEAST_COVERAGE, linear_from_srgb, radiance_image, radiance_image_backward,

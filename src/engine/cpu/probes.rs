@@ -6,21 +6,15 @@
 use rayon::prelude::*;
 
 use crate::engine::cpu::attributes::AttributeSource;
-use crate::engine::cpu::lanes::exp_negative;
-use crate::engine::cpu::project::{ALPHA_MAX, ALPHA_MIN, rotation, sigmoid};
+use crate::engine::cpu::occluder::{
+    Footprint, OPAQUE, Occluder, ProbeSettings, Vec3, dot, occluders, plane_basis,
+};
+use crate::engine::cpu::project::rotation;
 use crate::light::sh_eval;
-use crate::scene::{Field, ShadingOptions, sh_count};
+use crate::scene::{Field, sh_count};
 
-/// A query stops when less than this gets through.
-const OPAQUE: f32 = 1e-3;
 /// No Gaussian hides the direction.
 pub const NO_HIT: u32 = u32::MAX;
-
-type Vec3 = [f32; 3];
-
-fn dot(a: Vec3, b: Vec3) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
 
 /// `n` directions spread evenly over the sphere (Fibonacci spiral).
 pub fn fibonacci_sphere(n: usize) -> Vec<Vec3> {
@@ -33,43 +27,6 @@ pub fn fibonacci_sphere(n: usize) -> Vec<Vec3> {
             [(r * phi.cos()) as f32, (r * phi.sin()) as f32, z as f32]
         })
         .collect()
-}
-
-/// How a query keeps clear of the surface it starts from.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ProbeSettings {
-    /// Start this many standard deviations along the outward normal.
-    pub offset: f32,
-    /// Start this much further along the outward normal, world units.
-    pub lift: f32,
-    /// An occluder must be this many of its own standard deviations further along the direction.
-    pub clearance: f32,
-    /// And this much besides, world units.
-    pub bias: f32,
-    /// And no further than this, world units.
-    pub reach: f32,
-}
-
-impl ProbeSettings {
-    /// The settings a model is trained and rendered with.
-    pub fn of(options: &ShadingOptions) -> Self {
-        Self { reach: options.occluder_reach.unwrap_or(f32::INFINITY), ..Self::default() }
-    }
-}
-
-impl Default for ProbeSettings {
-    fn default() -> Self {
-        Self { offset: 1.0, lift: 0.0, clearance: 2.0, bias: 0.02, reach: f32::INFINITY }
-    }
-}
-
-/// A Gaussian as the probes see it.
-#[derive(Debug, Clone, Copy)]
-struct Occluder {
-    mean: Vec3,
-    /// Scaled axes, as rows.
-    axes: [Vec3; 3],
-    opacity: f32,
 }
 
 /// Where a Gaussian asks from.
@@ -85,13 +42,9 @@ struct Query {
 struct Flat {
     index: u32,
     centre: [f32; 2],
-    conic: [f32; 3],
-    opacity: f32,
-    reach: f32,
     depth: f32,
-    /// Standard deviation along the direction.
-    thickness: f32,
     extent: [f32; 2],
+    footprint: Footprint,
 }
 
 /// Measured visibility of a set of Gaussians.
@@ -135,11 +88,7 @@ impl Probes {
     ///
     /// Each from its centre, moved outwards as `settings` say.
     pub fn measure(source: &AttributeSource<'_>, directions: Vec<Vec3>, settings: ProbeSettings) -> Self {
-        let occluders: Vec<Occluder> = (0..source.gaussians.len())
-            .into_par_iter()
-            .with_min_len(256)
-            .map(|i| occluder(source, i))
-            .collect();
+        let occluders = occluders(source);
         let normals = outward_normals(source);
         let queries: Vec<Query> = occluders
             .iter()
@@ -182,51 +131,13 @@ impl Probes {
     }
 }
 
-fn occluder(source: &AttributeSource<'_>, i: usize) -> Occluder {
-    let g = source.geometry(i);
-    let q = rotation(g.quaternion);
-    let scale = g.log_scale.map(|s| s.clamp(-60.0, 60.0).exp());
-    let axes = std::array::from_fn(|k| std::array::from_fn(|r| q[r][k] * scale[k]));
-    let opacity = if g.is_usable() { sigmoid(g.opacity_logit) } else { 0.0 };
-    Occluder { mean: g.mean, axes, opacity }
-}
-
-/// Two unit vectors that complete `d` to an orthonormal basis.
-fn plane_basis(d: Vec3) -> (Vec3, Vec3) {
-    let (u, v) = glam::Vec3::from_array(d).any_orthonormal_pair();
-    (u.to_array(), v.to_array())
-}
-
 fn flatten(o: &Occluder, index: u32, d: Vec3, u: Vec3, v: Vec3) -> Option<Flat> {
-    if !(o.opacity >= ALPHA_MIN) {
+    if !o.hides() {
         return None;
     }
-    let (mut uu, mut uv, mut vv, mut dd) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
-    for axis in &o.axes {
-        let (a, b, c) = (dot(*axis, u), dot(*axis, v), dot(*axis, d));
-        uu += a * a;
-        uv += a * b;
-        vv += b * b;
-        dd += c * c;
-    }
-    // An edge-on pancake keeps a sliver of width, or nothing could ever hit it.
-    let floor = 1e-4 * (uu + vv) + 1e-14;
-    let (uu, vv) = (uu + floor, vv + floor);
-    let det = uu * vv - uv * uv;
-    if !(det > 0.0 && uu < 1e12 && vv < 1e12) {
-        return None;
-    }
-    let reach = (o.opacity / ALPHA_MIN).ln();
-    Some(Flat {
-        index,
-        centre: [dot(o.mean, u), dot(o.mean, v)],
-        conic: [vv / det, -uv / det, uu / det],
-        opacity: o.opacity,
-        reach,
-        depth: dot(o.mean, d),
-        thickness: dd.sqrt(),
-        extent: [(2.0 * reach * uu).sqrt(), (2.0 * reach * vv).sqrt()],
-    })
+    let footprint = o.along(d, u, v)?;
+    let (centre, depth) = ([dot(o.mean, u), dot(o.mean, v)], dot(o.mean, d));
+    Some(Flat { index, centre, depth, extent: footprint.extent(), footprint })
 }
 
 /// Cells of a square grid over the plane, each listing what overlaps it in order of depth.
@@ -314,15 +225,12 @@ fn measure_direction(
             if f.depth - depth > settings.reach {
                 break;
             }
-            if f.index as usize == i || f.depth - depth < settings.clearance * f.thickness + q.clearance {
+            if f.index as usize == i
+                || f.depth - depth < settings.clearance * f.footprint.thickness + q.clearance
+            {
                 continue;
             }
-            let (dx, dy) = (p[0] - f.centre[0], p[1] - f.centre[1]);
-            let power = 0.5 * (f.conic[0] * dx * dx + f.conic[2] * dy * dy) + f.conic[1] * dx * dy;
-            if !(power <= f.reach) {
-                continue;
-            }
-            let alpha = (f.opacity * exp_negative(-power.max(0.0))).min(ALPHA_MAX);
+            let Some(alpha) = f.footprint.alpha([p[0] - f.centre[0], p[1] - f.centre[1]]) else { continue };
             let weight = transmittance * alpha;
             if weight > strongest {
                 (strongest, hit) = (weight, f.index);

@@ -1,0 +1,268 @@
+//! `relume bench visibility`: how right the visibility is that models learned, by the source of its labels.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use rayon::prelude::*;
+
+use crate::capture::{Capture, CaptureView, ImportOptions, import};
+use crate::cli::bench::subject::Subject;
+use crate::cli::{CommandResult, output};
+use crate::engine::channel::Channels;
+use crate::engine::cpu::{
+    AttributeSource, Occluders, Pass, Surface, View, fibonacci_sphere, surface_at, surface_point,
+};
+use crate::eval::evenly_spaced;
+use crate::light::sh_eval;
+use crate::render::{Output, Renderer, Tier};
+use crate::scene::{EnvMap, Field, Model, VisibilityForm};
+
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+/// Pixels of less coverage are edges: what they blend is no surface.
+const SOLID: f32 = 0.9;
+
+/// Options of `relume bench visibility`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// A capture with held-out views and true ambient occlusion (`ao.png`).
+    capture: PathBuf,
+    /// Models of it, one a label source.
+    #[arg(required = true)]
+    models: Vec<PathBuf>,
+    /// Longest side of the views, pixels.
+    #[arg(long, default_value_t = 128, value_parser = clap::value_parser!(u32).range(16..=8192))]
+    resolution: u32,
+    /// Held-out views, evenly spaced.
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    views: u32,
+    /// Surface points a view whose directions are asked for, spread over its pixels.
+    #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..))]
+    points: u32,
+    /// Directions over the whole sphere that are asked for.
+    #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..=65536))]
+    directions: u32,
+    /// The Markdown file to write; printed in any case.
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &Args) -> CommandResult {
+    let options = ImportOptions { max_side: Some(args.resolution), ..ImportOptions::default() };
+    let capture = import(&args.capture, &options)?;
+    let mut text = format!(
+        "CPU engine; {} px, {} held-out views, {} points a view, {} directions.\n\n{HEAD}",
+        args.resolution, args.views, args.points, args.directions
+    );
+    for path in &args.models {
+        let subject = Subject::read(path)?;
+        let row = row(args, &capture, &subject)?;
+        eprintln!("{row}");
+        writeln!(text, "{row}")?;
+    }
+    println!("{text}");
+    if let Some(path) = &args.out {
+        output::write_whole(path, text.as_bytes())?;
+    }
+    Ok(())
+}
+
+const HEAD: &str = "| model | labels | AO MAE | AO correlation | V(w) MAE | of V = 1 | least at this order |\n|---|---|---:|---:|---:|---:|---:|\n";
+
+fn row(args: &Args, capture: &Capture, subject: &Subject) -> Result<String, Failure> {
+    let renderer = Renderer::new(subject.model.clone());
+    let views = evenly_spaced(&capture.test, Some(args.views as usize));
+    let (mut occlusion, mut directions) = (Pairs::default(), Directional::default());
+    let towards = basis(args.directions as usize, subject.model.gaussians.visibility_order());
+    for view in views {
+        occlusion.add(&ambient_occlusion(&renderer, view)?);
+        directions.add(&directional(args, &subject.model, view, &towards, renderer.occluders()));
+    }
+    if occlusion.count == 0.0 {
+        return Err("the held-out views have no true ambient occlusion (ao.png)".into());
+    }
+    Ok(format!(
+        "| {} | {} | {:.3} | {:.3} | {:.3} | {:.3} | {:.3} |",
+        subject.name,
+        subject.setting("labels"),
+        occlusion.error / occlusion.count,
+        occlusion.correlation(),
+        directions.error / directions.weight,
+        directions.of_open / directions.weight,
+        directions.of_projection / directions.weight,
+    ))
+}
+
+/// Field and truth of each foreground pixel.
+fn ambient_occlusion(renderer: &Renderer, view: &CaptureView) -> Result<Vec<[f64; 2]>, Failure> {
+    let Some(truth) = &view.truth.ambient_occlusion else { return Ok(Vec::new()) };
+    // The field does not depend on the light.
+    let light = renderer.prepare_light(&EnvMap::constant(8, 4, [1.0; 3]))?;
+    let frame = renderer.render(&view.camera, &light, Tier::Standard, &[Output::Visibility])?;
+    let found = frame.planes.get(&Output::Visibility).map_or(&[][..], Vec::as_slice);
+    let pixels = found.iter().zip(&truth.values).zip(&view.image.pixels);
+    Ok(pixels.filter(|(_, p)| p[3] > 0.5).map(|((a, b), _)| [f64::from(*a), f64::from(b[0])]).collect())
+}
+
+/// Error of the field towards single directions against rays through the Gaussians themselves.
+fn directional(
+    args: &Args,
+    model: &Model,
+    view: &CaptureView,
+    towards: &[Towards],
+    occluders: &Occluders,
+) -> Directional {
+    let source = AttributeSource {
+        gaussians: &model.gaussians,
+        prototypes: &model.prototypes,
+        options: &model.shading,
+        gathered: &[],
+        indirect_basis: &[[0.0; 3]; 16],
+    };
+    let camera = view.camera.in_normalised_world(model.world_scale, model.world_offset);
+    let channels = Channels::Full(model.gaussians.width(Field::Visibility));
+    let pass = Pass::forward(&source, View::new(&camera, &model.shading), channels, true);
+    let (width, height) = (pass.view.width, pass.view.height);
+    let mut points: Vec<([f32; 3], Surface)> = Vec::new();
+    for i in 0..width * height {
+        let (x, y) = (i % width, i / width);
+        if let Some((surface, coverage)) = surface_at(&pass, x, y)
+            && coverage >= SOLID
+        {
+            points.push((surface_point(&pass, x, y), surface));
+        }
+    }
+    let step = points.len().div_ceil(args.points as usize).max(1);
+    let chosen: Vec<_> = points.iter().step_by(step).collect();
+    let parts: Vec<Directional> =
+        chosen.par_iter().map(|(point, s)| at_point(model, *point, s, towards, occluders)).collect();
+    let mut sum = Directional::default();
+    parts.iter().for_each(|p| sum.add(p));
+    sum
+}
+
+fn at_point(
+    model: &Model,
+    point: [f32; 3],
+    surface: &Surface,
+    towards: &[Towards],
+    occluders: &Occluders,
+) -> Directional {
+    let vector = glam::Vec3::from_array;
+    let normal = vector(surface.normal).normalize_or_zero();
+    let normal = if normal.dot(vector(surface.view)) < 0.0 { -normal } else { normal };
+    let truths: Vec<f32> = towards.iter().map(|t| occluders.transmittance(point, t.direction)).collect();
+    let mut projection = [0.0f32; 64];
+    for (truth, t) in truths.iter().zip(towards) {
+        let weight = 4.0 * std::f32::consts::PI / towards.len() as f32 * truth;
+        projection.iter_mut().zip(&t.basis).for_each(|(c, y)| *c += weight * y);
+    }
+    let mut sum = Directional::default();
+    for (truth, t) in truths.iter().zip(towards) {
+        let cos = f64::from(normal.dot(vector(t.direction)));
+        if cos > 0.0 {
+            let error = |found: f32| cos * f64::from((found - truth).abs());
+            sum.weight += cos;
+            sum.error += error(field(model.shading.visibility, &surface.visibility, t));
+            sum.of_open += error(1.0);
+            sum.of_projection += error(field(VisibilityForm::Linear, &projection, t));
+        }
+    }
+    sum
+}
+
+/// A direction and the harmonics along it, zero beyond the order.
+struct Towards {
+    direction: [f32; 3],
+    basis: [f32; 64],
+}
+
+/// `count` directions over the whole sphere.
+fn basis(count: usize, order: usize) -> Vec<Towards> {
+    let towards = |direction: [f32; 3]| {
+        let mut basis = [0.0f32; 64];
+        sh_eval(order, direction, &mut basis);
+        Towards { direction, basis }
+    };
+    fibonacci_sphere(count).into_iter().map(towards).collect()
+}
+
+/// `V(d)` of blended coefficients, as shading uses it.
+fn field(form: VisibilityForm, coefficients: &[f32], towards: &Towards) -> f32 {
+    let sum: f32 = towards.basis.iter().zip(coefficients).map(|(y, c)| y * c).sum();
+    match form {
+        VisibilityForm::Linear => sum.clamp(0.0, 1.0),
+        VisibilityForm::Sigmoid => 1.0 / (1.0 + (-sum).exp()),
+        VisibilityForm::Off => 1.0,
+    }
+}
+
+/// Cosine-weighted sums over directions.
+#[derive(Default)]
+struct Directional {
+    weight: f64,
+    error: f64,
+    /// Error of a field that is 1 everywhere.
+    of_open: f64,
+    /// Error of the truth itself, projected to the model's order and clamped: no field of that order has much less.
+    of_projection: f64,
+}
+
+impl Directional {
+    fn add(&mut self, other: &Self) {
+        self.weight += other.weight;
+        self.error += other.error;
+        self.of_open += other.of_open;
+        self.of_projection += other.of_projection;
+    }
+}
+
+/// Sums over pairs of a found and a true value.
+#[derive(Default)]
+struct Pairs {
+    count: f64,
+    error: f64,
+    sums: [f64; 2],
+    squares: [f64; 2],
+    product: f64,
+}
+
+impl Pairs {
+    fn add(&mut self, pairs: &[[f64; 2]]) {
+        for pair in pairs {
+            self.count += 1.0;
+            self.error += (pair[0] - pair[1]).abs();
+            self.product += pair[0] * pair[1];
+            for k in 0..2 {
+                self.sums[k] += pair[k];
+                self.squares[k] += pair[k] * pair[k];
+            }
+        }
+    }
+
+    /// Pearson's; 0 where one side is constant.
+    fn correlation(&self) -> f64 {
+        let n = self.count;
+        let covariance = self.product - self.sums[0] * self.sums[1] / n;
+        let variance = |k: usize| (self.squares[k] - self.sums[k] * self.sums[k] / n).max(0.0);
+        let scale = (variance(0) * variance(1)).sqrt();
+        if scale > 0.0 { covariance / scale } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn correlation_is_one_along_a_line_minus_one_against_it_and_nothing_for_a_constant() {
+        let of = |pairs: &[[f64; 2]]| {
+            let mut sums = Pairs::default();
+            sums.add(pairs);
+            sums.correlation()
+        };
+        assert!((of(&[[0.0, 0.2], [0.5, 0.4], [1.0, 0.6]]) - 1.0).abs() < 1e-9);
+        assert!((of(&[[0.0, 0.6], [0.5, 0.4], [1.0, 0.2]]) + 1.0).abs() < 1e-9);
+        assert_eq!(of(&[[0.5, 0.6], [0.5, 0.4]]), 0.0);
+    }
+}

@@ -1,0 +1,48 @@
+//! Where in the world the surface is that a pixel sees.
+
+use crate::engine::channel;
+use crate::engine::cpu::pass::Pass;
+use crate::engine::cpu::project::{ALPHA_MAX, Splat};
+use crate::engine::cpu::tiles::TILE;
+
+/// How far a Gaussian's plane may lead from its centre's depth, relative: what leads further is seen edge-on.
+const FARTHEST: f32 = 0.05;
+
+/// The world point that pixel (`x`, `y`) of a pass with normals sees: on the plane of the Gaussian that brings coverage
+/// to half of what the pixel has. At an edge the mean depth is between two surfaces and on neither; this is on one of
+/// them. The camera's centre where there is nothing.
+pub fn surface_point(pass: &Pass, x: usize, y: usize) -> [f32; 3] {
+    let half = 1.0 - 0.5 * pass.at(x, y, channel::COVERAGE);
+    let ray = pass.view.ray(x, y);
+    let mut left = 1.0f32;
+    let mut depth = 0.0;
+    for rank in pass.tiles.ranks(y / TILE * pass.tiles.columns + x / TILE) {
+        let splat = &pass.splats[*rank as usize];
+        let alpha = alpha(splat, x, y);
+        if alpha > 0.0 {
+            left *= 1.0 - alpha;
+            depth = depth_on_plane(pass, *rank as usize, splat.depth, ray);
+        }
+        if left <= half {
+            break;
+        }
+    }
+    std::array::from_fn(|k| pass.view.eye[k] + depth * ray[k])
+}
+
+/// What `splat` takes from the centre of pixel (`x`, `y`).
+fn alpha(splat: &Splat, x: usize, y: usize) -> f32 {
+    let (dx, dy) = (x as f32 + 0.5 - splat.mean[0], y as f32 + 0.5 - splat.mean[1]);
+    let [xx, xy, yy] = splat.conic;
+    let power = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy;
+    if power <= splat.reach { (splat.opacity * (-power).exp()).min(ALPHA_MAX) } else { 0.0 }
+}
+
+/// Depth at which `ray` meets the plane of a Gaussian, or its centre's depth where the plane is seen edge-on.
+fn depth_on_plane(pass: &Pass, rank: usize, centre: f32, ray: [f32; 3]) -> f32 {
+    let row = &pass.attributes[rank * pass.channels.stored()..];
+    let along: f32 = (0..3).map(|k| row[channel::NORMAL.start + k] * ray[k]).sum();
+    let depth = row[channel::PLANE] / along;
+    // NaN and infinity are edge-on too.
+    if (depth - centre).abs() <= FARTHEST * centre { depth } else { centre }
+}

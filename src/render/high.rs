@@ -1,0 +1,84 @@
+//! The high tier: strong small lights are taken out of the environment and cast a shadow each; the rest is standard.
+//!
+//! A light's shadow is one probe a Gaussian in its exact direction, blended as a channel of its own behind the visibility
+//! coefficients.
+
+use rayon::prelude::*;
+
+use crate::engine::channel::{self, Channels};
+use crate::engine::cpu::{
+    AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Shader, Surface, project_all,
+};
+use crate::light::{DominantLight, LightTables, SplitEnvironment, rendering_tables};
+use crate::render::develop::{Lit, develop, reflector};
+use crate::render::standard::shade;
+use crate::render::{Frame, Job};
+use crate::scene::{EnvMap, Field};
+
+/// Most lights that get a shadow of their own.
+const MOST_LIGHTS: usize = 8;
+
+/// An environment split for one model.
+pub(super) struct SplitLight {
+    lights: Vec<DominantLight>,
+    /// Tables of the rest; none where nothing was taken out.
+    rest: Option<LightTables>,
+    /// `[light][Gaussian]`: share of the light that arrives.
+    arriving: Vec<Vec<f32>>,
+}
+
+impl SplitLight {
+    /// Splits `environment` and asks from every Gaussian of `source` towards every light.
+    pub(super) fn new(source: &AttributeSource<'_>, environment: &EnvMap) -> Self {
+        let room = MAX_COEFFICIENTS.saturating_sub(source.gaussians.width(Field::Visibility));
+        let split = SplitEnvironment::new(environment, MOST_LIGHTS.min(room));
+        let towards = split.lights.iter().map(|l| l.direction.to_array().map(|v| v as f32)).collect();
+        let probes = Probes::measure(source, towards, ProbeSettings::of(source.options));
+        let order = source.gaussians.visibility_order();
+        let rest = (!split.lights.is_empty()).then(|| rendering_tables(&split.rest, order));
+        Self { lights: split.lights, rest, arriving: probes.transmittance }
+    }
+}
+
+/// Renders every pixel under the rest and each of the lights; `whole` has the tables of both together.
+pub(super) fn render(job: &Job<'_>, whole: &Shader<'_>, light: &SplitLight) -> Frame {
+    let shader = Shader { tables: light.rest.as_ref().unwrap_or(whole.tables), ..*whole };
+    let coefficients = job.source.gaussians.width(Field::Visibility);
+    let pass = pass(job, light, coefficients);
+    develop(&pass, &shader, job.outputs, job.depth_scale, |_, surface| {
+        let mut lit = shade(&shader, surface);
+        let arriving = &surface.visibility[coefficients..coefficients + light.lights.len()];
+        add_lights(&light.lights, arriving, surface, &mut lit);
+        lit
+    })
+}
+
+/// The standard G-buffer with a channel a light behind the coefficients; tables have zeros there, so that shading
+/// from tables does not see them.
+fn pass(job: &Job<'_>, light: &SplitLight, coefficients: usize) -> Pass {
+    let (own, all) = (Channels::Full(coefficients), Channels::Full(coefficients + light.lights.len()));
+    let splats = project_all(&job.source, &job.view);
+    let stored = all.stored();
+    let mut rows = vec![0.0f32; splats.len() * stored];
+    rows.par_chunks_mut(stored).zip(&splats).with_min_len(64).for_each(|(row, splat)| {
+        job.source.write(&job.view, splat, own, row);
+        let extra = &mut row[channel::VISIBILITY + coefficients..];
+        for (value, arriving) in extra.iter_mut().zip(&light.arriving) {
+            *value = arriving.get(splat.gaussian as usize).copied().unwrap_or(1.0);
+        }
+    });
+    Pass::blend(job.view, splats, all, rows, true)
+}
+
+fn add_lights(lights: &[DominantLight], arriving: &[f32], surface: &Surface, lit: &mut Lit) {
+    let reflector = reflector(surface);
+    for (light, share) in lights.iter().zip(arriving) {
+        let Some(reflected) = reflector.reflect(light.direction, light.radius) else { continue };
+        let share = f64::from(share.clamp(0.0, 1.0));
+        for c in 0..3 {
+            let light = share * light.irradiance[c];
+            lit.diffuse[c] += (light * reflected.diffuse[c]) as f32;
+            lit.specular[c] += (light * reflected.specular[c]) as f32;
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! The standard tier on the CPU engine: deferred split-sum shading from tables, with the light that bounces.
+
+use std::sync::OnceLock;
+
+use crate::engine::channel::Channels;
+use crate::engine::cpu::{
+    AttributeSource, Pass, ProbeSettings, Probes, Shader, Surface, Transport, fibonacci_sphere,
+    indirect_basis, outward_normals,
+};
+use crate::light::LightTables;
+use crate::render::develop::{Lit, develop};
+use crate::render::{Frame, Job};
+use crate::scene::{Field, IndirectForm};
+
+/// Probe directions behind the gathered light of a render.
+pub(super) const PROBE_DIRECTIONS: usize = 96;
+/// Rounds of gathered light.
+pub(super) const BOUNCES: usize = 3;
+
+/// A light as the CPU engine shades with it.
+pub(super) struct LightOnCpu {
+    pub(super) tables: LightTables,
+    /// Irradiance and mean blocked radiance that a model's surfaces send each other.
+    pub(super) gathered: Vec<[f32; 6]>,
+    pub(super) indirect_basis: [[f32; 3]; 16],
+}
+
+impl LightOnCpu {
+    /// `transport` is measured when it was not yet: it does not depend on the light. `source` carries no gathered light.
+    pub(super) fn new(
+        source: &AttributeSource<'_>,
+        transport: &OnceLock<Transport>,
+        tables: LightTables,
+    ) -> Self {
+        let mut gathered = Vec::new();
+        if source.options.indirect == IndirectForm::Gathered {
+            let transport = transport.get_or_init(|| {
+                let directions = fibonacci_sphere(PROBE_DIRECTIONS);
+                let probes = Probes::measure(source, directions, ProbeSettings::of(source.options));
+                Transport::new(&probes, outward_normals(source))
+            });
+            gathered = transport.gather(source, &tables, BOUNCES);
+        }
+        let indirect_basis = indirect_basis(&tables);
+        Self { tables, gathered, indirect_basis }
+    }
+}
+
+/// Renders every pixel from the tables of `shader`.
+pub(super) fn render(job: &Job<'_>, shader: &Shader<'_>) -> Frame {
+    let coefficients = job.source.gaussians.width(Field::Visibility);
+    let pass = Pass::forward(&job.source, job.view, Channels::Full(coefficients), true);
+    develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| shade(shader, surface))
+}
+
+/// One pixel from the tables.
+pub(super) fn shade(shader: &Shader<'_>, surface: &Surface) -> Lit {
+    let shaded = shader.shade(surface);
+    Lit { diffuse: shaded.diffuse, specular: shaded.specular }
+}

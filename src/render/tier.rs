@@ -1,0 +1,80 @@
+//! The named trades of time against accuracy.
+
+use serde::{Deserialize, Serialize};
+
+use crate::render::RenderError;
+
+/// A named trade of time against accuracy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum Tier {
+    /// Shade each Gaussian once, blend three channels.
+    Preview,
+    /// Deferred split-sum with directional diffuse.
+    #[default]
+    Standard,
+    /// As `standard`, with a true shadow for each strong small light of the environment.
+    High,
+    /// Monte-Carlo over the environment, with a query through the Gaussians a sample: the yardstick of the others.
+    Reference,
+}
+
+impl Tier {
+    /// Every tier, cheapest first.
+    pub const ALL: [Self; 4] = [Self::Preview, Self::Standard, Self::High, Self::Reference];
+
+    /// The name it has in requests.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Preview => "preview",
+            Self::Standard => "standard",
+            Self::High => "high",
+            Self::Reference => "reference",
+        }
+    }
+}
+
+/// A tier, and what it needs to know beside its name. A [`Tier`] alone becomes one with the defaults.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Quality {
+    /// The tier.
+    pub tier: Tier,
+    /// Directions a pixel that [`Tier::Reference`] draws, 1 to [`Quality::MOST_SAMPLES`]; the others draw none.
+    pub samples: u32,
+    /// Seed of those directions: equal seeds, equal bytes, whatever the number of threads.
+    pub seed: u64,
+}
+
+impl Quality {
+    /// Samples a pixel when nobody says.
+    pub const SAMPLES: u32 = 64;
+    /// Most samples a pixel.
+    pub const MOST_SAMPLES: u32 = 1 << 16;
+
+    /// The reference tier with so many samples a pixel and seed 0.
+    pub fn reference(samples: u32) -> Self {
+        Self { samples, ..Tier::Reference.into() }
+    }
+
+    /// # Errors
+    /// Names `samples` when there are none or too many.
+    pub(super) fn check(self) -> Result<(), RenderError> {
+        if (1..=Self::MOST_SAMPLES).contains(&self.samples) {
+            return Ok(());
+        }
+        let reason = format!("must be 1 to {}, got {}", Self::MOST_SAMPLES, self.samples);
+        Err(RenderError::Refused { field: "samples", reason })
+    }
+}
+
+impl From<Tier> for Quality {
+    fn from(tier: Tier) -> Self {
+        Self { tier, samples: Self::SAMPLES, seed: 0 }
+    }
+}
+
+impl Default for Quality {
+    fn default() -> Self {
+        Tier::default().into()
+    }
+}

@@ -1,0 +1,213 @@
+//! The render tiers against each other: what `high` gains over `standard`, and what makes `reference` a yardstick.
+
+use std::sync::{Arc, OnceLock};
+
+use glam::DVec3;
+use relume::engine::cpu::{AttributeSource, ProbeSettings, Probes, fibonacci_sphere};
+use relume::render::{Frame, Output, Quality, Renderer, Tier};
+use relume::scene::{
+    Camera, EnvMap, Field, Gaussians, IndirectForm, Model, ShadingOptions, texel_directions,
+};
+
+const ORDER: usize = 4;
+
+/// A flat disc: centre, normal, standard deviation.
+type Disc = (DVec3, DVec3, f64);
+
+/// A model of opaque discs of one material, their visibility measured as in training.
+fn model(discs: &[Disc], albedo: f32, rough_logit: f32) -> Arc<Model> {
+    let mut g = Gaussians::zeroed(discs.len(), 1, ORDER, 0);
+    for (i, (centre, normal, sigma)) in discs.iter().enumerate() {
+        let turn = glam::DQuat::from_rotation_arc(DVec3::Z, *normal);
+        let quaternion = [turn.w, turn.x, turn.y, turn.z].map(|v| v as f32);
+        g.row_mut(Field::Mean, i).copy_from_slice(&centre.to_array().map(|v| v as f32));
+        g.row_mut(Field::Quaternion, i).copy_from_slice(&quaternion);
+        let wide = sigma.ln() as f32;
+        g.row_mut(Field::LogScale, i).copy_from_slice(&[wide, wide, 1e-3f32.ln()]);
+    }
+    g.field_mut(Field::OpacityLogit).fill(6.0);
+    g.field_mut(Field::MetalLogit).fill(-20.0);
+    g.field_mut(Field::RoughLogit).fill(rough_logit);
+    let options = ShadingOptions { indirect: IndirectForm::Off, ..ShadingOptions::default() };
+    let source = AttributeSource {
+        gaussians: &g,
+        prototypes: &[[albedo; 3]],
+        options: &options,
+        gathered: &[],
+        indirect_basis: &[[0.0; 3]; 16],
+    };
+    let probes = Probes::measure(&source, fibonacci_sphere(256), ProbeSettings::default());
+    let coefficients = probes.coefficients(ORDER);
+    g.field_mut(Field::Visibility).copy_from_slice(&coefficients);
+    Arc::new(Model {
+        gaussians: g,
+        prototypes: vec![[albedo; 3]],
+        env_raw: vec![[0.0; 3]; 8],
+        env_width: 4,
+        env_height: 2,
+        shading: options,
+        world_scale: 1.0,
+        world_offset: DVec3::ZERO,
+        card: serde_json::Value::Null,
+    })
+}
+
+/// `side` x `side` discs, `spacing` apart, level at height `z`.
+fn plate(side: i32, spacing: f64, z: f64) -> impl Iterator<Item = Disc> {
+    let middle = f64::from(side - 1) / 2.0;
+    (0..side * side).map(move |i| {
+        let at = |k: i32| (f64::from(k) - middle) * spacing;
+        (DVec3::new(at(i % side), at(i / side), z), DVec3::Z, 0.8 * spacing)
+    })
+}
+
+/// A plate over a floor.
+fn table() -> Arc<Model> {
+    static MODEL: OnceLock<Arc<Model>> = OnceLock::new();
+    let made = MODEL.get_or_init(|| {
+        let discs: Vec<Disc> = plate(72, 0.03, 0.0).chain(plate(25, 0.025, 0.45)).collect();
+        model(&discs, 0.6, 0.0)
+    });
+    made.clone()
+}
+
+/// A sun on one texel of a dim sky.
+fn sun() -> EnvMap {
+    let towards = DVec3::new(0.5, 0.2, 0.85).normalize();
+    let nearest = texel_directions(128, 64)
+        .into_iter()
+        .map(|(d, _)| d)
+        .reduce(|a, b| if b.dot(towards) > a.dot(towards) { b } else { a })
+        .unwrap();
+    EnvMap::from_fn(128, 64, |d| if d == nearest { [1500.0, 1400.0, 1200.0] } else { [0.15, 0.2, 0.3] })
+}
+
+fn camera(size: u32) -> Camera {
+    Camera::look_at(DVec3::new(0.3, -2.0, 2.0), DVec3::ZERO, DVec3::Z, 0.5, (size, size)).unwrap()
+}
+
+fn frame(renderer: &Renderer, map: &EnvMap, quality: impl Into<Quality>, size: u32) -> Frame {
+    seen_from(&camera(size), renderer, map, quality)
+}
+
+fn seen_from(camera: &Camera, renderer: &Renderer, map: &EnvMap, quality: impl Into<Quality>) -> Frame {
+    let light = renderer.prepare_light(map).unwrap();
+    let outputs = [Output::Rgb, Output::Diffuse, Output::Specular];
+    renderer.render(camera, &light, quality, &outputs).unwrap()
+}
+
+/// Root of the mean squared difference of one output.
+fn distance(a: &Frame, b: &Frame, output: Output) -> f64 {
+    let (a, b) = (&a.planes[&output], &b.planes[&output]);
+    assert_eq!(a.len(), b.len());
+    let sum: f64 = a.iter().zip(b).map(|(x, y)| f64::from(x - y).powi(2)).sum();
+    (sum / a.len() as f64).sqrt()
+}
+
+#[test]
+fn the_shadow_of_a_sun_is_closer_to_the_reference_in_high_than_in_standard() {
+    let renderer = Renderer::new(table());
+    let map = sun();
+    let truth = frame(&renderer, &map, Quality::reference(512), 64);
+    let [standard, high] = [Tier::Standard, Tier::High].map(|tier| frame(&renderer, &map, tier, 64));
+    let errors = [&standard, &high].map(|f| distance(f, &truth, Output::Diffuse));
+    println!("diffuse error: standard {:.4}, high {:.4}", errors[0], errors[1]);
+    assert!(errors[1] < 0.75 * errors[0], "{errors:?}");
+    // The control: where no light stands out, the two tiers are one.
+    let even = EnvMap::constant(64, 32, [0.7; 3]);
+    let [standard, high] = [Tier::Standard, Tier::High].map(|tier| frame(&renderer, &even, tier, 48));
+    assert!(distance(&standard, &high, Output::Rgb) < 1e-6);
+}
+
+#[test]
+fn a_white_surface_that_nothing_hides_is_white_in_a_white_furnace() {
+    let disc = model(&[(DVec3::ZERO, DVec3::Z, 1.5)], 1.0, 0.0);
+    let renderer = Renderer::new(disc);
+    let white = EnvMap::constant(32, 16, [1.0; 3]);
+    let above = Camera::look_at(DVec3::Z * 3.0, DVec3::ZERO, DVec3::Y, 0.7, (24, 24)).unwrap();
+    let mean = |renderer: &Renderer, map: &EnvMap, output: Output| {
+        let shown = seen_from(&above, renderer, map, Quality::reference(256));
+        let alpha: f32 = shown.planes[&Output::Alpha].iter().sum();
+        shown.planes[&output].iter().sum::<f32>() / (3.0 * alpha)
+    };
+    let diffuse = mean(&renderer, &white, Output::Diffuse);
+    assert!((diffuse - 1.0).abs() < 5e-3, "{diffuse}");
+    let twice = mean(&renderer, &EnvMap::constant(32, 16, [2.0; 3]), Output::Diffuse);
+    assert!((twice - 2.0).abs() < 1e-2, "{twice}");
+    // Under a constant light the split sum is exact but for its table: both tiers show one highlight.
+    let standard = seen_from(&above, &renderer, &white, Tier::Standard);
+    let alpha: f32 = standard.planes[&Output::Alpha].iter().sum();
+    let tabled = standard.planes[&Output::Specular].iter().sum::<f32>() / (3.0 * alpha);
+    let sampled = mean(&renderer, &white, Output::Specular);
+    assert!((sampled / tabled - 1.0).abs() < 0.03, "sampled {sampled}, from the table {tabled}");
+    // The control: a ball of discs hides next to nothing of itself, a floor under a plate a good deal.
+    let open = mean(&Renderer::new(ball()), &white, Output::Diffuse);
+    let hidden = mean(&Renderer::new(table()), &white, Output::Diffuse) / 0.6;
+    assert!(open > 0.98 && open < 1.005, "{open}");
+    assert!(hidden < 0.97, "{hidden}");
+}
+
+/// A white ball of discs.
+fn ball() -> Arc<Model> {
+    let disc = |d: [f32; 3]| {
+        let n = DVec3::from_array(d.map(f64::from));
+        (0.7 * n, n, 0.03)
+    };
+    model(&fibonacci_sphere(2500).into_iter().map(disc).collect::<Vec<_>>(), 1.0, 0.0)
+}
+
+#[test]
+fn the_reference_converges_as_monte_carlo_does() {
+    let renderer = Renderer::new(table());
+    let map = sun();
+    let truth = frame(&renderer, &map, Quality { seed: 99, ..Quality::reference(2048) }, 24);
+    let slope = |map: &EnvMap| {
+        let point = |n: &u32| {
+            let shown = frame(&renderer, map, Quality::reference(*n), 24);
+            (f64::from(*n).ln(), distance(&shown, &truth, Output::Rgb).ln())
+        };
+        let points: Vec<(f64, f64)> = [4, 8, 16, 32, 64].iter().map(point).collect();
+        let mean = |pick: fn(&(f64, f64)) -> f64| points.iter().map(pick).sum::<f64>() / 5.0;
+        let (x, y) = (mean(|p| p.0), mean(|p| p.1));
+        points.iter().map(|p| (p.0 - x) * (p.1 - y)).sum::<f64>()
+            / points.iter().map(|p| (p.0 - x).powi(2)).sum::<f64>()
+    };
+    let right = slope(&map);
+    println!("error falls as n^{right:.3}");
+    assert!((-0.6..-0.42).contains(&right), "{right}");
+    // The control: under a light a third too strong it stops falling.
+    let wrong = slope(&map.rotated_and_scaled(0.0, 1.33));
+    assert!(wrong > -0.35, "{wrong}");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_on_one_thread_and_on_four() {
+    let run = |threads: usize, quality: Quality| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| frame(&Renderer::new(table()), &sun(), quality, 24))
+    };
+    for quality in [Quality::reference(8), Tier::High.into()] {
+        assert!(run(1, quality) == run(4, quality), "{quality:?}");
+    }
+    let other = Quality { seed: 1, ..Quality::reference(8) };
+    assert!(run(2, Quality::reference(8)) != run(2, other), "the control: another seed, other bytes");
+    assert!(run(2, Tier::High.into()) == run(2, Quality { seed: 1, ..Tier::High.into() }));
+}
+
+#[test]
+fn samples_out_of_range_are_refused_by_name_and_extreme_lights_stay_finite() {
+    let renderer = Renderer::new(table());
+    let light = renderer.prepare_light(&sun()).unwrap();
+    for samples in [0, Quality::MOST_SAMPLES + 1] {
+        let refused = renderer.render(&camera(8), &light, Quality::reference(samples), &[Output::Rgb]);
+        assert!(refused.unwrap_err().to_string().starts_with("samples: "));
+    }
+    let mut texels = vec![[0.0f32; 3]; 64 * 32];
+    texels[300] = [1e30; 3];
+    for map in [EnvMap::new(64, 32, texels).unwrap().0, EnvMap::constant(8, 4, [0.0; 3])] {
+        for quality in [Tier::High.into(), Quality::reference(4), Quality::reference(1)] {
+            let shown = frame(&renderer, &map, quality, 12);
+            assert!(shown.planes.values().flatten().all(|v| v.is_finite()), "{quality:?}");
+        }
+    }
+}
