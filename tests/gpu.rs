@@ -10,7 +10,9 @@ use relume::engine::gpu::{Adapters, DeviceChoice, Gpu, GpuError, GpuOptions};
 use relume::eval::{EvalOptions, Report, evaluate};
 use relume::render::{Output, Quality, Renderer, Tier};
 use relume::scene::{EnvMap, Field, Model};
-use relume::train::{LabelSource, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
+use relume::train::{
+    LabelSource, LearningRates, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides, Trainer,
+};
 
 /// The first adapter that can be used, software or not, with garbage in fresh buffers.
 pub fn device() -> Option<&'static Device> {
@@ -154,7 +156,14 @@ fn a_picture_too_large_for_one_binding_is_made_in_bands_without_a_seam() {
         r.render(&camera, &light, Tier::Standard, &[Output::Rgb, Output::Depth]).unwrap()
     });
     for (output, plane) in &frames[0].planes {
-        assert!(worst(plane, &frames[1].planes[output]) < 1e-4, "{output:?}");
+        // Projected means round differently in a band, and a splat at the threshold of alpha is then in or out: here
+        // and there a pixel by less than that threshold. A seam would be a row, one in 256.
+        let other = &frames[1].planes[output];
+        let apart = plane.iter().zip(other).filter(|(a, b)| (**a - **b).abs() > 1e-4).count();
+        assert!(apart * 1000 < plane.len(), "{output:?}: {apart} of {}", plane.len());
+        if *output != Output::Depth {
+            assert!(worst(plane, other) < 1.0 / 255.0, "{output:?}");
+        }
     }
 }
 
@@ -176,6 +185,11 @@ fn a_light_of_one_renderer_is_refused_by_another_and_bad_cameras_are_refused_ali
 fn the_first_steps_of_a_training_are_those_of_the_cpu_engine() {
     let Some(device) = device() else { return };
     let weights = Some(LossWeights { smoothness: 0.0, light: 0.01, ..LossWeights::default() });
+    // Adam's first step takes a texel without any gradient but rounding as far as all others: small steps of the light.
+    let overrides = || {
+        let rates = LearningRates { environment: 0.01, ..LearningRates::default() };
+        TrainOverrides { rates: Some(rates), ..overrides() }
+    };
     let forms = [
         overrides(),
         TrainOverrides { warm_up: Some(0.0), weights, ..overrides() },
