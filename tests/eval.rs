@@ -10,7 +10,9 @@ use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Plane, S
 use relume::cli::eval::{EvalArgs, QualityArgs, run};
 use relume::engine::Device;
 use relume::engine::gpu::DeviceChoice;
-use relume::eval::{EvalError, EvalOptions, Lpips, Picture, Report, contact_sheet, evaluate};
+use relume::eval::{
+    EvalError, EvalOptions, Lpips, Picture, Replaced, Report, attribute, contact_sheet, evaluate,
+};
 use relume::formats::model_file;
 use relume::render::{Frame, Output, Renderer, Tier};
 use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadingOptions};
@@ -207,6 +209,32 @@ fn every_figure_notices_when_its_own_truth_is_spoilt() {
     assert!((report.depth_mae.unwrap() - 0.25).abs() < 1e-5);
     assert!((report.metallic_mae.unwrap() - 0.125).abs() < 1e-5);
     assert!((report.roughness_mae.unwrap() - 0.5).abs() < 1e-5);
+}
+
+#[test]
+fn the_truth_in_place_of_the_one_spoilt_layer_repairs_the_picture() {
+    let model = Arc::new(model());
+    let capture = drawn_by(&model);
+    let mut dark = (*model).clone();
+    dark.prototypes.iter_mut().flatten().for_each(|v| *v *= 0.6);
+    let albedo = Replaced { albedo: true, ..Replaced::NONE };
+    let material = Replaced { material: true, ..Replaced::NONE };
+    let rows = [Replaced::NONE, albedo, material, Replaced::ALL];
+    let [nothing, albedo, material, everything] =
+        attribute(&Arc::new(dark), &capture, None, &rows).unwrap().try_into().unwrap();
+    let [nothing, albedo, material, everything] = [nothing, albedo, material, everything].map(Option::unwrap);
+    assert!(nothing < 35.0, "{nothing}");
+    // Half-covered pixels at the rim keep the model's layers, and light that bounces is gathered from dark albedo.
+    assert!(albedo > nothing + 10.0 && everything > nothing + 10.0, "{nothing} {albedo} {everything}");
+    assert!((material - nothing).abs() < 1.0, "the control: what was not spoilt repairs nothing, {material}");
+    // Nothing replaced is what the evaluation measures.
+    let report = measured(&model, &capture);
+    let own = attribute(&model, &capture, None, &[Replaced::NONE]).unwrap()[0];
+    assert!((own.unwrap() - report.relit.mean.psnr.unwrap()).abs() < 1e-6);
+    let mut ragged = drawn_by(&model);
+    ragged.test[1].truth.albedo.as_mut().unwrap().values.pop();
+    let err = attribute(&model, &ragged, None, &rows).unwrap_err();
+    assert!(err.to_string().contains("test_1: albedo"), "{err}");
 }
 
 #[test]

@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use crate::capture::{Capture, CaptureView};
 use crate::engine::cpu::{Shader, Surface};
-use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
+use crate::eval::evaluate::{EvalError, check_sizes, evenly_spaced, lights_of, refused};
 use crate::eval::image::{mean_squared_error, psnr_of};
+use crate::eval::totals::Mean;
 use crate::eval::views::{on_white, photograph};
 use crate::render::{Frame, Output, Renderer};
 use crate::scene::Model;
@@ -38,7 +39,7 @@ impl Replaced {
 /// `replacements`; layers without truth stay the model's. `None` without relit truth.
 ///
 /// # Errors
-/// What the renderer refuses, with the view.
+/// Names the view and layer whose size is not its camera's, or what the renderer refuses.
 pub fn attribute(
     model: &Arc<Model>,
     capture: &Capture,
@@ -46,15 +47,17 @@ pub fn attribute(
     replacements: &[Replaced],
 ) -> Result<Vec<Option<f64>>, EvalError> {
     let views = evenly_spaced(&capture.test, views);
+    views.iter().try_for_each(|view| check_sizes(view))?;
     let lights = lights_of(&views, capture);
     let renderer = Renderer::new(model.clone());
-    let mut sums = vec![0.0; replacements.len()];
+    let mut means = vec![Mean::default(); replacements.len()];
     for name in &lights {
         let light = renderer.prepare_light(&capture.lights[*name])?;
+        let mut of_light = vec![Mean::default(); replacements.len()];
         for view in &views {
             let Some(truth) = view.truth.relit.get(*name) else { continue };
             let truth = photograph(truth);
-            for (sum, replaced) in sums.iter_mut().zip(replacements) {
+            for (mean, replaced) in of_light.iter_mut().zip(replacements) {
                 let edit = |shader: &Shader<'_>, i: usize, surface: &mut Surface| {
                     put_truth(view, *replaced, shader, i, surface);
                 };
@@ -65,12 +68,12 @@ pub fn attribute(
                     set_alpha(&mut frame, view);
                 }
                 let picture = on_white(&frame, Output::Rgb);
-                *sum += psnr_of(mean_squared_error(&picture.values, &truth.values));
+                mean.add(Some(psnr_of(mean_squared_error(&picture.values, &truth.values))));
             }
         }
+        means.iter_mut().zip(of_light).for_each(|(mean, of_light)| mean.add(of_light.value()));
     }
-    let count = (lights.len() * views.len()) as f64;
-    Ok(sums.into_iter().map(|s| (count > 0.0).then(|| s / count)).collect())
+    Ok(means.into_iter().map(|mean| mean.value()).collect())
 }
 
 fn put_truth(view: &CaptureView, replaced: Replaced, shader: &Shader<'_>, i: usize, surface: &mut Surface) {

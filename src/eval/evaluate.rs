@@ -312,7 +312,7 @@ pub(crate) fn lights_of<'a>(views: &[&'a CaptureView], capture: &Capture) -> Vec
 }
 
 /// Every image and layer must be of the camera's size, or pixels would be compared with other pixels.
-fn check_sizes(view: &CaptureView) -> Result<(), EvalError> {
+pub(crate) fn check_sizes(view: &CaptureView) -> Result<(), EvalError> {
     let camera = (view.camera.width, view.camera.height);
     let check = |layer: &str, size: (u32, u32), count: usize| {
         if size == camera && count == camera.0 as usize * camera.1 as usize {

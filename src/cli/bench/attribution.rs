@@ -30,7 +30,8 @@ pub(super) struct Args {
 }
 
 const NONE: Replaced = Replaced::NONE;
-const ROWS: [(&str, Replaced); 8] = [
+const ALL: Replaced = Replaced::ALL;
+const ROWS: [(&str, Replaced); 13] = [
     ("nothing", NONE),
     ("silhouette", Replaced { alpha: true, ..NONE }),
     ("albedo", Replaced { albedo: true, ..NONE }),
@@ -38,7 +39,12 @@ const ROWS: [(&str, Replaced); 8] = [
     ("metalness and roughness", Replaced { material: true, ..NONE }),
     ("albedo, metalness and roughness", Replaced { albedo: true, material: true, ..NONE }),
     ("occlusion", Replaced { occlusion: true, ..NONE }),
-    ("everything", Replaced::ALL),
+    ("everything", ALL),
+    ("everything but the silhouette", Replaced { alpha: false, ..ALL }),
+    ("everything but albedo", Replaced { albedo: false, ..ALL }),
+    ("everything but normals", Replaced { normal: false, ..ALL }),
+    ("everything but metalness and roughness", Replaced { material: false, ..ALL }),
+    ("everything but occlusion", Replaced { occlusion: false, ..ALL }),
 ];
 
 pub(super) fn run(args: &Args) -> CommandResult {
