@@ -117,6 +117,25 @@ pub fn depth_normal(pass: &Pass, weight: f32, out: &mut [BufferGradient]) -> f32
     total as f32
 }
 
+/// Slopes of one pair's `scale share |b - a| exp(-edge)` by its second attributes; by the first they are the opposite.
+fn pair_slopes(scale: f32, image_a: Vec3, image_b: Vec3, a: &[f32; 5], b: &[f32; 5]) -> [f32; 5] {
+    // Mean over the pairs; metalness and roughness have one channel, the normal three.
+    const SHARE: [f32; 5] = [1.0, 1.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0];
+    let edge: f32 = (0..3).map(|c| (image_a[c] - image_b[c]).abs()).sum::<f32>() / 3.0;
+    let factor = scale * (-edge).exp();
+    std::array::from_fn(|k| {
+        let d = b[k] - a[k];
+        let sign = if d > 0.0 {
+            1.0
+        } else if d < 0.0 {
+            -1.0
+        } else {
+            0.0
+        };
+        factor * SHARE[k] * sign
+    })
+}
+
 /// Edge-aware smoothness (Eq. 32) of metalness, roughness and normal; adds its gradient, returns its value.
 pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weight: f32, out: &mut [BufferGradient]) -> f32 {
     let (w, h) = (pass.view.width, pass.view.height);
@@ -135,47 +154,46 @@ pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weight: f32, out: &mut [Buffe
             [channel::METAL, channel::ROUGH, n, n + 1, n + 2].map(|c| pass.at(x, y, c) * keep)
         })
         .collect();
-    // Mean over the pairs; metalness and roughness have one channel, the normal three.
-    let share = [1.0, 1.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0];
-    let mut by = vec![[0.0f32; 5]; w * h];
-    let mut total = 0.0f64;
-    let mut pair = |i: usize, j: usize, scale: f32| {
-        let edge: f32 = (0..3).map(|c| (image[i][c] - image[j][c]).abs()).sum::<f32>() / 3.0;
-        let factor = scale * (-edge).exp();
-        for k in 0..5 {
-            let d = attributes[j][k] - attributes[i][k];
-            let g = factor
-                * share[k]
-                * if d > 0.0 {
-                    1.0
-                } else if d < 0.0 {
-                    -1.0
-                } else {
-                    0.0
-                };
-            total += f64::from(g * d);
-            by[j][k] += g;
-            by[i][k] -= g;
+    let scale = [weight / ((w - 1) * h) as f32, weight / (w * (h - 1)) as f32];
+    // Every pixel looks at its up to four pairs itself, so that rows can go in parallel; a pair's value is its first
+    // pixel's.
+    let pixel = |i: usize| -> ([f32; 5], f64) {
+        let (x, y) = (i % w, i / w);
+        let mut by = [0.0f32; 5];
+        let mut value = 0.0;
+        let mut pair = |first: usize, second: usize, scale: f32| {
+            let slopes =
+                pair_slopes(scale, image[first], image[second], &attributes[first], &attributes[second]);
+            let sign = if i == first { -1.0 } else { 1.0 };
+            for k in 0..5 {
+                by[k] += sign * slopes[k];
+                if i == first {
+                    value += f64::from(slopes[k] * (attributes[second][k] - attributes[first][k]));
+                }
+            }
+        };
+        if y > 0 {
+            pair(i - w, i, scale[1]);
         }
+        if x > 0 {
+            pair(i - 1, i, scale[0]);
+        }
+        if x + 1 < w {
+            pair(i, i + 1, scale[0]);
+        }
+        if y + 1 < h {
+            pair(i, i + w, scale[1]);
+        }
+        (by, value)
     };
-    let (across, down) = (weight / ((w - 1) * h) as f32, weight / (w * (h - 1)) as f32);
-    for y in 0..h {
-        for x in 0..w {
-            let i = y * w + x;
-            if x + 1 < w {
-                pair(i, i + 1, across);
-            }
-            if y + 1 < h {
-                pair(i, i + w, down);
-            }
-        }
-    }
+    let found: Vec<([f32; 5], f64)> = (0..w * h).into_par_iter().with_min_len(1024).map(pixel).collect();
+    let total: f64 = found.iter().map(|(_, value)| value).sum();
     out.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, o)| {
         let coverage = pass.at(i % w, i / w, channel::COVERAGE);
         if coverage < LEAST_COVERAGE {
             return;
         }
-        let (inverse, g, a) = (1.0 / coverage, by[i], attributes[i]);
+        let (inverse, g, a) = (1.0 / coverage, found[i].0, attributes[i]);
         o.metal += g[0] * inverse;
         o.rough += g[1] * inverse;
         (0..3).for_each(|k| o.normal[k] += g[2 + k] * inverse);

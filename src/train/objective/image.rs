@@ -57,28 +57,31 @@ impl Target {
         let scale = 1.0 / (3 * image.len()).max(1) as f32;
         let channels: Vec<(f64, Vec<f32>)> =
             [0, 1, 2].into_par_iter().map(|c| self.ssim_channel(image, c, -ssim * scale)).collect();
-        let mut out = ImageLoss::default();
-        let (mut absolute, mut squared) = (0.0f64, 0.0f64);
-        out.gradient = image
-            .iter()
-            .zip(&self.pixels)
-            .enumerate()
-            .map(|(i, (a, b))| {
-                std::array::from_fn(|c| {
-                    let d = a[c] - b[c];
-                    absolute += f64::from(d.abs());
-                    squared += f64::from(d * d);
-                    let sign = if d > 0.0 {
-                        1.0
-                    } else if d < 0.0 {
-                        -1.0
-                    } else {
-                        0.0
-                    };
-                    l1 * scale * sign + channels[c].1[i]
-                })
+        let mut out = ImageLoss { gradient: vec![[0.0; 3]; image.len()], ..ImageLoss::default() };
+        let rows = out.gradient.par_chunks_mut(self.width.max(1)).enumerate();
+        let sums: Vec<[f64; 2]> = rows
+            .map(|(y, row)| {
+                let mut sums = [0.0f64; 2];
+                for (x, pixel) in row.iter_mut().enumerate() {
+                    let i = y * self.width + x;
+                    for c in 0..3 {
+                        let d = image[i][c] - self.pixels[i][c];
+                        sums[0] += f64::from(d.abs());
+                        sums[1] += f64::from(d * d);
+                        let sign = if d > 0.0 {
+                            1.0
+                        } else if d < 0.0 {
+                            -1.0
+                        } else {
+                            0.0
+                        };
+                        pixel[c] = l1 * scale * sign + channels[c].1[i];
+                    }
+                }
+                sums
             })
             .collect();
+        let [absolute, squared] = sums.iter().fold([0.0; 2], |[a, s], row| [a + row[0], s + row[1]]);
         out.mae = (absolute * f64::from(scale)) as f32;
         out.mse = (squared * f64::from(scale)) as f32;
         out.ssim = (channels.iter().map(|c| c.0).sum::<f64>() * f64::from(scale)) as f32;
