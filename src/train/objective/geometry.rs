@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use crate::engine::channel;
 use crate::engine::cpu::{BufferGradient, LEAST_COVERAGE, Pass, normalise, normalise_backward};
+use crate::train::objective::sign;
 
 /// Coverage below which a pixel's depth is not trusted.
 const TRUSTED_COVERAGE: f32 = 0.5;
@@ -123,17 +124,7 @@ fn pair_slopes(scale: f32, image_a: Vec3, image_b: Vec3, a: &[f32; 5], b: &[f32;
     const SHARE: [f32; 5] = [1.0, 1.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0];
     let edge: f32 = (0..3).map(|c| (image_a[c] - image_b[c]).abs()).sum::<f32>() / 3.0;
     let factor = scale * (-edge).exp();
-    std::array::from_fn(|k| {
-        let d = b[k] - a[k];
-        let sign = if d > 0.0 {
-            1.0
-        } else if d < 0.0 {
-            -1.0
-        } else {
-            0.0
-        };
-        factor * SHARE[k] * sign
-    })
+    std::array::from_fn(|k| factor * SHARE[k] * sign(b[k] - a[k]))
 }
 
 /// Edge-aware smoothness (Eq. 32) of metalness, roughness and normal; adds its gradient, returns its value.
@@ -210,14 +201,7 @@ pub fn coverage(pass: &Pass, alpha: &[f32], weight: f32, out: &mut [BufferGradie
     for (i, (o, a)) in out.iter_mut().zip(alpha).enumerate() {
         let d = pass.at(i % w, i / w, channel::COVERAGE) - a;
         total += f64::from(scale * d.abs());
-        o.coverage += scale
-            * if d > 0.0 {
-                1.0
-            } else if d < 0.0 {
-                -1.0
-            } else {
-                0.0
-            };
+        o.coverage += scale * sign(d);
     }
     total as f32
 }

@@ -6,6 +6,8 @@
 use multiversion::multiversion;
 use rayon::prelude::*;
 
+use crate::train::objective::sign;
+
 const TAPS: usize = 11;
 const C1: f32 = 0.01 * 0.01;
 const C2: f32 = 0.03 * 0.03;
@@ -68,14 +70,7 @@ impl Target {
                         let d = image[i][c] - self.pixels[i][c];
                         sums[0] += f64::from(d.abs());
                         sums[1] += f64::from(d * d);
-                        let sign = if d > 0.0 {
-                            1.0
-                        } else if d < 0.0 {
-                            -1.0
-                        } else {
-                            0.0
-                        };
-                        pixel[c] = l1 * scale * sign + channels[c].1[i];
+                        pixel[c] = l1 * scale * sign(d) + channels[c].1[i];
                     }
                 }
                 sums

@@ -6,6 +6,7 @@ use crate::engine::Gradients;
 use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass, softmax};
 use crate::light::sh_eval;
 use crate::scene::{Field, Gaussians, VisibilityForm};
+use crate::train::objective::sign;
 
 /// Gaussians with less summed weight in a view get no label from it.
 const LEAST_LABEL_WEIGHT: f32 = 1e-3;
@@ -68,14 +69,7 @@ pub fn residual(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
     for (row, eps) in out.rows.chunks_mut(layout.row).zip(g.field(Field::Residual).chunks_exact(3)) {
         for (o, e) in row[layout.range(Field::Residual)].iter_mut().zip(eps) {
             total += f64::from(scale * e.abs());
-            *o += scale
-                * if *e > 0.0 {
-                    1.0
-                } else if *e < 0.0 {
-                    -1.0
-                } else {
-                    0.0
-                };
+            *o += scale * sign(*e);
         }
     }
     total as f32
@@ -89,15 +83,7 @@ pub fn light_neutrality(radiance: &[[f32; 3]], weight: f32) -> (f32, Vec<[f32; 3
         .iter()
         .map(|l| {
             let mean = (l[0] + l[1] + l[2]) / 3.0;
-            let sign = l.map(|v| {
-                if v > mean {
-                    1.0
-                } else if v < mean {
-                    -1.0
-                } else {
-                    0.0f32
-                }
-            });
+            let sign = l.map(|v| sign(v - mean));
             total += f64::from(scale) * (0..3).map(|c| f64::from((l[c] - mean).abs())).sum::<f64>();
             let shared = (sign[0] + sign[1] + sign[2]) / 3.0;
             sign.map(|s| scale * (s - shared))

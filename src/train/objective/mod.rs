@@ -3,3 +3,14 @@
 pub mod geometry;
 pub mod image;
 pub mod material;
+
+/// Slope of `|x|`: 1, -1, and 0 at 0.
+fn sign(x: f32) -> f32 {
+    if x > 0.0 {
+        1.0
+    } else if x < 0.0 {
+        -1.0
+    } else {
+        0.0
+    }
+}
