@@ -5,7 +5,7 @@
 //! whole vectors over the tile's rows and reduced once at the end; a column's offset from the mean is the same in every
 //! row, so three moments (1, dy, dy^2) of the alpha gradient are enough to recover all six.
 //! Channels go four at a time, splats in the inner loop: with channels innermost the compiler vectorises across *them*, by
-//! gathers and scatters, which cost more than all the rest of the kernel.
+//! gathers and scatters.
 //! Tried and lost: horizontal sums per strip (about 12 instructions for each of 16 sums a strip).
 
 use multiversion::multiversion;
