@@ -208,6 +208,10 @@ pub struct TrainConfig {
     pub seed: u64,
     /// Steps between checkpoints.
     pub checkpoint_every: u32,
+    /// How often albedo starts anew from colours with the light divided out, 0 to 5: round i after (2 i + 1) tenths of
+    /// the steps that train materials.
+    #[serde(default)]
+    pub albedo_rounds: u32,
     /// Whether metalness is learned; false holds every surface at dielectric.
     #[serde(default = "learned")]
     pub metalness: bool,
@@ -267,6 +271,8 @@ pub struct TrainOverrides {
     pub seed: Option<u64>,
     /// Steps between checkpoints, at least 1.
     pub checkpoint_every: Option<u32>,
+    /// How often albedo starts anew from colours with the light divided out, 0 to 5.
+    pub albedo_rounds: Option<u32>,
     /// Whether metalness is learned; false holds every surface at dielectric.
     pub metalness: Option<bool>,
     /// `auto`: leave out what the scene is measured not to require, except what is named here; `full`: everything.
@@ -319,6 +325,7 @@ impl TrainConfig {
             rates: LearningRates::default(),
             seed: 0,
             checkpoint_every: 500,
+            albedo_rounds: 3,
             metalness: true,
             complexity: Complexity::default(),
             forced: Vec::new(),
@@ -380,6 +387,7 @@ impl TrainConfig {
             rates,
             seed,
             checkpoint_every,
+            albedo_rounds,
             metalness,
             complexity
         );
@@ -402,6 +410,7 @@ impl TrainConfig {
             ("probe_every", self.probe_every, 1, 1_000_000),
             ("bounces", self.bounces, 0, 8),
             ("checkpoint_every", self.checkpoint_every, 1, 1_000_000),
+            ("albedo_rounds", self.albedo_rounds, 0, 5),
         ];
         for (name, value, lo, hi) in whole {
             if !(lo..=hi).contains(&value) {
@@ -433,6 +442,13 @@ impl TrainConfig {
     /// Steps of the radiance warm-up.
     pub fn warm_up_steps(&self) -> u32 {
         (self.warm_up * self.iterations as f32) as u32
+    }
+
+    /// True when albedo starts anew before this step.
+    pub fn is_albedo_round(&self, step: u32) -> bool {
+        let first = self.warm_up_steps();
+        let after = |round: u32| u64::from(self.iterations - first) * u64::from(2 * round + 1) / 10;
+        step > first && (0..self.albedo_rounds).any(|round| after(round) == u64::from(step - first))
     }
 }
 
@@ -471,5 +487,14 @@ mod tests {
         assert!(refused(TrainOverrides { rates: Some(rates), ..Default::default() }).contains("rates.mean"));
         let unknown = serde_json::from_str::<TrainOverrides>(r#"{"iterration": 5}"#).unwrap_err();
         assert!(unknown.to_string().contains("iterration"));
+    }
+
+    #[test]
+    fn rounds_come_at_odd_tenths_of_the_material_steps() {
+        let config = TrainConfig { albedo_rounds: 3, ..TrainConfig::preset(Preset::Draft) };
+        let steps: Vec<u32> = (0..config.iterations).filter(|s| config.is_albedo_round(*s)).collect();
+        assert_eq!(steps, [375 + 112, 375 + 337, 375 + 562]);
+        let none = TrainConfig { albedo_rounds: 0, ..config };
+        assert!(!(0..none.iterations).any(|s| none.is_albedo_round(s)), "the control");
     }
 }

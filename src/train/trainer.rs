@@ -18,7 +18,7 @@ use crate::train::on_cpu::OnCpu;
 use crate::train::on_gpu::OnGpu;
 use crate::train::optimiser::StepSizes;
 use crate::train::state::{Course, Learned};
-use crate::train::step::StepContext;
+use crate::train::step::{self, StepContext};
 use crate::train::{LabelSource, TrainConfig, checkpoint, initial, materials};
 
 /// Fewest photographs worth training on.
@@ -253,7 +253,7 @@ impl Trainer {
         let (step, warm_up) = (self.course.step, self.config.warm_up_steps());
         if step == warm_up {
             let mut learned = self.backend.learned()?.into_owned();
-            materials::initialise(&mut learned.model);
+            materials::initialise(&mut learned);
             if self.is_dielectric() {
                 complexity::hold_dielectric(&mut learned);
             }
@@ -262,7 +262,25 @@ impl Trainer {
         if self.measures() && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every) {
             self.refresh_probes(step == warm_up)?;
         }
+        if self.config.is_albedo_round(step) {
+            self.take_light_out()?;
+        }
         self.decide()
+    }
+
+    fn take_light_out(&mut self) -> Result<(), TrainError> {
+        if self.measures() {
+            self.refresh_probes(false)?;
+        }
+        let learned = self.backend.learned()?;
+        if learned.model.check().is_err() {
+            // The next step rolls back, and comes past here again.
+            return Ok(());
+        }
+        let mut learned = learned.into_owned();
+        let normals = step::normals(&learned);
+        materials::take_light_out(&mut learned, &self.operators, &normals);
+        self.backend.load(learned)
     }
 
     /// True when metalness is not learned.

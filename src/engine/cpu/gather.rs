@@ -80,8 +80,10 @@ impl Transport {
                 source.albedo(i).map(|a| a.clamp(0.0, 1.0) * rest * std::f32::consts::FRAC_1_PI)
             })
             .collect();
-        let direct: Vec<Vec3> =
-            (0..n).into_par_iter().with_min_len(256).map(|i| self.direct(source, tables, i)).collect();
+        let direct: Vec<Vec3> = {
+            let direct = |i: usize| sky_irradiance(source, tables, self.normals[i], i);
+            (0..n).into_par_iter().with_min_len(256).map(direct).collect()
+        };
         let mut gathered = vec![[0.0f32; 6]; n];
         for _ in 0..bounces {
             let emitted: Vec<Vec3> = (0..n)
@@ -109,23 +111,23 @@ impl Transport {
         }
         out
     }
+}
 
-    /// Irradiance from the sky through this Gaussian's own visibility.
-    fn direct(&self, source: &AttributeSource<'_>, tables: &LightTables, i: usize) -> Vec3 {
-        let taps = tables.diffuse_grid.lookup(self.normals[i]);
-        let c = source.gaussians.row(Field::Visibility, i);
-        let open = source.options.visibility == VisibilityForm::Off;
-        let mut out = [0.0f32; 3];
-        for k in 0..4 {
-            for (o, row) in out.iter_mut().zip(tables.diffuse_rows(taps.node[k])) {
-                let e: f32 = if open {
-                    row[0] * crate::engine::cpu::FULLY_OPEN
-                } else {
-                    row.iter().zip(c).map(|(t, c)| t * c).sum()
-                };
-                *o += taps.weight[k] * e;
-            }
+/// Irradiance of Gaussian `i`, whose outward unit normal is `normal`, from the sky through its own visibility.
+pub fn sky_irradiance(source: &AttributeSource<'_>, tables: &LightTables, normal: Vec3, i: usize) -> Vec3 {
+    let taps = tables.diffuse_grid.lookup(normal);
+    let c = source.gaussians.row(Field::Visibility, i);
+    let open = source.options.visibility == VisibilityForm::Off;
+    let mut out = [0.0f32; 3];
+    for k in 0..4 {
+        for (o, row) in out.iter_mut().zip(tables.diffuse_rows(taps.node[k])) {
+            let e: f32 = if open {
+                row[0] * crate::engine::cpu::FULLY_OPEN
+            } else {
+                row.iter().zip(c).map(|(t, c)| t * c).sum()
+            };
+            *o += taps.weight[k] * e;
         }
-        out.map(|e| e.max(0.0))
     }
+    out.map(|e| e.max(0.0))
 }

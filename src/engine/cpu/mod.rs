@@ -24,7 +24,7 @@ mod view;
 
 pub use attributes::{AttributeSource, softmax};
 pub use blend::TRANSMITTANCE_STOP;
-pub use gather::Transport;
+pub use gather::{Transport, sky_irradiance};
 pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use labels::{BackwardLabel, backward_labels};
 pub use occluder::ProbeSettings;
