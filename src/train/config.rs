@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::scene::ShadingOptions;
+use crate::train::{LearningRates, LossWeights};
 
 /// A named trade of time against quality.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -59,107 +60,6 @@ pub enum Setting {
     Prototypes,
     /// Number of Gaussians.
     Gaussians,
-}
-
-/// Weights of the objective's terms (docs/MODEL.md section 5).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LossWeights {
-    /// Mean absolute error of the physically based branch.
-    pub l1: f32,
-    /// D-SSIM of both branches.
-    pub ssim: f32,
-    /// Radiance branch beside the physically based one.
-    pub radiance: f32,
-    /// Coverage against the masks.
-    pub coverage: f32,
-    /// Depth-normal consistency.
-    pub depth_normal: f32,
-    /// Edge-aware smoothness (Eq. 32).
-    pub smoothness: f32,
-    /// Light neutrality (Eq. 31); off by default (docs/ARCHITECTURE.md).
-    pub light: f32,
-    /// White stays white: the light's level (docs/MODEL.md section 5).
-    pub exposure: f32,
-    /// Aggregation (Eq. 24).
-    pub aggregation: f32,
-    /// Residual (Eq. 25).
-    pub residual: f32,
-    /// Visibility labels (Eq. 15).
-    pub visibility: f32,
-    /// Mean smallest standard deviation: flat Gaussians have meaningful normals.
-    pub flatness: f32,
-}
-
-impl Default for LossWeights {
-    fn default() -> Self {
-        Self {
-            l1: 1.0,
-            ssim: 0.25,
-            radiance: 0.5,
-            coverage: 0.5,
-            depth_normal: 0.2,
-            smoothness: 0.15,
-            light: 0.0,
-            exposure: 0.01,
-            aggregation: 0.001,
-            residual: 0.01,
-            visibility: 0.1,
-            flatness: 5.0,
-        }
-    }
-}
-
-/// Adam step sizes, per parameter group, in the normalised world.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LearningRates {
-    /// Centres at the start; decays exponentially to `mean_final`.
-    pub mean: f32,
-    /// Centres at the end.
-    pub mean_final: f32,
-    /// ln scales.
-    pub scale: f32,
-    /// Quaternions.
-    pub rotation: f32,
-    /// Opacity logits.
-    pub opacity: f32,
-    /// Normal offsets.
-    pub normal: f32,
-    /// Metalness and roughness logits.
-    pub material: f32,
-    /// Prototype scores.
-    pub scores: f32,
-    /// Prototypes.
-    pub prototypes: f32,
-    /// Albedo residuals.
-    pub residual: f32,
-    /// Visibility and indirect coefficients.
-    pub visibility: f32,
-    /// Radiance colour; higher degrees take a twentieth.
-    pub radiance: f32,
-    /// Environment texels: large, since a sun is a hundred times brighter than the grey it starts from.
-    pub environment: f32,
-}
-
-impl Default for LearningRates {
-    fn default() -> Self {
-        Self {
-            mean: 3e-4,
-            mean_final: 6e-6,
-            scale: 5e-3,
-            rotation: 1e-3,
-            opacity: 0.03,
-            normal: 1e-3,
-            material: 1e-2,
-            scores: 2e-2,
-            prototypes: 2e-3,
-            residual: 2e-3,
-            visibility: 2e-3,
-            radiance: 2.5e-3,
-            environment: 0.15,
-        }
-    }
 }
 
 /// A complete, resolved configuration; its JSON is part of the model card and of every checkpoint.

@@ -15,8 +15,8 @@ mod optimiser;
 mod state;
 mod step;
 mod trainer;
+mod weights;
 
-pub use config::{
-    Complexity, LabelSource, LearningRates, LossWeights, Preset, Setting, TrainConfig, TrainOverrides,
-};
+pub use config::{Complexity, LabelSource, Preset, Setting, TrainConfig, TrainOverrides};
 pub use trainer::{Progress, StepReport, TrainError, Trainer};
+pub use weights::{LearningRates, LossWeights};
