@@ -64,12 +64,17 @@ pub fn take_light_out(learned: &mut Learned, operators: &EnvOperators, normals: 
     restart(learned, &albedos, SHARPNESS);
 }
 
-/// Prototypes at the k-means centres of `albedos`, scores by distance, no residuals, and no memory of earlier steps.
+/// Prototypes at the k-means centres of `albedos` less their residuals, scores by distance, and no memory of earlier
+/// steps. Residuals stay: where there are few prototypes they are the texture.
 fn restart(learned: &mut Learned, albedos: &[[f32; 3]], sharpness: f32) {
     let Learned { model, moments, .. } = learned;
     let opacity = |i: usize| sigmoid(model.gaussians.row(Field::OpacityLogit, i)[0]);
-    let points: Vec<([f32; 3], f32)> =
-        albedos.iter().enumerate().map(|(i, a)| (a.map(|v| v.clamp(RANGE.0, RANGE.1)), opacity(i))).collect();
+    let point = |(i, albedo): (usize, &[f32; 3])| {
+        let residual = model.gaussians.row(Field::Residual, i);
+        let rest = |c: usize| (albedo[c].clamp(RANGE.0, RANGE.1) - residual[c]).clamp(RANGE.0, RANGE.1);
+        (std::array::from_fn(rest), opacity(i))
+    };
+    let points: Vec<([f32; 3], f32)> = albedos.iter().enumerate().map(point).collect();
     if points.is_empty() {
         return;
     }
@@ -80,10 +85,8 @@ fn restart(learned: &mut Learned, albedos: &[[f32; 3]], sharpness: f32) {
             *score = -sharpness * distance(*albedo, *centre);
         }
     }
-    model.gaussians.field_mut(Field::Residual).fill(0.0);
     for moments in [&mut moments.first, &mut moments.second] {
         moments.field_mut(Field::ProtoLogits).fill(0.0);
-        moments.field_mut(Field::Residual).fill(0.0);
     }
     moments.globals.iter_mut().for_each(|moments| moments[..centres.len()].fill([0.0; 3]));
     model.prototypes = centres;
@@ -178,7 +181,7 @@ mod tests {
         let (mut learned, operators, normals) = lit_ball();
         initialise(&mut learned);
         assert!(worst(&learned) > 0.1, "the control: colours as they are, {}", worst(&learned));
-        learned.model.gaussians.field_mut(Field::Residual).fill(0.1);
+        learned.model.gaussians.field_mut(Field::Residual).fill(0.05);
         learned.moments.second.field_mut(Field::ProtoLogits).fill(1.0);
         take_light_out(&mut learned, &operators, &normals);
         assert!(worst(&learned) < 0.01, "{}", worst(&learned));
