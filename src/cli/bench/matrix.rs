@@ -190,8 +190,11 @@ fn ablation() -> Vec<Variant> {
             json!({"shading": directional, "labels": "probes", "bounces": 0}),
         ),
         variant("everything (default)", json!({})),
-        variant("one prototype", json!({"prototypes": 1})),
-        variant("prototypes without losses", json!({"weights": {"aggregation": 0.0, "residual": 0.0}})),
+        variant("eight prototypes", json!({"prototypes": 8})),
+        variant(
+            "eight prototypes without losses",
+            json!({"prototypes": 8, "weights": {"aggregation": 0.0, "residual": 0.0}}),
+        ),
     ]
 }
 
