@@ -1,9 +1,10 @@
 //! Where albedo starts from: the colours that the radiance branch found, with as much light taken out as is known.
 
-use crate::engine::cpu::{self, AttributeSource, linear_from_srgb, sigmoid, sky_irradiance};
+use crate::engine::cpu::{self, linear_from_srgb, sigmoid, sky_irradiance};
 use crate::light::EnvOperators;
-use crate::scene::{Field, Gaussians, softplus};
+use crate::scene::{Field, Gaussians};
 use crate::train::state::Learned;
+use crate::train::step;
 
 /// Rounds of k-means.
 const ROUNDS: usize = 12;
@@ -44,15 +45,9 @@ pub fn initialise(learned: &mut Learned) {
 /// strides, as alternating least squares would.
 pub fn take_light_out(learned: &mut Learned, operators: &EnvOperators, normals: &[[f32; 3]]) {
     let model = &learned.model;
-    let radiance: Vec<[f32; 3]> = model.env_raw.iter().map(|t| t.map(softplus)).collect();
-    let tables = operators.apply(&radiance);
-    let source = AttributeSource {
-        gaussians: &model.gaussians,
-        prototypes: &model.prototypes,
-        options: &model.shading,
-        gathered: &learned.gathered,
-        indirect_basis: &cpu::indirect_basis(&tables),
-    };
+    let tables = operators.apply(&step::radiance_of(model));
+    let basis = cpu::indirect_basis(&tables);
+    let source = step::source(learned, &basis);
     let albedo = |i: usize| -> [f32; 3] {
         let (colour, sky) = (colour(&model.gaussians, i), sky_irradiance(&source, &tables, normals[i], i));
         let bounced = learned.gathered.get(i).map_or([0.0; 6], |g| *g);
@@ -124,7 +119,7 @@ fn k_means(points: &[([f32; 3], f32)], k: usize) -> Vec<[f32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::cpu::{fibonacci_sphere, srgb};
+    use crate::engine::cpu::{AttributeSource, fibonacci_sphere, srgb};
     use crate::light::TableResolution;
     use crate::scene::{Model, ShadingOptions, VisibilityForm, softplus_inverse, texel_directions};
     use crate::train::{Preset, TrainConfig};

@@ -43,7 +43,8 @@ pub struct Outcome {
     pub gradients: Gradients,
 }
 
-fn source<'a>(state: &'a Learned, basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
+/// What the engines read of a state.
+pub(super) fn source<'a>(state: &'a Learned, basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
     let Model { gaussians, prototypes, shading, .. } = &state.model;
     AttributeSource {
         gaussians,
@@ -54,7 +55,8 @@ fn source<'a>(state: &'a Learned, basis: &'a [[f32; 3]; 16]) -> AttributeSource<
     }
 }
 
-fn radiance_of(model: &Model) -> Vec<[f32; 3]> {
+/// Radiance of the environment's texels.
+pub(super) fn radiance_of(model: &Model) -> Vec<[f32; 3]> {
     model.env_raw.iter().map(|t| t.map(softplus)).collect()
 }
 
