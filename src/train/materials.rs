@@ -9,8 +9,7 @@ use crate::train::step;
 /// Rounds of k-means.
 const ROUNDS: usize = 12;
 /// Sharpness of the very first scores, per squared linear colour distance: vague, since the colours have the light in
-/// them, and what albedo explains the light will not learn. Flat scores (0) help scenes without texture and cost
-/// textured ones more (docs/results.md section 9).
+/// them, and what albedo explains the light will not learn. Flat ones (0) left texture to the normals.
 const FIRST_SHARPNESS: f32 = 2.0;
 /// The same once the light has been divided out.
 const SHARPNESS: f32 = 60.0;
