@@ -80,10 +80,8 @@ impl Transport {
                 source.albedo(i).map(|a| a.clamp(0.0, 1.0) * rest * std::f32::consts::FRAC_1_PI)
             })
             .collect();
-        let direct: Vec<Vec3> = {
-            let direct = |i: usize| sky_irradiance(source, tables, self.normals[i], i);
-            (0..n).into_par_iter().with_min_len(256).map(direct).collect()
-        };
+        let from_sky = |i: usize| sky_irradiance(source, tables, self.normals[i], i);
+        let direct: Vec<Vec3> = (0..n).into_par_iter().with_min_len(256).map(from_sky).collect();
         let mut gathered = vec![[0.0f32; 6]; n];
         for _ in 0..bounces {
             let emitted: Vec<Vec3> = (0..n)
