@@ -197,13 +197,11 @@ impl TrainOverrides {
 impl TrainConfig {
     /// The preset itself.
     ///
-    /// | preset | steps | px | Gaussians | probes |
-    /// |---|---|---|---|---|
-    /// | draft | 1,500 | 160 | 8,000 | 48 |
-    /// | standard | 6,000 | 400 | 20,000 | 64 |
-    /// | high | 20,000 | 800 | 60,000 | 128 |
-    ///
-    /// One prototype: free residuals around one colour relight better than a palette (docs/results.md section 9).
+    /// | preset | steps | px | Gaussians | probes | prototypes |
+    /// |---|---|---|---|---|---|
+    /// | draft | 1,500 | 160 | 8,000 | 48 | 8 |
+    /// | standard | 6,000 | 400 | 20,000 | 64 | 16 |
+    /// | high | 20,000 | 800 | 60,000 | 128 | 32 |
     pub fn preset(preset: Preset) -> Self {
         let standard = Self {
             preset,
@@ -211,7 +209,7 @@ impl TrainConfig {
             resolution: 400,
             initial_gaussians: 6_000,
             max_gaussians: 20_000,
-            prototypes: 1,
+            prototypes: 16,
             visibility_order: 4,
             radiance_order: 2,
             environment_rows: 16,
@@ -239,6 +237,7 @@ impl TrainConfig {
                 resolution: 160,
                 initial_gaussians: 3_000,
                 max_gaussians: 8_000,
+                prototypes: 8,
                 radiance_order: 1,
                 probe_directions: 48,
                 probe_every: 250,
@@ -250,6 +249,7 @@ impl TrainConfig {
                 resolution: 800,
                 initial_gaussians: 20_000,
                 max_gaussians: 60_000,
+                prototypes: 32,
                 radiance_order: 3,
                 probe_directions: 128,
                 ..standard
