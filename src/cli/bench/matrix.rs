@@ -190,11 +190,8 @@ fn ablation() -> Vec<Variant> {
             json!({"shading": directional, "labels": "probes", "bounces": 0}),
         ),
         variant("everything (default)", json!({})),
-        variant("eight prototypes", json!({"prototypes": 8})),
-        variant(
-            "eight prototypes without losses",
-            json!({"prototypes": 8, "weights": {"aggregation": 0.0, "residual": 0.0}}),
-        ),
+        variant("one prototype", json!({"prototypes": 1})),
+        variant("prototypes without losses", json!({"weights": {"aggregation": 0.0, "residual": 0.0}})),
     ]
 }
 
