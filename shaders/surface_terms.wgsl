@@ -15,8 +15,11 @@ const WG_SIZE = 256u;
 struct SurfaceTerms {
     coverage: f32,
     depth_normal: f32,
-    smooth_across: f32,
-    smooth_down: f32,
+    // One over the pairs of neighbours across, and down.
+    across: f32,
+    down: f32,
+    // Weights of smoothness: metalness, roughness, a channel of the normal, unused.
+    smoothness: vec4f,
 }
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -166,9 +169,10 @@ fn pair_term(own_ix: u32, own: Attributes, other_ix: u32, scale: f32) -> PairGra
     let factor = scale * exp(-edge);
     let by_normal = own.normal - other.normal;
     let by_material = own.material - other.material;
-    // Mean over the channels of each attribute: the normal has three.
-    let loss = factor * (dot(abs(by_normal), vec3f(1.0)) / 3.0 + abs(by_material.x) + abs(by_material.y));
-    return PairGradient(factor / 3.0 * sign(by_normal), factor * sign(by_material), loss);
+    let slope_normal = factor * weights.smoothness.z * sign(by_normal);
+    let slope_material = factor * weights.smoothness.xy * sign(by_material);
+    let loss = dot(slope_normal, by_normal) + dot(slope_material, by_material);
+    return PairGradient(slope_normal, slope_material, loss);
 }
 
 // Adds the smoothness term's gradient at `pixel`; the value of its pairs to the right and down.
@@ -188,7 +192,7 @@ fn add_smoothness(pixel: vec2u, out: ptr<function, BufferGradient>) -> f32 {
             continue;
         }
         let step = select(view.size.x, 1u, across);
-        let scale = select(weights.smooth_down, weights.smooth_across, across);
+        let scale = select(weights.down, weights.across, across);
         let by = pair_term(own_ix, own, select(own_ix - step, own_ix + step, ahead), scale);
         by_normal += by.normal;
         by_material += by.material;
@@ -216,7 +220,7 @@ fn pixel_terms(pixel: vec2u) -> vec4f {
     }
 #endif
 #ifdef MATERIAL
-    if weights.smooth_across != 0.0 || weights.smooth_down != 0.0 {
+    if any(weights.smoothness != vec4f(0.0)) {
         values.z = add_smoothness(pixel, &out);
     }
 #endif

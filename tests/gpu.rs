@@ -184,7 +184,8 @@ fn a_light_of_one_renderer_is_refused_by_another_and_bad_cameras_are_refused_ali
 #[test]
 fn the_first_steps_of_a_training_are_those_of_the_cpu_engine() {
     let Some(device) = device() else { return };
-    let weights = Some(LossWeights { smoothness: 0.0, light: 0.01, ..LossWeights::default() });
+    let weights =
+        Some(LossWeights { smoothness: 0.0, smooth_roughness: 0.0, light: 0.01, ..LossWeights::default() });
     // Adam's first step takes a texel without any gradient but rounding as far as all others: small steps of the light.
     let overrides = || {
         let rates = LearningRates { environment: 0.01, ..LearningRates::default() };

@@ -5,8 +5,8 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
 use crate::scene::{Field, Gaussians, Model, softplus_inverse};
-use crate::train::TrainConfig;
 use crate::train::dataset::{Dataset, Photo};
+use crate::train::{TrainConfig, materials};
 
 /// Voxels along an edge of the carved cube.
 const HULL_SIDE: usize = 80;
@@ -35,13 +35,12 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
         gaussians.row_mut(Field::LogScale, i).fill(spacing.clamp(1e-4, 1.0).ln());
         gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
         gaussians.row_mut(Field::OpacityLogit, i)[0] = logit(OPACITY);
-        gaussians.row_mut(Field::MetalLogit, i)[0] = logit(0.1);
-        gaussians.row_mut(Field::RoughLogit, i)[0] = logit(0.6);
         gaussians.row_mut(Field::Visibility, i)[0] = crate::engine::cpu::FULLY_OPEN;
         for (s, c) in gaussians.row_mut(Field::Radiance, i).iter_mut().zip(colour) {
             *s = (c - 0.5) / 0.282_094_8;
         }
     }
+    materials::reset_surface(&mut gaussians);
     let rows = config.environment_rows as usize;
     let mut shading = config.shading;
     if !data.has_alpha && shading.occluder_reach.is_none() {

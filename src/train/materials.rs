@@ -17,6 +17,10 @@ const SHARPNESS: f32 = 60.0;
 const LEAST_IRRADIANCE: f32 = 0.3;
 /// Range of a first albedo.
 const RANGE: (f32, f32) = (0.02, 0.95);
+/// First metalness: most surfaces are dielectrics, and a metal is what a wrong light makes of a highlight.
+const METALNESS: f32 = 0.03;
+/// First roughness.
+const ROUGHNESS: f32 = 0.5;
 
 fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|c| (a[c] - b[c]).powi(2)).sum()
@@ -39,6 +43,7 @@ pub fn initialise(learned: &mut Learned) {
 
 /// Materials anew from colours with the light divided out: `albedo = colour pi / E`, `E` the irradiance of each
 /// Gaussian through its visibility with what is gathered. `normals` are the outward ones of the measured visibility.
+/// Metalness and roughness, which a wrong light has led astray, start anew with them.
 ///
 /// Light and albedo trade shading for one another, and gradient steps move along that valley slowly; this walks it in
 /// strides, as alternating least squares would.
@@ -58,8 +63,15 @@ pub fn take_light_out(learned: &mut Learned, operators: &EnvOperators, normals: 
     restart(learned, &albedos, SHARPNESS);
 }
 
-/// Prototypes at the k-means centres of `albedos` less their residuals, scores by distance, and no memory of earlier
-/// steps. Residuals stay: where there are few prototypes they are the texture.
+/// A dielectric of middling roughness everywhere.
+pub fn reset_surface(g: &mut Gaussians) {
+    for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
+        g.field_mut(field).fill((start / (1.0 - start)).ln());
+    }
+}
+
+/// Prototypes at the k-means centres of `albedos` less their residuals, scores by distance, metalness and roughness as
+/// at the start, and no memory of earlier steps. Residuals stay: where there are few prototypes they are the texture.
 fn restart(learned: &mut Learned, albedos: &[[f32; 3]], sharpness: f32) {
     let Learned { model, moments, .. } = learned;
     let opacity = |i: usize| sigmoid(model.gaussians.row(Field::OpacityLogit, i)[0]);
@@ -79,8 +91,11 @@ fn restart(learned: &mut Learned, albedos: &[[f32; 3]], sharpness: f32) {
             *score = -sharpness * distance(*albedo, *centre);
         }
     }
+    reset_surface(&mut model.gaussians);
     for moments in [&mut moments.first, &mut moments.second] {
-        moments.field_mut(Field::ProtoLogits).fill(0.0);
+        for field in [Field::ProtoLogits, Field::MetalLogit, Field::RoughLogit] {
+            moments.field_mut(field).fill(0.0);
+        }
     }
     moments.globals.iter_mut().for_each(|moments| moments[..centres.len()].fill([0.0; 3]));
     model.prototypes = centres;
@@ -180,6 +195,21 @@ mod tests {
         take_light_out(&mut learned, &operators, &normals);
         assert!(worst(&learned) < 0.01, "{}", worst(&learned));
         assert!(learned.moments.second.field(Field::ProtoLogits).iter().all(|m| *m == 0.0));
+    }
+
+    #[test]
+    fn metalness_and_roughness_start_anew_with_albedo() {
+        let (mut learned, operators, normals) = lit_ball();
+        for field in [Field::MetalLogit, Field::RoughLogit] {
+            learned.model.gaussians.field_mut(field).fill(4.0);
+            learned.moments.first.field_mut(field).fill(1.0);
+        }
+        take_light_out(&mut learned, &operators, &normals);
+        for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
+            let values = learned.model.gaussians.field(field);
+            assert!(values.iter().all(|v| (sigmoid(*v) - start).abs() < 1e-6), "{field:?}: {}", values[0]);
+            assert!(learned.moments.first.field(field).iter().all(|m| *m == 0.0));
+        }
     }
 
     #[test]

@@ -106,7 +106,7 @@ impl OnGpu {
             surface: SurfaceWeights {
                 coverage: if task.context.has_alpha { w.coverage } else { 0.0 },
                 depth_normal: if channels == Channels::Colour { 0.0 } else { w.depth_normal },
-                smoothness: if_material(w.smoothness),
+                smoothness: w.smooth().map(if_material),
             },
             light: LightWeights { neutrality: if_material(w.light), exposure: if_material(w.exposure) },
             parameters: ParameterTerms {

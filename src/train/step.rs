@@ -115,7 +115,7 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
         loss += geometry::coverage(&pass, &photo.alpha, w.coverage, &mut by_buffers);
     }
     loss += geometry::depth_normal(&pass, w.depth_normal, &mut by_buffers);
-    loss += geometry::smoothness(&pass, &photo.pixels, w.smoothness, &mut by_buffers);
+    loss += geometry::smoothness(&pass, &photo.pixels, w.smooth(), &mut by_buffers);
     let by_images = cpu::BranchImages { physical: physical.gradient, radiance: plain.gradient };
     let count = differentiated(context.config, source.options.indirect, pass.channels).count();
     let (by_gbuffer, mut by_tables) =

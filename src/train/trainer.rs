@@ -280,6 +280,9 @@ impl Trainer {
         let mut learned = learned.into_owned();
         let normals = step::normals(&learned);
         materials::take_light_out(&mut learned, &self.operators, &normals);
+        if self.is_dielectric() {
+            complexity::hold_dielectric(&mut learned);
+        }
         self.backend.load(learned)
     }
 
@@ -421,79 +424,4 @@ fn photo_at(data: &Dataset, index: usize, half: bool) -> &Photo {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::capture::{SyntheticOptions, synthetic};
-    use crate::engine::gpu::Gpu;
-    use crate::train::{Preset, TrainOverrides};
-
-    #[test]
-    fn a_poisoned_step_is_rolled_back_with_smaller_steps_and_said() {
-        let options = SyntheticOptions {
-            train_views: 3,
-            test_views: 1,
-            size: 24,
-            paths: 4,
-            relit: Default::default(),
-            ..Default::default()
-        };
-        let overrides = TrainOverrides {
-            resolution: Some(24),
-            initial_gaussians: Some(64),
-            max_gaussians: Some(64),
-            warm_up: Some(0.0),
-            probe_directions: Some(8),
-            ..Default::default()
-        };
-        let capture = synthetic(&options).unwrap();
-        let devices = [Some(Device::Cpu), Gpu::for_tests().map(Device::Gpu)];
-        for device in devices.into_iter().flatten() {
-            let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-            let mut trainer = Trainer::new(&capture, config, &device).unwrap();
-            assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
-            let mut learned = trainer.backend.learned().unwrap().into_owned();
-            learned.model.env_raw[5] = [f32::NAN; 3];
-            trainer.backend.load(learned).unwrap();
-            assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
-            let warning = trainer.step().unwrap().warning.unwrap();
-            assert!(warning.contains("back to step 0"), "{warning}");
-            assert_eq!(trainer.course.rate_factor, 0.5);
-            assert!(trainer.model().unwrap().check().is_ok());
-            assert_eq!(trainer.step().unwrap().warning, None, "and goes on");
-        }
-    }
-
-    #[test]
-    fn a_smaller_model_goes_on_training_on_every_device() {
-        let options = SyntheticOptions {
-            scene: crate::capture::SyntheticScene::MatteBall,
-            train_views: 5,
-            test_views: 1,
-            size: 24,
-            paths: 8,
-            relit: Default::default(),
-            ..Default::default()
-        };
-        let capture = synthetic(&options).unwrap();
-        let overrides = TrainOverrides {
-            resolution: Some(24),
-            iterations: Some(24),
-            probe_directions: Some(16),
-            complexity: Some(crate::train::Complexity::Auto),
-            ..Default::default()
-        };
-        for device in [Some(Device::Cpu), Gpu::for_tests().map(Device::Gpu)].into_iter().flatten() {
-            let mut config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-            (config.initial_gaussians, config.max_gaussians) = (128, 160);
-            let mut trainer = Trainer::new(&capture, config, &device).unwrap();
-            while !trainer.is_done() {
-                assert_eq!(trainer.step().unwrap().warning, None);
-            }
-            assert_eq!(trainer.course.complexity.due(&trainer.config, 24), None, "all decisions are made");
-            let model = trainer.model().unwrap();
-            assert!(model.check().is_ok());
-            assert_eq!(trainer.operators.order(), model.gaussians.visibility_order());
-            assert!(model.card["complexity"]["findings"].as_array().unwrap().len() >= 6, "{}", model.card);
-        }
-    }
-}
+mod tests;

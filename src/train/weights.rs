@@ -16,8 +16,10 @@ pub struct LossWeights {
     pub coverage: f32,
     /// Depth-normal consistency.
     pub depth_normal: f32,
-    /// Edge-aware smoothness (Eq. 32).
+    /// Edge-aware smoothness (Eq. 32) of metalness and normals.
     pub smoothness: f32,
+    /// The same of roughness: at the weight of the others it stays at the value it starts from.
+    pub smooth_roughness: f32,
     /// Light neutrality (Eq. 31); off by default (docs/ARCHITECTURE.md).
     pub light: f32,
     /// White stays white: the light's level (docs/MODEL.md section 5).
@@ -32,6 +34,13 @@ pub struct LossWeights {
     pub flatness: f32,
 }
 
+impl LossWeights {
+    /// Weights of smoothness by attribute: metalness, roughness, normal.
+    pub fn smooth(&self) -> [f32; 3] {
+        [self.smoothness, self.smooth_roughness, self.smoothness]
+    }
+}
+
 impl Default for LossWeights {
     fn default() -> Self {
         Self {
@@ -41,6 +50,7 @@ impl Default for LossWeights {
             coverage: 0.5,
             depth_normal: 0.2,
             smoothness: 0.15,
+            smooth_roughness: 0.015,
             light: 0.0,
             exposure: 0.01,
             aggregation: 0.001,

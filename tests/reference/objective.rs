@@ -19,8 +19,8 @@ const WEIGHTS: [(&str, f64); 15] = [
     ("coverage", 0.7),
     ("depth_normal", 0.9),
     ("smooth_metal", 0.3),
-    ("smooth_rough", 0.3),
-    ("smooth_normal", 0.3),
+    ("smooth_rough", 0.1),
+    ("smooth_normal", 0.2),
     ("light", 0.2),
     ("agg", 0.15),
     ("res", 0.35),
@@ -119,7 +119,8 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
     let mut total = weight("img_mae") * physical.mae + weight("img_dssim") * (1.0 - physical.ssim);
     total += weight("radiance_mae") * branch.mae + weight("radiance_dssim") * (1.0 - branch.ssim);
     total += geometry::depth_normal(&pass, weight("depth_normal"), &mut buffers);
-    total += geometry::smoothness(&pass, &photo.pixels, weight("smooth_normal"), &mut buffers);
+    let smooth = ["smooth_metal", "smooth_rough", "smooth_normal"].map(weight);
+    total += geometry::smoothness(&pass, &photo.pixels, smooth, &mut buffers);
     total += geometry::coverage(&pass, &photo.alpha, weight("coverage"), &mut buffers);
 
     let by = BranchImages { physical: physical.gradient, radiance: branch.gradient };

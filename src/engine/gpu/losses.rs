@@ -110,8 +110,8 @@ pub struct SurfaceWeights {
     pub coverage: f32,
     /// Depth-normal consistency; passes with normals only.
     pub depth_normal: f32,
-    /// Smoothness; passes with material only.
-    pub smoothness: f32,
+    /// Smoothness of metalness, roughness and normal; passes with material only.
+    pub smoothness: [f32; 3],
 }
 
 /// `SurfaceTerms` of `shaders/surface_terms.wgsl`.
@@ -120,18 +120,23 @@ pub struct SurfaceWeights {
 struct SurfaceTermsUniform {
     coverage: f32,
     depth_normal: f32,
-    smooth_across: f32,
-    smooth_down: f32,
+    /// One over the pairs of neighbours across, and down.
+    across: f32,
+    down: f32,
+    /// Weights of smoothness: metalness, roughness, a channel of the normal, unused.
+    smoothness: [f32; 4],
 }
 
 impl SurfaceTermsUniform {
     fn new(weights: &SurfaceWeights, [w, h]: [u32; 2]) -> Self {
+        let [metal, rough, normal] = weights.smoothness;
         let share = |weight: f32, count: u32| if w < 2 || h < 2 { 0.0 } else { weight / count as f32 };
         Self {
             coverage: weights.coverage / (w * h).max(1) as f32,
             depth_normal: share(weights.depth_normal, w * h),
-            smooth_across: share(weights.smoothness, w.saturating_sub(1) * h),
-            smooth_down: share(weights.smoothness, w * h.saturating_sub(1)),
+            across: share(1.0, w.saturating_sub(1) * h),
+            down: share(1.0, w * h.saturating_sub(1)),
+            smoothness: [metal, rough, normal / 3.0, 0.0],
         }
     }
 }

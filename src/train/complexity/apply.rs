@@ -7,7 +7,7 @@ use crate::train::density::DensityStats;
 use crate::train::state::Learned;
 
 /// Metalness logit of what is held at dielectric: 1e-4.
-const DIELECTRIC: f32 = -9.0;
+pub const DIELECTRIC: f32 = -9.0;
 
 /// The same Gaussians with `prototypes` scores (zero) and lower orders: the first coefficients of each.
 fn reshaped(g: &Gaussians, prototypes: usize, visibility: usize, radiance: usize) -> Gaussians {
@@ -130,7 +130,7 @@ pub fn make_dielectric(learned: &mut Learned) {
     hold_dielectric(learned);
 }
 
-/// Sets metalness to none, before anything was learned.
+/// Sets metalness to none, and forgets how it was learned.
 pub fn hold_dielectric(learned: &mut Learned) {
     learned.model.gaussians.field_mut(Field::MetalLogit).fill(DIELECTRIC);
     for moments in [&mut learned.moments.first, &mut learned.moments.second] {

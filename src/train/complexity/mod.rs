@@ -12,6 +12,10 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+#[cfg(test)]
+pub use apply::DIELECTRIC;
+pub use apply::hold_dielectric;
+
 use crate::scene::{Field, IndirectForm, VisibilityForm};
 use crate::train::complexity::decide::Visibility;
 use crate::train::dataset::Photo;
@@ -377,11 +381,6 @@ impl Ledger {
             "findings": self.findings.iter().map(finding).collect::<Vec<_>>(),
         })
     }
-}
-
-/// Holds metalness at dielectric from the start.
-pub(super) fn hold_dielectric(learned: &mut Learned) {
-    apply::hold_dielectric(learned);
 }
 
 fn words(visibility: Visibility) -> String {

@@ -118,19 +118,18 @@ pub fn depth_normal(pass: &Pass, weight: f32, out: &mut [BufferGradient]) -> f32
     total as f32
 }
 
-/// Slopes of one pair's `scale share |b - a| exp(-edge)` by its second attributes; by the first they are the opposite.
-fn pair_slopes(scale: f32, image_a: Vec3, image_b: Vec3, a: &[f32; 5], b: &[f32; 5]) -> [f32; 5] {
-    // Mean over the pairs; metalness and roughness have one channel, the normal three.
-    const SHARE: [f32; 5] = [1.0, 1.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0];
+/// Slopes of one pair's `weight |b - a| exp(-edge)` by its second attributes; by the first they are the opposite.
+fn pair_slopes(weights: &[f32; 5], image_a: Vec3, image_b: Vec3, a: &[f32; 5], b: &[f32; 5]) -> [f32; 5] {
     let edge: f32 = (0..3).map(|c| (image_a[c] - image_b[c]).abs()).sum::<f32>() / 3.0;
-    let factor = scale * (-edge).exp();
-    std::array::from_fn(|k| factor * SHARE[k] * sign(b[k] - a[k]))
+    let factor = (-edge).exp();
+    std::array::from_fn(|k| factor * weights[k] * sign(b[k] - a[k]))
 }
 
-/// Edge-aware smoothness (Eq. 32) of metalness, roughness and normal; adds its gradient, returns its value.
-pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weight: f32, out: &mut [BufferGradient]) -> f32 {
+/// Edge-aware smoothness (Eq. 32) of metalness, roughness and normal, each with its weight; adds its gradient, returns
+/// its value.
+pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weights: [f32; 3], out: &mut [BufferGradient]) -> f32 {
     let (w, h) = (pass.view.width, pass.view.height);
-    if weight == 0.0 || w < 2 || h < 2 {
+    if weights == [0.0; 3] || w < 2 || h < 2 {
         return 0.0;
     }
     let attributes: Vec<[f32; 5]> = (0..w * h)
@@ -145,16 +144,20 @@ pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weight: f32, out: &mut [Buffe
             [channel::METAL, channel::ROUGH, n, n + 1, n + 2].map(|c| pass.at(x, y, c) * keep)
         })
         .collect();
-    let scale = [weight / ((w - 1) * h) as f32, weight / (w * (h - 1)) as f32];
+    // Mean over the pairs across and down, and over the three channels of a normal.
+    let [metal, rough, normal] = weights;
+    let scale = [(w - 1) * h, w * (h - 1)].map(|pairs| {
+        [metal, rough, normal / 3.0, normal / 3.0, normal / 3.0].map(|weight| weight / pairs as f32)
+    });
     // Every pixel looks at its up to four pairs itself, so that rows can go in parallel; a pair's value is its first
     // pixel's.
     let pixel = |i: usize| -> ([f32; 5], f64) {
         let (x, y) = (i % w, i / w);
         let mut by = [0.0f32; 5];
         let mut value = 0.0;
-        let mut pair = |first: usize, second: usize, scale: f32| {
+        let mut pair = |first: usize, second: usize, weights: &[f32; 5]| {
             let slopes =
-                pair_slopes(scale, image[first], image[second], &attributes[first], &attributes[second]);
+                pair_slopes(weights, image[first], image[second], &attributes[first], &attributes[second]);
             let sign = if i == first { -1.0 } else { 1.0 };
             for k in 0..5 {
                 by[k] += sign * slopes[k];
@@ -164,16 +167,16 @@ pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weight: f32, out: &mut [Buffe
             }
         };
         if y > 0 {
-            pair(i - w, i, scale[1]);
+            pair(i - w, i, &scale[1]);
         }
         if x > 0 {
-            pair(i - 1, i, scale[0]);
+            pair(i - 1, i, &scale[0]);
         }
         if x + 1 < w {
-            pair(i, i + 1, scale[0]);
+            pair(i, i + 1, &scale[0]);
         }
         if y + 1 < h {
-            pair(i, i + w, scale[1]);
+            pair(i, i + w, &scale[1]);
         }
         (by, value)
     };

@@ -225,8 +225,9 @@ impl Buffers {
         pairs.map(|(r, m)| (r[0] - f64::from(*m)).abs()).sum::<f64>() / self.rows.len() as f64
     }
 
-    fn smoothness(&self) -> f64 {
+    fn smoothness(&self, [metal, rough, of_normal]: [f32; 3]) -> f64 {
         let (w, h) = self.size;
+        let weigh = |weight: f32, value: f64| f64::from(weight) * value;
         let attribute = |i: usize, c: usize| {
             if self.rows[i][0] < f64::from(1e-3f32) { 0.0 } else { self.rows[i][c] / self.rows[i][0] }
         };
@@ -234,7 +235,10 @@ impl Buffers {
             let edge: f64 = (0..3).map(|c| (self.photo[i][c] - self.photo[j][c]).abs()).sum::<f64>() / 3.0;
             let d = |c: usize| (attribute(i, c) - attribute(j, c)).abs();
             let normal = (d(NORMAL) + d(NORMAL + 1) + d(NORMAL + 2)) / 3.0;
-            (-edge).exp() * (d(channel::METAL) + d(channel::ROUGH) + normal)
+            (-edge).exp()
+                * (weigh(metal, d(channel::METAL))
+                    + weigh(rough, d(channel::ROUGH))
+                    + weigh(of_normal, normal))
         };
         let all = || (0..w * h).map(|i| (i % w, i / w, i));
         let across: f64 = all().filter(|p| p.0 + 1 < w).map(|(_, _, i)| pair(i, i + 1)).sum();
@@ -247,7 +251,7 @@ impl Buffers {
         [
             weigh(weights.coverage, self.coverage()),
             weigh(weights.depth_normal, self.depth_normal().0),
-            weigh(weights.smoothness, self.smoothness()),
+            self.smoothness(weights.smoothness),
         ]
     }
 }
@@ -288,15 +292,18 @@ fn by_channel(by_buffers: &[[f32; 4]], i: usize) -> [(usize, f32); 7] {
     ]
 }
 
+/// Metalness, roughness and normal: none can stand in for another.
+const SMOOTH: [f32; 3] = [0.15, 0.06, 0.1];
+
 #[test]
 fn terms_on_the_buffers_and_their_gradients_are_those_of_the_formulas() {
     let Some(gpu) = Gpu::for_tests() else { return };
     let none = SurfaceWeights::default();
     let cases = [
-        (Channels::Material, SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: 0.15 }),
+        (Channels::Material, SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: SMOOTH }),
         (Channels::Material, SurfaceWeights { depth_normal: 0.2, ..none }),
-        (Channels::Full(4), SurfaceWeights { smoothness: 0.15, ..none }),
-        (Channels::Geometry, SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: 0.0 }),
+        (Channels::Full(4), SurfaceWeights { smoothness: SMOOTH, ..none }),
+        (Channels::Geometry, SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: [0.0; 3] }),
         (Channels::Colour, SurfaceWeights { coverage: 0.5, ..none }),
     ];
     let view = camera_view((19, 17), &ShadingOptions::default());
@@ -334,7 +341,7 @@ fn terms_on_the_buffers_and_their_gradients_are_those_of_the_formulas() {
 fn the_comparison_of_terms_sees_a_change_of_one_pixel() {
     let Some(gpu) = Gpu::for_tests() else { return };
     let view = camera_view((19, 17), &ShadingOptions::default());
-    let weights = SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: 0.15 };
+    let weights = SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: SMOOTH };
     let buffers = Buffers::new(5, &view);
     let mut changed = buffers.clone();
     changed.rows[100].iter_mut().for_each(|v| *v *= 0.99);
@@ -349,7 +356,7 @@ fn the_comparison_of_terms_sees_a_change_of_one_pixel() {
 #[test]
 fn pictures_too_small_for_neighbours_have_coverage_only() {
     let Some(gpu) = Gpu::for_tests() else { return };
-    let weights = SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: 0.15 };
+    let weights = SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: SMOOTH };
     for size in [(1, 1), (5, 1), (1, 33)] {
         let view = camera_view(size, &ShadingOptions::default());
         let buffers = Buffers::new(9, &view);
@@ -363,5 +370,5 @@ fn pictures_too_small_for_neighbours_have_coverage_only() {
 fn uniforms_are_laid_out_as_the_shaders_read_them() {
     assert_layout!(ImageTermUniform as "ImageTerm" in shaders::SSIM; size, first_slot, scale, l1, ssim, pad_a, pad_b);
     assert_layout!(SurfaceTermsUniform as "SurfaceTerms" in shaders::SURFACE_TERMS_COLOUR; coverage, depth_normal,
-        smooth_across, smooth_down);
+        across, down, smoothness);
 }
