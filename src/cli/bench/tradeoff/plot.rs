@@ -8,13 +8,18 @@ use crate::render::Tier;
 
 const WIDTH: f64 = 420.0;
 const HEIGHT: f64 = 340.0;
-/// Left, top, right, bottom of a panel's axes inside it.
-const MARGIN: [f64; 4] = [64.0, 40.0, 16.0, 52.0];
+/// Left, top, right, bottom of a panel's axes inside it; the legend's lines come on top of the top.
+const MARGIN: [f64; 4] = [64.0, 36.0, 16.0, 52.0];
+/// Of a line of text, and of a letter as wide as most.
+const LINE: f64 = 14.0;
+const LETTER: f64 = 6.2;
 const COLOURS: [&str; 6] = ["#1b6ca8", "#d1495b", "#3c8d53", "#8d5a97", "#c77f1b", "#555555"];
 
 /// Points of one colour, joined in their order.
 struct Series {
     name: String,
+    /// Leading points that stand by themselves.
+    alone: usize,
     /// Abscissa, ordinate and what is written beside the point.
     points: Vec<(f64, f64, String)>,
 }
@@ -52,13 +57,14 @@ fn groups(rows: &[Row]) -> Vec<(&str, &str)> {
 }
 
 fn time_against_error(rows: &[Row]) -> Panel {
-    let series = groups(rows).into_iter().map(|(model, device)| Series {
-        name: format!("{model}, {device}"),
-        points: rows
-            .iter()
-            .filter(|r| (r.model.as_str(), r.device.as_str()) == (model, device))
-            .map(|r| (r.frame_ms, r.shown, tier_name(r)))
-            .collect(),
+    let series = groups(rows).into_iter().map(|(model, device)| {
+        let own = || rows.iter().filter(|r| (r.model.as_str(), r.device.as_str()) == (model, device));
+        Series {
+            name: format!("{model}, {device}"),
+            // Samples of the reference tier make a line, tiers do not.
+            alone: own().take_while(|r| r.quality.tier != Tier::Reference).count(),
+            points: own().map(|r| (r.frame_ms, r.shown, tier_name(r))).collect(),
+        }
     });
     Panel {
         title: "Tiers: time against error",
@@ -72,7 +78,7 @@ fn samples_against_error(rows: &[Row]) -> Panel {
     let series = slopes(rows).into_iter().map(|(model, slope)| {
         let own = rows.iter().filter(|r| r.model == model && r.quality.tier == Tier::Reference);
         let points = own.map(|r| (f64::from(r.quality.samples), r.linear, String::new())).collect();
-        Series { name: format!("{model}: slope {slope:.2}"), points }
+        Series { name: format!("{model}: slope {slope:.2}"), alone: 0, points }
     });
     Panel {
         title: "Reference: samples against error",
@@ -86,7 +92,7 @@ fn training_against_truth(rows: &[Row]) -> Panel {
     let series = [Tier::Standard, Tier::High].map(|tier| {
         let own = rows.iter().filter(|r| r.quality.tier == tier && r.device == "cpu");
         let points = own.filter_map(|r| Some((r.training_seconds?, r.truth?, r.preset.clone())));
-        Series { name: tier.name().to_owned(), points: points.collect() }
+        Series { name: format!("rendered with {}", tier.name()), alone: 0, points: points.collect() }
     });
     Panel {
         title: "Training: time against truth",
@@ -132,7 +138,8 @@ impl Panel {
         let [left, top, right, bottom] = MARGIN;
         let points = || self.series.iter().flat_map(|s| &s.points);
         let x = Axis::new(points().map(|p| p.0), [left, WIDTH - right]);
-        let y = Axis::new(points().map(|p| p.1), [HEIGHT - bottom, top]);
+        let legend = LINE * self.series.len() as f64;
+        let y = Axis::new(points().map(|p| p.1), [HEIGHT - bottom, top + legend]);
         writeln!(
             out,
             "<text x=\"{left}\" y=\"20\" font-size=\"13\" font-weight=\"bold\">{}</text>",
@@ -172,39 +179,63 @@ impl Panel {
             "<text transform=\"translate(14 {up:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
             self.up
         )?;
+        let mut labels = Labels { right: WIDTH - right, taken: Vec::new() };
         for (i, series) in self.series.iter().enumerate() {
-            series.draw(out, (&x, &y), i)?;
+            series.draw(out, (&x, &y), i, &mut labels)?;
         }
         Ok(())
     }
 }
 
+/// Where there is text already.
+struct Labels {
+    /// No text goes beyond.
+    right: f64,
+    /// Left, top, right, bottom.
+    taken: Vec<[f64; 4]>,
+}
+
+impl Labels {
+    /// Left end and baseline of a text beside a point: where it covers no other, else above to the right.
+    fn place(&mut self, (x, y): (f64, f64), text: &str) -> (f64, f64) {
+        let width = LETTER * text.chars().count() as f64;
+        let places =
+            [(5.0, -5.0), (5.0, 13.0), (-5.0 - width, -5.0), (-5.0 - width, 13.0), (5.0, 26.0), (5.0, -18.0)];
+        let around = |(dx, dy): (f64, f64)| [x + dx, y + dy - 10.0, x + dx + width, y + dy + 2.0];
+        let is_free = |b: &[f64; 4]| {
+            let clear = |t: &[f64; 4]| b[0] > t[2] || t[0] > b[2] || b[1] > t[3] || t[1] > b[3];
+            b[2] <= self.right && self.taken.iter().all(clear)
+        };
+        let (dx, dy) = places.into_iter().find(|place| is_free(&around(*place))).unwrap_or(places[0]);
+        self.taken.push(around((dx, dy)));
+        (x + dx, y + dy)
+    }
+}
+
 impl Series {
-    fn draw(&self, out: &mut String, (x, y): (&Axis, &Axis), index: usize) -> std::fmt::Result {
+    fn draw(
+        &self,
+        out: &mut String,
+        (x, y): (&Axis, &Axis),
+        index: usize,
+        labels: &mut Labels,
+    ) -> std::fmt::Result {
         let colour = COLOURS[index % COLOURS.len()];
         let at: Vec<(f64, f64)> = self.points.iter().map(|p| (x.at(p.0), y.at(p.1))).collect();
-        let line: Vec<String> = at.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+        let line: Vec<String> = at.iter().skip(self.alone).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
         writeln!(out, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\"/>", line.join(" "))?;
         for ((px, py), (_, _, label)) in at.iter().zip(&self.points) {
             writeln!(out, "<circle cx=\"{px:.1}\" cy=\"{py:.1}\" r=\"3\" fill=\"{colour}\"/>")?;
             // One series names its points; those of the others are in the same order.
             if index == 0 && !label.is_empty() {
+                let (lx, ly) = labels.place((*px, *py), label);
                 let label = escaped(label);
-                writeln!(
-                    out,
-                    "<text x=\"{:.1}\" y=\"{:.1}\" fill=\"#333333\">{label}</text>",
-                    px + 5.0,
-                    py - 5.0
-                )?;
+                writeln!(out, "<text x=\"{lx:.1}\" y=\"{ly:.1}\" fill=\"#333333\">{label}</text>")?;
             }
         }
-        let height = y.ends[1] + 12.0 + 14.0 * index as f64;
+        let height = MARGIN[1] + LINE * index as f64;
         let name = escaped(&self.name);
-        writeln!(
-            out,
-            "<text x=\"{:.1}\" y=\"{height:.1}\" text-anchor=\"end\" fill=\"{colour}\">{name}</text>",
-            x.ends[1] - 4.0
-        )
+        writeln!(out, "<text x=\"{:.1}\" y=\"{height:.1}\" fill=\"{colour}\">{name}</text>", x.ends[0])
     }
 }
 
@@ -224,5 +255,15 @@ mod tests {
         assert!(axis.ticks().len() == 11 && axis.at(0.0) == 0.0 && axis.at(1e9) == 300.0);
         assert!(!Axis::new(std::iter::empty(), [0.0, 1.0]).ticks().is_empty());
         assert_eq!(escaped("a<b&c"), "a&lt;b&amp;c");
+    }
+
+    #[test]
+    fn labels_keep_off_one_another_and_inside() {
+        let mut labels = Labels { right: 400.0, taken: Vec::new() };
+        let first = labels.place((100.0, 100.0), "standard");
+        assert_eq!(first, (105.0, 95.0));
+        assert_eq!(labels.place((98.0, 102.0), "high"), (103.0, 115.0), "below the first");
+        let (x, _) = labels.place((395.0, 200.0), "reference, 128");
+        assert!(x + LETTER * 14.0 <= 395.0, "to the left of a point at the edge: {x}");
     }
 }
