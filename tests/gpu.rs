@@ -191,7 +191,8 @@ fn the_first_steps_of_a_training_are_those_of_the_cpu_engine() {
         let rates = LearningRates { environment: 0.01, ..LearningRates::default() };
         // Without compensation: it thins the small splats of a start until their gradients are next to nothing, and this
         // test counts signs. Its own gradients are held to f64 in the engine's tests.
-        TrainOverrides { rates: Some(rates), shading: Some(ShadingOptions::default()), ..overrides() }
+        let shading = ShadingOptions { low_pass_compensation: false, ..ShadingOptions::default() };
+        TrainOverrides { rates: Some(rates), shading: Some(shading), ..overrides() }
     };
     let forms = [
         overrides(),

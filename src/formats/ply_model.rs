@@ -4,6 +4,8 @@
 //! (`f_dc_*`, then `f_rest_*` channel by channel), opacity logit, log-scales, quaternion `w x y z`. Then follow,
 //! announced by `comment relight_schema 1`: `albedo_0..2` (linear Rec.709), `metallic`, `roughness`, all ready to
 //! use, and `visibility_*` (SH coefficients, `l * l + l + m`). Everything is in capture coordinates.
+//! `comment SplatRenderMode: mip` or `default`, a convention of Brush and gsplat, tells a viewer whether the opacities
+//! expect low-pass compensation.
 
 use glam::{DQuat, DVec3, Vec3};
 
@@ -16,7 +18,7 @@ const VIEWER_DEGREE: usize = 3;
 pub fn encode(model: &Model) -> Vec<u8> {
     let g = &model.gaussians;
     let names = property_names(sh_count(g.visibility_order()));
-    let mut out = header(g.len(), &names).into_bytes();
+    let mut out = header(g.len(), &names, model.shading.low_pass_compensation).into_bytes();
     out.reserve(g.len() * names.len() * 4);
     let mut row = Vec::with_capacity(names.len());
     for i in 0..g.len() {
@@ -29,10 +31,11 @@ pub fn encode(model: &Model) -> Vec<u8> {
     out
 }
 
-fn header(count: usize, names: &[String]) -> String {
+fn header(count: usize, names: &[String], compensated: bool) -> String {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
     text += "comment relight_schema 1\n";
     text += "comment albedo is linear Rec.709; visibility is real SH, index l*l+l+m\n";
+    text += &format!("comment SplatRenderMode: {}\n", if compensated { "mip" } else { "default" });
     text += &format!("element vertex {count}\n");
     names.iter().for_each(|name| text += &format!("property float {name}\n"));
     text + "end_header\n"
@@ -213,6 +216,18 @@ mod tests {
         }
         assert!((get("roughness") - 0.75).abs() < 1e-6 && get("metallic") == 0.5);
         assert_eq!(get("visibility_2"), -1.0);
+    }
+
+    #[test]
+    fn viewers_are_told_whether_opacities_expect_compensation() {
+        let says = |low_pass_compensation: bool, line: &str| {
+            let mut model = example();
+            model.shading.low_pass_compensation = low_pass_compensation;
+            encode(&model).windows(line.len()).any(|w| w == line.as_bytes())
+        };
+        let (mip, plain) = ("\ncomment SplatRenderMode: mip\n", "\ncomment SplatRenderMode: default\n");
+        assert_eq!([says(true, mip), says(true, plain)], [true, false]);
+        assert_eq!([says(false, mip), says(false, plain)], [false, true]);
     }
 
     #[test]

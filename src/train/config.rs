@@ -108,8 +108,8 @@ pub struct TrainConfig {
     pub seed: u64,
     /// Steps between checkpoints.
     pub checkpoint_every: u32,
-    /// How often albedo starts anew from colours with the light divided out, 0 to 5: round i after (2 i + 1) tenths of
-    /// the steps that train materials.
+    /// How often albedo starts anew from colours with the light divided out, and metalness and roughness from their first
+    /// values, 0 to 5: round i after (2 i + 1) tenths of the steps that train materials.
     #[serde(default)]
     pub albedo_rounds: u32,
     /// Whether metalness is learned; false holds every surface at dielectric.
@@ -171,7 +171,7 @@ pub struct TrainOverrides {
     pub seed: Option<u64>,
     /// Steps between checkpoints, at least 1.
     pub checkpoint_every: Option<u32>,
-    /// How often albedo starts anew from colours with the light divided out, 0 to 5.
+    /// How often albedo, metalness and roughness start anew, 0 to 5.
     pub albedo_rounds: Option<u32>,
     /// Whether metalness is learned; false holds every surface at dielectric.
     pub metalness: Option<bool>,
@@ -220,8 +220,7 @@ impl TrainConfig {
             probe_directions: 64,
             probe_every: 500,
             bounces: 2,
-            // Without it a splat widens as the picture shrinks: at half the trained size that costs 4 to 6 dB.
-            shading: ShadingOptions { low_pass_compensation: true, ..ShadingOptions::default() },
+            shading: ShadingOptions::default(),
             weights: LossWeights::default(),
             rates: LearningRates::default(),
             seed: 0,

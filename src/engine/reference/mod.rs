@@ -138,6 +138,7 @@ impl Options {
             diffuse: DiffuseForm::AmbientOcclusion,
             normal: NormalForm::Free,
             indirect: IndirectForm::Learned,
+            low_pass_compensation: false,
             srgb: false,
             ..ShadingOptions::default()
         };

@@ -13,7 +13,7 @@ pub struct ExactSplat {
     order: u32,
 }
 
-/// Visible splats, nearest first. Without compensation; quaternions must not be zero.
+/// Visible splats, nearest first. Quaternions must not be zero.
 pub fn project(view: &View, g: &Gaussians) -> Vec<ExactSplat> {
     let mut out: Vec<ExactSplat> = (0..g.len()).filter_map(|i| project_one(view, g, i)).collect();
     out.sort_by(|a, b| a.order.cmp(&b.order).then(a.gaussian.cmp(&b.gaussian)));
@@ -43,9 +43,11 @@ fn project_one(view: &View, g: &Gaussians, i: usize) -> Option<ExactSplat> {
     let screen = to.map(|t| std::array::from_fn(|c| scale[c] * dot(t, rotation.col(c).to_array())));
     let low_pass = f64::from(view.low_pass);
     let [xx, xy, yy] = [dot(screen[0], screen[0]), dot(screen[0], screen[1]), dot(screen[1], screen[1])];
+    let raw_determinant = xx * yy - xy * xy;
     let (xx, yy) = (xx + low_pass, yy + low_pass);
     let determinant = xx * yy - xy * xy;
-    let opacity = 1.0 / (1.0 + (-f64::from(g.row(Field::OpacityLogit, i)[0])).exp());
+    let compensation = if view.low_pass_compensation { (raw_determinant / determinant).sqrt() } else { 1.0 };
+    let opacity = compensation / (1.0 + (-f64::from(g.row(Field::OpacityLogit, i)[0])).exp());
     (opacity >= 1.0 / 255.0).then(|| ExactSplat {
         gaussian: i,
         mean: std::array::from_fn(|k| focal[k] * camera[k] / camera[2] + f64::from(view.centre_px[k])),
