@@ -8,12 +8,13 @@
 // attributes are then its product with the 256 x 4 GROUPS gradients: a thread sums 4 splats x 4 channels over a share of
 // the pixels (16 products for each pair of loads), the shares are added up in `sh_matrix` again, and one atomic addition
 // an output and tile goes out. The same memory then carries the alpha gradients, which are multiplied with the moments
-// 1, dx, dy, dx^2, dx dy, dy^2 of the pixels about the splat's mean: mean, conic and opacity follow from those.
+// 1, dx, dy, dx^2, dx dy, dy^2 of the pixels about the splat's mean: mean, conic and opacity follow from those. A seventh
+// sum is the pull: of the length of each pixel's gradient by the mean, what density control goes by.
 // Compared with summing each of the 8 + 4 GROUPS outputs over the workgroup by itself this needs a few barriers per 16
 // splats instead of some per output, and no subgroup operations. Tried and lost: all sixteen splats of a batch unrolled
 // (three times the compilation time at GROUPS = 18, the same results).
 //
-// Workgroup memory: `sh_matrix` 16 KiB, moments 6 KiB, attributes 256 B a group, footprints 0.5 KiB: 27 KiB at most.
+// Workgroup memory: `sh_matrix` 16 KiB, moments 7 KiB, attributes 256 B a group, footprints 0.5 KiB: 28 KiB at most.
 // Rows of `sh_matrix` are rotated by half the pixel index, so that neither pixels side by side (writing) nor groups of four
 // splats side by side (reading) meet in a memory bank. A pixel's own gradient stays in registers; the matrix product
 // reads the gradients of other pixels from memory, where the tile's share (4 KiB a group) stays in the cache.
@@ -46,10 +47,10 @@ const ROW = HEADER + 4u * GROUPS;
 // (4 splats, 4 channels) pairs, and how many threads share the pixels of each.
 const N_BLOCKS = 4u * GROUPS;
 const N_SHARES = WG_SIZE / N_BLOCKS;
-const N_MOMENTS = 6u;
+const N_MOMENTS = 7u;
 
 var<workgroup> sh_matrix: array<vec4f, 1024>;
-var<workgroup> sh_moments: array<f32, 1536>;
+var<workgroup> sh_moments: array<f32, 1792>;
 var<workgroup> sh_attributes: array<vec4f, BATCH * GROUPS>;
 var<workgroup> sh_footprint: array<Footprint, BATCH>;
 var<workgroup> sh_end: atomic<u32>;
@@ -123,7 +124,9 @@ fn geometry_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
     var d_one = vec2f(0.0);
     // xx, xy, yy.
     var d_two = vec3f(0.0);
+    var pull = 0.0;
     if splat < n {
+        let conic = splats[gaussian_of_slot[first + splat]].conic;
         // A share is a row of pixels.
         for (var column = 0u; column < TILE; column++) {
             let p = share * TILE + column;
@@ -133,6 +136,7 @@ fn geometry_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
             one += flow;
             d_one += flow_d;
             d_two += vec3f(flow_d.x * d.x, flow_d.x * d.y, flow_d.y * d.y);
+            pull += length(vec2f(dot(conic.xy, d), dot(conic.yz, d))) * abs(flow);
         }
     }
     sh_moments[0u * WG_SIZE + local_ix] = one;
@@ -141,6 +145,7 @@ fn geometry_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
     sh_moments[3u * WG_SIZE + local_ix] = d_two.x;
     sh_moments[4u * WG_SIZE + local_ix] = d_two.y;
     sh_moments[5u * WG_SIZE + local_ix] = d_two.z;
+    sh_moments[6u * WG_SIZE + local_ix] = pull;
     workgroupBarrier();
     // A thread sums one moment of one splat over the rows, into the place of the first row.
     if local_ix < BATCH * N_MOMENTS {
@@ -162,7 +167,7 @@ fn geometry_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
     }
 }
 
-// Entry of a gradient row's header (mean x, y, conic xx, xy, yy, opacity) out of the six moments.
+// Entry of a gradient row's header (mean x, y, conic xx, xy, yy, opacity, pull) out of the sums.
 fn header_entry(gaussian_ix: u32, splat: u32, output: u32) -> f32 {
     if output < 2u {
         let conic = splats[gaussian_ix].conic;
@@ -171,6 +176,9 @@ fn header_entry(gaussian_ix: u32, splat: u32, output: u32) -> f32 {
     }
     if output == 5u {
         return sh_moments[splat] / splats[gaussian_ix].opacity;
+    }
+    if output == 6u {
+        return sh_moments[6u * WG_SIZE + splat];
     }
     let factor = select(-0.5, -1.0, output == 3u);
     return factor * sh_moments[(output + 1u) * WG_SIZE + splat];

@@ -69,7 +69,7 @@ struct Update {
 @group(0) @binding(10) var<storage, read> view_labels: array<vec2f>;
 @group(0) @binding(11) var<storage, read> label_count: array<u32>;
 @group(0) @binding(12) var<storage, read_write> losses: array<accumulator>;
-// By Gaussian: sum of screen gradients, steps on screen.
+// By Gaussian: sum of pulls (blend_backward) in half image widths, steps on screen: what density control goes by.
 @group(0) @binding(13) var<storage, read_write> density: array<vec2f>;
 @group(0) @binding(14) var<storage, read_write> status: array<atomic<u32>>;
 #ifdef GRADIENTS
@@ -445,7 +445,7 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream, radiance: ptr<function, Rad
         if update.groups >= GROUPS_FULL {
             by.mean += channels(up, 3u).y * view.rotation[2].xyz;
         }
-        record_density(gaussian_ix, splat_gradients[up.row].xy);
+        density[gaussian_ix] += vec2f(splat_gradients[up.row + 1u].z * update.half_width, 1.0);
     }
     by.mean += radiance_backward(gaussian_ix, up, to_mean, radiance);
     let labels = visibility_backward(gaussian_ix, up, to_mean);
@@ -464,11 +464,6 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream, radiance: ptr<function, Rad
     emit(model.opacity + gaussian_ix, by.opacity, FIELD_OPACITY);
     emit3(model.normal + 3u * gaussian_ix, by_normal, FIELD_NORMAL);
     return vec2f(flatness, labels);
-}
-
-// The signal of density control: length of the gradient by the projected mean, half image widths.
-fn record_density(gaussian_ix: u32, by_mean: vec2f) {
-    density[gaussian_ix] += vec2f(length(by_mean) * update.half_width, 1.0);
 }
 
 // Adds the workgroup's sums of aggregation, residual, flatness and label terms. Uniform control flow.

@@ -43,8 +43,9 @@ pub struct Gradients {
     pub prototypes: Vec<[f32; 3]>,
     /// By raw environment texel.
     pub env_raw: Vec<[f32; 3]>,
-    /// Length of the gradient by the projected mean in half image widths, per Gaussian (3DGS's density signal).
-    pub screen: Vec<f32>,
+    /// Sum over pixels of the length of each one's gradient by the projected mean, in half image widths, per Gaussian
+    /// (AbsGS's density signal).
+    pub pull: Vec<f32>,
     /// Gaussians that were on screen.
     pub visible: Vec<bool>,
 }
@@ -58,7 +59,7 @@ impl Gradients {
             rows: vec![0.0; g.len() * layout.row],
             prototypes: vec![[0.0; 3]; g.prototypes()],
             env_raw: vec![[0.0; 3]; texels],
-            screen: vec![0.0; g.len()],
+            pull: vec![0.0; g.len()],
             visible: vec![false; g.len()],
         }
     }

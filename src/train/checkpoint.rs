@@ -74,7 +74,7 @@ pub fn encode(course: &Course, learned: &Learned, config: &TrainConfig) -> Resul
         |name: &str, data| tensors.push((name.to_owned(), Tensor::new([<[f32]>::len(data)], data)));
     flat("first.globals", bytemuck::cast_slice(&learned.moments.globals[0]));
     flat("second.globals", bytemuck::cast_slice(&learned.moments.globals[1]));
-    flat("density.gradient", &learned.density.gradient);
+    flat("density.pull", &learned.density.pull);
     flat("density.seen", &learned.density.seen);
     flat("labels", &learned.labels);
     flat("gathered", bytemuck::cast_slice(&learned.gathered));
@@ -117,7 +117,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(Course, Learned), T
             second: moments("second")?,
             globals: [triples("first.globals")?, triples("second.globals")?],
         },
-        density: DensityStats { gradient: read("density.gradient", n)?, seen: read("density.seen", n)? },
+        density: DensityStats { pull: read("density.pull", n)?, seen: read("density.seen", n)? },
         labels: read("labels", header.labels)?,
         gathered: gathered.as_chunks::<6>().0.to_vec(),
         model,

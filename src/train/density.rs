@@ -1,15 +1,16 @@
 //! Density control: where Gaussians are added and dropped, up to a budget.
 //!
-//! Signal and thresholds follow 3DGS (mean screen-space gradient), the budget is filled best first. Every Gaussian that
-//! is chosen splits in two along its longest axis, so there is one rule, no random draw, and the picture hardly moves.
+//! The signal is that of AbsGS (what pulls at the projected mean, pixel by pixel), the budget is filled best first. Every
+//! Gaussian that is chosen splits in two along its longest axis, so there is one rule, no random draw, and the picture
+//! hardly moves.
 
 use crate::engine::Gradients;
 use crate::engine::cpu::{rotation, sigmoid};
 use crate::scene::{Field, Gaussians, Model};
 use crate::train::optimiser::Moments;
 
-/// Mean screen gradient (half image widths) above which a Gaussian is worth splitting.
-const SPLIT_GRADIENT: f32 = 1.5e-4;
+/// Mean pull (half image widths) above which a Gaussian is worth splitting.
+const SPLIT_PULL: f32 = 4e-4;
 /// Gaussians fainter than this are dropped.
 const LEAST_OPACITY: f32 = 0.008;
 /// Gaussians longer than this share of the scene radius are dropped.
@@ -22,8 +23,8 @@ const MOST_GROWTH: f32 = 0.25;
 /// Running statistics since the last round.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct DensityStats {
-    /// Sum of screen gradients.
-    pub gradient: Vec<f32>,
+    /// Sum of pulls ([`Gradients::pull`]).
+    pub pull: Vec<f32>,
     /// Steps in which the Gaussian was on screen.
     pub seen: Vec<f32>,
 }
@@ -31,14 +32,14 @@ pub struct DensityStats {
 impl DensityStats {
     /// Empty statistics for `n` Gaussians.
     pub fn zeroed(n: usize) -> Self {
-        Self { gradient: vec![0.0; n], seen: vec![0.0; n] }
+        Self { pull: vec![0.0; n], seen: vec![0.0; n] }
     }
 
     /// Takes a step's gradients in.
     pub fn record(&mut self, g: &Gradients) {
         for (i, visible) in g.visible.iter().enumerate() {
             if *visible {
-                self.gradient[i] += g.screen[i];
+                self.pull[i] += g.pull[i];
                 self.seen[i] += 1.0;
             }
         }
@@ -85,8 +86,8 @@ pub fn plan(of: Candidates<'_>, stats: &DensityStats, budget: usize, eyes: Optio
     let room = budget.saturating_sub(keep.len()).min((keep.len() as f32 * MOST_GROWTH) as usize + 8);
     let mut wanted: Vec<(f32, usize)> = keep
         .iter()
-        .map(|&i| (stats.gradient[i] / stats.seen[i].max(1.0), i))
-        .filter(|(gradient, _)| *gradient > SPLIT_GRADIENT)
+        .map(|&i| (stats.pull[i] / stats.seen[i].max(1.0), i))
+        .filter(|(pull, _)| *pull > SPLIT_PULL)
         .collect();
     wanted.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     wanted.truncate(room);

@@ -42,7 +42,7 @@ fn host_state(learned: &Learned) -> HostState<'_> {
         model,
         moments: [&moments.first, &moments.second],
         globals: [&moments.globals[0], &moments.globals[1]],
-        density: [&density.gradient, &density.seen],
+        density: [&density.pull, &density.seen],
         labels,
         gathered,
     }
@@ -162,13 +162,13 @@ impl Backend for OnGpu {
 
     fn refine(&mut self, budget: usize, eyes: Option<&[[f32; 3]]>) -> Result<(), TrainError> {
         let signals = self.training.signals(eyes.is_some())?;
-        let (gradient, seen) = signals.stats.iter().map(|s| (s[0], s[1])).unzip();
+        let (pull, seen) = signals.stats.iter().map(|s| (s[0], s[1])).unzip();
         let of = Candidates {
             means: signals.means.as_flattened(),
             log_scales: signals.log_scales.as_flattened(),
             opacity_logits: &signals.opacity_logits,
         };
-        let plan = density::plan(of, &DensityStats { gradient, seen }, budget, eyes);
+        let plan = density::plan(of, &DensityStats { pull, seen }, budget, eyes);
         let mut gather = GatherPlan::default();
         for (source, side) in plan.source.iter().zip(&plan.side) {
             let origin = match *side {
@@ -220,14 +220,14 @@ impl Backend for OnGpu {
             globals: [globals(&buffers.globals_first)?, globals(&buffers.globals_second)?],
         };
         let stats = gpu.read(&self.training.density, 0..self.gaussians())?;
-        let (gradient, seen) = stats.iter().map(|s| (s[0], s[1])).unzip();
+        let (pull, seen) = stats.iter().map(|s| (s[0], s[1])).unzip();
         let measured = &self.training.measured;
         let read = |buffer: &Option<Buffer<f32>>| match buffer {
             Some(buffer) => gpu.read(buffer, 0..buffer.len()),
             None => Ok(Vec::new()),
         };
         let gathered = read(&measured.gathered)?.as_chunks::<6>().0.to_vec();
-        let (density, labels) = (DensityStats { gradient, seen }, read(&measured.labels)?);
+        let (density, labels) = (DensityStats { pull, seen }, read(&measured.labels)?);
         Ok(Cow::Owned(Learned { model, moments, density, labels, gathered }))
     }
 

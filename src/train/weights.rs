@@ -96,18 +96,18 @@ pub struct LearningRates {
 impl Default for LearningRates {
     fn default() -> Self {
         Self {
-            mean: 3e-4,
-            mean_final: 6e-6,
-            scale: 5e-3,
-            rotation: 1e-3,
-            opacity: 0.03,
+            mean: 2e-3,
+            mean_final: 1e-5,
+            scale: 2e-2,
+            rotation: 1e-2,
+            opacity: 0.05,
             normal: 1e-3,
             material: 1e-2,
             scores: 2e-2,
             prototypes: 2e-3,
             residual: 2e-3,
             visibility: 2e-3,
-            radiance: 2.5e-3,
+            radiance: 1e-2,
             environment: 0.15,
         }
     }

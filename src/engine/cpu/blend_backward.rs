@@ -15,11 +15,14 @@ use crate::engine::cpu::lanes::{LANES, Lanes};
 use crate::engine::cpu::project::ALPHA_MAX;
 use crate::engine::cpu::tiles::TILE;
 
-/// Leading floats of a gradient row: projected mean (2), conic (3), opacity (1), then the channels.
-pub const ROW_HEADER: usize = 6;
+/// Leading floats of a gradient row: projected mean (2), conic (3), opacity (1), pull (1), then the channels.
+///
+/// The pull is the sum over pixels of the *length* of each one's gradient by the projected mean: where pixels pull a splat
+/// apart the gradient is nothing and the pull is not (AbsGS, Ye et al. 2024, takes absolute values by axis).
+pub const ROW_HEADER: usize = 7;
 
-/// Vectors kept per splat in front of the channels: alpha-gradient moments 1, dy, dy^2.
-const MOMENTS: usize = 3;
+/// Vectors kept per splat in front of the channels: alpha-gradient moments 1, dy, dy^2, and the pull.
+const MOMENTS: usize = 4;
 /// Channels that are worked on together.
 const BLOCK: usize = 4;
 
@@ -69,7 +72,7 @@ pub fn blend_tile_backward(
         }
         scratch.blend.find_entries(job.origin.0, job.origin.1 + row, job.early_stop);
         alpha_flow(job, scratch);
-        collect(job.origin.1 + row, width, scratch);
+        collect((job.origin.0, job.origin.1 + row), width, scratch);
     }
     for (local, target) in out.chunks_exact_mut(ROW_HEADER + channels).enumerate() {
         let sums = &scratch.sums[local * width..(local + 1) * width];
@@ -86,7 +89,8 @@ pub fn blend_tile_backward(
         let (one, x, xx, xy) = (one.sum(), x.sum(), xx.sum(), xy.sum());
         let (y, yy) = (sums[1].sum(), sums[2].sum());
         let [a, b, c] = splat.conic();
-        let header = [a * x + b * y, b * x + c * y, -0.5 * xx, -xy, -0.5 * yy, one / splat.opacity()];
+        let (mean, pull) = ([a * x + b * y, b * x + c * y], sums[3].sum());
+        let header = [mean[0], mean[1], -0.5 * xx, -xy, -0.5 * yy, one / splat.opacity(), pull];
         target[..ROW_HEADER].copy_from_slice(&header);
         for (t, s) in target[ROW_HEADER..].iter_mut().zip(&sums[MOMENTS..]) {
             *t = s.sum();
@@ -129,17 +133,24 @@ fn alpha_flow(job: &TileJob<'_>, scratch: &mut BackwardScratch) {
     }
 }
 
-/// Adds the strip to the per-splat sums.
+/// Adds the strip whose first pixel is (`x`, `y`) to the per-splat sums.
 #[inline(always)]
-fn collect(y: usize, width: usize, scratch: &mut BackwardScratch) {
+fn collect((x, y): (usize, usize), width: usize, scratch: &mut BackwardScratch) {
     let BackwardScratch { blend, sums, flow, weights, gradient } = scratch;
     for (e, flow) in blend.entries.iter().zip(flow.iter()) {
         let local = e.local as usize;
-        let dy = blend.splats[local].dy(y);
+        let splat = &blend.splats[local];
+        let (x0, dy, [a, b, c]) = (splat.dx(x), splat.dy(y), splat.conic());
+        let pull = Lanes::from_fn(|i| {
+            let dx = x0 + i as f32;
+            let (gx, gy) = (a * dx + b * dy, b * dx + c * dy);
+            (gx * gx + gy * gy).sqrt() * flow.0[i].abs()
+        });
         let Some(sums) = sums[local * width..].first_chunk_mut::<MOMENTS>() else { continue };
         sums[0].add_product(1.0, flow);
         sums[1].add_product(dy, flow);
         sums[2].add_product(dy * dy, flow);
+        sums[3].add_product(1.0, &pull);
     }
     for (block, g) in gradient.iter().enumerate() {
         for (e, weight) in blend.entries.iter().zip(weights.iter()) {

@@ -24,6 +24,8 @@ mod view;
 
 pub use attributes::{AttributeSource, softmax};
 pub use blend::TRANSMITTANCE_STOP;
+#[cfg(test)]
+pub use blend_backward::ROW_HEADER;
 pub use gather::{Transport, sky_irradiance};
 pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use labels::{BackwardLabel, backward_labels};

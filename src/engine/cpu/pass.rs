@@ -106,11 +106,11 @@ impl Pass {
             rank_of[splat.gaussian as usize] = rank as u32;
         }
         let half_width = 0.5 * self.view.width.max(self.view.height) as f32;
-        let per_gaussian = out.rows.par_chunks_mut(layout.row).zip(&mut out.screen).zip(&mut out.visible);
-        per_gaussian.zip(&rank_of).with_min_len(64).for_each(|(((row, screen), visible), rank)| {
+        let per_gaussian = out.rows.par_chunks_mut(layout.row).zip(&mut out.pull).zip(&mut out.visible);
+        per_gaussian.zip(&rank_of).with_min_len(64).for_each(|(((row, pull), visible), rank)| {
             let Some(splat) = self.splats.get(*rank as usize) else { return };
             let summed = &summed[*rank as usize * width..(*rank as usize + 1) * width];
-            let [mx, my, xx, xy, yy, opacity] = [0, 1, 2, 3, 4, 5].map(|k| summed[k]);
+            let [mx, my, xx, xy, yy, opacity, pull_px] = std::array::from_fn(|k| summed[k]);
             let gradient = SplatGradient { mean: [mx, my], conic: [xx, xy, yy], opacity };
             let geometry = source.geometry(splat.gaussian as usize);
             let mut by = project_backward(&self.view, &geometry, splat, &gradient);
@@ -123,14 +123,14 @@ impl Pass {
             add(Field::LogScale, &by.log_scale);
             add(Field::Quaternion, &quaternion);
             add(Field::OpacityLogit, &[by.opacity_logit]);
-            *screen = (mx * mx + my * my).sqrt() * half_width;
+            *pull = pull_px * half_width;
             *visible = true;
         });
         out.prototypes = self.prototypes_backward(source, &summed, width);
         out
     }
 
-    /// The splats' own gradients by rank, summed over their tiles: mean, conic, opacity, then `count` channels.
+    /// The splats' own gradients by rank, summed over their tiles: mean, conic, opacity, pull, then `count` channels.
     pub fn splat_gradients(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
         self.sum_instances(&self.blend_backward(by_gbuffer, stored, count), ROW_HEADER + count)
     }

@@ -71,7 +71,7 @@ pub struct DensitySignals {
     pub log_scales: Vec<[f32; 3]>,
     /// Opacity logits.
     pub opacity_logits: Vec<f32>,
-    /// Sum of screen gradients, steps on screen.
+    /// Sum of pulls, steps on screen.
     pub stats: Vec<[f32; 2]>,
 }
 

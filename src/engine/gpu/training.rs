@@ -136,7 +136,7 @@ pub struct Training {
     gpu: Gpu,
     /// Parameters and moments.
     pub model: ModelBuffers,
-    /// Sum of screen gradients and steps on screen, by Gaussian.
+    /// Sum of pulls and steps on screen, by Gaussian.
     pub density: Buffer<[f32; 2]>,
     /// What is measured, not learned.
     pub measured: Measured,

@@ -125,7 +125,7 @@ pub struct Sums<'a> {
     pub globals_gradient: &'a Buffer<f32>,
     /// 16 values, slots of `shaders/shared/losses.wgsl`.
     pub losses: &'a Buffer<f32>,
-    /// Per Gaussian: sum of screen gradients in half image widths, steps on screen.
+    /// Per Gaussian: sum of pulls in half image widths, steps on screen.
     pub density: &'a Buffer<[f32; 2]>,
     /// Word 0 becomes non-zero when a gradient is not finite: what it belongs to was then left alone, and the step
     /// must be rolled back.

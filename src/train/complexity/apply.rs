@@ -144,7 +144,7 @@ pub fn keep(learned: &mut Learned, indices: &[usize]) {
     learned.model.gaussians = learned.model.gaussians.gathered(indices);
     learned.moments.gather(&indices.iter().map(|i| Some(*i)).collect::<Vec<_>>());
     learned.density = DensityStats {
-        gradient: indices.iter().map(|i| learned.density.gradient[*i]).collect(),
+        pull: indices.iter().map(|i| learned.density.pull[*i]).collect(),
         seen: indices.iter().map(|i| learned.density.seen[*i]).collect(),
     };
     if width > 0 {

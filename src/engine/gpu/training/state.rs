@@ -14,7 +14,7 @@ pub struct HostState<'a> {
     pub moments: [&'a Gaussians; 2],
     /// First and second moments of prototypes, then environment.
     pub globals: [&'a [[f32; 3]]; 2],
-    /// Sum of screen gradients and steps on screen, by Gaussian.
+    /// Sum of pulls and steps on screen, by Gaussian.
     pub density: [&'a [f32]; 2],
     /// Probe labels; empty if nothing was measured.
     pub labels: &'a [f32],

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::engine::Gradients;
 use crate::engine::channel::{self, Channels};
-use crate::engine::cpu::{AttributeSource, Pass, View, backward_labels};
+use crate::engine::cpu::{AttributeSource, Pass, ROW_HEADER, View, backward_labels};
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{GpuOptions, model::LayoutUniform};
 use crate::scene::{Camera, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions, VisibilityForm};
@@ -144,11 +144,11 @@ impl Case {
         let (records, rows) = device_rows(&pass, shape.n, &summed, count, groups);
         let mut by_basis = [[0.0; 3]; 16];
         if count >= channel::INDIRECT.end {
-            for (splat, row) in pass.splats.iter().zip(summed.chunks_exact(6 + count)) {
+            for (splat, row) in pass.splats.iter().zip(summed.chunks_exact(ROW_HEADER + count)) {
                 let weights = model.gaussians.row(Field::Indirect, splat.gaussian as usize);
                 for (o, w) in by_basis.iter_mut().zip(weights) {
                     (0..3).for_each(|c| {
-                        o[c] += f64::from(*w) * f64::from(row[6 + channel::INDIRECT.start + c])
+                        o[c] += f64::from(*w) * f64::from(row[ROW_HEADER + channel::INDIRECT.start + c])
                     });
                 }
             }
@@ -168,7 +168,7 @@ fn device_rows(
     let garbage = SplatRecord { flags: 0, ..bytemuck::cast([u32::MAX; 16]) };
     let mut records = vec![garbage; n];
     let mut rows = vec![f32::NAN; n * (8 + 4 * groups)];
-    for (splat, from) in pass.splats.iter().zip(summed.chunks_exact(6 + count)) {
+    for (splat, from) in pass.splats.iter().zip(summed.chunks_exact(ROW_HEADER + count)) {
         let i = splat.gaussian as usize;
         records[i] = SplatRecord {
             mean: splat.mean,
@@ -185,8 +185,8 @@ fn device_rows(
         };
         let row = &mut rows[i * (8 + 4 * groups)..(i + 1) * (8 + 4 * groups)];
         row.fill(0.0);
-        row[..6].copy_from_slice(&from[..6]);
-        row[8..8 + count].copy_from_slice(&from[6..]);
+        row[..ROW_HEADER].copy_from_slice(&from[..ROW_HEADER]);
+        row[8..8 + count].copy_from_slice(&from[ROW_HEADER..]);
     }
     (records, rows)
 }

@@ -20,7 +20,7 @@ fn planes(rows: &[Vec<f32>]) -> Vec<[f32; 4]> {
     (0..groups).flat_map(|g| rows.iter().map(move |r| std::array::from_fn(|c| r[4 * g + c]))).collect()
 }
 
-/// The device's splat gradients as rows of 6 + stored by Gaussian.
+/// The device's splat gradients as rows of 7 + stored by Gaussian.
 fn device_rows(raster: &mut Raster, by: &[Vec<f32>], n: usize) -> Vec<Vec<f32>> {
     let gpu = raster.gpu.clone();
     let stored = by[0].len();
@@ -31,8 +31,8 @@ fn device_rows(raster: &mut Raster, by: &[Vec<f32>], n: usize) -> Vec<Vec<f32>> 
     let width = GRADIENT_HEADER + stored;
     let flat = gpu.read(raster.splat_gradients.as_ref().unwrap(), 0..n * width).unwrap();
     let row = |r: &[f32]| {
-        assert_eq!(r[6..8], [0.0; 2], "the unused entries stay zero");
-        [&r[..6], &r[8..]].concat()
+        assert_eq!(r[7], 0.0, "the unused entry stays zero");
+        [&r[..7], &r[8..]].concat()
     };
     flat.chunks_exact(width).map(row).collect()
 }
@@ -125,11 +125,12 @@ fn gradients_match_the_cpu() {
     let scale = by_channel.iter().fold(0.0f32, |m, v| m.max(v.abs()));
     for (splat, expected) in pass.splats.iter().zip(by_channel.chunks_exact(count)) {
         let i = splat.gaussian as usize;
-        for (g, e) in got[i][6..].iter().zip(expected) {
+        for (g, e) in got[i][7..].iter().zip(expected) {
             assert!((g - e).abs() < 1e-5 * scale, "Gaussian {i}: {g} {e}");
         }
-        let length = got[i][0].hypot(got[i][1]) * 0.5 * 64.0;
-        assert!((length - rows.screen[i]).abs() < 1e-4 * rows.screen[i].max(1.0), "Gaussian {i}");
+        let pull = got[i][6] * 0.5 * 64.0;
+        assert!((pull - rows.pull[i]).abs() < 1e-4 * rows.pull[i].max(1.0), "Gaussian {i}");
+        assert!(got[i][0].hypot(got[i][1]) <= got[i][6] * 1.0001, "a sum is no longer than its parts");
         let sigma = crate::engine::cpu::sigmoid(scene.gaussians.row(Field::OpacityLogit, i)[0]);
         let opacity = got[i][5] * splat.compensation * sigma * (1.0 - sigma);
         let expected = rows.get(Field::OpacityLogit, i)[0];

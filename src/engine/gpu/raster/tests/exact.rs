@@ -96,7 +96,7 @@ pub fn blend(view: &View, splats: &[ExactSplat], attributes: &[f32], stored: usi
         .collect()
 }
 
-/// Rows of 6 + `stored` by Gaussian: mean, conic, opacity, channels. `by` is `[pixel][stored]`.
+/// Rows of 7 + `stored` by Gaussian: mean, conic, opacity, pull, channels. `by` is `[pixel][stored]`.
 pub fn backward(
     view: &View,
     splats: &[ExactSplat],
@@ -105,7 +105,7 @@ pub fn backward(
     n: usize,
 ) -> Vec<Vec<f64>> {
     let stored = by[0].len();
-    let mut out = vec![vec![0.0f64; 6 + stored]; n];
+    let mut out = vec![vec![0.0f64; 7 + stored]; n];
     for (pixel, by) in by.iter().enumerate() {
         let mut behind = 0.0;
         for e in entries(splats, pixel % view.width, pixel / view.width).iter().rev() {
@@ -114,19 +114,21 @@ pub fn backward(
             let target = &mut out[splat.gaussian];
             let weight = e.transmittance * e.alpha;
             let s: f64 = row.iter().zip(by).map(|(a, g)| f64::from(*a) * f64::from(*g)).sum();
-            target[6..].iter_mut().zip(by).for_each(|(t, g)| *t += weight * f64::from(*g));
+            target[7..].iter_mut().zip(by).for_each(|(t, g)| *t += weight * f64::from(*g));
             let by_alpha = e.transmittance * s - behind / (1.0 - e.alpha);
             behind += weight * s;
             if e.free < 0.99 {
                 let flow = by_alpha * e.alpha;
                 let ([dx, dy], [a, b, c]) = (e.offset, splat.conic);
+                let by_mean = [flow * (a * dx + b * dy), flow * (b * dx + c * dy)];
                 let header = [
-                    flow * (a * dx + b * dy),
-                    flow * (b * dx + c * dy),
+                    by_mean[0],
+                    by_mean[1],
                     -0.5 * flow * dx * dx,
                     -flow * dx * dy,
                     -0.5 * flow * dy * dy,
                     flow / splat.opacity,
+                    by_mean[0].hypot(by_mean[1]),
                 ];
                 target.iter_mut().zip(header).for_each(|(t, h)| *t += h);
             }
