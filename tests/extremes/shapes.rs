@@ -24,13 +24,19 @@ fn scales_from_a_millionth_to_a_million_of_the_scene() {
 #[test]
 fn scales_whose_square_is_no_number_are_not_drawn_or_points() {
     let mut suite = Suite::default();
-    for (log, drawn) in
+    // A point is as wide as the low-pass; compensation leaves it the weight that it has, none.
+    for (log, is_point) in
         [(f32::NEG_INFINITY, true), (-1e30, true), (-60.0, true), (60.0, false), (f32::INFINITY, false)]
     {
-        let mut model = model(4, 5);
-        model.gaussians.row_mut(Field::LogScale, 1).fill(log);
-        let answer = suite.alike(&format!("log scale {log}"), &model, &in_front((16, 12)), 1e-4);
-        assert_eq!(answer.splats.iter().any(|s| s.gaussian == 1), drawn, "{log}");
+        for compensation in [false, true] {
+            let mut model = model(4, 5);
+            model.shading.low_pass_compensation = compensation;
+            model.gaussians.row_mut(Field::LogScale, 1).fill(log);
+            let name = format!("log scale {log} {compensation}");
+            let answer = suite.alike(&name, &model, &in_front((16, 12)), 1e-4);
+            let drawn = answer.splats.iter().any(|s| s.gaussian == 1);
+            assert_eq!(drawn, is_point && !compensation, "{name}");
+        }
     }
     suite.finish();
 }
