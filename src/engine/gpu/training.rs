@@ -4,11 +4,11 @@
 //! ends with a read of sixteen sums. Nothing else crosses the bus.
 
 use crate::engine::channel::Channels;
-use crate::engine::cpu::{ProbeSettings, View, fibonacci_sphere};
+use crate::engine::cpu::{ProbeSettings, fibonacci_sphere};
 use crate::engine::gpu::density::{self, DensitySignals, GatherPlan};
 use crate::engine::gpu::gather::{GatherSource, gather};
 use crate::engine::gpu::light::{Constants, LightWeights, TrainingLight};
-use crate::engine::gpu::losses::{ImageTerm, LOSS_SLOTS, LossSlot, SurfaceWeights, surface_terms};
+use crate::engine::gpu::losses::{ImageTerm, LOSS_SLOTS, LossSlot, surface_terms};
 use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::probes::Probes;
 use crate::engine::gpu::raster::groups;
@@ -17,75 +17,16 @@ use crate::engine::gpu::shading::{
     Images, ShadeGradients, ShadeJob, ShadingUniform, radiance_image, radiance_image_backward, shade,
     shade_backward,
 };
-use crate::engine::gpu::update::{
-    Ages, ParameterTerms, Rates, STATUS_WORDS, StepInput, Sums, Updater, Upstream,
-};
+use crate::engine::gpu::update::{STATUS_WORDS, StepInput, Sums, Updater, Upstream};
 use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, Recorder, ViewUniform};
 use crate::light::EnvOperators;
 use crate::scene::{IndirectForm, ShadingOptions};
 
 mod state;
+mod step;
 
 pub use state::HostState;
-
-/// Slot of the sums that carries the status of the update instead.
-const STATUS_SLOT: usize = LOSS_SLOTS - 1;
-
-/// Weights of one branch's image term (Eq. 30).
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct ImageWeights {
-    /// Mean absolute error.
-    pub l1: f32,
-    /// `1 - SSIM`.
-    pub ssim: f32,
-}
-
-/// Weights of all terms of the objective (docs/MODEL.md section 5); 0 is off.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct StepWeights {
-    /// Image term of the physically based branch.
-    pub physical: ImageWeights,
-    /// Image term of the radiance branch.
-    pub radiance: ImageWeights,
-    /// Terms on the G-buffer.
-    pub surface: SurfaceWeights,
-    /// Terms on the light.
-    pub light: LightWeights,
-    /// Terms on the parameters.
-    pub parameters: ParameterTerms,
-}
-
-/// One optimisation step.
-#[derive(Debug, Clone, Copy)]
-pub struct Step<'a> {
-    /// The camera.
-    pub view: View,
-    /// The photograph, row-major: rgb over the background, mask.
-    pub photo: &'a Buffer<[f32; 4]>,
-    /// What the photograph was composited over, display-referred.
-    pub background: [f32; 3],
-    /// Channels of the pass: `Full` for the physically based branch, fewer for the radiance branch alone.
-    pub channels: Channels,
-    /// Channels the way back carries.
-    pub differentiated: Channels,
-    /// The objective.
-    pub weights: StepWeights,
-    /// Adam's step sizes.
-    pub rates: Rates,
-    /// Adam's ages.
-    pub ages: Ages,
-}
-
-/// What a step came to.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StepSums {
-    /// The objective.
-    pub loss: f32,
-    /// Mean squared error of the leading branch.
-    pub mse: f32,
-    /// False when a gradient or the objective was not finite: the state must not be built on.
-    pub finite: bool,
-}
+pub use step::{ImageWeights, Step, StepSums, StepWeights};
 
 /// What is measured, not learned.
 #[derive(Debug, Clone, Default)]
@@ -242,11 +183,11 @@ impl Training {
         self.raster.blend_backward(&mut recorder, &by_gbuffer, groups)?;
         self.update(&mut recorder, step, &view, groups, is_full)?;
         // The status rides in the last slot, which no term has: one read is one round trip less.
-        recorder.copy(&self.status.cast(), 0, &self.losses, STATUS_SLOT, 1);
+        recorder.copy(&self.status.cast(), 0, &self.losses, step::STATUS_SLOT, 1);
         recorder.submit()?;
         let sums = gpu.read(&self.losses, 0..LOSS_SLOTS)?;
-        let poisoned = sums[STATUS_SLOT].to_bits() != 0;
-        let loss = objective(&sums, &step.weights);
+        let poisoned = sums[step::STATUS_SLOT].to_bits() != 0;
+        let loss = step::objective(&sums, &step.weights);
         let leading = if is_full { LossSlot::PhysicalSquared } else { LossSlot::RadianceSquared };
         Ok(StepSums { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned })
     }
@@ -502,13 +443,4 @@ impl Training {
         recorder.submit()?;
         Ok(Kept { model, density, measured })
     }
-}
-
-/// The objective from its sums: the image slots hold means without weight, the others carry theirs.
-fn objective(sums: &[f32], weights: &StepWeights) -> f32 {
-    let at = |slot: LossSlot| sums[slot as usize];
-    let image = |w: &ImageWeights, l1: LossSlot, ssim: LossSlot| w.l1 * at(l1) + w.ssim * (1.0 - at(ssim));
-    let rest: f32 = sums[LossSlot::Coverage as usize..STATUS_SLOT].iter().sum();
-    rest + image(&weights.physical, LossSlot::PhysicalL1, LossSlot::PhysicalSsim)
-        + image(&weights.radiance, LossSlot::RadianceL1, LossSlot::RadianceSsim)
 }
