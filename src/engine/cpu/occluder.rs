@@ -42,7 +42,7 @@ impl ProbeSettings {
 
 impl Default for ProbeSettings {
     fn default() -> Self {
-        Self { offset: 1.0, lift: 0.0, clearance: 2.0, bias: 0.02, reach: f32::INFINITY }
+        Self { offset: 1.0, lift: 0.0, clearance: 2.0, bias: 0.03, reach: f32::INFINITY }
     }
 }
 
