@@ -9,7 +9,7 @@ use crate::train::{LearningRates, LossWeights};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// A look at the result within a minute or two.
+    /// A look at the result within a few minutes.
     Draft,
     /// The default.
     #[default]
