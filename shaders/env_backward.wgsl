@@ -12,7 +12,7 @@ const WG_SIZE = 128u;
 @group(0) @binding(2) var<storage, read> globals: array<f32>;
 @group(0) @binding(3) var<storage, read> radiance: array<f32>;
 @group(0) @binding(4) var<storage, read> upward: array<f32>;
-@group(0) @binding(5) var<storage, read> exposure_slope: array<f32>;
+@group(0) @binding(5) var<storage, read> light_slope: array<f32>;
 @group(0) @binding(6) var<storage, read> tables_gradient: array<f32>;
 // Transposed rows, two a texel: `(diffuse node, weight)`, then `(specular node of all levels, weight)`.
 @group(0) @binding(7) var<storage, read> first_entry: array<u32>;
@@ -62,7 +62,8 @@ fn main(
         let deviation = sign(light - vec3f((light.r + light.g + light.b) / 3.0));
         let shared_sign = (deviation.r + deviation.g + deviation.b) / 3.0;
         let by_neutrality = environment.neutrality * (deviation - shared_sign);
-        let by_light = sh_sums[0] + by_neutrality + exposure_slope[0] * upward[texel_ix];
+        let by_above = vec3f(light_slope[0], light_slope[1], light_slope[2]);
+        let by_light = sh_sums[0] + by_neutrality + by_above * upward[texel_ix];
         let first = environment.first_texel + 3u * texel_ix;
         for (var c = 0u; c < 3u; c++) {
             globals_gradient[first + c] = by_light[c] / (1.0 + exp(-globals[first + c]));

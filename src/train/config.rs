@@ -62,6 +62,9 @@ pub enum Setting {
     Gaussians,
 }
 
+/// Share of the steps that train materials in which the light's colour is held at daylight: to the second round of albedo.
+const DAYLIT: f32 = 0.3;
+
 /// A complete, resolved configuration; its JSON is part of the model card and of every checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -339,6 +342,13 @@ impl TrainConfig {
         Ok(self)
     }
 
+    /// Weight of the daylight term after `progress`, a share of all steps: nothing once [`DAYLIT`] of those that train
+    /// materials are done.
+    pub fn daylight_weight(&self, progress: f32) -> f32 {
+        let until = self.warm_up + DAYLIT * (1.0 - self.warm_up);
+        if progress < until { self.weights.daylight } else { 0.0 }
+    }
+
     /// Steps of the radiance warm-up.
     pub fn warm_up_steps(&self) -> u32 {
         (self.warm_up * self.iterations as f32) as u32
@@ -387,6 +397,18 @@ mod tests {
         assert!(refused(TrainOverrides { rates: Some(rates), ..Default::default() }).contains("rates.mean"));
         let unknown = serde_json::from_str::<TrainOverrides>(r#"{"iterration": 5}"#).unwrap_err();
         assert!(unknown.to_string().contains("iterration"));
+    }
+
+    #[test]
+    fn daylight_holds_until_the_second_round() {
+        let config = TrainConfig::preset(Preset::Draft);
+        let first = config.warm_up_steps();
+        let is_round = |step: &u32| config.is_albedo_round(*step);
+        let second = (first..config.iterations).filter(is_round).nth(1).unwrap();
+        let weight = |step: u32| config.daylight_weight(step as f32 / config.iterations as f32);
+        assert_eq!(weight(first), config.weights.daylight);
+        assert_eq!(weight(second - 2), config.weights.daylight);
+        assert_eq!(weight(second + 2), 0.0);
     }
 
     #[test]

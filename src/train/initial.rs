@@ -4,6 +4,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
+use crate::light::DAYLIGHT;
 use crate::scene::{Field, Gaussians, Model, softplus_inverse};
 use crate::train::dataset::{Dataset, Photo};
 use crate::train::{TrainConfig, materials};
@@ -14,6 +15,8 @@ const HULL_SIDE: usize = 80;
 const SURROUNDINGS: f32 = 0.5;
 /// Nearest and farthest first Gaussian along a ray, in distances from the camera to the subject.
 const RAY_DEPTHS: [f64; 2] = [0.4, 4.0];
+/// Mean radiance of the first light, the same from everywhere.
+const FIRST_LIGHT: f32 = 0.6;
 /// Opacity of a new Gaussian.
 const OPACITY: f32 = 0.3;
 
@@ -49,7 +52,7 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
     Model {
         gaussians,
         prototypes: vec![[0.5; 3]; config.prototypes as usize],
-        env_raw: vec![[softplus_inverse(0.6); 3]; rows * rows * 2],
+        env_raw: vec![DAYLIGHT.map(|c| softplus_inverse(FIRST_LIGHT * c)); rows * rows * 2],
         env_width: rows * 2,
         env_height: rows,
         shading,

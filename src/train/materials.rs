@@ -1,7 +1,7 @@
 //! Where albedo starts from: the colours that the radiance branch found, with as much light taken out as is known.
 
 use crate::engine::cpu::{self, linear_from_srgb, sigmoid, sky_irradiance};
-use crate::light::EnvOperators;
+use crate::light::{DAYLIGHT, EnvOperators};
 use crate::scene::{Field, Gaussians};
 use crate::train::state::Learned;
 use crate::train::step;
@@ -32,12 +32,16 @@ fn colour(g: &Gaussians, i: usize) -> [f32; 3] {
     std::array::from_fn(|c| linear_from_srgb((0.5 + 0.282_094_8 * s[c]).clamp(0.0, 1.0)))
 }
 
-/// The very first materials: albedo from the Gaussians' view-independent colours as they are.
+/// The very first materials: albedo from the Gaussians' view-independent colours, under daylight.
 ///
-/// Under a light of irradiance pi (see the exposure term) a diffuse surface's colour is its albedo.
+/// Under a light of irradiance pi (see the exposure term) a diffuse surface's colour is its albedo times the light's.
 pub fn initialise(learned: &mut Learned) {
-    let albedos: Vec<[f32; 3]> =
-        (0..learned.model.gaussians.len()).map(|i| colour(&learned.model.gaussians, i)).collect();
+    let g = &learned.model.gaussians;
+    let albedo = |i: usize| {
+        let colour = colour(g, i);
+        std::array::from_fn(|c| colour[c] / DAYLIGHT[c])
+    };
+    let albedos: Vec<[f32; 3]> = (0..g.len()).map(albedo).collect();
     restart(learned, &albedos, FIRST_SHARPNESS);
 }
 

@@ -108,7 +108,11 @@ impl OnGpu {
                 depth_normal: if channels == Channels::Colour { 0.0 } else { w.depth_normal },
                 smoothness: w.smooth().map(if_material),
             },
-            light: LightWeights { neutrality: if_material(w.light), exposure: if_material(w.exposure) },
+            light: LightWeights {
+                neutrality: if_material(w.light),
+                exposure: if_material(w.exposure),
+                daylight: if_material(config.daylight_weight(task.context.progress)),
+            },
             parameters: ParameterTerms {
                 aggregation: if_material(w.aggregation),
                 residual: if_material(w.residual),

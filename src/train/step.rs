@@ -127,10 +127,12 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let (neutral, by_neutral) = terms::light_neutrality(&radiance, w.light);
     let texels = texel_directions(state.model.env_width, state.model.env_height);
     let (level, by_level) = terms::exposure(&radiance, &texels, w.exposure);
-    loss += neutral + level;
+    let daylight = context.config.daylight_weight(context.progress);
+    let (colour, by_colour) = terms::daylight(&radiance, &texels, daylight);
+    loss += neutral + level + colour;
     let mut by_radiance = context.operators.apply_transposed(&by_tables);
-    for ((g, a), b) in by_radiance.iter_mut().zip(&by_neutral).zip(&by_level) {
-        (0..3).for_each(|c| g[c] += a[c] + b[c]);
+    for by_term in [by_neutral, by_level, by_colour] {
+        by_radiance.iter_mut().zip(&by_term).for_each(|(g, term)| (0..3).for_each(|c| g[c] += term[c]));
     }
     gradients.env_raw = by_radiance
         .iter()

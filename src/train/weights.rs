@@ -24,6 +24,8 @@ pub struct LossWeights {
     pub light: f32,
     /// White stays white: the light's level (docs/MODEL.md section 5).
     pub exposure: f32,
+    /// The light's colour starts as daylight's and is held there for the first three tenths of the material steps.
+    pub daylight: f32,
     /// Aggregation (Eq. 24).
     pub aggregation: f32,
     /// Residual (Eq. 25).
@@ -53,6 +55,7 @@ impl Default for LossWeights {
             smooth_roughness: 0.015,
             light: 0.0,
             exposure: 0.01,
+            daylight: 0.01,
             aggregation: 0.001,
             residual: 0.01,
             visibility: 0.1,

@@ -11,7 +11,7 @@ use relume::train::objective::{geometry, image, material};
 use super::parity::{BACKGROUND, GAUSSIANS, Noise, SIZE, as_arrays, camera, distance, model, wide};
 
 /// Every term with a weight of its own, so that none can stand in for another.
-const WEIGHTS: [(&str, f64); 15] = [
+const WEIGHTS: [(&str, f64); 16] = [
     ("img_mae", 1.0),
     ("img_dssim", 0.25),
     ("radiance_mae", 0.5),
@@ -26,6 +26,7 @@ const WEIGHTS: [(&str, f64); 15] = [
     ("res", 0.35),
     ("occ", 0.4),
     ("exposure", 0.05),
+    ("daylight", 0.07),
     ("flatness", 0.8),
 ];
 const PROBES: f64 = 0.6;
@@ -129,7 +130,8 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
     let (neutrality, by_neutrality) = material::light_neutrality(&radiance, weight("light"));
     let texels = texel_directions(32, 16);
     let (exposure, by_exposure) = material::exposure(&radiance, &texels, weight("exposure"));
-    total += neutrality + exposure;
+    let (daylight, by_daylight) = material::daylight(&radiance, &texels, weight("daylight"));
+    total += neutrality + exposure + daylight;
     total += material::backward_labels(
         &model.gaussians,
         &pass,
@@ -146,7 +148,8 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
     let by_raw: Vec<[f32; 3]> = (0..radiance.len())
         .map(|t| {
             let slope = model.env_raw[t].map(|raw| 1.0 / (1.0 + (-raw).exp()));
-            std::array::from_fn(|c| (by_radiance[t][c] + by_neutrality[t][c] + by_exposure[t][c]) * slope[c])
+            let terms = [by_radiance[t], by_neutrality[t], by_exposure[t], by_daylight[t]];
+            std::array::from_fn(|c| terms.iter().map(|term| term[c]).sum::<f32>() * slope[c])
         })
         .collect();
     (total.into(), as_arrays(model, &found, &by_raw))

@@ -5,7 +5,7 @@ use bytemuck::{Pod, Zeroable};
 use crate::engine::cpu::fibonacci_sphere;
 use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, shaders, uniform};
-use crate::light::{BrdfLut, CubeGrid, EnvOperators, LightTables, LobeAttenuation, sh_eval};
+use crate::light::{BrdfLut, CubeGrid, DAYLIGHT, EnvOperators, LightTables, LobeAttenuation, sh_eval};
 use crate::scene::{sh_count, texel_directions};
 
 /// Directions the low-frequency environment is read in (article Eq. 20).
@@ -119,6 +119,8 @@ struct EnvironmentUniform {
     first_texel: u32,
     neutrality: f32,
     exposure: f32,
+    daylight: f32,
+    blue_over_red: f32,
 }
 
 /// Weights of the terms on the light (docs/MODEL.md section 5).
@@ -128,6 +130,8 @@ pub struct LightWeights {
     pub neutrality: f32,
     /// Exposure.
     pub exposure: f32,
+    /// Daylight.
+    pub daylight: f32,
 }
 
 /// The environment operators of a training, with the light they were last applied to and the gradient of its tables.
@@ -140,7 +144,7 @@ pub struct TrainingLight {
     /// Gradient of the indirect basis; likewise.
     pub basis_gradient: Buffer<f32>,
     radiance: Buffer<f32>,
-    exposure_slope: Buffer<f32>,
+    light_slope: Buffer<f32>,
     rows: [Buffer<u32>; 2],
     entries: [Buffer<[u32; 2]>; 2],
     harmonics: Buffer<f32>,
@@ -167,7 +171,7 @@ impl TrainingLight {
             tables_gradient: gpu.buffer("gradient of the light tables", light.values.len())?,
             basis_gradient: gpu.buffer("gradient of the indirect basis", 48)?,
             radiance: gpu.buffer("radiance", 3 * width * height)?,
-            exposure_slope: gpu.buffer("exposure slope", 1)?,
+            light_slope: gpu.buffer("slope by the light from above", 3)?,
             rows: [
                 gpu.upload("operator rows", &forward.start)?,
                 gpu.upload("transposed rows", &backward.start)?,
@@ -190,6 +194,8 @@ impl TrainingLight {
             first_texel: 3 * model.n_prototypes as u32,
             neutrality: weights.neutrality / (3 * self.n_texels).max(1) as f32,
             exposure: weights.exposure,
+            daylight: weights.daylight,
+            blue_over_red: (DAYLIGHT[2] / DAYLIGHT[0]).ln(),
         }
     }
 
@@ -211,7 +217,7 @@ impl TrainingLight {
             globals,
             upward,
             (&self.radiance).into(),
-            (&self.exposure_slope).into(),
+            (&self.light_slope).into(),
             losses.into(),
         ];
         recorder.dispatch(&shaders::ENV_RADIANCE, Groups::Workgroups(1), &bindings);
@@ -261,7 +267,7 @@ impl TrainingLight {
             (&model.globals).into(),
             (&self.radiance).into(),
             (&self.upward).into(),
-            (&self.exposure_slope).into(),
+            (&self.light_slope).into(),
             (&self.tables_gradient).into(),
             (&self.rows[1]).into(),
             (&self.entries[1]).into(),
@@ -297,7 +303,7 @@ mod tests {
     use crate::light::TableResolution;
     use crate::scene::{Gaussians, Model, ShadingOptions, softplus};
 
-    const WEIGHTS: LightWeights = LightWeights { neutrality: 0.3, exposure: 0.7 };
+    const WEIGHTS: LightWeights = LightWeights { neutrality: 0.3, exposure: 0.7, daylight: 0.4 };
 
     fn model() -> Model {
         let env_raw: Vec<[f32; 3]> =
@@ -350,15 +356,19 @@ mod tests {
             .iter()
             .map(|(d, w)| d.z.max(0.0) * w / (3.0 * std::f64::consts::PI))
             .collect();
-        let (mut neutral, mut up) = (0.0, 0.0);
+        let (mut neutral, mut above) = (0.0, [0.0; 3]);
         for (l, share) in radiance.iter().zip(upward) {
             let l = l.map(f64::from);
             let grey = (l[0] + l[1] + l[2]) / 3.0;
             neutral += l.iter().map(|v| (v - grey).abs()).sum::<f64>();
-            up += share * 3.0 * grey;
+            (0..3).for_each(|c| above[c] += share * l[c]);
         }
         let n = 3.0 * radiance.len() as f64;
-        (f64::from(WEIGHTS.neutrality) * neutral / n, f64::from(WEIGHTS.exposure) * up.ln().powi(2))
+        let level = above.iter().sum::<f64>().ln();
+        let colour = (above[2] / above[0]).ln() - f64::from(DAYLIGHT[2] / DAYLIGHT[0]).ln();
+        let by_above =
+            f64::from(WEIGHTS.exposure) * level.powi(2) + f64::from(WEIGHTS.daylight) * colour.powi(2);
+        (f64::from(WEIGHTS.neutrality) * neutral / n, by_above)
     }
 
     #[test]
@@ -370,7 +380,7 @@ mod tests {
         assert_layout!(TablesUniform as "Tables" in shaders::ENV_TABLES; diffuse_n, coefficients, n_coefficients,
             n_specular, specular_n, specular_first);
         assert_layout!(EnvironmentUniform as "Environment" in shaders::ENV_BACKWARD; n_texels, first_texel, neutrality,
-            exposure);
+            exposure, daylight, blue_over_red);
         let light = &run.light.light;
         let values = gpu.read(&light.values, 0..light.values.len()).unwrap();
         assert!(worst(&values, &flat(&expected)) < 2e-6);

@@ -37,7 +37,7 @@ pub enum LossSlot {
     Smoothness = 8,
     /// Neutrality of the light (Eq. 31).
     Neutrality = 9,
-    /// Exposure.
+    /// Exposure and daylight.
     Exposure = 10,
     /// Aggregation of prototypes (Eq. 24).
     Aggregation = 11,

@@ -59,6 +59,15 @@ pub fn exposure<'t>(environment: Var<'t>, texels: &[(DVec3, f64)]) -> Var<'t> {
     log * log
 }
 
+/// `(ln(Y_blue / Y_red) - ln(D_blue / D_red))^2` of the same surface's irradiance Y, with `daylight` D.
+pub fn daylight<'t>(environment: Var<'t>, texels: &[(DVec3, f64)], daylight: [f32; 3]) -> Var<'t> {
+    let shares = texels.iter().map(|(d, w)| d.z.max(0.0) * w / PI).collect();
+    let shares = environment.tape.input(Array::new(&[texels.len(), 1], shares));
+    let up = |c: usize| (environment.slice(1, c..c + 1) * shares).sum().at_least(1e-6).ln();
+    let off = up(2) - up(0) - f64::from(daylight[2] / daylight[0]).ln();
+    off * off
+}
+
 /// Mean of each Gaussian's smallest standard deviation, from log-scales (N, 3).
 pub fn flatness(log_scales: Var<'_>) -> Var<'_> {
     let smallest: Vec<usize> = log_scales.value().smallest_columns();

@@ -9,6 +9,7 @@ use super::losses;
 use super::projection::rays;
 use super::tape::{Tape, Var};
 use super::{Conventions, Options, Pass};
+use crate::light::DAYLIGHT;
 use crate::scene::{Camera, Field, VisibilityForm, texel_directions};
 
 /// What a view is compared with.
@@ -61,7 +62,9 @@ pub fn objective<'t>(
     terms.insert("light", losses::light_neutrality(p.environment()));
     if options.conventions == Conventions::Model {
         let [rows, columns] = p.environment_size();
-        terms.insert("exposure", losses::exposure(p.environment(), &texel_directions(columns, rows)));
+        let texels = texel_directions(columns, rows);
+        terms.insert("exposure", losses::exposure(p.environment(), &texels));
+        terms.insert("daylight", losses::daylight(p.environment(), &texels, DAYLIGHT));
     }
     terms.insert("flatness", losses::flatness(p.get(Field::LogScale)));
     terms.insert("agg", losses::aggregation(p.assignment()));

@@ -1,10 +1,10 @@
-//! Terms on the parameters themselves: aggregation, residual, light neutrality, visibility labels.
+//! Terms on the parameters themselves: aggregation, residual, the light, visibility labels.
 
 use rayon::prelude::*;
 
 use crate::engine::Gradients;
 use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass, softmax};
-use crate::light::sh_eval;
+use crate::light::{DAYLIGHT, sh_eval};
 use crate::scene::{Field, Gaussians, VisibilityForm};
 use crate::train::objective::sign;
 
@@ -177,11 +177,25 @@ pub fn flatness(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
 /// `weight ln(Y / pi)^2` with Y the irradiance of a white surface facing up: a well-exposed photograph shows such a
 /// surface as white. It fixes the scale that light and albedo could trade. `(value, gradient by radiance)`.
 pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
-    let share = |(d, w): &(glam::DVec3, f64)| (d.z.max(0.0) * w / (3.0 * std::f64::consts::PI)) as f32;
-    let up: f32 = radiance.iter().zip(texels).map(|(l, t)| share(t) * (l[0] + l[1] + l[2])).sum();
+    let up: f32 = radiance.iter().zip(texels).map(|(l, t)| upward(t) * (l[0] + l[1] + l[2]) / 3.0).sum();
     let log = up.max(1e-6).ln();
-    let slope = 2.0 * weight * log / up.max(1e-6);
-    (weight * log * log, texels.iter().map(|t| [slope * share(t); 3]).collect())
+    let slope = 2.0 * weight * log / (3.0 * up.max(1e-6));
+    (weight * log * log, texels.iter().map(|t| [slope * upward(t); 3]).collect())
+}
+
+/// `weight (ln(Y_blue / Y_red) - ln(D_blue / D_red))^2` with Y the irradiance of a surface facing up and D
+/// [`DAYLIGHT`]: the colour that light and albedo could trade. `(value, gradient by radiance)`.
+pub fn daylight(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
+    let up = |c: usize| radiance.iter().zip(texels).map(|(l, t)| upward(t) * l[c]).sum::<f32>().max(1e-6);
+    let (red, blue) = (up(0), up(2));
+    let off = (blue / red).ln() - (DAYLIGHT[2] / DAYLIGHT[0]).ln();
+    let slope = [-2.0 * weight * off / red, 0.0, 2.0 * weight * off / blue];
+    (weight * off * off, texels.iter().map(|t| slope.map(|s| s * upward(t))).collect())
+}
+
+/// What a texel of unit radiance adds to the irradiance of a surface facing up, divided by pi.
+fn upward((direction, solid_angle): &(glam::DVec3, f64)) -> f32 {
+    (direction.z.max(0.0) * solid_angle / std::f64::consts::PI) as f32
 }
 
 fn sum(values: &[f32]) -> f32 {
@@ -214,6 +228,27 @@ mod tests {
             let numeric = (f(&hi) - f(&lo)) / 2e-2;
             assert!((numeric - gradient[i]).abs() < 2e-4, "{i} {numeric} {}", gradient[i]);
         }
+    }
+
+    #[test]
+    fn daylight_is_held_to_its_colour_and_to_nothing_else() {
+        let texels = crate::scene::texel_directions(8, 4);
+        let value = |light: [f32; 3]| daylight(&[light; 32], &texels, 1.0).0;
+        assert!(value(DAYLIGHT) < 1e-12);
+        assert!(value(DAYLIGHT.map(|c| 3.0 * c)) < 1e-12, "its level is the exposure term's");
+        assert!((value([1.0; 3]) - (1.26f32 / 0.8).ln().powi(2)).abs() < 1e-5);
+        let warm: Vec<[f32; 3]> = (0..32).map(|i| [1.0, 0.7, 0.2 + 0.01 * i as f32]).collect();
+        let gradient = daylight(&warm, &texels, 1.0).1;
+        for (t, c) in [(0, 0), (3, 2), (9, 0), (9, 1), (9, 2)] {
+            let at = |step: f32| {
+                let mut moved = warm.clone();
+                moved[t][c] += step;
+                daylight(&moved, &texels, 1.0).0
+            };
+            let numeric = (at(1e-2) - at(-1e-2)) / 2e-2;
+            assert!((numeric - gradient[t][c]).abs() < 1e-3, "{t} {c}: {numeric} {}", gradient[t][c]);
+        }
+        assert!(gradient[9][2] < -1e-3 && gradient[9][0] > 1e-3, "a warm light is told to be bluer");
     }
 
     #[test]
