@@ -202,16 +202,16 @@ impl TrainConfig {
     ///
     /// | preset | steps | px | Gaussians | probes | prototypes |
     /// |---|---|---|---|---|---|
-    /// | draft | 1,500 | 160 | 8,000 | 48 | 8 |
-    /// | standard | 6,000 | 400 | 20,000 | 64 | 16 |
-    /// | high | 20,000 | 800 | 60,000 | 128 | 32 |
+    /// | draft | 1,500 | 160 | 8,000 | 64 | 8 |
+    /// | standard | 3,000 | 400 | 40,000 | 96 | 16 |
+    /// | high | 8,000 | 800 | 120,000 | 128 | 32 |
     pub fn preset(preset: Preset) -> Self {
         let standard = Self {
             preset,
-            iterations: 6_000,
+            iterations: 3_000,
             resolution: 400,
-            initial_gaussians: 6_000,
-            max_gaussians: 20_000,
+            initial_gaussians: 12_000,
+            max_gaussians: 40_000,
             prototypes: 16,
             visibility_order: 4,
             radiance_order: 2,
@@ -220,8 +220,8 @@ impl TrainConfig {
             densify_until: 0.6,
             half_resolution: 0.15,
             labels: LabelSource::Probes,
-            probe_directions: 64,
-            probe_every: 500,
+            probe_directions: 96,
+            probe_every: 250,
             bounces: 2,
             shading: ShadingOptions::default(),
             weights: LossWeights::default(),
@@ -242,16 +242,16 @@ impl TrainConfig {
                 max_gaussians: 8_000,
                 prototypes: 8,
                 radiance_order: 1,
-                probe_directions: 48,
-                probe_every: 250,
+                probe_directions: 64,
+                probe_every: 125,
                 checkpoint_every: 250,
                 ..standard
             },
             Preset::High => Self {
-                iterations: 20_000,
+                iterations: 8_000,
                 resolution: 800,
-                initial_gaussians: 20_000,
-                max_gaussians: 60_000,
+                initial_gaussians: 40_000,
+                max_gaussians: 120_000,
                 prototypes: 32,
                 radiance_order: 3,
                 probe_directions: 128,
