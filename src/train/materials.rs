@@ -202,6 +202,18 @@ mod tests {
     }
 
     #[test]
+    fn under_daylight_a_grey_thing_starts_grey() {
+        let (mut learned, ..) = lit_ball();
+        for radiance in learned.model.gaussians.field_mut(Field::Radiance).chunks_mut(3) {
+            for (r, light) in radiance.iter_mut().zip(DAYLIGHT) {
+                *r = (srgb(0.5 * light) - 0.5) / 0.282_094_8;
+            }
+        }
+        initialise(&mut learned);
+        assert!(learned.model.prototypes.iter().flatten().all(|v| (v - 0.5).abs() < 1e-3));
+    }
+
+    #[test]
     fn metalness_and_roughness_start_anew_with_albedo() {
         let (mut learned, operators, normals) = lit_ball();
         for field in [Field::MetalLogit, Field::RoughLogit] {
