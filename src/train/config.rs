@@ -342,7 +342,7 @@ impl TrainConfig {
         Ok(self)
     }
 
-    /// Weight of the daylight term after `progress`, a share of all steps: nothing once [`DAYLIT`] of those that train
+    /// Weight of the daylight term after `progress`, a share of all steps: nothing once three tenths of those that train
     /// materials are done.
     pub fn daylight_weight(&self, progress: f32) -> f32 {
         let until = self.warm_up + DAYLIT * (1.0 - self.warm_up);
