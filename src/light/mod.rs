@@ -12,8 +12,8 @@ mod sampler;
 mod sh;
 mod tables;
 
-/// Colour of the light before anything is known of it, linear sRGB of mean 1: a sky with some sun in it, about 9,200 K
-/// (docs/results.md section 9).
+/// Colour of the light before anything is known of it, linear sRGB of mean 1: bluish, as under an open sky; chosen by
+/// relighting (docs/results.md section 9).
 pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
 
 pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
