@@ -66,13 +66,15 @@ fn camera(side: u32) -> Camera {
 
 fn source() -> AttributeSource<'static> {
     let m = model();
-    AttributeSource {
+    let source = AttributeSource {
         gaussians: &m.gaussians,
         prototypes: &m.prototypes,
         options: &m.shading,
         gathered: &[],
         indirect_basis: &NO_BASIS,
-    }
+        light: None,
+    };
+    source.under(shader())
 }
 
 fn view() -> View {
@@ -117,14 +119,17 @@ fn shade_view(b: Bencher) {
 fn shade_view_backward(b: Bencher) {
     let n = (SIDE * SIDE) as usize;
     let by = BranchImages { physical: vec![[1e-5; 3]; n], radiance: vec![[1e-5; 3]; n] };
-    b.bench(|| shader().images_backward(full_pass(), [1.0; 3], black_box(&by), &[], 13));
+    b.bench(|| shader().images_backward(full_pass(), [1.0; 3], black_box(&by), &[], 16));
 }
 
-#[divan::bench(args = [4, 13, 45])]
+#[divan::bench(args = [4, 16, 45])]
 fn rasterise_backward(b: Bencher, channels: usize) {
     let stored = channels.next_multiple_of(4);
     let gradient = vec![1e-5f32; full_pass().tiles.len() * 256 * stored];
-    b.bench(|| full_pass().backward(&source(), black_box(&gradient), stored, channels));
+    let mut by_tables = tables().zeroed();
+    b.bench_local(|| {
+        full_pass().backward(&source(), black_box(&gradient), stored, channels, Some(&mut by_tables))
+    });
 }
 
 #[divan::bench]

@@ -3,6 +3,7 @@
 // A thread owns one Gaussian. No workgroup memory. Threads go by Gaussian, not by rank: parameters of neighbours lie next
 // to each other, in depth order every read would be a line of its own.
 #import attributes
+#import gathered
 #import index
 #import sh
 #import splat
@@ -15,7 +16,7 @@ const WG_SIZE = 256u;
 @group(0) @binding(2) var<storage, read> params: array<f32>;
 @group(0) @binding(3) var<storage, read> globals: array<f32>;
 @group(0) @binding(4) var<storage, read> splats: array<Splat>;
-// Six floats a Gaussian; shorter = nothing was gathered.
+// See shared/gathered.wgsl.
 @group(0) @binding(5) var<storage, read> gathered: array<f32>;
 // E_j of Eq. 20: 16 x 3.
 @group(0) @binding(6) var<storage, read> indirect_basis: array<f32>;
@@ -30,10 +31,6 @@ fn radiance_of(gaussian_ix: u32, to_mean: vec3f) -> vec3f {
         colour += basis[j] * params_vec3(first + 3u * j);
     }
     return max(colour, vec3f(0.0));
-}
-
-fn gathered_vec3(at: u32) -> vec3f {
-    return vec3f(gathered[at], gathered[at + 1u], gathered[at + 2u]);
 }
 
 // Specular indirect light, and the irradiance of a gathered transport.
@@ -51,7 +48,7 @@ fn indirect_of(gaussian_ix: u32) -> Indirect {
             out.radiance += params[first + j] * e;
         }
     }
-    if model.indirect_form == INDIRECT_GATHERED && 6u * gaussian_ix + 6u <= arrayLength(&gathered) {
+    if has_gathered(gaussian_ix) {
         out.irradiance = gathered_vec3(6u * gaussian_ix);
         out.radiance = gathered_vec3(6u * gaussian_ix + 3u);
     }
@@ -88,8 +85,8 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     rows[row + 3u] = vec4f(rough, 0.0, 0.0, 0.0);
 #else
     let indirect = indirect_of(gaussian_ix);
-    rows[row + 3u] = vec4f(rough, splats[gaussian_ix].depth, indirect.irradiance.xy);
-    rows[row + 4u] = vec4f(indirect.irradiance.z, indirect.radiance);
+    rows[row + 3u] = vec4f(rough, indirect.irradiance);
+    rows[row + 4u] = vec4f(splats[gaussian_ix].depth, indirect.radiance);
     // Visibility begins with channel 20, the first of group 5.
     for (var group = 5u; group < GROUPS; group++) {
         let first = 4u * (group - 5u);

@@ -102,7 +102,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     if is_wanted(VISIBILITY_PLANE) {
         put(VISIBILITY_PLANE, pixel_ix, clamp(ambient_occlusion(&s, normal), 0.0, 1.0));
     }
-    put(DEPTH, pixel_ix, gbuffer[3u * view.n_pixels + pixel_ix].y / coverage * wanted.depth_scale);
+    put(DEPTH, pixel_ix, gbuffer[4u * view.n_pixels + pixel_ix].x / coverage * wanted.depth_scale);
     let shown = clamp(first.yzw / coverage, vec3f(0.0), vec3f(1.0));
     let linear = vec3f(linear_from_srgb(shown.x), linear_from_srgb(shown.y), linear_from_srgb(shown.z));
     put_rgb(RADIANCE, pixel_ix, linear * coverage);

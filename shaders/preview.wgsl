@@ -3,7 +3,7 @@
 const WG_SIZE = 256u;
 #import index
 #import shading
-#import splat
+#import gaussian_surface
 
 @group(0) @binding(6) var<uniform> model: Layout;
 @group(0) @binding(7) var<storage, read> params: array<f32>;
@@ -18,23 +18,10 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     if gaussian_ix >= model.n {
         return;
     }
-    if splats[gaussian_ix].flags != SPLAT_VISIBLE || splats[gaussian_ix].n_tiles == 0u {
+    if !is_drawn(gaussian_ix) {
         return;
     }
-    let at = model.mean + 3u * gaussian_ix;
-    let mean = vec3f(params[at], params[at + 1u], params[at + 2u]);
-    let row = gaussian_ix * (VISIBILITY_GROUP + N_QUADS);
-    var s = surface_of_groups(
-        attributes[row + 1u],
-        attributes[row + 2u],
-        attributes[row + 3u],
-        attributes[row + 4u],
-        1.0,
-        normalised3(view.eye.xyz - mean),
-    );
-    for (var quad = 0u; quad < N_QUADS; quad++) {
-        s.visibility[quad] = masked_quad(quad, attributes[row + VISIBILITY_GROUP + quad]);
-    }
+    var s = gaussian_surface(gaussian_ix);
     let f = shade(&s);
     colours[gaussian_ix] = vec4f(1.0, f.diffuse + f.specular);
 }

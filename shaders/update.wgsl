@@ -391,7 +391,7 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream, radiance: ptr<function, Rad
         by_normal = normal_backward(gaussian_ix, up, to_mean, &by);
         by_quaternion = rotation_backward(quaternion, by.rotation);
         if update.groups >= GROUPS_FULL {
-            by.mean += channels(up, 3u).y * view.rotation[2].xyz;
+            by.mean += channels(up, 4u).x * view.rotation[2].xyz;
         }
         density[gaussian_ix] += vec2f(splat_gradients[up.row + 1u].z * update.half_width, 1.0);
     }

@@ -15,7 +15,7 @@ use relume::eval::{
 };
 use relume::formats::model_file;
 use relume::render::{Frame, Output, Renderer, Tier};
-use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadingOptions};
+use relume::scene::{Camera, DiffuseAt, EnvMap, Field, Gaussians, Model, ShadingOptions};
 
 const SIDE: u32 = 40;
 
@@ -227,10 +227,15 @@ fn the_truth_in_place_of_the_one_spoilt_layer_repairs_the_picture() {
     // Half-covered pixels at the rim keep the model's layers, and light that bounces is gathered from dark albedo.
     assert!(albedo > nothing + 10.0 && everything > nothing + 10.0, "{nothing} {albedo} {everything}");
     assert!((material - nothing).abs() < 1.0, "the control: what was not spoilt repairs nothing, {material}");
-    // Nothing replaced is what the evaluation measures.
-    let report = measured(&model, &capture);
-    let own = attribute(&model, &capture, None, &[Replaced::NONE]).unwrap()[0];
-    assert!((own.unwrap() - report.relit.mean.psnr.unwrap()).abs() < 1e-6);
+    // Nothing replaced is what the evaluation measures of a model whose pixels are shaded alone.
+    let difference = |diffuse_at| {
+        let shading = ShadingOptions { diffuse_at, ..model.shading };
+        let model = Arc::new(Model { shading, ..(*model).clone() });
+        let own = attribute(&model, &capture, None, &[Replaced::NONE]).unwrap()[0];
+        (own.unwrap() - measured(&model, &capture).relit.mean.psnr.unwrap()).abs()
+    };
+    assert!(difference(DiffuseAt::Pixel) < 1e-6);
+    assert!(difference(DiffuseAt::Gaussian) > 1e-3, "the control");
     let mut ragged = drawn_by(&model);
     ragged.test[1].truth.albedo.as_mut().unwrap().values.pop();
     let err = attribute(&model, &ragged, None, &rows).unwrap_err();

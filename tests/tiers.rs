@@ -35,6 +35,7 @@ fn model(discs: &[Disc], albedo: f32, rough_logit: f32) -> Arc<Model> {
         options: &options,
         gathered: &[],
         indirect_basis: &[[0.0; 3]; 16],
+        light: None,
     };
     let probes = Probes::measure(&source, fibonacci_sphere(256), ProbeSettings::default());
     let coefficients = probes.coefficients(ORDER);

@@ -1,4 +1,4 @@
-// Deferred shading (docs/MODEL.md section 4), a port of src/engine/cpu/shade.rs. Takes bindings 0 to 5; permutations
+// Shading of a surface (docs/MODEL.md section 4), a port of src/engine/cpu/shade.rs. Takes bindings 0 to 5; permutations
 // define S and ORDER.
 #import surface
 #import view
@@ -9,6 +9,7 @@
 #import tables
 #import brdf
 #import lobe
+#import lambert
 #import srgb
 
 // The forward model. Kept in step with `ShadingUniform` of src/engine/gpu/shading.rs.
@@ -17,9 +18,9 @@ struct Shading {
     background: vec4f,
     visibility_form: u32,
     diffuse_form: u32,
+    diffuse_at: u32,
     // 1: compare through the sRGB curve.
     srgb: u32,
-    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -47,13 +48,8 @@ struct Shaded {
     nov_inside: bool,
     reflection: vec3f,
     reflection_length: f32,
-    irradiance: vec3f,
-    // Before the clamp, and per tap.
-    irradiance_raw: vec3f,
-    tap_irradiance: array<vec3f, 4>,
-    diffuse_taps: Taps,
-    ambient: f32,
-    ambient_raw: f32,
+    // With DIFFUSE_AT_PIXEL.
+    lambert: Lambert,
     position: LevelPosition,
     level_taps: array<Taps, 2>,
     level_value: array<vec3f, 2>,
@@ -194,21 +190,11 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     let bent = 2.0 * f.nov * f.normal - (*s).view;
     f.reflection_length = length3(bent);
     f.reflection = bent / f.reflection_length;
-    // Diffuse: four tabulated normals around n.
-    f.diffuse_taps = cube_taps(tables.diffuse_n, f.normal);
-    f.irradiance_raw = vec3f(0.0);
-#repeat k 4
-    f.tap_irradiance[$k] = node_irradiance(s, f.diffuse_taps.node[$k]);
-    f.irradiance_raw += f.diffuse_taps.weight[$k] * f.tap_irradiance[$k];
-#end
-    f.ambient = 1.0;
-    f.ambient_raw = 1.0;
-    if is_scalar() && !is_open() {
-        f.ambient_raw = ambient_raw(s, f.normal);
-        f.ambient = squash(f.ambient_raw);
+    f.diffuse = (*s).diffuse;
+    if shading.diffuse_at == DIFFUSE_AT_PIXEL {
+        f.lambert = lambert(s, f.normal);
+        f.diffuse = f.lambert.radiance;
     }
-    f.irradiance = max(f.irradiance_raw, vec3f(0.0)) * f.ambient;
-    f.diffuse = (*s).albedo * ((1.0 - (*s).metal) * INV_PI) * (f.irradiance + (*s).gathered);
     // Specular: split sum, visibility through the lobe.
     f.position = level_position((*s).rough);
 #repeat k 2

@@ -7,7 +7,7 @@ struct SurfaceGradient {
     metal: f32,
     rough: f32,
     indirect: vec3f,
-    gathered: vec3f,
+    diffuse: vec3f,
     // By irradiance before the clamp, for the diffuse table.
     irradiance: vec3f,
     // By the light of the two specular levels, for the specular tables.
@@ -53,7 +53,8 @@ fn field_backward(
 // before they are squashed. One loop, so that the large body is compiled once.
 fn visibility_backward(
     s: ptr<function, Surface>,
-    f: ptr<function, Shaded>,
+    normal: vec3f,
+    reflection: vec3f,
     by_raw: vec2f,
     out: ptr<function, SurfaceGradient>,
 ) -> array<vec3f, 2> {
@@ -69,7 +70,7 @@ fn visibility_backward(
         for (var l = 0u; l <= order(); l++) {
             factors[l] = slope * select(attenuation(cell, l), vec2f(nrsh[l], 0.0), which == 0u);
         }
-        by[which] = field_backward(s, select((*f).reflection, (*f).normal, which == 0u), &factors, out);
+        by[which] = field_backward(s, select(reflection, normal, which == 0u), &factors, out);
     }
     return by;
 }
@@ -87,19 +88,20 @@ fn rows_backward(out: ptr<function, SurfaceGradient>, node: u32, weight: vec3f) 
 }
 #endif
 
-// Gradient by the normal of the diffuse part; `g` is the gradient by radiance.
-fn diffuse_backward(
+// Gradient by the normal through the tables of the diffuse term; `g` is the gradient by its radiance. What is left to do
+// is `ambient_raw`.
+fn lambert_backward(
     s: ptr<function, Surface>,
-    f: ptr<function, Shaded>,
+    f: ptr<function, Lambert>,
     g: vec3f,
     out: ptr<function, SurfaceGradient>,
 ) -> vec3f {
     let kd = (1.0 - (*s).metal) * INV_PI;
-    let light = (*f).irradiance + (*s).gathered;
+    let light = (*f).irradiance + (*s).diffuse;
     (*out).albedo += g * kd * light;
     (*out).metal -= dot(g, (*s).albedo * light) * INV_PI;
     let by_light = g * (*s).albedo * kd;
-    (*out).gathered = by_light;
+    (*out).diffuse = by_light;
     let lit = (*f).irradiance_raw > vec3f(0.0);
     let by_irradiance = select(vec3f(0.0), by_light * (*f).ambient, lit);
     let by_ambient = dot(select(vec3f(0.0), by_light, lit), (*f).irradiance_raw);
@@ -109,11 +111,11 @@ fn diffuse_backward(
 #repeat k 4
     {
         let along = dot(by_irradiance, (*f).tap_irradiance[$k]);
-        by_normal += along * (*f).diffuse_taps.gradient[$k];
+        by_normal += along * (*f).taps.gradient[$k];
         if !scalar {
-            (*out).along_visibility += (*f).diffuse_taps.weight[$k] * along;
+            (*out).along_visibility += (*f).taps.weight[$k] * along;
 #ifdef VISIBILITY
-            rows_backward(out, (*f).diffuse_taps.node[$k], (*f).diffuse_taps.weight[$k] * by_irradiance);
+            rows_backward(out, (*f).taps.node[$k], (*f).taps.weight[$k] * by_irradiance);
 #endif
         }
     }
@@ -162,9 +164,15 @@ fn specular_backward(
 
 fn shade_backward(s: ptr<function, Surface>, f: ptr<function, Shaded>, g: vec3f) -> SurfaceGradient {
     var out: SurfaceGradient;
-    var by_normal = diffuse_backward(s, f, g, &out);
+    var by_normal = vec3f(0.0);
+    out.diffuse = g;
+    if shading.diffuse_at == DIFFUSE_AT_PIXEL {
+        // A copy: naga 30 writes no pointer into a struct that is a pointer itself.
+        var diffuse = (*f).lambert;
+        by_normal = lambert_backward(s, &diffuse, g, &out);
+    }
     let by = specular_backward(s, f, g, &out);
-    let by_field = visibility_backward(s, f, vec2f(out.ambient_raw, out.visible_raw), &out);
+    let by_field = visibility_backward(s, (*f).normal, (*f).reflection, vec2f(out.ambient_raw, out.visible_raw), &out);
     by_normal += by_field[0];
     // R = normalize(2 nov n - v), nov = n . v.
     let by_bent = normalised3_backward((*f).reflection, (*f).reflection_length, by.yzw + by_field[1]);

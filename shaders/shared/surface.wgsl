@@ -13,7 +13,8 @@ struct Surface {
     metal: f32,
     albedo: vec3f,
     rough: f32,
-    gathered: vec3f,
+    // Gathered irradiance or, with DIFFUSE_AT_GAUSSIAN, diffuse radiance.
+    diffuse: vec3f,
     indirect: vec3f,
     // Unit direction to the camera.
     view: vec3f,
@@ -33,7 +34,7 @@ fn surface_of_groups(g1: vec4f, g2: vec4f, g3: vec4f, g4: vec4f, scale: f32, tow
     s.albedo = g2.xyz * scale;
     s.metal = g2.w * scale;
     s.rough = g3.x * scale;
-    s.gathered = vec3f(g3.zw, g4.x) * scale;
+    s.diffuse = g3.yzw * scale;
     s.indirect = g4.yzw * scale;
     s.view = towards;
     return s;

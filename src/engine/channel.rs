@@ -16,10 +16,10 @@ pub const ALBEDO: Range<usize> = 8..11;
 pub const METAL: usize = 11;
 /// Roughness.
 pub const ROUGH: usize = 12;
+/// Diffuse light: with [`DiffuseAt::Pixel`](crate::scene::DiffuseAt) the gathered irradiance, else the diffuse radiance.
+pub const DIFFUSE: Range<usize> = 13..16;
 /// Camera depth.
-pub const DEPTH: usize = 13;
-/// Gathered irradiance.
-pub const GATHERED: Range<usize> = 14..17;
+pub const DEPTH: usize = 16;
 /// Indirect radiance for the specular term.
 pub const INDIRECT: Range<usize> = 17..20;
 /// First visibility coefficient.
@@ -32,7 +32,7 @@ pub enum Channels {
     Colour,
     /// Also normal and plane distance: radiance warm-up with depth-normal consistency.
     Geometry,
-    /// Also the material, without what only shading needs: the usual backward pass.
+    /// Also material and diffuse light, without what only shading needs: the usual backward pass.
     Material,
     /// Everything, visibility of this many coefficients included.
     Full(usize),
@@ -44,7 +44,7 @@ impl Channels {
         match self {
             Self::Colour => 4,
             Self::Geometry => 8,
-            Self::Material => 13,
+            Self::Material => 16,
             Self::Full(coefficients) => VISIBILITY + coefficients,
         }
     }

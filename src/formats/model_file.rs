@@ -6,10 +6,12 @@ use std::collections::HashMap;
 use safetensors::tensor::{Dtype, SafeTensors, View};
 use serde::{Deserialize, Serialize};
 
-use crate::scene::{Field, Gaussians, IndirectForm, Model, ShadingOptions};
+use crate::scene::{DiffuseAt, Field, Gaussians, IndirectForm, Model, ShadingOptions};
 
-/// The header's version; a reader refuses any other.
-const VERSION: u32 = 1;
+/// The header's version; a reader refuses any other than this and [`ALL_DEFERRED`].
+const VERSION: u32 = 2;
+/// The version before, of models whose diffuse term is found in the pixel and whose header does not say so.
+const ALL_DEFERRED: u32 = 1;
 const HEADER_KEY: &str = "relume";
 
 /// Why a model file was refused.
@@ -128,9 +130,13 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     let (_, metadata) = SafeTensors::read_metadata(bytes)?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get(HEADER_KEY));
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a Relume model".into()))?;
-    let header: Header = serde_json::from_str(text).map_err(|e| bad("header", e.to_string()))?;
-    if header.version != VERSION {
-        return Err(bad("version", format!("is {}, this build reads {VERSION}", header.version)));
+    let mut header: Header = serde_json::from_str(text).map_err(|e| bad("header", e.to_string()))?;
+    match header.version {
+        VERSION => {}
+        ALL_DEFERRED => header.shading.diffuse_at = DiffuseAt::Pixel,
+        other => {
+            return Err(bad("version", format!("is {other}, this build reads {ALL_DEFERRED} and {VERSION}")));
+        }
     }
     let file = SafeTensors::deserialize(bytes)?;
     if header.visibility_order > 8 || header.radiance_order > 4 {
@@ -229,6 +235,20 @@ mod tests {
         without.retain(|(name, _)| name != "ind_sh");
         let err = decode(&safetensors::serialize(without, Some(metadata)).unwrap()).unwrap_err();
         assert!(err.to_string().contains("ind_sh"), "{err}");
+    }
+
+    #[test]
+    fn a_file_of_the_version_before_is_shaded_as_it_was_trained() {
+        let at = |version: u32| {
+            let model = example();
+            let text = header(&model).replace("\"version\":2", &format!("\"version\":{version}"));
+            let metadata =
+                HashMap::from([(HEADER_KEY.to_owned(), text.replace("\"diffuse_at\":\"gaussian\",", ""))]);
+            decode(&safetensors::serialize(tensors(&model), Some(metadata)).unwrap())
+        };
+        assert_eq!(at(1).unwrap().shading.diffuse_at, DiffuseAt::Pixel);
+        assert_eq!(at(2).unwrap().shading.diffuse_at, DiffuseAt::Gaussian, "the control");
+        assert!(at(3).unwrap_err().to_string().contains("version"));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::engine::gpu::GpuError;
 use crate::render::develop::develop;
 use crate::render::standard::shade;
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer};
-use crate::scene::{Camera, Field};
+use crate::scene::{Camera, DiffuseAt, Field, ShadingOptions};
 
 impl Renderer {
     /// Colour and alpha of a view, with `edit(shader, pixel, surface)` called on what each row-major pixel sees before it is
@@ -24,9 +24,11 @@ impl Renderer {
         let (None, Some(light)) = (&light.on_gpu, light.on_cpu.get()) else {
             return Err(GpuError::Internal("surfaces are edited on the CPU engine only".to_owned()).into());
         };
-        let options = &self.model().shading;
+        // Deferred whatever the model: what is edited is in the pixel.
+        let options = ShadingOptions { diffuse_at: DiffuseAt::Pixel, ..self.model().shading };
         let source = self.source(&light.gathered, &light.indirect_basis);
-        let shader = Shader { tables: &light.tables, options, order: source.gaussians.visibility_order() };
+        let shader =
+            Shader { tables: &light.tables, options: &options, order: source.gaussians.visibility_order() };
         let coefficients = source.gaussians.width(Field::Visibility);
         let pass = Pass::forward(&source, view, Channels::Full(coefficients), true);
         let outputs = [Output::Rgb, Output::Alpha];

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::{
-    AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Shader, Surface, project_all,
+    AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Shader, Surface, View, project_all,
 };
 use crate::light::{DominantLight, LightTables, SplitEnvironment, rendering_tables};
 use crate::render::develop::{Lit, develop, reflector};
@@ -44,7 +44,7 @@ impl SplitLight {
 pub(super) fn render(job: &Job<'_>, whole: &Shader<'_>, light: &SplitLight) -> Frame {
     let shader = Shader { tables: light.rest.as_ref().unwrap_or(whole.tables), ..*whole };
     let coefficients = job.source.gaussians.width(Field::Visibility);
-    let pass = pass(job, light, coefficients);
+    let pass = pass(&job.source.under(shader), job.view, light, coefficients);
     develop(&pass, &shader, job.outputs, job.depth_scale, |_, surface| {
         let mut lit = shade(&shader, surface);
         let arriving = &surface.visibility[coefficients..coefficients + light.lights.len()];
@@ -55,19 +55,19 @@ pub(super) fn render(job: &Job<'_>, whole: &Shader<'_>, light: &SplitLight) -> F
 
 /// The standard G-buffer with a channel a light behind the coefficients; tables have zeros there, so that shading
 /// from tables does not see them.
-fn pass(job: &Job<'_>, light: &SplitLight, coefficients: usize) -> Pass {
+fn pass(source: &AttributeSource<'_>, view: View, light: &SplitLight, coefficients: usize) -> Pass {
     let (own, all) = (Channels::Full(coefficients), Channels::Full(coefficients + light.lights.len()));
-    let splats = project_all(&job.source, &job.view);
+    let splats = project_all(source, &view);
     let stored = all.stored();
     let mut rows = vec![0.0f32; splats.len() * stored];
     rows.par_chunks_mut(stored).zip(&splats).with_min_len(64).for_each(|(row, splat)| {
-        job.source.write(&job.view, splat, own, row);
+        source.write(&view, splat, own, row);
         let extra = &mut row[channel::VISIBILITY + coefficients..];
         for (value, arriving) in extra.iter_mut().zip(&light.arriving) {
             *value = arriving.get(splat.gaussian as usize).copied().unwrap_or(1.0);
         }
     });
-    Pass::blend(job.view, splats, all, rows, true)
+    Pass::blend(view, splats, all, rows, true)
 }
 
 fn add_lights(lights: &[DominantLight], arriving: &[f32], surface: &Surface, lit: &mut Lit) {

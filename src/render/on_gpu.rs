@@ -135,7 +135,6 @@ impl OnGpu {
             indirect_basis: Some(&light.buffers.indirect_basis),
         };
         let full = Channels::Full(n_visibility);
-        raster.attributes(&mut recorder, full, &source)?;
         let shading = ShadingUniform::new(&model.shading, [0.0; 3]);
         let job = ShadeJob {
             view,
@@ -144,6 +143,8 @@ impl OnGpu {
             light: &light.buffers,
             constants: &self.constants,
         };
+        raster.attributes(&mut recorder, full, &source)?;
+        raster.light(&mut recorder, &job, &self.params)?;
         if is_preview {
             let colours = grow(&self.gpu, "preview colours", colours, self.layout.n as usize)?;
             let (Some(splats), Some(rows)) = (raster.splats.clone(), raster.attributes.clone()) else {

@@ -5,14 +5,13 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use crate::engine::channel::{self, Channels};
-use crate::engine::cpu::{
-    AttributeSource, MAX_COEFFICIENTS, Pass, Shader, Surface, View, normalise, project_all,
-};
+use crate::engine::cpu::{AttributeSource, Pass, Shader, View, project_all, surface_of_row};
 use crate::render::{Frame, Output};
 use crate::scene::Field;
 
 /// Renders `rgb` and `alpha`.
 pub fn render(source: &AttributeSource<'_>, view: View, shader: &Shader<'_>) -> Frame {
+    let source = &source.under(*shader);
     let splats = project_all(source, &view);
     let full = Channels::Full(source.gaussians.width(Field::Visibility));
     let stored = Channels::Colour.stored();
@@ -23,7 +22,8 @@ pub fn render(source: &AttributeSource<'_>, view: View, shader: &Shader<'_>) -> 
             row.fill(0.0);
             source.write(&view, splat, full, row);
             let mean: [f32; 3] = source.gaussians.get(Field::Mean, splat.gaussian as usize);
-            let shaded = shader.shade(&surface(row, view.eye, mean));
+            let to_mean = std::array::from_fn(|k| mean[k] - view.eye[k]);
+            let shaded = shader.shade(&surface_of_row(row, to_mean));
             out[channel::COVERAGE] = 1.0;
             for (c, k) in channel::RADIANCE.enumerate() {
                 out[k] = shaded.diffuse[c] + shaded.specular[c];
@@ -38,23 +38,4 @@ pub fn render(source: &AttributeSource<'_>, view: View, shader: &Shader<'_>) -> 
         (Output::Alpha, pixels.map(|(x, y)| pass.at(x, y, channel::COVERAGE)).collect()),
     ]);
     Frame { width: view.width as u32, height: view.height as u32, planes }
-}
-
-/// One Gaussian's attributes as a surface seen from `eye`.
-fn surface(row: &[f32], eye: [f32; 3], mean: [f32; 3]) -> Surface {
-    let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| row[r.start + k]);
-    let mut visibility = [0.0f32; MAX_COEFFICIENTS];
-    for (v, c) in visibility.iter_mut().zip(&row[channel::VISIBILITY..]) {
-        *v = *c;
-    }
-    Surface {
-        normal: triple(channel::NORMAL),
-        albedo: triple(channel::ALBEDO),
-        metal: row[channel::METAL],
-        rough: row[channel::ROUGH],
-        gathered: triple(channel::GATHERED),
-        indirect: triple(channel::INDIRECT),
-        visibility,
-        view: normalise(std::array::from_fn(|k| eye[k] - mean[k])).0,
-    }
 }

@@ -96,6 +96,7 @@ impl Renderer {
             options: &self.model.shading,
             gathered,
             indirect_basis: basis,
+            light: None,
         }
     }
 

@@ -49,7 +49,7 @@ impl LightOnCpu {
 /// Renders every pixel from the tables of `shader`.
 pub(super) fn render(job: &Job<'_>, shader: &Shader<'_>) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
-    let pass = Pass::forward(&job.source, job.view, Channels::Full(coefficients), true);
+    let pass = Pass::forward(&job.source.under(*shader), job.view, Channels::Full(coefficients), true);
     develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| shade(shader, surface))
 }
 

@@ -11,6 +11,6 @@ pub use environment::{
 };
 pub use gaussians::{Field, Gaussians};
 pub use model::{
-    DiffuseForm, IndirectForm, Model, ModelError, NormalForm, ShadingOptions, VisibilityForm, sh_count,
-    softplus, softplus_inverse,
+    DiffuseAt, DiffuseForm, IndirectForm, Model, ModelError, NormalForm, ShadingOptions, VisibilityForm,
+    sh_count, softplus, softplus_inverse,
 };

@@ -34,6 +34,17 @@ pub enum DiffuseForm {
     Directional,
 }
 
+/// Where the diffuse term is found; the specular one always is in the pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum DiffuseAt {
+    /// In the pixel, from blended normal, albedo and visibility (deferred, as the article).
+    Pixel,
+    /// At each Gaussian, from its own; what is blended is radiance, as at an edge of a photograph.
+    #[default]
+    Gaussian,
+}
+
 /// Where a Gaussian's normal comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "snake_case")]
@@ -66,6 +77,8 @@ pub struct ShadingOptions {
     pub visibility: VisibilityForm,
     /// Form of the diffuse term.
     pub diffuse: DiffuseForm,
+    /// Where the diffuse term is found.
+    pub diffuse_at: DiffuseAt,
     /// Source of normals.
     pub normal: NormalForm,
     /// Indirect light.
@@ -87,6 +100,7 @@ impl Default for ShadingOptions {
         Self {
             visibility: VisibilityForm::default(),
             diffuse: DiffuseForm::default(),
+            diffuse_at: DiffuseAt::default(),
             normal: NormalForm::default(),
             indirect: IndirectForm::default(),
             low_pass: 0.3,

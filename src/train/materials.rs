@@ -184,6 +184,7 @@ mod tests {
             options: shading,
             gathered: &[],
             indirect_basis: &[[0.0; 3]; 16],
+            light: None,
         };
         let error = |i: usize| (0..3).map(move |c| (source.albedo(i)[c] - COLOURS[i % 2][c]).abs());
         (0..gaussians.len()).flat_map(error).fold(0.0, f32::max)

@@ -52,6 +52,7 @@ pub(super) fn source<'a>(state: &'a Learned, basis: &'a [[f32; 3]; 16]) -> Attri
         options: shading,
         gathered: &state.gathered,
         indirect_basis: basis,
+        light: None,
     }
 }
 
@@ -87,7 +88,7 @@ pub fn radiance(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     }
     let count = channels.count();
     let by_gbuffer = radiance_image_backward(&pass, context.background, &fit.gradient, &by_buffers, count);
-    let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count);
+    let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, None);
     gradients.env_raw = vec![[0.0; 3]; state.model.env_raw.len()];
     loss += terms::flatness(source.gaussians, w.flatness, &mut gradients);
     Outcome { loss, mse: fit.mse, gradients }
@@ -99,11 +100,12 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let radiance = radiance_of(&state.model);
     let tables = context.operators.apply(&radiance);
     let basis = cpu::indirect_basis(&tables);
-    let source = source(state, &basis);
+    let Learned { model, .. } = state;
+    let order = model.gaussians.visibility_order();
+    let shader = Shader { tables: &tables, options: &model.shading, order };
+    let source = source(state, &basis).under(shader);
     let view = View::new(&photo.camera, source.options);
-    let order = source.gaussians.visibility_order();
     let pass = Pass::forward(&source, view, Channels::Full(source.gaussians.width(Field::Visibility)), true);
-    let shader = Shader { tables: &tables, options: source.options, order };
     let images = shader.images(&pass, context.background);
     let target = Target::new(view.width, view.height, photo.pixels.clone());
     let physical = target.compare(&images.physical, w.l1, w.ssim);
@@ -120,7 +122,8 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let count = differentiated(context.config, source.options.indirect, pass.channels).count();
     let (by_gbuffer, mut by_tables) =
         shader.images_backward(&pass, context.background, &by_images, &by_buffers, count);
-    let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count);
+    let mut gradients =
+        pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, Some(&mut by_tables));
     if source.options.indirect == IndirectForm::Learned {
         learned_indirect_backward(&pass, &source, &by_gbuffer, count, &mut by_tables);
     }
@@ -147,11 +150,12 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
 pub fn physical_error(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> f32 {
     let tables = context.operators.apply(&radiance_of(&state.model));
     let basis = cpu::indirect_basis(&tables);
-    let source = source(state, &basis);
+    let Learned { model, .. } = state;
+    let order = model.gaussians.visibility_order();
+    let shader = Shader { tables: &tables, options: &model.shading, order };
+    let source = source(state, &basis).under(shader);
     let view = View::new(&photo.camera, source.options);
-    let order = source.gaussians.visibility_order();
     let pass = Pass::forward(&source, view, Channels::Full(source.gaussians.width(Field::Visibility)), true);
-    let shader = Shader { tables: &tables, options: source.options, order };
     let images = shader.images(&pass, context.background);
     let squares = images.physical.iter().zip(&photo.pixels);
     let sum: f64 = squares.flat_map(|(a, b)| (0..3).map(move |c| f64::from(a[c] - b[c]).powi(2))).sum();

@@ -66,6 +66,7 @@ fn source(model: &Model) -> AttributeSource<'_> {
         options: &model.shading,
         gathered: &[],
         indirect_basis: &[[0.0; 3]; 16],
+        light: None,
     }
 }
 

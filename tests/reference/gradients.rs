@@ -11,7 +11,8 @@ use relume::engine::reference::{
 };
 use relume::light::TableResolution;
 use relume::scene::{
-    Camera, DiffuseForm, IndirectForm, NormalForm, ShadingOptions, VisibilityForm, texel_directions,
+    Camera, DiffuseAt, DiffuseForm, IndirectForm, NormalForm, ShadingOptions, VisibilityForm,
+    texel_directions,
 };
 
 const GAUSSIANS: usize = 7;
@@ -164,9 +165,16 @@ fn the_default_form_has_the_gradients_differences_measure() {
 }
 
 #[test]
+fn the_deferred_form_has_the_gradients_differences_measure() {
+    let shading = ShadingOptions { diffuse_at: DiffuseAt::Pixel, ..ShadingOptions::default() };
+    gradients_hold("deferred", &model(shading), &["ind_sh"]);
+}
+
+#[test]
 fn the_article_form_on_tables_has_the_gradients_differences_measure() {
     let shading = ShadingOptions {
         diffuse: DiffuseForm::AmbientOcclusion,
+        diffuse_at: DiffuseAt::Pixel,
         normal: NormalForm::Free,
         indirect: IndirectForm::Learned,
         low_pass_compensation: true,

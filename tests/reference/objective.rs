@@ -107,11 +107,13 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
         options: &model.shading,
         gathered: &[],
         indirect_basis: &[[0.0; 3]; 16],
+        light: None,
     };
+    let shader = Shader { tables: &tables, options: &model.shading, order: 4 };
+    let source = source.under(shader);
     let channels = Channels::Full(25);
     let count = channels.count();
     let pass = Pass::forward(&source, View::new(camera, &model.shading), channels, false);
-    let shader = Shader { tables: &tables, options: &model.shading, order: 4 };
     let images = shader.images(&pass, BACKGROUND);
     let target = image::Target::new(SIZE.0 as usize, SIZE.1 as usize, photo.pixels.clone());
     let physical = target.compare(&images.physical, weight("img_mae"), weight("img_dssim"));
@@ -125,8 +127,9 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
     total += geometry::coverage(&pass, &photo.alpha, weight("coverage"), &mut buffers);
 
     let by = BranchImages { physical: physical.gradient, radiance: branch.gradient };
-    let (by_gbuffer, by_tables) = shader.images_backward(&pass, BACKGROUND, &by, &buffers, count);
-    let mut found = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count);
+    let (by_gbuffer, mut by_tables) = shader.images_backward(&pass, BACKGROUND, &by, &buffers, count);
+    let stored = count.next_multiple_of(4);
+    let mut found = pass.backward(&source, &by_gbuffer, stored, count, Some(&mut by_tables));
     let (neutrality, by_neutrality) = material::light_neutrality(&radiance, weight("light"));
     let texels = texel_directions(32, 16);
     let (exposure, by_exposure) = material::exposure(&radiance, &texels, weight("exposure"));

@@ -9,8 +9,8 @@ use relume::engine::reference::{
 };
 use relume::light::{EnvOperators, TableResolution};
 use relume::scene::{
-    Camera, DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions, VisibilityForm,
-    softplus,
+    Camera, DiffuseAt, DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions,
+    VisibilityForm, softplus,
 };
 
 pub(super) const GAUSSIANS: usize = 40;
@@ -161,15 +161,19 @@ fn by_cpu(model: &Model, camera: &Camera, gathered: &[[f32; 6]], functional: &Fu
         options: &model.shading,
         gathered,
         indirect_basis: &[[0.0; 3]; 16],
+        light: None,
     };
+    let shader = Shader { tables: &tables, options: &model.shading, order: 4 };
+    let source = source.under(shader);
     let channels = Channels::Full(25);
     let pass = Pass::forward(&source, View::new(camera, &model.shading), channels, false);
-    let shader = Shader { tables: &tables, options: &model.shading, order: 4 };
     let images = shader.images(&pass, BACKGROUND);
     let by = BranchImages { physical: functional.physical.clone(), radiance: functional.radiance.clone() };
     let count = channels.count();
-    let (by_gbuffer, by_tables) = shader.images_backward(&pass, BACKGROUND, &by, &functional.buffers, count);
-    let found = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count);
+    let (by_gbuffer, mut by_tables) =
+        shader.images_backward(&pass, BACKGROUND, &by, &functional.buffers, count);
+    let stored = count.next_multiple_of(4);
+    let found = pass.backward(&source, &by_gbuffer, stored, count, Some(&mut by_tables));
     let by_radiance = operators.apply_transposed(&by_tables);
     let by_raw: Vec<[f32; 3]> = by_radiance
         .iter()
@@ -236,10 +240,33 @@ fn the_cpu_engine_is_the_reference_in_the_default_form() {
 }
 
 #[test]
+fn the_cpu_engine_is_the_reference_with_diffuse_light_in_the_pixel() {
+    engines_agree("deferred", ShadingOptions { diffuse_at: DiffuseAt::Pixel, ..ShadingOptions::default() });
+}
+
+#[test]
+fn the_cpu_engine_is_the_reference_with_ambient_occlusion_at_the_gaussians() {
+    let shading = ShadingOptions { diffuse: DiffuseForm::AmbientOcclusion, ..ShadingOptions::default() };
+    engines_agree("ambient", shading);
+}
+
+#[test]
+fn where_diffuse_light_is_found_makes_a_difference() {
+    let at = |diffuse_at| {
+        let shading = ShadingOptions { diffuse_at, ..ShadingOptions::default() };
+        let light = gathered_light(1);
+        by_cpu(&model(1, shading), &camera(1), &light, &Functional::new(1)).physical
+    };
+    let difference = distance(&at(DiffuseAt::Pixel), &at(DiffuseAt::Gaussian));
+    assert!(difference > 10.0 * TOLERANCE_VALUE, "{difference:e}");
+}
+
+#[test]
 fn the_cpu_engine_is_the_reference_in_the_article_form_on_tables() {
     let shading = ShadingOptions {
         visibility: VisibilityForm::Sigmoid,
         diffuse: DiffuseForm::AmbientOcclusion,
+        diffuse_at: DiffuseAt::Pixel,
         normal: NormalForm::Free,
         low_pass_compensation: true,
         srgb: false,
@@ -267,6 +294,7 @@ fn the_cpu_engines_probes_see_what_the_references_see() {
         options: &model.shading,
         gathered: &[],
         indirect_basis: &[[0.0; 3]; 16],
+        light: None,
     };
     let directions = cpu::fibonacci_sphere(48);
     let normals = cpu::outward_normals(&source);

@@ -174,10 +174,17 @@ fn variant(name: &str, overrides: Value) -> Variant {
 
 /// The article's ablation in kind, from nothing to everything, then what this engine adds, one thing a row.
 fn ablation() -> Vec<Variant> {
-    let ao = json!({"visibility": "linear", "diffuse": "ambient_occlusion", "indirect": "learned"});
-    let listing = json!({"visibility": "sigmoid", "diffuse": "ambient_occlusion", "indirect": "learned"});
-    let unlit = json!({"visibility": "off", "diffuse": "ambient_occlusion", "indirect": "off"});
-    let directional = json!({"visibility": "linear", "diffuse": "directional", "indirect": "off"});
+    // All fields of the forward model, in the pixel as the article's unless said otherwise.
+    let form = |visibility: &str, diffuse: &str, indirect: &str| {
+        let (visibility, diffuse, indirect) = (json!(visibility), json!(diffuse), json!(indirect));
+        json!({"visibility": visibility, "diffuse": diffuse, "indirect": indirect, "diffuse_at": "pixel"})
+    };
+    let ao = form("linear", "ambient_occlusion", "learned");
+    let listing = form("sigmoid", "ambient_occlusion", "learned");
+    let unlit = form("off", "ambient_occlusion", "off");
+    let directional = form("linear", "directional", "off");
+    let gathered = form("linear", "directional", "gathered");
+    let unlit_at_gaussians = json!({"visibility": "off", "indirect": "off"});
     vec![
         variant("no occlusion", json!({"shading": unlit, "labels": "none", "bounces": 0})),
         variant("field without label", json!({"shading": ao, "labels": "none", "bounces": 0})),
@@ -189,7 +196,12 @@ fn ablation() -> Vec<Variant> {
             "probes, directional diffuse",
             json!({"shading": directional, "labels": "probes", "bounces": 0}),
         ),
+        variant("everything, in the pixel", json!({"shading": gathered})),
         variant("everything (default)", json!({})),
+        variant(
+            "no occlusion, at the Gaussians",
+            json!({"shading": unlit_at_gaussians, "labels": "none", "bounces": 0}),
+        ),
         variant("one prototype", json!({"prototypes": 1})),
         variant("prototypes without losses", json!({"weights": {"aggregation": 0.0, "residual": 0.0}})),
     ]

@@ -118,6 +118,7 @@ fn directional(
         options: &model.shading,
         gathered: &[],
         indirect_basis: &[[0.0; 3]; 16],
+        light: None,
     };
     let camera = view.camera.in_normalised_world(model.world_scale, model.world_offset);
     let channels = Channels::Full(model.gaussians.width(Field::Visibility));

@@ -6,9 +6,10 @@ use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::project::{
     Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid, sigmoid_slope,
 };
+use crate::engine::cpu::shade::{MAX_COEFFICIENTS, Shader, Surface};
 use crate::engine::cpu::view::View;
-use crate::light::{sh_eval, sh_eval_with_gradient};
-use crate::scene::{Field, Gaussians, IndirectForm, NormalForm, ShadingOptions};
+use crate::light::{LightTables, sh_eval, sh_eval_with_gradient};
+use crate::scene::{DiffuseAt, Field, Gaussians, IndirectForm, NormalForm, ShadingOptions};
 
 /// Most radiance coefficients a Gaussian has (order 4).
 const MAX_RADIANCE: usize = 25;
@@ -26,6 +27,16 @@ pub struct AttributeSource<'a> {
     pub gathered: &'a [[f32; 6]],
     /// `E_j` of Eq. 20, for `IndirectForm::Learned`.
     pub indirect_basis: &'a [[f32; 3]; 16],
+    /// Lights the diffuse term at each Gaussian; none: the diffuse channel carries gathered irradiance.
+    pub light: Option<Shader<'a>>,
+}
+
+impl<'a> AttributeSource<'a> {
+    /// The same under a light, for a model whose diffuse term is found at its Gaussians.
+    #[must_use]
+    pub fn under(self, light: Shader<'a>) -> Self {
+        Self { light: (self.options.diffuse_at == DiffuseAt::Gaussian).then_some(light), ..self }
+    }
 }
 
 impl AttributeSource<'_> {
@@ -71,13 +82,51 @@ impl AttributeSource<'_> {
                 }
             }
             IndirectForm::Gathered => {
-                if let Some(g) = self.gathered.get(i) {
-                    row[channel::GATHERED.start..channel::INDIRECT.end].copy_from_slice(g);
+                if let Some([r, g, b, indirect @ ..]) = self.gathered.get(i) {
+                    row[channel::DIFFUSE].copy_from_slice(&[*r, *g, *b]);
+                    row[channel::INDIRECT].copy_from_slice(indirect);
                 }
             }
         }
         row[channel::VISIBILITY..channel::VISIBILITY + coefficients]
             .copy_from_slice(&self.gaussians.row(Field::Visibility, i)[..coefficients]);
+        if let Some(light) = &self.light {
+            let radiance = light.diffuse(&surface_of_row(row, to_mean));
+            row[channel::DIFFUSE].copy_from_slice(&radiance);
+        }
+    }
+
+    /// Chain rule through the diffuse term of a Gaussian that [`Self::write`] made `row` of: what `by_row` has for the
+    /// diffuse channel is added to the channels it is made of and to the gradient of the light's tables.
+    pub fn diffuse_backward(
+        &self,
+        view: &View,
+        splat: &Splat,
+        row: &[f32],
+        by_row: &mut [f32],
+        by_tables: &mut LightTables,
+    ) {
+        let Some(light) = &self.light else { return };
+        if by_row.len() < channel::DIFFUSE.end || by_row[channel::DIFFUSE].iter().all(|g| *g == 0.0) {
+            return;
+        }
+        let i = splat.gaussian as usize;
+        let mean: [f32; 3] = self.gaussians.get(Field::Mean, i);
+        let mut surface = surface_of_row(row, std::array::from_fn(|k| mean[k] - view.eye[k]));
+        surface.diffuse = match (self.options.indirect, self.gathered.get(i)) {
+            (IndirectForm::Gathered, Some([r, g, b, ..])) => [*r, *g, *b],
+            _ => [0.0; 3],
+        };
+        let g = std::array::from_fn(|c| by_row[channel::DIFFUSE.start + c]);
+        let by = light.diffuse_backward(&surface, g, by_tables);
+        for c in 0..3 {
+            by_row[channel::NORMAL.start + c] += by.normal[c];
+            by_row[channel::ALBEDO.start + c] += by.albedo[c];
+        }
+        by_row[channel::METAL] += by.metal;
+        for (o, g) in by_row.iter_mut().skip(channel::VISIBILITY).zip(&by.visibility) {
+            *o += g;
+        }
     }
 
     /// Chain rule from a blended row's gradient (`by_row`, as many channels as were differentiated) into
@@ -257,6 +306,25 @@ impl AttributeSource<'_> {
         }
         let by_mean = normalise_backward(radiance.direction, radiance.length, by_direction);
         (0..3).for_each(|k| geometry_gradient.mean[k] += by_mean[k]);
+    }
+}
+
+/// A Gaussian's full row of attributes as a surface seen along `to_mean` (mean minus eye).
+pub fn surface_of_row(row: &[f32], to_mean: [f32; 3]) -> Surface {
+    let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| row[r.start + k]);
+    let mut visibility = [0.0f32; MAX_COEFFICIENTS];
+    for (v, c) in visibility.iter_mut().zip(&row[channel::VISIBILITY..]) {
+        *v = *c;
+    }
+    Surface {
+        normal: triple(channel::NORMAL),
+        albedo: triple(channel::ALBEDO),
+        metal: row[channel::METAL],
+        rough: row[channel::ROUGH],
+        diffuse: triple(channel::DIFFUSE),
+        indirect: triple(channel::INDIRECT),
+        visibility,
+        view: normalise(to_mean).0.map(|v| -v),
     }
 }
 

@@ -10,6 +10,7 @@ mod blend_backward;
 mod gather;
 mod indirect;
 mod labels;
+mod lambert;
 mod lanes;
 mod occluder;
 mod pass;
@@ -22,7 +23,7 @@ mod shading;
 mod tiles;
 mod view;
 
-pub use attributes::{AttributeSource, softmax};
+pub use attributes::{AttributeSource, softmax, surface_of_row};
 pub use blend::TRANSMITTANCE_STOP;
 #[cfg(test)]
 pub use blend_backward::ROW_HEADER;

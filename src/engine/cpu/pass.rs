@@ -11,10 +11,13 @@ use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::project::{Splat, SplatGradient, project, project_backward, rotation_backward};
 use crate::engine::cpu::tiles::{TILE, TileLists};
 use crate::engine::cpu::view::View;
+use crate::light::LightTables;
 use crate::scene::Field;
 
 /// Gaussians a task takes; fixed, so that sums come out the same for any number of threads.
 const CHUNK: usize = 512;
+/// The same where a task has tables of light of its own.
+const LIT_CHUNK: usize = 4096;
 
 /// A rasterised view: the G-buffer and everything its backward pass needs.
 #[derive(Debug, Clone)]
@@ -89,16 +92,20 @@ impl Pass {
     }
 
     /// Gradients of all parameters from that of the first `count` G-buffer channels, laid out as the G-buffer
-    /// with `stored` channels a pixel. Does not touch `env_raw`.
+    /// with `stored` channels a pixel. What a light at the Gaussians gets is added to `by_tables`; `env_raw` is not touched.
     pub fn backward(
         &self,
         source: &AttributeSource<'_>,
         by_gbuffer: &[f32],
         stored: usize,
         count: usize,
+        by_tables: Option<&mut LightTables>,
     ) -> Gradients {
         let width = ROW_HEADER + count;
-        let summed = self.splat_gradients(by_gbuffer, stored, count);
+        let mut summed = self.splat_gradients(by_gbuffer, stored, count);
+        if let Some(by_tables) = by_tables {
+            self.diffuse_backward(source, &mut summed, width, by_tables);
+        }
         let mut out = Gradients::zeroed(source.gaussians, 0);
         let layout = out.layout;
         let mut rank_of = vec![u32::MAX; source.gaussians.len()];
@@ -128,6 +135,37 @@ impl Pass {
         });
         out.prototypes = self.prototypes_backward(source, &summed, width);
         out
+    }
+
+    /// Chain rule through the diffuse terms at the Gaussians, for rows of splat gradients of `width`: adds to them and
+    /// to `by_tables`.
+    pub(in crate::engine) fn diffuse_backward(
+        &self,
+        source: &AttributeSource<'_>,
+        summed: &mut [f32],
+        width: usize,
+        by_tables: &mut LightTables,
+    ) {
+        if source.light.is_none() {
+            return;
+        }
+        let stored = self.channels.stored();
+        let splats = self.splats.par_chunks(LIT_CHUNK);
+        let rows = self.attributes.par_chunks(LIT_CHUNK * stored);
+        let partial: Vec<LightTables> = splats
+            .zip(rows)
+            .zip(summed.par_chunks_mut(LIT_CHUNK * width))
+            .map(|((splats, rows), summed)| {
+                let mut tables = by_tables.zeroed();
+                let rows = rows.chunks_exact(stored).zip(summed.chunks_exact_mut(width));
+                for (splat, (row, by_row)) in splats.iter().zip(rows) {
+                    let by_row = &mut by_row[ROW_HEADER..];
+                    source.diffuse_backward(&self.view, splat, row, by_row, &mut tables);
+                }
+                tables
+            })
+            .collect();
+        partial.iter().for_each(|p| by_tables.accumulate(p));
     }
 
     /// The splats' own gradients by rank, summed over their tiles: mean, conic, opacity, pull, then `count` channels.

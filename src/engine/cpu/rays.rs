@@ -189,6 +189,7 @@ mod tests {
             options,
             gathered: &[],
             indirect_basis: &NO_BASIS,
+            light: None,
         }
     }
 

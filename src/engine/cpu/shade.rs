@@ -1,15 +1,16 @@
-//! Deferred shading of one pixel (docs/MODEL.md section 4), forward and backward.
+//! Shading of one surface (docs/MODEL.md section 4), forward and backward: the specular term here, the diffuse one in
+//! `lambert`.
 
+use crate::engine::cpu::lambert::Lambert;
 use crate::engine::cpu::project::{normalise, normalise_backward};
 use crate::light::{
-    BrdfLut, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Taps, level_position, nrsh_factor,
-    sh_eval, sh_eval_with_gradient,
+    BrdfLut, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Taps, level_position, sh_eval,
+    sh_eval_with_gradient,
 };
-use crate::scene::{DiffuseForm, ShadingOptions, VisibilityForm};
+use crate::scene::{DiffuseAt, ShadingOptions, VisibilityForm};
 
 /// Most visibility coefficients (order 6, padded).
 pub const MAX_COEFFICIENTS: usize = 64;
-const INV_PI: f32 = std::f32::consts::FRAC_1_PI;
 /// `c_00` of a field that is 1 everywhere.
 pub const FULLY_OPEN: f32 = 3.544_907_7;
 
@@ -24,8 +25,8 @@ pub struct Surface {
     pub metal: f32,
     /// Roughness.
     pub rough: f32,
-    /// Gathered irradiance.
-    pub gathered: [f32; 3],
+    /// Gathered irradiance or, with [`DiffuseAt::Gaussian`], diffuse radiance.
+    pub diffuse: [f32; 3],
     /// Radiance where the environment is blocked.
     pub indirect: [f32; 3],
     /// Visibility coefficients, zero-padded.
@@ -47,10 +48,24 @@ pub struct SurfaceGradient {
     pub rough: f32,
     /// By indirect radiance.
     pub indirect: [f32; 3],
-    /// By gathered irradiance.
-    pub gathered: [f32; 3],
+    /// By diffuse light.
+    pub diffuse: [f32; 3],
     /// By visibility coefficients.
     pub visibility: [f32; MAX_COEFFICIENTS],
+}
+
+impl SurfaceGradient {
+    pub(super) const fn zero() -> Self {
+        Self {
+            normal: [0.0; 3],
+            albedo: [0.0; 3],
+            metal: 0.0,
+            rough: 0.0,
+            indirect: [0.0; 3],
+            diffuse: [0.0; 3],
+            visibility: [0.0; MAX_COEFFICIENTS],
+        }
+    }
 }
 
 /// A shaded pixel and what its backward pass needs.
@@ -67,13 +82,8 @@ pub struct Shaded {
     nov_inside: bool,
     reflection: [f32; 3],
     reflection_length: f32,
-    irradiance: [f32; 3],
-    /// Irradiance before the clamp, and per tap.
-    irradiance_raw: [f32; 3],
-    tap_irradiance: [[f32; 3]; 4],
-    diffuse_taps: Taps<f32>,
-    ambient: f32,
-    ambient_raw: f32,
+    /// The diffuse term, where it is found here.
+    lambert: Option<Lambert>,
     level: (usize, f32, f32),
     level_taps: [Taps<f32>; 2],
     level_value: [[f32; 3]; 2],
@@ -94,31 +104,12 @@ pub struct Shader<'a> {
     pub order: usize,
 }
 
-fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {
+pub(super) fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Dot product of two slices of equal length, a multiple of 16: sixteen running sums, then a fixed tree.
-#[inline]
-fn dot_padded(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [0.0f32; 16];
-    for (x, y) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
-        for i in 0..16 {
-            sums[i] += x[i] * y[i];
-        }
-    }
-    let mut width = 8;
-    while width > 0 {
-        for i in 0..width {
-            sums[i] += sums[i + width];
-        }
-        width /= 2;
-    }
-    sums[0]
-}
-
 impl Shader<'_> {
-    fn squash(&self, x: f32) -> f32 {
+    pub(super) fn squash(&self, x: f32) -> f32 {
         match self.options.visibility {
             VisibilityForm::Sigmoid => 1.0 / (1.0 + (-x).exp()),
             VisibilityForm::Linear => x.clamp(0.0, 1.0),
@@ -127,27 +118,12 @@ impl Shader<'_> {
     }
 
     /// Slope of [`Self::squash`] at `x`, where it gave `y`.
-    fn squash_slope(&self, x: f32, y: f32) -> f32 {
+    pub(super) fn squash_slope(&self, x: f32, y: f32) -> f32 {
         match self.options.visibility {
             VisibilityForm::Sigmoid => y * (1.0 - y),
             VisibilityForm::Linear => f32::from(x > 0.0 && x < 1.0),
             VisibilityForm::Off => 0.0,
         }
-    }
-
-    /// `AO = squash(<c, NRSH(n)>)` (Eq. 16-18) for a unit normal.
-    pub fn ambient_occlusion(&self, visibility: &[f32], normal: [f32; 3]) -> f32 {
-        if self.options.visibility == VisibilityForm::Off {
-            return 1.0;
-        }
-        let mut y = [0.0f32; MAX_COEFFICIENTS];
-        sh_eval(self.order, normal, &mut y);
-        let sum = (0..=self.order).map(|l| {
-            let band = l * l..(l + 1) * (l + 1);
-            let dot: f32 = y[band.clone()].iter().zip(&visibility[band]).map(|(a, b)| a * b).sum();
-            nrsh_factor(l) as f32 * dot
-        });
-        self.squash(sum.sum())
     }
 
     /// Radiance leaving the pixel towards the camera.
@@ -162,26 +138,8 @@ impl Shader<'_> {
         let nov = nov_raw.clamp(1e-4, 1.0);
         let bent = std::array::from_fn(|k| 2.0 * nov * normal[k] - s.view[k]);
         let (reflection, reflection_length) = normalise(bent);
-        let open = self.options.visibility == VisibilityForm::Off;
-        // Diffuse: four tabulated normals around n, each a dot product with the visibility coefficients.
-        let taps = self.tables.diffuse_grid.lookup(normal);
-        let scalar = open || self.options.diffuse == DiffuseForm::AmbientOcclusion;
-        let tap_irradiance: [[f32; 3]; 4] =
-            std::array::from_fn(|k| {
-                let rows = self.tables.diffuse_rows(taps.node[k]);
-                rows.map(|row| {
-                    if scalar { row[0] * FULLY_OPEN } else { dot_padded(row, &s.visibility[..row.len()]) }
-                })
-            });
-        let mut irradiance_raw = [0.0f32; 3];
-        for k in 0..4 {
-            (0..3).for_each(|c| irradiance_raw[c] += taps.weight[k] * tap_irradiance[k][c]);
-        }
-        let (ambient, ambient_raw) =
-            if scalar && !open { self.ambient_with_raw(&s.visibility, normal) } else { (1.0, 1.0) };
-        let irradiance = irradiance_raw.map(|e| e.max(0.0) * ambient);
-        let kd = (1.0 - s.metal) * INV_PI;
-        let diffuse = std::array::from_fn(|c| s.albedo[c] * kd * (irradiance[c] + s.gathered[c]));
+        let lambert = (self.options.diffuse_at == DiffuseAt::Pixel).then(|| self.lambert(s, normal));
+        let diffuse = lambert.as_ref().map_or(s.diffuse, |f| f.radiance);
         // Specular: split sum, visibility through the lobe.
         let (level, fraction, slope) = level_position(s.rough);
         let level_taps = [0, 1].map(|k| self.tables.specular_grids[level + k].lookup(reflection));
@@ -213,12 +171,7 @@ impl Shader<'_> {
             nov_inside: nov_raw > 1e-4 && nov_raw < 1.0,
             reflection,
             reflection_length,
-            irradiance,
-            irradiance_raw,
-            tap_irradiance,
-            diffuse_taps: taps,
-            ambient,
-            ambient_raw,
+            lambert,
             level: (level, fraction, slope),
             level_taps,
             level_value,
@@ -227,18 +180,6 @@ impl Shader<'_> {
             visible_raw,
             lut,
         }
-    }
-
-    fn ambient_with_raw(&self, visibility: &[f32], normal: [f32; 3]) -> (f32, f32) {
-        let mut y = [0.0f32; MAX_COEFFICIENTS];
-        sh_eval(self.order, normal, &mut y);
-        let mut raw = 0.0;
-        for l in 0..=self.order {
-            for j in l * l..(l + 1) * (l + 1) {
-                raw += nrsh_factor(l) as f32 * y[j] * visibility[j];
-            }
-        }
-        (self.squash(raw), raw)
     }
 
     /// `h_l(r)` of the lobe form, or 1 for the article's `V(R)`.
@@ -277,16 +218,12 @@ impl Shader<'_> {
         g: [f32; 3],
         tables: &mut LightTables,
     ) -> SurfaceGradient {
-        let mut out = SurfaceGradient {
-            normal: [0.0; 3],
-            albedo: [0.0; 3],
-            metal: 0.0,
-            rough: 0.0,
-            indirect: [0.0; 3],
-            gathered: [0.0; 3],
-            visibility: [0.0; MAX_COEFFICIENTS],
-        };
-        let mut by_normal = self.diffuse_backward(s, f, g, tables, &mut out);
+        let mut out = SurfaceGradient::zero();
+        let mut by_normal = [0.0; 3];
+        match &f.lambert {
+            Some(lambert) => by_normal = self.lambert_backward(s, lambert, g, tables, &mut out),
+            None => out.diffuse = g,
+        }
         let (by_nov, by_reflection) = self.specular_backward(s, f, g, tables, &mut out);
         // R = normalize(2 nov n - v), nov = n . v.
         let by_bent = normalise_backward(f.reflection, f.reflection_length, by_reflection);
@@ -303,66 +240,6 @@ impl Shader<'_> {
         let unit = if f.flipped { f.normal.map(|v| -v) } else { f.normal };
         out.normal = normalise_backward(unit, f.normal_length, by_normal);
         out
-    }
-
-    fn diffuse_backward(
-        &self,
-        s: &Surface,
-        f: &Shaded,
-        g: [f32; 3],
-        tables: &mut LightTables,
-        out: &mut SurfaceGradient,
-    ) -> [f32; 3] {
-        let kd = (1.0 - s.metal) * INV_PI;
-        let open = self.options.visibility == VisibilityForm::Off;
-        let scalar = open || self.options.diffuse == DiffuseForm::AmbientOcclusion;
-        let mut by_irradiance = [0.0f32; 3];
-        let mut by_ambient = 0.0;
-        for c in 0..3 {
-            let light = f.irradiance[c] + s.gathered[c];
-            out.albedo[c] += g[c] * kd * light;
-            out.metal -= g[c] * s.albedo[c] * INV_PI * light;
-            out.gathered[c] = g[c] * s.albedo[c] * kd;
-            let by_light = g[c] * s.albedo[c] * kd;
-            if f.irradiance_raw[c] > 0.0 {
-                by_irradiance[c] = by_light * f.ambient;
-                by_ambient += by_light * f.irradiance_raw[c];
-            }
-        }
-        let mut by_normal = [0.0f32; 3];
-        let n = tables.coefficients;
-        for k in 0..4 {
-            let along = dot3(by_irradiance, f.tap_irradiance[k]);
-            (0..3).for_each(|a| by_normal[a] += along * f.diffuse_taps.gradient[k][a]);
-            let node = f.diffuse_taps.node[k];
-            for c in 0..3 {
-                let w = f.diffuse_taps.weight[k] * by_irradiance[c];
-                let base = (node * 3 + c) * n;
-                let row = &mut tables.diffuse[base..base + n];
-                if scalar {
-                    row[0] += w * FULLY_OPEN;
-                    continue;
-                }
-                let table = &self.tables.diffuse[base..base + n];
-                for j in 0..n {
-                    row[j] += w * s.visibility[j];
-                    out.visibility[j] += w * table[j];
-                }
-            }
-        }
-        if scalar && !open {
-            let slope = by_ambient * self.squash_slope(f.ambient_raw, f.ambient);
-            let (mut y, mut dy) = ([0.0f32; MAX_COEFFICIENTS], [[0.0f32; 3]; MAX_COEFFICIENTS]);
-            sh_eval_with_gradient(self.order, f.normal, &mut y, &mut dy);
-            for l in 0..=self.order {
-                let factor = slope * nrsh_factor(l) as f32;
-                for j in l * l..(l + 1) * (l + 1) {
-                    out.visibility[j] += factor * y[j];
-                    (0..3).for_each(|a| by_normal[a] += factor * s.visibility[j] * dy[j][a]);
-                }
-            }
-        }
-        by_normal
     }
 
     fn specular_backward(

@@ -78,7 +78,7 @@ pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
         albedo: triple(channel::ALBEDO),
         metal: at(channel::METAL) * inverse,
         rough: at(channel::ROUGH) * inverse,
-        gathered: triple(channel::GATHERED),
+        diffuse: triple(channel::DIFFUSE),
         indirect: triple(channel::INDIRECT),
         visibility,
         view: ray.map(|v| -v),
@@ -208,7 +208,7 @@ impl Shader<'_> {
         for k in 0..3 {
             along += by.normal[k] * surface.normal[k]
                 + by.albedo[k] * surface.albedo[k]
-                + by.gathered[k] * surface.gathered[k]
+                + by.diffuse[k] * surface.diffuse[k]
                 + by.indirect[k] * surface.indirect[k];
         }
         along += by.metal * surface.metal + by.rough * surface.rough;
@@ -220,8 +220,8 @@ impl Shader<'_> {
         out.add_triple(channel::ALBEDO, by.albedo.map(|v| v * inverse));
         out.add(channel::METAL, by.metal * inverse);
         out.add(channel::ROUGH, by.rough * inverse);
+        out.add_triple(channel::DIFFUSE, by.diffuse.map(|v| v * inverse));
         if out.count > channel::VISIBILITY {
-            out.add_triple(channel::GATHERED, by.gathered.map(|v| v * inverse));
             out.add_triple(channel::INDIRECT, by.indirect.map(|v| v * inverse));
             for j in 0..out.count - channel::VISIBILITY {
                 out.add(channel::VISIBILITY + j, by.visibility[j] * inverse);

@@ -15,8 +15,11 @@ use crate::engine::gpu::{
 };
 
 mod backward;
+mod light;
 #[cfg(test)]
 mod tests;
+
+pub use light::LightGradients;
 
 /// A pixel whose transmittance is below this is left early (as [`crate::engine::cpu::TRANSMITTANCE_STOP`]).
 const EARLY_STOP: f32 = crate::engine::cpu::TRANSMITTANCE_STOP;

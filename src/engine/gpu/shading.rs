@@ -1,4 +1,4 @@
-//! Deferred shading of a whole view, forward and backward (docs/MODEL.md section 4).
+//! Shading of a whole view, forward and backward (docs/MODEL.md section 4).
 
 use bytemuck::{Pod, Zeroable};
 
@@ -6,7 +6,7 @@ use crate::engine::channel::Channels;
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::shaders::{self, Shader};
 use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, ViewUniform, uniform};
-use crate::scene::{DiffuseForm, ShadingOptions, VisibilityForm};
+use crate::scene::{DiffuseAt, DiffuseForm, ShadingOptions, VisibilityForm};
 
 #[cfg(test)]
 pub(super) mod tests;
@@ -21,10 +21,10 @@ pub struct ShadingUniform {
     pub visibility_form: u32,
     /// 0 `AmbientOcclusion`, 1 `Directional`.
     pub diffuse_form: u32,
+    /// 0 `Pixel`, 1 `Gaussian`.
+    pub diffuse_at: u32,
     /// 1: images are compared through the sRGB curve.
     pub srgb: u32,
-    /// Unused.
-    pub pad: u32,
 }
 
 impl ShadingUniform {
@@ -42,9 +42,17 @@ impl ShadingUniform {
                 DiffuseForm::AmbientOcclusion => 0,
                 DiffuseForm::Directional => 1,
             },
+            diffuse_at: match options.diffuse_at {
+                DiffuseAt::Pixel => 0,
+                DiffuseAt::Gaussian => 1,
+            },
             srgb: u32::from(options.srgb),
-            pad: 0,
         }
+    }
+
+    /// Whether the diffuse term is found at the Gaussians.
+    pub fn is_diffuse_at_gaussians(&self) -> bool {
+        self.diffuse_at == 1
     }
 }
 
@@ -172,7 +180,7 @@ pub struct ShadeGradients<'a> {
     pub by_gbuffer: &'a Buffer<[f32; 4]>,
     /// Added to: gradient by the light tables, laid out as they are. The caller clears it.
     pub by_tables: &'a Buffer<f32>,
-    /// Differentiate gathered and indirect light and visibility too, not only the channels of `Material`.
+    /// Differentiate indirect light and visibility too, not only the channels of `Material`.
     pub all_channels: bool,
 }
 

@@ -18,7 +18,9 @@ use crate::engine::gpu::shading::{
     shade_backward,
 };
 use crate::engine::gpu::update::{STATUS_WORDS, StepInput, Sums, Updater, Upstream};
-use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, Recorder, ViewUniform};
+use crate::engine::gpu::{
+    AttributeBuffers, Buffer, Gpu, GpuError, LightGradients, Raster, Recorder, ViewUniform,
+};
 use crate::light::EnvOperators;
 use crate::scene::{IndirectForm, ShadingOptions};
 
@@ -181,6 +183,7 @@ impl Training {
         }
         self.picture(&mut recorder, step, &view, &canvas)?;
         self.raster.blend_backward(&mut recorder, &by_gbuffer, groups)?;
+        self.light_backward(&mut recorder, step, &view)?;
         self.update(&mut recorder, step, &view, groups, is_full)?;
         // The status rides in the last slot, which no term has: one read is one round trip less.
         recorder.copy(&self.status.cast(), 0, &self.losses, step::STATUS_SLOT, 1);
@@ -217,23 +220,17 @@ impl Training {
             gathered: self.measured.gathered.as_ref(),
             indirect_basis: Some(&self.light.light.indirect_basis),
         };
+        let shading = ShadingUniform::new(&self.options, step.background);
+        let full = shade_job(step.channels, view, &shading, (&self.light, &self.constants));
         self.raster.attributes(recorder, step.channels, &source)?;
+        if let Some(job) = &full {
+            self.raster.light(recorder, job, &self.model.params)?;
+        }
         self.raster.blend(recorder, step.channels, true)?;
         let (Some(gbuffer), Some(by_gbuffer)) = (&self.raster.gbuffer, &self.by_gbuffer) else {
             return Err(GpuError::Internal("a pass without G-buffer".to_owned()));
         };
         let weights = &step.weights;
-        let shading = ShadingUniform::new(&self.options, step.background);
-        let full = match step.channels {
-            Channels::Full(n_visibility) => Some(ShadeJob {
-                view,
-                shading: &shading,
-                n_visibility,
-                light: &self.light.light,
-                constants: &self.constants,
-            }),
-            _ => None,
-        };
         recorder.stage("shade");
         match &full {
             Some(job) => shade(recorder, job, gbuffer, &canvas.images)?,
@@ -288,6 +285,25 @@ impl Training {
             ),
         }
         Ok(())
+    }
+
+    /// From the diffuse radiance of the Gaussians to what it is made of.
+    fn light_backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        step: &Step<'_>,
+        view: &ViewUniform,
+    ) -> Result<(), GpuError> {
+        let shading = ShadingUniform::new(&self.options, step.background);
+        let Some(job) = shade_job(step.channels, view, &shading, (&self.light, &self.constants)) else {
+            return Ok(());
+        };
+        let to = LightGradients {
+            gathered: self.measured.gathered.as_ref(),
+            by_tables: &self.light.tables_gradient,
+            all_channels: matches!(step.differentiated, Channels::Full(_)),
+        };
+        self.raster.light_backward(recorder, &job, &self.model.params, &to)
     }
 
     /// From the splats' gradients to new parameters.
@@ -443,4 +459,15 @@ impl Training {
         recorder.submit()?;
         Ok(Kept { model, density, measured })
     }
+}
+
+/// How a pass over all channels is shaded; `None` for fewer.
+fn shade_job<'a>(
+    channels: Channels,
+    view: &'a ViewUniform,
+    shading: &'a ShadingUniform,
+    (light, constants): (&'a TrainingLight, &'a Constants),
+) -> Option<ShadeJob<'a>> {
+    let Channels::Full(n_visibility) = channels else { return None };
+    Some(ShadeJob { view, shading, n_visibility, light: &light.light, constants })
 }

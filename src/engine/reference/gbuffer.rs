@@ -14,8 +14,9 @@ pub struct Attributes<'t> {
     pub plane: Var<'t>,
     /// Colour of the radiance branch, display-referred, (N, 3).
     pub radiance: Var<'t>,
-    /// Irradiance gathered from other Gaussians, (N, 3).
-    pub gathered: Var<'t>,
+    /// Irradiance gathered from other Gaussians or, with [`DiffuseAt::Gaussian`](crate::scene::DiffuseAt), diffuse
+    /// radiance, (N, 3).
+    pub diffuse: Var<'t>,
     /// Radiance that comes from blocked directions, (N, 3).
     pub indirect: Var<'t>,
 }
@@ -38,8 +39,8 @@ pub struct GBuffer<'t> {
     pub rough: Var<'t>,
     /// Colour of the radiance branch, *not* divided by coverage, (P, 3).
     pub radiance: Var<'t>,
-    /// Gathered irradiance, (P, 3).
-    pub gathered: Var<'t>,
+    /// Diffuse light, (P, 3).
+    pub diffuse: Var<'t>,
     /// Light that comes from blocked directions, (P, 3).
     pub indirect: Var<'t>,
     /// Visibility SH coefficients, (P, (L + 1)^2).
@@ -69,7 +70,7 @@ pub fn blend<'t>(
         metal: mean(p.get(Field::MetalLogit).sigmoid()),
         rough: mean(p.get(Field::RoughLogit).sigmoid()),
         radiance: sums(attributes.radiance),
-        gathered: mean(attributes.gathered),
+        diffuse: mean(attributes.diffuse),
         indirect: mean(attributes.indirect),
         visibility: mean(p.get(Field::Visibility)),
     }

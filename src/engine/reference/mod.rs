@@ -40,7 +40,9 @@ pub use spherical::{CLAMPED_COSINE, fibonacci_sphere, normal_related_sh, real_sh
 pub use tables::{LitTables, Tables};
 pub use tape::{Gradients, Tape, Var};
 
-use crate::scene::{Camera, DiffuseForm, Field, IndirectForm, NormalForm, ShadingOptions, VisibilityForm};
+use crate::scene::{
+    Camera, DiffuseAt, DiffuseForm, Field, IndirectForm, NormalForm, ShadingOptions, VisibilityForm,
+};
 
 /// Which set of small choices is followed where the article's listing and docs/MODEL.md differ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -136,6 +138,7 @@ impl Options {
         let shading = ShadingOptions {
             visibility: VisibilityForm::Sigmoid,
             diffuse: DiffuseForm::AmbientOcclusion,
+            diffuse_at: DiffuseAt::Pixel,
             normal: NormalForm::Free,
             indirect: IndirectForm::Learned,
             low_pass_compensation: false,
@@ -234,9 +237,18 @@ fn attributes<'t>(
         }
         _ => (black(), black()),
     };
+    let diffuse = match options.shading.diffuse_at {
+        DiffuseAt::Pixel => gathered,
+        DiffuseAt::Gaussian => {
+            let towards = outward.normalised() * -1.0;
+            let base = p.albedo() * (1.0 - p.get(Field::MetalLogit).sigmoid());
+            let facing = shading::facing(tape, normal, towards);
+            shading::diffuse(base, facing, p.get(Field::Visibility), gathered, light, &options.shading)
+        }
+    };
     let plane = normal.dot(outward);
     let radiance = attributes::radiance(tape, p, camera);
-    Attributes { normal, plane, radiance, gathered, indirect }
+    Attributes { normal, plane, radiance, diffuse, indirect }
 }
 
 /// A rendered view by channel name, each (P, C): `image radiance normal albedo metal rough ao coverage depth

@@ -1,4 +1,4 @@
-//! Deferred split-sum shading: each pixel once, from the G-buffer (Eq. 16-22, docs/MODEL.md section 4).
+//! Split-sum shading: each pixel once, from the G-buffer, the diffuse term there or at each Gaussian before (Eq. 16-22, docs/MODEL.md section 4).
 
 use std::f64::consts::PI;
 
@@ -10,7 +10,7 @@ use super::scene::Parameters;
 use super::spherical::{degrees, fibonacci_sphere, normal_related_sh, order_of, real_sh};
 use super::tape::{Tape, Var};
 use crate::light::LobeAttenuation;
-use crate::scene::{Camera, DiffuseForm, Field, ShadingOptions, VisibilityForm};
+use crate::scene::{Camera, DiffuseAt, DiffuseForm, Field, ShadingOptions, VisibilityForm};
 
 /// What shading makes of P pixels.
 pub struct Shaded<'t> {
@@ -44,24 +44,19 @@ pub fn shade<'t>(
     options: &ShadingOptions,
 ) -> Shaded<'t> {
     let view = tape.input(view_vectors(camera));
-    let blended = buffer.normal.normalised();
-    let facing = blended.dot(view).value().map(|c| if c < 0.0 { -1.0 } else { 1.0 });
-    let normal = blended * tape.input(facing);
+    let normal = facing(tape, buffer.normal, view);
     let n_dot_v = normal.dot(view).clamp(1e-4, 1.0);
     let reflection = (2.0 * n_dot_v * normal - view).normalised();
 
-    let visibility = match options.visibility {
-        VisibilityForm::Off => open(buffer.visibility),
-        VisibilityForm::Linear | VisibilityForm::Sigmoid => buffer.visibility,
+    let visibility = visibility(buffer.visibility, options.visibility);
+    let ambient_occlusion = ambient_occlusion(normal, visibility, options.visibility);
+    let diffuse = match options.diffuse_at {
+        DiffuseAt::Gaussian => buffer.diffuse,
+        DiffuseAt::Pixel => {
+            let base = buffer.albedo * (1.0 - buffer.metal);
+            diffuse(base, normal, visibility, buffer.diffuse, light, options)
+        }
     };
-    let occlusion = normal_related_sh(normal, order_of(visibility));
-    let ambient_occlusion = squashed(visibility.dot(occlusion), options.visibility);
-    let irradiance = match options.diffuse {
-        DiffuseForm::AmbientOcclusion => ambient_occlusion * light.irradiance(normal),
-        DiffuseForm::Directional => light.transfer(normal, visibility).at_least(0.0),
-    };
-    let base = buffer.albedo * (1.0 - buffer.metal);
-    let diffuse = base * (1.0 / PI) * (irradiance + buffer.gathered);
 
     let mirrored = lobe_visibility(visibility, reflection, buffer.rough, options.visibility);
     let f0 = 0.04 * (1.0 - buffer.metal) + buffer.albedo * buffer.metal;
@@ -70,6 +65,42 @@ pub fn shade<'t>(
     let incoming = mirrored * prefiltered + (1.0 - mirrored) * buffer.indirect;
     let specular = incoming * (f0 * split.column(0) + split.column(1));
     Shaded { normal, ambient_occlusion, diffuse, specular }
+}
+
+/// Diffuse radiance (Eq. 21 or DESIGN 4.2) of surfaces of base colour `base` times non-metalness, unit normals turned to the
+/// camera and gathered irradiance.
+pub fn diffuse<'t>(
+    base: Var<'t>,
+    normal: Var<'t>,
+    coefficients: Var<'t>,
+    gathered: Var<'t>,
+    light: &dyn Lighting<'t>,
+    options: &ShadingOptions,
+) -> Var<'t> {
+    let visibility = visibility(coefficients, options.visibility);
+    let irradiance = match options.diffuse {
+        DiffuseForm::AmbientOcclusion => {
+            ambient_occlusion(normal, visibility, options.visibility) * light.irradiance(normal)
+        }
+        DiffuseForm::Directional => light.transfer(normal, visibility).at_least(0.0),
+    };
+    base * (1.0 / PI) * (irradiance + gathered)
+}
+
+/// `normals`, unit or not, at unit length and turned towards `view`.
+pub fn facing<'t>(tape: &'t Tape, normals: Var<'t>, view: Var<'t>) -> Var<'t> {
+    let normals = normals.normalised();
+    let sign = normals.dot(view).value().map(|c| if c < 0.0 { -1.0 } else { 1.0 });
+    normals * tape.input(sign)
+}
+
+fn ambient_occlusion<'t>(normal: Var<'t>, visibility: Var<'t>, form: VisibilityForm) -> Var<'t> {
+    squashed(visibility.dot(normal_related_sh(normal, order_of(visibility))), form)
+}
+
+/// The field as it is shaded with.
+fn visibility(coefficients: Var<'_>, form: VisibilityForm) -> Var<'_> {
+    if form == VisibilityForm::Off { open(coefficients) } else { coefficients }
 }
 
 /// Coefficients of V = 1 in the shape of `coefficients`.

@@ -18,17 +18,19 @@ pub fn by_cpu(question: &Question<'_>) -> Answer {
         options: &model.shading,
         gathered: question.gathered,
         indirect_basis: &[[0.0; 3]; 16],
+        light: None,
     };
     let order = model.gaussians.visibility_order();
+    let shader = Shader { tables: &tables, options: &model.shading, order };
+    let source = source.under(shader);
     let channels = Channels::Full(model.gaussians.width(Field::Visibility));
     let pass = Pass::forward(&source, View::new(question.camera, &model.shading), channels, false);
-    let shader = Shader { tables: &tables, options: &model.shading, order };
     let images = shader.images(&pass, question.background);
     let by = BranchImages { physical: question.physical.clone(), radiance: question.radiance.clone() };
     let count = channels.count();
-    let (by_gbuffer, by_tables) =
+    let (by_gbuffer, mut by_tables) =
         shader.images_backward(&pass, question.background, &by, &question.buffers, count);
-    let found = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count);
+    let found = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, Some(&mut by_tables));
     let by_radiance = operators.apply_transposed(&by_tables);
     let by_raw: Vec<[f32; 3]> = by_radiance
         .iter()

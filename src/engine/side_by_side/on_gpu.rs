@@ -8,7 +8,7 @@ use crate::engine::gpu::model::{ModelBuffers, from_planar};
 use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::shading::{Images, ShadeGradients, ShadeJob, ShadingUniform, shade, shade_backward};
 use crate::engine::gpu::update::{ParameterTerms, STATUS_WORDS, StepInput, Sums, Updater, Upstream};
-use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUniform};
+use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, LightGradients, Raster, ViewUniform};
 use crate::engine::reference::Array;
 use crate::engine::side_by_side::on_cpu::shared;
 use crate::engine::side_by_side::{Answer, Question, SplatSeen};
@@ -92,13 +92,14 @@ pub fn by_gpu(gpu: &Gpu, question: &Question<'_>) -> Result<Answer, GpuError> {
         gathered: gathered.as_ref(),
         indirect_basis: Some(&light.light.indirect_basis),
     };
-    raster.attributes(&mut recorder, channels, &source)?;
-    raster.blend(&mut recorder, channels, false)?;
-    let gbuffer = raster.gbuffer.clone().ok_or_else(|| missing("G-buffer"))?;
     let shading = ShadingUniform::new(options, question.background);
     let constants = Constants::upload(gpu)?;
     let job =
         ShadeJob { view: &view, shading: &shading, n_visibility, light: &light.light, constants: &constants };
+    raster.attributes(&mut recorder, channels, &source)?;
+    raster.light(&mut recorder, &job, &buffers.params)?;
+    raster.blend(&mut recorder, channels, false)?;
+    let gbuffer = raster.gbuffer.clone().ok_or_else(|| missing("G-buffer"))?;
     shade(&mut recorder, &job, &gbuffer, &canvas.images)?;
     let gradients = ShadeGradients {
         gbuffer: &gbuffer,
@@ -110,6 +111,9 @@ pub fn by_gpu(gpu: &Gpu, question: &Question<'_>) -> Result<Answer, GpuError> {
     };
     shade_backward(&mut recorder, &job, &gradients)?;
     raster.blend_backward(&mut recorder, &canvas.by_gbuffer, groups(channels))?;
+    let to =
+        LightGradients { gathered: gathered.as_ref(), by_tables: &light.tables_gradient, all_channels: true };
+    raster.light_backward(&mut recorder, &job, &buffers.params, &to)?;
     let upstream = Upstream {
         view: &view,
         splats: raster.splats.as_ref().ok_or_else(|| missing("splats"))?,

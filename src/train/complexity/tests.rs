@@ -34,6 +34,7 @@ fn albedo(learned: &Learned, i: usize) -> [f32; 3] {
         options: &options,
         gathered: &[],
         indirect_basis: &[[0.0; 3]; 16],
+        light: None,
     };
     source.albedo(i)
 }

@@ -11,7 +11,9 @@ use crate::engine::gpu::shading::ShadingUniform;
 use crate::engine::gpu::shading::tests::{
     Noise, camera_view, error, planar_gbuffer, random_pass, random_tables,
 };
-use crate::scene::{DiffuseForm, Field, Gaussians, Model, ShadingOptions, VisibilityForm, sh_count};
+use crate::scene::{
+    DiffuseAt, DiffuseForm, Field, Gaussians, Model, ShadingOptions, VisibilityForm, sh_count,
+};
 
 const ALL: [Plane; 11] = [
     Plane::Rgb,
@@ -102,12 +104,13 @@ fn plane_error(found: &[f32], host: &[f32]) -> f32 {
 fn every_picture_is_what_the_cpu_engine_gives() {
     let Some(gpu) = Gpu::for_tests() else { return };
     let forms = [
-        (VisibilityForm::Linear, DiffuseForm::Directional),
-        (VisibilityForm::Sigmoid, DiffuseForm::AmbientOcclusion),
-        (VisibilityForm::Off, DiffuseForm::Directional),
+        (VisibilityForm::Linear, DiffuseForm::Directional, DiffuseAt::Pixel),
+        (VisibilityForm::Linear, DiffuseForm::Directional, DiffuseAt::Gaussian),
+        (VisibilityForm::Sigmoid, DiffuseForm::AmbientOcclusion, DiffuseAt::Pixel),
+        (VisibilityForm::Off, DiffuseForm::Directional, DiffuseAt::Pixel),
     ];
-    for (seed, (visibility, diffuse)) in forms.into_iter().enumerate() {
-        let options = ShadingOptions { visibility, diffuse, ..ShadingOptions::default() };
+    for (seed, (visibility, diffuse, diffuse_at)) in forms.into_iter().enumerate() {
+        let options = ShadingOptions { visibility, diffuse, diffuse_at, ..ShadingOptions::default() };
         let (found, host) = developed(&gpu, seed as u64, &options, &ALL);
         for (plane, (found, host)) in ALL.iter().zip(found.iter().zip(&host)) {
             let seen = plane_error(found, host);
@@ -217,7 +220,7 @@ fn surface(row: &[f32], towards: [f32; 3]) -> Surface {
         albedo: triple(channel::ALBEDO),
         metal: row[channel::METAL],
         rough: row[channel::ROUGH],
-        gathered: triple(channel::GATHERED),
+        diffuse: triple(channel::DIFFUSE),
         indirect: triple(channel::INDIRECT),
         visibility,
         view: normalise(towards).0,

@@ -54,6 +54,7 @@ impl Scene {
             options: &self.options,
             gathered: &[],
             indirect_basis: &[[0.0; 3]; 16],
+            light: None,
         }
     }
 

@@ -3,6 +3,7 @@
 mod backward;
 mod cases;
 mod exact;
+mod light;
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -70,6 +71,7 @@ impl Scene {
             options: &self.options,
             gathered: &self.gathered,
             indirect_basis: &self.basis,
+            light: None,
         }
     }
 

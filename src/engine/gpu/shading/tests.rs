@@ -43,6 +43,7 @@ pub(in crate::engine::gpu) fn empty_pass(view: View, options: &ShadingOptions, c
         options,
         gathered: &[],
         indirect_basis: &[[0.0; 3]; 16],
+        light: None,
     };
     Pass::forward(&source, view, channels, true)
 }
@@ -235,11 +236,18 @@ fn forms() -> Vec<ShadingOptions> {
     let mut out = Vec::new();
     for visibility in [VisibilityForm::Linear, VisibilityForm::Sigmoid, VisibilityForm::Off] {
         for diffuse in [DiffuseForm::Directional, DiffuseForm::AmbientOcclusion] {
-            let srgb = diffuse == DiffuseForm::Directional;
-            out.push(ShadingOptions { visibility, diffuse, srgb, ..ShadingOptions::default() });
+            for diffuse_at in [DiffuseAt::Pixel, DiffuseAt::Gaussian] {
+                let srgb = diffuse == DiffuseForm::Directional;
+                out.push(ShadingOptions { visibility, diffuse, diffuse_at, srgb, ..Default::default() });
+            }
         }
     }
     out
+}
+
+/// The form whose pixels have all to find.
+fn deferred() -> ShadingOptions {
+    ShadingOptions { diffuse_at: DiffuseAt::Pixel, ..Default::default() }
 }
 
 /// Errors of images, G-buffer gradient and table gradient of one case.
@@ -279,7 +287,7 @@ fn every_order_and_image_size_shades_as_the_cpu_engine_does() {
     for (order, size) in
         [(0, (1, 1)), (1, (16, 16)), (2, (17, 3)), (3, (33, 16)), (5, (9, 31)), (6, (20, 20))]
     {
-        let case = Case::new(&gpu, 40 + order as u64, size, order, ShadingOptions::default());
+        let case = Case::new(&gpu, 40 + order as u64, size, order, deferred());
         // The largest kernels take a software device seconds to compile: one of the two directions each.
         for all in [false, true].into_iter().filter(|all| order < 5 || *all == (order == 6)) {
             let errors = errors(&case, all);
@@ -298,7 +306,7 @@ fn a_device_without_float_atomics_sums_the_same_tables() {
         ..Default::default()
     };
     let Some(gpu) = Gpu::with_options(options) else { return };
-    let case = Case::new(&gpu, 21, (20, 18), 1, ShadingOptions::default());
+    let case = Case::new(&gpu, 21, (20, 18), 1, deferred());
     let errors = errors(&case, false);
     assert!(errors[2] < 1e-4 && errors[3] < 1e-4, "{errors:?}");
 }
@@ -306,7 +314,7 @@ fn a_device_without_float_atomics_sums_the_same_tables() {
 #[test]
 fn the_comparison_sees_a_small_change_of_any_input() {
     let Some(gpu) = Gpu::for_tests() else { return };
-    let case = Case::new(&gpu, 7, (12, 9), 2, ShadingOptions::default());
+    let case = Case::new(&gpu, 7, (12, 9), 2, deferred());
     let (by, by_buffers) = case.gradients(5);
     let images = case.cpu().images(&case.pass, case.background);
     let (_, by_tables) = case.cpu().images_backward(&case.pass, case.background, &by, &by_buffers, 29);
@@ -314,7 +322,7 @@ fn the_comparison_sees_a_small_change_of_any_input() {
         if channel == channel::PLANE || channel == channel::DEPTH {
             continue;
         }
-        let mut changed = Case::new(&gpu, 7, (12, 9), 2, ShadingOptions::default());
+        let mut changed = Case::new(&gpu, 7, (12, 9), 2, deferred());
         let value = changed.pass.at(4, 3, channel);
         set(&mut changed.pass, 4, 3, channel, value + 0.02);
         let results = changed.run(&by, &by_buffers, true);
@@ -335,7 +343,7 @@ fn the_radiance_branch_alone_is_that_of_the_cpu_engine() {
     let Some(gpu) = Gpu::for_tests() else { return };
     let background = [0.1, 0.7, 0.4];
     for channels in [Channels::Colour, Channels::Geometry] {
-        let case = Case::new(&gpu, 3, (37, 21), 0, ShadingOptions::default());
+        let case = Case::new(&gpu, 3, (37, 21), 0, deferred());
         let (by, by_buffers) = case.gradients(8);
         let mut pass = empty_pass(case.pass.view, &case.options, channels);
         let (w, h) = (pass.view.width, pass.view.height);
@@ -379,6 +387,7 @@ fn the_radiance_branch_alone_is_that_of_the_cpu_engine() {
 
 #[test]
 fn uniforms_are_laid_out_as_the_shaders_read_them() {
-    assert_layout!(ShadingUniform as "Shading" in shaders::SHADE_1; background, visibility_form, diffuse_form, srgb, pad);
+    assert_layout!(ShadingUniform as "Shading" in shaders::SHADE_1; background, visibility_form, diffuse_form,
+        diffuse_at, srgb);
     assert_layout!(CompositeUniform as "Composite" in shaders::RADIANCE; background, n_pixels, pad_a, pad_b, pad_c);
 }

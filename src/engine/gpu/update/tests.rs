@@ -112,6 +112,7 @@ fn source<'a>(model: &'a Model, basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a
         options: &model.shading,
         gathered: &[],
         indirect_basis: basis,
+        light: None,
     }
 }
 
@@ -138,7 +139,7 @@ impl Case {
         for (splat, l) in pass.splats.iter().zip(backward_labels(&pass)) {
             labels[splat.gaussian as usize] = [l.transmittance * l.weight, l.weight];
         }
-        let expected = pass.backward(&source, &by_gbuffer, stored, count);
+        let expected = pass.backward(&source, &by_gbuffer, stored, count, None);
         let summed = pass.splat_gradients(&by_gbuffer, stored, count);
         let groups = stored / 4;
         let (records, rows) = device_rows(&pass, shape.n, &summed, count, groups);

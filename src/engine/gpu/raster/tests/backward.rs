@@ -15,7 +15,7 @@ fn random_gradient(view: &View, count: usize, seed: u64) -> Vec<Vec<f32>> {
 }
 
 /// `[group][pixel]`, as the device wants it.
-fn planes(rows: &[Vec<f32>]) -> Vec<[f32; 4]> {
+pub(super) fn planes(rows: &[Vec<f32>]) -> Vec<[f32; 4]> {
     let groups = rows[0].len() / 4;
     (0..groups).flat_map(|g| rows.iter().map(move |r| std::array::from_fn(|c| r[4 * g + c]))).collect()
 }
@@ -74,7 +74,7 @@ pub(super) fn check(raster: &mut Raster, scene: &Scene, channels: Channels, coun
 }
 
 /// The gradient laid out for the CPU's pass.
-fn for_cpu(pass: &Pass, view: &View, by: &[Vec<f32>]) -> Vec<f32> {
+pub(super) fn for_cpu(pass: &Pass, view: &View, by: &[Vec<f32>]) -> Vec<f32> {
     let stored = by[0].len();
     let mut out = vec![0.0f32; pass.tiles.len() * 256 * stored];
     for (pixel, row) in by.iter().enumerate() {
@@ -121,7 +121,7 @@ fn gradients_match_the_cpu() {
     let got = device_rows(&mut raster, &by, n);
     let by = for_cpu(&pass, &scene.view, &by);
     let by_channel = pass.channel_gradients(&by, 16, count, 0..count);
-    let rows = pass.backward(&scene.source(), &by, 16, count);
+    let rows = pass.backward(&scene.source(), &by, 16, count, None);
     let scale = by_channel.iter().fold(0.0f32, |m, v| m.max(v.abs()));
     for (splat, expected) in pass.splats.iter().zip(by_channel.chunks_exact(count)) {
         let i = splat.gaussian as usize;

@@ -1,0 +1,34 @@
+// The diffuse term of a surface, a pixel's or a Gaussian's: the port of src/engine/cpu/lambert.rs, a part of `shading`.
+
+// A diffuse term and what its backward pass needs.
+struct Lambert {
+    radiance: vec3f,
+    irradiance: vec3f,
+    // Before the clamp, and per tap.
+    irradiance_raw: vec3f,
+    tap_irradiance: array<vec3f, 4>,
+    taps: Taps,
+    ambient: f32,
+    ambient_raw: f32,
+}
+
+// Of a surface whose `diffuse` is gathered irradiance, for its unit `normal` turned to the camera.
+fn lambert(s: ptr<function, Surface>, normal: vec3f) -> Lambert {
+    var f: Lambert;
+    // Four tabulated normals around n.
+    f.taps = cube_taps(tables.diffuse_n, normal);
+    f.irradiance_raw = vec3f(0.0);
+#repeat k 4
+    f.tap_irradiance[$k] = node_irradiance(s, f.taps.node[$k]);
+    f.irradiance_raw += f.taps.weight[$k] * f.tap_irradiance[$k];
+#end
+    f.ambient = 1.0;
+    f.ambient_raw = 1.0;
+    if is_scalar() && !is_open() {
+        f.ambient_raw = ambient_raw(s, normal);
+        f.ambient = squash(f.ambient_raw);
+    }
+    f.irradiance = max(f.irradiance_raw, vec3f(0.0)) * f.ambient;
+    f.radiance = (*s).albedo * ((1.0 - (*s).metal) * INV_PI) * (f.irradiance + (*s).diffuse);
+    return f;
+}
