@@ -1,4 +1,4 @@
-//! The standard tier on the CPU engine: deferred split-sum shading from tables, with the light that bounces.
+//! The standard tier on the CPU engine: split-sum shading from tables, with the light that bounces.
 
 use std::sync::OnceLock;
 

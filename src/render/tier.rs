@@ -10,7 +10,7 @@ use crate::render::RenderError;
 pub enum Tier {
     /// Shade each Gaussian once, blend three channels.
     Preview,
-    /// Deferred split-sum with directional diffuse.
+    /// Split-sum highlights in the pixel, directional diffuse light at the Gaussians.
     #[default]
     Standard,
     /// As `standard`, with a true shadow for each strong small light of the environment.

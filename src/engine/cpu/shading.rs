@@ -1,4 +1,4 @@
-//! Deferred shading of a whole view, forward and backward.
+//! Shading of a whole view, forward and backward.
 
 use rayon::prelude::*;
 
