@@ -35,7 +35,7 @@ impl Raster {
         if !job.shading.is_diffuse_at_gaussians() {
             return Ok(());
         }
-        rec.stage("light");
+        rec.stage("diffuse");
         let all = [
             &LIGHT_GAUSSIANS_1,
             &LIGHT_GAUSSIANS_4,
@@ -71,7 +71,7 @@ impl Raster {
         if !job.shading.is_diffuse_at_gaussians() {
             return Ok(());
         }
-        rec.stage("light backward");
+        rec.stage("diffuse backward");
         let shader = backward_shader(job.n_visibility, to.all_channels)?;
         let p = self.prepared()?;
         let (n, width) = (u64::from(p.model.n), job.n_visibility as u64);
