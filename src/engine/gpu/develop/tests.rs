@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::engine::channel;
-use crate::engine::cpu::{self, Pass, Shader, Surface, linear_from_srgb, normalise, surface_at};
+use crate::engine::cpu::{self, Pass, Shader, linear_from_srgb, normalise, surface_at, surface_of_row};
 use crate::engine::gpu::ViewUniform;
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::model::ModelBuffers;
@@ -195,7 +195,7 @@ fn gaussians_are_shaded_as_the_preview_tier_does() {
             }
             let mean: [f32; 3] = model.gaussians.get(Field::Mean, i);
             let row = rows[i * groups..(i + 1) * groups].as_flattened();
-            let f = shader.shade(&surface(row, std::array::from_fn(|k| view.eye[k] - mean[k])));
+            let f = shader.shade(&surface_of_row(row, std::array::from_fn(|k| mean[k] - view.eye[k])));
             [1.0, f.diffuse[0] + f.specular[0], f.diffuse[1] + f.specular[1], f.diffuse[2] + f.specular[2]]
         })
         .collect();
@@ -204,27 +204,11 @@ fn gaussians_are_shaded_as_the_preview_tier_does() {
     let turned: Vec<f32> = (0..n)
         .flat_map(|i| {
             let row = rows[i * groups..(i + 1) * groups].as_flattened();
-            shader.shade(&surface(row, [0.0, 0.1, 1.0])).specular
+            shader.shade(&surface_of_row(row, [0.0, -0.1, -1.0])).specular
         })
         .collect();
     let plain: Vec<f32> = found.iter().flat_map(|p| [p[1], p[2], p[3]]).collect();
     assert!(error(&plain, &turned) > 1e-2, "the control: another direction of view shows");
-}
-
-fn surface(row: &[f32], towards: [f32; 3]) -> Surface {
-    let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| row[r.start + k]);
-    let mut visibility = [0.0; cpu::MAX_COEFFICIENTS];
-    visibility[..9].copy_from_slice(&row[channel::VISIBILITY..channel::VISIBILITY + 9]);
-    Surface {
-        normal: triple(channel::NORMAL),
-        albedo: triple(channel::ALBEDO),
-        metal: row[channel::METAL],
-        rough: row[channel::ROUGH],
-        diffuse: triple(channel::DIFFUSE),
-        indirect: triple(channel::INDIRECT),
-        visibility,
-        view: normalise(towards).0,
-    }
 }
 
 #[test]
