@@ -50,6 +50,23 @@ impl LocalSplat {
         y as f32 + 0.5 - self.mean[1]
     }
 
+    /// Alpha before the cap in the strip at (`x`, `y`), 0 where below 1/255; `None` where it is so in every pixel.
+    #[inline(always)]
+    pub(super) fn alpha(&self, x: usize, y: usize) -> Option<Lanes> {
+        let dy = self.dy(y);
+        let least = self.row_power * dy * dy;
+        if least > self.reach {
+            return None;
+        }
+        let (x0, a, b) = (self.dx(x), self.axes[0], self.axes[1] * dy);
+        let alpha = Lanes::from_fn(|i| {
+            let u = a * (x0 + i as f32) + b;
+            let value = self.opacity * exp_negative(-(u * u + least));
+            if value >= ALPHA_MIN { value } else { 0.0 }
+        });
+        (alpha.max() > 0.0).then_some(alpha)
+    }
+
     #[inline(always)]
     pub(super) fn conic(&self) -> [f32; 3] {
         self.conic
@@ -77,7 +94,7 @@ pub(super) struct Entry {
 pub struct BlendScratch {
     pub(super) splats: Vec<LocalSplat>,
     pub(super) entries: Vec<Entry>,
-    pub(super) weights: Vec<Lanes>,
+    weights: Vec<Lanes>,
 }
 
 /// A tile to blend: what is in it and where it is.
@@ -109,34 +126,26 @@ impl BlendScratch {
         self.entries.clear();
         let mut transmittance = Lanes::ONE;
         for (local, s) in self.splats.iter().enumerate() {
-            let dy = s.dy(y);
-            let least = s.row_power * dy * dy;
-            if least > s.reach {
-                continue;
-            }
-            let x0 = s.dx(x);
-            let (a, b) = (s.axes[0], s.axes[1] * dy);
-            let mut alpha = Lanes::ZERO;
-            for i in 0..LANES {
-                let dx = x0 + i as f32;
-                let u = a * dx + b;
-                let power = u * u + least;
-                let value = s.opacity * exp_negative(-power);
-                alpha.0[i] = if value >= ALPHA_MIN { value } else { 0.0 };
-            }
-            if alpha.max() <= 0.0 {
-                continue;
-            }
+            let Some(alpha) = s.alpha(x, y) else { continue };
             self.entries.push(Entry { local: local as u32, alpha, transmittance });
-            for i in 0..LANES {
-                transmittance.0[i] *= 1.0 - capped(alpha.0[i]);
-            }
-            if early_stop && self.entries.len().is_multiple_of(4) && transmittance.max() < TRANSMITTANCE_STOP
-            {
+            transmittance = behind_splat(&transmittance, &alpha);
+            if early_stop && is_saturated(self.entries.len(), &transmittance) {
                 break;
             }
         }
     }
+}
+
+/// Transmittance behind a splat of `alpha`.
+#[inline(always)]
+pub(super) fn behind_splat(in_front: &Lanes, alpha: &Lanes) -> Lanes {
+    Lanes::from_fn(|i| in_front.0[i] * (1.0 - capped(alpha.0[i])))
+}
+
+/// Whether a strip may be left after `count` splats; looked at every fourth.
+#[inline(always)]
+pub(super) fn is_saturated(count: usize, transmittance: &Lanes) -> bool {
+    count.is_multiple_of(4) && transmittance.max() < TRANSMITTANCE_STOP
 }
 
 /// Alpha after the cap.

@@ -20,6 +20,7 @@ mod project;
 mod rays;
 mod shade;
 mod shading;
+mod shadows;
 mod tiles;
 mod view;
 

@@ -65,8 +65,8 @@ pub(super) struct Footprint {
     pub(super) spread: [f32; 2],
     /// Standard deviation along the direction.
     pub(super) thickness: f32,
-    opacity: f32,
-    reach: f32,
+    pub(super) opacity: f32,
+    pub(super) reach: f32,
 }
 
 /// Every Gaussian of `source`; those that hide nothing have an opacity of 0.
