@@ -165,6 +165,7 @@ fn capture() -> Capture {
         bounds: Scene3dBounds { centre: DVec3::ZERO, radius: 1.0 },
         has_alpha: true,
         lights: Default::default(),
+        lit_by: None,
         warnings: Vec::new(),
     }
 }

@@ -152,6 +152,7 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
         bounds: Scene3dBounds { centre: DVec3::ZERO, radius: 1.0 },
         has_alpha: true,
         lights: [("lamp".to_owned(), lamp)].into(),
+        lit_by: None,
         warnings: Vec::new(),
     }
 }

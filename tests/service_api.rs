@@ -1,9 +1,13 @@
 //! The HTTP conventions: problems, caching, ranges, paging, keys, metrics, the description.
 
 use relume::api::auth::ApiKeys;
+use relume::capture::builtin;
 use relume::client::Client;
+use relume::formats::model_file;
+use relume::scene::EnvMap;
 use relume::store::JobState;
 use relume::testing;
+use relume::train::KnownLight;
 use reqwest::{Method, RequestBuilder, StatusCode, header};
 use serde_json::{Value, json};
 
@@ -62,6 +66,18 @@ async fn a_job_with_a_wrong_field_is_refused_by_pointer() {
         (json!({ "capture": capture, "preset": "best" }), "/preset"),
         (json!({ "capture": capture, "overrides": { "speed": 11 } }), "/overrides/speed"),
         (json!({ "capture": capture, "overrides": { "seed": -1 } }), "/overrides/seed"),
+        (
+            json!({ "capture": capture, "overrides": { "light": { "environment": "nowhere" } } }),
+            "/overrides/light/environment",
+        ),
+        (
+            json!({ "capture": capture, "overrides": { "light": { "rotation_deg": 3 } } }),
+            "/overrides/light/environment",
+        ),
+        (
+            json!({ "capture": capture, "overrides": { "light": { "environment": "studio", "exposure_ev": 40 } } }),
+            "/overrides/light",
+        ),
         (json!({ "capture": capture, "priority": 101 }), "/priority"),
         (json!({ "capture": capture, "device": "gpu" }), "/device"),
     ];
@@ -397,6 +413,34 @@ async fn environments_are_kept_once_and_mended_with_a_warning() {
     assert!(list.builtin.contains(&"studio".to_owned()) && list.uploaded.items.len() == 2);
     let id = trained(client).await.model.unwrap();
     client.thumbnail(&id, &format!("env={}&size=16", first.id)).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_holds_the_light_it_is_told() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
+    let map = EnvMap::from_fn(32, 16, |d| [0.2 + 0.5 * (1.0 + d.x as f32), 0.4, 0.1]);
+    let file = relume::formats::exr_image::encode_rgb(32, 16, map.texels()).unwrap();
+    let uploaded = client.upload_environment(file).await.unwrap().id;
+    let light = |environment: String| KnownLight { environment, rotation_deg: 90.0, exposure_ev: 1.0 };
+    for light in [None, Some(light(uploaded)), Some(light("studio".into()))] {
+        let mut job = small_job(&capture, 40, 20);
+        job.overrides.light = light.clone();
+        let job = client.create_job(&job, None).await.unwrap();
+        let job = ended(client, &job.id).await;
+        assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+        let file = client.file(&job.model.unwrap(), "model.safetensors").await.unwrap();
+        let found = model_file::decode(&file).unwrap().environment();
+        let told = match light.as_ref().map(|l| l.environment.as_str()) {
+            Some("studio") => builtin("studio").unwrap(),
+            _ => map.clone(),
+        };
+        let told = told.rotated_and_scaled(90.0, 2.0).resampled(32, 16);
+        let apart = found.texels().iter().flatten().zip(told.texels().iter().flatten());
+        let worst = apart.map(|(a, b)| (a - b).abs() / (b + 0.01)).fold(0.0, f32::max);
+        assert_eq!(worst < 1e-3, light.is_some(), "{light:?}: {worst}");
+    }
 }
 
 #[test]

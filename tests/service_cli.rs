@@ -58,6 +58,13 @@ fn a_folder_becomes_a_model_a_picture_and_a_ply() {
     fails_with(at, &["train", "scan.zip", "--set", "speed=11"], "speed");
     fails_with(at, &["train", "scan.zip", "--set", "iterations=0"], "iterations");
     fails_with(at, &["train", "nowhere.zip"], "nowhere.zip");
+    fails_with(at, &["train", "scan.zip", "--light", "mars.hdr"], "mars.hdr");
+    fails_with(
+        at,
+        &["train", "scan.zip", "--light", "studio", "--light-exposure", "40"],
+        "light.exposure_ev",
+    );
+    fails_with(at, &["train", "scan.zip", "--light-exposure", "1"], "--light");
     let left = ["d.png", "d.gif", "m.obj", "model.ply", "model.safetensors"].map(|f| at.join(f).exists());
     assert_eq!(left, [false; 5], "a refusal leaves nothing behind");
 }

@@ -6,9 +6,10 @@ use std::sync::OnceLock;
 use relume::capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
 use relume::engine::Device;
 use relume::formats::model_file;
-use relume::scene::{Field, IndirectForm, Model, VisibilityForm};
+use relume::scene::{EnvMap, Field, IndirectForm, Model, VisibilityForm};
 use relume::train::{
-    Complexity, LabelSource, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides, Trainer,
+    Complexity, KnownLight, LabelSource, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides,
+    Trainer,
 };
 
 fn capture() -> &'static Capture {
@@ -124,6 +125,30 @@ fn every_label_source_and_form_trains_to_finite_parameters() {
         assert!(model.gaussians.is_finite(), "{labels:?}");
         let moved = model.gaussians.field(Field::Visibility).chunks_exact(25).any(|c| c[3].abs() > 1e-4);
         assert!(moved, "{labels:?}: visibility must have been learned or measured");
+    }
+}
+
+#[test]
+fn a_known_light_is_held_through_a_resumption_and_asked_for_by_name() {
+    let light = KnownLight { environment: "lamp".into(), rotation_deg: 0.0, exposure_ev: -1.0 };
+    let config = config(&TrainOverrides { light: Some(light), ..overrides() });
+    let refused = Trainer::new(capture(), config.clone(), &Device::Cpu).err().unwrap();
+    assert!(matches!(refused, TrainError::Invalid(m) if m.starts_with("light:")));
+
+    let map = EnvMap::from_fn(64, 32, |d| [1.0 + d.z as f32, 0.5, 0.3 + 0.2 * d.x as f32]);
+    let lit = Capture { lit_by: Some(map.clone()), ..capture().clone() };
+    let mut trainer = Trainer::new(&lit, config.clone(), &Device::Cpu).unwrap();
+    (0..30).for_each(|_| {
+        trainer.step().unwrap();
+    });
+    let mut trainer = Trainer::resume(&lit, config, &trainer.checkpoint().unwrap(), &Device::Cpu).unwrap();
+    while !trainer.is_done() {
+        trainer.step().unwrap();
+    }
+    let found = trainer.model().unwrap().environment();
+    let told = map.rotated_and_scaled(0.0, 0.5).resampled(32, 16);
+    for (a, b) in found.texels().iter().flatten().zip(told.texels().iter().flatten()) {
+        assert!((a - b).abs() < 1e-4 * (1.0 + b), "{a} {b}");
     }
 }
 

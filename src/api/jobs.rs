@@ -13,9 +13,10 @@ use utoipa_axum::routes;
 use crate::api::extract::{JsonBody, QueryString};
 use crate::api::listing::{List, page, rfc3339};
 use crate::api::{Problem, Shared};
+use crate::capture::BUILTIN;
 use crate::jobs::JobOrder;
 use crate::store::{Cancelled, IdempotencyKey, JobRecord, JobState, Submitted, hex};
-use crate::train::{Preset, TrainConfig, TrainOverrides};
+use crate::train::{KnownLight, Preset, TrainConfig, TrainOverrides};
 
 const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 const REPLAYED: HeaderName = HeaderName::from_static("idempotent-replayed");
@@ -193,6 +194,9 @@ async fn create_job(
     if app.store.capture(&job.capture).await?.is_none() {
         return Err(Problem::invalid_field("/capture", format!("{:?} does not exist", job.capture)));
     }
+    if let Some(light) = &config.light {
+        check_light(&app, light).await?;
+    }
     let key = idempotency_key(&headers, &job)?;
     let order = JobOrder {
         capture_id: job.capture,
@@ -340,6 +344,16 @@ fn idempotency_key(headers: &HeaderMap, job: &NewJob) -> Result<Option<Idempoten
         key: key.ok_or_else(wrong)?.to_owned(),
         fingerprint: hex(&Sha256::digest(&body)),
     }))
+}
+
+/// A known light must be one that the worker will find.
+async fn check_light(app: &Shared, light: &KnownLight) -> Result<(), Problem> {
+    let name = light.environment.as_str();
+    if BUILTIN.contains(&name) || app.store.environment(name).await?.is_some() {
+        return Ok(());
+    }
+    let detail = format!("{name:?} is no uploaded environment and none of {}", BUILTIN.join(", "));
+    Err(Problem::invalid_field("/overrides/light/environment", detail))
 }
 
 fn check_priority(priority: i64) -> Result<(), Problem> {

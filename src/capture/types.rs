@@ -84,6 +84,8 @@ pub struct Capture {
     pub has_alpha: bool,
     /// Lights named in the ground truth, when found beside the capture.
     pub lights: BTreeMap<String, EnvMap>,
+    /// The light of the photographs, where it was measured; no importer sets it.
+    pub lit_by: Option<EnvMap>,
     /// Things a user should know but that did not stop the import, e.g. missing images by name.
     pub warnings: Vec<String>,
 }

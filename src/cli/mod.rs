@@ -7,6 +7,7 @@ mod doctor;
 pub mod eval;
 mod explain;
 mod export;
+mod light;
 mod output;
 mod render;
 mod serve;

@@ -4,14 +4,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::api::picture::{self, Format};
-use crate::capture::{BUILTIN, builtin};
 use crate::cli::args::{QualityArgs, named};
+use crate::cli::light::named_light;
 use crate::cli::{CommandResult, output};
 use crate::engine::Device;
 use crate::engine::gpu::DeviceChoice;
-use crate::formats::{environment, model_file};
+use crate::formats::model_file;
 use crate::render::{Output, Renderer};
-use crate::scene::{EnvMap, Model};
 use crate::worker::{Orbit, View};
 
 /// Options of `relume render`.
@@ -56,7 +55,11 @@ pub(super) fn run(args: &Args) -> CommandResult {
         return Err("only an .exr holds several outputs".into());
     }
     let model = Arc::new(model_file::decode(&std::fs::read(&args.model)?)?);
-    let light = light(&args.env, &model)?.rotated_and_scaled(args.rotation, args.exposure.exp2() as f32);
+    let light = match args.env.as_str() {
+        "recovered" => model.environment(),
+        name => named_light(name, "recovered ")?,
+    };
+    let light = light.rotated_and_scaled(args.rotation, args.exposure.exp2() as f32);
     let orbit = Orbit { azimuth_deg: args.azimuth, elevation_deg: args.elevation, size: args.size };
     let camera = View::Orbit(orbit).camera(&model)?;
     let renderer = Renderer::on(model, &Device::open(args.device)?)?;
@@ -76,21 +79,4 @@ fn format(path: &Path) -> Result<Format, String> {
         "exr" => Ok(Format::Exr),
         _ => Err(format!("{}: must end in .png, .jpg or .exr", path.display())),
     }
-}
-
-fn light(name: &str, model: &Model) -> Result<EnvMap, Box<dyn std::error::Error + Send + Sync>> {
-    if name == "recovered" {
-        return Ok(model.environment());
-    }
-    if let Some(map) = builtin(name) {
-        return Ok(map);
-    }
-    let bytes = std::fs::read(name).map_err(|error| {
-        format!("{name}: {error}; expected a file, recovered or one of {}", BUILTIN.join(", "))
-    })?;
-    let loaded = environment::decode(&bytes)?;
-    for warning in &loaded.warnings {
-        eprintln!("warning: {name}: {warning}");
-    }
-    Ok(loaded.map)
 }

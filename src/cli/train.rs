@@ -4,12 +4,14 @@ use std::path::PathBuf;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::capture::Capture;
 use crate::cli::args::{named, overrides};
+use crate::cli::light::named_light;
 use crate::cli::{CommandResult, output};
 use crate::engine::Device;
 use crate::engine::gpu::DeviceChoice;
 use crate::formats::model_file;
-use crate::train::{Preset, StepReport, TrainConfig, Trainer};
+use crate::train::{KnownLight, Preset, StepReport, TrainConfig, Trainer};
 use crate::worker::import_for_training;
 
 /// Options of `relume train`.
@@ -29,6 +31,15 @@ pub(super) struct Args {
     /// Seed of every random choice.
     #[arg(long)]
     seed: Option<u64>,
+    /// The light of the photographs, where it was measured: a `.hdr` or `.exr` file or the name of a built-in map.
+    #[arg(long)]
+    light: Option<String>,
+    /// Turn of that light about the capture's +Z, degrees counter-clockwise.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "light")]
+    light_rotation: f64,
+    /// Exposure of that light, stops: at 0 a surface that sends a radiance of 1 is white in the photographs.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "light")]
+    light_exposure: f64,
     /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
@@ -46,8 +57,14 @@ pub(super) fn run(args: &Args) -> CommandResult {
         ("iterations", args.iterations.map(Into::into)),
         ("seed", args.seed.map(Into::into)),
     ];
-    let config = TrainConfig::new(args.preset, &overrides(&flags, &args.set)?)?;
-    let capture = import_for_training(&args.capture, &config)?;
+    let mut overrides = overrides(&flags, &args.set)?;
+    if let Some(environment) = args.light.clone() {
+        let (rotation_deg, exposure_ev) = (args.light_rotation, args.light_exposure);
+        overrides.light = Some(KnownLight { environment, rotation_deg, exposure_ev });
+    }
+    let config = TrainConfig::new(args.preset, &overrides)?;
+    let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;
+    let capture = Capture { lit_by: light, ..import_for_training(&args.capture, &config)? };
     for warning in &capture.warnings {
         eprintln!("warning: {warning}");
     }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::scene::ShadingOptions;
-use crate::train::{LearningRates, LossWeights};
+use crate::train::{KnownLight, LearningRates, LossWeights};
 
 /// A named trade of time against quality.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -124,6 +124,9 @@ pub struct TrainConfig {
     /// What a caller named; [`Complexity::Auto`] leaves it alone.
     #[serde(default)]
     pub forced: Vec<Setting>,
+    /// The light of the photographs, where it is known; recovered otherwise.
+    #[serde(default)]
+    pub light: Option<KnownLight>,
 }
 
 fn learned() -> bool {
@@ -180,6 +183,8 @@ pub struct TrainOverrides {
     pub metalness: Option<bool>,
     /// `auto`: leave out what the scene is measured not to require, except what is named here; `full`: everything.
     pub complexity: Option<Complexity>,
+    /// The light of the photographs, where it is known: held as it is, whatever the weights and step sizes say.
+    pub light: Option<KnownLight>,
 }
 
 impl TrainOverrides {
@@ -232,6 +237,7 @@ impl TrainConfig {
             metalness: true,
             complexity: Complexity::default(),
             forced: Vec::new(),
+            light: None,
         };
         match preset {
             Preset::Standard => standard,
@@ -295,11 +301,24 @@ impl TrainConfig {
             complexity
         );
         config.forced = overrides.forced();
+        if let Some(light) = &overrides.light {
+            config.hold(light);
+        }
         config.initial_gaussians = config.initial_gaussians.min(config.max_gaussians);
         config.checked()
     }
 
+    /// Takes the light as it is: no step moves it, and no term has an opinion on it.
+    fn hold(&mut self, light: &KnownLight) {
+        self.light = Some(light.clone());
+        self.rates.environment = 0.0;
+        (self.weights.light, self.weights.exposure, self.weights.daylight) = (0.0, 0.0, 0.0);
+    }
+
     fn checked(self) -> Result<Self, String> {
+        if let Some(light) = &self.light {
+            light.check()?;
+        }
         let whole = [
             ("iterations", self.iterations, 1, 1_000_000),
             ("resolution", self.resolution, 16, 8192),

@@ -52,7 +52,7 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
     Model {
         gaussians,
         prototypes: vec![[0.5; 3]; config.prototypes as usize],
-        env_raw: vec![DAYLIGHT.map(|c| softplus_inverse(FIRST_LIGHT * c)); rows * rows * 2],
+        env_raw: first_light(capture, config),
         env_width: rows * 2,
         env_height: rows,
         shading,
@@ -60,6 +60,16 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
         world_offset: data.offset,
         card: serde_json::Value::Null,
     }
+}
+
+/// The environment training starts from, before the softplus: the light of the photographs if it is known.
+fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
+    let rows = config.environment_rows as usize;
+    let (Some(map), Some(light)) = (&capture.lit_by, &config.light) else {
+        return vec![DAYLIGHT.map(|c| softplus_inverse(FIRST_LIGHT * c)); rows * rows * 2];
+    };
+    let map = map.rotated_and_scaled(light.rotation_deg, light.exposure_ev.exp2() as f32);
+    map.resampled(2 * rows, rows).texels().iter().map(|t| t.map(softplus_inverse)).collect()
 }
 
 /// Positions with display colours, and each one's standard deviation.

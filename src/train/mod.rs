@@ -7,6 +7,7 @@ mod config;
 mod dataset;
 mod density;
 mod initial;
+mod known_light;
 mod materials;
 pub mod objective;
 mod on_cpu;
@@ -18,5 +19,6 @@ mod trainer;
 mod weights;
 
 pub use config::{Complexity, LabelSource, Preset, Setting, TrainConfig, TrainOverrides};
+pub use known_light::KnownLight;
 pub use trainer::{Progress, StepReport, TrainError, Trainer};
 pub use weights::{LearningRates, LossWeights};

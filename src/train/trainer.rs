@@ -410,6 +410,9 @@ fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainErro
             "capture: {n} usable training photographs, at least {LEAST_VIEWS} are needed"
         )));
     }
+    if config.light.is_some() && capture.lit_by.is_none() {
+        return Err(TrainError::Invalid("light: the capture came without the map it names".into()));
+    }
     Ok(Dataset::new(capture, config.resolution))
 }
 

@@ -53,6 +53,25 @@ impl LightSource {
             Self::Stored { sha256, .. } | Self::Inline { sha256, .. } => format!("sha256:{sha256}"),
         }
     }
+
+    /// The map; `None` for the recovered light, which is a model's.
+    ///
+    /// # Errors
+    /// Says why the file cannot be read.
+    pub(super) fn map(&self) -> Result<Option<Arc<EnvMap>>, String> {
+        match self {
+            Self::Inline { map, .. } => Ok(Some(map.clone())),
+            Self::Recovered => Ok(None),
+            Self::Builtin(name) => {
+                builtin(name).map(|map| Some(Arc::new(map))).ok_or_else(|| "is not built in".to_owned())
+            }
+            Self::Stored { path, .. } => {
+                let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
+                let loaded = environment::decode(&bytes).map_err(|e| e.to_string())?;
+                Ok(Some(Arc::new(loaded.map)))
+            }
+        }
+    }
 }
 
 /// One frame to render.
@@ -123,23 +142,9 @@ fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFa
 }
 
 fn prepare(renderer: &Renderer, task: &RenderTask) -> Result<Arc<PreparedLight>, RenderFailure> {
-    let map = light_map(renderer, &task.light)?;
+    let internal = |e: String| RenderFailure::Internal(format!("environment {}: {e}", task.light.key()));
+    let map = task.light.map().map_err(internal)?;
+    let map = map.unwrap_or_else(|| Arc::new(renderer.model().environment()));
     let map = map.rotated_and_scaled(task.rotation_deg, task.exposure_ev.exp2() as f32);
     Ok(Arc::new(renderer.prepare_light(&map)?))
-}
-
-fn light_map(renderer: &Renderer, light: &LightSource) -> Result<Arc<EnvMap>, RenderFailure> {
-    let internal = |e: String| RenderFailure::Internal(format!("environment {}: {e}", light.key()));
-    match light {
-        LightSource::Inline { map, .. } => Ok(map.clone()),
-        LightSource::Recovered => Ok(Arc::new(renderer.model().environment())),
-        LightSource::Builtin(name) => {
-            builtin(name).map(Arc::new).ok_or_else(|| internal("is not built in".to_owned()))
-        }
-        LightSource::Stored { path, .. } => {
-            let bytes = std::fs::read(path).map_err(|e| internal(e.to_string()))?;
-            let loaded = environment::decode(&bytes).map_err(|e| internal(e.to_string()))?;
-            Ok(Arc::new(loaded.map))
-        }
-    }
 }

@@ -2,9 +2,10 @@
 
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use crate::capture::{Capture, CaptureError, ImportOptions};
+use crate::capture::{BUILTIN, Capture, CaptureError, ImportOptions};
 use crate::engine::Device;
 use crate::engine::gpu::GpuError;
 use crate::formats::{model_file, ply_model};
@@ -12,8 +13,8 @@ use crate::jobs::Lease;
 use crate::scene::Model;
 use crate::store::{Held, ModelFile, ModelRecord, ProgressUpdate, StoreError};
 use crate::train::{Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
-use crate::worker::Worker;
 use crate::worker::progress::Reporter;
+use crate::worker::{LightSource, Worker};
 
 /// How an attempt ended without a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,6 +29,8 @@ pub(super) enum Ending {
     Stopped,
 }
 
+/// Code of failures to find or read a known light.
+const ENVIRONMENT_MISSING: &str = "environment_missing";
 /// Code of failures after which the device is opened anew.
 const DEVICE_FAILED: &str = "device_failed";
 
@@ -128,8 +131,9 @@ impl Worker {
         let record = self.jobs.store().capture(&job.capture_id).await?;
         let record = record.ok_or_else(|| Failure::new("capture_missing", "the capture is gone"))?;
         let path = self.jobs.store().artifacts().local_path(&record.artifact);
+        let light = self.known_light(config).await?;
         let config = config.clone();
-        let mut importing = tokio::task::spawn_blocking(move || import_for_training(&path, &config));
+        let mut importing = tokio::task::spawn_blocking(move || lit_capture(&path, &config, light.as_ref()));
         let capture = loop {
             tokio::select! {
                 imported = &mut importing => break imported,
@@ -144,13 +148,26 @@ impl Worker {
             }
         };
         let capture = capture.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic()));
-        let capture = capture.map_err(|e| Failure::new(e.code(), e.to_string()))?;
+        let capture = capture?;
         if job.attempts == 1 {
             for warning in &capture.warnings {
                 lease.warn(warning).await?;
             }
         }
         Ok(ControlFlow::Continue(capture))
+    }
+
+    /// Where the map of a known light lies.
+    async fn known_light(&self, config: &TrainConfig) -> Result<Option<LightSource>, Failure> {
+        let Some(light) = &config.light else { return Ok(None) };
+        if BUILTIN.contains(&light.environment.as_str()) {
+            return Ok(Some(LightSource::Builtin(light.environment.clone())));
+        }
+        let store = self.jobs.store();
+        let record = store.environment(&light.environment).await?;
+        let record = record.ok_or_else(|| Failure::new(ENVIRONMENT_MISSING, "the known light is gone"))?;
+        let path = store.artifacts().local_path(&record.artifact);
+        Ok(Some(LightSource::Stored { sha256: record.sha256, path }))
     }
 
     /// Goes on from the last checkpoint, or starts over when there is none that can be read.
@@ -240,6 +257,18 @@ pub fn import_for_training(path: &Path, config: &TrainConfig) -> Result<Capture,
     let options =
         ImportOptions { max_side: Some(config.resolution), load_truth: false, ..ImportOptions::default() };
     crate::capture::import(path, &options)
+}
+
+/// A capture with the light it is known to have been taken in.
+fn lit_capture(path: &Path, config: &TrainConfig, light: Option<&LightSource>) -> Result<Capture, Failure> {
+    let capture = import_for_training(path, config);
+    let mut capture = capture.map_err(|e| Failure::new(e.code(), e.to_string()))?;
+    if let Some(light) = light {
+        let map =
+            light.map().map_err(|e| Failure::new(ENVIRONMENT_MISSING, format!("the known light: {e}")))?;
+        capture.lit_by = map.map(Arc::unwrap_or_clone);
+    }
+    Ok(capture)
 }
 
 /// The configuration the job was accepted with.

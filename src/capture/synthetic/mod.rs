@@ -112,6 +112,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
         bounds: Scene3dBounds { centre: DVec3::ZERO, radius: SCENE_RADIUS },
         has_alpha: true,
         lights: options.relit.clone(),
+        lit_by: None,
         warnings: Vec::new(),
     })
 }
