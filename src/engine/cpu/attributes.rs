@@ -170,7 +170,11 @@ impl AttributeSource<'_> {
     /// Unclamped albedo of Gaussian `i` (Eq. 23).
     pub fn albedo(&self, i: usize) -> [f32; 3] {
         let mut p = [0.0f32; 256];
-        let p = self.mixture(i, &mut p);
+        self.mixed(i, self.mixture(i, &mut p))
+    }
+
+    /// Unclamped albedo of Gaussian `i`, whose shares of the prototypes are `p`.
+    fn mixed(&self, i: usize, p: &[f32]) -> [f32; 3] {
         let residual: [f32; 3] = self.gaussians.get(Field::Residual, i);
         std::array::from_fn(|c| {
             residual[c] + p.iter().zip(self.prototypes).map(|(p, a)| p * a[c].clamp(0.0, 1.0)).sum::<f32>()
@@ -184,7 +188,9 @@ impl AttributeSource<'_> {
     }
 
     fn material_backward(&self, i: usize, by_row: &[f32], layout: &RowLayout, out: &mut [f32]) {
-        let albedo = self.albedo(i);
+        let mut buffer = [0.0f32; 256];
+        let p = self.mixture(i, &mut buffer);
+        let albedo = self.mixed(i, p);
         let by_albedo: [f32; 3] = std::array::from_fn(|c| {
             let inside = albedo[c] > 0.0 && albedo[c] < 1.0;
             if inside { by_row[channel::ALBEDO.start + c] } else { 0.0 }
@@ -192,8 +198,6 @@ impl AttributeSource<'_> {
         for (o, g) in out[layout.range(Field::Residual)].iter_mut().zip(by_albedo) {
             *o += g;
         }
-        let mut buffer = [0.0f32; 256];
-        let p = self.mixture(i, &mut buffer);
         let by_p = |a: &[f32; 3]| (0..3).map(|c| by_albedo[c] * a[c].clamp(0.0, 1.0)).sum::<f32>();
         let mean: f32 = p.iter().zip(self.prototypes).map(|(p, a)| p * by_p(a)).sum();
         let scores = &mut out[layout.range(Field::ProtoLogits)];
@@ -210,9 +214,9 @@ impl AttributeSource<'_> {
         if by_row.len() <= channel::ROUGH {
             return;
         }
-        let albedo = self.albedo(i);
         let mut buffer = [0.0f32; 256];
         let p = self.mixture(i, &mut buffer);
+        let albedo = self.mixed(i, p);
         for ((o, p), a) in out.iter_mut().zip(p).zip(self.prototypes) {
             for c in 0..3 {
                 let inside = albedo[c] > 0.0 && albedo[c] < 1.0 && a[c] > 0.0 && a[c] < 1.0;
