@@ -3,7 +3,10 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+use relume::engine::Device;
 use relume::formats::{image_file, model_file};
+use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer};
+use relume::worker::import_for_training;
 use tempfile::TempDir;
 
 use crate::service_support::capture_zip;
@@ -67,6 +70,47 @@ fn a_folder_becomes_a_model_a_picture_and_a_ply() {
     fails_with(at, &["train", "scan.zip", "--light-exposure", "1"], "--light");
     let left = ["d.png", "d.gif", "m.obj", "model.ply", "model.safetensors"].map(|f| at.join(f).exists());
     assert_eq!(left, [false; 5], "a refusal leaves nothing behind");
+}
+
+#[test]
+fn a_training_goes_on_from_its_checkpoint_and_leaves_none() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    std::fs::write(at.join("scan.zip"), capture_zip()).unwrap();
+    let train = |out: &str, more: &[&str]| {
+        let args = ["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--iterations", "12"];
+        let set =
+            ["--device", "cpu", "--set", "max_gaussians=64", "--set", "checkpoint_every=5", "--out", out];
+        relume(at, &[&args, &set[..], more].concat())
+    };
+    assert!(train("whole.safetensors", &[]).status.success());
+
+    let overrides = TrainOverrides {
+        resolution: Some(32),
+        iterations: Some(12),
+        max_gaussians: Some(64),
+        checkpoint_every: Some(5),
+        ..TrainOverrides::default()
+    };
+    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    let capture = import_for_training(&at.join("scan.zip"), &config).unwrap();
+    let mut trainer = Trainer::new(&capture, config, &Device::Cpu).unwrap();
+    (0..7).for_each(|_| {
+        trainer.step().unwrap();
+    });
+    std::fs::write(at.join("c"), trainer.checkpoint().unwrap()).unwrap();
+    let output = train("resumed.safetensors", &["--checkpoint", "c"]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && said.contains("going on from step 7"), "{said}");
+    let model = |file: &str| model_file::decode(&std::fs::read(at.join(file)).unwrap()).unwrap();
+    assert!(model("whole.safetensors").gaussians == model("resumed.safetensors").gaussians);
+    assert!(!at.join("c").exists(), "the checkpoint of a finished training");
+
+    std::fs::write(at.join("c"), b"something else").unwrap();
+    let output = train("third.safetensors", &["--checkpoint", "c"]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && said.contains("c: checkpoint"), "{said}");
+    assert!(at.join("c").exists() && !at.join("third.safetensors").exists(), "what is not ours stays");
 }
 
 #[test]

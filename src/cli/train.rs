@@ -1,6 +1,7 @@
 //! `relume train`: a capture in, a model file out, no server involved.
 
-use std::path::PathBuf;
+use std::error::Error;
+use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -46,6 +47,9 @@ pub(super) struct Args {
     /// Any other override of the preset, e.g. `--set labels=both`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Where to keep the state now and then; a training that finds one there goes on from it. Removed at the end.
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
     /// The model file to write.
     #[arg(long, default_value = "model.safetensors")]
     out: PathBuf,
@@ -76,19 +80,40 @@ pub(super) fn run(args: &Args) -> CommandResult {
     );
     let device = Device::open(args.device)?;
     eprintln!("device: {}", device.name());
-    let mut trainer = Trainer::new(&capture, config, &device)?;
-    train(&mut trainer)?;
+    let every = config.checkpoint_every.max(1);
+    let mut trainer = trainer(&capture, config, &device, args.checkpoint.as_deref())?;
+    train(&mut trainer, args.checkpoint.as_deref().map(|file| (file, every)))?;
     let mut model = trainer.model()?;
     // Only here: a job's model file leaves the time out, so that its bytes depend on nothing else.
     if let Some(card) = model.card.as_object_mut() {
         card.insert("training_seconds".to_owned(), trainer.seconds().into());
     }
     output::write_whole(&args.out, &model_file::encode(&model)?)?;
+    if let Some(file) = args.checkpoint.as_deref().filter(|file| file.exists()) {
+        std::fs::remove_file(file)?;
+    }
     eprintln!("wrote {}", args.out.display());
     Ok(())
 }
 
-fn train(trainer: &mut Trainer) -> CommandResult {
+/// Goes on from a checkpoint that is there, or starts.
+fn trainer(
+    capture: &Capture,
+    config: TrainConfig,
+    device: &Device,
+    checkpoint: Option<&Path>,
+) -> Result<Trainer, Box<dyn Error + Send + Sync>> {
+    let Some(file) = checkpoint.filter(|file| file.exists()) else {
+        return Ok(Trainer::new(capture, config, device)?);
+    };
+    let trainer = Trainer::resume(capture, config, &std::fs::read(file)?, device);
+    let trainer = trainer.map_err(|error| format!("{}: {error}", file.display()))?;
+    eprintln!("going on from step {}, {}", trainer.progress().step, file.display());
+    Ok(trainer)
+}
+
+/// Trains to the end; `checkpoint`: where to keep the state, and every how many steps.
+fn train(trainer: &mut Trainer, checkpoint: Option<(&Path, u32)>) -> CommandResult {
     let bar = ProgressBar::new(u64::from(trainer.progress().total));
     let style = "{bar:32} {pos}/{len} {per_sec:>12} eta {eta:>4}  {msg}";
     bar.set_style(ProgressStyle::with_template(style)?);
@@ -98,6 +123,9 @@ fn train(trainer: &mut Trainer) -> CommandResult {
             bar.suspend(|| eprintln!("warning: {warning}"));
         }
         let progress = trainer.progress();
+        if let Some((file, _)) = checkpoint.filter(|(_, every)| progress.step.is_multiple_of(*every)) {
+            output::write_whole(file, &trainer.checkpoint()?)?;
+        }
         // Without a terminal there is no bar; a log wants a line now and then.
         if bar.is_hidden() && progress.step.is_multiple_of((progress.total / 20).max(1)) {
             eprintln!("step {}/{}  {}", progress.step, progress.total, summary(&report));
