@@ -7,7 +7,7 @@ use relume::formats::model_file;
 use relume::scene::EnvMap;
 use relume::store::JobState;
 use relume::testing;
-use relume::train::KnownLight;
+use relume::train::{KnownLight, LightExposure};
 use reqwest::{Method, RequestBuilder, StatusCode, header};
 use serde_json::{Value, json};
 
@@ -423,7 +423,11 @@ async fn a_job_holds_the_light_it_is_told() {
     let map = EnvMap::from_fn(32, 16, |d| [0.2 + 0.5 * (1.0 + d.x as f32), 0.4, 0.1]);
     let file = relume::formats::exr_image::encode_rgb(32, 16, map.texels()).unwrap();
     let uploaded = client.upload_environment(file).await.unwrap().id;
-    let light = |environment: String| KnownLight { environment, rotation_deg: 90.0, exposure_ev: 1.0 };
+    let light = |environment: String| KnownLight {
+        environment,
+        rotation_deg: 90.0,
+        exposure_ev: LightExposure::Stops(1.0),
+    };
     for light in [None, Some(light(uploaded)), Some(light("studio".into()))] {
         let mut job = small_job(&capture, 40, 20);
         job.overrides.light = light.clone();

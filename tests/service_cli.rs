@@ -67,9 +67,25 @@ fn a_folder_becomes_a_model_a_picture_and_a_ply() {
         &["train", "scan.zip", "--light", "studio", "--light-exposure", "40"],
         "light.exposure_ev",
     );
+    fails_with(at, &["train", "scan.zip", "--light", "studio", "--light-exposure", "dim"], "dim");
     fails_with(at, &["train", "scan.zip", "--light-exposure", "1"], "--light");
     let left = ["d.png", "d.gif", "m.obj", "model.ply", "model.safetensors"].map(|f| at.join(f).exists());
     assert_eq!(left, [false; 5], "a refusal leaves nothing behind");
+}
+
+#[test]
+fn a_light_on_another_scale_is_warned_of() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    std::fs::write(at.join("scan.zip"), capture_zip()).unwrap();
+    let says = |exposure: &str| {
+        let args = ["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--iterations", "2"];
+        let light = ["--set", "max_gaussians=64", "--light", "studio", "--light-exposure", exposure];
+        let output = relume(at, &[&args, &light[..], &["--device", "cpu", "--out", "m"]].concat());
+        assert!(output.status.success());
+        String::from_utf8_lossy(&output.stderr).contains("stops from white")
+    };
+    assert_eq!(["auto", "0", "3", "-4"].map(says), [false, false, true, true]);
 }
 
 #[test]

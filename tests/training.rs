@@ -8,8 +8,8 @@ use relume::engine::Device;
 use relume::formats::model_file;
 use relume::scene::{EnvMap, Field, IndirectForm, Model, VisibilityForm};
 use relume::train::{
-    Complexity, KnownLight, LabelSource, LossWeights, Preset, TrainConfig, TrainError, TrainOverrides,
-    Trainer,
+    Complexity, KnownLight, LabelSource, LightExposure, LossWeights, Preset, TrainConfig, TrainError,
+    TrainOverrides, Trainer,
 };
 
 fn capture() -> &'static Capture {
@@ -130,7 +130,8 @@ fn every_label_source_and_form_trains_to_finite_parameters() {
 
 #[test]
 fn a_known_light_is_held_through_a_resumption_and_asked_for_by_name() {
-    let light = KnownLight { environment: "lamp".into(), rotation_deg: 0.0, exposure_ev: -1.0 };
+    let light =
+        KnownLight { environment: "lamp".into(), rotation_deg: 0.0, exposure_ev: LightExposure::Stops(-1.0) };
     let config = config(&TrainOverrides { light: Some(light), ..overrides() });
     let refused = Trainer::new(capture(), config.clone(), &Device::Cpu).err().unwrap();
     assert!(matches!(refused, TrainError::Invalid(m) if m.starts_with("light:")));

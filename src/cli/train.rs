@@ -12,7 +12,7 @@ use crate::cli::{CommandResult, output};
 use crate::engine::Device;
 use crate::engine::gpu::DeviceChoice;
 use crate::formats::model_file;
-use crate::train::{KnownLight, Preset, StepReport, TrainConfig, Trainer};
+use crate::train::{KnownLight, LightExposure, Preset, StepReport, TrainConfig, Trainer};
 use crate::worker::import_for_training;
 
 /// Options of `relume train`.
@@ -38,9 +38,10 @@ pub(super) struct Args {
     /// Turn of that light about the capture's +Z, degrees counter-clockwise.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "light")]
     light_rotation: f64,
-    /// Exposure of that light, stops: at 0 a surface that sends a radiance of 1 is white in the photographs.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "light")]
-    light_exposure: f64,
+    /// Exposure of that light, stops, or `auto`: at 0 a surface that sends a radiance of 1 is white in the photographs;
+    /// `auto` makes a white surface facing up white.
+    #[arg(long, default_value = "0", value_parser = exposure, allow_negative_numbers = true, requires = "light")]
+    light_exposure: LightExposure,
     /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
@@ -68,7 +69,10 @@ pub(super) fn run(args: &Args) -> CommandResult {
     }
     let config = TrainConfig::new(args.preset, &overrides)?;
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;
-    let capture = Capture { lit_by: light, ..import_for_training(&args.capture, &config)? };
+    let mut capture = import_for_training(&args.capture, &config)?;
+    if let (Some(known), Some(map)) = (&config.light, light) {
+        known.illuminate(&mut capture, map);
+    }
     for warning in &capture.warnings {
         eprintln!("warning: {warning}");
     }
@@ -94,6 +98,13 @@ pub(super) fn run(args: &Args) -> CommandResult {
     }
     eprintln!("wrote {}", args.out.display());
     Ok(())
+}
+
+fn exposure(text: &str) -> Result<LightExposure, String> {
+    if text == "auto" {
+        return Ok(LightExposure::AUTO);
+    }
+    text.parse().map(LightExposure::Stops).map_err(|_| format!("{text:?} is neither a number nor `auto`"))
 }
 
 /// Goes on from a checkpoint that is there, or starts.

@@ -68,8 +68,7 @@ fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
     let (Some(map), Some(light)) = (&capture.lit_by, &config.light) else {
         return vec![DAYLIGHT.map(|c| softplus_inverse(FIRST_LIGHT * c)); rows * rows * 2];
     };
-    let map = map.rotated_and_scaled(light.rotation_deg, light.exposure_ev.exp2() as f32);
-    map.resampled(2 * rows, rows).texels().iter().map(|t| t.map(softplus_inverse)).collect()
+    light.applied(map).resampled(2 * rows, rows).texels().iter().map(|t| t.map(softplus_inverse)).collect()
 }
 
 /// Positions with display colours, and each one's standard deviation.

@@ -1,11 +1,18 @@
 //! The light that the photographs were taken in, where somebody measured it.
 
+use std::f64::consts::PI;
+
 use serde::{Deserialize, Serialize};
+
+use crate::capture::Capture;
+use crate::scene::{EnvMap, texel_directions};
 
 /// Most characters of an environment's name.
 const LONGEST_NAME: usize = 1024;
 /// Largest exposure either way, stops.
 const MOST_STOPS: f64 = 20.0;
+/// Further than this from the usual level a map is likely on another scale than the photographs, stops.
+const SUSPICIOUS: f64 = 1.0;
 
 /// A measured light: training holds it, instead of recovering one beside the materials.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -16,9 +23,38 @@ pub struct KnownLight {
     /// Turn of the map about the capture's +Z, degrees counter-clockwise seen from above.
     #[serde(default)]
     pub rotation_deg: f64,
-    /// Exposure of the map, -20 to 20 stops: at 0, a surface that sends a radiance of 1 is white in the photographs.
+    /// Exposure of the map.
     #[serde(default)]
-    pub exposure_ev: f64,
+    pub exposure_ev: LightExposure,
+}
+
+/// What a map's radiance is in the photographs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum LightExposure {
+    /// Times two to this, -20 to 20: at 0, a surface that sends a radiance of 1 is white in the photographs.
+    Stops(f64),
+    /// Not known: such that a white surface facing up is white, the level that a recovered light is held near, too.
+    Unknown(Auto),
+}
+
+/// The word `auto`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Auto {
+    /// The only one.
+    Auto,
+}
+
+impl LightExposure {
+    /// Found, not told.
+    pub const AUTO: Self = Self::Unknown(Auto::Auto);
+}
+
+impl Default for LightExposure {
+    fn default() -> Self {
+        Self::Stops(0.0)
+    }
 }
 
 impl KnownLight {
@@ -31,9 +67,75 @@ impl KnownLight {
         if !self.rotation_deg.is_finite() {
             return Err("light.rotation_deg: must be finite".into());
         }
-        if !(-MOST_STOPS..=MOST_STOPS).contains(&self.exposure_ev) {
-            return Err(format!("light.exposure_ev: must be -{MOST_STOPS} to {MOST_STOPS}"));
+        match self.exposure_ev {
+            LightExposure::Stops(ev) if !(-MOST_STOPS..=MOST_STOPS).contains(&ev) => {
+                Err(format!("light.exposure_ev: must be -{MOST_STOPS} to {MOST_STOPS}, or \"auto\""))
+            }
+            _ => Ok(()),
         }
-        Ok(())
+    }
+
+    /// Gives `capture` the map, as it was measured; one that is likely on another scale is warned of.
+    pub fn illuminate(&self, capture: &mut Capture, map: EnvMap) {
+        if let LightExposure::Stops(ev) = self.exposure_ev {
+            let off = level(&map).log2() + ev;
+            if off.abs() > SUSPICIOUS {
+                capture.warnings.push(format!(
+                    "light: under it a white surface facing up is {off:+.1} stops from white; a map on another scale \
+                     than the photographs spoils albedo (exposure \"auto\" assumes 0)"
+                ));
+            }
+        }
+        capture.lit_by = Some(map);
+    }
+
+    /// `map` as the photographs saw it.
+    pub(super) fn applied(&self, map: &EnvMap) -> EnvMap {
+        let gain = match self.exposure_ev {
+            LightExposure::Stops(ev) => ev.exp2(),
+            LightExposure::Unknown(Auto::Auto) => level(map).recip(),
+        };
+        map.rotated_and_scaled(self.rotation_deg, gain as f32)
+    }
+}
+
+/// Radiance of a white horizontal surface facing up, mean of the channels; never 0.
+fn level(map: &EnvMap) -> f64 {
+    let texels = map.texels().iter().zip(texel_directions(map.width(), map.height()));
+    let irradiance: f64 = texels
+        .map(|(t, (d, solid_angle))| {
+            d.z.max(0.0) * solid_angle * t.iter().map(|v| f64::from(*v)).sum::<f64>()
+        })
+        .sum();
+    (irradiance / (3.0 * PI)).max(1e-9)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn light(exposure_ev: LightExposure) -> KnownLight {
+        KnownLight { environment: "sky".into(), rotation_deg: 0.0, exposure_ev }
+    }
+
+    #[test]
+    fn an_unknown_exposure_makes_white_white_and_a_told_one_is_kept() {
+        let sky = EnvMap::from_fn(64, 32, |d| [3.0 * (d.z.max(0.0) as f32), 0.5, 0.25]);
+        assert!((level(&sky) - (2.0 + 0.5 + 0.25) / 3.0).abs() < 5e-3);
+        assert!((level(&light(LightExposure::AUTO).applied(&sky)) - 1.0).abs() < 1e-6);
+        let told = light(LightExposure::Stops(2.0)).applied(&sky);
+        assert!((level(&told) / level(&sky) - 4.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn the_exposure_is_a_number_or_the_word() {
+        let read = |text: &str| serde_json::from_str::<KnownLight>(text).map(|l| l.exposure_ev);
+        let with = |value: &str| read(&format!(r#"{{"environment": "sky", "exposure_ev": {value}}}"#));
+        assert_eq!(with("-1.5").unwrap(), LightExposure::Stops(-1.5));
+        assert_eq!(with(r#""auto""#).unwrap(), LightExposure::AUTO);
+        assert_eq!(read(r#"{"environment": "sky"}"#).unwrap(), LightExposure::Stops(0.0));
+        assert!(with(r#""bright""#).is_err());
+        assert!(light(LightExposure::Stops(f64::NAN)).check().unwrap_err().contains("exposure_ev"));
+        assert!(light(LightExposure::AUTO).check().is_ok());
     }
 }

@@ -19,6 +19,6 @@ mod trainer;
 mod weights;
 
 pub use config::{Complexity, LabelSource, Preset, Setting, TrainConfig, TrainOverrides};
-pub use known_light::KnownLight;
+pub use known_light::{Auto, KnownLight, LightExposure};
 pub use trainer::{Progress, StepReport, TrainError, Trainer};
 pub use weights::{LearningRates, LossWeights};

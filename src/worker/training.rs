@@ -263,10 +263,12 @@ pub fn import_for_training(path: &Path, config: &TrainConfig) -> Result<Capture,
 fn lit_capture(path: &Path, config: &TrainConfig, light: Option<&LightSource>) -> Result<Capture, Failure> {
     let capture = import_for_training(path, config);
     let mut capture = capture.map_err(|e| Failure::new(e.code(), e.to_string()))?;
-    if let Some(light) = light {
+    if let (Some(known), Some(source)) = (&config.light, light) {
         let map =
-            light.map().map_err(|e| Failure::new(ENVIRONMENT_MISSING, format!("the known light: {e}")))?;
-        capture.lit_by = map.map(Arc::unwrap_or_clone);
+            source.map().map_err(|e| Failure::new(ENVIRONMENT_MISSING, format!("the known light: {e}")))?;
+        if let Some(map) = map {
+            known.illuminate(&mut capture, Arc::unwrap_or_clone(map));
+        }
     }
     Ok(capture)
 }
