@@ -7,8 +7,8 @@
 //! enough to recover all six. The tile's gradient (a kilobyte a row at 16 channels) stays in the L1 cache meanwhile.
 //! Channels go four at a time, rows in the inner loop: with channels innermost the compiler vectorises across *them*, by
 //! gathers and scatters.
-//! Tried and lost: strip by strip with the sums of all the tile's splats kept meanwhile (they leave the L1 cache, and each
-//! is read and written once a row); horizontal sums per strip (about 12 instructions for each of 16 sums a strip).
+//! Tried: strip by strip, with the sums of all the tile's splats kept meanwhile: as fast while parts of this were scalar
+//! (see [`totals`]), not compared since. Lost: horizontal sums per strip (about 12 instructions for each of 16 a strip).
 
 use multiversion::multiversion;
 
