@@ -41,7 +41,7 @@ pub struct NewJob {
     #[serde(default)]
     #[schema(value_type = String, example = "draft")]
     pub preset: Preset,
-    /// Changes on top of the preset, e.g. `{"iterations": 2000, "resolution": 200}`.
+    /// Changes on top of the preset, e.g. `{"resolution": 200}`; `{"light": {"environment": "ID"}}` holds a known light.
     #[serde(default)]
     #[schema(value_type = Object)]
     pub overrides: TrainOverrides,

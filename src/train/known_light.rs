@@ -1,11 +1,10 @@
 //! The light that the photographs were taken in, where somebody measured it.
 
-use std::f64::consts::PI;
-
 use serde::{Deserialize, Serialize};
 
 use crate::capture::Capture;
 use crate::scene::{EnvMap, texel_directions};
+use crate::train::objective::material::upward;
 
 /// Most characters of an environment's name.
 const LONGEST_NAME: usize = 1024;
@@ -30,7 +29,7 @@ pub struct KnownLight {
 
 /// What a map's radiance is in the photographs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "must be a number of stops or \"auto\"")]
 pub enum LightExposure {
     /// Times two to this, -20 to 20: at 0, a surface that sends a radiance of 1 is white in the photographs.
     Stops(f64),
@@ -93,7 +92,8 @@ impl KnownLight {
     pub(super) fn applied(&self, map: &EnvMap) -> EnvMap {
         let gain = match self.exposure_ev {
             LightExposure::Stops(ev) => ev.exp2(),
-            LightExposure::Unknown(Auto::Auto) => level(map).recip(),
+            // As far as a told exposure may go: what only shines from below stays finite.
+            LightExposure::Unknown(Auto::Auto) => level(map).recip().min(MOST_STOPS.exp2()),
         };
         map.rotated_and_scaled(self.rotation_deg, gain as f32)
     }
@@ -102,12 +102,12 @@ impl KnownLight {
 /// Radiance of a white horizontal surface facing up, mean of the channels; never 0.
 fn level(map: &EnvMap) -> f64 {
     let texels = map.texels().iter().zip(texel_directions(map.width(), map.height()));
-    let irradiance: f64 = texels
-        .map(|(t, (d, solid_angle))| {
-            d.z.max(0.0) * solid_angle * t.iter().map(|v| f64::from(*v)).sum::<f64>()
-        })
-        .sum();
-    (irradiance / (3.0 * PI)).max(1e-9)
+    let level: f64 = texels.map(|(t, at)| f64::from(upward(&at)) * mean(t)).sum();
+    level.max(1e-9)
+}
+
+fn mean(t: &[f32; 3]) -> f64 {
+    t.iter().map(|v| f64::from(*v)).sum::<f64>() / 3.0
 }
 
 #[cfg(test)]
@@ -123,6 +123,12 @@ mod tests {
         let sky = EnvMap::from_fn(64, 32, |d| [3.0 * (d.z.max(0.0) as f32), 0.5, 0.25]);
         assert!((level(&sky) - (2.0 + 0.5 + 0.25) / 3.0).abs() < 5e-3);
         assert!((level(&light(LightExposure::AUTO).applied(&sky)) - 1.0).abs() < 1e-6);
+        let floor = EnvMap::from_fn(8, 4, |d| [if d.z < 0.0 { 1e30 } else { 0.0 }; 3]);
+        let lit = light(LightExposure::AUTO).applied(&floor);
+        assert!(
+            lit.texels().iter().flatten().all(|v| v.is_finite()),
+            "nothing from above is no reason for infinity"
+        );
         let told = light(LightExposure::Stops(2.0)).applied(&sky);
         assert!((level(&told) / level(&sky) - 4.0).abs() < 1e-5);
     }
@@ -134,7 +140,7 @@ mod tests {
         assert_eq!(with("-1.5").unwrap(), LightExposure::Stops(-1.5));
         assert_eq!(with(r#""auto""#).unwrap(), LightExposure::AUTO);
         assert_eq!(read(r#"{"environment": "sky"}"#).unwrap(), LightExposure::Stops(0.0));
-        assert!(with(r#""bright""#).is_err());
+        assert!(with(r#""bright""#).unwrap_err().to_string().contains("stops or \"auto\""));
         assert!(light(LightExposure::Stops(f64::NAN)).check().unwrap_err().contains("exposure_ev"));
         assert!(light(LightExposure::AUTO).check().is_ok());
     }

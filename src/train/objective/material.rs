@@ -194,7 +194,7 @@ pub fn daylight(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f3
 }
 
 /// What a texel of unit radiance adds to the irradiance of a surface facing up, divided by pi.
-fn upward((direction, solid_angle): &(glam::DVec3, f64)) -> f32 {
+pub(in crate::train) fn upward((direction, solid_angle): &(glam::DVec3, f64)) -> f32 {
     (direction.z.max(0.0) * solid_angle / std::f64::consts::PI) as f32
 }
 
