@@ -122,6 +122,10 @@ fn a_training_goes_on_from_its_checkpoint_and_leaves_none() {
     assert!(model("whole.safetensors").gaussians == model("resumed.safetensors").gaussians);
     assert!(!at.join("c").exists(), "the checkpoint of a finished training");
 
+    let output = train("third.safetensors", &["--checkpoint", "."]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && said.contains(".: Is a directory"), "{said}");
+
     std::fs::write(at.join("c"), b"something else").unwrap();
     let output = train("third.safetensors", &["--checkpoint", "c"]);
     let said = String::from_utf8_lossy(&output.stderr);

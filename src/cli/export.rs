@@ -20,7 +20,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
         return Err(format!("{}: only .ply can be written", args.out.display()).into());
     }
     let model = model_file::decode(&std::fs::read(&args.model)?)?;
-    output::write_whole(&args.out, &ply_model::encode(&model))?;
+    output::write_named(&args.out, &ply_model::encode(&model))?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
 }

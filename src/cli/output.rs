@@ -3,6 +3,11 @@
 use std::io::Write;
 use std::path::Path;
 
+/// [`write_whole`], with an error that names the file.
+pub(super) fn write_named(path: &Path, bytes: &[u8]) -> Result<(), String> {
+    write_whole(path, bytes).map_err(|error| format!("{}: {error}", path.display()))
+}
+
 /// Writes beside `path`, syncs, then renames, so that no reader ever sees half a file.
 pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));

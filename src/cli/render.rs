@@ -66,7 +66,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
     let frame =
         renderer.render(&camera, &renderer.prepare_light(&light)?, args.quality.quality(), &args.output)?;
     let picture = picture::encode(&frame, &args.output, format)?;
-    output::write_whole(&args.out, &picture.bytes)?;
+    output::write_named(&args.out, &picture.bytes)?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
 }

@@ -92,7 +92,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
     if let Some(card) = model.card.as_object_mut() {
         card.insert("training_seconds".to_owned(), trainer.seconds().into());
     }
-    output::write_whole(&args.out, &model_file::encode(&model)?)?;
+    output::write_named(&args.out, &model_file::encode(&model)?)?;
     if let Some(file) = args.checkpoint.as_deref().filter(|file| file.exists()) {
         std::fs::remove_file(file)?;
     }
@@ -117,8 +117,9 @@ fn trainer(
     let Some(file) = checkpoint.filter(|file| file.exists()) else {
         return Ok(Trainer::new(capture, config, device)?);
     };
-    let trainer = Trainer::resume(capture, config, &std::fs::read(file)?, device);
-    let trainer = trainer.map_err(|error| format!("{}: {error}", file.display()))?;
+    let named = |error: &dyn Error| format!("{}: {error}", file.display());
+    let bytes = std::fs::read(file).map_err(|error| named(&error))?;
+    let trainer = Trainer::resume(capture, config, &bytes, device).map_err(|error| named(&error))?;
     eprintln!("going on from step {}, {}", trainer.progress().step, file.display());
     Ok(trainer)
 }
@@ -135,7 +136,7 @@ fn train(trainer: &mut Trainer, checkpoint: Option<(&Path, u32)>) -> CommandResu
         }
         let progress = trainer.progress();
         if let Some((file, _)) = checkpoint.filter(|(_, every)| progress.step.is_multiple_of(*every)) {
-            output::write_whole(file, &trainer.checkpoint()?)?;
+            output::write_named(file, &trainer.checkpoint()?)?;
         }
         // Without a terminal there is no bar; a log wants a line now and then.
         if bar.is_hidden() && progress.step.is_multiple_of((progress.total / 20).max(1)) {

@@ -71,7 +71,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
     }
     print!("{text}");
     if let Some(out) = &args.out {
-        output::write_whole(out, text.as_bytes())?;
+        output::write_named(out, text.as_bytes())?;
     }
     Ok(())
 }

@@ -73,7 +73,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
     let text = report(args, &device, &all)?;
     println!("{text}");
     if let Some(path) = &args.out {
-        output::write_whole(path, text.as_bytes())?;
+        output::write_named(path, text.as_bytes())?;
     }
     Ok(())
 }

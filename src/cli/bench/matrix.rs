@@ -82,7 +82,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
             writeln!(text, "{row}")?;
             // A long sweep that is cut short keeps what it has found.
             if let Some(out) = &args.out {
-                output::write_whole(out, text.as_bytes())?;
+                output::write_named(out, text.as_bytes())?;
             }
         }
     }

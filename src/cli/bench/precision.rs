@@ -98,7 +98,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
     let text = report(args, &device, &columns)?;
     println!("{text}");
     if let Some(path) = &args.out {
-        output::write_whole(path, text.as_bytes())?;
+        output::write_named(path, text.as_bytes())?;
     }
     Ok(())
 }

@@ -89,9 +89,9 @@ pub(super) fn run(args: &Args) -> CommandResult {
     }
     let markdown = report::markdown(args, &rows)?;
     println!("{markdown}");
-    output::write_whole(&args.out.join("tradeoff.md"), markdown.as_bytes())?;
-    output::write_whole(&args.out.join("tradeoff.csv"), report::csv(&rows)?.as_bytes())?;
-    output::write_whole(&args.out.join("tradeoff.svg"), plot::svg(&rows)?.as_bytes())?;
+    output::write_named(&args.out.join("tradeoff.md"), markdown.as_bytes())?;
+    output::write_named(&args.out.join("tradeoff.csv"), report::csv(&rows)?.as_bytes())?;
+    output::write_named(&args.out.join("tradeoff.svg"), plot::svg(&rows)?.as_bytes())?;
     Ok(())
 }
 
