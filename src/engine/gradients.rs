@@ -1,5 +1,8 @@
 //! Gradients of a model's parameters, one row a Gaussian.
 
+use rayon::prelude::*;
+
+use crate::engine::{channel, zeros};
 use crate::scene::{Field, Gaussians};
 
 /// Where each field starts in a gradient row.
@@ -14,7 +17,24 @@ pub struct RowLayout {
 impl RowLayout {
     /// The layout for Gaussians shaped like `g`.
     pub fn new(g: &Gaussians) -> Self {
-        let width = Field::ALL.map(|f| g.width(f));
+        Self::of(g, |_| true)
+    }
+
+    /// The layout where only the first `count` channels of the G-buffer are differentiated: fields that none of them
+    /// depends on have no floats in a row.
+    pub fn differentiated(g: &Gaussians, count: usize) -> Self {
+        Self::of(g, |field| match field {
+            Field::Visibility | Field::Indirect => count >= channel::VISIBILITY,
+            Field::MetalLogit | Field::RoughLogit | Field::ProtoLogits | Field::Residual => {
+                count > channel::ROUGH
+            }
+            Field::Normal => count > channel::PLANE,
+            _ => true,
+        })
+    }
+
+    fn of(g: &Gaussians, has: impl Fn(Field) -> bool) -> Self {
+        let width = Field::ALL.map(|f| if has(f) { g.width(f) } else { 0 });
         let mut offset = [0; 12];
         let mut row = 0;
         for field in Field::ALL {
@@ -53,10 +73,14 @@ pub struct Gradients {
 impl Gradients {
     /// All zero, for a model with these Gaussians and this many environment texels.
     pub fn zeroed(g: &Gaussians, texels: usize) -> Self {
-        let layout = RowLayout::new(g);
+        Self::laid_out(g, RowLayout::new(g), texels)
+    }
+
+    /// All zero, with rows of this layout.
+    pub fn laid_out(g: &Gaussians, layout: RowLayout, texels: usize) -> Self {
         Self {
             layout,
-            rows: vec![0.0; g.len() * layout.row],
+            rows: zeros(g.len() * layout.row),
             prototypes: vec![[0.0; 3]; g.prototypes()],
             env_raw: vec![[0.0; 3]; texels],
             pull: vec![0.0; g.len()],
@@ -64,7 +88,7 @@ impl Gradients {
         }
     }
 
-    /// The floats of Gaussian `i` in `field`.
+    /// The floats of Gaussian `i` in `field`; none where it was not differentiated.
     pub fn get(&self, field: Field, i: usize) -> &[f32] {
         let range = self.layout.range(field);
         &self.rows[i * self.layout.row..][range]
@@ -78,7 +102,8 @@ impl Gradients {
 
     /// True when every value is finite.
     pub fn is_finite(&self) -> bool {
-        let globals = self.prototypes.iter().chain(&self.env_raw).flatten();
-        self.rows.iter().chain(globals).all(|v| v.is_finite())
+        let are_finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
+        let globals = [&self.prototypes, &self.env_raw];
+        self.rows.par_chunks(1 << 16).all(are_finite) && globals.iter().all(|g| are_finite(g.as_flattened()))
     }
 }

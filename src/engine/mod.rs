@@ -8,6 +8,8 @@ pub mod gpu;
 mod gradients;
 pub mod reference;
 pub mod side_by_side;
+mod zeros;
 
 pub use device::Device;
 pub use gradients::{Gradients, RowLayout};
+pub use zeros::zeros;

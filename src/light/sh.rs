@@ -47,6 +47,7 @@ fn cast<T: Float>(v: f64) -> T {
 }
 
 /// `Q[m][l]` for m, l <= order + 1.
+#[inline(always)]
 fn legendre<T: Float>(z: T, order: usize) -> [[T; ROWS]; ROWS] {
     let mut q = [[T::zero(); ROWS]; ROWS];
     let mut diagonal = T::one();
@@ -65,6 +66,7 @@ fn legendre<T: Float>(z: T, order: usize) -> [[T; ROWS]; ROWS] {
 }
 
 /// `A_m, B_m` for m <= order.
+#[inline(always)]
 fn azimuth<T: Float>(x: T, y: T, order: usize) -> ([T; ROWS], [T; ROWS]) {
     let (mut a, mut b) = ([T::zero(); ROWS], [T::zero(); ROWS]);
     a[0] = T::one();
@@ -75,13 +77,34 @@ fn azimuth<T: Float>(x: T, y: T, order: usize) -> ([T; ROWS], [T; ROWS]) {
     (a, b)
 }
 
+/// Calls a function that is compiled once per order: with the bounds of its loops known it is a few straight lines.
+macro_rules! at_order {
+    ($order:expr, $function:ident, $($argument:expr),*) => {
+        match $order {
+            0 => $function::<T, 0>($($argument),*),
+            1 => $function::<T, 1>($($argument),*),
+            2 => $function::<T, 2>($($argument),*),
+            3 => $function::<T, 3>($($argument),*),
+            4 => $function::<T, 4>($($argument),*),
+            5 => $function::<T, 5>($($argument),*),
+            6 => $function::<T, 6>($($argument),*),
+            7 => $function::<T, 7>($($argument),*),
+            _ => $function::<T, MAX_ORDER>($($argument),*),
+        }
+    };
+}
+
 /// Values of all harmonics up to `order` (at most 8) along unit direction `d`.
 ///
 /// `out` receives `(order + 1)^2` values; what lies beyond is left alone.
 pub fn sh_eval<T: Float>(order: usize, d: [T; 3], out: &mut [T]) {
-    let (q, (a, b)) = (legendre(d[2], order), azimuth(d[0], d[1], order));
+    at_order!(order, values, d, out);
+}
+
+fn values<T: Float, const ORDER: usize>(d: [T; 3], out: &mut [T]) {
+    let (q, (a, b)) = (legendre(d[2], ORDER), azimuth(d[0], d[1], ORDER));
     let k = normalisations();
-    for l in 0..=order {
+    for l in 0..=ORDER {
         let centre = l * l + l;
         out[centre] = cast::<T>(k[centre]) * q[0][l];
         for m in 1..=l {
@@ -97,9 +120,13 @@ pub fn sh_eval<T: Float>(order: usize, d: [T; 3], out: &mut [T]) {
 /// The radial part of the gradient is that of the polynomial, not zero: callers that normalise `d`
 /// must project it out, as the chain rule through a normalisation does.
 pub fn sh_eval_with_gradient<T: Float>(order: usize, d: [T; 3], out: &mut [T], gradient: &mut [[T; 3]]) {
-    let (q, (a, b)) = (legendre(d[2], order), azimuth(d[0], d[1], order));
+    at_order!(order, values_with_gradient, d, out, gradient);
+}
+
+fn values_with_gradient<T: Float, const ORDER: usize>(d: [T; 3], out: &mut [T], gradient: &mut [[T; 3]]) {
+    let (q, (a, b)) = (legendre(d[2], ORDER), azimuth(d[0], d[1], ORDER));
     let k = normalisations();
-    for l in 0..=order {
+    for l in 0..=ORDER {
         let centre = l * l + l;
         for m in 0..=l {
             let norm = cast::<T>(k[centre + m]);

@@ -1,5 +1,6 @@
 //! Adam over all parameters of a model (Kingma and Ba 2015).
 
+use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::engine::Gradients;
@@ -89,31 +90,28 @@ impl Moments {
         let correction = |age: u32, beta: f32| 1.0 - beta.powi(age.min(100_000) as i32);
         let corrections = ages.map(|age| (correction(age, BETA1), correction(age, BETA2).sqrt()));
         let layout = gradients.layout;
-        let dc = 3;
         let moments = self.first.fields_mut().zip(self.second.fields_mut());
         for ((field, width, data), ((_, _, first), (_, _, second))) in
             model.gaussians.fields_mut().zip(moments)
         {
             let (correction1, correction2) = corrections[usize::from(is_material(field))];
             let rate = sizes.fields[field as usize] / correction1;
-            if rate == 0.0 || width == 0 {
+            let range = layout.range(field);
+            if rate == 0.0 || range.is_empty() {
                 continue;
             }
-            let range = layout.range(field);
+            let rates: Vec<f32> = (0..width).map(|k| rate * share_of_rate(field, k)).collect();
             let chunks = data
                 .par_chunks_mut(CHUNK * width)
                 .zip(first.par_chunks_mut(CHUNK * width))
                 .zip(second.par_chunks_mut(CHUNK * width))
                 .zip(gradients.rows.par_chunks(CHUNK * layout.row));
-            chunks.for_each(|(((data, first), second), rows)| {
-                let rows = rows.chunks_exact(layout.row).map(|row| &row[range.clone()]);
-                let values = data.chunks_exact_mut(width).zip(first.chunks_exact_mut(width));
-                for (((p, m), v), g) in values.zip(second.chunks_exact_mut(width)).zip(rows) {
-                    for k in 0..width {
-                        let rate = if field == Field::Radiance && k >= dc { rate * 0.05 } else { rate };
-                        p[k] -= adam(&mut m[k], &mut v[k], g[k], rate, correction2);
-                    }
+            chunks.for_each_init(Vec::new, |scratch, (((data, first), second), rows)| {
+                scratch.clear();
+                for row in rows.chunks_exact(layout.row) {
+                    scratch.extend(row[range.clone()].iter().copied().zip(rates.iter().copied()));
                 }
+                adam_all(data, [first, second], scratch, correction2);
             });
         }
         let (correction1, correction2) = corrections[1];
@@ -151,8 +149,22 @@ fn is_material(field: Field) -> bool {
     matches!(field, Normal | MetalLogit | RoughLogit | ProtoLogits | Residual | Visibility | Indirect)
 }
 
+/// What of a field's step its float `k` takes: directions of radiance a twentieth of what its mean takes.
+fn share_of_rate(field: Field, k: usize) -> f32 {
+    if field == Field::Radiance && k >= 3 { 0.05 } else { 1.0 }
+}
+
+/// [`adam`] on every parameter of `data`, from `(gradient, rate)` pairs.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+fn adam_all(data: &mut [f32], [first, second]: [&mut [f32]; 2], slopes: &[(f32, f32)], correction2: f32) {
+    let moments = first.iter_mut().zip(second);
+    for ((p, (m, v)), (g, rate)) in data.iter_mut().zip(moments).zip(slopes) {
+        *p -= adam(m, v, *g, *rate, correction2);
+    }
+}
+
 /// Updates the moments and returns the step.
-#[inline]
+#[inline(always)]
 fn adam(m: &mut f32, v: &mut f32, g: f32, rate: f32, correction2: f32) -> f32 {
     *m = BETA1 * *m + (1.0 - BETA1) * g;
     *v = BETA2 * *v + (1.0 - BETA2) * g * g;

@@ -10,7 +10,7 @@ use crate::light::{EnvOperators, LightTables};
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
 use crate::train::dataset::Photo;
 use crate::train::objective::image::Target;
-use crate::train::objective::{geometry, material as terms};
+use crate::train::objective::{aggregation, geometry, material as terms};
 use crate::train::state::Learned;
 use crate::train::{LabelSource, TrainConfig};
 
@@ -108,8 +108,10 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let pass = Pass::forward(&source, view, Channels::Full(source.gaussians.width(Field::Visibility)), true);
     let images = shader.images(&pass, context.background);
     let target = Target::new(view.width, view.height, photo.pixels.clone());
-    let physical = target.compare(&images.physical, w.l1, w.ssim);
-    let plain = target.compare(&images.radiance, w.l1 * w.radiance, w.ssim * w.radiance);
+    let (physical, plain) = rayon::join(
+        || target.compare(&images.physical, w.l1, w.ssim),
+        || target.compare(&images.radiance, w.l1 * w.radiance, w.ssim * w.radiance),
+    );
     let mut loss = w.l1 * physical.mae + w.ssim * (1.0 - physical.ssim);
     loss += w.radiance * (w.l1 * plain.mae + w.ssim * (1.0 - plain.ssim));
     let mut by_buffers = vec![BufferGradient::default(); photo.pixels.len()];
@@ -193,7 +195,7 @@ fn parameter_terms(
     gradients: &mut Gradients,
 ) -> f32 {
     let (w, g) = (&config.weights, source.gaussians);
-    let mut loss = terms::aggregation(g, w.aggregation, gradients);
+    let mut loss = aggregation::aggregation(g, w.aggregation, gradients);
     loss += terms::residual(g, w.residual, gradients);
     loss += terms::flatness(g, w.flatness, gradients);
     if source.options.visibility != VisibilityForm::Off {

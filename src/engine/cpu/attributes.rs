@@ -52,7 +52,7 @@ impl AttributeSource<'_> {
         }
     }
 
-    /// Fills `row` (zeroed, `channels.stored()` floats) for a visible splat.
+    /// Fills `row` (zeroed but for albedo, which is there already; `channels.stored()` floats) for a visible splat.
     pub fn write(&self, view: &View, splat: &Splat, channels: Channels, row: &mut [f32]) {
         let i = splat.gaussian as usize;
         row[channel::COVERAGE] = 1.0;
@@ -68,7 +68,6 @@ impl AttributeSource<'_> {
         if channels == Channels::Geometry {
             return;
         }
-        row[channel::ALBEDO].copy_from_slice(&self.albedo(i).map(|a| a.clamp(0.0, 1.0)));
         row[channel::METAL] = sigmoid(self.gaussians.row(Field::MetalLogit, i)[0]);
         row[channel::ROUGH] = sigmoid(self.gaussians.row(Field::RoughLogit, i)[0]);
         let Channels::Full(coefficients) = channels else { return };
@@ -130,7 +129,7 @@ impl AttributeSource<'_> {
     }
 
     /// Chain rule from a blended row's gradient (`by_row`, as many channels as were differentiated) into
-    /// the Gaussian's gradient row; geometry shared with the projection goes to `geometry_gradient`.
+    /// the Gaussian's gradient row, but for albedo; geometry shared with the projection goes to `geometry_gradient`.
     pub fn write_backward(
         &self,
         view: &View,
@@ -148,7 +147,11 @@ impl AttributeSource<'_> {
             self.normal_backward(i, &geometry, to_mean, by_row, layout, geometry_gradient, out);
         }
         if by_row.len() > channel::ROUGH {
-            self.material_backward(i, by_row, layout, out);
+            for (field, channel) in [(Field::MetalLogit, channel::METAL), (Field::RoughLogit, channel::ROUGH)]
+            {
+                out[layout.range(field)][0] +=
+                    by_row[channel] * sigmoid_slope(self.gaussians.row(field, i)[0]);
+            }
         }
         if by_row.len() > channel::DEPTH {
             (0..3).for_each(|c| geometry_gradient.mean[c] += view.rotation[2][c] * by_row[channel::DEPTH]);
@@ -169,60 +172,13 @@ impl AttributeSource<'_> {
 
     /// Unclamped albedo of Gaussian `i` (Eq. 23).
     pub fn albedo(&self, i: usize) -> [f32; 3] {
-        let mut p = [0.0f32; 256];
-        self.mixed(i, self.mixture(i, &mut p))
-    }
-
-    /// Unclamped albedo of Gaussian `i`, whose shares of the prototypes are `p`.
-    fn mixed(&self, i: usize, p: &[f32]) -> [f32; 3] {
         let residual: [f32; 3] = self.gaussians.get(Field::Residual, i);
+        let scores = self.gaussians.row(Field::ProtoLogits, i);
+        let mut buffer = [0.0f32; 256];
+        let p = softmax(scores, &mut buffer[..scores.len().min(256)]);
         std::array::from_fn(|c| {
             residual[c] + p.iter().zip(self.prototypes).map(|(p, a)| p * a[c].clamp(0.0, 1.0)).sum::<f32>()
         })
-    }
-
-    /// `softmax` of the prototype scores, into the front of `buffer`.
-    fn mixture<'b>(&self, i: usize, buffer: &'b mut [f32; 256]) -> &'b [f32] {
-        let scores = self.gaussians.row(Field::ProtoLogits, i);
-        softmax(scores, &mut buffer[..scores.len().min(256)])
-    }
-
-    fn material_backward(&self, i: usize, by_row: &[f32], layout: &RowLayout, out: &mut [f32]) {
-        let mut buffer = [0.0f32; 256];
-        let p = self.mixture(i, &mut buffer);
-        let albedo = self.mixed(i, p);
-        let by_albedo: [f32; 3] = std::array::from_fn(|c| {
-            let inside = albedo[c] > 0.0 && albedo[c] < 1.0;
-            if inside { by_row[channel::ALBEDO.start + c] } else { 0.0 }
-        });
-        for (o, g) in out[layout.range(Field::Residual)].iter_mut().zip(by_albedo) {
-            *o += g;
-        }
-        let by_p = |a: &[f32; 3]| (0..3).map(|c| by_albedo[c] * a[c].clamp(0.0, 1.0)).sum::<f32>();
-        let mean: f32 = p.iter().zip(self.prototypes).map(|(p, a)| p * by_p(a)).sum();
-        let scores = &mut out[layout.range(Field::ProtoLogits)];
-        for ((o, p), a) in scores.iter_mut().zip(p).zip(self.prototypes) {
-            *o += p * (by_p(a) - mean);
-        }
-        for (field, channel) in [(Field::MetalLogit, channel::METAL), (Field::RoughLogit, channel::ROUGH)] {
-            out[layout.range(field)][0] += by_row[channel] * sigmoid_slope(self.gaussians.row(field, i)[0]);
-        }
-    }
-
-    /// Adds this Gaussian's share to the prototypes' gradient.
-    pub fn prototypes_backward(&self, i: usize, by_row: &[f32], out: &mut [[f32; 3]]) {
-        if by_row.len() <= channel::ROUGH {
-            return;
-        }
-        let mut buffer = [0.0f32; 256];
-        let p = self.mixture(i, &mut buffer);
-        let albedo = self.mixed(i, p);
-        for ((o, p), a) in out.iter_mut().zip(p).zip(self.prototypes) {
-            for c in 0..3 {
-                let inside = albedo[c] > 0.0 && albedo[c] < 1.0 && a[c] > 0.0 && a[c] < 1.0;
-                o[c] += if inside { p * by_row[channel::ALBEDO.start + c] } else { 0.0 };
-            }
-        }
     }
 
     fn normal(&self, i: usize, geometry: &Geometry, to_mean: [f32; 3]) -> Normal {

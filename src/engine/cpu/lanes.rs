@@ -93,14 +93,15 @@ pub fn totals(v: &[Lanes; 4]) -> [f32; 4] {
 /// `e^x` for x <= 0, relative error below 3e-7; 0 below -87.
 ///
 /// `2^round(t) * 2^fraction`, the fraction by a degree-6 polynomial, rounding by the 1.5 * 2^23 trick, so
-/// that no call leaves the vector registers.
+/// that no call leaves the vector registers. The last bits of the shifted number are the rounded one, where its exponent
+/// goes: no conversion, which in Rust saturates and takes as long as the polynomial.
 #[inline(always)]
 pub fn exp_negative(x: f32) -> f32 {
     const MAGIC: f32 = 12_582_912.0;
     let clamped = if x > -87.0 { x } else { -87.0 };
     let t = clamped * std::f32::consts::LOG2_E;
-    let rounded = (t + MAGIC) - MAGIC;
-    let f = t - rounded;
+    let shifted = t + MAGIC;
+    let f = t - (shifted - MAGIC);
     let mut p = 1.540_353e-4;
     p = p * f + 1.333_355_8e-3;
     p = p * f + 9.618_129e-3;
@@ -108,7 +109,7 @@ pub fn exp_negative(x: f32) -> f32 {
     p = p * f + 2.402_265e-1;
     p = p * f + std::f32::consts::LN_2;
     p = p * f + 1.0;
-    let scale = f32::from_bits((((rounded as i32) + 127) << 23) as u32);
+    let scale = f32::from_bits((shifted.to_bits() << 23).wrapping_add(127 << 23));
     if x > -87.0 { p * scale } else { 0.0 }
 }
 

@@ -2,15 +2,16 @@
 
 use rayon::prelude::*;
 
-use crate::engine::Gradients;
-use crate::engine::channel::Channels;
+use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::blend::{BlendScratch, TileJob, blend_tile};
 use crate::engine::cpu::blend_backward::{BackwardScratch, ROW_HEADER, blend_tile_backward};
 use crate::engine::cpu::lanes::LANES;
+use crate::engine::cpu::mixture::MixtureScratch;
 use crate::engine::cpu::project::{Splat, SplatGradient, project, project_backward, rotation_backward};
 use crate::engine::cpu::tiles::{TILE, TileLists};
 use crate::engine::cpu::view::View;
+use crate::engine::{Gradients, RowLayout, zeros};
 use crate::light::LightTables;
 use crate::scene::Field;
 
@@ -42,12 +43,16 @@ impl Pass {
     pub fn forward(source: &AttributeSource<'_>, view: View, channels: Channels, early_stop: bool) -> Self {
         let splats = project_all(source, &view);
         let stored = channels.stored();
-        let mut attributes = vec![0.0f32; splats.len() * stored];
-        attributes
-            .par_chunks_mut(stored)
-            .zip(&splats)
-            .with_min_len(64)
-            .for_each(|(row, splat)| source.write(&view, splat, channels, row));
+        let mut attributes = zeros(splats.len() * stored);
+        let blocks = attributes.par_chunks_mut(LANES * stored).zip(splats.par_chunks(LANES)).with_min_len(4);
+        blocks.for_each_init(MixtureScratch::default, |scratch, (rows, splats)| {
+            if channels.count() > channel::ROUGH {
+                scratch.write(source, &gaussians_of(splats), rows, stored);
+            }
+            for (row, splat) in rows.chunks_exact_mut(stored).zip(splats) {
+                source.write(&view, splat, channels, row);
+            }
+        });
         Self::blend(view, splats, channels, attributes, early_stop)
     }
 
@@ -61,7 +66,7 @@ impl Pass {
     ) -> Self {
         let tiles = TileLists::new(view.width, view.height, &splats);
         let stored = channels.stored();
-        let mut gbuffer = vec![0.0f32; tiles.len() * TILE * stored * LANES];
+        let mut gbuffer = zeros(tiles.len() * TILE * stored * LANES);
         gbuffer.par_chunks_mut(TILE * stored * LANES).enumerate().for_each_init(
             BlendScratch::default,
             |scratch, (tile, out)| {
@@ -106,35 +111,76 @@ impl Pass {
         if let Some(by_tables) = by_tables {
             self.diffuse_backward(source, &mut summed, width, by_tables);
         }
-        let mut out = Gradients::zeroed(source.gaussians, 0);
+        let layout = RowLayout::differentiated(source.gaussians, count);
+        let mut out = Gradients::laid_out(source.gaussians, layout, 0);
+        self.attributes_backward(source, &summed, width, &mut out);
+        out.prototypes = self.prototypes_backward(source, &summed, width);
+        out
+    }
+
+    /// From the splats' own gradients, rows of `width`, to those of the Gaussians' parameters.
+    fn attributes_backward(
+        &self,
+        source: &AttributeSource<'_>,
+        summed: &[f32],
+        width: usize,
+        out: &mut Gradients,
+    ) {
         let layout = out.layout;
         let mut rank_of = vec![u32::MAX; source.gaussians.len()];
         for (rank, splat) in self.splats.iter().enumerate() {
             rank_of[splat.gaussian as usize] = rank as u32;
         }
         let half_width = 0.5 * self.view.width.max(self.view.height) as f32;
-        let per_gaussian = out.rows.par_chunks_mut(layout.row).zip(&mut out.pull).zip(&mut out.visible);
-        per_gaussian.zip(&rank_of).with_min_len(64).for_each(|(((row, pull), visible), rank)| {
-            let Some(splat) = self.splats.get(*rank as usize) else { return };
-            let summed = &summed[*rank as usize * width..(*rank as usize + 1) * width];
-            let [mx, my, xx, xy, yy, opacity, pull_px] = std::array::from_fn(|k| summed[k]);
-            let gradient = SplatGradient { mean: [mx, my], conic: [xx, xy, yy], opacity };
-            let geometry = source.geometry(splat.gaussian as usize);
-            let mut by = project_backward(&self.view, &geometry, splat, &gradient);
-            source.write_backward(&self.view, splat, &summed[ROW_HEADER..], &layout, &mut by, row);
-            let quaternion = rotation_backward(geometry.quaternion, &by.rotation);
-            let mut add = |field: Field, values: &[f32]| {
-                row[layout.range(field)].iter_mut().zip(values).for_each(|(o, v)| *o += v);
-            };
-            add(Field::Mean, &by.mean);
-            add(Field::LogScale, &by.log_scale);
-            add(Field::Quaternion, &quaternion);
-            add(Field::OpacityLogit, &[by.opacity_logit]);
-            *pull = pull_px * half_width;
-            *visible = true;
-        });
-        out.prototypes = self.prototypes_backward(source, &summed, width);
-        out
+        let has_albedo = width > ROW_HEADER + channel::ROUGH;
+        let marks = out.pull.par_chunks_mut(LANES).zip(out.visible.par_chunks_mut(LANES));
+        let blocks = out.rows.par_chunks_mut(LANES * layout.row).zip(marks).zip(rank_of.par_chunks(LANES));
+        blocks.enumerate().with_min_len(4).for_each_init(
+            MixtureScratch::default,
+            |scratch, (block, ((rows, (pull, visible)), ranks))| {
+                let of_rank = |rank: &u32| summed.chunks_exact(width).nth(*rank as usize);
+                if has_albedo {
+                    let by_rows: Vec<Option<&[f32]>> =
+                        ranks.iter().map(|rank| of_rank(rank).map(|row| &row[ROW_HEADER..])).collect();
+                    let first = (block * LANES) as u32;
+                    let gaussians: Vec<u32> = (first..first + ranks.len() as u32).collect();
+                    let fields = [layout.range(Field::Residual), layout.range(Field::ProtoLogits)];
+                    scratch.backward(source, &gaussians, &by_rows, fields, rows, layout.row);
+                }
+                for (lane, (row, rank)) in rows.chunks_exact_mut(layout.row).zip(ranks).enumerate() {
+                    let (Some(splat), Some(summed)) = (self.splats.get(*rank as usize), of_rank(rank)) else {
+                        continue;
+                    };
+                    pull[lane] = summed[6] * half_width;
+                    visible[lane] = true;
+                    self.geometry_backward(source, splat, summed, &layout, row);
+                }
+            },
+        );
+    }
+
+    /// Chain rule from one splat's gradient, its channels' included, to its Gaussian's gradient row, but for albedo.
+    fn geometry_backward(
+        &self,
+        source: &AttributeSource<'_>,
+        splat: &Splat,
+        summed: &[f32],
+        layout: &RowLayout,
+        row: &mut [f32],
+    ) {
+        let [mx, my, xx, xy, yy, opacity] = std::array::from_fn(|k| summed[k]);
+        let gradient = SplatGradient { mean: [mx, my], conic: [xx, xy, yy], opacity };
+        let geometry = source.geometry(splat.gaussian as usize);
+        let mut by = project_backward(&self.view, &geometry, splat, &gradient);
+        source.write_backward(&self.view, splat, &summed[ROW_HEADER..], layout, &mut by, row);
+        let quaternion = rotation_backward(geometry.quaternion, &by.rotation);
+        let mut add = |field: Field, values: &[f32]| {
+            row[layout.range(field)].iter_mut().zip(values).for_each(|(o, v)| *o += v);
+        };
+        add(Field::Mean, &by.mean);
+        add(Field::LogScale, &by.log_scale);
+        add(Field::Quaternion, &quaternion);
+        add(Field::OpacityLogit, &[by.opacity_logit]);
     }
 
     /// Chain rule through the diffuse terms at the Gaussians, for rows of splat gradients of `width`: adds to them and
@@ -189,7 +235,7 @@ impl Pass {
 
     fn blend_backward(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
         let width = ROW_HEADER + count;
-        let mut rows = vec![0.0f32; self.tiles.rank_of_slot.len() * width];
+        let mut rows = zeros(self.tiles.rank_of_slot.len() * width);
         let mut parts = Vec::with_capacity(self.tiles.len());
         let mut rest = rows.as_mut_slice();
         for tile in 0..self.tiles.len() {
@@ -218,7 +264,7 @@ impl Pass {
 
     /// Each rank's gradient summed over its tiles, in tile order.
     fn sum_instances(&self, rows: &[f32], width: usize) -> Vec<f32> {
-        let mut summed = vec![0.0f32; self.splats.len() * width];
+        let mut summed = zeros(self.splats.len() * width);
         summed.par_chunks_mut(width).enumerate().with_min_len(64).for_each(|(rank, out)| {
             for &slot in self.tiles.slots_of_rank(rank) {
                 let row = &rows[slot as usize * width..(slot as usize + 1) * width];
@@ -234,26 +280,40 @@ impl Pass {
         summed: &[f32],
         width: usize,
     ) -> Vec<[f32; 3]> {
-        let zero = vec![[0.0f32; 3]; source.prototypes.len()];
-        let partial: Vec<Vec<[f32; 3]>> = self
+        let count = source.prototypes.len();
+        if width <= ROW_HEADER + channel::ROUGH {
+            return vec![[0.0; 3]; count];
+        }
+        let partial: Vec<[Vec<f32>; 3]> = self
             .splats
             .par_chunks(CHUNK)
             .zip(summed.par_chunks(CHUNK * width))
-            .map(|(splats, rows)| {
-                let mut out = zero.clone();
-                for (splat, row) in splats.iter().zip(rows.chunks_exact(width)) {
-                    source.prototypes_backward(splat.gaussian as usize, &row[ROW_HEADER..], &mut out);
+            .map_init(MixtureScratch::default, |scratch, (splats, rows)| {
+                let mut out = [0; 3].map(|_| vec![0.0f32; count]);
+                for (splats, rows) in splats.chunks(LANES).zip(rows.chunks(LANES * width)) {
+                    let rows: Vec<Option<&[f32]>> =
+                        rows.chunks_exact(width).map(|row| Some(&row[ROW_HEADER..])).collect();
+                    scratch.prototypes_backward(source, &gaussians_of(splats), &rows, &mut out);
                 }
                 out
             })
             .collect();
-        partial.into_iter().fold(zero, |mut sum, part| {
-            for (s, p) in sum.iter_mut().zip(part) {
-                (0..3).for_each(|c| s[c] += p[c]);
+        let mut sum = vec![[0.0f32; 3]; count];
+        for part in &partial {
+            for (k, s) in sum.iter_mut().enumerate() {
+                (0..3).for_each(|c| s[c] += part[c][k]);
             }
-            sum
-        })
+        }
+        // A prototype outside of what can be shown is clamped, which passes no gradient.
+        for (s, a) in sum.iter_mut().zip(source.prototypes) {
+            *s = std::array::from_fn(|c| if a[c] > 0.0 && a[c] < 1.0 { s[c] } else { 0.0 });
+        }
+        sum
     }
+}
+
+fn gaussians_of(splats: &[Splat]) -> Vec<u32> {
+    splats.iter().map(|s| s.gaussian).collect()
 }
 
 /// Every visible Gaussian as a splat, sorted front to back, ties by index.

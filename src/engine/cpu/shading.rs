@@ -8,6 +8,7 @@ use crate::engine::cpu::pass::Pass;
 use crate::engine::cpu::project::normalise;
 use crate::engine::cpu::shade::{MAX_COEFFICIENTS, Shader, Surface};
 use crate::engine::cpu::tiles::TILE;
+use crate::engine::zeros;
 use crate::light::LightTables;
 use crate::scene::sh_count;
 
@@ -139,7 +140,7 @@ impl Shader<'_> {
     ) -> (Vec<f32>, LightTables) {
         let stored = count.next_multiple_of(4);
         let band = pass.tiles.columns * TILE * stored * LANES;
-        let mut out = vec![0.0f32; pass.tiles.rows * band];
+        let mut out = zeros(pass.tiles.rows * band);
         let partial: Vec<LightTables> = out
             .par_chunks_mut(band.max(1))
             .enumerate()
@@ -282,7 +283,7 @@ pub fn radiance_image_backward(
 ) -> Vec<f32> {
     let stored = count.next_multiple_of(4);
     let band = pass.tiles.columns * TILE * stored * LANES;
-    let mut out = vec![0.0f32; pass.tiles.rows * band];
+    let mut out = zeros(pass.tiles.rows * band);
     out.par_chunks_mut(band.max(1)).enumerate().for_each(|(tile_row, target)| {
         let first = tile_row * TILE;
         for y in first..(first + TILE).min(pass.view.height) {

@@ -26,9 +26,15 @@ pub struct Target {
     height: usize,
     /// Row-major RGB.
     pub pixels: Vec<[f32; 3]>,
-    planes: [Vec<f32>; 3],
-    mean: [Vec<f32>; 3],
-    mean_of_square: [Vec<f32>; 3],
+    channels: Vec<Channel>,
+}
+
+/// One colour of a photograph.
+#[derive(Debug, Clone)]
+struct Channel {
+    plane: Vec<f32>,
+    mean: Vec<f32>,
+    mean_of_square: Vec<f32>,
 }
 
 /// Value and gradient of the image term for one branch.
@@ -47,18 +53,22 @@ pub struct ImageLoss {
 impl Target {
     /// Prepares a row-major photograph.
     pub fn new(width: usize, height: usize, pixels: Vec<[f32; 3]>) -> Self {
-        let planes = [0, 1, 2].map(|c| pixels.iter().map(|p| p[c]).collect::<Vec<f32>>());
-        let mean = [0, 1, 2].map(|c| blur(width, height, &planes[c]));
-        let square = |c: usize| planes[c].iter().map(|v| v * v).collect::<Vec<f32>>();
-        let mean_of_square = [0, 1, 2].map(|c| blur(width, height, &square(c)));
-        Self { width, height, pixels, planes, mean, mean_of_square }
+        let statistics = |c: usize| {
+            let plane: Vec<f32> = pixels.iter().map(|p| p[c]).collect();
+            let squares: Vec<f32> = plane.iter().map(|v| v * v).collect();
+            let (mean, mean_of_square) =
+                rayon::join(|| blur(width, height, &plane), || blur(width, height, &squares));
+            Channel { plane, mean, mean_of_square }
+        };
+        let channels = [0, 1, 2].into_par_iter().map(statistics).collect();
+        Self { width, height, pixels, channels }
     }
 
     /// Compares an image with the photograph; weights as in docs/MODEL.md section 5.
     pub fn compare(&self, image: &[[f32; 3]], l1: f32, ssim: f32) -> ImageLoss {
         let scale = 1.0 / (3 * image.len()).max(1) as f32;
         let channels: Vec<(f64, Vec<f32>)> =
-            [0, 1, 2].into_par_iter().map(|c| self.ssim_channel(image, c, -ssim * scale)).collect();
+            (0..3).into_par_iter().map(|c| self.ssim_channel(image, c, -ssim * scale)).collect();
         let mut out = ImageLoss { gradient: vec![[0.0; 3]; image.len()], ..ImageLoss::default() };
         let rows = out.gradient.par_chunks_mut(self.width.max(1)).enumerate();
         let sums: Vec<[f64; 2]> = rows
@@ -87,12 +97,11 @@ impl Target {
     fn ssim_channel(&self, image: &[[f32; 3]], c: usize, weight: f32) -> (f64, Vec<f32>) {
         let (w, h) = (self.width, self.height);
         let a: Vec<f32> = image.iter().map(|p| p[c]).collect();
-        let b = &self.planes[c];
+        let Channel { plane: b, mean: mean_b, mean_of_square: mean_bb } = &self.channels[c];
         let squares: Vec<f32> = a.iter().map(|v| v * v).collect();
         let products: Vec<f32> = a.iter().zip(b).map(|(x, y)| x * y).collect();
         let (mean_a, mean_aa) = (blur(w, h, &a), blur(w, h, &squares));
         let mean_ab = blur(w, h, &products);
-        let (mean_b, mean_bb) = (&self.mean[c], &self.mean_of_square[c]);
         let n = a.len();
         let (mut by_mean, mut by_square, mut by_product) =
             (vec![0.0f32; n], vec![0.0f32; n], vec![0.0f32; n]);

@@ -1,9 +1,9 @@
-//! Terms on the parameters themselves: aggregation, residual, the light, visibility labels.
+//! Terms on the parameters themselves: residual, flatness, the light, visibility labels.
 
 use rayon::prelude::*;
 
 use crate::engine::Gradients;
-use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass, softmax};
+use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass};
 use crate::light::{DAYLIGHT, sh_eval};
 use crate::scene::{Field, Gaussians, VisibilityForm};
 use crate::train::objective::sign;
@@ -13,66 +13,19 @@ const LEAST_LABEL_WEIGHT: f32 = 1e-3;
 /// Visibility is kept this far from 0 and 1 inside the logarithms.
 const LABEL_MARGIN: f32 = 1e-3;
 
-/// Clamp inside the aggregation term.
-const EPSILON: f32 = 1e-6;
-
-/// `-mean ln Q` with `Q = sum_k p_k prod_{j != k} (1 - p_j)` (Eq. 24); adds its gradient, returns its value.
-pub fn aggregation(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
-    if weight == 0.0 || g.is_empty() {
-        return 0.0;
-    }
-    let (k, scale) = (g.prototypes(), weight / g.len() as f32);
-    let layout = out.layout;
-    let scores = g.field(Field::ProtoLogits).par_chunks(k);
-    let values: Vec<f32> = out
-        .rows
-        .par_chunks_mut(layout.row)
-        .zip(scores)
-        .with_min_len(256)
-        .map(|(row, scores)| aggregation_of_one(scores, scale, &mut row[layout.range(Field::ProtoLogits)]))
-        .collect();
-    sum(&values)
-}
-
-/// One Gaussian's `-scale ln Q`, its gradient added to `out`.
-fn aggregation_of_one(scores: &[f32], scale: f32, out: &mut [f32]) -> f32 {
-    let mut buffer = [[0.0f32; 256]; 2];
-    let k = scores.len().min(256);
-    let [p, by_p] = &mut buffer;
-    let p = softmax(scores, &mut p[..k]);
-    let rest = |v: f32| (1.0 - v).max(EPSILON);
-    // prod_{j != k} (1 - p_j) = all / (1 - p_k), never divided by less than epsilon.
-    let all: f32 = p.iter().map(|v| rest(*v)).product();
-    let q: f32 = p.iter().map(|v| v * all / rest(*v)).sum();
-    if q <= EPSILON {
-        return -scale * EPSILON.ln();
-    }
-    // dQ/dp_m = prod_{j != m} - (1 / (1 - p_m)) sum_{k != m} p_k prod_{j != k}, the second part where unclamped.
-    for (m, by) in by_p[..k].iter_mut().enumerate() {
-        let own = all / rest(p[m]);
-        let others = q - p[m] * own;
-        let through = if 1.0 - p[m] > EPSILON { others / rest(p[m]) } else { 0.0 };
-        *by = -scale / q * (own - through);
-    }
-    let mean: f32 = p.iter().zip(by_p.iter()).map(|(p, b)| p * b).sum();
-    for (m, o) in out.iter_mut().enumerate() {
-        *o += p[m] * (by_p[m] - mean);
-    }
-    -scale * q.ln()
-}
-
 /// `mean sum |eps|` (Eq. 25); adds its gradient, returns its value.
 pub fn residual(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
     let scale = weight / g.len().max(1) as f32;
     let layout = out.layout;
-    let mut total = 0.0f64;
-    for (row, eps) in out.rows.chunks_mut(layout.row).zip(g.field(Field::Residual).chunks_exact(3)) {
-        for (o, e) in row[layout.range(Field::Residual)].iter_mut().zip(eps) {
-            total += f64::from(scale * e.abs());
-            *o += scale * sign(*e);
-        }
-    }
-    total as f32
+    let residuals = g.field(Field::Residual).par_chunks(3);
+    let rows = out.rows.par_chunks_mut(layout.row).zip(residuals).with_min_len(1024);
+    let values: Vec<f32> = rows
+        .map(|(row, eps)| {
+            row[layout.range(Field::Residual)].iter_mut().zip(eps).for_each(|(o, e)| *o += scale * sign(*e));
+            eps.iter().map(|e| scale * e.abs()).sum()
+        })
+        .collect();
+    sum(&values)
 }
 
 /// Mean deviation of each texel's channels from their mean (Eq. 31): `(value, gradient by radiance)`.
@@ -158,20 +111,23 @@ pub fn backward_labels(
 pub fn flatness(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
     let scale = weight / g.len().max(1) as f32;
     let layout = out.layout;
-    let mut total = 0.0f64;
-    for (row, s) in out.rows.chunks_mut(layout.row).zip(g.field(Field::LogScale).chunks_exact(3)) {
-        let axis = if s[0] <= s[1] && s[0] <= s[2] {
-            0
-        } else if s[1] <= s[2] {
-            1
-        } else {
-            2
-        };
-        let sigma = s[axis].exp();
-        total += f64::from(scale * sigma);
-        row[layout.range(Field::LogScale)][axis] += scale * sigma;
-    }
-    total as f32
+    let scales = g.field(Field::LogScale).par_chunks(3);
+    let rows = out.rows.par_chunks_mut(layout.row).zip(scales).with_min_len(1024);
+    let values: Vec<f32> = rows
+        .map(|(row, s)| {
+            let axis = if s[0] <= s[1] && s[0] <= s[2] {
+                0
+            } else if s[1] <= s[2] {
+                1
+            } else {
+                2
+            };
+            let term = scale * s[axis].exp();
+            row[layout.range(Field::LogScale)][axis] += term;
+            term
+        })
+        .collect();
+    sum(&values)
 }
 
 /// `weight ln(Y / pi)^2` with Y the irradiance of a white surface facing up: a well-exposed photograph shows such a
@@ -198,37 +154,13 @@ pub(in crate::train) fn upward((direction, solid_angle): &(glam::DVec3, f64)) ->
     (direction.z.max(0.0) * solid_angle / std::f64::consts::PI) as f32
 }
 
-fn sum(values: &[f32]) -> f32 {
+pub(super) fn sum(values: &[f32]) -> f32 {
     values.iter().map(|v| f64::from(*v)).sum::<f64>() as f32
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn aggregation_is_zero_at_one_hot_and_known_at_uniform() {
-        let mut one_hot = [-60.0f32; 32];
-        one_hot[7] = 60.0;
-        assert!(aggregation_of_one(&one_hot, 1.0, &mut [0.0; 32]).abs() < 1e-5);
-        let uniform = aggregation_of_one(&[0.3; 32], 1.0, &mut [0.0; 32]);
-        assert!((uniform - 0.98421).abs() < 1e-5, "{uniform}");
-    }
-
-    #[test]
-    fn the_aggregation_gradient_agrees_with_central_differences() {
-        let scores: Vec<f32> = (0..8).map(|i| (i as f32 * 1.7).sin()).collect();
-        let mut gradient = [0.0f32; 8];
-        aggregation_of_one(&scores, 1.0, &mut gradient);
-        for i in 0..8 {
-            let (mut hi, mut lo) = (scores.clone(), scores.clone());
-            hi[i] += 1e-2;
-            lo[i] -= 1e-2;
-            let f = |s: &[f32]| aggregation_of_one(s, 1.0, &mut [0.0; 8]);
-            let numeric = (f(&hi) - f(&lo)) / 2e-2;
-            assert!((numeric - gradient[i]).abs() < 2e-4, "{i} {numeric} {}", gradient[i]);
-        }
-    }
 
     #[test]
     fn daylight_is_held_to_its_colour_and_to_nothing_else() {

@@ -289,8 +289,11 @@ fn range(g: &Gaussians, field: Field) -> std::ops::Range<usize> {
 
 /// Rows of gradients in the planar layout.
 fn planar_rows(g: &Gaussians, by: &Gradients) -> Vec<f32> {
-    let all = Field::ALL.iter();
-    all.flat_map(|f| (0..g.len()).flat_map(move |i| by.get(*f, i).iter().copied())).collect()
+    // A field that was not differentiated has no floats in a row of the CPU engine, and zeros here.
+    let padded = |f: Field, i: usize| {
+        by.get(f, i).iter().copied().chain(std::iter::repeat(0.0)).take(g.width(f)).collect::<Vec<f32>>()
+    };
+    Field::ALL.iter().flat_map(|f| (0..g.len()).flat_map(move |i| padded(*f, i))).collect()
 }
 
 /// Largest difference over the largest expected value.

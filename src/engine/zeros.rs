@@ -1,0 +1,29 @@
+//! Large buffers, zeroed by all threads: a page belongs to nobody until it is touched, and one thread alone would take as
+//! long for that as all of them for the work that follows.
+
+use rayon::prelude::*;
+
+/// Floats a thread zeroes at once.
+const RUN: usize = 1024;
+
+/// `n` zeros.
+pub fn zeros(n: usize) -> Vec<f32> {
+    let runs: Vec<[f32; RUN]> =
+        (0..n.div_ceil(RUN)).into_par_iter().with_min_len(16).map(|_| [0.0; RUN]).collect();
+    let mut out = runs.into_flattened();
+    out.truncate(n);
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn there_are_as_many_as_asked_for_and_all_are_zero() {
+        for n in [0, 1, RUN - 1, RUN, 40 * RUN + 7] {
+            let out = zeros(n);
+            assert!(out.len() == n && out.iter().all(|v| v.to_bits() == 0), "{n}");
+        }
+    }
+}
