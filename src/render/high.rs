@@ -7,7 +7,8 @@ use rayon::prelude::*;
 
 use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::{
-    AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Shader, Surface, View, project_all,
+    AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Shader, Surface, View, attribute_rows,
+    project_all,
 };
 use crate::light::{DominantLight, LightTables, SplitEnvironment, rendering_tables};
 use crate::render::develop::{Lit, develop, reflector};
@@ -59,9 +60,8 @@ fn pass(source: &AttributeSource<'_>, view: View, light: &SplitLight, coefficien
     let (own, all) = (Channels::Full(coefficients), Channels::Full(coefficients + light.lights.len()));
     let splats = project_all(source, &view);
     let stored = all.stored();
-    let mut rows = vec![0.0f32; splats.len() * stored];
+    let mut rows = attribute_rows(source, &view, &splats, own, stored);
     rows.par_chunks_mut(stored).zip(&splats).with_min_len(64).for_each(|(row, splat)| {
-        source.write(&view, splat, own, row);
         let extra = &mut row[channel::VISIBILITY + coefficients..];
         for (value, arriving) in extra.iter_mut().zip(&light.arriving) {
             *value = arriving.get(splat.gaussian as usize).copied().unwrap_or(1.0);

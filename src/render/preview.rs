@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use crate::engine::channel::{self, Channels};
-use crate::engine::cpu::{AttributeSource, Pass, Shader, View, project_all, surface_of_row};
+use crate::engine::cpu::{AttributeSource, Pass, Shader, View, attribute_rows, project_all, surface_of_row};
 use crate::render::{Frame, Output};
 use crate::scene::Field;
 
@@ -14,22 +14,19 @@ pub fn render(source: &AttributeSource<'_>, view: View, shader: &Shader<'_>) -> 
     let source = &source.under(*shader);
     let splats = project_all(source, &view);
     let full = Channels::Full(source.gaussians.width(Field::Visibility));
+    let rows = attribute_rows(source, &view, &splats, full, full.stored());
     let stored = Channels::Colour.stored();
     let mut attributes = vec![0.0f32; splats.len() * stored];
-    attributes.par_chunks_mut(stored).zip(&splats).with_min_len(64).for_each_init(
-        || vec![0.0f32; full.stored()],
-        |row, (out, splat)| {
-            row.fill(0.0);
-            source.write(&view, splat, full, row);
-            let mean: [f32; 3] = source.gaussians.get(Field::Mean, splat.gaussian as usize);
-            let to_mean = std::array::from_fn(|k| mean[k] - view.eye[k]);
-            let shaded = shader.shade(&surface_of_row(row, to_mean));
-            out[channel::COVERAGE] = 1.0;
-            for (c, k) in channel::RADIANCE.enumerate() {
-                out[k] = shaded.diffuse[c] + shaded.specular[c];
-            }
-        },
-    );
+    let places = attributes.par_chunks_mut(stored).zip(rows.par_chunks(full.stored())).zip(&splats);
+    places.with_min_len(64).for_each(|((out, row), splat)| {
+        let mean: [f32; 3] = source.gaussians.get(Field::Mean, splat.gaussian as usize);
+        let to_mean = std::array::from_fn(|k| mean[k] - view.eye[k]);
+        let shaded = shader.shade(&surface_of_row(row, to_mean));
+        out[channel::COVERAGE] = 1.0;
+        for (c, k) in channel::RADIANCE.enumerate() {
+            out[k] = shaded.diffuse[c] + shaded.specular[c];
+        }
+    });
     let pass = Pass::blend(view, splats, Channels::Colour, attributes, true);
     let pixels = (0..view.width * view.height).map(|i| (i % view.width, i / view.width));
     let rgb = pixels.clone().flat_map(|(x, y)| channel::RADIANCE.map(move |c| (x, y, c)));

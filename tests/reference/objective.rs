@@ -6,7 +6,7 @@ use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, S
 use relume::engine::reference::{Array, Arrays, Options, Scene, Tables, Tape, Target, forward, objective};
 use relume::light::{EnvOperators, TableResolution};
 use relume::scene::{Camera, Field, Model, ShadingOptions, softplus, texel_directions};
-use relume::train::objective::{geometry, image, material};
+use relume::train::objective::{aggregation, geometry, image, material};
 
 use super::parity::{BACKGROUND, GAUSSIANS, Noise, SIZE, as_arrays, camera, distance, model, wide};
 
@@ -143,7 +143,7 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
         &mut found,
     );
     total += material::flatness(&model.gaussians, weight("flatness"), &mut found);
-    total += material::aggregation(&model.gaussians, weight("agg"), &mut found);
+    total += aggregation::aggregation(&model.gaussians, weight("agg"), &mut found);
     total += material::residual(&model.gaussians, weight("res"), &mut found);
     total += material::probe_labels(&model.gaussians, &photo.probes, PROBES as f32, &mut found);
 

@@ -53,7 +53,7 @@ impl AttributeSource<'_> {
     }
 
     /// Fills `row` (zeroed but for albedo, which is there already; `channels.stored()` floats) for a visible splat.
-    pub fn write(&self, view: &View, splat: &Splat, channels: Channels, row: &mut [f32]) {
+    pub(super) fn write(&self, view: &View, splat: &Splat, channels: Channels, row: &mut [f32]) {
         let i = splat.gaussian as usize;
         row[channel::COVERAGE] = 1.0;
         let geometry = self.geometry(i);

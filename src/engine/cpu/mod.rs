@@ -35,7 +35,7 @@ pub use labels::{BackwardLabel, backward_labels};
 pub use lanes::{LANES, Lanes};
 pub use mixture::softmax_abreast;
 pub use occluder::ProbeSettings;
-pub use pass::{Pass, project_all};
+pub use pass::{Pass, attribute_rows, project_all};
 pub use point::surface_point;
 pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
 pub use project::{

@@ -43,16 +43,7 @@ impl Pass {
     pub fn forward(source: &AttributeSource<'_>, view: View, channels: Channels, early_stop: bool) -> Self {
         let splats = project_all(source, &view);
         let stored = channels.stored();
-        let mut attributes = zeros(splats.len() * stored);
-        let blocks = attributes.par_chunks_mut(LANES * stored).zip(splats.par_chunks(LANES)).with_min_len(4);
-        blocks.for_each_init(MixtureScratch::default, |scratch, (rows, splats)| {
-            if channels.count() > channel::ROUGH {
-                scratch.write(source, &gaussians_of(splats), rows, stored);
-            }
-            for (row, splat) in rows.chunks_exact_mut(stored).zip(splats) {
-                source.write(&view, splat, channels, row);
-            }
-        });
+        let attributes = attribute_rows(source, &view, &splats, channels, stored);
         Self::blend(view, splats, channels, attributes, early_stop)
     }
 
@@ -314,6 +305,27 @@ impl Pass {
 
 fn gaussians_of(splats: &[Splat]) -> Vec<u32> {
     splats.iter().map(|s| s.gaussian).collect()
+}
+
+/// The attributes that `channels` carry of every splat, by rank, in rows of `stored` floats; what is beyond is zero.
+pub fn attribute_rows(
+    source: &AttributeSource<'_>,
+    view: &View,
+    splats: &[Splat],
+    channels: Channels,
+    stored: usize,
+) -> Vec<f32> {
+    let mut rows = zeros(splats.len() * stored);
+    let blocks = rows.par_chunks_mut(LANES * stored).zip(splats.par_chunks(LANES)).with_min_len(4);
+    blocks.for_each_init(MixtureScratch::default, |scratch, (rows, splats)| {
+        if channels.count() > channel::ROUGH {
+            scratch.write(source, &gaussians_of(splats), rows, stored);
+        }
+        for (row, splat) in rows.chunks_exact_mut(stored).zip(splats) {
+            source.write(view, splat, channels, row);
+        }
+    });
+    rows
 }
 
 /// Every visible Gaussian as a splat, sorted front to back, ties by index.
