@@ -470,4 +470,10 @@ fn the_checked_in_description_is_what_the_code_says() {
     assert!(render["422"]["content"]["application/problem+json"].is_object(), "{render}");
     assert!(render["200"]["content"]["image/png"].is_object());
     assert!(paths.len() >= 18, "{:?}", paths.keys().collect::<Vec<_>>());
+    // What a job may change is spelled out, down to the defaults of what is nested.
+    let schemas = &generated["components"]["schemas"];
+    let overrides = &schemas["TrainOverrides"];
+    assert_eq!(overrides["additionalProperties"], false);
+    assert!(overrides["properties"]["light"].to_string().contains("KnownLight"), "{overrides}");
+    assert_eq!(schemas["LearningRates"]["properties"]["environment"]["default"], 0.15);
 }

@@ -5,7 +5,7 @@ use utoipa::openapi::path::Operation;
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{
     ComponentsBuilder, ContentBuilder, InfoBuilder, OpenApi, OpenApiBuilder, PathItem, Ref, RefOr, Response,
-    ResponseBuilder,
+    ResponseBuilder, Schema,
 };
 
 /// A file as a body.
@@ -66,9 +66,32 @@ pub(super) fn with_problems(mut api: OpenApi) -> OpenApi {
     api
 }
 
+/// Writes numbers that a field has by default as they are in the code: 0.15 is an f32 there, and as an f64 it has seventeen
+/// digits.
+pub(super) fn with_short_defaults(mut api: OpenApi) -> OpenApi {
+    let schemas = api.components.iter_mut().flat_map(|components| components.schemas.values_mut());
+    for schema in schemas {
+        let RefOr::T(Schema::Object(object)) = schema else { continue };
+        for field in object.properties.values_mut() {
+            if let RefOr::T(Schema::Object(field)) = field
+                && let Some(default) = &mut field.default
+                && default.is_f64()
+            {
+                *default = shortest(default);
+            }
+        }
+    }
+    api
+}
+
+fn shortest(number: &serde_json::Value) -> serde_json::Value {
+    let short = number.as_f64().and_then(|v| (v as f32).to_string().parse::<f64>().ok());
+    short.map_or_else(|| number.clone(), Into::into)
+}
+
 const PROBLEM: &str = "application/problem+json";
 
-fn problem() -> RefOr<utoipa::openapi::Schema> {
+fn problem() -> RefOr<Schema> {
     RefOr::Ref(Ref::from_schema_name("Problem"))
 }
 

@@ -39,11 +39,9 @@ pub struct NewJob {
     pub capture: String,
     /// `draft`, `standard` (the default) or `high`.
     #[serde(default)]
-    #[schema(value_type = String, example = "draft")]
     pub preset: Preset,
     /// Changes on top of the preset, e.g. `{"resolution": 200}`; `{"light": {"environment": "ID"}}` holds a known light.
     #[serde(default)]
-    #[schema(value_type = Object)]
     pub overrides: TrainOverrides,
     /// -100 to 100; higher runs first.
     #[serde(default)]
@@ -95,9 +93,10 @@ pub struct JobView {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub retry_of: Option<String>,
     /// Preset.
+    #[schema(value_type = Preset)]
     pub preset: String,
     /// Changes on top of the preset.
-    #[schema(value_type = Object)]
+    #[schema(value_type = TrainOverrides)]
     pub overrides: serde_json::Value,
     /// Where it trains.
     pub device: String,

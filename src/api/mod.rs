@@ -87,7 +87,7 @@ fn families() -> OpenApiRouter<Shared> {
 
 /// The description of the API.
 pub fn openapi() -> utoipa::openapi::OpenApi {
-    description::with_problems(families().split_for_parts().1)
+    description::with_short_defaults(description::with_problems(families().split_for_parts().1))
 }
 
 /// The whole service. Layers run from the last to the first.

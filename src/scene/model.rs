@@ -11,7 +11,7 @@ pub const fn sh_count(order: usize) -> usize {
 }
 
 /// How visibility coefficients become a visibility (article Eq. 13).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum VisibilityForm {
     /// `V = sum c Y`, clamped to [0, 1] where it is used; V = 1 gives AO = 1 exactly.
@@ -24,7 +24,7 @@ pub enum VisibilityForm {
 }
 
 /// How occlusion enters the diffuse term.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DiffuseForm {
     /// The article's `AO * L_diff(n)` (Eq. 21).
@@ -35,7 +35,7 @@ pub enum DiffuseForm {
 }
 
 /// Where the diffuse term is found; the specular one always is in the pixel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DiffuseAt {
     /// In the pixel, from blended normal, albedo and visibility (deferred, as the article).
@@ -46,7 +46,7 @@ pub enum DiffuseAt {
 }
 
 /// Where a Gaussian's normal comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum NormalForm {
     /// The `Normal` field itself, normalised (the listing).
@@ -57,7 +57,7 @@ pub enum NormalForm {
 }
 
 /// What lights a direction that is not visible.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum IndirectForm {
     /// Nothing.
@@ -70,7 +70,7 @@ pub enum IndirectForm {
 }
 
 /// Every choice of the forward model; stored with the model, since parameters only mean something under it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ShadingOptions {
     /// Form of the visibility field.
