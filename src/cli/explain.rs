@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::cli::CommandResult;
 use crate::formats::model_file;
-use crate::scene::{Field, Model};
+use crate::scene::Model;
 
 /// Options of `relume explain`.
 #[derive(Debug, clap::Args)]
@@ -32,7 +32,7 @@ fn plain(value: &Value) -> String {
 fn explain(model: &Model, bytes: usize) -> Vec<String> {
     let (g, card) = (&model.gaussians, &model.card);
     let said = |key: &str| card.get(key).filter(|v| !v.is_null()).map_or("unknown".to_owned(), plain);
-    let floats: usize = Field::ALL.iter().map(|f| g.width(*f)).sum();
+    let floats = model_file::floats_a_gaussian(model);
     let mut out = vec![
         format!("{} Gaussians of {floats} floats each, {:.1} kB in all", g.len(), bytes as f64 / 1e3),
         format!(

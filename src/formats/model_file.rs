@@ -103,6 +103,12 @@ pub(crate) fn header(model: &Model) -> String {
     serde_json::to_string(&header).unwrap_or_default()
 }
 
+/// Floats that a Gaussian of `model` has in its file.
+pub fn floats_a_gaussian(model: &Model) -> usize {
+    let stored = Field::ALL.iter().filter(|f| is_stored(**f, &model.shading));
+    stored.map(|f| model.gaussians.width(*f)).sum()
+}
+
 /// Whether a model file holds a field: the weights of learned indirect light only where that is the model's form.
 fn is_stored(field: Field, shading: &ShadingOptions) -> bool {
     field != Field::Indirect || shading.indirect == IndirectForm::Learned

@@ -158,8 +158,19 @@ pub fn physical_error(context: &StepContext<'_>, state: &Learned, photo: &Photo)
     let source = source(state, &basis).under(shader);
     let view = View::new(&photo.camera, source.options);
     let pass = Pass::forward(&source, view, Channels::Full(source.gaussians.width(Field::Visibility)), true);
-    let images = shader.images(&pass, context.background);
-    let squares = images.physical.iter().zip(&photo.pixels);
+    mean_squared_error(&shader.images(&pass, context.background).physical, photo)
+}
+
+/// Mean squared error of the radiance branch on one photograph; nothing is differentiated.
+pub fn radiance_error(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> f32 {
+    let basis = [[0.0; 3]; 16];
+    let source = source(state, &basis);
+    let pass = Pass::forward(&source, View::new(&photo.camera, source.options), Channels::Colour, true);
+    mean_squared_error(&radiance_image(&pass, context.background), photo)
+}
+
+fn mean_squared_error(image: &[[f32; 3]], photo: &Photo) -> f32 {
+    let squares = image.iter().zip(&photo.pixels);
     let sum: f64 = squares.flat_map(|(a, b)| (0..3).map(move |c| f64::from(a[c] - b[c]).powi(2))).sum();
     (sum / (3 * photo.pixels.len()).max(1) as f64) as f32
 }

@@ -12,7 +12,6 @@ use crate::engine::Device;
 use crate::engine::gpu::DeviceChoice;
 use crate::eval::{EvalOptions, Report, evaluate};
 use crate::formats::model_file;
-use crate::scene::{Field, Model};
 use crate::train::{Complexity, Preset, TrainConfig, Trainer};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
@@ -106,9 +105,9 @@ fn head(args: &Args, device: &Device) -> Result<String, std::fmt::Error> {
     )?;
     writeln!(
         text,
-        "| scene | floats a Gaussian | Gaussians | file, kB | smaller | training, s | faster | novel view, dB | relit mean, dB | relit mean, albedo aligned, dB |"
+        "| scene | floats a Gaussian | Gaussians | file, kB | smaller | training, s | faster | novel view, dB | relit mean, dB | relit mean, albedo aligned, dB | albedo scale |"
     )?;
-    writeln!(text, "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|")?;
+    writeln!(text, "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")?;
     Ok(text)
 }
 
@@ -129,7 +128,7 @@ fn row(
         _ => "-".to_owned(),
     };
     let line = format!(
-        "| {name} | {}, {} | {}, {} | {}, {} | {:.2}x | {:.1}, {:.1} | {:.2}x | {} | {} | {} |",
+        "| {name} | {}, {} | {}, {} | {}, {} | {:.2}x | {:.1}, {:.1} | {:.2}x | {} | {} | {} | {} |",
         full.floats,
         auto.floats,
         full.gaussians,
@@ -143,15 +142,20 @@ fn row(
         pair(full.report.novel_view.psnr, auto.report.novel_view.psnr),
         pair(full.report.relit.mean.psnr, auto.report.relit.mean.psnr),
         pair(full.report.relit_aligned.mean.psnr, auto.report.relit_aligned.mean.psnr),
+        scales(&full.report, &auto.report),
     );
     eprintln!("{line}");
     writeln!(text, "{line}")?;
     Ok(())
 }
 
-/// Floats that a Gaussian of this model has.
-fn floats(model: &Model) -> usize {
-    Field::ALL.iter().map(|f| model.gaussians.width(*f)).sum()
+/// What the true albedo is of ours, by channel: where it moves, so does raw relighting.
+fn scales(full: &Report, auto: &Report) -> String {
+    let each = |report: &Report| report.albedo.scale.map(|[r, g, b]| format!("{r:.2} {g:.2} {b:.2}"));
+    match (each(full), each(auto)) {
+        (Some(full), Some(auto)) => format!("{full}; {auto}"),
+        _ => "-".to_owned(),
+    }
 }
 
 fn train(args: &Args, device: &Device, capture: &Capture, how: Complexity) -> Result<Outcome, Failure> {
@@ -172,7 +176,7 @@ fn train(args: &Args, device: &Device, capture: &Capture, how: Complexity) -> Re
     let (model, seconds) = (trainer.model()?, trainer.seconds());
     drop(trainer);
     let bytes = model_file::encode(&model)?.len();
-    let (floats, gaussians) = (floats(&model), model.gaussians.len());
+    let (floats, gaussians) = (model_file::floats_a_gaussian(&model), model.gaussians.len());
     let findings = crate::cli::explain::findings(&model.card);
     let options = EvalOptions {
         views: Some(args.views),

@@ -11,8 +11,9 @@ use serde_json::{Map, Value, json};
 use crate::capture::{Capture, ImportOptions, import};
 use crate::cli::args::named;
 use crate::cli::{CommandResult, output};
-use crate::engine::{Device, RowLayout, gpu::DeviceChoice};
+use crate::engine::{Device, gpu::DeviceChoice};
 use crate::eval::{EvalOptions, Report, evaluate};
+use crate::formats::model_file;
 use crate::train::{Preset, TrainConfig, TrainOverrides, Trainer};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
@@ -116,7 +117,7 @@ fn row(
     }
     let seconds = start.elapsed().as_secs_f64();
     let model = Arc::new(trainer.model()?);
-    let floats = RowLayout::new(&model.gaussians).row;
+    let floats = model_file::floats_a_gaussian(&model);
     let options = EvalOptions {
         views: Some(args.views as usize),
         frame_rate_time: Duration::ZERO,

@@ -25,7 +25,7 @@ use crate::train::{Complexity, Setting, TrainConfig};
 
 /// Photographs that tell what is seen, at the first point and at the second.
 const VIEWS: [usize; 2] = [12, 64];
-/// Photographs that tell what metalness is worth.
+/// Photographs on which the model is tried without something.
 const TRIALS: usize = 8;
 /// Earliest share of the steps at which a state says anything.
 const EARLIEST: f32 = 0.2;
@@ -94,6 +94,12 @@ fn weights(learned: &Learned, photos: &[Photo], most: usize) -> Vec<f32> {
     let count = photos.len().min(most).max(1) as f32;
     sums.iter_mut().for_each(|sum| *sum /= count);
     sums
+}
+
+/// PSNR on some of the photographs by the mean squared error that `error` finds on one, dB.
+fn psnr(photos: &[Photo], error: impl Fn(&Photo) -> f32) -> f32 {
+    let errors = even(photos, TRIALS).map(|photo| (error(photo), 1.0));
+    -10.0 * evidence::weighted_mean(errors).max(1e-10).log10()
 }
 
 /// What the photographs show.
@@ -192,7 +198,7 @@ impl Ledger {
                 self.decide_orders(context, steps, &Shown { weights, concavity }, learned);
             }
             Point::HalfWay => {
-                self.drop_unseen(context.config, steps, photos, learned);
+                self.drop_least(context, steps, photos, learned);
                 self.decide_metalness(context, steps, photos, learned);
                 self.merge(context.config, steps, photos, learned);
             }
@@ -300,19 +306,38 @@ impl Ledger {
         stays
     }
 
-    fn drop_unseen(&mut self, config: &TrainConfig, steps: u32, photos: &[Photo], learned: &mut Learned) {
+    /// Tries the photographs without the Gaussians that add least to them, more and more of those.
+    ///
+    /// By the radiance branch: the other one may be out of tune, from a round of albedo a few steps ago, and what is lost
+    /// would not show.
+    fn drop_least(&mut self, context: &StepContext<'_>, steps: u32, photos: &[Photo], learned: &mut Learned) {
         let n = learned.model.gaussians.len();
-        if config.forced.contains(&Setting::Gaussians) {
+        if context.config.forced.contains(&Setting::Gaussians) {
             return self.note_forced(Setting::Gaussians, steps, n.to_string());
         }
         let weights = weights(learned, photos, VIEWS[1]);
-        let seen: Vec<usize> = (0..n).filter(|i| weights[*i] >= decide::UNSEEN).collect();
-        let share = 1.0 - seen.len() as f32 / n.max(1) as f32;
-        let figures = [("share_unseen", share), ("tolerance_pixels", decide::UNSEEN)];
-        self.note(Setting::Gaussians, steps, n.to_string(), seen.len().to_string(), &figures);
-        if !seen.is_empty() && seen.len() < n {
-            apply::keep(learned, &seen);
+        let shown = |state: &Learned| psnr(photos, |photo| step::radiance_error(context, state, photo));
+        let with = shown(learned);
+        let mut kept = (learned.clone(), with);
+        for share in decide::DROPPED_SHARES {
+            let mut without = learned.clone();
+            apply::keep(&mut without, &decide::heaviest(&weights, share));
+            let psnr = shown(&without);
+            if with - psnr > decide::DROP_TOLERANCE {
+                break;
+            }
+            kept = (without, psnr);
         }
+        let (smaller, without) = kept;
+        let figures = [
+            ("psnr", with),
+            ("psnr_without", without),
+            ("tolerance_db", decide::DROP_TOLERANCE),
+            ("share_dropped", 1.0 - smaller.model.gaussians.len() as f32 / n.max(1) as f32),
+        ];
+        let is = smaller.model.gaussians.len().to_string();
+        self.note(Setting::Gaussians, steps, n.to_string(), is, &figures);
+        *learned = smaller;
     }
 
     /// Tries the photographs with and without metalness.
@@ -327,13 +352,10 @@ impl Ledger {
             let value = if context.config.metalness { "learned" } else { "dielectric" };
             return self.note_forced(Setting::Metalness, steps, value.to_owned());
         }
-        let psnr = |state: &Learned| {
-            let errors = even(photos, TRIALS).map(|p| (step::physical_error(context, state, p), 1.0));
-            -10.0 * evidence::weighted_mean(errors).max(1e-10).log10()
-        };
         let mut without = learned.clone();
         apply::make_dielectric(&mut without);
-        let [with, held] = [psnr(learned), psnr(&without)];
+        let [with, held] = [&*learned, &without]
+            .map(|state| psnr(photos, |photo| step::physical_error(context, state, photo)));
         self.is_dielectric = with - held <= decide::METALNESS_TOLERANCE;
         let is = if self.is_dielectric { "dielectric" } else { "learned" };
         let figures = [

@@ -143,7 +143,7 @@ fn a_convex_thing_needs_no_visibility_and_no_indirect_light() {
     assert_eq!(learned.model.shading.visibility, VisibilityForm::Off);
     assert_eq!(learned.model.shading.indirect, IndirectForm::Off);
     let g = &learned.model.gaussians;
-    assert_eq!((g.visibility_order(), g.radiance_order()), (0, 0));
+    assert_eq!((g.visibility_order(), g.radiance_order()), (0, 1));
     assert!(learned.labels.is_empty() && learned.gathered.is_empty());
     let card = ledger.card(&config(&TrainOverrides::default()));
     assert_eq!(card["findings"][0]["is"], "off", "{card}");
@@ -198,4 +198,52 @@ fn growth_ends_when_it_brings_nothing_unless_the_number_was_named() {
     };
     assert_eq!(rounds(&config(&TrainOverrides::default())), Some(1200));
     assert_eq!(rounds(&config(&TrainOverrides { max_gaussians: Some(5000), ..Default::default() })), None);
+}
+
+/// Five discs beside each other in front of a camera, of which those of `hidden` are behind it, and their photograph.
+fn discs(hidden: &[usize]) -> (Learned, Photo) {
+    let mut learned = state();
+    let g = &mut learned.model.gaussians;
+    for i in 0..5 {
+        let depth = if hidden.contains(&i) { -9.0 } else { 0.0 };
+        g.row_mut(Field::Mean, i).copy_from_slice(&[0.3 * (i as f32 - 2.0), depth, 0.0]);
+        g.row_mut(Field::LogScale, i).fill(0.1f32.ln());
+        g.row_mut(Field::OpacityLogit, i).fill(3.0);
+        g.row_mut(Field::Radiance, i).fill(0.0);
+    }
+    let eye = glam::DVec3::new(0.0, -3.0, 0.0);
+    let camera =
+        crate::scene::Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Z, 0.6, (32, 32)).unwrap();
+    let options = ShadingOptions::default();
+    let source = step::source(&learned, &[[0.0; 3]; 16]);
+    let view = crate::engine::cpu::View::new(&camera, &options);
+    let pass =
+        crate::engine::cpu::Pass::forward(&source, view, crate::engine::channel::Channels::Colour, true);
+    let pixels = crate::engine::cpu::radiance_image(&pass, [1.0; 3]);
+    (learned, Photo { camera, pixels, alpha: Vec::new() })
+}
+
+#[test]
+fn what_no_photograph_misses_is_dropped_and_what_one_misses_stays() {
+    let dropped = |hidden: &[usize]| {
+        let (mut learned, photo) = discs(hidden);
+        let config = config(&TrainOverrides::default());
+        let operators = crate::light::EnvOperators::new(4, 2, 4, crate::light::TableResolution::TRAINING);
+        let context = StepContext {
+            config: &config,
+            operators: &operators,
+            background: [1.0; 3],
+            has_alpha: true,
+            progress: 0.6,
+        };
+        let mut ledger = Ledger::default();
+        ledger.drop_least(&context, 7, &[photo.clone(), photo], &mut learned);
+        assert_eq!(ledger.findings[0].is, learned.model.gaussians.len().to_string());
+        (learned.model.gaussians.field(Field::Mean).to_vec(), ledger)
+    };
+    let (means, ledger) = dropped(&[1, 2, 4]);
+    let near = |a: f32, b: f32| (a - b).abs() < 1e-6;
+    assert!(means.len() == 6 && near(means[0], -0.6) && near(means[3], 0.3), "{means:?}");
+    assert!((ledger.findings[0].evidence["share_dropped"] - 0.6).abs() < 1e-6, "{ledger:?}");
+    assert_eq!(dropped(&[]).0.len(), 15, "the control: each of five is missed");
 }
