@@ -150,3 +150,63 @@ fn blend_backward(shares: &[Lanes], palette: &[[f32; 3]], by_albedo: &[Lanes; 3]
         *by = Lanes::from_fn(|i| p.0[i] * (by.0[i] - mean.0[i]));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Gaussians, ShadingOptions};
+
+    const N: usize = 21;
+
+    fn gaussians() -> Gaussians {
+        let mut g = Gaussians::zeroed(N, 5, 0, 0);
+        for field in [Field::ProtoLogits, Field::Residual] {
+            g.field_mut(field)
+                .iter_mut()
+                .enumerate()
+                .for_each(|(i, v)| *v = ((i * 37) % 23) as f32 / 9.0 - 1.2);
+        }
+        g
+    }
+
+    /// Albedos by blocks of sixteen and one by one.
+    fn both(g: &Gaussians) -> [Vec<[f32; 3]>; 2] {
+        let prototypes =
+            [[0.5, 0.4, 0.3], [0.1, 1.4, 0.3], [0.9, -0.2, 0.1], [0.1, 0.2, 0.3], [0.7, 0.7, 0.6]];
+        let options = ShadingOptions::default();
+        let source = AttributeSource {
+            gaussians: g,
+            prototypes: &prototypes,
+            options: &options,
+            gathered: &[],
+            indirect_basis: &[[0.0; 3]; 16],
+            light: None,
+        };
+        let mut scratch = MixtureScratch::default();
+        let indices: Vec<u32> = (0..N as u32).collect();
+        let blocks = indices.chunks(LANES).flat_map(|block| {
+            let albedo = scratch.mix(&source, block);
+            (0..block.len()).map(|lane| [0, 1, 2].map(|c| albedo[c].0[lane])).collect::<Vec<_>>()
+        });
+        [blocks.collect(), (0..N).map(|i| source.albedo(i)).collect()]
+    }
+
+    #[test]
+    fn sixteen_abreast_are_what_each_is_alone() {
+        let [abreast, alone] = both(&gaussians());
+        assert_eq!(abreast, alone);
+        assert!(alone.iter().flatten().any(|a| *a < 0.0), "the control: nothing is clamped yet");
+    }
+
+    #[test]
+    fn a_gaussian_that_is_not_a_number_spoils_no_neighbour() {
+        let fine = both(&gaussians())[0].clone();
+        let mut broken = gaussians();
+        broken.row_mut(Field::ProtoLogits, 3).fill(f32::NAN);
+        broken.row_mut(Field::Residual, 3).fill(f32::NAN);
+        let found = both(&broken)[0].clone();
+        for i in 0..N {
+            assert_eq!(found[i] == fine[i], i != 3, "{i}");
+        }
+    }
+}

@@ -142,7 +142,8 @@ impl Pass {
                     let (Some(splat), Some(summed)) = (self.splats.get(*rank as usize), of_rank(rank)) else {
                         continue;
                     };
-                    pull[lane] = summed[6] * half_width;
+                    // The last float of the header.
+                    pull[lane] = summed[ROW_HEADER - 1] * half_width;
                     visible[lane] = true;
                     self.geometry_backward(source, splat, summed, &layout, row);
                 }
