@@ -95,7 +95,7 @@ impl AttributeSource<'_> {
         }
     }
 
-    /// Chain rule through the diffuse term of a Gaussian that [`Self::write`] made `row` of: what `by_row` has for the
+    /// Chain rule through the diffuse term of a Gaussian that [`attribute_rows`](crate::engine::cpu::attribute_rows) made `row` of: what `by_row` has for the
     /// diffuse channel is added to the channels it is made of and to the gradient of the light's tables.
     pub fn diffuse_backward(
         &self,
