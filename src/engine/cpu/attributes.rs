@@ -95,8 +95,8 @@ impl AttributeSource<'_> {
         }
     }
 
-    /// Chain rule through the diffuse term of a Gaussian that [`attribute_rows`](crate::engine::cpu::attribute_rows) made `row` of: what `by_row` has for the
-    /// diffuse channel is added to the channels it is made of and to the gradient of the light's tables.
+    /// Chain rule through the diffuse term of a Gaussian whose attributes are `row`: what `by_row` has for the diffuse
+    /// channel is added to the channels it is made of and to the gradient of the light's tables.
     pub fn diffuse_backward(
         &self,
         view: &View,
