@@ -85,7 +85,9 @@ impl MixtureScratch {
         self.by_scores.clear();
         self.by_scores.resize(self.shares.len(), Lanes::ZERO);
         blend_backward(&self.shares, &self.palette, &by_albedo, &mut self.by_scores);
-        for (lane, row) in rows.chunks_exact_mut(width).enumerate() {
+        // What is not seen gets nothing, not even zero times something that is not a number.
+        let seen = rows.chunks_exact_mut(width).zip(by_rows).enumerate().filter(|(_, (_, by))| by.is_some());
+        for (lane, (row, _)) in seen {
             row[residuals.clone()].iter_mut().zip(&by_albedo).for_each(|(o, g)| *o += g.0[lane]);
             row[scores.clone()].iter_mut().zip(&self.by_scores).for_each(|(o, g)| *o += g.0[lane]);
         }

@@ -302,7 +302,7 @@ fn relative_error(got: &[f32], expected: &[f32]) -> f32 {
     let most = expected.iter().fold(1e-20f32, |m, v| m.max(v.abs()));
     let errors = got.iter().zip(expected).map(|(a, b)| (a - b).abs());
     // NaN must not be lost in a maximum.
-    errors.fold(0.0f32, |m, e| if e <= m { m } else { e }) / most
+    errors.fold(0.0f32, |m, e| if m.is_nan() || e <= m { m } else { e }) / most
 }
 
 #[test]

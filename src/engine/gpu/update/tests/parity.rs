@@ -6,11 +6,11 @@ use super::*;
 fn compare(case: &Case, got: &[f32]) -> (f32, &'static str) {
     let g = &case.model.gaussians;
     let expected = planar_rows(g, &case.expected);
-    let mut worst = (0.0, "none");
+    let mut worst = (0.0f32, "none");
     for field in Field::ALL {
         let r = range(g, field);
         let error = relative_error(&got[r.clone()], &expected[r]);
-        if !(error <= worst.0) {
+        if !(worst.0.is_nan() || error <= worst.0) {
             worst = (error, field.name());
         }
     }
