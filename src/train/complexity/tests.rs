@@ -121,19 +121,22 @@ fn convex(share: f32) -> Learned {
     learned
 }
 
-fn decided(overrides: &TrainOverrides, concavity: f32, mut learned: Learned) -> (Ledger, Learned) {
+fn in_context(overrides: &TrainOverrides, act: impl FnOnce(&StepContext<'_>)) {
     let config = config(overrides);
     let operators = crate::light::EnvOperators::new(4, 2, 4, crate::light::TableResolution::TRAINING);
-    let context = StepContext {
+    act(&StepContext {
         config: &config,
         operators: &operators,
         background: [1.0; 3],
         has_alpha: true,
         progress: 0.3,
-    };
+    });
+}
+
+fn decided(overrides: &TrainOverrides, concavity: f32, mut learned: Learned) -> (Ledger, Learned) {
     let mut ledger = Ledger::default();
     let shown = Shown { weights: vec![1.0; 5], concavity: Some(concavity) };
-    ledger.decide_orders(&context, 7, &shown, &mut learned);
+    in_context(overrides, |context| ledger.decide_orders(context, 7, &shown, &mut learned));
     (ledger, learned)
 }
 
@@ -227,17 +230,11 @@ fn discs(hidden: &[usize]) -> (Learned, Photo) {
 fn what_no_photograph_misses_is_dropped_and_what_one_misses_stays() {
     let dropped = |hidden: &[usize]| {
         let (mut learned, photo) = discs(hidden);
-        let config = config(&TrainOverrides::default());
-        let operators = crate::light::EnvOperators::new(4, 2, 4, crate::light::TableResolution::TRAINING);
-        let context = StepContext {
-            config: &config,
-            operators: &operators,
-            background: [1.0; 3],
-            has_alpha: true,
-            progress: 0.6,
-        };
         let mut ledger = Ledger::default();
-        ledger.drop_least(&context, 7, &[photo.clone(), photo], &mut learned);
+        let photos = [photo.clone(), photo];
+        in_context(&TrainOverrides::default(), |context| {
+            ledger.drop_least(context, 7, &photos, &mut learned)
+        });
         assert_eq!(ledger.findings[0].is, learned.model.gaussians.len().to_string());
         (learned.model.gaussians.field(Field::Mean).to_vec(), ledger)
     };
