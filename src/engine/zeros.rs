@@ -1,5 +1,5 @@
-//! Large buffers, zeroed by all threads: a page belongs to nobody until it is touched, and one thread alone would take as
-//! long for that as all of them for the work that follows.
+//! Large buffers, zeroed by all threads: whoever first touches a page pays for it, and one thread would keep the others
+//! waiting.
 
 use rayon::prelude::*;
 

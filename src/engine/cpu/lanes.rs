@@ -94,7 +94,7 @@ pub fn totals(v: &[Lanes; 4]) -> [f32; 4] {
 ///
 /// `2^round(t) * 2^fraction`, the fraction by a degree-6 polynomial, rounding by the 1.5 * 2^23 trick, so
 /// that no call leaves the vector registers. The last bits of the shifted number are the rounded one, where its exponent
-/// goes: no conversion, which in Rust saturates and takes as long as the polynomial.
+/// goes: no conversion, which in Rust saturates and so takes comparisons of its own.
 #[inline(always)]
 pub fn exp_negative(x: f32) -> f32 {
     const MAGIC: f32 = 12_582_912.0;

@@ -22,8 +22,7 @@ pub const METALNESS_TOLERANCE: f32 = 0.02;
 pub const TWINS: f32 = 0.08;
 /// Share of the picture below which a prototype is dropped.
 pub const UNUSED: f32 = 0.005;
-/// Training PSNR that dropping Gaussians may cost on the spot, dB. The steps that follow win most of it back: results.md
-/// section 13.
+/// Training PSNR that dropping Gaussians may cost on the spot, dB. What it costs in the end: results.md section 13.
 pub const DROP_TOLERANCE: f32 = 0.1;
 /// Shares of the Gaussians that are tried to be dropped, one after the other, those of least weight first.
 pub const DROPPED_SHARES: [f32; 12] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7];
