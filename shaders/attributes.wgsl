@@ -3,7 +3,7 @@
 // A thread owns one Gaussian. No workgroup memory. Threads go by Gaussian, not by rank: parameters of neighbours lie next
 // to each other, in depth order every read would be a line of its own.
 #import attributes
-#import gathered
+#import incoming
 #import index
 #import sh
 #import splat
@@ -16,7 +16,7 @@ const WG_SIZE = 256u;
 @group(0) @binding(2) var<storage, read> params: array<f32>;
 @group(0) @binding(3) var<storage, read> globals: array<f32>;
 @group(0) @binding(4) var<storage, read> splats: array<Splat>;
-// See shared/gathered.wgsl.
+// See shared/incoming.wgsl.
 @group(0) @binding(5) var<storage, read> gathered: array<f32>;
 // E_j of Eq. 20: 16 x 3.
 @group(0) @binding(6) var<storage, read> indirect_basis: array<f32>;
@@ -31,35 +31,6 @@ fn radiance_of(gaussian_ix: u32, to_mean: vec3f) -> vec3f {
         colour += basis[j] * params_vec3(first + 3u * j);
     }
     return max(colour, vec3f(0.0));
-}
-
-// Specular indirect light, and the irradiance of a gathered transport.
-struct Indirect {
-    irradiance: vec3f,
-    radiance: vec3f,
-}
-
-fn indirect_of(gaussian_ix: u32) -> Indirect {
-    var out = Indirect(vec3f(0.0), vec3f(0.0));
-    if model.indirect_form == INDIRECT_LEARNED {
-        let first = model.indirect + 16u * gaussian_ix;
-        for (var j = 0u; j < 16u; j++) {
-            let e = vec3f(indirect_basis[3u * j], indirect_basis[3u * j + 1u], indirect_basis[3u * j + 2u]);
-            out.radiance += params[first + j] * e;
-        }
-    }
-    if has_gathered(gaussian_ix) {
-        out.irradiance = gathered_vec3(6u * gaussian_ix);
-        out.radiance = gathered_vec3(6u * gaussian_ix + 3u);
-    }
-    return out;
-}
-
-fn visibility_at(gaussian_ix: u32, coefficient_ix: u32) -> f32 {
-    if coefficient_ix >= model.n_visibility {
-        return 0.0;
-    }
-    return params[model.visibility + model.n_visibility * gaussian_ix + coefficient_ix];
 }
 
 @compute @workgroup_size(256)
@@ -89,13 +60,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     rows[row + 4u] = vec4f(splats[gaussian_ix].depth, indirect.radiance);
     // Visibility begins with channel 20, the first of group 5.
     for (var group = 5u; group < GROUPS; group++) {
-        let first = 4u * (group - 5u);
-        rows[row + group] = vec4f(
-            visibility_at(gaussian_ix, first),
-            visibility_at(gaussian_ix, first + 1u),
-            visibility_at(gaussian_ix, first + 2u),
-            visibility_at(gaussian_ix, first + 3u),
-        );
+        rows[row + group] = visibility_quad(gaussian_ix, group - 5u);
     }
 #endif
 #endif

@@ -87,10 +87,17 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     }
     var s = pixel_surface(gid.xy, pixel_ix, coverage);
     if is_wanted(RGB) || is_wanted(DIFFUSE) || is_wanted(SPECULAR) {
-        let f = shade(&s);
-        put_rgb(RGB, pixel_ix, (f.diffuse + f.specular) * coverage);
-        put_rgb(DIFFUSE, pixel_ix, f.diffuse * coverage);
-        put_rgb(SPECULAR, pixel_ix, f.specular * coverage);
+        // Light that was blended stands in the channels that shading here has other use for: all of it, the specular part.
+        var light = s.gathered;
+        var specular = s.indirect;
+        if shading.shade_at == SHADE_AT_PIXEL {
+            let f = shade(&s);
+            light = f.diffuse + f.specular;
+            specular = f.specular;
+        }
+        put_rgb(RGB, pixel_ix, light * coverage);
+        put_rgb(DIFFUSE, pixel_ix, (light - specular) * coverage);
+        put_rgb(SPECULAR, pixel_ix, specular * coverage);
     }
     let length = length3(s.normal);
     let unit = s.normal / length;

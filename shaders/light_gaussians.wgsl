@@ -1,5 +1,5 @@
-// The diffuse term at each Gaussian (DIFFUSE_AT_GAUSSIAN): turns the gathered irradiance in its row of all channels into
-// diffuse radiance, in place. A thread owns a Gaussian; no workgroup memory.
+// The light that each Gaussian sends to the camera, from its row of attributes: into that row, or (with COLOUR) into a row of
+// coverage and linear colour to be blended instead. A thread owns a Gaussian; no workgroup memory.
 const WG_SIZE = 256u;
 #import index
 #import shading
@@ -8,8 +8,14 @@ const WG_SIZE = 256u;
 @group(0) @binding(6) var<uniform> model: Layout;
 @group(0) @binding(7) var<storage, read> params: array<f32>;
 @group(0) @binding(8) var<storage, read> splats: array<Splat>;
-// Rows of all channels.
-@group(0) @binding(9) var<storage, read_write> attributes: array<vec4f>;
+@group(0) @binding(9) var<storage, read> gathered: array<f32>;
+@group(0) @binding(10) var<storage, read> indirect_basis: array<f32>;
+#ifdef COLOUR
+@group(0) @binding(11) var<storage, read> attributes: array<vec4f>;
+@group(0) @binding(12) var<storage, read_write> colours: array<vec4f>;
+#else
+@group(0) @binding(11) var<storage, read_write> attributes: array<vec4f>;
+#endif
 
 @compute @workgroup_size(WG_SIZE)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u) {
@@ -21,6 +27,15 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
         return;
     }
     var s = gaussian_surface(gaussian_ix);
-    let radiance = lambert(&s, facing_normal(&s)).radiance;
-    attributes[gaussian_ix * (VISIBILITY_GROUP + N_QUADS) + 3u] = vec4f(s.rough, radiance);
+    let f = shade(&s);
+    let light = f.diffuse + f.specular;
+#ifdef COLOUR
+    colours[gaussian_ix] = vec4f(1.0, light);
+#else
+    let row = gaussian_ix * ROW_GROUPS;
+    attributes[row + 3u] = vec4f(s.rough, light);
+#ifdef ALL_CHANNELS
+    attributes[row + 4u] = vec4f(attributes[row + 4u].x, f.specular);
+#endif
+#endif
 }

@@ -1,8 +1,7 @@
 // Gradients of the G-buffer and of the light tables from those of both images and of the buffers. A thread owns a pixel of
-// a 16 x 16 square: it writes BY_GROUPS groups of its G-buffer gradient (4: Material; all with VISIBILITY).
+// a 16 x 16 square: it writes BY_GROUPS groups of its G-buffer gradient (4: Material; all with ALL_CHANNELS).
 //
-// What pixels add to the tables goes by shared/table_shares.wgsl: the diffuse table (with DIFFUSE_AT_PIXEL), then the two
-// specular levels.
+// What pixels add to the tables goes by shared/table_shares.wgsl: the diffuse table, then the two specular levels.
 const WG_SIZE = 256u;
 #import shading_backward
 #import pixel_surface
@@ -16,18 +15,6 @@ const WG_SIZE = 256u;
 @group(0) @binding(10) var<storage, read_write> by_gbuffer: array<vec4f>;
 @group(0) @binding(11) var<storage, read_write> by_tables: array<accumulator>;
 
-// What a pixel adds to the diffuse table and to the two specular levels.
-struct Shares {
-    // NO_CELL where it adds nothing.
-    cell: vec3u,
-    // Bilinear weights of the cell's nodes.
-    weight: array<vec4f, 3>,
-    // Gradient by what was looked up, rgb.
-    by: array<vec3f, 3>,
-    // 1 / coverage.
-    inverse: f32,
-}
-
 // The pixel that the square begins with.
 var<private> origin: vec2u;
 
@@ -39,8 +26,7 @@ fn member_visibility(local_ix: u32, quad: u32) -> vec4f {
 
 // Writes one pixel's G-buffer gradient; what it adds to the tables.
 fn pixel_backward(pixel: vec2u) -> Shares {
-    var shares: Shares;
-    shares.cell = vec3u(NO_CELL);
+    var shares = no_shares();
     let n = view.n_pixels;
     let pixel_ix = pixel.y * view.size.x + pixel.x;
     let coverage = gbuffer[pixel_ix].x;
@@ -56,25 +42,15 @@ fn pixel_backward(pixel: vec2u) -> Shares {
         var s = pixel_surface(pixel, pixel_ix, coverage);
         var f = shade(&s);
         let linear = f.diffuse + f.specular;
-        by_coverage += dot(g, display(linear) - shading.background.xyz);
-        let by_linear = vec3f(
-            display_backward(linear.x, g.x * coverage),
-            display_backward(linear.y, g.y * coverage),
-            display_backward(linear.z, g.z * coverage),
-        );
+        let is_srgb = shading.srgb != 0u;
+        by_coverage += dot(g, display(linear, is_srgb) - shading.background.xyz);
+        let by_linear = display_backward(linear, g * coverage, is_srgb);
         by = shade_backward(&s, &f, by_linear);
         // Attributes are buffers divided by coverage.
-        let along = dot(by.normal, s.normal) + dot(by.albedo, s.albedo) + dot(by.diffuse, s.diffuse)
+        let along = dot(by.normal, s.normal) + dot(by.albedo, s.albedo) + dot(by.gathered, s.gathered)
             + dot(by.indirect, s.indirect) + by.metal * s.metal + by.rough * s.rough + by.along_visibility;
         by_coverage -= along * inverse;
-        shares.cell = vec3u(
-            cell_of(DIFFUSE_LEVEL, f.lambert.taps, by.irradiance),
-            cell_of(f.position.level, f.level_taps[0], by.level[0]),
-            cell_of(f.position.level + 1u, f.level_taps[1], by.level[1]),
-        );
-        shares.weight = array<vec4f, 3>(f.lambert.taps.weight, f.level_taps[0].weight, f.level_taps[1].weight);
-        shares.by = array<vec3f, 3>(by.irradiance, by.level[0], by.level[1]);
-        shares.inverse = inverse;
+        shares = shares_of(&f, &by, inverse);
     } else {
         by_coverage -= dot(g, shading.background.xyz);
     }
@@ -82,8 +58,8 @@ fn pixel_backward(pixel: vec2u) -> Shares {
     by_gbuffer[n + pixel_ix] = vec4f(by.normal * inverse + on_geometry.xyz, on_geometry.w);
     by_gbuffer[2u * n + pixel_ix] = vec4f(by.albedo, by.metal) * inverse + vec4f(0.0, 0.0, 0.0, on_material.y);
     let by_rough = by.rough * inverse + on_material.z;
-    by_gbuffer[3u * n + pixel_ix] = vec4f(by_rough, by.diffuse * inverse);
-#ifdef VISIBILITY
+    by_gbuffer[3u * n + pixel_ix] = vec4f(by_rough, by.gathered * inverse);
+#ifdef ALL_CHANNELS
     by_gbuffer[4u * n + pixel_ix] = vec4f(0.0, by.indirect * inverse);
     for (var quad = 0u; quad < N_QUADS; quad++) {
         by_gbuffer[(VISIBILITY_GROUP + quad) * n + pixel_ix] = by.visibility[quad] * inverse;
@@ -98,14 +74,10 @@ fn main(
     @builtin(workgroup_id) wid: vec3u,
     @builtin(local_invocation_index) local_ix: u32,
 ) {
-    var shares: Shares;
-    shares.cell = vec3u(NO_CELL);
+    var shares = no_shares();
     if gid.x < view.size.x && gid.y < view.size.y {
         shares = pixel_backward(gid.xy);
     }
     origin = 16u * wid.xy;
-    for (var part = select(0u, 1u, shading.diffuse_at == DIFFUSE_AT_GAUSSIAN); part < 3u; part++) {
-        let by = vec4f(shares.by[part], shares.inverse);
-        add_shares(part == 0u, local_ix, shares.cell[part], shares.weight[part], by);
-    }
+    add_all_shares(local_ix, &shares);
 }

@@ -15,7 +15,7 @@ use relume::eval::{
 };
 use relume::formats::model_file;
 use relume::render::{Frame, Output, Renderer, Tier};
-use relume::scene::{Camera, DiffuseAt, EnvMap, Field, Gaussians, Model, ShadingOptions};
+use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadeAt, ShadingOptions};
 
 const SIDE: u32 = 40;
 
@@ -229,14 +229,14 @@ fn the_truth_in_place_of_the_one_spoilt_layer_repairs_the_picture() {
     assert!(albedo > nothing + 10.0 && everything > nothing + 10.0, "{nothing} {albedo} {everything}");
     assert!((material - nothing).abs() < 1.0, "the control: what was not spoilt repairs nothing, {material}");
     // Nothing replaced is what the evaluation measures of a model whose pixels are shaded alone.
-    let difference = |diffuse_at| {
-        let shading = ShadingOptions { diffuse_at, ..model.shading };
+    let difference = |shade_at| {
+        let shading = ShadingOptions { shade_at, ..model.shading };
         let model = Arc::new(Model { shading, ..(*model).clone() });
         let own = attribute(&model, &capture, None, &[Replaced::NONE]).unwrap()[0];
         (own.unwrap() - measured(&model, &capture).relit.mean.psnr.unwrap()).abs()
     };
-    assert!(difference(DiffuseAt::Pixel) < 1e-6);
-    assert!(difference(DiffuseAt::Gaussian) > 1e-3, "the control");
+    assert!(difference(ShadeAt::Pixel) < 1e-6);
+    assert!(difference(ShadeAt::Gaussian) > 1e-3, "the control");
     let mut ragged = drawn_by(&model);
     ragged.test[1].truth.albedo.as_mut().unwrap().values.pop();
     let err = attribute(&model, &ragged, None, &rows).unwrap_err();

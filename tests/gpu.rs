@@ -245,7 +245,9 @@ fn the_first_steps_of_a_training_are_those_of_the_cpu_engine() {
         };
         // Round Gaussians, as they start, have no gradient by rotation but rounding.
         for field in Field::ALL.into_iter().filter(|f| *f != Field::Quaternion) {
-            assert!(apart(field) < 0.02, "{form:?} {field:?}: {}", apart(field));
+            // Nor have they a shortest axis but by rounding, and the normal starts from it.
+            let allowed = if field == Field::Normal { 0.05 } else { 0.02 };
+            assert!(apart(field) < allowed, "{form:?} {field:?}: {}", apart(field));
         }
     }
 }

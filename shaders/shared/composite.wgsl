@@ -3,7 +3,9 @@ struct Composite {
     // Display-referred.
     background: vec4f,
     n_pixels: u32,
-    pad_a: u32,
-    pad_b: u32,
-    pad_c: u32,
+    // 1: images are compared through the sRGB curve.
+    srgb: u32,
+    // Groups of the G-buffer gradient of a lit pass.
+    n_groups: u32,
+    pad: u32,
 }

@@ -1,35 +1,38 @@
-// A Gaussian as a surface of its own, from its row of all channels. The importer binds `model`, `params`, `splats` and
-// `attributes`, the latter as vec4.
+// A Gaussian as a surface of its own: normal and material from its row of attributes, light from its parameters. The importer
+// binds `model`, `params`, `splats`, `attributes` (as vec4), and what `incoming` needs. With ALL_CHANNELS the rows are of all
+// channels, else of material.
 #import surface
 #import splat
 #import quaternion
+#import incoming
 
-// Group `quad` of its visibility.
-fn gaussian_visibility(gaussian_ix: u32, quad: u32) -> vec4f {
-    return masked_quad(quad, attributes[gaussian_ix * (VISIBILITY_GROUP + N_QUADS) + VISIBILITY_GROUP + quad]);
+#ifdef ALL_CHANNELS
+const ROW_GROUPS = VISIBILITY_GROUP + N_QUADS;
+#else
+const ROW_GROUPS = 4u;
+#endif
+
+// From the camera to its centre.
+fn to_gaussian(gaussian_ix: u32) -> vec3f {
+    let at = model.mean + 3u * gaussian_ix;
+    return vec3f(params[at], params[at + 1u], params[at + 2u]) - view.eye.xyz;
 }
 
 fn gaussian_surface(gaussian_ix: u32) -> Surface {
-    let at = model.mean + 3u * gaussian_ix;
-    let mean = vec3f(params[at], params[at + 1u], params[at + 2u]);
-    let row = gaussian_ix * (VISIBILITY_GROUP + N_QUADS);
+    let row = gaussian_ix * ROW_GROUPS;
+    let indirect = indirect_of(gaussian_ix);
     var s = surface_of_groups(
         attributes[row + 1u],
         attributes[row + 2u],
-        attributes[row + 3u],
-        attributes[row + 4u],
+        vec4f(attributes[row + 3u].x, indirect.irradiance),
+        vec4f(0.0, indirect.radiance),
         1.0,
-        normalised3(view.eye.xyz - mean),
+        -normalised3(to_gaussian(gaussian_ix)),
     );
     for (var quad = 0u; quad < N_QUADS; quad++) {
-        s.visibility[quad] = gaussian_visibility(gaussian_ix, quad);
+        s.visibility[quad] = visibility_quad(gaussian_ix, quad);
     }
     return s;
-}
-
-// The unit normal of a Gaussian, turned to the camera.
-fn facing_normal(s: ptr<function, Surface>) -> vec3f {
-    return select((*s).normal, -(*s).normal, dot((*s).normal, (*s).view) < 0.0);
 }
 
 fn is_drawn(gaussian_ix: u32) -> bool {

@@ -12,7 +12,7 @@ struct Lambert {
     ambient_raw: f32,
 }
 
-// Of a surface whose `diffuse` is gathered irradiance, for its unit `normal` turned to the camera.
+// For the unit `normal` of a surface, turned to the camera.
 fn lambert(s: ptr<function, Surface>, normal: vec3f) -> Lambert {
     var f: Lambert;
     // Four tabulated normals around n.
@@ -29,6 +29,6 @@ fn lambert(s: ptr<function, Surface>, normal: vec3f) -> Lambert {
         f.ambient = squash(f.ambient_raw);
     }
     f.irradiance = max(f.irradiance_raw, vec3f(0.0)) * f.ambient;
-    f.radiance = (*s).albedo * ((1.0 - (*s).metal) * INV_PI) * (f.irradiance + (*s).diffuse);
+    f.radiance = (*s).albedo * ((1.0 - (*s).metal) * INV_PI) * (f.irradiance + (*s).gathered);
     return f;
 }

@@ -10,7 +10,7 @@
 #import brdf
 #import lobe
 #import lambert
-#import srgb
+#import display
 
 // The forward model. Kept in step with `ShadingUniform` of src/engine/gpu/shading.rs.
 struct Shading {
@@ -18,7 +18,7 @@ struct Shading {
     background: vec4f,
     visibility_form: u32,
     diffuse_form: u32,
-    diffuse_at: u32,
+    shade_at: u32,
     // 1: compare through the sRGB curve.
     srgb: u32,
 }
@@ -48,7 +48,6 @@ struct Shaded {
     nov_inside: bool,
     reflection: vec3f,
     reflection_length: f32,
-    // With DIFFUSE_AT_PIXEL.
     lambert: Lambert,
     position: LevelPosition,
     level_taps: array<Taps, 2>,
@@ -190,11 +189,8 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     let bent = 2.0 * f.nov * f.normal - (*s).view;
     f.reflection_length = length3(bent);
     f.reflection = bent / f.reflection_length;
-    f.diffuse = (*s).diffuse;
-    if shading.diffuse_at == DIFFUSE_AT_PIXEL {
-        f.lambert = lambert(s, f.normal);
-        f.diffuse = f.lambert.radiance;
-    }
+    f.lambert = lambert(s, f.normal);
+    f.diffuse = f.lambert.radiance;
     // Specular: split sum, visibility through the lobe.
     f.position = level_position((*s).rough);
 #repeat k 2
@@ -213,18 +209,4 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     let light = f.visible * f.prefiltered + (1.0 - f.visible) * (*s).indirect;
     f.specular = light * (f0 * f.lut.value.x + f.lut.value.y);
     return f;
-}
-
-// Linear radiance to display.
-fn display(linear: vec3f) -> vec3f {
-    let x = clamp(linear, vec3f(0.0), vec3f(1.0));
-    return select(x, vec3f(srgb(x.x), srgb(x.y), srgb(x.z)), shading.srgb != 0u);
-}
-
-// Chain rule through `display`; above 1 only gradients that lower the value pass.
-fn display_backward(linear: f32, g: f32) -> f32 {
-    if linear < 0.0 || (linear > 1.0 && g <= 0.0) {
-        return 0.0;
-    }
-    return g * select(1.0, srgb_slope(min(linear, 1.0)), shading.srgb != 0u);
 }

@@ -1,4 +1,4 @@
-// Chain rule through `shade` (src/engine/cpu/shade.rs). With VISIBILITY defined it also gives the gradient by visibility.
+// Chain rule through `shade` (src/engine/cpu/shade.rs). With ALL_CHANNELS it also gives the gradient by visibility.
 #import shading
 
 struct SurfaceGradient {
@@ -6,8 +6,10 @@ struct SurfaceGradient {
     albedo: vec3f,
     metal: f32,
     rough: f32,
+    // By the direction to the camera.
+    view: vec3f,
     indirect: vec3f,
-    diffuse: vec3f,
+    gathered: vec3f,
     // By irradiance before the clamp, for the diffuse table.
     irradiance: vec3f,
     // By the light of the two specular levels, for the specular tables.
@@ -17,7 +19,7 @@ struct SurfaceGradient {
     visible_raw: f32,
     // Gradient by visibility times visibility, summed.
     along_visibility: f32,
-#ifdef VISIBILITY
+#ifdef ALL_CHANNELS
     visibility: array<vec4f, N_QUADS>,
 #endif
 }
@@ -41,7 +43,7 @@ fn field_backward(
             by_d += (factor.x * c) * dy[j];
             (*out).along_visibility += factor.x * y[j] * c;
             (*out).rough += factor.y * y[j] * c;
-#ifdef VISIBILITY
+#ifdef ALL_CHANNELS
             (*out).visibility[j / 4u][j % 4u] += factor.x * y[j];
 #endif
         }
@@ -75,7 +77,7 @@ fn visibility_backward(
     return by;
 }
 
-#ifdef VISIBILITY
+#ifdef ALL_CHANNELS
 // Adds the rows of `node`, weighted by colour, to the gradient by visibility.
 fn rows_backward(out: ptr<function, SurfaceGradient>, node: u32, weight: vec3f) {
     let quads = tables.coefficients / 4u;
@@ -97,11 +99,11 @@ fn lambert_backward(
     out: ptr<function, SurfaceGradient>,
 ) -> vec3f {
     let kd = (1.0 - (*s).metal) * INV_PI;
-    let light = (*f).irradiance + (*s).diffuse;
+    let light = (*f).irradiance + (*s).gathered;
     (*out).albedo += g * kd * light;
     (*out).metal -= dot(g, (*s).albedo * light) * INV_PI;
     let by_light = g * (*s).albedo * kd;
-    (*out).diffuse = by_light;
+    (*out).gathered = by_light;
     let lit = (*f).irradiance_raw > vec3f(0.0);
     let by_irradiance = select(vec3f(0.0), by_light * (*f).ambient, lit);
     let by_ambient = dot(select(vec3f(0.0), by_light, lit), (*f).irradiance_raw);
@@ -114,7 +116,7 @@ fn lambert_backward(
         by_normal += along * (*f).taps.gradient[$k];
         if !scalar {
             (*out).along_visibility += (*f).taps.weight[$k] * along;
-#ifdef VISIBILITY
+#ifdef ALL_CHANNELS
             rows_backward(out, (*f).taps.node[$k], (*f).taps.weight[$k] * by_irradiance);
 #endif
         }
@@ -164,13 +166,9 @@ fn specular_backward(
 
 fn shade_backward(s: ptr<function, Surface>, f: ptr<function, Shaded>, g: vec3f) -> SurfaceGradient {
     var out: SurfaceGradient;
-    var by_normal = vec3f(0.0);
-    out.diffuse = g;
-    if shading.diffuse_at == DIFFUSE_AT_PIXEL {
-        // A copy: naga 30 writes no pointer into a struct that is a pointer itself.
-        var diffuse = (*f).lambert;
-        by_normal = lambert_backward(s, &diffuse, g, &out);
-    }
+    // A copy: naga 30 writes no pointer into a struct that is a pointer itself.
+    var diffuse = (*f).lambert;
+    var by_normal = lambert_backward(s, &diffuse, g, &out);
     let by = specular_backward(s, f, g, &out);
     let by_field = visibility_backward(s, (*f).normal, (*f).reflection, vec2f(out.ambient_raw, out.visible_raw), &out);
     by_normal += by_field[0];
@@ -178,6 +176,7 @@ fn shade_backward(s: ptr<function, Surface>, f: ptr<function, Shaded>, g: vec3f)
     let by_bent = normalised3_backward((*f).reflection, (*f).reflection_length, by.yzw + by_field[1]);
     let by_nov = by.x + 2.0 * dot(by_bent, (*f).normal);
     by_normal += 2.0 * (*f).nov * by_bent + select(0.0, by_nov, (*f).nov_inside) * (*s).view;
+    out.view = select(0.0, by_nov, (*f).nov_inside) * (*f).normal - by_bent;
     let sign = select(1.0, -1.0, (*f).flipped);
     out.normal = normalised3_backward(sign * (*f).normal, (*f).normal_length, sign * by_normal);
     return out;

@@ -1,20 +1,19 @@
 // What a pixel or a Gaussian is shaded from (`Surface` of src/engine/cpu/shade.rs). The permutation defines S, the number
 // of visibility coefficients.
 
-const LEAST_COVERAGE = 1e-3;
 // Groups of four visibility coefficients.
 const N_QUADS = (S + 3u) / 4u;
 // First group of visibility coefficients in a row of channels (src/engine/channel.rs).
 const VISIBILITY_GROUP = 5u;
 
 struct Surface {
-    // Blended normal, any length.
+    // Any length.
     normal: vec3f,
     metal: f32,
     albedo: vec3f,
     rough: f32,
-    // Gathered irradiance or, with DIFFUSE_AT_GAUSSIAN, diffuse radiance.
-    diffuse: vec3f,
+    // Irradiance gathered from other surfaces, and radiance where the environment is blocked.
+    gathered: vec3f,
     indirect: vec3f,
     // Unit direction to the camera.
     view: vec3f,
@@ -34,7 +33,7 @@ fn surface_of_groups(g1: vec4f, g2: vec4f, g3: vec4f, g4: vec4f, scale: f32, tow
     s.albedo = g2.xyz * scale;
     s.metal = g2.w * scale;
     s.rough = g3.x * scale;
-    s.diffuse = g3.yzw * scale;
+    s.gathered = g3.yzw * scale;
     s.indirect = g4.yzw * scale;
     s.view = towards;
     return s;

@@ -18,6 +18,18 @@ var<workgroup> sh_weight: array<vec4f, WG_SIZE>;
 var<workgroup> sh_by: array<vec4f, WG_SIZE>;
 var<workgroup> sh_member_of_place: array<u32, WG_SIZE>;
 
+// What a member adds to the diffuse table and to the two specular levels.
+struct Shares {
+    // NO_CELL where it adds nothing.
+    cell: vec3u,
+    // Bilinear weights of the cell's nodes.
+    weight: array<vec4f, 3>,
+    // Gradient by what was looked up, rgb.
+    by: array<vec3f, 3>,
+    // 1 / coverage.
+    inverse: f32,
+}
+
 fn cell_of(level: u32, taps: Taps, by: vec3f) -> u32 {
     return select(NO_CELL, (level << NODE_BITS) | taps.node.x, any(by != vec3f(0.0)));
 }
@@ -100,4 +112,33 @@ fn add_shares(is_diffuse: bool, local_ix: u32, cell: u32, weight: vec4f, by: vec
     workgroupBarrier();
     add_sorted(is_diffuse, local_ix);
     workgroupBarrier();
+}
+
+fn no_shares() -> Shares {
+    var shares: Shares;
+    shares.cell = vec3u(NO_CELL);
+    return shares;
+}
+
+// Of a surface that was shaded as `f` and got the gradient `by`.
+fn shares_of(f: ptr<function, Shaded>, by: ptr<function, SurfaceGradient>, inverse: f32) -> Shares {
+    var shares: Shares;
+    let level = (*f).position.level;
+    shares.cell = vec3u(
+        cell_of(DIFFUSE_LEVEL, (*f).lambert.taps, (*by).irradiance),
+        cell_of(level, (*f).level_taps[0], (*by).level[0]),
+        cell_of(level + 1u, (*f).level_taps[1], (*by).level[1]),
+    );
+    shares.weight = array<vec4f, 3>((*f).lambert.taps.weight, (*f).level_taps[0].weight, (*f).level_taps[1].weight);
+    shares.by = array<vec3f, 3>((*by).irradiance, (*by).level[0], (*by).level[1]);
+    shares.inverse = inverse;
+    return shares;
+}
+
+// Adds what all members of the workgroup owe to the three tables; every thread calls it.
+fn add_all_shares(local_ix: u32, shares: ptr<function, Shares>) {
+    for (var part = 0u; part < 3u; part++) {
+        let by = vec4f((*shares).by[part], (*shares).inverse);
+        add_shares(part == 0u, local_ix, (*shares).cell[part], (*shares).weight[part], by);
+    }
 }

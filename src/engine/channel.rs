@@ -16,11 +16,11 @@ pub const ALBEDO: Range<usize> = 8..11;
 pub const METAL: usize = 11;
 /// Roughness.
 pub const ROUGH: usize = 12;
-/// Diffuse light: with [`DiffuseAt::Pixel`](crate::scene::DiffuseAt) the gathered irradiance, else the diffuse radiance.
-pub const DIFFUSE: Range<usize> = 13..16;
+/// Light: of a lit pass the radiance that leaves for the camera, else gathered irradiance.
+pub const LIGHT: Range<usize> = 13..16;
 /// Camera depth.
 pub const DEPTH: usize = 16;
-/// Indirect radiance for the specular term.
+/// Of a lit pass the specular part of [`LIGHT`], else radiance from where the environment is blocked.
 pub const INDIRECT: Range<usize> = 17..20;
 /// First visibility coefficient.
 pub const VISIBILITY: usize = 20;
@@ -32,7 +32,7 @@ pub enum Channels {
     Colour,
     /// Also normal and plane distance: radiance warm-up with depth-normal consistency.
     Geometry,
-    /// Also material and diffuse light, without what only shading needs: the usual backward pass.
+    /// Also material and light, without what only shading in the pixel and pictures need: the usual training.
     Material,
     /// Everything, visibility of this many coefficients included.
     Full(usize),

@@ -36,7 +36,7 @@ impl Replaced {
 }
 
 /// Relit PSNR of `model` in dB, mean over `capture`'s lights of the mean over its views (at most `views`), for each of
-/// `replacements`; layers without truth stay the model's. `None` without relit truth. The diffuse term is found in the pixel,
+/// `replacements`; layers without truth stay the model's. `None` without relit truth. Surfaces are shaded in the pixel,
 /// where the truth is put, also of a model that finds it at its Gaussians: with nothing replaced such a model does not
 /// get here what it gets elsewhere.
 ///
@@ -89,7 +89,7 @@ fn put_truth(view: &CaptureView, replaced: Replaced, shader: &Shader<'_>, i: usi
         let found = shader.ambient_occlusion(&surface.visibility, normal).clamp(0.02, 1.0);
         surface.visibility.iter_mut().for_each(|c| *c *= wanted / found);
         let blocked = ((1.0 - wanted) / (1.0 - found).max(0.02)).min(10.0);
-        surface.diffuse.iter_mut().for_each(|e| *e *= blocked);
+        surface.gathered.iter_mut().for_each(|e| *e *= blocked);
     }
     if let (true, Some(albedo)) = (replaced.albedo, &truth.albedo) {
         surface.albedo = albedo.values[i];

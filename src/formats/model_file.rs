@@ -6,11 +6,13 @@ use std::collections::HashMap;
 use safetensors::tensor::{Dtype, SafeTensors, View};
 use serde::{Deserialize, Serialize};
 
-use crate::scene::{DiffuseAt, Field, Gaussians, IndirectForm, Model, ShadingOptions};
+use crate::scene::{Field, Gaussians, IndirectForm, Model, ShadeAt, ShadingOptions};
 
-/// The header's version; a reader refuses any other than this and [`ALL_DEFERRED`].
-const VERSION: u32 = 2;
-/// The version before, of models whose diffuse term is found in the pixel and whose header does not say so.
+/// The header's version; a reader refuses any other than this and the two before.
+const VERSION: u32 = 3;
+/// The version before, of models trained with the diffuse term alone at their Gaussians; they are shaded there wholly.
+const DIFFUSE_AT_GAUSSIANS: u32 = 2;
+/// The version before that, of models shaded in the pixel, whose header does not say so.
 const ALL_DEFERRED: u32 = 1;
 const HEADER_KEY: &str = "relume";
 
@@ -138,10 +140,10 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a Relume model".into()))?;
     let mut header: Header = serde_json::from_str(text).map_err(|e| bad("header", e.to_string()))?;
     match header.version {
-        VERSION => {}
-        ALL_DEFERRED => header.shading.diffuse_at = DiffuseAt::Pixel,
+        VERSION | DIFFUSE_AT_GAUSSIANS => {}
+        ALL_DEFERRED => header.shading.shade_at = ShadeAt::Pixel,
         other => {
-            return Err(bad("version", format!("is {other}, this build reads {ALL_DEFERRED} and {VERSION}")));
+            return Err(bad("version", format!("is {other}, this build reads {ALL_DEFERRED} to {VERSION}")));
         }
     }
     let file = SafeTensors::deserialize(bytes)?;
@@ -244,17 +246,21 @@ mod tests {
     }
 
     #[test]
-    fn a_file_of_the_version_before_is_shaded_as_it_was_trained() {
-        let at = |version: u32| {
-            let model = example();
-            let text = header(&model).replace("\"version\":2", &format!("\"version\":{version}"));
-            let metadata =
-                HashMap::from([(HEADER_KEY.to_owned(), text.replace("\"diffuse_at\":\"gaussian\",", ""))]);
+    fn files_of_versions_before_are_read() {
+        let at = |version: u32, shade_at: &str| {
+            let mut model = example();
+            model.shading.shade_at = ShadeAt::Gaussian;
+            let text = header(&model).replace("\"version\":3", &format!("\"version\":{version}"));
+            let text = text.replace("\"shade_at\":\"gaussian\",", shade_at);
+            let metadata = HashMap::from([(HEADER_KEY.to_owned(), text)]);
             decode(&safetensors::serialize(tensors(&model), Some(metadata)).unwrap())
         };
-        assert_eq!(at(1).unwrap().shading.diffuse_at, DiffuseAt::Pixel);
-        assert_eq!(at(2).unwrap().shading.diffuse_at, DiffuseAt::Gaussian, "the control");
-        assert!(at(3).unwrap_err().to_string().contains("version"));
+        let read = |version, shade_at| at(version, shade_at).unwrap().shading.shade_at;
+        assert_eq!(read(1, ""), ShadeAt::Pixel);
+        assert_eq!(read(2, "\"diffuse_at\":\"gaussian\","), ShadeAt::Gaussian);
+        assert_eq!(read(2, "\"diffuse_at\":\"pixel\","), ShadeAt::Pixel);
+        assert_eq!(read(3, "\"shade_at\":\"pixel\","), ShadeAt::Pixel, "the control");
+        assert!(at(4, "").unwrap_err().to_string().contains("version"));
     }
 
     #[test]

@@ -4,9 +4,9 @@ use crate::engine::channel::Channels;
 use crate::engine::cpu::{Pass, Shader, Surface};
 use crate::engine::gpu::GpuError;
 use crate::render::develop::develop;
-use crate::render::standard::shade;
+use crate::render::standard::shade_here;
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer};
-use crate::scene::{Camera, DiffuseAt, Field, ShadingOptions};
+use crate::scene::{Camera, Field, ShadeAt, ShadingOptions};
 
 impl Renderer {
     /// Colour and alpha of a view, with `edit(shader, pixel, surface)` called on what each row-major pixel sees before it is
@@ -25,7 +25,7 @@ impl Renderer {
             return Err(GpuError::Internal("surfaces are edited on the CPU engine only".to_owned()).into());
         };
         // Deferred whatever the model: what is edited is in the pixel.
-        let options = ShadingOptions { diffuse_at: DiffuseAt::Pixel, ..self.model().shading };
+        let options = ShadingOptions { shade_at: ShadeAt::Pixel, ..self.model().shading };
         let source = self.source(&light.gathered, &light.indirect_basis);
         let shader =
             Shader { tables: &light.tables, options: &options, order: source.gaussians.visibility_order() };
@@ -35,7 +35,7 @@ impl Renderer {
         Ok(develop(&pass, &shader, &outputs, 1.0, |(x, y), surface| {
             let mut surface = *surface;
             edit(&shader, y * view.width + x, &mut surface);
-            shade(&shader, &surface)
+            shade_here(&shader, &surface)
         }))
     }
 }

@@ -1,7 +1,7 @@
 //! The high tier: strong small lights are taken out of the environment and cast a shadow each; the rest is standard.
 //!
-//! A light's shadow is one probe a Gaussian in its exact direction, blended as a channel of its own behind the visibility
-//! coefficients.
+//! A light's shadow is one probe a Gaussian in its exact direction. Models that are shaded at their Gaussians add the
+//! light there; for others the shadow is blended, as a channel of its own behind the visibility coefficients.
 
 use rayon::prelude::*;
 
@@ -12,9 +12,9 @@ use crate::engine::cpu::{
 };
 use crate::light::{DominantLight, LightTables, SplitEnvironment, rendering_tables};
 use crate::render::develop::{Lit, develop, reflector};
-use crate::render::standard::shade;
+use crate::render::standard::{blended, shade_here};
 use crate::render::{Frame, Job};
-use crate::scene::{EnvMap, Field};
+use crate::scene::{EnvMap, Field, ShadeAt};
 
 /// Most lights that get a shadow of their own.
 const MOST_LIGHTS: usize = 8;
@@ -39,17 +39,51 @@ impl SplitLight {
         let rest = (!split.lights.is_empty()).then(|| rendering_tables(&split.rest, order));
         Self { lights: split.lights, rest, arriving: probes.transmittance }
     }
+
+    /// Share of each light that arrives at Gaussian `i`.
+    fn arriving_at(&self, i: usize) -> impl Iterator<Item = f32> {
+        self.arriving.iter().map(move |of| of.get(i).copied().unwrap_or(1.0))
+    }
 }
 
 /// Renders every pixel under the rest and each of the lights; `whole` has the tables of both together.
 pub(super) fn render(job: &Job<'_>, whole: &Shader<'_>, light: &SplitLight) -> Frame {
     let shader = Shader { tables: light.rest.as_ref().unwrap_or(whole.tables), ..*whole };
+    match shader.options.shade_at {
+        ShadeAt::Gaussian => at_gaussians(job, &shader, light),
+        ShadeAt::Pixel => in_pixels(job, &shader, light),
+    }
+}
+
+/// The lights are added to what each Gaussian sends.
+fn at_gaussians(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
+    let source = job.source.under(*shader);
+    let full = Channels::Full(source.gaussians.width(Field::Visibility));
+    let (splats, stored) = (project_all(&source, &job.view), full.stored());
+    let mut rows = attribute_rows(&source, &job.view, &splats, full, stored);
+    rows.par_chunks_mut(stored).zip(&splats).with_min_len(64).for_each(|(row, splat)| {
+        let i = splat.gaussian as usize;
+        let mean: [f32; 3] = source.gaussians.get(Field::Mean, i);
+        let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - job.view.eye[k]));
+        let mut lit = Lit { diffuse: [0.0; 3], specular: [0.0; 3] };
+        add_lights(&light.lights, light.arriving_at(i), &surface, &mut lit);
+        for c in 0..3 {
+            row[channel::LIGHT.start + c] += lit.diffuse[c] + lit.specular[c];
+            row[channel::INDIRECT.start + c] += lit.specular[c];
+        }
+    });
+    let pass = Pass::blend(job.view, splats, full, rows, true);
+    develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| blended(surface))
+}
+
+/// The lights are added to what each pixel sends; their shadows are blended.
+fn in_pixels(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
-    let pass = pass(&job.source.under(shader), job.view, light, coefficients);
-    develop(&pass, &shader, job.outputs, job.depth_scale, |_, surface| {
-        let mut lit = shade(&shader, surface);
+    let pass = pass(&job.source, job.view, light, coefficients);
+    develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| {
+        let mut lit = shade_here(shader, surface);
         let arriving = &surface.visibility[coefficients..coefficients + light.lights.len()];
-        add_lights(&light.lights, arriving, surface, &mut lit);
+        add_lights(&light.lights, arriving.iter().copied(), surface, &mut lit);
         lit
     })
 }
@@ -63,14 +97,17 @@ fn pass(source: &AttributeSource<'_>, view: View, light: &SplitLight, coefficien
     let mut rows = attribute_rows(source, &view, &splats, own, stored);
     rows.par_chunks_mut(stored).zip(&splats).with_min_len(64).for_each(|(row, splat)| {
         let extra = &mut row[channel::VISIBILITY + coefficients..];
-        for (value, arriving) in extra.iter_mut().zip(&light.arriving) {
-            *value = arriving.get(splat.gaussian as usize).copied().unwrap_or(1.0);
-        }
+        extra.iter_mut().zip(light.arriving_at(splat.gaussian as usize)).for_each(|(o, share)| *o = share);
     });
     Pass::blend(view, splats, all, rows, true)
 }
 
-fn add_lights(lights: &[DominantLight], arriving: &[f32], surface: &Surface, lit: &mut Lit) {
+fn add_lights(
+    lights: &[DominantLight],
+    arriving: impl Iterator<Item = f32>,
+    surface: &Surface,
+    lit: &mut Lit,
+) {
     let reflector = reflector(surface);
     for (light, share) in lights.iter().zip(arriving) {
         let Some(reflected) = reflector.reflect(light.direction, light.radius) else { continue };

@@ -1,11 +1,11 @@
 //! A camera and a light in, a frame out.
 
+mod colour;
 mod develop;
 mod edited;
 mod frame;
 mod high;
 mod on_gpu;
-mod preview;
 mod reference;
 mod renderer;
 mod standard;

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::engine::channel::Channels;
 use crate::engine::cpu::{ProbeSettings, View, fibonacci_sphere, indirect_basis};
-use crate::engine::gpu::develop::{Plane, Planes, shade_gaussians};
+use crate::engine::gpu::develop::{Plane, Planes};
 use crate::engine::gpu::gather::{GatherSource, gather};
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::model::LayoutUniform;
@@ -16,7 +16,7 @@ use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUn
 use crate::light::LightTables;
 use crate::render::standard::{BOUNCES, PROBE_DIRECTIONS};
 use crate::render::{Frame, Output};
-use crate::scene::{Field, IndirectForm, Model};
+use crate::scene::{Field, IndirectForm, Model, ShadeAt};
 
 /// A light in device memory, with what the model's surfaces send back under it.
 pub(super) struct LightOnGpu {
@@ -27,7 +27,7 @@ pub(super) struct LightOnGpu {
 /// Memory that frames use one after the other.
 struct Scratch {
     raster: Raster,
-    /// Rows of the preview tier.
+    /// Rows of pictures that are colour alone.
     colours: Option<Buffer<[f32; 4]>>,
     planes: Option<Planes>,
     /// What hides what, once it was needed: it does not depend on the light.
@@ -93,11 +93,11 @@ impl OnGpu {
         model: &Model,
         view: &View,
         light: &LightOnGpu,
-        is_preview: bool,
+        is_colour: bool,
         wanted: &[Output],
     ) -> Result<Frame, GpuError> {
         let groups =
-            if is_preview { 1 } else { groups(Channels::Full(model.gaussians.width(Field::Visibility))) };
+            if is_colour { 1 } else { groups(Channels::Full(model.gaussians.width(Field::Visibility))) };
         let report = self.gpu.report();
         let row_bytes = (view.width * groups * 16).max(1) as u64;
         let rows = (report.max_binding.min(report.max_buffer) / row_bytes).max(1) as usize;
@@ -107,7 +107,7 @@ impl OnGpu {
             let mut band = *view;
             band.height = rows.min(view.height - first);
             band.centre_px[1] -= first as f32;
-            let part = self.render_band(model, &ViewUniform::new(&band), light, is_preview, wanted)?;
+            let part = self.render_band(model, &ViewUniform::new(&band), light, is_colour, wanted)?;
             for (output, mut values) in part {
                 frame.planes.entry(output).or_default().append(&mut values);
             }
@@ -120,7 +120,7 @@ impl OnGpu {
         model: &Model,
         view: &ViewUniform,
         light: &LightOnGpu,
-        is_preview: bool,
+        is_colour: bool,
         wanted: &[Output],
     ) -> Result<BTreeMap<Output, Vec<f32>>, GpuError> {
         let mut scratch = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
@@ -134,7 +134,6 @@ impl OnGpu {
             gathered: light.gathered.as_ref(),
             indirect_basis: Some(&light.buffers.indirect_basis),
         };
-        let full = Channels::Full(n_visibility);
         let shading = ShadingUniform::new(&model.shading, [0.0; 3]);
         let job = ShadeJob {
             view,
@@ -143,19 +142,20 @@ impl OnGpu {
             light: &light.buffers,
             constants: &self.constants,
         };
-        raster.attributes(&mut recorder, full, &source)?;
-        raster.light(&mut recorder, &job, &self.params)?;
-        if is_preview {
-            let colours = grow(&self.gpu, "preview colours", colours, self.layout.n as usize)?;
-            let (Some(splats), Some(rows)) = (raster.splats.clone(), raster.attributes.clone()) else {
-                return Err(GpuError::Internal("a pass without splats".to_owned()));
-            };
-            shade_gaussians(&mut recorder, &job, (&self.layout, &self.params), &splats, &rows, &colours)?;
-            raster.attributes = Some(colours);
+        if is_colour {
+            raster.attributes(&mut recorder, Channels::Material, &source)?;
+            let colours = grow(&self.gpu, "colours", colours, self.layout.n as usize)?;
+            raster.light_colours(&mut recorder, &job, &source, &colours)?;
+            let rows = raster.attributes.replace(colours);
             raster.blend(&mut recorder, Channels::Colour, true)?;
-            raster.attributes = Some(rows);
+            raster.attributes = rows;
             recorder.submit()?;
-            return self.preview_planes(view, raster);
+            return self.colour_planes(view, raster);
+        }
+        let full = Channels::Full(n_visibility);
+        raster.attributes(&mut recorder, full, &source)?;
+        if model.shading.shade_at == ShadeAt::Gaussian {
+            raster.light(&mut recorder, &job, full, &source)?;
         }
         raster.blend(&mut recorder, full, true)?;
         let wanted_planes: Vec<Plane> = wanted.iter().map(|o| plane(*o)).collect();
@@ -178,7 +178,7 @@ impl OnGpu {
     }
 
     /// Coverage and colour of the blended group.
-    fn preview_planes(
+    fn colour_planes(
         &self,
         view: &ViewUniform,
         raster: &Raster,

@@ -46,7 +46,7 @@ pub(super) fn render(
         let finite = |v: f64| v.min(BRIGHTEST) as f32;
         Lit {
             diffuse: std::array::from_fn(|c| {
-                finite(sum.diffuse[c]) + surface.albedo[c] * bounced * surface.diffuse[c]
+                finite(sum.diffuse[c]) + surface.albedo[c] * bounced * surface.gathered[c]
             }),
             specular: sum.specular.map(finite),
         }

@@ -9,8 +9,8 @@ use crate::light::{EnvSampler, rendering_tables};
 use crate::render::high::{self, SplitLight};
 use crate::render::on_gpu::{LightOnGpu, OnGpu};
 use crate::render::standard::{self, LightOnCpu};
-use crate::render::{Frame, Output, Quality, Tier, preview, reference};
-use crate::scene::{Camera, EnvMap, Model};
+use crate::render::{Frame, Output, Quality, Tier, colour, reference};
+use crate::scene::{Camera, EnvMap, Model, ShadeAt};
 
 /// Most pixels of a frame.
 const MOST_PIXELS: u64 = 64 << 20;
@@ -165,13 +165,17 @@ impl Renderer {
         wanted.push(Output::Alpha);
         wanted.sort_unstable();
         wanted.dedup();
-        // The preview tier only has a colour; anything else needs the G-buffer anyway.
-        let colour_only = wanted.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
-        let is_preview = quality.tier == Tier::Preview && colour_only;
+        // Where Gaussians are shaded, colour alone needs no G-buffer; anything else does, in every tier.
+        let is_lit = match quality.tier {
+            Tier::Preview => true,
+            Tier::Standard => self.model.shading.shade_at == ShadeAt::Gaussian,
+            Tier::High | Tier::Reference => false,
+        };
+        let is_colour = is_lit && wanted.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
         if let (Some(gpu), Some(on_gpu), Tier::Preview | Tier::Standard) =
             (&self.gpu, &light.on_gpu, quality.tier)
         {
-            return Ok(gpu.render(&self.model, &view, on_gpu, is_preview, &wanted)?);
+            return Ok(gpu.render(&self.model, &view, on_gpu, is_colour, &wanted)?);
         }
         let on_cpu = self.on_cpu(light);
         let source = self.source(&on_cpu.gathered, &on_cpu.indirect_basis);
@@ -180,7 +184,7 @@ impl Renderer {
         let depth_scale = (1.0 / self.model.world_scale) as f32;
         let job = Job { source, view, outputs: &wanted, depth_scale };
         Ok(match quality.tier {
-            Tier::Preview if is_preview => preview::render(&job.source, view, &shader),
+            Tier::Preview | Tier::Standard if is_colour => colour::render(&job.source, view, &shader),
             Tier::Preview | Tier::Standard => standard::render(&job, &shader),
             Tier::High => {
                 let split = light.split.get_or_init(|| SplitLight::new(&job.source, &light.environment));

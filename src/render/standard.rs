@@ -10,7 +10,7 @@ use crate::engine::cpu::{
 use crate::light::LightTables;
 use crate::render::develop::{Lit, develop};
 use crate::render::{Frame, Job};
-use crate::scene::{Field, IndirectForm};
+use crate::scene::{Field, IndirectForm, ShadeAt};
 
 /// Probe directions behind the gathered light of a render.
 pub(super) const PROBE_DIRECTIONS: usize = 96;
@@ -46,15 +46,29 @@ impl LightOnCpu {
     }
 }
 
-/// Renders every pixel from the tables of `shader`.
+/// Renders every pixel under the tables of `shader`.
 pub(super) fn render(job: &Job<'_>, shader: &Shader<'_>) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
     let pass = Pass::forward(&job.source.under(*shader), job.view, Channels::Full(coefficients), true);
     develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| shade(shader, surface))
 }
 
-/// One pixel from the tables.
-pub(super) fn shade(shader: &Shader<'_>, surface: &Surface) -> Lit {
+/// One pixel of a pass under `shader`.
+fn shade(shader: &Shader<'_>, surface: &Surface) -> Lit {
+    match shader.options.shade_at {
+        ShadeAt::Pixel => shade_here(shader, surface),
+        ShadeAt::Gaussian => blended(surface),
+    }
+}
+
+/// One pixel of an unlit pass, from the tables.
+pub(super) fn shade_here(shader: &Shader<'_>, surface: &Surface) -> Lit {
     let shaded = shader.shade(surface);
     Lit { diffuse: shaded.diffuse, specular: shaded.specular }
+}
+
+/// One pixel of a lit pass, whose light is in the channels that shading in the pixel has other use for.
+pub(super) fn blended(surface: &Surface) -> Lit {
+    let Surface { gathered: light, indirect: specular, .. } = *surface;
+    Lit { diffuse: std::array::from_fn(|c| light[c] - specular[c]), specular }
 }

@@ -8,9 +8,9 @@ use crate::render::RenderError;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Default)]
 #[serde(rename_all = "snake_case")]
 pub enum Tier {
-    /// Shade each Gaussian once, blend three channels.
+    /// Shade each Gaussian once, blend three channels: what `standard` shows of models that are shaded there.
     Preview,
-    /// Split-sum highlights in the pixel, directional diffuse light at the Gaussians.
+    /// From tables of the light, where the model was trained to be shaded: at its Gaussians or in the pixel.
     #[default]
     Standard,
     /// As `standard`, with a true shadow for each strong small light of the environment.

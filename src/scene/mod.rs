@@ -11,6 +11,6 @@ pub use environment::{
 };
 pub use gaussians::{Field, Gaussians};
 pub use model::{
-    DiffuseAt, DiffuseForm, IndirectForm, Model, ModelError, NormalForm, ShadingOptions, VisibilityForm,
+    DiffuseForm, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
     sh_count, softplus, softplus_inverse,
 };

@@ -34,13 +34,13 @@ pub enum DiffuseForm {
     Directional,
 }
 
-/// Where the diffuse term is found; the specular one always is in the pixel.
+/// Where surfaces are shaded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum DiffuseAt {
-    /// In the pixel, from blended normal, albedo and visibility (deferred, as the article).
+pub enum ShadeAt {
+    /// In the pixel, from blended attributes (deferred, as the article).
     Pixel,
-    /// At each Gaussian, from its own; what is blended is radiance, as at an edge of a photograph.
+    /// At each Gaussian, from its own attributes; what is blended is radiance, as at an edge of a photograph.
     #[default]
     Gaussian,
 }
@@ -77,8 +77,10 @@ pub struct ShadingOptions {
     pub visibility: VisibilityForm,
     /// Form of the diffuse term.
     pub diffuse: DiffuseForm,
-    /// Where the diffuse term is found.
-    pub diffuse_at: DiffuseAt,
+    /// Where surfaces are shaded.
+    // Files of version 2 had the diffuse term at the Gaussians alone, under this name.
+    #[serde(alias = "diffuse_at")]
+    pub shade_at: ShadeAt,
     /// Source of normals.
     pub normal: NormalForm,
     /// Indirect light.
@@ -100,7 +102,7 @@ impl Default for ShadingOptions {
         Self {
             visibility: VisibilityForm::default(),
             diffuse: DiffuseForm::default(),
-            diffuse_at: DiffuseAt::default(),
+            shade_at: ShadeAt::default(),
             normal: NormalForm::default(),
             indirect: IndirectForm::default(),
             low_pass: 0.3,

@@ -84,8 +84,7 @@ impl OnGpu {
     fn channels(&self, task: &StepTask<'_>) -> (Channels, Channels) {
         let (config, progress) = (task.context.config, task.context.progress);
         if task.material {
-            let full = Channels::Full(self.frame.gaussians.width(Field::Visibility));
-            return (full, step::differentiated(config, self.frame.shading.indirect, full));
+            return step::channels(config, &self.frame);
         }
         let shaped = step::is_shaped(config, progress);
         let channels = if shaped { Channels::Geometry } else { Channels::Colour };

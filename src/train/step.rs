@@ -6,8 +6,8 @@ use crate::engine::cpu::{
     self, AttributeSource, BufferGradient, Pass, ProbeSettings, Probes, Shader, Transport, View,
     fibonacci_sphere, outward_normals, radiance_image, radiance_image_backward,
 };
-use crate::light::{EnvOperators, LightTables};
-use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
+use crate::light::EnvOperators;
+use crate::scene::{Field, IndirectForm, Model, ShadeAt, VisibilityForm, softplus, texel_directions};
 use crate::train::dataset::Photo;
 use crate::train::objective::image::Target;
 use crate::train::objective::{aggregation, geometry, material as terms};
@@ -105,7 +105,8 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let shader = Shader { tables: &tables, options: &model.shading, order };
     let source = source(state, &basis).under(shader);
     let view = View::new(&photo.camera, source.options);
-    let pass = Pass::forward(&source, view, Channels::Full(source.gaussians.width(Field::Visibility)), true);
+    let (channels, differentiated) = channels(context.config, model);
+    let pass = Pass::forward(&source, view, channels, true);
     let images = shader.images(&pass, context.background);
     let target = Target::new(view.width, view.height, photo.pixels.clone());
     let (physical, plain) = rayon::join(
@@ -121,14 +122,11 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     loss += geometry::depth_normal(&pass, w.depth_normal, &mut by_buffers);
     loss += geometry::smoothness(&pass, &photo.pixels, w.smooth(), &mut by_buffers);
     let by_images = cpu::BranchImages { physical: physical.gradient, radiance: plain.gradient };
-    let count = differentiated(context.config, source.options.indirect, pass.channels).count();
+    let count = differentiated.count();
     let (by_gbuffer, mut by_tables) =
         shader.images_backward(&pass, context.background, &by_images, &by_buffers, count);
     let mut gradients =
         pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, Some(&mut by_tables));
-    if source.options.indirect == IndirectForm::Learned {
-        learned_indirect_backward(&pass, &source, &by_gbuffer, count, &mut by_tables);
-    }
     let (neutral, by_neutral) = terms::light_neutrality(&radiance, w.light);
     let texels = texel_directions(state.model.env_width, state.model.env_height);
     let (level, by_level) = terms::exposure(&radiance, &texels, w.exposure);
@@ -157,7 +155,7 @@ pub fn physical_error(context: &StepContext<'_>, state: &Learned, photo: &Photo)
     let shader = Shader { tables: &tables, options: &model.shading, order };
     let source = source(state, &basis).under(shader);
     let view = View::new(&photo.camera, source.options);
-    let pass = Pass::forward(&source, view, Channels::Full(source.gaussians.width(Field::Visibility)), true);
+    let pass = Pass::forward(&source, view, channels(context.config, model).0, true);
     mean_squared_error(&shader.images(&pass, context.background).physical, photo)
 }
 
@@ -192,10 +190,17 @@ pub fn normals(state: &Learned) -> Vec<[f32; 3]> {
     outward_normals(&source(state, &[[0.0; 3]; 16]))
 }
 
-/// Channels the backward pass carries: visibility and indirect light only when they are learned.
-pub(super) fn differentiated(config: &TrainConfig, indirect: IndirectForm, channels: Channels) -> Channels {
-    let learned = config.labels != LabelSource::Probes || indirect == IndirectForm::Learned;
-    if learned { channels } else { Channels::Material }
+/// Channels of a step that trains materials, and those of them that its backward pass carries: visibility and indirect
+/// light only when they are learned.
+pub(super) fn channels(config: &TrainConfig, model: &Model) -> (Channels, Channels) {
+    let full = Channels::Full(model.gaussians.width(Field::Visibility));
+    let learned = config.labels != LabelSource::Probes || model.shading.indirect == IndirectForm::Learned;
+    let differentiated = if learned { full } else { Channels::Material };
+    match model.shading.shade_at {
+        // What is shaded at the Gaussians needs no visibility in the pixel.
+        ShadeAt::Gaussian => (differentiated, differentiated),
+        ShadeAt::Pixel => (full, differentiated),
+    }
 }
 
 fn parameter_terms(
@@ -218,31 +223,6 @@ fn parameter_terms(
         }
     }
     loss
-}
-
-/// Gradient of the light through `E_j` (Eq. 20): by `E_j` it is the sum over Gaussians of weight x channel gradient,
-/// which is the gradient of the indirect channels against a unit change of `E_j`.
-fn learned_indirect_backward(
-    pass: &Pass,
-    source: &AttributeSource<'_>,
-    by_gbuffer: &[f32],
-    count: usize,
-    by_tables: &mut LightTables,
-) {
-    let by_rows = pass.channel_gradients(
-        by_gbuffer,
-        count.next_multiple_of(4),
-        count,
-        crate::engine::channel::INDIRECT,
-    );
-    let mut by_basis = [[0.0f32; 3]; 16];
-    for (splat, g) in pass.splats.iter().zip(by_rows.chunks_exact(3)) {
-        let weights = source.gaussians.row(Field::Indirect, splat.gaussian as usize);
-        for (o, w) in by_basis.iter_mut().zip(weights) {
-            (0..3).for_each(|c| o[c] += w * g[c]);
-        }
-    }
-    cpu::indirect_basis_backward(&by_basis, by_tables);
 }
 
 /// Measures visibility and gathers bounced light anew (docs/MODEL.md section 6).

@@ -11,8 +11,7 @@ use relume::engine::reference::{
 };
 use relume::light::TableResolution;
 use relume::scene::{
-    Camera, DiffuseAt, DiffuseForm, IndirectForm, NormalForm, ShadingOptions, VisibilityForm,
-    texel_directions,
+    Camera, DiffuseForm, IndirectForm, NormalForm, ShadeAt, ShadingOptions, VisibilityForm, texel_directions,
 };
 
 const GAUSSIANS: usize = 7;
@@ -166,7 +165,7 @@ fn the_default_form_has_the_gradients_differences_measure() {
 
 #[test]
 fn the_deferred_form_has_the_gradients_differences_measure() {
-    let shading = ShadingOptions { diffuse_at: DiffuseAt::Pixel, ..ShadingOptions::default() };
+    let shading = ShadingOptions { shade_at: ShadeAt::Pixel, ..ShadingOptions::default() };
     gradients_hold("deferred", &model(shading), &["ind_sh"]);
 }
 
@@ -174,7 +173,7 @@ fn the_deferred_form_has_the_gradients_differences_measure() {
 fn the_article_form_on_tables_has_the_gradients_differences_measure() {
     let shading = ShadingOptions {
         diffuse: DiffuseForm::AmbientOcclusion,
-        diffuse_at: DiffuseAt::Pixel,
+        shade_at: ShadeAt::Pixel,
         normal: NormalForm::Free,
         indirect: IndirectForm::Learned,
         low_pass_compensation: true,

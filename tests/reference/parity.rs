@@ -9,7 +9,7 @@ use relume::engine::reference::{
 };
 use relume::light::{EnvOperators, TableResolution};
 use relume::scene::{
-    Camera, DiffuseAt, DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions,
+    Camera, DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions,
     VisibilityForm, softplus,
 };
 
@@ -160,7 +160,7 @@ fn by_cpu(model: &Model, camera: &Camera, gathered: &[[f32; 6]], functional: &Fu
         prototypes: &model.prototypes,
         options: &model.shading,
         gathered,
-        indirect_basis: &[[0.0; 3]; 16],
+        indirect_basis: &cpu::indirect_basis(&tables),
         light: None,
     };
     let shader = Shader { tables: &tables, options: &model.shading, order: 4 };
@@ -240,8 +240,17 @@ fn the_cpu_engine_is_the_reference_in_the_default_form() {
 }
 
 #[test]
-fn the_cpu_engine_is_the_reference_with_diffuse_light_in_the_pixel() {
-    engines_agree("deferred", ShadingOptions { diffuse_at: DiffuseAt::Pixel, ..ShadingOptions::default() });
+fn the_cpu_engine_is_the_reference_where_pixels_are_shaded() {
+    engines_agree("deferred", ShadingOptions { shade_at: ShadeAt::Pixel, ..ShadingOptions::default() });
+}
+
+#[test]
+fn the_cpu_engine_is_the_reference_with_learned_indirect_light() {
+    for shade_at in [ShadeAt::Pixel, ShadeAt::Gaussian] {
+        let indirect = IndirectForm::Learned;
+        let shading = ShadingOptions { shade_at, indirect, ..ShadingOptions::default() };
+        engines_agree(&format!("learned {shade_at:?}"), shading);
+    }
 }
 
 #[test]
@@ -251,13 +260,13 @@ fn the_cpu_engine_is_the_reference_with_ambient_occlusion_at_the_gaussians() {
 }
 
 #[test]
-fn where_diffuse_light_is_found_makes_a_difference() {
-    let at = |diffuse_at| {
-        let shading = ShadingOptions { diffuse_at, ..ShadingOptions::default() };
+fn where_surfaces_are_shaded_makes_a_difference() {
+    let at = |shade_at| {
+        let shading = ShadingOptions { shade_at, ..ShadingOptions::default() };
         let light = gathered_light(1);
         by_cpu(&model(1, shading), &camera(1), &light, &Functional::new(1)).physical
     };
-    let difference = distance(&at(DiffuseAt::Pixel), &at(DiffuseAt::Gaussian));
+    let difference = distance(&at(ShadeAt::Pixel), &at(ShadeAt::Gaussian));
     assert!(difference > 10.0 * TOLERANCE_VALUE, "{difference:e}");
 }
 
@@ -266,7 +275,7 @@ fn the_cpu_engine_is_the_reference_in_the_article_form_on_tables() {
     let shading = ShadingOptions {
         visibility: VisibilityForm::Sigmoid,
         diffuse: DiffuseForm::AmbientOcclusion,
-        diffuse_at: DiffuseAt::Pixel,
+        shade_at: ShadeAt::Pixel,
         normal: NormalForm::Free,
         low_pass_compensation: true,
         srgb: false,

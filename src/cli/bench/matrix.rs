@@ -178,7 +178,7 @@ fn ablation() -> Vec<Variant> {
     // All fields of the forward model, in the pixel as the article's unless said otherwise.
     let form = |visibility: &str, diffuse: &str, indirect: &str| {
         let (visibility, diffuse, indirect) = (json!(visibility), json!(diffuse), json!(indirect));
-        json!({"visibility": visibility, "diffuse": diffuse, "indirect": indirect, "diffuse_at": "pixel"})
+        json!({"visibility": visibility, "diffuse": diffuse, "indirect": indirect, "shade_at": "pixel"})
     };
     let ao = form("linear", "ambient_occlusion", "learned");
     let listing = form("sigmoid", "ambient_occlusion", "learned");

@@ -9,7 +9,7 @@ use crate::engine::cpu::project::{
 use crate::engine::cpu::shade::{MAX_COEFFICIENTS, Shader, Surface};
 use crate::engine::cpu::view::View;
 use crate::light::{LightTables, sh_eval, sh_eval_with_gradient};
-use crate::scene::{DiffuseAt, Field, Gaussians, IndirectForm, NormalForm, ShadingOptions};
+use crate::scene::{Field, Gaussians, IndirectForm, NormalForm, ShadeAt, ShadingOptions};
 
 /// Most radiance coefficients a Gaussian has (order 4).
 const MAX_RADIANCE: usize = 25;
@@ -27,15 +27,24 @@ pub struct AttributeSource<'a> {
     pub gathered: &'a [[f32; 6]],
     /// `E_j` of Eq. 20, for `IndirectForm::Learned`.
     pub indirect_basis: &'a [[f32; 3]; 16],
-    /// Lights the diffuse term at each Gaussian; none: the diffuse channel carries gathered irradiance.
+    /// Lights each Gaussian; none: the channels of light carry what shading in the pixel needs.
     pub light: Option<Shader<'a>>,
 }
 
 impl<'a> AttributeSource<'a> {
-    /// The same under a light, for a model whose diffuse term is found at its Gaussians.
+    /// The same under a light, for a model that is shaded at its Gaussians.
     #[must_use]
     pub fn under(self, light: Shader<'a>) -> Self {
-        Self { light: (self.options.diffuse_at == DiffuseAt::Gaussian).then_some(light), ..self }
+        match self.options.shade_at {
+            ShadeAt::Gaussian => self.lit(light),
+            ShadeAt::Pixel => self,
+        }
+    }
+
+    /// The same shaded at its Gaussians, whatever the model.
+    #[must_use]
+    pub fn lit(self, light: Shader<'a>) -> Self {
+        Self { light: Some(light), ..self }
     }
 }
 
@@ -70,61 +79,98 @@ impl AttributeSource<'_> {
         }
         row[channel::METAL] = sigmoid(self.gaussians.row(Field::MetalLogit, i)[0]);
         row[channel::ROUGH] = sigmoid(self.gaussians.row(Field::RoughLogit, i)[0]);
+        let lit = self.light.map(|light| light.shade(&self.surface(i, row, to_mean)));
+        if let Some(lit) = &lit {
+            (0..3).for_each(|c| row[channel::LIGHT.start + c] = lit.diffuse[c] + lit.specular[c]);
+        }
         let Channels::Full(coefficients) = channels else { return };
         row[channel::DEPTH] = splat.depth;
-        match self.options.indirect {
-            IndirectForm::Off => {}
-            IndirectForm::Learned => {
-                let weights = self.gaussians.row(Field::Indirect, i);
-                for (w, e) in weights.iter().zip(self.indirect_basis) {
-                    (0..3).for_each(|c| row[channel::INDIRECT.start + c] += w * e[c]);
-                }
-            }
-            IndirectForm::Gathered => {
-                if let Some([r, g, b, indirect @ ..]) = self.gathered.get(i) {
-                    row[channel::DIFFUSE].copy_from_slice(&[*r, *g, *b]);
-                    row[channel::INDIRECT].copy_from_slice(indirect);
-                }
+        match &lit {
+            Some(lit) => row[channel::INDIRECT].copy_from_slice(&lit.specular),
+            None => {
+                let (gathered, indirect) = self.indirect(i);
+                row[channel::LIGHT].copy_from_slice(&gathered);
+                row[channel::INDIRECT].copy_from_slice(&indirect);
             }
         }
         row[channel::VISIBILITY..channel::VISIBILITY + coefficients]
             .copy_from_slice(&self.gaussians.row(Field::Visibility, i)[..coefficients]);
-        if let Some(light) = &self.light {
-            let radiance = light.diffuse(&surface_of_row(row, to_mean));
-            row[channel::DIFFUSE].copy_from_slice(&radiance);
+    }
+
+    /// Irradiance that Gaussian `i` gathers, and the radiance of directions that are blocked.
+    fn indirect(&self, i: usize) -> ([f32; 3], [f32; 3]) {
+        let (mut gathered, mut indirect) = ([0.0f32; 3], [0.0f32; 3]);
+        match self.options.indirect {
+            IndirectForm::Off => {}
+            IndirectForm::Learned => {
+                for (w, e) in self.gaussians.row(Field::Indirect, i).iter().zip(self.indirect_basis) {
+                    (0..3).for_each(|c| indirect[c] += w * e[c]);
+                }
+            }
+            IndirectForm::Gathered => {
+                if let Some([r, g, b, blocked @ ..]) = self.gathered.get(i) {
+                    (gathered, indirect) = ([*r, *g, *b], *blocked);
+                }
+            }
+        }
+        (gathered, indirect)
+    }
+
+    /// Gaussian `i`, whose normal and material are in `row`, as a surface seen along `to_mean` (mean minus eye).
+    pub fn surface(&self, i: usize, row: &[f32], to_mean: [f32; 3]) -> Surface {
+        let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| row[r.start + k]);
+        let mut visibility = [0.0f32; MAX_COEFFICIENTS];
+        visibility.iter_mut().zip(self.gaussians.row(Field::Visibility, i)).for_each(|(v, c)| *v = *c);
+        let (gathered, indirect) = self.indirect(i);
+        Surface {
+            normal: triple(channel::NORMAL),
+            albedo: triple(channel::ALBEDO),
+            metal: row[channel::METAL],
+            rough: row[channel::ROUGH],
+            gathered,
+            indirect,
+            visibility,
+            view: normalise(to_mean).0.map(|v| -v),
         }
     }
 
-    /// Chain rule through the diffuse term of a Gaussian whose attributes are `row`: what `by_row` has for the diffuse
-    /// channel is added to the channels it is made of and to the gradient of the light's tables.
-    pub fn diffuse_backward(
+    /// Chain rule through the light of a Gaussian whose attributes are `row`: what `by_row` has for it is added to the
+    /// channels it is made of, to `by_mean`, the gradient by the splat's place, and to that of the light's tables.
+    pub fn light_backward(
         &self,
         view: &View,
         splat: &Splat,
         row: &[f32],
-        by_row: &mut [f32],
+        (by_mean, by_row): (&mut [f32], &mut [f32]),
         by_tables: &mut LightTables,
     ) {
         let Some(light) = &self.light else { return };
-        if by_row.len() < channel::DIFFUSE.end || by_row[channel::DIFFUSE].iter().all(|g| *g == 0.0) {
+        if by_row.len() < channel::LIGHT.end || by_row[channel::LIGHT].iter().all(|g| *g == 0.0) {
             return;
         }
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = self.gaussians.get(Field::Mean, i);
-        let mut surface = surface_of_row(row, std::array::from_fn(|k| mean[k] - view.eye[k]));
-        surface.diffuse = match (self.options.indirect, self.gathered.get(i)) {
-            (IndirectForm::Gathered, Some([r, g, b, ..])) => [*r, *g, *b],
-            _ => [0.0; 3],
-        };
-        let g = std::array::from_fn(|c| by_row[channel::DIFFUSE.start + c]);
-        let by = light.diffuse_backward(&surface, g, by_tables);
+        let to_mean = std::array::from_fn(|k| mean[k] - view.eye[k]);
+        let surface = self.surface(i, row, to_mean);
+        let g = std::array::from_fn(|c| by_row[channel::LIGHT.start + c]);
+        let by = light.shade_backward(&surface, &light.shade(&surface), g, by_tables);
         for c in 0..3 {
             by_row[channel::NORMAL.start + c] += by.normal[c];
             by_row[channel::ALBEDO.start + c] += by.albedo[c];
         }
         by_row[channel::METAL] += by.metal;
-        for (o, g) in by_row.iter_mut().skip(channel::VISIBILITY).zip(&by.visibility) {
-            *o += g;
+        by_row[channel::ROUGH] += by.rough;
+        if by_row.len() >= channel::VISIBILITY {
+            (0..3).for_each(|c| by_row[channel::INDIRECT.start + c] += by.indirect[c]);
+            by_row[channel::VISIBILITY..].iter_mut().zip(&by.visibility).for_each(|(o, g)| *o += g);
+        }
+        // The direction of view is that of the ray through the splat's place: it moves with nothing else.
+        let (direction, length) = normalise(to_mean);
+        let along: f32 = (0..3).map(|k| direction[k] * by.view[k]).sum();
+        for (axis, by_place) in by_mean.iter_mut().enumerate() {
+            let across: f32 =
+                (0..3).map(|k| (direction[k] * along - by.view[k]) * view.rotation[axis][k]).sum();
+            *by_place += across * splat.depth / (length * view.focal[axis]);
         }
     }
 
@@ -266,25 +312,6 @@ impl AttributeSource<'_> {
         }
         let by_mean = normalise_backward(radiance.direction, radiance.length, by_direction);
         (0..3).for_each(|k| geometry_gradient.mean[k] += by_mean[k]);
-    }
-}
-
-/// A Gaussian's full row of attributes as a surface seen along `to_mean` (mean minus eye).
-pub fn surface_of_row(row: &[f32], to_mean: [f32; 3]) -> Surface {
-    let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| row[r.start + k]);
-    let mut visibility = [0.0f32; MAX_COEFFICIENTS];
-    for (v, c) in visibility.iter_mut().zip(&row[channel::VISIBILITY..]) {
-        *v = *c;
-    }
-    Surface {
-        normal: triple(channel::NORMAL),
-        albedo: triple(channel::ALBEDO),
-        metal: row[channel::METAL],
-        rough: row[channel::ROUGH],
-        diffuse: triple(channel::DIFFUSE),
-        indirect: triple(channel::INDIRECT),
-        visibility,
-        view: normalise(to_mean).0.map(|v| -v),
     }
 }
 

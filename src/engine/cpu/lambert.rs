@@ -40,12 +40,6 @@ fn dot_padded(a: &[f32], b: &[f32]) -> f32 {
     sums[0]
 }
 
-/// The unit normal of a Gaussian turned to the camera, and the sign that turned it.
-fn facing(s: &Surface) -> ([f32; 3], f32) {
-    let sign = if dot3(s.normal, s.view) < 0.0 { -1.0 } else { 1.0 };
-    (s.normal.map(|v| sign * v), sign)
-}
-
 impl Shader<'_> {
     fn is_open(&self) -> bool {
         self.options.visibility == VisibilityForm::Off
@@ -73,21 +67,7 @@ impl Shader<'_> {
         (self.squash(raw), raw)
     }
 
-    /// Diffuse radiance of a Gaussian, seen from one side: its normal has unit length and is turned to the camera.
-    pub fn diffuse(&self, s: &Surface) -> [f32; 3] {
-        self.lambert(s, facing(s).0).radiance
-    }
-
-    /// Gradient by the surface from that by [`Self::diffuse`]; the tables' is added to `tables`.
-    pub fn diffuse_backward(&self, s: &Surface, g: [f32; 3], tables: &mut LightTables) -> SurfaceGradient {
-        let mut out = SurfaceGradient::zero();
-        let (normal, sign) = facing(s);
-        let by_normal = self.lambert_backward(s, &self.lambert(s, normal), g, tables, &mut out);
-        out.normal = by_normal.map(|v| sign * v);
-        out
-    }
-
-    /// The diffuse term of `s`, whose `diffuse` is gathered irradiance, for its unit `normal` turned to the camera.
+    /// The diffuse term of `s` for its unit `normal` turned to the camera.
     pub(super) fn lambert(&self, s: &Surface, normal: [f32; 3]) -> Lambert {
         // Four tabulated normals around n, each a dot product with the visibility coefficients.
         let taps = self.tables.diffuse_grid.lookup(normal);
@@ -107,7 +87,7 @@ impl Shader<'_> {
             if scalar && !self.is_open() { self.ambient_with_raw(&s.visibility, normal) } else { (1.0, 1.0) };
         let irradiance = irradiance_raw.map(|e| e.max(0.0) * ambient);
         let kd = (1.0 - s.metal) * INV_PI;
-        let radiance = std::array::from_fn(|c| s.albedo[c] * kd * (irradiance[c] + s.diffuse[c]));
+        let radiance = std::array::from_fn(|c| s.albedo[c] * kd * (irradiance[c] + s.gathered[c]));
         Lambert { radiance, normal, irradiance, irradiance_raw, tap_irradiance, taps, ambient, ambient_raw }
     }
 
@@ -125,11 +105,11 @@ impl Shader<'_> {
         let mut by_irradiance = [0.0f32; 3];
         let mut by_ambient = 0.0;
         for c in 0..3 {
-            let light = f.irradiance[c] + s.diffuse[c];
+            let light = f.irradiance[c] + s.gathered[c];
             out.albedo[c] += g[c] * kd * light;
             out.metal -= g[c] * s.albedo[c] * INV_PI * light;
             let by_light = g[c] * s.albedo[c] * kd;
-            out.diffuse[c] = by_light;
+            out.gathered[c] = by_light;
             if f.irradiance_raw[c] > 0.0 {
                 by_irradiance[c] = by_light * f.ambient;
                 by_ambient += by_light * f.irradiance_raw[c];

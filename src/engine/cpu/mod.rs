@@ -25,7 +25,7 @@ mod shadows;
 mod tiles;
 mod view;
 
-pub use attributes::{AttributeSource, softmax, surface_of_row};
+pub use attributes::{AttributeSource, softmax};
 pub use blend::TRANSMITTANCE_STOP;
 #[cfg(test)]
 pub use blend_backward::ROW_HEADER;

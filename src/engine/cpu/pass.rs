@@ -6,6 +6,7 @@ use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::blend::{BlendScratch, TileJob, blend_tile};
 use crate::engine::cpu::blend_backward::{BackwardScratch, ROW_HEADER, blend_tile_backward};
+use crate::engine::cpu::indirect::indirect_basis_backward;
 use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::mixture::MixtureScratch;
 use crate::engine::cpu::project::{Splat, SplatGradient, project, project_backward, rotation_backward};
@@ -13,7 +14,7 @@ use crate::engine::cpu::tiles::{TILE, TileLists};
 use crate::engine::cpu::view::View;
 use crate::engine::{Gradients, RowLayout, zeros};
 use crate::light::LightTables;
-use crate::scene::Field;
+use crate::scene::{Field, IndirectForm};
 
 /// Gaussians a task takes; fixed, so that sums come out the same for any number of threads.
 const CHUNK: usize = 512;
@@ -88,7 +89,7 @@ impl Pass {
     }
 
     /// Gradients of all parameters from that of the first `count` G-buffer channels, laid out as the G-buffer
-    /// with `stored` channels a pixel. What a light at the Gaussians gets is added to `by_tables`; `env_raw` is not touched.
+    /// with `stored` channels a pixel. What the light gets from Gaussians is added to `by_tables`; `env_raw` is not touched.
     pub fn backward(
         &self,
         source: &AttributeSource<'_>,
@@ -100,7 +101,8 @@ impl Pass {
         let width = ROW_HEADER + count;
         let mut summed = self.splat_gradients(by_gbuffer, stored, count);
         if let Some(by_tables) = by_tables {
-            self.diffuse_backward(source, &mut summed, width, by_tables);
+            self.light_backward(source, &mut summed, width, by_tables);
+            self.indirect_backward(source, &summed, width, by_tables);
         }
         let layout = RowLayout::differentiated(source.gaussians, count);
         let mut out = Gradients::laid_out(source.gaussians, layout, 0);
@@ -175,9 +177,9 @@ impl Pass {
         add(Field::OpacityLogit, &[by.opacity_logit]);
     }
 
-    /// Chain rule through the diffuse terms at the Gaussians, for rows of splat gradients of `width`: adds to them and
-    /// to `by_tables`.
-    pub(in crate::engine) fn diffuse_backward(
+    /// Chain rule through the light of the Gaussians, for rows of splat gradients of `width`: adds to them and to
+    /// `by_tables`.
+    pub(in crate::engine) fn light_backward(
         &self,
         source: &AttributeSource<'_>,
         summed: &mut [f32],
@@ -197,8 +199,8 @@ impl Pass {
                 let mut tables = by_tables.zeroed();
                 let rows = rows.chunks_exact(stored).zip(summed.chunks_exact_mut(width));
                 for (splat, (row, by_row)) in splats.iter().zip(rows) {
-                    let by_row = &mut by_row[ROW_HEADER..];
-                    source.diffuse_backward(&self.view, splat, row, by_row, &mut tables);
+                    let (header, by_row) = by_row.split_at_mut(ROW_HEADER);
+                    source.light_backward(&self.view, splat, row, (&mut header[..2], by_row), &mut tables);
                 }
                 tables
             })
@@ -206,23 +208,32 @@ impl Pass {
         partial.iter().for_each(|p| by_tables.accumulate(p));
     }
 
+    /// Adds the gradient of the light through `E_j` (Eq. 20), where indirect light is learned and differentiated: by
+    /// `E_j` it is the sum over Gaussians of weight x channel gradient.
+    fn indirect_backward(
+        &self,
+        source: &AttributeSource<'_>,
+        summed: &[f32],
+        width: usize,
+        by_tables: &mut LightTables,
+    ) {
+        let indirect = ROW_HEADER + channel::INDIRECT.start..ROW_HEADER + channel::INDIRECT.end;
+        if source.options.indirect != IndirectForm::Learned || width < indirect.end {
+            return;
+        }
+        let mut by_basis = [[0.0f32; 3]; 16];
+        for (splat, row) in self.splats.iter().zip(summed.chunks_exact(width)) {
+            let weights = source.gaussians.row(Field::Indirect, splat.gaussian as usize);
+            for (o, w) in by_basis.iter_mut().zip(weights) {
+                o.iter_mut().zip(&row[indirect.clone()]).for_each(|(o, g)| *o += w * g);
+            }
+        }
+        indirect_basis_backward(&by_basis, by_tables);
+    }
+
     /// The splats' own gradients by rank, summed over their tiles: mean, conic, opacity, pull, then `count` channels.
     pub fn splat_gradients(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
         self.sum_instances(&self.blend_backward(by_gbuffer, stored, count), ROW_HEADER + count)
-    }
-
-    /// Gradients of some attribute channels by rank, `[rank][channel in range]`.
-    pub fn channel_gradients(
-        &self,
-        by_gbuffer: &[f32],
-        stored: usize,
-        count: usize,
-        range: std::ops::Range<usize>,
-    ) -> Vec<f32> {
-        let width = ROW_HEADER + count;
-        let summed = self.splat_gradients(by_gbuffer, stored, count);
-        let wanted = ROW_HEADER + range.start..ROW_HEADER + range.end;
-        summed.chunks_exact(width).flat_map(|row| row[wanted.clone()].iter().copied()).collect()
     }
 
     fn blend_backward(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {

@@ -7,17 +7,17 @@ use crate::light::{
     BrdfLut, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Taps, level_position, sh_eval,
     sh_eval_with_gradient,
 };
-use crate::scene::{DiffuseAt, ShadingOptions, VisibilityForm};
+use crate::scene::{ShadingOptions, VisibilityForm};
 
 /// Most visibility coefficients (order 6, padded).
 pub const MAX_COEFFICIENTS: usize = 64;
 /// `c_00` of a field that is 1 everywhere.
 pub const FULLY_OPEN: f32 = 3.544_907_7;
 
-/// What a pixel is shaded from: attributes already divided by coverage.
+/// What a pixel or a Gaussian is shaded from; a pixel's attributes are already divided by coverage.
 #[derive(Debug, Clone, Copy)]
 pub struct Surface {
-    /// Blended normal, any length.
+    /// Normal, any length.
     pub normal: [f32; 3],
     /// Linear base colour.
     pub albedo: [f32; 3],
@@ -25,13 +25,13 @@ pub struct Surface {
     pub metal: f32,
     /// Roughness.
     pub rough: f32,
-    /// Gathered irradiance or, with [`DiffuseAt::Gaussian`], diffuse radiance.
-    pub diffuse: [f32; 3],
+    /// Irradiance gathered from other surfaces.
+    pub gathered: [f32; 3],
     /// Radiance where the environment is blocked.
     pub indirect: [f32; 3],
     /// Visibility coefficients, zero-padded.
     pub visibility: [f32; MAX_COEFFICIENTS],
-    /// Unit direction from the pixel to the camera.
+    /// Unit direction from the surface to the camera.
     pub view: [f32; 3],
 }
 
@@ -48,10 +48,12 @@ pub struct SurfaceGradient {
     pub rough: f32,
     /// By indirect radiance.
     pub indirect: [f32; 3],
-    /// By diffuse light.
-    pub diffuse: [f32; 3],
+    /// By gathered irradiance.
+    pub gathered: [f32; 3],
     /// By visibility coefficients.
     pub visibility: [f32; MAX_COEFFICIENTS],
+    /// By the direction to the camera.
+    pub view: [f32; 3],
 }
 
 impl SurfaceGradient {
@@ -62,13 +64,14 @@ impl SurfaceGradient {
             metal: 0.0,
             rough: 0.0,
             indirect: [0.0; 3],
-            diffuse: [0.0; 3],
+            gathered: [0.0; 3],
             visibility: [0.0; MAX_COEFFICIENTS],
+            view: [0.0; 3],
         }
     }
 }
 
-/// A shaded pixel and what its backward pass needs.
+/// A shaded surface and what its backward pass needs.
 #[derive(Debug, Clone, Copy)]
 pub struct Shaded {
     /// Diffuse radiance.
@@ -82,8 +85,7 @@ pub struct Shaded {
     nov_inside: bool,
     reflection: [f32; 3],
     reflection_length: f32,
-    /// The diffuse term, where it is found here.
-    lambert: Option<Lambert>,
+    lambert: Lambert,
     level: (usize, f32, f32),
     level_taps: [Taps<f32>; 2],
     level_value: [[f32; 3]; 2],
@@ -126,7 +128,7 @@ impl Shader<'_> {
         }
     }
 
-    /// Radiance leaving the pixel towards the camera.
+    /// Radiance leaving the surface towards the camera.
     pub fn shade(&self, s: &Surface) -> Shaded {
         let (mut normal, normal_length) = normalise(s.normal);
         let facing = dot3(normal, s.view);
@@ -138,8 +140,7 @@ impl Shader<'_> {
         let nov = nov_raw.clamp(1e-4, 1.0);
         let bent = std::array::from_fn(|k| 2.0 * nov * normal[k] - s.view[k]);
         let (reflection, reflection_length) = normalise(bent);
-        let lambert = (self.options.diffuse_at == DiffuseAt::Pixel).then(|| self.lambert(s, normal));
-        let diffuse = lambert.as_ref().map_or(s.diffuse, |f| f.radiance);
+        let lambert = self.lambert(s, normal);
         // Specular: split sum, visibility through the lobe.
         let (level, fraction, slope) = level_position(s.rough);
         let level_taps = [0, 1].map(|k| self.tables.specular_grids[level + k].lookup(reflection));
@@ -162,7 +163,7 @@ impl Shader<'_> {
             light * (f0 * lut.value[0] + lut.value[1])
         });
         Shaded {
-            diffuse,
+            diffuse: lambert.radiance,
             specular,
             normal,
             normal_length,
@@ -219,19 +220,17 @@ impl Shader<'_> {
         tables: &mut LightTables,
     ) -> SurfaceGradient {
         let mut out = SurfaceGradient::zero();
-        let mut by_normal = [0.0; 3];
-        match &f.lambert {
-            Some(lambert) => by_normal = self.lambert_backward(s, lambert, g, tables, &mut out),
-            None => out.diffuse = g,
-        }
+        let mut by_normal = self.lambert_backward(s, &f.lambert, g, tables, &mut out);
         let (by_nov, by_reflection) = self.specular_backward(s, f, g, tables, &mut out);
         // R = normalize(2 nov n - v), nov = n . v.
         let by_bent = normalise_backward(f.reflection, f.reflection_length, by_reflection);
         let by_nov = by_nov + 2.0 * dot3(by_bent, f.normal);
         for k in 0..3 {
             by_normal[k] += 2.0 * f.nov * by_bent[k];
+            out.view[k] = -by_bent[k];
             if f.nov_inside {
                 by_normal[k] += by_nov * s.view[k];
+                out.view[k] += by_nov * f.normal[k];
             }
         }
         if f.flipped {

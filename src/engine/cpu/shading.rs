@@ -10,7 +10,7 @@ use crate::engine::cpu::shade::{MAX_COEFFICIENTS, Shader, Surface};
 use crate::engine::cpu::tiles::TILE;
 use crate::engine::zeros;
 use crate::light::LightTables;
-use crate::scene::sh_count;
+use crate::scene::{ShadeAt, sh_count};
 
 /// Pixels of less coverage are not shaded.
 pub const LEAST_COVERAGE: f32 = 1e-3;
@@ -57,7 +57,7 @@ pub fn srgb_slope(x: f32) -> f32 {
     if x <= 0.003_130_8 { 12.92 } else { 1.055 / 2.4 * x.powf(1.0 / 2.4 - 1.0) }
 }
 
-/// The surface seen by pixel (`x`, `y`), or `None` where coverage is too small to shade.
+/// The surface seen by pixel (`x`, `y`) of an unlit pass, or `None` where coverage is too small to shade.
 pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
     let base = pass.locate(x, y, pass.channels.stored());
     let at = |c: usize| pass.gbuffer[base + c * LANES];
@@ -79,7 +79,7 @@ pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
         albedo: triple(channel::ALBEDO),
         metal: at(channel::METAL) * inverse,
         rough: at(channel::ROUGH) * inverse,
-        diffuse: triple(channel::DIFFUSE),
+        gathered: triple(channel::LIGHT),
         indirect: triple(channel::INDIRECT),
         visibility,
         view: ray.map(|v| -v),
@@ -87,7 +87,24 @@ pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
     Some((surface, coverage))
 }
 
+/// The light that was blended behind pixel (`x`, `y`) of a lit pass, or `None` where coverage is too small.
+fn blended_light(pass: &Pass, x: usize, y: usize) -> Option<[f32; 3]> {
+    let coverage = pass.at(x, y, channel::COVERAGE);
+    let light = || std::array::from_fn(|c| pass.at(x, y, channel::LIGHT.start + c) / coverage);
+    (coverage >= LEAST_COVERAGE).then(light)
+}
+
 impl Shader<'_> {
+    /// Linear radiance of a pixel, or `None` where coverage is too small to shade.
+    fn light_at(&self, pass: &Pass, x: usize, y: usize) -> Option<[f32; 3]> {
+        if self.options.shade_at == ShadeAt::Gaussian {
+            return blended_light(pass, x, y);
+        }
+        let (surface, _) = surface_at(pass, x, y)?;
+        let shaded = self.shade(&surface);
+        Some(std::array::from_fn(|c| shaded.diffuse[c] + shaded.specular[c]))
+    }
+
     /// Linear radiance to display, per channel.
     #[inline]
     pub fn display(&self, linear: f32) -> f32 {
@@ -104,25 +121,18 @@ impl Shader<'_> {
         if self.options.srgb { g * srgb_slope(linear.min(1.0)) } else { g }
     }
 
-    /// Shades every pixel of a full pass and composites both branches over `background`.
+    /// Shades every pixel of a pass (full or, where it is lit, with materials) and composites both branches over `background`.
     pub fn images(&self, pass: &Pass, background: [f32; 3]) -> BranchImages {
         let (w, h) = (pass.view.width, pass.view.height);
         let mut out = BranchImages { physical: vec![[0.0; 3]; w * h], radiance: vec![[0.0; 3]; w * h] };
         let rows = out.physical.par_chunks_mut(w).zip(out.radiance.par_chunks_mut(w)).enumerate();
         rows.for_each(|(y, (physical, radiance))| {
             for x in 0..w {
-                let coverage = pass.at(x, y, channel::COVERAGE);
                 radiance[x] = radiance_pixel(pass, x, y, background);
-                physical[x] = match surface_at(pass, x, y) {
-                    None => background.map(|b| b * (1.0 - coverage)),
-                    Some((surface, coverage)) => {
-                        let s = self.shade(&surface);
-                        std::array::from_fn(|c| {
-                            let shown = self.display(s.diffuse[c] + s.specular[c]);
-                            shown * coverage + background[c] * (1.0 - coverage)
-                        })
-                    }
-                };
+                let coverage = pass.at(x, y, channel::COVERAGE);
+                let shown =
+                    self.light_at(pass, x, y).map_or([0.0; 3], |light| light.map(|v| self.display(v)));
+                physical[x] = std::array::from_fn(|c| shown[c] * coverage + background[c] * (1.0 - coverage));
             }
         });
         out
@@ -189,17 +199,53 @@ impl Shader<'_> {
         out.add(channel::METAL, extra.metal);
         out.add(channel::ROUGH, extra.rough);
         let Some(g) = by_image else { return };
-        let Some((surface, coverage)) = surface_at(pass, x, y) else {
-            let by_coverage: f32 = (0..3).map(|c| -g[c] * background[c]).sum();
-            out.add(channel::COVERAGE, by_coverage);
-            return;
-        };
+        let coverage = pass.at(x, y, channel::COVERAGE);
+        let mut by_coverage: f32 = (0..3).map(|c| -g[c] * background[c]).sum();
+        if coverage >= LEAST_COVERAGE {
+            by_coverage += match self.options.shade_at {
+                ShadeAt::Gaussian => self.blended_backward(pass, (x, y), *g, out),
+                ShadeAt::Pixel => self.surface_backward(pass, (x, y), *g, out, tables),
+            };
+        }
+        out.add(channel::COVERAGE, by_coverage);
+    }
+
+    /// Chain rule through the display of light that was blended; returns the gradient by coverage.
+    fn blended_backward(
+        &self,
+        pass: &Pass,
+        (x, y): (usize, usize),
+        g: [f32; 3],
+        out: &mut PixelGradient<'_>,
+    ) -> f32 {
+        let Some(light) = blended_light(pass, x, y) else { return 0.0 };
+        let coverage = pass.at(x, y, channel::COVERAGE);
+        let mut by_coverage = 0.0;
+        for c in 0..3 {
+            // Light is a buffer divided by coverage, and the coverage it is multiplied by again is inside of `g`.
+            let by_light = self.display_backward(light[c], g[c] * coverage);
+            by_coverage += g[c] * self.display(light[c]) - by_light * light[c] / coverage;
+            out.add(channel::LIGHT.start + c, by_light / coverage);
+        }
+        by_coverage
+    }
+
+    /// Chain rule through the shading of a pixel's surface; returns the gradient by coverage.
+    fn surface_backward(
+        &self,
+        pass: &Pass,
+        (x, y): (usize, usize),
+        g: [f32; 3],
+        out: &mut PixelGradient<'_>,
+        tables: &mut LightTables,
+    ) -> f32 {
+        let Some((surface, coverage)) = surface_at(pass, x, y) else { return 0.0 };
         let shaded = self.shade(&surface);
         let mut by_linear = [0.0f32; 3];
         let mut by_coverage = 0.0;
         for c in 0..3 {
             let linear = shaded.diffuse[c] + shaded.specular[c];
-            by_coverage += g[c] * (self.display(linear) - background[c]);
+            by_coverage += g[c] * self.display(linear);
             by_linear[c] = self.display_backward(linear, g[c] * coverage);
         }
         let by = self.shade_backward(&surface, &shaded, by_linear, tables);
@@ -209,25 +255,25 @@ impl Shader<'_> {
         for k in 0..3 {
             along += by.normal[k] * surface.normal[k]
                 + by.albedo[k] * surface.albedo[k]
-                + by.diffuse[k] * surface.diffuse[k]
+                + by.gathered[k] * surface.gathered[k]
                 + by.indirect[k] * surface.indirect[k];
         }
         along += by.metal * surface.metal + by.rough * surface.rough;
         for j in 0..sh_count(self.order) {
             along += by.visibility[j] * surface.visibility[j];
         }
-        out.add(channel::COVERAGE, by_coverage - along * inverse);
         out.add_triple(channel::NORMAL, by.normal.map(|v| v * inverse));
         out.add_triple(channel::ALBEDO, by.albedo.map(|v| v * inverse));
         out.add(channel::METAL, by.metal * inverse);
         out.add(channel::ROUGH, by.rough * inverse);
-        out.add_triple(channel::DIFFUSE, by.diffuse.map(|v| v * inverse));
+        out.add_triple(channel::LIGHT, by.gathered.map(|v| v * inverse));
         if out.count > channel::VISIBILITY {
             out.add_triple(channel::INDIRECT, by.indirect.map(|v| v * inverse));
             for j in 0..out.count - channel::VISIBILITY {
                 out.add(channel::VISIBILITY + j, by.visibility[j] * inverse);
             }
         }
+        by_coverage - along * inverse
     }
 }
 

@@ -1,10 +1,9 @@
-//! From a G-buffer to the pictures that were asked for, and the preview tier's shading of Gaussians.
+//! From a G-buffer to the pictures that were asked for.
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::shading::{ShadeJob, by_coefficients};
-use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, SplatRecord, shaders, uniform};
+use crate::engine::gpu::{Buffer, Gpu, GpuError, Recorder, shaders, uniform};
 
 #[cfg(test)]
 mod tests;
@@ -124,25 +123,4 @@ impl Planes {
         let ranges = self.first.windows(2).map(|w| w[0]..w[1]);
         Ok(self.wanted.iter().zip(ranges).map(|(p, range)| (*p, values[range].to_vec())).collect())
     }
-}
-
-/// Shades every visible Gaussian's row of all channels into one group, coverage 1 and linear colour, to be blended.
-/// Rows of Gaussians that reach no tile are left as they are.
-///
-/// # Errors
-/// When there is no kernel for the number of visibility coefficients.
-pub fn shade_gaussians(
-    recorder: &mut Recorder<'_>,
-    job: &ShadeJob<'_>,
-    (model, params): (&LayoutUniform, &Buffer<f32>),
-    splats: &Buffer<SplatRecord>,
-    attributes: &Buffer<[f32; 4]>,
-    colours: &Buffer<[f32; 4]>,
-) -> Result<(), GpuError> {
-    use shaders::*;
-    let all = [&PREVIEW_1, &PREVIEW_4, &PREVIEW_9, &PREVIEW_16, &PREVIEW_25, &PREVIEW_36, &PREVIEW_49];
-    let shader = by_coefficients(job.n_visibility, all)?;
-    let rest = vec![uniform(model), params.into(), splats.into(), attributes.into(), colours.into()];
-    job.dispatch(recorder, shader, Groups::Linear(model.n as usize), rest);
-    Ok(())
 }

@@ -35,7 +35,7 @@ pub use device::{Gpu, GpuOptions};
 pub use error::GpuError;
 pub use gather::{GatherSource, gather};
 pub use probes::{ProbeBuffers, Probes};
-pub use raster::{LightGradients, Raster, RasterCounts};
+pub use raster::{Raster, RasterCounts};
 pub use recorder::{Bind, Groups, Recorder, StageTime, uniform};
 pub use scan::{Scan, grow};
 pub use sort::{Pairs, Sorter};

@@ -19,8 +19,6 @@ mod light;
 #[cfg(test)]
 mod tests;
 
-pub use light::LightGradients;
-
 /// A pixel whose transmittance is below this is left early (as [`crate::engine::cpu::TRANSMITTANCE_STOP`]).
 const EARLY_STOP: f32 = crate::engine::cpu::TRANSMITTANCE_STOP;
 /// Where blending ends without early stop: what lies behind adds less than the last digit of anything, and

@@ -4,9 +4,10 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::engine::channel::Channels;
 use crate::engine::gpu::light::{Constants, LightBuffers};
+use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::shaders::{self, Shader};
 use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, ViewUniform, uniform};
-use crate::scene::{DiffuseAt, DiffuseForm, ShadingOptions, VisibilityForm};
+use crate::scene::{DiffuseForm, ShadeAt, ShadingOptions, VisibilityForm};
 
 #[cfg(test)]
 pub(super) mod tests;
@@ -22,7 +23,7 @@ pub struct ShadingUniform {
     /// 0 `AmbientOcclusion`, 1 `Directional`.
     pub diffuse_form: u32,
     /// 0 `Pixel`, 1 `Gaussian`.
-    pub diffuse_at: u32,
+    pub shade_at: u32,
     /// 1: images are compared through the sRGB curve.
     pub srgb: u32,
 }
@@ -42,17 +43,12 @@ impl ShadingUniform {
                 DiffuseForm::AmbientOcclusion => 0,
                 DiffuseForm::Directional => 1,
             },
-            diffuse_at: match options.diffuse_at {
-                DiffuseAt::Pixel => 0,
-                DiffuseAt::Gaussian => 1,
+            shade_at: match options.shade_at {
+                ShadeAt::Pixel => 0,
+                ShadeAt::Gaussian => 1,
             },
             srgb: u32::from(options.srgb),
         }
-    }
-
-    /// Whether the diffuse term is found at the Gaussians.
-    pub fn is_diffuse_at_gaussians(&self) -> bool {
-        self.diffuse_at == 1
     }
 }
 
@@ -62,15 +58,23 @@ impl ShadingUniform {
 struct CompositeUniform {
     background: [f32; 4],
     n_pixels: u32,
-    pad_a: u32,
-    pad_b: u32,
-    pad_c: u32,
+    /// 1: images are compared through the sRGB curve.
+    srgb: u32,
+    /// Groups of the G-buffer gradient of a lit pass.
+    n_groups: u32,
+    pad: u32,
 }
 
 impl CompositeUniform {
+    /// For the radiance branch alone.
     fn new(view: &ViewUniform, [r, g, b]: [f32; 3]) -> Self {
         let background = [r, g, b, 0.0];
-        Self { background, n_pixels: view.n_pixels, pad_a: 0, pad_b: 0, pad_c: 0 }
+        Self { background, n_pixels: view.n_pixels, srgb: 0, n_groups: 0, pad: 0 }
+    }
+
+    fn lit(job: &ShadeJob<'_>, n_groups: u32) -> Self {
+        let ShadingUniform { background, srgb, .. } = *job.shading;
+        Self { background, n_pixels: job.view.n_pixels, srgb, n_groups, pad: 0 }
     }
 }
 
@@ -226,6 +230,35 @@ pub fn shade_backward(
     ];
     job.dispatch(recorder, shader, job.tiles(), rest);
     Ok(())
+}
+
+/// Both branches of a pass of lit Gaussians, composited over the background.
+pub fn show_lit(
+    recorder: &mut Recorder<'_>,
+    job: &ShadeJob<'_>,
+    gbuffer: &Buffer<[f32; 4]>,
+    images: &Images,
+) {
+    let composite = CompositeUniform::lit(job, 0);
+    let bindings =
+        [uniform(&composite), gbuffer.into(), (&images.physical).into(), (&images.radiance).into()];
+    recorder.dispatch(&shaders::LIT, Groups::Linear(job.view.pixels()), &bindings);
+}
+
+/// Backward of [`show_lit`]: gradients of the G-buffer, of as many groups as were blended; none of the light tables, which
+/// get theirs at the Gaussians.
+pub fn show_lit_backward(recorder: &mut Recorder<'_>, job: &ShadeJob<'_>, gradients: &ShadeGradients<'_>) {
+    let n_groups = if gradients.all_channels { groups(Channels::Full(job.n_visibility)) } else { 4 };
+    let composite = CompositeUniform::lit(job, n_groups as u32);
+    let bindings = [
+        uniform(&composite),
+        gradients.gbuffer.into(),
+        (&gradients.by_images.physical).into(),
+        (&gradients.by_images.radiance).into(),
+        gradients.by_buffers.into(),
+        gradients.by_gbuffer.into(),
+    ];
+    recorder.dispatch(&shaders::LIT_BACKWARD, Groups::Linear(job.view.pixels()), &bindings);
 }
 
 /// The radiance branch alone, for passes that carry no material.

@@ -15,14 +15,12 @@ use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::scan::grow;
 use crate::engine::gpu::shading::{
     Images, ShadeGradients, ShadeJob, ShadingUniform, radiance_image, radiance_image_backward, shade,
-    shade_backward,
+    shade_backward, show_lit, show_lit_backward,
 };
 use crate::engine::gpu::update::{STATUS_WORDS, StepInput, Sums, Updater, Upstream};
-use crate::engine::gpu::{
-    AttributeBuffers, Buffer, Gpu, GpuError, LightGradients, Raster, Recorder, ViewUniform,
-};
+use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, Recorder, ViewUniform};
 use crate::light::EnvOperators;
-use crate::scene::{IndirectForm, ShadingOptions};
+use crate::scene::{IndirectForm, ShadeAt, ShadingOptions};
 
 mod state;
 mod step;
@@ -177,21 +175,21 @@ impl Training {
         let by_gbuffer =
             grow(&gpu, "gradient of the G-buffer", &mut self.by_gbuffer, groups * view.pixels())?;
         let canvas = self.canvas(view.pixels())?;
-        let is_full = matches!(step.channels, Channels::Full(_));
-        if is_full {
+        let is_material = is_shaded(step.channels);
+        if is_material {
             self.light.apply(&mut recorder, &self.model, &step.weights.light, &self.losses);
         }
         self.picture(&mut recorder, step, &view, &canvas)?;
         self.raster.blend_backward(&mut recorder, &by_gbuffer, groups)?;
         self.light_backward(&mut recorder, step, &view)?;
-        self.update(&mut recorder, step, &view, groups, is_full)?;
+        self.update(&mut recorder, step, &view, groups, is_material)?;
         // The status rides in the last slot, which no term has: one read is one round trip less.
         recorder.copy(&self.status.cast(), 0, &self.losses, step::STATUS_SLOT, 1);
         recorder.submit()?;
         let sums = gpu.read(&self.losses, 0..LOSS_SLOTS)?;
         let poisoned = sums[step::STATUS_SLOT].to_bits() != 0;
         let loss = step::objective(&sums, &step.weights);
-        let leading = if is_full { LossSlot::PhysicalSquared } else { LossSlot::RadianceSquared };
+        let leading = if is_material { LossSlot::PhysicalSquared } else { LossSlot::RadianceSquared };
         Ok(StepSums { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned })
     }
 
@@ -214,17 +212,21 @@ impl Training {
         view: &ViewUniform,
         canvas: &Canvas,
     ) -> Result<(), GpuError> {
-        let source = AttributeBuffers {
-            params: &self.model.params,
-            globals: &self.model.globals,
-            gathered: self.measured.gathered.as_ref(),
-            indirect_basis: Some(&self.light.light.indirect_basis),
-        };
+        let source = attribute_buffers(&self.model, &self.measured, &self.light);
         let shading = ShadingUniform::new(&self.options, step.background);
-        let full = shade_job(step.channels, view, &shading, (&self.light, &self.constants));
+        let (light, constants) = (&self.light.light, &self.constants);
+        let n_visibility = self.model.layout.n_visibility as usize;
+        let job = is_shaded(step.channels).then_some(ShadeJob {
+            view,
+            shading: &shading,
+            n_visibility,
+            light,
+            constants,
+        });
+        let is_lit = self.options.shade_at == ShadeAt::Gaussian;
         self.raster.attributes(recorder, step.channels, &source)?;
-        if let Some(job) = &full {
-            self.raster.light(recorder, job, &self.model.params)?;
+        if let Some(job) = job.as_ref().filter(|_| is_lit) {
+            self.raster.light(recorder, job, step.channels, &source)?;
         }
         self.raster.blend(recorder, step.channels, true)?;
         let (Some(gbuffer), Some(by_gbuffer)) = (&self.raster.gbuffer, &self.by_gbuffer) else {
@@ -232,7 +234,8 @@ impl Training {
         };
         let weights = &step.weights;
         recorder.stage("shade");
-        match &full {
+        match &job {
+            Some(job) if is_lit => show_lit(recorder, job, gbuffer, &canvas.images),
             Some(job) => shade(recorder, job, gbuffer, &canvas.images)?,
             None => radiance_image(recorder, view, step.background, gbuffer, &canvas.images.radiance),
         }
@@ -246,7 +249,7 @@ impl Training {
             ssim: weights.ssim,
             partials: &canvas.partials,
         };
-        if full.is_some() {
+        if job.is_some() {
             let physical = term(&canvas.images.physical, &weights.physical, LossSlot::PhysicalL1);
             physical.record(recorder, &canvas.by_images.physical, &self.losses);
         }
@@ -261,19 +264,17 @@ impl Training {
             view.pixels() as u64 * 16 * (seen + carried + 4),
             view.pixels() as u64 * (600 + 4 * 3 * 4 * 4 * seen.saturating_sub(5)),
         );
-        match &full {
-            Some(job) => shade_backward(
-                recorder,
-                job,
-                &ShadeGradients {
-                    gbuffer,
-                    by_images: &canvas.by_images,
-                    by_buffers: &canvas.by_buffers,
-                    by_gbuffer,
-                    by_tables: &self.light.tables_gradient,
-                    all_channels: matches!(step.differentiated, Channels::Full(_)),
-                },
-            )?,
+        let gradients = ShadeGradients {
+            gbuffer,
+            by_images: &canvas.by_images,
+            by_buffers: &canvas.by_buffers,
+            by_gbuffer,
+            by_tables: &self.light.tables_gradient,
+            all_channels: matches!(step.differentiated, Channels::Full(_)),
+        };
+        match &job {
+            Some(job) if is_lit => show_lit_backward(recorder, job, &gradients),
+            Some(job) => shade_backward(recorder, job, &gradients)?,
             None => radiance_image_backward(
                 recorder,
                 view,
@@ -287,23 +288,25 @@ impl Training {
         Ok(())
     }
 
-    /// From the diffuse radiance of the Gaussians to what it is made of.
+    /// From the light of the Gaussians to what it is made of.
     fn light_backward(
         &self,
         recorder: &mut Recorder<'_>,
         step: &Step<'_>,
         view: &ViewUniform,
     ) -> Result<(), GpuError> {
-        let shading = ShadingUniform::new(&self.options, step.background);
-        let Some(job) = shade_job(step.channels, view, &shading, (&self.light, &self.constants)) else {
+        if self.options.shade_at != ShadeAt::Gaussian || !is_shaded(step.channels) {
             return Ok(());
+        }
+        let job = ShadeJob {
+            view,
+            shading: &ShadingUniform::new(&self.options, step.background),
+            n_visibility: self.model.layout.n_visibility as usize,
+            light: &self.light.light,
+            constants: &self.constants,
         };
-        let to = LightGradients {
-            gathered: self.measured.gathered.as_ref(),
-            by_tables: &self.light.tables_gradient,
-            all_channels: matches!(step.differentiated, Channels::Full(_)),
-        };
-        self.raster.light_backward(recorder, &job, &self.model.params, &to)
+        let source = attribute_buffers(&self.model, &self.measured, &self.light);
+        self.raster.light_backward(recorder, &job, step.channels, &source, &self.light.tables_gradient)
     }
 
     /// From the splats' gradients to new parameters.
@@ -313,7 +316,7 @@ impl Training {
         step: &Step<'_>,
         view: &ViewUniform,
         groups: usize,
-        is_full: bool,
+        is_material: bool,
     ) -> Result<(), GpuError> {
         let terms = step.weights.parameters;
         if terms.view_labels != 0.0 {
@@ -322,7 +325,7 @@ impl Training {
         let (Some(splats), Some(gradients)) = (&self.raster.splats, &self.raster.splat_gradients) else {
             return Err(GpuError::Internal("a way back without splats".to_owned()));
         };
-        let learned = is_full && self.options.indirect == IndirectForm::Learned;
+        let learned = is_material && self.options.indirect == IndirectForm::Learned;
         let basis = (&self.light.light.indirect_basis, &self.light.basis_gradient);
         let sums = Sums {
             globals_gradient: &self.globals_gradient,
@@ -345,7 +348,7 @@ impl Training {
             terms,
         };
         self.updater.step(recorder, &input, &step.rates, step.ages);
-        if is_full {
+        if is_material {
             let weights = &step.weights.light;
             self.light.backward(recorder, &self.model, weights, learned, &self.globals_gradient);
             self.updater.step_globals(recorder, &self.model, &sums, &step.rates, step.ages);
@@ -461,13 +464,20 @@ impl Training {
     }
 }
 
-/// How a pass over all channels is shaded; `None` for fewer.
-fn shade_job<'a>(
-    channels: Channels,
-    view: &'a ViewUniform,
-    shading: &'a ShadingUniform,
-    (light, constants): (&'a TrainingLight, &'a Constants),
-) -> Option<ShadeJob<'a>> {
-    let Channels::Full(n_visibility) = channels else { return None };
-    Some(ShadeJob { view, shading, n_visibility, light: &light.light, constants })
+/// Whether a pass shows the physically based branch.
+fn is_shaded(channels: Channels) -> bool {
+    matches!(channels, Channels::Material | Channels::Full(_))
+}
+
+fn attribute_buffers<'a>(
+    model: &'a ModelBuffers,
+    measured: &'a Measured,
+    light: &'a TrainingLight,
+) -> AttributeBuffers<'a> {
+    AttributeBuffers {
+        params: &model.params,
+        globals: &model.globals,
+        gathered: measured.gathered.as_ref(),
+        indirect_basis: Some(&light.light.indirect_basis),
+    }
 }

@@ -14,10 +14,10 @@ pub struct Attributes<'t> {
     pub plane: Var<'t>,
     /// Colour of the radiance branch, display-referred, (N, 3).
     pub radiance: Var<'t>,
-    /// Irradiance gathered from other Gaussians or, with [`DiffuseAt::Gaussian`](crate::scene::DiffuseAt), diffuse
-    /// radiance, (N, 3).
-    pub diffuse: Var<'t>,
-    /// Radiance that comes from blocked directions, (N, 3).
+    /// Irradiance gathered from other Gaussians or, with [`ShadeAt::Gaussian`](crate::scene::ShadeAt), the radiance that
+    /// leaves for the camera, (N, 3).
+    pub light: Var<'t>,
+    /// Radiance that comes from blocked directions or the specular part of what leaves, (N, 3).
     pub indirect: Var<'t>,
 }
 
@@ -39,9 +39,9 @@ pub struct GBuffer<'t> {
     pub rough: Var<'t>,
     /// Colour of the radiance branch, *not* divided by coverage, (P, 3).
     pub radiance: Var<'t>,
-    /// Diffuse light, (P, 3).
-    pub diffuse: Var<'t>,
-    /// Light that comes from blocked directions, (P, 3).
+    /// As [`Attributes::light`], (P, 3).
+    pub light: Var<'t>,
+    /// As [`Attributes::indirect`], (P, 3).
     pub indirect: Var<'t>,
     /// Visibility SH coefficients, (P, (L + 1)^2).
     pub visibility: Var<'t>,
@@ -70,7 +70,7 @@ pub fn blend<'t>(
         metal: mean(p.get(Field::MetalLogit).sigmoid()),
         rough: mean(p.get(Field::RoughLogit).sigmoid()),
         radiance: sums(attributes.radiance),
-        diffuse: mean(attributes.diffuse),
+        light: mean(attributes.light),
         indirect: mean(attributes.indirect),
         visibility: mean(p.get(Field::Visibility)),
     }

@@ -35,13 +35,13 @@ pub use probes::Probes;
 pub use projection::{GuardBand, NEAR, Splats};
 pub use quadrature::{LitQuadrature, Quadrature};
 pub use scene::{Arrays, ENVIRONMENT, PROTOTYPES, Parameters, Scene, SceneError, parameter_names};
-pub use shading::Shaded;
+pub use shading::{Shaded, Surfaces};
 pub use spherical::{CLAMPED_COSINE, fibonacci_sphere, normal_related_sh, real_sh};
 pub use tables::{LitTables, Tables};
 pub use tape::{Gradients, Tape, Var};
 
 use crate::scene::{
-    Camera, DiffuseAt, DiffuseForm, Field, IndirectForm, NormalForm, ShadingOptions, VisibilityForm,
+    Camera, DiffuseForm, Field, IndirectForm, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
 };
 
 /// Which set of small choices is followed where the article's listing and docs/MODEL.md differ.
@@ -138,7 +138,7 @@ impl Options {
         let shading = ShadingOptions {
             visibility: VisibilityForm::Sigmoid,
             diffuse: DiffuseForm::AmbientOcclusion,
-            diffuse_at: DiffuseAt::Pixel,
+            shade_at: ShadeAt::Pixel,
             normal: NormalForm::Free,
             indirect: IndirectForm::Learned,
             low_pass_compensation: false,
@@ -196,7 +196,7 @@ pub fn forward<'t>(tape: &'t Tape, scene: &Scene, camera: &Camera, options: &Opt
     let light = light(tape, p, options);
     let attributes = attributes(tape, p, camera, &*light, options);
     let buffer = gbuffer::blend(p, &splats, &weights, &attributes);
-    let shaded = shading::shade(tape, &buffer, camera, &*light, shading);
+    let shaded = shading::pixels(tape, &buffer, camera, &*light, shading);
 
     let background = tape.input(Array::from_rows(&[options.background])) * (1.0 - buffer.coverage);
     let radiance = shaded.diffuse + shaded.specular;
@@ -237,18 +237,26 @@ fn attributes<'t>(
         }
         _ => (black(), black()),
     };
-    let diffuse = match options.shading.diffuse_at {
-        DiffuseAt::Pixel => gathered,
-        DiffuseAt::Gaussian => {
-            let towards = outward.normalised() * -1.0;
-            let base = p.albedo() * (1.0 - p.get(Field::MetalLogit).sigmoid());
-            let facing = shading::facing(tape, normal, towards);
-            shading::diffuse(base, facing, p.get(Field::Visibility), gathered, light, &options.shading)
+    let (light, indirect) = match options.shading.shade_at {
+        ShadeAt::Pixel => (gathered, indirect),
+        ShadeAt::Gaussian => {
+            let surfaces = Surfaces {
+                normal,
+                albedo: p.albedo(),
+                metal: p.get(Field::MetalLogit).sigmoid(),
+                rough: p.get(Field::RoughLogit).sigmoid(),
+                gathered,
+                indirect,
+                visibility: p.get(Field::Visibility),
+                view: outward.normalised() * -1.0,
+            };
+            let shaded = shading::shade(tape, &surfaces, light, &options.shading);
+            (shaded.diffuse + shaded.specular, shaded.specular)
         }
     };
     let plane = normal.dot(outward);
     let radiance = attributes::radiance(tape, p, camera);
-    Attributes { normal, plane, radiance, diffuse, indirect }
+    Attributes { normal, plane, radiance, light, indirect }
 }
 
 /// A rendered view by channel name, each (P, C): `image radiance normal albedo metal rough ao coverage depth

@@ -1,4 +1,5 @@
-//! Split-sum shading: each pixel once, from the G-buffer, the diffuse term there or at each Gaussian before (Eq. 16-22, docs/MODEL.md section 4).
+//! Split-sum shading of pixels, from the G-buffer, or of each Gaussian before it is blended (Eq. 16-22, docs/MODEL.md
+//! section 4).
 
 use std::f64::consts::PI;
 
@@ -10,9 +11,9 @@ use super::scene::Parameters;
 use super::spherical::{degrees, fibonacci_sphere, normal_related_sh, order_of, real_sh};
 use super::tape::{Tape, Var};
 use crate::light::LobeAttenuation;
-use crate::scene::{Camera, DiffuseAt, DiffuseForm, Field, ShadingOptions, VisibilityForm};
+use crate::scene::{Camera, DiffuseForm, Field, ShadeAt, ShadingOptions, VisibilityForm};
 
-/// What shading makes of P pixels.
+/// What shading makes of P pixels or Gaussians.
 pub struct Shaded<'t> {
     /// Unit normals turned to the camera, (P, 3).
     pub normal: Var<'t>,
@@ -35,60 +36,89 @@ pub fn learned_indirect<'t>(tape: &'t Tape, p: &Parameters<'t>, light: &dyn Ligh
     p.get(Field::Indirect).matmul(basis)
 }
 
-/// Shades the G-buffer seen by `camera`.
-pub fn shade<'t>(
+/// What is shaded: P pixels or Gaussians.
+pub struct Surfaces<'t> {
+    /// Normal of any length, (P, 3).
+    pub normal: Var<'t>,
+    /// Albedo, (P, 3).
+    pub albedo: Var<'t>,
+    /// Metalness, (P, 1).
+    pub metal: Var<'t>,
+    /// Roughness, (P, 1).
+    pub rough: Var<'t>,
+    /// Irradiance gathered from other surfaces, (P, 3).
+    pub gathered: Var<'t>,
+    /// Radiance that comes from blocked directions, (P, 3).
+    pub indirect: Var<'t>,
+    /// Visibility SH coefficients, (P, (L + 1)^2).
+    pub visibility: Var<'t>,
+    /// Unit direction to the camera, (P, 3).
+    pub view: Var<'t>,
+}
+
+impl<'t> Surfaces<'t> {
+    /// What is behind the pixels of a G-buffer seen by `camera`.
+    pub fn behind(tape: &'t Tape, buffer: &GBuffer<'t>, camera: &Camera) -> Self {
+        Self {
+            normal: buffer.normal,
+            albedo: buffer.albedo,
+            metal: buffer.metal,
+            rough: buffer.rough,
+            gathered: buffer.light,
+            indirect: buffer.indirect,
+            visibility: buffer.visibility,
+            view: tape.input(view_vectors(camera)),
+        }
+    }
+}
+
+/// The G-buffer seen by `camera` as what its pixels send.
+pub fn pixels<'t>(
     tape: &'t Tape,
     buffer: &GBuffer<'t>,
     camera: &Camera,
     light: &dyn Lighting<'t>,
     options: &ShadingOptions,
 ) -> Shaded<'t> {
-    let view = tape.input(view_vectors(camera));
-    let normal = facing(tape, buffer.normal, view);
-    let n_dot_v = normal.dot(view).clamp(1e-4, 1.0);
-    let reflection = (2.0 * n_dot_v * normal - view).normalised();
-
-    let visibility = visibility(buffer.visibility, options.visibility);
-    let ambient_occlusion = ambient_occlusion(normal, visibility, options.visibility);
-    let diffuse = match options.diffuse_at {
-        DiffuseAt::Gaussian => buffer.diffuse,
-        DiffuseAt::Pixel => {
-            let base = buffer.albedo * (1.0 - buffer.metal);
-            diffuse(base, normal, visibility, buffer.diffuse, light, options)
+    let shaded = shade(tape, &Surfaces::behind(tape, buffer, camera), light, options);
+    match options.shade_at {
+        ShadeAt::Pixel => shaded,
+        ShadeAt::Gaussian => {
+            Shaded { diffuse: buffer.light - buffer.indirect, specular: buffer.indirect, ..shaded }
         }
-    };
+    }
+}
 
-    let mirrored = lobe_visibility(visibility, reflection, buffer.rough, options.visibility);
-    let f0 = 0.04 * (1.0 - buffer.metal) + buffer.albedo * buffer.metal;
-    let split = light.brdf(n_dot_v, buffer.rough);
-    let prefiltered = light.prefiltered(reflection, buffer.rough);
-    let incoming = mirrored * prefiltered + (1.0 - mirrored) * buffer.indirect;
+/// Shades surfaces, pixels or Gaussians.
+pub fn shade<'t>(
+    tape: &'t Tape,
+    s: &Surfaces<'t>,
+    light: &dyn Lighting<'t>,
+    options: &ShadingOptions,
+) -> Shaded<'t> {
+    let normal = facing(tape, s.normal, s.view);
+    let n_dot_v = normal.dot(s.view).clamp(1e-4, 1.0);
+    let reflection = (2.0 * n_dot_v * normal - s.view).normalised();
+
+    let visibility = visibility(s.visibility, options.visibility);
+    let ambient_occlusion = ambient_occlusion(normal, visibility, options.visibility);
+    let irradiance = match options.diffuse {
+        DiffuseForm::AmbientOcclusion => ambient_occlusion * light.irradiance(normal),
+        DiffuseForm::Directional => light.transfer(normal, visibility).at_least(0.0),
+    };
+    let diffuse = s.albedo * (1.0 - s.metal) * (1.0 / PI) * (irradiance + s.gathered);
+
+    let mirrored = lobe_visibility(visibility, reflection, s.rough, options.visibility);
+    let f0 = 0.04 * (1.0 - s.metal) + s.albedo * s.metal;
+    let split = light.brdf(n_dot_v, s.rough);
+    let prefiltered = light.prefiltered(reflection, s.rough);
+    let incoming = mirrored * prefiltered + (1.0 - mirrored) * s.indirect;
     let specular = incoming * (f0 * split.column(0) + split.column(1));
     Shaded { normal, ambient_occlusion, diffuse, specular }
 }
 
-/// Diffuse radiance (Eq. 21 or DESIGN 4.2) of surfaces of base colour `base` times non-metalness, unit normals turned to the
-/// camera and gathered irradiance.
-pub fn diffuse<'t>(
-    base: Var<'t>,
-    normal: Var<'t>,
-    coefficients: Var<'t>,
-    gathered: Var<'t>,
-    light: &dyn Lighting<'t>,
-    options: &ShadingOptions,
-) -> Var<'t> {
-    let visibility = visibility(coefficients, options.visibility);
-    let irradiance = match options.diffuse {
-        DiffuseForm::AmbientOcclusion => {
-            ambient_occlusion(normal, visibility, options.visibility) * light.irradiance(normal)
-        }
-        DiffuseForm::Directional => light.transfer(normal, visibility).at_least(0.0),
-    };
-    base * (1.0 / PI) * (irradiance + gathered)
-}
-
 /// `normals`, unit or not, at unit length and turned towards `view`.
-pub fn facing<'t>(tape: &'t Tape, normals: Var<'t>, view: Var<'t>) -> Var<'t> {
+fn facing<'t>(tape: &'t Tape, normals: Var<'t>, view: Var<'t>) -> Var<'t> {
     let normals = normals.normalised();
     let sign = normals.dot(view).value().map(|c| if c < 0.0 { -1.0 } else { 1.0 });
     normals * tape.input(sign)

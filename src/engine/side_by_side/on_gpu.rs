@@ -6,13 +6,15 @@ use crate::engine::gpu::light::{Constants, LightWeights, TrainingLight};
 use crate::engine::gpu::losses::LOSS_SLOTS;
 use crate::engine::gpu::model::{ModelBuffers, from_planar};
 use crate::engine::gpu::raster::groups;
-use crate::engine::gpu::shading::{Images, ShadeGradients, ShadeJob, ShadingUniform, shade, shade_backward};
+use crate::engine::gpu::shading::{
+    Images, ShadeGradients, ShadeJob, ShadingUniform, shade, shade_backward, show_lit, show_lit_backward,
+};
 use crate::engine::gpu::update::{ParameterTerms, STATUS_WORDS, StepInput, Sums, Updater, Upstream};
-use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, LightGradients, Raster, ViewUniform};
+use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUniform};
 use crate::engine::reference::Array;
 use crate::engine::side_by_side::on_cpu::shared;
 use crate::engine::side_by_side::{Answer, Question, SplatSeen};
-use crate::scene::Field;
+use crate::scene::{Field, ShadeAt};
 
 /// Buffers of one answer.
 struct Canvas {
@@ -97,10 +99,12 @@ pub fn by_gpu(gpu: &Gpu, question: &Question<'_>) -> Result<Answer, GpuError> {
     let job =
         ShadeJob { view: &view, shading: &shading, n_visibility, light: &light.light, constants: &constants };
     raster.attributes(&mut recorder, channels, &source)?;
-    raster.light(&mut recorder, &job, &buffers.params)?;
+    let is_lit = options.shade_at == ShadeAt::Gaussian;
+    if is_lit {
+        raster.light(&mut recorder, &job, channels, &source)?;
+    }
     raster.blend(&mut recorder, channels, false)?;
     let gbuffer = raster.gbuffer.clone().ok_or_else(|| missing("G-buffer"))?;
-    shade(&mut recorder, &job, &gbuffer, &canvas.images)?;
     let gradients = ShadeGradients {
         gbuffer: &gbuffer,
         by_images: &canvas.by_images,
@@ -109,11 +113,17 @@ pub fn by_gpu(gpu: &Gpu, question: &Question<'_>) -> Result<Answer, GpuError> {
         by_tables: &light.tables_gradient,
         all_channels: true,
     };
-    shade_backward(&mut recorder, &job, &gradients)?;
+    if is_lit {
+        show_lit(&mut recorder, &job, &gbuffer, &canvas.images);
+        show_lit_backward(&mut recorder, &job, &gradients);
+    } else {
+        shade(&mut recorder, &job, &gbuffer, &canvas.images)?;
+        shade_backward(&mut recorder, &job, &gradients)?;
+    }
     raster.blend_backward(&mut recorder, &canvas.by_gbuffer, groups(channels))?;
-    let to =
-        LightGradients { gathered: gathered.as_ref(), by_tables: &light.tables_gradient, all_channels: true };
-    raster.light_backward(&mut recorder, &job, &buffers.params, &to)?;
+    if is_lit {
+        raster.light_backward(&mut recorder, &job, channels, &source, &light.tables_gradient)?;
+    }
     let upstream = Upstream {
         view: &view,
         splats: raster.splats.as_ref().ok_or_else(|| missing("splats"))?,

@@ -2,18 +2,13 @@
 
 use super::*;
 use crate::engine::channel;
-use crate::engine::cpu::{self, Pass, Shader, linear_from_srgb, normalise, surface_at, surface_of_row};
+use crate::engine::cpu::{self, Pass, Shader, linear_from_srgb, normalise, surface_at};
 use crate::engine::gpu::ViewUniform;
 use crate::engine::gpu::light::{Constants, LightBuffers};
-use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::shading::ShadingUniform;
-use crate::engine::gpu::shading::tests::{
-    Noise, camera_view, error, planar_gbuffer, random_pass, random_tables,
-};
-use crate::scene::{
-    DiffuseAt, DiffuseForm, Field, Gaussians, Model, ShadingOptions, VisibilityForm, sh_count,
-};
+use crate::engine::gpu::shading::tests::{Noise, error, planar_gbuffer, random_pass, random_tables};
+use crate::scene::{DiffuseForm, ShadeAt, ShadingOptions, VisibilityForm};
 
 const ALL: [Plane; 11] = [
     Plane::Rgb,
@@ -40,15 +35,21 @@ fn expected(pass: &Pass, shader: &Shader<'_>, plane: Plane, x: usize, y: usize) 
         let nothing = if plane == Plane::Depth { f32::INFINITY } else { 0.0 };
         return vec![nothing; plane.channels()];
     };
-    let f = shader.shade(&s);
+    let (diffuse, specular): ([f32; 3], [f32; 3]) = match shader.options.shade_at {
+        ShadeAt::Pixel => {
+            let f = shader.shade(&s);
+            (f.diffuse, f.specular)
+        }
+        ShadeAt::Gaussian => (std::array::from_fn(|c| s.gathered[c] - s.indirect[c]), s.indirect),
+    };
     let (unit, length) = normalise(s.normal);
     let facing: f32 = (0..3).map(|k| unit[k] * s.view[k]).sum();
     let normal = if facing < 0.0 { unit.map(|v| -v) } else { unit };
     let premultiplied = |v: [f32; 3]| v.map(|v| v * coverage).to_vec();
     match plane {
-        Plane::Rgb => premultiplied(std::array::from_fn(|c| f.diffuse[c] + f.specular[c])),
-        Plane::Diffuse => premultiplied(f.diffuse),
-        Plane::Specular => premultiplied(f.specular),
+        Plane::Rgb => premultiplied(std::array::from_fn(|c| diffuse[c] + specular[c])),
+        Plane::Diffuse => premultiplied(diffuse),
+        Plane::Specular => premultiplied(specular),
         Plane::Albedo => s.albedo.to_vec(),
         Plane::Normal if length > cpu::LEAST_COVERAGE => normal.to_vec(),
         Plane::Normal => vec![0.0; 3],
@@ -104,13 +105,13 @@ fn plane_error(found: &[f32], host: &[f32]) -> f32 {
 fn every_picture_is_what_the_cpu_engine_gives() {
     let Some(gpu) = Gpu::for_tests() else { return };
     let forms = [
-        (VisibilityForm::Linear, DiffuseForm::Directional, DiffuseAt::Pixel),
-        (VisibilityForm::Linear, DiffuseForm::Directional, DiffuseAt::Gaussian),
-        (VisibilityForm::Sigmoid, DiffuseForm::AmbientOcclusion, DiffuseAt::Pixel),
-        (VisibilityForm::Off, DiffuseForm::Directional, DiffuseAt::Pixel),
+        (VisibilityForm::Linear, DiffuseForm::Directional, ShadeAt::Pixel),
+        (VisibilityForm::Linear, DiffuseForm::Directional, ShadeAt::Gaussian),
+        (VisibilityForm::Sigmoid, DiffuseForm::AmbientOcclusion, ShadeAt::Pixel),
+        (VisibilityForm::Off, DiffuseForm::Directional, ShadeAt::Pixel),
     ];
-    for (seed, (visibility, diffuse, diffuse_at)) in forms.into_iter().enumerate() {
-        let options = ShadingOptions { visibility, diffuse, diffuse_at, ..ShadingOptions::default() };
+    for (seed, (visibility, diffuse, shade_at)) in forms.into_iter().enumerate() {
+        let options = ShadingOptions { visibility, diffuse, shade_at, ..ShadingOptions::default() };
         let (found, host) = developed(&gpu, seed as u64, &options, &ALL);
         for (plane, (found, host)) in ALL.iter().zip(found.iter().zip(&host)) {
             let seen = plane_error(found, host);
@@ -139,76 +140,6 @@ fn planes_that_were_not_asked_for_change_nothing_in_those_that_were() {
             assert_eq!(bits(found), bits(&all[*plane as usize]), "{plane:?}");
         }
     }
-}
-
-#[test]
-fn gaussians_are_shaded_as_the_preview_tier_does() {
-    let Some(gpu) = Gpu::for_tests() else { return };
-    let (options, order, n) = (ShadingOptions::default(), 2, 300);
-    let mut noise = Noise::new(6);
-    let tables = random_tables(&mut noise, order);
-    let shader = Shader { tables: &tables, options: &options, order };
-    let mut gaussians = Gaussians::zeroed(n, 2, order, 0);
-    gaussians.field_mut(Field::Mean).iter_mut().for_each(|v| *v = noise.between(-1.0, 1.0));
-    let model = Model {
-        gaussians,
-        prototypes: vec![[0.5; 3]; 2],
-        env_raw: vec![[0.0; 3]; 2],
-        env_width: 2,
-        env_height: 1,
-        shading: options,
-        world_scale: 1.0,
-        world_offset: glam::DVec3::ZERO,
-        card: serde_json::Value::Null,
-    };
-    let groups = 8;
-    let rows: Vec<[f32; 4]> = (0..n * groups)
-        .map(|i| if i % groups < 5 { noise.rgb(0.0, 1.0) } else { noise.rgb(-0.4, 0.9) })
-        .map(|v| [v[0], v[1], v[2], 0.5 * v[0] + 0.2])
-        .collect();
-    // Every fifth reaches no tile, every seventh is not visible at all.
-    let record = |i: usize| SplatRecord {
-        n_tiles: u32::from(!i.is_multiple_of(5)),
-        flags: u32::from(!i.is_multiple_of(7)),
-        ..SplatRecord::zeroed()
-    };
-    let view = camera_view((16, 16), &options);
-    let uniform = ViewUniform::new(&view);
-    let light = LightBuffers::upload(&gpu, &tables, order, &[[0.0; 3]; 16]).unwrap();
-    let (constants, shading) = (Constants::upload(&gpu).unwrap(), ShadingUniform::new(&options, [0.0; 3]));
-    let buffers = ModelBuffers::upload(&gpu, &model).unwrap();
-    let splats = gpu.upload("splats", &(0..n).map(record).collect::<Vec<_>>()).unwrap();
-    let attributes = gpu.upload("attributes", &rows).unwrap();
-    let colours = gpu.upload("colours", &vec![[-7.0f32; 4]; n]).unwrap();
-    let n_visibility = sh_count(order);
-    let job =
-        ShadeJob { view: &uniform, shading: &shading, n_visibility, light: &light, constants: &constants };
-    let mut recorder = gpu.record();
-    shade_gaussians(&mut recorder, &job, (&buffers.layout, &buffers.params), &splats, &attributes, &colours)
-        .unwrap();
-    recorder.submit().unwrap();
-    let found: Vec<[f32; 4]> = gpu.read(&colours, 0..n).unwrap();
-    let host: Vec<[f32; 4]> = (0..n)
-        .map(|i| {
-            if i % 5 == 0 || i % 7 == 0 {
-                return [-7.0; 4];
-            }
-            let mean: [f32; 3] = model.gaussians.get(Field::Mean, i);
-            let row = rows[i * groups..(i + 1) * groups].as_flattened();
-            let f = shader.shade(&surface_of_row(row, std::array::from_fn(|k| mean[k] - view.eye[k])));
-            [1.0, f.diffuse[0] + f.specular[0], f.diffuse[1] + f.specular[1], f.diffuse[2] + f.specular[2]]
-        })
-        .collect();
-    let seen = error(found.as_flattened(), host.as_flattened());
-    assert!(seen < 1e-5, "{seen}");
-    let turned: Vec<f32> = (0..n)
-        .flat_map(|i| {
-            let row = rows[i * groups..(i + 1) * groups].as_flattened();
-            shader.shade(&surface_of_row(row, [0.0, -0.1, -1.0])).specular
-        })
-        .collect();
-    let plain: Vec<f32> = found.iter().flat_map(|p| [p[1], p[2], p[3]]).collect();
-    assert!(error(&plain, &turned) > 1e-2, "the control: another direction of view shows");
 }
 
 #[test]

@@ -1,27 +1,19 @@
-//! The diffuse term at each Gaussian on the device (`DiffuseAt::Gaussian`), forward and backward.
+//! The light of each Gaussian on the device, forward and backward.
 
+use crate::engine::channel::Channels;
 use crate::engine::gpu::raster::{Raster, available};
-use crate::engine::gpu::shaders;
+use crate::engine::gpu::shaders::{self, Shader};
 use crate::engine::gpu::shading::{ShadeJob, by_coefficients};
-use crate::engine::gpu::{Buffer, GpuError, Groups, Recorder, uniform};
+use crate::engine::gpu::{AttributeBuffers, Bind, Buffer, GpuError, Groups, Recorder, uniform};
 
 /// Coefficients behind four taps of three colours, multiplied and added forward; about twice that on the way back.
 const OPERATIONS_A_COEFFICIENT: u64 = 24;
-
-/// What [`Raster::light_backward`] is given and where it writes, besides the rasteriser's own buffers.
-#[derive(Debug, Clone, Copy)]
-pub struct LightGradients<'a> {
-    /// Gathered light that went into the attributes.
-    pub gathered: Option<&'a Buffer<f32>>,
-    /// Added to: gradient by the light tables, laid out as they are.
-    pub by_tables: &'a Buffer<f32>,
-    /// Whether the splat gradients are of all channels, not only those of `Material`.
-    pub all_channels: bool,
-}
+/// The rest of a surface's shading.
+const OPERATIONS_A_SURFACE: u64 = 600;
 
 impl Raster {
-    /// Turns the gathered irradiance in the rows of all channels into diffuse radiance under `job`'s light, for models
-    /// whose diffuse term is found at the Gaussians; nothing for others. After [`Raster::attributes`].
+    /// Shades every Gaussian under `job`'s light: into the rows of `channels`, materials or all, that
+    /// [`Raster::attributes`] made of `source`.
     ///
     /// # Errors
     /// [`GpuError::Internal`] without attributes, or when there is no kernel for the number of visibility coefficients.
@@ -29,35 +21,67 @@ impl Raster {
         &self,
         rec: &mut Recorder<'_>,
         job: &ShadeJob<'_>,
-        params: &Buffer<f32>,
+        channels: Channels,
+        source: &AttributeBuffers<'_>,
+    ) -> Result<(), GpuError> {
+        rec.stage("light");
+        let attributes = available(&self.attributes, "attributes")?;
+        self.shade_rows(
+            rec,
+            job,
+            forward_shader(job.n_visibility, channels)?,
+            source,
+            vec![attributes.into()],
+        )
+    }
+
+    /// Shades every Gaussian, whose rows are of materials, into a row of coverage and linear colour of `colours`. Rows of
+    /// Gaussians that reach no tile are left as they are.
+    ///
+    /// # Errors
+    /// As [`Raster::light`].
+    pub fn light_colours(
+        &self,
+        rec: &mut Recorder<'_>,
+        job: &ShadeJob<'_>,
+        source: &AttributeBuffers<'_>,
+        colours: &Buffer<[f32; 4]>,
     ) -> Result<(), GpuError> {
         use shaders::*;
-        if !job.shading.is_diffuse_at_gaussians() {
-            return Ok(());
-        }
-        rec.stage("diffuse");
+        rec.stage("light");
         let all = [
-            &LIGHT_GAUSSIANS_1,
-            &LIGHT_GAUSSIANS_4,
-            &LIGHT_GAUSSIANS_9,
-            &LIGHT_GAUSSIANS_16,
-            &LIGHT_GAUSSIANS_25,
-            &LIGHT_GAUSSIANS_36,
-            &LIGHT_GAUSSIANS_49,
+            &LIGHT_COLOURS_1,
+            &LIGHT_COLOURS_4,
+            &LIGHT_COLOURS_9,
+            &LIGHT_COLOURS_16,
+            &LIGHT_COLOURS_25,
+            &LIGHT_COLOURS_36,
+            &LIGHT_COLOURS_49,
         ];
         let shader = by_coefficients(job.n_visibility, all)?;
+        let attributes = available(&self.attributes, "attributes")?;
+        self.shade_rows(rec, job, shader, source, vec![attributes.into(), colours.into()])
+    }
+
+    fn shade_rows(
+        &self,
+        rec: &mut Recorder<'_>,
+        job: &ShadeJob<'_>,
+        shader: &'static Shader,
+        source: &AttributeBuffers<'_>,
+        rest: Vec<Bind<'_>>,
+    ) -> Result<(), GpuError> {
         let p = self.prepared()?;
-        let (splats, attributes) =
-            (available(&self.splats, "splats")?, available(&self.attributes, "attributes")?);
         let (n, width) = (u64::from(p.model.n), job.n_visibility as u64);
-        rec.work(n * 16 * (6 + width / 4), n * OPERATIONS_A_COEFFICIENT * width);
-        let rest = vec![uniform(&p.model), params.into(), splats.into(), attributes.into()];
-        job.dispatch(rec, shader, Groups::Linear(p.model.n as usize), rest);
+        rec.work(n * 4 * (34 + width), n * (OPERATIONS_A_SURFACE + OPERATIONS_A_COEFFICIENT * width));
+        let mut bindings = self.light_bindings(source)?;
+        bindings.extend(rest);
+        job.dispatch(rec, shader, Groups::Linear(p.model.n as usize), bindings);
         Ok(())
     }
 
-    /// The way back through [`Raster::light`], after [`Raster::blend_backward`]: adds to the splat gradients and to the
-    /// gradient by the tables.
+    /// The way back through [`Raster::light`] of rows of `channels`, after [`Raster::blend_backward`] of all of them: adds
+    /// to the splat gradients and to `by_tables`, the gradient by the light tables, laid out as they are.
     ///
     /// # Errors
     /// [`GpuError::Internal`] when nothing was blended backward, or as [`Raster::light`].
@@ -65,35 +89,67 @@ impl Raster {
         &self,
         rec: &mut Recorder<'_>,
         job: &ShadeJob<'_>,
-        params: &Buffer<f32>,
-        to: &LightGradients<'_>,
+        channels: Channels,
+        source: &AttributeBuffers<'_>,
+        by_tables: &Buffer<f32>,
     ) -> Result<(), GpuError> {
-        if !job.shading.is_diffuse_at_gaussians() {
-            return Ok(());
-        }
-        rec.stage("diffuse backward");
-        let shader = backward_shader(job.n_visibility, to.all_channels)?;
+        rec.stage("light backward");
+        let shader = backward_shader(job.n_visibility, channels)?;
         let p = self.prepared()?;
         let (n, width) = (u64::from(p.model.n), job.n_visibility as u64);
-        rec.work(n * 16 * (12 + width / 4), n * 2 * OPERATIONS_A_COEFFICIENT * width);
-        let rest = vec![
-            uniform(&p.model),
-            params.into(),
-            available(&self.splats, "splats")?.into(),
+        rec.work(n * 4 * (66 + width), n * 2 * (OPERATIONS_A_SURFACE + OPERATIONS_A_COEFFICIENT * width));
+        let mut bindings = self.light_bindings(source)?;
+        bindings.extend([
             available(&self.attributes, "attributes")?.into(),
-            to.gathered.unwrap_or(&self.nothing).into(),
             available(&self.splat_gradients, "splat gradients")?.into(),
-            to.by_tables.into(),
-        ];
-        job.dispatch(rec, shader, Groups::Linear(p.model.n as usize), rest);
+            by_tables.into(),
+        ]);
+        job.dispatch(rec, shader, Groups::Linear(p.model.n as usize), bindings);
         Ok(())
+    }
+
+    /// What a Gaussian's surface is made of, but for its row.
+    fn light_bindings<'a>(&'a self, source: &AttributeBuffers<'a>) -> Result<Vec<Bind<'a>>, GpuError> {
+        let p = self.prepared()?;
+        Ok(vec![
+            uniform(&p.model),
+            source.params.into(),
+            available(&self.splats, "splats")?.into(),
+            source.gathered.unwrap_or(&self.nothing).into(),
+            source.indirect_basis.unwrap_or(&self.nothing).into(),
+        ])
     }
 }
 
-fn backward_shader(n_visibility: usize, all_channels: bool) -> Result<&'static shaders::Shader, GpuError> {
+fn forward_shader(n_visibility: usize, channels: Channels) -> Result<&'static Shader, GpuError> {
     use shaders::*;
-    let all = if all_channels {
-        [
+    let all = match channels {
+        Channels::Full(_) => [
+            &LIGHT_GAUSSIANS_ALL_1,
+            &LIGHT_GAUSSIANS_ALL_4,
+            &LIGHT_GAUSSIANS_ALL_9,
+            &LIGHT_GAUSSIANS_ALL_16,
+            &LIGHT_GAUSSIANS_ALL_25,
+            &LIGHT_GAUSSIANS_ALL_36,
+            &LIGHT_GAUSSIANS_ALL_49,
+        ],
+        _ => [
+            &LIGHT_GAUSSIANS_1,
+            &LIGHT_GAUSSIANS_4,
+            &LIGHT_GAUSSIANS_9,
+            &LIGHT_GAUSSIANS_16,
+            &LIGHT_GAUSSIANS_25,
+            &LIGHT_GAUSSIANS_36,
+            &LIGHT_GAUSSIANS_49,
+        ],
+    };
+    by_coefficients(n_visibility, all)
+}
+
+fn backward_shader(n_visibility: usize, channels: Channels) -> Result<&'static Shader, GpuError> {
+    use shaders::*;
+    let all = match channels {
+        Channels::Full(_) => [
             &LIGHT_GAUSSIANS_ALL_BACKWARD_1,
             &LIGHT_GAUSSIANS_ALL_BACKWARD_4,
             &LIGHT_GAUSSIANS_ALL_BACKWARD_9,
@@ -101,9 +157,8 @@ fn backward_shader(n_visibility: usize, all_channels: bool) -> Result<&'static s
             &LIGHT_GAUSSIANS_ALL_BACKWARD_25,
             &LIGHT_GAUSSIANS_ALL_BACKWARD_36,
             &LIGHT_GAUSSIANS_ALL_BACKWARD_49,
-        ]
-    } else {
-        [
+        ],
+        _ => [
             &LIGHT_GAUSSIANS_BACKWARD_1,
             &LIGHT_GAUSSIANS_BACKWARD_4,
             &LIGHT_GAUSSIANS_BACKWARD_9,
@@ -111,7 +166,7 @@ fn backward_shader(n_visibility: usize, all_channels: bool) -> Result<&'static s
             &LIGHT_GAUSSIANS_BACKWARD_25,
             &LIGHT_GAUSSIANS_BACKWARD_36,
             &LIGHT_GAUSSIANS_BACKWARD_49,
-        ]
+        ],
     };
     by_coefficients(n_visibility, all)
 }

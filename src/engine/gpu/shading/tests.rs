@@ -189,7 +189,6 @@ impl Case {
             constants: &constants,
         };
         let mut recorder = gpu.record();
-        shade(&mut recorder, &job, &gbuffer, &images).unwrap();
         recorder.clear(&by_tables);
         let gradients = ShadeGradients {
             gbuffer: &gbuffer,
@@ -199,7 +198,16 @@ impl Case {
             by_tables: &by_tables,
             all_channels: all,
         };
-        shade_backward(&mut recorder, &job, &gradients).unwrap();
+        match self.options.shade_at {
+            ShadeAt::Pixel => {
+                shade(&mut recorder, &job, &gbuffer, &images).unwrap();
+                shade_backward(&mut recorder, &job, &gradients).unwrap();
+            }
+            ShadeAt::Gaussian => {
+                show_lit(&mut recorder, &job, &gbuffer, &images);
+                show_lit_backward(&mut recorder, &job, &gradients);
+            }
+        }
         recorder.submit().unwrap();
         Results {
             images: [&images.physical, &images.radiance].map(|b| gpu.read(b, 0..n).unwrap()),
@@ -236,9 +244,9 @@ fn forms() -> Vec<ShadingOptions> {
     let mut out = Vec::new();
     for visibility in [VisibilityForm::Linear, VisibilityForm::Sigmoid, VisibilityForm::Off] {
         for diffuse in [DiffuseForm::Directional, DiffuseForm::AmbientOcclusion] {
-            for diffuse_at in [DiffuseAt::Pixel, DiffuseAt::Gaussian] {
+            for shade_at in [ShadeAt::Pixel, ShadeAt::Gaussian] {
                 let srgb = diffuse == DiffuseForm::Directional;
-                out.push(ShadingOptions { visibility, diffuse, diffuse_at, srgb, ..Default::default() });
+                out.push(ShadingOptions { visibility, diffuse, shade_at, srgb, ..Default::default() });
             }
         }
     }
@@ -247,7 +255,7 @@ fn forms() -> Vec<ShadingOptions> {
 
 /// The form whose pixels have all to find.
 fn deferred() -> ShadingOptions {
-    ShadingOptions { diffuse_at: DiffuseAt::Pixel, ..Default::default() }
+    ShadingOptions { shade_at: ShadeAt::Pixel, ..Default::default() }
 }
 
 /// Errors of images, G-buffer gradient and table gradient of one case.
@@ -388,6 +396,7 @@ fn the_radiance_branch_alone_is_that_of_the_cpu_engine() {
 #[test]
 fn uniforms_are_laid_out_as_the_shaders_read_them() {
     assert_layout!(ShadingUniform as "Shading" in shaders::SHADE_1; background, visibility_form, diffuse_form,
-        diffuse_at, srgb);
-    assert_layout!(CompositeUniform as "Composite" in shaders::RADIANCE; background, n_pixels, pad_a, pad_b, pad_c);
+        shade_at, srgb);
+    assert_layout!(CompositeUniform as "Composite" in shaders::RADIANCE; background, n_pixels, srgb,
+        n_groups, pad);
 }

@@ -1,6 +1,7 @@
 //! Gradients of splats and backward labels.
 
 use super::*;
+use crate::engine::cpu::ROW_HEADER;
 use crate::engine::cpu::backward_labels;
 
 /// A random gradient by the first `count` channels, `[pixel][stored]`; every seventh pixel has none.
@@ -120,7 +121,10 @@ fn gradients_match_the_cpu() {
     let by = random_gradient(&scene.view, count, 3);
     let got = device_rows(&mut raster, &by, n);
     let by = for_cpu(&pass, &scene.view, &by);
-    let by_channel = pass.channel_gradients(&by, 16, count, 0..count);
+    let width = ROW_HEADER + count;
+    let summed = pass.splat_gradients(&by, 16, count);
+    let by_channel: Vec<f32> =
+        summed.chunks_exact(width).flat_map(|row| row[ROW_HEADER..].to_vec()).collect();
     let rows = pass.backward(&scene.source(), &by, 16, count, None);
     let scale = by_channel.iter().fold(0.0f32, |m, v| m.max(v.abs()));
     for (splat, expected) in pass.splats.iter().zip(by_channel.chunks_exact(count)) {

@@ -1,19 +1,19 @@
-//! The diffuse term at the Gaussians, against the CPU engine.
+//! The light of each Gaussian, against the CPU engine.
 
 use super::*;
-use crate::engine::channel::DIFFUSE;
+use crate::engine::channel::{INDIRECT, LIGHT};
 use crate::engine::cpu::{ROW_HEADER, Shader as CpuShader};
 use crate::engine::gpu::light::{Constants, LightBuffers, flat};
 use crate::engine::gpu::shading::tests::{Noise, error, random_tables};
 use crate::engine::gpu::shading::{ShadeJob, ShadingUniform};
 use crate::light::LightTables;
-use crate::scene::{DiffuseAt, DiffuseForm, VisibilityForm, sh_count};
+use crate::scene::{DiffuseForm, IndirectForm, VisibilityForm, sh_count};
 
 /// What both directions give, by Gaussian that is drawn.
 struct Found {
-    /// Diffuse channels of the attributes.
+    /// Light that is blended and, with all channels, its specular part.
     radiance: Vec<f32>,
-    /// Gradients by the differentiated channels.
+    /// Gradients by the splat's place and by the channels.
     rows: Vec<f32>,
     /// Gradient by the tables.
     by_tables: Vec<f32>,
@@ -34,8 +34,8 @@ struct Case {
     scene: Scene,
     order: usize,
     tables: LightTables,
-    /// Channels of the way back.
-    differentiated: Channels,
+    /// Channels of both ways.
+    channels: Channels,
 }
 
 impl Case {
@@ -43,18 +43,14 @@ impl Case {
         // More than one workgroup, the last one not full.
         let scene = Scene::random(seed, 300, (37, 21), order).with_options(options);
         let tables = random_tables(&mut Noise::new(seed), order);
-        let differentiated = if all { Channels::Full(sh_count(order)) } else { Channels::Material };
-        Self { scene, order, tables, differentiated }
+        let channels = if all { Channels::Full(sh_count(order)) } else { Channels::Material };
+        Self { scene, order, tables, channels }
     }
 
-    fn full(&self) -> Channels {
-        Channels::Full(sh_count(self.order))
-    }
-
-    /// A gradient of noise by every pixel's differentiated channels, `[pixel][stored]`.
+    /// A gradient of noise by every pixel's channels, `[pixel][stored]`.
     fn by_gbuffer(&self) -> Vec<Vec<f32>> {
         let mut noise = Noise::new(17);
-        let channels = self.differentiated;
+        let channels = self.channels;
         let mut row = || {
             (0..channels.stored())
                 .map(|c| if c < channels.count() { noise.between(-0.5, 0.5) } else { 0.0 })
@@ -66,39 +62,34 @@ impl Case {
     fn on_cpu(&self, drawn: &[usize]) -> Found {
         let shader = CpuShader { tables: &self.tables, options: &self.scene.options, order: self.order };
         let source = self.scene.source().under(shader);
-        let pass = Pass::forward(&source, self.scene.view, self.full(), false);
-        let (count, stored) = (self.differentiated.count(), self.differentiated.stored());
+        let pass = Pass::forward(&source, self.scene.view, self.channels, false);
+        let (count, stored) = (self.channels.count(), self.channels.stored());
         let by = backward::for_cpu(&pass, &self.scene.view, &self.by_gbuffer());
         let width = ROW_HEADER + count;
         let mut rows = pass.splat_gradients(&by, stored, count);
         let mut by_tables = self.tables.zeroed();
-        pass.diffuse_backward(&source, &mut rows, width, &mut by_tables);
+        pass.light_backward(&source, &mut rows, width, &mut by_tables);
         let rank = |i: &usize| pass.splats.iter().position(|s| s.gaussian as usize == *i).unwrap();
         let ranks: Vec<usize> = drawn.iter().map(rank).collect();
-        let carried = self.full().stored();
-        let radiance = |rank: &usize| {
-            DIFFUSE.map({
-                let first = rank * carried;
-                move |c| first + c
-            })
+        let light = |rank: &usize| self.light_of(&pass.attributes[rank * stored..]);
+        let row = |rank: &usize| {
+            let row = &rows[rank * width..(rank + 1) * width];
+            [&row[..2], &row[ROW_HEADER..]].concat()
         };
         Found {
-            radiance: ranks.iter().flat_map(radiance).map(|at| pass.attributes[at]).collect(),
-            rows: ranks.iter().flat_map(|r| rows[r * width + ROW_HEADER..(r + 1) * width].to_vec()).collect(),
+            radiance: ranks.iter().flat_map(light).collect(),
+            rows: ranks.iter().flat_map(row).collect(),
             by_tables: flat(&by_tables),
         }
     }
 
-    /// Gaussians that reach a tile, and what the device finds for them.
-    fn on_gpu(&self, raster: &mut Raster) -> (Vec<usize>, Found) {
-        let (gpu, n) = (raster.gpu.clone(), self.scene.gaussians.len());
-        self.scene.gpu(raster, self.full(), false);
+    /// Calls `f` with the light and the model in device memory.
+    fn with_job(&self, gpu: &Gpu, f: impl FnOnce(&ShadeJob<'_>, &AttributeBuffers<'_>)) {
         let params = gpu.upload("params", &planar(&self.scene.gaussians)).unwrap();
         let gathered = gpu.upload("gathered", self.scene.gathered.as_flattened()).unwrap();
-        let light = LightBuffers::upload(&gpu, &self.tables, self.order, &[[0.0; 3]; 16]).unwrap();
-        let constants = Constants::upload(&gpu).unwrap();
-        let by_tables = gpu.buffer("by tables", light.layout.floats()).unwrap();
-        let by = gpu.upload("by", &backward::planes(&self.by_gbuffer())).unwrap();
+        let basis = gpu.upload("basis", self.scene.basis.as_flattened()).unwrap();
+        let light = LightBuffers::upload(gpu, &self.tables, self.order, &[[0.0; 3]; 16]).unwrap();
+        let constants = Constants::upload(gpu).unwrap();
         let (view, shading) =
             (ViewUniform::new(&self.scene.view), ShadingUniform::new(&self.scene.options, [0.0; 3]));
         let job = ShadeJob {
@@ -108,32 +99,55 @@ impl Case {
             light: &light,
             constants: &constants,
         };
-        let mut rec = gpu.record();
-        raster.light(&mut rec, &job, &params).unwrap();
-        raster.blend(&mut rec, self.full(), false).unwrap();
-        let groups = groups(self.differentiated);
-        raster.blend_backward(&mut rec, &by, groups).unwrap();
-        rec.clear(&by_tables);
-        let to = LightGradients {
+        let source = AttributeBuffers {
+            params: &params,
+            globals: &params,
             gathered: (!self.scene.gathered.is_empty()).then_some(&gathered),
-            by_tables: &by_tables,
-            all_channels: self.differentiated == self.full(),
+            indirect_basis: Some(&basis),
         };
-        raster.light_backward(&mut rec, &job, &params, &to).unwrap();
-        rec.submit().unwrap();
+        f(&job, &source);
+    }
+
+    /// Gaussians that reach a tile, and what the device finds for them.
+    fn on_gpu(&self, raster: &mut Raster) -> (Vec<usize>, Found) {
+        let (gpu, n, groups) = (raster.gpu.clone(), self.scene.gaussians.len(), groups(self.channels));
+        self.scene.gpu(raster, self.channels, false);
+        let floats = flat(&self.tables).len();
+        let by_tables = gpu.buffer("by tables", floats).unwrap();
+        let by = gpu.upload("by", &backward::planes(&self.by_gbuffer())).unwrap();
+        self.with_job(&gpu, |job, source| {
+            let mut rec = gpu.record();
+            raster.light(&mut rec, job, self.channels, source).unwrap();
+            raster.blend(&mut rec, self.channels, false).unwrap();
+            raster.blend_backward(&mut rec, &by, groups).unwrap();
+            rec.clear(&by_tables);
+            raster.light_backward(&mut rec, job, self.channels, source, &by_tables).unwrap();
+            rec.submit().unwrap();
+        });
         let splats = gpu.read(raster.splats.as_ref().unwrap(), 0..n).unwrap();
         let drawn: Vec<usize> = (0..n).filter(|i| splats[*i].flags == 1 && splats[*i].n_tiles > 0).collect();
-        let carried = self.full().stored() / 4;
-        let attributes = gpu.read(raster.attributes.as_ref().unwrap(), 0..n * carried).unwrap();
+        let attributes = gpu.read(raster.attributes.as_ref().unwrap(), 0..n * groups).unwrap();
         let width = GRADIENT_HEADER + 4 * groups;
         let rows = gpu.read(raster.splat_gradients.as_ref().unwrap(), 0..n * width).unwrap();
-        let count = self.differentiated.count();
+        let light = |i: &usize| self.light_of(attributes[i * groups..(i + 1) * groups].as_flattened());
+        let row = |i: &usize| {
+            let row = &rows[i * width..(i + 1) * width];
+            [&row[..2], &row[GRADIENT_HEADER..GRADIENT_HEADER + self.channels.count()]].concat()
+        };
         let found = Found {
-            radiance: drawn.iter().flat_map(|i| attributes[i * carried + 3][1..].to_vec()).collect(),
-            rows: drawn.iter().flat_map(|i| rows[i * width + GRADIENT_HEADER..][..count].to_vec()).collect(),
-            by_tables: gpu.read(&by_tables, 0..by_tables.len()).unwrap(),
+            radiance: drawn.iter().flat_map(light).collect(),
+            rows: drawn.iter().flat_map(row).collect(),
+            by_tables: gpu.read(&by_tables, 0..floats).unwrap(),
         };
         (drawn, found)
+    }
+
+    /// What a Gaussian's row of attributes has of light.
+    fn light_of(&self, row: &[f32]) -> Vec<f32> {
+        match self.channels {
+            Channels::Full(_) => [&row[LIGHT], &row[INDIRECT]].concat(),
+            _ => row[LIGHT].to_vec(),
+        }
     }
 
     fn errors(&self, raster: &mut Raster) -> [f32; 3] {
@@ -162,6 +176,34 @@ fn every_form_lights_the_gaussians_as_the_cpu_engine_does() {
             }
         }
     }
+    for indirect in [IndirectForm::Learned, IndirectForm::Off] {
+        let options = ShadingOptions { indirect, ..ShadingOptions::default() };
+        assert_small(Case::new(5, 2, options, true).errors(&mut raster), &format!("{indirect:?}"));
+    }
+}
+
+#[test]
+fn colours_alone_are_the_light_of_the_rows() {
+    let Some(gpu) = Gpu::for_tests() else { return };
+    let mut raster = Raster::new(&gpu).unwrap();
+    let case = Case::new(9, 2, ShadingOptions::default(), false);
+    let (drawn, found) = case.on_gpu(&mut raster);
+    let n = case.scene.gaussians.len();
+    let colours = gpu.upload("colours", &vec![[-7.0f32; 4]; n]).unwrap();
+    case.with_job(&gpu, |job, source| {
+        let mut rec = gpu.record();
+        raster.light_colours(&mut rec, job, source, &colours).unwrap();
+        rec.submit().unwrap();
+    });
+    let colours = gpu.read(&colours, 0..n).unwrap();
+    let light: Vec<f32> = drawn.iter().flat_map(|i| colours[*i][1..].to_vec()).collect();
+    assert!(error(&light, &found.radiance) < 1e-6);
+    assert!(drawn.iter().all(|i| colours[*i][0] == 1.0));
+    let others = (0..n).filter(|i| !drawn.contains(i));
+    assert!(others.map(|i| colours[i]).all(|c| c == [-7.0; 4]), "what is not drawn is left alone");
+    let (_, other) = Case::new(10, 2, ShadingOptions::default(), false).on_gpu(&mut raster);
+    let common = light.len().min(other.radiance.len());
+    assert!(error(&light[..common], &other.radiance[..common]) > 1e-2, "the control: another scene");
 }
 
 #[test]
@@ -191,9 +233,6 @@ fn the_comparison_of_lit_gaussians_notices_their_normals_and_what_was_gathered()
         let errors = found.errors(&other.on_cpu(&drawn));
         assert!(errors[0] > 1e-3 && errors[1] > 1e-4, "{name}: {errors:?}");
     }
-    let unlit = ShadingOptions { diffuse_at: DiffuseAt::Pixel, ..ShadingOptions::default() };
-    let (_, plain) = Case::new(3, 2, unlit, false).on_gpu(&mut raster);
-    assert!(plain.by_tables.iter().all(|v| *v == 0.0), "a deferred model has nothing lit here");
 }
 
 #[test]
