@@ -65,6 +65,10 @@ pub enum Setting {
 /// Share of the steps that train materials in which the light's colour is held at daylight: to the second round of albedo.
 const DAYLIT: f32 = 0.3;
 
+/// How much more the radiance branch weighs in captures without masks: most of what they show is surroundings, which no
+/// light at infinity explains, and trying to bends their shapes.
+const SURROUNDINGS: f32 = 4.0;
+
 /// A complete, resolved configuration; its JSON is part of the model card and of every checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -368,6 +372,11 @@ impl TrainConfig {
         if progress < until { self.weights.daylight } else { 0.0 }
     }
 
+    /// Weight of the radiance branch beside the physically based one.
+    pub fn radiance_weight(&self, has_alpha: bool) -> f32 {
+        if has_alpha { self.weights.radiance } else { SURROUNDINGS * self.weights.radiance }
+    }
+
     /// Steps of the radiance warm-up.
     pub fn warm_up_steps(&self) -> u32 {
         (self.warm_up * self.iterations as f32) as u32
@@ -428,6 +437,13 @@ mod tests {
         assert_eq!(weight(first), config.weights.daylight);
         assert_eq!(weight(second - 2), config.weights.daylight);
         assert_eq!(weight(second + 2), 0.0);
+    }
+
+    #[test]
+    fn surroundings_are_the_radiance_branchs() {
+        let config = TrainConfig::preset(Preset::Draft);
+        assert_eq!(config.radiance_weight(true), config.weights.radiance);
+        assert!(config.radiance_weight(false) > config.weights.radiance);
     }
 
     #[test]

@@ -94,7 +94,7 @@ impl OnGpu {
     fn weights(&self, task: &StepTask<'_>, channels: Channels) -> StepWeights {
         let (config, w) = (task.context.config, &task.context.config.weights);
         let if_material = |weight: f32| if task.material { weight } else { 0.0 };
-        let share = if task.material { w.radiance } else { 1.0 };
+        let share = if task.material { config.radiance_weight(task.context.has_alpha) } else { 1.0 };
         let visible = task.material && self.frame.shading.visibility != VisibilityForm::Off;
         let labels = |sources: &[LabelSource]| {
             if visible && sources.contains(&config.labels) { w.visibility } else { 0.0 }

@@ -109,12 +109,13 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let pass = Pass::forward(&source, view, channels, true);
     let images = shader.images(&pass, context.background);
     let target = Target::new(view.width, view.height, photo.pixels.clone());
+    let share = context.config.radiance_weight(context.has_alpha);
     let (physical, plain) = rayon::join(
         || target.compare(&images.physical, w.l1, w.ssim),
-        || target.compare(&images.radiance, w.l1 * w.radiance, w.ssim * w.radiance),
+        || target.compare(&images.radiance, w.l1 * share, w.ssim * share),
     );
     let mut loss = w.l1 * physical.mae + w.ssim * (1.0 - physical.ssim);
-    loss += w.radiance * (w.l1 * plain.mae + w.ssim * (1.0 - plain.ssim));
+    loss += share * (w.l1 * plain.mae + w.ssim * (1.0 - plain.ssim));
     let mut by_buffers = vec![BufferGradient::default(); photo.pixels.len()];
     if context.has_alpha {
         loss += geometry::coverage(&pass, &photo.alpha, w.coverage, &mut by_buffers);

@@ -10,7 +10,7 @@ pub struct LossWeights {
     pub l1: f32,
     /// D-SSIM of both branches.
     pub ssim: f32,
-    /// Radiance branch beside the physically based one.
+    /// Radiance branch beside the physically based one; four times as much in captures without masks.
     pub radiance: f32,
     /// Coverage against the masks.
     pub coverage: f32,
