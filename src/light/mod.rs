@@ -13,7 +13,7 @@ mod sh;
 mod tables;
 
 /// Colour of the light before anything is known of it, linear sRGB of mean 1: bluish, as under an open sky; chosen by
-/// relighting (docs/results.md section 9).
+/// relighting (docs/experiments.md).
 pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
 
 pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
