@@ -6,7 +6,7 @@ use glam::DVec3;
 use relume::engine::cpu::{AttributeSource, ProbeSettings, Probes, fibonacci_sphere};
 use relume::render::{Frame, Output, Quality, Renderer, Tier};
 use relume::scene::{
-    Camera, EnvMap, Field, Gaussians, IndirectForm, Model, ShadingOptions, texel_directions,
+    Camera, EnvMap, Field, Gaussians, IndirectForm, Model, ShadeAt, ShadingOptions, texel_directions,
 };
 
 const ORDER: usize = 4;
@@ -107,17 +107,43 @@ fn distance(a: &Frame, b: &Frame, output: Output) -> f64 {
 
 #[test]
 fn the_shadow_of_a_sun_is_closer_to_the_reference_in_high_than_in_standard() {
-    let renderer = Renderer::new(table());
-    let map = sun();
-    let truth = frame(&renderer, &map, Quality::reference(512), 64);
-    let [standard, high] = [Tier::Standard, Tier::High].map(|tier| frame(&renderer, &map, tier, 64));
-    let errors = [&standard, &high].map(|f| distance(f, &truth, Output::Diffuse));
-    println!("diffuse error: standard {:.4}, high {:.4}", errors[0], errors[1]);
-    assert!(errors[1] < 0.75 * errors[0], "{errors:?}");
-    // The control: where no light stands out, the two tiers are one.
-    let even = EnvMap::constant(64, 32, [0.7; 3]);
-    let [standard, high] = [Tier::Standard, Tier::High].map(|tier| frame(&renderer, &even, tier, 48));
-    assert!(distance(&standard, &high, Output::Rgb) < 1e-6);
+    let (map, even) = (sun(), EnvMap::constant(64, 32, [0.7; 3]));
+    for shade_at in [ShadeAt::Gaussian, ShadeAt::Pixel] {
+        let mut model = (*table()).clone();
+        model.shading.shade_at = shade_at;
+        let renderer = Renderer::new(Arc::new(model));
+        let truth = frame(&renderer, &map, Quality::reference(512), 64);
+        let [standard, high] = [Tier::Standard, Tier::High].map(|tier| frame(&renderer, &map, tier, 64));
+        let errors = [&standard, &high].map(|f| distance(f, &truth, Output::Diffuse));
+        println!("{shade_at:?}: diffuse error: standard {:.4}, high {:.4}", errors[0], errors[1]);
+        assert!(errors[1] < 0.75 * errors[0], "{shade_at:?}: {errors:?}");
+        // The control: where no light stands out, the two tiers are one.
+        let [standard, high] = [Tier::Standard, Tier::High].map(|tier| frame(&renderer, &even, tier, 48));
+        assert!(distance(&standard, &high, Output::Rgb) < 1e-6, "{shade_at:?}");
+    }
+}
+
+#[test]
+fn colour_alone_is_the_colour_of_the_whole_frame_where_gaussians_are_shaded() {
+    let light = EnvMap::constant(64, 32, [0.9, 0.5, 0.2]);
+    let camera = camera(48);
+    let colour = |shade_at: ShadeAt, tier: Tier, outputs: &[Output]| {
+        let mut model = (*table()).clone();
+        model.shading.shade_at = shade_at;
+        let renderer = Renderer::new(Arc::new(model));
+        let light = renderer.prepare_light(&light).unwrap();
+        renderer.render(&camera, &light, tier, outputs).unwrap()
+    };
+    let whole = colour(ShadeAt::Gaussian, Tier::Standard, &[Output::Rgb, Output::Diffuse, Output::Specular]);
+    for tier in [Tier::Preview, Tier::Standard] {
+        let alone = colour(ShadeAt::Gaussian, tier, &[Output::Rgb]);
+        assert!(distance(&alone, &whole, Output::Rgb) < 1e-6, "{tier:?}");
+    }
+    let parts = whole.planes[&Output::Diffuse].iter().zip(&whole.planes[&Output::Specular]);
+    let sums = parts.map(|(d, s)| d + s).zip(&whole.planes[&Output::Rgb]);
+    assert!(sums.map(|(sum, rgb)| (sum - rgb).abs()).fold(0.0, f32::max) < 1e-6);
+    let deferred = colour(ShadeAt::Pixel, Tier::Standard, &[Output::Rgb]);
+    assert!(distance(&deferred, &whole, Output::Rgb) > 1e-4, "the control");
 }
 
 #[test]
