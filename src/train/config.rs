@@ -65,8 +65,8 @@ pub enum Setting {
 /// Share of the steps that train materials in which the light's colour is held at daylight: to the second round of albedo.
 const DAYLIT: f32 = 0.3;
 
-/// How much more the radiance branch weighs in captures without masks: most of what they show is surroundings, which no
-/// light at infinity explains, and trying to bends their shapes.
+/// How much more the radiance branch weighs in captures without masks, whose shapes the physically based one bends
+/// (docs/experiments.md, "Where surfaces are shaded").
 const SURROUNDINGS: f32 = 4.0;
 
 /// A complete, resolved configuration; its JSON is part of the model card and of every checkpoint.

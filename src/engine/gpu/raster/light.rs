@@ -1,6 +1,7 @@
 //! The light of each Gaussian on the device, forward and backward.
 
 use crate::engine::channel::Channels;
+use crate::engine::gpu::attributes::LEARNED;
 use crate::engine::gpu::raster::{Raster, available};
 use crate::engine::gpu::shaders::{self, Shader};
 use crate::engine::gpu::shading::{ShadeJob, by_coefficients};
@@ -111,6 +112,9 @@ impl Raster {
     /// What a Gaussian's surface is made of, but for its row.
     fn light_bindings<'a>(&'a self, source: &AttributeBuffers<'a>) -> Result<Vec<Bind<'a>>, GpuError> {
         let p = self.prepared()?;
+        if p.model.indirect_form == LEARNED && source.indirect_basis.is_none_or(|b| b.len() < 48) {
+            return Err(GpuError::Internal("light: the indirect basis does not fit the model".to_owned()));
+        }
         Ok(vec![
             uniform(&p.model),
             source.params.into(),
