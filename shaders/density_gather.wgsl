@@ -41,6 +41,7 @@ fn place_of(ix: u32) -> Place {
     if ix >= now.visibility { return Place(now.visibility, old.visibility, now.n_visibility); }
     if ix >= now.residual { return Place(now.residual, old.residual, 3u); }
     if ix >= now.scores { return Place(now.scores, old.scores, now.n_scores); }
+    if ix >= now.sheen { return Place(now.sheen, old.sheen, 1u); }
     if ix >= now.rough { return Place(now.rough, old.rough, 1u); }
     if ix >= now.metal { return Place(now.metal, old.metal, 1u); }
     if ix >= now.normal { return Place(now.normal, old.normal, 3u); }

@@ -38,7 +38,8 @@ fn gaussian_backward(gaussian_ix: u32) -> Shares {
     var by = shade_backward(&s, &f, g);
     splat_gradients[row + 1u] += vec4f(by.normal, 0.0);
     splat_gradients[row + 2u] += vec4f(by.albedo, by.metal);
-    splat_gradients[row + 3u] += vec4f(by.rough, vec3f(0.0));
+    // The light's own gradient is spent: its first place carries that by sheen.
+    splat_gradients[row + 3u] = vec4f(splat_gradients[row + 3u].x + by.rough, by.sheen, g.yz);
 #ifdef ALL_CHANNELS
     splat_gradients[row + 4u] += vec4f(0.0, by.indirect);
     for (var quad = 0u; quad < N_QUADS; quad++) {

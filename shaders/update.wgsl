@@ -37,7 +37,7 @@ const FIRST_VISIBILITY = 20u;
 
 struct Update {
     // By field: rate over the correction of the first moment, root of the correction of the second.
-    rates: array<vec4f, 13>,
+    rates: array<vec4f, N_FIELDS>,
     // Groups of 4 channels in a row of splat gradients.
     groups: u32,
     // Half the longer side of the image, pixels.
@@ -352,17 +352,20 @@ fn indirect_backward(gaussian_ix: u32, is_owner: bool, up: Upstream, local_ix: u
     }
 }
 
-// Metalness, roughness and residual; returns the residual term's value.
+// Metalness, roughness, sheen and residual; returns the residual term's value.
 fn material_backward(gaussian_ix: u32, up: Upstream, by_albedo: vec3f) -> f32 {
     let by_metal = channels(up, 2u).w;
-    let by_rough = channels(up, 3u).x;
-    var slopes = vec2f(0.0);
+    let by_light = channels(up, 3u);
+    var slopes = vec3f(0.0);
     if up.visible && update.groups >= GROUPS_MATERIAL {
         slopes.x = by_metal * sigmoid_slope(params[model.metal + gaussian_ix]);
-        slopes.y = by_rough * sigmoid_slope(params[model.rough + gaussian_ix]);
+        slopes.y = by_light.x * sigmoid_slope(params[model.rough + gaussian_ix]);
+        // Shading in the pixel has the gradient by gathered light there.
+        slopes.z = select(0.0, by_light.y, model.shade_at == SHADE_AT_GAUSSIAN);
     }
     emit(model.metal + gaussian_ix, slopes.x, FIELD_METAL);
     emit(model.rough + gaussian_ix, slopes.y, FIELD_ROUGH);
+    emit(model.sheen + gaussian_ix, slopes.z, FIELD_SHEEN);
     var gradient = by_albedo;
     var value = 0.0;
     let residual_ix = model.residual + 3u * gaussian_ix;

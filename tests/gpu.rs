@@ -262,6 +262,7 @@ fn step_size(config: &TrainConfig, field: Field) -> f32 {
         Field::OpacityLogit => rates.opacity,
         Field::Normal => rates.normal,
         Field::MetalLogit | Field::RoughLogit => rates.material,
+        Field::Sheen => rates.sheen,
         Field::ProtoLogits => rates.scores,
         Field::Residual => rates.residual,
         Field::Visibility | Field::Indirect => rates.visibility,

@@ -13,6 +13,7 @@ struct Layout {
     normal: u32,
     metal: u32,
     rough: u32,
+    sheen: u32,
     scores: u32,
     residual: u32,
     visibility: u32,
@@ -22,6 +23,9 @@ struct Layout {
     indirect_form: u32,
     visibility_form: u32,
     diffuse_form: u32,
+    shade_at: u32,
+    pad_0: u32,
+    pad_1: u32,
 }
 
 const NORMAL_FREE = 0u;

@@ -10,6 +10,7 @@
 #import brdf
 #import lobe
 #import lambert
+#import sheen
 #import display
 
 // The forward model. Kept in step with `ShadingUniform` of src/engine/gpu/shading.rs.
@@ -49,6 +50,7 @@ struct Shaded {
     reflection: vec3f,
     reflection_length: f32,
     lambert: Lambert,
+    sheen: Sheen,
     position: LevelPosition,
     level_taps: array<Taps, 2>,
     level_value: array<vec3f, 2>,
@@ -190,7 +192,8 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     f.reflection_length = length3(bent);
     f.reflection = bent / f.reflection_length;
     f.lambert = lambert(s, f.normal);
-    f.diffuse = f.lambert.radiance;
+    f.sheen = sheen_of((*s).sheen, f.nov);
+    f.diffuse = f.lambert.radiance * f.sheen.gain;
     // Specular: split sum, visibility through the lobe.
     f.position = level_position((*s).rough);
 #repeat k 2

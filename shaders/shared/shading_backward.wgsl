@@ -6,6 +6,7 @@ struct SurfaceGradient {
     albedo: vec3f,
     metal: f32,
     rough: f32,
+    sheen: f32,
     // By the direction to the camera.
     view: vec3f,
     indirect: vec3f,
@@ -168,13 +169,15 @@ fn shade_backward(s: ptr<function, Surface>, f: ptr<function, Shaded>, g: vec3f)
     var out: SurfaceGradient;
     // A copy: naga 30 writes no pointer into a struct that is a pointer itself.
     var diffuse = (*f).lambert;
-    var by_normal = lambert_backward(s, &diffuse, g, &out);
+    var by_normal = lambert_backward(s, &diffuse, g * (*f).sheen.gain, &out);
+    let by_gain = dot(g, (*f).lambert.radiance);
+    out.sheen = by_gain * (*f).sheen.by_sheen;
     let by = specular_backward(s, f, g, &out);
     let by_field = visibility_backward(s, (*f).normal, (*f).reflection, vec2f(out.ambient_raw, out.visible_raw), &out);
     by_normal += by_field[0];
     // R = normalize(2 nov n - v), nov = n . v.
     let by_bent = normalised3_backward((*f).reflection, (*f).reflection_length, by.yzw + by_field[1]);
-    let by_nov = by.x + 2.0 * dot(by_bent, (*f).normal);
+    let by_nov = by.x + 2.0 * dot(by_bent, (*f).normal) + by_gain * (*f).sheen.by_nov;
     by_normal += 2.0 * (*f).nov * by_bent + select(0.0, by_nov, (*f).nov_inside) * (*s).view;
     out.view = select(0.0, by_nov, (*f).nov_inside) * (*f).normal - by_bent;
     let sign = select(1.0, -1.0, (*f).flipped);

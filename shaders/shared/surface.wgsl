@@ -12,6 +12,8 @@ struct Surface {
     metal: f32,
     albedo: vec3f,
     rough: f32,
+    // Sheen of a Gaussian, none in the pixel (src/light/sheen.rs).
+    sheen: f32,
     // Irradiance gathered from other surfaces, and radiance where the environment is blocked.
     gathered: vec3f,
     indirect: vec3f,
@@ -33,6 +35,7 @@ fn surface_of_groups(g1: vec4f, g2: vec4f, g3: vec4f, g4: vec4f, scale: f32, tow
     s.albedo = g2.xyz * scale;
     s.metal = g2.w * scale;
     s.rough = g3.x * scale;
+    s.sheen = 0.0;
     s.gathered = g3.yzw * scale;
     s.indirect = g4.yzw * scale;
     s.view = towards;

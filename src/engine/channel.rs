@@ -18,6 +18,8 @@ pub const METAL: usize = 11;
 pub const ROUGH: usize = 12;
 /// Light: of a lit pass the radiance that leaves for the camera, else gathered irradiance.
 pub const LIGHT: Range<usize> = 13..16;
+/// Of the gradient of a lit pass by a Gaussian, once [`LIGHT`] has been passed on: that by sheen.
+pub const SHEEN: usize = LIGHT.start;
 /// Camera depth.
 pub const DEPTH: usize = 16;
 /// Of a lit pass the specular part of [`LIGHT`], else radiance from where the environment is blocked.

@@ -8,8 +8,8 @@ use crate::scene::{Field, Gaussians};
 /// Where each field starts in a gradient row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RowLayout {
-    offset: [usize; 12],
-    width: [usize; 12],
+    offset: [usize; Field::COUNT],
+    width: [usize; Field::COUNT],
     /// Floats in a row.
     pub row: usize,
 }
@@ -28,6 +28,7 @@ impl RowLayout {
             Field::MetalLogit | Field::RoughLogit | Field::ProtoLogits | Field::Residual => {
                 count > channel::ROUGH
             }
+            Field::Sheen => count > channel::SHEEN,
             Field::Normal => count > channel::PLANE,
             _ => true,
         })
@@ -35,7 +36,7 @@ impl RowLayout {
 
     fn of(g: &Gaussians, has: impl Fn(Field) -> bool) -> Self {
         let width = Field::ALL.map(|f| if has(f) { g.width(f) } else { 0 });
-        let mut offset = [0; 12];
+        let mut offset = [0; Field::COUNT];
         let mut row = 0;
         for field in Field::ALL {
             offset[field as usize] = row;

@@ -8,9 +8,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::scene::{Field, Gaussians, IndirectForm, Model, ShadeAt, ShadingOptions};
 
-/// The header's version; a reader refuses any other than this and the two before.
-const VERSION: u32 = 3;
-/// The version before, of models trained with the diffuse term alone at their Gaussians; they are shaded there wholly.
+/// The header's version; a reader refuses any other than this and the three before.
+const VERSION: u32 = 4;
+/// The version before, of models without sheen, which read as they are.
+const WITHOUT_SHEEN: u32 = 3;
+/// The version before that, of models trained with the diffuse term alone at their Gaussians; they are shaded there wholly.
 const DIFFUSE_AT_GAUSSIANS: u32 = 2;
 /// The version before that, of models shaded in the pixel, whose header does not say so.
 const ALL_DEFERRED: u32 = 1;
@@ -107,13 +109,17 @@ pub(crate) fn header(model: &Model) -> String {
 
 /// Floats that a Gaussian of `model` has in its file.
 pub fn floats_a_gaussian(model: &Model) -> usize {
-    let stored = Field::ALL.iter().filter(|f| is_stored(**f, &model.shading));
+    let stored = Field::ALL.iter().filter(|f| is_stored(**f, model));
     stored.map(|f| model.gaussians.width(*f)).sum()
 }
 
-/// Whether a model file holds a field: the weights of learned indirect light only where that is the model's form.
-fn is_stored(field: Field, shading: &ShadingOptions) -> bool {
-    field != Field::Indirect || shading.indirect == IndirectForm::Learned
+/// Whether a model file holds a field: what the model makes no use of it does not.
+fn is_stored(field: Field, model: &Model) -> bool {
+    match field {
+        Field::Indirect => model.shading.indirect == IndirectForm::Learned,
+        Field::Sheen => model.gaussians.field(field).iter().any(|s| *s != 0.0),
+        _ => true,
+    }
 }
 
 /// A model as the bytes of one file.
@@ -123,8 +129,8 @@ fn is_stored(field: Field, shading: &ShadingOptions) -> bool {
 pub fn encode(model: &Model) -> Result<Vec<u8>, ModelFileError> {
     let metadata = HashMap::from([(HEADER_KEY.to_owned(), header(model))]);
     let mut tensors = tensors(model);
-    if !is_stored(Field::Indirect, &model.shading) {
-        tensors.retain(|(name, _)| name != Field::Indirect.name());
+    for field in Field::ALL.into_iter().filter(|f| !is_stored(*f, model)) {
+        tensors.retain(|(name, _)| name != field.name());
     }
     Ok(safetensors::serialize(tensors, Some(metadata))?)
 }
@@ -140,7 +146,7 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a Relume model".into()))?;
     let mut header: Header = serde_json::from_str(text).map_err(|e| bad("header", e.to_string()))?;
     match header.version {
-        VERSION | DIFFUSE_AT_GAUSSIANS => {}
+        VERSION | WITHOUT_SHEEN | DIFFUSE_AT_GAUSSIANS => {}
         ALL_DEFERRED => header.shading.shade_at = ShadeAt::Pixel,
         other => {
             return Err(bad("version", format!("is {other}, this build reads {ALL_DEFERRED} to {VERSION}")));
@@ -163,7 +169,12 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
         header.visibility_order,
         header.radiance_order,
     );
-    let present = |field: Field| is_stored(field, &header.shading) || file.tensor(field.name()).is_ok();
+    let is_required = |field: Field| match field {
+        Field::Indirect => header.shading.indirect == IndirectForm::Learned,
+        Field::Sheen => false,
+        _ => true,
+    };
+    let present = |field: Field| is_required(field) || file.tensor(field.name()).is_ok();
     for (field, _, data) in gaussians.fields_mut().filter(|(field, ..)| present(*field)) {
         *data = floats(&file, field.name(), data.len())?;
     }
@@ -250,7 +261,7 @@ mod tests {
         let at = |version: u32, shade_at: &str| {
             let mut model = example();
             model.shading.shade_at = ShadeAt::Gaussian;
-            let text = header(&model).replace("\"version\":3", &format!("\"version\":{version}"));
+            let text = header(&model).replace("\"version\":4", &format!("\"version\":{version}"));
             let text = text.replace("\"shade_at\":\"gaussian\",", shade_at);
             let metadata = HashMap::from([(HEADER_KEY.to_owned(), text)]);
             decode(&safetensors::serialize(tensors(&model), Some(metadata)).unwrap())
@@ -260,7 +271,20 @@ mod tests {
         assert_eq!(read(2, "\"diffuse_at\":\"gaussian\","), ShadeAt::Gaussian);
         assert_eq!(read(2, "\"diffuse_at\":\"pixel\","), ShadeAt::Pixel);
         assert_eq!(read(3, "\"shade_at\":\"pixel\","), ShadeAt::Pixel, "the control");
-        assert!(at(4, "").unwrap_err().to_string().contains("version"));
+        assert_eq!(read(4, "\"shade_at\":\"pixel\","), ShadeAt::Pixel);
+        assert!(at(5, "").unwrap_err().to_string().contains("version"));
+    }
+
+    #[test]
+    fn sheen_is_in_the_file_where_there_is_any() {
+        let mut model = example();
+        model.shading.indirect = IndirectForm::Learned;
+        let (with, floats) = (encode(&model).unwrap(), floats_a_gaussian(&model));
+        model.gaussians.field_mut(Field::Sheen).fill(0.0);
+        let without = encode(&model).unwrap();
+        assert!(without.len() + model.gaussians.len() * 4 <= with.len());
+        assert_eq!(floats_a_gaussian(&model), floats - 1);
+        assert_eq!(decode(&without).unwrap(), model);
     }
 
     #[test]

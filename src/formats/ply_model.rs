@@ -3,7 +3,8 @@
 //! The first properties are those of the 3D Gaussian Splatting authors' own files: position, normal, radiance SH
 //! (`f_dc_*`, then `f_rest_*` channel by channel), opacity logit, log-scales, quaternion `w x y z`. Then follow,
 //! announced by `comment relight_schema 1`: `albedo_0..2` (linear Rec.709), `metallic`, `roughness`, all ready to
-//! use, and `visibility_*` (SH coefficients, `l * l + l + m`). Everything is in capture coordinates.
+//! use, and `visibility_*` (SH coefficients, `l * l + l + m`). Sheen is left out: the materials of other tools know it in other
+//! forms. Everything is in capture coordinates.
 //! `comment SplatRenderMode: mip` or `default`, a convention of Brush and gsplat, tells a viewer whether the opacities
 //! expect low-pass compensation.
 

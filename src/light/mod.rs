@@ -10,6 +10,7 @@ mod prefilter;
 mod reflector;
 mod sampler;
 mod sh;
+mod sheen;
 mod tables;
 
 /// Colour of the light before anything is known of it, linear sRGB of mean 1: bluish, as under an open sky; chosen by
@@ -25,4 +26,5 @@ pub use prefilter::rendering_tables;
 pub use reflector::{Reflected, Reflector};
 pub use sampler::{EnvSampler, Shares, estimate};
 pub use sh::{CLAMPED_COSINE, nrsh, nrsh_factor, sh_eval, sh_eval_with_gradient};
+pub use sheen::{MOST_SHEEN, Sheen};
 pub use tables::{LightTables, TABLE_LANES, padded};

@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::{
     AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Shader, Surface, View, attribute_rows,
-    project_all,
+    normalise, project_all,
 };
-use crate::light::{DominantLight, LightTables, SplitEnvironment, rendering_tables};
+use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, rendering_tables};
 use crate::render::develop::{Lit, develop, reflector};
 use crate::render::standard::{blended, shade_here};
 use crate::render::{Frame, Job};
@@ -67,13 +67,21 @@ fn at_gaussians(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame
         let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - job.view.eye[k]));
         let mut lit = Lit { diffuse: [0.0; 3], specular: [0.0; 3] };
         add_lights(&light.lights, light.arriving_at(i), &surface, &mut lit);
+        let gain = Sheen::new(surface.sheen, cosine(surface.normal, surface.view)).gain;
         for c in 0..3 {
+            lit.diffuse[c] *= gain;
             row[channel::LIGHT.start + c] += lit.diffuse[c] + lit.specular[c];
             row[channel::INDIRECT.start + c] += lit.specular[c];
         }
     });
     let pass = Pass::blend(job.view, splats, full, rows, true);
     develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| blended(surface))
+}
+
+/// `|n . v|` of a normal of any length.
+fn cosine(normal: [f32; 3], view: [f32; 3]) -> f32 {
+    let (unit, _) = normalise(normal);
+    (0..3).map(|k| unit[k] * view[k]).sum::<f32>().abs().min(1.0)
 }
 
 /// The lights are added to what each pixel sends; their shadows are blended.

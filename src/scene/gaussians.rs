@@ -21,6 +21,8 @@ pub enum Field {
     MetalLogit,
     /// Roughness before the sigmoid (1).
     RoughLogit,
+    /// Sheen: natural logarithm of the diffuse term's gain at grazing view, 0 for none (1).
+    Sheen,
     /// Prototype scores before the softmax (K).
     ProtoLogits,
     /// Albedo residual, linear (3).
@@ -34,8 +36,11 @@ pub enum Field {
 }
 
 impl Field {
+    /// Number of fields.
+    pub const COUNT: usize = 13;
+
     /// Every field, in storage order.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; Self::COUNT] = [
         Self::Mean,
         Self::LogScale,
         Self::Quaternion,
@@ -43,6 +48,7 @@ impl Field {
         Self::Normal,
         Self::MetalLogit,
         Self::RoughLogit,
+        Self::Sheen,
         Self::ProtoLogits,
         Self::Residual,
         Self::Visibility,
@@ -60,6 +66,7 @@ impl Field {
             Self::Normal => "normals_raw",
             Self::MetalLogit => "metal_logit",
             Self::RoughLogit => "rough_logit",
+            Self::Sheen => "sheen",
             Self::ProtoLogits => "proto_logits",
             Self::Residual => "residual",
             Self::Visibility => "occ_sh",
@@ -76,7 +83,7 @@ pub struct Gaussians {
     prototypes: usize,
     visibility_order: usize,
     radiance_order: usize,
-    data: [Vec<f32>; 12],
+    data: [Vec<f32>; Field::COUNT],
 }
 
 impl Gaussians {
@@ -119,7 +126,7 @@ impl Gaussians {
         match field {
             Field::Mean | Field::LogScale | Field::Normal | Field::Residual => 3,
             Field::Quaternion => 4,
-            Field::OpacityLogit | Field::MetalLogit | Field::RoughLogit => 1,
+            Field::OpacityLogit | Field::MetalLogit | Field::RoughLogit | Field::Sheen => 1,
             Field::ProtoLogits => self.prototypes,
             Field::Visibility => sh_count(self.visibility_order),
             Field::Indirect => 16,

@@ -102,9 +102,12 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(Course, Learned), T
     let n = model.gaussians.len();
     let moments = |prefix: &str| -> Result<Gaussians, TrainError> {
         let g = &model.gaussians;
+        let name = |field: Field| format!("{prefix}.{}", field.name());
         let mut out = Gaussians::zeroed(n, g.prototypes(), g.visibility_order(), g.radiance_order());
-        for (field, _, data) in out.fields_mut() {
-            *data = read(&format!("{prefix}.{}", field.name()), data.len())?;
+        // A checkpoint from before sheen has none to go on from.
+        let is_there = |field: Field| field != Field::Sheen || file.tensor(&name(field)).is_ok();
+        for (field, _, data) in out.fields_mut().filter(|(field, ..)| is_there(*field)) {
+            *data = read(&name(field), data.len())?;
         }
         Ok(out)
     };

@@ -58,6 +58,8 @@ pub enum Setting {
     Metalness,
     /// Number of albedo prototypes.
     Prototypes,
+    /// Sheen.
+    Sheen,
     /// Number of Gaussians.
     Gaussians,
 }
@@ -122,6 +124,9 @@ pub struct TrainConfig {
     /// Whether metalness is learned; false holds every surface at dielectric.
     #[serde(default = "learned")]
     pub metalness: bool,
+    /// Whether sheen is learned; false leaves every surface without.
+    #[serde(default = "learned")]
+    pub sheen: bool,
     /// Everything that is configured, or what the scene requires of it.
     #[serde(default)]
     pub complexity: Complexity,
@@ -185,6 +190,8 @@ pub struct TrainOverrides {
     pub albedo_rounds: Option<u32>,
     /// Whether metalness is learned; false holds every surface at dielectric.
     pub metalness: Option<bool>,
+    /// Whether sheen is learned; false leaves every surface without.
+    pub sheen: Option<bool>,
     /// `auto`: leave out what the scene is measured not to require, except what is named here; `full`: everything.
     pub complexity: Option<Complexity>,
     /// The light of the photographs, where it is known: held as it is, whatever the weights and step sizes say.
@@ -199,6 +206,7 @@ impl TrainOverrides {
             (Setting::Indirect, self.bounces.is_some() || self.shading.is_some()),
             (Setting::Radiance, self.radiance_order.is_some()),
             (Setting::Metalness, self.metalness.is_some()),
+            (Setting::Sheen, self.sheen.is_some()),
             (Setting::Prototypes, self.prototypes.is_some()),
             (Setting::Gaussians, self.max_gaussians.is_some()),
         ];
@@ -213,7 +221,7 @@ impl TrainConfig {
     /// |---|---|---|---|---|---|
     /// | draft | 1,500 | 160 | 8,000 | 64 | 8 |
     /// | standard | 3,000 | 400 | 40,000 | 96 | 16 |
-    /// | high | 8,000 | 800 | 120,000 | 128 | 32 |
+    /// | high | 6,000 | 800 | 80,000 | 128 | 16 |
     pub fn preset(preset: Preset) -> Self {
         let standard = Self {
             preset,
@@ -239,6 +247,7 @@ impl TrainConfig {
             checkpoint_every: 500,
             albedo_rounds: 3,
             metalness: true,
+            sheen: true,
             complexity: Complexity::default(),
             forced: Vec::new(),
             light: None,
@@ -258,12 +267,10 @@ impl TrainConfig {
                 ..standard
             },
             Preset::High => Self {
-                iterations: 8_000,
+                iterations: 6_000,
                 resolution: 800,
-                initial_gaussians: 40_000,
-                max_gaussians: 120_000,
-                prototypes: 32,
-                radiance_order: 3,
+                initial_gaussians: 24_000,
+                max_gaussians: 80_000,
                 probe_directions: 128,
                 ..standard
             },
@@ -302,6 +309,7 @@ impl TrainConfig {
             checkpoint_every,
             albedo_rounds,
             metalness,
+            sheen,
             complexity
         );
         config.forced = overrides.forced();

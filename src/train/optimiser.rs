@@ -10,6 +10,9 @@ use crate::train::LearningRates;
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
+/// Progress from which sheen trains: earlier it takes what normals, roughness and light have to explain
+/// (docs/experiments.md, "Sheen").
+const SHEEN_FROM: f32 = 0.7;
 /// Gaussians a task takes.
 const CHUNK: usize = 512;
 
@@ -28,7 +31,7 @@ pub struct Moments {
 #[derive(Debug, Clone, Copy)]
 pub struct StepSizes {
     /// Per field.
-    pub fields: [f32; 12],
+    pub fields: [f32; Field::COUNT],
     /// Albedo prototypes.
     pub prototypes: f32,
     /// Raw environment texels.
@@ -44,7 +47,7 @@ impl StepSizes {
         let late = (1.0f32 / 30.0).powf(second_half);
         let on = if material { 0.1f32.powf(second_half) } else { 0.0 };
         let vis = if visibility { on } else { 0.0 };
-        let mut fields = [0.0; 12];
+        let mut fields = [0.0; Field::COUNT];
         let table = [
             (Field::Mean, mean),
             (Field::LogScale, rates.scale * late),
@@ -53,6 +56,7 @@ impl StepSizes {
             (Field::Normal, rates.normal * on),
             (Field::MetalLogit, rates.material * on),
             (Field::RoughLogit, rates.material * on),
+            (Field::Sheen, if progress < SHEEN_FROM { 0.0 } else { rates.sheen * on }),
             (Field::ProtoLogits, rates.scores * on),
             (Field::Residual, rates.residual * on),
             (Field::Visibility, rates.visibility * vis),
@@ -145,8 +149,8 @@ impl Moments {
 
 /// Fields that only the physically based branch trains.
 fn is_material(field: Field) -> bool {
-    use Field::{Indirect, MetalLogit, Normal, ProtoLogits, Residual, RoughLogit, Visibility};
-    matches!(field, Normal | MetalLogit | RoughLogit | ProtoLogits | Residual | Visibility | Indirect)
+    use Field::{Indirect, MetalLogit, Normal, ProtoLogits, Residual, RoughLogit, Sheen, Visibility};
+    matches!(field, Normal | MetalLogit | RoughLogit | Sheen | ProtoLogits | Residual | Visibility | Indirect)
 }
 
 /// What of a field's step its float `k` takes: directions of radiance a twentieth of what its mean takes.

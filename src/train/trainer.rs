@@ -171,6 +171,9 @@ impl Trainer {
         if self.is_dielectric() {
             sizes.fields[Field::MetalLogit as usize] = 0.0;
         }
+        if !self.config.sheen {
+            sizes.fields[Field::Sheen as usize] = 0.0;
+        }
         let next = self.course.step + 1;
         // Spelled out, not `self.context()`: the backend is borrowed beside it.
         let context = StepContext {

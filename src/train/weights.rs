@@ -82,6 +82,8 @@ pub struct LearningRates {
     pub normal: f32,
     /// Metalness and roughness logits.
     pub material: f32,
+    /// Sheen, which trains over the last three tenths of the steps.
+    pub sheen: f32,
     /// Prototype scores.
     pub scores: f32,
     /// Prototypes.
@@ -106,6 +108,7 @@ impl Default for LearningRates {
             opacity: 0.05,
             normal: 1e-3,
             material: 1e-2,
+            sheen: 3e-2,
             scores: 2e-2,
             prototypes: 2e-3,
             residual: 2e-3,

@@ -46,6 +46,7 @@ pub(super) fn model(n: usize, seed: u64) -> Model {
         (Field::Normal, 0.0, 0.3),
         (Field::MetalLogit, -0.5, 1.5),
         (Field::RoughLogit, 0.0, 1.5),
+        (Field::Sheen, 0.3, 0.8),
         (Field::ProtoLogits, 0.0, 1.5),
         (Field::Residual, 0.0, 0.1),
         (Field::Visibility, 0.0, 0.2),

@@ -47,6 +47,7 @@ fn scene() -> Scene {
         ("normals_raw", noise(&[n, 3], 5.0, 0.1, 0.5)),
         ("metal_logit", noise(&[n, 1], 6.0, -0.3, 0.9)),
         ("rough_logit", noise(&[n, 1], 7.0, 0.2, 0.9)),
+        ("sheen", noise(&[n, 1], 21.0, 0.3, 0.8)),
         ("proto_logits", noise(&[n, 3], 8.0, 0.0, 1.0)),
         ("residual", noise(&[n, 3], 9.0, 0.0, 0.1)),
         ("occ_sh", visibility),
@@ -155,7 +156,7 @@ fn gradients_hold(form: &str, options: &Options, idle: &[&str]) {
 
 #[test]
 fn the_listing_form_has_the_gradients_differences_measure() {
-    gradients_hold("listing", &listing(), &[]);
+    gradients_hold("listing", &listing(), &["sheen"]);
 }
 
 #[test]
@@ -166,7 +167,7 @@ fn the_default_form_has_the_gradients_differences_measure() {
 #[test]
 fn the_deferred_form_has_the_gradients_differences_measure() {
     let shading = ShadingOptions { shade_at: ShadeAt::Pixel, ..ShadingOptions::default() };
-    gradients_hold("deferred", &model(shading), &["ind_sh"]);
+    gradients_hold("deferred", &model(shading), &["ind_sh", "sheen"]);
 }
 
 #[test]
@@ -180,7 +181,7 @@ fn the_article_form_on_tables_has_the_gradients_differences_measure() {
         srgb: false,
         ..ShadingOptions::default()
     };
-    gradients_hold("article", &model(shading), &[]);
+    gradients_hold("article", &model(shading), &["sheen"]);
 }
 
 #[test]

@@ -46,6 +46,7 @@ pub(super) fn model(seed: u64, shading: ShadingOptions) -> Model {
         (Field::Normal, 0.0, 0.5),
         (Field::MetalLogit, -0.5, 2.0),
         (Field::RoughLogit, 0.0, 2.0),
+        (Field::Sheen, 0.3, 0.8),
         (Field::ProtoLogits, 0.0, 2.0),
         (Field::Residual, 0.0, 0.1),
         (Field::Visibility, 0.0, 0.2),

@@ -199,6 +199,7 @@ fn ablation() -> Vec<Variant> {
         ),
         variant("everything, in the pixel", json!({"shading": gathered})),
         variant("everything (default)", json!({})),
+        variant("without sheen", json!({"sheen": false})),
         variant(
             "no occlusion, at the Gaussians",
             json!({"shading": unlit_at_gaussians, "labels": "none", "bounces": 0}),

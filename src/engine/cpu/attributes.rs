@@ -127,6 +127,7 @@ impl AttributeSource<'_> {
             albedo: triple(channel::ALBEDO),
             metal: row[channel::METAL],
             rough: row[channel::ROUGH],
+            sheen: self.gaussians.row(Field::Sheen, i)[0],
             gathered,
             indirect,
             visibility,
@@ -160,6 +161,8 @@ impl AttributeSource<'_> {
         }
         by_row[channel::METAL] += by.metal;
         by_row[channel::ROUGH] += by.rough;
+        // The light's own gradient is spent.
+        by_row[channel::SHEEN] = by.sheen;
         if by_row.len() >= channel::VISIBILITY {
             (0..3).for_each(|c| by_row[channel::INDIRECT.start + c] += by.indirect[c]);
             by_row[channel::VISIBILITY..].iter_mut().zip(&by.visibility).for_each(|(o, g)| *o += g);
@@ -198,6 +201,9 @@ impl AttributeSource<'_> {
                 out[layout.range(field)][0] +=
                     by_row[channel] * sigmoid_slope(self.gaussians.row(field, i)[0]);
             }
+        }
+        if self.options.shade_at == ShadeAt::Gaussian && by_row.len() > channel::SHEEN {
+            out[layout.range(Field::Sheen)][0] += by_row[channel::SHEEN];
         }
         if by_row.len() > channel::DEPTH {
             (0..3).for_each(|c| geometry_gradient.mean[c] += view.rotation[2][c] * by_row[channel::DEPTH]);

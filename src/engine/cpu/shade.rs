@@ -4,7 +4,7 @@
 use crate::engine::cpu::lambert::Lambert;
 use crate::engine::cpu::project::{normalise, normalise_backward};
 use crate::light::{
-    BrdfLut, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Taps, level_position, sh_eval,
+    BrdfLut, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Sheen, Taps, level_position, sh_eval,
     sh_eval_with_gradient,
 };
 use crate::scene::{ShadingOptions, VisibilityForm};
@@ -25,6 +25,8 @@ pub struct Surface {
     pub metal: f32,
     /// Roughness.
     pub rough: f32,
+    /// Natural logarithm of the diffuse term's gain at grazing view.
+    pub sheen: f32,
     /// Irradiance gathered from other surfaces.
     pub gathered: [f32; 3],
     /// Radiance where the environment is blocked.
@@ -46,6 +48,8 @@ pub struct SurfaceGradient {
     pub metal: f32,
     /// By roughness.
     pub rough: f32,
+    /// By sheen.
+    pub sheen: f32,
     /// By indirect radiance.
     pub indirect: [f32; 3],
     /// By gathered irradiance.
@@ -63,6 +67,7 @@ impl SurfaceGradient {
             albedo: [0.0; 3],
             metal: 0.0,
             rough: 0.0,
+            sheen: 0.0,
             indirect: [0.0; 3],
             gathered: [0.0; 3],
             visibility: [0.0; MAX_COEFFICIENTS],
@@ -86,6 +91,7 @@ pub struct Shaded {
     reflection: [f32; 3],
     reflection_length: f32,
     lambert: Lambert,
+    sheen: Sheen,
     level: (usize, f32, f32),
     level_taps: [Taps<f32>; 2],
     level_value: [[f32; 3]; 2],
@@ -141,6 +147,7 @@ impl Shader<'_> {
         let bent = std::array::from_fn(|k| 2.0 * nov * normal[k] - s.view[k]);
         let (reflection, reflection_length) = normalise(bent);
         let lambert = self.lambert(s, normal);
+        let sheen = Sheen::new(s.sheen, nov);
         // Specular: split sum, visibility through the lobe.
         let (level, fraction, slope) = level_position(s.rough);
         let level_taps = [0, 1].map(|k| self.tables.specular_grids[level + k].lookup(reflection));
@@ -163,7 +170,8 @@ impl Shader<'_> {
             light * (f0 * lut.value[0] + lut.value[1])
         });
         Shaded {
-            diffuse: lambert.radiance,
+            diffuse: lambert.radiance.map(|v| v * sheen.gain),
+            sheen,
             specular,
             normal,
             normal_length,
@@ -220,11 +228,14 @@ impl Shader<'_> {
         tables: &mut LightTables,
     ) -> SurfaceGradient {
         let mut out = SurfaceGradient::zero();
-        let mut by_normal = self.lambert_backward(s, &f.lambert, g, tables, &mut out);
+        let by_gain = dot3(g, f.lambert.radiance);
+        let by_diffuse = g.map(|v| v * f.sheen.gain);
+        let mut by_normal = self.lambert_backward(s, &f.lambert, by_diffuse, tables, &mut out);
+        out.sheen = by_gain * f.sheen.by_sheen;
         let (by_nov, by_reflection) = self.specular_backward(s, f, g, tables, &mut out);
         // R = normalize(2 nov n - v), nov = n . v.
         let by_bent = normalise_backward(f.reflection, f.reflection_length, by_reflection);
-        let by_nov = by_nov + 2.0 * dot3(by_bent, f.normal);
+        let by_nov = by_nov + 2.0 * dot3(by_bent, f.normal) + by_gain * f.sheen.by_nov;
         for k in 0..3 {
             by_normal[k] += 2.0 * f.nov * by_bent[k];
             out.view[k] = -by_bent[k];

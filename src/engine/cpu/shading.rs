@@ -79,6 +79,7 @@ pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
         albedo: triple(channel::ALBEDO),
         metal: at(channel::METAL) * inverse,
         rough: at(channel::ROUGH) * inverse,
+        sheen: 0.0,
         gathered: triple(channel::LIGHT),
         indirect: triple(channel::INDIRECT),
         visibility,

@@ -5,7 +5,7 @@ use bytemuck::{Pod, Zeroable};
 use crate::engine::RowLayout;
 use crate::engine::gpu::{Buffer, Gpu, GpuError};
 use crate::scene::{
-    DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions, VisibilityForm,
+    DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
 };
 
 /// `Layout` of `shaders/shared/parameters.wgsl`: where each field starts in the planar parameter buffer.
@@ -24,6 +24,7 @@ pub struct LayoutUniform {
     pub normal: u32,
     pub metal: u32,
     pub rough: u32,
+    pub sheen: u32,
     pub scores: u32,
     pub residual: u32,
     pub visibility: u32,
@@ -33,6 +34,9 @@ pub struct LayoutUniform {
     pub indirect_form: u32,
     pub visibility_form: u32,
     pub diffuse_form: u32,
+    pub shade_at: u32,
+    pub pad_0: u32,
+    pub pad_1: u32,
 }
 
 impl LayoutUniform {
@@ -53,6 +57,7 @@ impl LayoutUniform {
             normal: at(Field::Normal),
             metal: at(Field::MetalLogit),
             rough: at(Field::RoughLogit),
+            sheen: at(Field::Sheen),
             scores: at(Field::ProtoLogits),
             residual: at(Field::Residual),
             visibility: at(Field::Visibility),
@@ -76,6 +81,12 @@ impl LayoutUniform {
                 DiffuseForm::AmbientOcclusion => 0,
                 DiffuseForm::Directional => 1,
             },
+            shade_at: match options.shade_at {
+                ShadeAt::Pixel => 0,
+                ShadeAt::Gaussian => 1,
+            },
+            pad_0: 0,
+            pad_1: 0,
         }
     }
 
@@ -96,6 +107,7 @@ impl LayoutUniform {
             normal: place(3),
             metal: place(1),
             rough: place(1),
+            sheen: place(1),
             scores: place(self.n_scores),
             residual: place(3),
             visibility: place(self.n_visibility),

@@ -17,13 +17,15 @@ const BETA2: f32 = 0.999;
 /// Radiance coefficients beyond the first take this share of the field's step size.
 const REST_OF_RADIANCE: f32 = 0.05;
 /// Slot of `UpdateUniform::rates` for them.
-const RADIANCE_REST: usize = 12;
+const RADIANCE_REST: usize = Field::COUNT;
+/// Slots of `UpdateUniform::rates`.
+const RATES: usize = Field::COUNT + 1;
 
 /// Step sizes of this step; zero leaves a field and its moments alone.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Rates {
     /// Per field, by discriminant.
-    pub fields: [f32; 12],
+    pub fields: [f32; Field::COUNT],
     /// Albedo prototypes.
     pub prototypes: f32,
     /// Raw environment.
@@ -64,7 +66,7 @@ pub struct ParameterTerms {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 struct UpdateUniform {
-    rates: [[f32; 4]; 13],
+    rates: [[f32; 4]; RATES],
     groups: u32,
     half_width: f32,
     aggregation: f32,
@@ -180,7 +182,7 @@ impl Updater {
 
     /// The gradient of every parameter instead of a step, into `out`, laid out as the parameters.
     pub fn gradients(&self, recorder: &mut Recorder<'_>, input: &StepInput<'_>, out: &Buffer<f32>) {
-        let uniforms = self.uniforms(recorder, input, [[0.0; 4]; 13]);
+        let uniforms = self.uniforms(recorder, input, [[0.0; 4]; RATES]);
         self.dispatch(recorder, &shaders::UPDATE_GRADIENTS, &uniforms, input, &[out]);
     }
 
@@ -222,7 +224,7 @@ impl Updater {
         &self,
         recorder: &mut Recorder<'_>,
         input: &StepInput<'_>,
-        rates: [[f32; 4]; 13],
+        rates: [[f32; 4]; RATES],
     ) -> UpdateUniform {
         let StepInput { model, upstream, terms, .. } = input;
         let has_views = upstream.view_labels.filter(|_| terms.view_labels != 0.0);
@@ -290,13 +292,13 @@ impl Updater {
 
 /// Fields that only the physically based branch trains.
 fn is_material(field: Field) -> bool {
-    use Field::{Indirect, MetalLogit, Normal, ProtoLogits, Residual, RoughLogit, Visibility};
-    matches!(field, Normal | MetalLogit | RoughLogit | ProtoLogits | Residual | Visibility | Indirect)
+    use Field::{Indirect, MetalLogit, Normal, ProtoLogits, Residual, RoughLogit, Sheen, Visibility};
+    matches!(field, Normal | MetalLogit | RoughLogit | Sheen | ProtoLogits | Residual | Visibility | Indirect)
 }
 
 /// `UpdateUniform::rates`.
-fn rate_table(rates: &Rates, ages: Ages) -> [[f32; 4]; 13] {
-    let mut out = [[0.0; 4]; 13];
+fn rate_table(rates: &Rates, ages: Ages) -> [[f32; 4]; RATES] {
+    let mut out = [[0.0; 4]; RATES];
     for field in Field::ALL {
         let age = if is_material(field) { ages.material } else { ages.geometry };
         let [first, second] = corrections(age);

@@ -245,6 +245,7 @@ fn attributes<'t>(
                 albedo: p.albedo(),
                 metal: p.get(Field::MetalLogit).sigmoid(),
                 rough: p.get(Field::RoughLogit).sigmoid(),
+                sheen: Some(p.get(Field::Sheen)),
                 gathered,
                 indirect,
                 visibility: p.get(Field::Visibility),

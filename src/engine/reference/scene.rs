@@ -36,13 +36,14 @@ pub fn parameter_names() -> impl Iterator<Item = &'static str> {
 }
 
 impl Scene {
-    /// Takes arrays by name; `radiance_sh` may be absent and is then black.
+    /// Takes arrays by name; `radiance_sh` may be absent and is then black, and so may `sheen`, which is then none.
     ///
     /// # Errors
     /// Names the first parameter that is missing or does not fit the others.
     pub fn new(mut arrays: Arrays) -> Result<Self, SceneError> {
         let count = arrays.get(Field::Mean.name()).map_or(0, |a| a.shape()[0]);
         arrays.entry(Field::Radiance.name()).or_insert_with(|| Array::zeros(&[count, 3]));
+        arrays.entry(Field::Sheen.name()).or_insert_with(|| Array::zeros(&[count, 1]));
         for name in parameter_names() {
             let Some(array) = arrays.get(name) else {
                 return Err(SceneError { name, reason: "is missing".into() });

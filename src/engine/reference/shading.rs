@@ -10,7 +10,7 @@ use super::projection::view_vectors;
 use super::scene::Parameters;
 use super::spherical::{degrees, fibonacci_sphere, normal_related_sh, order_of, real_sh};
 use super::tape::{Tape, Var};
-use crate::light::LobeAttenuation;
+use crate::light::{LobeAttenuation, MOST_SHEEN};
 use crate::scene::{Camera, DiffuseForm, Field, ShadeAt, ShadingOptions, VisibilityForm};
 
 /// What shading makes of P pixels or Gaussians.
@@ -46,6 +46,8 @@ pub struct Surfaces<'t> {
     pub metal: Var<'t>,
     /// Roughness, (P, 1).
     pub rough: Var<'t>,
+    /// Sheen, (P, 1); none in the pixel.
+    pub sheen: Option<Var<'t>>,
     /// Irradiance gathered from other surfaces, (P, 3).
     pub gathered: Var<'t>,
     /// Radiance that comes from blocked directions, (P, 3).
@@ -64,6 +66,7 @@ impl<'t> Surfaces<'t> {
             albedo: buffer.albedo,
             metal: buffer.metal,
             rough: buffer.rough,
+            sheen: None,
             gathered: buffer.light,
             indirect: buffer.indirect,
             visibility: buffer.visibility,
@@ -106,7 +109,8 @@ pub fn shade<'t>(
         DiffuseForm::AmbientOcclusion => ambient_occlusion * light.irradiance(normal),
         DiffuseForm::Directional => light.transfer(normal, visibility).at_least(0.0),
     };
-    let diffuse = s.albedo * (1.0 - s.metal) * (1.0 / PI) * (irradiance + s.gathered);
+    let lambert = s.albedo * (1.0 - s.metal) * (1.0 / PI) * (irradiance + s.gathered);
+    let diffuse = s.sheen.map_or(lambert, |sheen| lambert * sheen_gain(sheen, n_dot_v));
 
     let mirrored = lobe_visibility(visibility, reflection, s.rough, options.visibility);
     let f0 = 0.04 * (1.0 - s.metal) + s.albedo * s.metal;
@@ -115,6 +119,12 @@ pub fn shade<'t>(
     let incoming = mirrored * prefiltered + (1.0 - mirrored) * s.indirect;
     let specular = incoming * (f0 * split.column(0) + split.column(1));
     Shaded { normal, ambient_occlusion, diffuse, specular }
+}
+
+/// `exp(s (1 - n . v)^3)`, docs/MODEL.md section 4.
+fn sheen_gain<'t>(sheen: Var<'t>, n_dot_v: Var<'t>) -> Var<'t> {
+    let most = f64::from(MOST_SHEEN);
+    (sheen.clamp(-most, most) * (1.0 - n_dot_v).powi(3)).exp()
 }
 
 /// `normals`, unit or not, at unit length and turned towards `view`.

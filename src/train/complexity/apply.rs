@@ -3,6 +3,7 @@
 use crate::engine::cpu::{FULLY_OPEN, softmax};
 use crate::scene::{Field, Gaussians, IndirectForm, VisibilityForm, sh_count};
 use crate::train::complexity::decide::Visibility;
+use crate::train::complexity::evidence::Overlap;
 use crate::train::density::DensityStats;
 use crate::train::state::Learned;
 
@@ -71,8 +72,8 @@ fn compensate(learned: &mut Learned, wanted: &[[f32; 3]]) {
     }
 }
 
-/// Merges prototypes by `groups` (heaviest member first) and drops those in none; no albedo changes.
-pub fn merge_prototypes(learned: &mut Learned, groups: &[Vec<usize>], masses: &[f32]) {
+/// Merges prototypes by `groups` (heaviest member first); no albedo changes.
+pub fn merge_prototypes(learned: &mut Learned, groups: &[Vec<usize>], overlap: &Overlap) {
     let before = mixed(learned);
     let n = groups.len();
     let merge = |g: &Gaussians, combine: &dyn Fn(&[f32], &[usize]) -> f32| {
@@ -94,17 +95,12 @@ pub fn merge_prototypes(learned: &mut Learned, groups: &[Vec<usize>], masses: &[
     learned.moments.first = merge(&learned.moments.first, &heaviest);
     learned.moments.second = merge(&learned.moments.second, &heaviest);
     let old = std::mem::take(&mut learned.model.prototypes);
-    let colour = |group: &Vec<usize>| {
-        let mass = group.iter().map(|k| masses[*k]).sum::<f32>().max(1e-12);
-        let channel = |c: usize| group.iter().map(|k| masses[*k] * old[*k][c]).sum::<f32>() / mass;
-        if mass > 1e-9 { std::array::from_fn(channel) } else { old[group[0]] }
-    };
-    learned.model.prototypes = groups.iter().map(colour).collect();
+    learned.model.prototypes = groups.iter().map(|group| overlap.mean(&old, group)).collect();
     for moments in &mut learned.moments.globals {
         let rest = moments.split_off(old.len());
         *moments = groups.iter().map(|group| moments[group[0]]).chain(rest).collect();
     }
-    // Without twins and unused ones nothing needs moving, and nothing is touched.
+    // Where nothing was merged nothing needs moving, and nothing is touched.
     if n < old.len() {
         compensate(learned, &before);
     }

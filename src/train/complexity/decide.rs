@@ -1,6 +1,6 @@
 //! Decisions: from evidence to the smallest model within stated tolerances. Pure.
 
-use crate::train::complexity::evidence::VisibilityErrors;
+use crate::train::complexity::evidence::{Overlap, VisibilityErrors};
 
 /// Share of a silhouette's hull that a convex thing's silhouette may leave empty, mean over the photographs.
 pub const CONVEX_TOLERANCE: f32 = 0.01;
@@ -18,12 +18,12 @@ pub const INDIRECT_TOLERANCE: f32 = 0.01;
 pub const RADIANCE_TOLERANCE: f32 = 0.01;
 /// Training PSNR that holding everything at dielectric may cost on the spot, dB.
 pub const METALNESS_TOLERANCE: f32 = 0.02;
-/// Prototypes nearer than this in every linear colour channel are twins.
-pub const TWINS: f32 = 0.08;
-/// Share of the picture below which a prototype is dropped.
-pub const UNUSED: f32 = 0.005;
+/// Training PSNR that leaving sheen out may cost at the end, dB.
+pub const SHEEN_TOLERANCE: f32 = 0.05;
+/// Linear albedo that merging prototypes may move into the residuals, root mean square.
+pub const PROTOTYPE_TOLERANCE: f32 = 0.05;
 /// Training PSNR that dropping Gaussians may cost on the spot, dB. What it costs in the end: results.md section 13.
-pub const DROP_TOLERANCE: f32 = 0.1;
+pub const DROP_TOLERANCE: f32 = 0.05;
 /// Shares of the Gaussians that are tried to be dropped, one after the other, those of least weight first.
 pub const DROPPED_SHARES: [f32; 12] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7];
 /// Training PSNR per doubling of the Gaussians below which more are not worth it, dB.
@@ -76,23 +76,41 @@ pub fn radiance_order(residuals: &[f32]) -> usize {
     residuals.iter().position(|r| *r <= RADIANCE_TOLERANCE).unwrap_or(most).max(1).min(most)
 }
 
-/// Which prototypes become one: groups of twins, the heaviest member first; what is in no group is unused.
-pub fn prototypes(colours: &[[f32; 3]], masses: &[f32]) -> Vec<Vec<usize>> {
-    let mut by_mass: Vec<usize> = (0..colours.len()).collect();
-    by_mass.sort_by(|a, b| masses[*b].total_cmp(&masses[*a]).then(a.cmp(b)));
-    let mut groups: Vec<Vec<usize>> = Vec::new();
-    for k in by_mass {
-        let shown = |v: f32| v.clamp(0.0, 1.0);
-        let apart = |a: usize| {
-            (0..3).map(|c| (shown(colours[a][c]) - shown(colours[k][c])).abs()).fold(0.0, f32::max)
-        };
-        if let Some(group) = groups.iter_mut().find(|group| apart(group[0]) <= TWINS) {
-            group.push(k);
-        } else if masses[k] >= UNUSED || groups.is_empty() {
-            groups.push(vec![k]);
+/// Which prototypes become one: groups, the heaviest member first. Merges go on, the cheapest of each round, while what moves
+/// into the residuals (second value) is within tolerance.
+///
+/// Judged by the mixtures of the Gaussians and not by the prototypes' own colours: colours far apart may be mixed alike
+/// everywhere, and one that colours nothing is not far from anything.
+pub fn prototypes(colours: &[[f32; 3]], overlap: &Overlap) -> (Vec<Vec<usize>>, f32) {
+    let shown: Vec<[f32; 3]> = colours.iter().map(|c| c.map(|v| v.clamp(0.0, 1.0))).collect();
+    let mut groups: Vec<Vec<usize>> = (0..shown.len()).map(|k| vec![k]).collect();
+    let mut moved = 0.0;
+    while let Some((a, b)) = cheapest_merge(&shown, &groups, overlap) {
+        let mut merged = groups.clone();
+        let second = merged.remove(b);
+        merged[a].extend(second);
+        let cost = overlap.moved(&shown, &merged);
+        if cost > PROTOTYPE_TOLERANCE {
+            break;
         }
+        (groups, moved) = (merged, cost);
     }
-    groups
+    let heavier = |a: &usize, b: &usize| overlap.mass(*b).total_cmp(&overlap.mass(*a)).then(a.cmp(b));
+    groups.iter_mut().for_each(|group| group.sort_by(heavier));
+    groups.sort_by(|a, b| heavier(&a[0], &b[0]));
+    (groups, moved)
+}
+
+/// The two groups, in order, whose means are nearest, weighted as in Ward's method: what merging them costs if no Gaussian
+/// mixes the two.
+fn cheapest_merge(colours: &[[f32; 3]], groups: &[Vec<usize>], overlap: &Overlap) -> Option<(usize, usize)> {
+    let of: Vec<_> = groups.iter().map(|g| (overlap.mean(colours, g), overlap.mass_of(g))).collect();
+    let cost = |(a, b): &(usize, usize)| {
+        let (([p, q], [m, n]), sum) = (([of[*a].0, of[*b].0], [of[*a].1, of[*b].1]), of[*a].1 + of[*b].1);
+        m * n / sum.max(1e-12) * (0..3).map(|c| (p[c] - q[c]).powi(2)).sum::<f32>()
+    };
+    let pairs = (0..groups.len()).flat_map(|a| (a + 1..groups.len()).map(move |b| (a, b)));
+    pairs.min_by(|x, y| cost(x).total_cmp(&cost(y)))
 }
 
 /// Whether more Gaussians are worth it, from `(Gaussians, training PSNR)` after each round of density control.
@@ -130,16 +148,34 @@ mod tests {
         assert_eq!(visibility(&errors(0.2, flat, needs_all), false, false), Visibility::Order(4));
     }
 
+    /// Mixtures of equally heavy Gaussians.
+    fn mixed<const K: usize>(shares: &[[f32; K]]) -> Overlap {
+        let mut g = crate::scene::Gaussians::zeroed(shares.len(), K, 0, 0);
+        for (i, shares) in shares.iter().enumerate() {
+            let row = g.row_mut(crate::scene::Field::ProtoLogits, i);
+            row.iter_mut().zip(shares).for_each(|(score, p)| *score = p.max(1e-9).ln());
+        }
+        Overlap::of(&g, &vec![1.0; shares.len()])
+    }
+
     #[test]
-    fn twins_become_one_and_the_unused_go() {
+    fn twins_become_one_and_the_unused_join_them() {
         let colours = [[0.5; 3], [0.52; 3], [0.9; 3], [0.1; 3]];
-        assert_eq!(prototypes(&colours, &[0.3, 0.4, 0.299, 0.001]), [vec![1, 0], vec![2]]);
-        assert_eq!(
-            prototypes(&colours[2..], &[0.5, 0.5]),
-            [vec![0], vec![1]],
-            "the control: far apart and used"
-        );
-        assert_eq!(prototypes(&colours[..1], &[0.0]), [vec![0]], "one always stays");
+        let pure = mixed(&[[0.4, 0.6, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+        let (groups, moved) = prototypes(&colours, &pure);
+        assert_eq!(groups, [vec![1, 0, 3], vec![2]]);
+        assert!(moved > 0.0 && moved < 0.01, "{moved}");
+        let (apart, moved) = prototypes(&colours[2..], &mixed(&[[1.0, 0.0], [0.0, 1.0]]));
+        assert_eq!((apart, moved), (vec![vec![0], vec![1]], 0.0), "the control: far apart and used");
+        assert_eq!(prototypes(&colours[..1], &mixed(&[[1.0]])).0, [vec![0]], "one always stays");
+        assert_eq!(prototypes(&[], &mixed::<0>(&[])).0, Vec::<Vec<usize>>::new());
+    }
+
+    #[test]
+    fn colours_far_apart_that_all_surfaces_mix_alike_are_one() {
+        let colours = [[0.2; 3], [0.8; 3]];
+        assert_eq!(prototypes(&colours, &mixed(&[[0.5, 0.5], [0.49, 0.51]])).0.len(), 1);
+        assert_eq!(prototypes(&colours, &mixed(&[[0.7, 0.3], [0.3, 0.7]])).0.len(), 2, "the control");
     }
 
     #[test]

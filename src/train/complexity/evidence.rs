@@ -153,16 +153,65 @@ pub fn radiance_residuals(g: &Gaussians, weights: &[f32]) -> Vec<f32> {
     (0..=order).map(|degree| mean(degree).sqrt()).collect()
 }
 
-/// Share of the picture that each prototype colours.
-pub fn prototype_masses(g: &Gaussians, weights: &[f32]) -> Vec<f32> {
-    let mut sums = vec![0.0f64; g.prototypes()];
-    let mut shares = vec![0.0f32; g.prototypes()];
-    for (i, weight) in weights.iter().enumerate() {
-        softmax(g.row(Field::ProtoLogits, i), &mut shares);
-        sums.iter_mut().zip(&shares).for_each(|(sum, p)| *sum += f64::from(p * weight));
+/// How the Gaussians mix the prototypes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Overlap {
+    /// Weighted mean of `p_k p_l`, (K, K).
+    products: Vec<f32>,
+    masses: Vec<f32>,
+}
+
+impl Overlap {
+    /// The overlap of the mixtures of `g`.
+    pub fn of(g: &Gaussians, weights: &[f32]) -> Self {
+        let k = g.prototypes();
+        let mut sums = vec![0.0f64; k * k];
+        let mut shares = vec![0.0f32; k];
+        for (i, weight) in weights.iter().enumerate() {
+            softmax(g.row(Field::ProtoLogits, i), &mut shares);
+            for (row, p) in sums.chunks_exact_mut(k.max(1)).zip(&shares) {
+                row.iter_mut().zip(&shares).for_each(|(sum, q)| *sum += f64::from(p * q * weight));
+            }
+        }
+        let total = sums.iter().sum::<f64>().max(1e-12);
+        // Shares of a Gaussian add up to 1, and so a row's products to its prototype's share of the picture.
+        let masses = sums.chunks_exact(k.max(1)).map(|row| (row.iter().sum::<f64>() / total) as f32);
+        Self { masses: masses.collect(), products: sums.iter().map(|s| (s / total) as f32).collect() }
     }
-    let total = sums.iter().sum::<f64>().max(1e-12);
-    sums.into_iter().map(|s| (s / total) as f32).collect()
+
+    /// Share of the picture that prototype `k` colours.
+    pub fn mass(&self, k: usize) -> f32 {
+        self.masses[k]
+    }
+
+    /// Share of the picture that a group colours.
+    pub fn mass_of(&self, group: &[usize]) -> f32 {
+        group.iter().map(|k| self.masses[*k]).sum()
+    }
+
+    /// The colour that stands for a group: the mean by mass, or its first member's where it colours nothing.
+    pub fn mean(&self, colours: &[[f32; 3]], group: &[usize]) -> [f32; 3] {
+        let mass = self.mass_of(group);
+        if mass <= 1e-9 {
+            return colours[group[0]];
+        }
+        std::array::from_fn(|c| group.iter().map(|k| self.masses[*k] * colours[*k][c]).sum::<f32>() / mass)
+    }
+
+    /// Root mean square of the albedo that moves into the residuals when each group becomes one prototype.
+    pub fn moved(&self, colours: &[[f32; 3]], groups: &[Vec<usize>]) -> f32 {
+        let mut shift = vec![[0.0f32; 3]; colours.len()];
+        for group in groups {
+            let mean = self.mean(colours, group);
+            group.iter().for_each(|k| shift[*k] = std::array::from_fn(|c| colours[*k][c] - mean[c]));
+        }
+        let rows = self.products.chunks_exact(colours.len().max(1)).zip(&shift);
+        let along = |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|c| f64::from(a[c] * b[c])).sum::<f64>();
+        let squares = rows.map(|(row, a)| -> f64 {
+            row.iter().zip(&shift).map(|(p, b)| f64::from(*p) * along(a, b)).sum()
+        });
+        (squares.sum::<f64>().max(0.0) / 3.0).sqrt() as f32
+    }
 }
 
 /// Coefficients of a field that is open on the side of `normal` only, and of one open everywhere (for tests).
@@ -263,9 +312,15 @@ mod tests {
         let mut g = Gaussians::zeroed(2, 2, 0, 0);
         g.row_mut(Field::ProtoLogits, 0).copy_from_slice(&[0.0, 3f32.ln()]);
         g.row_mut(Field::ProtoLogits, 1).copy_from_slice(&[20.0, 0.0]);
-        let masses = prototype_masses(&g, &[3.0, 1.0]);
+        let overlap = Overlap::of(&g, &[3.0, 1.0]);
+        let masses = [overlap.mass(0), overlap.mass(1)];
         // (3 / 4 + 1) / 4 and the rest.
         assert!((masses[0] - 1.75 / 4.0).abs() < 1e-5 && (masses[1] - 2.25 / 4.0).abs() < 1e-5, "{masses:?}");
-        assert!(prototype_masses(&g, &[0.0, 1.0])[1] < 1e-6);
+        assert!(Overlap::of(&g, &[0.0, 1.0]).mass(1) < 1e-6);
+        // Merged, the mean is 0.3 + 0.4 x 2.25 / 4; the first Gaussian had 0.6, the second 0.3.
+        let moved = overlap.moved(&[[0.3; 3], [0.7; 3]], &[vec![0, 1]]);
+        let mean = 0.3 + 0.4 * 2.25 / 4.0;
+        let expected = (0.75 * (0.6f32 - mean).powi(2) + 0.25 * (0.3 - mean).powi(2)).sqrt();
+        assert!((moved - expected).abs() < 1e-5, "{moved} {expected}");
     }
 }

@@ -202,7 +202,10 @@ impl Ledger {
                 self.decide_metalness(context, steps, photos, learned);
                 self.merge(context.config, steps, photos, learned);
             }
-            Point::End => self.merge(context.config, steps, photos, learned),
+            Point::End => {
+                self.decide_sheen(context, steps, photos, learned);
+                self.merge(context.config, steps, photos, learned);
+            }
         }
     }
 
@@ -369,23 +372,43 @@ impl Ledger {
         }
     }
 
+    /// Tries the photographs with and without sheen.
+    fn decide_sheen(
+        &mut self,
+        context: &StepContext<'_>,
+        steps: u32,
+        photos: &[Photo],
+        learned: &mut Learned,
+    ) {
+        if context.config.forced.contains(&Setting::Sheen) {
+            let value = if context.config.sheen { "learned" } else { "none" };
+            return self.note_forced(Setting::Sheen, steps, value.to_owned());
+        }
+        let mut without = learned.clone();
+        without.model.gaussians.field_mut(Field::Sheen).fill(0.0);
+        let [with, bare] = [&*learned, &without]
+            .map(|state| psnr(photos, |photo| step::physical_error(context, state, photo)));
+        let is_none = with - bare <= decide::SHEEN_TOLERANCE;
+        let figures = [("psnr", with), ("psnr_without", bare), ("tolerance_db", decide::SHEEN_TOLERANCE)];
+        let is = if is_none { "none" } else { "learned" };
+        self.note(Setting::Sheen, steps, "learned".to_owned(), is.to_owned(), &figures);
+        if is_none {
+            *learned = without;
+        }
+    }
+
     fn merge(&mut self, config: &TrainConfig, steps: u32, photos: &[Photo], learned: &mut Learned) {
         let n = learned.model.prototypes.len();
         if config.forced.contains(&Setting::Prototypes) {
             return self.note_forced(Setting::Prototypes, steps, n.to_string());
         }
-        let masses =
-            evidence::prototype_masses(&learned.model.gaussians, &weights(learned, photos, VIEWS[0]));
-        let groups = decide::prototypes(&learned.model.prototypes, &masses);
-        let figures = [
-            ("least_mass", masses.iter().copied().fold(1.0, f32::min)),
-            ("tolerance_mass", decide::UNUSED),
-            ("in_groups", groups.iter().map(Vec::len).sum::<usize>() as f32),
-            ("tolerance_twins", decide::TWINS),
-        ];
+        let g = &learned.model.gaussians;
+        let overlap = evidence::Overlap::of(g, &weights(learned, photos, VIEWS[0]));
+        let (groups, moved) = decide::prototypes(&learned.model.prototypes, &overlap);
+        let figures = [("albedo_moved_rms", moved), ("tolerance", decide::PROTOTYPE_TOLERANCE)];
         self.note(Setting::Prototypes, steps, n.to_string(), groups.len().to_string(), &figures);
         if groups.len() < n {
-            apply::merge_prototypes(learned, &groups, &masses);
+            apply::merge_prototypes(learned, &groups, &overlap);
         }
     }
 

@@ -56,9 +56,9 @@ fn cutting_degrees_keeps_the_lower_ones_and_the_moments() {
 #[test]
 fn merging_twins_changes_no_albedo_and_merging_others_without_compensation_would() {
     let (before, mut after) = (state(), state());
-    let groups = decide::prototypes(&before.model.prototypes, &[0.4, 0.3, 0.297, 0.003]);
-    assert_eq!(groups, [vec![0, 1], vec![2]]);
-    apply::merge_prototypes(&mut after, &groups, &[0.4, 0.3, 0.297, 0.003]);
+    let groups = [vec![0, 1], vec![2, 3]];
+    let overlap = evidence::Overlap::of(&before.model.gaussians, &[0.4, 0.3, 0.297, 0.003, 0.0]);
+    apply::merge_prototypes(&mut after, &groups, &overlap);
     assert_eq!(after.model.prototypes.len(), 2);
     assert_eq!(after.moments.globals[0].len(), 2 + 8);
     assert!(after.model.check().is_ok());

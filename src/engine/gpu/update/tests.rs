@@ -63,7 +63,9 @@ fn random_model(shape: &Shape, rng: &mut ChaCha8Rng) -> Model {
         Field::OpacityLogit => (0.5, 1.5),
         Field::Residual => (0.0, 0.5),
         Field::Visibility | Field::Indirect | Field::Radiance | Field::Normal => (0.0, 0.4),
-        Field::Quaternion | Field::MetalLogit | Field::RoughLogit | Field::ProtoLogits => (0.0, 1.5),
+        Field::Quaternion | Field::MetalLogit | Field::RoughLogit | Field::Sheen | Field::ProtoLogits => {
+            (0.0, 1.5)
+        }
     };
     for (field, _, data) in g.fields_mut() {
         let (centre, half) = spread(field);

@@ -1,0 +1,56 @@
+//! Sheen: cloth brightens towards its rims, where fibres that stand up catch light. One number a Gaussian, a gain of its
+//! diffuse term by the angle of view alone: `exp(s (1 - n . v)^3)`. It is positive and smooth for every `s`; 0 is Lambert.
+//!
+//! Light's own angle of incidence, which a microfibre model has as well, is left out: under a whole sky it is averaged.
+
+/// Sheen counts to this, a gain of 20 or of a twentieth; what is beyond has no gradient.
+pub const MOST_SHEEN: f32 = 3.0;
+
+/// Gain of the diffuse term with its slopes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sheen {
+    /// The gain.
+    pub gain: f32,
+    /// By the Gaussian's number.
+    pub by_sheen: f32,
+    /// By `n . v`.
+    pub by_nov: f32,
+}
+
+impl Sheen {
+    /// The gain of `sheen` seen at the cosine `nov`, 0 to 1.
+    pub fn new(sheen: f32, nov: f32) -> Self {
+        let (away, held) = (1.0 - nov, sheen.clamp(-MOST_SHEEN, MOST_SHEEN));
+        let cube = away * away * away;
+        let gain = (held * cube).exp();
+        Self {
+            gain,
+            by_sheen: if held == sheen { gain * cube } else { 0.0 },
+            by_nov: -3.0 * held * away * away * gain,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn none_is_lambert_and_slopes_are_those_of_the_gain() {
+        for nov in [0.0, 0.3, 1.0] {
+            assert_eq!(Sheen::new(0.0, nov).gain, 1.0);
+        }
+        let (step, at) = (1e-3, Sheen::new(0.7, 0.2));
+        let slope = |f: &dyn Fn(f32) -> f32| (f(step) - f(-step)) / (2.0 * step);
+        assert!((slope(&|h| Sheen::new(0.7 + h, 0.2).gain) - at.by_sheen).abs() < 1e-3);
+        assert!((slope(&|h| Sheen::new(0.7, 0.2 + h).gain) - at.by_nov).abs() < 1e-3);
+        assert!(at.by_sheen > 0.1 && at.by_nov < -0.1, "the control: neither is flat here");
+    }
+
+    #[test]
+    fn it_is_held_within_reason() {
+        let wild = Sheen::new(1e30, 0.0);
+        assert_eq!((wild.gain, wild.by_sheen), (MOST_SHEEN.exp(), 0.0));
+        assert!(Sheen::new(-1e30, 0.0).gain > 0.04 && Sheen::new(1e30, 1.0).gain == 1.0);
+    }
+}
