@@ -149,6 +149,11 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
 
 /// Mean squared error of the physically based branch on one photograph; nothing is differentiated.
 pub fn physical_error(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> f32 {
+    mean_squared_error(&physical_image(context, state, photo), photo)
+}
+
+/// The physically based branch as one photograph would show it.
+pub(super) fn physical_image(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Vec<[f32; 3]> {
     let tables = context.operators.apply(&radiance_of(&state.model));
     let basis = cpu::indirect_basis(&tables);
     let Learned { model, .. } = state;
@@ -157,7 +162,7 @@ pub fn physical_error(context: &StepContext<'_>, state: &Learned, photo: &Photo)
     let source = source(state, &basis).under(shader);
     let view = View::new(&photo.camera, source.options);
     let pass = Pass::forward(&source, view, channels(context.config, model).0, true);
-    mean_squared_error(&shader.images(&pass, context.background).physical, photo)
+    shader.images(&pass, context.background).physical
 }
 
 /// Mean squared error of the radiance branch on one photograph; nothing is differentiated.

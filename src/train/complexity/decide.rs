@@ -5,8 +5,9 @@ use crate::train::complexity::evidence::{Overlap, VisibilityErrors};
 /// Share of a silhouette's hull that a convex thing's silhouette may leave empty, mean over the photographs.
 pub const CONVEX_TOLERANCE: f32 = 0.01;
 /// Ambient occlusion (0 to 1) that leaving visibility out may change, mean. Generous: halfway through a training the
-/// measurement of a perfect ball is off by 0.04 to 0.07. It is there to notice what silhouettes cannot show, a bowl.
-pub const OFF_TOLERANCE: f32 = 0.12;
+/// measurement of a matte ball is off by 0.04 to 0.09, that of a mirror, whose picture is made of Gaussians inside it, by 0.14. It
+/// is there to notice what silhouettes cannot show, a bowl: half of the sky is hidden from its inside, none from its outside.
+pub const OFF_TOLERANCE: f32 = 0.18;
 /// Ambient occlusion that cutting degrees may change, mean.
 pub const AMBIENT_TOLERANCE: f32 = 0.005;
 /// Mean squared error of the field (0 to 1) that cutting degrees may cost. At 0.02 two scenes of five lost 0.15 and 0.27 dB
@@ -21,7 +22,7 @@ pub const METALNESS_TOLERANCE: f32 = 0.02;
 /// Training PSNR that leaving sheen out may cost at the end, dB.
 pub const SHEEN_TOLERANCE: f32 = 0.05;
 /// Linear albedo that merging prototypes may move into the residuals, root mean square.
-pub const PROTOTYPE_TOLERANCE: f32 = 0.05;
+pub const PROTOTYPE_TOLERANCE: f32 = 0.08;
 /// Training PSNR that dropping Gaussians may cost on the spot, dB. What it costs in the end: results.md section 13.
 pub const DROP_TOLERANCE: f32 = 0.05;
 /// Shares of the Gaussians that are tried to be dropped, one after the other, those of least weight first.

@@ -244,3 +244,22 @@ fn what_no_photograph_misses_is_dropped_and_what_one_misses_stays() {
     assert!((ledger.findings[0].evidence["share_dropped"] - 0.6).abs() < 1e-6, "{ledger:?}");
     assert_eq!(dropped(&[]).0.len(), 15, "the control: each of five is missed");
 }
+
+#[test]
+fn sheen_stays_where_photographs_show_it() {
+    let decided = |sheen: f32| {
+        let (mut learned, mut photo) = discs(&[]);
+        learned.model.gaussians.field_mut(Field::Sheen).fill(sheen);
+        let mut ledger = Ledger::default();
+        in_context(&TrainOverrides::default(), |context| {
+            // No picture is met exactly.
+            let seen = step::physical_image(context, &learned, &photo);
+            photo.pixels = seen.iter().map(|p| p.map(|v| v + 0.05)).collect();
+            ledger.decide_sheen(context, 7, &[photo], &mut learned);
+        });
+        let stays = learned.model.gaussians.field(Field::Sheen).iter().all(|s| *s == sheen);
+        (stays, ledger.findings[0].is.clone())
+    };
+    assert_eq!(decided(1.5), (true, "learned".to_owned()));
+    assert_eq!(decided(1e-3), (false, "none".to_owned()), "the control: too little to show");
+}
