@@ -51,6 +51,17 @@ fn roughness_and_metalness_at_both_ends() {
 }
 
 #[test]
+fn sheen_at_both_ends() {
+    let mut suite = Suite::default();
+    for sheen in [-1e30, -3.0, 3.0, 1e30] {
+        let mut model = model(8, 35);
+        model.gaussians.field_mut(Field::Sheen).fill(sheen);
+        suite.check(&format!("sheen {sheen:e}"), &model, &in_front((16, 12)), TIGHT);
+    }
+    suite.finish();
+}
+
+#[test]
 fn environments_from_black_to_blinding() {
     let mut suite = Suite::default();
     for texel in [-1e4f32, 6e4, 1e18] {
