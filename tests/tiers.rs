@@ -147,6 +147,28 @@ fn colour_alone_is_the_colour_of_the_whole_frame_where_gaussians_are_shaded() {
 }
 
 #[test]
+fn sheen_brightens_what_a_sun_and_what_a_sky_light_alike() {
+    let discs: Vec<Disc> = plate(40, 0.05, 0.0).collect();
+    let plain = model(&discs, 0.3, 0.0);
+    let mut cloth = (*plain).clone();
+    cloth.gaussians.field_mut(Field::Sheen).fill(1.0);
+    let [plain, cloth] = [plain, Arc::new(cloth)].map(Renderer::new);
+    let low = Camera::look_at(DVec3::new(0.0, -3.0, 0.9), DVec3::ZERO, DVec3::Z, 0.2, (16, 16)).unwrap();
+    let gain = |tier: Tier| {
+        let sum = |renderer: &Renderer| -> f32 {
+            seen_from(&low, renderer, &sun(), tier).planes[&Output::Diffuse].iter().sum()
+        };
+        sum(&cloth) / sum(&plain)
+    };
+    // n . v is 0.29 in the middle.
+    let expected = 0.71f32.powi(3).exp();
+    for tier in [Tier::Standard, Tier::High] {
+        assert!((gain(tier) - expected).abs() < 0.03, "{tier:?}: {} against {expected}", gain(tier));
+    }
+    assert!((gain(Tier::Reference) - 1.0).abs() < 1e-6, "the control: there is none where pixels are shaded");
+}
+
+#[test]
 fn a_white_surface_that_nothing_hides_is_white_in_a_white_furnace() {
     let disc = model(&[(DVec3::ZERO, DVec3::Z, 1.5)], 1.0, 0.0);
     let renderer = Renderer::new(disc);
