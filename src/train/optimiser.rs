@@ -42,10 +42,12 @@ impl StepSizes {
     /// The schedule at `progress` in [0, 1]; `material` says whether the physically based branch trains.
     pub fn new(rates: &LearningRates, progress: f32, material: bool, visibility: bool) -> Self {
         let mean = rates.mean * (rates.mean_final / rates.mean.max(1e-20)).powf(progress);
-        // Over the second half shapes and radiance fall to a thirtieth, materials and light, which are not there yet, to a half.
+        // Over the second half shapes and radiance fall to a thirtieth; materials and light, which are not there yet by then, over
+        // the last quarter to a tenth.
         let second_half = (2.0 * progress - 1.0).max(0.0);
         let late = (1.0f32 / 30.0).powf(second_half);
-        let on = if material { 0.5f32.powf(second_half) } else { 0.0 };
+        let last_quarter = (4.0 * progress - 3.0).max(0.0);
+        let on = if material { 0.1f32.powf(last_quarter) } else { 0.0 };
         let vis = if visibility { on } else { 0.0 };
         let mut fields = [0.0; Field::COUNT];
         let table = [
