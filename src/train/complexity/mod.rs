@@ -102,6 +102,17 @@ fn psnr(photos: &[Photo], error: impl Fn(&Photo) -> f32) -> f32 {
     -10.0 * evidence::weighted_mean(errors).max(1e-10).log10()
 }
 
+/// Something learned that the model is tried without.
+struct Trial {
+    setting: Setting,
+    /// The setting's value without it.
+    without: &'static str,
+    /// Names of the training PSNR with and without it, in the model card.
+    figures: [&'static str; 2],
+    /// What it may cost, dB.
+    tolerance: f32,
+}
+
 /// What the photographs show.
 struct Shown {
     /// Mean blending weight of each Gaussian.
@@ -357,19 +368,13 @@ impl Ledger {
         }
         let mut without = learned.clone();
         apply::make_dielectric(&mut without);
-        let [with, held] = [&*learned, &without]
-            .map(|state| psnr(photos, |photo| step::physical_error(context, state, photo)));
-        self.is_dielectric = with - held <= decide::METALNESS_TOLERANCE;
-        let is = if self.is_dielectric { "dielectric" } else { "learned" };
-        let figures = [
-            ("psnr_learned", with),
-            ("psnr_dielectric", held),
-            ("tolerance_db", decide::METALNESS_TOLERANCE),
-        ];
-        self.note(Setting::Metalness, steps, "learned".to_owned(), is.to_owned(), &figures);
-        if self.is_dielectric {
-            *learned = without;
-        }
+        let trial = Trial {
+            setting: Setting::Metalness,
+            without: "dielectric",
+            figures: ["psnr_learned", "psnr_dielectric"],
+            tolerance: decide::METALNESS_TOLERANCE,
+        };
+        self.is_dielectric = self.try_without(&trial, context, steps, photos, learned, without);
     }
 
     /// Tries the photographs with and without sheen.
@@ -386,15 +391,36 @@ impl Ledger {
         }
         let mut without = learned.clone();
         without.model.gaussians.field_mut(Field::Sheen).fill(0.0);
+        let trial = Trial {
+            setting: Setting::Sheen,
+            without: "none",
+            figures: ["psnr", "psnr_without"],
+            tolerance: decide::SHEEN_TOLERANCE,
+        };
+        self.try_without(&trial, context, steps, photos, learned, without);
+    }
+
+    /// Takes the state without something that was learned, and says so, if the photographs do not miss it.
+    fn try_without(
+        &mut self,
+        trial: &Trial,
+        context: &StepContext<'_>,
+        steps: u32,
+        photos: &[Photo],
+        learned: &mut Learned,
+        without: Learned,
+    ) -> bool {
         let [with, bare] = [&*learned, &without]
             .map(|state| psnr(photos, |photo| step::physical_error(context, state, photo)));
-        let is_none = with - bare <= decide::SHEEN_TOLERANCE;
-        let figures = [("psnr", with), ("psnr_without", bare), ("tolerance_db", decide::SHEEN_TOLERANCE)];
-        let is = if is_none { "none" } else { "learned" };
-        self.note(Setting::Sheen, steps, "learned".to_owned(), is.to_owned(), &figures);
-        if is_none {
+        let is_missed = with - bare > trial.tolerance;
+        let [name, name_without] = trial.figures;
+        let figures = [(name, with), (name_without, bare), ("tolerance_db", trial.tolerance)];
+        let is = if is_missed { "learned" } else { trial.without };
+        self.note(trial.setting, steps, "learned".to_owned(), is.to_owned(), &figures);
+        if !is_missed {
             *learned = without;
         }
+        !is_missed
     }
 
     fn merge(&mut self, config: &TrainConfig, steps: u32, photos: &[Photo], learned: &mut Learned) {
