@@ -176,3 +176,20 @@ fn adam(m: &mut f32, v: &mut f32, g: f32, rate: f32, correction2: f32) -> f32 {
     *v = BETA2 * *v + (1.0 - BETA2) * g * g;
     rate * *m / (v.sqrt() / correction2 + EPSILON)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn materials_keep_their_steps_to_the_last_quarter_and_sheen_comes_late() {
+        let rates = LearningRates::default();
+        let size =
+            |field: Field, progress: f32| StepSizes::new(&rates, progress, true, true).fields[field as usize];
+        assert_eq!(size(Field::RoughLogit, 0.75), rates.material);
+        assert!((size(Field::RoughLogit, 1.0) - 0.1 * rates.material).abs() < 1e-6);
+        assert_eq!(size(Field::Sheen, 0.69), 0.0);
+        assert_eq!(size(Field::Sheen, 0.71), rates.sheen);
+        assert!(size(Field::LogScale, 0.75) < 0.2 * rates.scale, "the control: shapes fall before");
+    }
+}

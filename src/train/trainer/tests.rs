@@ -68,6 +68,33 @@ fn held_metalness_stays_held_when_materials_start_anew() {
 }
 
 #[test]
+fn sheen_is_learned_unless_it_is_left_out() {
+    let options =
+        SyntheticOptions { train_views: 3, test_views: 1, size: 24, paths: 4, ..Default::default() };
+    let capture = synthetic(&options).unwrap();
+    let most = |sheen: bool| {
+        let overrides = TrainOverrides {
+            resolution: Some(24),
+            iterations: Some(24),
+            initial_gaussians: Some(64),
+            max_gaussians: Some(64),
+            probe_directions: Some(8),
+            sheen: Some(sheen),
+            ..Default::default()
+        };
+        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+        let mut trainer = Trainer::new(&capture, config, &Device::Cpu).unwrap();
+        while !trainer.is_done() {
+            trainer.step().unwrap();
+        }
+        let model = trainer.model().unwrap();
+        model.gaussians.field(Field::Sheen).iter().fold(0.0f32, |most, s| most.max(s.abs()))
+    };
+    assert_eq!(most(false), 0.0);
+    assert!(most(true) > 0.0, "the control");
+}
+
+#[test]
 fn a_smaller_model_goes_on_training_on_every_device() {
     let options = SyntheticOptions {
         scene: crate::capture::SyntheticScene::MatteBall,
