@@ -1,8 +1,9 @@
 //! Lights as they are named on the command line.
 
-use crate::capture::{BUILTIN, builtin};
+use crate::capture::{BUILTIN, Capture, builtin};
 use crate::formats::environment;
 use crate::scene::EnvMap;
+use crate::train::TrainConfig;
 
 /// A built-in map or the contents of a `.hdr` or `.exr` file; `others` says what else could have been named.
 pub(super) fn named_light(name: &str, others: &str) -> Result<EnvMap, String> {
@@ -17,4 +18,36 @@ pub(super) fn named_light(name: &str, others: &str) -> Result<EnvMap, String> {
         eprintln!("warning: {name}: {warning}");
     }
     Ok(loaded.map)
+}
+
+/// Gives `capture` the measured light that `config` names, if it names one.
+pub(super) fn illuminate(capture: &mut Capture, config: &TrainConfig) -> Result<(), String> {
+    if let Some(known) = &config.light {
+        known.illuminate(capture, named_light(&known.environment, "")?);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::{SyntheticOptions, synthetic};
+    use crate::train::{Preset, TrainOverrides};
+
+    fn lit(overrides: &str) -> Result<Option<EnvMap>, String> {
+        let overrides: TrainOverrides = serde_json::from_str(overrides).unwrap();
+        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+        let options =
+            SyntheticOptions { size: 4, train_views: 3, test_views: 0, paths: 4, ..Default::default() };
+        let mut capture = synthetic(&options).unwrap();
+        illuminate(&mut capture, &config).map(|()| capture.lit_by)
+    }
+
+    #[test]
+    fn a_capture_is_lit_by_what_the_settings_name_and_by_nothing_else() {
+        assert_eq!(lit(r#"{"light": {"environment": "studio"}}"#), Ok(builtin("studio")));
+        assert_eq!(lit("{}"), Ok(None));
+        let missing = lit(r#"{"light": {"environment": "no/such.hdr"}}"#).unwrap_err();
+        assert!(missing.starts_with("no/such.hdr: "), "{missing}");
+    }
 }

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crate::capture::{Capture, ImportOptions, SyntheticOptions, SyntheticScene, import, synthetic};
 use crate::cli::args::{named, overrides};
+use crate::cli::light::illuminate;
 use crate::cli::{CommandResult, output};
 use crate::engine::Device;
 use crate::engine::gpu::DeviceChoice;
@@ -78,14 +79,14 @@ pub(super) fn run(args: &Args) -> CommandResult {
         if args.only.is_empty() || args.only.iter().any(|n| n == name) {
             let options =
                 SyntheticOptions { scene, size: args.resolution, seed: args.seed, ..Default::default() };
-            row(args, &device, name, &synthetic(&options)?, &mut text)?;
+            row(args, &device, name, synthetic(&options)?, &mut text)?;
         }
     }
     for path in &args.captures {
         let options =
             ImportOptions { max_side: Some(args.resolution), load_truth: true, ..ImportOptions::default() };
         let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.display().to_string());
-        row(args, &device, &name, &import(path, &options)?, &mut text)?;
+        row(args, &device, &name, import(path, &options)?, &mut text)?;
     }
     println!("{text}");
     if let Some(path) = &args.out {
@@ -115,11 +116,12 @@ fn row(
     args: &Args,
     device: &Device,
     name: &str,
-    capture: &Capture,
+    mut capture: Capture,
     text: &mut String,
 ) -> Result<(), Failure> {
-    let full = train(args, device, capture, Complexity::Full)?;
-    let auto = train(args, device, capture, Complexity::Auto)?;
+    illuminate(&mut capture, &config(args, Complexity::Full)?)?;
+    let full = train(args, device, &capture, Complexity::Full)?;
+    let auto = train(args, device, &capture, Complexity::Auto)?;
     for finding in &auto.findings {
         eprintln!("{name}: {finding}");
     }
@@ -158,7 +160,7 @@ fn scales(full: &Report, auto: &Report) -> String {
     }
 }
 
-fn train(args: &Args, device: &Device, capture: &Capture, how: Complexity) -> Result<Outcome, Failure> {
+fn config(args: &Args, how: Complexity) -> Result<TrainConfig, Failure> {
     let flags = [
         ("resolution", Some(args.resolution.into())),
         ("iterations", Some(args.iterations.into())),
@@ -169,7 +171,11 @@ fn train(args: &Args, device: &Device, capture: &Capture, how: Complexity) -> Re
     config.max_gaussians = args.gaussians;
     config.initial_gaussians = (args.gaussians / 2).max(16);
     config.complexity = how;
-    let mut trainer = Trainer::new(capture, config, device)?;
+    Ok(config)
+}
+
+fn train(args: &Args, device: &Device, capture: &Capture, how: Complexity) -> Result<Outcome, Failure> {
+    let mut trainer = Trainer::new(capture, config(args, how)?, device)?;
     while !trainer.is_done() {
         trainer.step()?;
     }

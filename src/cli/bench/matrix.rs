@@ -10,6 +10,7 @@ use serde_json::{Map, Value, json};
 
 use crate::capture::{Capture, ImportOptions, import};
 use crate::cli::args::named;
+use crate::cli::light::illuminate;
 use crate::cli::{CommandResult, output};
 use crate::engine::{Device, gpu::DeviceChoice};
 use crate::eval::{EvalOptions, Report, evaluate};
@@ -76,9 +77,9 @@ pub(super) fn run(args: &Args) -> CommandResult {
     println!("{text}");
     for path in &args.captures {
         let options = ImportOptions { max_side: Some(args.resolution), ..ImportOptions::default() };
-        let capture = import(path, &options)?;
+        let mut capture = import(path, &options)?;
         for variant in &variants {
-            let row = row(args, &device, path, &capture, variant)?;
+            let row = row(args, &device, path, &mut capture, variant)?;
             println!("{row}");
             writeln!(text, "{row}")?;
             // A long sweep that is cut short keeps what it has found.
@@ -98,7 +99,7 @@ fn row(
     args: &Args,
     device: &Device,
     path: &Path,
-    capture: &Capture,
+    capture: &mut Capture,
     variant: &Variant,
 ) -> Result<String, Failure> {
     let mut fields = variant.overrides.clone();
@@ -110,6 +111,7 @@ fn row(
     let overrides: TrainOverrides = serde_path_to_error::deserialize(Value::Object(fields))
         .map_err(|e| format!("variant {}: {}: {}", variant.name, e.path(), e.inner()))?;
     let config = TrainConfig::new(args.preset, &overrides)?;
+    illuminate(capture, &config)?;
     let start = Instant::now();
     let mut trainer = Trainer::new(capture, config, device)?;
     while !trainer.is_done() {
