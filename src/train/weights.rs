@@ -51,7 +51,7 @@ impl Default for LossWeights {
             radiance: 0.5,
             coverage: 0.5,
             depth_normal: 0.2,
-            smoothness: 0.15,
+            smoothness: 0.05,
             smooth_roughness: 0.015,
             light: 0.0,
             exposure: 0.01,
