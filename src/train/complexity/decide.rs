@@ -17,8 +17,8 @@ pub const FIELD_TOLERANCE: f32 = 0.01;
 pub const INDIRECT_TOLERANCE: f32 = 0.01;
 /// Display colour that the radiance branch may lose, root mean square.
 pub const RADIANCE_TOLERANCE: f32 = 0.01;
-/// Training PSNR that holding everything at dielectric may cost on the spot, dB.
-pub const METALNESS_TOLERANCE: f32 = 0.02;
+/// Training PSNR that holding everything at dielectric may cost on the spot, dB: as much as may be lost in all.
+pub const METALNESS_TOLERANCE: f32 = 0.1;
 /// Training PSNR that leaving sheen out may cost at the end, dB.
 pub const SHEEN_TOLERANCE: f32 = 0.05;
 /// Linear albedo that merging prototypes may move into the residuals, root mean square.

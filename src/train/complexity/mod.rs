@@ -74,7 +74,9 @@ pub struct Ledger {
 pub enum Point {
     /// Visibility was measured for the first time.
     Measured,
-    /// Half of the time between that and the end.
+    /// The step before the next point, where materials start anew by default: what has trained until then is still there.
+    Trained,
+    /// Half of the time between the first point and the end.
     HalfWay,
     /// All steps are done.
     End,
@@ -138,8 +140,9 @@ impl Ledger {
         let second = first + total.saturating_sub(first) / 2;
         match self.points {
             0 if steps >= first && steps < total => Some(Point::Measured),
-            1 if steps >= second && steps < total => Some(Point::HalfWay),
-            2 if steps >= total => Some(Point::End),
+            1 if steps + 1 >= second && steps < total => Some(Point::Trained),
+            2 if steps >= second && steps < total => Some(Point::HalfWay),
+            3 if steps >= total => Some(Point::End),
             _ => None,
         }
     }
@@ -208,9 +211,9 @@ impl Ledger {
                 let concavity = if context.has_alpha { concavity(photos) } else { None };
                 self.decide_orders(context, steps, &Shown { weights, concavity }, learned);
             }
+            Point::Trained => self.decide_metalness(context, steps, photos, learned),
             Point::HalfWay => {
                 self.drop_least(context, steps, photos, learned);
-                self.decide_metalness(context, steps, photos, learned);
                 self.merge(context.config, steps, photos, learned);
             }
             Point::End => {

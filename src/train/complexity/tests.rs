@@ -182,11 +182,31 @@ fn decisions_come_once_each_in_order_and_only_if_asked_for() {
     assert_eq!(ledger.due(&auto, 24), None);
     assert_eq!(ledger.due(&auto, 25), Some(Point::Measured));
     ledger.points = 1;
-    assert_eq!((ledger.due(&auto, 25), ledger.due(&auto, 62)), (None, Some(Point::HalfWay)));
+    assert_eq!((ledger.due(&auto, 60), ledger.due(&auto, 61)), (None, Some(Point::Trained)));
     ledger.points = 2;
+    assert_eq!((ledger.due(&auto, 61), ledger.due(&auto, 62)), (None, Some(Point::HalfWay)));
+    ledger.points = 3;
     assert_eq!((ledger.due(&auto, 99), ledger.due(&auto, 100)), (None, Some(Point::End)));
     let full = TrainConfig { complexity: Complexity::Full, ..auto };
     assert_eq!(ledger.due(&full, 100), None);
+}
+
+#[test]
+fn metalness_is_judged_when_it_has_trained_and_not_when_it_has_just_started_anew() {
+    for iterations in [100, 801, 1500] {
+        let auto = config(&TrainOverrides { iterations: Some(iterations), ..Default::default() });
+        let when = |points, point| {
+            let ledger = Ledger { points, ..Ledger::default() };
+            (0..iterations).find(|step| ledger.due(&auto, *step) == Some(point)).unwrap()
+        };
+        let (trained, half_way) = (when(1, Point::Trained), when(2, Point::HalfWay));
+        let anew = (0..=trained).rfind(|step| auto.is_albedo_round(*step)).unwrap();
+        assert!(
+            trained - anew > (iterations - auto.warm_up_steps()) / 6,
+            "{anew}, {trained} of {iterations}"
+        );
+        assert!(auto.is_albedo_round(half_way), "the control: the next decisions come after a start");
+    }
 }
 
 #[test]
