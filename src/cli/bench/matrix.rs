@@ -111,7 +111,7 @@ fn row(
     let overrides: TrainOverrides = serde_path_to_error::deserialize(Value::Object(fields))
         .map_err(|e| format!("variant {}: {}: {}", variant.name, e.path(), e.inner()))?;
     let config = TrainConfig::new(args.preset, &overrides)?;
-    illuminate(capture, &config)?;
+    illuminate(capture, &config).map_err(|e| format!("variant {}: light: {e}", variant.name))?;
     let start = Instant::now();
     let mut trainer = Trainer::new(capture, config, device)?;
     while !trainer.is_done() {

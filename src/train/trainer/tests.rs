@@ -39,29 +39,32 @@ fn a_poisoned_step_is_rolled_back_with_smaller_steps_and_said() {
     }
 }
 
-#[test]
-fn held_metalness_stays_held_when_materials_start_anew() {
+/// One field of a small training with `overrides`.
+fn learned(field: Field, overrides: TrainOverrides) -> Vec<f32> {
     let options =
         SyntheticOptions { train_views: 3, test_views: 1, size: 24, paths: 4, ..Default::default() };
     let capture = synthetic(&options).unwrap();
+    let small = TrainOverrides {
+        resolution: Some(24),
+        iterations: Some(24),
+        initial_gaussians: Some(64),
+        max_gaussians: Some(64),
+        probe_directions: Some(8),
+        ..overrides
+    };
+    let config = TrainConfig::new(Preset::Draft, &small).unwrap();
+    let mut trainer = Trainer::new(&capture, config, &Device::Cpu).unwrap();
+    while !trainer.is_done() {
+        trainer.step().unwrap();
+    }
+    trainer.model().unwrap().gaussians.field(field).to_vec()
+}
+
+#[test]
+fn held_metalness_stays_held_when_materials_start_anew() {
     let most = |metalness: bool| {
-        let overrides = TrainOverrides {
-            resolution: Some(24),
-            iterations: Some(24),
-            initial_gaussians: Some(64),
-            max_gaussians: Some(64),
-            probe_directions: Some(8),
-            metalness: Some(metalness),
-            ..Default::default()
-        };
-        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-        let mut trainer = Trainer::new(&capture, config, &Device::Cpu).unwrap();
-        while !trainer.is_done() {
-            trainer.step().unwrap();
-        }
-        let model = trainer.model().unwrap();
-        let logits = model.gaussians.field(Field::MetalLogit);
-        logits.iter().copied().fold(f32::NEG_INFINITY, f32::max)
+        let overrides = TrainOverrides { metalness: Some(metalness), ..Default::default() };
+        learned(Field::MetalLogit, overrides).into_iter().fold(f32::NEG_INFINITY, f32::max)
     };
     assert_eq!(most(false), complexity::DIELECTRIC);
     assert!(most(true) > complexity::DIELECTRIC, "the control");
@@ -69,26 +72,9 @@ fn held_metalness_stays_held_when_materials_start_anew() {
 
 #[test]
 fn sheen_is_learned_unless_it_is_left_out() {
-    let options =
-        SyntheticOptions { train_views: 3, test_views: 1, size: 24, paths: 4, ..Default::default() };
-    let capture = synthetic(&options).unwrap();
     let most = |sheen: bool| {
-        let overrides = TrainOverrides {
-            resolution: Some(24),
-            iterations: Some(24),
-            initial_gaussians: Some(64),
-            max_gaussians: Some(64),
-            probe_directions: Some(8),
-            sheen: Some(sheen),
-            ..Default::default()
-        };
-        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-        let mut trainer = Trainer::new(&capture, config, &Device::Cpu).unwrap();
-        while !trainer.is_done() {
-            trainer.step().unwrap();
-        }
-        let model = trainer.model().unwrap();
-        model.gaussians.field(Field::Sheen).iter().fold(0.0f32, |most, s| most.max(s.abs()))
+        let overrides = TrainOverrides { sheen: Some(sheen), ..Default::default() };
+        learned(Field::Sheen, overrides).into_iter().fold(0.0f32, |most, s| most.max(s.abs()))
     };
     assert_eq!(most(false), 0.0);
     assert!(most(true) > 0.0, "the control");
