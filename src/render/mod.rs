@@ -1,17 +1,12 @@
 //! A camera and a light in, a frame out.
 
-mod colour;
-mod develop;
 mod edited;
-mod frame;
 mod high;
-mod on_gpu;
-mod reference;
+mod monte_carlo;
 mod renderer;
-mod standard;
 mod tier;
 
-pub use frame::{Frame, Output};
+pub use crate::engine::{Frame, Output};
 pub use renderer::{PreparedLight, RenderError, Renderer};
 pub use tier::{Quality, Tier};
 

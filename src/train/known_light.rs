@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::capture::Capture;
 use crate::scene::{EnvMap, texel_directions};
-use crate::train::objective::material::upward;
+use crate::engine::upward_share;
 
 /// Most characters of an environment's name.
 const LONGEST_NAME: usize = 1024;
@@ -102,7 +102,7 @@ impl KnownLight {
 /// Radiance of a white horizontal surface facing up, mean of the channels; never 0.
 fn level(map: &EnvMap) -> f64 {
     let texels = map.texels().iter().zip(texel_directions(map.width(), map.height()));
-    let level: f64 = texels.map(|(t, at)| f64::from(upward(&at)) * mean(t)).sum();
+    let level: f64 = texels.map(|(t, at)| f64::from(upward_share(&at)) * mean(t)).sum();
     level.max(1e-9)
 }
 

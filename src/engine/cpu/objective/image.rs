@@ -6,7 +6,8 @@
 use multiversion::multiversion;
 use rayon::prelude::*;
 
-use crate::train::objective::sign;
+use crate::engine::cpu::objective::sign;
+use crate::engine::objective::ImageWeights;
 
 const TAPS: usize = 11;
 const C1: f32 = 0.01 * 0.01;
@@ -50,6 +51,13 @@ pub struct ImageLoss {
     pub gradient: Vec<[f32; 3]>,
 }
 
+impl ImageLoss {
+    /// `l1 mae + ssim (1 - SSIM)`.
+    pub fn value(&self, weights: ImageWeights) -> f32 {
+        weights.l1 * self.mae + weights.ssim * (1.0 - self.ssim)
+    }
+}
+
 impl Target {
     /// Prepares a row-major photograph.
     pub fn new(width: usize, height: usize, pixels: Vec<[f32; 3]>) -> Self {
@@ -65,7 +73,8 @@ impl Target {
     }
 
     /// Compares an image with the photograph; weights as in docs/MODEL.md section 5.
-    pub fn compare(&self, image: &[[f32; 3]], l1: f32, ssim: f32) -> ImageLoss {
+    pub fn compare(&self, image: &[[f32; 3]], weights: ImageWeights) -> ImageLoss {
+        let ImageWeights { l1, ssim } = weights;
         let scale = 1.0 / (3 * image.len()).max(1) as f32;
         let channels: Vec<(f64, Vec<f32>)> =
             (0..3).into_par_iter().map(|c| self.ssim_channel(image, c, -ssim * scale)).collect();
@@ -176,9 +185,9 @@ mod tests {
     fn an_image_equals_itself_and_nothing_else() {
         let pixels = noise(24 * 20, 1);
         let target = Target::new(24, 20, pixels.clone());
-        let same = target.compare(&pixels, 1.0, 1.0);
+        let same = target.compare(&pixels, ImageWeights { l1: 1.0, ssim: 1.0 });
         assert!((same.ssim - 1.0).abs() < 1e-5 && same.mae == 0.0);
-        let other = target.compare(&noise(24 * 20, 2), 1.0, 1.0);
+        let other = target.compare(&noise(24 * 20, 2), ImageWeights { l1: 1.0, ssim: 1.0 });
         assert!(other.ssim < 0.5 && other.mae > 0.1);
     }
 
@@ -187,14 +196,15 @@ mod tests {
         let (w, h) = (14, 13);
         let target = Target::new(w, h, noise(w * h, 3));
         let image = noise(w * h, 4);
+        let weights = ImageWeights { l1: 0.7, ssim: 0.4 };
         let loss = |image: &[[f32; 3]]| {
-            let l = target.compare(image, 0.7, 0.4);
+            let l = target.compare(image, weights);
             f64::from(0.7 * l.mae) + f64::from(0.4 * (1.0 - l.ssim))
         };
-        let analytic = target.compare(&image, 0.7, 0.4).gradient;
+        let analytic = target.compare(&image, weights).gradient;
         for i in [0, 5, 70, 100, w * h - 1] {
             for c in 0..3 {
-                // The absolute error has no slope where image and photograph agree.
+                // The absolute error has no derivative where image and photograph agree.
                 if (image[i][c] - target.pixels[i][c]).abs() < 5e-3 {
                     continue;
                 }

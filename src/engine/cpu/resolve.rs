@@ -7,24 +7,26 @@ use rayon::prelude::*;
 
 use crate::engine::channel;
 use crate::engine::cpu::{LEAST_COVERAGE, Pass, Shader, Surface, linear_from_srgb, normalise, surface_at};
+use crate::engine::{Frame, Output};
 use crate::light::Reflector;
-use crate::render::{Frame, Output};
 
-/// Diffuse and specular radiance that a pixel sends to the camera.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Lit {
-    pub(super) diffuse: [f32; 3],
-    pub(super) specular: [f32; 3],
+/// Radiance that a surface sends to the camera.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct OutgoingRadiance {
+    /// Diffuse part.
+    pub diffuse: [f32; 3],
+    /// Specular part.
+    pub specular: [f32; 3],
 }
 
 /// Turns a G-buffer into the planes asked for. `light` shades the surface in pixel (x, y), and is only asked where
 /// some output shows light.
-pub(super) fn develop(
+pub fn resolve(
     pass: &Pass,
     shader: &Shader<'_>,
     outputs: &[Output],
     depth_scale: f32,
-    light: impl Fn((usize, usize), &Surface) -> Lit + Sync,
+    light: impl Fn((usize, usize), &Surface) -> OutgoingRadiance + Sync,
 ) -> Frame {
     let (w, h) = (pass.view.width, pass.view.height);
     let stride: usize = outputs.iter().map(|o| o.channels()).sum();
@@ -51,12 +53,12 @@ fn write_pixel(
     outputs: &[Output],
     depth_scale: f32,
     (x, y): (usize, usize),
-    light: &impl Fn((usize, usize), &Surface) -> Lit,
+    light: &impl Fn((usize, usize), &Surface) -> OutgoingRadiance,
     out: &mut [f32],
 ) {
     let surface = surface_at(pass, x, y);
-    let lit = outputs.iter().any(|o| matches!(o, Output::Rgb | Output::Diffuse | Output::Specular));
-    let shaded = surface.as_ref().filter(|_| lit).map(|(s, coverage)| (light((x, y), s), *coverage));
+    let shows_light = outputs.iter().any(|o| matches!(o, Output::Rgb | Output::Diffuse | Output::Specular));
+    let shaded = surface.as_ref().filter(|_| shows_light).map(|(s, coverage)| (light((x, y), s), *coverage));
     let mut first = 0;
     for output in outputs {
         let target = &mut out[first..first + output.channels()];
@@ -113,8 +115,8 @@ fn write_attribute(
     }
 }
 
-/// The surface of a pixel as what light is reflected by, its normal turned to the camera.
-pub(super) fn reflector(surface: &Surface) -> Reflector {
+/// The BRDF of a surface, its normal turned to the camera.
+pub fn reflector(surface: &Surface) -> Reflector {
     let vector = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
     let view = vector(surface.view).normalize_or(DVec3::Z);
     let normal = vector(surface.normal).normalize_or(view);

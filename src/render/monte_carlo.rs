@@ -1,13 +1,14 @@
-//! The reference tier: each pixel's integral over the environment by Monte-Carlo, with a query through the Gaussians
+//! The Monte-Carlo tier: each pixel's integral over the environment by Monte-Carlo, with a query through the Gaussians
 //! towards every direction drawn. What is blocked sends the light that was gathered, as in the standard tier.
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use crate::engine::channel::Channels;
-use crate::engine::cpu::{Occluders, Pass, Shader, Surface, surface_point};
+use crate::engine::cpu::{
+    Occluders, OutgoingRadiance, Pass, Surface, reflector, resolve, surface_point,
+};
 use crate::light::{EnvSampler, Shares, estimate};
-use crate::render::develop::{Lit, develop, reflector};
 use crate::render::{Frame, Job, Quality};
 use crate::scene::Field;
 
@@ -20,19 +21,19 @@ const BRIGHTEST: f64 = 1e36;
 /// random.
 pub(super) fn render(
     job: &Job<'_>,
-    shader: &Shader<'_>,
     environment: &EnvSampler,
     occluders: &Occluders,
     quality: Quality,
 ) -> Frame {
+    let view = job.frame.view;
     let coefficients = job.source.gaussians.width(Field::Visibility);
-    let pass = Pass::forward(&job.source, job.view, Channels::Full(coefficients), true);
+    let pass = Pass::forward(&job.source, view, Channels::Full(coefficients), true);
     let shares = Shares::of(quality.samples, environment);
     let random = ChaCha8Rng::seed_from_u64(quality.seed);
     let light = |(x, y): (usize, usize), surface: &Surface| {
         // A stream a pixel: no pixel's samples depend on who rendered the one before.
         let mut random = random.clone();
-        random.set_stream((y * job.view.width + x) as u64);
+        random.set_stream((y * view.width + x) as u64);
         let point = surface_point(&pass, x, y);
         let sum = estimate(
             &reflector(surface),
@@ -44,12 +45,12 @@ pub(super) fn render(
         );
         let bounced = (1.0 - surface.metal) * std::f32::consts::FRAC_1_PI;
         let finite = |v: f64| v.min(BRIGHTEST) as f32;
-        Lit {
+        OutgoingRadiance {
             diffuse: std::array::from_fn(|c| {
                 finite(sum.diffuse[c]) + surface.albedo[c] * bounced * surface.gathered[c]
             }),
             specular: sum.specular.map(finite),
         }
     };
-    develop(&pass, shader, job.outputs, job.depth_scale, light)
+    resolve(&pass, &job.shader, job.frame.outputs, job.frame.depth_scale, light)
 }

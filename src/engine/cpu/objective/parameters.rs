@@ -2,11 +2,12 @@
 
 use rayon::prelude::*;
 
+use crate::engine::objective::upward_share;
 use crate::engine::Gradients;
 use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass};
 use crate::light::{DAYLIGHT, sh_eval};
 use crate::scene::{Field, Gaussians, VisibilityForm};
-use crate::train::objective::sign;
+use crate::engine::cpu::objective::{sign, sum};
 
 /// Gaussians with less summed weight in a view get no label from it.
 const LEAST_LABEL_WEIGHT: f32 = 1e-3;
@@ -89,15 +90,15 @@ pub fn backward_labels(
         let raw: f32 = g.row(Field::Visibility, i).iter().zip(&y).map(|(c, y)| c * y).sum();
         let p = label.transmittance;
         let (v, by_raw) = if sigmoid_form {
-            // BCE with logits: the slope by the logit is V - p.
+            // BCE with logits: the derivative by the logit is V - p.
             let v = cpu::sigmoid(raw).clamp(1e-6, 1.0 - 1e-6);
             (v, v - p)
         } else {
             let v = raw.clamp(LABEL_MARGIN, 1.0 - LABEL_MARGIN);
-            let slope = (1.0 - p) / (1.0 - v) - p / v;
-            // Outside the margin only a slope that leads back in passes: saturated, but neither stuck nor running away.
-            let runs_away = (raw < v && slope > 0.0) || (raw > v && slope < 0.0);
-            (v, if runs_away { 0.0 } else { slope })
+            let derivative = (1.0 - p) / (1.0 - v) - p / v;
+            // Outside the margin only a derivative that leads back in passes.
+            let leads_away = (raw < v && derivative > 0.0) || (raw > v && derivative < 0.0);
+            (v, if leads_away { 0.0 } else { derivative })
         };
         total -= f64::from(scale * (p * v.ln() + (1.0 - p) * (1.0 - v).ln()));
         let by_v = scale * by_raw;
@@ -133,29 +134,20 @@ pub fn flatness(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
 /// `weight ln(Y / pi)^2` with Y the irradiance of a white surface facing up: a well-exposed photograph shows such a
 /// surface as white. It fixes the scale that light and albedo could trade. `(value, gradient by radiance)`.
 pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
-    let up: f32 = radiance.iter().zip(texels).map(|(l, t)| upward(t) * (l[0] + l[1] + l[2]) / 3.0).sum();
+    let up: f32 = radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * (l[0] + l[1] + l[2]) / 3.0).sum();
     let log = up.max(1e-6).ln();
-    let slope = 2.0 * weight * log / (3.0 * up.max(1e-6));
-    (weight * log * log, texels.iter().map(|t| [slope * upward(t); 3]).collect())
+    let by_texel = 2.0 * weight * log / (3.0 * up.max(1e-6));
+    (weight * log * log, texels.iter().map(|t| [by_texel * upward_share(t); 3]).collect())
 }
 
 /// `weight (ln(Y_blue / Y_red) - ln(D_blue / D_red))^2` with Y the irradiance of a surface facing up and D
 /// [`DAYLIGHT`]: the colour that light and albedo could trade. `(value, gradient by radiance)`.
 pub fn daylight(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
-    let up = |c: usize| radiance.iter().zip(texels).map(|(l, t)| upward(t) * l[c]).sum::<f32>().max(1e-6);
+    let up = |c: usize| radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * l[c]).sum::<f32>().max(1e-6);
     let (red, blue) = (up(0), up(2));
     let off = (blue / red).ln() - (DAYLIGHT[2] / DAYLIGHT[0]).ln();
-    let slope = [-2.0 * weight * off / red, 0.0, 2.0 * weight * off / blue];
-    (weight * off * off, texels.iter().map(|t| slope.map(|s| s * upward(t))).collect())
-}
-
-/// What a texel of unit radiance adds to the irradiance of a surface facing up, divided by pi.
-pub(in crate::train) fn upward((direction, solid_angle): &(glam::DVec3, f64)) -> f32 {
-    (direction.z.max(0.0) * solid_angle / std::f64::consts::PI) as f32
-}
-
-pub(super) fn sum(values: &[f32]) -> f32 {
-    values.iter().map(|v| f64::from(*v)).sum::<f64>() as f32
+    let by_texel = [-2.0 * weight * off / red, 0.0, 2.0 * weight * off / blue];
+    (weight * off * off, texels.iter().map(|t| by_texel.map(|g| g * upward_share(t))).collect())
 }
 
 #[cfg(test)]

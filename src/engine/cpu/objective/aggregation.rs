@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::engine::Gradients;
 use crate::engine::cpu::{LANES, Lanes, softmax_abreast};
 use crate::scene::{Field, Gaussians};
-use crate::train::objective::material::sum;
+use crate::engine::cpu::objective::sum;
 
 /// Clamp of `Q` and of `1 - p`.
 const EPSILON: f32 = 1e-6;
