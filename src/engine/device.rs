@@ -2,10 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::engine::frames::DeviceFrames;
 #[cfg(feature = "gpu")]
 use crate::engine::gpu::{self, Gpu};
-use crate::engine::{DeviceChoice, TrainState, Training, TrainingLimits, cpu};
+use crate::engine::{DeviceChoice, DeviceError, Frames, TrainState, Training, TrainingLimits, cpu};
 use crate::light::EnvOperators;
 use crate::scene::Model;
 
@@ -18,44 +17,6 @@ pub enum Device {
     /// The GPU engine on an open device.
     #[cfg(feature = "gpu")]
     Gpu(Gpu),
-}
-
-/// Why a device did not do what was asked, as far as a caller can act on it.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum DeviceError {
-    /// There is no such adapter, or it lacks what the engine needs.
-    #[error("{0}")]
-    Unavailable(String),
-    /// One buffer would be larger than the device binds.
-    #[error("{what} needs {needs} bytes on the device, which binds at most {most}")]
-    TooLarge {
-        /// What the memory is for.
-        what: String,
-        /// Bytes needed.
-        needs: u64,
-        /// Bytes that can be had.
-        most: u64,
-    },
-    /// The device has no memory left.
-    #[error("the device ran out of memory at {what} ({bytes} bytes)")]
-    OutOfMemory {
-        /// What the memory was for.
-        what: String,
-        /// Bytes asked for.
-        bytes: u64,
-    },
-    /// The device went away; nothing on it can be used any more.
-    #[error("the device was lost: {0}")]
-    Lost(String),
-    /// The device did not answer in time.
-    #[error("the device did not answer within {0} s")]
-    Timeout(u64),
-    /// The caller asked for what does not fit together, such as a light that another device prepared.
-    #[error("misuse of a device: {0}")]
-    Misuse(&'static str),
-    /// A mistake of ours; the text is for the log.
-    #[error("internal device error: {0}")]
-    Internal(String),
 }
 
 impl Device {
@@ -118,16 +79,18 @@ impl Device {
         }
     }
 
-    /// Takes a checked model in, to be rendered; none on the CPU engine, which renders beside every device.
+    /// Takes a checked model in, to be rendered.
     ///
     /// # Errors
     /// When the device cannot hold it.
-    #[cfg_attr(not(feature = "gpu"), expect(unused_variables, reason = "the CPU engine holds it elsewhere"))]
-    pub fn frames(&self, model: &Arc<Model>) -> Result<Option<Box<dyn DeviceFrames>>, DeviceError> {
+    pub fn frames(&self, model: Arc<Model>) -> Result<Frames, DeviceError> {
         match self {
-            Self::Cpu => Ok(None),
+            Self::Cpu => Ok(Frames::on_cpu_only(model)),
             #[cfg(feature = "gpu")]
-            Self::Gpu(gpu) => Ok(Some(Box::new(gpu::Frames::new(gpu, model)?))),
+            Self::Gpu(gpu) => {
+                let device = gpu::Frames::new(gpu, model.clone())?;
+                Ok(Frames::beside(model, Box::new(device)))
+            }
         }
     }
 }

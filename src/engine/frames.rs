@@ -4,7 +4,7 @@
 use std::any::Any;
 use std::sync::{Arc, OnceLock};
 
-use crate::engine::{Device, DeviceError, Frame, Output, RasterCamera, cpu};
+use crate::engine::{DeviceError, Frame, Output, RasterCamera, cpu};
 use crate::light::{LightTables, rendering_tables};
 use crate::scene::{EnvMap, Model};
 
@@ -73,17 +73,14 @@ impl FrameLight {
 }
 
 impl Frames {
-    /// Takes a checked model in.
-    ///
-    /// # Errors
-    /// When the device cannot hold it.
-    pub fn new(model: Arc<Model>, device: &Device) -> Result<Self, DeviceError> {
-        Ok(Self { device: device.frames(&model)?, cpu: cpu::Frames::new(model) })
-    }
-
     /// Takes a checked model in, for the CPU engine.
     pub fn on_cpu_only(model: Arc<Model>) -> Self {
         Self { cpu: cpu::Frames::new(model), device: None }
+    }
+
+    /// Takes a checked model in that `device` holds too.
+    pub fn beside(model: Arc<Model>, device: Box<dyn DeviceFrames>) -> Self {
+        Self { cpu: cpu::Frames::new(model), device: Some(device) }
     }
 
     /// The model.

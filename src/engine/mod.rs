@@ -11,6 +11,7 @@ pub mod channel;
 pub mod cpu;
 mod density;
 mod device;
+mod error;
 mod frame;
 mod frames;
 #[cfg(feature = "gpu")]
@@ -31,7 +32,8 @@ pub use adapter::{AdapterReport, DeviceChoice};
 pub use blending::TRANSMITTANCE_STOP;
 pub use camera::RasterCamera;
 pub use density::{DensityPlan, DensitySignals, DensityStats, Positions, SplitOrigin};
-pub use device::{Device, DeviceError};
+pub use device::Device;
+pub use error::DeviceError;
 pub use frame::{Frame, Output};
 pub use frames::{BOUNCES, DeviceFrames, DeviceLight, FrameJob, FrameLight, Frames, PROBE_DIRECTIONS, ShadeColour};
 pub use gradients::{Gradients, RowLayout};

@@ -3,8 +3,9 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::engine::cpu::{AttributeSource, FrameLight as CpuLight, Occluders, Shader};
-use crate::engine::frames::{FrameJob, FrameLight, Frames, ShadeColour};
-use crate::engine::{Device, DeviceError, RasterCamera};
+use crate::engine::{
+    Device, DeviceError, FrameJob, FrameLight, Frames, RasterCamera, ShadeColour,
+};
 use crate::light::EnvSampler;
 use crate::render::high::{self, SplitLight};
 use crate::render::{Frame, Output, Quality, Tier, monte_carlo};
@@ -62,7 +63,7 @@ impl Renderer {
     /// # Errors
     /// When the device cannot hold the model.
     pub fn on(model: Arc<Model>, device: &Device) -> Result<Self, DeviceError> {
-        Ok(Self { frames: Frames::new(model, device)? })
+        Ok(Self { frames: device.frames(model)? })
     }
 
     /// The model.
