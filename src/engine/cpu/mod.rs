@@ -4,48 +4,52 @@
 //! and every sum across tiles is taken in a fixed order. Kernels round products and sums separately, so that the bytes
 //! do not depend on which CPU features were found either.
 
+mod adam;
 mod attributes;
 mod blend;
 mod blend_backward;
+mod density;
+pub mod evaluation;
+mod frames;
 mod gather;
-mod indirect;
 mod labels;
 mod lambert;
 mod lanes;
 mod mixture;
+pub mod objective;
 mod occluder;
 mod pass;
 mod point;
 mod probes;
 mod project;
 mod rays;
+mod resolve;
 mod shade;
 mod shading;
 mod shadows;
 mod tiles;
-mod view;
+mod training;
 
 pub use attributes::{AttributeSource, softmax};
-pub use blend::TRANSMITTANCE_STOP;
 #[cfg(test)]
 pub use blend_backward::ROW_HEADER;
+pub use frames::{FrameLight, Frames, shade_in_pixel, shaded_at_gaussians};
 pub use gather::{Transport, sky_irradiance};
-pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use labels::{BackwardLabel, backward_labels};
 pub use lanes::{LANES, Lanes};
 pub use mixture::softmax_abreast;
-pub use occluder::ProbeSettings;
 pub use pass::{Pass, attribute_rows, project_all};
 pub use point::surface_point;
-pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
+pub use probes::{Probes, outward_normals};
 pub use project::{
     ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, rotation_backward,
     sigmoid, sigmoid_slope,
 };
 pub use rays::Occluders;
+pub use resolve::{OutgoingRadiance, reflector, resolve};
 pub use shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
 pub use shading::{
     BranchImages, BufferGradient, LEAST_COVERAGE, linear_from_srgb, radiance_image, radiance_image_backward,
     srgb, srgb_slope, surface_at,
 };
-pub use view::View;
+pub use training::Training;
