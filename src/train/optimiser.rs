@@ -11,7 +11,7 @@ const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
 /// Progress from which sheen trains: earlier it takes what normals, roughness and light have to explain
-/// (docs/experiments.md, "Sheen").
+/// (docs/decisions/0003).
 const SHEEN_FROM: f32 = 0.7;
 /// Gaussians a task takes.
 const CHUNK: usize = 512;
