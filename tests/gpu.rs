@@ -295,7 +295,7 @@ fn the_trained_result_is_that_of_the_cpu_engine() {
     let (a, b) = (report(on_cpu.model().unwrap()), report(on_gpu.model().unwrap()));
     let psnr = |r: &Report| [r.novel_view.psnr.unwrap(), r.relit.mean.psnr.unwrap()];
     for (a, b) in psnr(&a).into_iter().zip(psnr(&b)) {
-        // So few pixels scatter: on the helmet the engines are 0.006 dB apart (docs/results.md, section 10).
+        // So few pixels scatter: on the helmet at 400 px the engines are 0.02 dB apart (docs/results.md, "Precision").
         assert!((a - b).abs() < 0.25, "{a} {b}");
     }
     let untrained = report(trainer(&long, device).model().unwrap());

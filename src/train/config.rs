@@ -68,7 +68,7 @@ pub enum Setting {
 const DAYLIT: f32 = 0.3;
 
 /// How much more the radiance branch weighs in captures without masks, whose shapes the physically based one bends
-/// (docs/experiments.md, "Where surfaces are shaded").
+/// (docs/decisions/0002).
 const SURROUNDINGS: f32 = 4.0;
 
 /// A complete, resolved configuration; its JSON is part of the model card and of every checkpoint.

@@ -20,7 +20,7 @@ pub struct LossWeights {
     pub smoothness: f32,
     /// The same of roughness: at the weight of the others it stays at the value it starts from.
     pub smooth_roughness: f32,
-    /// Light neutrality (Eq. 31); off by default (docs/ARCHITECTURE.md).
+    /// Light neutrality (Eq. 31); off by default (docs/decisions/0008).
     pub light: f32,
     /// White stays white: the light's level (docs/MODEL.md section 5).
     pub exposure: f32,

@@ -11,7 +11,7 @@ pub const OFF_TOLERANCE: f32 = 0.18;
 /// Ambient occlusion that cutting degrees may change, mean.
 pub const AMBIENT_TOLERANCE: f32 = 0.005;
 /// Mean squared error of the field (0 to 1) that cutting degrees may cost. At 0.02 two scenes of five lost 0.15 and 0.27 dB
-/// of relighting, albedo aligned; at 0.01 none lost 0.1 (results.md section 13).
+/// of relighting, albedo aligned; at 0.01 none lost 0.1 (docs/decisions/0022).
 pub const FIELD_TOLERANCE: f32 = 0.01;
 /// Bounced over direct irradiance below which it is left out.
 pub const INDIRECT_TOLERANCE: f32 = 0.01;
@@ -23,7 +23,7 @@ pub const METALNESS_TOLERANCE: f32 = 0.1;
 pub const SHEEN_TOLERANCE: f32 = 0.05;
 /// Linear albedo that merging prototypes may move into the residuals, root mean square.
 pub const PROTOTYPE_TOLERANCE: f32 = 0.08;
-/// Training PSNR that dropping Gaussians may cost on the spot, dB. What it costs in the end: results.md section 13.
+/// Training PSNR that dropping Gaussians may cost on the spot, dB. What it costs in the end: docs/decisions/0022.
 pub const DROP_TOLERANCE: f32 = 0.05;
 /// Shares of the Gaussians that are tried to be dropped, one after the other, those of least weight first.
 pub const DROPPED_SHARES: [f32; 12] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7];
