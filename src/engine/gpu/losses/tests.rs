@@ -83,8 +83,9 @@ fn on_device(gpu: &Gpu, view: &RasterCamera, image: &[Rgb], photo: &[Rgb]) -> ([
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn image_terms_and_gradients_are_those_of_the_formula() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for (seed, (w, h)) in [(1, (1, 1)), (2, (37, 21)), (3, (16, 16)), (4, (3, 40))] {
         let mut noise = Noise::new(seed);
         let view = camera_view((w as u32, h as u32), &ShadingOptions::default());
@@ -297,8 +298,9 @@ fn by_channel(by_buffers: &[[f32; 4]], i: usize) -> [(usize, f32); 7] {
 const SMOOTH: [f32; 3] = [0.15, 0.06, 0.1];
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn terms_on_the_buffers_and_their_gradients_are_those_of_the_formulas() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let none = SurfaceWeights::default();
     let cases = [
         (Channels::Material, SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: SMOOTH }),
@@ -339,8 +341,9 @@ fn terms_on_the_buffers_and_their_gradients_are_those_of_the_formulas() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_comparison_of_terms_sees_a_change_of_one_pixel() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let view = camera_view((19, 17), &ShadingOptions::default());
     let weights = SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: SMOOTH };
     let buffers = Buffers::new(5, &view);
@@ -355,8 +358,9 @@ fn the_comparison_of_terms_sees_a_change_of_one_pixel() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn pictures_too_small_for_neighbours_have_coverage_only() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let weights = SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: SMOOTH };
     for size in [(1, 1), (5, 1), (1, 33)] {
         let view = camera_view(size, &ShadingOptions::default());

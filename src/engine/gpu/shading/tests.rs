@@ -280,8 +280,9 @@ fn errors(case: &Case, all: bool) -> [f32; 4] {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn every_form_shades_as_the_cpu_engine_does() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for (seed, options) in forms().into_iter().enumerate() {
         let case = Case::new(&gpu, seed as u64, (37, 21), 4, options);
         for all in [false, true] {
@@ -293,8 +294,9 @@ fn every_form_shades_as_the_cpu_engine_does() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn every_order_and_image_size_shades_as_the_cpu_engine_does() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for (order, size) in
         [(0, (1, 1)), (1, (16, 16)), (2, (17, 3)), (3, (33, 16)), (5, (9, 31)), (6, (20, 20))]
     {
@@ -309,6 +311,7 @@ fn every_order_and_image_size_shades_as_the_cpu_engine_does() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn a_device_without_float_atomics_sums_the_same_tables() {
     let options = crate::engine::gpu::GpuOptions {
         compare_exchange: true,
@@ -316,15 +319,16 @@ fn a_device_without_float_atomics_sums_the_same_tables() {
         checks: true,
         ..Default::default()
     };
-    let Some(gpu) = Gpu::with_options(options) else { return };
+    let gpu = Gpu::with_options(options);
     let case = Case::new(&gpu, 21, (20, 18), 1, deferred());
     let errors = errors(&case, false);
     assert!(errors[2] < 1e-4 && errors[3] < 1e-4, "{errors:?}");
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_comparison_sees_a_small_change_of_any_input() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let case = Case::new(&gpu, 7, (12, 9), 2, deferred());
     let (by, by_buffers) = case.gradients(5);
     let images = case.cpu().images(&case.pass, case.background);
@@ -350,8 +354,9 @@ fn the_comparison_sees_a_small_change_of_any_input() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_radiance_branch_alone_is_that_of_the_cpu_engine() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let background = [0.1, 0.7, 0.4];
     for channels in [Channels::Colour, Channels::Geometry] {
         let case = Case::new(&gpu, 3, (37, 21), 0, deferred());

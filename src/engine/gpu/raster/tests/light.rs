@@ -162,8 +162,9 @@ fn assert_small([radiance, rows, by_tables]: [f32; 3], name: &str) {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn every_form_lights_the_gaussians_as_the_cpu_engine_does() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for visibility in [VisibilityForm::Linear, VisibilityForm::Sigmoid, VisibilityForm::Off] {
         for diffuse in [DiffuseForm::Directional, DiffuseForm::AmbientOcclusion] {
@@ -183,8 +184,9 @@ fn every_form_lights_the_gaussians_as_the_cpu_engine_does() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn colours_alone_are_the_light_of_the_rows() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let case = Case::new(9, 2, ShadingOptions::default(), false);
     let (drawn, found) = case.on_gpu(&mut raster);
@@ -207,8 +209,9 @@ fn colours_alone_are_the_light_of_the_rows() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn every_order_lights_the_gaussians_as_the_cpu_engine_does() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for order in [0, 1, 3, 4, 5, 6] {
         // The largest kernels take a software device seconds to compile: one of the two ways back each.
@@ -220,8 +223,9 @@ fn every_order_lights_the_gaussians_as_the_cpu_engine_does() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_comparison_of_lit_gaussians_notices_their_normals_and_what_was_gathered() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let case = || Case::new(3, 2, ShadingOptions::default(), false);
     let (drawn, found) = case().on_gpu(&mut raster);
@@ -236,6 +240,7 @@ fn the_comparison_of_lit_gaussians_notices_their_normals_and_what_was_gathered()
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn a_device_without_float_atomics_sums_the_same_table() {
     let options = crate::engine::gpu::GpuOptions {
         compare_exchange: true,
@@ -243,7 +248,7 @@ fn a_device_without_float_atomics_sums_the_same_table() {
         checks: true,
         ..Default::default()
     };
-    let Some(gpu) = Gpu::with_options(options) else { return };
+    let gpu = Gpu::with_options(options);
     let mut raster = Raster::new(&gpu).unwrap();
     assert_small(Case::new(8, 1, ShadingOptions::default(), false).errors(&mut raster), "compare-exchange");
 }
