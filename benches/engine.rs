@@ -10,14 +10,14 @@ use divan::{Bencher, black_box};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Scene3dBounds};
+use relume::capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::engine::Device;
 use relume::engine::channel::Channels;
 use relume::engine::cpu::{AttributeSource, BranchImages, Pass, Probes, Shader};
 use relume::engine::{ProbeSettings, RasterCamera, fibonacci_sphere};
 use relume::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
 use relume::render::{Output, Renderer, Tier};
-use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadingOptions};
+use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, ShadingOptions};
 use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer};
 
 const GAUSSIANS: usize = 10_000;

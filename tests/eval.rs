@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use glam::DVec3;
-use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Plane, Scene3dBounds};
+use relume::capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::cli::eval::{EvalArgs, QualityArgs, run};
 use relume::engine::Device;
 use relume::engine::gpu::DeviceChoice;
@@ -15,7 +15,7 @@ use relume::eval::{
 };
 use relume::formats::model_file;
 use relume::render::{Frame, Output, Renderer, Tier};
-use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadeAt, ShadingOptions};
+use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, Plane, ShadeAt, ShadingOptions};
 
 const SIDE: u32 = 40;
 

@@ -3,8 +3,9 @@
 use axum::http::{HeaderMap, StatusCode, header};
 
 use crate::api::Problem;
+use crate::formats::ImageFileError;
 use crate::formats::exr_frame::{self, ColourDepth, FrameLayer, FrameLayers};
-use crate::formats::image_file::{ImageFileError, encode_jpeg, encode_png, encode_png16};
+use crate::formats::image_file::{encode_jpeg, encode_png, encode_png16};
 use crate::render::{Frame, Output};
 
 const JPEG_QUALITY: u8 = 90;

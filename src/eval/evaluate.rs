@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::capture::{Capture, CaptureView, ImageRgba, Plane};
+use crate::capture::{Capture, CaptureView};
 use crate::engine::Device;
 use crate::engine::gpu::GpuError;
 use crate::eval::report::{ImageScores, RelitScores, Report};
@@ -12,7 +12,7 @@ use crate::eval::totals::{LayerTotals, Mean, PictureTotals};
 use crate::eval::views::{ViewLayers, photograph, relit, with_scaled_albedo};
 use crate::eval::{Lpips, layers};
 use crate::render::{Output, Quality, RenderError, Renderer, Tier};
-use crate::scene::Model;
+use crate::scene::{ImageRgba, Model, Plane};
 
 /// How to evaluate.
 pub struct EvalOptions<'a> {

@@ -1,7 +1,10 @@
-//! The Gaussians of a model: one flat array a parameter, so that optimiser, density control and files can
-//! walk over all of them alike.
+//! The Gaussians of a model: one flat array per parameter, so that optimiser, density control and files treat all
+//! parameters in the same way.
 
-use crate::scene::model::sh_count;
+/// Number of real SH coefficients up to degree `order`.
+pub const fn sh_count(order: usize) -> usize {
+    (order + 1) * (order + 1)
+}
 
 /// One per-Gaussian parameter array. The discriminant indexes every per-field table in the crate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -1,26 +1,56 @@
 //! COLMAP sparse models: posed images with their cameras, and the sparse points.
 
+mod binary;
+mod model;
+#[cfg(test)]
+mod tests;
+mod text;
+
 use glam::{DMat3, DMat4, DQuat, DVec3};
 
-use crate::capture::colmap_files::{self, Model, PosedImage};
-use crate::capture::photos::{Photo, check_missing};
+use self::binary::ByteReader;
+use self::model::{PosedImage, SparseModel};
+use self::text::TextFile;
+use crate::capture::photos::{PhotoEntry, Split, check_missing};
 use crate::capture::truth::TruthFiles;
 use crate::capture::{CaptureError, Source};
 use crate::formats::ply_points::Point;
 
-/// Where a sparse model may lie, best first.
+/// Folders that may hold a sparse model; the first that does is used.
 const FOLDERS: [&str; 5] = ["sparse/0/", "sparse/", "colmap/sparse/0/", "0/", ""];
-/// Where its photographs may lie.
+/// Folders that may hold its photographs; the first that has a file of the name is used.
 const IMAGE_FOLDERS: [&str; 6] = ["images/", "", "input/", "images_2/", "images_4/", "images_8/"];
 
-/// The folder of a sparse model and the ending of its files, if there is one.
-pub(super) fn find(source: &Source) -> Option<(String, &'static str)> {
-    let endings = [".bin", ".txt"];
-    let candidates = FOLDERS.iter().flat_map(|f| endings.iter().map(move |e| (f, *e)));
-    let whole = |f: &&str, e: &str| {
-        ["cameras", "images"].iter().all(|name| source.contains(&format!("{f}{name}{e}")))
-    };
-    candidates.filter(|(f, e)| whole(f, e)).map(|(f, e)| ((*f).to_owned(), e)).next()
+/// How the files of a model are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Encoding {
+    Binary,
+    Text,
+}
+
+/// The files of a sparse model.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ModelFiles {
+    folder: &'static str,
+    encoding: Encoding,
+}
+
+impl ModelFiles {
+    fn path(self, name: &str) -> String {
+        let ending = match self.encoding {
+            Encoding::Binary => "bin",
+            Encoding::Text => "txt",
+        };
+        format!("{}{name}.{ending}", self.folder)
+    }
+}
+
+/// The files of a sparse model, if there is one.
+pub(super) fn find(source: &Source) -> Option<ModelFiles> {
+    let encodings = [Encoding::Binary, Encoding::Text];
+    let mut candidates =
+        FOLDERS.iter().flat_map(|folder| encodings.map(|encoding| ModelFiles { folder, encoding }));
+    candidates.find(|files| ["cameras", "images"].iter().all(|name| source.contains(&files.path(name))))
 }
 
 /// The photographs and points, in a world turned so that the cameras' mean up is +Z.
@@ -29,12 +59,12 @@ pub(super) fn find(source: &Source) -> Option<(String, &'static str)> {
 /// Names the model file and the field at fault, or counts the images when too few are there.
 pub(super) fn read(
     source: &Source,
-    (folder, ending): (&str, &str),
+    files: ModelFiles,
     warnings: &mut Vec<String>,
-) -> Result<(Vec<Photo>, Vec<Point>), CaptureError> {
-    let model = colmap_files::read(source, folder, ending)?;
+) -> Result<(Vec<PhotoEntry>, Vec<Point>), CaptureError> {
+    let model = read_model(source, files)?;
     let turn = upright(&model.images, warnings);
-    let images_file = format!("{folder}images{ending}");
+    let images_file = files.path("images");
     let (mut photos, mut missing) = (Vec::new(), Vec::new());
     for image in &model.images {
         match locate(source, &image.name) {
@@ -47,18 +77,45 @@ pub(super) fn read(
     Ok((photos, points))
 }
 
+/// Reads `cameras`, `images` and, if it exists, `points3D`.
+///
+/// # Errors
+/// Names the file, and the entry whose value is unusable.
+fn read_model(source: &Source, files: ModelFiles) -> Result<SparseModel, CaptureError> {
+    let [in_cameras, in_images, in_points] = &["cameras", "images", "points3D"].map(|name| files.path(name));
+    let limits = source.limits();
+    let (cameras, images) = (source.read(in_cameras)?, source.read(in_images)?);
+    let points = source.contains(in_points).then(|| source.read(in_points)).transpose()?;
+    match files.encoding {
+        Encoding::Binary => Ok(SparseModel {
+            lenses: binary::cameras(ByteReader::new(in_cameras, &cameras))?,
+            images: binary::images(ByteReader::new(in_images, &images), limits.max_images)?,
+            points: points.map_or(Ok(Vec::new()), |bytes| {
+                binary::points(ByteReader::new(in_points, &bytes), limits.max_points)
+            })?,
+        }),
+        Encoding::Text => Ok(SparseModel {
+            lenses: text::cameras(&TextFile::new(in_cameras, &cameras)?)?,
+            images: text::images(&TextFile::new(in_images, &images)?, limits.max_images)?,
+            points: points.map_or(Ok(Vec::new()), |bytes| {
+                text::points(&TextFile::new(in_points, &bytes)?, limits.max_points)
+            })?,
+        }),
+    }
+}
+
 fn locate(source: &Source, name: &str) -> Option<String> {
     IMAGE_FOLDERS.iter().map(|folder| format!("{folder}{name}")).find(|path| source.contains(path))
 }
 
 fn photo(
     source: &Source,
-    model: &Model,
+    model: &SparseModel,
     image: &PosedImage,
     path: String,
     turn: DQuat,
     stated_in: &str,
-) -> Result<Photo, CaptureError> {
+) -> Result<PhotoEntry, CaptureError> {
     let field = format!("images[{}]", image.name);
     let lens = model.lenses.get(&image.camera).ok_or_else(|| CaptureError::Field {
         file: stated_in.to_owned(),
@@ -67,14 +124,14 @@ fn photo(
     })?;
     let stem = image.name.rsplit_once('.').map_or(image.name.as_str(), |(stem, _)| stem);
     let masks = [format!("masks/{}.png", image.name), format!("masks/{stem}.png")];
-    Ok(Photo {
+    Ok(PhotoEntry {
         image: path,
         mask: masks.into_iter().find(|m| source.contains(m)),
         pose: pose(image, turn),
         lens: *lens,
         stated_in: stated_in.to_owned(),
         field,
-        held_out: false,
+        split: Split::Train,
         truth: TruthFiles::default(),
     })
 }
@@ -99,33 +156,4 @@ fn upright(images: &[PosedImage], warnings: &mut Vec<String>) -> DQuat {
         return DQuat::IDENTITY;
     }
     DQuat::from_rotation_arc(mean.normalize(), DVec3::Z)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scene::Camera;
-
-    #[test]
-    fn a_point_ahead_lands_where_colmap_projects_it_and_up_becomes_z() {
-        let rotation = DQuat::from_euler(glam::EulerRot::XYZ, 1.4, 0.2, -0.3);
-        let image =
-            PosedImage { name: "a.jpg".into(), camera: 1, rotation, translation: DVec3::new(0.3, -0.2, 2.0) };
-        let turn = upright(std::slice::from_ref(&image), &mut Vec::new());
-        let camera = Camera::from_opengl(&pose(&image, turn), (100, 80), (90.0, 95.0), (50.0, 40.0)).unwrap();
-        let world = DVec3::new(0.2, 0.1, 0.4);
-        let expected = rotation * world + image.translation;
-        let got = camera.rotation * (turn * world) + camera.translation;
-        assert!((got - expected).length() < 1e-12, "{got} {expected}");
-        assert!((-camera.rotation.row(1) - DVec3::Z).length() < 1e-9, "this camera's up is the world's");
-        assert!((got - (rotation * (turn * world) + image.translation)).length() > 0.1, "the turn matters");
-    }
-
-    #[test]
-    fn cameras_without_a_common_up_leave_the_world_alone() {
-        let image = |rotation| PosedImage { name: "a".into(), camera: 1, rotation, translation: DVec3::ZERO };
-        let mut warnings = Vec::new();
-        let turn = upright(&[image(DQuat::IDENTITY), image(DQuat::from_rotation_z(3.1))], &mut warnings);
-        assert_eq!((turn, warnings.len()), (DQuat::IDENTITY, 1));
-    }
 }
