@@ -3,6 +3,7 @@
 
 pub mod channel;
 pub mod cpu;
+pub mod density;
 mod device;
 pub mod gpu;
 mod gradients;
