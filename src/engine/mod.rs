@@ -31,7 +31,7 @@ pub use adam::{StepCounts, StepSizes};
 pub use adapter::{AdapterReport, DeviceChoice};
 pub use blending::TRANSMITTANCE_STOP;
 pub use camera::RasterCamera;
-pub use density::{DensityPlan, DensitySignals, DensityStats, Positions, SplitOrigin};
+pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Positions, SplitOrigin};
 pub use device::Device;
 pub use error::DeviceError;
 pub use frame::{Frame, Output};

@@ -19,6 +19,12 @@ pub struct StepContext<'a> {
 }
 
 impl StepContext<'_> {
+    /// The physically based branch as one photograph would show it, display-referred.
+    #[cfg(test)]
+    pub fn physical_image(&self, state: &TrainState, photo: &Photo) -> Vec<[f32; 3]> {
+        evaluation::physical_image(state, self.operators, photo, self.branches(), self.background)
+    }
+
     /// Mean squared error of the physically based branch on one photograph.
     pub fn physical_error(&self, state: &TrainState, photo: &Photo) -> f32 {
         evaluation::physical_error(state, self.operators, photo, self.branches(), self.background)

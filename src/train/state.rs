@@ -2,7 +2,7 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use crate::train::complexity::Ledger;
+use crate::train::complexity::ComplexityState;
 
 /// Where a training stands in its schedule; kept on the host whatever device trains.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,5 +20,5 @@ pub struct ScheduleState {
     /// Seconds spent in steps.
     pub seconds: f64,
     /// What was decided about the model's size so far.
-    pub complexity: Ledger,
+    pub complexity: ComplexityState,
 }

@@ -8,13 +8,14 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
+use crate::engine::cpu::evaluation;
 use crate::engine::{
-    Device, DeviceError, Photo, PhotoId, PhotoSize, Positions, Step, StepCounts, TrainState, Training,
+    Device, DeviceError, PhotoId, PhotoSize, Positions, Step, StepCounts, TrainState, Training,
     TrainingLimits,
 };
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Field, Model};
-use crate::train::complexity::{self, Ledger};
+use crate::train::complexity::{self, ComplexityState};
 use crate::train::context::StepContext;
 use crate::train::dataset::Dataset;
 use crate::train::state::ScheduleState;
@@ -101,7 +102,7 @@ impl Trainer {
             rng,
             rate_factor: 1.0,
             seconds: 0.0,
-            complexity: Ledger::default(),
+            complexity: ComplexityState::default(),
         };
         Self::assemble(config, data, schedule, TrainState::new(model), device)
     }
@@ -272,7 +273,8 @@ impl Trainer {
             return Ok(());
         }
         let mut state = state.into_owned();
-        materials::restart(&mut state, &self.operators);
+        let normals = evaluation::normals(&state);
+        materials::restart_albedo(&mut state, &self.operators, &normals);
         if self.is_dielectric() {
             complexity::hold_dielectric(&mut state);
         }

@@ -1,20 +1,11 @@
-//! Density control on the CPU engine: its statistics, and the rebuilding of the model as planned.
+//! Density control on CPU arrays: what a round is planned from, and the rebuilding of the model as planned.
 
 use crate::engine::cpu::{rotation, sigmoid};
-use crate::engine::density::{DensityPlan, DensitySignals, DensityStats, Positions, SplitOrigin};
-use crate::engine::{Gradients, TrainState};
+use crate::engine::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Positions, SplitOrigin, TrainState};
 use crate::scene::{Field, Gaussians};
 
-/// Takes a step's gradients in.
-pub(super) fn record(stats: &mut DensityStats, gradients: &Gradients) {
-    for (i, _) in gradients.visible.iter().enumerate().filter(|(_, visible)| **visible) {
-        stats.absgrad[i] += gradients.pull[i];
-        stats.seen[i] += 1.0;
-    }
-}
-
 /// What a round is planned from.
-pub(super) fn signals(state: &TrainState, positions: Positions) -> DensitySignals {
+pub fn signals(state: &TrainState, positions: Positions) -> DensitySignals {
     let g = &state.model.gaussians;
     let rows = |field: Field| g.field(field).as_chunks::<3>().0.to_vec();
     DensitySignals {
@@ -25,26 +16,29 @@ pub(super) fn signals(state: &TrainState, positions: Positions) -> DensitySignal
     }
 }
 
-/// Rebuilds the model and its moments, and clears the statistics.
-pub(super) fn rebuild(state: &mut TrainState, plan: &DensityPlan) {
-    let indices: Vec<usize> = plan.entries.iter().map(|(source, _)| *source as usize).collect();
-    let mut next = state.model.gaussians.gathered(&indices);
-    for (i, (_, origin)) in plan.entries.iter().enumerate() {
-        match origin {
-            SplitOrigin::Keep => {}
-            SplitOrigin::UpperHalf => halve(&mut next, i, 1.0),
-            SplitOrigin::LowerHalf => halve(&mut next, i, -1.0),
-        }
-    }
-    let kept = |(source, origin): &(u32, SplitOrigin)| (*origin == SplitOrigin::Keep).then_some(*source as usize);
-    let sources: Vec<Option<usize>> = plan.entries.iter().map(kept).collect();
-    state.moments.gather(&sources);
-    state.density = DensityStats::zeroed(next.len());
-    state.model.gaussians = next;
+/// Rebuilds the model and its moments as `plan` says, and clears the statistics.
+pub fn rebuild(state: &mut TrainState, plan: &DensityPlan) {
+    let kept = |g: &PlannedGaussian| (g.origin == SplitOrigin::Keep).then_some(g.source as usize);
+    state.moments.gather(&plan.gaussians.iter().map(kept).collect::<Vec<_>>());
+    state.density = DensityStats::zeroed(plan.gaussians.len());
+    state.model.gaussians = rebuilt(&state.model.gaussians, plan);
 }
 
-/// Turns Gaussian `i` into one half of itself: moved half a sigma along its longest axis (towards `side`), shorter there,
-/// and less opaque so that both halves together hide what the whole did.
+fn rebuilt(old: &Gaussians, plan: &DensityPlan) -> Gaussians {
+    let sources: Vec<usize> = plan.gaussians.iter().map(|g| g.source as usize).collect();
+    let mut new = old.gathered(&sources);
+    for (i, planned) in plan.gaussians.iter().enumerate() {
+        match planned.origin {
+            SplitOrigin::Keep => {}
+            SplitOrigin::UpperHalf => halve(&mut new, i, 1.0),
+            SplitOrigin::LowerHalf => halve(&mut new, i, -1.0),
+        }
+    }
+    new
+}
+
+/// Turns Gaussian `i` into one half of itself: moved by half a standard deviation along its longest axis (`side` is 1 or
+/// -1), shorter there, and with less opacity, so that both halves together cover what the whole covered.
 fn halve(g: &mut Gaussians, i: usize, side: f32) {
     let scale: [f32; 3] = g.get(Field::LogScale, i);
     let axis = if scale[0] >= scale[1] && scale[0] >= scale[2] {

@@ -1,14 +1,21 @@
 //! What a training state shows and measures, without a gradient: what decisions on the host are made from.
 
-use crate::engine::cpu::training::{environment_radiance, source};
-use crate::engine::cpu::{self, Pass, Shader, outward_normals, radiance_image, sky_irradiance};
+use crate::engine::cpu::training::environment_radiance;
+use crate::engine::cpu::{
+    self, AttributeSource, Pass, Shader, outward_normals, radiance_image, sky_irradiance, training,
+};
 use crate::engine::channel::Channels;
 use crate::engine::step::{Branches, Photo};
-use crate::engine::{RasterCamera, TrainState};
+use crate::engine::{RasterCamera, TrainState, indirect_basis};
 use crate::light::EnvOperators;
 
 /// `E_j` where nothing reads it.
 const NO_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
+
+/// A state as the kernels read it, without learned indirect light.
+pub fn source(state: &TrainState) -> AttributeSource<'_> {
+    training::source(state, &NO_BASIS)
+}
 
 /// The physically based branch as `photo` would show it, display-referred.
 pub fn physical_image(
@@ -20,10 +27,10 @@ pub fn physical_image(
 ) -> Vec<[f32; 3]> {
     let model = &state.model;
     let tables = operators.apply(&environment_radiance(model));
-    let basis = cpu::indirect_basis(&tables);
+    let basis = indirect_basis(&tables);
     let order = model.gaussians.visibility_order();
     let shader = Shader { tables: &tables, options: &model.shading, order };
-    let source = source(state, &basis).under(shader);
+    let source = training::source(state, &basis).under(shader);
     let channels = branches.channels(&model.gaussians, &model.shading).forward;
     let pass = Pass::forward(&source, RasterCamera::new(&photo.camera, source.options), channels, true);
     shader.images(&pass, background).physical
@@ -57,15 +64,14 @@ pub fn blending_weights(state: &TrainState, photo: &Photo) -> Vec<f32> {
 
 /// Outward unit normals of all Gaussians, as the last measurement of visibility has them.
 pub fn normals(state: &TrainState) -> Vec<[f32; 3]> {
-    outward_normals(&source(state, &NO_BASIS))
+    outward_normals(&source(state))
 }
 
-/// Irradiance of every Gaussian, seen along its outward normal: the sky through its visibility, and what is gathered.
-pub fn irradiance(state: &TrainState, operators: &EnvOperators) -> Vec<[f32; 3]> {
+/// Irradiance of every Gaussian along its normal in `normals`: the sky through its visibility, and what is gathered.
+pub fn irradiance(state: &TrainState, operators: &EnvOperators, normals: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let tables = operators.apply(&environment_radiance(&state.model));
-    let basis = cpu::indirect_basis(&tables);
-    let source = source(state, &basis);
-    let normals = outward_normals(&source);
+    let basis = indirect_basis(&tables);
+    let source = training::source(state, &basis);
     let of = |i: usize| -> [f32; 3] {
         let sky = sky_irradiance(&source, &tables, normals[i], i);
         let gathered = state.gathered.get(i).map_or([0.0; 6], |g| *g);
@@ -75,7 +81,7 @@ pub fn irradiance(state: &TrainState, operators: &EnvOperators) -> Vec<[f32; 3]>
 }
 
 fn colour_pass(state: &TrainState, photo: &Photo) -> Pass {
-    let source = source(state, &NO_BASIS);
+    let source = source(state);
     Pass::forward(&source, RasterCamera::new(&photo.camera, source.options), Channels::Colour, true)
 }
 

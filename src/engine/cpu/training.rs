@@ -7,7 +7,7 @@ use crate::engine::cpu::adam::adam_step;
 use crate::engine::cpu::objective::image::Target;
 use crate::engine::cpu::objective::{aggregation, geometry, parameters};
 use crate::engine::cpu::{
-    self, AttributeSource, BranchImages, BufferGradient, Pass, Probes, Shader, Transport, density,
+    AttributeSource, BranchImages, BufferGradient, Pass, Probes, Shader, Transport, density,
     outward_normals, radiance_image, radiance_image_backward,
 };
 use crate::engine::density::{DensityPlan, DensitySignals, Positions};
@@ -15,6 +15,7 @@ use crate::engine::step::{FieldUpdate, ProbeMeasurement, Step, StepSums};
 use crate::engine::training;
 use crate::engine::{
     DeviceError, Gradients, ProbeSettings, RasterCamera, StepWeights, TrainState, fibonacci_sphere,
+    indirect_basis,
 };
 use crate::light::EnvOperators;
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
@@ -71,7 +72,7 @@ impl training::Training for Training {
         let finite = outcome.loss.is_finite() && outcome.gradients.is_finite();
         if finite {
             let TrainState { model, moments, density, .. } = &mut self.state;
-            density::record(density, &outcome.gradients);
+            density.record(&outcome.gradients);
             adam_step(model, moments, &outcome.gradients, &step.sizes, step.counts);
         }
         Ok(StepSums { loss: outcome.loss, mse: outcome.mse, finite })
@@ -155,7 +156,7 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
     let (photo, w, model) = (step.photo, &step.weights, &state.model);
     let radiance = environment_radiance(model);
     let tables = operators.apply(&radiance);
-    let basis = cpu::indirect_basis(&tables);
+    let basis = indirect_basis(&tables);
     let order = model.gaussians.visibility_order();
     let shader = Shader { tables: &tables, options: &model.shading, order };
     let source = source(state, &basis).under(shader);

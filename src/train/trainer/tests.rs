@@ -35,13 +35,13 @@ fn a_poisoned_step_is_rolled_back(device: &Device) {
     let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
     let mut trainer = Trainer::new(&capture, config, device).unwrap();
     assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
-    let mut learned = trainer.backend.learned().unwrap().into_owned();
-    learned.model.env_raw[5] = [f32::NAN; 3];
-    trainer.backend.load(learned).unwrap();
+    let mut state = trainer.engine.state().unwrap().into_owned();
+    state.model.env_raw[5] = [f32::NAN; 3];
+    trainer.engine.load(state).unwrap();
     assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
     let warning = trainer.step().unwrap().warning.unwrap();
     assert!(warning.contains("back to step 0"), "{warning}");
-    assert_eq!(trainer.course.rate_factor, 0.5);
+    assert_eq!(trainer.schedule.rate_factor, 0.5);
     assert!(trainer.model().unwrap().check().is_ok());
     assert_eq!(trainer.step().unwrap().warning, None, "and goes on");
 }
@@ -122,7 +122,7 @@ fn a_model_made_smaller_goes_on_training(device: &Device) {
     while !trainer.is_done() {
         assert_eq!(trainer.step().unwrap().warning, None);
     }
-    assert_eq!(trainer.course.complexity.due(&trainer.config, 24), None, "all decisions are made");
+    assert_eq!(trainer.schedule.complexity.due(&trainer.config, 24), None, "all decisions are made");
     let model = trainer.model().unwrap();
     assert!(model.check().is_ok());
     assert_eq!(trainer.operators.order(), model.gaussians.visibility_order());
