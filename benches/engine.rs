@@ -13,9 +13,8 @@ use rand_chacha::ChaCha8Rng;
 use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Scene3dBounds};
 use relume::engine::Device;
 use relume::engine::channel::Channels;
-use relume::engine::cpu::{
-    AttributeSource, BranchImages, Pass, ProbeSettings, Probes, Shader, View, fibonacci_sphere,
-};
+use relume::engine::cpu::{AttributeSource, BranchImages, Pass, Probes, Shader};
+use relume::engine::{ProbeSettings, RasterCamera, fibonacci_sphere};
 use relume::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
 use relume::render::{Output, Renderer, Tier};
 use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadingOptions};
@@ -77,8 +76,8 @@ fn source() -> AttributeSource<'static> {
     source.under(shader())
 }
 
-fn view() -> View {
-    View::new(&camera(SIDE), &model().shading)
+fn view() -> RasterCamera {
+    RasterCamera::new(&camera(SIDE), &model().shading)
 }
 
 fn operators() -> &'static EnvOperators {

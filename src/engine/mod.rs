@@ -1,15 +1,25 @@
 //! The differentiable renderer. `docs/MODEL.md` says what every engine computes; [`mod@reference`] says it in f64,
 //! [`cpu`] does it fast on any machine, [`gpu`] on a graphics card.
 
+mod blending;
+mod camera;
 pub mod channel;
 pub mod cpu;
 mod device;
+mod frame;
 pub mod gpu;
 mod gradients;
+mod indirect;
+mod probing;
 pub mod reference;
 pub mod side_by_side;
 mod zeros;
 
+pub use blending::TRANSMITTANCE_STOP;
+pub use camera::RasterCamera;
 pub use device::Device;
+pub use frame::{Frame, Output};
 pub use gradients::{Gradients, RowLayout};
+pub use indirect::{indirect_basis, indirect_basis_backward};
+pub use probing::{NO_HIT, ProbeSettings, fibonacci_sphere};
 pub use zeros::zeros;

@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
+use crate::engine::RasterCamera;
 use crate::engine::channel::{self, Channels};
-use crate::engine::cpu::{AttributeSource, Pass, Shader, View, attribute_rows, project_all};
+use crate::engine::cpu::{AttributeSource, Pass, Shader, attribute_rows, project_all};
 use crate::render::{Frame, Output};
 
 /// Renders `rgb` and `alpha`.
-pub fn render(source: &AttributeSource<'_>, view: View, shader: &Shader<'_>) -> Frame {
+pub fn render(source: &AttributeSource<'_>, view: RasterCamera, shader: &Shader<'_>) -> Frame {
     let source = &source.lit(*shader);
     let splats = project_all(source, &view);
     let lit = Channels::Material.stored();

@@ -7,9 +7,9 @@ use rayon::prelude::*;
 
 use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::{
-    AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Shader, Surface, View, attribute_rows,
-    normalise, project_all,
+    AttributeSource, MAX_COEFFICIENTS, Pass, Probes, Shader, Surface, attribute_rows, normalise, project_all,
 };
+use crate::engine::{ProbeSettings, RasterCamera};
 use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, rendering_tables};
 use crate::render::develop::{Lit, develop, reflector};
 use crate::render::standard::{blended, shade_here};
@@ -64,7 +64,7 @@ fn at_gaussians(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame
     rows.par_chunks_mut(stored).zip(&splats).with_min_len(64).for_each(|(row, splat)| {
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = source.gaussians.get(Field::Mean, i);
-        let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - job.view.eye[k]));
+        let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - job.view.centre[k]));
         let mut lit = Lit { diffuse: [0.0; 3], specular: [0.0; 3] };
         add_lights(&light.lights, light.arriving_at(i), &surface, &mut lit);
         let gain = Sheen::new(surface.sheen, cosine(surface.normal, surface.view)).gain;
@@ -98,7 +98,7 @@ fn in_pixels(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
 
 /// The standard G-buffer with a channel a light behind the coefficients; tables have zeros there, so that shading
 /// from tables does not see them.
-fn pass(source: &AttributeSource<'_>, view: View, light: &SplitLight, coefficients: usize) -> Pass {
+fn pass(source: &AttributeSource<'_>, view: RasterCamera, light: &SplitLight, coefficients: usize) -> Pass {
     let (own, all) = (Channels::Full(coefficients), Channels::Full(coefficients + light.lights.len()));
     let splats = project_all(source, &view);
     let stored = all.stored();

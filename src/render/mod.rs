@@ -3,7 +3,6 @@
 mod colour;
 mod develop;
 mod edited;
-mod frame;
 mod high;
 mod on_gpu;
 mod reference;
@@ -11,7 +10,7 @@ mod renderer;
 mod standard;
 mod tier;
 
-pub use frame::{Frame, Output};
+pub use crate::engine::{Frame, Output};
 pub use renderer::{PreparedLight, RenderError, Renderer};
 pub use tier::{Quality, Tier};
 

@@ -3,8 +3,9 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::engine::Device;
-use crate::engine::cpu::{AttributeSource, Occluders, ProbeSettings, Shader, Transport, View};
+use crate::engine::cpu::{AttributeSource, Occluders, Shader, Transport};
 use crate::engine::gpu::GpuError;
+use crate::engine::{ProbeSettings, RasterCamera};
 use crate::light::{EnvSampler, rendering_tables};
 use crate::render::high::{self, SplitLight};
 use crate::render::on_gpu::{LightOnGpu, OnGpu};
@@ -53,7 +54,7 @@ pub struct Renderer {
 /// A frame to make on the CPU engine.
 pub(super) struct Job<'a> {
     pub(super) source: AttributeSource<'a>,
-    pub(super) view: View,
+    pub(super) view: RasterCamera,
     pub(super) outputs: &'a [Output],
     /// From model to capture units.
     pub(super) depth_scale: f32,
@@ -198,7 +199,7 @@ impl Renderer {
     }
 
     /// `camera` as the engines want it.
-    pub(super) fn view(&self, camera: &Camera) -> Result<View, RenderError> {
+    pub(super) fn view(&self, camera: &Camera) -> Result<RasterCamera, RenderError> {
         let checked =
             camera.validated().map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
         if u64::from(checked.width) * u64::from(checked.height) > MOST_PIXELS {
@@ -206,7 +207,7 @@ impl Renderer {
             return Err(RenderError::Refused { field: "width,height", reason });
         }
         let camera = checked.in_normalised_world(self.model.world_scale, self.model.world_offset);
-        Ok(View::new(&camera, &self.model.shading))
+        Ok(RasterCamera::new(&camera, &self.model.shading))
     }
 }
 

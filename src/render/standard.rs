@@ -3,10 +3,8 @@
 use std::sync::OnceLock;
 
 use crate::engine::channel::Channels;
-use crate::engine::cpu::{
-    AttributeSource, Pass, ProbeSettings, Probes, Shader, Surface, Transport, fibonacci_sphere,
-    indirect_basis, outward_normals,
-};
+use crate::engine::cpu::{AttributeSource, Pass, Probes, Shader, Surface, Transport, outward_normals};
+use crate::engine::{ProbeSettings, fibonacci_sphere, indirect_basis};
 use crate::light::LightTables;
 use crate::render::develop::{Lit, develop};
 use crate::render::{Frame, Job};

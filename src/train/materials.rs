@@ -1,6 +1,7 @@
 //! Where albedo starts from: the colours that the radiance branch found, with as much light taken out as is known.
 
-use crate::engine::cpu::{self, linear_from_srgb, sigmoid, sky_irradiance};
+use crate::engine::cpu::{linear_from_srgb, sigmoid, sky_irradiance};
+use crate::engine::indirect_basis;
 use crate::light::{DAYLIGHT, EnvOperators};
 use crate::scene::{Field, Gaussians};
 use crate::train::state::Learned;
@@ -54,7 +55,7 @@ pub fn initialise(learned: &mut Learned) {
 pub fn take_light_out(learned: &mut Learned, operators: &EnvOperators, normals: &[[f32; 3]]) {
     let model = &learned.model;
     let tables = operators.apply(&step::radiance_of(model));
-    let basis = cpu::indirect_basis(&tables);
+    let basis = indirect_basis(&tables);
     let source = step::source(learned, &basis);
     let albedo = |i: usize| -> [f32; 3] {
         let (colour, sky) = (colour(&model.gaussians, i), sky_irradiance(&source, &tables, normals[i], i));
@@ -137,7 +138,8 @@ fn k_means(points: &[([f32; 3], f32)], k: usize) -> Vec<[f32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::cpu::{AttributeSource, fibonacci_sphere, srgb};
+    use crate::engine::cpu::{AttributeSource, srgb};
+    use crate::engine::fibonacci_sphere;
     use crate::light::TableResolution;
     use crate::scene::{Model, ShadingOptions, VisibilityForm, softplus_inverse, texel_directions};
     use crate::train::{Preset, TrainConfig};

@@ -3,9 +3,9 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
+use crate::engine::RasterCamera;
 use crate::engine::RowLayout;
 use crate::engine::channel::Channels;
-use crate::engine::cpu::View;
 use crate::engine::gpu::density::{GatherPlan, Origin};
 use crate::engine::gpu::light::LightWeights;
 use crate::engine::gpu::losses::SurfaceWeights;
@@ -129,7 +129,7 @@ impl Backend for OnGpu {
         let (channels, differentiated) = self.channels(task);
         let sizes = &task.sizes;
         let sums = self.training.step(&Step {
-            view: View::new(&task.photo.camera, &self.frame.shading),
+            view: RasterCamera::new(&task.photo.camera, &self.frame.shading),
             photo: &photo,
             background: task.context.background,
             channels,

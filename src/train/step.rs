@@ -3,9 +3,10 @@
 use crate::engine::Gradients;
 use crate::engine::channel::Channels;
 use crate::engine::cpu::{
-    self, AttributeSource, BufferGradient, Pass, ProbeSettings, Probes, Shader, Transport, View,
-    fibonacci_sphere, outward_normals, radiance_image, radiance_image_backward,
+    self, AttributeSource, BufferGradient, Pass, Probes, Shader, Transport, outward_normals, radiance_image,
+    radiance_image_backward,
 };
+use crate::engine::{ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
 use crate::light::EnvOperators;
 use crate::scene::{Field, IndirectForm, Model, ShadeAt, VisibilityForm, softplus, texel_directions};
 use crate::train::dataset::Photo;
@@ -71,7 +72,7 @@ pub fn radiance(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let w = &context.config.weights;
     let basis = [[0.0; 3]; 16];
     let source = source(state, &basis);
-    let view = View::new(&photo.camera, source.options);
+    let view = RasterCamera::new(&photo.camera, source.options);
     let shaped = is_shaped(context.config, context.progress);
     let channels = if shaped { Channels::Geometry } else { Channels::Colour };
     let pass = Pass::forward(&source, view, channels, true);
@@ -99,12 +100,12 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let w = &context.config.weights;
     let radiance = radiance_of(&state.model);
     let tables = context.operators.apply(&radiance);
-    let basis = cpu::indirect_basis(&tables);
+    let basis = indirect_basis(&tables);
     let Learned { model, .. } = state;
     let order = model.gaussians.visibility_order();
     let shader = Shader { tables: &tables, options: &model.shading, order };
     let source = source(state, &basis).under(shader);
-    let view = View::new(&photo.camera, source.options);
+    let view = RasterCamera::new(&photo.camera, source.options);
     let (channels, differentiated) = channels(context.config, model);
     let pass = Pass::forward(&source, view, channels, true);
     let images = shader.images(&pass, context.background);
@@ -155,12 +156,12 @@ pub fn physical_error(context: &StepContext<'_>, state: &Learned, photo: &Photo)
 /// The physically based branch as one photograph would show it.
 pub(super) fn physical_image(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Vec<[f32; 3]> {
     let tables = context.operators.apply(&radiance_of(&state.model));
-    let basis = cpu::indirect_basis(&tables);
+    let basis = indirect_basis(&tables);
     let Learned { model, .. } = state;
     let order = model.gaussians.visibility_order();
     let shader = Shader { tables: &tables, options: &model.shading, order };
     let source = source(state, &basis).under(shader);
-    let view = View::new(&photo.camera, source.options);
+    let view = RasterCamera::new(&photo.camera, source.options);
     let pass = Pass::forward(&source, view, channels(context.config, model).0, true);
     shader.images(&pass, context.background).physical
 }
@@ -169,7 +170,8 @@ pub(super) fn physical_image(context: &StepContext<'_>, state: &Learned, photo: 
 pub fn radiance_error(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> f32 {
     let basis = [[0.0; 3]; 16];
     let source = source(state, &basis);
-    let pass = Pass::forward(&source, View::new(&photo.camera, source.options), Channels::Colour, true);
+    let pass =
+        Pass::forward(&source, RasterCamera::new(&photo.camera, source.options), Channels::Colour, true);
     mean_squared_error(&radiance_image(&pass, context.background), photo)
 }
 
@@ -183,7 +185,8 @@ fn mean_squared_error(image: &[[f32; 3]], photo: &Photo) -> f32 {
 pub fn weights_in(state: &Learned, photo: &Photo) -> Vec<f32> {
     let basis = [[0.0; 3]; 16];
     let source = source(state, &basis);
-    let pass = Pass::forward(&source, View::new(&photo.camera, source.options), Channels::Colour, true);
+    let pass =
+        Pass::forward(&source, RasterCamera::new(&photo.camera, source.options), Channels::Colour, true);
     let mut out = vec![0.0; source.gaussians.len()];
     for (splat, label) in pass.splats.iter().zip(cpu::backward_labels(&pass)) {
         out[splat.gaussian as usize] = label.weight;

@@ -9,9 +9,9 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::cli::{CommandResult, output};
 use crate::engine::Device;
-use crate::engine::cpu::View;
+use crate::engine::RasterCamera;
 use crate::engine::gpu::losses::{ImageTerm, LOSS_SLOTS, LossSlot};
-use crate::engine::gpu::{DeviceChoice, Gpu, GpuError, ViewUniform};
+use crate::engine::gpu::{CameraUniform, DeviceChoice, Gpu, GpuError};
 use crate::engine::reference::{Array, Tape, losses};
 use crate::engine::side_by_side::{
     Answer, LightShape, Question, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
@@ -276,7 +276,7 @@ fn loss_gradient_gpu(
     let partials = gpu.buffer("partials", 3 * pixels)?;
     let by_image = gpu.buffer("by image", pixels)?;
     let losses = gpu.buffer("losses", LOSS_SLOTS)?;
-    let view = ViewUniform::new(&View::new(question.camera, &question.model.shading));
+    let view = CameraUniform::new(&RasterCamera::new(question.camera, &question.model.shading));
     let [l1, ssim] = IMAGE_WEIGHTS;
     let term = ImageTerm {
         view: &view,

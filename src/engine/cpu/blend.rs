@@ -6,12 +6,10 @@
 
 use multiversion::multiversion;
 
+use crate::engine::TRANSMITTANCE_STOP;
 use crate::engine::cpu::lanes::{LANES, Lanes, exp_negative};
 use crate::engine::cpu::project::{ALPHA_MAX, ALPHA_MIN, Splat};
 use crate::engine::cpu::tiles::TILE;
-
-/// A pixel whose transmittance is below this may be left; the weight missed is less than this in all.
-pub const TRANSMITTANCE_STOP: f32 = 1e-4;
 
 /// The part of a splat that a strip needs.
 ///

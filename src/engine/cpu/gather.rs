@@ -2,8 +2,9 @@
 
 use rayon::prelude::*;
 
+use crate::engine::NO_HIT;
 use crate::engine::cpu::attributes::AttributeSource;
-use crate::engine::cpu::probes::{NO_HIT, Probes};
+use crate::engine::cpu::probes::Probes;
 use crate::engine::cpu::project::sigmoid;
 use crate::light::LightTables;
 use crate::scene::{Field, VisibilityForm};

@@ -8,7 +8,6 @@ mod attributes;
 mod blend;
 mod blend_backward;
 mod gather;
-mod indirect;
 mod labels;
 mod lambert;
 mod lanes;
@@ -23,21 +22,17 @@ mod shade;
 mod shading;
 mod shadows;
 mod tiles;
-mod view;
 
 pub use attributes::{AttributeSource, softmax};
-pub use blend::TRANSMITTANCE_STOP;
 #[cfg(test)]
 pub use blend_backward::ROW_HEADER;
 pub use gather::{Transport, sky_irradiance};
-pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use labels::{BackwardLabel, backward_labels};
 pub use lanes::{LANES, Lanes};
 pub use mixture::softmax_abreast;
-pub use occluder::ProbeSettings;
 pub use pass::{Pass, attribute_rows, project_all};
 pub use point::surface_point;
-pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
+pub use probes::{Probes, outward_normals};
 pub use project::{
     ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, rotation_backward,
     sigmoid, sigmoid_slope,
@@ -48,4 +43,3 @@ pub use shading::{
     BranchImages, BufferGradient, LEAST_COVERAGE, linear_from_srgb, radiance_image, radiance_image_backward,
     srgb, srgb_slope, surface_at,
 };
-pub use view::View;

@@ -5,7 +5,6 @@ use rayon::prelude::*;
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::lanes::exp_negative;
 use crate::engine::cpu::project::{ALPHA_MAX, ALPHA_MIN, rotation, sigmoid};
-use crate::scene::ShadingOptions;
 
 /// What lets through less than this lets nothing through.
 pub(super) const OPAQUE: f32 = 1e-3;
@@ -16,34 +15,6 @@ pub(super) type Vec3 = [f32; 3];
 
 pub(super) fn dot(a: Vec3, b: Vec3) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-/// How a query keeps clear of the surface it starts from.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ProbeSettings {
-    /// Start this many standard deviations along the outward normal.
-    pub offset: f32,
-    /// Start this much further along the outward normal, world units.
-    pub lift: f32,
-    /// An occluder must be this many of its own standard deviations further along the direction.
-    pub clearance: f32,
-    /// And this much besides, world units.
-    pub bias: f32,
-    /// And no further than this, world units.
-    pub reach: f32,
-}
-
-impl ProbeSettings {
-    /// The settings a model is trained and rendered with.
-    pub fn of(options: &ShadingOptions) -> Self {
-        Self { reach: options.occluder_reach.unwrap_or(f32::INFINITY), ..Self::default() }
-    }
-}
-
-impl Default for ProbeSettings {
-    fn default() -> Self {
-        Self { offset: 1.0, lift: 0.0, clearance: 2.0, bias: 0.03, reach: f32::INFINITY }
-    }
 }
 
 /// A Gaussian that hides.

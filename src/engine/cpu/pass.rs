@@ -2,16 +2,16 @@
 
 use rayon::prelude::*;
 
+use crate::engine::RasterCamera;
 use crate::engine::channel::{self, Channels};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::blend::{BlendScratch, TileJob, blend_tile};
 use crate::engine::cpu::blend_backward::{BackwardScratch, ROW_HEADER, blend_tile_backward};
-use crate::engine::cpu::indirect::indirect_basis_backward;
+use crate::engine::indirect_basis_backward;
 use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::mixture::MixtureScratch;
 use crate::engine::cpu::project::{Splat, SplatGradient, project, project_backward, rotation_backward};
 use crate::engine::cpu::tiles::{TILE, TileLists};
-use crate::engine::cpu::view::View;
 use crate::engine::{Gradients, RowLayout, zeros};
 use crate::light::LightTables;
 use crate::scene::{Field, IndirectForm};
@@ -25,7 +25,7 @@ const LIT_CHUNK: usize = 4096;
 #[derive(Debug, Clone)]
 pub struct Pass {
     /// The camera.
-    pub view: View,
+    pub view: RasterCamera,
     /// Visible splats, front to back.
     pub splats: Vec<Splat>,
     /// Their tiles.
@@ -41,7 +41,12 @@ pub struct Pass {
 
 impl Pass {
     /// Rasterises `source` as seen by `view`.
-    pub fn forward(source: &AttributeSource<'_>, view: View, channels: Channels, early_stop: bool) -> Self {
+    pub fn forward(
+        source: &AttributeSource<'_>,
+        view: RasterCamera,
+        channels: Channels,
+        early_stop: bool,
+    ) -> Self {
         let splats = project_all(source, &view);
         let stored = channels.stored();
         let attributes = attribute_rows(source, &view, &splats, channels, stored);
@@ -50,7 +55,7 @@ impl Pass {
 
     /// Blends given attribute rows; for callers that make their own, such as the preview tier.
     pub fn blend(
-        view: View,
+        view: RasterCamera,
         splats: Vec<Splat>,
         channels: Channels,
         attributes: Vec<f32>,
@@ -322,7 +327,7 @@ fn gaussians_of(splats: &[Splat]) -> Vec<u32> {
 /// The attributes that `channels` carry of every splat, by rank, in rows of `stored` floats; what is beyond is zero.
 pub fn attribute_rows(
     source: &AttributeSource<'_>,
-    view: &View,
+    view: &RasterCamera,
     splats: &[Splat],
     channels: Channels,
     stored: usize,
@@ -341,7 +346,7 @@ pub fn attribute_rows(
 }
 
 /// Every visible Gaussian as a splat, sorted front to back, ties by index.
-pub fn project_all(source: &AttributeSource<'_>, view: &View) -> Vec<Splat> {
+pub fn project_all(source: &AttributeSource<'_>, view: &RasterCamera) -> Vec<Splat> {
     let mut splats: Vec<Splat> = (0..source.gaussians.len())
         .into_par_iter()
         .with_min_len(256)

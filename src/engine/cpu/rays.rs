@@ -3,10 +3,9 @@
 //! A tree of boxes around where each Gaussian's alpha reaches 1/255. What a Gaussian takes from a ray is its peak along
 //! the ray's line, which is its shadow on the plane across the ray: the same number as the probes' orthographic view.
 
+use crate::engine::ProbeSettings;
 use crate::engine::cpu::attributes::AttributeSource;
-use crate::engine::cpu::occluder::{
-    OPAQUE, Occluder, ProbeSettings, Vec3, WIDEST, dot, occluders, plane_basis, sliver,
-};
+use crate::engine::cpu::occluder::{OPAQUE, Occluder, Vec3, WIDEST, dot, occluders, plane_basis, sliver};
 
 /// Gaussians a leaf may have.
 const LEAF: usize = 4;
@@ -158,7 +157,8 @@ fn build(boxes: &mut [Boxed], first: usize, nodes: &mut Vec<Node>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::cpu::{Probes, fibonacci_sphere, outward_normals};
+    use crate::engine::cpu::{Probes, outward_normals};
+    use crate::engine::fibonacci_sphere;
     use crate::scene::{Field, Gaussians, ShadingOptions};
 
     /// A cloud of discs, needles and blobs, some far larger than others, some all but transparent.

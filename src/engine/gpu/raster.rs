@@ -11,7 +11,7 @@ use crate::engine::gpu::scan::{Scan, grow};
 use crate::engine::gpu::shaders::Shader;
 use crate::engine::gpu::sort::Sorter;
 use crate::engine::gpu::{
-    Buffer, Gpu, GpuError, Groups, Recorder, SplatRecord, TILE, ViewUniform, shaders, uniform,
+    Buffer, CameraUniform, Gpu, GpuError, Groups, Recorder, SplatRecord, TILE, shaders, uniform,
 };
 
 mod backward;
@@ -19,8 +19,8 @@ mod light;
 #[cfg(test)]
 mod tests;
 
-/// A pixel whose transmittance is below this is left early (as [`crate::engine::cpu::TRANSMITTANCE_STOP`]).
-const EARLY_STOP: f32 = crate::engine::cpu::TRANSMITTANCE_STOP;
+/// A pixel whose transmittance is below this is left early (as [`crate::engine::TRANSMITTANCE_STOP`]).
+const EARLY_STOP: f32 = crate::engine::TRANSMITTANCE_STOP;
 /// Where blending ends without early stop: what lies behind adds less than the last digit of anything, and
 /// transmittances can still be recovered by division.
 const LATE_STOP: f32 = 1e-30;
@@ -59,7 +59,7 @@ pub struct BlendEnd {
 /// The view that was prepared last.
 #[derive(Debug, Clone)]
 pub(super) struct Prepared {
-    pub(super) view: ViewUniform,
+    pub(super) view: CameraUniform,
     pub(super) model: LayoutUniform,
     /// Gaussians by depth, nearest first; invisible ones last.
     pub(super) gaussian_of_rank: Buffer<u32>,
@@ -150,7 +150,7 @@ impl Raster {
     /// otherwise as [`Gpu::buffer`] and [`Gpu::read`].
     pub fn prepare(
         &mut self,
-        view: &ViewUniform,
+        view: &CameraUniform,
         model: &LayoutUniform,
         params: &Buffer<f32>,
     ) -> Result<RasterCounts, GpuError> {
@@ -229,7 +229,7 @@ impl Raster {
     fn project(
         &mut self,
         rec: &mut Recorder<'_>,
-        view: &ViewUniform,
+        view: &CameraUniform,
         model: &LayoutUniform,
         params: &Buffer<f32>,
     ) -> Result<Buffer<u32>, GpuError> {
@@ -264,7 +264,7 @@ impl Raster {
     fn list(
         &mut self,
         rec: &mut Recorder<'_>,
-        view: &ViewUniform,
+        view: &CameraUniform,
         gaussian_of_rank: &Buffer<u32>,
         (n, n_instances): (usize, usize),
     ) -> Result<(Buffer<u32>, Buffer<u32>), GpuError> {

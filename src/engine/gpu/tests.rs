@@ -1,6 +1,7 @@
 //! Tests of the ground everything stands on: dispatches, accumulation, transfers, errors, shared shader pieces.
 
-use crate::engine::cpu::{self, View};
+use crate::engine::RasterCamera;
+use crate::engine::cpu;
 use crate::engine::gpu::model::{LayoutUniform, from_planar, planar};
 use crate::engine::gpu::{Buffer, Gpu, GpuError, GpuOptions, Groups, shaders};
 use crate::light::sh_eval_with_gradient;
@@ -160,8 +161,8 @@ fn the_view_of_the_shaders_is_that_of_the_cpu_engine() {
         rotation: glam::DMat3::from_rotation_z(0.3),
         translation: glam::DVec3::new(0.1, 0.2, 3.0),
     };
-    let view = View::new(&camera, &ShadingOptions::default());
-    let uniform = super::ViewUniform::new(&view);
+    let view = RasterCamera::new(&camera, &ShadingOptions::default());
+    let uniform = super::CameraUniform::new(&view);
     assert_eq!((uniform.tiles, uniform.n_pixels), ([3, 2], 777));
     assert_eq!(uniform.rotation[1][..3], view.rotation[1]);
 }

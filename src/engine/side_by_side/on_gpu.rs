@@ -1,7 +1,7 @@
 //! What the GPU engine answers.
 
+use crate::engine::RasterCamera;
 use crate::engine::channel::Channels;
-use crate::engine::cpu::View;
 use crate::engine::gpu::light::{Constants, LightWeights, TrainingLight};
 use crate::engine::gpu::losses::LOSS_SLOTS;
 use crate::engine::gpu::model::{ModelBuffers, from_planar};
@@ -10,7 +10,7 @@ use crate::engine::gpu::shading::{
     Images, ShadeGradients, ShadeJob, ShadingUniform, shade, shade_backward, show_lit, show_lit_backward,
 };
 use crate::engine::gpu::update::{ParameterTerms, STATUS_WORDS, StepInput, Sums, Updater, Upstream};
-use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUniform};
+use crate::engine::gpu::{AttributeBuffers, Buffer, CameraUniform, Gpu, GpuError, Raster};
 use crate::engine::reference::Array;
 use crate::engine::side_by_side::on_cpu::shared;
 use crate::engine::side_by_side::{Answer, Question, SplatSeen};
@@ -70,7 +70,7 @@ impl Canvas {
 /// What went wrong on the device.
 pub fn by_gpu(gpu: &Gpu, question: &Question<'_>) -> Result<Answer, GpuError> {
     let (model, options) = (question.model, &question.model.shading);
-    let view = ViewUniform::new(&View::new(question.camera, options));
+    let view = CameraUniform::new(&RasterCamera::new(question.camera, options));
     let buffers = ModelBuffers::upload(gpu, model)?;
     let light = TrainingLight::new(gpu, &question.light.operators)?;
     let n_visibility = model.gaussians.width(Field::Visibility);

@@ -239,7 +239,7 @@ fn discs(hidden: &[usize]) -> (Learned, Photo) {
         crate::scene::Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Z, 0.6, (32, 32)).unwrap();
     let options = ShadingOptions::default();
     let source = step::source(&learned, &[[0.0; 3]; 16]);
-    let view = crate::engine::cpu::View::new(&camera, &options);
+    let view = crate::engine::RasterCamera::new(&camera, &options);
     let pass =
         crate::engine::cpu::Pass::forward(&source, view, crate::engine::channel::Channels::Colour, true);
     let pixels = crate::engine::cpu::radiance_image(&pass, [1.0; 3]);

@@ -3,7 +3,7 @@
 use super::*;
 use crate::engine::channel;
 use crate::engine::cpu::{self, Pass, Shader, linear_from_srgb, normalise, surface_at};
-use crate::engine::gpu::ViewUniform;
+use crate::engine::gpu::CameraUniform;
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::shading::ShadingUniform;
@@ -75,7 +75,7 @@ fn developed(
     let pass = random_pass(&mut noise, (37, 21), order, options);
     let tables = random_tables(&mut noise, order);
     let shader = Shader { tables: &tables, options, order };
-    let view = ViewUniform::new(&pass.view);
+    let view = CameraUniform::new(&pass.view);
     let gbuffer = gpu.upload("gbuffer", &planar_gbuffer(&pass, &pass.gbuffer, pass.channels)).unwrap();
     let light = LightBuffers::upload(gpu, &tables, order, &[[0.0; 3]; 16]).unwrap();
     let (constants, shading) = (Constants::upload(gpu).unwrap(), ShadingUniform::new(options, [0.0; 3]));

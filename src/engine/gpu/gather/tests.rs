@@ -1,12 +1,13 @@
 //! The gathering against the CPU engine.
 
 use super::*;
-use crate::engine::cpu::{ProbeSettings, Transport, fibonacci_sphere, outward_normals};
+use crate::engine::cpu::{Transport, outward_normals};
 use crate::engine::gpu::Gpu;
 use crate::engine::gpu::light::flat;
 use crate::engine::gpu::model::planar;
 use crate::engine::gpu::probes::tests::{Scene, read};
 use crate::engine::gpu::shaders::assert_layout;
+use crate::engine::{ProbeSettings, fibonacci_sphere};
 use crate::light::{LightTables, rendering_tables};
 use crate::scene::{EnvMap, Field, VisibilityForm};
 

@@ -1,8 +1,9 @@
 //! The terms against plain f64 versions of their formulas and central differences of those.
 
 use super::*;
+use crate::engine::RasterCamera;
 use crate::engine::channel;
-use crate::engine::cpu::{Pass, View};
+use crate::engine::cpu::Pass;
 use crate::engine::gpu::Gpu;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::shading::tests::{Noise, camera_view, empty_pass, error, planar_gbuffer, set};
@@ -55,8 +56,8 @@ fn picture(noise: &mut Noise, n: usize) -> Vec<Rgb> {
     (0..n).map(|_| noise.rgb(0.0, 1.0).map(f64::from)).collect()
 }
 
-fn on_device(gpu: &Gpu, view: &View, image: &[Rgb], photo: &[Rgb]) -> ([f32; 3], Vec<f32>) {
-    let (view, n) = (ViewUniform::new(view), image.len());
+fn on_device(gpu: &Gpu, view: &RasterCamera, image: &[Rgb], photo: &[Rgb]) -> ([f32; 3], Vec<f32>) {
+    let (view, n) = (CameraUniform::new(view), image.len());
     let (image, photo) = (uploaded(gpu, image, &[]), uploaded(gpu, photo, &[]));
     let losses = gpu.buffer("losses", LOSS_SLOTS).unwrap();
     let partials = gpu.buffer("partials", 3 * n).unwrap();
@@ -148,7 +149,7 @@ const NORMAL: usize = channel::NORMAL.start;
 
 impl Buffers {
     /// A bumpy wall with holes and one step in depth.
-    fn new(seed: u64, view: &View) -> Self {
+    fn new(seed: u64, view: &RasterCamera) -> Self {
         let mut noise = Noise::new(seed);
         let size = (view.width, view.height);
         let pixels = || (0..size.0 * size.1).map(|i| (i % size.0, i / size.0));
@@ -178,7 +179,7 @@ impl Buffers {
         Self { size, rays, rows, photo, mask }
     }
 
-    fn pass(&self, view: View, channels: Channels) -> Pass {
+    fn pass(&self, view: RasterCamera, channels: Channels) -> Pass {
         let mut pass = empty_pass(view, &ShadingOptions::default(), channels);
         for (i, row) in self.rows.iter().enumerate() {
             for (c, value) in row.iter().enumerate().take(channels.count()) {
@@ -258,12 +259,12 @@ impl Buffers {
 
 fn surface_on_device(
     gpu: &Gpu,
-    view: &View,
+    view: &RasterCamera,
     buffers: &Buffers,
     channels: Channels,
     weights: &SurfaceWeights,
 ) -> ([f32; 3], Vec<[f32; 4]>) {
-    let uniform = ViewUniform::new(view);
+    let uniform = CameraUniform::new(view);
     let pass = buffers.pass(*view, channels);
     let gbuffer = gpu.upload("gbuffer", &planar_gbuffer(&pass, &pass.gbuffer, channels)).unwrap();
     let photo = uploaded(gpu, &buffers.photo, &buffers.mask);

@@ -4,9 +4,10 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::engine::cpu::{self, AttributeSource, NO_HIT, fibonacci_sphere, outward_normals};
+use crate::engine::cpu::{self, AttributeSource, outward_normals};
 use crate::engine::gpu::model::planar;
 use crate::engine::gpu::shaders::assert_layout;
+use crate::engine::{NO_HIT, fibonacci_sphere};
 use crate::scene::{Field, Gaussians, ShadingOptions};
 
 /// Largest difference of a transmittance or, in units of the largest, of a coefficient.

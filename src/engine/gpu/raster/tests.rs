@@ -9,7 +9,8 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::engine::cpu::{AttributeSource, Pass, View};
+use crate::engine::RasterCamera;
+use crate::engine::cpu::{AttributeSource, Pass};
 use crate::engine::gpu::AttributeBuffers;
 use crate::engine::gpu::model::planar;
 use crate::engine::gpu::shaders::assert_layout;
@@ -22,7 +23,7 @@ pub(super) struct Scene {
     pub(super) gathered: Vec<[f32; 6]>,
     pub(super) basis: [[f32; 3]; 16],
     pub(super) options: ShadingOptions,
-    pub(super) view: View,
+    pub(super) view: RasterCamera,
 }
 
 impl Scene {
@@ -48,7 +49,7 @@ impl Scene {
         let options = ShadingOptions::default();
         let eye = glam::DVec3::new(0.4, -2.8, 0.9);
         let camera = Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Z, 0.9, size).unwrap();
-        Self { gaussians, prototypes, gathered, basis, options, view: View::new(&camera, &options) }
+        Self { gaussians, prototypes, gathered, basis, options, view: RasterCamera::new(&camera, &options) }
     }
 
     pub(super) fn with_options(mut self, options: ShadingOptions) -> Self {
@@ -87,7 +88,7 @@ impl Scene {
         let gathered = gpu.upload("gathered", self.gathered.as_flattened()).unwrap();
         let basis = gpu.upload("basis", self.basis.as_flattened()).unwrap();
         let model = LayoutUniform::new(&self.gaussians, &self.options);
-        let counts = raster.prepare(&ViewUniform::new(&self.view), &model, &params).unwrap();
+        let counts = raster.prepare(&CameraUniform::new(&self.view), &model, &params).unwrap();
         let source = AttributeBuffers {
             params: &params,
             globals: &globals,
@@ -103,7 +104,7 @@ impl Scene {
 }
 
 /// The device's G-buffer as `[pixel][channel]`.
-pub(super) fn gbuffer(raster: &Raster, view: &View, channels: Channels) -> Vec<Vec<f32>> {
+pub(super) fn gbuffer(raster: &Raster, view: &RasterCamera, channels: Channels) -> Vec<Vec<f32>> {
     let pixels = view.width * view.height;
     let planes = raster.gpu.read(raster.gbuffer.as_ref().unwrap(), 0..pixels * groups(channels)).unwrap();
     (0..pixels)
@@ -161,7 +162,7 @@ fn assert_forward(raster: &mut Raster, scene: &Scene, channels: Channels, tolera
 fn host_and_shaders_agree_on_structs() {
     assert_layout!(SplatRecord as "Splat" in shaders::PROJECT;
         mean, opacity, reach, conic, depth, covariance, compensation, n_tiles, flags, pad_a, pad_b);
-    assert_layout!(ViewUniform as "View" in shaders::BLEND_4;
+    assert_layout!(CameraUniform as "View" in shaders::BLEND_4;
         focal, centre_px, rotation, eye, ratio_limits, size, tiles, low_pass, low_pass_compensation, n_pixels, pad);
     assert_layout!(BlendEnd as "BlendEnd" in shaders::BLEND_4; transmittance, slot);
     for (shader, name) in [

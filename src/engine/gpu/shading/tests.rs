@@ -4,10 +4,9 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::engine::RasterCamera;
 use crate::engine::channel;
-use crate::engine::cpu::{
-    self, AttributeSource, BranchImages, BufferGradient, Pass, Shader as CpuShader, View,
-};
+use crate::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, Shader as CpuShader};
 use crate::engine::gpu::light::flat;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::light::{CubeGrid, LightTables};
@@ -29,14 +28,18 @@ impl Noise {
     }
 }
 
-pub(in crate::engine::gpu) fn camera_view(size: (u32, u32), options: &ShadingOptions) -> View {
+pub(in crate::engine::gpu) fn camera_view(size: (u32, u32), options: &ShadingOptions) -> RasterCamera {
     let eye = glam::DVec3::new(0.4, -2.8, 0.9);
     let camera = Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Z, 0.9, size).unwrap();
-    View::new(&camera, options)
+    RasterCamera::new(&camera, options)
 }
 
 /// A pass whose G-buffer is then free to be overwritten.
-pub(in crate::engine::gpu) fn empty_pass(view: View, options: &ShadingOptions, channels: Channels) -> Pass {
+pub(in crate::engine::gpu) fn empty_pass(
+    view: RasterCamera,
+    options: &ShadingOptions,
+    channels: Channels,
+) -> Pass {
     let source = AttributeSource {
         gaussians: &Gaussians::zeroed(0, 2, 0, 0),
         prototypes: &[[0.5; 3]; 2],
@@ -164,7 +167,7 @@ impl Case {
     /// Runs both directions on the device.
     fn run(&self, by: &BranchImages, by_buffers: &[BufferGradient], all: bool) -> Results {
         let gpu = &self.gpu;
-        let view = ViewUniform::new(&self.pass.view);
+        let view = CameraUniform::new(&self.pass.view);
         let n = view.pixels();
         let padded = |p: &Vec<[f32; 3]>| p.iter().map(|v| [v[0], v[1], v[2], f32::NAN]).collect::<Vec<_>>();
         let gbuffer = planar_gbuffer(&self.pass, &self.pass.gbuffer, self.pass.channels);
@@ -361,7 +364,7 @@ fn the_radiance_branch_alone_is_that_of_the_cpu_engine() {
                 set(&mut pass, i % w, i / w, c, value);
             }
         }
-        let view = ViewUniform::new(&pass.view);
+        let view = CameraUniform::new(&pass.view);
         let gbuffer = gpu.upload("gbuffer", &planar_gbuffer(&pass, &pass.gbuffer, channels)).unwrap();
         let radiance = gpu.buffer("radiance", w * h).unwrap();
         let by_radiance: Vec<[f32; 4]> = by.radiance.iter().map(|v| [v[0], v[1], v[2], f32::NAN]).collect();

@@ -5,7 +5,7 @@ use crate::engine::cpu::ROW_HEADER;
 use crate::engine::cpu::backward_labels;
 
 /// A random gradient by the first `count` channels, `[pixel][stored]`; every seventh pixel has none.
-fn random_gradient(view: &View, count: usize, seed: u64) -> Vec<Vec<f32>> {
+fn random_gradient(view: &RasterCamera, count: usize, seed: u64) -> Vec<Vec<f32>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let stored = count.next_multiple_of(4);
     let mut row = |pixel: usize| -> Vec<f32> {
@@ -75,7 +75,7 @@ pub(super) fn check(raster: &mut Raster, scene: &Scene, channels: Channels, coun
 }
 
 /// The gradient laid out for the CPU's pass.
-pub(super) fn for_cpu(pass: &Pass, view: &View, by: &[Vec<f32>]) -> Vec<f32> {
+pub(super) fn for_cpu(pass: &Pass, view: &RasterCamera, by: &[Vec<f32>]) -> Vec<f32> {
     let stored = by[0].len();
     let mut out = vec![0.0f32; pass.tiles.len() * 256 * stored];
     for (pixel, row) in by.iter().enumerate() {

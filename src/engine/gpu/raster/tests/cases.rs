@@ -195,7 +195,7 @@ fn emitted(raster: &Raster, scene: &Scene, off: i32, room: usize) -> (Vec<u32>, 
     let most = (*first.last().unwrap()).min(room as u32 - 8);
     let mut rec = gpu.record();
     let bindings = [
-        uniform(&ViewUniform::new(&scene.view)),
+        uniform(&CameraUniform::new(&scene.view)),
         uniform(&Words([n as u32, most, 0, 0])),
         raster.splats.as_ref().unwrap().into(),
         order.into(),
@@ -239,7 +239,7 @@ fn the_count_of_pairs_carries_beyond_32_bits() {
     let (keys, indices) = (gpu.buffer::<u32>("keys", n).unwrap(), gpu.buffer::<u32>("indices", n).unwrap());
     let mut rec = gpu.record();
     let bindings = [
-        uniform(&ViewUniform::new(&scene.view)),
+        uniform(&CameraUniform::new(&scene.view)),
         uniform(&LayoutUniform::new(&scene.gaussians, &scene.options)),
         (&params).into(),
         raster.splats.as_ref().unwrap().into(),

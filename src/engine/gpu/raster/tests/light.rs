@@ -91,7 +91,7 @@ impl Case {
         let light = LightBuffers::upload(gpu, &self.tables, self.order, &[[0.0; 3]; 16]).unwrap();
         let constants = Constants::upload(gpu).unwrap();
         let (view, shading) =
-            (ViewUniform::new(&self.scene.view), ShadingUniform::new(&self.scene.options, [0.0; 3]));
+            (CameraUniform::new(&self.scene.view), ShadingUniform::new(&self.scene.options, [0.0; 3]));
         let job = ShadeJob {
             view: &view,
             shading: &shading,

@@ -150,7 +150,7 @@ fn expected_pull(case: &Case, labels: &[[f32; 2]], form: VisibilityForm) -> (f64
             continue;
         }
         let mean: [f32; 3] = g.get(Field::Mean, i);
-        let to: [f64; 3] = std::array::from_fn(|k| f64::from(mean[k]) - f64::from(case.view.eye[k]));
+        let to: [f64; 3] = std::array::from_fn(|k| f64::from(mean[k]) - f64::from(case.view.centre[k]));
         let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();
         let mut y = [0.0f64; 49];
         sh_eval(g.visibility_order(), to.map(|v| v / length), &mut y);

@@ -1,10 +1,10 @@
-//! A camera as the f32 kernels want it.
+//! A camera as the engines' f32 kernels take it.
 
 use crate::scene::{Camera, ShadingOptions};
 
 /// A camera in f32, with the projection options.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct View {
+pub struct RasterCamera {
     /// Width in pixels.
     pub width: usize,
     /// Height in pixels.
@@ -18,7 +18,7 @@ pub struct View {
     /// World-to-camera translation.
     pub translation: [f32; 3],
     /// Camera centre, world.
-    pub eye: [f32; 3],
+    pub centre: [f32; 3],
     /// Limits of x/z and y/z inside the projection's Jacobian.
     pub ratio_limits: [[f32; 2]; 2],
     /// Screen-space low-pass, px^2.
@@ -27,7 +27,7 @@ pub struct View {
     pub low_pass_compensation: bool,
 }
 
-impl View {
+impl RasterCamera {
     /// The kernels' view of `camera`.
     pub fn new(camera: &Camera, options: &ShadingOptions) -> Self {
         let r = camera.rotation;
@@ -42,7 +42,7 @@ impl View {
             centre_px: [camera.cx as f32, camera.cy as f32],
             rotation: std::array::from_fn(|k| r.row(k).to_array().map(|v| v as f32)),
             translation: camera.translation.to_array().map(|v| v as f32),
-            eye: camera.centre().to_array().map(|v| v as f32),
+            centre: camera.centre().to_array().map(|v| v as f32),
             ratio_limits: [
                 limits(camera.width, camera.cx, camera.fx),
                 limits(camera.height, camera.cy, camera.fy),
@@ -53,7 +53,7 @@ impl View {
     }
 
     /// Camera coordinates of a world point: `R x + t`. Models lie around the origin, so this keeps the digits across the
-    /// view of a camera that is far away, where `R (x - eye)` would lose those of `x`.
+    /// view of a camera that is far away, where `R (x - centre)` would lose those of `x`.
     #[inline]
     pub fn to_camera(&self, x: [f32; 3]) -> [f32; 3] {
         std::array::from_fn(|k| (0..3).map(|c| self.rotation[k][c] * x[c]).sum::<f32>() + self.translation[k])
