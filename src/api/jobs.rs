@@ -16,7 +16,7 @@ use crate::api::{Problem, Shared};
 use crate::capture::BUILTIN;
 use crate::jobs::JobOrder;
 use crate::store::{Cancelled, IdempotencyKey, JobRecord, JobState, Submitted, hex};
-use crate::train::{KnownLight, Preset, TrainConfig, TrainOverrides};
+use crate::train::{ConfigError, KnownLight, Preset, TrainConfig, TrainOverrides};
 
 const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 const REPLAYED: HeaderName = HeaderName::from_static("idempotent-replayed");
@@ -362,13 +362,9 @@ fn check_priority(priority: i64) -> Result<(), Problem> {
     Err(Problem::invalid_field("/priority", format!("must be -100 to 100, got {priority}")))
 }
 
-/// The trainer's refusals begin with the name of the field.
-fn override_refused(message: &str) -> Problem {
-    let name = message.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_')).next().unwrap_or_default();
-    let known = serde_json::to_value(TrainOverrides::default()).ok();
-    let known = known.is_some_and(|fields| fields.get(name).is_some());
-    let pointer = if known { format!("/overrides/{name}") } else { "/overrides".to_owned() };
-    Problem::invalid_field(pointer, message)
+fn override_refused(error: &ConfigError) -> Problem {
+    let setting = error.field.split('.').next().unwrap_or_default();
+    Problem::invalid_field(format!("/overrides/{setting}"), error.to_string())
 }
 
 fn preset_name(preset: Preset) -> Result<String, Problem> {

@@ -5,6 +5,7 @@ mod blending;
 mod camera;
 pub mod channel;
 pub mod cpu;
+pub mod density;
 mod device;
 mod frame;
 pub mod gpu;

@@ -1,4 +1,4 @@
-//! Photographs and cameras as a training step wants them: in the normalised world, at two resolutions, composited.
+//! The training photographs with their cameras: in the normalised world, at two resolutions, composited.
 
 use rayon::prelude::*;
 
@@ -12,7 +12,7 @@ pub struct Photo {
     pub camera: Camera,
     /// Display-referred pixels over the background.
     pub pixels: Vec<[f32; 3]>,
-    /// Mask, when the capture has masks.
+    /// Mask, 0 to 1 by pixel; empty when the capture has none.
     pub alpha: Vec<f32>,
 }
 
@@ -29,7 +29,7 @@ pub struct Dataset {
     pub offset: glam::DVec3,
     /// Background the photographs were composited over.
     pub background: [f32; 3],
-    /// True when `alpha` means something.
+    /// True when the photographs have masks.
     pub has_alpha: bool,
 }
 
@@ -55,7 +55,7 @@ impl Dataset {
     }
 
     /// Camera centres, normalised world.
-    pub fn eyes(&self) -> Vec<[f32; 3]> {
+    pub fn camera_centres(&self) -> Vec<[f32; 3]> {
         self.full.iter().map(|p| p.camera.centre().as_vec3().to_array()).collect()
     }
 }

@@ -18,7 +18,9 @@ mod step;
 mod trainer;
 mod weights;
 
-pub use config::{Complexity, LabelSource, Preset, Setting, TrainConfig, TrainOverrides};
+pub use config::{
+    Complexity, ComplexitySetting, ConfigError, LabelSource, Preset, TrainConfig, TrainOverrides,
+};
 pub use known_light::{Auto, KnownLight, LightExposure};
 pub use trainer::{Progress, StepReport, TrainError, Trainer};
 pub use weights::{LearningRates, LossWeights};

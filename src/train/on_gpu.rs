@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use crate::engine::RasterCamera;
 use crate::engine::RowLayout;
 use crate::engine::channel::Channels;
+use crate::engine::density::{DensitySignals, DensityStats, SplitOrigin};
 use crate::engine::gpu::density::{GatherPlan, Origin};
 use crate::engine::gpu::light::LightWeights;
 use crate::engine::gpu::losses::SurfaceWeights;
@@ -17,7 +18,7 @@ use crate::light::EnvOperators;
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm};
 use crate::train::backend::{Backend, StepTask, StepValue};
 use crate::train::dataset::Photo;
-use crate::train::density::{self, Candidates, DensityStats};
+use crate::train::density;
 use crate::train::optimiser::Moments;
 use crate::train::state::Learned;
 use crate::train::step::{self, StepContext};
@@ -42,7 +43,7 @@ fn host_state(learned: &Learned) -> HostState<'_> {
         model,
         moments: [&moments.first, &moments.second],
         globals: [&moments.globals[0], &moments.globals[1]],
-        density: [&density.pull, &density.seen],
+        density: [&density.absgrad, &density.seen],
         labels,
         gathered,
     }
@@ -165,21 +166,21 @@ impl Backend for OnGpu {
 
     fn refine(&mut self, budget: usize, eyes: Option<&[[f32; 3]]>) -> Result<(), TrainError> {
         let signals = self.training.signals(eyes.is_some())?;
-        let (pull, seen) = signals.stats.iter().map(|s| (s[0], s[1])).unzip();
-        let of = Candidates {
-            means: signals.means.as_flattened(),
-            log_scales: signals.log_scales.as_flattened(),
-            opacity_logits: &signals.opacity_logits,
+        let (absgrad, seen) = signals.stats.iter().map(|s| (s[0], s[1])).unzip();
+        let signals = DensitySignals {
+            means: signals.means,
+            log_scales: signals.log_scales,
+            opacity_logits: signals.opacity_logits,
+            stats: DensityStats { absgrad, seen },
         };
-        let plan = density::plan(of, &DensityStats { pull, seen }, budget, eyes);
         let mut gather = GatherPlan::default();
-        for (source, side) in plan.source.iter().zip(&plan.side) {
-            let origin = match *side {
-                0.0 => Origin::Keep,
-                side if side > 0.0 => Origin::UpperHalf,
-                _ => Origin::LowerHalf,
+        for planned in density::plan(&signals, budget, eyes).gaussians {
+            let origin = match planned.origin {
+                SplitOrigin::Keep => Origin::Keep,
+                SplitOrigin::UpperHalf => Origin::UpperHalf,
+                SplitOrigin::LowerHalf => Origin::LowerHalf,
             };
-            gather.push(*source, origin);
+            gather.push(planned.source, origin);
         }
         Ok(self.training.rebuild(&gather)?)
     }
@@ -223,14 +224,14 @@ impl Backend for OnGpu {
             globals: [globals(&buffers.globals_first)?, globals(&buffers.globals_second)?],
         };
         let stats = gpu.read(&self.training.density, 0..self.gaussians())?;
-        let (pull, seen) = stats.iter().map(|s| (s[0], s[1])).unzip();
+        let (absgrad, seen) = stats.iter().map(|s| (s[0], s[1])).unzip();
         let measured = &self.training.measured;
         let read = |buffer: &Option<Buffer<f32>>| match buffer {
             Some(buffer) => gpu.read(buffer, 0..buffer.len()),
             None => Ok(Vec::new()),
         };
         let gathered = read(&measured.gathered)?.as_chunks::<6>().0.to_vec();
-        let (density, labels) = (DensityStats { pull, seen }, read(&measured.labels)?);
+        let (density, labels) = (DensityStats { absgrad, seen }, read(&measured.labels)?);
         Ok(Cow::Owned(Learned { model, moments, density, labels, gathered }))
     }
 

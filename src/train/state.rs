@@ -2,9 +2,9 @@
 
 use rand_chacha::ChaCha8Rng;
 
+use crate::engine::density::DensityStats;
 use crate::scene::Model;
-use crate::train::complexity::Ledger;
-use crate::train::density::DensityStats;
+use crate::train::complexity::state::ComplexityState;
 use crate::train::optimiser::Moments;
 
 /// Where a training stands in its schedule; kept on the host whatever device trains.
@@ -23,7 +23,7 @@ pub struct Course {
     /// Seconds spent in steps.
     pub seconds: f64,
     /// What was decided about the model's size so far.
-    pub complexity: Ledger,
+    pub complexity: ComplexityState,
 }
 
 /// What has been learned and measured so far; lives where the training runs.

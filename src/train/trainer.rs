@@ -12,7 +12,7 @@ use crate::engine::gpu::GpuError;
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Field, Model};
 use crate::train::backend::{Backend, StepTask};
-use crate::train::complexity::{self, Ledger};
+use crate::train::complexity::{self, state::ComplexityState};
 use crate::train::dataset::{Dataset, Photo};
 use crate::train::on_cpu::OnCpu;
 use crate::train::on_gpu::OnGpu;
@@ -102,7 +102,7 @@ impl Trainer {
             rng,
             rate_factor: 1.0,
             seconds: 0.0,
-            complexity: Ledger::default(),
+            complexity: ComplexityState::default(),
         };
         Self::assemble(config, data, course, Learned::new(model), device)
     }
@@ -282,7 +282,7 @@ impl Trainer {
         }
         let mut learned = learned.into_owned();
         let normals = step::normals(&learned);
-        materials::take_light_out(&mut learned, &self.operators, &normals);
+        materials::restart_albedo(&mut learned, &self.operators, &normals);
         if self.is_dielectric() {
             complexity::hold_dielectric(&mut learned);
         }
@@ -349,7 +349,7 @@ impl Trainer {
         self.course.complexity.before_round(&self.config, step, self.backend.gaussians());
         let most = self.course.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
         let budget = ((low + (high - low) * share) as usize).min(most);
-        let eyes = (!self.data.has_alpha).then(|| self.data.eyes());
+        let eyes = (!self.data.has_alpha).then(|| self.data.camera_centres());
         self.backend.refine(budget, eyes.as_deref())?;
         if step > self.config.warm_up_steps() && self.measures() {
             // New Gaussians need labels and light of their own.

@@ -1,4 +1,4 @@
-//! What each term of the objective weighs, and how far a step moves each group of parameters.
+//! Weights of the objective's terms and step sizes of each group of parameters.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,13 +18,13 @@ pub struct LossWeights {
     pub depth_normal: f32,
     /// Edge-aware smoothness (Eq. 32) of metalness and normals.
     pub smoothness: f32,
-    /// The same of roughness: at the weight of the others it stays at the value it starts from.
+    /// Edge-aware smoothness (Eq. 32) of roughness, which at the weight of the others would stay at its first value.
     pub smooth_roughness: f32,
-    /// Light neutrality (Eq. 31); off by default (docs/ARCHITECTURE.md).
+    /// Light neutrality (Eq. 31); 0 by default.
     pub light: f32,
-    /// White stays white: the light's level (docs/MODEL.md section 5).
+    /// Exposure: the level of the light under which a white surface is white (docs/MODEL.md section 5).
     pub exposure: f32,
-    /// The light's colour starts as daylight's and is held there for the first three tenths of the material steps.
+    /// Daylight: holds the light's colour at daylight's over the first three tenths of the steps that train materials.
     pub daylight: f32,
     /// Aggregation (Eq. 24).
     pub aggregation: f32,
@@ -32,7 +32,7 @@ pub struct LossWeights {
     pub residual: f32,
     /// Visibility labels (Eq. 15).
     pub visibility: f32,
-    /// Mean smallest standard deviation: flat Gaussians have meaningful normals.
+    /// Flatness, the mean smallest standard deviation: flat Gaussians have meaningful normals.
     pub flatness: f32,
 }
 

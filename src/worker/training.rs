@@ -281,7 +281,7 @@ fn config(lease: &Lease) -> Result<TrainConfig, Failure> {
         serde_json::from_value(job.preset.clone().into()).map_err(|e| invalid(e.to_string()))?;
     let overrides: TrainOverrides =
         serde_json::from_str(&job.overrides).map_err(|e| invalid(e.to_string()))?;
-    TrainConfig::new(preset, &overrides).map_err(invalid)
+    TrainConfig::new(preset, &overrides).map_err(|e| invalid(e.to_string()))
 }
 
 /// Says what goes on before the first step, keeping what earlier attempts reached.
