@@ -64,7 +64,7 @@ fn at_gaussians(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame
     rows.par_chunks_mut(stored).zip(&splats).with_min_len(64).for_each(|(row, splat)| {
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = source.gaussians.get(Field::Mean, i);
-        let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - view.eye[k]));
+        let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - view.centre[k]));
         let mut out = OutgoingRadiance::default();
         add_lights(&light.lights, light.arriving_at(i), &surface, &mut out);
         let gain = Sheen::new(surface.sheen, cosine(surface.normal, surface.view)).gain;

@@ -217,7 +217,7 @@ impl Overlap {
 /// Coefficients of a field that is open on the side of `normal` only, and of one open everywhere (for tests).
 #[cfg(test)]
 pub(super) fn half_open(order: usize, normal: [f32; 3]) -> Vec<f32> {
-    let directions = crate::engine::cpu::fibonacci_sphere(4096);
+    let directions = crate::engine::fibonacci_sphere(4096);
     let mut out = vec![0.0; sh_count(order)];
     for d in directions.iter().filter(|d| (0..3).map(|k| d[k] * normal[k]).sum::<f32>() > 0.0) {
         let mut y = [0.0f32; MOST];

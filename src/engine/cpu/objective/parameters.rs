@@ -84,7 +84,7 @@ pub fn backward_labels(
     for (splat, label) in pass.splats.iter().zip(&labels).filter(|(_, l)| l.weight > LEAST_LABEL_WEIGHT) {
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = g.get(Field::Mean, i);
-        let (direction, _) = cpu::normalise(std::array::from_fn(|k| mean[k] - pass.view.eye[k]));
+        let (direction, _) = cpu::normalise(std::array::from_fn(|k| mean[k] - pass.view.centre[k]));
         let mut y = [0.0f32; MAX_COEFFICIENTS];
         sh_eval(order, direction, &mut y);
         let raw: f32 = g.row(Field::Visibility, i).iter().zip(&y).map(|(c, y)| c * y).sum();
