@@ -13,6 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Scene3dBounds};
 use relume::engine::Device;
 use relume::engine::channel::Channels;
+use relume::engine::constants::EarlyStop;
 use relume::engine::cpu::{
     AttributeSource, BranchImages, Pass, ProbeSettings, Probes, Shader, View, fibonacci_sphere,
 };
@@ -97,17 +98,17 @@ fn shader() -> Shader<'static> {
 
 fn full_pass() -> &'static Pass {
     static PASS: OnceLock<Pass> = OnceLock::new();
-    PASS.get_or_init(|| Pass::forward(&source(), view(), Channels::Full(25), true))
+    PASS.get_or_init(|| Pass::forward(&source(), view(), Channels::Full(25), EarlyStop::WhenSaturated))
 }
 
 #[divan::bench]
 fn forward_radiance_channels(b: Bencher) {
-    b.bench(|| Pass::forward(&source(), view(), Channels::Colour, true));
+    b.bench(|| Pass::forward(&source(), view(), Channels::Colour, EarlyStop::WhenSaturated));
 }
 
 #[divan::bench]
 fn forward_all_channels(b: Bencher) {
-    b.bench(|| Pass::forward(&source(), view(), Channels::Full(25), true));
+    b.bench(|| Pass::forward(&source(), view(), Channels::Full(25), EarlyStop::WhenSaturated));
 }
 
 #[divan::bench]

@@ -2,6 +2,7 @@
 //! [`cpu`] does it fast on any machine, [`gpu`] on a graphics card.
 
 pub mod channel;
+pub mod constants;
 pub mod cpu;
 mod device;
 pub mod gpu;

@@ -5,17 +5,11 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::engine::channel;
-use crate::engine::cpu::{LEAST_COVERAGE, Pass, Shader, Surface, linear_from_srgb, normalise, surface_at};
+use crate::engine::channel::{self, OutgoingRadiance};
+use crate::engine::constants::LEAST_COVERAGE;
+use crate::engine::cpu::{Pass, Shader, Surface, linear_from_srgb, normalise, surface_at};
 use crate::light::Reflector;
 use crate::render::{Frame, Output};
-
-/// Diffuse and specular radiance that a pixel sends to the camera.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Lit {
-    pub(super) diffuse: [f32; 3],
-    pub(super) specular: [f32; 3],
-}
 
 /// Turns a G-buffer into the planes asked for. `light` shades the surface in pixel (x, y), and is only asked where
 /// some output shows light.
@@ -24,7 +18,7 @@ pub(super) fn develop(
     shader: &Shader<'_>,
     outputs: &[Output],
     depth_scale: f32,
-    light: impl Fn((usize, usize), &Surface) -> Lit + Sync,
+    light: impl Fn((usize, usize), &Surface) -> OutgoingRadiance + Sync,
 ) -> Frame {
     let (w, h) = (pass.view.width, pass.view.height);
     let stride: usize = outputs.iter().map(|o| o.channels()).sum();
@@ -51,12 +45,12 @@ fn write_pixel(
     outputs: &[Output],
     depth_scale: f32,
     (x, y): (usize, usize),
-    light: &impl Fn((usize, usize), &Surface) -> Lit,
+    light: &impl Fn((usize, usize), &Surface) -> OutgoingRadiance,
     out: &mut [f32],
 ) {
     let surface = surface_at(pass, x, y);
-    let lit = outputs.iter().any(|o| matches!(o, Output::Rgb | Output::Diffuse | Output::Specular));
-    let shaded = surface.as_ref().filter(|_| lit).map(|(s, coverage)| (light((x, y), s), *coverage));
+    let is_shaded = outputs.iter().any(|o| matches!(o, Output::Rgb | Output::Diffuse | Output::Specular));
+    let shaded = surface.as_ref().filter(|_| is_shaded).map(|(s, coverage)| (light((x, y), s), *coverage));
     let mut first = 0;
     for output in outputs {
         let target = &mut out[first..first + output.channels()];

@@ -1,10 +1,10 @@
 //! A frame whose surfaces are edited before they are shaded.
 
 use crate::engine::channel::Channels;
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{Pass, Shader, Surface};
 use crate::engine::gpu::GpuError;
 use crate::render::develop::develop;
-use crate::render::standard::shade_here;
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer};
 use crate::scene::{Camera, Field, ShadeAt, ShadingOptions};
 
@@ -30,12 +30,12 @@ impl Renderer {
         let shader =
             Shader { tables: &light.tables, options: &options, order: source.gaussians.visibility_order() };
         let coefficients = source.gaussians.width(Field::Visibility);
-        let pass = Pass::forward(&source, view, Channels::Full(coefficients), true);
+        let pass = Pass::forward(&source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
         let outputs = [Output::Rgb, Output::Alpha];
         Ok(develop(&pass, &shader, &outputs, 1.0, |(x, y), surface| {
             let mut surface = *surface;
             edit(&shader, y * view.width + x, &mut surface);
-            shade_here(&shader, &surface)
+            shader.shade(&surface).outgoing()
         }))
     }
 }

@@ -5,14 +5,15 @@
 
 use rayon::prelude::*;
 
-use crate::engine::channel::{self, Channels};
+use crate::engine::channel::{self, Channels, OutgoingRadiance};
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
     AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Shader, Surface, View, attribute_rows,
     normalise, project_all,
 };
 use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, rendering_tables};
-use crate::render::develop::{Lit, develop, reflector};
-use crate::render::standard::{blended, shade_here};
+use crate::render::develop::{develop, reflector};
+use crate::render::standard::blended;
 use crate::render::{Frame, Job};
 use crate::scene::{EnvMap, Field, ShadeAt};
 
@@ -65,17 +66,17 @@ fn at_gaussians(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = source.gaussians.get(Field::Mean, i);
         let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - job.view.eye[k]));
-        let mut lit = Lit { diffuse: [0.0; 3], specular: [0.0; 3] };
-        add_lights(&light.lights, light.arriving_at(i), &surface, &mut lit);
+        let mut direct = OutgoingRadiance { diffuse: [0.0; 3], specular: [0.0; 3] };
+        add_lights(&light.lights, light.arriving_at(i), &surface, &mut direct);
         let gain = Sheen::new(surface.sheen, cosine(surface.normal, surface.view)).gain;
         for c in 0..3 {
-            lit.diffuse[c] *= gain;
-            row[channel::LIGHT.start + c] += lit.diffuse[c] + lit.specular[c];
-            row[channel::INDIRECT.start + c] += lit.specular[c];
+            direct.diffuse[c] *= gain;
+            row[OutgoingRadiance::TOTAL.start + c] += direct.diffuse[c] + direct.specular[c];
+            row[OutgoingRadiance::SPECULAR.start + c] += direct.specular[c];
         }
     });
-    let pass = Pass::blend(job.view, splats, full, rows, true);
-    develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| blended(surface))
+    let pass = Pass::blend(job.view, splats, full, source.row_light(), rows, EarlyStop::WhenSaturated);
+    develop(&pass, shader, job.outputs, job.depth_scale, |at, _| blended(&pass, at))
 }
 
 /// `|n . v|` of a normal of any length.
@@ -89,10 +90,10 @@ fn in_pixels(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
     let pass = pass(&job.source, job.view, light, coefficients);
     develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| {
-        let mut lit = shade_here(shader, surface);
+        let mut direct = shader.shade(surface).outgoing();
         let arriving = &surface.visibility[coefficients..coefficients + light.lights.len()];
-        add_lights(&light.lights, arriving.iter().copied(), surface, &mut lit);
-        lit
+        add_lights(&light.lights, arriving.iter().copied(), surface, &mut direct);
+        direct
     })
 }
 
@@ -107,14 +108,14 @@ fn pass(source: &AttributeSource<'_>, view: View, light: &SplitLight, coefficien
         let extra = &mut row[channel::VISIBILITY + coefficients..];
         extra.iter_mut().zip(light.arriving_at(splat.gaussian as usize)).for_each(|(o, share)| *o = share);
     });
-    Pass::blend(view, splats, all, rows, true)
+    Pass::blend(view, splats, all, source.row_light(), rows, EarlyStop::WhenSaturated)
 }
 
 fn add_lights(
     lights: &[DominantLight],
     arriving: impl Iterator<Item = f32>,
     surface: &Surface,
-    lit: &mut Lit,
+    direct: &mut OutgoingRadiance,
 ) {
     let reflector = reflector(surface);
     for (light, share) in lights.iter().zip(arriving) {
@@ -122,8 +123,8 @@ fn add_lights(
         let share = f64::from(share.clamp(0.0, 1.0));
         for c in 0..3 {
             let light = share * light.irradiance[c];
-            lit.diffuse[c] += (light * reflected.diffuse[c]) as f32;
-            lit.specular[c] += (light * reflected.specular[c]) as f32;
+            direct.diffuse[c] += (light * reflected.diffuse[c]) as f32;
+            direct.specular[c] += (light * reflected.specular[c]) as f32;
         }
     }
 }

@@ -4,10 +4,11 @@
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-use crate::engine::channel::Channels;
+use crate::engine::channel::{Channels, OutgoingRadiance};
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{Occluders, Pass, Shader, Surface, surface_point};
 use crate::light::{EnvSampler, Shares, estimate};
-use crate::render::develop::{Lit, develop, reflector};
+use crate::render::develop::{develop, reflector};
 use crate::render::{Frame, Job, Quality};
 use crate::scene::Field;
 
@@ -26,7 +27,7 @@ pub(super) fn render(
     quality: Quality,
 ) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
-    let pass = Pass::forward(&job.source, job.view, Channels::Full(coefficients), true);
+    let pass = Pass::forward(&job.source, job.view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
     let shares = Shares::of(quality.samples, environment);
     let random = ChaCha8Rng::seed_from_u64(quality.seed);
     let light = |(x, y): (usize, usize), surface: &Surface| {
@@ -37,14 +38,14 @@ pub(super) fn render(
         let sum = estimate(
             &reflector(surface),
             environment,
-            surface.indirect.map(f64::from),
+            surface.blocked.map(f64::from),
             shares,
             &mut random,
             |d| f64::from(occluders.transmittance(point, d.to_array().map(|v| v as f32))),
         );
         let bounced = (1.0 - surface.metal) * std::f32::consts::FRAC_1_PI;
         let finite = |v: f64| v.min(BRIGHTEST) as f32;
-        Lit {
+        OutgoingRadiance {
             diffuse: std::array::from_fn(|c| {
                 finite(sum.diffuse[c]) + surface.albedo[c] * bounced * surface.gathered[c]
             }),

@@ -2,13 +2,14 @@
 
 use std::sync::OnceLock;
 
-use crate::engine::channel::Channels;
+use crate::engine::channel::{self, Channels, OutgoingRadiance};
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
-    AttributeSource, Pass, ProbeSettings, Probes, Shader, Surface, Transport, fibonacci_sphere,
-    indirect_basis, outward_normals,
+    AttributeSource, Pass, ProbeSettings, Probes, Shader, Transport, fibonacci_sphere, indirect_basis,
+    outward_normals,
 };
 use crate::light::LightTables;
-use crate::render::develop::{Lit, develop};
+use crate::render::develop::develop;
 use crate::render::{Frame, Job};
 use crate::scene::{Field, IndirectForm, ShadeAt};
 
@@ -49,26 +50,23 @@ impl LightOnCpu {
 /// Renders every pixel under the tables of `shader`.
 pub(super) fn render(job: &Job<'_>, shader: &Shader<'_>) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
-    let pass = Pass::forward(&job.source.under(*shader), job.view, Channels::Full(coefficients), true);
-    develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| shade(shader, surface))
+    let pass = Pass::forward(
+        &job.source.under(*shader),
+        job.view,
+        Channels::Full(coefficients),
+        EarlyStop::WhenSaturated,
+    );
+    develop(&pass, shader, job.outputs, job.depth_scale, |at, surface| match shader.options.shade_at {
+        ShadeAt::Pixel => shader.shade(surface).outgoing(),
+        ShadeAt::Gaussian => blended(&pass, at),
+    })
 }
 
-/// One pixel of a pass under `shader`.
-fn shade(shader: &Shader<'_>, surface: &Surface) -> Lit {
-    match shader.options.shade_at {
-        ShadeAt::Pixel => shade_here(shader, surface),
-        ShadeAt::Gaussian => blended(surface),
-    }
-}
-
-/// One pixel of an unlit pass, from the tables.
-pub(super) fn shade_here(shader: &Shader<'_>, surface: &Surface) -> Lit {
-    let shaded = shader.shade(surface);
-    Lit { diffuse: shaded.diffuse, specular: shaded.specular }
-}
-
-/// One pixel of a lit pass, whose light is in the channels that shading in the pixel has other use for.
-pub(super) fn blended(surface: &Surface) -> Lit {
-    let Surface { gathered: light, indirect: specular, .. } = *surface;
-    Lit { diffuse: std::array::from_fn(|c| light[c] - specular[c]), specular }
+/// Radiance that was blended in pixel (`x`, `y`), of some coverage, of a pass whose Gaussians were shaded before.
+pub(super) fn blended(pass: &Pass, (x, y): (usize, usize)) -> OutgoingRadiance {
+    let inverse = 1.0 / pass.at(x, y, channel::COVERAGE);
+    let at = |first: usize, c: usize| pass.at(x, y, first + c) * inverse;
+    let specular = std::array::from_fn(|c| at(OutgoingRadiance::SPECULAR.start, c));
+    let diffuse = std::array::from_fn(|c| at(OutgoingRadiance::TOTAL.start, c) - specular[c]);
+    OutgoingRadiance { diffuse, specular }
 }

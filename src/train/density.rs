@@ -5,6 +5,7 @@
 //! hardly moves.
 
 use crate::engine::Gradients;
+use crate::engine::constants::{HALF_OPACITY_EXPONENT, HALF_SCALE_ACROSS, HALF_SCALE_ALONG};
 use crate::engine::cpu::{rotation, sigmoid};
 use crate::scene::{Field, Gaussians, Model};
 use crate::train::optimiser::Moments;
@@ -161,10 +162,10 @@ fn halve(g: &mut Gaussians, i: usize, side: f32) {
         *m += step * q[r][axis];
     }
     for (k, s) in g.row_mut(Field::LogScale, i).iter_mut().enumerate() {
-        *s += if k == axis { 0.55f32.ln() } else { 0.9f32.ln() };
+        *s += if k == axis { HALF_SCALE_ALONG.ln() } else { HALF_SCALE_ACROSS.ln() };
     }
     let opacity = &mut g.row_mut(Field::OpacityLogit, i)[0];
     let o = sigmoid(*opacity);
-    let halved = (1.0 - (1.0 - o).powf(0.7)).clamp(0.01, 0.98);
+    let halved = (1.0 - (1.0 - o).powf(HALF_OPACITY_EXPONENT)).clamp(0.01, 0.98);
     *opacity = (halved / (1.0 - halved)).ln();
 }

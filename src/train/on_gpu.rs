@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 
 use crate::engine::RowLayout;
-use crate::engine::channel::Channels;
+use crate::engine::channel::{Channels, StepChannels};
 use crate::engine::cpu::View;
 use crate::engine::gpu::density::{GatherPlan, Origin};
 use crate::engine::gpu::light::LightWeights;
@@ -81,14 +81,14 @@ impl OnGpu {
     }
 
     /// Channels of a step's pass, and those its way back carries.
-    fn channels(&self, task: &StepTask<'_>) -> (Channels, Channels) {
+    fn channels(&self, task: &StepTask<'_>) -> StepChannels {
         let (config, progress) = (task.context.config, task.context.progress);
         if task.material {
             return step::channels(config, &self.frame);
         }
         let shaped = step::is_shaped(config, progress);
         let channels = if shaped { Channels::Geometry } else { Channels::Colour };
-        (channels, channels)
+        StepChannels { blended: channels, differentiated: channels }
     }
 
     fn weights(&self, task: &StepTask<'_>, channels: Channels) -> StepWeights {
@@ -126,7 +126,7 @@ impl OnGpu {
 impl Backend for OnGpu {
     fn step(&mut self, task: &StepTask<'_>) -> Result<StepValue, TrainError> {
         let photo = self.photo(task.photo_key, task.photo)?;
-        let (channels, differentiated) = self.channels(task);
+        let StepChannels { blended: channels, differentiated } = self.channels(task);
         let sizes = &task.sizes;
         let sums = self.training.step(&Step {
             view: View::new(&task.photo.camera, &self.frame.shading),

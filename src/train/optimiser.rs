@@ -4,12 +4,10 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::engine::Gradients;
+use crate::engine::constants::{ADAM_BETA1 as BETA1, ADAM_BETA2 as BETA2, ADAM_EPSILON as EPSILON};
 use crate::scene::{Field, Gaussians, Model};
 use crate::train::LearningRates;
 
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.999;
-const EPSILON: f32 = 1e-15;
 /// Progress from which sheen trains: earlier it takes what normals, roughness and light have to explain
 /// (docs/experiments.md, "Sheen").
 const SHEEN_FROM: f32 = 0.7;

@@ -1,7 +1,8 @@
 //! The objective of one photograph and its gradients, and the refresh of what is measured rather than learned.
 
 use crate::engine::Gradients;
-use crate::engine::channel::Channels;
+use crate::engine::channel::{Channels, StepChannels};
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
     self, AttributeSource, BufferGradient, Pass, ProbeSettings, Probes, Shader, Transport, View,
     fibonacci_sphere, outward_normals, radiance_image, radiance_image_backward,
@@ -74,7 +75,7 @@ pub fn radiance(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let view = View::new(&photo.camera, source.options);
     let shaped = is_shaped(context.config, context.progress);
     let channels = if shaped { Channels::Geometry } else { Channels::Colour };
-    let pass = Pass::forward(&source, view, channels, true);
+    let pass = Pass::forward(&source, view, channels, EarlyStop::WhenSaturated);
     let image = radiance_image(&pass, context.background);
     let target = Target::new(view.width, view.height, photo.pixels.clone());
     let fit = target.compare(&image, w.l1, w.ssim);
@@ -105,8 +106,8 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let shader = Shader { tables: &tables, options: &model.shading, order };
     let source = source(state, &basis).under(shader);
     let view = View::new(&photo.camera, source.options);
-    let (channels, differentiated) = channels(context.config, model);
-    let pass = Pass::forward(&source, view, channels, true);
+    let StepChannels { blended, differentiated } = channels(context.config, model);
+    let pass = Pass::forward(&source, view, blended, EarlyStop::WhenSaturated);
     let images = shader.images(&pass, context.background);
     let target = Target::new(view.width, view.height, photo.pixels.clone());
     let share = context.config.radiance_weight(context.has_alpha);
@@ -161,7 +162,8 @@ pub(super) fn physical_image(context: &StepContext<'_>, state: &Learned, photo: 
     let shader = Shader { tables: &tables, options: &model.shading, order };
     let source = source(state, &basis).under(shader);
     let view = View::new(&photo.camera, source.options);
-    let pass = Pass::forward(&source, view, channels(context.config, model).0, true);
+    let pass =
+        Pass::forward(&source, view, channels(context.config, model).blended, EarlyStop::WhenSaturated);
     shader.images(&pass, context.background).physical
 }
 
@@ -169,7 +171,12 @@ pub(super) fn physical_image(context: &StepContext<'_>, state: &Learned, photo: 
 pub fn radiance_error(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> f32 {
     let basis = [[0.0; 3]; 16];
     let source = source(state, &basis);
-    let pass = Pass::forward(&source, View::new(&photo.camera, source.options), Channels::Colour, true);
+    let pass = Pass::forward(
+        &source,
+        View::new(&photo.camera, source.options),
+        Channels::Colour,
+        EarlyStop::WhenSaturated,
+    );
     mean_squared_error(&radiance_image(&pass, context.background), photo)
 }
 
@@ -183,7 +190,12 @@ fn mean_squared_error(image: &[[f32; 3]], photo: &Photo) -> f32 {
 pub fn weights_in(state: &Learned, photo: &Photo) -> Vec<f32> {
     let basis = [[0.0; 3]; 16];
     let source = source(state, &basis);
-    let pass = Pass::forward(&source, View::new(&photo.camera, source.options), Channels::Colour, true);
+    let pass = Pass::forward(
+        &source,
+        View::new(&photo.camera, source.options),
+        Channels::Colour,
+        EarlyStop::WhenSaturated,
+    );
     let mut out = vec![0.0; source.gaussians.len()];
     for (splat, label) in pass.splats.iter().zip(cpu::backward_labels(&pass)) {
         out[splat.gaussian as usize] = label.weight;
@@ -198,14 +210,14 @@ pub fn normals(state: &Learned) -> Vec<[f32; 3]> {
 
 /// Channels of a step that trains materials, and those of them that its backward pass carries: visibility and indirect
 /// light only when they are learned.
-pub(super) fn channels(config: &TrainConfig, model: &Model) -> (Channels, Channels) {
+pub(super) fn channels(config: &TrainConfig, model: &Model) -> StepChannels {
     let full = Channels::Full(model.gaussians.width(Field::Visibility));
     let learned = config.labels != LabelSource::Probes || model.shading.indirect == IndirectForm::Learned;
     let differentiated = if learned { full } else { Channels::Material };
     match model.shading.shade_at {
         // What is shaded at the Gaussians needs no visibility in the pixel.
-        ShadeAt::Gaussian => (differentiated, differentiated),
-        ShadeAt::Pixel => (full, differentiated),
+        ShadeAt::Gaussian => StepChannels { blended: differentiated, differentiated },
+        ShadeAt::Pixel => StepChannels { blended: full, differentiated },
     }
 }
 

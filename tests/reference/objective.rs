@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use relume::engine::channel::Channels;
+use relume::engine::constants::EarlyStop;
 use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, Shader, View};
 use relume::engine::reference::{Array, Arrays, Options, Scene, Tables, Tape, Target, forward, objective};
 use relume::light::{EnvOperators, TableResolution};
@@ -113,7 +114,7 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
     let source = source.under(shader);
     let channels = Channels::Full(25);
     let count = channels.count();
-    let pass = Pass::forward(&source, View::new(camera, &model.shading), channels, false);
+    let pass = Pass::forward(&source, View::new(camera, &model.shading), channels, EarlyStop::Never);
     let images = shader.images(&pass, BACKGROUND);
     let target = image::Target::new(SIZE.0 as usize, SIZE.1 as usize, photo.pixels.clone());
     let physical = target.compare(&images.physical, weight("img_mae"), weight("img_dssim"));

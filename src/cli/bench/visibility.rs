@@ -9,6 +9,7 @@ use crate::capture::{Capture, CaptureView, ImportOptions, import};
 use crate::cli::bench::subject::Subject;
 use crate::cli::{CommandResult, output};
 use crate::engine::channel::Channels;
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
     AttributeSource, Occluders, Pass, Surface, View, fibonacci_sphere, surface_at, surface_point,
 };
@@ -122,7 +123,7 @@ fn directional(
     };
     let camera = view.camera.in_normalised_world(model.world_scale, model.world_offset);
     let channels = Channels::Full(model.gaussians.width(Field::Visibility));
-    let pass = Pass::forward(&source, View::new(&camera, &model.shading), channels, true);
+    let pass = Pass::forward(&source, View::new(&camera, &model.shading), channels, EarlyStop::WhenSaturated);
     let (width, height) = (pass.view.width, pass.view.height);
     let mut points: Vec<([f32; 3], Surface)> = Vec::new();
     for i in 0..width * height {

@@ -26,7 +26,6 @@ mod tiles;
 mod view;
 
 pub use attributes::{AttributeSource, softmax};
-pub use blend::TRANSMITTANCE_STOP;
 #[cfg(test)]
 pub use blend_backward::ROW_HEADER;
 pub use gather::{Transport, sky_irradiance};
@@ -37,15 +36,14 @@ pub use mixture::softmax_abreast;
 pub use occluder::ProbeSettings;
 pub use pass::{Pass, attribute_rows, project_all};
 pub use point::surface_point;
-pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
+pub use probes::{Probes, fibonacci_sphere, outward_normals};
 pub use project::{
-    ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, rotation_backward,
-    sigmoid, sigmoid_slope,
+    Geometry, Splat, normalise, normalise_backward, rotation, rotation_backward, sigmoid, sigmoid_slope,
 };
 pub use rays::Occluders;
-pub use shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
+pub use shade::{MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
 pub use shading::{
-    BranchImages, BufferGradient, LEAST_COVERAGE, linear_from_srgb, radiance_image, radiance_image_backward,
-    srgb, srgb_slope, surface_at,
+    BranchImages, BufferGradient, linear_from_srgb, radiance_image, radiance_image_backward, srgb,
+    srgb_slope, surface_at,
 };
 pub use view::View;

@@ -11,9 +11,6 @@ use crate::engine::cpu::shadows::{Query, measure_direction};
 use crate::light::sh_eval;
 use crate::scene::{Field, sh_count};
 
-/// No Gaussian hides the direction.
-pub const NO_HIT: u32 = u32::MAX;
-
 /// `n` directions spread evenly over the sphere (Fibonacci spiral).
 pub fn fibonacci_sphere(n: usize) -> Vec<Vec3> {
     let golden = std::f64::consts::PI * (1.0 + 5.0f64.sqrt());
@@ -34,7 +31,7 @@ pub struct Probes {
     pub directions: Vec<Vec3>,
     /// `[direction][Gaussian]`: transmittance towards the direction.
     pub transmittance: Vec<Vec<f32>>,
-    /// `[direction][Gaussian]`: the Gaussian that takes most of the rest, or [`NO_HIT`].
+    /// `[direction][Gaussian]`: the Gaussian that takes most of the rest, or [`NO_HIT`](crate::engine::constants::NO_HIT).
     pub hit: Vec<Vec<u32>>,
 }
 

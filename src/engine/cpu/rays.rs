@@ -3,10 +3,9 @@
 //! A tree of boxes around where each Gaussian's alpha reaches 1/255. What a Gaussian takes from a ray is its peak along
 //! the ray's line, which is its shadow on the plane across the ray: the same number as the probes' orthographic view.
 
+use crate::engine::constants::{OPAQUE, WIDEST};
 use crate::engine::cpu::attributes::AttributeSource;
-use crate::engine::cpu::occluder::{
-    OPAQUE, Occluder, ProbeSettings, Vec3, WIDEST, dot, occluders, plane_basis, sliver,
-};
+use crate::engine::cpu::occluder::{Occluder, ProbeSettings, Vec3, dot, occluders, plane_basis, sliver};
 
 /// Gaussians a leaf may have.
 const LEAF: usize = 4;

@@ -1,6 +1,7 @@
 //! Making a state smaller as decided, moments and statistics with it.
 
-use crate::engine::cpu::{FULLY_OPEN, softmax};
+use crate::engine::cpu::softmax;
+use crate::light::FULLY_OPEN;
 use crate::scene::{Field, Gaussians, IndirectForm, VisibilityForm, sh_count};
 use crate::train::complexity::decide::Visibility;
 use crate::train::complexity::evidence::Overlap;

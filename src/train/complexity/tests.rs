@@ -1,6 +1,7 @@
 //! The ledger on hand-made states, and what applying a decision keeps.
 
 use super::*;
+use crate::engine::constants::EarlyStop;
 use crate::scene::{Gaussians, Model, ShadingOptions};
 use crate::train::{Preset, TrainOverrides};
 
@@ -240,8 +241,12 @@ fn discs(hidden: &[usize]) -> (Learned, Photo) {
     let options = ShadingOptions::default();
     let source = step::source(&learned, &[[0.0; 3]; 16]);
     let view = crate::engine::cpu::View::new(&camera, &options);
-    let pass =
-        crate::engine::cpu::Pass::forward(&source, view, crate::engine::channel::Channels::Colour, true);
+    let pass = crate::engine::cpu::Pass::forward(
+        &source,
+        view,
+        crate::engine::channel::Channels::Colour,
+        EarlyStop::WhenSaturated,
+    );
     let pixels = crate::engine::cpu::radiance_image(&pass, [1.0; 3]);
     (learned, Photo { camera, pixels, alpha: Vec::new() })
 }

@@ -3,13 +3,9 @@
 use rayon::prelude::*;
 
 use crate::engine::channel;
-use crate::engine::cpu::{BufferGradient, LEAST_COVERAGE, Pass, normalise, normalise_backward};
+use crate::engine::constants::{DEPTH_JUMP, LEAST_COVERAGE, TRUSTED_COVERAGE};
+use crate::engine::cpu::{BufferGradient, Pass, normalise, normalise_backward};
 use crate::train::objective::sign;
-
-/// Coverage below which a pixel's depth is not trusted.
-const TRUSTED_COVERAGE: f32 = 0.5;
-/// Neighbouring depths further apart than this fraction are an edge, not a surface.
-const DEPTH_JUMP: f32 = 0.05;
 
 type Vec3 = [f32; 3];
 

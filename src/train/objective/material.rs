@@ -3,15 +3,11 @@
 use rayon::prelude::*;
 
 use crate::engine::Gradients;
+use crate::engine::constants::{LABEL_MARGIN, LEAST_LABEL_WEIGHT, SIGMOID_MARGIN};
 use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass};
 use crate::light::{DAYLIGHT, sh_eval};
 use crate::scene::{Field, Gaussians, VisibilityForm};
 use crate::train::objective::sign;
-
-/// Gaussians with less summed weight in a view get no label from it.
-const LEAST_LABEL_WEIGHT: f32 = 1e-3;
-/// Visibility is kept this far from 0 and 1 inside the logarithms.
-const LABEL_MARGIN: f32 = 1e-3;
 
 /// `mean sum |eps|` (Eq. 25); adds its gradient, returns its value.
 pub fn residual(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
@@ -90,7 +86,7 @@ pub fn backward_labels(
         let p = label.transmittance;
         let (v, by_raw) = if sigmoid_form {
             // BCE with logits: the slope by the logit is V - p.
-            let v = cpu::sigmoid(raw).clamp(1e-6, 1.0 - 1e-6);
+            let v = cpu::sigmoid(raw).clamp(SIGMOID_MARGIN, 1.0 - SIGMOID_MARGIN);
             (v, v - p)
         } else {
             let v = raw.clamp(LABEL_MARGIN, 1.0 - LABEL_MARGIN);

@@ -4,7 +4,8 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::engine::cpu::{self, AttributeSource, NO_HIT, fibonacci_sphere, outward_normals};
+use crate::engine::constants::NO_HIT;
+use crate::engine::cpu::{self, AttributeSource, fibonacci_sphere, outward_normals};
 use crate::engine::gpu::model::planar;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::scene::{Field, Gaussians, ShadingOptions};

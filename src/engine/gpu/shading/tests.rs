@@ -5,6 +5,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::engine::channel;
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
     self, AttributeSource, BranchImages, BufferGradient, Pass, Shader as CpuShader, View,
 };
@@ -45,7 +46,7 @@ pub(in crate::engine::gpu) fn empty_pass(view: View, options: &ShadingOptions, c
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     };
-    Pass::forward(&source, view, channels, true)
+    Pass::forward(&source, view, channels, EarlyStop::WhenSaturated)
 }
 
 pub(in crate::engine::gpu) fn set(pass: &mut Pass, x: usize, y: usize, channel: usize, value: f32) {
