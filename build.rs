@@ -1,5 +1,7 @@
 //! Compiles every permutation of the shaders to checked text: an error in WGSL is an error of the build.
 
+#[path = "build/generated.rs"]
+mod generated;
 #[path = "build/preprocess.rs"]
 mod preprocess;
 
@@ -12,9 +14,9 @@ use preprocess::{Accumulation, Permutation, expand, parse_permutations};
 type Failure = Box<dyn std::error::Error>;
 
 fn main() -> Result<(), Failure> {
-    println!("cargo::rerun-if-changed=build.rs");
-    println!("cargo::rerun-if-changed=build");
-    println!("cargo::rerun-if-changed=shaders");
+    for path in ["build.rs", "build", "shaders"].iter().chain(&generated::SOURCES) {
+        println!("cargo::rerun-if-changed={path}");
+    }
     let folder = Path::new(&std::env::var("CARGO_MANIFEST_DIR")?).join("shaders");
     let mut out = String::new();
     let mut names = Vec::new();
@@ -25,7 +27,9 @@ fn main() -> Result<(), Failure> {
         names.push(format!("&{}", permutation.name));
     }
     writeln!(out, "/// Every shader.\npub static ALL: &[&Shader] = &[{}];", names.join(", "))?;
-    std::fs::write(Path::new(&std::env::var("OUT_DIR")?).join("shaders.rs"), out)?;
+    let out_dir = std::env::var("OUT_DIR")?;
+    std::fs::write(Path::new(&out_dir).join("shaders.rs"), out)?;
+    std::fs::write(Path::new(&out_dir).join("generated.wgsl"), generated::all())?;
     Ok(())
 }
 
@@ -34,7 +38,10 @@ fn compile(folder: &Path, permutation: &Permutation) -> Result<String, Failure> 
     let read =
         |path: &str| std::fs::read_to_string(folder.join(path)).map_err(|e| format!("shaders/{path}: {e}"));
     let entry = read(&format!("{}.wgsl", permutation.file))?;
-    let import = |name: &str| read(&format!("shared/{name}.wgsl"));
+    let import = |name: &str| match name.strip_prefix("generated/") {
+        Some(piece) => generated::piece(piece).ok_or_else(|| format!("{name}: no such piece")),
+        None => read(&format!("shared/{name}.wgsl")),
+    };
     let native = expand(&entry, &permutation.defines, Accumulation::Native, &import)?;
     let exchange = expand(&entry, &permutation.defines, Accumulation::CompareExchange, &import)?;
     let module = check(&native)?;

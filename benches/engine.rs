@@ -4,6 +4,7 @@
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use relume::engine::{ProbeSettings, RasterCamera, fibonacci_sphere};
 use std::sync::OnceLock;
 
 use divan::{Bencher, black_box};
@@ -13,8 +14,8 @@ use rand_chacha::ChaCha8Rng;
 use relume::capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::engine::Device;
 use relume::engine::channel::Channels;
+use relume::engine::constants::EarlyStop;
 use relume::engine::cpu::{AttributeSource, BranchImages, Pass, Probes, Shader};
-use relume::engine::{ProbeSettings, RasterCamera, fibonacci_sphere};
 use relume::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
 use relume::render::{Output, Renderer, Tier};
 use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, ShadingOptions};
@@ -96,17 +97,17 @@ fn shader() -> Shader<'static> {
 
 fn full_pass() -> &'static Pass {
     static PASS: OnceLock<Pass> = OnceLock::new();
-    PASS.get_or_init(|| Pass::forward(&source(), view(), Channels::Full(25), true))
+    PASS.get_or_init(|| Pass::forward(&source(), view(), Channels::Full(25), EarlyStop::WhenSaturated))
 }
 
 #[divan::bench]
 fn forward_radiance_channels(b: Bencher) {
-    b.bench(|| Pass::forward(&source(), view(), Channels::Colour, true));
+    b.bench(|| Pass::forward(&source(), view(), Channels::Colour, EarlyStop::WhenSaturated));
 }
 
 #[divan::bench]
 fn forward_all_channels(b: Bencher) {
-    b.bench(|| Pass::forward(&source(), view(), Channels::Full(25), true));
+    b.bench(|| Pass::forward(&source(), view(), Channels::Full(25), EarlyStop::WhenSaturated));
 }
 
 #[divan::bench]

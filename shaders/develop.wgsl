@@ -79,7 +79,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     }
     let pixel_ix = gid.y * view.size.x + gid.x;
     let first = gbuffer[pixel_ix];
-    let coverage = first.x;
+    let coverage = channel_coverage(first);
     put(ALPHA, pixel_ix, coverage);
     if !(coverage >= LEAST_COVERAGE) {
         put_nothing(pixel_ix);
@@ -87,9 +87,10 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     }
     var s = pixel_surface(gid.xy, pixel_ix, coverage);
     if is_wanted(RGB) || is_wanted(DIFFUSE) || is_wanted(SPECULAR) {
-        // Light that was blended stands in the channels that shading here has other use for: all of it, the specular part.
-        var light = s.gathered;
-        var specular = s.indirect;
+        // Of Gaussians that were shaded before they were blended, the G-buffer has the radiance.
+        let inverse = 1.0 / coverage;
+        var light = channel_outgoing(gbuffer[ROUGH_GROUP * view.n_pixels + pixel_ix]) * inverse;
+        var specular = channel_specular(gbuffer[DEPTH_GROUP * view.n_pixels + pixel_ix]) * inverse;
         if shading.shade_at == SHADE_AT_PIXEL {
             let f = shade(&s);
             light = f.diffuse + f.specular;
@@ -109,8 +110,8 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     if is_wanted(VISIBILITY_PLANE) {
         put(VISIBILITY_PLANE, pixel_ix, clamp(ambient_occlusion(&s, normal), 0.0, 1.0));
     }
-    put(DEPTH, pixel_ix, gbuffer[4u * view.n_pixels + pixel_ix].x / coverage * wanted.depth_scale);
-    let shown = clamp(first.yzw / coverage, vec3f(0.0), vec3f(1.0));
+    put(DEPTH, pixel_ix, channel_depth(gbuffer[DEPTH_GROUP * view.n_pixels + pixel_ix]) / coverage * wanted.depth_scale);
+    let shown = clamp(channel_radiance(first) / coverage, vec3f(0.0), vec3f(1.0));
     let linear = vec3f(linear_from_srgb(shown.x), linear_from_srgb(shown.y), linear_from_srgb(shown.z));
     put_rgb(RADIANCE, pixel_ix, linear * coverage);
 }

@@ -1,6 +1,8 @@
-// Both branches of a pass of lit Gaussians, composited over the background: what was blended is light, nothing is shaded here.
+// Both branches of a pass whose Gaussians were shaded before they were blended, composited over the background: what was
+// blended is radiance.
 // A thread owns a pixel; no workgroup memory.
 const WG_SIZE = 256u;
+#import generated/channels
 #import index
 #import composite
 #import display
@@ -18,12 +20,13 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
         return;
     }
     let first = gbuffer[pixel_ix];
-    let coverage = first.x;
+    let coverage = channel_coverage(first);
     let behind = composite.background.xyz * (1.0 - coverage);
-    radiance[pixel_ix] = vec4f(first.yzw + behind, 0.0);
+    radiance[pixel_ix] = vec4f(channel_radiance(first) + behind, 0.0);
     var shown = vec3f(0.0);
     if coverage >= LEAST_COVERAGE {
-        shown = display(gbuffer[3u * composite.n_pixels + pixel_ix].yzw / coverage, composite.srgb != 0u);
+        let outgoing = channel_outgoing(gbuffer[ROUGH_GROUP * composite.n_pixels + pixel_ix]);
+        shown = display(outgoing / coverage, composite.srgb != 0u);
     }
     physical[pixel_ix] = vec4f(shown * coverage + behind, 0.0);
 }

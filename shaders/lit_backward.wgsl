@@ -1,6 +1,8 @@
-// Gradients of the G-buffer of a pass of lit Gaussians from those of both images (lit.wgsl) and of the buffers. A thread owns
+// Gradients of the G-buffer of a pass whose Gaussians were shaded before they were blended, from those of both images
+// (lit.wgsl) and of the buffers. A thread owns
 // a pixel: it writes all n_groups groups, zeros beyond material. No workgroup memory.
 const WG_SIZE = 256u;
+#import generated/channels
 #import index
 #import composite
 #import display
@@ -20,7 +22,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     if pixel_ix >= n {
         return;
     }
-    let coverage = gbuffer[pixel_ix].x;
+    let coverage = channel_coverage(gbuffer[pixel_ix]);
     let g = by_physical[pixel_ix].xyz;
     let g_radiance = by_radiance[pixel_ix].xyz;
     let on_material = by_buffers[n + pixel_ix];
@@ -28,16 +30,16 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     var by_sum = vec3f(0.0);
     if coverage >= LEAST_COVERAGE {
         let is_srgb = composite.srgb != 0u;
-        let light = gbuffer[3u * n + pixel_ix].yzw / coverage;
+        let light = channel_outgoing(gbuffer[ROUGH_GROUP * n + pixel_ix]) / coverage;
         let by_light = display_backward(light, g * coverage, is_srgb);
         by_coverage += dot(g, display(light, is_srgb)) - dot(by_light, light) / coverage;
         by_sum = by_light / coverage;
     }
     by_gbuffer[pixel_ix] = vec4f(by_coverage, g_radiance);
-    by_gbuffer[n + pixel_ix] = by_buffers[pixel_ix];
-    by_gbuffer[2u * n + pixel_ix] = vec4f(vec3f(0.0), on_material.y);
-    by_gbuffer[3u * n + pixel_ix] = vec4f(on_material.z, by_sum);
-    for (var group = 4u; group < composite.n_groups; group++) {
+    by_gbuffer[NORMAL_GROUP * n + pixel_ix] = by_buffers[pixel_ix];
+    by_gbuffer[ALBEDO_GROUP * n + pixel_ix] = vec4f(vec3f(0.0), on_material.y);
+    by_gbuffer[ROUGH_GROUP * n + pixel_ix] = vec4f(on_material.z, by_sum);
+    for (var group = GROUPS_MATERIAL; group < composite.n_groups; group++) {
         by_gbuffer[group * n + pixel_ix] = vec4f(0.0);
     }
 }

@@ -6,7 +6,7 @@
 // added to xx and yy it grows by lp (xx + yy) + lp^2, a sum of positive terms.
 #import finite
 #import index
-#import parameters
+#import generated/parameters
 #import quaternion
 #import tiles
 
@@ -55,10 +55,10 @@ fn project(gaussian_ix: u32) -> Splat {
     }
     let inverse = 1.0 / camera.z;
     let ratio = clamp(camera.xy * inverse, view.ratio_limits.xz, view.ratio_limits.yw);
-    let slope = view.focal * inverse;
-    let to_x = slope.x * view.rotation[0].xyz - slope.x * ratio.x * view.rotation[2].xyz;
-    let to_y = slope.y * view.rotation[1].xyz - slope.y * ratio.y * view.rotation[2].xyz;
-    let scale = exp(clamp(log_scale, vec3f(-60.0), vec3f(60.0)));
+    let derivative = view.focal * inverse;
+    let to_x = derivative.x * view.rotation[0].xyz - derivative.x * ratio.x * view.rotation[2].xyz;
+    let to_y = derivative.y * view.rotation[1].xyz - derivative.y * ratio.y * view.rotation[2].xyz;
+    let scale = exp(clamp(log_scale, vec3f(-LOG_SCALE_LIMIT), vec3f(LOG_SCALE_LIMIT)));
     let axes = rotation_of(quaternion);
     // The three scaled axes on screen: squares of them cannot turn negative.
     let x = scale * vec3f(dot(to_x, axes[0]), dot(to_x, axes[1]), dot(to_x, axes[2]));
@@ -71,7 +71,7 @@ fn project(gaussian_ix: u32) -> Splat {
     let raw_determinant = dot(area, area);
     let lp = view.low_pass;
     let determinant = raw_determinant + lp * (raw.x + raw.z) + lp * lp;
-    if !(determinant > 1e-12) {
+    if !(determinant > LEAST_DETERMINANT) {
         return invisible();
     }
     var s: Splat;

@@ -2,11 +2,12 @@
 // A thread owns four consecutive elements and one prefix; a workgroup owns a block. Workgroup memory holds one partial
 // sum a thread (2 KiB). Elements past the input count as zero, so an output one longer than its input ends with the
 // grand total.
+#import generated/kernels
 #import index
 #import workgroup_scan
 
 const WG_SIZE = 256u;
-const PER_THREAD = 4u;
+const PER_THREAD = SCAN_BLOCK / WG_SIZE;
 
 struct ScanSize {
     // Elements read and elements written, the latter at least the former.

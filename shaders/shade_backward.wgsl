@@ -29,7 +29,7 @@ fn pixel_backward(pixel: vec2u) -> Shares {
     var shares = no_shares();
     let n = view.n_pixels;
     let pixel_ix = pixel.y * view.size.x + pixel.x;
-    let coverage = gbuffer[pixel_ix].x;
+    let coverage = channel_coverage(gbuffer[pixel_ix]);
     let g = by_physical[pixel_ix].xyz;
     let g_radiance = by_radiance[pixel_ix].xyz;
     let on_geometry = by_buffers[pixel_ix];
@@ -48,19 +48,19 @@ fn pixel_backward(pixel: vec2u) -> Shares {
         by = shade_backward(&s, &f, by_linear);
         // Attributes are buffers divided by coverage.
         let along = dot(by.normal, s.normal) + dot(by.albedo, s.albedo) + dot(by.gathered, s.gathered)
-            + dot(by.indirect, s.indirect) + by.metal * s.metal + by.rough * s.rough + by.along_visibility;
+            + dot(by.blocked, s.blocked) + by.metal * s.metal + by.rough * s.rough + by.along_visibility;
         by_coverage -= along * inverse;
         shares = shares_of(&f, &by, inverse);
     } else {
         by_coverage -= dot(g, shading.background.xyz);
     }
     by_gbuffer[pixel_ix] = vec4f(by_coverage, g_radiance);
-    by_gbuffer[n + pixel_ix] = vec4f(by.normal * inverse + on_geometry.xyz, on_geometry.w);
-    by_gbuffer[2u * n + pixel_ix] = vec4f(by.albedo, by.metal) * inverse + vec4f(0.0, 0.0, 0.0, on_material.y);
+    by_gbuffer[NORMAL_GROUP * n + pixel_ix] = vec4f(by.normal * inverse + on_geometry.xyz, on_geometry.w);
+    by_gbuffer[ALBEDO_GROUP * n + pixel_ix] = vec4f(by.albedo, by.metal) * inverse + vec4f(0.0, 0.0, 0.0, on_material.y);
     let by_rough = by.rough * inverse + on_material.z;
-    by_gbuffer[3u * n + pixel_ix] = vec4f(by_rough, by.gathered * inverse);
+    by_gbuffer[ROUGH_GROUP * n + pixel_ix] = vec4f(by_rough, by.gathered * inverse);
 #ifdef ALL_CHANNELS
-    by_gbuffer[4u * n + pixel_ix] = vec4f(0.0, by.indirect * inverse);
+    by_gbuffer[DEPTH_GROUP * n + pixel_ix] = vec4f(0.0, by.blocked * inverse);
     for (var quad = 0u; quad < N_QUADS; quad++) {
         by_gbuffer[(VISIBILITY_GROUP + quad) * n + pixel_ix] = by.visibility[quad] * inverse;
     }

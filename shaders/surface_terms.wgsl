@@ -8,7 +8,10 @@
 const WG_SIZE = 256u;
 #import view
 #import quaternion
-#import losses
+#import generated/channels
+#import generated/light
+#import generated/objective
+#import generated/slots
 #import reduce
 
 // Kept in step with `SurfaceTermsUniform` of src/engine/gpu/losses.rs. Weights are divided by what their mean runs over.
@@ -30,12 +33,6 @@ struct SurfaceTerms {
 @group(0) @binding(4) var<storage, read_write> by_buffers: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> losses: array<accumulator>;
 
-const LEAST_COVERAGE = 1e-3;
-// Coverage below which a pixel's depth is not trusted.
-const TRUSTED_COVERAGE = 0.5;
-// Neighbouring depths further apart than this fraction are an edge, not a surface.
-const DEPTH_JUMP = 0.05;
-
 struct BufferGradient {
     normal: vec3f,
     plane: f32,
@@ -51,12 +48,12 @@ fn pixel_ix_of(pixel: vec2u) -> u32 {
 #ifdef GEOMETRY
 // Blended normal and plane distance.
 fn plane_at(pixel: vec2u) -> vec4f {
-    return gbuffer[view.n_pixels + pixel_ix_of(pixel)];
+    return gbuffer[NORMAL_GROUP * view.n_pixels + pixel_ix_of(pixel)];
 }
 
 // Where a pixel's plane is hit: `t = D / (N . ray)` along the unnormalised ray, or 0.
 fn plane_depth(pixel: vec2u, ray: vec3f) -> f32 {
-    if gbuffer[pixel_ix_of(pixel)].x < TRUSTED_COVERAGE {
+    if channel_coverage(gbuffer[pixel_ix_of(pixel)]) < TRUSTED_COVERAGE {
         return 0.0;
     }
     let plane = plane_at(pixel);
@@ -101,7 +98,7 @@ fn consistency(pixel: vec2u) -> Consistency {
     let raw = plane_at(pixel).xyz;
     let normal_length = length3(raw);
     let normal = raw / normal_length;
-    let coverage = gbuffer[pixel_ix_of(pixel)].x;
+    let coverage = channel_coverage(gbuffer[pixel_ix_of(pixel)]);
     let aligned = dot(normal, towards);
     let weight = weights.depth_normal;
     let by_towards = normalised3_backward(towards, length, -weight * coverage * normal);
@@ -146,12 +143,15 @@ struct Attributes {
 }
 
 fn attributes_at(pixel_ix: u32) -> Attributes {
-    let coverage = gbuffer[pixel_ix].x;
+    let coverage = channel_coverage(gbuffer[pixel_ix]);
     let inverse = select(0.0, 1.0 / max(coverage, 1e-6), coverage >= LEAST_COVERAGE);
     let n = view.n_pixels;
     return Attributes(
-        gbuffer[n + pixel_ix].xyz * inverse,
-        vec2f(gbuffer[2u * n + pixel_ix].w, gbuffer[3u * n + pixel_ix].x) * inverse,
+        channel_normal(gbuffer[NORMAL_GROUP * n + pixel_ix]) * inverse,
+        vec2f(
+            channel_metal(gbuffer[ALBEDO_GROUP * n + pixel_ix]),
+            channel_rough(gbuffer[ROUGH_GROUP * n + pixel_ix]),
+        ) * inverse,
         inverse,
     );
 }
@@ -169,10 +169,10 @@ fn pair_term(own_ix: u32, own: Attributes, other_ix: u32, scale: f32) -> PairGra
     let factor = scale * exp(-edge);
     let by_normal = own.normal - other.normal;
     let by_material = own.material - other.material;
-    let slope_normal = factor * weights.smoothness.z * sign(by_normal);
-    let slope_material = factor * weights.smoothness.xy * sign(by_material);
-    let loss = dot(slope_normal, by_normal) + dot(slope_material, by_material);
-    return PairGradient(slope_normal, slope_material, loss);
+    let derivative_normal = factor * weights.smoothness.z * sign(by_normal);
+    let derivative_material = factor * weights.smoothness.xy * sign(by_material);
+    let loss = dot(derivative_normal, by_normal) + dot(derivative_material, by_material);
+    return PairGradient(derivative_normal, derivative_material, loss);
 }
 
 // Adds the smoothness term's gradient at `pixel`; the value of its pairs to the right and down.
@@ -211,7 +211,7 @@ fn pixel_terms(pixel: vec2u) -> vec4f {
     let pixel_ix = pixel_ix_of(pixel);
     var out: BufferGradient;
     var values = vec4f(0.0);
-    let difference = gbuffer[pixel_ix].x - photo[pixel_ix].w;
+    let difference = channel_coverage(gbuffer[pixel_ix]) - photo[pixel_ix].w;
     values.x = weights.coverage * abs(difference);
     out.coverage += weights.coverage * sign(difference);
 #ifdef GEOMETRY

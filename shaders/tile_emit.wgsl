@@ -1,7 +1,6 @@
 // Writes one (tile, Gaussian) pair for each tile a splat reaches, splats in depth order.
 // A thread owns one rank and the instances that were counted for it: it never writes past them, and fills what it does
 // not use with the tile after the last, which nobody reads. No workgroup memory.
-// Considered: a workgroup per large splat; counting by rows left too little work per splat to share.
 #import index
 #import tiles
 

@@ -1,4 +1,4 @@
-// The surface behind a pixel of a full G-buffer, which the importer binds as `gbuffer`.
+// The surface behind a pixel of a full G-buffer of blended attributes, which the importer binds as `gbuffer`.
 #import surface
 #import view
 #import quaternion
@@ -12,11 +12,12 @@ fn pixel_visibility(pixel_ix: u32, quad: u32, inverse: f32) -> vec4f {
 fn pixel_surface(pixel: vec2u, pixel_ix: u32, coverage: f32) -> Surface {
     let n = view.n_pixels;
     let inverse = 1.0 / coverage;
-    var s = surface_of_groups(
-        gbuffer[n + pixel_ix],
-        gbuffer[2u * n + pixel_ix],
-        gbuffer[3u * n + pixel_ix],
-        gbuffer[4u * n + pixel_ix],
+    var s = surface_of_channels(
+        gbuffer[NORMAL_GROUP * n + pixel_ix],
+        gbuffer[ALBEDO_GROUP * n + pixel_ix],
+        channel_rough(gbuffer[ROUGH_GROUP * n + pixel_ix]),
+        channel_gathered(gbuffer[ROUGH_GROUP * n + pixel_ix]),
+        channel_blocked(gbuffer[DEPTH_GROUP * n + pixel_ix]),
         inverse,
         -normalised3(pixel_ray(view, pixel.x, pixel.y)),
     );

@@ -28,7 +28,7 @@ fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: ve
     let scaled = view.focal * inverse;
     let t0 = scaled.x * (view.rotation[0].xyz - clamped.x * view.rotation[2].xyz);
     let t1 = scaled.y * (view.rotation[1].xyz - clamped.y * view.rotation[2].xyz);
-    let scale = exp(clamp(log_scale, vec3f(-60.0), vec3f(60.0)));
+    let scale = exp(clamp(log_scale, vec3f(-LOG_SCALE_LIMIT), vec3f(LOG_SCALE_LIMIT)));
     let m = mat3x3f(axes[0] * scale.x, axes[1] * scale.y, axes[2] * scale.z);
     let screen0 = t0 * m;
     let screen1 = t1 * m;
@@ -50,8 +50,8 @@ fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: ve
     var by_screen0 = -2.0 * (c.x * v0 + c.y * v1);
     var by_screen1 = -2.0 * (c.y * v0 + c.z * v1);
     var by_length = -2.0 * (y0 * v0 + y1 * v1);
-    // The gradient of sqrt(det raw / det covariance); below, its root no longer has a slope that f32 can hold.
-    if view.low_pass_compensation != 0u && raw_determinant > 1e-12 {
+    // The gradient of sqrt(det raw / det covariance); below, its root no longer has a derivative that f32 can hold.
+    if view.low_pass_compensation != 0u && raw_determinant > LEAST_DETERMINANT {
         let factor = s.compensation * by_tail.y * sigmoid(logit);
         let sharper0 = factor * (adjugate0 / raw_determinant - y0);
         let sharper1 = factor * (adjugate1 / raw_determinant - y1);
@@ -60,7 +60,7 @@ fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: ve
         by_length += sharper0 * screen0 + sharper1 * screen1;
     }
     var out: Geometry;
-    out.opacity = by_tail.y * s.compensation * sigmoid_slope(logit);
+    out.opacity = by_tail.y * s.compensation * sigmoid_derivative(logit);
     let by_m0 = t0 * by_screen0.x + t1 * by_screen1.x;
     let by_m1 = t0 * by_screen0.y + t1 * by_screen1.y;
     let by_m2 = t0 * by_screen0.z + t1 * by_screen1.z;

@@ -1,4 +1,6 @@
 // A camera as the kernels want it. Kept in step with `ViewUniform` of src/engine/gpu/view.rs.
+#import generated/projection
+
 struct View {
     focal: vec2f,
     centre_px: vec2f,
@@ -17,10 +19,8 @@ struct View {
     pad: u32,
 }
 
-const TILE = 16u;
-
 // Camera coordinates of a world point: `R x + t`. Models lie around the origin, so this keeps the digits across the view
-// of a camera that is far away, where `R (x - eye)` would lose those of `x`.
+// of a camera that is far away, where `R (x - centre)` would lose those of `x`.
 fn to_camera(view: View, x: vec3f) -> vec3f {
     let turned = vec3f(dot(view.rotation[0].xyz, x), dot(view.rotation[1].xyz, x), dot(view.rotation[2].xyz, x));
     return turned + vec3f(view.rotation[0].w, view.rotation[1].w, view.rotation[2].w);

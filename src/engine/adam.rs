@@ -1,13 +1,8 @@
-//! What both engines' Adam (Kingma and Ba 2015) share: constants, step sizes and bias corrections.
+//! What both engines' Adam (Kingma and Ba 2015) share: groups of parameters, step sizes and bias corrections.
 
+use crate::engine::constants::{ADAM_BETA1, ADAM_BETA2};
 use crate::scene::Field;
 
-/// Decay of the first moment.
-pub const BETA1: f32 = 0.9;
-/// Decay of the second moment.
-pub const BETA2: f32 = 0.999;
-/// Added to the root of the second moment.
-pub const EPSILON: f32 = 1e-15;
 /// Share of the radiance step that coefficients beyond degree 0 take.
 pub const HIGHER_DEGREE_SHARE: f32 = 0.05;
 /// Steps after which a bias correction is 1 in f32.
@@ -72,13 +67,13 @@ pub struct StepCounts {
 }
 
 impl StepCounts {
-    /// Bias corrections of a group: `1 - BETA1^t` of the first moment, the root of `1 - BETA2^t` of the second.
+    /// Bias corrections of a group: `1 - beta_1^t` of the first moment, the root of `1 - beta_2^t` of the second.
     pub fn corrections(self, group: FieldGroup) -> [f32; 2] {
         let steps = match group {
             FieldGroup::Geometry => self.geometry,
             FieldGroup::Material => self.material,
         };
         let correction = |beta: f32| 1.0 - beta.powi(steps.clamp(1, MOST_STEPS) as i32);
-        [correction(BETA1), correction(BETA2).sqrt()]
+        [correction(ADAM_BETA1), correction(ADAM_BETA2).sqrt()]
     }
 }

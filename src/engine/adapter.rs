@@ -147,7 +147,8 @@ mod tests {
 
     #[test]
     fn a_gpu_that_cannot_be_had_is_refused_with_what_there_is() {
-        let DeviceError::Unavailable(text) = choose(&[report(0, true, &[])], DeviceChoice::Gpu(None)).unwrap_err()
+        let DeviceError::Unavailable(text) =
+            choose(&[report(0, true, &[])], DeviceChoice::Gpu(None)).unwrap_err()
         else {
             panic!("wrong kind")
         };

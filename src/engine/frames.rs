@@ -100,9 +100,7 @@ impl Frames {
     pub fn prepare_light(&self, environment: &EnvMap) -> Result<FrameLight, DeviceError> {
         let tables = self.tables(environment);
         Ok(match &self.device {
-            Some(device) => {
-                FrameLight { device: Some(device.prepare_light(&tables)?), cpu: OnceLock::new() }
-            }
+            Some(device) => FrameLight { device: Some(device.prepare_light(&tables)?), cpu: OnceLock::new() },
             None => FrameLight { device: None, cpu: OnceLock::from(self.cpu.prepare_light(tables)) },
         })
     }

@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::engine::{channel, zeros};
+use crate::engine::channel::{self, OutgoingRadiance};
+use crate::engine::zeros;
 use crate::scene::{Field, Gaussians};
 
 /// Where each field starts in a gradient row.
@@ -28,7 +29,7 @@ impl RowLayout {
             Field::MetalLogit | Field::RoughLogit | Field::ProtoLogits | Field::Residual => {
                 count > channel::ROUGH
             }
-            Field::Sheen => count > channel::SHEEN,
+            Field::Sheen => count > OutgoingRadiance::SHEEN_GRADIENT,
             Field::Normal => count > channel::PLANE,
             _ => true,
         })

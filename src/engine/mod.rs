@@ -5,9 +5,9 @@
 
 pub mod adam;
 mod adapter;
-mod blending;
 mod camera;
 pub mod channel;
+pub mod constants;
 pub mod cpu;
 mod density;
 mod device;
@@ -29,22 +29,21 @@ mod zeros;
 
 pub use adam::{StepCounts, StepSizes};
 pub use adapter::{AdapterReport, DeviceChoice};
-pub use blending::TRANSMITTANCE_STOP;
 pub use camera::RasterCamera;
 pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Positions, SplitOrigin};
 pub use device::Device;
 pub use error::DeviceError;
 pub use frame::{Frame, Output};
-pub use frames::{BOUNCES, DeviceFrames, DeviceLight, FrameJob, FrameLight, Frames, PROBE_DIRECTIONS, ShadeColour};
+pub use frames::{
+    BOUNCES, DeviceFrames, DeviceLight, FrameJob, FrameLight, Frames, PROBE_DIRECTIONS, ShadeColour,
+};
 pub use gradients::{Gradients, RowLayout};
 pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use objective::{
     ImageWeights, LightWeights, ParameterWeights, StepWeights, SurfaceWeights, upward_share,
 };
-pub use probing::{NO_HIT, ProbeSettings, fibonacci_sphere};
+pub use probing::{ProbeSettings, fibonacci_sphere};
 pub use state::{Moments, TrainState};
-pub use step::{
-    Branches, FieldUpdate, Photo, PhotoId, PhotoSize, ProbeMeasurement, Step, StepChannels, StepSums,
-};
+pub use step::{Branches, FieldUpdate, Photo, PhotoId, PhotoSize, ProbeMeasurement, Step, StepSums};
 pub use training::{Training, TrainingLimits};
 pub use zeros::zeros;

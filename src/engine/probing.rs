@@ -3,9 +3,6 @@
 
 use crate::scene::ShadingOptions;
 
-/// No Gaussian hides the direction.
-pub const NO_HIT: u32 = u32::MAX;
-
 /// `n` directions spread evenly over the sphere (Fibonacci spiral).
 pub fn fibonacci_sphere(n: usize) -> Vec<[f32; 3]> {
     let golden = std::f64::consts::PI * (1.0 + 5.0f64.sqrt());

@@ -1,7 +1,7 @@
 //! One optimisation step as an engine is asked for it, and what it comes to.
 
 use crate::engine::adam::{StepCounts, StepSizes};
-use crate::engine::channel::Channels;
+use crate::engine::channel::{Channels, StepChannels};
 use crate::engine::objective::StepWeights;
 use crate::scene::{Camera, Field, Gaussians, IndirectForm, ShadeAt, ShadingOptions};
 
@@ -47,15 +47,6 @@ pub enum Branches {
     BothWithVisibility,
 }
 
-/// Channels of a step's pass.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StepChannels {
-    /// Blended.
-    pub forward: Channels,
-    /// Differentiated.
-    pub backward: Channels,
-}
-
 impl Branches {
     /// True when the physically based branch trains.
     pub fn is_physical(self) -> bool {
@@ -65,14 +56,14 @@ impl Branches {
     /// The channels a pass over `gaussians` needs. What is shaded at the Gaussians needs no visibility in the pixel.
     pub fn channels(self, gaussians: &Gaussians, shading: &ShadingOptions) -> StepChannels {
         let full = Channels::Full(gaussians.width(Field::Visibility));
-        let backward = match self {
+        let differentiated = match self {
             Self::Radiance => Channels::Colour,
             Self::RadianceAndNormals => Channels::Geometry,
             Self::Both if shading.indirect != IndirectForm::Learned => Channels::Material,
             Self::Both | Self::BothWithVisibility => full,
         };
         let in_pixel = self.is_physical() && shading.shade_at == ShadeAt::Pixel;
-        StepChannels { forward: if in_pixel { full } else { backward }, backward }
+        StepChannels { blended: if in_pixel { full } else { differentiated }, differentiated }
     }
 }
 

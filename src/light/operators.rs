@@ -3,11 +3,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::light::{CubeGrid, LightTables, brdf::ggx_d, padded, sh_eval};
+use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
 use crate::scene::{sh_count, texel_directions};
-
-/// Roughness of each prefiltered level; radiance between two levels is interpolated linearly.
-pub const SPECULAR_LEVELS: [f32; 6] = [0.1, 0.25, 0.4, 0.6, 0.8, 1.0];
 
 /// Level below `roughness`, the fraction towards the next, and the fraction's slope (0 where clamped).
 #[inline]

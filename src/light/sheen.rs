@@ -3,8 +3,7 @@
 //!
 //! Light's own angle of incidence, which a microfibre model has as well, is left out: under a whole sky it is averaged.
 
-/// Sheen counts to this, a gain of 20 or of a twentieth; what is beyond has no gradient.
-pub const MOST_SHEEN: f32 = 3.0;
+use crate::light::MOST_SHEEN;
 
 /// Gain of the diffuse term with its slopes.
 #[derive(Debug, Clone, Copy, PartialEq)]

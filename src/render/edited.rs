@@ -2,7 +2,8 @@
 
 use crate::engine::DeviceError;
 use crate::engine::channel::Channels;
-use crate::engine::cpu::{Pass, Shader, Surface, resolve, shade_in_pixel};
+use crate::engine::constants::EarlyStop;
+use crate::engine::cpu::{Pass, Shader, Surface, resolve};
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer};
 use crate::scene::{Camera, Field, ShadeAt, ShadingOptions};
 
@@ -28,12 +29,12 @@ impl Renderer {
         let source = cpu.lit_source(light);
         let shader = Shader { options: &options, ..cpu.shader(&light.tables) };
         let coefficients = source.gaussians.width(Field::Visibility);
-        let pass = Pass::forward(&source, view, Channels::Full(coefficients), true);
+        let pass = Pass::forward(&source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
         let outputs = [Output::Rgb, Output::Alpha];
         Ok(resolve(&pass, &shader, &outputs, 1.0, |(x, y), surface| {
             let mut surface = *surface;
             edit(&shader, y * view.width + x, &mut surface);
-            shade_in_pixel(&shader, &surface)
+            shader.shade(&surface).outgoing()
         }))
     }
 }

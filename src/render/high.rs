@@ -5,10 +5,11 @@
 
 use rayon::prelude::*;
 
-use crate::engine::channel::{self, Channels};
+use crate::engine::channel::{self, Channels, OutgoingRadiance};
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
-    AttributeSource, MAX_COEFFICIENTS, OutgoingRadiance, Pass, Probes, Shader, Surface, attribute_rows,
-    normalise, project_all, reflector, resolve, shade_in_pixel, shaded_at_gaussians,
+    AttributeSource, MAX_COEFFICIENTS, Pass, Probes, Shader, Surface, attribute_rows, blended_radiance,
+    normalise, project_all, reflector, resolve,
 };
 use crate::engine::{ProbeSettings, RasterCamera};
 use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, rendering_tables};
@@ -65,17 +66,17 @@ fn at_gaussians(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = source.gaussians.get(Field::Mean, i);
         let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - view.centre[k]));
-        let mut out = OutgoingRadiance::default();
-        add_lights(&light.lights, light.arriving_at(i), &surface, &mut out);
+        let mut direct = OutgoingRadiance { diffuse: [0.0; 3], specular: [0.0; 3] };
+        add_lights(&light.lights, light.arriving_at(i), &surface, &mut direct);
         let gain = Sheen::new(surface.sheen, cosine(surface.normal, surface.view)).gain;
         for c in 0..3 {
-            out.diffuse[c] *= gain;
-            row[channel::LIGHT.start + c] += out.diffuse[c] + out.specular[c];
-            row[channel::INDIRECT.start + c] += out.specular[c];
+            direct.diffuse[c] *= gain;
+            row[OutgoingRadiance::TOTAL.start + c] += direct.diffuse[c] + direct.specular[c];
+            row[OutgoingRadiance::SPECULAR.start + c] += direct.specular[c];
         }
     });
-    let pass = Pass::blend(view, splats, full, rows, true);
-    resolve(&pass, shader, job.frame.outputs, job.frame.depth_scale, |_, surface| shaded_at_gaussians(surface))
+    let pass = Pass::blend(view, splats, full, source.row_light(), rows, EarlyStop::WhenSaturated);
+    resolve(&pass, shader, job.frame.outputs, job.frame.depth_scale, |at, _| blended_radiance(&pass, at))
 }
 
 /// `|n . v|` of a normal of any length.
@@ -89,10 +90,10 @@ fn in_pixels(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
     let pass = pass(&job.source, job.frame.view, light, coefficients);
     resolve(&pass, shader, job.frame.outputs, job.frame.depth_scale, |_, surface| {
-        let mut out = shade_in_pixel(shader, surface);
+        let mut direct = shader.shade(surface).outgoing();
         let arriving = &surface.visibility[coefficients..coefficients + light.lights.len()];
-        add_lights(&light.lights, arriving.iter().copied(), surface, &mut out);
-        out
+        add_lights(&light.lights, arriving.iter().copied(), surface, &mut direct);
+        direct
     })
 }
 
@@ -107,14 +108,14 @@ fn pass(source: &AttributeSource<'_>, view: RasterCamera, light: &SplitLight, co
         let extra = &mut row[channel::VISIBILITY + coefficients..];
         extra.iter_mut().zip(light.arriving_at(splat.gaussian as usize)).for_each(|(o, share)| *o = share);
     });
-    Pass::blend(view, splats, all, rows, true)
+    Pass::blend(view, splats, all, source.row_light(), rows, EarlyStop::WhenSaturated)
 }
 
 fn add_lights(
     lights: &[DominantLight],
     arriving: impl Iterator<Item = f32>,
     surface: &Surface,
-    out: &mut OutgoingRadiance,
+    direct: &mut OutgoingRadiance,
 ) {
     let reflector = reflector(surface);
     for (light, share) in lights.iter().zip(arriving) {
@@ -122,8 +123,8 @@ fn add_lights(
         let share = f64::from(share.clamp(0.0, 1.0));
         for c in 0..3 {
             let light = share * light.irradiance[c];
-            out.diffuse[c] += (light * reflected.diffuse[c]) as f32;
-            out.specular[c] += (light * reflected.specular[c]) as f32;
+            direct.diffuse[c] += (light * reflected.diffuse[c]) as f32;
+            direct.specular[c] += (light * reflected.specular[c]) as f32;
         }
     }
 }

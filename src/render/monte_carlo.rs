@@ -4,10 +4,9 @@
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-use crate::engine::channel::Channels;
-use crate::engine::cpu::{
-    Occluders, OutgoingRadiance, Pass, Surface, reflector, resolve, surface_point,
-};
+use crate::engine::channel::{Channels, OutgoingRadiance};
+use crate::engine::constants::EarlyStop;
+use crate::engine::cpu::{Occluders, Pass, Surface, reflector, resolve, surface_point};
 use crate::light::{EnvSampler, Shares, estimate};
 use crate::render::{Frame, Job, Quality};
 use crate::scene::Field;
@@ -27,7 +26,7 @@ pub(super) fn render(
 ) -> Frame {
     let view = job.frame.view;
     let coefficients = job.source.gaussians.width(Field::Visibility);
-    let pass = Pass::forward(&job.source, view, Channels::Full(coefficients), true);
+    let pass = Pass::forward(&job.source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
     let shares = Shares::of(quality.samples, environment);
     let random = ChaCha8Rng::seed_from_u64(quality.seed);
     let light = |(x, y): (usize, usize), surface: &Surface| {
@@ -38,7 +37,7 @@ pub(super) fn render(
         let sum = estimate(
             &reflector(surface),
             environment,
-            surface.indirect.map(f64::from),
+            surface.blocked.map(f64::from),
             shares,
             &mut random,
             |d| f64::from(occluders.transmittance(point, d.to_array().map(|v| v as f32))),

@@ -3,9 +3,7 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::engine::cpu::{AttributeSource, FrameLight as CpuLight, Occluders, Shader};
-use crate::engine::{
-    Device, DeviceError, FrameJob, FrameLight, Frames, RasterCamera, ShadeColour,
-};
+use crate::engine::{Device, DeviceError, FrameJob, FrameLight, Frames, RasterCamera, ShadeColour};
 use crate::light::EnvSampler;
 use crate::render::high::{self, SplitLight};
 use crate::render::{Frame, Output, Quality, Tier, monte_carlo};
@@ -121,7 +119,12 @@ impl Renderer {
             }
             Tier::MonteCarlo => {
                 let sampler = light.sampler.get_or_init(|| EnvSampler::new(light.environment.clone()));
-                monte_carlo::render(&self.job(frame, self.light_on_cpu(light)), sampler, self.occluders(), quality)
+                monte_carlo::render(
+                    &self.job(frame, self.light_on_cpu(light)),
+                    sampler,
+                    self.occluders(),
+                    quality,
+                )
             }
         })
     }

@@ -2,6 +2,7 @@
 
 mod camera;
 mod environment;
+mod field;
 mod gaussians;
 mod image;
 mod model;
@@ -10,7 +11,8 @@ pub use camera::{Camera, CameraError};
 pub use environment::{
     BRIGHTEST, EnvMap, EnvMapError, EnvMapStats, direction_to_uv, texel_directions, uv_to_direction,
 };
-pub use gaussians::{Field, Gaussians, sh_count};
+pub use field::Field;
+pub use gaussians::{Gaussians, sh_count};
 pub use image::{ImageRgba, Plane};
 pub use model::{
     DiffuseForm, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,

@@ -42,7 +42,11 @@ fn bad(field: &str, reason: impl std::fmt::Display) -> TrainError {
 ///
 /// # Errors
 /// When a parameter is not finite.
-pub fn encode(schedule: &ScheduleState, state: &TrainState, config: &TrainConfig) -> Result<Vec<u8>, TrainError> {
+pub fn encode(
+    schedule: &ScheduleState,
+    state: &TrainState,
+    config: &TrainConfig,
+) -> Result<Vec<u8>, TrainError> {
     if let Err(e) = state.model.check() {
         return Err(bad(e.field, e.reason));
     }

@@ -4,9 +4,9 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
+use crate::engine::Photo;
 use crate::light::DAYLIGHT;
 use crate::scene::{Field, Gaussians, Model, softplus_inverse};
-use crate::engine::Photo;
 use crate::train::dataset::Dataset;
 use crate::train::{TrainConfig, materials};
 
@@ -40,7 +40,7 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
         gaussians.row_mut(Field::LogScale, i).fill(spacing.clamp(1e-4, 1.0).ln());
         gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
         gaussians.row_mut(Field::OpacityLogit, i)[0] = logit(OPACITY);
-        gaussians.row_mut(Field::Visibility, i)[0] = crate::engine::cpu::FULLY_OPEN;
+        gaussians.row_mut(Field::Visibility, i)[0] = crate::light::FULLY_OPEN;
         for (s, c) in gaussians.row_mut(Field::Radiance, i).iter_mut().zip(colour) {
             *s = (c - 0.5) / 0.282_094_8;
         }

@@ -128,7 +128,10 @@ mod tests {
     fn the_warm_up_trains_radiance_alone_then_normals_then_everything() {
         let config = TrainConfig::preset(Preset::Draft);
         let at = |step| branches(&config, step);
-        assert_eq!([at(0), at(75), at(375)], [Branches::Radiance, Branches::RadianceAndNormals, Branches::Both]);
+        assert_eq!(
+            [at(0), at(75), at(375)],
+            [Branches::Radiance, Branches::RadianceAndNormals, Branches::Both]
+        );
         let weights = |step| step_weights(&config, at(step), 0.5, true);
         assert_eq!(weights(75).physical, ImageWeights::default());
         assert!(weights(375).physical.l1 > 0.0 && weights(375).radiance.l1 < weights(75).radiance.l1);

@@ -1,8 +1,9 @@
 //! Opacity at its ends, and very many layers on one ray.
 
 use relume::engine::channel::{COVERAGE, Channels};
+use relume::engine::constants::{EarlyStop, TRANSMITTANCE_STOP};
 use relume::engine::cpu::{AttributeSource, Pass, backward_labels};
-use relume::engine::gpu::{AttributeBuffers, CameraUniform, Raster, model::ModelBuffers};
+use relume::engine::gpu::{AttributeBuffers, Raster, ViewUniform, model::ModelBuffers};
 use relume::engine::reference::{Options, Scene, Tables, Tape, forward, losses};
 use relume::engine::{RasterCamera, TRANSMITTANCE_STOP};
 use relume::scene::{Camera, Field, Model};
@@ -77,7 +78,7 @@ fn early_stop_misses_less_weight_than_it_says() {
         let (model, camera) = layered(logit);
         let view = RasterCamera::new(&camera, &model.shading);
         let pass = |early| Pass::forward(&source(&model), view, Channels::Full(9), early);
-        let (whole, stopped) = (pass(false), pass(true));
+        let (whole, stopped) = (pass(EarlyStop::Never), pass(EarlyStop::WhenSaturated));
         let missed = whole.at(0, 0, COVERAGE) - stopped.at(0, 0, COVERAGE);
         assert!((0.0..=MOST_MISSED).contains(&missed), "cpu {logit}: {missed:e}");
         assert!(missed > 0.0 || logit > 0.0, "the control: something is missed at {logit}");
@@ -112,7 +113,7 @@ fn backward_transmittance_is_taken_to_the_end_of_the_ray_whatever_stops_early() 
     let (label, weight) = losses::backward_labels(&pass.weights);
     let (label, weight) = (label.value(), weight.value());
     let view = RasterCamera::new(&camera, &model.shading);
-    let stopped = Pass::forward(&source(&model), view, Channels::Full(9), true);
+    let stopped = Pass::forward(&source(&model), view, Channels::Full(9), EarlyStop::WhenSaturated);
     let found = backward_labels(&stopped);
     let mut by_gaussian = vec![(0.0, 0.0); LAYERS];
     for (splat, l) in stopped.splats.iter().zip(&found) {

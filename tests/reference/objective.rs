@@ -3,6 +3,7 @@
 use glam::DVec3;
 use relume::engine::RasterCamera;
 use relume::engine::channel::Channels;
+use relume::engine::constants::EarlyStop;
 use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, Shader};
 use relume::engine::reference::{Array, Arrays, Options, Scene, Tables, Tape, Target, forward, objective};
 use relume::light::{EnvOperators, TableResolution};
@@ -114,7 +115,7 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
     let source = source.under(shader);
     let channels = Channels::Full(25);
     let count = channels.count();
-    let pass = Pass::forward(&source, RasterCamera::new(camera, &model.shading), channels, false);
+    let pass = Pass::forward(&source, RasterCamera::new(camera, &model.shading), channels, EarlyStop::Never);
     let images = shader.images(&pass, BACKGROUND);
     let target = image::Target::new(SIZE.0 as usize, SIZE.1 as usize, photo.pixels.clone());
     let physical = target.compare(&images.physical, weight("img_mae"), weight("img_dssim"));

@@ -3,6 +3,7 @@
 use glam::DVec3;
 use relume::engine::Gradients;
 use relume::engine::channel::Channels;
+use relume::engine::constants::EarlyStop;
 use relume::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, Shader};
 use relume::engine::reference::{
     Array, Arrays, ENVIRONMENT, Gathered, Options, PROTOTYPES, Probes, Scene, Tables, Tape, Var, forward,
@@ -168,7 +169,7 @@ fn by_cpu(model: &Model, camera: &Camera, gathered: &[[f32; 6]], functional: &Fu
     let shader = Shader { tables: &tables, options: &model.shading, order: 4 };
     let source = source.under(shader);
     let channels = Channels::Full(25);
-    let pass = Pass::forward(&source, RasterCamera::new(camera, &model.shading), channels, false);
+    let pass = Pass::forward(&source, RasterCamera::new(camera, &model.shading), channels, EarlyStop::Never);
     let images = shader.images(&pass, BACKGROUND);
     let by = BranchImages { physical: functional.physical.clone(), radiance: functional.radiance.clone() };
     let count = channels.count();

@@ -3,7 +3,8 @@
 use multiversion::multiversion;
 use rayon::prelude::*;
 
-use crate::engine::adam::{BETA1, BETA2, EPSILON, FieldGroup, StepCounts, StepSizes, share_of_step};
+use crate::engine::adam::{FieldGroup, StepCounts, StepSizes, share_of_step};
+use crate::engine::constants::{ADAM_BETA1 as BETA1, ADAM_BETA2 as BETA2, ADAM_EPSILON as EPSILON};
 use crate::engine::{Gradients, Moments};
 use crate::scene::Model;
 
@@ -12,17 +13,15 @@ const CHUNK: usize = 512;
 
 /// One step: moves `model` and its moments along `gradients`.
 pub fn adam_step(
-model: &mut Model,
-moments: &mut Moments,
-gradients: &Gradients,
-sizes: &StepSizes,
-counts: StepCounts,
+    model: &mut Model,
+    moments: &mut Moments,
+    gradients: &Gradients,
+    sizes: &StepSizes,
+    counts: StepCounts,
 ) {
     let layout = gradients.layout;
     let fields = moments.first.fields_mut().zip(moments.second.fields_mut());
-    for ((field, width, data), ((_, _, first), (_, _, second))) in
-        model.gaussians.fields_mut().zip(fields)
-    {
+    for ((field, width, data), ((_, _, first), (_, _, second))) in model.gaussians.fields_mut().zip(fields) {
         let [correction1, correction2] = counts.corrections(FieldGroup::of(field));
         let rate = sizes.fields[field as usize] / correction1;
         let range = layout.range(field);
@@ -73,4 +72,3 @@ fn adam(m: &mut f32, v: &mut f32, g: f32, rate: f32, correction2: f32) -> f32 {
     *v = BETA2 * *v + (1.0 - BETA2) * g * g;
     rate * *m / (v.sqrt() / correction2 + EPSILON)
 }
-

@@ -3,7 +3,7 @@
 
 use crate::engine::RasterCamera;
 use crate::engine::RowLayout;
-use crate::engine::channel::{self, Channels};
+use crate::engine::channel::{self, Channels, IncidentLight, OutgoingRadiance, RowLight};
 use crate::engine::cpu::project::{
     Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid, sigmoid_slope,
 };
@@ -36,19 +36,24 @@ impl<'a> AttributeSource<'a> {
     #[must_use]
     pub fn under(self, light: Shader<'a>) -> Self {
         match self.options.shade_at {
-            ShadeAt::Gaussian => self.lit(light),
+            ShadeAt::Gaussian => self.shaded(light),
             ShadeAt::Pixel => self,
         }
     }
 
     /// The same shaded at its Gaussians, whatever the model.
     #[must_use]
-    pub fn lit(self, light: Shader<'a>) -> Self {
+    pub fn shaded(self, light: Shader<'a>) -> Self {
         Self { light: Some(light), ..self }
     }
 }
 
 impl AttributeSource<'_> {
+    /// Which light its rows carry.
+    pub fn row_light(&self) -> RowLight {
+        if self.light.is_some() { RowLight::Outgoing } else { RowLight::Incident }
+    }
+
     /// Raw geometry of Gaussian `i`.
     #[inline]
     pub fn geometry(&self, i: usize) -> Geometry {
@@ -79,41 +84,41 @@ impl AttributeSource<'_> {
         }
         row[channel::METAL] = sigmoid(self.gaussians.row(Field::MetalLogit, i)[0]);
         row[channel::ROUGH] = sigmoid(self.gaussians.row(Field::RoughLogit, i)[0]);
-        let lit = self.light.map(|light| light.shade(&self.surface(i, row, to_mean)));
-        if let Some(lit) = &lit {
-            (0..3).for_each(|c| row[channel::LIGHT.start + c] = lit.diffuse[c] + lit.specular[c]);
+        let outgoing = self.light.map(|light| light.shade(&self.surface(i, row, to_mean)).outgoing());
+        if let Some(outgoing) = &outgoing {
+            row[OutgoingRadiance::TOTAL].copy_from_slice(&outgoing.total());
         }
         let Channels::Full(coefficients) = channels else { return };
         row[channel::DEPTH] = splat.depth;
-        match &lit {
-            Some(lit) => row[channel::INDIRECT].copy_from_slice(&lit.specular),
+        match &outgoing {
+            Some(outgoing) => row[OutgoingRadiance::SPECULAR].copy_from_slice(&outgoing.specular),
             None => {
-                let (gathered, indirect) = self.indirect(i);
-                row[channel::LIGHT].copy_from_slice(&gathered);
-                row[channel::INDIRECT].copy_from_slice(&indirect);
+                let incident = self.incident(i);
+                row[IncidentLight::GATHERED].copy_from_slice(&incident.gathered);
+                row[IncidentLight::BLOCKED].copy_from_slice(&incident.blocked);
             }
         }
         row[channel::VISIBILITY..channel::VISIBILITY + coefficients]
             .copy_from_slice(&self.gaussians.row(Field::Visibility, i)[..coefficients]);
     }
 
-    /// Irradiance that Gaussian `i` gathers, and the radiance of directions that are blocked.
-    fn indirect(&self, i: usize) -> ([f32; 3], [f32; 3]) {
-        let (mut gathered, mut indirect) = ([0.0f32; 3], [0.0f32; 3]);
+    /// Light that Gaussian `i` gets from other surfaces.
+    fn incident(&self, i: usize) -> IncidentLight {
+        let mut out = IncidentLight::default();
         match self.options.indirect {
             IndirectForm::Off => {}
             IndirectForm::Learned => {
                 for (w, e) in self.gaussians.row(Field::Indirect, i).iter().zip(self.indirect_basis) {
-                    (0..3).for_each(|c| indirect[c] += w * e[c]);
+                    (0..3).for_each(|c| out.blocked[c] += w * e[c]);
                 }
             }
             IndirectForm::Gathered => {
                 if let Some([r, g, b, blocked @ ..]) = self.gathered.get(i) {
-                    (gathered, indirect) = ([*r, *g, *b], *blocked);
+                    out = IncidentLight { gathered: [*r, *g, *b], blocked: *blocked };
                 }
             }
         }
-        (gathered, indirect)
+        out
     }
 
     /// Gaussian `i`, whose normal and material are in `row`, as a surface seen along `to_mean` (mean minus eye).
@@ -121,7 +126,7 @@ impl AttributeSource<'_> {
         let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| row[r.start + k]);
         let mut visibility = [0.0f32; MAX_COEFFICIENTS];
         visibility.iter_mut().zip(self.gaussians.row(Field::Visibility, i)).for_each(|(v, c)| *v = *c);
-        let (gathered, indirect) = self.indirect(i);
+        let IncidentLight { gathered, blocked } = self.incident(i);
         Surface {
             normal: triple(channel::NORMAL),
             albedo: triple(channel::ALBEDO),
@@ -129,7 +134,7 @@ impl AttributeSource<'_> {
             rough: row[channel::ROUGH],
             sheen: self.gaussians.row(Field::Sheen, i)[0],
             gathered,
-            indirect,
+            blocked,
             visibility,
             view: normalise(to_mean).0.map(|v| -v),
         }
@@ -146,14 +151,16 @@ impl AttributeSource<'_> {
         by_tables: &mut LightTables,
     ) {
         let Some(light) = &self.light else { return };
-        if by_row.len() < channel::LIGHT.end || by_row[channel::LIGHT].iter().all(|g| *g == 0.0) {
+        if by_row.len() < OutgoingRadiance::TOTAL.end
+            || by_row[OutgoingRadiance::TOTAL].iter().all(|g| *g == 0.0)
+        {
             return;
         }
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = self.gaussians.get(Field::Mean, i);
         let to_mean = std::array::from_fn(|k| mean[k] - view.centre[k]);
         let surface = self.surface(i, row, to_mean);
-        let g = std::array::from_fn(|c| by_row[channel::LIGHT.start + c]);
+        let g = std::array::from_fn(|c| by_row[OutgoingRadiance::TOTAL.start + c]);
         let by = light.shade_backward(&surface, &light.shade(&surface), g, by_tables);
         for c in 0..3 {
             by_row[channel::NORMAL.start + c] += by.normal[c];
@@ -161,10 +168,10 @@ impl AttributeSource<'_> {
         }
         by_row[channel::METAL] += by.metal;
         by_row[channel::ROUGH] += by.rough;
-        // The light's own gradient is spent.
-        by_row[channel::SHEEN] = by.sheen;
+        // The gradient by the outgoing radiance has been passed on: its first channel now carries that by sheen.
+        by_row[OutgoingRadiance::SHEEN_GRADIENT] = by.sheen;
         if by_row.len() >= channel::VISIBILITY {
-            (0..3).for_each(|c| by_row[channel::INDIRECT.start + c] += by.indirect[c]);
+            (0..3).for_each(|c| by_row[IncidentLight::BLOCKED.start + c] += by.blocked[c]);
             by_row[channel::VISIBILITY..].iter_mut().zip(&by.visibility).for_each(|(o, g)| *o += g);
         }
         // The direction of view is that of the ray through the splat's place: it moves with nothing else.
@@ -202,15 +209,15 @@ impl AttributeSource<'_> {
                     by_row[channel] * sigmoid_slope(self.gaussians.row(field, i)[0]);
             }
         }
-        if self.options.shade_at == ShadeAt::Gaussian && by_row.len() > channel::SHEEN {
-            out[layout.range(Field::Sheen)][0] += by_row[channel::SHEEN];
+        if self.options.shade_at == ShadeAt::Gaussian && by_row.len() > OutgoingRadiance::SHEEN_GRADIENT {
+            out[layout.range(Field::Sheen)][0] += by_row[OutgoingRadiance::SHEEN_GRADIENT];
         }
         if by_row.len() > channel::DEPTH {
             (0..3).for_each(|c| geometry_gradient.mean[c] += view.rotation[2][c] * by_row[channel::DEPTH]);
         }
         if by_row.len() >= channel::VISIBILITY {
             if self.options.indirect == IndirectForm::Learned {
-                let g = &by_row[channel::INDIRECT];
+                let g = &by_row[IncidentLight::BLOCKED];
                 for (o, e) in out[layout.range(Field::Indirect)].iter_mut().zip(self.indirect_basis) {
                     *o += (0..3).map(|c| g[c] * e[c]).sum::<f32>();
                 }

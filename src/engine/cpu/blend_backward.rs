@@ -12,10 +12,9 @@
 
 use multiversion::multiversion;
 
-use crate::engine::cpu::blend::{BlendScratch, LocalSplat, TileJob, behind_splat, capped, is_saturated};
+use crate::engine::constants::{ALPHA_MAX, TILE};
+use crate::engine::cpu::blend::{BlendScratch, LocalSplat, TileJob, behind_splat, capped, is_finished};
 use crate::engine::cpu::lanes::{LANES, Lanes, totals};
-use crate::engine::cpu::project::ALPHA_MAX;
-use crate::engine::cpu::tiles::TILE;
 
 /// Leading floats of a gradient row: projected mean (2), conic (3), opacity (1), pull (1), then the channels.
 ///
@@ -131,7 +130,7 @@ fn find_entries(job: &TileJob<'_>, is_done: [bool; TILE], scratch: &mut Backward
             rows.transmittance[row] = behind_splat(&transmittance, &alpha);
             rows.count[row] += 1;
             rows.is_done[row] =
-                job.early_stop && is_saturated(rows.count[row] as usize, &rows.transmittance[row]);
+                is_finished(job.early_stop, rows.count[row] as usize, &rows.transmittance[row]);
         }
     }
     scratch.first_entry.push(scratch.entries.len());

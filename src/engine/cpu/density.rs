@@ -1,7 +1,10 @@
 //! Density control on CPU arrays: what a round is planned from, and the rebuilding of the model as planned.
 
+use crate::engine::constants::{HALF_OPACITY_EXPONENT, HALF_SCALE_ACROSS, HALF_SCALE_ALONG};
 use crate::engine::cpu::{rotation, sigmoid};
-use crate::engine::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Positions, SplitOrigin, TrainState};
+use crate::engine::{
+    DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Positions, SplitOrigin, TrainState,
+};
 use crate::scene::{Field, Gaussians};
 
 /// What a round is planned from.
@@ -54,10 +57,10 @@ fn halve(g: &mut Gaussians, i: usize, side: f32) {
         *m += step * q[r][axis];
     }
     for (k, s) in g.row_mut(Field::LogScale, i).iter_mut().enumerate() {
-        *s += if k == axis { 0.55f32.ln() } else { 0.9f32.ln() };
+        *s += if k == axis { HALF_SCALE_ALONG.ln() } else { HALF_SCALE_ACROSS.ln() };
     }
     let opacity = &mut g.row_mut(Field::OpacityLogit, i)[0];
     let o = sigmoid(*opacity);
-    let halved = (1.0 - (1.0 - o).powf(0.7)).clamp(0.01, 0.98);
+    let halved = (1.0 - (1.0 - o).powf(HALF_OPACITY_EXPONENT)).clamp(0.01, 0.98);
     *opacity = (halved / (1.0 - halved)).ln();
 }

@@ -1,10 +1,11 @@
 //! What a training state shows and measures, without a gradient: what decisions on the host are made from.
 
+use crate::engine::channel::Channels;
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::training::environment_radiance;
 use crate::engine::cpu::{
     self, AttributeSource, Pass, Shader, outward_normals, radiance_image, sky_irradiance, training,
 };
-use crate::engine::channel::Channels;
 use crate::engine::step::{Branches, Photo};
 use crate::engine::{RasterCamera, TrainState, indirect_basis};
 use crate::light::EnvOperators;
@@ -31,8 +32,13 @@ pub fn physical_image(
     let order = model.gaussians.visibility_order();
     let shader = Shader { tables: &tables, options: &model.shading, order };
     let source = training::source(state, &basis).under(shader);
-    let channels = branches.channels(&model.gaussians, &model.shading).forward;
-    let pass = Pass::forward(&source, RasterCamera::new(&photo.camera, source.options), channels, true);
+    let channels = branches.channels(&model.gaussians, &model.shading).blended;
+    let pass = Pass::forward(
+        &source,
+        RasterCamera::new(&photo.camera, source.options),
+        channels,
+        EarlyStop::WhenSaturated,
+    );
     shader.images(&pass, background).physical
 }
 
@@ -82,7 +88,12 @@ pub fn irradiance(state: &TrainState, operators: &EnvOperators, normals: &[[f32;
 
 fn colour_pass(state: &TrainState, photo: &Photo) -> Pass {
     let source = source(state);
-    Pass::forward(&source, RasterCamera::new(&photo.camera, source.options), Channels::Colour, true)
+    Pass::forward(
+        &source,
+        RasterCamera::new(&photo.camera, source.options),
+        Channels::Colour,
+        EarlyStop::WhenSaturated,
+    )
 }
 
 fn mean_squared_error(image: &[[f32; 3]], photo: &Photo) -> f32 {

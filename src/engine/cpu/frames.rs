@@ -5,11 +5,11 @@ use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
-use crate::engine::channel::{self, Channels};
-use crate::engine::cpu::resolve::{OutgoingRadiance, resolve};
+use crate::engine::channel::{self, Channels, OutgoingRadiance, RowLight};
+use crate::engine::constants::EarlyStop;
+use crate::engine::cpu::resolve::resolve;
 use crate::engine::cpu::{
-    AttributeSource, Occluders, Pass, Probes, Shader, Surface, Transport, attribute_rows, outward_normals,
-    project_all,
+    AttributeSource, Occluders, Pass, Probes, Shader, Transport, attribute_rows, outward_normals, project_all,
 };
 use crate::engine::{BOUNCES, FrameJob, PROBE_DIRECTIONS, ShadeColour};
 use crate::engine::{Frame, Output, ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
@@ -103,18 +103,19 @@ impl Frames {
 
 /// `rgb` and `alpha` of Gaussians that are shaded once and blended in three channels.
 fn colour(source: &AttributeSource<'_>, view: RasterCamera, shader: &Shader<'_>) -> Frame {
-    let source = &source.lit(*shader);
+    let source = &source.shaded(*shader);
     let splats = project_all(source, &view);
-    let shaded = Channels::Material.stored();
-    let rows = attribute_rows(source, &view, &splats, Channels::Material, shaded);
+    let material = Channels::Material.stored();
+    let rows = attribute_rows(source, &view, &splats, Channels::Material, material);
     let stored = Channels::Colour.stored();
     let mut attributes = vec![0.0f32; splats.len() * stored];
-    let places = attributes.par_chunks_mut(stored).zip(rows.par_chunks(shaded));
+    let places = attributes.par_chunks_mut(stored).zip(rows.par_chunks(material));
     places.with_min_len(64).for_each(|(out, row)| {
         out[channel::COVERAGE] = row[channel::COVERAGE];
-        out[channel::RADIANCE].copy_from_slice(&row[channel::LIGHT]);
+        out[channel::RADIANCE].copy_from_slice(&row[OutgoingRadiance::TOTAL]);
     });
-    let pass = Pass::blend(view, splats, Channels::Colour, attributes, true);
+    let pass =
+        Pass::blend(view, splats, Channels::Colour, RowLight::Outgoing, attributes, EarlyStop::WhenSaturated);
     let pixels = (0..view.width * view.height).map(|i| (i % view.width, i / view.width));
     let rgb = pixels.clone().flat_map(|(x, y)| channel::RADIANCE.map(move |c| (x, y, c)));
     let planes = BTreeMap::from([
@@ -127,21 +128,19 @@ fn colour(source: &AttributeSource<'_>, view: RasterCamera, shader: &Shader<'_>)
 /// Every output of `job`, where the model was trained to be shaded.
 fn standard(source: &AttributeSource<'_>, job: &FrameJob<'_>, shader: &Shader<'_>) -> Frame {
     let coefficients = source.gaussians.width(Field::Visibility);
-    let pass = Pass::forward(&source.under(*shader), job.view, Channels::Full(coefficients), true);
-    resolve(&pass, shader, job.outputs, job.depth_scale, |_, surface| match shader.options.shade_at {
-        ShadeAt::Pixel => shade_in_pixel(shader, surface),
-        ShadeAt::Gaussian => shaded_at_gaussians(surface),
+    let channels = Channels::Full(coefficients);
+    let pass = Pass::forward(&source.under(*shader), job.view, channels, EarlyStop::WhenSaturated);
+    resolve(&pass, shader, job.outputs, job.depth_scale, |at, surface| match shader.options.shade_at {
+        ShadeAt::Pixel => shader.shade(surface).outgoing(),
+        ShadeAt::Gaussian => blended_radiance(&pass, at),
     })
 }
 
-/// A pixel of a pass whose Gaussians were not shaded, from the tables.
-pub fn shade_in_pixel(shader: &Shader<'_>, surface: &Surface) -> OutgoingRadiance {
-    let shaded = shader.shade(surface);
-    OutgoingRadiance { diffuse: shaded.diffuse, specular: shaded.specular }
-}
-
-/// A pixel of a pass whose Gaussians were shaded.
-pub fn shaded_at_gaussians(surface: &Surface) -> OutgoingRadiance {
-    let Surface { gathered: light, indirect: specular, .. } = *surface;
-    OutgoingRadiance { diffuse: std::array::from_fn(|c| light[c] - specular[c]), specular }
+/// Radiance that was blended in pixel (`x`, `y`), of some coverage, of a pass whose Gaussians were shaded before.
+pub fn blended_radiance(pass: &Pass, (x, y): (usize, usize)) -> OutgoingRadiance {
+    let inverse = 1.0 / pass.at(x, y, channel::COVERAGE);
+    let at = |first: usize, c: usize| pass.at(x, y, first + c) * inverse;
+    let specular = std::array::from_fn(|c| at(OutgoingRadiance::SPECULAR.start, c));
+    let diffuse = std::array::from_fn(|c| at(OutgoingRadiance::TOTAL.start, c) - specular[c]);
+    OutgoingRadiance { diffuse, specular }
 }

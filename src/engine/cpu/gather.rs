@@ -2,17 +2,14 @@
 
 use rayon::prelude::*;
 
-use crate::engine::NO_HIT;
+use crate::engine::constants::{LEAST_BLOCKED, NO_HIT};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::probes::Probes;
 use crate::engine::cpu::project::sigmoid;
-use crate::light::LightTables;
+use crate::light::{FULLY_OPEN, LightTables};
 use crate::scene::{Field, VisibilityForm};
 
 type Vec3 = [f32; 3];
-
-/// Blocked share of a direction below which nothing is gathered from it.
-const LEAST_BLOCKED: f32 = 0.02;
 
 /// Which Gaussian each Gaussian sees where it does not see the sky; independent of the light.
 #[derive(Debug, Clone)]
@@ -120,11 +117,7 @@ pub fn sky_irradiance(source: &AttributeSource<'_>, tables: &LightTables, normal
     let mut out = [0.0f32; 3];
     for k in 0..4 {
         for (o, row) in out.iter_mut().zip(tables.diffuse_rows(taps.node[k])) {
-            let e: f32 = if open {
-                row[0] * crate::engine::cpu::FULLY_OPEN
-            } else {
-                row.iter().zip(c).map(|(t, c)| t * c).sum()
-            };
+            let e: f32 = if open { row[0] * FULLY_OPEN } else { row.iter().zip(c).map(|(t, c)| t * c).sum() };
             *o += taps.weight[k] * e;
         }
     }

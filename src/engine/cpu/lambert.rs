@@ -1,7 +1,7 @@
 //! The diffuse term of one surface, a pixel's or a Gaussian's (docs/MODEL.md section 4), forward and backward.
 
-use crate::engine::cpu::shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shader, Surface, SurfaceGradient, dot3};
-use crate::light::{LightTables, Taps, nrsh_factor, sh_eval, sh_eval_with_gradient};
+use crate::engine::cpu::shade::{MAX_COEFFICIENTS, Shader, Surface, SurfaceGradient, dot3};
+use crate::light::{FULLY_OPEN, LightTables, Taps, nrsh_factor, sh_eval, sh_eval_with_gradient};
 use crate::scene::{DiffuseForm, VisibilityForm};
 
 const INV_PI: f32 = std::f32::consts::FRAC_1_PI;

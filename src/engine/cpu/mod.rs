@@ -33,7 +33,7 @@ mod training;
 pub use attributes::{AttributeSource, softmax};
 #[cfg(test)]
 pub use blend_backward::ROW_HEADER;
-pub use frames::{FrameLight, Frames, shade_in_pixel, shaded_at_gaussians};
+pub use frames::{FrameLight, Frames, blended_radiance};
 pub use gather::{Transport, sky_irradiance};
 pub use labels::{BackwardLabel, backward_labels};
 pub use lanes::{LANES, Lanes};
@@ -42,14 +42,13 @@ pub use pass::{Pass, attribute_rows, project_all};
 pub use point::surface_point;
 pub use probes::{Probes, outward_normals};
 pub use project::{
-    ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, rotation_backward,
-    sigmoid, sigmoid_slope,
+    Geometry, Splat, normalise, normalise_backward, rotation, rotation_backward, sigmoid, sigmoid_slope,
 };
 pub use rays::Occluders;
-pub use resolve::{OutgoingRadiance, reflector, resolve};
-pub use shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
+pub use resolve::{reflector, resolve};
+pub use shade::{MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
 pub use shading::{
-    BranchImages, BufferGradient, LEAST_COVERAGE, linear_from_srgb, radiance_image, radiance_image_backward,
-    srgb, srgb_slope, surface_at,
+    BranchImages, BufferGradient, linear_from_srgb, radiance_image, radiance_image_backward, srgb,
+    srgb_slope, surface_at,
 };
 pub use training::Training;

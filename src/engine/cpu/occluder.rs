@@ -2,14 +2,11 @@
 
 use rayon::prelude::*;
 
+use crate::engine::constants::{ALPHA_MAX, ALPHA_MIN, LOG_SCALE_LIMIT, WIDEST};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::lanes::exp_negative;
-use crate::engine::cpu::project::{ALPHA_MAX, ALPHA_MIN, rotation, sigmoid};
-
-/// What lets through less than this lets nothing through.
-pub(super) const OPAQUE: f32 = 1e-3;
-/// A covariance beyond this is no occluder, world units^2.
-pub(super) const WIDEST: f32 = 1e12;
+use crate::engine::cpu::project::{rotation, sigmoid};
+use crate::scene::ShadingOptions;
 
 pub(super) type Vec3 = [f32; 3];
 
@@ -49,7 +46,7 @@ impl Occluder {
     fn new(source: &AttributeSource<'_>, i: usize) -> Self {
         let g = source.geometry(i);
         let q = rotation(g.quaternion);
-        let scale = g.log_scale.map(|s| s.clamp(-60.0, 60.0).exp());
+        let scale = g.log_scale.map(|s| s.clamp(-LOG_SCALE_LIMIT, LOG_SCALE_LIMIT).exp());
         let axes = std::array::from_fn(|k| std::array::from_fn(|r| q[r][k] * scale[k]));
         let opacity = if g.is_usable() { sigmoid(g.opacity_logit) } else { 0.0 };
         Self { mean: g.mean, axes, opacity, reach: (opacity / ALPHA_MIN).ln() }

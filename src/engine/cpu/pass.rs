@@ -1,17 +1,18 @@
 //! One rasterisation: project, sort, bin and blend; and the way back to the parameters.
 
+use crate::engine::RasterCamera;
 use rayon::prelude::*;
 
-use crate::engine::RasterCamera;
-use crate::engine::channel::{self, Channels};
+use crate::engine::channel::{self, Channels, IncidentLight, RowLight};
+use crate::engine::constants::{EarlyStop, TILE};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::blend::{BlendScratch, TileJob, blend_tile};
 use crate::engine::cpu::blend_backward::{BackwardScratch, ROW_HEADER, blend_tile_backward};
-use crate::engine::indirect_basis_backward;
 use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::mixture::MixtureScratch;
 use crate::engine::cpu::project::{Splat, SplatGradient, project, project_backward, rotation_backward};
-use crate::engine::cpu::tiles::{TILE, TileLists};
+use crate::engine::cpu::tiles::TileLists;
+use crate::engine::indirect_basis_backward;
 use crate::engine::{Gradients, RowLayout, zeros};
 use crate::light::LightTables;
 use crate::scene::{Field, IndirectForm};
@@ -32,11 +33,13 @@ pub struct Pass {
     pub tiles: TileLists,
     /// Channels carried.
     pub channels: Channels,
+    /// Light carried, where there are channels for it.
+    pub light: RowLight,
     /// Attribute rows by rank, `channels.stored()` floats each.
     pub attributes: Vec<f32>,
     /// `[tile][row][channel][lane]`.
     pub gbuffer: Vec<f32>,
-    early_stop: bool,
+    early_stop: EarlyStop,
 }
 
 impl Pass {
@@ -45,12 +48,12 @@ impl Pass {
         source: &AttributeSource<'_>,
         view: RasterCamera,
         channels: Channels,
-        early_stop: bool,
+        early_stop: EarlyStop,
     ) -> Self {
         let splats = project_all(source, &view);
         let stored = channels.stored();
         let attributes = attribute_rows(source, &view, &splats, channels, stored);
-        Self::blend(view, splats, channels, attributes, early_stop)
+        Self::blend(view, splats, channels, source.row_light(), attributes, early_stop)
     }
 
     /// Blends given attribute rows; for callers that make their own, such as the preview tier.
@@ -58,8 +61,9 @@ impl Pass {
         view: RasterCamera,
         splats: Vec<Splat>,
         channels: Channels,
+        light: RowLight,
         attributes: Vec<f32>,
-        early_stop: bool,
+        early_stop: EarlyStop,
     ) -> Self {
         let tiles = TileLists::new(view.width, view.height, &splats);
         let stored = channels.stored();
@@ -77,7 +81,7 @@ impl Pass {
                 blend_tile(&job, scratch, out);
             },
         );
-        Self { view, splats, tiles, channels, attributes, gbuffer, early_stop }
+        Self { view, splats, tiles, channels, light, attributes, gbuffer, early_stop }
     }
 
     /// Index of channel 0 of pixel (`x`, `y`) in a buffer of `stored` channels; channels are a strip (16 floats) apart.
@@ -222,15 +226,15 @@ impl Pass {
         width: usize,
         by_tables: &mut LightTables,
     ) {
-        let indirect = ROW_HEADER + channel::INDIRECT.start..ROW_HEADER + channel::INDIRECT.end;
-        if source.options.indirect != IndirectForm::Learned || width < indirect.end {
+        let blocked = ROW_HEADER + IncidentLight::BLOCKED.start..ROW_HEADER + IncidentLight::BLOCKED.end;
+        if source.options.indirect != IndirectForm::Learned || width < blocked.end {
             return;
         }
         let mut by_basis = [[0.0f32; 3]; 16];
         for (splat, row) in self.splats.iter().zip(summed.chunks_exact(width)) {
             let weights = source.gaussians.row(Field::Indirect, splat.gaussian as usize);
             for (o, w) in by_basis.iter_mut().zip(weights) {
-                o.iter_mut().zip(&row[indirect.clone()]).for_each(|(o, g)| *o += w * g);
+                o.iter_mut().zip(&row[blocked.clone()]).for_each(|(o, g)| *o += w * g);
             }
         }
         indirect_basis_backward(&by_basis, by_tables);

@@ -1,9 +1,9 @@
 //! Where in the world the surface is that a pixel sees.
 
 use crate::engine::channel;
+use crate::engine::constants::{ALPHA_MAX, TILE};
 use crate::engine::cpu::pass::Pass;
-use crate::engine::cpu::project::{ALPHA_MAX, Splat};
-use crate::engine::cpu::tiles::TILE;
+use crate::engine::cpu::project::Splat;
 
 /// How far a Gaussian's plane may lead from its centre's depth, relative: what leads further is seen edge-on.
 const FARTHEST: f32 = 0.05;

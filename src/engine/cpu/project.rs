@@ -5,6 +5,9 @@
 //! `l (xx + yy) + l^2`, a sum of positive terms.
 
 use crate::engine::RasterCamera;
+use crate::engine::constants::{
+    ALPHA_MIN, FAR, FARTHEST_PIXEL, LARGEST_VARIANCE, LEAST_DETERMINANT, LOG_SCALE_LIMIT, NEAR,
+};
 
 /// A projected Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -67,19 +70,6 @@ pub struct GeometryGradient {
 }
 
 type Mat3 = [[f32; 3]; 3];
-
-/// Nearest camera depth that is drawn, world units.
-pub const NEAR: f32 = 0.05;
-/// Farthest camera depth that is drawn: its cube is still finite in f32.
-const FAR: f32 = 1e12;
-/// Farthest a projected mean may lie from the image's corner, pixels.
-const FARTHEST_PIXEL: f32 = 1e12;
-/// Largest variance of a splat on screen, px^2: its square is still finite in f32.
-const LARGEST_VARIANCE: f32 = 1e18;
-/// Alpha below this is treated as nothing.
-pub const ALPHA_MIN: f32 = 1.0 / 255.0;
-/// Alpha is capped here.
-pub const ALPHA_MAX: f32 = 0.99;
 
 /// `1 / (1 + e^-x)`.
 #[inline]
@@ -192,7 +182,7 @@ fn prepare(view: &RasterCamera, g: &Geometry) -> Option<Projection> {
         std::array::from_fn(|c| (0..3).map(|k| jacobian[r][k] * view.rotation[k][c]).sum())
     });
     let rotation = rotation(g.quaternion);
-    let scale = g.log_scale.map(|s| s.clamp(-60.0, 60.0).exp());
+    let scale = g.log_scale.map(|s| s.clamp(-LOG_SCALE_LIMIT, LOG_SCALE_LIMIT).exp());
     let axes: Mat3 = std::array::from_fn(|r| std::array::from_fn(|c| rotation[r][c] * scale[c]));
     // The scale comes last: nothing cancels between axes of different length.
     let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
@@ -214,7 +204,7 @@ pub fn project(view: &RasterCamera, index: u32, g: &Geometry) -> Option<Splat> {
     let (raw, raw_determinant, low_pass) = (p.raw, p.raw_determinant, view.low_pass);
     let covariance = [raw[0] + low_pass, raw[1], raw[2] + low_pass];
     let determinant = blurred_determinant(&p, low_pass);
-    if !(determinant > 1e-12) {
+    if !(determinant > LEAST_DETERMINANT) {
         return None;
     }
     let conic = [covariance[2], -covariance[1], covariance[0]].map(|v| v / determinant);
@@ -309,7 +299,7 @@ fn screen_backward(
     let (determinant, low_pass) = (blurred_determinant(p, view.low_pass), view.low_pass);
     let adjugate = [cross(&p.screen[1], &p.area), cross(&p.area, &p.screen[0])];
     // Below, its root no longer has a slope that f32 can hold.
-    let has_slope = view.low_pass_compensation && p.raw_determinant > 1e-12;
+    let has_slope = view.low_pass_compensation && p.raw_determinant > LEAST_DETERMINANT;
     let factor = if has_slope { s.compensation * by_compensation } else { 0.0 };
     let mut by_screen = [[0.0f32; 3]; 2];
     for k in 0..3 {

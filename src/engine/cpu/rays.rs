@@ -4,8 +4,9 @@
 //! the ray's line, which is its shadow on the plane across the ray: the same number as the probes' orthographic view.
 
 use crate::engine::ProbeSettings;
+use crate::engine::constants::{OPAQUE, WIDEST};
 use crate::engine::cpu::attributes::AttributeSource;
-use crate::engine::cpu::occluder::{OPAQUE, Occluder, Vec3, WIDEST, dot, occluders, plane_basis, sliver};
+use crate::engine::cpu::occluder::{Occluder, Vec3, dot, occluders, plane_basis, sliver};
 
 /// Gaussians a leaf may have.
 const LEAF: usize = 4;

@@ -5,19 +5,11 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::engine::channel;
-use crate::engine::cpu::{LEAST_COVERAGE, Pass, Shader, Surface, linear_from_srgb, normalise, surface_at};
+use crate::engine::channel::{self, OutgoingRadiance};
+use crate::engine::constants::LEAST_COVERAGE;
+use crate::engine::cpu::{Pass, Shader, Surface, linear_from_srgb, normalise, surface_at};
 use crate::engine::{Frame, Output};
 use crate::light::Reflector;
-
-/// Radiance that a surface sends to the camera.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct OutgoingRadiance {
-    /// Diffuse part.
-    pub diffuse: [f32; 3],
-    /// Specular part.
-    pub specular: [f32; 3],
-}
 
 /// Turns a G-buffer into the planes asked for. `light` shades the surface in pixel (x, y), and is only asked where
 /// some output shows light.
@@ -57,8 +49,8 @@ fn write_pixel(
     out: &mut [f32],
 ) {
     let surface = surface_at(pass, x, y);
-    let shows_light = outputs.iter().any(|o| matches!(o, Output::Rgb | Output::Diffuse | Output::Specular));
-    let shaded = surface.as_ref().filter(|_| shows_light).map(|(s, coverage)| (light((x, y), s), *coverage));
+    let is_shaded = outputs.iter().any(|o| matches!(o, Output::Rgb | Output::Diffuse | Output::Specular));
+    let shaded = surface.as_ref().filter(|_| is_shaded).map(|(s, coverage)| (light((x, y), s), *coverage));
     let mut first = 0;
     for output in outputs {
         let target = &mut out[first..first + output.channels()];

@@ -1,18 +1,18 @@
 //! Shading of one surface (docs/MODEL.md section 4), forward and backward: the specular term here, the diffuse one in
 //! `lambert`.
 
+use crate::engine::channel::OutgoingRadiance;
+use crate::engine::constants::LEAST_NOV;
 use crate::engine::cpu::lambert::Lambert;
 use crate::engine::cpu::project::{normalise, normalise_backward};
 use crate::light::{
-    BrdfLut, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Sheen, Taps, level_position, sh_eval,
-    sh_eval_with_gradient,
+    BrdfLut, DIELECTRIC_F0, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Sheen, Taps,
+    level_position, sh_eval, sh_eval_with_gradient,
 };
 use crate::scene::{ShadingOptions, VisibilityForm};
 
 /// Most visibility coefficients (order 6, padded).
 pub const MAX_COEFFICIENTS: usize = 64;
-/// `c_00` of a field that is 1 everywhere.
-pub const FULLY_OPEN: f32 = 3.544_907_7;
 
 /// What a pixel or a Gaussian is shaded from; a pixel's attributes are already divided by coverage.
 #[derive(Debug, Clone, Copy)]
@@ -29,8 +29,8 @@ pub struct Surface {
     pub sheen: f32,
     /// Irradiance gathered from other surfaces.
     pub gathered: [f32; 3],
-    /// Radiance where the environment is blocked.
-    pub indirect: [f32; 3],
+    /// Radiance from where the environment is blocked.
+    pub blocked: [f32; 3],
     /// Visibility coefficients, zero-padded.
     pub visibility: [f32; MAX_COEFFICIENTS],
     /// Unit direction from the surface to the camera.
@@ -50,8 +50,8 @@ pub struct SurfaceGradient {
     pub rough: f32,
     /// By sheen.
     pub sheen: f32,
-    /// By indirect radiance.
-    pub indirect: [f32; 3],
+    /// By the radiance from where the environment is blocked.
+    pub blocked: [f32; 3],
     /// By gathered irradiance.
     pub gathered: [f32; 3],
     /// By visibility coefficients.
@@ -68,7 +68,7 @@ impl SurfaceGradient {
             metal: 0.0,
             rough: 0.0,
             sheen: 0.0,
-            indirect: [0.0; 3],
+            blocked: [0.0; 3],
             gathered: [0.0; 3],
             visibility: [0.0; MAX_COEFFICIENTS],
             view: [0.0; 3],
@@ -116,6 +116,13 @@ pub(super) fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+impl Shaded {
+    /// What leaves for the camera.
+    pub fn outgoing(&self) -> OutgoingRadiance {
+        OutgoingRadiance { diffuse: self.diffuse, specular: self.specular }
+    }
+}
+
 impl Shader<'_> {
     pub(super) fn squash(&self, x: f32) -> f32 {
         match self.options.visibility {
@@ -143,7 +150,7 @@ impl Shader<'_> {
             normal = normal.map(|v| -v);
         }
         let nov_raw = facing.abs();
-        let nov = nov_raw.clamp(1e-4, 1.0);
+        let nov = nov_raw.clamp(LEAST_NOV, 1.0);
         let bent = std::array::from_fn(|k| 2.0 * nov * normal[k] - s.view[k]);
         let (reflection, reflection_length) = normalise(bent);
         let lambert = self.lambert(s, normal);
@@ -165,8 +172,8 @@ impl Shader<'_> {
         let (visible, visible_raw) = self.visible(s, reflection);
         let lut = BrdfLut::shared().sample(nov, s.rough);
         let specular = std::array::from_fn(|c| {
-            let f0 = 0.04 * (1.0 - s.metal) + s.albedo[c] * s.metal;
-            let light = visible * prefiltered[c] + (1.0 - visible) * s.indirect[c];
+            let f0 = DIELECTRIC_F0 * (1.0 - s.metal) + s.albedo[c] * s.metal;
+            let light = visible * prefiltered[c] + (1.0 - visible) * s.blocked[c];
             light * (f0 * lut.value[0] + lut.value[1])
         });
         Shaded {
@@ -177,7 +184,7 @@ impl Shader<'_> {
             normal_length,
             flipped,
             nov,
-            nov_inside: nov_raw > 1e-4 && nov_raw < 1.0,
+            nov_inside: nov_raw > LEAST_NOV && nov_raw < 1.0,
             reflection,
             reflection_length,
             lambert,
@@ -265,18 +272,18 @@ impl Shader<'_> {
         let (mut by_nov, mut by_visible) = (0.0, 0.0);
         let mut by_level = [[0.0f32; 3]; 2];
         for c in 0..3 {
-            let f0 = 0.04 * (1.0 - s.metal) + s.albedo[c] * s.metal;
+            let f0 = DIELECTRIC_F0 * (1.0 - s.metal) + s.albedo[c] * s.metal;
             let reflectance = f0 * f.lut.value[0] + f.lut.value[1];
-            let light = f.visible * f.prefiltered[c] + (1.0 - f.visible) * s.indirect[c];
+            let light = f.visible * f.prefiltered[c] + (1.0 - f.visible) * s.blocked[c];
             let by_light = g[c] * reflectance;
             let by_reflectance = g[c] * light;
             let by_f0 = by_reflectance * f.lut.value[0];
             out.albedo[c] += by_f0 * s.metal;
-            out.metal += by_f0 * (s.albedo[c] - 0.04);
+            out.metal += by_f0 * (s.albedo[c] - DIELECTRIC_F0);
             by_nov += by_reflectance * (f0 * f.lut.by_nov[0] + f.lut.by_nov[1]);
             out.rough += by_reflectance * (f0 * f.lut.by_roughness[0] + f.lut.by_roughness[1]);
-            by_visible += by_light * (f.prefiltered[c] - s.indirect[c]);
-            out.indirect[c] = by_light * (1.0 - f.visible);
+            by_visible += by_light * (f.prefiltered[c] - s.blocked[c]);
+            out.blocked[c] = by_light * (1.0 - f.visible);
             let by_prefiltered = by_light * f.visible;
             by_level[0][c] = by_prefiltered * (1.0 - fraction);
             by_level[1][c] = by_prefiltered * fraction;

@@ -2,18 +2,15 @@
 
 use rayon::prelude::*;
 
-use crate::engine::channel::{self, Channels};
+use crate::engine::channel::{self, Channels, IncidentLight, OutgoingRadiance, RowLight};
+use crate::engine::constants::{LEAST_COVERAGE, TILE};
 use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::pass::Pass;
 use crate::engine::cpu::project::normalise;
 use crate::engine::cpu::shade::{MAX_COEFFICIENTS, Shader, Surface};
-use crate::engine::cpu::tiles::TILE;
 use crate::engine::zeros;
 use crate::light::LightTables;
 use crate::scene::{ShadeAt, sh_count};
-
-/// Pixels of less coverage are not shaded.
-pub const LEAST_COVERAGE: f32 = 1e-3;
 
 /// Both branches of a view, composited over the background, row-major.
 #[derive(Debug, Clone, Default)]
@@ -57,7 +54,8 @@ pub fn srgb_slope(x: f32) -> f32 {
     if x <= 0.003_130_8 { 12.92 } else { 1.055 / 2.4 * x.powf(1.0 / 2.4 - 1.0) }
 }
 
-/// The surface seen by pixel (`x`, `y`) of an unlit pass, or `None` where coverage is too small to shade.
+/// The surface seen by pixel (`x`, `y`) and its coverage, or `None` where that is too small to shade. A pass whose Gaussians
+/// were shaded before they were blended has no incident light in the pixel.
 pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
     let base = pass.locate(x, y, pass.channels.stored());
     let at = |c: usize| pass.gbuffer[base + c * LANES];
@@ -73,6 +71,13 @@ pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
             *v = at(channel::VISIBILITY + j) * inverse;
         }
     }
+    let incident = match pass.light {
+        RowLight::Incident => IncidentLight {
+            gathered: triple(IncidentLight::GATHERED),
+            blocked: triple(IncidentLight::BLOCKED),
+        },
+        RowLight::Outgoing => IncidentLight::default(),
+    };
     let (ray, _) = normalise(pass.view.ray(x, y));
     let surface = Surface {
         normal: triple(channel::NORMAL),
@@ -80,18 +85,18 @@ pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
         metal: at(channel::METAL) * inverse,
         rough: at(channel::ROUGH) * inverse,
         sheen: 0.0,
-        gathered: triple(channel::LIGHT),
-        indirect: triple(channel::INDIRECT),
+        gathered: incident.gathered,
+        blocked: incident.blocked,
         visibility,
         view: ray.map(|v| -v),
     };
     Some((surface, coverage))
 }
 
-/// The light that was blended behind pixel (`x`, `y`) of a lit pass, or `None` where coverage is too small.
-fn blended_light(pass: &Pass, x: usize, y: usize) -> Option<[f32; 3]> {
+/// Radiance blended in pixel (`x`, `y`) of a pass whose Gaussians were shaded before, or `None` where coverage is too small.
+fn blended_radiance(pass: &Pass, x: usize, y: usize) -> Option<[f32; 3]> {
     let coverage = pass.at(x, y, channel::COVERAGE);
-    let light = || std::array::from_fn(|c| pass.at(x, y, channel::LIGHT.start + c) / coverage);
+    let light = || std::array::from_fn(|c| pass.at(x, y, OutgoingRadiance::TOTAL.start + c) / coverage);
     (coverage >= LEAST_COVERAGE).then(light)
 }
 
@@ -99,11 +104,10 @@ impl Shader<'_> {
     /// Linear radiance of a pixel, or `None` where coverage is too small to shade.
     fn light_at(&self, pass: &Pass, x: usize, y: usize) -> Option<[f32; 3]> {
         if self.options.shade_at == ShadeAt::Gaussian {
-            return blended_light(pass, x, y);
+            return blended_radiance(pass, x, y);
         }
         let (surface, _) = surface_at(pass, x, y)?;
-        let shaded = self.shade(&surface);
-        Some(std::array::from_fn(|c| shaded.diffuse[c] + shaded.specular[c]))
+        Some(self.shade(&surface).outgoing().total())
     }
 
     /// Linear radiance to display, per channel.
@@ -219,14 +223,14 @@ impl Shader<'_> {
         g: [f32; 3],
         out: &mut PixelGradient<'_>,
     ) -> f32 {
-        let Some(light) = blended_light(pass, x, y) else { return 0.0 };
+        let Some(light) = blended_radiance(pass, x, y) else { return 0.0 };
         let coverage = pass.at(x, y, channel::COVERAGE);
         let mut by_coverage = 0.0;
         for c in 0..3 {
             // Light is a buffer divided by coverage, and the coverage it is multiplied by again is inside of `g`.
             let by_light = self.display_backward(light[c], g[c] * coverage);
             by_coverage += g[c] * self.display(light[c]) - by_light * light[c] / coverage;
-            out.add(channel::LIGHT.start + c, by_light / coverage);
+            out.add(OutgoingRadiance::TOTAL.start + c, by_light / coverage);
         }
         by_coverage
     }
@@ -257,7 +261,7 @@ impl Shader<'_> {
             along += by.normal[k] * surface.normal[k]
                 + by.albedo[k] * surface.albedo[k]
                 + by.gathered[k] * surface.gathered[k]
-                + by.indirect[k] * surface.indirect[k];
+                + by.blocked[k] * surface.blocked[k];
         }
         along += by.metal * surface.metal + by.rough * surface.rough;
         for j in 0..sh_count(self.order) {
@@ -267,9 +271,9 @@ impl Shader<'_> {
         out.add_triple(channel::ALBEDO, by.albedo.map(|v| v * inverse));
         out.add(channel::METAL, by.metal * inverse);
         out.add(channel::ROUGH, by.rough * inverse);
-        out.add_triple(channel::LIGHT, by.gathered.map(|v| v * inverse));
+        out.add_triple(IncidentLight::GATHERED, by.gathered.map(|v| v * inverse));
         if out.count > channel::VISIBILITY {
-            out.add_triple(channel::INDIRECT, by.indirect.map(|v| v * inverse));
+            out.add_triple(IncidentLight::BLOCKED, by.blocked.map(|v| v * inverse));
             for j in 0..out.count - channel::VISIBILITY {
                 out.add(channel::VISIBILITY + j, by.visibility[j] * inverse);
             }

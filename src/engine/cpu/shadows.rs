@@ -5,12 +5,12 @@
 //! Tried and lost, by CPU time of a training that measures often: lists walked one shadow at a time (twice), as many cells
 //! as Gaussians (a third more: the time goes into filling them).
 
+use crate::engine::ProbeSettings;
 use multiversion::multiversion;
 
+use crate::engine::constants::{ALPHA_MAX, NO_HIT, OPAQUE};
 use crate::engine::cpu::lanes::{LANES, Lanes, exp_negative};
-use crate::engine::cpu::occluder::{Footprint, OPAQUE, Occluder, Vec3, dot, plane_basis};
-use crate::engine::cpu::project::ALPHA_MAX;
-use crate::engine::{NO_HIT, ProbeSettings};
+use crate::engine::cpu::occluder::{Footprint, Occluder, Vec3, dot, plane_basis};
 
 /// Gaussians there are for each cell of the grid.
 const PER_CELL: usize = 4;

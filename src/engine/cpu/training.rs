@@ -3,12 +3,13 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::adam::adam_step;
 use crate::engine::cpu::objective::image::Target;
 use crate::engine::cpu::objective::{aggregation, geometry, parameters};
 use crate::engine::cpu::{
-    AttributeSource, BranchImages, BufferGradient, Pass, Probes, Shader, Transport, density,
-    outward_normals, radiance_image, radiance_image_backward,
+    AttributeSource, BranchImages, BufferGradient, Pass, Probes, Shader, Transport, density, outward_normals,
+    radiance_image, radiance_image_backward,
 };
 use crate::engine::density::{DensityPlan, DensitySignals, Positions};
 use crate::engine::step::{FieldUpdate, ProbeMeasurement, Step, StepSums};
@@ -134,9 +135,9 @@ impl training::Training for Training {
 fn radiance_branch(step: &Step<'_>, state: &TrainState) -> Outcome {
     let (photo, w) = (step.photo, &step.weights);
     let source = source(state, &NO_BASIS);
-    let channels = step.branches.channels(source.gaussians, source.options).backward;
+    let channels = step.branches.channels(source.gaussians, source.options).differentiated;
     let view = RasterCamera::new(&photo.camera, source.options);
-    let pass = Pass::forward(&source, view, channels, true);
+    let pass = Pass::forward(&source, view, channels, EarlyStop::WhenSaturated);
     let image = radiance_image(&pass, step.background);
     let target = Target::new(view.width, view.height, photo.pixels.clone());
     let fit = target.compare(&image, w.radiance);
@@ -162,7 +163,7 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
     let source = source(state, &basis).under(shader);
     let view = RasterCamera::new(&photo.camera, source.options);
     let channels = step.branches.channels(&model.gaussians, &model.shading);
-    let pass = Pass::forward(&source, view, channels.forward, true);
+    let pass = Pass::forward(&source, view, channels.blended, EarlyStop::WhenSaturated);
     let images = shader.images(&pass, step.background);
     let target = Target::new(view.width, view.height, photo.pixels.clone());
     let (physical, plain) = rayon::join(
@@ -173,7 +174,7 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
     let mut by_buffers = vec![BufferGradient::default(); photo.pixels.len()];
     loss += surface_terms(step, &pass, &mut by_buffers);
     let by_images = BranchImages { physical: physical.gradient, radiance: plain.gradient };
-    let count = channels.backward.count();
+    let count = channels.differentiated.count();
     let (by_gbuffer, mut by_tables) =
         shader.images_backward(&pass, step.background, &by_images, &by_buffers, count);
     let mut gradients =

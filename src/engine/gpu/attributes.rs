@@ -20,7 +20,7 @@ pub struct AttributeBuffers<'a> {
 }
 
 /// `indirect_form` of the layout that reads `indirect_basis`.
-pub(super) const LEARNED: u32 = 1;
+pub(super) const LEARNED: u32 = crate::engine::gpu::kernel_constants::INDIRECT_LEARNED;
 
 impl Raster {
     /// Fills [`Raster::attributes`] for the splats of the prepared view.

@@ -11,6 +11,7 @@ pub mod develop;
 mod device;
 mod error;
 pub mod gather;
+mod kernel_constants;
 pub mod light;
 pub mod losses;
 pub mod model;

@@ -3,6 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::engine::RowLayout;
+use crate::engine::gpu::kernel_constants as codes;
 use crate::engine::gpu::{Buffer, Gpu, GpuError};
 use crate::scene::{
     DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
@@ -64,26 +65,26 @@ impl LayoutUniform {
             indirect: at(Field::Indirect),
             radiance: at(Field::Radiance),
             normal_form: match options.normal {
-                NormalForm::Free => 0,
-                NormalForm::ShortestAxis => 1,
+                NormalForm::Free => codes::NORMAL_FREE,
+                NormalForm::ShortestAxis => codes::NORMAL_SHORTEST_AXIS,
             },
             indirect_form: match options.indirect {
-                IndirectForm::Off => 0,
-                IndirectForm::Learned => 1,
-                IndirectForm::Gathered => 2,
+                IndirectForm::Off => codes::INDIRECT_OFF,
+                IndirectForm::Learned => codes::INDIRECT_LEARNED,
+                IndirectForm::Gathered => codes::INDIRECT_GATHERED,
             },
             visibility_form: match options.visibility {
-                VisibilityForm::Off => 0,
-                VisibilityForm::Linear => 1,
-                VisibilityForm::Sigmoid => 2,
+                VisibilityForm::Off => codes::VISIBILITY_OFF,
+                VisibilityForm::Linear => codes::VISIBILITY_LINEAR,
+                VisibilityForm::Sigmoid => codes::VISIBILITY_SIGMOID,
             },
             diffuse_form: match options.diffuse {
-                DiffuseForm::AmbientOcclusion => 0,
-                DiffuseForm::Directional => 1,
+                DiffuseForm::AmbientOcclusion => codes::DIFFUSE_AMBIENT_OCCLUSION,
+                DiffuseForm::Directional => codes::DIFFUSE_DIRECTIONAL,
             },
             shade_at: match options.shade_at {
-                ShadeAt::Pixel => 0,
-                ShadeAt::Gaussian => 1,
+                ShadeAt::Pixel => codes::SHADE_AT_PIXEL,
+                ShadeAt::Gaussian => codes::SHADE_AT_GAUSSIAN,
             },
             pad_0: 0,
             pad_1: 0,

@@ -97,7 +97,7 @@ pub struct ProbeBuffers {
     pub normals: Buffer<[f32; 4]>,
     /// `[direction][Gaussian]`: transmittance towards the direction, 0..=1.
     pub transmittance: Buffer<f32>,
-    /// `[direction][Gaussian]`: the Gaussian that takes most of the rest, or [`crate::engine::NO_HIT`].
+    /// `[direction][Gaussian]`: the Gaussian that takes most of the rest, or [`NO_HIT`](crate::engine::constants::NO_HIT).
     pub hit: Buffer<u32>,
     /// `[Gaussian][coefficient]`: `4 pi / D sum_d V Y`.
     pub coefficients: Buffer<f32>,

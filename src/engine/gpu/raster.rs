@@ -19,13 +19,12 @@ mod light;
 #[cfg(test)]
 mod tests;
 
-/// A pixel whose transmittance is below this is left early (as [`crate::engine::TRANSMITTANCE_STOP`]).
-const EARLY_STOP: f32 = crate::engine::TRANSMITTANCE_STOP;
+/// A pixel whose transmittance is below this is left early (as [`crate::engine::constants::TRANSMITTANCE_STOP`]).
+const EARLY_STOP: f32 = crate::engine::constants::TRANSMITTANCE_STOP;
 /// Where blending ends without early stop: what lies behind adds less than the last digit of anything, and
 /// transmittances can still be recovered by division.
 const LATE_STOP: f32 = 1e-30;
-/// Floats of a splat gradient row in front of the channels: mean x, y, conic xx, xy, yy, opacity, two unused.
-pub const GRADIENT_HEADER: usize = 8;
+pub use crate::engine::gpu::kernel_constants::GRADIENT_HEADER;
 
 /// Four words of a dispatch: counts, flags or bits of floats, as each shader names them.
 #[repr(C)]

@@ -3,6 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::engine::channel::Channels;
+use crate::engine::gpu::kernel_constants as codes;
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::shaders::{self, Shader};
@@ -35,17 +36,17 @@ impl ShadingUniform {
         Self {
             background: [r, g, b, 0.0],
             visibility_form: match options.visibility {
-                VisibilityForm::Off => 0,
-                VisibilityForm::Linear => 1,
-                VisibilityForm::Sigmoid => 2,
+                VisibilityForm::Off => codes::VISIBILITY_OFF,
+                VisibilityForm::Linear => codes::VISIBILITY_LINEAR,
+                VisibilityForm::Sigmoid => codes::VISIBILITY_SIGMOID,
             },
             diffuse_form: match options.diffuse {
-                DiffuseForm::AmbientOcclusion => 0,
-                DiffuseForm::Directional => 1,
+                DiffuseForm::AmbientOcclusion => codes::DIFFUSE_AMBIENT_OCCLUSION,
+                DiffuseForm::Directional => codes::DIFFUSE_DIRECTIONAL,
             },
             shade_at: match options.shade_at {
-                ShadeAt::Pixel => 0,
-                ShadeAt::Gaussian => 1,
+                ShadeAt::Pixel => codes::SHADE_AT_PIXEL,
+                ShadeAt::Gaussian => codes::SHADE_AT_GAUSSIAN,
             },
             srgb: u32::from(options.srgb),
         }

@@ -6,14 +6,13 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::engine::constants::{ADAM_BETA1, ADAM_BETA2};
 use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::{
     Buffer, CameraUniform, Gpu, GpuError, Groups, Recorder, SplatRecord, shaders, uniform,
 };
 use crate::scene::Field;
 
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.999;
 /// Radiance coefficients beyond the first take this share of the field's step size.
 const REST_OF_RADIANCE: f32 = 0.05;
 /// Slot of `UpdateUniform::rates` for them.
@@ -44,7 +43,7 @@ pub struct Ages {
 /// Adam's bias corrections: of the first moment, and the root of that of the second.
 fn corrections(age: u32) -> [f32; 2] {
     let correction = |beta: f32| 1.0 - beta.powi(age.clamp(1, 100_000) as i32);
-    [correction(BETA1), correction(BETA2).sqrt()]
+    [correction(ADAM_BETA1), correction(ADAM_BETA2).sqrt()]
 }
 
 /// Weights of the terms on the parameters (docs/MODEL.md section 5); 0 is off.
@@ -147,8 +146,7 @@ pub struct StepInput<'a> {
     pub terms: ParameterTerms,
 }
 
-/// Words of the status buffer.
-pub const STATUS_WORDS: usize = 4;
+pub use crate::engine::gpu::kernel_constants::STATUS_WORDS;
 
 /// The kernels with the little memory of their own.
 #[derive(Debug, Clone)]

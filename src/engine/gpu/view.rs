@@ -5,7 +5,7 @@ use bytemuck::{Pod, Zeroable};
 use crate::engine::RasterCamera;
 
 /// Side of a tile, pixels.
-pub const TILE: u32 = 16;
+pub const TILE: u32 = crate::engine::constants::TILE as u32;
 
 /// `View` of `shaders/shared/view.wgsl`.
 #[repr(C)]

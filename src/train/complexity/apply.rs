@@ -1,7 +1,8 @@
 //! Makes a state smaller as decided, with its moments and statistics.
 
-use crate::engine::cpu::{FULLY_OPEN, sigmoid, softmax};
+use crate::engine::cpu::{sigmoid, softmax};
 use crate::engine::{DensityStats, TrainState};
+use crate::light::FULLY_OPEN;
 use crate::scene::{Field, Gaussians, IndirectForm, VisibilityForm, sh_count};
 use crate::train::complexity::decide::RequiredVisibility;
 use crate::train::complexity::evidence::Overlap;
@@ -107,7 +108,8 @@ pub fn merge_prototypes(state: &mut TrainState, groups: &[Vec<usize>], overlap: 
 
 /// Makes every surface dielectric and keeps its diffuse colour: albedo times one minus metalness becomes the albedo.
 pub fn make_dielectric(state: &mut TrainState) {
-    let metalness = |state: &TrainState, i: usize| sigmoid(state.model.gaussians.row(Field::MetalLogit, i)[0]);
+    let metalness =
+        |state: &TrainState, i: usize| sigmoid(state.model.gaussians.row(Field::MetalLogit, i)[0]);
     let n = state.model.gaussians.len();
     let mean = (0..n).map(|i| metalness(state, i)).sum::<f32>() / n.max(1) as f32;
     let mut wanted = mixed(state);

@@ -230,7 +230,7 @@ pub(super) fn half_open(order: usize, normal: [f32; 3]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::cpu::FULLY_OPEN;
+    use crate::light::FULLY_OPEN;
     use crate::light::{EnvOperators, TableResolution};
 
     #[test]

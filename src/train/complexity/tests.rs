@@ -7,9 +7,11 @@ use super::orders::{self, Shown};
 use super::photographs::DecisionContext;
 use super::state::ComplexityState;
 use super::{apply, evidence, trials};
-use crate::scene::{Field, Gaussians, IndirectForm, Model, ShadingOptions, VisibilityForm};
+use crate::engine::channel::Channels;
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{Pass, evaluation, radiance_image};
 use crate::engine::{Photo, RasterCamera, TrainState};
+use crate::scene::{Field, Gaussians, IndirectForm, Model, ShadingOptions, VisibilityForm};
 use crate::train::context::StepContext;
 use crate::train::{Complexity, Preset, TrainConfig, TrainOverrides};
 
@@ -134,16 +136,15 @@ fn convex(share: f32) -> TrainState {
 fn in_context(overrides: &TrainOverrides, photos: &[Photo], act: impl FnOnce(&DecisionContext<'_>)) {
     let config = config(overrides);
     let operators = crate::light::EnvOperators::new(4, 2, 4, crate::light::TableResolution::TRAINING);
-    let step = StepContext {
-        config: &config,
-        operators: &operators,
-        background: [1.0; 3],
-        has_alpha: true,
-    };
+    let step = StepContext { config: &config, operators: &operators, background: [1.0; 3], has_alpha: true };
     act(&DecisionContext { step: &step, steps: 7, photos });
 }
 
-fn decided(overrides: &TrainOverrides, concavity: f32, mut state: TrainState) -> (ComplexityState, TrainState) {
+fn decided(
+    overrides: &TrainOverrides,
+    concavity: f32,
+    mut state: TrainState,
+) -> (ComplexityState, TrainState) {
     let mut complexity = ComplexityState::default();
     let shown = Shown { weights: vec![1.0; 5], concavity: Some(concavity) };
     in_context(overrides, &[], |context| orders::decide(&mut complexity, context, &shown, &mut state));
@@ -202,8 +203,7 @@ fn discs(hidden: &[usize]) -> (TrainState, Photo) {
     let options = ShadingOptions::default();
     let source = evaluation::source(&state);
     let view = RasterCamera::new(&camera, &options);
-    let pass =
-        Pass::forward(&source, view, crate::engine::channel::Channels::Colour, true);
+    let pass = Pass::forward(&source, view, Channels::Colour, EarlyStop::WhenSaturated);
     let pixels = radiance_image(&pass, [1.0; 3]);
     (state, Photo { camera, pixels, alpha: Vec::new() })
 }

@@ -4,12 +4,10 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::engine::Gradients;
+use crate::engine::constants::AGGREGATION_EPSILON as EPSILON;
+use crate::engine::cpu::objective::sum;
 use crate::engine::cpu::{LANES, Lanes, softmax_abreast};
 use crate::scene::{Field, Gaussians};
-use crate::engine::cpu::objective::sum;
-
-/// Clamp of `Q` and of `1 - p`.
-const EPSILON: f32 = 1e-6;
 
 /// `-mean ln Q` with `Q = sum_k p_k prod_{j != k} (1 - p_j)`; adds its gradient, returns its value.
 pub fn aggregation(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {

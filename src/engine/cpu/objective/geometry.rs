@@ -3,13 +3,9 @@
 use rayon::prelude::*;
 
 use crate::engine::channel;
-use crate::engine::cpu::{BufferGradient, LEAST_COVERAGE, Pass, normalise, normalise_backward};
+use crate::engine::constants::{DEPTH_JUMP, LEAST_COVERAGE, TRUSTED_COVERAGE};
 use crate::engine::cpu::objective::sign;
-
-/// Coverage below which a pixel's depth is not trusted.
-const TRUSTED_COVERAGE: f32 = 0.5;
-/// Neighbouring depths further apart than this fraction are an edge, not a surface.
-const DEPTH_JUMP: f32 = 0.05;
+use crate::engine::cpu::{BufferGradient, Pass, normalise, normalise_backward};
 
 type Vec3 = [f32; 3];
 
@@ -119,7 +115,13 @@ pub fn depth_normal(pass: &Pass, weight: f32, out: &mut [BufferGradient]) -> f32
 }
 
 /// Derivatives of one pair's `weight |b - a| exp(-edge)` by its second attributes; by the first they are the opposite.
-fn pair_derivatives(weights: &[f32; 5], image_a: Vec3, image_b: Vec3, a: &[f32; 5], b: &[f32; 5]) -> [f32; 5] {
+fn pair_derivatives(
+    weights: &[f32; 5],
+    image_a: Vec3,
+    image_b: Vec3,
+    a: &[f32; 5],
+    b: &[f32; 5],
+) -> [f32; 5] {
     let edge: f32 = (0..3).map(|c| (image_a[c] - image_b[c]).abs()).sum::<f32>() / 3.0;
     let factor = (-edge).exp();
     std::array::from_fn(|k| factor * weights[k] * sign(b[k] - a[k]))
@@ -156,8 +158,13 @@ pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weights: [f32; 3], out: &mut 
         let mut by = [0.0f32; 5];
         let mut value = 0.0;
         let mut pair = |first: usize, second: usize, weights: &[f32; 5]| {
-            let derivatives =
-                pair_derivatives(weights, image[first], image[second], &attributes[first], &attributes[second]);
+            let derivatives = pair_derivatives(
+                weights,
+                image[first],
+                image[second],
+                &attributes[first],
+                &attributes[second],
+            );
             let sign = if i == first { -1.0 } else { 1.0 };
             for k in 0..5 {
                 by[k] += sign * derivatives[k];

@@ -6,19 +6,9 @@
 use multiversion::multiversion;
 use rayon::prelude::*;
 
+use crate::engine::constants::{SSIM_C1, SSIM_C2, SSIM_TAPS, ssim_window};
 use crate::engine::cpu::objective::sign;
 use crate::engine::objective::ImageWeights;
-
-const TAPS: usize = 11;
-const C1: f32 = 0.01 * 0.01;
-const C2: f32 = 0.03 * 0.03;
-
-/// `exp(-(i - 5)^2 / (2 1.5^2))`, normalised.
-fn window() -> [f32; TAPS] {
-    let raw: [f64; TAPS] = std::array::from_fn(|i| (-(i as f64 - 5.0).powi(2) / 4.5).exp());
-    let total: f64 = raw.iter().sum();
-    raw.map(|v| (v / total) as f32)
-}
 
 /// A photograph with its window statistics, planar.
 #[derive(Debug, Clone)]
@@ -118,8 +108,8 @@ impl Target {
         for i in 0..n {
             let (ma, mb) = (mean_a[i], mean_b[i]);
             let (va, vb, cov) = (mean_aa[i] - ma * ma, mean_bb[i] - mb * mb, mean_ab[i] - ma * mb);
-            let (n1, n2) = (2.0 * ma * mb + C1, 2.0 * cov + C2);
-            let (d1, d2) = (ma * ma + mb * mb + C1, va + vb + C2);
+            let (n1, n2) = (2.0 * ma * mb + SSIM_C1, 2.0 * cov + SSIM_C2);
+            let (d1, d2) = (ma * ma + mb * mb + SSIM_C1, va + vb + SSIM_C2);
             let s = n1 * n2 / (d1 * d2);
             total += f64::from(s);
             let by_cov = 2.0 * n1 / (d1 * d2);
@@ -137,10 +127,10 @@ impl Target {
 
 /// Separable Gaussian blur with zero padding.
 fn blur(width: usize, height: usize, input: &[f32]) -> Vec<f32> {
-    let taps = window();
-    let half = TAPS / 2;
+    let taps = ssim_window();
+    let half = SSIM_TAPS / 2;
     let mut across = vec![0.0f32; input.len()];
-    let mut padded = vec![0.0f32; width + TAPS - 1];
+    let mut padded = vec![0.0f32; width + SSIM_TAPS - 1];
     for (row, out) in input.chunks_exact(width).zip(across.chunks_exact_mut(width)) {
         padded[half..half + width].copy_from_slice(row);
         for (t, k) in taps.iter().enumerate() {

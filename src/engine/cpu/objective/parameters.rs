@@ -2,17 +2,13 @@
 
 use rayon::prelude::*;
 
-use crate::engine::objective::upward_share;
 use crate::engine::Gradients;
+use crate::engine::constants::{LABEL_MARGIN, LEAST_LABEL_WEIGHT, SIGMOID_MARGIN};
+use crate::engine::cpu::objective::{sign, sum};
 use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass};
+use crate::engine::objective::upward_share;
 use crate::light::{DAYLIGHT, sh_eval};
 use crate::scene::{Field, Gaussians, VisibilityForm};
-use crate::engine::cpu::objective::{sign, sum};
-
-/// Gaussians with less summed weight in a view get no label from it.
-const LEAST_LABEL_WEIGHT: f32 = 1e-3;
-/// Visibility is kept this far from 0 and 1 inside the logarithms.
-const LABEL_MARGIN: f32 = 1e-3;
 
 /// `mean sum |eps|` (Eq. 25); adds its gradient, returns its value.
 pub fn residual(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
@@ -91,7 +87,7 @@ pub fn backward_labels(
         let p = label.transmittance;
         let (v, by_raw) = if sigmoid_form {
             // BCE with logits: the derivative by the logit is V - p.
-            let v = cpu::sigmoid(raw).clamp(1e-6, 1.0 - 1e-6);
+            let v = cpu::sigmoid(raw).clamp(SIGMOID_MARGIN, 1.0 - SIGMOID_MARGIN);
             (v, v - p)
         } else {
             let v = raw.clamp(LABEL_MARGIN, 1.0 - LABEL_MARGIN);
@@ -134,7 +130,8 @@ pub fn flatness(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
 /// `weight ln(Y / pi)^2` with Y the irradiance of a white surface facing up: a well-exposed photograph shows such a
 /// surface as white. It fixes the scale that light and albedo could trade. `(value, gradient by radiance)`.
 pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
-    let up: f32 = radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * (l[0] + l[1] + l[2]) / 3.0).sum();
+    let up: f32 =
+        radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * (l[0] + l[1] + l[2]) / 3.0).sum();
     let log = up.max(1e-6).ln();
     let by_texel = 2.0 * weight * log / (3.0 * up.max(1e-6));
     (weight * log * log, texels.iter().map(|t| [by_texel * upward_share(t); 3]).collect())
@@ -143,7 +140,8 @@ pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f3
 /// `weight (ln(Y_blue / Y_red) - ln(D_blue / D_red))^2` with Y the irradiance of a surface facing up and D
 /// [`DAYLIGHT`]: the colour that light and albedo could trade. `(value, gradient by radiance)`.
 pub fn daylight(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
-    let up = |c: usize| radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * l[c]).sum::<f32>().max(1e-6);
+    let up =
+        |c: usize| radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * l[c]).sum::<f32>().max(1e-6);
     let (red, blue) = (up(0), up(2));
     let off = (blue / red).ln() - (DAYLIGHT[2] / DAYLIGHT[0]).ln();
     let by_texel = [-2.0 * weight * off / red, 0.0, 2.0 * weight * off / blue];

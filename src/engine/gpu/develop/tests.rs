@@ -1,9 +1,10 @@
 //! Pictures against what the CPU engine's shader and surfaces give.
 
 use super::*;
-use crate::engine::channel;
-use crate::engine::cpu::{self, Pass, Shader, linear_from_srgb, normalise, surface_at};
-use crate::engine::gpu::CameraUniform;
+use crate::engine::channel::{self, OutgoingRadiance};
+use crate::engine::constants::LEAST_COVERAGE;
+use crate::engine::cpu::{Pass, Shader, linear_from_srgb, normalise, surface_at};
+use crate::engine::gpu::ViewUniform;
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::shading::ShadingUniform;
@@ -40,7 +41,11 @@ fn expected(pass: &Pass, shader: &Shader<'_>, plane: Plane, x: usize, y: usize) 
             let f = shader.shade(&s);
             (f.diffuse, f.specular)
         }
-        ShadeAt::Gaussian => (std::array::from_fn(|c| s.gathered[c] - s.indirect[c]), s.indirect),
+        ShadeAt::Gaussian => {
+            let at = |first: usize, c: usize| pass.at(x, y, first + c) / coverage;
+            let specular: [f32; 3] = std::array::from_fn(|c| at(OutgoingRadiance::SPECULAR.start, c));
+            (std::array::from_fn(|c| at(OutgoingRadiance::TOTAL.start, c) - specular[c]), specular)
+        }
     };
     let (unit, length) = normalise(s.normal);
     let facing: f32 = (0..3).map(|k| unit[k] * s.view[k]).sum();
@@ -51,7 +56,7 @@ fn expected(pass: &Pass, shader: &Shader<'_>, plane: Plane, x: usize, y: usize) 
         Plane::Diffuse => premultiplied(diffuse),
         Plane::Specular => premultiplied(specular),
         Plane::Albedo => s.albedo.to_vec(),
-        Plane::Normal if length > cpu::LEAST_COVERAGE => normal.to_vec(),
+        Plane::Normal if length > LEAST_COVERAGE => normal.to_vec(),
         Plane::Normal => vec![0.0; 3],
         Plane::Metallic => vec![s.metal],
         Plane::Roughness => vec![s.rough],

@@ -4,6 +4,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::engine::constants::NO_HIT;
 use crate::engine::cpu::{self, AttributeSource, outward_normals};
 use crate::engine::gpu::model::planar;
 use crate::engine::gpu::shaders::assert_layout;

@@ -5,11 +5,12 @@ mod cases;
 mod exact;
 mod light;
 
+use crate::engine::RasterCamera;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::engine::RasterCamera;
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{AttributeSource, Pass};
 use crate::engine::gpu::AttributeBuffers;
 use crate::engine::gpu::model::planar;
@@ -77,6 +78,7 @@ impl Scene {
     }
 
     pub(super) fn cpu(&self, channels: Channels, early_stop: bool) -> Pass {
+        let early_stop = if early_stop { EarlyStop::WhenSaturated } else { EarlyStop::Never };
         Pass::forward(&self.source(), self.view, channels, early_stop)
     }
 

@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::engine::RasterCamera;
 use crate::engine::channel;
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, Shader as CpuShader};
 use crate::engine::gpu::light::flat;
 use crate::engine::gpu::shaders::assert_layout;
@@ -48,7 +49,7 @@ pub(in crate::engine::gpu) fn empty_pass(
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     };
-    Pass::forward(&source, view, channels, true)
+    Pass::forward(&source, view, channels, EarlyStop::WhenSaturated)
 }
 
 pub(in crate::engine::gpu) fn set(pass: &mut Pass, x: usize, y: usize, channel: usize, value: f32) {

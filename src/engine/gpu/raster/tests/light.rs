@@ -1,7 +1,8 @@
 //! The light of each Gaussian, against the CPU engine.
 
 use super::*;
-use crate::engine::channel::{INDIRECT, LIGHT};
+use crate::engine::channel::OutgoingRadiance;
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{ROW_HEADER, Shader as CpuShader};
 use crate::engine::gpu::light::{Constants, LightBuffers, flat};
 use crate::engine::gpu::shading::tests::{Noise, error, random_tables};
@@ -62,7 +63,7 @@ impl Case {
     fn on_cpu(&self, drawn: &[usize]) -> Found {
         let shader = CpuShader { tables: &self.tables, options: &self.scene.options, order: self.order };
         let source = self.scene.source().under(shader);
-        let pass = Pass::forward(&source, self.scene.view, self.channels, false);
+        let pass = Pass::forward(&source, self.scene.view, self.channels, EarlyStop::Never);
         let (count, stored) = (self.channels.count(), self.channels.stored());
         let by = backward::for_cpu(&pass, &self.scene.view, &self.by_gbuffer());
         let width = ROW_HEADER + count;
@@ -145,8 +146,8 @@ impl Case {
     /// What a Gaussian's row of attributes has of light.
     fn light_of(&self, row: &[f32]) -> Vec<f32> {
         match self.channels {
-            Channels::Full(_) => [&row[LIGHT], &row[INDIRECT]].concat(),
-            _ => row[LIGHT].to_vec(),
+            Channels::Full(_) => [&row[OutgoingRadiance::TOTAL], &row[OutgoingRadiance::SPECULAR]].concat(),
+            _ => row[OutgoingRadiance::TOTAL].to_vec(),
         }
     }
 

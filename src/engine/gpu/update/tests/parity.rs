@@ -31,7 +31,9 @@ fn check(gpu: &Gpu, shape: &Shape, seed: u64) {
     assert_eq!(device.poisoned(), 0);
     let basis: Vec<f32> = case.by_basis.iter().flatten().map(|v| *v as f32).collect();
     let got = gpu.read(&device.by_basis, 0..48).unwrap();
-    if shape.options.indirect == IndirectForm::Learned && shape.channels.count() > channel::DEPTH {
+    if shape.options.indirect == IndirectForm::Learned
+        && shape.channels.count() > crate::engine::channel::DEPTH
+    {
         assert!(relative_error(&got, &basis) < 1e-5, "basis {:e}", relative_error(&got, &basis));
     } else {
         assert_eq!(got, [0.0; 48]);
