@@ -12,8 +12,9 @@ use crate::cli::{CommandResult, output};
 use crate::engine::Device;
 use crate::engine::gpu::DeviceChoice;
 use crate::formats::model_file;
-use crate::train::{KnownLight, LightExposure, Preset, StepReport, TrainConfig, Trainer};
-use crate::worker::import_for_training;
+use crate::train::{
+    KnownLight, LightExposure, Preset, StepReport, TrainConfig, Trainer, import_for_training,
+};
 
 /// Options of `relume train`.
 #[derive(Debug, clap::Args)]

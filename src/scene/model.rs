@@ -11,7 +11,8 @@ pub const fn sh_count(order: usize) -> usize {
 }
 
 /// How visibility coefficients become a visibility (article Eq. 13).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum VisibilityForm {
     /// `V = sum c Y`, clamped to [0, 1] where it is used; V = 1 gives AO = 1 exactly.
@@ -24,7 +25,8 @@ pub enum VisibilityForm {
 }
 
 /// How occlusion enters the diffuse term.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum DiffuseForm {
     /// The article's `AO * L_diff(n)` (Eq. 21).
@@ -35,7 +37,8 @@ pub enum DiffuseForm {
 }
 
 /// Where surfaces are shaded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ShadeAt {
     /// In the pixel, from blended attributes (deferred, as the article).
@@ -46,7 +49,8 @@ pub enum ShadeAt {
 }
 
 /// Where a Gaussian's normal comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum NormalForm {
     /// The `Normal` field itself, normalised (the listing).
@@ -57,7 +61,8 @@ pub enum NormalForm {
 }
 
 /// What lights a direction that is not visible.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum IndirectForm {
     /// Nothing.
@@ -70,7 +75,8 @@ pub enum IndirectForm {
 }
 
 /// Every choice of the forward model; stored with the model, since parameters only mean something under it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ShadingOptions {
     /// Form of the visibility field.

@@ -6,7 +6,8 @@ use crate::scene::ShadingOptions;
 use crate::train::{KnownLight, LearningRates, LossWeights};
 
 /// A named trade of time against quality.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema, sqlx::Type), sqlx(rename_all = "snake_case"))]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
     /// A look at the result within a few minutes.
@@ -19,7 +20,8 @@ pub enum Preset {
 }
 
 /// Where visibility is learned from (article Eq. 14-15, DESIGN 4.1).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LabelSource {
     /// No labels: only the photometric gradient.
@@ -34,7 +36,8 @@ pub enum LabelSource {
 }
 
 /// How much of the model a scene gets (DESIGN 7).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Complexity {
     /// What the scene is measured to require; evidence and decisions go into the model card.
@@ -143,7 +146,8 @@ fn learned() -> bool {
 }
 
 /// What a caller may change on top of a preset. Absent means the preset's value.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainOverrides {
     /// Optimisation steps, 1 to 1,000,000.

@@ -14,7 +14,8 @@ const MOST_STOPS: f64 = 20.0;
 const SUSPICIOUS: f64 = 1.0;
 
 /// A measured light: training holds it, instead of recovering one beside the materials.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct KnownLight {
     /// A built-in map, an uploaded environment's identifier, or on the command line a file.
@@ -28,7 +29,8 @@ pub struct KnownLight {
 }
 
 /// What a map's radiance is in the photographs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(untagged, expecting = "must be a number of stops or \"auto\"")]
 pub enum LightExposure {
     /// Times two to this, -20 to 20: at 0, a surface that sends a radiance of 1 is white in the photographs.
@@ -38,7 +40,8 @@ pub enum LightExposure {
 }
 
 /// The word `auto`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Auto {
     /// The only one.

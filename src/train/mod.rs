@@ -6,6 +6,7 @@ pub mod complexity;
 mod config;
 mod dataset;
 mod density;
+mod import;
 mod initial;
 mod known_light;
 mod materials;
@@ -19,6 +20,7 @@ mod trainer;
 mod weights;
 
 pub use config::{Complexity, LabelSource, Preset, Setting, TrainConfig, TrainOverrides};
+pub use import::import_for_training;
 pub use known_light::{Auto, KnownLight, LightExposure};
 pub use trainer::{Progress, StepReport, TrainError, Trainer};
 pub use weights::{LearningRates, LossWeights};

@@ -1,19 +1,16 @@
 //! Compiles every permutation of the shaders to checked text: an error in WGSL is an error of the build.
 
-#[path = "build/preprocess.rs"]
-mod preprocess;
-
 use std::fmt::Write as _;
 use std::path::Path;
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use preprocess::{Accumulation, Permutation, expand, parse_permutations};
+
+use crate::preprocess::{Accumulation, Permutation, expand, parse_permutations};
 
 type Failure = Box<dyn std::error::Error>;
 
-fn main() -> Result<(), Failure> {
-    println!("cargo::rerun-if-changed=build.rs");
-    println!("cargo::rerun-if-changed=build");
+/// Writes the checked text of every permutation to `OUT_DIR/shaders.rs`.
+pub fn compile_all() -> Result<(), Failure> {
     println!("cargo::rerun-if-changed=shaders");
     let folder = Path::new(&std::env::var("CARGO_MANIFEST_DIR")?).join("shaders");
     let mut out = String::new();
