@@ -9,7 +9,7 @@ use glam::DVec3;
 use relume::capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::cli::eval::{EvalArgs, QualityArgs, run};
 use relume::engine::Device;
-use relume::engine::gpu::DeviceChoice;
+use relume::engine::DeviceChoice;
 use relume::eval::{
     EvalError, EvalOptions, Lpips, Picture, Replaced, Report, attribute, contact_sheet, evaluate,
 };

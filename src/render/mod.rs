@@ -1,13 +1,17 @@
 //! A camera and a light in, a frame out.
 
 mod edited;
+mod encode;
 mod high;
 mod monte_carlo;
 mod renderer;
 mod tier;
+mod viewpoint;
 
 pub use crate::engine::{Frame, Output};
+pub use encode::{EncodedFrame, FrameFormat, encode_frame, is_colour};
 pub use renderer::{PreparedLight, RenderError, Renderer};
 pub use tier::{Quality, Tier};
+pub use viewpoint::{Orbit, Viewpoint};
 
 use renderer::Job;

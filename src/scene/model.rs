@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use crate::scene::{EnvMap, Field, Gaussians};
 
 /// How visibility coefficients become a visibility (article Eq. 13).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum VisibilityForm {
     /// `V = sum c Y`, clamped to [0, 1] where it is used; V = 1 gives AO = 1 exactly.
@@ -19,7 +20,8 @@ pub enum VisibilityForm {
 }
 
 /// How occlusion enters the diffuse term.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum DiffuseForm {
     /// The article's `AO * L_diff(n)` (Eq. 21).
@@ -30,7 +32,8 @@ pub enum DiffuseForm {
 }
 
 /// Where surfaces are shaded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ShadeAt {
     /// In the pixel, from blended attributes (deferred shading, as in the article).
@@ -41,7 +44,8 @@ pub enum ShadeAt {
 }
 
 /// Where a Gaussian's normal comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum NormalForm {
     /// The `Normal` field itself, normalised (as in the article's listing).
@@ -52,7 +56,8 @@ pub enum NormalForm {
 }
 
 /// What lights a direction that is not visible.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum IndirectForm {
     /// Nothing.
@@ -66,7 +71,8 @@ pub enum IndirectForm {
 
 /// The choices of the forward model. They are stored with the model, since its parameters are only valid with
 /// them.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ShadingOptions {
     /// Form of the visibility field.

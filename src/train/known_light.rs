@@ -15,7 +15,8 @@ const MOST_STOPS: f64 = 20.0;
 const MOST_OFFSET: f64 = 1.0;
 
 /// A measured light: training holds it and does not recover one beside the materials.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct KnownLight {
     /// A built-in map, an uploaded environment's identifier, or on the command line a file.
@@ -29,7 +30,8 @@ pub struct KnownLight {
 }
 
 /// Radiance of the map in the photographs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(untagged, expecting = "must be a number of stops or \"auto\"")]
 pub enum LightExposure {
     /// The map times two to this, -20 to 20: at 0, a surface of radiance 1 is white in the photographs.
@@ -39,7 +41,8 @@ pub enum LightExposure {
 }
 
 /// The string `auto`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Auto {
     /// `auto`.

@@ -6,6 +6,7 @@ mod config;
 mod context;
 mod dataset;
 mod density;
+mod import;
 mod initial;
 mod known_light;
 mod materials;
@@ -17,6 +18,7 @@ mod weights;
 pub use config::{
     Complexity, ComplexitySetting, ConfigError, LabelSource, Preset, TrainConfig, TrainOverrides,
 };
+pub use import::import_for_training;
 pub use known_light::{Auto, KnownLight, LightExposure};
 pub use trainer::{Progress, StepReport, TrainError, Trainer};
 pub use weights::{LearningRates, LossWeights};

@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 /// Weights of the objective's terms (docs/MODEL.md section 5).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct LossWeights {
     /// Mean absolute error of the physically based branch.
@@ -65,7 +66,8 @@ impl Default for LossWeights {
 }
 
 /// Adam step sizes, per parameter group, in the normalised world.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct LearningRates {
     /// Centres at the start; decays exponentially to `mean_final`.

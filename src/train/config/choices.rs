@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 /// A named trade of time against quality.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema, sqlx::Type), sqlx(rename_all = "snake_case"))]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
     /// A look at the result within a few minutes.
@@ -16,7 +17,8 @@ pub enum Preset {
 }
 
 /// Where visibility is learned from (article Eq. 14-15; docs/MODEL.md section 6).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LabelSource {
     /// No labels: only the photometric gradient.
@@ -31,7 +33,8 @@ pub enum LabelSource {
 }
 
 /// How much of the configured model a scene gets.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Complexity {
     /// What the scene is measured to require; evidence and decisions go into the model card.

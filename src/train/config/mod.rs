@@ -49,7 +49,8 @@ macro_rules! settings {
         }
 
         /// What a caller may change on top of a preset. Absent means the preset's value.
-        #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+        #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+        #[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
         #[serde(default, deny_unknown_fields)]
         pub struct TrainOverrides {
             $($(#[doc = $doc])+ pub $name: Option<$type>,)+

@@ -5,10 +5,11 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::engine::constants::NO_HIT;
+use crate::engine::constants::NO_HIT;
 use crate::engine::cpu::{self, AttributeSource, outward_normals};
+use crate::engine::fibonacci_sphere;
 use crate::engine::gpu::model::planar;
 use crate::engine::gpu::shaders::assert_layout;
-use crate::engine::{NO_HIT, fibonacci_sphere};
 use crate::scene::{Field, Gaussians, ShadingOptions};
 
 /// Largest difference of a transmittance or, in units of the largest, of a coefficient.

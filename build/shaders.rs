@@ -1,20 +1,18 @@
 //! Compiles every permutation of the shaders to checked text: an error in WGSL is an error of the build.
 
-#[path = "build/generated.rs"]
-mod generated;
-#[path = "build/preprocess.rs"]
-mod preprocess;
-
 use std::fmt::Write as _;
 use std::path::Path;
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use preprocess::{Accumulation, Permutation, expand, parse_permutations};
+
+use crate::generated;
+use crate::preprocess::{Accumulation, Permutation, expand, parse_permutations};
 
 type Failure = Box<dyn std::error::Error>;
 
-fn main() -> Result<(), Failure> {
-    for path in ["build.rs", "build", "shaders"].iter().chain(&generated::SOURCES) {
+/// Writes the checked text of every permutation to `OUT_DIR/shaders.rs`.
+pub fn compile_all() -> Result<(), Failure> {
+    for path in ["shaders"].iter().chain(&generated::SOURCES) {
         println!("cargo::rerun-if-changed={path}");
     }
     let folder = Path::new(&std::env::var("CARGO_MANIFEST_DIR")?).join("shaders");

@@ -4,8 +4,9 @@ use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::StatusCode;
 use futures::StreamExt;
 
-use crate::api::extract::{content_length, media_type};
-use crate::api::{Problem, Shared};
+use crate::api::Problem;
+use crate::server::app::Shared;
+use crate::server::extract::{content_length, media_type};
 use crate::store::Incoming;
 
 /// What a route accepts.
@@ -35,7 +36,7 @@ pub(super) async fn receive(
         Some("multipart/form-data") => from_form(app, request, expected).await,
         Some(raw) if expected.media_types.contains(&raw) => {
             let body = request.into_body().into_data_stream();
-            let name = app.jobs.fresh_id();
+            let name: String = app.jobs.fresh_id();
             Ok(app.store.artifacts().receive(&name, body, expected.limit).await?)
         }
         _ => {
@@ -59,7 +60,7 @@ async fn from_form(app: &Shared, request: Request, expected: &Expected) -> Resul
             return Err(Problem::invalid_field(format!("/{name}"), detail));
         }
         let body = field.map(|chunk| chunk.map_err(|e| e.body_text()));
-        let id = app.jobs.fresh_id();
+        let id: String = app.jobs.fresh_id();
         file = Some(app.store.artifacts().receive(&id, body, expected.limit).await?);
     }
     let missing = || Problem::invalid_field(format!("/{}", expected.field), "the form lacks this field");

@@ -1,4 +1,4 @@
-//! What surrounds every request: an identifier, a log line, metrics, and a net under panics.
+//! What is done around every request: an identifier, a log line, metrics, and panics turned into problems.
 
 use std::any::Any;
 use std::sync::OnceLock;
@@ -14,7 +14,7 @@ use tracing::Instrument;
 use crate::api::Problem;
 
 /// The header that carries the request's identifier, both ways.
-pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+pub(super) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
 tokio::task_local! {
     static CURRENT: String;

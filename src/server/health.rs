@@ -4,11 +4,14 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{Problem, Shared, observe, openapi};
-use crate::store::JobState;
+use crate::api::Problem;
+use crate::api::jobs::JobState;
+use crate::server::app::Shared;
+use crate::server::observe;
 
 /// The routes of this family.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
@@ -61,6 +64,6 @@ async fn prometheus(State(app): State<Shared>) -> Result<Response, Problem> {
 
 /// This description
 #[utoipa::path(get, path = "/v1/openapi.json", tag = "operations", responses((status = 200, body = Object)))]
-async fn description() -> Json<utoipa::openapi::OpenApi> {
-    Json(openapi())
+async fn description(State(app): State<Shared>) -> Json<OpenApi> {
+    Json(app.description.clone())
 }

@@ -11,8 +11,9 @@ use base64::engine::general_purpose::STANDARD;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::description::File;
-use crate::api::{Problem, Shared};
+use crate::api::{ModelId, Problem};
+use crate::server::app::Shared;
+use crate::server::description::File;
 use crate::store::ModelFile;
 
 const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
@@ -37,7 +38,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 )]
 async fn get_file(
     State(app): State<Shared>,
-    Path((id, name)): Path<(String, String)>,
+    Path((id, name)): Path<(ModelId, String)>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let file = app.store.model_file(&id, &name).await?;

@@ -11,10 +11,10 @@ use serde_path_to_error::Segment;
 use crate::api::Problem;
 
 /// A JSON body of at most `LIMIT` bytes.
-pub struct JsonBody<T, const LIMIT: usize = 65_536>(pub T);
+pub(super) struct JsonBody<T, const LIMIT: usize = 65_536>(pub(super) T);
 
 /// A query string.
-pub struct QueryString<T>(pub T);
+pub(super) struct QueryString<T>(pub(super) T);
 
 impl<S: Send + Sync, T: DeserializeOwned, const LIMIT: usize> FromRequest<S> for JsonBody<T, LIMIT> {
     type Rejection = Problem;

@@ -1,4 +1,4 @@
-//! The door to the device thread for everyone else.
+//! What the rest of the service holds of the device thread.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -6,42 +6,11 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{mpsc, oneshot};
 
-use crate::render::{Frame, RenderError};
-use crate::worker::RenderTask;
+use crate::render::Frame;
+use crate::worker::renders::{RenderFailure, RenderTask};
 
 /// How long a render may wait for the device and run. A training step and a first light preparation fit in.
-const PATIENCE: Duration = Duration::from_secs(120);
-
-/// Why there is no frame.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RenderFailure {
-    /// The queue is full or the device did not come round to it in time.
-    #[error("the device is busy")]
-    Busy,
-    /// The request cannot be rendered.
-    #[error("{field}: {reason}")]
-    Refused {
-        /// The request field at fault.
-        field: &'static str,
-        /// What is wrong.
-        reason: String,
-    },
-    /// The device failed; the request may be made again.
-    #[error(transparent)]
-    Device(#[from] crate::engine::gpu::GpuError),
-    /// Our fault; the text is for the log.
-    #[error("{0}")]
-    Internal(String),
-}
-
-impl From<RenderError> for RenderFailure {
-    fn from(error: RenderError) -> Self {
-        match error {
-            RenderError::Refused { field, reason } => Self::Refused { field, reason },
-            RenderError::Device(error) => Self::Device(error),
-        }
-    }
-}
+const RENDER_TIMEOUT: Duration = Duration::from_secs(120);
 
 /// A frame and what it cost to get it.
 #[derive(Debug, Clone)]
@@ -56,16 +25,16 @@ pub struct Rendered {
     pub took: Duration,
 }
 
-/// A task and whom to tell.
-pub(super) struct Request {
+/// A task and where its frame goes.
+pub(super) struct QueuedRender {
     pub(super) task: RenderTask,
     pub(super) reply: oneshot::Sender<Result<Rendered, RenderFailure>>,
     queued: Instant,
     /// Training steps done when it was queued.
-    steps_then: u64,
+    steps_at_start: u64,
 }
 
-impl Request {
+impl QueuedRender {
     /// Answers with what `render` makes of the task; the caller may have gone, and its frame goes with it.
     pub(super) fn answer(
         self,
@@ -74,7 +43,7 @@ impl Request {
     ) {
         let waited = self.queued.elapsed();
         let begin = Instant::now();
-        let steps_waited = steps_now - self.steps_then;
+        let steps_waited = steps_now - self.steps_at_start;
         let rendered =
             render(&self.task).map(|frame| Rendered { frame, waited, steps_waited, took: begin.elapsed() });
         let _ = self.reply.send(rendered);
@@ -83,15 +52,15 @@ impl Request {
 
 /// Asks the device thread for frames. Cheap to clone.
 #[derive(Clone)]
-pub struct Device {
-    requests: mpsc::Sender<Request>,
+pub struct DeviceHandle {
+    requests: mpsc::Sender<QueuedRender>,
     /// Training steps the device thread has done.
     steps: Arc<AtomicU64>,
     has_gpu: bool,
 }
 
-impl Device {
-    pub(super) fn new(requests: mpsc::Sender<Request>, steps: Arc<AtomicU64>, has_gpu: bool) -> Self {
+impl DeviceHandle {
+    pub(super) fn new(requests: mpsc::Sender<QueuedRender>, steps: Arc<AtomicU64>, has_gpu: bool) -> Self {
         Self { requests, steps, has_gpu }
     }
 
@@ -101,10 +70,10 @@ impl Device {
     /// [`RenderFailure::Busy`] when too many wait already, otherwise what the renderer said.
     pub async fn render(&self, task: RenderTask) -> Result<Rendered, RenderFailure> {
         let (reply, frame) = oneshot::channel();
-        let steps_then = self.steps.load(Ordering::SeqCst);
-        let request = Request { task, reply, queued: Instant::now(), steps_then };
+        let steps_at_start = self.steps.load(Ordering::SeqCst);
+        let request = QueuedRender { task, reply, queued: Instant::now(), steps_at_start };
         self.requests.try_send(request).map_err(|_| RenderFailure::Busy)?;
-        match tokio::time::timeout(PATIENCE, frame).await {
+        match tokio::time::timeout(RENDER_TIMEOUT, frame).await {
             Ok(Ok(result)) => result,
             Ok(Err(_)) | Err(_) => Err(RenderFailure::Busy),
         }

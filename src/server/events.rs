@@ -15,8 +15,9 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::extract::QueryString;
-use crate::api::{Problem, Shared};
+use crate::api::{JobId, Problem};
+use crate::server::app::Shared;
+use crate::server::extract::QueryString;
 use crate::store::{EventRecord, StoreError};
 
 /// How long a listener waits for a hint before it looks unprompted.
@@ -52,12 +53,12 @@ struct EventQuery {
 )]
 async fn job_events(
     State(app): State<Shared>,
-    Path(id): Path<String>,
+    Path(id): Path<JobId>,
     QueryString(query): QueryString<EventQuery>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
     if app.store.job(&id).await?.is_none() {
-        return Err(Problem::not_found("job", &id));
+        return Err(Problem::not_found("job", id.as_str()));
     }
     let after = match headers.get("last-event-id") {
         None => query.after.unwrap_or(0),
@@ -77,7 +78,7 @@ async fn job_events(
 /// Follows one job. The database is the truth; the channel only says when to look.
 struct Listener {
     app: Shared,
-    id: String,
+    id: JobId,
     after: i64,
     changes: watch::Receiver<()>,
     waiting: VecDeque<EventRecord>,

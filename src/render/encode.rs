@@ -1,8 +1,7 @@
-//! Frames as image files, and which kind of file a caller wants.
+//! Frames as image files.
 
-use axum::http::{HeaderMap, StatusCode, header};
+use serde::{Deserialize, Serialize};
 
-use crate::api::Problem;
 use crate::formats::ImageFileError;
 use crate::formats::exr_frame::{self, ColourDepth, FrameLayer, FrameLayers};
 use crate::formats::image_file::{encode_jpeg, encode_png, encode_png16};
@@ -11,9 +10,10 @@ use crate::render::{Frame, Output};
 const JPEG_QUALITY: u8 = 90;
 
 /// A kind of image file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
-pub enum Format {
+pub enum FrameFormat {
     /// One output, display-referred or mapped to integers.
     Png,
     /// One output over white.
@@ -22,8 +22,9 @@ pub enum Format {
     Exr,
 }
 
-impl Format {
-    const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::Exr];
+impl FrameFormat {
+    /// Every kind.
+    pub const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::Exr];
 
     /// Media type.
     pub fn media_type(self) -> &'static str {
@@ -33,42 +34,11 @@ impl Format {
             Self::Exr => "image/x-exr",
         }
     }
-
-    /// The kind that `Accept` likes best; PNG when it does not care.
-    ///
-    /// # Errors
-    /// 406 when it accepts none of ours.
-    pub(super) fn negotiate(headers: &HeaderMap) -> Result<Self, Problem> {
-        let Some(accept) = headers.get(header::ACCEPT) else { return Ok(Self::Png) };
-        let mut ranges: Vec<(f32, &str)> =
-            accept.to_str().unwrap_or_default().split(',').map(weighted).filter(|(q, _)| *q > 0.0).collect();
-        // Stable: among equals the caller's order counts.
-        ranges.sort_by(|a, b| b.0.total_cmp(&a.0));
-        ranges.iter().find_map(|(_, range)| Self::matching(range)).ok_or_else(|| {
-            Problem::new(StatusCode::NOT_ACCEPTABLE, "not-acceptable", "No acceptable representation")
-                .detail("image/png, image/jpeg and image/x-exr are available")
-        })
-    }
-
-    fn matching(range: &str) -> Option<Self> {
-        match range {
-            "*/*" | "image/*" => Some(Self::Png),
-            _ => Self::ALL.into_iter().find(|f| f.media_type() == range),
-        }
-    }
-}
-
-/// One entry of `Accept` with its weight.
-fn weighted(entry: &str) -> (f32, &str) {
-    let mut parts = entry.split(';').map(str::trim);
-    let range = parts.next().unwrap_or_default();
-    let q = parts.find_map(|p| p.strip_prefix("q=")).map_or(Some(1.0), |q| q.parse().ok());
-    (q.unwrap_or(0.0), range)
 }
 
 /// An encoded frame.
 #[derive(Debug)]
-pub struct Picture {
+pub struct EncodedFrame {
     /// The file.
     pub bytes: Vec<u8>,
     /// For a depth PNG: the depths of levels 0 and 65,534, capture units; 65,535 is "nothing there".
@@ -85,12 +55,16 @@ pub struct Picture {
 ///
 /// # Errors
 /// When the frame lacks an output, or the encoder fails.
-pub fn encode(frame: &Frame, outputs: &[Output], format: Format) -> Result<Picture, ImageFileError> {
-    let bare = |bytes| Picture { bytes, depth_range: None };
+pub fn encode_frame(
+    frame: &Frame,
+    outputs: &[Output],
+    format: FrameFormat,
+) -> Result<EncodedFrame, ImageFileError> {
+    let bare = |bytes| EncodedFrame { bytes, depth_range: None };
     match format {
-        Format::Exr => exr(frame, outputs).map(bare),
-        Format::Png => png(frame, outputs.first().copied().unwrap_or(Output::Rgb)),
-        Format::Jpeg => {
+        FrameFormat::Exr => exr(frame, outputs).map(bare),
+        FrameFormat::Png => png(frame, outputs.first().copied().unwrap_or(Output::Rgb)),
+        FrameFormat::Jpeg => {
             let pixels = over_white(&colour(frame, outputs.first().copied().unwrap_or(Output::Rgb))?);
             encode_jpeg(frame.width, frame.height, &pixels, JPEG_QUALITY).map(bare)
         }
@@ -98,14 +72,14 @@ pub fn encode(frame: &Frame, outputs: &[Output], format: Format) -> Result<Pictu
 }
 
 /// True when the output is a colour, which JPEG can hold.
-pub(super) fn is_colour(output: Output) -> bool {
+pub fn is_colour(output: Output) -> bool {
     use Output::{Albedo, Diffuse, Radiance, Rgb, Specular};
     matches!(output, Rgb | Albedo | Diffuse | Specular | Radiance)
 }
 
-fn png(frame: &Frame, output: Output) -> Result<Picture, ImageFileError> {
+fn png(frame: &Frame, output: Output) -> Result<EncodedFrame, ImageFileError> {
     let (w, h) = (frame.width, frame.height);
-    let bare = |bytes| Picture { bytes, depth_range: None };
+    let bare = |bytes| EncodedFrame { bytes, depth_range: None };
     if is_colour(output) {
         return encode_png(w, h, &colour(frame, output)?).map(bare);
     }
@@ -113,7 +87,7 @@ fn png(frame: &Frame, output: Output) -> Result<Picture, ImageFileError> {
     if output == Output::Depth {
         let (levels, range) = depth_levels(values);
         let bytes = encode_png16(w, h, &levels)?;
-        return Ok(Picture { bytes, depth_range: Some(range) });
+        return Ok(EncodedFrame { bytes, depth_range: Some(range) });
     }
     if output.channels() == 3 {
         let level = |v: f32| ((v * 0.5 + 0.5).clamp(0.0, 1.0) * 65535.0).round() as u16;
@@ -202,20 +176,6 @@ fn depth_levels(values: &[f32]) -> (Vec<[u16; 1]>, [f32; 2]) {
 mod tests {
     use super::*;
 
-    fn accept(value: &str) -> Option<Format> {
-        let headers = HeaderMap::from_iter([(header::ACCEPT, value.parse().unwrap())]);
-        Format::negotiate(&headers).ok()
-    }
-
-    #[test]
-    fn the_callers_favourite_is_served() {
-        assert_eq!(accept("image/jpeg;q=0.5, image/x-exr"), Some(Format::Exr));
-        assert_eq!(accept("text/html, image/*;q=0.8"), Some(Format::Png));
-        assert_eq!(accept("image/webp, image/jpeg, image/png"), Some(Format::Jpeg));
-        assert_eq!(accept("text/html"), None);
-        assert_eq!(accept("image/png;q=0"), None);
-    }
-
     #[test]
     fn a_half_covered_pixel_keeps_its_albedo() {
         let planes = [(Output::Albedo, vec![0.5; 3]), (Output::Alpha, vec![0.5])].into();
@@ -231,13 +191,16 @@ mod tests {
         let mut frame = Frame { width: 1, height: 1, planes };
         frame.planes.insert(Output::Rgb, vec![0.25, 0.5, 2.0]);
         frame.planes.insert(Output::Alpha, vec![1.0]);
-        let bytes = encode(&frame, &outputs, Format::Exr).unwrap().bytes;
+        let bytes = encode_frame(&frame, &outputs, FrameFormat::Exr).unwrap().bytes;
         let (_, _, pixels) = crate::formats::exr_image::decode_rgba(&bytes).unwrap();
         assert_eq!(pixels, [[0.25, 0.5, 2.0, 1.0]], "linear and unclamped");
         let names = ["N.X", "Z", "visibility.Y", "alpha.Y"];
         let text = String::from_utf8_lossy(&bytes);
         assert!(names.iter().all(|name| text.contains(name)) && !text.contains("albedo"));
-        assert!(encode(&frame, &[Output::Albedo], Format::Exr).is_err(), "what is not there is not made up");
+        assert!(
+            encode_frame(&frame, &[Output::Albedo], FrameFormat::Exr).is_err(),
+            "what is not there is not made up"
+        );
     }
 
     #[test]

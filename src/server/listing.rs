@@ -1,9 +1,9 @@
 //! Lists: newest first, a page at a time.
 
-use serde::{Deserialize, Serialize};
-use utoipa::{IntoParams, ToSchema};
+use serde::Deserialize;
+use utoipa::IntoParams;
 
-use crate::api::Problem;
+use crate::api::{List, Problem};
 use crate::store::Page;
 
 const MOST: u32 = 200;
@@ -18,16 +18,6 @@ pub struct PageQuery {
     pub limit: Option<u32>,
     /// Only items older than this identifier: the `next` of the page before.
     pub before: Option<String>,
-}
-
-/// A page of a list, newest first.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct List<T> {
-    /// The items.
-    pub items: Vec<T>,
-    /// Pass it as `before` to get the next page; absent on the last one.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub next: Option<String>,
 }
 
 impl PageQuery {
@@ -48,13 +38,11 @@ pub(super) fn page(limit: Option<u32>, before: Option<String>) -> Result<Page, P
     Ok(Page { limit, before })
 }
 
-impl<T> List<T> {
-    /// `id` tells an item's identifier.
-    pub(super) fn new(items: Vec<T>, page: &Page, id: impl Fn(&T) -> &str) -> Self {
-        let full = items.len() == page.limit as usize;
-        let next = items.last().filter(|_| full).map(|item| id(item).to_owned());
-        Self { items, next }
-    }
+/// A page of `items`; `id` gives an item's identifier.
+pub(super) fn list<T>(items: Vec<T>, page: &Page, id: impl Fn(&T) -> &str) -> List<T> {
+    let full = items.len() == page.limit as usize;
+    let next = items.last().filter(|_| full).map(|item| id(item).to_owned());
+    List { items, next }
 }
 
 /// Milliseconds since 1970 as RFC 3339.

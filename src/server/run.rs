@@ -11,11 +11,14 @@ use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use crate::api::auth::ApiKeys;
-use crate::api::{App, Limits, observe, router};
+use crate::engine::DeviceError;
 use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
+use crate::server::app::{App, RequestLimits};
+use crate::server::auth::ApiKeys;
+use crate::server::observe;
+use crate::server::router::{openapi, router};
 use crate::store::{NodeLock, Store, StoreError};
-use crate::worker::{self, GpuError, StartError, WorkerOptions};
+use crate::worker::{self, StartError, WorkerOptions};
 
 /// How often leases that ran out are looked for, and metrics are tidied.
 const UPKEEP_EVERY: Duration = Duration::from_secs(10);
@@ -27,14 +30,14 @@ const PARALLEL_IMPORTS: usize = 2;
 /// How a server runs.
 #[derive(Clone)]
 pub struct ServerConfig {
-    /// Where everything is kept. One server a directory.
+    /// Where everything is stored. One server for each directory.
     pub data_dir: PathBuf,
     /// Keys that are let in; none lets everyone in, on loopback only.
     pub api_keys: ApiKeys,
     /// Origins whose web pages may call the API.
     pub cors_origins: Vec<HeaderValue>,
     /// Bounds on requests.
-    pub limits: Limits,
+    pub limits: RequestLimits,
     /// How leases behave.
     pub lease: LeasePolicy,
     /// Sizes of the worker.
@@ -52,7 +55,7 @@ impl ServerConfig {
             data_dir: data_dir.into(),
             api_keys: ApiKeys::default(),
             cors_origins: Vec::new(),
-            limits: Limits::default(),
+            limits: RequestLimits::default(),
             lease: LeasePolicy::default(),
             worker: WorkerOptions::default(),
             clock: Arc::new(SystemClock),
@@ -74,7 +77,7 @@ pub enum ServeError {
     Store(#[from] StoreError),
     /// The device that was asked for cannot be had.
     #[error(transparent)]
-    Device(#[from] GpuError),
+    Device(#[from] DeviceError),
     /// The network or a thread failed.
     #[error(transparent)]
     Io(#[from] std::io::Error),
@@ -114,6 +117,7 @@ pub async fn run(
         imports: Semaphore::new(PARALLEL_IMPORTS),
         stop: stop.clone(),
         is_open: config.api_keys.is_open(),
+        description: openapi(),
     };
     let service = router(Arc::new(app), config.api_keys, &config.cors_origins);
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
@@ -130,7 +134,7 @@ pub async fn run(
     served
 }
 
-/// The node lock is ours, so whoever held leases or was uploading is dead.
+/// Takes back what a server that died left. The caller holds the node lock, so no other process works here.
 async fn recover(store: &Store, jobs: &Jobs) -> Result<(), StoreError> {
     store.artifacts().sweep_incoming()?;
     let recovered = jobs.reclaim_all().await?;

@@ -9,14 +9,16 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::description::File;
-use crate::api::extract::QueryString;
-use crate::api::files::{etag, matches_etag};
-use crate::api::picture::Format;
-use crate::api::{Problem, Shared, models, renders};
-use crate::render::{Output, Tier};
+use crate::api::{EnvironmentId, ModelId, Problem};
+use crate::render::{FrameFormat, Orbit, Output, Tier, Viewpoint};
+use crate::server::app::Shared;
+use crate::server::description::File;
+use crate::server::extract::QueryString;
+use crate::server::files::{etag, matches_etag};
+use crate::server::lights::{builtin_light, stored_light};
+use crate::server::{models, renders};
 use crate::store::hex;
-use crate::worker::{LightSource, Orbit, RenderTask, View};
+use crate::worker::{LightSource, RenderTask};
 
 /// The routes of this family.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
@@ -41,7 +43,7 @@ pub struct ThumbnailQuery {
     pub tier: Option<Tier>,
     /// `png` (the default, with alpha) or `jpeg` (over white).
     #[param(inline)]
-    pub format: Option<Format>,
+    pub format: Option<FrameFormat>,
 }
 
 /// Get a thumbnail
@@ -57,7 +59,7 @@ pub struct ThumbnailQuery {
 )]
 async fn thumbnail(
     State(app): State<Shared>,
-    Path(id): Path<String>,
+    Path(id): Path<ModelId>,
     QueryString(query): QueryString<ThumbnailQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
@@ -70,17 +72,17 @@ async fn thumbnail(
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
-        let (view, outputs) = (View::Orbit(orbit), vec![Output::Rgb]);
+        let (viewpoint, outputs) = (Viewpoint::Orbit(orbit), vec![Output::Rgb]);
         let task = RenderTask {
             model,
             light,
             rotation_deg: 0.0,
             exposure_ev: 0.0,
-            view,
+            viewpoint,
             quality: tier.into(),
             outputs,
         };
-        renders::respond(renders::picture(&app, task, format).await?, format)
+        renders::respond(renders::render_frame(&app, task, format).await?, format)
     };
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
@@ -114,23 +116,23 @@ fn tier(query: &ThumbnailQuery) -> Result<Tier, Problem> {
     }
 }
 
-fn format(query: &ThumbnailQuery) -> Result<Format, Problem> {
-    match query.format.unwrap_or(Format::Png) {
-        Format::Exr => Err(Problem::invalid_field("query/format", "must be png or jpeg")),
+fn format(query: &ThumbnailQuery) -> Result<FrameFormat, Problem> {
+    match query.format.unwrap_or(FrameFormat::Png) {
+        FrameFormat::Exr => Err(Problem::invalid_field("query/format", "must be png or jpeg")),
         format => Ok(format),
     }
 }
 
 async fn light(app: &Shared, name: &str) -> Result<LightSource, Problem> {
-    if let Some(light) = renders::builtin_light(name) {
+    if let Some(light) = builtin_light(name) {
         return Ok(light);
     }
-    let stored = renders::stored_light(app, name).await?;
+    let stored = stored_light(app, &EnvironmentId::from(name)).await?;
     stored.ok_or_else(|| Problem::invalid_field("query/env", format!("{name:?} does not exist")))
 }
 
 /// A hash of everything the picture depends on, the program's version included.
-fn identity(model: &str, light: &LightSource, orbit: &Orbit, tier: Tier, format: Format) -> String {
+fn identity(model: &str, light: &LightSource, orbit: &Orbit, tier: Tier, format: FrameFormat) -> String {
     let light = light.key();
     let text = format!("{}|{model}|{light}|{orbit:?}|{tier:?}|{format:?}", env!("CARGO_PKG_VERSION"));
     hex(&Sha256::digest(text.as_bytes()))

@@ -1,4 +1,4 @@
-//! From where a model is looked at.
+//! Where a model is seen from.
 
 use glam::DVec3;
 
@@ -11,10 +11,10 @@ const ORBIT_RADIUS: f64 = 1.1;
 
 /// A camera, or a rule that makes one for a model.
 #[derive(Debug, Clone, PartialEq)]
-pub enum View {
+pub enum Viewpoint {
     /// A camera in capture coordinates.
     Camera(Camera),
-    /// A camera that circles the model's centre.
+    /// A camera on a sphere about the model's centre.
     Orbit(Orbit),
 }
 
@@ -29,7 +29,7 @@ pub struct Orbit {
     pub size: u32,
 }
 
-impl View {
+impl Viewpoint {
     /// The camera for `model`.
     ///
     /// # Errors
@@ -49,7 +49,7 @@ impl Orbit {
         let (sin_a, cos_a) = self.azimuth_deg.to_radians().sin_cos();
         let (sin_e, cos_e) = self.elevation_deg.to_radians().sin_cos();
         let centre = -model.world_offset;
-        let eye = centre + DVec3::new(cos_a * cos_e, sin_a * cos_e, sin_e) * distance;
-        Camera::look_at(eye, centre, DVec3::Z, fov, (self.size, self.size))
+        let camera_centre = centre + DVec3::new(cos_a * cos_e, sin_a * cos_e, sin_e) * distance;
+        Camera::look_at(camera_centre, centre, DVec3::Z, fov, (self.size, self.size))
     }
 }
