@@ -119,7 +119,7 @@ fn every_output_of_every_tier_is_that_of_the_cpu_engine() {
         (Tier::Preview, &all[..1]),
         (Tier::Preview, &all[..3]),
         (Tier::High, &all[..]),
-        (Tier::Reference, &all[..]),
+        (Tier::MonteCarlo, &all[..]),
     ] {
         let quality = Quality { samples: 2, ..tier.into() };
         let expected = cpu.render(camera, &lights.0, quality, outputs).unwrap();

@@ -52,7 +52,12 @@ impl Device {
         }
     }
 
-    /// What it is, in words.
+    /// True on the GPU engine.
+    pub fn is_gpu(&self) -> bool {
+        !matches!(self, Self::Cpu)
+    }
+
+    /// What it is, for people.
     pub fn name(&self) -> String {
         match self {
             Self::Cpu => "cpu".to_owned(),

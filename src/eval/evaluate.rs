@@ -231,7 +231,7 @@ impl Run<'_> {
             self.views.iter().map(|v| format!("{}x{}", v.camera.width, v.camera.height)).collect();
         let sizes = sizes.into_iter().collect::<Vec<_>>().join(", ");
         let tier = match self.options.quality {
-            Quality { tier: Tier::Reference, samples, .. } => format!("reference ({samples} samples)"),
+            Quality { tier: Tier::MonteCarlo, samples, .. } => format!("monte_carlo ({samples} samples)"),
             Quality { tier, .. } => tier.name().to_owned(),
         };
         format!(

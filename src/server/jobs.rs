@@ -17,7 +17,7 @@ use crate::server::app::Shared;
 use crate::server::extract::{JsonBody, QueryString};
 use crate::server::listing::{list, page, rfc3339};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
-use crate::train::{KnownLight, TrainConfig, TrainOverrides};
+use crate::train::{ConfigError, KnownLight, TrainConfig};
 
 const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 const REPLAYED: HeaderName = HeaderName::from_static("idempotent-replayed");
@@ -229,12 +229,9 @@ fn check_priority(priority: i64) -> Result<(), Problem> {
 }
 
 /// The trainer's refusals begin with the name of the field.
-fn override_refused(message: &str) -> Problem {
-    let name = message.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_')).next().unwrap_or_default();
-    let known = serde_json::to_value(TrainOverrides::default()).ok();
-    let known = known.is_some_and(|fields| fields.get(name).is_some());
-    let pointer = if known { format!("/overrides/{name}") } else { "/overrides".to_owned() };
-    Problem::invalid_field(pointer, message)
+fn override_refused(error: &ConfigError) -> Problem {
+    let setting = error.field.split('.').next().unwrap_or_default();
+    Problem::invalid_field(format!("/overrides/{setting}"), error.to_string())
 }
 
 fn view(job: JobRecord, queue_position: Option<i64>) -> JobView {

@@ -20,13 +20,13 @@ pub(super) fn quality(request: &RenderRequest) -> Result<Quality, Problem> {
         seed: request.seed.unwrap_or(0),
     };
     let most = match request.tier {
-        Tier::Reference => MOST_QUERIES / (u64::from(request.width) * u64::from(request.height)).max(1),
+        Tier::MonteCarlo => MOST_QUERIES / (u64::from(request.width) * u64::from(request.height)).max(1),
         _ => u64::MAX,
     };
     let most = most.min(u64::from(Quality::MOST_SAMPLES));
     if !(1..=most).contains(&u64::from(quality.samples)) {
         let detail = match most {
-            0 => format!("the tier reference takes pictures of at most {MOST_QUERIES} pixels"),
+            0 => format!("the tier monte_carlo takes pictures of at most {MOST_QUERIES} pixels"),
             most => format!("must be 1 to {most} at this tier and size, got {}", quality.samples),
         };
         return Err(Problem::invalid_field("/samples", detail));

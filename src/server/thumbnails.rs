@@ -111,7 +111,7 @@ fn orbit(query: &ThumbnailQuery) -> Result<Orbit, Problem> {
 
 fn tier(query: &ThumbnailQuery) -> Result<Tier, Problem> {
     match query.tier.unwrap_or(Tier::Preview) {
-        Tier::Reference => Err(Problem::invalid_field("query/tier", "must be preview, standard or high")),
+        Tier::MonteCarlo => Err(Problem::invalid_field("query/tier", "must be preview, standard or high")),
         tier => Ok(tier),
     }
 }

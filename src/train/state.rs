@@ -2,7 +2,7 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use crate::train::complexity::ComplexityState;
+use crate::train::complexity::state::ComplexityState;
 
 /// Where a training stands in its schedule; kept on the host whatever device trains.
 #[derive(Debug, Clone, PartialEq)]

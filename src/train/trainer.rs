@@ -15,7 +15,7 @@ use crate::engine::{
 };
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Field, Model};
-use crate::train::complexity::{self, ComplexityState};
+use crate::train::complexity::{self, state::ComplexityState};
 use crate::train::context::StepContext;
 use crate::train::dataset::Dataset;
 use crate::train::state::ScheduleState;

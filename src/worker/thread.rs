@@ -76,7 +76,7 @@ pub fn start(
 ) -> Result<(DeviceHandle, JoinHandle<()>), StartError> {
     let device = Device::open(options.device)?;
     tracing::info!(device = device.name(), "device ready");
-    let has_gpu = matches!(device, Device::Gpu(_));
+    let has_gpu = device.is_gpu();
     let (sender, renders) = mpsc::channel(options.render_queue);
     let changes = jobs.subscribe();
     let cache = RenderCache::new(options.models, options.lights);

@@ -6,7 +6,6 @@ use crate::engine::constants::{ALPHA_MAX, ALPHA_MIN, LOG_SCALE_LIMIT, WIDEST};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::lanes::exp_negative;
 use crate::engine::cpu::project::{rotation, sigmoid};
-use crate::scene::ShadingOptions;
 
 pub(super) type Vec3 = [f32; 3];
 

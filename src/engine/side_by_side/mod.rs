@@ -2,6 +2,7 @@
 //! `relume bench precision` compare.
 
 mod on_cpu;
+#[cfg(feature = "gpu")]
 mod on_gpu;
 mod on_reference;
 
@@ -11,6 +12,7 @@ use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Camera, Model};
 
 pub use on_cpu::by_cpu;
+#[cfg(feature = "gpu")]
 pub use on_gpu::by_gpu;
 pub use on_reference::{by_reference, steady_pixels};
 

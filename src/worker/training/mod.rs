@@ -30,7 +30,7 @@ impl Worker {
     pub(super) async fn train(&mut self, lease: &Lease) -> Result<AttemptEnd, AttemptError> {
         let request = &lease.job().request;
         let config = TrainConfig::new(request.preset, &request.overrides)
-            .map_err(|error| AttemptError::new("config_invalid", error))?;
+            .map_err(|error| AttemptError::new("config_invalid", error.to_string()))?;
         let checkpoint_every = config.checkpoint_every.max(1);
         let capture = match self.import(lease, &config).await? {
             ControlFlow::Continue(capture) => capture,

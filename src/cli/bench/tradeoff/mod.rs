@@ -116,7 +116,7 @@ fn cases<'a>(args: &Args, capture: &'a Capture) -> Result<(Vec<&'a CaptureView>,
 fn truths(args: &Args, capture: &Capture, subject: &Subject) -> Result<Truths, Failure> {
     let (views, lights) = cases(args, capture)?;
     let renderer = Renderer::new(subject.model.clone());
-    let quality = Quality { seed: 1, ..Quality::reference(args.truth_samples) };
+    let quality = Quality { seed: 1, ..Quality::monte_carlo(args.truth_samples) };
     let mut out = BTreeMap::new();
     for (l, name) in lights.iter().enumerate() {
         let light = renderer.prepare_light(&capture.lights[*name])?;
@@ -138,7 +138,7 @@ fn measure(
 ) -> Result<Vec<Row>, Failure> {
     let (views, lights) = cases(args, capture)?;
     let renderer = Renderer::on(subject.model.clone(), device)?;
-    let sampled = args.samples.iter().map(|n| Quality::reference(*n));
+    let sampled = args.samples.iter().map(|n| Quality::monte_carlo(*n));
     let fast = [Tier::Preview, Tier::Standard, Tier::High].map(Quality::from);
     // On a device of their own are only two.
     let wanted = match device {

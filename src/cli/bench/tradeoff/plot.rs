@@ -62,7 +62,7 @@ fn time_against_error(rows: &[Row]) -> Panel {
         Series {
             name: format!("{model}, {device}"),
             // Samples of the reference tier make a line, tiers do not.
-            alone: own().take_while(|r| r.quality.tier != Tier::Reference).count(),
+            alone: own().take_while(|r| r.quality.tier != Tier::MonteCarlo).count(),
             points: own().map(|r| (r.frame_ms, r.shown, tier_name(r))).collect(),
         }
     });
@@ -76,7 +76,7 @@ fn time_against_error(rows: &[Row]) -> Panel {
 
 fn samples_against_error(rows: &[Row]) -> Panel {
     let series = slopes(rows).into_iter().map(|(model, slope)| {
-        let own = rows.iter().filter(|r| r.model == model && r.quality.tier == Tier::Reference);
+        let own = rows.iter().filter(|r| r.model == model && r.quality.tier == Tier::MonteCarlo);
         let points = own.map(|r| (f64::from(r.quality.samples), r.linear, String::new())).collect();
         Series { name: format!("{model}: slope {slope:.2}"), alone: 0, points }
     });

@@ -9,7 +9,7 @@ use crate::render::Tier;
 /// The tier, with its samples where it has some.
 pub(super) fn tier_name(row: &Row) -> String {
     match row.quality.tier {
-        Tier::Reference => format!("reference, {}", row.quality.samples),
+        Tier::MonteCarlo => format!("monte_carlo, {}", row.quality.samples),
         tier => tier.name().to_owned(),
     }
 }
@@ -58,7 +58,7 @@ pub(super) fn csv(rows: &[Row]) -> Result<String, std::fmt::Error> {
     for r in rows {
         let optional = |v: Option<f64>| v.map_or(String::new(), |v| v.to_string());
         let samples = match r.quality.tier {
-            Tier::Reference => r.quality.samples.to_string(),
+            Tier::MonteCarlo => r.quality.samples.to_string(),
             _ => String::new(),
         };
         writeln!(
@@ -84,7 +84,7 @@ pub(super) fn slopes(rows: &[Row]) -> Vec<(String, f64)> {
     let mut models: Vec<&str> = rows.iter().map(|r| r.model.as_str()).collect();
     models.dedup();
     let points = |model: &str| -> Vec<(f64, f64)> {
-        let own = rows.iter().filter(|r| r.model == model && r.quality.tier == Tier::Reference);
+        let own = rows.iter().filter(|r| r.model == model && r.quality.tier == Tier::MonteCarlo);
         own.map(|r| (f64::from(r.quality.samples), r.linear)).collect()
     };
     models.into_iter().filter_map(|m| Some((m.to_owned(), slope(&points(m))?))).collect()
