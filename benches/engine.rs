@@ -15,7 +15,7 @@ use relume::engine::Device;
 use relume::engine::channel::Channels;
 use relume::engine::constants::EarlyStop;
 use relume::engine::cpu::{
-    AttributeSource, BranchImages, Pass, ProbeSettings, Probes, Shader, View, fibonacci_sphere,
+    AttributeSource, BranchImages, Pass, ProbeSettings, Probes, SurfaceShader, View, fibonacci_sphere,
 };
 use relume::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
 use relume::render::{Output, Renderer, Tier};
@@ -92,8 +92,8 @@ fn tables() -> &'static LightTables {
     TABLES.get_or_init(|| operators().apply(&[[1.0; 3]; 512]))
 }
 
-fn shader() -> Shader<'static> {
-    Shader { tables: tables(), options: &model().shading, order: 4 }
+fn shader() -> SurfaceShader<'static> {
+    SurfaceShader { tables: tables(), options: &model().shading, order: 4 }
 }
 
 fn full_pass() -> &'static Pass {

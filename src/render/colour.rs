@@ -7,11 +7,11 @@ use rayon::prelude::*;
 
 use crate::engine::channel::{self, Channels, OutgoingRadiance, RowLight};
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{AttributeSource, Pass, Shader, View, attribute_rows, project_all};
+use crate::engine::cpu::{AttributeSource, Pass, SurfaceShader, View, attribute_rows, project_all};
 use crate::render::{Frame, Output};
 
 /// Renders `rgb` and `alpha`.
-pub fn render(source: &AttributeSource<'_>, view: View, shader: &Shader<'_>) -> Frame {
+pub fn render(source: &AttributeSource<'_>, view: View, shader: &SurfaceShader<'_>) -> Frame {
     let source = &source.shaded(*shader);
     let splats = project_all(source, &view);
     let material = Channels::Material.stored();

@@ -2,7 +2,7 @@
 
 use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{Pass, Shader, Surface};
+use crate::engine::cpu::{Pass, Surface, SurfaceShader};
 use crate::engine::gpu::GpuError;
 use crate::render::develop::develop;
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer};
@@ -18,7 +18,7 @@ impl Renderer {
         &self,
         camera: &Camera,
         light: &PreparedLight,
-        edit: &(dyn Fn(&Shader<'_>, usize, &mut Surface) + Sync),
+        edit: &(dyn Fn(&SurfaceShader<'_>, usize, &mut Surface) + Sync),
     ) -> Result<Frame, RenderError> {
         let view = self.view(camera)?;
         let (None, Some(light)) = (&light.on_gpu, light.on_cpu.get()) else {
@@ -27,8 +27,11 @@ impl Renderer {
         // Deferred whatever the model: what is edited is in the pixel.
         let options = ShadingOptions { shade_at: ShadeAt::Pixel, ..self.model().shading };
         let source = self.source(&light.gathered, &light.indirect_basis);
-        let shader =
-            Shader { tables: &light.tables, options: &options, order: source.gaussians.visibility_order() };
+        let shader = SurfaceShader {
+            tables: &light.tables,
+            options: &options,
+            order: source.gaussians.visibility_order(),
+        };
         let coefficients = source.gaussians.width(Field::Visibility);
         let pass = Pass::forward(&source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
         let outputs = [Output::Rgb, Output::Alpha];

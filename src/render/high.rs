@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use crate::engine::channel::{self, Channels, OutgoingRadiance};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
-    AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Shader, Surface, View, attribute_rows,
-    normalise, project_all,
+    AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Surface, SurfaceShader, View,
+    attribute_rows, normalise, project_all,
 };
 use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, rendering_tables};
 use crate::render::develop::{develop, reflector};
@@ -48,8 +48,8 @@ impl SplitLight {
 }
 
 /// Renders every pixel under the rest and each of the lights; `whole` has the tables of both together.
-pub(super) fn render(job: &Job<'_>, whole: &Shader<'_>, light: &SplitLight) -> Frame {
-    let shader = Shader { tables: light.rest.as_ref().unwrap_or(whole.tables), ..*whole };
+pub(super) fn render(job: &Job<'_>, whole: &SurfaceShader<'_>, light: &SplitLight) -> Frame {
+    let shader = SurfaceShader { tables: light.rest.as_ref().unwrap_or(whole.tables), ..*whole };
     match shader.options.shade_at {
         ShadeAt::Gaussian => at_gaussians(job, &shader, light),
         ShadeAt::Pixel => in_pixels(job, &shader, light),
@@ -57,7 +57,7 @@ pub(super) fn render(job: &Job<'_>, whole: &Shader<'_>, light: &SplitLight) -> F
 }
 
 /// The lights are added to what each Gaussian sends.
-fn at_gaussians(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
+fn at_gaussians(job: &Job<'_>, shader: &SurfaceShader<'_>, light: &SplitLight) -> Frame {
     let source = job.source.under(*shader);
     let full = Channels::Full(source.gaussians.width(Field::Visibility));
     let (splats, stored) = (project_all(&source, &job.view), full.stored());
@@ -86,7 +86,7 @@ fn cosine(normal: [f32; 3], view: [f32; 3]) -> f32 {
 }
 
 /// The lights are added to what each pixel sends; their shadows are blended.
-fn in_pixels(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
+fn in_pixels(job: &Job<'_>, shader: &SurfaceShader<'_>, light: &SplitLight) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
     let pass = pass(&job.source, job.view, light, coefficients);
     develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| {

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::engine::channel::{Channels, OutgoingRadiance};
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{Occluders, Pass, Shader, Surface, surface_point};
+use crate::engine::cpu::{Occluders, Pass, Surface, SurfaceShader, surface_point};
 use crate::light::{EnvSampler, Shares, estimate};
 use crate::render::develop::{develop, reflector};
 use crate::render::{Frame, Job, Quality};
@@ -21,7 +21,7 @@ const BRIGHTEST: f64 = 1e36;
 /// random.
 pub(super) fn render(
     job: &Job<'_>,
-    shader: &Shader<'_>,
+    shader: &SurfaceShader<'_>,
     environment: &EnvSampler,
     occluders: &Occluders,
     quality: Quality,

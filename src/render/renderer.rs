@@ -3,7 +3,7 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::engine::Device;
-use crate::engine::cpu::{AttributeSource, Occluders, ProbeSettings, Shader, Transport, View};
+use crate::engine::cpu::{AttributeSource, Occluders, ProbeSettings, SurfaceShader, Transport, View};
 use crate::engine::gpu::GpuError;
 use crate::light::{EnvSampler, rendering_tables};
 use crate::render::high::{self, SplitLight};
@@ -180,7 +180,7 @@ impl Renderer {
         let on_cpu = self.on_cpu(light);
         let source = self.source(&on_cpu.gathered, &on_cpu.indirect_basis);
         let order = self.model.gaussians.visibility_order();
-        let shader = Shader { tables: &on_cpu.tables, options: &self.model.shading, order };
+        let shader = SurfaceShader { tables: &on_cpu.tables, options: &self.model.shading, order };
         let depth_scale = (1.0 / self.model.world_scale) as f32;
         let job = Job { source, view, outputs: &wanted, depth_scale };
         Ok(match quality.tier {

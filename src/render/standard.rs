@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use crate::engine::channel::{self, Channels, OutgoingRadiance};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
-    AttributeSource, Pass, ProbeSettings, Probes, Shader, Transport, fibonacci_sphere, indirect_basis,
+    AttributeSource, Pass, ProbeSettings, Probes, SurfaceShader, Transport, fibonacci_sphere, indirect_basis,
     outward_normals,
 };
 use crate::light::LightTables;
@@ -48,7 +48,7 @@ impl LightOnCpu {
 }
 
 /// Renders every pixel under the tables of `shader`.
-pub(super) fn render(job: &Job<'_>, shader: &Shader<'_>) -> Frame {
+pub(super) fn render(job: &Job<'_>, shader: &SurfaceShader<'_>) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
     let pass = Pass::forward(
         &job.source.under(*shader),

@@ -24,7 +24,7 @@ const MOST_GROWTH: f32 = 0.25;
 /// Running statistics since the last round.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct DensityStats {
-    /// Sum of pulls ([`Gradients::pull`]).
+    /// Sum of pulls ([`Gradients::absgrad`]).
     pub pull: Vec<f32>,
     /// Steps in which the Gaussian was on screen.
     pub seen: Vec<f32>,
@@ -40,7 +40,7 @@ impl DensityStats {
     pub fn record(&mut self, g: &Gradients) {
         for (i, visible) in g.visible.iter().enumerate() {
             if *visible {
-                self.pull[i] += g.pull[i];
+                self.pull[i] += g.absgrad[i];
                 self.seen[i] += 1.0;
             }
         }

@@ -4,7 +4,7 @@ use crate::engine::Gradients;
 use crate::engine::channel::{Channels, StepChannels};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
-    self, AttributeSource, BufferGradient, Pass, ProbeSettings, Probes, Shader, Transport, View,
+    self, AttributeSource, BufferGradient, Pass, ProbeSettings, Probes, SurfaceShader, Transport, View,
     fibonacci_sphere, outward_normals, radiance_image, radiance_image_backward,
 };
 use crate::light::EnvOperators;
@@ -103,7 +103,7 @@ pub fn material(context: &StepContext<'_>, state: &Learned, photo: &Photo) -> Ou
     let basis = cpu::indirect_basis(&tables);
     let Learned { model, .. } = state;
     let order = model.gaussians.visibility_order();
-    let shader = Shader { tables: &tables, options: &model.shading, order };
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
     let source = source(state, &basis).under(shader);
     let view = View::new(&photo.camera, source.options);
     let StepChannels { blended, differentiated } = channels(context.config, model);
@@ -159,7 +159,7 @@ pub(super) fn physical_image(context: &StepContext<'_>, state: &Learned, photo: 
     let basis = cpu::indirect_basis(&tables);
     let Learned { model, .. } = state;
     let order = model.gaussians.visibility_order();
-    let shader = Shader { tables: &tables, options: &model.shading, order };
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
     let source = source(state, &basis).under(shader);
     let view = View::new(&photo.camera, source.options);
     let pass =
