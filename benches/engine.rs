@@ -4,22 +4,21 @@
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use relume::engine::{ProbeSettings, RasterCamera, fibonacci_sphere};
 use std::sync::OnceLock;
 
 use divan::{Bencher, black_box};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Scene3dBounds};
+use relume::capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::engine::Device;
 use relume::engine::channel::Channels;
 use relume::engine::constants::EarlyStop;
-use relume::engine::cpu::{
-    AttributeSource, BranchImages, Pass, ProbeSettings, Probes, SurfaceShader, View, fibonacci_sphere,
-};
+use relume::engine::cpu::{AttributeSource, BranchImages, Pass, Probes, SurfaceShader};
 use relume::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
 use relume::render::{Output, Renderer, Tier};
-use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadingOptions};
+use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, ShadingOptions};
 use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer};
 
 const GAUSSIANS: usize = 10_000;
@@ -78,8 +77,8 @@ fn source() -> AttributeSource<'static> {
     source.under(shader())
 }
 
-fn view() -> View {
-    View::new(&camera(SIDE), &model().shading)
+fn view() -> RasterCamera {
+    RasterCamera::new(&camera(SIDE), &model().shading)
 }
 
 fn operators() -> &'static EnvOperators {

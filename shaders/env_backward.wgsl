@@ -1,7 +1,7 @@
 // Gradient of the raw environment: the transposed map `M^T g`, the terms on the light itself, and the chain through
 // softplus (docs/MODEL.md sections 4 and 5).
 // A workgroup owns one texel; its threads share the (colour, coefficient) pairs of the diffuse rows and the entries of the
-// specular ones, then add up. A texel has up to 20,000 terms.
+// specular ones, then add up. A texel has up to 20,000 terms. Workgroup memory holds the partial sums.
 const WG_SIZE = 128u;
 #import environment
 #import index

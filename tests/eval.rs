@@ -6,16 +6,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use glam::DVec3;
-use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Plane, Scene3dBounds};
+use relume::capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::cli::eval::{EvalArgs, QualityArgs, run};
 use relume::engine::Device;
-use relume::engine::gpu::DeviceChoice;
+use relume::engine::DeviceChoice;
 use relume::eval::{
     EvalError, EvalOptions, Lpips, Picture, Replaced, Report, attribute, contact_sheet, evaluate,
 };
 use relume::formats::model_file;
 use relume::render::{Frame, Output, Renderer, Tier};
-use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadeAt, ShadingOptions};
+use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, Plane, ShadeAt, ShadingOptions};
 
 const SIDE: u32 = 40;
 

@@ -3,7 +3,8 @@
 use std::sync::{Arc, OnceLock};
 
 use glam::DVec3;
-use relume::engine::cpu::{AttributeSource, ProbeSettings, Probes, fibonacci_sphere};
+use relume::engine::cpu::{AttributeSource, Probes};
+use relume::engine::{ProbeSettings, fibonacci_sphere};
 use relume::render::{Frame, Output, Quality, Renderer, Tier};
 use relume::scene::{
     Camera, EnvMap, Field, Gaussians, IndirectForm, Model, ShadeAt, ShadingOptions, texel_directions,

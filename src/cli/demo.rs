@@ -10,9 +10,8 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::api::jobs::NewJob;
-use crate::api::picture::Format;
 use crate::api::renders::{CameraSpec, EnvironmentSpec, IntrinsicsSpec, RenderRequest};
-use crate::api::server::ServeError;
+use crate::api::{CaptureId, EnvironmentId, ModelId};
 use crate::capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
 use crate::cli::output;
 use crate::client::{Client, ClientError, JobEvent};
@@ -20,7 +19,8 @@ use crate::eval::sheet::Sheet;
 use crate::eval::{EvalError, EvalOptions, Picture, Report, evaluate, photograph, truth_layers};
 use crate::formats::environment::{self, EnvironmentFileError};
 use crate::formats::model_file::{self, ModelFileError};
-use crate::render::Output;
+use crate::render::{FrameFormat, Output};
+use crate::server::ServeError;
 use crate::testing;
 use crate::train::{Preset, TrainOverrides};
 
@@ -67,7 +67,7 @@ pub enum DemoError {
     #[error("the job ended {state}: {detail}")]
     Job {
         /// The job's last state.
-        state: String,
+        state: &'static str,
         /// Its reason.
         detail: String,
     },
@@ -131,7 +131,7 @@ pub async fn demo(args: &DemoArgs) -> Result<Report, DemoError> {
 /// Everything between upload and summary.
 async fn show(
     client: &Client,
-    capture_id: &str,
+    capture_id: &CaptureId,
     capture: Arc<Capture>,
     args: &DemoArgs,
 ) -> Result<Report, DemoError> {
@@ -151,17 +151,21 @@ async fn show(
 }
 
 /// Queues the training and follows it; the model's identifier and how long the job ran, seconds.
-async fn train(client: &Client, capture: &str, args: &DemoArgs) -> Result<(String, Option<f64>), DemoError> {
+async fn train(
+    client: &Client,
+    capture: &CaptureId,
+    args: &DemoArgs,
+) -> Result<(ModelId, Option<f64>), DemoError> {
     let overrides =
         TrainOverrides { seed: Some(args.seed), iterations: args.iterations, ..TrainOverrides::default() };
-    let order = NewJob { capture: capture.to_owned(), preset: Preset::Draft, overrides, ..NewJob::default() };
-    let job = client.create_job(&order, None).await?;
+    let job = NewJob { capture: capture.clone(), preset: Preset::Draft, overrides, ..NewJob::default() };
+    let job = client.create_job(&job, None).await?;
     println!("3/5 training, job {}", job.id);
     let bar = progress_bar();
     let job = client.wait(&job.id, |event| show_event(&bar, event)).await?;
     bar.finish();
     let failed = || DemoError::Job {
-        state: format!("{:?}", job.state).to_lowercase(),
+        state: job.state.name(),
         detail: job.error.as_ref().map_or_else(|| "it left no model".to_owned(), |e| e.detail.clone()),
     };
     Ok((job.model.clone().ok_or_else(failed)?, seconds_between(&job.started_at, &job.finished_at)))
@@ -194,7 +198,7 @@ fn show_event(bar: &ProgressBar, event: &JobEvent) {
 }
 
 /// Two rows a view: what the service renders, and the truth.
-async fn contact_sheet(client: &Client, model: &str, capture: &Capture) -> Result<Sheet, DemoError> {
+async fn contact_sheet(client: &Client, model: &ModelId, capture: &Capture) -> Result<Sheet, DemoError> {
     let lights = upload_lights(client, capture).await?;
     let mut columns = vec!["input".to_owned()];
     columns.extend(lights.iter().map(|(name, _)| format!("relit {name}")));
@@ -225,7 +229,7 @@ async fn contact_sheet(client: &Client, model: &str, capture: &Capture) -> Resul
 async fn upload_lights<'a>(
     client: &Client,
     capture: &'a Capture,
-) -> Result<Vec<(&'a str, String)>, DemoError> {
+) -> Result<Vec<(&'a str, EnvironmentId)>, DemoError> {
     let mut lights = Vec::new();
     for (name, map) in &capture.lights {
         let uploaded = client.upload_environment(environment::encode_exr(map)?).await?;
@@ -237,10 +241,10 @@ async fn upload_lights<'a>(
 /// One output of one view from the render endpoint, on white; under the recovered light when none is named.
 async fn frame(
     client: &Client,
-    model: &str,
+    model: &ModelId,
     view: &CaptureView,
     output: Output,
-    light: Option<&String>,
+    light: Option<&EnvironmentId>,
 ) -> Result<Picture, DemoError> {
     let camera = &view.camera;
     let matrix = camera.to_opengl().transpose().to_cols_array_2d();
@@ -257,7 +261,7 @@ async fn frame(
         outputs: vec![output],
         ..RenderRequest::default()
     };
-    let png = client.render(model, &request, Format::Png).await?;
+    let png = client.render(model, &request, FrameFormat::Png).await?;
     let image = image::load_from_memory(&png)?.into_rgba32f();
     let on_white = |p: &image::Rgba<f32>| {
         let [r, g, b, a] = p.0;

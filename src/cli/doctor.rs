@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use crate::cli::CommandResult;
-use crate::engine::gpu::{AdapterReport, Adapters, DeviceChoice, Gpu, GpuOptions};
+use crate::engine::gpu::{Adapters, Gpu, GpuOptions};
+use crate::engine::{AdapterReport, DeviceChoice};
+#[cfg(feature = "server")]
 use crate::store::Store;
 
 /// Options of `relume doctor`.
@@ -27,6 +29,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
         println!("gpus          none: no Vulkan, Metal or DX12 driver found");
     }
     adapters.reports().iter().for_each(describe);
+    #[cfg(feature = "server")]
     println!("sqlite        {}", sqlite_version()?);
     println!("data dir      {}", data_dir(&args.data_dir)?);
     let chosen = adapters.choose(args.device)?;
@@ -92,6 +95,7 @@ fn features() -> Vec<&'static str> {
     vec![std::env::consts::ARCH]
 }
 
+#[cfg(feature = "server")]
 /// Runs a real database with the real schema, in a folder of its own.
 fn sqlite_version() -> Result<String, Box<dyn std::error::Error + Send + Sync>> {
     let folder = tempfile::tempdir()?;

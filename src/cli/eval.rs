@@ -9,7 +9,7 @@ use crate::capture::{Capture, CaptureError, ImportOptions, import};
 pub use crate::cli::args::QualityArgs;
 use crate::cli::output;
 use crate::engine::Device;
-use crate::engine::gpu::{DeviceChoice, GpuError};
+use crate::engine::{DeviceChoice, DeviceError};
 use crate::eval::{EvalError, EvalOptions, Lpips, LpipsError, contact_sheet, evaluate};
 use crate::formats::model_file::{self, ModelFileError};
 
@@ -87,7 +87,7 @@ pub enum EvalCommandError {
     Lpips(#[from] LpipsError),
     /// The device cannot be had.
     #[error(transparent)]
-    Device(#[from] GpuError),
+    Device(#[from] DeviceError),
     /// Nothing could be compared.
     #[error(transparent)]
     Eval(#[from] EvalError),

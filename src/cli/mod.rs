@@ -2,6 +2,7 @@
 
 mod args;
 mod bench;
+#[cfg(all(feature = "server", feature = "client"))]
 pub mod demo;
 mod doctor;
 pub mod eval;
@@ -10,6 +11,7 @@ mod export;
 mod light;
 mod output;
 mod render;
+#[cfg(feature = "server")]
 mod serve;
 mod train;
 
@@ -35,10 +37,12 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    #[cfg(all(feature = "server", feature = "client"))]
     /// See it work: train on a synthetic capture, relight it, measure it against the exact truth.
     Demo(demo::DemoArgs),
+    #[cfg(feature = "server")]
     /// Run the HTTP service.
-    Serve(serve::Args),
+    Serve(serve::ServeArgs),
     /// Train a model from a capture on this machine.
     Train(train::Args),
     /// Render a model on this machine.
@@ -53,16 +57,30 @@ enum Command {
     Export(export::Args),
     /// Show what this machine offers and whether everything is in order.
     Doctor(doctor::Args),
+    #[cfg(feature = "server")]
     /// Print the description of the HTTP API.
     Openapi,
+}
+
+impl Command {
+    /// What is logged when `RUST_LOG` says nothing: a server reports what it does, other commands only what goes wrong.
+    fn log_level(&self) -> &'static str {
+        match self {
+            #[cfg(feature = "server")]
+            Self::Serve(_) => "relume=info,warn",
+            _ => "warn",
+        }
+    }
 }
 
 /// Runs the command that the process was started with.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    log_to_stderr(cli.json_logs, matches!(cli.command, Command::Serve(_)));
+    log_to_stderr(cli.json_logs, cli.command.log_level());
     let outcome = match cli.command {
+        #[cfg(all(feature = "server", feature = "client"))]
         Command::Demo(args) => demo::run(&args).map_err(Into::into),
+        #[cfg(feature = "server")]
         Command::Serve(args) => serve::run(args),
         Command::Train(args) => train::run(&args),
         Command::Render(args) => render::run(&args),
@@ -71,6 +89,7 @@ pub fn main() -> ExitCode {
         Command::Explain(args) => explain::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "server")]
         Command::Openapi => openapi(),
     };
     match outcome {
@@ -82,15 +101,15 @@ pub fn main() -> ExitCode {
     }
 }
 
+#[cfg(feature = "server")]
 fn openapi() -> CommandResult {
-    println!("{}", crate::api::openapi().to_pretty_json()?);
+    println!("{}", crate::server::openapi().to_pretty_json()?);
     Ok(())
 }
 
-/// `RUST_LOG` decides; a server tells what it does, other commands only what goes wrong.
-fn log_to_stderr(json: bool, server: bool) {
-    let default = if server { "relume=info,warn" } else { "warn" };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
+/// Logs to standard error, as `RUST_LOG` says or else at `default_level`.
+fn log_to_stderr(json: bool, default_level: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_level));
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

@@ -3,15 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::api::picture::{self, Format};
 use crate::cli::args::{QualityArgs, named};
 use crate::cli::light::named_light;
 use crate::cli::{CommandResult, output};
 use crate::engine::Device;
-use crate::engine::gpu::DeviceChoice;
+use crate::engine::DeviceChoice;
 use crate::formats::model_file;
-use crate::render::{Output, Renderer};
-use crate::worker::{Orbit, View};
+use crate::render::{FrameFormat, Orbit, Output, Renderer, Viewpoint, encode_frame};
 
 /// Options of `relume render`.
 #[derive(Debug, clap::Args)]
@@ -51,7 +49,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> CommandResult {
     let format = format(&args.out)?;
-    if format != Format::Exr && args.output.len() > 1 {
+    if format != FrameFormat::Exr && args.output.len() > 1 {
         return Err("only an .exr holds several outputs".into());
     }
     let model = Arc::new(model_file::decode(&std::fs::read(&args.model)?)?);
@@ -61,22 +59,22 @@ pub(super) fn run(args: &Args) -> CommandResult {
     };
     let light = light.rotated_and_scaled(args.rotation, args.exposure.exp2() as f32);
     let orbit = Orbit { azimuth_deg: args.azimuth, elevation_deg: args.elevation, size: args.size };
-    let camera = View::Orbit(orbit).camera(&model)?;
+    let camera = Viewpoint::Orbit(orbit).camera(&model)?;
     let renderer = Renderer::on(model, &Device::open(args.device)?)?;
     let frame =
         renderer.render(&camera, &renderer.prepare_light(&light)?, args.quality.quality(), &args.output)?;
-    let picture = picture::encode(&frame, &args.output, format)?;
-    output::write_named(&args.out, &picture.bytes)?;
+    let encoded = encode_frame(&frame, &args.output, format)?;
+    output::write_named(&args.out, &encoded.bytes)?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
 }
 
-fn format(path: &Path) -> Result<Format, String> {
+fn format(path: &Path) -> Result<FrameFormat, String> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     match extension.as_str() {
-        "png" => Ok(Format::Png),
-        "jpg" | "jpeg" => Ok(Format::Jpeg),
-        "exr" => Ok(Format::Exr),
+        "png" => Ok(FrameFormat::Png),
+        "jpg" | "jpeg" => Ok(FrameFormat::Jpeg),
+        "exr" => Ok(FrameFormat::Exr),
         _ => Err(format!("{}: must end in .png, .jpg or .exr", path.display())),
     }
 }

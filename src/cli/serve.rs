@@ -7,18 +7,17 @@ use axum::http::HeaderValue;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 
-use crate::api::auth::ApiKeys;
-use crate::api::server::{self, ServerConfig};
 use crate::cli::CommandResult;
-use crate::worker::DeviceChoice;
+use crate::engine::DeviceChoice;
+use crate::server::{self, ApiKeys, ServerConfig};
 
 /// Options of `relume serve`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct ServeArgs {
     /// Address to listen on. Anything but loopback needs an API key.
     #[arg(long, env = "RELUME_LISTEN", default_value = "127.0.0.1:7878")]
     listen: SocketAddr,
-    /// Where everything is kept.
+    /// Where everything is stored.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
     /// Keys that are let in, as `Authorization: Bearer KEY`; several with commas.
@@ -53,11 +52,11 @@ fn api_key(text: &str) -> Result<String, String> {
     if key.len() < 16 { Err("a key needs at least 16 characters".to_owned()) } else { Ok(key.to_owned()) }
 }
 
-pub(super) fn run(args: Args) -> CommandResult {
+pub(super) fn run(args: ServeArgs) -> CommandResult {
     tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(serve(args))
 }
 
-async fn serve(args: Args) -> CommandResult {
+async fn serve(args: ServeArgs) -> CommandResult {
     let mut config = ServerConfig::new(&args.data_dir);
     config.api_keys = ApiKeys::new(&args.api_keys);
     config.cors_origins = args.cors_origins;

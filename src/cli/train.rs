@@ -10,10 +10,11 @@ use crate::cli::args::{named, overrides};
 use crate::cli::light::named_light;
 use crate::cli::{CommandResult, output};
 use crate::engine::Device;
-use crate::engine::gpu::DeviceChoice;
+use crate::engine::DeviceChoice;
 use crate::formats::model_file;
-use crate::train::{KnownLight, LightExposure, Preset, StepReport, TrainConfig, Trainer};
-use crate::worker::import_for_training;
+use crate::train::{
+    KnownLight, LightExposure, Preset, StepReport, TrainConfig, Trainer, import_for_training,
+};
 
 /// Options of `relume train`.
 #[derive(Debug, clap::Args)]

@@ -1,6 +1,12 @@
 //! The device that trains and renders.
 
-use crate::engine::gpu::{Adapters, DeviceChoice, Gpu, GpuError, GpuOptions};
+use std::sync::Arc;
+
+#[cfg(feature = "gpu")]
+use crate::engine::gpu::{self, Gpu};
+use crate::engine::{DeviceChoice, DeviceError, Frames, TrainState, Training, TrainingLimits, cpu};
+use crate::light::EnvOperators;
+use crate::scene::Model;
 
 /// An engine that is ready to use.
 #[derive(Debug, Clone, Default)]
@@ -9,6 +15,7 @@ pub enum Device {
     #[default]
     Cpu,
     /// The GPU engine on an open device.
+    #[cfg(feature = "gpu")]
     Gpu(Gpu),
 }
 
@@ -16,17 +23,12 @@ impl Device {
     /// Opens what `choice` means on this machine.
     ///
     /// # Errors
-    /// [`GpuError::Unavailable`] when a GPU is asked for and cannot be had.
-    pub fn open(choice: DeviceChoice) -> Result<Self, GpuError> {
+    /// [`DeviceError::Unavailable`] when a GPU is asked for and cannot be had.
+    pub fn open(choice: DeviceChoice) -> Result<Self, DeviceError> {
         if choice == DeviceChoice::Cpu {
             return Ok(Self::Cpu);
         }
-        let adapters = Adapters::find();
-        let Some(index) = adapters.choose(choice)? else { return Ok(Self::Cpu) };
-        // Nothing is built on a device that cannot add.
-        let opened = Gpu::open(&adapters, index, GpuOptions::from_env())
-            .and_then(|gpu| gpu.self_test().map(|()| Self::Gpu(gpu)));
-        match (opened, choice) {
+        match (Self::open_gpu(choice), choice) {
             (Err(error), DeviceChoice::Auto) => {
                 tracing::warn!(%error, "the GPU cannot be used; the CPU engine is");
                 Ok(Self::Cpu)
@@ -35,11 +37,60 @@ impl Device {
         }
     }
 
+    #[cfg(feature = "gpu")]
+    fn open_gpu(choice: DeviceChoice) -> Result<Self, DeviceError> {
+        Ok(Gpu::choose(choice)?.map_or(Self::Cpu, Self::Gpu))
+    }
+
+    #[cfg(not(feature = "gpu"))]
+    fn open_gpu(choice: DeviceChoice) -> Result<Self, DeviceError> {
+        match choice {
+            DeviceChoice::Auto | DeviceChoice::Cpu => Ok(Self::Cpu),
+            DeviceChoice::Gpu(_) => Err(DeviceError::Unavailable(
+                "device: this build has no GPU engine (feature `gpu`)".to_owned(),
+            )),
+        }
+    }
+
     /// What it is, in words.
     pub fn name(&self) -> String {
         match self {
             Self::Cpu => "cpu".to_owned(),
+            #[cfg(feature = "gpu")]
             Self::Gpu(gpu) => format!("gpu:{} {}", gpu.report().index, gpu.report().name),
+        }
+    }
+
+    /// Takes a training over from `state`; `limits` says how large it may become.
+    ///
+    /// # Errors
+    /// [`DeviceError::TooLarge`] or [`DeviceError::OutOfMemory`] when it does not fit the device.
+    #[cfg_attr(not(feature = "gpu"), expect(unused_variables, reason = "the CPU engine has no limits"))]
+    pub fn training(
+        &self,
+        state: TrainState,
+        operators: &Arc<EnvOperators>,
+        limits: &TrainingLimits,
+    ) -> Result<Box<dyn Training>, DeviceError> {
+        match self {
+            Self::Cpu => Ok(Box::new(cpu::Training::new(state, operators))),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => Ok(Box::new(gpu::Training::new(gpu, state, operators, limits)?)),
+        }
+    }
+
+    /// Takes a checked model in, to be rendered.
+    ///
+    /// # Errors
+    /// When the device cannot hold it.
+    pub fn frames(&self, model: Arc<Model>) -> Result<Frames, DeviceError> {
+        match self {
+            Self::Cpu => Ok(Frames::on_cpu_only(model)),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => {
+                let device = gpu::Frames::new(gpu, model.clone())?;
+                Ok(Frames::beside(model, Box::new(device)))
+            }
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::capture::{Capture, CaptureView, Plane};
+use crate::capture::{Capture, CaptureView};
 use crate::engine::Device;
 use crate::eval::Picture;
 use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
@@ -10,7 +10,7 @@ use crate::eval::sheet::{Sheet, error_map, grey};
 use crate::eval::views::{ViewLayers, alpha_of, photograph, relit};
 use crate::formats::srgb;
 use crate::render::{PreparedLight, Quality, Renderer};
-use crate::scene::Model;
+use crate::scene::{Model, Plane};
 
 /// Draws a sheet of `rows` test views, evenly spaced: photograph, both branches, each light beside its truth,
 /// albedo, normal, roughness and ambient occlusion beside theirs, and the error of the novel view.

@@ -4,15 +4,15 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::capture::{Capture, CaptureView, ImageRgba, Plane};
+use crate::capture::{Capture, CaptureView};
 use crate::engine::Device;
-use crate::engine::gpu::GpuError;
+use crate::engine::DeviceError;
 use crate::eval::report::{ImageScores, RelitScores, Report};
 use crate::eval::totals::{LayerTotals, Mean, PictureTotals};
 use crate::eval::views::{ViewLayers, photograph, relit, with_scaled_albedo};
 use crate::eval::{Lpips, layers};
 use crate::render::{Output, Quality, RenderError, Renderer, Tier};
-use crate::scene::Model;
+use crate::scene::{ImageRgba, Model, Plane};
 
 /// How to evaluate.
 pub struct EvalOptions<'a> {
@@ -71,7 +71,7 @@ pub enum EvalError {
     },
     /// The device failed.
     #[error(transparent)]
-    Device(#[from] GpuError),
+    Device(#[from] DeviceError),
 }
 
 /// Compares a model with a capture: novel views (both branches), relit views a light, material and geometry

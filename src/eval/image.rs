@@ -1,6 +1,6 @@
 //! Metrics that compare two display-referred pictures: PSNR and SSIM.
 
-use crate::capture::Plane;
+use crate::scene::Plane;
 
 /// A display-referred RGB picture, values in [0, 1].
 pub type Picture = Plane<3>;

@@ -1,8 +1,8 @@
 //! Metrics of G-buffer layers against ground truth: normals, albedo, and plain masked errors.
 
-use crate::capture::{ImageRgba, Plane};
 use crate::eval::image::{mean_squared_error, psnr_of};
 use crate::eval::views::{alpha_of, foreground};
+use crate::scene::{ImageRgba, Plane};
 
 /// Mean angle between predicted and true normals, degrees.
 #[derive(Debug, Clone, Copy, PartialEq)]

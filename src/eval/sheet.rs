@@ -4,8 +4,8 @@ use std::io::Cursor;
 
 use image::{ImageFormat, Rgb, RgbImage};
 
-use crate::capture::Plane;
 use crate::eval::{Picture, font};
+use crate::scene::Plane;
 
 const PAPER: Rgb<u8> = Rgb([24, 24, 27]);
 const INK: Rgb<u8> = Rgb([235, 235, 235]);

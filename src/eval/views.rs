@@ -1,10 +1,9 @@
 //! What a model shows of one test view, as pictures and layers ready to be compared.
 
-use crate::capture::{ImageRgba, Plane};
 use crate::eval::Picture;
 use crate::formats::srgb;
 use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer};
-use crate::scene::{Camera, Model};
+use crate::scene::{Camera, ImageRgba, Model, Plane};
 
 /// A test view under the model's own recovered light, with every layer that ground truth may know.
 pub(crate) struct ViewLayers {

@@ -21,8 +21,10 @@ use tokio::sync::watch;
 pub use clock::{Clock, Ids, ManualClock, RandomIds, SequentialIds, SystemClock};
 pub use lease::Lease;
 
+use crate::api::JobId;
+use crate::api::jobs::{JobState, NewJob};
 use crate::store::{
-    Cancelled, EventRecord, IdempotencyKey, JobRecord, JobState, NewJob, Page, Store, StoreError, Submitted,
+    CancelOutcome, EventRecord, IdempotencyKey, JobRecord, Page, Store, StoreError, Submitted,
 };
 
 /// How leases behave.
@@ -51,25 +53,6 @@ pub struct Jobs {
     changes: Arc<watch::Sender<()>>,
 }
 
-/// What a caller wants trained.
-#[derive(Debug, Clone)]
-pub struct JobOrder {
-    /// The capture to train on.
-    pub capture_id: String,
-    /// The job that this one repeats.
-    pub retry_of: Option<String>,
-    /// Preset name.
-    pub preset: String,
-    /// Overrides, JSON.
-    pub overrides: String,
-    /// Device asked for.
-    pub device: String,
-    /// Higher runs first.
-    pub priority: i64,
-    /// Steps in all.
-    pub total: i64,
-}
-
 impl Jobs {
     /// A queue on `store`.
     pub fn new(store: Store, clock: Arc<dyn Clock>, ids: Arc<dyn Ids>, policy: LeasePolicy) -> Self {
@@ -87,8 +70,8 @@ impl Jobs {
     }
 
     /// A fresh identifier.
-    pub fn fresh_id(&self) -> String {
-        self.ids.fresh()
+    pub fn fresh_id<I: From<String>>(&self) -> I {
+        self.ids.fresh().into()
     }
 
     /// Wakes when some job may have changed. A hint: look at the store for the truth.
@@ -96,27 +79,20 @@ impl Jobs {
         self.changes.subscribe()
     }
 
-    /// Queues a job; see [`Store::submit_job`].
+    /// Queues a job of `total` steps, as a repetition of `retry_of` if that is given; see [`Store::submit_job`].
     ///
     /// # Errors
     /// [`StoreError::KeyReused`] when the key came with another request before.
     pub async fn submit(
         &self,
-        order: JobOrder,
+        request: NewJob,
+        total: i64,
+        retry_of: Option<JobId>,
         key: Option<&IdempotencyKey>,
         answer: impl FnOnce(&JobRecord, Option<i64>) -> String + Send,
     ) -> Result<Submitted, StoreError> {
-        let job = NewJob {
-            id: self.fresh_id(),
-            capture_id: order.capture_id,
-            retry_of: order.retry_of,
-            preset: order.preset,
-            overrides: order.overrides,
-            device: order.device,
-            priority: order.priority,
-            total: order.total,
-        };
-        let submitted = self.store.submit_job(&job, key, self.now_ms(), answer).await?;
+        let job = JobRecord { retry_of, ..JobRecord::queued(self.fresh_id(), request, total, self.now_ms()) };
+        let submitted = self.store.submit_job(&job, key, answer).await?;
         self.announce();
         Ok(submitted)
     }
@@ -125,7 +101,7 @@ impl Jobs {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn get(&self, id: &str) -> Result<Option<(JobRecord, Option<i64>)>, StoreError> {
+    pub async fn get(&self, id: &JobId) -> Result<Option<(JobRecord, Option<i64>)>, StoreError> {
         let Some(job) = self.store.job(id).await? else { return Ok(None) };
         let position = match job.state {
             JobState::Queued => self.store.queue_position(id).await?,
@@ -146,7 +122,7 @@ impl Jobs {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn cancel(&self, id: &str) -> Result<Cancelled, StoreError> {
+    pub async fn cancel(&self, id: &JobId) -> Result<CancelOutcome, StoreError> {
         let outcome = self.store.cancel_job(id, self.now_ms()).await?;
         self.announce();
         Ok(outcome)
@@ -156,7 +132,7 @@ impl Jobs {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn set_priority(&self, id: &str, priority: i64) -> Result<bool, StoreError> {
+    pub async fn set_priority(&self, id: &JobId, priority: i64) -> Result<bool, StoreError> {
         self.store.set_priority(id, priority).await
     }
 
@@ -164,7 +140,7 @@ impl Jobs {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn events_after(&self, id: &str, after: i64) -> Result<Vec<EventRecord>, StoreError> {
+    pub async fn events_after(&self, id: &JobId, after: i64) -> Result<Vec<EventRecord>, StoreError> {
         self.store.events_after(id, after).await
     }
 
@@ -173,7 +149,7 @@ impl Jobs {
     /// # Errors
     /// When the database fails.
     pub async fn claim(&self) -> Result<Option<Lease>, StoreError> {
-        let (token, now) = (self.fresh_id(), self.now_ms());
+        let (token, now) = (self.ids.fresh(), self.now_ms());
         let job = self.store.claim_job(&token, now, self.lease_end(now)).await?;
         if job.is_some() {
             self.announce();
@@ -201,7 +177,7 @@ impl Jobs {
         let max_idle = i64::from(self.policy.max_idle_attempts);
         let jobs = self.store.reclaim_leases(expired_ms, max_idle, self.now_ms()).await?;
         for job in &jobs {
-            tracing::info!(job = job.id, state = job.state.name(), "took a lease back");
+            tracing::info!(job = %job.id, state = job.state.name(), "took a lease back");
         }
         if !jobs.is_empty() {
             self.announce();

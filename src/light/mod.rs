@@ -15,7 +15,7 @@ mod sheen;
 mod tables;
 
 /// Colour of the light before anything is known of it, linear sRGB of mean 1: bluish, as under an open sky; chosen by
-/// relighting (docs/experiments.md).
+/// relighting (docs/decisions/0009).
 pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
 
 pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};

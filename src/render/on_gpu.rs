@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
 use crate::engine::channel::Channels;
-use crate::engine::cpu::{ProbeSettings, View, fibonacci_sphere, indirect_basis};
 use crate::engine::gpu::develop::{Plane, Planes};
 use crate::engine::gpu::gather::{GatherSource, gather};
 use crate::engine::gpu::light::{Constants, LightBuffers};
@@ -12,7 +11,8 @@ use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::probes::{ProbeBuffers, Probes};
 use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::shading::{ShadeJob, ShadingUniform};
-use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUniform, grow};
+use crate::engine::gpu::{AttributeBuffers, Buffer, CameraUniform, Gpu, GpuError, Raster, grow};
+use crate::engine::{ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
 use crate::light::LightTables;
 use crate::render::standard::{BOUNCES, PROBE_DIRECTIONS};
 use crate::render::{Frame, Output};
@@ -91,7 +91,7 @@ impl OnGpu {
     pub(super) fn render(
         &self,
         model: &Model,
-        view: &View,
+        view: &RasterCamera,
         light: &LightOnGpu,
         is_colour: bool,
         wanted: &[Output],
@@ -107,7 +107,7 @@ impl OnGpu {
             let mut band = *view;
             band.height = rows.min(view.height - first);
             band.centre_px[1] -= first as f32;
-            let part = self.render_band(model, &ViewUniform::new(&band), light, is_colour, wanted)?;
+            let part = self.render_band(model, &CameraUniform::new(&band), light, is_colour, wanted)?;
             for (output, mut values) in part {
                 frame.planes.entry(output).or_default().append(&mut values);
             }
@@ -118,7 +118,7 @@ impl OnGpu {
     fn render_band(
         &self,
         model: &Model,
-        view: &ViewUniform,
+        view: &CameraUniform,
         light: &LightOnGpu,
         is_colour: bool,
         wanted: &[Output],
@@ -180,7 +180,7 @@ impl OnGpu {
     /// Coverage and colour of the blended group.
     fn colour_planes(
         &self,
-        view: &ViewUniform,
+        view: &CameraUniform,
         raster: &Raster,
     ) -> Result<BTreeMap<Output, Vec<f32>>, GpuError> {
         let Some(gbuffer) = &raster.gbuffer else {

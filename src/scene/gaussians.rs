@@ -1,8 +1,12 @@
-//! The Gaussians of a model: one flat array a parameter, so that optimiser, density control and files can
-//! walk over all of them alike.
+//! The Gaussians of a model: one flat array per parameter, so that optimiser, density control and files treat all
+//! parameters in the same way.
 
 use crate::scene::field::{Field, Width};
-use crate::scene::model::sh_count;
+
+/// Number of real SH coefficients up to degree `order`.
+pub const fn sh_count(order: usize) -> usize {
+    (order + 1) * (order + 1)
+}
 
 /// N Gaussians as arrays of raw (pre-activation) parameters, `field(f)[i * width(f) ..][.. width(f)]`.
 #[derive(Debug, Clone, PartialEq)]

@@ -27,14 +27,6 @@ pub enum StoreError {
     /// The same idempotency key came with another request.
     #[error("the idempotency key was used with a different request")]
     KeyReused,
-    /// A stored value cannot be read back.
-    #[error("stored {what}: {reason}")]
-    Corrupt {
-        /// The column or file.
-        what: &'static str,
-        /// What is wrong.
-        reason: String,
-    },
     /// The database failed.
     #[error("database: {0}")]
     Database(sqlx::Error),

@@ -3,6 +3,7 @@
 use serde_json::Value;
 use sqlx::{Sqlite, Transaction};
 
+use crate::api::JobId;
 use crate::store::{EventRecord, Store, StoreError};
 
 impl Store {
@@ -10,7 +11,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn events_after(&self, job: &str, after: i64) -> Result<Vec<EventRecord>, StoreError> {
+    pub async fn events_after(&self, job: &JobId, after: i64) -> Result<Vec<EventRecord>, StoreError> {
         let query =
             sqlx::query_as("SELECT * FROM events WHERE job_id = ?1 AND seq > ?2 ORDER BY seq LIMIT 1000");
         Ok(query.bind(job).bind(after).fetch_all(&self.pool).await?)
@@ -20,7 +21,7 @@ impl Store {
 /// Appends to a job's history, in the transaction of the change it tells of.
 pub(super) async fn append(
     tx: &mut Transaction<'_, Sqlite>,
-    job: &str,
+    job: &JobId,
     now_ms: i64,
     kind: &str,
     data: Value,

@@ -24,13 +24,10 @@ use sqlx::{Sqlite, SqlitePool, Transaction};
 pub use artifacts::{Artifacts, Incoming, hex};
 pub use error::StoreError;
 pub use idempotency::IdempotencyKey;
-pub use jobs::{Cancelled, Submitted};
-pub use leases::Held;
+pub use jobs::{CancelOutcome, Submitted};
+pub use leases::{LeaseStatus, Release};
 pub use node_lock::NodeLock;
-pub use records::{
-    CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, JobState, ModelFile, ModelRecord, NewJob, Page,
-    ProgressUpdate,
-};
+pub use records::{CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, ModelFile, ModelRecord, Page};
 
 /// The metadata database and the artifact store of one data directory.
 #[derive(Clone)]

@@ -1,5 +1,6 @@
 //! The trainer: one object that owns everything a step needs.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use rand::SeedableRng;
@@ -7,19 +8,18 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
-use crate::engine::Device;
-use crate::engine::gpu::GpuError;
+use crate::engine::cpu::evaluation;
+use crate::engine::{
+    Device, DeviceError, PhotoId, PhotoSize, Positions, Step, StepCounts, TrainState, Training,
+    TrainingLimits,
+};
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Field, Model};
-use crate::train::backend::{Backend, StepTask};
-use crate::train::complexity::{self, Ledger};
-use crate::train::dataset::{Dataset, Photo};
-use crate::train::on_cpu::OnCpu;
-use crate::train::on_gpu::OnGpu;
-use crate::train::optimiser::StepSizes;
-use crate::train::state::{Course, Learned};
-use crate::train::step::{self, StepContext};
-use crate::train::{LabelSource, TrainConfig, checkpoint, initial, materials};
+use crate::train::complexity::{self, ComplexityState};
+use crate::train::context::StepContext;
+use crate::train::dataset::Dataset;
+use crate::train::state::ScheduleState;
+use crate::train::{LabelSource, TrainConfig, checkpoint, density, initial, materials, schedule};
 
 /// Fewest photographs worth training on.
 const LEAST_VIEWS: usize = 3;
@@ -47,7 +47,7 @@ pub enum TrainError {
     },
     /// The device failed; the training can go on from its last checkpoint, here or elsewhere.
     #[error(transparent)]
-    Device(#[from] GpuError),
+    Device(#[from] DeviceError),
 }
 
 /// What one step did.
@@ -79,10 +79,10 @@ pub struct Progress {
 pub struct Trainer {
     config: TrainConfig,
     data: Dataset,
-    operators: EnvOperators,
-    course: Course,
-    kept: Course,
-    backend: Box<dyn Backend>,
+    operators: Arc<EnvOperators>,
+    schedule: ScheduleState,
+    snapshot: ScheduleState,
+    engine: Box<dyn Training>,
     rollbacks: u32,
 }
 
@@ -95,16 +95,16 @@ impl Trainer {
         let data = prepare(capture, &config)?;
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let model = initial::model(capture, &data, &config, &mut rng);
-        let course = Course {
+        let schedule = ScheduleState {
             step: 0,
             order: (0..data.full.len() as u32).collect(),
             cursor: data.full.len() as u32,
             rng,
             rate_factor: 1.0,
             seconds: 0.0,
-            complexity: Ledger::default(),
+            complexity: ComplexityState::default(),
         };
-        Self::assemble(config, data, course, Learned::new(model), device)
+        Self::assemble(config, data, schedule, TrainState::new(model), device)
     }
 
     /// Goes on from [`Trainer::checkpoint`] bytes, on whatever device; on the CPU engine bit for bit.
@@ -118,29 +118,29 @@ impl Trainer {
         device: &Device,
     ) -> Result<Self, TrainError> {
         let data = prepare(capture, &config)?;
-        let (course, learned) = checkpoint::decode(bytes, &config)?;
-        if course.order.len() != data.full.len() {
+        let (schedule, state) = checkpoint::decode(bytes, &config)?;
+        if schedule.order.len() != data.full.len() {
             return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
         }
-        Self::assemble(config, data, course, learned, device)
+        Self::assemble(config, data, schedule, state, device)
     }
 
     fn assemble(
         config: TrainConfig,
         data: Dataset,
-        course: Course,
-        learned: Learned,
+        schedule: ScheduleState,
+        state: TrainState,
         device: &Device,
     ) -> Result<Self, TrainError> {
-        let operators = operators_of(&learned.model);
-        let backend: Box<dyn Backend> = match device {
-            Device::Cpu => Box::new(OnCpu::new(learned)),
-            Device::Gpu(gpu) => {
-                let pixels = data.full.iter().map(|photo| photo.pixels.len()).max().unwrap_or(0);
-                Box::new(OnGpu::new(gpu, &config, &operators, learned, pixels)?)
-            }
+        let operators = operators_of(&state.model);
+        let limits = TrainingLimits {
+            resolution: config.resolution,
+            pixels: data.full.iter().map(|photo| photo.pixels.len()).max().unwrap_or(0),
+            max_gaussians: config.max_gaussians.max(config.initial_gaussians),
+            probe_directions: config.probe_directions,
         };
-        Ok(Self { kept: course.clone(), config, data, operators, course, backend, rollbacks: 0 })
+        let engine = device.training(state, &operators, &limits)?;
+        Ok(Self { snapshot: schedule.clone(), config, data, operators, schedule, engine, rollbacks: 0 })
     }
 
     fn context(&self) -> StepContext<'_> {
@@ -149,7 +149,6 @@ impl Trainer {
             operators: &self.operators,
             background: self.data.background,
             has_alpha: self.data.has_alpha,
-            progress: self.course.step as f32 / self.config.iterations as f32,
         }
     }
 
@@ -163,82 +162,73 @@ impl Trainer {
         let start = Instant::now();
         self.prepare_step()?;
         let photo = self.next_photo();
-        let progress = self.context().progress;
-        let material = self.course.step >= self.config.warm_up_steps();
-        let half = progress < self.config.half_resolution;
-        let learned = self.config.labels != LabelSource::Probes;
-        let mut sizes = StepSizes::new(&self.config.rates, progress, material, learned);
+        let progress = self.schedule.step as f32 / self.config.iterations as f32;
+        let branches = schedule::branches(&self.config, self.schedule.step);
+        let size = if progress < self.config.half_resolution { PhotoSize::Half } else { PhotoSize::Full };
+        let mut sizes = schedule::step_sizes(&self.config, branches, progress);
         if self.is_dielectric() {
             sizes.fields[Field::MetalLogit as usize] = 0.0;
         }
-        if !self.config.sheen {
-            sizes.fields[Field::Sheen as usize] = 0.0;
-        }
-        let next = self.course.step + 1;
-        // Spelled out, not `self.context()`: the backend is borrowed beside it.
-        let context = StepContext {
-            config: &self.config,
-            operators: &self.operators,
+        let next = self.schedule.step + 1;
+        let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
+        let sums = self.engine.step(&Step {
+            photo: self.data.photo(photo, size),
+            photo_id: PhotoId { index: photo, size },
             background: self.data.background,
-            has_alpha: self.data.has_alpha,
-            progress,
-        };
-        let value = self.backend.step(&StepTask {
-            context,
-            photo: photo_at(&self.data, photo, half),
-            photo_key: (photo, half),
-            material,
-            sizes: sizes.scaled(self.course.rate_factor),
-            ages: [next, next.saturating_sub(self.config.warm_up_steps()).max(1)],
+            branches,
+            weights: schedule::step_weights(&self.config, branches, progress, self.data.has_alpha),
+            sizes: sizes.scaled(self.schedule.rate_factor),
+            counts: StepCounts { geometry: next, material },
         })?;
-        if !value.finite {
+        if !sums.finite {
             return self.roll_back();
         }
-        let psnr = -10.0 * value.mse.max(1e-10).log10();
-        self.course.complexity.record(u32::from(material) + 2 * u32::from(half), psnr);
-        self.course.step = next;
+        let psnr = -10.0 * sums.mse.max(1e-10).log10();
+        let phase = u32::from(branches.is_physical()) + 2 * u32::from(size == PhotoSize::Half);
+        self.schedule.complexity.record(phase, psnr);
+        self.schedule.step = next;
         self.refine()?;
         if self.is_done() {
             self.decide()?;
         }
-        self.course.seconds += start.elapsed().as_secs_f64();
+        self.schedule.seconds += start.elapsed().as_secs_f64();
         if self.is_snapshot_step() {
-            if !self.backend.keep()? {
+            if !self.engine.snapshot()? {
                 return self.roll_back();
             }
-            self.kept = self.course.clone();
+            self.snapshot = self.schedule.clone();
             self.rollbacks = 0;
         }
         Ok(StepReport {
-            step: self.course.step,
-            loss: value.loss,
+            step: self.schedule.step,
+            loss: sums.loss,
             psnr,
-            gaussians: self.backend.gaussians(),
+            gaussians: self.engine.gaussians(),
             warning: None,
         })
     }
 
     fn is_snapshot_step(&self) -> bool {
-        let step = self.course.step;
+        let step = self.schedule.step;
         step.is_multiple_of(SNAPSHOT_EVERY) || step.is_multiple_of(self.config.checkpoint_every)
     }
 
     fn roll_back(&mut self) -> Result<StepReport, TrainError> {
-        let failed = self.course.step;
+        let failed = self.schedule.step;
         self.rollbacks += 1;
         if self.rollbacks > MOST_ROLLBACKS {
             return Err(TrainError::Diverged { step: failed });
         }
-        self.backend.restore()?;
-        self.course = self.kept.clone();
-        self.course.rate_factor *= 0.5f32.powi(self.rollbacks as i32);
-        let factor = self.course.rate_factor;
-        let step = self.course.step;
+        self.engine.roll_back()?;
+        self.schedule = self.snapshot.clone();
+        self.schedule.rate_factor *= 0.5f32.powi(self.rollbacks as i32);
+        let factor = self.schedule.rate_factor;
+        let step = self.schedule.step;
         Ok(StepReport {
             step,
             loss: f32::MAX,
             psnr: 0.0,
-            gaussians: self.backend.gaussians(),
+            gaussians: self.engine.gaussians(),
             warning: Some(format!(
                 "step {failed} was not finite: back to step {step} with step sizes at {factor} of the schedule"
             )),
@@ -253,91 +243,87 @@ impl Trainer {
 
     /// What has to happen before certain steps: materials start, probes are refreshed.
     fn prepare_step(&mut self) -> Result<(), TrainError> {
-        let (step, warm_up) = (self.course.step, self.config.warm_up_steps());
+        let (step, warm_up) = (self.schedule.step, self.config.warm_up_steps());
         if step == warm_up {
-            let mut learned = self.backend.learned()?.into_owned();
-            materials::initialise(&mut learned);
+            let mut state = self.engine.state()?.into_owned();
+            materials::initialise(&mut state);
             if self.is_dielectric() {
-                complexity::hold_dielectric(&mut learned);
+                complexity::hold_dielectric(&mut state);
             }
-            self.backend.load(learned)?;
+            self.engine.load(state)?;
         }
         if self.measures() && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every) {
-            self.refresh_probes(step == warm_up)?;
+            // The first measurement also finds each Gaussian's open side, which the second one starts from.
+            self.measure(if step == warm_up { 2 } else { 1 })?;
         }
         if self.config.is_albedo_round(step) {
-            self.take_light_out()?;
+            self.restart_albedo()?;
         }
         self.decide()
     }
 
-    fn take_light_out(&mut self) -> Result<(), TrainError> {
+    /// Materials anew, from colours with the light divided out.
+    fn restart_albedo(&mut self) -> Result<(), TrainError> {
         if self.measures() {
-            self.refresh_probes(false)?;
+            self.measure(1)?;
         }
-        let learned = self.backend.learned()?;
-        if learned.model.check().is_err() {
+        let state = self.engine.state()?;
+        if state.model.check().is_err() {
             // The next step rolls back, and comes past here again.
             return Ok(());
         }
-        let mut learned = learned.into_owned();
-        let normals = step::normals(&learned);
-        materials::take_light_out(&mut learned, &self.operators, &normals);
+        let mut state = state.into_owned();
+        let normals = evaluation::normals(&state);
+        materials::restart_albedo(&mut state, &self.operators, &normals);
         if self.is_dielectric() {
-            complexity::hold_dielectric(&mut learned);
+            complexity::hold_dielectric(&mut state);
         }
-        self.backend.load(learned)
+        Ok(self.engine.load(state)?)
     }
 
     /// True when metalness is not learned.
     fn is_dielectric(&self) -> bool {
-        !self.config.metalness || self.course.complexity.is_dielectric
+        !self.config.metalness || self.schedule.complexity.is_dielectric
     }
 
     /// Makes the model as small as the scene allows, if a decision is due.
     fn decide(&mut self) -> Result<(), TrainError> {
-        let steps = self.course.step;
-        let Some(point) = self.course.complexity.due(&self.config, steps) else { return Ok(()) };
-        let learned = self.backend.learned()?;
-        if learned.model.check().is_err() {
+        let steps = self.schedule.step;
+        let Some(point) = self.schedule.complexity.due(&self.config, steps) else { return Ok(()) };
+        let state = self.engine.state()?;
+        if state.model.check().is_err() {
             // The next step rolls back, and comes past here again.
             return Ok(());
         }
-        let mut learned = learned.into_owned();
-        let mut ledger = self.course.complexity.clone();
-        ledger.decide(point, &self.context(), steps, &self.data.full, &mut learned);
-        self.course.complexity = ledger;
-        if learned.model.gaussians.visibility_order() != self.operators.order() {
-            self.operators = operators_of(&learned.model);
+        let mut state = state.into_owned();
+        let mut ledger = self.schedule.complexity.clone();
+        ledger.decide(point, &self.context(), steps, &self.data.full, &mut state);
+        self.schedule.complexity = ledger;
+        if state.model.gaussians.visibility_order() != self.operators.order() {
+            self.operators = operators_of(&state.model);
         }
-        self.backend.reshape(learned, &self.operators)?;
-        self.kept = self.course.clone();
+        self.engine.reshape(state, &self.operators)?;
+        self.snapshot = self.schedule.clone();
         Ok(())
     }
 
-    fn refresh_probes(&mut self, twice: bool) -> Result<(), TrainError> {
-        let context = StepContext {
-            config: &self.config,
-            operators: &self.operators,
-            background: self.data.background,
-            has_alpha: self.data.has_alpha,
-            progress: 0.0,
-        };
-        self.backend.refresh_probes(&context, twice)
+    /// Measures visibility and gathered light, `repeats` times in a row.
+    fn measure(&mut self, repeats: usize) -> Result<(), TrainError> {
+        Ok(self.engine.measure(&schedule::measurement(&self.config, repeats))?)
     }
 
     fn next_photo(&mut self) -> usize {
-        let course = &mut self.course;
-        if course.cursor as usize >= course.order.len() {
-            course.order.shuffle(&mut course.rng);
-            course.cursor = 0;
+        let schedule = &mut self.schedule;
+        if schedule.cursor as usize >= schedule.order.len() {
+            schedule.order.shuffle(&mut schedule.rng);
+            schedule.cursor = 0;
         }
-        course.cursor += 1;
-        course.order[course.cursor as usize - 1] as usize
+        schedule.cursor += 1;
+        schedule.order[schedule.cursor as usize - 1] as usize
     }
 
     fn refine(&mut self) -> Result<(), TrainError> {
-        let (step, total) = (self.course.step, self.config.iterations);
+        let (step, total) = (self.schedule.step, self.config.iterations);
         let last = (self.config.densify_until * total as f32) as u32;
         let first = (total / 50).max(50);
         if step < first || step > last || !step.is_multiple_of(REFINE_EVERY.min((total / 15).max(10))) {
@@ -346,26 +332,28 @@ impl Trainer {
         // The budget opens with the square root of progress, so that early Gaussians settle first.
         let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
         let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
-        self.course.complexity.before_round(&self.config, step, self.backend.gaussians());
-        let most = self.course.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
+        self.schedule.complexity.before_round(&self.config, step, self.engine.gaussians());
+        let most = self.schedule.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
         let budget = ((low + (high - low) * share) as usize).min(most);
-        let eyes = (!self.data.has_alpha).then(|| self.data.eyes());
-        self.backend.refine(budget, eyes.as_deref())?;
+        let centres = (!self.data.has_alpha).then(|| self.data.camera_centres());
+        let positions = if centres.is_some() { Positions::Read } else { Positions::LeftOut };
+        let signals = self.engine.density_signals(positions)?;
+        self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
         if step > self.config.warm_up_steps() && self.measures() {
             // New Gaussians need labels and light of their own.
-            self.refresh_probes(false)?;
+            self.measure(1)?;
         }
         Ok(())
     }
 
     /// Where it stands.
     pub fn progress(&self) -> Progress {
-        Progress { step: self.course.step, total: self.config.iterations }
+        Progress { step: self.schedule.step, total: self.config.iterations }
     }
 
     /// True when every step is done.
     pub fn is_done(&self) -> bool {
-        self.course.step >= self.config.iterations
+        self.schedule.step >= self.config.iterations
     }
 
     /// The configuration in force.
@@ -378,7 +366,7 @@ impl Trainer {
     /// # Errors
     /// When the state is not finite (a poisoned checkpoint is never written) or the device failed.
     pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
-        checkpoint::encode(&self.course, self.backend.learned()?.as_ref(), &self.config)
+        checkpoint::encode(&self.schedule, self.engine.state()?.as_ref(), &self.config)
     }
 
     /// The model as it is now, with its card.
@@ -386,15 +374,15 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Device`] when the device failed.
     pub fn model(&self) -> Result<Model, TrainError> {
-        let mut model = self.backend.learned()?.model.clone();
+        let mut model = self.engine.state()?.model.clone();
         model.card = serde_json::json!({
             "relume_version": env!("CARGO_PKG_VERSION"),
-            "engine": self.backend.engine(),
-            "steps": self.course.step,
+            "engine": self.engine.engine(),
+            "steps": self.schedule.step,
             "gaussians": model.gaussians.len(),
             "photographs": self.data.full.len(),
             "has_alpha": self.data.has_alpha,
-            "complexity": self.course.complexity.card(&self.config),
+            "complexity": self.schedule.complexity.card(&self.config),
             "config": self.config,
         });
         Ok(model)
@@ -402,7 +390,7 @@ impl Trainer {
 
     /// Seconds spent in steps so far, over all runs.
     pub fn seconds(&self) -> f64 {
-        self.course.seconds
+        self.schedule.seconds
     }
 }
 
@@ -420,13 +408,9 @@ fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainErro
 }
 
 /// The operators for a model's environment and visibility.
-fn operators_of(model: &Model) -> EnvOperators {
+fn operators_of(model: &Model) -> Arc<EnvOperators> {
     let order = model.gaussians.visibility_order();
-    EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING)
-}
-
-fn photo_at(data: &Dataset, index: usize, half: bool) -> &Photo {
-    if half { &data.half[index] } else { &data.full[index] }
+    Arc::new(EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING))
 }
 
 #[cfg(test)]

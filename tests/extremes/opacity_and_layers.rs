@@ -2,9 +2,10 @@
 
 use relume::engine::channel::{COVERAGE, Channels};
 use relume::engine::constants::{EarlyStop, TRANSMITTANCE_STOP};
-use relume::engine::cpu::{AttributeSource, Pass, View, backward_labels};
+use relume::engine::cpu::{AttributeSource, Pass, backward_labels};
 use relume::engine::gpu::{AttributeBuffers, Raster, ViewUniform, model::ModelBuffers};
 use relume::engine::reference::{Options, ReferenceModel, TableOperators, Tape, forward, losses};
+use relume::engine::{RasterCamera, TRANSMITTANCE_STOP};
 use relume::scene::{Camera, Field, Model};
 
 use super::harness::{Bounds, ENV, Suite, TABLES, TIGHT, gpu, in_front, model};
@@ -75,7 +76,7 @@ fn source(model: &Model) -> AttributeSource<'_> {
 fn early_stop_misses_less_weight_than_it_says() {
     for logit in [-3.2, 0.0, 9.0] {
         let (model, camera) = layered(logit);
-        let view = View::new(&camera, &model.shading);
+        let view = RasterCamera::new(&camera, &model.shading);
         let pass = |early| Pass::forward(&source(&model), view, Channels::Full(9), early);
         let (whole, stopped) = (pass(EarlyStop::Never), pass(EarlyStop::WhenSaturated));
         let missed = whole.at(0, 0, COVERAGE) - stopped.at(0, 0, COVERAGE);
@@ -85,7 +86,7 @@ fn early_stop_misses_less_weight_than_it_says() {
         let on_gpu = |early| {
             let buffers = ModelBuffers::upload(gpu, &model).unwrap();
             let mut raster = Raster::new(gpu).unwrap();
-            raster.prepare(&ViewUniform::new(&view), &buffers.layout, &buffers.params).unwrap();
+            raster.prepare(&CameraUniform::new(&view), &buffers.layout, &buffers.params).unwrap();
             let source = AttributeBuffers {
                 params: &buffers.params,
                 globals: &buffers.globals,
@@ -111,7 +112,7 @@ fn backward_transmittance_is_taken_to_the_end_of_the_ray_whatever_stops_early() 
     let pass = forward(&tape, &ReferenceModel::from_model(&model), &camera, &options);
     let (label, weight) = losses::backward_labels(&pass.weights);
     let (label, weight) = (label.value(), weight.value());
-    let view = View::new(&camera, &model.shading);
+    let view = RasterCamera::new(&camera, &model.shading);
     let stopped = Pass::forward(&source(&model), view, Channels::Full(9), EarlyStop::WhenSaturated);
     let found = backward_labels(&stopped);
     let mut by_gaussian = vec![(0.0, 0.0); LAYERS];
@@ -121,7 +122,7 @@ fn backward_transmittance_is_taken_to_the_end_of_the_ray_whatever_stops_early() 
     let on_gpu = gpu().map(|gpu| {
         let buffers = ModelBuffers::upload(gpu, &model).unwrap();
         let mut raster = Raster::new(gpu).unwrap();
-        raster.prepare(&ViewUniform::new(&view), &buffers.layout, &buffers.params).unwrap();
+        raster.prepare(&CameraUniform::new(&view), &buffers.layout, &buffers.params).unwrap();
         let mut recorder = gpu.record();
         raster.backward_labels(&mut recorder).unwrap();
         recorder.submit().unwrap();

@@ -1,8 +1,8 @@
 //! None, one and very many: Gaussians, pixels, cameras; and photographs without contrast.
 
-use relume::capture::{Capture, ImageRgba, SyntheticOptions, synthetic};
+use relume::capture::{Capture, SyntheticOptions, synthetic};
 use relume::engine::Device;
-use relume::scene::{Camera, Field};
+use relume::scene::{Camera, Field, ImageRgba};
 use relume::train::{Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
 
 use glam::DVec3;

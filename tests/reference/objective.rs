@@ -1,9 +1,10 @@
 //! The objective of the trainer, f32 with gradients by hand, against the reference's terms.
 
 use glam::DVec3;
+use relume::engine::RasterCamera;
 use relume::engine::channel::Channels;
 use relume::engine::constants::EarlyStop;
-use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader, View};
+use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader};
 use relume::engine::reference::{
     Array, Arrays, Options, ReferenceModel, TableOperators, Tape, Target, forward, objective,
 };
@@ -116,7 +117,7 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
     let source = source.under(shader);
     let channels = Channels::Full(25);
     let count = channels.count();
-    let pass = Pass::forward(&source, View::new(camera, &model.shading), channels, EarlyStop::Never);
+    let pass = Pass::forward(&source, RasterCamera::new(camera, &model.shading), channels, EarlyStop::Never);
     let images = shader.images(&pass, BACKGROUND);
     let target = image::Target::new(SIZE.0 as usize, SIZE.1 as usize, photo.pixels.clone());
     let physical = target.compare(&images.physical, weight("img_mae"), weight("img_dssim"));

@@ -4,11 +4,12 @@ use glam::DVec3;
 use relume::engine::Gradients;
 use relume::engine::channel::Channels;
 use relume::engine::constants::EarlyStop;
-use relume::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader, View};
+use relume::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader};
 use relume::engine::reference::{
     Array, Arrays, ENVIRONMENT, Gathered, Options, PROTOTYPES, Probes, ReferenceModel, TableOperators, Tape,
     Var, forward,
 };
+use relume::engine::{ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
 use relume::light::{EnvOperators, TableResolution};
 use relume::scene::{
     Camera, DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions,
@@ -163,13 +164,13 @@ fn by_cpu(model: &Model, camera: &Camera, gathered: &[[f32; 6]], functional: &Fu
         prototypes: &model.prototypes,
         options: &model.shading,
         gathered,
-        indirect_basis: &cpu::indirect_basis(&tables),
+        indirect_basis: &indirect_basis(&tables),
         light: None,
     };
     let shader = SurfaceShader { tables: &tables, options: &model.shading, order: 4 };
     let source = source.under(shader);
     let channels = Channels::Full(25);
-    let pass = Pass::forward(&source, View::new(camera, &model.shading), channels, EarlyStop::Never);
+    let pass = Pass::forward(&source, RasterCamera::new(camera, &model.shading), channels, EarlyStop::Never);
     let images = shader.images(&pass, BACKGROUND);
     let by = BranchImages { physical: functional.physical.clone(), radiance: functional.radiance.clone() };
     let count = channels.count();
@@ -234,8 +235,8 @@ fn engines_agree(name: &str, shading: ShadingOptions) {
 }
 
 /// One sigma of offset and of clearance, as the reference has it.
-const PLAIN: cpu::ProbeSettings =
-    cpu::ProbeSettings { offset: 1.0, lift: 0.0, clearance: 1.0, bias: 0.0, reach: f32::INFINITY };
+const PLAIN: ProbeSettings =
+    ProbeSettings { offset: 1.0, lift: 0.0, clearance: 1.0, bias: 0.0, reach: f32::INFINITY };
 
 #[test]
 fn the_cpu_engine_is_the_reference_in_the_default_form() {
@@ -308,7 +309,7 @@ fn the_cpu_engines_probes_see_what_the_references_see() {
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     };
-    let directions = cpu::fibonacci_sphere(48);
+    let directions = fibonacci_sphere(48);
     let normals = cpu::outward_normals(&source);
     let ours = cpu::Probes::measure(&source, directions.clone(), PLAIN);
     let scene = ReferenceModel::from_model(&model);

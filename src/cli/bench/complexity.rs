@@ -10,7 +10,7 @@ use crate::cli::args::{named, overrides};
 use crate::cli::light::illuminate;
 use crate::cli::{CommandResult, output};
 use crate::engine::Device;
-use crate::engine::gpu::DeviceChoice;
+use crate::engine::DeviceChoice;
 use crate::eval::{EvalOptions, Report, evaluate};
 use crate::formats::model_file;
 use crate::train::{Complexity, Preset, TrainConfig, Trainer};

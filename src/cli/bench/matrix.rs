@@ -12,7 +12,7 @@ use crate::capture::{Capture, ImportOptions, import};
 use crate::cli::args::named;
 use crate::cli::light::illuminate;
 use crate::cli::{CommandResult, output};
-use crate::engine::{Device, gpu::DeviceChoice};
+use crate::engine::{Device, DeviceChoice};
 use crate::eval::{EvalOptions, Report, evaluate};
 use crate::formats::model_file;
 use crate::train::{Preset, TrainConfig, TrainOverrides, Trainer};

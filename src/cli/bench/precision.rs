@@ -9,13 +9,14 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::cli::{CommandResult, output};
 use crate::engine::Device;
-use crate::engine::cpu::View;
+use crate::engine::RasterCamera;
 use crate::engine::gpu::losses::{ImageTerm, LOSS_SLOTS, LossSlot};
-use crate::engine::gpu::{DeviceChoice, Gpu, GpuError, ViewUniform};
+use crate::engine::gpu::{CameraUniform, Gpu};
 use crate::engine::reference::{Array, Tape, losses};
 use crate::engine::side_by_side::{
     Answer, LightShape, Question, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
 };
+use crate::engine::{DeviceChoice, DeviceError};
 use crate::light::TableResolution;
 use crate::scene::{Camera, Field, Gaussians, Model, ShadingOptions};
 use crate::train::objective::image::Target;
@@ -267,7 +268,7 @@ fn loss_gradient_gpu(
     question: &Question<'_>,
     expected: &Answer,
     seed: u64,
-) -> Result<Vec<f64>, GpuError> {
+) -> Result<Vec<f64>, DeviceError> {
     let padded =
         |rows: &[[f32; 3]]| -> Vec<[f32; 4]> { rows.iter().map(|[r, g, b]| [*r, *g, *b, 1.0]).collect() };
     let pixels = (SIZE.0 * SIZE.1) as usize;
@@ -276,7 +277,7 @@ fn loss_gradient_gpu(
     let partials = gpu.buffer("partials", 3 * pixels)?;
     let by_image = gpu.buffer("by image", pixels)?;
     let losses = gpu.buffer("losses", LOSS_SLOTS)?;
-    let view = ViewUniform::new(&View::new(question.camera, &question.model.shading));
+    let view = CameraUniform::new(&RasterCamera::new(question.camera, &question.model.shading));
     let [l1, ssim] = IMAGE_WEIGHTS;
     let term = ImageTerm {
         view: &view,

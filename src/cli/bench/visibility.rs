@@ -1,5 +1,6 @@
 //! `relume bench visibility`: how right the visibility is that models learned, by the source of its labels.
 
+use crate::engine::{RasterCamera, fibonacci_sphere};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -10,9 +11,7 @@ use crate::cli::bench::subject::Subject;
 use crate::cli::{CommandResult, output};
 use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{
-    AttributeSource, Occluders, Pass, Surface, View, fibonacci_sphere, surface_at, surface_point,
-};
+use crate::engine::cpu::{AttributeSource, Occluders, Pass, Surface, surface_at, surface_point};
 use crate::eval::evenly_spaced;
 use crate::light::sh_eval;
 use crate::render::{Output, Renderer, Tier};
@@ -123,7 +122,12 @@ fn directional(
     };
     let camera = view.camera.in_normalised_world(model.world_scale, model.world_offset);
     let channels = Channels::Full(model.gaussians.width(Field::Visibility));
-    let pass = Pass::forward(&source, View::new(&camera, &model.shading), channels, EarlyStop::WhenSaturated);
+    let pass = Pass::forward(
+        &source,
+        RasterCamera::new(&camera, &model.shading),
+        channels,
+        EarlyStop::WhenSaturated,
+    );
     let (width, height) = (pass.view.width, pass.view.height);
     let mut points: Vec<([f32; 3], Surface)> = Vec::new();
     for i in 0..width * height {

@@ -1,13 +1,13 @@
 //! From a Gaussian's raw parameters to the row of attributes that is blended, and back
 //! (docs/MODEL.md sections 1 and 3).
 
+use crate::engine::RasterCamera;
 use crate::engine::RowLayout;
 use crate::engine::channel::{self, Channels, IncidentLight, OutgoingRadiance, RowLight};
 use crate::engine::cpu::project::{
     Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid, sigmoid_derivative,
 };
 use crate::engine::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceShader};
-use crate::engine::cpu::view::View;
 use crate::light::{LightTables, sh_eval, sh_eval_with_gradient};
 use crate::scene::{Field, Gaussians, IndirectForm, NormalForm, ShadeAt, ShadingOptions};
 
@@ -67,11 +67,11 @@ impl AttributeSource<'_> {
     }
 
     /// Fills `row` (zeroed but for albedo, which is there already; `channels.stored()` floats) for a visible splat.
-    pub(super) fn write(&self, view: &View, splat: &Splat, channels: Channels, row: &mut [f32]) {
+    pub(super) fn write(&self, view: &RasterCamera, splat: &Splat, channels: Channels, row: &mut [f32]) {
         let i = splat.gaussian as usize;
         row[channel::COVERAGE] = 1.0;
         let geometry = self.geometry(i);
-        let to_mean: [f32; 3] = std::array::from_fn(|k| geometry.mean[k] - view.eye[k]);
+        let to_mean: [f32; 3] = std::array::from_fn(|k| geometry.mean[k] - view.centre[k]);
         row[channel::RADIANCE].copy_from_slice(&self.radiance(i, to_mean).colour);
         if channels == Channels::Colour {
             return;
@@ -144,7 +144,7 @@ impl AttributeSource<'_> {
     /// channels it is made of, to `by_mean`, the gradient by the projected mean, and to that of the light tables.
     pub fn light_backward(
         &self,
-        view: &View,
+        view: &RasterCamera,
         splat: &Splat,
         row: &[f32],
         (by_mean, by_row): (&mut [f32], &mut [f32]),
@@ -158,7 +158,7 @@ impl AttributeSource<'_> {
         }
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = self.gaussians.get(Field::Mean, i);
-        let to_mean = std::array::from_fn(|k| mean[k] - view.eye[k]);
+        let to_mean = std::array::from_fn(|k| mean[k] - view.centre[k]);
         let surface = self.surface(i, row, to_mean);
         let g = std::array::from_fn(|c| by_row[OutgoingRadiance::TOTAL.start + c]);
         let by = light.shade_backward(&surface, &light.shade(&surface), g, by_tables);
@@ -188,7 +188,7 @@ impl AttributeSource<'_> {
     /// the Gaussian's gradient row, but for albedo; geometry shared with the projection goes to `geometry_gradient`.
     pub fn write_backward(
         &self,
-        view: &View,
+        view: &RasterCamera,
         splat: &Splat,
         by_row: &[f32],
         layout: &RowLayout,
@@ -197,7 +197,7 @@ impl AttributeSource<'_> {
     ) {
         let i = splat.gaussian as usize;
         let geometry = self.geometry(i);
-        let to_mean: [f32; 3] = std::array::from_fn(|k| geometry.mean[k] - view.eye[k]);
+        let to_mean: [f32; 3] = std::array::from_fn(|k| geometry.mean[k] - view.centre[k]);
         self.radiance_backward(i, to_mean, by_row, layout, geometry_gradient, out);
         if by_row.len() > channel::PLANE {
             self.normal_backward(i, &geometry, to_mean, by_row, layout, geometry_gradient, out);

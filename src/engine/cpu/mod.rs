@@ -4,47 +4,52 @@
 //! and every sum across tiles is taken in a fixed order. Kernels round products and sums separately: the bytes do not depend
 //! on the CPU features found.
 
+mod adam;
 mod attributes;
 mod blend;
 mod blend_backward;
 mod branch_images;
+mod density;
 mod display;
+pub mod evaluation;
+mod frames;
 mod gather;
-mod indirect;
 mod labels;
 mod lambert;
 mod lanes;
 mod mixture;
+pub mod objective;
 mod occluder;
 mod pass;
 mod point;
 mod probes;
 mod project;
 mod rays;
+mod resolve;
 mod shadows;
 mod surface;
 mod surface_shader;
 mod tiles;
-mod view;
+mod training;
 
 pub use attributes::{AttributeSource, softmax};
 #[cfg(test)]
 pub use blend_backward::ROW_HEADER;
 pub use branch_images::{BranchImages, BufferGradient, radiance_image, radiance_image_backward, surface_at};
 pub use display::{linear_from_srgb, srgb, srgb_derivative};
+pub use frames::{FrameLight, Frames, blended_radiance};
 pub use gather::{Transport, sky_irradiance};
-pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use labels::{BackwardLabel, backward_labels};
 pub use lanes::{LANES, Lanes};
 pub use mixture::softmax_lanes;
-pub use occluder::ProbeSettings;
 pub use pass::{Pass, attribute_rows, project_all};
 pub use point::surface_point;
-pub use probes::{Probes, fibonacci_sphere, outward_normals};
+pub use probes::{Probes, outward_normals};
 pub use project::{
     Geometry, Splat, normalise, normalise_backward, rotation, rotation_backward, sigmoid, sigmoid_derivative,
 };
 pub use rays::Occluders;
+pub use resolve::{reflector, resolve};
 pub use surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader};
 pub use surface_shader::Shaded;
-pub use view::View;
+pub use training::Training;

@@ -14,34 +14,6 @@ pub(super) fn dot(a: Vec3, b: Vec3) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Where a visibility query starts, and which occluders count for it: they keep it clear of the surface it starts on.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ProbeSettings {
-    /// Start this many standard deviations along the outward normal.
-    pub offset: f32,
-    /// Start this much further along the outward normal, world units.
-    pub lift: f32,
-    /// An occluder must be this many of its own standard deviations further along the direction.
-    pub clearance: f32,
-    /// Added to that distance, world units.
-    pub bias: f32,
-    /// Largest distance along the direction at which an occluder counts, world units.
-    pub reach: f32,
-}
-
-impl ProbeSettings {
-    /// The settings a model is trained and rendered with.
-    pub fn of(options: &ShadingOptions) -> Self {
-        Self { reach: options.occluder_reach.unwrap_or(f32::INFINITY), ..Self::default() }
-    }
-}
-
-impl Default for ProbeSettings {
-    fn default() -> Self {
-        Self { offset: 1.0, lift: 0.0, clearance: 2.0, bias: 0.03, reach: f32::INFINITY }
-    }
-}
-
 /// A Gaussian as an occluder.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Occluder {

@@ -1,5 +1,6 @@
 //! One rasterisation: project, sort, bin and blend; and the way back to the parameters.
 
+use crate::engine::RasterCamera;
 use rayon::prelude::*;
 
 use crate::engine::channel::{self, Channels, IncidentLight, RowLight};
@@ -7,12 +8,11 @@ use crate::engine::constants::{EarlyStop, TILE};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::blend::{BlendScratch, TileJob, blend_tile};
 use crate::engine::cpu::blend_backward::{ABSGRAD, BackwardScratch, ROW_HEADER, blend_tile_backward};
-use crate::engine::cpu::indirect::indirect_basis_backward;
 use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::mixture::MixtureScratch;
 use crate::engine::cpu::project::{Splat, SplatGradient, project, project_backward, rotation_backward};
 use crate::engine::cpu::tiles::TileLists;
-use crate::engine::cpu::view::View;
+use crate::engine::indirect_basis_backward;
 use crate::engine::{Gradients, RowLayout, zeros};
 use crate::light::LightTables;
 use crate::scene::{Field, IndirectForm};
@@ -26,7 +26,7 @@ const SHADED_CHUNK: usize = 4096;
 #[derive(Debug, Clone)]
 pub struct Pass {
     /// The camera.
-    pub view: View,
+    pub view: RasterCamera,
     /// Visible splats, front to back.
     pub splats: Vec<Splat>,
     /// Their tiles.
@@ -46,7 +46,7 @@ impl Pass {
     /// Rasterises `source` as seen by `view`.
     pub fn forward(
         source: &AttributeSource<'_>,
-        view: View,
+        view: RasterCamera,
         channels: Channels,
         early_stop: EarlyStop,
     ) -> Self {
@@ -58,7 +58,7 @@ impl Pass {
 
     /// Blends given attribute rows; for callers that make their own, such as the preview tier.
     pub fn blend(
-        view: View,
+        view: RasterCamera,
         splats: Vec<Splat>,
         channels: Channels,
         light: RowLight,
@@ -330,7 +330,7 @@ fn gaussians_of(splats: &[Splat]) -> Vec<u32> {
 /// The attributes that `channels` carry of every splat, by rank, in rows of `stored` floats; what is beyond is zero.
 pub fn attribute_rows(
     source: &AttributeSource<'_>,
-    view: &View,
+    view: &RasterCamera,
     splats: &[Splat],
     channels: Channels,
     stored: usize,
@@ -349,7 +349,7 @@ pub fn attribute_rows(
 }
 
 /// Every visible Gaussian as a splat, sorted front to back, ties by index.
-pub fn project_all(source: &AttributeSource<'_>, view: &View) -> Vec<Splat> {
+pub fn project_all(source: &AttributeSource<'_>, view: &RasterCamera) -> Vec<Splat> {
     let mut splats: Vec<Splat> = (0..source.gaussians.len())
         .into_par_iter()
         .with_min_len(256)

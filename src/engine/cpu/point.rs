@@ -27,7 +27,7 @@ pub fn surface_point(pass: &Pass, x: usize, y: usize) -> [f32; 3] {
             break;
         }
     }
-    std::array::from_fn(|k| pass.view.eye[k] + depth * ray[k])
+    std::array::from_fn(|k| pass.view.centre[k] + depth * ray[k])
 }
 
 /// What `splat` takes from the centre of pixel (`x`, `y`).

@@ -5,8 +5,9 @@
 
 use rayon::prelude::*;
 
+use crate::engine::ProbeSettings;
 use crate::engine::cpu::attributes::AttributeSource;
-use crate::engine::cpu::occluder::{ProbeSettings, Vec3, dot, occluders};
+use crate::engine::cpu::occluder::{Vec3, dot, occluders};
 use crate::engine::cpu::project::rotation;
 use crate::engine::cpu::shadows::{Query, measure_direction};
 use crate::light::sh_eval;

@@ -4,10 +4,10 @@
 //! `xx yy - xy^2` would be the difference of two large numbers. With the low-pass l added to xx and yy it grows by
 //! `l (xx + yy) + l^2`, a sum of positive terms.
 
+use crate::engine::RasterCamera;
 use crate::engine::constants::{
     ALPHA_MIN, FAR, FARTHEST_PIXEL, LARGEST_VARIANCE, LEAST_DETERMINANT, LOG_SCALE_LIMIT, NEAR,
 };
-use crate::engine::cpu::view::View;
 
 /// A projected Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,7 +28,7 @@ pub struct Splat {
     pub reach: f32,
     /// Camera depth.
     pub depth: f32,
-    /// Sorts like depth, see [`View::depth_key`].
+    /// Sorts like depth, see [`RasterCamera::depth_key`].
     pub depth_key: u32,
 }
 
@@ -159,7 +159,7 @@ struct Projection {
     area: [f32; 3],
 }
 
-fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
+fn prepare(view: &RasterCamera, g: &Geometry) -> Option<Projection> {
     if !g.is_usable() {
         return None;
     }
@@ -199,7 +199,7 @@ fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
 }
 
 /// Projects a Gaussian, or `None` when no pixel can see it.
-pub fn project(view: &View, index: u32, g: &Geometry) -> Option<Splat> {
+pub fn project(view: &RasterCamera, index: u32, g: &Geometry) -> Option<Splat> {
     let p = prepare(view, g)?;
     let (raw, raw_determinant, low_pass) = (p.raw, p.raw_determinant, view.low_pass);
     let covariance = [raw[0] + low_pass, raw[1], raw[2] + low_pass];
@@ -244,7 +244,7 @@ fn blurred_determinant(p: &Projection, low_pass: f32) -> f32 {
 }
 
 /// Chain rule from a splat's gradient to the Gaussian's geometry; `s` is the forward result.
-pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient) -> GeometryGradient {
+pub fn project_backward(view: &RasterCamera, g: &Geometry, s: &Splat, d: &SplatGradient) -> GeometryGradient {
     let Some(p) = prepare(view, g) else { return GeometryGradient::default() };
     let mut out = GeometryGradient::default();
     let sigma = sigmoid(g.opacity_logit);
@@ -288,7 +288,7 @@ pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient)
 /// of its length: as a difference of C's entries times x it would be lost, so it is taken from the adjugate,
 /// `adj(raw) x_k = sum over the other axes j of (x_k x x_j) perp x_j`, in which the axis itself cancels exactly.
 fn screen_backward(
-    view: &View,
+    view: &RasterCamera,
     p: &Projection,
     s: &Splat,
     [da, db, dc]: [f32; 3],

@@ -3,9 +3,10 @@
 //! A tree of boxes around where each Gaussian's alpha reaches 1/255. The alpha of a Gaussian on a ray is its
 //! peak along the ray's line: that of its footprint on the plane across the ray, as the probes measure it.
 
+use crate::engine::ProbeSettings;
 use crate::engine::constants::{OPAQUE, WIDEST};
 use crate::engine::cpu::attributes::AttributeSource;
-use crate::engine::cpu::occluder::{Occluder, ProbeSettings, Vec3, dot, occluders, plane_basis, widening};
+use crate::engine::cpu::occluder::{Occluder, Vec3, dot, occluders, plane_basis, widening};
 
 /// Gaussians a leaf may have.
 const LEAF: usize = 4;
@@ -157,7 +158,8 @@ fn build(boxes: &mut [Boxed], first: usize, nodes: &mut Vec<Node>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::cpu::{Probes, fibonacci_sphere, outward_normals};
+    use crate::engine::cpu::{Probes, outward_normals};
+    use crate::engine::fibonacci_sphere;
     use crate::scene::{Field, Gaussians, ShadingOptions};
 
     /// A cloud of discs, needles and blobs, some far larger than others, some all but transparent.

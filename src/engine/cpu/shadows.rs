@@ -5,9 +5,10 @@
 
 use multiversion::multiversion;
 
+use crate::engine::ProbeSettings;
 use crate::engine::constants::{ALPHA_MAX, NO_HIT, OPAQUE};
 use crate::engine::cpu::lanes::{LANES, Lanes, exp_negative};
-use crate::engine::cpu::occluder::{Footprint, Occluder, ProbeSettings, Vec3, dot, plane_basis};
+use crate::engine::cpu::occluder::{Footprint, Occluder, Vec3, dot, plane_basis};
 
 /// Gaussians there are for each cell of the grid.
 const PER_CELL: usize = 4;

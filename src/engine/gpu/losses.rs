@@ -4,7 +4,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::engine::channel::Channels;
-use crate::engine::gpu::{Buffer, Groups, Recorder, ViewUniform, shaders, uniform};
+use crate::engine::gpu::{Buffer, CameraUniform, Groups, Recorder, shaders, uniform};
 
 #[cfg(test)]
 mod tests;
@@ -28,7 +28,7 @@ struct ImageTermUniform {
 #[derive(Debug, Clone, Copy)]
 pub struct ImageTerm<'a> {
     /// Image size.
-    pub view: &'a ViewUniform,
+    pub view: &'a CameraUniform,
     /// The rendered image, rgb.
     pub image: &'a Buffer<[f32; 4]>,
     /// The photograph, rgb and mask.
@@ -107,7 +107,7 @@ impl SurfaceTermsUniform {
 /// elements a pixel, planar, (normal, plane distance) and (coverage, metalness, roughness, unused).
 pub fn surface_terms(
     recorder: &mut Recorder<'_>,
-    view: &ViewUniform,
+    view: &CameraUniform,
     channels: Channels,
     weights: &SurfaceWeights,
     [gbuffer, photo, by_buffers]: [&Buffer<[f32; 4]>; 3],

@@ -40,4 +40,4 @@ pub use raster::{Raster, RasterCounts};
 pub use recorder::{Bind, Groups, Recorder, StageTime, uniform};
 pub use scan::{Scan, grow};
 pub use sort::{Pairs, Sorter};
-pub use view::{SplatRecord, TILE, ViewUniform};
+pub use view::{CameraUniform, SplatRecord, TILE};

@@ -7,7 +7,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::engine::cpu::ProbeSettings;
+use crate::engine::ProbeSettings;
 use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::scan::{Scan, grow};
 use crate::engine::gpu::sort::Sorter;

@@ -11,7 +11,7 @@ use crate::engine::gpu::scan::{Scan, grow};
 use crate::engine::gpu::shaders::Shader;
 use crate::engine::gpu::sort::Sorter;
 use crate::engine::gpu::{
-    Buffer, Gpu, GpuError, Groups, Recorder, SplatRecord, TILE, ViewUniform, shaders, uniform,
+    Buffer, CameraUniform, Gpu, GpuError, Groups, Recorder, SplatRecord, TILE, shaders, uniform,
 };
 
 mod backward;
@@ -58,7 +58,7 @@ pub struct BlendEnd {
 /// The view that was prepared last.
 #[derive(Debug, Clone)]
 pub(super) struct Prepared {
-    pub(super) view: ViewUniform,
+    pub(super) view: CameraUniform,
     pub(super) model: LayoutUniform,
     /// Gaussians by depth, nearest first; invisible ones last.
     pub(super) gaussian_of_rank: Buffer<u32>,
@@ -149,7 +149,7 @@ impl Raster {
     /// otherwise as [`Gpu::buffer`] and [`Gpu::read`].
     pub fn prepare(
         &mut self,
-        view: &ViewUniform,
+        view: &CameraUniform,
         model: &LayoutUniform,
         params: &Buffer<f32>,
     ) -> Result<RasterCounts, GpuError> {
@@ -228,7 +228,7 @@ impl Raster {
     fn project(
         &mut self,
         rec: &mut Recorder<'_>,
-        view: &ViewUniform,
+        view: &CameraUniform,
         model: &LayoutUniform,
         params: &Buffer<f32>,
     ) -> Result<Buffer<u32>, GpuError> {
@@ -263,7 +263,7 @@ impl Raster {
     fn list(
         &mut self,
         rec: &mut Recorder<'_>,
-        view: &ViewUniform,
+        view: &CameraUniform,
         gaussian_of_rank: &Buffer<u32>,
         (n, n_instances): (usize, usize),
     ) -> Result<(Buffer<u32>, Buffer<u32>), GpuError> {

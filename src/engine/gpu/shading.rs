@@ -7,7 +7,7 @@ use crate::engine::gpu::kernel_constants as codes;
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::shaders::{self, Shader};
-use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, ViewUniform, uniform};
+use crate::engine::gpu::{Buffer, CameraUniform, Gpu, GpuError, Groups, Recorder, uniform};
 use crate::scene::{DiffuseForm, ShadeAt, ShadingOptions, VisibilityForm};
 
 #[cfg(test)]
@@ -68,7 +68,7 @@ struct CompositeUniform {
 
 impl CompositeUniform {
     /// For the radiance branch alone.
-    fn new(view: &ViewUniform, [r, g, b]: [f32; 3]) -> Self {
+    fn new(view: &CameraUniform, [r, g, b]: [f32; 3]) -> Self {
         let background = [r, g, b, 0.0];
         Self { background, n_pixels: view.n_pixels, srgb: 0, n_groups: 0, pad: 0 }
     }
@@ -105,7 +105,7 @@ impl Images {
 #[derive(Debug, Clone, Copy)]
 pub struct ShadeJob<'a> {
     /// The camera.
-    pub view: &'a ViewUniform,
+    pub view: &'a CameraUniform,
     /// The forward model.
     pub shading: &'a ShadingUniform,
     /// Visibility coefficients the surfaces carry: (order + 1)^2 for orders 0 to 6.
@@ -265,7 +265,7 @@ pub fn show_lit_backward(recorder: &mut Recorder<'_>, job: &ShadeJob<'_>, gradie
 /// The radiance branch alone, for passes that carry no material.
 pub fn radiance_image(
     recorder: &mut Recorder<'_>,
-    view: &ViewUniform,
+    view: &CameraUniform,
     background: [f32; 3],
     gbuffer: &Buffer<[f32; 4]>,
     radiance: &Buffer<[f32; 4]>,
@@ -279,7 +279,7 @@ pub fn radiance_image(
 /// for any `channels` beyond `Colour`.
 pub fn radiance_image_backward(
     recorder: &mut Recorder<'_>,
-    view: &ViewUniform,
+    view: &CameraUniform,
     background: [f32; 3],
     by_radiance: &Buffer<[f32; 4]>,
     by_buffers: &Buffer<[f32; 4]>,

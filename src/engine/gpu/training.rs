@@ -4,7 +4,6 @@
 //! ends with a read of sixteen sums. Nothing else crosses the bus.
 
 use crate::engine::channel::Channels;
-use crate::engine::cpu::{ProbeSettings, fibonacci_sphere};
 use crate::engine::gpu::density::{self, DensitySignals, GatherPlan};
 use crate::engine::gpu::gather::{GatherSource, gather};
 use crate::engine::gpu::light::{Constants, LightWeights, TrainingLight};
@@ -18,7 +17,8 @@ use crate::engine::gpu::shading::{
     shade_backward, show_lit, show_lit_backward,
 };
 use crate::engine::gpu::update::{STATUS_WORDS, StepInput, Sums, Updater, Upstream};
-use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, Recorder, ViewUniform};
+use crate::engine::gpu::{AttributeBuffers, Buffer, CameraUniform, Gpu, GpuError, Raster, Recorder};
+use crate::engine::{ProbeSettings, fibonacci_sphere};
 use crate::light::EnvOperators;
 use crate::scene::{IndirectForm, ShadeAt, ShadingOptions};
 
@@ -164,7 +164,7 @@ impl Training {
     /// # Errors
     /// What went wrong on the device.
     pub fn step(&mut self, step: &Step<'_>) -> Result<StepSums, GpuError> {
-        let view = ViewUniform::new(&step.view);
+        let view = CameraUniform::new(&step.view);
         self.raster.prepare(&view, &self.model.layout, &self.model.params)?;
         let gpu = self.gpu.clone();
         let mut recorder = gpu.record();
@@ -209,7 +209,7 @@ impl Training {
         &mut self,
         recorder: &mut Recorder<'_>,
         step: &Step<'_>,
-        view: &ViewUniform,
+        view: &CameraUniform,
         canvas: &Canvas,
     ) -> Result<(), GpuError> {
         let source = attribute_buffers(&self.model, &self.measured, &self.light);
@@ -293,7 +293,7 @@ impl Training {
         &self,
         recorder: &mut Recorder<'_>,
         step: &Step<'_>,
-        view: &ViewUniform,
+        view: &CameraUniform,
     ) -> Result<(), GpuError> {
         if self.options.shade_at != ShadeAt::Gaussian || !is_shaded(step.channels) {
             return Ok(());
@@ -314,7 +314,7 @@ impl Training {
         &mut self,
         recorder: &mut Recorder<'_>,
         step: &Step<'_>,
-        view: &ViewUniform,
+        view: &CameraUniform,
         groups: usize,
         is_material: bool,
     ) -> Result<(), GpuError> {

@@ -9,7 +9,7 @@ use bytemuck::{Pod, Zeroable};
 use crate::engine::constants::{ADAM_BETA1, ADAM_BETA2};
 use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::{
-    Buffer, Gpu, GpuError, Groups, Recorder, SplatRecord, ViewUniform, shaders, uniform,
+    Buffer, CameraUniform, Gpu, GpuError, Groups, Recorder, SplatRecord, shaders, uniform,
 };
 use crate::scene::Field;
 
@@ -104,7 +104,7 @@ struct LabelCount {
 #[derive(Debug, Clone, Copy)]
 pub struct Upstream<'a> {
     /// The camera.
-    pub view: &'a ViewUniform,
+    pub view: &'a CameraUniform,
     /// Splats by Gaussian.
     pub splats: &'a Buffer<SplatRecord>,
     /// Summed gradients by Gaussian, `8 + 4 groups` floats; rows of invisible splats are not read.

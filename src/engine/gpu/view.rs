@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::engine::cpu::View;
+use crate::engine::RasterCamera;
 
 /// Side of a tile, pixels.
 pub const TILE: u32 = crate::engine::constants::TILE as u32;
@@ -10,7 +10,7 @@ pub const TILE: u32 = crate::engine::constants::TILE as u32;
 /// `View` of `shaders/shared/view.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-pub struct ViewUniform {
+pub struct CameraUniform {
     /// Focal lengths, pixels.
     pub focal: [f32; 2],
     /// Principal point, pixels.
@@ -35,9 +35,9 @@ pub struct ViewUniform {
     pub pad: u32,
 }
 
-impl ViewUniform {
+impl CameraUniform {
     /// The shaders' form of `view`.
-    pub fn new(view: &View) -> Self {
+    pub fn new(view: &RasterCamera) -> Self {
         let padded = |v: [f32; 3]| [v[0], v[1], v[2], 0.0];
         let row = |k: usize| {
             let [x, y, z] = view.rotation[k];
@@ -49,7 +49,7 @@ impl ViewUniform {
             focal: view.focal,
             centre_px: view.centre_px,
             rotation: std::array::from_fn(row),
-            eye: padded(view.eye),
+            eye: padded(view.centre),
             ratio_limits: [x[0], x[1], y[0], y[1]],
             size,
             tiles: size.map(|s| s.div_ceil(TILE)),

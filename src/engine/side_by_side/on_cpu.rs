@@ -1,9 +1,10 @@
 //! What the CPU engine answers.
 
 use crate::engine::Gradients;
+use crate::engine::RasterCamera;
 use crate::engine::channel::{COVERAGE, Channels};
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{AttributeSource, BranchImages, Pass, SurfaceShader, View};
+use crate::engine::cpu::{AttributeSource, BranchImages, Pass, SurfaceShader};
 use crate::engine::reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES};
 use crate::engine::side_by_side::{Answer, Question, SplatSeen};
 use crate::scene::{Field, Model, softplus};
@@ -25,7 +26,12 @@ pub fn by_cpu(question: &Question<'_>) -> Answer {
     let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
     let source = source.under(shader);
     let channels = Channels::Full(model.gaussians.width(Field::Visibility));
-    let pass = Pass::forward(&source, View::new(question.camera, &model.shading), channels, EarlyStop::Never);
+    let pass = Pass::forward(
+        &source,
+        RasterCamera::new(question.camera, &model.shading),
+        channels,
+        EarlyStop::Never,
+    );
     let images = shader.images(&pass, question.background);
     let by = BranchImages { physical: question.physical.clone(), radiance: question.radiance.clone() };
     let count = channels.count();

@@ -1,7 +1,8 @@
 //! What the GPU engine answers.
 
+use crate::engine::DeviceError;
+use crate::engine::RasterCamera;
 use crate::engine::channel::Channels;
-use crate::engine::cpu::View;
 use crate::engine::gpu::light::{Constants, LightWeights, TrainingLight};
 use crate::engine::gpu::losses::LOSS_SLOTS;
 use crate::engine::gpu::model::{ModelBuffers, from_planar};
@@ -10,7 +11,7 @@ use crate::engine::gpu::shading::{
     Images, ShadeGradients, ShadeJob, ShadingUniform, shade, shade_backward, show_lit, show_lit_backward,
 };
 use crate::engine::gpu::update::{ParameterTerms, STATUS_WORDS, StepInput, Sums, Updater, Upstream};
-use crate::engine::gpu::{AttributeBuffers, Buffer, Gpu, GpuError, Raster, ViewUniform};
+use crate::engine::gpu::{AttributeBuffers, Buffer, CameraUniform, Gpu, Raster};
 use crate::engine::reference::Array;
 use crate::engine::side_by_side::on_cpu::shared;
 use crate::engine::side_by_side::{Answer, Question, SplatSeen};
@@ -37,7 +38,7 @@ impl Canvas {
         question: &Question<'_>,
         model: &ModelBuffers,
         groups: usize,
-    ) -> Result<Self, GpuError> {
+    ) -> Result<Self, DeviceError> {
         let pixels = question.pixels();
         let padded =
             |rows: &[[f32; 3]]| -> Vec<[f32; 4]> { rows.iter().map(|[r, g, b]| [*r, *g, *b, 0.0]).collect() };
@@ -68,9 +69,9 @@ impl Canvas {
 ///
 /// # Errors
 /// What went wrong on the device.
-pub fn by_gpu(gpu: &Gpu, question: &Question<'_>) -> Result<Answer, GpuError> {
+pub fn by_gpu(gpu: &Gpu, question: &Question<'_>) -> Result<Answer, DeviceError> {
     let (model, options) = (question.model, &question.model.shading);
-    let view = ViewUniform::new(&View::new(question.camera, options));
+    let view = CameraUniform::new(&RasterCamera::new(question.camera, options));
     let buffers = ModelBuffers::upload(gpu, model)?;
     let light = TrainingLight::new(gpu, &question.light.operators)?;
     let n_visibility = model.gaussians.width(Field::Visibility);
@@ -146,8 +147,8 @@ pub fn by_gpu(gpu: &Gpu, question: &Question<'_>) -> Result<Answer, GpuError> {
     read(gpu, question, &buffers, &canvas, &raster, &gbuffer)
 }
 
-fn missing(what: &str) -> GpuError {
-    GpuError::Internal(format!("a pass without {what}"))
+fn missing(what: &str) -> DeviceError {
+    DeviceError::Internal(format!("a pass without {what}"))
 }
 
 fn read(
@@ -157,9 +158,9 @@ fn read(
     canvas: &Canvas,
     raster: &Raster,
     gbuffer: &Buffer<[f32; 4]>,
-) -> Result<Answer, GpuError> {
+) -> Result<Answer, DeviceError> {
     let (model, pixels) = (question.model, question.pixels());
-    let rgb = |buffer: &Buffer<[f32; 4]>| -> Result<Vec<[f64; 3]>, GpuError> {
+    let rgb = |buffer: &Buffer<[f32; 4]>| -> Result<Vec<[f64; 3]>, DeviceError> {
         let rows = gpu.read(buffer, 0..pixels)?;
         Ok(rows.iter().map(|p| [p[0], p[1], p[2]].map(f64::from)).collect())
     };

@@ -11,7 +11,7 @@ use crate::capture::{Capture, CaptureView, ImportOptions, import};
 use crate::cli::bench::subject::Subject;
 use crate::cli::{CommandResult, output};
 use crate::engine::Device;
-use crate::engine::gpu::DeviceChoice;
+use crate::engine::DeviceChoice;
 use crate::eval::{Picture, evenly_spaced, lights_of, mean_squared_error, on_white, photograph};
 use crate::render::{Frame, Output, PreparedLight, Quality, Renderer, Tier};
 

@@ -1,12 +1,13 @@
 //! The gathering against the CPU engine.
 
 use super::*;
-use crate::engine::cpu::{ProbeSettings, Transport, fibonacci_sphere, outward_normals};
+use crate::engine::cpu::{Transport, outward_normals};
 use crate::engine::gpu::Gpu;
 use crate::engine::gpu::light::flat;
 use crate::engine::gpu::model::planar;
 use crate::engine::gpu::probes::tests::{Scene, read};
 use crate::engine::gpu::shaders::assert_layout;
+use crate::engine::{ProbeSettings, fibonacci_sphere};
 use crate::light::{LightTables, rendering_tables};
 use crate::scene::{EnvMap, Field, VisibilityForm};
 
@@ -63,8 +64,9 @@ fn host_and_shaders_agree_on_the_structs() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn bounced_light_is_that_of_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for (bounces, order) in [(1, 4), (2, 2), (4, 0), (0, 1)] {
         let case = Case { scene: Scene::random(1, 300, order), bounces };
         let (got, expected) = case.gathered(&gpu);
@@ -76,8 +78,9 @@ fn bounced_light_is_that_of_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn an_open_sky_and_prototypes_alone_are_those_of_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut scene = Scene::random(2, 200, 2);
     scene.options.visibility = VisibilityForm::Off;
     scene.gaussians.field_mut(Field::Residual).fill(0.0);
@@ -86,8 +89,9 @@ fn an_open_sky_and_prototypes_alone_are_those_of_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_comparison_notices_another_albedo_another_light_and_one_more_bounce() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let (_, expected) = Case { scene: Scene::random(1, 300, 2), bounces: 2 }.gathered(&gpu);
     let (more, _) = Case { scene: Scene::random(1, 300, 2), bounces: 3 }.gathered(&gpu);
     assert!(error(&more, &expected) > 1e-3);
@@ -100,8 +104,9 @@ fn the_comparison_notices_another_albedo_another_light_and_one_more_bounce() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn no_gaussian_and_one_gaussian_gather_nothing() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for n in [0, 1] {
         let (got, expected) = Case { scene: Scene::random(1, n, 2), bounces: 2 }.gathered(&gpu);
         assert_eq!((&got, got.iter().all(|v| *v == 0.0)), (&expected, true));
@@ -109,8 +114,9 @@ fn no_gaussian_and_one_gaussian_gather_nothing() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn light_that_does_not_fit_is_refused() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let scene = Scene::random(1, 3, 2);
     let probes = scene.on_device(&gpu, ProbeSettings::default(), &fibonacci_sphere(4));
     let (model, other) = (scene.layout(), Scene::random(1, 4, 2).layout());

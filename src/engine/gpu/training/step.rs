@@ -1,7 +1,7 @@
 //! What a step is asked for, and what it comes to.
 
+use crate::engine::RasterCamera;
 use crate::engine::channel::Channels;
-use crate::engine::cpu::View;
 use crate::engine::gpu::Buffer;
 use crate::engine::gpu::light::LightWeights;
 use crate::engine::gpu::losses::{LOSS_SLOTS, LossSlot, SurfaceWeights};
@@ -38,7 +38,7 @@ pub struct StepWeights {
 #[derive(Debug, Clone, Copy)]
 pub struct Step<'a> {
     /// The camera.
-    pub view: View,
+    pub view: RasterCamera,
     /// The photograph, row-major: rgb over the background, mask.
     pub photo: &'a Buffer<[f32; 4]>,
     /// What the photograph was composited over, display-referred.

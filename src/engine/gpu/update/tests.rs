@@ -1,5 +1,6 @@
 //! The parameter side against the CPU engine, and against f64 where the CPU engine has no part in it.
 
+use crate::engine::RasterCamera;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -7,7 +8,7 @@ use super::*;
 use crate::engine::Gradients;
 use crate::engine::channel::{Channels, IncidentLight};
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{AttributeSource, Pass, ROW_HEADER, View, backward_labels};
+use crate::engine::cpu::{AttributeSource, Pass, ROW_HEADER, backward_labels};
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{GpuOptions, model::LayoutUniform};
 use crate::scene::{Camera, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions, VisibilityForm};
@@ -45,7 +46,7 @@ impl Default for Shape {
 struct Case {
     model: Model,
     basis: [[f32; 3]; 16],
-    view: View,
+    view: RasterCamera,
     groups: usize,
     records: Vec<SplatRecord>,
     rows: Vec<f32>,
@@ -126,7 +127,7 @@ impl Case {
         spoil(&mut model);
         let basis = std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-0.5f32..0.8)));
         let source = source(&model, &basis);
-        let view = View::new(&camera(), &model.shading);
+        let view = RasterCamera::new(&camera(), &model.shading);
         let pass = Pass::forward(&source, view, shape.channels, EarlyStop::WhenSaturated);
         let (count, stored) = (shape.channels.count(), shape.channels.stored());
         let mut by_gbuffer = vec![0.0f32; pass.gbuffer.len()];
@@ -200,7 +201,7 @@ struct OnDevice {
     gpu: Gpu,
     updater: Updater,
     model: ModelBuffers,
-    view: ViewUniform,
+    view: CameraUniform,
     groups: usize,
     splats: Buffer<SplatRecord>,
     rows: Buffer<f32>,
@@ -221,7 +222,7 @@ impl OnDevice {
         Self {
             gpu: gpu.clone(),
             updater: Updater::new(gpu).unwrap(),
-            view: ViewUniform::new(&case.view),
+            view: CameraUniform::new(&case.view),
             groups: case.groups,
             splats: gpu.upload("splats", &case.records).unwrap(),
             rows: gpu.upload("rows", &case.rows).unwrap(),

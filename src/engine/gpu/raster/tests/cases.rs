@@ -27,8 +27,9 @@ fn forward_errors(raster: &mut Raster, scene: &Scene, channels: Channels) -> (f3
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn needles_keep_their_digits_on_both_engines() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(31, 60, (64, 48), 1).fill(Field::LogScale, &[0.7, -6.0, -6.5]);
     let (device, cpu) = forward_errors(&mut raster, &scene, Channels::Material);
@@ -39,8 +40,9 @@ fn needles_keep_their_digits_on_both_engines() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn pancakes_and_splats_that_cover_everything_match_f64() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for (name, scale, n) in [("pancakes", [-1.5, -1.2, -8.0], 80), ("covering", [1.0, 1.2, 0.8], 40)] {
         let scene = Scene::random(32, n, (64, 48), 1).fill(Field::LogScale, &scale);
@@ -53,8 +55,9 @@ fn pancakes_and_splats_that_cover_everything_match_f64() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn three_hundred_opaque_layers_have_gradients_in_front_and_none_behind() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for logit in [-1.0, 4.0, 9.0] {
         let scene = Scene::random(33, 300, (16, 16), 1)
@@ -69,8 +72,9 @@ fn three_hundred_opaque_layers_have_gradients_in_front_and_none_behind() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn early_stop_misses_no_more_than_its_threshold() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(34, 300, (37, 21), 1).fill(Field::LogScale, &[-1.0, -0.8, -1.2]);
     scene.gpu(&mut raster, Channels::Colour, false);
@@ -83,8 +87,9 @@ fn early_stop_misses_no_more_than_its_threshold() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn any_image_size_matches_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for size in [(1, 1), (1, 40), (16, 16), (17, 15), (37, 21), (3, 64)] {
         let scene = Scene::random(35, 100, size, 1);
@@ -95,8 +100,9 @@ fn any_image_size_matches_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn nothing_to_see_is_an_empty_picture() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for n in [0, 5] {
         // Behind the camera, if any.
@@ -114,8 +120,9 @@ fn nothing_to_see_is_an_empty_picture() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn what_is_no_number_is_invisible() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let fields = [Field::Mean, Field::LogScale, Field::Quaternion, Field::OpacityLogit];
     let mut scene = Scene::random(37, 40, (20, 20), 1);
@@ -137,8 +144,9 @@ fn what_is_no_number_is_invisible() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn equal_depths_are_ordered_by_index() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(38, 100, (37, 21), 1)
         .fill(Field::Mean, &[0.1, 0.0, 0.1])
@@ -149,8 +157,9 @@ fn equal_depths_are_ordered_by_index() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn more_pairs_than_a_binding_holds_are_refused_with_numbers() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let raster = Raster::new(&gpu).unwrap();
     let most = gpu.report().max_binding.min(gpu.report().max_buffer);
     let pairs = (1u64 << 33) + 5;
@@ -163,8 +172,9 @@ fn more_pairs_than_a_binding_holds_are_refused_with_numbers() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn steps_out_of_order_are_errors() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let mut rec = gpu.record();
     assert!(raster.blend(&mut rec, Channels::Colour, true).is_err());
@@ -195,7 +205,7 @@ fn emitted(raster: &Raster, scene: &Scene, off: i32, room: usize) -> (Vec<u32>, 
     let most = (*first.last().unwrap()).min(room as u32 - 8);
     let mut rec = gpu.record();
     let bindings = [
-        uniform(&ViewUniform::new(&scene.view)),
+        uniform(&CameraUniform::new(&scene.view)),
         uniform(&Words([n as u32, most, 0, 0])),
         raster.splats.as_ref().unwrap().into(),
         order.into(),
@@ -209,8 +219,9 @@ fn emitted(raster: &Raster, scene: &Scene, off: i32, room: usize) -> (Vec<u32>, 
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn miscounted_tiles_are_neither_written_past_nor_left_undefined() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(40, 60, (40, 40), 1);
     let counts = scene.gpu(&mut raster, Channels::Colour, true);
@@ -227,8 +238,9 @@ fn miscounted_tiles_are_neither_written_past_nor_left_undefined() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_count_of_pairs_carries_beyond_32_bits() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(41, 300, (64, 48), 1);
     let counts = scene.gpu(&mut raster, Channels::Colour, true);
@@ -239,7 +251,7 @@ fn the_count_of_pairs_carries_beyond_32_bits() {
     let (keys, indices) = (gpu.buffer::<u32>("keys", n).unwrap(), gpu.buffer::<u32>("indices", n).unwrap());
     let mut rec = gpu.record();
     let bindings = [
-        uniform(&ViewUniform::new(&scene.view)),
+        uniform(&CameraUniform::new(&scene.view)),
         uniform(&LayoutUniform::new(&scene.gaussians, &scene.options)),
         (&params).into(),
         raster.splats.as_ref().unwrap().into(),

@@ -47,8 +47,9 @@ fn check(gpu: &Gpu, shape: &Shape, seed: u64) {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn gradients_are_those_of_the_cpu_engine() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut seed = 0;
     for normal in [NormalForm::Free, NormalForm::ShortestAxis] {
         for indirect in [IndirectForm::Off, IndirectForm::Learned, IndirectForm::Gathered] {
@@ -63,8 +64,9 @@ fn gradients_are_those_of_the_cpu_engine() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn gradients_hold_for_every_number_of_prototypes_and_coefficients() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let shapes = [(1, 0, 0), (8, 2, 1), (40, 4, 2), (3, 6, 3), (9, 1, 4), (7, 3, 0), (256, 5, 1)];
     for (at, (prototypes, visibility, radiance)) in shapes.into_iter().enumerate() {
         let channels = Channels::Full((visibility + 1) * (visibility + 1));
@@ -75,8 +77,9 @@ fn gradients_hold_for_every_number_of_prototypes_and_coefficients() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn gradients_hold_for_every_number_of_channels_and_gaussians() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for (at, channels) in [Channels::Colour, Channels::Geometry, Channels::Material].into_iter().enumerate() {
         let options = ShadingOptions { indirect: IndirectForm::Learned, ..Default::default() };
         check(&gpu, &Shape { channels, options, ..Default::default() }, 200 + at as u64);
@@ -87,15 +90,17 @@ fn gradients_hold_for_every_number_of_channels_and_gaussians() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn a_device_without_float_atomics_sums_the_same_prototypes() {
     let options = GpuOptions { compare_exchange: true, garbage: true, checks: true, ..GpuOptions::default() };
-    let Some(gpu) = Gpu::with_options(options) else { return };
+    let gpu = Gpu::with_options(options);
     check(&gpu, &Shape { n: 600, ..Default::default() }, 5);
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn control_one_changed_input_is_seen_in_the_gradients() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let options = ShadingOptions { low_pass_compensation: true, ..Default::default() };
     let shape = Shape { options, ..Default::default() };
     let changes: [fn(&mut Case); 5] = [
@@ -115,8 +120,9 @@ fn control_one_changed_input_is_seen_in_the_gradients() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn what_is_not_finite_and_not_seen_does_no_harm() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let spoil = |model: &mut Model| {
         let g = &mut model.gaussians;
         g.row_mut(Field::Mean, 5)[1] = f32::NAN;
@@ -161,8 +167,9 @@ fn the_cases_reach_the_clamps() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn nothing_happens_without_gaussians() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut case = Case::new(&Shape::default(), 3, |_| ());
     case.model.gaussians = Gaussians::zeroed(0, 8, 2, 2);
     let device = OnDevice::new(&gpu, &case);

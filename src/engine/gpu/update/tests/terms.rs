@@ -40,8 +40,9 @@ fn objective(values: &[f64], g: &Gaussians, labels: &[f32], terms: &ParameterTer
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn terms_and_their_slopes_are_those_of_the_formulas() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for (at, prototypes) in [1usize, 2, 8, 40].into_iter().enumerate() {
         let case = unseen(&Shape { n: 20, prototypes, ..Default::default() }, 40 + at as u64);
         let g = &case.model.gaussians;
@@ -94,8 +95,9 @@ fn terms_and_their_slopes_are_those_of_the_formulas() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn one_hot_scores_have_a_finite_aggregation() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut case = unseen(&Shape { n: 5, ..Default::default() }, 50);
     case.model.gaussians.field_mut(Field::ProtoLogits).fill(-60.0);
     (0..5).for_each(|i| case.model.gaussians.row_mut(Field::ProtoLogits, i)[i] = 60.0);
@@ -150,7 +152,7 @@ fn expected_pull(case: &Case, labels: &[[f32; 2]], form: VisibilityForm) -> (f64
             continue;
         }
         let mean: [f32; 3] = g.get(Field::Mean, i);
-        let to: [f64; 3] = std::array::from_fn(|k| f64::from(mean[k]) - f64::from(case.view.eye[k]));
+        let to: [f64; 3] = std::array::from_fn(|k| f64::from(mean[k]) - f64::from(case.view.centre[k]));
         let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();
         let mut y = [0.0f64; 49];
         sh_eval(g.visibility_order(), to.map(|v| v / length), &mut y);
@@ -165,8 +167,9 @@ fn expected_pull(case: &Case, labels: &[[f32; 2]], form: VisibilityForm) -> (f64
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn backward_labels_pull_where_there_is_weight_and_never_run_away() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     use VisibilityForm::{Linear, Sigmoid};
     for (visibility, form) in [(2, Linear), (4, Sigmoid), (6, Linear), (0, Linear)] {
         let (case, labels) = labelled(visibility, form);
