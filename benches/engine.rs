@@ -15,7 +15,7 @@ use relume::capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::engine::Device;
 use relume::engine::channel::Channels;
 use relume::engine::constants::EarlyStop;
-use relume::engine::cpu::{AttributeSource, BranchImages, Pass, Probes, Shader};
+use relume::engine::cpu::{AttributeSource, BranchImages, Pass, Probes, SurfaceShader};
 use relume::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
 use relume::render::{Output, Renderer, Tier};
 use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, ShadingOptions};
@@ -91,8 +91,8 @@ fn tables() -> &'static LightTables {
     TABLES.get_or_init(|| operators().apply(&[[1.0; 3]; 512]))
 }
 
-fn shader() -> Shader<'static> {
-    Shader { tables: tables(), options: &model().shading, order: 4 }
+fn shader() -> SurfaceShader<'static> {
+    SurfaceShader { tables: tables(), options: &model().shading, order: 4 }
 }
 
 fn full_pass() -> &'static Pass {

@@ -5,6 +5,7 @@
 const WG_SIZE = 128u;
 #import environment
 #import index
+#import reduce
 #import tables
 
 @group(0) @binding(0) var<uniform> tables: Tables;
@@ -19,8 +20,6 @@ const WG_SIZE = 128u;
 @group(0) @binding(8) var<storage, read> entries: array<vec2u>;
 @group(0) @binding(9) var<storage, read> harmonics: array<f32>;
 @group(0) @binding(10) var<storage, read_write> globals_gradient: array<f32>;
-
-var<workgroup> sh_sums: array<vec3f, WG_SIZE>;
 
 @compute @workgroup_size(WG_SIZE)
 fn main(
@@ -50,20 +49,14 @@ fn main(
         let g = vec3f(tables_gradient[first], tables_gradient[first + 1u], tables_gradient[first + 2u]);
         sums += bitcast<f32>(entries[at].y) * g;
     }
-    sh_sums[local_ix] = sums;
-    for (var width = WG_SIZE / 2u; width > 0u; width /= 2u) {
-        workgroupBarrier();
-        if local_ix < width {
-            sh_sums[local_ix] += sh_sums[local_ix + width];
-        }
-    }
+    let total = workgroup_sum(local_ix, vec4f(sums, 0.0)).xyz;
     if local_ix == 0u {
         let light = vec3f(radiance[3u * texel_ix], radiance[3u * texel_ix + 1u], radiance[3u * texel_ix + 2u]);
         let deviation = sign(light - vec3f((light.r + light.g + light.b) / 3.0));
         let shared_sign = (deviation.r + deviation.g + deviation.b) / 3.0;
         let by_neutrality = environment.neutrality * (deviation - shared_sign);
         let by_above = vec3f(light_derivative[0], light_derivative[1], light_derivative[2]);
-        let by_light = sh_sums[0] + by_neutrality + by_above * upward[texel_ix];
+        let by_light = total + by_neutrality + by_above * upward[texel_ix];
         let first = environment.first_texel + 3u * texel_ix;
         for (var c = 0u; c < 3u; c++) {
             globals_gradient[first + c] = by_light[c] / (1.0 + exp(-globals[first + c]));

@@ -37,7 +37,7 @@ fn main(
 ) {
     let block_ix = workgroup_ix(wid, n_wg);
     let n_blocks = (size.n_out + WG_SIZE * PER_THREAD - 1u) / (WG_SIZE * PER_THREAD);
-    // Workgroups that only exist because the dispatch is folded keep the barriers company.
+    // Workgroups beyond the last block, of a folded dispatch, only take part in the barriers.
     let first_ix = min(block_ix, n_blocks) * WG_SIZE * PER_THREAD + local_ix * PER_THREAD;
     let own = vec4u(value_at(first_ix), value_at(first_ix + 1u), value_at(first_ix + 2u), value_at(first_ix + 3u));
     let scan = scan_workgroup(local_ix, own.x + own.y + own.z + own.w);

@@ -119,7 +119,7 @@ fn flatten(o: Occluder, frame: Frame, grid: PlaneGrid) -> Flat {
     if !(narrow.x < WIDEST && narrow.y < WIDEST) {
         return flat;
     }
-    // An edge-on pancake keeps a sliver of width, or nothing could ever hit it.
+    // A disc seen edge-on would have a width of 0.
     let sum = narrow.x + narrow.y;
     let widening = 1e-4 * sum + 1e-14;
     let area = cross(x, y);

@@ -21,7 +21,7 @@ impl DensityStats {
     pub fn record(&mut self, g: &Gradients) {
         for (i, visible) in g.visible.iter().enumerate() {
             if *visible {
-                self.absgrad[i] += g.pull[i];
+                self.absgrad[i] += g.absgrad[i];
                 self.seen[i] += 1.0;
             }
         }

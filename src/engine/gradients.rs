@@ -67,7 +67,7 @@ pub struct Gradients {
     pub env_raw: Vec<[f32; 3]>,
     /// Sum over pixels of the length of each one's gradient by the projected mean, in half image widths, per Gaussian
     /// (AbsGS's density signal).
-    pub pull: Vec<f32>,
+    pub absgrad: Vec<f32>,
     /// Gaussians that were on screen.
     pub visible: Vec<bool>,
 }
@@ -85,7 +85,7 @@ impl Gradients {
             rows: zeros(g.len() * layout.row),
             prototypes: vec![[0.0; 3]; g.prototypes()],
             env_raw: vec![[0.0; 3]; texels],
-            pull: vec![0.0; g.len()],
+            absgrad: vec![0.0; g.len()],
             visible: vec![false; g.len()],
         }
     }

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use crate::capture::{Capture, CaptureView};
-use crate::engine::cpu::{Shader, Surface};
+use crate::engine::cpu::{Surface, SurfaceShader};
 use crate::eval::evaluate::{EvalError, check_sizes, evenly_spaced, lights_of, refused};
 use crate::eval::image::{mean_squared_error, psnr_of};
 use crate::eval::totals::Mean;
@@ -60,7 +60,7 @@ pub fn attribute(
             let Some(truth) = view.truth.relit.get(*name) else { continue };
             let truth = photograph(truth);
             for (mean, replaced) in of_light.iter_mut().zip(replacements) {
-                let edit = |shader: &Shader<'_>, i: usize, surface: &mut Surface| {
+                let edit = |shader: &SurfaceShader<'_>, i: usize, surface: &mut Surface| {
                     put_truth(view, *replaced, shader, i, surface);
                 };
                 let mut frame = renderer
@@ -78,7 +78,13 @@ pub fn attribute(
     Ok(means.into_iter().map(|mean| mean.value()).collect())
 }
 
-fn put_truth(view: &CaptureView, replaced: Replaced, shader: &Shader<'_>, i: usize, surface: &mut Surface) {
+fn put_truth(
+    view: &CaptureView,
+    replaced: Replaced,
+    shader: &SurfaceShader<'_>,
+    i: usize,
+    surface: &mut Surface,
+) {
     let truth = &view.truth;
     if view.image.pixels[i][3] < 0.5 {
         return;

@@ -45,11 +45,11 @@ impl LobeAttenuation {
         let i = x.to_usize().unwrap_or(0).min(LOBE_ROUGHNESSES - 2);
         let f = x - T::from(i).unwrap_or_else(T::zero);
         let inside = roughness > T::zero() && roughness < T::one();
-        let slope = if inside { cells } else { T::zero() };
+        let derivative = if inside { cells } else { T::zero() };
         let at = |i: usize, l: usize| T::from(self.rows[i][l]).unwrap_or_else(T::nan);
         LobeSample {
             value: std::array::from_fn(|l| at(i, l) * (T::one() - f) + at(i + 1, l) * f),
-            by_roughness: std::array::from_fn(|l| (at(i + 1, l) - at(i, l)) * slope),
+            by_roughness: std::array::from_fn(|l| (at(i + 1, l) - at(i, l)) * derivative),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Environment operators as explicit linear maps: tables = M L, and the gradient is M^T g (DESIGN section 3).
+//! Environment operators as explicit linear maps (docs/MODEL.md section 4): tables = M L, and the gradient is M^T g.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
 use crate::scene::{sh_count, texel_directions};
 
-/// Level below `roughness`, the fraction towards the next, and the fraction's slope (0 where clamped).
+/// Level below `roughness`, the fraction towards the next, and the fraction's derivative (0 where clamped).
 #[inline]
 pub fn level_position<T: num_traits::Float>(roughness: T) -> (usize, T, T) {
     let level = |k: usize| T::from(SPECULAR_LEVELS[k]).unwrap_or_else(T::one);
@@ -18,8 +18,8 @@ pub fn level_position<T: num_traits::Float>(roughness: T) -> (usize, T, T) {
         return (last - 1, T::one(), T::zero());
     }
     let k = (0..last).rev().find(|&k| roughness >= level(k)).unwrap_or(0);
-    let slope = T::one() / (level(k + 1) - level(k));
-    (k, (roughness - level(k)) * slope, slope)
+    let derivative = T::one() / (level(k + 1) - level(k));
+    (k, (roughness - level(k)) * derivative, derivative)
 }
 
 /// How finely directions are tabulated.
@@ -163,7 +163,7 @@ impl EnvOperators {
     pub fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
         let n = padded(sh_count(self.order));
         // F[t] = Y_j(t) L_c(t), the light that a coefficient lets through at texel t.
-        let lit: Vec<f32> = radiance
+        let products: Vec<f32> = radiance
             .par_iter()
             .zip(self.harmonics.par_chunks(n))
             .flat_map_iter(|(l, y)| (0..3).flat_map(move |c| y.iter().map(move |v| v * l[c])))
@@ -172,7 +172,7 @@ impl EnvOperators {
         diffuse.par_chunks_mut(3 * n).enumerate().for_each(|(node, out)| {
             for &(t, w) in self.cosine.row(node) {
                 let t = t as usize * 3 * n;
-                out.iter_mut().zip(&lit[t..t + 3 * n]).for_each(|(o, v)| *o += w * v);
+                out.iter_mut().zip(&products[t..t + 3 * n]).for_each(|(o, v)| *o += w * v);
             }
         });
         LightTables {
@@ -190,14 +190,15 @@ impl EnvOperators {
         (0..self.width * self.height)
             .into_par_iter()
             .map(|t| {
-                let mut lit = vec![0.0f32; 3 * n];
+                let mut products = vec![0.0f32; 3 * n];
                 for &(node, w) in self.cosine_transposed.row(t) {
                     let row = &gradient.diffuse[node as usize * 3 * n..(node as usize + 1) * 3 * n];
-                    lit.iter_mut().zip(row).for_each(|(o, v)| *o += w * v);
+                    products.iter_mut().zip(row).for_each(|(o, v)| *o += w * v);
                 }
                 let y = &self.harmonics[t * n..(t + 1) * n];
-                let mut out: [f32; 3] =
-                    std::array::from_fn(|c| lit[c * n..(c + 1) * n].iter().zip(y).map(|(a, b)| a * b).sum());
+                let mut out: [f32; 3] = std::array::from_fn(|c| {
+                    products[c * n..(c + 1) * n].iter().zip(y).map(|(a, b)| a * b).sum()
+                });
                 for (rows, grad) in self.specular_transposed.iter().zip(&gradient.specular) {
                     for &(node, w) in rows.row(t) {
                         (0..3).for_each(|c| out[c] += w * grad[node as usize][c]);

@@ -50,7 +50,7 @@ fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, order: usize) -> Vec<f32> {
     };
     let n = padded(sh_count(order));
     let directions = texel_directions(map.width(), map.height());
-    let lit: Vec<f32> = directions
+    let products: Vec<f32> = directions
         .iter()
         .zip(map.texels())
         .flat_map(|((d, w), l)| {
@@ -64,7 +64,7 @@ fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, order: usize) -> Vec<f32> {
     let nodes = grid.directions();
     let mut out = vec![0.0f32; nodes.len() * 3 * n];
     out.par_chunks_mut(3 * n).zip(&nodes).for_each(|(row, node)| {
-        for ((d, _), light) in directions.iter().zip(lit.chunks_exact(3 * n)) {
+        for ((d, _), light) in directions.iter().zip(products.chunks_exact(3 * n)) {
             let cos = node.dot(*d) as f32;
             if cos > 0.0 {
                 row.iter_mut().zip(light).for_each(|(o, v)| *o += cos * v);

@@ -3,7 +3,7 @@
 use crate::engine::DeviceError;
 use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{Pass, Shader, Surface, resolve};
+use crate::engine::cpu::{Pass, Surface, SurfaceShader, resolve};
 use crate::render::{Frame, Output, PreparedLight, RenderError, Renderer};
 use crate::scene::{Camera, Field, ShadeAt, ShadingOptions};
 
@@ -17,7 +17,7 @@ impl Renderer {
         &self,
         camera: &Camera,
         light: &PreparedLight,
-        edit: &(dyn Fn(&Shader<'_>, usize, &mut Surface) + Sync),
+        edit: &(dyn Fn(&SurfaceShader<'_>, usize, &mut Surface) + Sync),
     ) -> Result<Frame, RenderError> {
         let view = self.view(camera)?;
         let cpu = self.frames.on_cpu();
@@ -27,7 +27,7 @@ impl Renderer {
         // Deferred whatever the model: what is edited is in the pixel.
         let options = ShadingOptions { shade_at: ShadeAt::Pixel, ..self.model().shading };
         let source = cpu.lit_source(light);
-        let shader = Shader { options: &options, ..cpu.shader(&light.tables) };
+        let shader = SurfaceShader { options: &options, ..cpu.shader(&light.tables) };
         let coefficients = source.gaussians.width(Field::Visibility);
         let pass = Pass::forward(&source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
         let outputs = [Output::Rgb, Output::Alpha];

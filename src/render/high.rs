@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use crate::engine::channel::{self, Channels, OutgoingRadiance};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
-    AttributeSource, MAX_COEFFICIENTS, Pass, Probes, Shader, Surface, attribute_rows, blended_radiance,
-    normalise, project_all, reflector, resolve,
+    AttributeSource, MAX_COEFFICIENTS, Pass, Probes, Surface, SurfaceShader, attribute_rows,
+    blended_radiance, normalise, project_all, reflector, resolve,
 };
 use crate::engine::{ProbeSettings, RasterCamera};
 use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, rendering_tables};
@@ -48,7 +48,7 @@ impl SplitLight {
 
 /// Renders every pixel under the rest and each of the lights; the job's shader has the tables of both together.
 pub(super) fn render(job: &Job<'_>, light: &SplitLight) -> Frame {
-    let shader = Shader { tables: light.rest.as_ref().unwrap_or(job.shader.tables), ..job.shader };
+    let shader = SurfaceShader { tables: light.rest.as_ref().unwrap_or(job.shader.tables), ..job.shader };
     match shader.options.shade_at {
         ShadeAt::Gaussian => at_gaussians(job, &shader, light),
         ShadeAt::Pixel => in_pixels(job, &shader, light),
@@ -56,7 +56,7 @@ pub(super) fn render(job: &Job<'_>, light: &SplitLight) -> Frame {
 }
 
 /// The lights are added to what each Gaussian sends.
-fn at_gaussians(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
+fn at_gaussians(job: &Job<'_>, shader: &SurfaceShader<'_>, light: &SplitLight) -> Frame {
     let source = job.source.under(*shader);
     let full = Channels::Full(source.gaussians.width(Field::Visibility));
     let view = job.frame.view;
@@ -86,7 +86,7 @@ fn cosine(normal: [f32; 3], view: [f32; 3]) -> f32 {
 }
 
 /// The lights are added to what each pixel sends; their shadows are blended.
-fn in_pixels(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
+fn in_pixels(job: &Job<'_>, shader: &SurfaceShader<'_>, light: &SplitLight) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
     let pass = pass(&job.source, job.frame.view, light, coefficients);
     resolve(&pass, shader, job.frame.outputs, job.frame.depth_scale, |_, surface| {

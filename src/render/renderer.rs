@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::engine::cpu::{AttributeSource, FrameLight as CpuLight, Occluders, Shader};
+use crate::engine::cpu::{AttributeSource, FrameLight as CpuLight, Occluders, SurfaceShader};
 use crate::engine::{Device, DeviceError, FrameJob, FrameLight, Frames, RasterCamera, ShadeColour};
 use crate::light::EnvSampler;
 use crate::render::high::{self, SplitLight};
@@ -45,7 +45,7 @@ pub struct Renderer {
 /// A frame that the CPU engine makes, whatever the device: the model under a light, and what is wanted.
 pub(super) struct Job<'a> {
     pub(super) source: AttributeSource<'a>,
-    pub(super) shader: Shader<'a>,
+    pub(super) shader: SurfaceShader<'a>,
     pub(super) frame: FrameJob<'a>,
 }
 

@@ -4,7 +4,7 @@ use relume::engine::channel::{COVERAGE, Channels};
 use relume::engine::constants::{EarlyStop, TRANSMITTANCE_STOP};
 use relume::engine::cpu::{AttributeSource, Pass, backward_labels};
 use relume::engine::gpu::{AttributeBuffers, Raster, ViewUniform, model::ModelBuffers};
-use relume::engine::reference::{Options, Scene, Tables, Tape, forward, losses};
+use relume::engine::reference::{Options, ReferenceModel, TableOperators, Tape, forward, losses};
 use relume::engine::{RasterCamera, TRANSMITTANCE_STOP};
 use relume::scene::{Camera, Field, Model};
 
@@ -108,8 +108,8 @@ fn early_stop_misses_less_weight_than_it_says() {
 fn backward_transmittance_is_taken_to_the_end_of_the_ray_whatever_stops_early() {
     let (model, camera) = layered(-3.2);
     let tape = Tape::new();
-    let options = Options::model(model.shading, Tables::new(ENV.0, ENV.1, TABLES));
-    let pass = forward(&tape, &Scene::from_model(&model), &camera, &options);
+    let options = Options::model(model.shading, TableOperators::new(ENV.0, ENV.1, TABLES));
+    let pass = forward(&tape, &ReferenceModel::from_model(&model), &camera, &options);
     let (label, weight) = losses::backward_labels(&pass.weights);
     let (label, weight) = (label.value(), weight.value());
     let view = RasterCamera::new(&camera, &model.shading);

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
 use relume::engine::reference::{
-    Array, LISTING_WEIGHTS, Options, Quadrature, Scene, Tape, Target, fibonacci_sphere, forward, losses,
-    normal_related_sh, objective, parameter_names, real_sh,
+    Array, LISTING_WEIGHTS, Options, Quadrature, ReferenceModel, Tape, Target, fibonacci_sphere, forward,
+    losses, normal_related_sh, objective, parameter_names, real_sh,
 };
 use relume::scene::Camera;
 use safetensors::{Dtype, SafeTensors};
@@ -39,9 +39,9 @@ fn fixture(name: &str) -> Option<Fixture> {
     Some(file.tensors().into_iter().map(array).collect())
 }
 
-fn scene_of(fixture: &Fixture) -> Scene {
+fn scene_of(fixture: &Fixture) -> ReferenceModel {
     let named = parameter_names().filter_map(|n| Some((n, fixture.get(&format!("param.{n}"))?.clone())));
-    Scene::new(named.collect()).unwrap()
+    ReferenceModel::new(named.collect()).unwrap()
 }
 
 fn camera_of(fixture: &Fixture) -> Camera {

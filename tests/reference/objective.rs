@@ -4,8 +4,10 @@ use glam::DVec3;
 use relume::engine::RasterCamera;
 use relume::engine::channel::Channels;
 use relume::engine::constants::EarlyStop;
-use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, Shader};
-use relume::engine::reference::{Array, Arrays, Options, Scene, Tables, Tape, Target, forward, objective};
+use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader};
+use relume::engine::reference::{
+    Array, Arrays, Options, ReferenceModel, TableOperators, Tape, Target, forward, objective,
+};
 use relume::light::{EnvOperators, TableResolution};
 use relume::scene::{Camera, Field, Model, ShadingOptions, softplus, texel_directions};
 use relume::train::objective::{aggregation, geometry, image, material};
@@ -78,9 +80,9 @@ impl Photograph {
 
 fn by_reference(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Arrays) {
     let tape = Tape::new();
-    let tables = Tables::new(32, 16, TableResolution::TRAINING);
+    let tables = TableOperators::new(32, 16, TableResolution::TRAINING);
     let options = Options { background: BACKGROUND.map(f64::from), ..Options::model(model.shading, tables) };
-    let pass = forward(&tape, &Scene::from_model(model), camera, &options);
+    let pass = forward(&tape, &ReferenceModel::from_model(model), camera, &options);
     let [width, height] = [SIZE.0, SIZE.1].map(|n| n as usize);
     let floats = |v: &[f32]| v.iter().map(|v| f64::from(*v)).collect();
     let target = Target {
@@ -111,7 +113,7 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     };
-    let shader = Shader { tables: &tables, options: &model.shading, order: 4 };
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, order: 4 };
     let source = source.under(shader);
     let channels = Channels::Full(25);
     let count = channels.count();

@@ -4,9 +4,10 @@ use glam::DVec3;
 use relume::engine::Gradients;
 use relume::engine::channel::Channels;
 use relume::engine::constants::EarlyStop;
-use relume::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, Shader};
+use relume::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader};
 use relume::engine::reference::{
-    Array, Arrays, ENVIRONMENT, Gathered, Options, PROTOTYPES, Probes, Scene, Tables, Tape, Var, forward,
+    Array, Arrays, ENVIRONMENT, Gathered, Options, PROTOTYPES, Probes, ReferenceModel, TableOperators, Tape,
+    Var, forward,
 };
 use relume::engine::{ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
 use relume::light::{EnvOperators, TableResolution};
@@ -128,14 +129,14 @@ fn by_reference(model: &Model, camera: &Camera, gathered: &[[f32; 6]], functiona
     let half = |from: usize| -> Vec<[f32; 3]> {
         gathered.iter().map(|g| std::array::from_fn(|c| g[from + c])).collect()
     };
-    let tables = Tables::new(32, 16, TableResolution::TRAINING);
+    let tables = TableOperators::new(32, 16, TableResolution::TRAINING);
     let options = Options {
         background: BACKGROUND.map(f64::from),
         gathered: Some(Gathered { irradiance: wide(&half(0)), radiance: wide(&half(3)) }),
         ..Options::model(model.shading, tables)
     };
     let tape = Tape::new();
-    let pass = forward(&tape, &Scene::from_model(model), camera, &options);
+    let pass = forward(&tape, &ReferenceModel::from_model(model), camera, &options);
     let buffer =
         |f: fn(&BufferGradient) -> f32| wide(&functional.buffers.iter().map(|b| [f(b)]).collect::<Vec<_>>());
     let normals: Vec<[f32; 3]> = functional.buffers.iter().map(|b| b.normal).collect();
@@ -166,7 +167,7 @@ fn by_cpu(model: &Model, camera: &Camera, gathered: &[[f32; 6]], functional: &Fu
         indirect_basis: &indirect_basis(&tables),
         light: None,
     };
-    let shader = Shader { tables: &tables, options: &model.shading, order: 4 };
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, order: 4 };
     let source = source.under(shader);
     let channels = Channels::Full(25);
     let pass = Pass::forward(&source, RasterCamera::new(camera, &model.shading), channels, EarlyStop::Never);
@@ -311,7 +312,7 @@ fn the_cpu_engines_probes_see_what_the_references_see() {
     let directions = fibonacci_sphere(48);
     let normals = cpu::outward_normals(&source);
     let ours = cpu::Probes::measure(&source, directions.clone(), PLAIN);
-    let scene = Scene::from_model(&model);
+    let scene = ReferenceModel::from_model(&model);
     let measure = |normals: &[[f32; 3]]| Probes::measure(&scene, &wide(normals), &wide(&directions), 1.0);
     let reference = measure(&normals);
     // The CPU engine calls a transmittance below 1e-3 opaque.

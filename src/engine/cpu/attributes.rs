@@ -5,9 +5,9 @@ use crate::engine::RasterCamera;
 use crate::engine::RowLayout;
 use crate::engine::channel::{self, Channels, IncidentLight, OutgoingRadiance, RowLight};
 use crate::engine::cpu::project::{
-    Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid, sigmoid_slope,
+    Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid, sigmoid_derivative,
 };
-use crate::engine::cpu::shade::{MAX_COEFFICIENTS, Shader, Surface};
+use crate::engine::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceShader};
 use crate::light::{LightTables, sh_eval, sh_eval_with_gradient};
 use crate::scene::{Field, Gaussians, IndirectForm, NormalForm, ShadeAt, ShadingOptions};
 
@@ -27,14 +27,14 @@ pub struct AttributeSource<'a> {
     pub gathered: &'a [[f32; 6]],
     /// `E_j` of Eq. 20, for `IndirectForm::Learned`.
     pub indirect_basis: &'a [[f32; 3]; 16],
-    /// Lights each Gaussian; none: the channels of light carry what shading in the pixel needs.
-    pub light: Option<Shader<'a>>,
+    /// Shades each Gaussian, whose rows then carry [`OutgoingRadiance`]; none: rows carry [`IncidentLight`].
+    pub light: Option<SurfaceShader<'a>>,
 }
 
 impl<'a> AttributeSource<'a> {
     /// The same under a light, for a model that is shaded at its Gaussians.
     #[must_use]
-    pub fn under(self, light: Shader<'a>) -> Self {
+    pub fn under(self, light: SurfaceShader<'a>) -> Self {
         match self.options.shade_at {
             ShadeAt::Gaussian => self.shaded(light),
             ShadeAt::Pixel => self,
@@ -43,7 +43,7 @@ impl<'a> AttributeSource<'a> {
 
     /// The same shaded at its Gaussians, whatever the model.
     #[must_use]
-    pub fn shaded(self, light: Shader<'a>) -> Self {
+    pub fn shaded(self, light: SurfaceShader<'a>) -> Self {
         Self { light: Some(light), ..self }
     }
 }
@@ -121,7 +121,7 @@ impl AttributeSource<'_> {
         out
     }
 
-    /// Gaussian `i`, whose normal and material are in `row`, as a surface seen along `to_mean` (mean minus eye).
+    /// Gaussian `i`, whose normal and material are in `row`, as a surface seen along `to_mean` (mean minus camera centre).
     pub fn surface(&self, i: usize, row: &[f32], to_mean: [f32; 3]) -> Surface {
         let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| row[r.start + k]);
         let mut visibility = [0.0f32; MAX_COEFFICIENTS];
@@ -141,7 +141,7 @@ impl AttributeSource<'_> {
     }
 
     /// Chain rule through the light of a Gaussian whose attributes are `row`: what `by_row` has for it is added to the
-    /// channels it is made of, to `by_mean`, the gradient by the splat's place, and to that of the light's tables.
+    /// channels it is made of, to `by_mean`, the gradient by the projected mean, and to that of the light tables.
     pub fn light_backward(
         &self,
         view: &RasterCamera,
@@ -174,13 +174,13 @@ impl AttributeSource<'_> {
             (0..3).for_each(|c| by_row[IncidentLight::BLOCKED.start + c] += by.blocked[c]);
             by_row[channel::VISIBILITY..].iter_mut().zip(&by.visibility).for_each(|(o, g)| *o += g);
         }
-        // The direction of view is that of the ray through the splat's place: it moves with nothing else.
+        // The view direction depends on the projected mean alone.
         let (direction, length) = normalise(to_mean);
         let along: f32 = (0..3).map(|k| direction[k] * by.view[k]).sum();
-        for (axis, by_place) in by_mean.iter_mut().enumerate() {
+        for (axis, by_mean) in by_mean.iter_mut().enumerate() {
             let across: f32 =
                 (0..3).map(|k| (direction[k] * along - by.view[k]) * view.rotation[axis][k]).sum();
-            *by_place += across * splat.depth / (length * view.focal[axis]);
+            *by_mean += across * splat.depth / (length * view.focal[axis]);
         }
     }
 
@@ -206,7 +206,7 @@ impl AttributeSource<'_> {
             for (field, channel) in [(Field::MetalLogit, channel::METAL), (Field::RoughLogit, channel::ROUGH)]
             {
                 out[layout.range(field)][0] +=
-                    by_row[channel] * sigmoid_slope(self.gaussians.row(field, i)[0]);
+                    by_row[channel] * sigmoid_derivative(self.gaussians.row(field, i)[0]);
             }
         }
         if self.options.shade_at == ShadeAt::Gaussian && by_row.len() > OutgoingRadiance::SHEEN_GRADIENT {
@@ -295,7 +295,7 @@ impl AttributeSource<'_> {
         for (s, y) in coefficients.chunks_exact(3).zip(&basis) {
             (0..3).for_each(|c| raw[c] += s[c] * y);
         }
-        Radiance { colour: raw.map(|v| v.max(0.0)), lit: raw.map(|v| v > 0.0), direction, length }
+        Radiance { colour: raw.map(|v| v.max(0.0)), is_positive: raw.map(|v| v > 0.0), direction, length }
     }
 
     fn radiance_backward(
@@ -312,13 +312,18 @@ impl AttributeSource<'_> {
             return;
         }
         let radiance = self.radiance(i, to_mean);
-        let g: [f32; 3] = std::array::from_fn(|c| if radiance.lit[c] { by_colour[c] } else { 0.0 });
-        let (mut basis, mut slope) = ([0.0f32; MAX_RADIANCE], [[0.0f32; 3]; MAX_RADIANCE]);
-        sh_eval_with_gradient(self.gaussians.radiance_order(), radiance.direction, &mut basis, &mut slope);
+        let g: [f32; 3] = std::array::from_fn(|c| if radiance.is_positive[c] { by_colour[c] } else { 0.0 });
+        let (mut basis, mut derivatives) = ([0.0f32; MAX_RADIANCE], [[0.0f32; 3]; MAX_RADIANCE]);
+        sh_eval_with_gradient(
+            self.gaussians.radiance_order(),
+            radiance.direction,
+            &mut basis,
+            &mut derivatives,
+        );
         let coefficients = self.gaussians.row(Field::Radiance, i).chunks_exact(3);
         let gradients = out[layout.range(Field::Radiance)].chunks_exact_mut(3);
         let mut by_direction = [0.0f32; 3];
-        for (((o, s), y), dy) in gradients.zip(coefficients).zip(&basis).zip(&slope) {
+        for (((o, s), y), dy) in gradients.zip(coefficients).zip(&basis).zip(&derivatives) {
             let along: f32 = (0..3).map(|c| g[c] * s[c]).sum();
             (0..3).for_each(|c| o[c] += g[c] * y);
             (0..3).for_each(|k| by_direction[k] += along * dy[k]);
@@ -337,7 +342,8 @@ struct Normal {
 
 struct Radiance {
     colour: [f32; 3],
-    lit: [bool; 3],
+    /// Where the clamp lets the gradient through.
+    is_positive: [bool; 3],
     direction: [f32; 3],
     length: f32,
 }

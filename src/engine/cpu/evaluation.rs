@@ -4,7 +4,7 @@ use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::training::environment_radiance;
 use crate::engine::cpu::{
-    self, AttributeSource, Pass, Shader, outward_normals, radiance_image, sky_irradiance, training,
+    self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance, training,
 };
 use crate::engine::step::{Branches, Photo};
 use crate::engine::{RasterCamera, TrainState, indirect_basis};
@@ -30,7 +30,7 @@ pub fn physical_image(
     let tables = operators.apply(&environment_radiance(model));
     let basis = indirect_basis(&tables);
     let order = model.gaussians.visibility_order();
-    let shader = Shader { tables: &tables, options: &model.shading, order };
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
     let source = training::source(state, &basis).under(shader);
     let channels = branches.channels(&model.gaussians, &model.shading).blended;
     let pass = Pass::forward(

@@ -9,7 +9,8 @@ use crate::engine::channel::{self, Channels, OutgoingRadiance, RowLight};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::resolve::resolve;
 use crate::engine::cpu::{
-    AttributeSource, Occluders, Pass, Probes, Shader, Transport, attribute_rows, outward_normals, project_all,
+    AttributeSource, Occluders, Pass, Probes, SurfaceShader, Transport, attribute_rows, outward_normals,
+    project_all,
 };
 use crate::engine::{BOUNCES, FrameJob, PROBE_DIRECTIONS, ShadeColour};
 use crate::engine::{Frame, Output, ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
@@ -67,9 +68,9 @@ impl Frames {
     }
 
     /// The shader of the model under `tables`.
-    pub fn shader<'a>(&'a self, tables: &'a LightTables) -> Shader<'a> {
+    pub fn shader<'a>(&'a self, tables: &'a LightTables) -> SurfaceShader<'a> {
         let order = self.model.gaussians.visibility_order();
-        Shader { tables, options: &self.model.shading, order }
+        SurfaceShader { tables, options: &self.model.shading, order }
     }
 
     /// The occluder tree of the model.
@@ -102,7 +103,7 @@ impl Frames {
 }
 
 /// `rgb` and `alpha` of Gaussians that are shaded once and blended in three channels.
-fn colour(source: &AttributeSource<'_>, view: RasterCamera, shader: &Shader<'_>) -> Frame {
+fn colour(source: &AttributeSource<'_>, view: RasterCamera, shader: &SurfaceShader<'_>) -> Frame {
     let source = &source.shaded(*shader);
     let splats = project_all(source, &view);
     let material = Channels::Material.stored();
@@ -126,7 +127,7 @@ fn colour(source: &AttributeSource<'_>, view: RasterCamera, shader: &Shader<'_>)
 }
 
 /// Every output of `job`, where the model was trained to be shaded.
-fn standard(source: &AttributeSource<'_>, job: &FrameJob<'_>, shader: &Shader<'_>) -> Frame {
+fn standard(source: &AttributeSource<'_>, job: &FrameJob<'_>, shader: &SurfaceShader<'_>) -> Frame {
     let coefficients = source.gaussians.width(Field::Visibility);
     let channels = Channels::Full(coefficients);
     let pass = Pass::forward(&source.under(*shader), job.view, channels, EarlyStop::WhenSaturated);

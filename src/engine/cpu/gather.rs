@@ -1,4 +1,5 @@
-//! Light that bounces: what the blocked directions of each Gaussian send back under one light (docs/MODEL.md section 6).
+//! Light that bounces: what each Gaussian receives from the Gaussians that block its directions, under one light
+//! (docs/MODEL.md section 6).
 
 use rayon::prelude::*;
 
@@ -11,7 +12,7 @@ use crate::scene::{Field, VisibilityForm};
 
 type Vec3 = [f32; 3];
 
-/// Which Gaussian each Gaussian sees where it does not see the sky; independent of the light.
+/// Which Gaussians block the directions of each Gaussian; independent of the light.
 #[derive(Debug, Clone)]
 pub struct Transport {
     normals: Vec<Vec3>,
@@ -47,8 +48,8 @@ impl Transport {
                     }
                     // Only a face turned to the receiver emits towards it.
                     let emitter: f32 = (0..3).map(|a| normals[from as usize][a] * d[a]).sum();
-                    let lit = if emitter < 0.0 { 1.0 } else { 0.0 };
-                    row.push(Link { from, irradiance: lit * share * facing * weight, share });
+                    let faces_receiver = if emitter < 0.0 { 1.0 } else { 0.0 };
+                    row.push(Link { from, irradiance: faces_receiver * share * facing * weight, share });
                 }
                 row
             })

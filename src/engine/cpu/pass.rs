@@ -7,7 +7,7 @@ use crate::engine::channel::{self, Channels, IncidentLight, RowLight};
 use crate::engine::constants::{EarlyStop, TILE};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::blend::{BlendScratch, TileJob, blend_tile};
-use crate::engine::cpu::blend_backward::{BackwardScratch, ROW_HEADER, blend_tile_backward};
+use crate::engine::cpu::blend_backward::{ABSGRAD, BackwardScratch, ROW_HEADER, blend_tile_backward};
 use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::mixture::MixtureScratch;
 use crate::engine::cpu::project::{Splat, SplatGradient, project, project_backward, rotation_backward};
@@ -19,8 +19,8 @@ use crate::scene::{Field, IndirectForm};
 
 /// Gaussians a task takes; fixed, so that sums come out the same for any number of threads.
 const CHUNK: usize = 512;
-/// The same where a task has tables of light of its own.
-const LIT_CHUNK: usize = 4096;
+/// The same where a task differentiates the shading, with a gradient of the light tables of its own.
+const SHADED_CHUNK: usize = 4096;
 
 /// A rasterised view: the G-buffer and everything its backward pass needs.
 #[derive(Debug, Clone)]
@@ -135,11 +135,11 @@ impl Pass {
         }
         let half_width = 0.5 * self.view.width.max(self.view.height) as f32;
         let has_albedo = width > ROW_HEADER + channel::ROUGH;
-        let marks = out.pull.par_chunks_mut(LANES).zip(out.visible.par_chunks_mut(LANES));
+        let marks = out.absgrad.par_chunks_mut(LANES).zip(out.visible.par_chunks_mut(LANES));
         let blocks = out.rows.par_chunks_mut(LANES * layout.row).zip(marks).zip(rank_of.par_chunks(LANES));
         blocks.enumerate().with_min_len(4).for_each_init(
             MixtureScratch::default,
-            |scratch, (block, ((rows, (pull, visible)), ranks))| {
+            |scratch, (block, ((rows, (absgrad, visible)), ranks))| {
                 let of_rank = |rank: &u32| summed.chunks_exact(width).nth(*rank as usize);
                 if has_albedo {
                     let by_rows: Vec<Option<&[f32]>> =
@@ -153,8 +153,7 @@ impl Pass {
                     let (Some(splat), Some(summed)) = (self.splats.get(*rank as usize), of_rank(rank)) else {
                         continue;
                     };
-                    // The last float of the header.
-                    pull[lane] = summed[ROW_HEADER - 1] * half_width;
+                    absgrad[lane] = summed[ABSGRAD] * half_width;
                     visible[lane] = true;
                     self.geometry_backward(source, splat, summed, &layout, row);
                 }
@@ -199,11 +198,11 @@ impl Pass {
             return;
         }
         let stored = self.channels.stored();
-        let splats = self.splats.par_chunks(LIT_CHUNK);
-        let rows = self.attributes.par_chunks(LIT_CHUNK * stored);
+        let splats = self.splats.par_chunks(SHADED_CHUNK);
+        let rows = self.attributes.par_chunks(SHADED_CHUNK * stored);
         let partial: Vec<LightTables> = splats
             .zip(rows)
-            .zip(summed.par_chunks_mut(LIT_CHUNK * width))
+            .zip(summed.par_chunks_mut(SHADED_CHUNK * width))
             .map(|((splats, rows), summed)| {
                 let mut tables = by_tables.zeroed();
                 let rows = rows.chunks_exact(stored).zip(summed.chunks_exact_mut(width));
@@ -240,7 +239,7 @@ impl Pass {
         indirect_basis_backward(&by_basis, by_tables);
     }
 
-    /// The splats' own gradients by rank, summed over their tiles: mean, conic, opacity, pull, then `count` channels.
+    /// The splats' own gradients by rank, summed over their tiles: mean, conic, opacity, absgrad, then `count` channels.
     pub fn splat_gradients(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
         self.sum_instances(&self.blend_backward(by_gbuffer, stored, count), ROW_HEADER + count)
     }

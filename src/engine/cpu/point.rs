@@ -5,7 +5,7 @@ use crate::engine::constants::{ALPHA_MAX, TILE};
 use crate::engine::cpu::pass::Pass;
 use crate::engine::cpu::project::Splat;
 
-/// How far a Gaussian's plane may lead from its centre's depth, relative: what leads further is seen edge-on.
+/// Largest relative distance of a depth on a Gaussian's plane from its centre's depth; beyond, the plane is seen edge-on.
 const FARTHEST: f32 = 0.05;
 
 /// The world point that pixel (`x`, `y`) of a pass with normals sees: on the plane of the Gaussian that brings coverage

@@ -1,4 +1,5 @@
-//! Transmittance probes: what each Gaussian sees of the sky, and which Gaussian hides the rest (docs/MODEL.md section 6).
+//! Transmittance probes: the visibility of the environment from each Gaussian, and its dominant occluder (docs/MODEL.md
+//! section 6).
 //!
 //! Directions are independent and run in parallel; `shadows.rs` answers all queries of one.
 

@@ -77,9 +77,9 @@ pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Slope of [`sigmoid`]: `s(x) s(-x)`, which keeps its digits where `s` is nearly 1 and `1 - s` has none left.
+/// Derivative of [`sigmoid`]: `s(x) s(-x)`, which keeps its digits where `s` is nearly 1 and `1 - s` has none left.
 #[inline]
-pub fn sigmoid_slope(x: f32) -> f32 {
+pub fn sigmoid_derivative(x: f32) -> f32 {
     sigmoid(x) * sigmoid(-x)
 }
 
@@ -131,7 +131,7 @@ pub fn rotation_backward(quaternion: [f32; 4], g: &Mat3) -> [f32; 4] {
 }
 
 impl Geometry {
-    /// Whether this is a Gaussian at all. Scales and opacity may be infinite: they have limits.
+    /// Whether all parameters are numbers. Scales and opacity may be infinite: they are clamped.
     pub(super) fn is_usable(&self) -> bool {
         let finite = self.mean.iter().chain(&self.quaternion).all(|v| v.is_finite());
         finite && !self.opacity_logit.is_nan() && !self.log_scale.iter().any(|s| s.is_nan())
@@ -248,7 +248,7 @@ pub fn project_backward(view: &RasterCamera, g: &Geometry, s: &Splat, d: &SplatG
     let Some(p) = prepare(view, g) else { return GeometryGradient::default() };
     let mut out = GeometryGradient::default();
     let sigma = sigmoid(g.opacity_logit);
-    out.opacity_logit = d.opacity * s.compensation * sigmoid_slope(g.opacity_logit);
+    out.opacity_logit = d.opacity * s.compensation * sigmoid_derivative(g.opacity_logit);
     // Gradient by the conic as a symmetric matrix.
     let (da, db, dc) = (d.conic[0], 0.5 * d.conic[1], d.conic[2]);
     let by_screen = screen_backward(view, &p, s, [da, db, dc], d.opacity * sigma, &mut out.log_scale);
@@ -298,9 +298,9 @@ fn screen_backward(
     let [a, b, c] = s.conic;
     let (determinant, low_pass) = (blurred_determinant(p, view.low_pass), view.low_pass);
     let adjugate = [cross(&p.screen[1], &p.area), cross(&p.area, &p.screen[0])];
-    // Below, its root no longer has a slope that f32 can hold.
-    let has_slope = view.low_pass_compensation && p.raw_determinant > LEAST_DETERMINANT;
-    let factor = if has_slope { s.compensation * by_compensation } else { 0.0 };
+    // Below, the derivative of its root overflows f32.
+    let has_derivative = view.low_pass_compensation && p.raw_determinant > LEAST_DETERMINANT;
+    let factor = if has_derivative { s.compensation * by_compensation } else { 0.0 };
     let mut by_screen = [[0.0f32; 3]; 2];
     for k in 0..3 {
         let x = [p.screen[0][k], p.screen[1][k]];
@@ -308,7 +308,7 @@ fn screen_backward(
         let v = [da * y[0] + db * y[1], db * y[0] + dc * y[1]];
         let mut by = [-2.0 * (a * v[0] + b * v[1]), -2.0 * (b * v[0] + c * v[1])];
         let mut by_length = -2.0 * (y[0] * v[0] + y[1] * v[1]);
-        if has_slope {
+        if has_derivative {
             for r in 0..2 {
                 let sharper = factor * (adjugate[r][k] / p.raw_determinant - y[r]);
                 by[r] += sharper;

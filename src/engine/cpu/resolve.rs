@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::engine::channel::{self, OutgoingRadiance};
 use crate::engine::constants::LEAST_COVERAGE;
-use crate::engine::cpu::{Pass, Shader, Surface, linear_from_srgb, normalise, surface_at};
+use crate::engine::cpu::{Pass, Surface, SurfaceShader, linear_from_srgb, normalise, surface_at};
 use crate::engine::{Frame, Output};
 use crate::light::Reflector;
 
@@ -15,7 +15,7 @@ use crate::light::Reflector;
 /// some output shows light.
 pub fn resolve(
     pass: &Pass,
-    shader: &Shader<'_>,
+    shader: &SurfaceShader<'_>,
     outputs: &[Output],
     depth_scale: f32,
     light: impl Fn((usize, usize), &Surface) -> OutgoingRadiance + Sync,
@@ -41,7 +41,7 @@ pub fn resolve(
 
 fn write_pixel(
     pass: &Pass,
-    shader: &Shader<'_>,
+    shader: &SurfaceShader<'_>,
     outputs: &[Output],
     depth_scale: f32,
     (x, y): (usize, usize),
@@ -78,7 +78,7 @@ fn write_pixel(
 
 fn write_attribute(
     pass: &Pass,
-    shader: &Shader<'_>,
+    shader: &SurfaceShader<'_>,
     output: Output,
     (surface, coverage): (&Surface, f32),
     depth_scale: f32,

@@ -8,8 +8,8 @@ use crate::engine::cpu::adam::adam_step;
 use crate::engine::cpu::objective::image::Target;
 use crate::engine::cpu::objective::{aggregation, geometry, parameters};
 use crate::engine::cpu::{
-    AttributeSource, BranchImages, BufferGradient, Pass, Probes, Shader, Transport, density, outward_normals,
-    radiance_image, radiance_image_backward,
+    AttributeSource, BranchImages, BufferGradient, Pass, Probes, SurfaceShader, Transport, density,
+    outward_normals, radiance_image, radiance_image_backward,
 };
 use crate::engine::density::{DensityPlan, DensitySignals, Positions};
 use crate::engine::step::{FieldUpdate, ProbeMeasurement, Step, StepSums};
@@ -159,7 +159,7 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
     let tables = operators.apply(&radiance);
     let basis = indirect_basis(&tables);
     let order = model.gaussians.visibility_order();
-    let shader = Shader { tables: &tables, options: &model.shading, order };
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
     let source = source(state, &basis).under(shader);
     let view = RasterCamera::new(&photo.camera, source.options);
     let channels = step.branches.channels(&model.gaussians, &model.shading);

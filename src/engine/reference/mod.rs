@@ -1,4 +1,4 @@
-//! The oracle: f64, dense, straight from the equations (docs/MODEL.md), never tuned for speed.
+//! The reference engine: f64, dense, straight from the equations (docs/MODEL.md), not tuned for speed.
 //!
 //! Everything is recorded on a [`Tape`], so any gradient of any intermediate value is at hand: [`forward`] for
 //! the pieces, [`objective`] for the loss terms, [`Tape::gradients`] for the rest. [`render`] and
@@ -12,12 +12,12 @@ mod gbuffer;
 mod geometry_loss;
 mod lighting;
 pub mod losses;
+mod model;
 mod objective;
 mod ops;
 mod probes;
 mod projection;
 mod quadrature;
-mod scene;
 mod shading;
 mod spherical;
 mod tables;
@@ -27,18 +27,20 @@ use std::collections::BTreeMap;
 
 pub use array::Array;
 pub use compositing::{AlphaLimits, Weights};
-pub use gbuffer::{Attributes, GBuffer};
+pub use gbuffer::{Attributes, BlendedLight, GBuffer};
 pub use lighting::Lighting;
+pub use model::{
+    Arrays, ENVIRONMENT, PROTOTYPES, Parameters, ReferenceModel, ReferenceModelError, parameter_names,
+};
 pub use objective::{LISTING_WEIGHTS, Labels, Target, Terms, objective, occlusion, weighted_sum};
 pub use ops::{Order, concat};
 pub use probes::Probes;
 pub use projection::{GuardBand, NEAR, Splats};
-pub use quadrature::{LitQuadrature, Quadrature};
-pub use scene::{Arrays, ENVIRONMENT, PROTOTYPES, Parameters, Scene, SceneError, parameter_names};
+pub use quadrature::{Quadrature, QuadratureLight};
 pub use shading::{Shaded, Surfaces};
 pub use spherical::{CLAMPED_COSINE, fibonacci_sphere, normal_related_sh, real_sh};
-pub use tables::{LitTables, Tables};
-pub use tape::{Gradients, Tape, Var};
+pub use tables::{TableLight, TableOperators};
+pub use tape::{Tape, TapeGradients, Var};
 
 use crate::scene::{
     Camera, DiffuseForm, Field, IndirectForm, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
@@ -85,7 +87,7 @@ pub enum Light {
     /// The listing's quadrature over the texels.
     Quadrature(Quadrature),
     /// Our tables.
-    Tables(Tables),
+    Tables(TableOperators),
 }
 
 /// What other Gaussians send to each Gaussian: measured, constant to the optimiser.
@@ -120,7 +122,7 @@ pub struct Options {
 
 impl Options {
     /// docs/MODEL.md on white, under the scene's own environment, without gathered light.
-    pub fn model(shading: ShadingOptions, tables: Tables) -> Self {
+    pub fn model(shading: ShadingOptions, tables: TableOperators) -> Self {
         Self {
             shading,
             conventions: Conventions::Model,
@@ -159,7 +161,7 @@ impl Options {
 }
 
 /// Every stage of one rendered view of N Gaussians on P pixels.
-pub struct Pass<'t> {
+pub struct Stages<'t> {
     /// The scene's parameters.
     pub parameters: Parameters<'t>,
     /// What each Gaussian carries.
@@ -182,7 +184,7 @@ pub struct Pass<'t> {
 const LEAST_SHADED: f64 = 1e-3;
 
 /// Renders a scene, keeping every stage on the tape.
-pub fn forward<'t>(tape: &'t Tape, scene: &Scene, camera: &Camera, options: &Options) -> Pass<'t> {
+pub fn forward<'t>(tape: &'t Tape, scene: &ReferenceModel, camera: &Camera, options: &Options) -> Stages<'t> {
     let parameters = Parameters::new(tape, scene);
     let p = &parameters;
     let shading = &options.shading;
@@ -207,15 +209,15 @@ pub fn forward<'t>(tape: &'t Tape, scene: &Scene, camera: &Camera, options: &Opt
     let seen = tape.input(options.conventions.shaded(&buffer.coverage.value()));
     let image = display * seen * buffer.coverage + background;
     let radiance_image = buffer.radiance + background;
-    Pass { parameters, attributes, splats, weights, buffer, shaded, image, radiance_image }
+    Stages { parameters, attributes, splats, weights, buffer, shaded, image, radiance_image }
 }
 
 fn light<'t>(tape: &'t Tape, p: &Parameters<'t>, options: &Options) -> Box<dyn Lighting<'t> + 't> {
     let radiance = options.environment.as_ref().map_or_else(|| p.environment(), |e| tape.input(e.clone()));
     match &options.light {
-        Light::Quadrature(quadrature) => Box::new(quadrature.lit(radiance)),
+        Light::Quadrature(quadrature) => Box::new(quadrature.under(radiance)),
         Light::Tables(tables) => {
-            Box::new(tables.lit(radiance, spherical::order_of(p.get(Field::Visibility))))
+            Box::new(tables.under(radiance, spherical::order_of(p.get(Field::Visibility))))
         }
     }
 }
@@ -230,15 +232,15 @@ fn attributes<'t>(
     let normal = attributes::normals(tape, p, camera, options.shading.normal);
     let outward = attributes::from_camera(tape, p, camera);
     let black = || tape.input(Array::zeros(outward.value().shape()));
-    let (gathered, indirect) = match (options.shading.indirect, &options.gathered) {
+    let (gathered, blocked) = match (options.shading.indirect, &options.gathered) {
         (IndirectForm::Learned, _) => (black(), shading::learned_indirect(tape, p, light)),
         (IndirectForm::Gathered, Some(g)) => {
             (tape.input(g.irradiance.clone()), tape.input(g.radiance.clone()))
         }
         _ => (black(), black()),
     };
-    let (light, indirect) = match options.shading.shade_at {
-        ShadeAt::Pixel => (gathered, indirect),
+    let blended = match options.shading.shade_at {
+        ShadeAt::Pixel => BlendedLight::Incident { gathered, blocked },
         ShadeAt::Gaussian => {
             let surfaces = Surfaces {
                 normal,
@@ -247,22 +249,22 @@ fn attributes<'t>(
                 rough: p.get(Field::RoughLogit).sigmoid(),
                 sheen: Some(p.get(Field::Sheen)),
                 gathered,
-                indirect,
+                blocked,
                 visibility: p.get(Field::Visibility),
                 view: outward.normalised() * -1.0,
             };
             let shaded = shading::shade(tape, &surfaces, light, &options.shading);
-            (shaded.diffuse + shaded.specular, shaded.specular)
+            BlendedLight::Outgoing { total: shaded.diffuse + shaded.specular, specular: shaded.specular }
         }
     };
     let plane = normal.dot(outward);
     let radiance = attributes::radiance(tape, p, camera);
-    Attributes { normal, plane, radiance, light, indirect }
+    Attributes { normal, plane, radiance, light: blended }
 }
 
 /// A rendered view by channel name, each (P, C): `image radiance normal albedo metal rough ao coverage depth
 /// diffuse specular`.
-pub fn render(scene: &Scene, camera: &Camera, options: &Options) -> Arrays {
+pub fn render(scene: &ReferenceModel, camera: &Camera, options: &Options) -> Arrays {
     let tape = Tape::new();
     let pass = forward(&tape, scene, camera, options);
     let channels = [
@@ -283,7 +285,7 @@ pub fn render(scene: &Scene, camera: &Camera, options: &Options) -> Arrays {
 
 /// The value of every term of the objective, and the gradient of the weighted total by parameter.
 pub fn loss_and_gradients(
-    scene: &Scene,
+    scene: &ReferenceModel,
     camera: &Camera,
     target: &Target,
     options: &Options,

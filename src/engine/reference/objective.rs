@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use super::array::Array;
 use super::attributes::{field, from_camera};
-use super::geometry_loss::{Surface, depth_normal};
+use super::geometry_loss::{DepthNormalInput, depth_normal};
 use super::losses;
 use super::projection::rays;
 use super::tape::{Tape, Var};
-use super::{Conventions, Options, Pass};
+use super::{Conventions, Options, Stages};
 use crate::light::DAYLIGHT;
 use crate::scene::{Camera, Field, VisibilityForm, texel_directions};
 
@@ -50,7 +50,7 @@ const LABELLED: f64 = 1e-3;
 
 /// Measures a pass against its target; `total` is the sum under `weights`.
 pub fn objective<'t>(
-    pass: &Pass<'t>,
+    pass: &Stages<'t>,
     camera: &Camera,
     target: &Target,
     options: &Options,
@@ -85,7 +85,7 @@ pub fn weighted_sum<'t>(tape: &'t Tape, terms: &Terms<'t>, weights: &[(&str, f64
 }
 
 /// The terms that look at pixels.
-fn image_terms<'t>(pass: &Pass<'t>, camera: &Camera, target: &Target, options: &Options) -> Terms<'t> {
+fn image_terms<'t>(pass: &Stages<'t>, camera: &Camera, target: &Target, options: &Options) -> Terms<'t> {
     let tape = pass.image.tape;
     let picture = |x: Var<'t>| {
         let channels = x.value().shape()[1];
@@ -97,7 +97,7 @@ fn image_terms<'t>(pass: &Pass<'t>, camera: &Camera, target: &Target, options: &
     let dissimilarity = |image| losses::structural_dissimilarity(image, photograph, &window);
     let (image, radiance) = (picture(pass.image), picture(pass.radiance_image));
     let coverage = picture(pass.buffer.coverage);
-    let surface = Surface {
+    let surface = DepthNormalInput {
         coverage,
         normal: picture(pass.buffer.normal),
         plane: picture(pass.buffer.plane),
@@ -138,7 +138,7 @@ pub enum Labels {
 
 /// Visibility along the continued view rays against backward transmittance (Eq. 14-15), over the Gaussians
 /// with enough weight in the view.
-pub fn occlusion<'t>(pass: &Pass<'t>, camera: &Camera, options: &Options, labels: Labels) -> Var<'t> {
+pub fn occlusion<'t>(pass: &Stages<'t>, camera: &Camera, options: &Options, labels: Labels) -> Var<'t> {
     let p = &pass.parameters;
     let tape = pass.image.tape;
     let data = |x: Var<'t>| if labels == Labels::Constant { x.detached() } else { x };

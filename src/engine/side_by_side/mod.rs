@@ -7,7 +7,7 @@ mod on_gpu;
 mod on_reference;
 
 use crate::engine::cpu::BufferGradient;
-use crate::engine::reference::{Arrays, Tables};
+use crate::engine::reference::{Arrays, TableOperators};
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Camera, Model};
 
@@ -18,7 +18,7 @@ pub use on_reference::{by_reference, steady_pixels};
 
 /// Tables of environments of one size, for the reference and for the others.
 pub struct LightShape {
-    tables: Tables,
+    tables: TableOperators,
     operators: EnvOperators,
 }
 
@@ -26,7 +26,7 @@ impl LightShape {
     /// For environments of `width` x `height` texels and visibility of degree `order`.
     pub fn new(width: usize, height: usize, order: usize, resolution: TableResolution) -> Self {
         Self {
-            tables: Tables::new(width, height, resolution),
+            tables: TableOperators::new(width, height, resolution),
             operators: EnvOperators::new(width, height, order, resolution),
         }
     }

@@ -4,7 +4,7 @@ use crate::engine::Gradients;
 use crate::engine::RasterCamera;
 use crate::engine::channel::{COVERAGE, Channels};
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{AttributeSource, BranchImages, Pass, Shader};
+use crate::engine::cpu::{AttributeSource, BranchImages, Pass, SurfaceShader};
 use crate::engine::reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES};
 use crate::engine::side_by_side::{Answer, Question, SplatSeen};
 use crate::scene::{Field, Model, softplus};
@@ -23,7 +23,7 @@ pub fn by_cpu(question: &Question<'_>) -> Answer {
         light: None,
     };
     let order = model.gaussians.visibility_order();
-    let shader = Shader { tables: &tables, options: &model.shading, order };
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
     let source = source.under(shader);
     let channels = Channels::Full(model.gaussians.width(Field::Visibility));
     let pass = Pass::forward(

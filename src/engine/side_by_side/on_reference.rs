@@ -1,7 +1,7 @@
 //! What the f64 reference answers.
 
 use crate::engine::cpu::BufferGradient;
-use crate::engine::reference::{Array, Gathered, Options, Pass, Scene, Tape, Var, forward};
+use crate::engine::reference::{Array, Gathered, Options, ReferenceModel, Stages, Tape, Var, forward};
 use crate::engine::side_by_side::{Answer, Question, SplatSeen};
 
 fn wide<const W: usize>(rows: &[[f32; W]]) -> Array {
@@ -28,7 +28,8 @@ fn weigh<'t>(values: Var<'t>, weights: Array) -> Var<'t> {
 /// The answer in f64. The model must have at least one Gaussian in front of the camera.
 pub fn by_reference(question: &Question<'_>) -> Answer {
     let tape = Tape::new();
-    let pass = forward(&tape, &Scene::from_model(question.model), question.camera, &options(question));
+    let pass =
+        forward(&tape, &ReferenceModel::from_model(question.model), question.camera, &options(question));
     let buffer =
         |f: fn(&BufferGradient) -> f32| wide(&question.buffers.iter().map(|b| [f(b)]).collect::<Vec<_>>());
     let normals: Vec<[f32; 3]> = question.buffers.iter().map(|b| b.normal).collect();
@@ -50,7 +51,7 @@ pub fn by_reference(question: &Question<'_>) -> Answer {
     }
 }
 
-fn splats(pass: &Pass<'_>) -> Vec<SplatSeen> {
+fn splats(pass: &Stages<'_>) -> Vec<SplatSeen> {
     let (pixels, conics) = (pass.splats.pixels.value(), pass.splats.conics.value());
     let seen = |(rank, gaussian): (usize, &usize)| SplatSeen {
         gaussian: *gaussian,
@@ -66,7 +67,8 @@ fn splats(pass: &Pass<'_>) -> Vec<SplatSeen> {
 /// fall on the other side, and one layer more or less is no matter of digits.
 pub fn steady_pixels(question: &Question<'_>, margin: f64) -> Vec<bool> {
     let tape = Tape::new();
-    let pass = forward(&tape, &Scene::from_model(question.model), question.camera, &options(question));
+    let pass =
+        forward(&tape, &ReferenceModel::from_model(question.model), question.camera, &options(question));
     let logits = question.model.gaussians.field(crate::scene::Field::OpacityLogit);
     let compensation = pass.splats.compensation.value();
     let opacity: Vec<f64> = pass

@@ -1,4 +1,4 @@
-//! Aggregation (Eq. 24): each Gaussian is to be of one prototype. Sixteen Gaussians abreast, as albedo is mixed.
+//! Aggregation (Eq. 24): each Gaussian is to be of one prototype. Sixteen Gaussians in SIMD lanes.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::engine::Gradients;
 use crate::engine::constants::AGGREGATION_EPSILON as EPSILON;
 use crate::engine::cpu::objective::sum;
-use crate::engine::cpu::{LANES, Lanes, softmax_abreast};
+use crate::engine::cpu::{LANES, Lanes, softmax_lanes};
 use crate::scene::{Field, Gaussians};
 
 /// `-mean ln Q` with `Q = sum_k p_k prod_{j != k} (1 - p_j)`; adds its gradient, returns its value.
@@ -39,7 +39,7 @@ pub fn aggregation(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
 /// [`EPSILON`], where it has no slope.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
 fn of_sixteen(p: &mut [Lanes], by: &mut [Lanes], scale: f32) -> Lanes {
-    softmax_abreast(p);
+    softmax_lanes(p);
     let rest = |v: f32| if 1.0 - v > EPSILON { 1.0 - v } else { EPSILON };
     // prod_{j != k} (1 - p_j) = all / (1 - p_k), never divided by less than epsilon.
     let mut all = Lanes::ONE;

@@ -3,7 +3,7 @@
 use super::*;
 use crate::engine::channel::{self, OutgoingRadiance};
 use crate::engine::constants::LEAST_COVERAGE;
-use crate::engine::cpu::{Pass, Shader, linear_from_srgb, normalise, surface_at};
+use crate::engine::cpu::{Pass, SurfaceShader, linear_from_srgb, normalise, surface_at};
 use crate::engine::gpu::ViewUniform;
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::shaders::assert_layout;
@@ -27,7 +27,7 @@ const ALL: [Plane; 11] = [
 const DEPTH_SCALE: f32 = 1.7;
 
 /// What one pixel of one plane is.
-fn expected(pass: &Pass, shader: &Shader<'_>, plane: Plane, x: usize, y: usize) -> Vec<f32> {
+fn expected(pass: &Pass, shader: &SurfaceShader<'_>, plane: Plane, x: usize, y: usize) -> Vec<f32> {
     let alpha = pass.at(x, y, channel::COVERAGE);
     if plane == Plane::Alpha {
         return vec![alpha];
@@ -79,7 +79,7 @@ fn developed(
     let mut noise = Noise::new(seed);
     let pass = random_pass(&mut noise, (37, 21), order, options);
     let tables = random_tables(&mut noise, order);
-    let shader = Shader { tables: &tables, options, order };
+    let shader = SurfaceShader { tables: &tables, options, order };
     let view = CameraUniform::new(&pass.view);
     let gbuffer = gpu.upload("gbuffer", &planar_gbuffer(&pass, &pass.gbuffer, pass.channels)).unwrap();
     let light = LightBuffers::upload(gpu, &tables, order, &[[0.0; 3]; 16]).unwrap();

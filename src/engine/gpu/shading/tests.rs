@@ -7,7 +7,7 @@ use super::*;
 use crate::engine::RasterCamera;
 use crate::engine::channel;
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, Shader as CpuShader};
+use crate::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader};
 use crate::engine::gpu::light::flat;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::light::{CubeGrid, LightTables};
@@ -157,8 +157,8 @@ impl Case {
         Self { gpu: gpu.clone(), pass, tables, options, order, background: [0.2, 0.5, 0.9] }
     }
 
-    fn cpu(&self) -> CpuShader<'_> {
-        CpuShader { tables: &self.tables, options: &self.options, order: self.order }
+    fn cpu(&self) -> SurfaceShader<'_> {
+        SurfaceShader { tables: &self.tables, options: &self.options, order: self.order }
     }
 
     fn differentiated(&self, all: bool) -> Channels {

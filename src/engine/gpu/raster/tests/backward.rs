@@ -135,7 +135,7 @@ fn gradients_match_the_cpu() {
             assert!((g - e).abs() < 1e-5 * scale, "Gaussian {i}: {g} {e}");
         }
         let pull = got[i][6] * 0.5 * 64.0;
-        assert!((pull - rows.pull[i]).abs() < 1e-4 * rows.pull[i].max(1.0), "Gaussian {i}");
+        assert!((pull - rows.absgrad[i]).abs() < 1e-4 * rows.absgrad[i].max(1.0), "Gaussian {i}");
         assert!(got[i][0].hypot(got[i][1]) <= got[i][6] * 1.0001, "a sum is no longer than its parts");
         let sigma = crate::engine::cpu::sigmoid(scene.gaussians.row(Field::OpacityLogit, i)[0]);
         let opacity = got[i][5] * splat.compensation * sigma * (1.0 - sigma);

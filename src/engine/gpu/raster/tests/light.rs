@@ -3,7 +3,7 @@
 use super::*;
 use crate::engine::channel::OutgoingRadiance;
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{ROW_HEADER, Shader as CpuShader};
+use crate::engine::cpu::{ROW_HEADER, SurfaceShader};
 use crate::engine::gpu::light::{Constants, LightBuffers, flat};
 use crate::engine::gpu::shading::tests::{Noise, error, random_tables};
 use crate::engine::gpu::shading::{ShadeJob, ShadingUniform};
@@ -61,7 +61,7 @@ impl Case {
     }
 
     fn on_cpu(&self, drawn: &[usize]) -> Found {
-        let shader = CpuShader { tables: &self.tables, options: &self.scene.options, order: self.order };
+        let shader = SurfaceShader { tables: &self.tables, options: &self.scene.options, order: self.order };
         let source = self.scene.source().under(shader);
         let pass = Pass::forward(&source, self.scene.view, self.channels, EarlyStop::Never);
         let (count, stored) = (self.channels.count(), self.channels.stored());

@@ -39,9 +39,9 @@ fn check(gpu: &Gpu, shape: &Shape, seed: u64) {
         assert_eq!(got, [0.0; 48]);
     }
     let density = gpu.read(&device.density, 0..shape.n).unwrap();
-    let most = case.expected.pull.iter().fold(1e-6f32, |m, v| m.max(*v));
+    let most = case.expected.absgrad.iter().fold(1e-6f32, |m, v| m.max(*v));
     for (i, d) in density.iter().enumerate() {
-        assert!((d[0] - 1.0 - case.expected.pull[i]).abs() < 1e-5 * (most + 1.0), "{i}");
+        assert!((d[0] - 1.0 - case.expected.absgrad[i]).abs() < 1e-5 * (most + 1.0), "{i}");
         assert_eq!(d[1] - 2.0, f32::from(u8::from(case.expected.visible[i])), "{i}");
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::array::Array;
-use super::tape::{Gradients, Tape, Var};
+use super::tape::{Tape, TapeGradients, Var};
 use crate::scene::{Field, Model};
 
 /// Name of the prototype table parameter, (K, 3).
@@ -16,14 +16,14 @@ pub type Arrays = BTreeMap<&'static str, Array>;
 
 /// Raw parameters before activation, all present and of fitting shapes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Scene {
+pub struct ReferenceModel {
     arrays: Arrays,
 }
 
 /// A parameter that is missing or has the wrong shape.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{name}: {reason}")]
-pub struct SceneError {
+pub struct ReferenceModelError {
     /// Name of the parameter.
     pub name: &'static str,
     /// What is wrong with it.
@@ -35,18 +35,18 @@ pub fn parameter_names() -> impl Iterator<Item = &'static str> {
     Field::ALL.into_iter().map(Field::name).chain([PROTOTYPES, ENVIRONMENT])
 }
 
-impl Scene {
+impl ReferenceModel {
     /// Takes arrays by name; `radiance_sh` may be absent and is then black, and so may `sheen`, which is then none.
     ///
     /// # Errors
     /// Names the first parameter that is missing or does not fit the others.
-    pub fn new(mut arrays: Arrays) -> Result<Self, SceneError> {
+    pub fn new(mut arrays: Arrays) -> Result<Self, ReferenceModelError> {
         let count = arrays.get(Field::Mean.name()).map_or(0, |a| a.shape()[0]);
         arrays.entry(Field::Radiance.name()).or_insert_with(|| Array::zeros(&[count, 3]));
         arrays.entry(Field::Sheen.name()).or_insert_with(|| Array::zeros(&[count, 1]));
         for name in parameter_names() {
             let Some(array) = arrays.get(name) else {
-                return Err(SceneError { name, reason: "is missing".into() });
+                return Err(ReferenceModelError { name, reason: "is missing".into() });
             };
             let fits = match (name, array.shape()) {
                 (PROTOTYPES, shape) => shape.len() == 2 && shape[1] == 3,
@@ -54,7 +54,10 @@ impl Scene {
                 (_, shape) => shape.len() == 2 && shape[0] == count,
             };
             if !fits {
-                return Err(SceneError { name, reason: format!("has the shape {:?}", array.shape()) });
+                return Err(ReferenceModelError {
+                    name,
+                    reason: format!("has the shape {:?}", array.shape()),
+                });
             }
         }
         Ok(Self { arrays })
@@ -95,7 +98,7 @@ pub struct Parameters<'t> {
 
 impl<'t> Parameters<'t> {
     /// Puts every parameter on the tape.
-    pub fn new(tape: &'t Tape, scene: &Scene) -> Self {
+    pub fn new(tape: &'t Tape, scene: &ReferenceModel) -> Self {
         Self { vars: scene.arrays.iter().map(|(&name, a)| (name, tape.input(a.clone()))).collect() }
     }
 
@@ -132,8 +135,8 @@ impl<'t> Parameters<'t> {
         (self.assignment().matmul(self.prototypes()) + self.get(Field::Residual)).clamp(0.0, 1.0)
     }
 
-    /// Gradients with respect to every parameter.
-    pub fn gradients(&self, found: &Gradients) -> Arrays {
+    /// TapeGradients with respect to every parameter.
+    pub fn gradients(&self, found: &TapeGradients) -> Arrays {
         self.vars.iter().map(|(&name, &var)| (name, found.of(var))).collect()
     }
 }

@@ -2,12 +2,12 @@
 
 use rayon::prelude::*;
 
-use crate::engine::channel::{self, Channels, IncidentLight, OutgoingRadiance, RowLight};
+use crate::engine::channel::{self, Channels, GROUP, IncidentLight, OutgoingRadiance, RowLight};
 use crate::engine::constants::{LEAST_COVERAGE, TILE};
 use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::pass::Pass;
 use crate::engine::cpu::project::normalise;
-use crate::engine::cpu::shade::{MAX_COEFFICIENTS, Shader, Surface};
+use crate::engine::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceShader};
 use crate::engine::zeros;
 use crate::light::LightTables;
 use crate::scene::{ShadeAt, sh_count};
@@ -34,24 +34,6 @@ pub struct BufferGradient {
     pub rough: f32,
     /// By coverage.
     pub coverage: f32,
-}
-
-/// sRGB curve on [0, 1].
-#[inline]
-pub fn srgb(x: f32) -> f32 {
-    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
-}
-
-/// Inverse of [`srgb`] on [0, 1].
-#[inline]
-pub fn linear_from_srgb(x: f32) -> f32 {
-    if x <= 0.040_45 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
-}
-
-/// Slope of [`srgb`].
-#[inline]
-pub fn srgb_slope(x: f32) -> f32 {
-    if x <= 0.003_130_8 { 12.92 } else { 1.055 / 2.4 * x.powf(1.0 / 2.4 - 1.0) }
 }
 
 /// The surface seen by pixel (`x`, `y`) and its coverage, or `None` where that is too small to shade. A pass whose Gaussians
@@ -100,7 +82,7 @@ fn blended_radiance(pass: &Pass, x: usize, y: usize) -> Option<[f32; 3]> {
     (coverage >= LEAST_COVERAGE).then(light)
 }
 
-impl Shader<'_> {
+impl SurfaceShader<'_> {
     /// Linear radiance of a pixel, or `None` where coverage is too small to shade.
     fn light_at(&self, pass: &Pass, x: usize, y: usize) -> Option<[f32; 3]> {
         if self.options.shade_at == ShadeAt::Gaussian {
@@ -110,23 +92,8 @@ impl Shader<'_> {
         Some(self.shade(&surface).outgoing().total())
     }
 
-    /// Linear radiance to display, per channel.
-    #[inline]
-    pub fn display(&self, linear: f32) -> f32 {
-        let clamped = linear.clamp(0.0, 1.0);
-        if self.options.srgb { srgb(clamped) } else { clamped }
-    }
-
-    /// Slope of [`Self::display`]; above 1 only gradients that lower the value pass (docs/MODEL.md section 4).
-    #[inline]
-    fn display_backward(&self, linear: f32, g: f32) -> f32 {
-        if linear < 0.0 || (linear > 1.0 && g <= 0.0) {
-            return 0.0;
-        }
-        if self.options.srgb { g * srgb_slope(linear.min(1.0)) } else { g }
-    }
-
-    /// Shades every pixel of a pass (full or, where it is lit, with materials) and composites both branches over `background`.
+    /// Shades every pixel of a pass and composites both branches over `background`. The pass is full or, where its Gaussians
+    /// were shaded, has materials.
     pub fn images(&self, pass: &Pass, background: [f32; 3]) -> BranchImages {
         let (w, h) = (pass.view.width, pass.view.height);
         let mut out = BranchImages { physical: vec![[0.0; 3]; w * h], radiance: vec![[0.0; 3]; w * h] };
@@ -153,36 +120,16 @@ impl Shader<'_> {
         by_buffers: &[BufferGradient],
         count: usize,
     ) -> (Vec<f32>, LightTables) {
-        let stored = count.next_multiple_of(4);
-        let band = pass.tiles.columns * TILE * stored * LANES;
-        let mut out = zeros(pass.tiles.rows * band);
-        let partial: Vec<LightTables> = out
-            .par_chunks_mut(band.max(1))
-            .enumerate()
-            .map(|(tile_row, target)| {
-                let mut tables = self.tables.zeroed();
-                let first = tile_row * TILE;
-                for y in first..(first + TILE).min(pass.view.height) {
-                    for x in 0..pass.view.width {
-                        let i = y * pass.view.width + x;
-                        let base = pass.locate(x, y, stored) - tile_row * band;
-                        let mut pixel = PixelGradient { target, base, count };
-                        let extra = by_buffers.get(i).copied().unwrap_or_default();
-                        radiance_backward(background, by.radiance.get(i), &mut pixel);
-                        self.pixel_backward(
-                            pass,
-                            (x, y),
-                            background,
-                            by.physical.get(i),
-                            extra,
-                            &mut pixel,
-                            &mut tables,
-                        );
-                    }
-                }
-                tables
-            })
-            .collect();
+        let (out, partial) = write_pixels(
+            pass,
+            count,
+            || self.tables.zeroed(),
+            |i, at, pixel, tables| {
+                let extra = by_buffers.get(i).copied().unwrap_or_default();
+                radiance_backward(background, by.radiance.get(i), pixel);
+                self.pixel_backward(pass, at, background, by.physical.get(i), extra, pixel, tables);
+            },
+        );
         let mut tables = self.tables.zeroed();
         partial.iter().for_each(|p| tables.accumulate(p));
         (out, tables)
@@ -305,6 +252,35 @@ impl PixelGradient<'_> {
     }
 }
 
+/// The gradient of the first `count` channels of `pass`, filled by `write(i, (x, y), pixel, sums)` for each pixel, of row-major
+/// index `i`; and the sums of each row of tiles, which begin as `sums()`.
+fn write_pixels<S: Send>(
+    pass: &Pass,
+    count: usize,
+    sums: impl Fn() -> S + Sync,
+    write: impl Fn(usize, (usize, usize), &mut PixelGradient<'_>, &mut S) + Sync,
+) -> (Vec<f32>, Vec<S>) {
+    let stored = count.next_multiple_of(GROUP);
+    let band = pass.tiles.columns * TILE * stored * LANES;
+    let mut out = zeros(pass.tiles.rows * band);
+    let rows = out.par_chunks_mut(band.max(1)).enumerate();
+    let of_rows = rows
+        .map(|(tile_row, target)| {
+            let mut sums = sums();
+            let first = tile_row * TILE;
+            for y in first..(first + TILE).min(pass.view.height) {
+                for x in 0..pass.view.width {
+                    let base = pass.locate(x, y, stored) - tile_row * band;
+                    let mut pixel = PixelGradient { target: &mut *target, base, count };
+                    write(y * pass.view.width + x, (x, y), &mut pixel, &mut sums);
+                }
+            }
+            sums
+        })
+        .collect();
+    (out, of_rows)
+}
+
 /// Radiance branch of one pixel over the background.
 fn radiance_pixel(pass: &Pass, x: usize, y: usize, background: [f32; 3]) -> [f32; 3] {
     let rest = 1.0 - pass.at(x, y, channel::COVERAGE);
@@ -332,23 +308,17 @@ pub fn radiance_image_backward(
     by_buffers: &[BufferGradient],
     count: usize,
 ) -> Vec<f32> {
-    let stored = count.next_multiple_of(4);
-    let band = pass.tiles.columns * TILE * stored * LANES;
-    let mut out = zeros(pass.tiles.rows * band);
-    out.par_chunks_mut(band.max(1)).enumerate().for_each(|(tile_row, target)| {
-        let first = tile_row * TILE;
-        for y in first..(first + TILE).min(pass.view.height) {
-            for x in 0..pass.view.width {
-                let i = y * pass.view.width + x;
-                let base = pass.locate(x, y, stored) - tile_row * band;
-                let mut pixel = PixelGradient { target, base, count };
-                let extra = by_buffers.get(i).copied().unwrap_or_default();
-                radiance_backward(background, by_image.get(i), &mut pixel);
-                pixel.add(channel::COVERAGE, extra.coverage);
-                pixel.add_triple(channel::NORMAL, extra.normal);
-                pixel.add(channel::PLANE, extra.plane);
-            }
-        }
-    });
+    let (out, _) = write_pixels(
+        pass,
+        count,
+        || (),
+        |i, _, pixel, ()| {
+            let extra = by_buffers.get(i).copied().unwrap_or_default();
+            radiance_backward(background, by_image.get(i), pixel);
+            pixel.add(channel::COVERAGE, extra.coverage);
+            pixel.add_triple(channel::NORMAL, extra.normal);
+            pixel.add(channel::PLANE, extra.plane);
+        },
+    );
     out
 }

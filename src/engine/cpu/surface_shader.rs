@@ -5,76 +5,12 @@ use crate::engine::channel::OutgoingRadiance;
 use crate::engine::constants::LEAST_NOV;
 use crate::engine::cpu::lambert::Lambert;
 use crate::engine::cpu::project::{normalise, normalise_backward};
+use crate::engine::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader, dot3};
 use crate::light::{
     BrdfLut, DIELECTRIC_F0, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Sheen, Taps,
     level_position, sh_eval, sh_eval_with_gradient,
 };
-use crate::scene::{ShadingOptions, VisibilityForm};
-
-/// Most visibility coefficients (order 6, padded).
-pub const MAX_COEFFICIENTS: usize = 64;
-
-/// What a pixel or a Gaussian is shaded from; a pixel's attributes are already divided by coverage.
-#[derive(Debug, Clone, Copy)]
-pub struct Surface {
-    /// Normal, any length.
-    pub normal: [f32; 3],
-    /// Linear base colour.
-    pub albedo: [f32; 3],
-    /// Metalness.
-    pub metal: f32,
-    /// Roughness.
-    pub rough: f32,
-    /// Natural logarithm of the diffuse term's gain at grazing view.
-    pub sheen: f32,
-    /// Irradiance gathered from other surfaces.
-    pub gathered: [f32; 3],
-    /// Radiance from where the environment is blocked.
-    pub blocked: [f32; 3],
-    /// Visibility coefficients, zero-padded.
-    pub visibility: [f32; MAX_COEFFICIENTS],
-    /// Unit direction from the surface to the camera.
-    pub view: [f32; 3],
-}
-
-/// Gradient of [`Surface`].
-#[derive(Debug, Clone, Copy)]
-pub struct SurfaceGradient {
-    /// By normal.
-    pub normal: [f32; 3],
-    /// By base colour.
-    pub albedo: [f32; 3],
-    /// By metalness.
-    pub metal: f32,
-    /// By roughness.
-    pub rough: f32,
-    /// By sheen.
-    pub sheen: f32,
-    /// By the radiance from where the environment is blocked.
-    pub blocked: [f32; 3],
-    /// By gathered irradiance.
-    pub gathered: [f32; 3],
-    /// By visibility coefficients.
-    pub visibility: [f32; MAX_COEFFICIENTS],
-    /// By the direction to the camera.
-    pub view: [f32; 3],
-}
-
-impl SurfaceGradient {
-    pub(super) const fn zero() -> Self {
-        Self {
-            normal: [0.0; 3],
-            albedo: [0.0; 3],
-            metal: 0.0,
-            rough: 0.0,
-            sheen: 0.0,
-            blocked: [0.0; 3],
-            gathered: [0.0; 3],
-            visibility: [0.0; MAX_COEFFICIENTS],
-            view: [0.0; 3],
-        }
-    }
-}
+use crate::scene::VisibilityForm;
 
 /// A shaded surface and what its backward pass needs.
 #[derive(Debug, Clone, Copy)]
@@ -101,21 +37,6 @@ pub struct Shaded {
     lut: LutSample<f32>,
 }
 
-/// Shading under one light.
-#[derive(Debug, Clone, Copy)]
-pub struct Shader<'a> {
-    /// Tables of the light.
-    pub tables: &'a LightTables,
-    /// The forward model.
-    pub options: &'a ShadingOptions,
-    /// Degree of the visibility field.
-    pub order: usize,
-}
-
-pub(super) fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
 impl Shaded {
     /// What leaves for the camera.
     pub fn outgoing(&self) -> OutgoingRadiance {
@@ -123,24 +44,7 @@ impl Shaded {
     }
 }
 
-impl Shader<'_> {
-    pub(super) fn squash(&self, x: f32) -> f32 {
-        match self.options.visibility {
-            VisibilityForm::Sigmoid => 1.0 / (1.0 + (-x).exp()),
-            VisibilityForm::Linear => x.clamp(0.0, 1.0),
-            VisibilityForm::Off => 1.0,
-        }
-    }
-
-    /// Slope of [`Self::squash`] at `x`, where it gave `y`.
-    pub(super) fn squash_slope(&self, x: f32, y: f32) -> f32 {
-        match self.options.visibility {
-            VisibilityForm::Sigmoid => y * (1.0 - y),
-            VisibilityForm::Linear => f32::from(x > 0.0 && x < 1.0),
-            VisibilityForm::Off => 0.0,
-        }
-    }
-
+impl SurfaceShader<'_> {
     /// Radiance leaving the surface towards the camera.
     pub fn shade(&self, s: &Surface) -> Shaded {
         let (mut normal, normal_length) = normalise(s.normal);
@@ -156,7 +60,7 @@ impl Shader<'_> {
         let lambert = self.lambert(s, normal);
         let sheen = Sheen::new(s.sheen, nov);
         // Specular: split sum, visibility through the lobe.
-        let (level, fraction, slope) = level_position(s.rough);
+        let (level, fraction, by_rough) = level_position(s.rough);
         let level_taps = [0, 1].map(|k| self.tables.specular_grids[level + k].lookup(reflection));
         let level_value = [0, 1].map(|k| {
             let values = &self.tables.specular[level + k];
@@ -188,7 +92,7 @@ impl Shader<'_> {
             reflection,
             reflection_length,
             lambert,
-            level: (level, fraction, slope),
+            level: (level, fraction, by_rough),
             level_taps,
             level_value,
             prefiltered,
@@ -267,7 +171,7 @@ impl Shader<'_> {
         tables: &mut LightTables,
         out: &mut SurfaceGradient,
     ) -> (f32, [f32; 3]) {
-        let (level, fraction, level_slope) = f.level;
+        let (level, fraction, by_rough) = f.level;
         let mut by_reflection = [0.0f32; 3];
         let (mut by_nov, mut by_visible) = (0.0, 0.0);
         let mut by_level = [[0.0f32; 3]; 2];
@@ -287,7 +191,7 @@ impl Shader<'_> {
             let by_prefiltered = by_light * f.visible;
             by_level[0][c] = by_prefiltered * (1.0 - fraction);
             by_level[1][c] = by_prefiltered * fraction;
-            out.rough += by_prefiltered * level_slope * (f.level_value[1][c] - f.level_value[0][c]);
+            out.rough += by_prefiltered * by_rough * (f.level_value[1][c] - f.level_value[0][c]);
         }
         for k in 0..2 {
             let taps = &f.level_taps[k];
@@ -299,19 +203,19 @@ impl Shader<'_> {
                 (0..3).for_each(|c| target[c] += taps.weight[j] * by_level[k][c]);
             }
         }
-        let slope = by_visible * self.squash_slope(f.visible_raw, f.visible);
-        if slope != 0.0 {
+        let by_raw = by_visible * self.squash_derivative(f.visible_raw, f.visible);
+        if by_raw != 0.0 {
             let (mut y, mut dy) = ([0.0f32; MAX_COEFFICIENTS], [[0.0f32; 3]; MAX_COEFFICIENTS]);
             sh_eval_with_gradient(self.order, f.reflection, &mut y, &mut dy);
             let (h, dh) = self.attenuation(s.rough);
             for l in 0..=self.order {
                 let mut band = 0.0;
                 for j in l * l..(l + 1) * (l + 1) {
-                    out.visibility[j] += slope * h[l] * y[j];
+                    out.visibility[j] += by_raw * h[l] * y[j];
                     band += y[j] * s.visibility[j];
-                    (0..3).for_each(|a| by_reflection[a] += slope * h[l] * s.visibility[j] * dy[j][a]);
+                    (0..3).for_each(|a| by_reflection[a] += by_raw * h[l] * s.visibility[j] * dy[j][a]);
                 }
-                out.rough += slope * dh[l] * band;
+                out.rough += by_raw * dh[l] * band;
             }
         }
         (by_nov, by_reflection)
