@@ -139,8 +139,7 @@ settings! {
     seed: u64 = 0;
     /// Steps between checkpoints, 1 to 1,000,000.
     checkpoint_every: u32 = 500, in 1..=1_000_000;
-    /// Restarts of albedo, 0 to 5: from colours with the shading divided out, and metalness and roughness from their first
-    /// values. Restart i comes after (2 i + 1) tenths of the steps that train materials.
+    /// Restarts of albedo, metalness and roughness, 0 to 5: the i-th after (2 i - 1) tenths of the steps that train materials.
     #[serde(default)]
     albedo_rounds: u32 = 3, in 0..=5;
     /// Whether metalness is learned; false holds every surface at dielectric.
