@@ -1,12 +1,14 @@
-//! The command line: one file a command.
+//! The command line, one file for each command.
 
 mod args;
 mod bench;
 pub mod demo;
 mod doctor;
+mod error;
 pub mod eval;
 mod explain;
 mod export;
+mod input;
 mod light;
 mod output;
 mod render;
@@ -19,8 +21,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-/// What every command returns: an error is printed with its causes.
-type CommandResult = Result<(), Box<dyn std::error::Error + Send + Sync>>;
+use error::CommandResult;
 
 /// Turns posed photographs into relightable 3D Gaussian models and serves them relit.
 #[derive(Debug, Parser)]
@@ -40,19 +41,19 @@ enum Command {
     /// Run the HTTP service.
     Serve(serve::Args),
     /// Train a model from a capture on this machine.
-    Train(train::Args),
+    Train(train::TrainArgs),
     /// Render a model on this machine.
-    Render(render::Args),
+    Render(render::RenderArgs),
     /// Measure a model against a capture's held-out views and ground truth.
     Eval(eval::EvalArgs),
     /// Measure speed on this machine.
-    Bench(bench::Args),
-    /// Say in words what a model is, what was decided about it and on what evidence.
-    Explain(explain::Args),
+    Bench(bench::BenchArgs),
+    /// Print what a model contains, and the complexity decisions of its training with their evidence.
+    Explain(explain::ExplainArgs),
     /// Write a model in another format.
-    Export(export::Args),
-    /// Show what this machine offers and whether everything is in order.
-    Doctor(doctor::Args),
+    Export(export::ExportArgs),
+    /// Show this machine's devices and check that the service can run on it.
+    Doctor(doctor::DoctorArgs),
     /// Print the description of the HTTP API.
     Openapi,
 }
@@ -60,13 +61,17 @@ enum Command {
 /// Runs the command that the process was started with.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    log_to_stderr(cli.json_logs, matches!(cli.command, Command::Serve(_)));
+    let default_filter = match cli.command {
+        Command::Serve(_) => "relume=info,warn",
+        _ => "warn",
+    };
+    log_to_stderr(cli.json_logs, default_filter);
     let outcome = match cli.command {
         Command::Demo(args) => demo::run(&args).map_err(Into::into),
         Command::Serve(args) => serve::run(args),
         Command::Train(args) => train::run(&args),
         Command::Render(args) => render::run(&args),
-        Command::Eval(args) => eval::run(&args).map_err(Into::into),
+        Command::Eval(args) => eval::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Export(args) => export::run(&args),
@@ -87,10 +92,9 @@ fn openapi() -> CommandResult {
     Ok(())
 }
 
-/// `RUST_LOG` decides; a server tells what it does, other commands only what goes wrong.
-fn log_to_stderr(json: bool, server: bool) {
-    let default = if server { "relume=info,warn" } else { "warn" };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
+/// Logs what `RUST_LOG` selects, or `default_filter` without it.
+fn log_to_stderr(json: bool, default_filter: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_filter));
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
