@@ -1,5 +1,4 @@
-//! Evaluation through the public API: LPIPS against its authors' figures, and a model against pictures that it
-//! drew itself.
+//! Evaluation through the public API: LPIPS against its authors' figures, and a model against its own renderings.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,7 +10,7 @@ use relume::cli::eval::{EvalArgs, QualityArgs, run};
 use relume::engine::Device;
 use relume::engine::DeviceChoice;
 use relume::eval::{
-    EvalError, EvalOptions, Lpips, Picture, Replaced, Report, attribute, contact_sheet, evaluate,
+    DisplayImage, EvalError, EvalOptions, Lpips, Report, TruthLayer, attribute, contact_sheet, evaluate,
 };
 use relume::formats::model_file;
 use relume::render::{Frame, Output, Renderer, Tier};
@@ -19,27 +18,25 @@ use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, Plane, S
 
 const SIDE: u32 = 40;
 
-/// The folder of real inputs, or a visible word that the test does without.
-fn test_data(what: &str) -> Option<PathBuf> {
+/// A file or folder of the test data.
+fn test_data(what: &str) -> PathBuf {
     let given = std::env::var_os("RELUME_TEST_DATA").map(PathBuf::from);
     let root = given.unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
     let path = root.join(what);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("SKIPPED: {what} is not in the test data folder (RELUME_TEST_DATA)");
-    None
+    assert!(path.exists(), "{what} is not in the test data folder (RELUME_TEST_DATA)");
+    path
 }
 
-fn picture(path: PathBuf) -> Picture {
+fn picture(path: PathBuf) -> DisplayImage {
     let image = image::open(path).unwrap().into_rgb32f();
     let values = image.pixels().map(|p| p.0).collect();
     Plane { width: image.width(), height: image.height(), values }
 }
 
 #[test]
+#[ignore = "needs the test data (see CONTRIBUTING.md)"]
 fn lpips_gives_its_authors_published_figures() {
-    let Some(folder) = test_data("lpips") else { return };
+    let folder = test_data("lpips");
     let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
     let image = |name: &str| picture(folder.join("reference_images").join(name));
     let reference = image("ex_ref.png");
@@ -55,8 +52,9 @@ fn lpips_gives_its_authors_published_figures() {
 }
 
 #[test]
+#[ignore = "needs the test data (see CONTRIBUTING.md)"]
 fn lpips_of_pictures_too_small_for_the_network_is_absent() {
-    let Some(folder) = test_data("lpips") else { return };
+    let folder = test_data("lpips");
     let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
     let flat =
         |side: u32| Plane { width: side, height: side, values: vec![[0.5; 3]; (side * side) as usize] };
@@ -65,7 +63,7 @@ fn lpips_of_pictures_too_small_for_the_network_is_absent() {
     assert_eq!(lpips.distance(&flat(31), &flat(32)), None);
 }
 
-/// A handful of fat Gaussians of several colours around the origin.
+/// Nine large Gaussians of several colours around the origin.
 fn model() -> Model {
     let mut gaussians = Gaussians::zeroed(9, 2, 0, 0);
     for i in 0..9 {
@@ -111,11 +109,11 @@ fn plane<const C: usize>(frame: &Frame, output: Output) -> Plane<C> {
     Plane { width: frame.width, height: frame.height, values }
 }
 
-/// What `model` itself shows, as a capture with all its ground truth.
+/// A capture whose photographs and ground truth are renderings of `model`.
 fn drawn_by(model: &Arc<Model>) -> Capture {
     let renderer = Renderer::new(model.clone());
     let lamp = EnvMap::from_fn(32, 16, |d| [0.4 + 0.5 * d.z.max(0.0) as f32, 0.5, 0.6]);
-    let (own, lit) =
+    let (own, lamp_light) =
         (renderer.prepare_light(&model.environment()).unwrap(), renderer.prepare_light(&lamp).unwrap());
     let layers = [
         Output::Rgb,
@@ -131,7 +129,7 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
         let eye = DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.5);
         let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.7, (SIDE, SIDE)).unwrap();
         let frame = renderer.render(&camera, &own, Tier::Standard, &layers).unwrap();
-        let relit = renderer.render(&camera, &lit, Tier::Standard, &[Output::Rgb]).unwrap();
+        let relit = renderer.render(&camera, &lamp_light, Tier::Standard, &[Output::Rgb]).unwrap();
         let (metal, rough) = (&frame.planes[&Output::Metallic], &frame.planes[&Output::Roughness]);
         let material = metal.iter().zip(rough).map(|(m, r)| [*m, *r]).collect();
         let truth = GroundTruthView {
@@ -218,21 +216,21 @@ fn the_truth_in_place_of_the_one_spoilt_layer_repairs_the_picture() {
     let capture = drawn_by(&model);
     let mut dark = (*model).clone();
     dark.prototypes.iter_mut().flatten().for_each(|v| *v *= 0.6);
-    let albedo = Replaced { albedo: true, ..Replaced::NONE };
-    let material = Replaced { material: true, ..Replaced::NONE };
-    let rows = [Replaced::NONE, albedo, material, Replaced::ALL];
+    use TruthLayer::{Albedo, Alpha, Material, Normal, Occlusion};
+    let rows: [&[TruthLayer]; 4] =
+        [&[], &[Albedo], &[Material], &[Albedo, Normal, Material, Occlusion, Alpha]];
     let [nothing, albedo, material, everything] =
         attribute(&Arc::new(dark), &capture, None, &rows).unwrap().try_into().unwrap();
     let [nothing, albedo, material, everything] = [nothing, albedo, material, everything].map(Option::unwrap);
     assert!(nothing < 35.0, "{nothing}");
-    // Half-covered pixels at the rim keep the model's layers, and light that bounces is gathered from dark albedo.
+    // Half-covered pixels keep the model's layers, and indirect light is gathered from the dark albedo.
     assert!(albedo > nothing + 10.0 && everything > nothing + 10.0, "{nothing} {albedo} {everything}");
     assert!((material - nothing).abs() < 1.0, "the control: what was not spoilt repairs nothing, {material}");
-    // Nothing replaced is what the evaluation measures of a model whose pixels are shaded alone.
+    // With nothing replaced the figure is the evaluation's when surfaces are shaded in the pixel.
     let difference = |shade_at| {
         let shading = ShadingOptions { shade_at, ..model.shading };
         let model = Arc::new(Model { shading, ..(*model).clone() });
-        let own = attribute(&model, &capture, None, &[Replaced::NONE]).unwrap()[0];
+        let own = attribute(&model, &capture, None, &[&[]]).unwrap()[0];
         (own.unwrap() - measured(&model, &capture).relit.mean.psnr.unwrap()).abs()
     };
     assert!(difference(ShadeAt::Pixel) < 1e-6);
@@ -265,8 +263,9 @@ fn what_cannot_be_measured_is_null_and_the_notes_say_why() {
 }
 
 #[test]
+#[ignore = "needs the test data (see CONTRIBUTING.md)"]
 fn lpips_enters_the_report_when_its_weights_are_given() {
-    let Some(folder) = test_data("lpips") else { return };
+    let folder = test_data("lpips");
     let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
     let model = Arc::new(model());
     let options = EvalOptions {
@@ -342,8 +341,9 @@ fn arguments(model: PathBuf, capture: PathBuf, json: PathBuf) -> EvalArgs {
 }
 
 #[test]
+#[ignore = "needs the test data (see CONTRIBUTING.md)"]
 fn the_command_writes_json_markdown_and_a_sheet_for_a_real_scene() {
-    let Some(scene) = test_data("scenes/helmet") else { return };
+    let scene = test_data("scenes/helmet");
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
     std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
@@ -373,7 +373,7 @@ fn the_command_names_the_file_at_fault_and_checks_outputs_first() {
     assert!(unreadable.contains("absent"), "{unreadable}");
     let no_model = refused(arguments(file("model"), file("scene"), file("out.json")));
     assert!(no_model.contains("model"), "{no_model}");
-    // Neither input exists either, yet it is the output that is complained of.
+    // The inputs do not exist either: outputs are checked first.
     let unwritable = refused(arguments(file("absent"), file("scene"), file("model/out.json")));
     assert!(unwritable.contains("out.json"), "{unwritable}");
     std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();

@@ -16,7 +16,7 @@ use crate::capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synth
 use crate::cli::output;
 use crate::client::{Client, ClientError, JobEvent};
 use crate::eval::sheet::Sheet;
-use crate::eval::{EvalError, EvalOptions, Picture, Report, evaluate, photograph, truth_layers};
+use crate::eval::{DisplayImage, EvalError, EvalOptions, Report, evaluate, photograph, truth_layers};
 use crate::formats::environment::{self, EnvironmentFileError};
 use crate::formats::model_file::{self, ModelFileError};
 use crate::render::{FrameFormat, Output};
@@ -245,7 +245,7 @@ async fn frame(
     view: &CaptureView,
     output: Output,
     light: Option<&EnvironmentId>,
-) -> Result<Picture, DemoError> {
+) -> Result<DisplayImage, DemoError> {
     let camera = &view.camera;
     let matrix = camera.to_opengl().transpose().to_cols_array_2d();
     let intrinsics = IntrinsicsSpec { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
@@ -268,13 +268,13 @@ async fn frame(
         [r, g, b].map(|v| v * a + 1.0 - a)
     };
     let values = image.pixels().map(on_white).collect();
-    Ok(Picture { width: image.width(), height: image.height(), values })
+    Ok(DisplayImage { width: image.width(), height: image.height(), values })
 }
 
 /// A layer without alpha of its own, on white by the frame's coverage.
-fn cut_out(layer: &Picture, coverage: &Picture) -> Picture {
+fn cut_out(layer: &DisplayImage, coverage: &DisplayImage) -> DisplayImage {
     let pixel = |(c, a): (&[f32; 3], &[f32; 3])| std::array::from_fn(|k| c[k] * a[k] + 1.0 - a[k]);
-    Picture { values: layer.values.iter().zip(&coverage.values).map(pixel).collect(), ..*layer }
+    DisplayImage { values: layer.values.iter().zip(&coverage.values).map(pixel).collect(), ..*layer }
 }
 
 fn measure(model: &[u8], capture: &Capture) -> Result<Report, DemoError> {

@@ -1,8 +1,8 @@
-//! `relume doctor`: what this machine offers, what will be used and why, and whether everything is in order.
+//! `relume doctor`: this machine's devices, which one will be used and why, and whether the service can run.
 
 use std::path::{Path, PathBuf};
 
-use crate::cli::CommandResult;
+use crate::cli::error::CommandResult;
 use crate::engine::gpu::{Adapters, Gpu, GpuOptions};
 use crate::engine::{AdapterReport, DeviceChoice};
 #[cfg(feature = "server")]
@@ -10,7 +10,7 @@ use crate::store::Store;
 
 /// Options of `relume doctor`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct DoctorArgs {
     /// The data directory to look at.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
@@ -19,7 +19,7 @@ pub(super) struct Args {
     device: DeviceChoice,
 }
 
-pub(super) fn run(args: &Args) -> CommandResult {
+pub(super) fn run(args: &DoctorArgs) -> CommandResult {
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     println!("relume        {}", env!("CARGO_PKG_VERSION"));
     println!("cpu threads   {threads}");
@@ -63,7 +63,7 @@ fn describe(r: &AdapterReport) {
     r.lacks.iter().for_each(|what| println!("              cannot be used: {what}"));
 }
 
-/// What will be used, and why.
+/// The device that will be used, and why.
 fn verdict(choice: DeviceChoice, chosen: Option<usize>, reports: &[AdapterReport]) -> String {
     match (choice, chosen) {
         (_, Some(index)) => format!("gpu:{index} ({choice})"),
@@ -76,7 +76,7 @@ fn verdict(choice: DeviceChoice, chosen: Option<usize>, reports: &[AdapterReport
     }
 }
 
-/// What the CPU engine can make use of.
+/// Instruction sets that the CPU engine has code for.
 #[cfg(target_arch = "x86_64")]
 fn features() -> Vec<&'static str> {
     let known = [
@@ -89,15 +89,15 @@ fn features() -> Vec<&'static str> {
     known.into_iter().filter_map(|(name, there)| there.then_some(name)).collect()
 }
 
-/// What the CPU engine can make use of.
+/// Instruction sets that the CPU engine has code for.
 #[cfg(not(target_arch = "x86_64"))]
 fn features() -> Vec<&'static str> {
     vec![std::env::consts::ARCH]
 }
 
+/// Opens a database with the service's schema in a temporary folder.
 #[cfg(feature = "server")]
-/// Runs a real database with the real schema, in a folder of its own.
-fn sqlite_version() -> Result<String, Box<dyn std::error::Error + Send + Sync>> {
+fn sqlite_version() -> CommandResult<String> {
     let folder = tempfile::tempdir()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     Ok(runtime.block_on(async {
@@ -108,8 +108,8 @@ fn sqlite_version() -> Result<String, Box<dyn std::error::Error + Send + Sync>> 
     })?)
 }
 
-/// Whether the directory, or the nearest folder above it that exists, takes files.
-fn data_dir(path: &Path) -> Result<String, Box<dyn std::error::Error + Send + Sync>> {
+/// Whether files can be written to the directory, or to the nearest folder above it that exists.
+fn data_dir(path: &Path) -> CommandResult<String> {
     let absolute = std::path::absolute(path)?;
     let there = absolute.ancestors().find(|p| p.exists()).unwrap_or(Path::new("/"));
     let state = match tempfile::tempfile_in(there) {

@@ -1,13 +1,15 @@
-//! The command line: one file a command.
+//! The command line, one file for each command.
 
 mod args;
 mod bench;
 #[cfg(all(feature = "server", feature = "client"))]
 pub mod demo;
 mod doctor;
+mod error;
 pub mod eval;
 mod explain;
 mod export;
+mod input;
 mod light;
 mod output;
 mod render;
@@ -21,8 +23,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-/// What every command returns: an error is printed with its causes.
-type CommandResult = Result<(), Box<dyn std::error::Error + Send + Sync>>;
+use error::CommandResult;
 
 /// Turns posed photographs into relightable 3D Gaussian models and serves them relit.
 #[derive(Debug, Parser)]
@@ -44,19 +45,19 @@ enum Command {
     /// Run the HTTP service.
     Serve(serve::ServeArgs),
     /// Train a model from a capture on this machine.
-    Train(train::Args),
+    Train(train::TrainArgs),
     /// Render a model on this machine.
-    Render(render::Args),
+    Render(render::RenderArgs),
     /// Measure a model against a capture's held-out views and ground truth.
     Eval(eval::EvalArgs),
     /// Measure speed on this machine.
-    Bench(bench::Args),
-    /// Say in words what a model is, what was decided about it and on what evidence.
-    Explain(explain::Args),
+    Bench(bench::BenchArgs),
+    /// Print what a model contains, and the complexity decisions of its training with their evidence.
+    Explain(explain::ExplainArgs),
     /// Write a model in another format.
-    Export(export::Args),
-    /// Show what this machine offers and whether everything is in order.
-    Doctor(doctor::Args),
+    Export(export::ExportArgs),
+    /// Show this machine's devices and check that the service can run on it.
+    Doctor(doctor::DoctorArgs),
     #[cfg(feature = "server")]
     /// Print the description of the HTTP API.
     Openapi,
@@ -84,7 +85,7 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         Command::Train(args) => train::run(&args),
         Command::Render(args) => render::run(&args),
-        Command::Eval(args) => eval::run(&args).map_err(Into::into),
+        Command::Eval(args) => eval::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Export(args) => export::run(&args),

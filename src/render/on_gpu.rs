@@ -11,7 +11,8 @@ use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::probes::{ProbeBuffers, Probes};
 use crate::engine::gpu::raster::groups;
 use crate::engine::gpu::shading::{ShadeJob, ShadingUniform};
-use crate::engine::gpu::{AttributeBuffers, Buffer, CameraUniform, Gpu, GpuError, Raster, grow};
+use crate::engine::gpu::{AttributeBuffers, Buffer, CameraUniform, Gpu, Raster, grow};
+use crate::engine::DeviceError;
 use crate::engine::{ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
 use crate::light::LightTables;
 use crate::render::standard::{BOUNCES, PROBE_DIRECTIONS};
@@ -46,7 +47,7 @@ pub(super) struct OnGpu {
 }
 
 impl OnGpu {
-    pub(super) fn new(gpu: &Gpu, model: &Model) -> Result<Self, GpuError> {
+    pub(super) fn new(gpu: &Gpu, model: &Model) -> Result<Self, DeviceError> {
         let scratch = Scratch { raster: Raster::new(gpu)?, colours: None, planes: None, probes: None };
         Ok(Self {
             layout: LayoutUniform::new(&model.gaussians, &model.shading),
@@ -59,7 +60,7 @@ impl OnGpu {
         })
     }
 
-    pub(super) fn prepare_light(&self, model: &Model, tables: &LightTables) -> Result<LightOnGpu, GpuError> {
+    pub(super) fn prepare_light(&self, model: &Model, tables: &LightTables) -> Result<LightOnGpu, DeviceError> {
         let basis = indirect_basis(tables);
         let buffers = LightBuffers::upload(&self.gpu, tables, self.order, &basis)?;
         if model.shading.indirect != IndirectForm::Gathered {
@@ -95,7 +96,7 @@ impl OnGpu {
         light: &LightOnGpu,
         is_colour: bool,
         wanted: &[Output],
-    ) -> Result<Frame, GpuError> {
+    ) -> Result<Frame, DeviceError> {
         let groups =
             if is_colour { 1 } else { groups(Channels::Full(model.gaussians.width(Field::Visibility))) };
         let report = self.gpu.report();
@@ -122,7 +123,7 @@ impl OnGpu {
         light: &LightOnGpu,
         is_colour: bool,
         wanted: &[Output],
-    ) -> Result<BTreeMap<Output, Vec<f32>>, GpuError> {
+    ) -> Result<BTreeMap<Output, Vec<f32>>, DeviceError> {
         let mut scratch = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         let Scratch { raster, colours, planes, .. } = &mut *scratch;
         raster.prepare(view, &self.layout, &self.params)?;
@@ -167,7 +168,7 @@ impl OnGpu {
             None => planes.insert(Planes::new(&self.gpu, view.pixels(), &wanted_planes)?),
         };
         let Some(gbuffer) = &raster.gbuffer else {
-            return Err(GpuError::Internal("a pass without G-buffer".to_owned()));
+            return Err(DeviceError::Internal("a pass without G-buffer".to_owned()));
         };
         let depth_scale = (1.0 / model.world_scale) as f32;
         recorder.stage("develop");
@@ -182,9 +183,9 @@ impl OnGpu {
         &self,
         view: &CameraUniform,
         raster: &Raster,
-    ) -> Result<BTreeMap<Output, Vec<f32>>, GpuError> {
+    ) -> Result<BTreeMap<Output, Vec<f32>>, DeviceError> {
         let Some(gbuffer) = &raster.gbuffer else {
-            return Err(GpuError::Internal("a pass without G-buffer".to_owned()));
+            return Err(DeviceError::Internal("a pass without G-buffer".to_owned()));
         };
         let pixels = self.gpu.read(gbuffer, 0..view.pixels())?;
         Ok(BTreeMap::from([
