@@ -5,8 +5,8 @@
 //! - [`scene`]: what a relightable model is, as plain data.
 //! - [`light`]: spherical harmonics, BRDF tables and the linear operators on environments.
 //! - [`engine`]: the differentiable renderer, once in f64 for comparison and once in f32 for use.
-//! - [`capture`]: importers from archives and folders to posed images, and the synthetic scene.
 //! - [`formats`]: bytes to plain data and back: PNG, JPEG, EXR, HDR, PLY, model files.
+//! - [`capture`]: importers from archives and folders to posed images, and the synthetic scene.
 //! - [`train`]: objective, optimiser, density control, schedule, checkpoints, the trainer.
 //! - [`render`]: a camera and a light in, a frame or a G-buffer out.
 //! - [`eval`]: metrics against ground truth, reports and contact sheets.
