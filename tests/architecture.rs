@@ -14,18 +14,22 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("train", &["scene", "light", "engine", "capture", "formats"]),
     ("render", &["scene", "light", "engine", "capture", "formats"]),
     ("eval", &["scene", "engine", "capture", "formats", "train", "render"]),
-    ("store", &["scene", "formats"]),
-    ("jobs", &["store"]),
-    ("worker", &["scene", "engine", "capture", "formats", "train", "render", "store", "jobs"]),
-    ("api", &["scene", "capture", "formats", "train", "render", "store", "jobs", "worker"]),
-    ("client", &["api"]),
+    ("api", &["capture", "train", "render"]),
+    ("store", &["capture", "api"]),
+    ("jobs", &["api", "store"]),
+    ("worker", &["scene", "engine", "capture", "formats", "train", "render", "api", "store", "jobs"]),
+    (
+        "server",
+        &["scene", "engine", "capture", "formats", "train", "render", "api", "store", "jobs", "worker"],
+    ),
+    ("client", &["capture", "render", "api"]),
     ("testing", &EVERY_ROOM),
     ("cli", &EVERY_ROOM),
 ];
 
-const EVERY_ROOM: [&str; 15] = [
-    "scene", "light", "engine", "formats", "capture", "train", "render", "eval", "store", "jobs", "worker",
-    "api", "client", "testing", "cli",
+const EVERY_ROOM: [&str; 16] = [
+    "scene", "light", "engine", "formats", "capture", "train", "render", "eval", "api", "store", "jobs",
+    "worker", "server", "client", "testing", "cli",
 ];
 
 const LONGEST_FILE: usize = 600;

@@ -124,13 +124,13 @@ pub struct JobView {
     /// Jobs that run before this one, while it is queued.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub queue_position: Option<i64>,
-    /// How far it is.
+    /// Progress of the training.
     pub progress: JobProgress,
-    /// Times a worker took it up.
+    /// Times a worker started it.
     pub attempts: i64,
     /// RFC 3339.
     pub created_at: String,
-    /// RFC 3339; when it was first taken up.
+    /// RFC 3339; when a worker first started it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub started_at: Option<String>,
     /// RFC 3339; when it ended.
@@ -145,7 +145,7 @@ pub struct JobView {
     pub error: Option<JobError>,
 }
 
-/// How far a job is.
+/// Progress of a job.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema, sqlx::FromRow))]
 pub struct JobProgress {
@@ -171,7 +171,7 @@ pub struct JobProgress {
 pub struct JobError {
     /// Stable code, e.g. `training_failed`, `attempts_exhausted`.
     pub code: String,
-    /// For people.
+    /// A description for the user.
     pub detail: String,
 }
 

@@ -12,11 +12,11 @@ pub struct Problem {
     /// Stable URI of the kind of problem, e.g. `urn:relume:problem:invalid-field`.
     #[serde(rename = "type")]
     pub kind: String,
-    /// The kind in words.
+    /// A short description of the kind.
     pub title: String,
     /// HTTP status.
     pub status: u16,
-    /// What happened this time.
+    /// What happened in this request.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub detail: Option<String>,
     /// Identifier of the request, also in the `x-request-id` header and in the server's log.

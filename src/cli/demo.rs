@@ -1,7 +1,7 @@
 //! `relume demo`: the whole service on a scene whose truth is known, in one command and in a few minutes.
 //!
-//! Everything a user would do goes over HTTP to a server started for the occasion: upload, train, render,
-//! download. Only the verdict is passed locally, since only the caller knows the truth.
+//! Everything a user would do goes over HTTP to a server that the demo starts: upload, train, render, download.
+//! Only the evaluation runs locally, since the server does not know the ground truth.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -83,7 +83,7 @@ pub enum DemoError {
     /// The model could not be measured.
     #[error(transparent)]
     Eval(#[from] EvalError),
-    /// A computation died.
+    /// A computation panicked.
     #[error("a computation was cut off: {0}")]
     Join(#[from] tokio::task::JoinError),
 }
@@ -100,7 +100,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     Ok(())
 }
 
-/// The demo from the first pixel of truth to the report; prints each step as it begins.
+/// The whole demo, from the ground truth to the report; prints each step when it begins.
 ///
 /// # Errors
 /// [`DemoError`] says which step failed.
@@ -121,7 +121,7 @@ pub async fn demo(args: &DemoArgs) -> Result<Report, DemoError> {
     println!("2/5 uploading {} kB to {}", archive.len() / 1024, server.client().base());
     let uploaded = server.client().upload_capture_bytes(archive).await?;
     let report = show(server.client(), &uploaded.id, capture, args).await;
-    // A failed demo stops its server, too; what failed first is what the user should read.
+    // The server is stopped in any case; the first failure is the one to report.
     let stopped = server.stop().await;
     let report = report?;
     stopped?;

@@ -20,7 +20,7 @@ pub(super) struct ServeArgs {
     /// Where everything is stored.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
-    /// Keys that are let in, as `Authorization: Bearer KEY`; several with commas.
+    /// Accepted keys, as `Authorization: Bearer KEY`; several with commas.
     #[arg(
         long = "api-key",
         env = "RELUME_API_KEYS",
@@ -46,7 +46,7 @@ pub(super) struct ServeArgs {
     max_attempts: u32,
 }
 
-/// Long enough that nobody guesses it.
+/// A key that is too long to be guessed.
 fn api_key(text: &str) -> Result<String, String> {
     let key = text.trim();
     if key.len() < 16 { Err("a key needs at least 16 characters".to_owned()) } else { Ok(key.to_owned()) }
@@ -65,7 +65,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     config.worker.device = args.device;
     config.lease.max_idle_attempts = args.max_attempts;
     let listener = TcpListener::bind(args.listen).await?;
-    // For people and scripts alike: with port 0 this is how they learn the address.
+    // With port 0 this line is how users and scripts learn the address.
     println!("listening on http://{}", listener.local_addr()?);
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
@@ -73,7 +73,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
         tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
         tokio::spawn(async move {
             tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-            tracing::warn!("stopped hard; the running job goes on from its last checkpoint next time");
+            tracing::warn!("stopped without a checkpoint; the running job continues from its last one");
             std::process::exit(130);
         });
     };

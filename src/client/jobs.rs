@@ -83,10 +83,10 @@ impl Client {
         Ok(events::parse(response.bytes_stream()))
     }
 
-    /// Follows a job to its end, also across restarts of the server; every event is told once.
+    /// Follows a job to its end, also across restarts of the server; every event is passed on once.
     ///
     /// # Errors
-    /// The server's refusal, or that it stayed away for a minute.
+    /// The server's refusal, or that it could not be reached for a minute.
     pub async fn wait(&self, job: &JobId, mut on_event: impl FnMut(&JobEvent)) -> Result<JobView> {
         let (mut last, mut failures) = (0, 0);
         loop {

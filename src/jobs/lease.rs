@@ -1,8 +1,8 @@
-//! A worker's hold on a job. Whatever it writes carries the lease token, so that a worker which was paused for
-//! too long finds out that it lost the job and publishes nothing.
+//! A worker's right to work on a job. Whatever the worker writes carries the lease token, so that a worker which was paused
+//! for too long finds out that it lost the job and publishes nothing.
 
 use crate::api::jobs::{JobProgress, JobState};
-use crate::jobs::Jobs;
+use crate::jobs::queue::Jobs;
 use crate::store::{JobRecord, LeaseStatus, ModelFile, ModelRecord, Release, StoreError};
 
 /// One attempt at one job.
@@ -12,11 +12,22 @@ pub struct Lease {
     token: String,
 }
 
-impl Lease {
-    pub(super) fn new(jobs: Jobs, job: JobRecord, token: String) -> Self {
-        Self { jobs, job, token }
+impl Jobs {
+    /// Claims the next job for a worker.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn claim(&self) -> Result<Option<Lease>, StoreError> {
+        let (token, now) = (self.fresh_id::<String>(), self.now_ms());
+        let job = self.store.claim_job(&token, now, self.lease_end(now)).await?;
+        if job.is_some() {
+            self.announce();
+        }
+        Ok(job.map(|job| Lease { jobs: self.clone(), job, token }))
     }
+}
 
+impl Lease {
     /// The job as it was when it was claimed.
     pub fn job(&self) -> &JobRecord {
         &self.job
@@ -27,7 +38,7 @@ impl Lease {
         format!("attempts/{}/{}", self.job.id, self.job.attempts)
     }
 
-    /// Whether the lease still stands. Changes nothing.
+    /// Whether the lease is still valid. Changes nothing.
     ///
     /// # Errors
     /// When the database fails.
@@ -47,7 +58,7 @@ impl Lease {
         Ok(status)
     }
 
-    /// Tells listeners something a user should know.
+    /// Records a warning for the user.
     ///
     /// # Errors
     /// When the database fails.
@@ -118,7 +129,7 @@ impl Lease {
         Ok(self.jobs.store.job(&self.job.id).await?.and_then(|job| job.checkpoint))
     }
 
-    /// A job that has ended resumes no more: its checkpoint goes once the end is durable.
+    /// Removes the checkpoint of a job that has ended, once the end is durable.
     async fn ended(&self, status: LeaseStatus, checkpoint: Option<String>) {
         if let (LeaseStatus::Held, Some(key)) = (status, checkpoint) {
             self.jobs.store.artifacts().remove(&key).await;

@@ -12,25 +12,25 @@ use subtle::ConstantTimeEq;
 
 use crate::api::Problem;
 
-/// The keys that are let in, as hashes: the keys themselves are not kept.
+/// The accepted keys, as hashes: the keys themselves are not stored.
 #[derive(Clone, Default)]
 pub struct ApiKeys {
     hashes: Arc<[[u8; 32]]>,
 }
 
 impl ApiKeys {
-    /// Lets in bearers of any of `keys`; without keys, everyone.
+    /// Accepts bearers of any of `keys`; without keys, everyone.
     pub fn new<S: AsRef<str>>(keys: impl IntoIterator<Item = S>) -> Self {
         let hashes = keys.into_iter().map(|k| Sha256::digest(k.as_ref().trim()).into()).collect();
         Self { hashes }
     }
 
-    /// True when everyone is let in.
+    /// True when everyone is accepted.
     pub fn is_open(&self) -> bool {
         self.hashes.is_empty()
     }
 
-    /// Looks at every hash whatever matches, so that time tells nothing.
+    /// Compares with every hash, whichever matches, so that the time it takes does not depend on the key.
     fn admits(&self, key: &str) -> bool {
         let presented: [u8; 32] = Sha256::digest(key).into();
         let found = self.hashes.iter().fold(subtle::Choice::from(0), |any, h| any | h.ct_eq(&presented));
@@ -43,7 +43,7 @@ impl ApiKeys {
     }
 }
 
-/// Refuses requests without a good key. Health checks and the API description are open to all.
+/// Refuses requests without an accepted key. Health checks and the API description are open to all.
 pub(super) async fn authenticate(State(keys): State<ApiKeys>, request: Request, next: Next) -> Response {
     let open = matches!(request.uri().path(), "/healthz" | "/readyz" | "/v1/openapi.json");
     if open || keys.is_open() || bearer(&request).is_some_and(|key| keys.admits(key)) {

@@ -18,7 +18,7 @@ use crate::server::listing::{PageQuery, list, rfc3339};
 use crate::server::upload::{self, Expected};
 use crate::store::{CaptureRecord, Incoming};
 
-/// The routes of this family.
+/// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new()
         .routes(routes!(upload_capture, list_captures))
@@ -37,10 +37,10 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
         (ArchiveForm = "multipart/form-data")
     )),
     responses(
-        (status = 201, body = CaptureSummary), (status = 200, body = CaptureSummary, description = "Known already"),
+        (status = 201, body = CaptureSummary), (status = 200, body = CaptureSummary, description = "Stored before"),
         (status = 413, body = Problem), (status = 415, body = Problem),
         (status = 422, body = Problem, description = "Refused; names the file and field"),
-        (status = 507, body = Problem, description = "No room; nothing was stored")
+        (status = 507, body = Problem, description = "The disk is full; nothing was stored")
     )
 )]
 async fn upload_capture(State(app): State<Shared>, request: Request) -> Result<Response, Problem> {
@@ -63,7 +63,7 @@ async fn upload_capture(State(app): State<Shared>, request: Request) -> Result<R
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
 }
 
-/// Validate a capture without keeping it
+/// Validate a capture without storing it
 ///
 /// Takes what an upload takes and answers with the report, or with the problem that an upload would meet.
 #[utoipa::path(
@@ -96,7 +96,7 @@ async fn list_captures(
     Ok(Json(list(items, &page, |c: &CaptureSummary| c.id.as_str())))
 }
 
-/// Look at a capture
+/// Get a capture
 #[utoipa::path(
     get, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path)),
     responses((status = 200, body = CaptureSummary), (status = 404, body = Problem))

@@ -1,4 +1,4 @@
-//! The description of the API: what the handlers say of themselves, and what is true of all of them.
+//! The description of the API: what handlers do not declare themselves because it is the same for all.
 
 use utoipa::ToSchema;
 use utoipa::openapi::path::Operation;
@@ -32,7 +32,7 @@ pub(super) struct EnvironmentForm {
     environment: Vec<u8>,
 }
 
-/// What stands before the endpoints.
+/// The description without its endpoints.
 pub(super) fn preamble() -> OpenApi {
     let info = InfoBuilder::new()
         .title("Relume")
@@ -66,8 +66,8 @@ pub(super) fn with_problems(mut api: OpenApi) -> OpenApi {
     api
 }
 
-/// Writes numbers that a field has by default as they are in the code: 0.15 is an f32 there, and as an f64 it has seventeen
-/// digits.
+/// Writes default values with the digits that they have in the code: 0.15 is an f32 there, and would have seventeen digits as
+/// an f64.
 pub(super) fn with_short_defaults(mut api: OpenApi) -> OpenApi {
     let schemas = api.components.iter_mut().flat_map(|components| components.schemas.values_mut());
     for schema in schemas {

@@ -21,7 +21,7 @@ use crate::server::listing::{PageQuery, list, rfc3339};
 use crate::server::upload::{self, Expected};
 use crate::store::{EnvironmentRecord, Incoming};
 
-/// The routes of this family.
+/// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new()
         .routes(routes!(upload_environment, list_environments))
@@ -33,7 +33,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 struct UploadQuery {
-    /// A name for people, at most 128 characters.
+    /// A name for display, at most 128 characters.
     name: Option<String>,
 }
 
@@ -48,7 +48,7 @@ struct UploadQuery {
     )),
     responses(
         (status = 201, body = EnvironmentView),
-        (status = 200, body = EnvironmentView, description = "Known already"),
+        (status = 200, body = EnvironmentView, description = "Stored before"),
         (status = 413, body = Problem), (status = 415, body = Problem), (status = 422, body = Problem)
     )
 )]
@@ -98,7 +98,7 @@ async fn list_environments(
     }))
 }
 
-/// Look at an environment map
+/// Get an environment map
 #[utoipa::path(
     get, path = "/v1/environments/{id}", tag = "environments", params(("id" = String, Path)),
     responses((status = 200, body = EnvironmentView), (status = 404, body = Problem))

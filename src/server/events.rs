@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/events`: a job's history and what happens next, as server-sent events.
+//! `/v1/jobs/{id}/events`: a job's past and future events, as server-sent events.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -20,12 +20,12 @@ use crate::server::app::Shared;
 use crate::server::extract::QueryString;
 use crate::store::{EventRecord, StoreError};
 
-/// How long a listener waits for a hint before it looks unprompted.
+/// How long a listener waits for a notification before it queries the database.
 const POLL: Duration = Duration::from_secs(2);
 /// Time between comments that keep idle connections open.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
-/// The routes of this family.
+/// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new().routes(routes!(job_events))
 }
@@ -35,11 +35,11 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 struct EventQuery {
-    /// Only events numbered above this; `Last-Event-ID` wins over it.
+    /// Only events numbered above this; `Last-Event-ID` takes precedence.
     after: Option<i64>,
 }
 
-/// Listen to a job
+/// Stream a job's events
 ///
 /// Every event since `Last-Event-ID` (or since the beginning), then new ones as they happen, until the job is in a
 /// terminal state. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object. Numbers only grow,
@@ -75,7 +75,7 @@ async fn job_events(
     Ok(Sse::new(stream).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
 }
 
-/// Follows one job. The database is the truth; the channel only says when to look.
+/// Follows one job. Events come from the database; the channel only says when to query it.
 struct Listener {
     app: Shared,
     id: JobId,
@@ -92,7 +92,7 @@ impl Listener {
                 self.after = event.seq;
                 return Some(Event::default().id(event.seq.to_string()).event(event.kind).data(event.data));
             }
-            match self.look().await {
+            match self.fetch().await {
                 Ok(true) => {}
                 Ok(false) => return None,
                 Err(error) => {
@@ -104,7 +104,7 @@ impl Listener {
     }
 
     /// Fetches what is new, or waits for it; `false` when nothing can follow.
-    async fn look(&mut self) -> Result<bool, StoreError> {
+    async fn fetch(&mut self) -> Result<bool, StoreError> {
         self.changes.mark_unchanged();
         // The state first: a job that is terminal now has written its last event already.
         let job = self.app.store.job(&self.id).await?;

@@ -18,7 +18,7 @@ use crate::store::ModelFile;
 
 const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
 
-/// The routes of this family.
+/// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new().routes(routes!(get_file))
 }

@@ -13,7 +13,7 @@ use crate::api::jobs::JobState;
 use crate::server::app::Shared;
 use crate::server::observe;
 
-/// The routes of this family.
+/// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new()
         .routes(routes!(healthz))
@@ -22,13 +22,13 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(description))
 }
 
-/// Is the process alive?
+/// Check that the process runs
 #[utoipa::path(get, path = "/healthz", tag = "operations", responses((status = 200, body = String)))]
 async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Can the server work?
+/// Check that the server can work
 #[utoipa::path(
     get, path = "/readyz", tag = "operations",
     responses((status = 200, body = String), (status = 503, body = Problem))
@@ -62,7 +62,7 @@ async fn prometheus(State(app): State<Shared>) -> Result<Response, Problem> {
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response())
 }
 
-/// This description
+/// Get this description
 #[utoipa::path(get, path = "/v1/openapi.json", tag = "operations", responses((status = 200, body = Object)))]
 async fn description(State(app): State<Shared>) -> Json<OpenApi> {
     Json(app.description.clone())

@@ -23,7 +23,7 @@ const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 const REPLAYED: HeaderName = HeaderName::from_static("idempotent-replayed");
 const PRIORITIES: std::ops::RangeInclusive<i64> = -100..=100;
 
-/// The routes of this family.
+/// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new()
         .routes(routes!(create_job, list_jobs))
@@ -98,7 +98,7 @@ async fn list_jobs(
     Ok(Json(list(items, &page, |j: &JobView| j.id.as_str())))
 }
 
-/// Look at a job
+/// Get a job
 #[utoipa::path(
     get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
     responses((status = 200, body = JobView), (status = 404, body = Problem))
@@ -112,7 +112,7 @@ async fn get_job(State(app): State<Shared>, Path(id): Path<JobId>) -> Result<Jso
     patch, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)), request_body = JobChange,
     responses(
         (status = 200, body = JobView), (status = 404, body = Problem),
-        (status = 409, body = Problem, description = "It does not wait any more")
+        (status = 409, body = Problem, description = "It is not queued any more")
     )
 )]
 async fn change_job(

@@ -14,7 +14,7 @@ use crate::server::environments;
 use crate::store::hex;
 use crate::worker::LightSource;
 
-/// The light asked for, checked as far as that costs nothing.
+/// The light of a render request; a stored map is not read yet.
 pub(super) async fn light(app: &Shared, spec: &EnvironmentSpec) -> Result<LightSource, Problem> {
     check_exposure(spec)?;
     match (&spec.id, &spec.builtin, &spec.inline_base64) {

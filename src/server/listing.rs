@@ -21,7 +21,7 @@ pub struct PageQuery {
 }
 
 impl PageQuery {
-    /// The page that the store understands.
+    /// The page as the store takes it.
     ///
     /// # Errors
     /// Names `limit` when it is out of range.

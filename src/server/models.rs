@@ -16,7 +16,7 @@ use crate::worker::ModelSource;
 /// Name of the file that holds the model itself.
 const MODEL_FILE: &str = "model.safetensors";
 
-/// The routes of this family.
+/// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new().routes(routes!(list_models)).routes(routes!(get_model)).routes(routes!(get_card))
 }
@@ -35,7 +35,7 @@ async fn list_models(
     Ok(Json(list(items, &page, |m: &ModelSummary| m.id.as_str())))
 }
 
-/// Look at a model and its files
+/// Get a model and its files
 #[utoipa::path(
     get, path = "/v1/models/{id}", tag = "models", params(("id" = String, Path)),
     responses((status = 200, body = ModelView), (status = 404, body = Problem))
@@ -48,7 +48,7 @@ async fn get_model(State(app): State<Shared>, Path(id): Path<ModelId>) -> Result
     Ok(Json(ModelView { summary: summary(model), files, card }))
 }
 
-/// Read a model's card
+/// Get a model's card
 #[utoipa::path(
     get, path = "/v1/models/{id}/card", tag = "models", params(("id" = String, Path)),
     responses((status = 200, body = Object), (status = 404, body = Problem))

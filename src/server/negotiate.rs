@@ -8,7 +8,7 @@ use crate::render::FrameFormat;
 /// The kind of file that `Accept` prefers; PNG when there is no such header.
 ///
 /// # Errors
-/// 406 when it accepts none of ours.
+/// 406 when it accepts no kind that the server writes.
 pub(super) fn frame_format(headers: &HeaderMap) -> Result<FrameFormat, Problem> {
     let Some(accept) = headers.get(header::ACCEPT) else { return Ok(FrameFormat::Png) };
     let mut ranges: Vec<(f32, &str)> =

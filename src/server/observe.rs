@@ -46,14 +46,14 @@ pub(super) async fn observe(request: Request, next: Next) -> Response {
     response
 }
 
-/// A caller's own identifier, when it is short and plain enough for logs.
+/// The caller's own identifier, when it is short and has only characters that are safe in logs.
 fn accepted_id(request: &Request) -> Option<String> {
     let id = request.headers().get(REQUEST_ID)?.to_str().ok()?;
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     (!id.is_empty() && id.len() <= 64 && id.chars().all(plain)).then(|| id.to_owned())
 }
 
-/// Labels come from our own lists only, so that no client can make the series grow.
+/// Labels come from fixed lists, so that no client can add time series.
 fn record(method: &str, route: String, status: u16, seconds: f64) {
     let method = match method {
         "GET" | "HEAD" | "POST" | "PUT" | "PATCH" | "DELETE" | "OPTIONS" => method.to_owned(),

@@ -24,14 +24,14 @@ impl Problem {
         }
     }
 
-    /// With what happened this time.
+    /// With a description of this occurrence.
     #[must_use]
     pub fn detail(mut self, detail: impl Into<String>) -> Self {
         self.detail = Some(detail.into());
         self
     }
 
-    /// With a hint when to come again, seconds.
+    /// With the time after which to try again, seconds.
     #[must_use]
     pub fn retry_after(mut self, seconds: u32) -> Self {
         self.retry_after = Some(seconds);

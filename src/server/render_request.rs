@@ -12,7 +12,7 @@ const MAX_SIDE: u32 = 4096;
 /// Most queries through the Gaussians a frame of the reference tier may cost: some seconds of the device thread.
 const MOST_QUERIES: u64 = 1 << 21;
 
-/// The tier asked for, at a cost that others who wait can bear.
+/// The tier and samples asked for; refuses a frame that would occupy the device thread for too long.
 pub(super) fn quality(request: &RenderRequest) -> Result<Quality, Problem> {
     let quality = Quality {
         tier: request.tier,
@@ -79,7 +79,7 @@ fn intrinsics(spec: &CameraSpec, (width, height): (u32, u32)) -> Result<(Pair, P
     }
 }
 
-/// From the camera's own field names to the request's.
+/// Translates the field names of [`Camera`] to those of the request.
 fn camera_refused(base: &str, error: &CameraError) -> Problem {
     let pointer = match error.field {
         "transform_matrix" => format!("{base}/camera_to_world"),

@@ -21,7 +21,7 @@ use crate::worker::RenderTask;
 const BODY_LIMIT: usize = 64 << 20;
 const DEPTH_RANGE: HeaderName = HeaderName::from_static("relume-depth-range");
 
-/// The routes of this family.
+/// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new().routes(routes!(render))
 }

@@ -51,7 +51,7 @@ pub(super) fn router(app: Shared, keys: ApiKeys, origins: &[HeaderValue]) -> Rou
         .with_state(app)
 }
 
-/// Lets pages of the listed origins in, and no others.
+/// Lets pages of the listed origins call the API, and no others.
 fn cors(origins: &[HeaderValue]) -> CorsLayer {
     CorsLayer::new()
         .allow_origin(origins.to_vec())

@@ -1,4 +1,4 @@
-//! A server from start to end: take the data directory, recover, serve, drain.
+//! A server from start to end: lock the data directory, recover, serve, drain.
 
 use std::future::Future;
 use std::net::SocketAddr;
@@ -20,8 +20,8 @@ use crate::server::router::{openapi, router};
 use crate::store::{NodeLock, Store, StoreError};
 use crate::worker::{self, StartError, WorkerOptions};
 
-/// How often leases that ran out are looked for, and metrics are tidied.
-const UPKEEP_EVERY: Duration = Duration::from_secs(10);
+/// Time between two searches for leases that ran out; metrics are maintained then, too.
+const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(10);
 /// How long open connections may take to end after a shutdown was asked for.
 const DRAIN: Duration = Duration::from_secs(20);
 /// Archives that are validated at the same time; each may take gigabytes of memory.
@@ -32,7 +32,7 @@ const PARALLEL_IMPORTS: usize = 2;
 pub struct ServerConfig {
     /// Where everything is stored. One server for each directory.
     pub data_dir: PathBuf,
-    /// Keys that are let in; none lets everyone in, on loopback only.
+    /// Accepted keys; without any, everyone is accepted, on loopback only.
     pub api_keys: ApiKeys,
     /// Origins whose web pages may call the API.
     pub cors_origins: Vec<HeaderValue>,
@@ -67,7 +67,7 @@ impl ServerConfig {
 /// Why a server did not start or did not end well.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// It would be open to the network without a key.
+    /// Without a key it would be open to the network.
     #[error(
         "refusing to listen on {0} without an API key; set --api-key or RELUME_API_KEYS, or bind 127.0.0.1"
     )]
@@ -108,7 +108,7 @@ pub async fn run(
         StartError::Device(error) => ServeError::Device(error),
         StartError::Thread(error) => ServeError::Io(error),
     })?;
-    let upkeep = tokio::spawn(upkeep(jobs.clone(), stop.clone()));
+    let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
     let app = App {
         store: store.clone(),
         jobs,
@@ -128,7 +128,7 @@ pub async fn run(
     if !matches!(joined, Ok(Ok(()))) {
         tracing::error!("the device thread did not end well");
     }
-    upkeep.abort();
+    maintenance.abort();
     store.close().await;
     tracing::info!("stopped");
     served
@@ -170,12 +170,12 @@ async fn serve(
     }
 }
 
-async fn upkeep(jobs: Jobs, stop: CancellationToken) {
+async fn maintain(jobs: Jobs, stop: CancellationToken) {
     while !stop.is_cancelled() {
         if let Err(error) = jobs.reclaim_expired().await {
             tracing::error!(%error, "expired leases cannot be taken back");
         }
         observe::metrics_handle().run_upkeep();
-        tokio::time::sleep(UPKEEP_EVERY).await;
+        tokio::time::sleep(MAINTENANCE_INTERVAL).await;
     }
 }

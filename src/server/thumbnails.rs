@@ -20,7 +20,7 @@ use crate::server::{models, renders};
 use crate::store::hex;
 use crate::worker::{LightSource, RenderTask};
 
-/// The routes of this family.
+/// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new().routes(routes!(thumbnail))
 }
@@ -48,7 +48,7 @@ pub struct ThumbnailQuery {
 
 /// Get a thumbnail
 ///
-/// The same address always means the same picture, so it may be cached; the `ETag` is known before rendering.
+/// The same URL always gives the same picture, so it may be cached; the `ETag` is known before rendering.
 #[utoipa::path(
     get, path = "/v1/models/{id}/thumbnail", tag = "models", params(("id" = String, Path), ThumbnailQuery),
     responses(

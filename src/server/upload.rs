@@ -19,10 +19,10 @@ pub(super) struct Expected {
     pub(super) limit: u64,
 }
 
-/// Room for multipart boundaries and headers in a declared length.
+/// Bytes of multipart boundaries and headers that a declared length may have beyond the file.
 const FORM_OVERHEAD: u64 = 65_536;
 
-/// Receives the request's file. On an error nothing stays behind.
+/// Receives the request's file. After an error nothing of it is left on disk.
 pub(super) async fn receive(
     app: &Shared,
     request: Request,

@@ -1,4 +1,4 @@
-//! The history of a job, numbered so that a listener can go on where it stopped.
+//! The history of a job, numbered so that a listener can continue where it stopped.
 
 use serde_json::Value;
 use sqlx::{Sqlite, Transaction};
@@ -18,7 +18,7 @@ impl Store {
     }
 }
 
-/// Appends to a job's history, in the transaction of the change it tells of.
+/// Appends to a job's history, in the transaction of the change that the event reports.
 pub(super) async fn append(
     tx: &mut Transaction<'_, Sqlite>,
     job: &JobId,

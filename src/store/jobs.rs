@@ -1,4 +1,4 @@
-//! Jobs as clients see them: submit, look, cancel, re-order.
+//! What clients do with jobs: submit, read, cancel, re-order.
 
 use serde_json::json;
 use sqlx::types::Json;

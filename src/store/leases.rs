@@ -1,4 +1,4 @@
-//! Jobs as workers see them. Every write carries the lease token; zero rows changed means that the lease is lost.
+//! What workers do with jobs. Every write carries the lease token; zero rows changed means that the lease is lost.
 
 use serde_json::json;
 use sqlx::types::Json;
@@ -82,7 +82,7 @@ impl Store {
         Ok(LeaseStatus::of(state))
     }
 
-    /// Records progress, extends the lease and tells listeners.
+    /// Records progress with an event and extends the lease.
     ///
     /// # Errors
     /// When the database fails.
@@ -119,7 +119,7 @@ impl Store {
         Ok(LeaseStatus::of(state))
     }
 
-    /// Tells listeners something a user should know.
+    /// Records a warning for the user.
     ///
     /// # Errors
     /// When the database fails.

@@ -1,6 +1,6 @@
 //! Metadata in SQLite and artifacts in an object store. SQL text lives here and nowhere else.
 //!
-//! Every change that the outside world may have been told about is one transaction on a database in WAL mode
+//! Every change that a client may have been told of is one transaction on a database in WAL mode
 //! with `synchronous=FULL`. Times come in as milliseconds since 1970 UTC, so that callers can inject a clock.
 
 mod artifacts;

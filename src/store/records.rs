@@ -48,7 +48,7 @@ pub struct EnvironmentRecord {
     pub created_ms: i64,
 }
 
-/// A job. What was asked for and how far it is are in the types of the API.
+/// A job.
 #[derive(Debug, Clone, FromRow)]
 pub struct JobRecord {
     /// Identifier.
@@ -70,7 +70,7 @@ pub struct JobRecord {
     pub attempts: i64,
     /// Claims since the last stored checkpoint.
     pub idle_attempts: i64,
-    /// How far it is.
+    /// Progress of the training.
     #[sqlx(flatten)]
     pub progress: JobProgress,
     /// Key of the last checkpoint.

@@ -1,4 +1,4 @@
-//! What the rest of the service holds of the device thread.
+//! The handle by which the rest of the service reaches the device thread.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,7 +9,7 @@ use tokio::sync::{mpsc, oneshot};
 use crate::render::Frame;
 use crate::worker::renders::{RenderFailure, RenderTask};
 
-/// How long a render may wait for the device and run. A training step and a first light preparation fit in.
+/// How long a render may wait for the device and run: long enough for a training step and the first preparation of a light.
 const RENDER_TIMEOUT: Duration = Duration::from_secs(120);
 
 /// A frame and what it cost to get it.
@@ -35,7 +35,7 @@ pub(super) struct QueuedRender {
 }
 
 impl QueuedRender {
-    /// Answers with what `render` makes of the task; the caller may have gone, and its frame goes with it.
+    /// Answers with what `render` makes of the task. The frame is dropped when the caller does not wait any more.
     pub(super) fn answer(
         self,
         steps_now: u64,

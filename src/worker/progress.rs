@@ -8,7 +8,7 @@ use crate::train::{Progress, StepReport};
 /// Least time between two progress events.
 const INTERVAL_MS: i64 = 500;
 
-/// Decides when to report and what.
+/// Decides when progress is reported.
 pub(super) struct Reporter {
     started_ms: i64,
     first_step: u32,

@@ -1,4 +1,4 @@
-//! Renders on the device thread, with models and prepared lights kept ready.
+//! Renders on the device thread, with a cache of models and prepared lights.
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ use crate::scene::EnvMap;
 /// Why there is no frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RenderFailure {
-    /// The queue is full or the device did not come round to it in time.
+    /// The queue is full or the device did not answer in time.
     #[error("the device is busy")]
     Busy,
     /// The request cannot be rendered.
@@ -129,7 +129,7 @@ pub struct RenderTask {
 /// Model, light, rotation and exposure; floats by their bits.
 type LightKey = (ModelId, String, u64, u64);
 
-/// Models and lights that were used lately.
+/// The models and lights that were used last.
 pub(super) struct RenderCache {
     models: LruCache<ModelId, Arc<Renderer>>,
     lights: LruCache<LightKey, Arc<PreparedLight>>,

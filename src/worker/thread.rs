@@ -25,9 +25,9 @@ const IDLE: Duration = Duration::from_secs(1);
 pub struct WorkerOptions {
     /// Renders that may wait; one more is turned away.
     pub render_queue: usize,
-    /// Models kept ready, at least 1.
+    /// Models in the cache, at least 1.
     pub models: usize,
-    /// Prepared lights kept ready, at least 1.
+    /// Prepared lights in the cache, at least 1.
     pub lights: usize,
     /// Where to train and render.
     pub device: DeviceChoice,
@@ -119,7 +119,7 @@ impl Worker {
         }
     }
 
-    /// Renders what has been asked for meanwhile; a few at a time, so that training goes on under any load.
+    /// Renders what was asked for meanwhile; a few frames at a time, so that training continues under any load.
     pub(super) fn serve_waiting(&mut self) {
         const BATCH: usize = 8;
         for _ in 0..BATCH {
@@ -149,8 +149,8 @@ impl Worker {
         });
     }
 
-    /// Opens the device anew after it failed; nothing on a failed one can be used any more. What cannot be had again
-    /// is replaced by the CPU engine, so that the service goes on.
+    /// Opens the device again after it failed; nothing on a failed device can be used. If it cannot be opened, the CPU
+    /// engine replaces it.
     fn reopen(&mut self) {
         self.cache.clear();
         self.device = Device::open(self.choice).unwrap_or_else(|error| {
@@ -160,7 +160,7 @@ impl Worker {
         tracing::warn!(device = self.device.name(), "device opened again");
     }
 
-    /// One attempt at a job, whatever happens in it.
+    /// Makes one attempt at a job and records how it ended, also when it panics.
     async fn work(&mut self, lease: Lease) {
         let span = tracing::info_span!("job", id = %lease.job().id, attempt = lease.job().attempts);
         tracing::info!(parent: &span, "started");

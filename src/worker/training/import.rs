@@ -15,7 +15,7 @@ use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, ENVIRONMENT_MISSING, settle};
 
 impl Worker {
-    /// Reads the capture beside this thread, which renders meanwhile; breaks off when the job is to stop.
+    /// Reads the capture on another thread while this one renders; stops early when the job is to stop.
     pub(super) async fn import(
         &mut self,
         lease: &Lease,
@@ -52,7 +52,7 @@ impl Worker {
         Ok(ControlFlow::Continue(capture))
     }
 
-    /// Where the map of a known light lies.
+    /// The source of the map of a known light.
     async fn known_light(&self, config: &TrainConfig) -> Result<Option<LightSource>, AttemptError> {
         let Some(light) = &config.light else { return Ok(None) };
         if BUILTIN.contains(&light.environment.as_str()) {

@@ -17,7 +17,7 @@ use crate::worker::progress::{Reporter, announce};
 use crate::worker::thread::Worker;
 use outcome::{AttemptEnd, AttemptError, settle};
 
-/// What one attempt carries from step to step.
+/// The state of one attempt between steps.
 struct Attempt<'a> {
     lease: &'a Lease,
     trainer: Trainer,
@@ -59,7 +59,7 @@ impl Worker {
         publish::publish(lease, &attempt.trainer).await
     }
 
-    /// Goes on from the last checkpoint, or starts over when there is none that can be read.
+    /// Continues from the last checkpoint, or starts over when none can be read.
     async fn trainer(
         &self,
         lease: &Lease,
@@ -92,7 +92,7 @@ impl Worker {
 }
 
 impl Attempt<'_> {
-    /// One step and what it has to tell.
+    /// Takes one step and reports it.
     async fn step(&mut self, now_ms: i64) -> Result<LeaseStatus, AttemptError> {
         let report = self.trainer.step()?;
         metrics::counter!("relume_training_steps_total").increment(1);

@@ -12,7 +12,7 @@ pub(in crate::worker) enum AttemptEnd {
     Published,
     /// The job was cancelled.
     Cancelled,
-    /// The lease was lost; someone else has the job.
+    /// The lease was lost; another worker may have the job.
     Lost,
     /// The server is stopping; the job is checkpointed and back in the queue.
     Stopped,
@@ -27,7 +27,7 @@ const DEVICE_FAILED: &str = "device_failed";
 pub(in crate::worker) struct AttemptError {
     /// Stable code.
     pub(in crate::worker) code: &'static str,
-    /// For people; no internals.
+    /// A description for the user, without internals.
     pub(in crate::worker) detail: String,
 }
 
@@ -46,7 +46,7 @@ impl From<StoreError> for AttemptError {
     fn from(error: StoreError) -> Self {
         tracing::error!(%error, "the store failed under a job");
         match error {
-            StoreError::Full => Self::new("storage_full", "there was no room to store the result"),
+            StoreError::Full => Self::new("storage_full", "the disk was full when the result was stored"),
             _ => Self::new("storage_failed", "the store failed; the server's log says how"),
         }
     }
