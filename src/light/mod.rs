@@ -25,7 +25,7 @@ pub use constants::{
 pub use dominant::{DominantLight, SplitEnvironment};
 pub use grid::{CubeGrid, Taps};
 pub use lobe::{LobeAttenuation, LobeSample};
-pub use operators::{CompressedRows, EnvOperators, TableResolution, level_position};
+pub use operators::{CompressedRows, EnvOperators, LevelPosition, TableResolution};
 pub use prefilter::rendering_tables;
 pub use reflector::{Reflected, Reflector};
 pub use sampler::{EnvSampler, Shares, estimate};

@@ -6,20 +6,33 @@ use rayon::prelude::*;
 use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
 use crate::scene::{sh_count, texel_directions};
 
-/// Level below `roughness`, the fraction towards the next, and the fraction's derivative (0 where clamped).
-#[inline]
-pub fn level_position<T: num_traits::Float>(roughness: T) -> (usize, T, T) {
-    let level = |k: usize| T::from(SPECULAR_LEVELS[k]).unwrap_or_else(T::one);
-    let last = SPECULAR_LEVELS.len() - 1;
-    if !(roughness > level(0)) {
-        return (0, T::zero(), T::zero());
+/// Where a roughness lies between two prefiltered levels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LevelPosition<T> {
+    /// The level below.
+    pub level: usize,
+    /// Fraction of the way to the next level, 0 to 1.
+    pub fraction: T,
+    /// Derivative of the fraction by roughness; 0 where clamped.
+    pub by_roughness: T,
+}
+
+impl<T: num_traits::Float> LevelPosition<T> {
+    /// The position of `roughness`, clamped to the first and the last level.
+    #[inline]
+    pub fn of(roughness: T) -> Self {
+        let at = |k: usize| T::from(SPECULAR_LEVELS[k]).unwrap_or_else(T::one);
+        let last = SPECULAR_LEVELS.len() - 1;
+        if !(roughness > at(0)) {
+            return Self { level: 0, fraction: T::zero(), by_roughness: T::zero() };
+        }
+        if roughness >= at(last) {
+            return Self { level: last - 1, fraction: T::one(), by_roughness: T::zero() };
+        }
+        let level = (0..last).rev().find(|&k| roughness >= at(k)).unwrap_or(0);
+        let by_roughness = T::one() / (at(level + 1) - at(level));
+        Self { level, fraction: (roughness - at(level)) * by_roughness, by_roughness }
     }
-    if roughness >= level(last) {
-        return (last - 1, T::one(), T::zero());
-    }
-    let k = (0..last).rev().find(|&k| roughness >= level(k)).unwrap_or(0);
-    let derivative = T::one() / (level(k + 1) - level(k));
-    (k, (roughness - level(k)) * derivative, derivative)
 }
 
 /// How finely directions are tabulated.

@@ -7,8 +7,8 @@ use crate::engine::cpu::lambert::Lambert;
 use crate::engine::cpu::project::{normalise, normalise_backward};
 use crate::engine::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader, dot3};
 use crate::light::{
-    BrdfLut, DIELECTRIC_F0, LOBE_ORDERS, LightTables, LobeAttenuation, LutSample, Sheen, Taps,
-    level_position, sh_eval, sh_eval_with_gradient,
+    BrdfLut, DIELECTRIC_F0, LOBE_ORDERS, LevelPosition, LightTables, LobeAttenuation, LutSample, Sheen, Taps,
+    sh_eval, sh_eval_with_gradient,
 };
 use crate::scene::VisibilityForm;
 
@@ -28,7 +28,7 @@ pub struct Shaded {
     reflection_length: f32,
     lambert: Lambert,
     sheen: Sheen,
-    level: (usize, f32, f32),
+    position: LevelPosition<f32>,
     level_taps: [Taps<f32>; 2],
     level_value: [[f32; 3]; 2],
     prefiltered: [f32; 3],
@@ -60,7 +60,8 @@ impl SurfaceShader<'_> {
         let lambert = self.lambert(s, normal);
         let sheen = Sheen::new(s.sheen, nov);
         // Specular: split sum, visibility through the lobe.
-        let (level, fraction, by_rough) = level_position(s.rough);
+        let position = LevelPosition::of(s.rough);
+        let LevelPosition { level, fraction, .. } = position;
         let level_taps = [0, 1].map(|k| self.tables.specular_grids[level + k].lookup(reflection));
         let level_value = [0, 1].map(|k| {
             let values = &self.tables.specular[level + k];
@@ -92,7 +93,7 @@ impl SurfaceShader<'_> {
             reflection,
             reflection_length,
             lambert,
-            level: (level, fraction, by_rough),
+            position,
             level_taps,
             level_value,
             prefiltered,
@@ -171,7 +172,7 @@ impl SurfaceShader<'_> {
         tables: &mut LightTables,
         out: &mut SurfaceGradient,
     ) -> (f32, [f32; 3]) {
-        let (level, fraction, by_rough) = f.level;
+        let LevelPosition { level, fraction, by_roughness } = f.position;
         let mut by_reflection = [0.0f32; 3];
         let (mut by_nov, mut by_visible) = (0.0, 0.0);
         let mut by_level = [[0.0f32; 3]; 2];
@@ -191,7 +192,7 @@ impl SurfaceShader<'_> {
             let by_prefiltered = by_light * f.visible;
             by_level[0][c] = by_prefiltered * (1.0 - fraction);
             by_level[1][c] = by_prefiltered * fraction;
-            out.rough += by_prefiltered * by_rough * (f.level_value[1][c] - f.level_value[0][c]);
+            out.rough += by_prefiltered * by_roughness * (f.level_value[1][c] - f.level_value[0][c]);
         }
         for k in 0..2 {
             let taps = &f.level_taps[k];

@@ -9,7 +9,7 @@ use crate::scene::{
     DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
 };
 
-/// `Layout` of `shaders/shared/parameters.wgsl`: where each field starts in the planar parameter buffer.
+/// `Layout` of the generated piece `parameters` (`build/generated.rs`): where each field starts in the planar parameter buffer.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
 #[expect(missing_docs, reason = "the members are the shader's, described there")]

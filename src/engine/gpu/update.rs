@@ -124,7 +124,7 @@ pub struct Upstream<'a> {
 pub struct Sums<'a> {
     /// Gradient of prototypes and raw environment, like `ModelBuffers::globals`; the prototypes' part is added here.
     pub globals_gradient: &'a Buffer<f32>,
-    /// 16 values, slots of `shaders/shared/losses.wgsl`.
+    /// 16 values, one a [`LossSlot`](crate::engine::gpu::losses::LossSlot).
     pub losses: &'a Buffer<f32>,
     /// Per Gaussian: sum of pulls in half image widths, steps on screen.
     pub density: &'a Buffer<[f32; 2]>,

@@ -7,7 +7,7 @@ use super::array::Array;
 use super::lighting::Lighting;
 use super::spherical::{order_of, real_sh};
 use super::tape::Var;
-use crate::light::{BrdfLut, CubeGrid, SPECULAR_LEVELS, TableResolution, ggx_d, level_position};
+use crate::light::{BrdfLut, CubeGrid, LevelPosition, SPECULAR_LEVELS, TableResolution, ggx_d};
 use crate::scene::texel_directions;
 
 /// Number of prefiltered levels.
@@ -147,7 +147,7 @@ impl<'t> Lighting<'t> for TableLight<'t> {
     /// Levels mixed by hat functions of roughness.
     fn prefiltered(&self, directions: Var<'t>, roughness: Var<'t>) -> Var<'t> {
         let shares = roughness.map_rows(|[roughness]: [f64; 1]| {
-            let (level, fraction, derivative) = level_position(roughness);
+            let LevelPosition { level, fraction, by_roughness: derivative } = LevelPosition::of(roughness);
             let (mut share, mut by_roughness) = ([0.0; LEVELS], [[0.0]; LEVELS]);
             (share[level], share[level + 1]) = (1.0 - fraction, fraction);
             (by_roughness[level], by_roughness[level + 1]) = ([-derivative], [derivative]);

@@ -36,7 +36,7 @@ pub fn aggregation(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
 }
 
 /// Turns scores into shares, fills `by` with the gradient of `-scale ln Q` by the scores, and returns `Q`, at least
-/// [`EPSILON`], where it has no slope.
+/// [`EPSILON`], where its derivative is 0.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
 fn of_sixteen(p: &mut [Lanes], by: &mut [Lanes], scale: f32) -> Lanes {
     softmax_lanes(p);

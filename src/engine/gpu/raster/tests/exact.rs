@@ -96,7 +96,7 @@ pub fn blend(view: &RasterCamera, splats: &[ExactSplat], attributes: &[f32], sto
         .collect()
 }
 
-/// Rows of 7 + `stored` by Gaussian: mean, conic, opacity, pull, channels. `by` is `[pixel][stored]`.
+/// Rows of 7 + `stored` by Gaussian: mean, conic, opacity, absgrad, channels. `by` is `[pixel][stored]`.
 pub fn backward(
     view: &RasterCamera,
     splats: &[ExactSplat],
