@@ -1,5 +1,5 @@
 //! The differentiable renderer. `docs/MODEL.md` says what every engine computes; [`mod@reference`] says it in f64,
-//! [`cpu`] does it fast on any machine, [`gpu`] on a graphics card.
+//! [`cpu`] does it fast on any machine, [`gpu`] on a graphics card, [`parity`] compares them.
 
 mod blending;
 mod camera;
@@ -11,16 +11,22 @@ mod frame;
 pub mod gpu;
 mod gradients;
 mod indirect;
+mod objective;
+pub mod parity;
 mod probing;
 pub mod reference;
-pub mod side_by_side;
+mod step;
 mod zeros;
 
-pub use blending::TRANSMITTANCE_STOP;
+pub use blending::{Blending, TRANSMITTANCE_STOP};
 pub use camera::RasterCamera;
 pub use device::Device;
 pub use frame::{Frame, Output};
 pub use gradients::{Gradients, RowLayout};
 pub use indirect::{indirect_basis, indirect_basis_backward};
+pub use objective::{ImageWeights, LightWeights, ParameterWeights, StepWeights, SurfaceWeights};
 pub use probing::{NO_HIT, ProbeSettings, fibonacci_sphere};
+pub use step::{
+    FieldUpdate, Measurement, PhotoKey, Photograph, Step, StepCounts, StepSizes, StepSums, TrainingState,
+};
 pub use zeros::zeros;

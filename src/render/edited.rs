@@ -22,7 +22,7 @@ impl Renderer {
     ) -> Result<Frame, RenderError> {
         let view = self.view(camera)?;
         let (None, Some(light)) = (&light.on_gpu, light.on_cpu.get()) else {
-            return Err(GpuError::Internal("surfaces are edited on the CPU engine only".to_owned()).into());
+            return Err(GpuError::Misuse("surfaces are edited on the CPU engine only".to_owned()).into());
         };
         // Deferred whatever the model: what is edited is in the pixel.
         let options = ShadingOptions { shade_at: ShadeAt::Pixel, ..self.model().shading };

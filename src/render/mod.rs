@@ -4,7 +4,6 @@ mod colour;
 mod develop;
 mod edited;
 mod high;
-mod on_gpu;
 mod reference;
 mod renderer;
 mod standard;

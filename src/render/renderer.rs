@@ -5,11 +5,11 @@ use std::sync::{Arc, OnceLock};
 use crate::engine::Device;
 use crate::engine::cpu::{AttributeSource, Occluders, Shader, Transport};
 use crate::engine::gpu::GpuError;
+use crate::engine::gpu::frames::{FrameContent, FrameLight, Frames, GatherSettings};
 use crate::engine::{ProbeSettings, RasterCamera};
 use crate::light::{EnvSampler, rendering_tables};
 use crate::render::high::{self, SplitLight};
-use crate::render::on_gpu::{LightOnGpu, OnGpu};
-use crate::render::standard::{self, LightOnCpu};
+use crate::render::standard::{self, BOUNCES, LightOnCpu, PROBE_DIRECTIONS};
 use crate::render::{Frame, Output, Quality, Tier, colour, reference};
 use crate::scene::{Camera, EnvMap, Model, ShadeAt};
 
@@ -35,7 +35,7 @@ pub enum RenderError {
 /// that prepared it. What only some tiers need is made when the first of them asks.
 pub struct PreparedLight {
     environment: EnvMap,
-    pub(super) on_gpu: Option<LightOnGpu>,
+    pub(super) on_gpu: Option<FrameLight>,
     pub(super) on_cpu: OnceLock<LightOnCpu>,
     split: OnceLock<SplitLight>,
     sampler: OnceLock<EnvSampler>,
@@ -45,7 +45,7 @@ pub struct PreparedLight {
 pub struct Renderer {
     model: Arc<Model>,
     /// Where the two fast tiers run, if not on the CPU engine.
-    gpu: Option<Box<OnGpu>>,
+    gpu: Option<Box<Frames>>,
     /// What sends light to what, and what hides what: independent of the light, made when first needed.
     transport: OnceLock<Transport>,
     occluders: OnceLock<Occluders>,
@@ -76,7 +76,10 @@ impl Renderer {
     pub fn on(model: Arc<Model>, device: &Device) -> Result<Self, GpuError> {
         let gpu = match device {
             Device::Cpu => None,
-            Device::Gpu(gpu) => Some(Box::new(OnGpu::new(gpu, &model)?)),
+            Device::Gpu(gpu) => {
+                let gather = GatherSettings { directions: PROBE_DIRECTIONS, bounces: BOUNCES };
+                Some(Box::new(Frames::new(gpu, &model, gather)?))
+            }
         };
         Ok(Self { gpu, ..Self::new(model) })
     }
@@ -115,7 +118,7 @@ impl Renderer {
             sampler: OnceLock::new(),
         };
         match &self.gpu {
-            Some(gpu) => light.on_gpu = Some(gpu.prepare_light(&self.model, &tables)?),
+            Some(gpu) => light.on_gpu = Some(gpu.prepare_light(&tables)?),
             None => {
                 let on_cpu = LightOnCpu::new(&self.bare_source(), &self.transport, tables);
                 light.on_cpu = OnceLock::from(on_cpu);
@@ -160,7 +163,7 @@ impl Renderer {
         quality.check()?;
         let view = self.view(camera)?;
         if light.on_gpu.is_some() != self.gpu.is_some() {
-            return Err(GpuError::Internal("a light that another renderer prepared".to_owned()).into());
+            return Err(GpuError::Misuse("a light that another renderer prepared".to_owned()).into());
         }
         let mut wanted: Vec<Output> = outputs.to_vec();
         wanted.push(Output::Alpha);
@@ -176,7 +179,8 @@ impl Renderer {
         if let (Some(gpu), Some(on_gpu), Tier::Preview | Tier::Standard) =
             (&self.gpu, &light.on_gpu, quality.tier)
         {
-            return Ok(gpu.render(&self.model, &view, on_gpu, is_colour, &wanted)?);
+            let content = if is_colour { FrameContent::Colour } else { FrameContent::GBuffer };
+            return Ok(gpu.render(&view, on_gpu, content, &wanted)?);
         }
         let on_cpu = self.on_cpu(light);
         let source = self.source(&on_cpu.gathered, &on_cpu.indirect_basis);

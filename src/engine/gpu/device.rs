@@ -9,9 +9,10 @@ use bytemuck::Pod;
 
 use crate::engine::gpu::adapter::{AdapterReport, Adapters};
 use crate::engine::gpu::buffer::{Buffer, MemoryAccount};
-use crate::engine::gpu::recorder::{Recorder, StageTime, Timings};
-use crate::engine::gpu::shaders::{self, BindingKind, Shader};
-use crate::engine::gpu::{GpuError, Groups, trusted};
+use crate::engine::gpu::error::GpuError;
+use crate::engine::gpu::shaders::{BindingKind, Kernel};
+use crate::engine::gpu::timing::{StageTime, Timings};
+use crate::engine::gpu::trusted;
 
 /// How long the host waits for the device before it gives up on it, s.
 const PATIENCE: u64 = 120;
@@ -258,31 +259,6 @@ impl Gpu {
         }
     }
 
-    /// Proves that dispatches, float accumulation and transfers work on this device.
-    ///
-    /// # Errors
-    /// [`GpuError::Internal`] when the device computes something else, or what went wrong.
-    pub fn self_test(&self) -> Result<(), GpuError> {
-        let n = 100_000;
-        let seen: Buffer<u32> = self.buffer("self-test", n)?;
-        let sums: Buffer<f32> = self.buffer("self-test sums", 2)?;
-        let mut recorder = self.record();
-        recorder.clear(&sums);
-        recorder.dispatch(&shaders::SELF_TEST, Groups::Linear(n), &[(&seen).into(), (&sums).into()]);
-        recorder.submit()?;
-        let counted = self.read(&seen, 0..n)?.iter().enumerate().all(|(i, v)| *v == i as u32);
-        let sums = self.read(&sums, 0..2)?;
-        if counted && sums.iter().all(|s| *s == n as f32 / 2.0) {
-            return Ok(());
-        }
-        Err(GpuError::Internal(format!("the self-test of the device failed: sums {sums:?}")))
-    }
-
-    /// Starts recording work.
-    pub fn record(&self) -> Recorder<'_> {
-        Recorder::new(self)
-    }
-
     /// Gives the device up: everything asked of it from now on fails with [`GpuError::Lost`].
     pub fn destroy(&self) {
         locked(&self.inner.fault).get_or_insert(GpuError::Lost("it was given up".to_owned()));
@@ -300,40 +276,40 @@ impl Gpu {
         locked(&self.inner.timings).as_ref().map(Timings::listed).unwrap_or_default()
     }
 
-    pub(super) fn pipeline(&self, shader: &'static Shader) -> Arc<Pipeline> {
-        if let Some(found) = locked(&self.inner.pipelines).get(shader.name) {
+    pub(super) fn pipeline(&self, kernel: &'static Kernel) -> Arc<Pipeline> {
+        if let Some(found) = locked(&self.inner.pipelines).get(kernel.name) {
             return found.clone();
         }
-        let made = Arc::new(self.compile(shader));
-        locked(&self.inner.pipelines).insert(shader.name, made.clone());
+        let made = Arc::new(self.compile(kernel));
+        locked(&self.inner.pipelines).insert(kernel.name, made.clone());
         made
     }
 
-    fn compile(&self, shader: &'static Shader) -> Pipeline {
+    fn compile(&self, kernel: &'static Kernel) -> Pipeline {
         let device = &self.inner.device;
         let native = self.inner.report.float_atomics && !self.inner.options.compare_exchange;
-        let source = if native { shader.source } else { shader.fallback.unwrap_or(shader.source) };
+        let source = if native { kernel.source } else { kernel.fallback.unwrap_or(kernel.source) };
         let module = if self.inner.options.checks {
             device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some(shader.name),
+                label: Some(kernel.name),
                 source: wgpu::ShaderSource::Wgsl(source.into()),
             })
         } else {
-            trusted::unchecked_module(device, shader.name, source)
+            trusted::unchecked_module(device, kernel.name, source)
         };
         let entries: Vec<wgpu::BindGroupLayoutEntry> =
-            shader.bindings.iter().enumerate().map(|(i, kind)| layout_entry(i as u32, *kind)).collect();
+            kernel.bindings.iter().enumerate().map(|(i, kind)| layout_entry(i as u32, *kind)).collect();
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some(shader.name),
+            label: Some(kernel.name),
             entries: &entries,
         });
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(shader.name),
+            label: Some(kernel.name),
             bind_group_layouts: &[Some(&layout)],
             ..Default::default()
         });
         let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(shader.name),
+            label: Some(kernel.name),
             layout: Some(&pipeline_layout),
             module: &module,
             entry_point: Some("main"),

@@ -30,7 +30,10 @@ pub enum GpuError {
     /// The device did not answer in time.
     #[error("the device did not answer within {0} s")]
     Timeout(u64),
-    /// A mistake of ours; the text is for the log.
+    /// The caller passed what does not fit together; the text says what.
+    #[error("the GPU engine was used wrongly: {0}")]
+    Misuse(String),
+    /// The driver reported something unexpected, or a result is wrong; the text is for the log.
     #[error("internal device error: {0}")]
     Internal(String),
 }

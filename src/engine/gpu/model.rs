@@ -117,6 +117,11 @@ impl LayoutUniform {
         }
     }
 
+    /// True when shading reads `E_j` of Eq. 20: `IndirectForm::Learned`.
+    pub(super) fn reads_indirect_basis(&self) -> bool {
+        self.indirect_form == 1
+    }
+
     /// Floats of all Gaussians together.
     pub fn floats(&self) -> usize {
         self.radiance as usize + 3 * self.n_radiance as usize * self.n as usize

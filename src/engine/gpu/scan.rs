@@ -2,7 +2,8 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, shaders, uniform};
+use crate::engine::gpu::grow::grow;
+use crate::engine::gpu::{Buffer, GpuError, Groups, Recorder, shaders, uniform};
 
 /// Elements a workgroup sums.
 const BLOCK: usize = 1024;
@@ -15,28 +16,6 @@ struct ScanSize {
     n_out: u32,
     pad_a: u32,
     pad_b: u32,
-}
-
-/// Makes `buffer` at least `len` elements long; what it held is lost when it has to grow.
-///
-/// It grows by a quarter at least, so that slowly growing needs do not allocate each time.
-///
-/// # Errors
-/// As [`Gpu::buffer`].
-pub fn grow<T: Pod>(
-    gpu: &Gpu,
-    label: &str,
-    buffer: &mut Option<Buffer<T>>,
-    len: usize,
-) -> Result<Buffer<T>, GpuError> {
-    if let Some(kept) = buffer.as_ref().filter(|b| b.len() >= len) {
-        return Ok(kept.clone());
-    }
-    let roomy = buffer.as_ref().map_or(len, |b| len.max(b.len() + b.len() / 4));
-    // The old memory goes first: both at once may not fit.
-    *buffer = None;
-    let made = gpu.buffer(label, roomy).or_else(|_| gpu.buffer(label, len))?;
-    Ok(buffer.insert(made).clone())
 }
 
 /// Memory for prefix sums, kept from one to the next.
@@ -53,11 +32,12 @@ struct Level {
 }
 
 impl Scan {
-    /// `output[i] = input[0] + .. + input[i - 1]` for i = 0..=n: `output` has room for `n + 1` elements and ends with
+    /// `output[i] = input[0] + .. + input[i - 1]` for i = 0..=n: `output` holds `n + 1` elements or more and ends with
     /// the total. Sums wrap at 2^32.
     ///
     /// # Errors
-    /// [`GpuError::Internal`] when a buffer is too short, or as [`Gpu::buffer`].
+    /// [`GpuError::Misuse`] when a buffer is too short, or as
+    /// [`Gpu::buffer`](crate::engine::gpu::Gpu::buffer).
     pub fn exclusive(
         &mut self,
         rec: &mut Recorder<'_>,
@@ -67,7 +47,7 @@ impl Scan {
     ) -> Result<(), GpuError> {
         if input.len() < n || output.len() <= n {
             let text = format!("prefix sum of {n} from {} to {} elements", input.len(), output.len());
-            return Err(GpuError::Internal(text));
+            return Err(GpuError::Misuse(text));
         }
         self.level(rec, 0, (input, n), (output, n + 1))
     }
@@ -101,6 +81,7 @@ impl Scan {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::gpu::Gpu;
     use crate::engine::gpu::shaders::assert_layout;
 
     fn scanned(gpu: &Gpu, scan: &mut Scan, input: &[u32]) -> Vec<u32> {

@@ -2,7 +2,8 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::engine::gpu::scan::{Scan, grow};
+use crate::engine::gpu::grow::grow;
+use crate::engine::gpu::scan::Scan;
 use crate::engine::gpu::{Buffer, GpuError, Groups, Recorder, shaders, uniform};
 
 /// Pairs a workgroup sorts.
@@ -45,7 +46,7 @@ impl Sorter {
     /// Elements beyond `n` are undefined.
     ///
     /// # Errors
-    /// [`GpuError::Internal`] when an input is shorter than `n` or `bits` out of range, or as
+    /// [`GpuError::Misuse`] when an input is shorter than `n` or `bits` out of range, or as
     /// [`Gpu::buffer`](crate::engine::gpu::Gpu::buffer).
     pub fn sort(
         &mut self,
@@ -56,7 +57,7 @@ impl Sorter {
         bits: u32,
     ) -> Result<Pairs, GpuError> {
         if keys.len() < n || values.len() < n || !(1..=32).contains(&bits) {
-            return Err(GpuError::Internal(format!("sort of {n} pairs by {bits} bits from shorter buffers")));
+            return Err(GpuError::Misuse(format!("sort of {n} pairs by {bits} bits from shorter buffers")));
         }
         let n_passes = bits.div_ceil(PASS_BITS);
         let mut from = Pairs { keys: keys.clone(), values: values.clone() };

@@ -3,12 +3,17 @@
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::*;
 use crate::engine::cpu::{self, AttributeSource, outward_normals};
+use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::model::planar;
+use crate::engine::gpu::probes::sweep::{
+    Axes, CellCounts, Flat, Occluder, ProbeStart, Projection, Sweep, Sweeper,
+};
+use crate::engine::gpu::probes::{ProbeBuffers, measure};
 use crate::engine::gpu::shaders::assert_layout;
-use crate::engine::{NO_HIT, fibonacci_sphere};
-use crate::scene::{Field, Gaussians, ShadingOptions};
+use crate::engine::gpu::{Buffer, Gpu, GpuError, shaders};
+use crate::engine::{NO_HIT, ProbeSettings, fibonacci_sphere};
+use crate::scene::{Field, Gaussians, ShadingOptions, sh_count};
 
 /// Largest difference of a transmittance or, in units of the largest, of a coefficient.
 const TOLERANCE: f32 = 1e-4;
@@ -71,7 +76,7 @@ impl Scene {
     ) -> ProbeBuffers {
         let params = gpu.upload("params", &planar(&self.gaussians)).unwrap();
         let order = self.gaussians.visibility_order();
-        Probes::measure(gpu, &params, &self.layout(), settings, directions, order).unwrap()
+        measure(gpu, &params, &self.layout(), settings, directions, order).unwrap()
     }
 }
 
@@ -135,7 +140,7 @@ fn host_and_shaders_agree_on_the_structs() {
     }
     assert_layout!(ProbeStart as "ProbeStart" in shaders::PROBE_PREPARE; offset, lift, bias, pad);
     assert_layout!(Projection as "Projection" in shaders::PROBE_COEFFICIENTS; n, n_directions, n_coefficients, weight);
-    assert_eq!(shaders::PROBE_FLATTEN.layout("Frame").unwrap().size, size_of::<Frame>());
+    assert_eq!(shaders::PROBE_FLATTEN.layout("Frame").unwrap().size, size_of::<Axes>());
     assert_eq!(shaders::PROBE_FLATTEN.layout("Occluder").unwrap().size, size_of::<Occluder>());
     assert_eq!(shaders::PROBE_FLATTEN.layout("Flat").unwrap().size, size_of::<Flat>());
     assert_eq!(shaders::TILE_OFFSETS.layout("TileCounts").unwrap().size, size_of::<CellCounts>());
@@ -351,11 +356,11 @@ fn what_does_not_fit_is_refused_with_numbers() {
     let model = LayoutUniform { n: 1 << 30, ..Scene::random(1, 1, 0).layout() };
     let up = [[0.0, 0.0, 1.0]; 2];
     let Err(GpuError::TooLarge { needs, what, .. }) =
-        Probes::measure(&gpu, &params, &model, ProbeSettings::default(), &up, 0)
+        measure(&gpu, &params, &model, ProbeSettings::default(), &up, 0)
     else {
         panic!("was not refused")
     };
     assert!(needs == 8 << 30 && what.contains("2 directions"), "{needs} {what}");
     let model = Scene::random(1, 1, 0).layout();
-    assert!(Probes::measure(&gpu, &params, &model, ProbeSettings::default(), &up, 7).is_err());
+    assert!(measure(&gpu, &params, &model, ProbeSettings::default(), &up, 7).is_err());
 }
