@@ -120,11 +120,13 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
     let pass = Pass::forward(&source, RasterCamera::new(camera, &model.shading), channels, EarlyStop::Never);
     let images = shader.images(&pass, BACKGROUND);
     let target = image::Target::new(SIZE.0 as usize, SIZE.1 as usize, photo.pixels.clone());
-    let physical = target.compare(&images.physical, weight("img_mae"), weight("img_dssim"));
-    let branch = target.compare(&images.radiance, weight("radiance_mae"), weight("radiance_dssim"));
+    let image_weights = |l1, ssim| ImageWeights { l1: weight(l1), ssim: weight(ssim) };
+    let physical_weights = image_weights("img_mae", "img_dssim");
+    let radiance_weights = image_weights("radiance_mae", "radiance_dssim");
+    let physical = target.compare(&images.physical, physical_weights);
+    let branch = target.compare(&images.radiance, radiance_weights);
     let mut buffers = vec![BufferGradient::default(); photo.pixels.len()];
-    let mut total = weight("img_mae") * physical.mae + weight("img_dssim") * (1.0 - physical.ssim);
-    total += weight("radiance_mae") * branch.mae + weight("radiance_dssim") * (1.0 - branch.ssim);
+    let mut total = physical.value(physical_weights) + branch.value(radiance_weights);
     total += geometry::depth_normal(&pass, weight("depth_normal"), &mut buffers);
     let smooth = ["smooth_metal", "smooth_rough", "smooth_normal"].map(weight);
     total += geometry::smoothness(&pass, &photo.pixels, smooth, &mut buffers);
@@ -134,29 +136,29 @@ fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Array
     let (by_gbuffer, mut by_tables) = shader.images_backward(&pass, BACKGROUND, &by, &buffers, count);
     let stored = count.next_multiple_of(4);
     let mut found = pass.backward(&source, &by_gbuffer, stored, count, Some(&mut by_tables));
-    let (neutrality, by_neutrality) = material::light_neutrality(&radiance, weight("light"));
+    let (neutrality, by_neutrality) = parameters::light_neutrality(&radiance, weight("light"));
     let texels = texel_directions(32, 16);
-    let (exposure, by_exposure) = material::exposure(&radiance, &texels, weight("exposure"));
-    let (daylight, by_daylight) = material::daylight(&radiance, &texels, weight("daylight"));
+    let (exposure, by_exposure) = parameters::exposure(&radiance, &texels, weight("exposure"));
+    let (daylight, by_daylight) = parameters::daylight(&radiance, &texels, weight("daylight"));
     total += neutrality + exposure + daylight;
-    total += material::backward_labels(
+    total += parameters::backward_labels(
         &model.gaussians,
         &pass,
         model.shading.visibility,
         weight("occ"),
         &mut found,
     );
-    total += material::flatness(&model.gaussians, weight("flatness"), &mut found);
+    total += parameters::flatness(&model.gaussians, weight("flatness"), &mut found);
     total += aggregation::aggregation(&model.gaussians, weight("agg"), &mut found);
-    total += material::residual(&model.gaussians, weight("res"), &mut found);
-    total += material::probe_labels(&model.gaussians, &photo.probes, PROBES as f32, &mut found);
+    total += parameters::residual(&model.gaussians, weight("res"), &mut found);
+    total += parameters::probe_labels(&model.gaussians, &photo.probes, PROBES as f32, &mut found);
 
     let by_radiance = operators.apply_transposed(&by_tables);
     let by_raw: Vec<[f32; 3]> = (0..radiance.len())
         .map(|t| {
-            let slope = model.env_raw[t].map(|raw| 1.0 / (1.0 + (-raw).exp()));
+            let derivative = model.env_raw[t].map(|raw| 1.0 / (1.0 + (-raw).exp()));
             let terms = [by_radiance[t], by_neutrality[t], by_exposure[t], by_daylight[t]];
-            std::array::from_fn(|c| terms.iter().map(|term| term[c]).sum::<f32>() * slope[c])
+            std::array::from_fn(|c| terms.iter().map(|term| term[c]).sum::<f32>() * derivative[c])
         })
         .collect();
     (total.into(), as_arrays(model, &found, &by_raw))

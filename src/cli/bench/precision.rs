@@ -18,7 +18,7 @@ use crate::engine::reference::{Array, Tape, losses};
 use crate::engine::{DeviceChoice, DeviceError, ImageWeights, RasterCamera};
 use crate::light::TableResolution;
 use crate::scene::{Camera, Field, Gaussians, Model, ShadingOptions};
-use crate::train::objective::image::Target;
+use crate::engine::cpu::objective::image::Target;
 
 const SIZE: (u32, u32) = (24, 16);
 const GAUSSIANS: usize = 24;
@@ -243,7 +243,7 @@ fn loss_gradient_reference(expected: &ParityResult, seed: u64) -> Vec<f64> {
 fn loss_gradient_cpu(expected: &ParityResult, seed: u64) -> Vec<f64> {
     let target = Target::new(SIZE.0 as usize, SIZE.1 as usize, photograph(seed));
     let [l1, ssim] = IMAGE_WEIGHTS;
-    let gradient = target.compare(&rendered(expected), l1, ssim).gradient;
+    let gradient = target.compare(&rendered(expected), ImageWeights { l1, ssim }).gradient;
     gradient.as_flattened().iter().map(|v| f64::from(*v)).collect()
 }
 
