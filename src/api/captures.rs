@@ -15,6 +15,7 @@ use crate::api::listing::{List, PageQuery, rfc3339};
 use crate::api::problem::ContentError;
 use crate::api::upload::{self, Expected};
 use crate::api::{Problem, Shared};
+pub use crate::capture::CaptureReport;
 use crate::capture::{self, CaptureError, ImportOptions};
 use crate::store::{CaptureRecord, Incoming};
 
@@ -39,35 +40,6 @@ pub struct CaptureView {
     pub created_at: String,
     /// What validation found.
     pub report: CaptureReport,
-}
-
-/// What validation found in a capture.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct CaptureReport {
-    /// The layout that was recognised, e.g. `nerf-synthetic`, `nerfstudio`, `colmap`.
-    pub layout: String,
-    /// Photographs to train on.
-    pub train_images: usize,
-    /// Held-out photographs.
-    pub test_images: usize,
-    /// Width of the first training image, pixels.
-    pub width: u32,
-    /// Height of the first training image, pixels.
-    pub height: u32,
-    /// Sparse points.
-    pub points: usize,
-    /// True when the alpha channel carries a mask.
-    pub has_alpha: bool,
-    /// True when some held-out view has ground truth beyond its photograph.
-    pub has_ground_truth: bool,
-    /// Lights whose maps were found.
-    pub lights: Vec<String>,
-    /// Centre of the region of interest, capture units.
-    pub centre: [f64; 3],
-    /// Radius of the region of interest, capture units.
-    pub radius: f64,
-    /// What a user should know but that did not stop the import, e.g. missing images by name.
-    pub warnings: Vec<String>,
 }
 
 /// Upload a capture
@@ -174,27 +146,8 @@ async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
 async fn validate(app: &Shared, incoming: &Incoming) -> Result<CaptureReport, Problem> {
     let _turn = app.imports.acquire().await.map_err(Problem::internal)?;
     let path = incoming.path.clone();
-    let inspect = move || capture::inspect(&path, &ImportOptions::default()).map(Into::into);
+    let inspect = move || capture::inspect(&path, &ImportOptions::default());
     tokio::task::spawn_blocking(inspect).await.map_err(Problem::internal)?.map_err(refused)
-}
-
-impl From<capture::CaptureReport> for CaptureReport {
-    fn from(report: capture::CaptureReport) -> Self {
-        Self {
-            layout: report.layout,
-            train_images: report.train_images,
-            test_images: report.test_images,
-            width: report.width,
-            height: report.height,
-            points: report.points,
-            has_alpha: report.has_alpha,
-            has_ground_truth: report.has_ground_truth,
-            lights: report.lights,
-            centre: report.centre,
-            radius: report.radius,
-            warnings: report.warnings,
-        }
-    }
 }
 
 fn refused(error: CaptureError) -> Problem {

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use crate::capture::photos::{self, PhotoEntry, Split};
 use crate::capture::{
@@ -33,8 +34,7 @@ pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, Ca
     let mut report = capture.report();
     if let Some(view) = capture.train.first() {
         let stored = image_file::dimensions(&source.read(&view.name)?);
-        (report.width, report.height) =
-            stored.map_err(|e| CaptureError::Image { file: view.name.clone(), reason: e.to_string() })?;
+        (report.width, report.height) = stored.map_err(|e| CaptureError::image(&view.name, e))?;
     }
     Ok(report)
 }
@@ -98,24 +98,24 @@ fn split(photos: &[PhotoEntry], views: Vec<CaptureView>) -> (Vec<CaptureView>, V
     (train, test)
 }
 
-/// What an import found, for a validation report.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// What validation found in a capture.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CaptureReport {
-    /// The layout that was recognised.
+    /// The layout that was recognised, e.g. `nerf-synthetic`, `nerfstudio`, `colmap`.
     pub layout: String,
-    /// Views to train on.
+    /// Photographs to train on.
     pub train_images: usize,
-    /// Held-out views.
+    /// Held-out photographs.
     pub test_images: usize,
-    /// Width of the first training image as loaded, pixels.
+    /// Width of the first training image, pixels.
     pub width: u32,
-    /// Height of the first training image as loaded, pixels.
+    /// Height of the first training image, pixels.
     pub height: u32,
     /// Sparse points.
     pub points: usize,
-    /// True when alpha carries a mask.
+    /// True when the alpha channel carries a mask.
     pub has_alpha: bool,
-    /// True when some test view has ground truth beyond its photograph.
+    /// True when some held-out view has ground truth beyond its photograph.
     pub has_ground_truth: bool,
     /// Lights whose maps were found.
     pub lights: Vec<String>,
@@ -123,7 +123,7 @@ pub struct CaptureReport {
     pub centre: [f64; 3],
     /// Radius of the region of interest, capture units.
     pub radius: f64,
-    /// What a user should know.
+    /// What a user should know but that did not stop the import, e.g. missing images by name.
     pub warnings: Vec<String>,
 }
 
