@@ -26,10 +26,6 @@ fn unsafe_entry(file: &str, reason: &str) -> CaptureError {
     CaptureError::UnsafeEntry { file: file.to_owned(), reason: reason.to_owned() }
 }
 
-fn over(file: &str, limit: &'static str, reason: String) -> CaptureError {
-    CaptureError::OverLimit { file: file.to_owned(), limit, reason }
-}
-
 /// Checks the entries that an archive declares, one by one, against the limits.
 struct EntryCheck<'a> {
     label: &'a str,
@@ -49,7 +45,7 @@ impl<'a> EntryCheck<'a> {
         self.entries += 1;
         if self.entries > self.limits.max_entries {
             let reason = format!("more than {} entries", self.limits.max_entries);
-            return Err(over(self.label, "max_entries", reason));
+            return Err(CaptureError::over_limit(self.label, "max_entries", reason));
         }
         Ok(())
     }
@@ -59,12 +55,12 @@ impl<'a> EntryCheck<'a> {
         let path = safe_path(raw_name)?;
         if size > self.limits.max_entry_bytes {
             let reason = format!("{size} bytes, {} allowed", self.limits.max_entry_bytes);
-            return Err(over(&path, "max_entry_bytes", reason));
+            return Err(CaptureError::over_limit(&path, "max_entry_bytes", reason));
         }
         self.total = self.total.saturating_add(size);
         if self.total > self.limits.max_total_bytes {
             let reason = format!("unpacks to more than {} bytes", self.limits.max_total_bytes);
-            return Err(over(self.label, "max_total_bytes", reason));
+            return Err(CaptureError::over_limit(self.label, "max_total_bytes", reason));
         }
         if !self.names.insert(path.clone()) {
             return Err(unsafe_entry(&path, "the archive has it twice"));
@@ -107,7 +103,7 @@ pub(super) fn read_bounded(reader: impl Read, limit: u64, name: &str) -> Result<
     reader.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(damaged)?;
     if bytes.len() as u64 > limit {
         let reason = format!("more than {limit} bytes");
-        return Err(CaptureError::OverLimit { file: name.to_owned(), limit: "max_entry_bytes", reason });
+        return Err(CaptureError::over_limit(name, "max_entry_bytes", reason));
     }
     Ok(bytes)
 }
@@ -115,7 +111,7 @@ pub(super) fn read_bounded(reader: impl Read, limit: u64, name: &str) -> Result<
 fn check_ratio(file: &str, packed: u64, unpacked: u64, limits: &ImportLimits) -> Result<(), CaptureError> {
     if unpacked > RATIO_FREE_BYTES && unpacked / packed.max(1) >= limits.max_ratio {
         let reason = format!("{packed} bytes claim to unpack to {unpacked}");
-        return Err(over(file, "max_ratio", reason));
+        return Err(CaptureError::over_limit(file, "max_ratio", reason));
     }
     Ok(())
 }
@@ -276,7 +272,11 @@ fn gunzip(file: File, packed: u64, label: &str, limits: &ImportLimits) -> Result
     let decoder = MultiGzDecoder::new(BufReader::new(file));
     decoder.take(limit + 1).read_to_end(&mut bytes).map_err(|e| damaged(label, e))?;
     if bytes.len() as u64 > limit {
-        return Err(over(label, name, format!("{packed} bytes unpack to more than {limit}")));
+        return Err(CaptureError::over_limit(
+            label,
+            name,
+            format!("{packed} bytes unpack to more than {limit}"),
+        ));
     }
     Ok(bytes)
 }

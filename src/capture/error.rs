@@ -97,6 +97,21 @@ pub(super) fn name_list(names: &[String]) -> String {
 }
 
 impl CaptureError {
+    /// [`CaptureError::Field`].
+    pub(super) fn at_field(file: &str, field: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self::Field { file: file.to_owned(), field: field.into(), reason: reason.into() }
+    }
+
+    /// [`CaptureError::OverLimit`].
+    pub(super) fn over_limit(file: &str, limit: &'static str, reason: impl Into<String>) -> Self {
+        Self::OverLimit { file: file.to_owned(), limit, reason: reason.into() }
+    }
+
+    /// [`CaptureError::Image`].
+    pub(super) fn image(file: &str, reason: impl std::fmt::Display) -> Self {
+        Self::Image { file: file.to_owned(), reason: reason.to_string() }
+    }
+
     /// A stable identifier of the kind of refusal, for APIs.
     pub fn code(&self) -> &'static str {
         match self {

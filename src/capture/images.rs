@@ -16,12 +16,10 @@ pub(super) fn load_image(
     let bytes = source.read(path)?;
     let image = image_file::decode(&bytes, options.limits.max_image_pixels);
     let image = image.map_err(|error| match error {
-        ImageFileError::TooManyPixels { .. } => CaptureError::OverLimit {
-            file: path.to_owned(),
-            limit: "max_image_pixels",
-            reason: error.to_string(),
-        },
-        other => CaptureError::Image { file: path.to_owned(), reason: other.to_string() },
+        ImageFileError::TooManyPixels { .. } => {
+            CaptureError::over_limit(path, "max_image_pixels", error.to_string())
+        }
+        other => CaptureError::image(path, other),
     })?;
     let stored = (image.width, image.height);
     let (width, height) = options.reduced_size(stored);

@@ -33,8 +33,7 @@ pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, Ca
     let mut report = capture.report();
     if let Some(view) = capture.train.first() {
         let stored = image_file::dimensions(&source.read(&view.name)?);
-        (report.width, report.height) =
-            stored.map_err(|e| CaptureError::Image { file: view.name.clone(), reason: e.to_string() })?;
+        (report.width, report.height) = stored.map_err(|e| CaptureError::image(&view.name, e))?;
     }
     Ok(report)
 }

@@ -62,11 +62,7 @@ impl Lens {
     /// # Errors
     /// Names `w,h`, `fl_x` or `camera_angle_x` when the size does not fit or no focal length follows.
     pub fn resolve(&self, file: &str, (width, height): (u32, u32)) -> Result<Intrinsics, CaptureError> {
-        let bad = |field: &str, reason: String| CaptureError::Field {
-            file: file.to_owned(),
-            field: field.to_owned(),
-            reason,
-        };
+        let bad = |field: &str, reason: String| CaptureError::at_field(file, field, reason);
         let image = (f64::from(width), f64::from(height));
         let stated = self.size.unwrap_or(image);
         if !(stated.0 >= 1.0 && stated.1 >= 1.0 && stated.0.is_finite() && stated.1.is_finite()) {

@@ -47,5 +47,5 @@ fn read_cloud(source: &Source, file: &str, warnings: &mut Vec<String>) -> Result
         return Ok(Vec::new());
     }
     let points = ply_points::read_points(&source.read(file)?, source.limits().max_points);
-    points.map_err(|e| CaptureError::Field { file: file.to_owned(), field: e.field, reason: e.reason })
+    points.map_err(|e| CaptureError::at_field(file, e.field, e.reason))
 }

@@ -113,11 +113,7 @@ fn check_total_pixels(
     let total: u64 = photos.par_iter().filter_map(pixels).sum();
     if total > limit {
         let reason = format!("{total} pixels in all, {limit} allowed; reduce the resolution");
-        return Err(CaptureError::OverLimit {
-            file: source.label().to_owned(),
-            limit: "max_total_pixels",
-            reason,
-        });
+        return Err(CaptureError::over_limit(source.label(), "max_total_pixels", reason));
     }
     Ok(())
 }
@@ -135,13 +131,9 @@ fn load_one(
     let camera = camera(photo, intrinsics, stored)?.resized(image.width, image.height);
     let (camera, image) = match photo.lens.distortion {
         Distortion::None => (camera, image),
-        distortion => {
-            undistort::undistort(&camera, &distortion, &image).map_err(|reason| CaptureError::Field {
-                file: photo.stated_in.clone(),
-                field: format!("{}.k1", photo.field),
-                reason,
-            })?
-        }
+        distortion => undistort::undistort(&camera, &distortion, &image).map_err(|reason| {
+            CaptureError::at_field(&photo.stated_in, format!("{}.k1", photo.field), reason)
+        })?,
     };
     let truth = if options.load_truth {
         photo.truth.load(source, (image.width, image.height), options)?
@@ -153,10 +145,8 @@ fn load_one(
 
 fn camera(photo: &PhotoEntry, intrinsics: Intrinsics, stored: (u32, u32)) -> Result<Camera, CaptureError> {
     let camera = Camera::from_opengl(&photo.pose, stored, intrinsics.focal, intrinsics.centre);
-    camera.map_err(|error| CaptureError::Field {
-        file: photo.stated_in.clone(),
-        field: format!("{}.{}", photo.field, error.field),
-        reason: error.reason,
+    camera.map_err(|error| {
+        CaptureError::at_field(&photo.stated_in, format!("{}.{}", photo.field, error.field), error.reason)
     })
 }
 

@@ -37,7 +37,7 @@ impl Source {
         let label = path.file_name().map_or_else(|| path.display().to_string(), |n| n.display().to_string());
         let io = |source| CaptureError::Io { file: label.clone(), source };
         let (container, names) = if std::fs::metadata(path).map_err(io)?.is_dir() {
-            let (paths, names) = walk(path, limits)?;
+            let (paths, names) = files_below(path, limits)?;
             (Container::Folder { root: path.to_owned(), paths }, names)
         } else {
             open_archive(path, &label, limits)?
@@ -82,7 +82,7 @@ impl Source {
     ///
     /// # Errors
     /// [`CaptureError::File`] when there is none, [`CaptureError::OverLimit`] when it is too large,
-    /// [`CaptureError::ArchiveDamaged`] when it does not unpack to what the archive promised.
+    /// [`CaptureError::ArchiveDamaged`] when it does not unpack to the size and checksum that the archive states.
     pub fn read(&self, path: &str) -> Result<Vec<u8>, CaptureError> {
         let missing = || CaptureError::File { file: path.to_owned(), reason: "is missing".to_owned() };
         let &index = self.files.get(path).ok_or_else(missing)?;
@@ -130,7 +130,7 @@ fn read_file(path: &Path, name: &str, limits: &ImportLimits) -> Result<Vec<u8>, 
 }
 
 /// Every file under `root`, sorted, with its relative name. Depth is bounded, so looping links end.
-fn walk(root: &Path, limits: &ImportLimits) -> Result<(Vec<PathBuf>, Vec<String>), CaptureError> {
+fn files_below(root: &Path, limits: &ImportLimits) -> Result<(Vec<PathBuf>, Vec<String>), CaptureError> {
     const DEPTH: usize = 8;
     let mut found = BTreeMap::new();
     let mut open = vec![(root.to_owned(), String::new(), 0)];
@@ -149,8 +149,7 @@ fn walk(root: &Path, limits: &ImportLimits) -> Result<(Vec<PathBuf>, Vec<String>
             }
             if found.len() + open.len() > limits.max_entries {
                 let reason = format!("more than {} files", limits.max_entries);
-                let file = root.display().to_string();
-                return Err(CaptureError::OverLimit { file, limit: "max_entries", reason });
+                return Err(CaptureError::over_limit(&root.display().to_string(), "max_entries", reason));
             }
         }
     }

@@ -84,24 +84,19 @@ struct RawTransforms {
 pub(super) fn read(source: &Source, file: &str) -> Result<Transforms, CaptureError> {
     let bytes = source.read(file)?;
     let raw: RawTransforms = parse_json(file, &bytes)?;
-    let bad = |field: String, reason: &str| CaptureError::Field {
-        file: file.to_owned(),
-        field,
-        reason: reason.to_owned(),
-    };
+    let bad = |field: String, reason: &str| CaptureError::at_field(file, field, reason);
+    let inside =
+        |field: String, path: &str| relative(path).ok_or_else(|| bad(field, "leads out of the capture"));
     let frames = raw.frames.ok_or_else(|| bad("frames".into(), "is missing"))?;
     if frames.len() > source.limits().max_images {
         let reason = format!("{} frames, {} allowed", frames.len(), source.limits().max_images);
-        return Err(CaptureError::OverLimit { file: file.to_owned(), limit: "max_images", reason });
+        return Err(CaptureError::over_limit(file, "max_images", reason));
     }
     let check = |(i, frame): (usize, RawFrame)| {
         let field = format!("frames[{i}]");
         let path = frame.file_path.ok_or_else(|| bad(format!("{field}.file_path"), "is missing"))?;
-        let path =
-            relative(&path).ok_or_else(|| bad(format!("{field}.file_path"), "leads out of the capture"))?;
-        let mask = frame.mask_path.as_deref().map(|m| {
-            relative(m).ok_or_else(|| bad(format!("{field}.mask_path"), "leads out of the capture"))
-        });
+        let path = inside(format!("{field}.file_path"), &path)?;
+        let mask = frame.mask_path.as_deref().map(|m| inside(format!("{field}.mask_path"), m));
         let pose = frame.transform_matrix.and_then(|rows| matrix(&rows));
         let reason = "must be a 4x4 matrix of finite numbers";
         let pose = pose.ok_or_else(|| bad(format!("{field}.transform_matrix"), reason))?;
@@ -109,9 +104,7 @@ pub(super) fn read(source: &Source, file: &str) -> Result<Transforms, CaptureErr
         Ok(TransformsFrame { field, path, mask: mask.transpose()?, pose, lens })
     };
     let frames = frames.into_iter().enumerate().map(check).collect::<Result<_, _>>()?;
-    let points = raw
-        .ply_file_path
-        .map(|p| relative(&p).ok_or_else(|| bad("ply_file_path".into(), "leads out of the capture")));
+    let points = raw.ply_file_path.map(|p| inside("ply_file_path".into(), &p));
     let held_out = raw.test_filenames.iter().filter_map(|p| relative(p)).collect();
     Ok(Transforms { file: file.to_owned(), frames, points: points.transpose()?, held_out })
 }

@@ -128,7 +128,7 @@ impl TruthFiles {
         let path = format!("{}/{name}", self.folder);
         let bytes = source.read(&path)?;
         let image = image_file::decode(&bytes, options.limits.max_image_pixels)
-            .map_err(|e| CaptureError::Image { file: path.clone(), reason: e.to_string() })?;
+            .map_err(|e| CaptureError::image(&path, e))?;
         check_shape(&path, (image.width, image.height), size)?;
         Ok(Some(image))
     }
@@ -146,7 +146,7 @@ fn check_shape(path: &str, layer: (u32, u32), view: (u32, u32)) -> Result<(), Ca
         return Ok(());
     }
     let reason = format!("is {}x{}, which does not fit its view of {}x{}", layer.0, layer.1, view.0, view.1);
-    Err(CaptureError::Image { file: path.to_owned(), reason })
+    Err(CaptureError::image(path, reason))
 }
 
 /// The mean over the covered pixels under each new pixel; zero where none is covered. `value` returns a
@@ -188,8 +188,7 @@ pub(super) fn lights(
             warnings.push(format!("no environment map was found for the ground truth under light {name:?}"));
             continue;
         };
-        let loaded = environment::decode(&bytes)
-            .map_err(|e| CaptureError::Image { file: path.clone(), reason: e.to_string() })?;
+        let loaded = environment::decode(&bytes).map_err(|e| CaptureError::image(&path, e))?;
         warnings.extend(loaded.warnings.iter().map(|w| format!("{path}: {w}")));
         lights.insert(name.clone(), loaded.map);
     }

@@ -119,7 +119,7 @@ fn header(bytes: &[u8]) -> Result<PlyHeader, PlyError> {
             ["format", other, ..] => return bad("format", format!("{other} is not supported")),
             ["element", name, count] => {
                 if name != "vertex" && element.is_none() {
-                    return bad("element", format!("{name} stands before vertex, which is not supported"));
+                    return bad("element", format!("{name} comes before vertex, which is not supported"));
                 }
                 element = Some(name == "vertex");
                 if name == "vertex" {
@@ -169,7 +169,7 @@ fn ascii_rows(body: &[u8], header: &PlyHeader) -> Result<Vec<f64>, PlyError> {
     let mut lines = text.lines().filter(|l| !l.trim().is_empty());
     for i in 0..header.vertices {
         let Some(line) = lines.next() else {
-            return bad("element vertex", format!("{} points promised, {i} found", header.vertices));
+            return bad("element vertex", format!("{} points stated, {i} found", header.vertices));
         };
         let before = out.len();
         out.extend(

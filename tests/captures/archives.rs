@@ -1,4 +1,4 @@
-//! Archives: every kind reads alike, every attack and every accident is refused.
+//! Archives: all kinds give the same capture; attacks and damaged files are refused.
 
 use std::io::{Cursor, Write};
 

@@ -1,7 +1,7 @@
 //! The objective of the trainer, f32 with gradients by hand, against the reference's terms.
 
 use glam::DVec3;
-use relume::engine::RasterCamera;
+use relume::engine::{ImageWeights, RasterCamera};
 use relume::engine::channel::Channels;
 use relume::engine::constants::EarlyStop;
 use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader};
@@ -10,7 +10,7 @@ use relume::engine::reference::{
 };
 use relume::light::{EnvOperators, TableResolution};
 use relume::scene::{Camera, Field, Model, ShadingOptions, softplus, texel_directions};
-use relume::train::objective::{aggregation, geometry, image, material};
+use relume::engine::cpu::objective::{aggregation, geometry, image, parameters};
 
 use super::parity::{BACKGROUND, GAUSSIANS, Noise, SIZE, as_arrays, camera, distance, model, wide};
 

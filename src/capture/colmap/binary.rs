@@ -1,4 +1,5 @@
 //! COLMAP's binary files. Every count is checked against the bytes that are left before memory is allocated.
+//! Errors name the file, and the entry at fault.
 
 use std::collections::BTreeMap;
 
@@ -71,9 +72,6 @@ impl<'a> ByteReader<'a> {
 }
 
 /// Lenses by camera id.
-///
-/// # Errors
-/// Names the file, and the camera at fault.
 pub(super) fn cameras(mut bytes: ByteReader<'_>) -> Result<BTreeMap<u32, Lens>, CaptureError> {
     let mut lenses = BTreeMap::new();
     for _ in 0..bytes.count(48)? {
@@ -93,9 +91,6 @@ pub(super) fn cameras(mut bytes: ByteReader<'_>) -> Result<BTreeMap<u32, Lens>, 
 }
 
 /// Images in file order, at most `allowed`.
-///
-/// # Errors
-/// Names the file, and the image at fault.
 pub(super) fn images(mut bytes: ByteReader<'_>, allowed: usize) -> Result<Vec<PosedImage>, CaptureError> {
     let count = bytes.count(73)?;
     check_count(bytes.file, "max_images", count, allowed)?;
@@ -113,9 +108,6 @@ pub(super) fn images(mut bytes: ByteReader<'_>, allowed: usize) -> Result<Vec<Po
 }
 
 /// Points in file order, at most `allowed`.
-///
-/// # Errors
-/// Names the file, and the point at fault.
 pub(super) fn points(mut bytes: ByteReader<'_>, allowed: usize) -> Result<Vec<Point>, CaptureError> {
     let count = bytes.count(51)?;
     check_count(bytes.file, "max_points", count, allowed)?;

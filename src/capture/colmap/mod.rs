@@ -117,10 +117,9 @@ fn photo(
     stated_in: &str,
 ) -> Result<PhotoEntry, CaptureError> {
     let field = format!("images[{}]", image.name);
-    let lens = model.lenses.get(&image.camera).ok_or_else(|| CaptureError::Field {
-        file: stated_in.to_owned(),
-        field: format!("{field}.camera_id"),
-        reason: format!("there is no camera {}", image.camera),
+    let lens = model.lenses.get(&image.camera).ok_or_else(|| {
+        let reason = format!("there is no camera {}", image.camera);
+        CaptureError::at_field(stated_in, format!("{field}.camera_id"), reason)
     })?;
     let stem = image.name.rsplit_once('.').map_or(image.name.as_str(), |(stem, _)| stem);
     let masks = [format!("masks/{}.png", image.name), format!("masks/{stem}.png")];

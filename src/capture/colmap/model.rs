@@ -1,4 +1,4 @@
-//! A COLMAP model in memory, and the checks that both encodings share.
+//! A COLMAP model in memory, and the checks that both encodings share. Errors name the file and the field at fault.
 
 use std::collections::BTreeMap;
 
@@ -33,11 +33,6 @@ pub(super) struct PosedImage {
     pub translation: DVec3,
 }
 
-/// An error at a field of a file.
-pub(super) fn bad(file: &str, field: impl Into<String>, reason: impl Into<String>) -> CaptureError {
-    CaptureError::Field { file: file.to_owned(), field: field.into(), reason: reason.into() }
-}
-
 /// Name and number of parameters of the supported camera models, by COLMAP's id.
 pub(super) const CAMERA_MODELS: [(&str, usize); 6] = [
     ("SIMPLE_PINHOLE", 3),
@@ -49,9 +44,6 @@ pub(super) const CAMERA_MODELS: [(&str, usize); 6] = [
 ];
 
 /// A lens from a model's name, image size in pixels and parameters.
-///
-/// # Errors
-/// Names `model` or `params` of the camera.
 pub(super) fn lens(
     file: &str,
     id: u32,
@@ -61,7 +53,7 @@ pub(super) fn lens(
 ) -> Result<Lens, CaptureError> {
     let field = |name: &str| format!("cameras[{id}].{name}");
     if !p.iter().all(|v| v.is_finite()) {
-        return Err(bad(file, field("params"), "must be finite"));
+        return Err(CaptureError::at_field(file, field("params"), "must be finite"));
     }
     let radial = |k1, k2| Distortion::RadialTangential { k: [k1, k2, 0.0, 0.0], p: [0.0; 2] };
     let (focal, centre, distortion) = match (model, p) {
@@ -79,7 +71,7 @@ pub(super) fn lens(
         _ => {
             let known = CAMERA_MODELS.map(|(name, count)| format!("{name} ({count})")).join(", ");
             let reason = format!("{model} with {} parameters is not supported; these are: {known}", p.len());
-            return Err(bad(file, field("model"), reason));
+            return Err(CaptureError::at_field(file, field("model"), reason));
         }
     };
     Ok(Lens {
@@ -92,9 +84,6 @@ pub(super) fn lens(
 }
 
 /// A checked pose from quaternion w x y z and translation, world-to-camera.
-///
-/// # Errors
-/// Names `qvec` or `tvec` of the image.
 pub(super) fn posed(
     file: &str,
     name: String,
@@ -105,19 +94,20 @@ pub(super) fn posed(
     let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
     let length = rotation.length();
     if !(length.is_finite() && length > 1e-6) {
-        return Err(bad(file, format!("images[{name}].qvec"), "is no rotation"));
+        return Err(CaptureError::at_field(file, format!("images[{name}].qvec"), "is no rotation"));
     }
     let translation = DVec3::from(t);
     if !translation.is_finite() {
-        return Err(bad(file, format!("images[{name}].tvec"), "has a value that is not finite"));
+        return Err(CaptureError::at_field(
+            file,
+            format!("images[{name}].tvec"),
+            "has a value that is not finite",
+        ));
     }
     Ok(PosedImage { name, camera, rotation: rotation.normalize(), translation })
 }
 
 /// A checked point; `colour` is sRGB.
-///
-/// # Errors
-/// Names the point whose position is not finite.
 pub(super) fn coloured(
     file: &str,
     index: usize,
@@ -125,13 +115,16 @@ pub(super) fn coloured(
     colour: [u8; 3],
 ) -> Result<Point, CaptureError> {
     if !position.is_finite() {
-        return Err(bad(file, format!("points3D[{index}].xyz"), "has a value that is not finite"));
+        return Err(CaptureError::at_field(
+            file,
+            format!("points3D[{index}].xyz"),
+            "has a value that is not finite",
+        ));
     }
     Ok((position, colour.map(|c| srgb::decode(f32::from(c) / 255.0))))
 }
 
-/// # Errors
-/// [`CaptureError::OverLimit`] for more than `allowed` entries.
+/// Refuses more than `allowed` entries; `limit` is the field of [`crate::capture::ImportLimits`].
 pub(super) fn check_count(
     file: &str,
     limit: &'static str,
@@ -141,9 +134,5 @@ pub(super) fn check_count(
     if count <= allowed {
         return Ok(());
     }
-    Err(CaptureError::OverLimit {
-        file: file.to_owned(),
-        limit,
-        reason: format!("{count}, {allowed} allowed"),
-    })
+    Err(CaptureError::over_limit(file, limit, format!("{count}, {allowed} allowed")))
 }

@@ -1,10 +1,10 @@
-//! COLMAP's text files.
+//! COLMAP's text files. Errors name the file, and the line or entry at fault.
 
 use std::collections::BTreeMap;
 
 use glam::DVec3;
 
-use super::model::{PosedImage, bad, check_count, coloured, lens, posed};
+use super::model::{PosedImage, check_count, coloured, lens, posed};
 use crate::capture::CaptureError;
 use crate::capture::lens::Lens;
 use crate::formats::ply_points::Point;
@@ -16,8 +16,7 @@ pub(super) struct TextFile<'a> {
 }
 
 impl<'a> TextFile<'a> {
-    /// # Errors
-    /// [`CaptureError::File`] when the bytes are not UTF-8.
+    /// The bytes of `file`, which must be UTF-8.
     pub(super) fn new(file: &'a str, bytes: &'a [u8]) -> Result<Self, CaptureError> {
         let text = std::str::from_utf8(bytes)
             .map_err(|_| CaptureError::File { file: file.to_owned(), reason: "is not text".to_owned() })?;
@@ -31,7 +30,7 @@ impl<'a> TextFile<'a> {
     }
 
     fn line_error(&self, line: usize, reason: &str) -> CaptureError {
-        bad(self.file, format!("line {line}"), reason)
+        CaptureError::at_field(self.file, format!("line {line}"), reason)
     }
 
     /// The first `N` words as numbers.
@@ -48,9 +47,6 @@ impl<'a> TextFile<'a> {
 }
 
 /// Lenses by camera id.
-///
-/// # Errors
-/// Names the line or camera at fault.
 pub(super) fn cameras(text: &TextFile<'_>) -> Result<BTreeMap<u32, Lens>, CaptureError> {
     let mut lenses = BTreeMap::new();
     for (line, content) in text.lines().filter(|(_, l)| !l.is_empty()) {
@@ -66,9 +62,6 @@ pub(super) fn cameras(text: &TextFile<'_>) -> Result<BTreeMap<u32, Lens>, Captur
 }
 
 /// Images in file order, at most `allowed`.
-///
-/// # Errors
-/// Names the line or image at fault.
 pub(super) fn images(text: &TextFile<'_>, allowed: usize) -> Result<Vec<PosedImage>, CaptureError> {
     let mut images = Vec::new();
     let mut lines = text.lines();
@@ -90,9 +83,6 @@ pub(super) fn images(text: &TextFile<'_>, allowed: usize) -> Result<Vec<PosedIma
 }
 
 /// Points in file order, at most `allowed`.
-///
-/// # Errors
-/// Names the line or point at fault.
 pub(super) fn points(text: &TextFile<'_>, allowed: usize) -> Result<Vec<Point>, CaptureError> {
     let mut points = Vec::new();
     for (line, content) in text.lines().filter(|(_, l)| !l.is_empty()) {

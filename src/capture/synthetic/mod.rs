@@ -107,9 +107,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
 }
 
 fn check(options: &SyntheticOptions) -> Result<(), CaptureError> {
-    let refuse = |field: &str, reason: &str| {
-        Err(CaptureError::Field { file: "synthetic".into(), field: field.into(), reason: reason.into() })
-    };
+    let refuse = |field: &str, reason: &str| Err(CaptureError::at_field("synthetic", field, reason));
     if options.train_views < 3 {
         return refuse("train_views", "must be at least 3");
     }
@@ -134,9 +132,8 @@ fn spiral(i: usize, count: usize, turn: f64) -> DVec3 {
 
 /// A camera in direction `towards` of the origin, looking at it.
 fn camera(towards: DVec3, size: u32) -> Result<Camera, CaptureError> {
-    Camera::look_at(towards * CAMERA_DISTANCE, DVec3::ZERO, DVec3::Z, FIELD_OF_VIEW, (size, size)).map_err(
-        |e| CaptureError::Field { file: "synthetic".into(), field: e.field.into(), reason: e.reason },
-    )
+    Camera::look_at(towards * CAMERA_DISTANCE, DVec3::ZERO, DVec3::Z, FIELD_OF_VIEW, (size, size))
+        .map_err(|e| CaptureError::at_field("synthetic", e.field, e.reason))
 }
 
 /// The photograph under light number `light`.
