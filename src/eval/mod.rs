@@ -19,10 +19,12 @@ mod views;
 pub use attribution::{Replaced, attribute};
 pub use contact::{contact_sheet, truth_layers};
 pub use evaluate::{EvalError, EvalOptions, evaluate};
+#[cfg(feature = "cli")]
 pub(crate) use evaluate::{evenly_spaced, lights_of};
 pub use image::{PSNR_CAP, Picture, mean_squared_error, psnr, psnr_of, ssim};
 pub use layers::{NormalErrors, RatioMedian, normal_errors};
 pub use lpips::{Lpips, LpipsError};
 pub use report::{AlbedoScores, ImageScores, NormalScores, RelitScores, Report};
+#[cfg(feature = "cli")]
 pub(crate) use views::on_white;
 pub use views::photograph;
