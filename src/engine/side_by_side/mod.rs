@@ -31,7 +31,7 @@ impl LightShape {
 }
 
 /// A view, and the weights of the number whose gradient is asked for: a sum over both images and over the normal, plane,
-/// metalness, roughness and coverage buffers. Learned indirect light is left out (it has a way back of its own).
+/// metalness, roughness and coverage buffers. The GPU engine leaves learned indirect light out.
 pub struct Question<'a> {
     /// What is rendered.
     pub model: &'a Model,

@@ -2,7 +2,7 @@
 
 use crate::engine::Gradients;
 use crate::engine::channel::{COVERAGE, Channels};
-use crate::engine::cpu::{AttributeSource, BranchImages, Pass, Shader, View};
+use crate::engine::cpu::{AttributeSource, BranchImages, Pass, Shader, View, indirect_basis};
 use crate::engine::reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES};
 use crate::engine::side_by_side::{Answer, Question, SplatSeen};
 use crate::scene::{Field, Model, softplus};
@@ -17,7 +17,7 @@ pub fn by_cpu(question: &Question<'_>) -> Answer {
         prototypes: &model.prototypes,
         options: &model.shading,
         gathered: question.gathered,
-        indirect_basis: &[[0.0; 3]; 16],
+        indirect_basis: &indirect_basis(&tables),
         light: None,
     };
     let order = model.gaussians.visibility_order();
