@@ -18,52 +18,7 @@ use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, Plane, S
 
 const SIDE: u32 = 40;
 
-/// A file or folder of the test data.
-fn test_data(what: &str) -> PathBuf {
-    let given = std::env::var_os("RELUME_TEST_DATA").map(PathBuf::from);
-    let root = given.unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
-    let path = root.join(what);
-    assert!(path.exists(), "{what} is not in the test data folder (RELUME_TEST_DATA)");
-    path
-}
-
-fn picture(path: PathBuf) -> DisplayImage {
-    let image = image::open(path).unwrap().into_rgb32f();
-    let values = image.pixels().map(|p| p.0).collect();
-    Plane { width: image.width(), height: image.height(), values }
-}
-
-#[test]
-#[ignore = "needs the test data (see CONTRIBUTING.md)"]
-fn lpips_gives_its_authors_published_figures() {
-    let folder = test_data("lpips");
-    let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
-    let image = |name: &str| picture(folder.join("reference_images").join(name));
-    let reference = image("ex_ref.png");
-    for (other, published) in [("ex_p0.png", 0.722), ("ex_p1.png", 0.138)] {
-        let distance = lpips.distance(&reference, &image(other)).unwrap();
-        assert!((distance - published).abs() < 2e-3, "{other}: {distance}, published {published}");
-    }
-    assert_eq!(lpips.distance(&reference, &reference), Some(0.0));
-    // Negative control: another range of inputs is another metric.
-    let mut dark = (reference.clone(), image("ex_p0.png"));
-    dark.0.values.iter_mut().chain(&mut dark.1.values).flatten().for_each(|v| *v *= 0.5);
-    assert!((lpips.distance(&dark.0, &dark.1).unwrap() - 0.722).abs() > 2e-3);
-}
-
-#[test]
-#[ignore = "needs the test data (see CONTRIBUTING.md)"]
-fn lpips_of_pictures_too_small_for_the_network_is_absent() {
-    let folder = test_data("lpips");
-    let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
-    let flat =
-        |side: u32| Plane { width: side, height: side, values: vec![[0.5; 3]; (side * side) as usize] };
-    assert_eq!(lpips.distance(&flat(30), &flat(30)), None);
-    assert_eq!(lpips.distance(&flat(31), &flat(31)), Some(0.0));
-    assert_eq!(lpips.distance(&flat(31), &flat(32)), None);
-}
-
-/// Nine large Gaussians of several colours around the origin.
+/// A handful of fat Gaussians of several colours around the origin.
 fn model() -> Model {
     let mut gaussians = Gaussians::zeroed(9, 2, 0, 0);
     for i in 0..9 {
@@ -263,24 +218,6 @@ fn what_cannot_be_measured_is_null_and_the_notes_say_why() {
 }
 
 #[test]
-#[ignore = "needs the test data (see CONTRIBUTING.md)"]
-fn lpips_enters_the_report_when_its_weights_are_given() {
-    let folder = test_data("lpips");
-    let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
-    let model = Arc::new(model());
-    let options = EvalOptions {
-        lpips: Some(&lpips),
-        views: Some(1),
-        frame_rate_time: Duration::ZERO,
-        ..EvalOptions::default()
-    };
-    let report = evaluate(model.clone(), &drawn_by(&model), &options).unwrap();
-    assert!(report.novel_view.lpips.unwrap() < 1e-6 && report.relit.lights["lamp"].lpips.is_some());
-    assert!(!report.notes.keys().any(|key| key.ends_with("lpips")), "{:?}", report.notes);
-    assert_eq!(report.views, 1);
-}
-
-#[test]
 fn frame_rates_are_reported_for_every_tier() {
     let model = Arc::new(model());
     let options =
@@ -341,29 +278,6 @@ fn arguments(model: PathBuf, capture: PathBuf, json: PathBuf) -> EvalArgs {
 }
 
 #[test]
-#[ignore = "needs the test data (see CONTRIBUTING.md)"]
-fn the_command_writes_json_markdown_and_a_sheet_for_a_real_scene() {
-    let scene = test_data("scenes/helmet");
-    let folder = tempfile::tempdir().unwrap();
-    let file = |name: &str| folder.path().join(name);
-    std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
-    let args = EvalArgs {
-        markdown: Some(file("report.md")),
-        sheet: Some(file("sheet.png")),
-        ..arguments(file("model"), scene, file("report.json"))
-    };
-    run(&args).unwrap();
-    let report: Report = serde_json::from_slice(&std::fs::read(file("report.json")).unwrap()).unwrap();
-    let lights: Vec<&str> = report.relit.lights.keys().map(String::as_str).collect();
-    assert_eq!(lights, ["bridge", "city", "interior", "night"]);
-    assert!(report.relit.mean.psnr.unwrap().is_finite() && report.albedo.psnr_aligned.is_some());
-    assert!(report.normal_mae_deg.foreground.unwrap() > report.normal_mae_deg.all_pixels.unwrap());
-    assert!(report.protocol.contains("48x48"), "{}", report.protocol);
-    assert!(std::fs::read_to_string(file("report.md")).unwrap().contains("relit, night"));
-    assert!(image::open(file("sheet.png")).is_ok());
-}
-
-#[test]
 fn the_command_names_the_file_at_fault_and_checks_outputs_first() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
@@ -380,4 +294,87 @@ fn the_command_names_the_file_at_fault_and_checks_outputs_first() {
     let no_capture = refused(arguments(file("model"), file("scene"), file("out.json")));
     assert!(no_capture.contains("scene"), "{no_capture}");
     assert!(!file("out.json").exists(), "a failed evaluation leaves no report behind");
+}
+
+/// Tests on LPIPS weights and on a real scene.
+mod with_data {
+    use super::*;
+    use crate::requirements::data;
+
+    fn picture(path: PathBuf) -> Picture {
+        let image = image::open(path).unwrap().into_rgb32f();
+        let values = image.pixels().map(|p| p.0).collect();
+        Plane { width: image.width(), height: image.height(), values }
+    }
+
+    #[test]
+    #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+    fn lpips_gives_its_authors_published_figures() {
+        let folder = data("lpips");
+        let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
+        let image = |name: &str| picture(folder.join("reference_images").join(name));
+        let reference = image("ex_ref.png");
+        for (other, published) in [("ex_p0.png", 0.722), ("ex_p1.png", 0.138)] {
+            let distance = lpips.distance(&reference, &image(other)).unwrap();
+            assert!((distance - published).abs() < 2e-3, "{other}: {distance}, published {published}");
+        }
+        assert_eq!(lpips.distance(&reference, &reference), Some(0.0));
+        // Negative control: another range of inputs is another metric.
+        let mut dark = (reference.clone(), image("ex_p0.png"));
+        dark.0.values.iter_mut().chain(&mut dark.1.values).flatten().for_each(|v| *v *= 0.5);
+        assert!((lpips.distance(&dark.0, &dark.1).unwrap() - 0.722).abs() > 2e-3);
+    }
+
+    #[test]
+    #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+    fn lpips_of_pictures_too_small_for_the_network_is_absent() {
+        let folder = data("lpips");
+        let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
+        let flat =
+            |side: u32| Plane { width: side, height: side, values: vec![[0.5; 3]; (side * side) as usize] };
+        assert_eq!(lpips.distance(&flat(30), &flat(30)), None);
+        assert_eq!(lpips.distance(&flat(31), &flat(31)), Some(0.0));
+        assert_eq!(lpips.distance(&flat(31), &flat(32)), None);
+    }
+
+    #[test]
+    #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+    fn lpips_enters_the_report_when_its_weights_are_given() {
+        let folder = data("lpips");
+        let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
+        let model = Arc::new(model());
+        let options = EvalOptions {
+            lpips: Some(&lpips),
+            views: Some(1),
+            frame_rate_time: Duration::ZERO,
+            ..EvalOptions::default()
+        };
+        let report = evaluate(model.clone(), &drawn_by(&model), &options).unwrap();
+        assert!(report.novel_view.lpips.unwrap() < 1e-6 && report.relit.lights["lamp"].lpips.is_some());
+        assert!(!report.notes.keys().any(|key| key.ends_with("lpips")), "{:?}", report.notes);
+        assert_eq!(report.views, 1);
+    }
+
+    #[test]
+    #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+    fn the_command_writes_json_markdown_and_a_sheet_for_a_real_scene() {
+        let scene = data("scenes/helmet");
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
+        let args = EvalArgs {
+            markdown: Some(file("report.md")),
+            sheet: Some(file("sheet.png")),
+            ..arguments(file("model"), scene, file("report.json"))
+        };
+        run(&args).unwrap();
+        let report: Report = serde_json::from_slice(&std::fs::read(file("report.json")).unwrap()).unwrap();
+        let lights: Vec<&str> = report.relit.lights.keys().map(String::as_str).collect();
+        assert_eq!(lights, ["bridge", "city", "interior", "night"]);
+        assert!(report.relit.mean.psnr.unwrap().is_finite() && report.albedo.psnr_aligned.is_some());
+        assert!(report.normal_mae_deg.foreground.unwrap() > report.normal_mae_deg.all_pixels.unwrap());
+        assert!(report.protocol.contains("48x48"), "{}", report.protocol);
+        assert!(std::fs::read_to_string(file("report.md")).unwrap().contains("relit, night"));
+        assert!(image::open(file("sheet.png")).is_ok());
+    }
 }

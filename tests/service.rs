@@ -86,8 +86,9 @@ async fn a_thumbnail_during_training_waits_for_at_most_one_step() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 async fn a_thumbnail_during_training_on_a_gpu_waits_for_at_most_one_step() {
-    let Some(Device::Gpu(gpu)) = crate::gpu::device() else { return };
+    let Device::Gpu(gpu) = crate::requirements::gpu_device() else { panic!("the device is a GPU") };
     let index = gpu.report().index;
     let folder = tempfile::TempDir::new().unwrap();
     let on_gpu = |config: &mut ServerConfig| config.worker.device = DeviceChoice::Gpu(Some(index));

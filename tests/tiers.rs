@@ -1,4 +1,5 @@
-//! The render tiers against each other: what `high` gains over `standard`, and what makes `reference` a yardstick.
+//! The render tiers against each other: what `high` gains over `standard`, and that `reference` is
+//! a ground truth.
 
 use std::sync::{Arc, OnceLock};
 
@@ -125,7 +126,7 @@ fn the_shadow_of_a_sun_is_closer_to_the_reference_in_high_than_in_standard() {
 }
 
 #[test]
-fn colour_alone_is_the_colour_of_the_whole_frame_where_gaussians_are_shaded() {
+fn colour_without_other_outputs_is_the_colour_with_them_where_gaussians_are_shaded() {
     let light = EnvMap::constant(64, 32, [0.9, 0.5, 0.2]);
     let camera = camera(48);
     let colour = |shade_at: ShadeAt, tier: Tier, outputs: &[Output]| {
@@ -148,7 +149,7 @@ fn colour_alone_is_the_colour_of_the_whole_frame_where_gaussians_are_shaded() {
 }
 
 #[test]
-fn sheen_brightens_what_a_sun_and_what_a_sky_light_alike() {
+fn sheen_brightens_the_light_of_sun_and_sky_alike() {
     let discs: Vec<Disc> = plate(40, 0.05, 0.0).collect();
     let plain = model(&discs, 0.3, 0.0);
     let mut cloth = (*plain).clone();

@@ -22,7 +22,7 @@ impl LightShape {
 }
 
 /// A view, and the weights of the number whose gradient is asked for: a sum over both images and over the normal, plane,
-/// metalness, roughness and coverage buffers. Learned indirect light is left out (its gradient is computed elsewhere).
+/// metalness, roughness and coverage buffers. The GPU engine leaves learned indirect light out.
 pub struct ParityCase<'a> {
     /// What is rendered.
     pub model: &'a Model,

@@ -1,7 +1,7 @@
 //! The CPU engine's result.
 
 use crate::engine::Gradients;
-use crate::engine::RasterCamera;
+use crate::engine::{RasterCamera, indirect_basis};
 use crate::engine::channel::{COVERAGE, Channels};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{AttributeSource, BranchImages, Pass, SurfaceShader};
@@ -19,7 +19,7 @@ pub fn by_cpu(case: &ParityCase<'_>) -> ParityResult {
         prototypes: &model.prototypes,
         options: &model.shading,
         gathered: case.gathered,
-        indirect_basis: &[[0.0; 3]; 16],
+        indirect_basis: &indirect_basis(&tables),
         light: None,
     };
     let order = model.gaussians.visibility_order();

@@ -7,25 +7,16 @@ use glam::DVec2;
 use relume::capture::{Capture, Distortion, ImportOptions, import};
 use relume::formats::environment;
 
-/// A path in the test data, or nothing, said aloud, when the data is not there.
-fn data(relative: &str) -> Option<PathBuf> {
-    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data");
-    let root = std::env::var("RELUME_TEST_DATA").unwrap_or_else(|_| default.to_owned());
-    let path = PathBuf::from(root).join(relative);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("SKIPPED: the test data has no {relative} (set RELUME_TEST_DATA)");
-    None
-}
+use crate::requirements::data;
 
 fn small(path: PathBuf, side: u32) -> Capture {
     import(&path, &ImportOptions { max_side: Some(side), ..ImportOptions::default() }).unwrap()
 }
 
 #[test]
+#[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
 fn lego_is_a_hundred_cut_out_views_around_the_origin() {
-    let Some(path) = data("captures/lego") else { return };
+    let path = data("captures/lego");
     let capture = small(path, 100);
     assert_eq!(
         (capture.layout.as_str(), capture.train.len(), capture.test.len()),
@@ -43,8 +34,9 @@ fn lego_is_a_hundred_cut_out_views_around_the_origin() {
 }
 
 #[test]
+#[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
 fn helmet_comes_with_its_truth_and_its_lights() {
-    let Some(path) = data("scenes/helmet") else { return };
+    let path = data("scenes/helmet");
     let capture = small(path, 200);
     assert_eq!((capture.layout.as_str(), capture.train.len(), capture.test.len()), ("tensoir", 80, 16));
     assert!((1.1..1.5).contains(&capture.bounds.radius), "{:?}", capture.bounds);
@@ -76,8 +68,9 @@ fn helmet_comes_with_its_truth_and_its_lights() {
 }
 
 #[test]
+#[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
 fn fox_names_its_seventeen_missing_images_and_goes_on() {
-    let Some(path) = data("captures/fox") else { return };
+    let path = data("captures/fox");
     let capture = small(path, 240);
     assert_eq!((capture.layout.as_str(), capture.train.len() + capture.test.len()), ("nerfstudio", 50));
     assert_eq!(capture.test.len(), 7, "every 8th of 50");
@@ -113,9 +106,10 @@ fn share_in_view(capture: &Capture, mirror: f64) -> f64 {
 }
 
 #[test]
+#[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
 fn colmap_points_project_into_their_images() {
     for (name, images) in [("captures/fox9_colmap", 9), ("captures/beer71_colmap", 71)] {
-        let Some(path) = data(name) else { return };
+        let path = data(name);
         let capture = small(path, 320);
         assert_eq!((capture.layout.as_str(), capture.train.len() + capture.test.len()), ("colmap", images));
         assert_eq!(capture.warnings, Vec::<String>::new());
@@ -210,8 +204,9 @@ fn reprojection_error(capture: &Capture, measured: &Measured, bend: f64) -> f64 
 }
 
 #[test]
+#[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
 fn distorted_observations_agree_with_the_straightened_cameras_to_a_pixel() {
-    let Some(path) = data("captures/beer71_colmap") else { return };
+    let path = data("captures/beer71_colmap");
     let capture = small(path.clone(), 160);
     let measured = measured(path.join("sparse/0"));
     let [right, none, opposite] = [1.0, 0.0, -1.0].map(|bend| reprojection_error(&capture, &measured, bend));
@@ -220,8 +215,9 @@ fn distorted_observations_agree_with_the_straightened_cameras_to_a_pixel() {
 }
 
 #[test]
+#[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
 fn every_environment_loads_and_the_nasty_ones_warn() {
-    let Some(folder) = data("envmaps") else { return };
+    let folder = data("envmaps");
     for name in ["bridge", "city", "dawn", "forest", "interior", "night", "studio", "sunset"] {
         let loaded =
             environment::decode(&std::fs::read(folder.join(format!("{name}.hdr"))).unwrap()).unwrap();
