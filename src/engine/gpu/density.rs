@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, shaders, uniform};
+use crate::scene::Field;
 
 /// What becomes of a Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,14 +87,14 @@ pub fn read_signals(
     with_means: bool,
 ) -> Result<DensitySignals, GpuError> {
     let (n, layout) = (model.len(), &model.layout);
-    let vectors = |start: u32| -> Result<Vec<[f32; 3]>, GpuError> {
-        let start = start as usize;
+    let vectors = |field: Field| -> Result<Vec<[f32; 3]>, GpuError> {
+        let start = layout.start(field);
         Ok(bytemuck::cast_slice(&gpu.read(&model.params, start..start + 3 * n)?).to_vec())
     };
-    let opacity = layout.opacity as usize;
+    let opacity = layout.start(Field::OpacityLogit);
     Ok(DensitySignals {
-        means: if with_means { vectors(layout.mean)? } else { Vec::new() },
-        log_scales: vectors(layout.log_scale)?,
+        means: if with_means { vectors(Field::Mean)? } else { Vec::new() },
+        log_scales: vectors(Field::LogScale)?,
         opacity_logits: gpu.read(&model.params, opacity..opacity + n)?,
         stats: gpu.read(stats, 0..n)?,
     })

@@ -13,7 +13,7 @@ use crate::engine::gpu::scan::{Scan, grow};
 use crate::engine::gpu::sort::Sorter;
 use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, shaders, uniform};
 use crate::light::sh_eval;
-use crate::scene::sh_count;
+use crate::scene::{Field, sh_count};
 
 #[cfg(test)]
 pub(super) mod tests;
@@ -130,7 +130,7 @@ impl ProbeBuffers {
         params: &Buffer<f32>,
         model: &LayoutUniform,
     ) -> Result<(), GpuError> {
-        let (first, len) = (model.visibility as usize, self.n * self.n_coefficients);
+        let (first, len) = (model.start(Field::Visibility), self.n * self.n_coefficients);
         if (model.n as usize, model.n_visibility as usize) != (self.n, self.n_coefficients)
             || params.len() < first + len
         {
