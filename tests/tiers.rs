@@ -166,7 +166,10 @@ fn sheen_brightens_what_a_sun_and_what_a_sky_light_alike() {
     for tier in [Tier::Standard, Tier::High] {
         assert!((gain(tier) - expected).abs() < 0.03, "{tier:?}: {} against {expected}", gain(tier));
     }
-    assert!((gain(Tier::MonteCarlo) - 1.0).abs() < 1e-6, "the control: there is none where pixels are shaded");
+    assert!(
+        (gain(Tier::MonteCarlo) - 1.0).abs() < 1e-6,
+        "the control: there is none where pixels are shaded"
+    );
 }
 
 #[test]

@@ -3,8 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::cli::error::CommandResult;
-use crate::engine::gpu::{Adapters, Gpu, GpuOptions};
-use crate::engine::{AdapterReport, DeviceChoice};
+use crate::engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
 #[cfg(feature = "server")]
 use crate::store::Store;
 
@@ -24,18 +23,19 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
     println!("relume        {}", env!("CARGO_PKG_VERSION"));
     println!("cpu threads   {threads}");
     println!("cpu features  {}", features().join(" "));
-    let adapters = Adapters::find();
-    if adapters.reports().is_empty() {
+    let adapters = adapters();
+    if adapters.is_empty() {
         println!("gpus          none: no Vulkan, Metal or DX12 driver found");
     }
-    adapters.reports().iter().for_each(describe);
+    adapters.iter().for_each(describe);
     #[cfg(feature = "server")]
     println!("sqlite        {}", sqlite_version()?);
     println!("data dir      {}", data_dir(&args.data_dir)?);
-    let chosen = adapters.choose(args.device)?;
-    println!("device        {}", verdict(args.device, chosen, adapters.reports()));
+    let chosen = choose_adapter(&adapters, args.device)?;
+    println!("device        {}", verdict(args.device, chosen, &adapters));
     if let Some(index) = chosen {
-        Gpu::open(&adapters, index, GpuOptions::from_env())?.self_test()?;
+        // Opening a device tests it.
+        Device::open(DeviceChoice::Gpu(Some(index)))?;
         println!("self-test     passed");
     }
     Ok(())

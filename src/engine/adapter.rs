@@ -83,7 +83,7 @@ impl AdapterReport {
 ///
 /// # Errors
 /// [`DeviceError::Unavailable`] when a GPU is asked for and cannot be had; the message says why.
-pub fn choose(reports: &[AdapterReport], choice: DeviceChoice) -> Result<Option<usize>, DeviceError> {
+pub fn choose_adapter(reports: &[AdapterReport], choice: DeviceChoice) -> Result<Option<usize>, DeviceError> {
     let hardware = || reports.iter().find(|r| !r.software && r.usable()).map(|r| r.index);
     let listed = || {
         let name = |r: &AdapterReport| {
@@ -137,26 +137,26 @@ mod tests {
     #[test]
     fn auto_takes_hardware_only_and_a_number_takes_anything_usable() {
         let soft = [report(0, true, &[])];
-        assert_eq!(choose(&soft, DeviceChoice::Auto), Ok(None));
-        assert_eq!(choose(&soft, DeviceChoice::Gpu(Some(0))), Ok(Some(0)));
+        assert_eq!(choose_adapter(&soft, DeviceChoice::Auto), Ok(None));
+        assert_eq!(choose_adapter(&soft, DeviceChoice::Gpu(Some(0))), Ok(Some(0)));
         let both = [report(0, true, &[]), report(1, false, &["memory: 1"]), report(2, false, &[])];
-        assert_eq!(choose(&both, DeviceChoice::Auto), Ok(Some(2)));
-        assert_eq!(choose(&both, DeviceChoice::Gpu(None)), Ok(Some(2)));
-        assert_eq!(choose(&both, DeviceChoice::Cpu), Ok(None));
+        assert_eq!(choose_adapter(&both, DeviceChoice::Auto), Ok(Some(2)));
+        assert_eq!(choose_adapter(&both, DeviceChoice::Gpu(None)), Ok(Some(2)));
+        assert_eq!(choose_adapter(&both, DeviceChoice::Cpu), Ok(None));
     }
 
     #[test]
     fn a_gpu_that_cannot_be_had_is_refused_with_what_there_is() {
         let DeviceError::Unavailable(text) =
-            choose(&[report(0, true, &[])], DeviceChoice::Gpu(None)).unwrap_err()
+            choose_adapter(&[report(0, true, &[])], DeviceChoice::Gpu(None)).unwrap_err()
         else {
             panic!("wrong kind")
         };
         assert!(text.contains("gpu:0 adapter 0 (software)"), "{text}");
         let lacking = [report(0, false, &["workgroup memory, bytes: 16384"])];
-        let text = choose(&lacking, DeviceChoice::Gpu(Some(0))).unwrap_err().to_string();
+        let text = choose_adapter(&lacking, DeviceChoice::Gpu(Some(0))).unwrap_err().to_string();
         assert!(text.contains("workgroup memory"), "{text}");
-        assert!(choose(&[], DeviceChoice::Gpu(None)).unwrap_err().to_string().contains("none"));
+        assert!(choose_adapter(&[], DeviceChoice::Gpu(None)).unwrap_err().to_string().contains("none"));
     }
 
     #[test]

@@ -3,8 +3,12 @@
 use std::sync::Arc;
 
 #[cfg(feature = "gpu")]
-use crate::engine::gpu::{self, Gpu};
-use crate::engine::{DeviceChoice, DeviceError, Frames, TrainState, Training, TrainingLimits, cpu};
+use crate::engine::adapter::choose_adapter;
+#[cfg(feature = "gpu")]
+use crate::engine::gpu::{self, Adapters, Gpu, GpuOptions};
+use crate::engine::{
+    AdapterReport, DeviceChoice, DeviceError, Frames, TrainState, Training, TrainingLimits, cpu,
+};
 use crate::light::EnvOperators;
 use crate::scene::Model;
 
@@ -17,6 +21,14 @@ pub enum Device {
     /// The GPU engine on an open device.
     #[cfg(feature = "gpu")]
     Gpu(Gpu),
+}
+
+/// The graphics adapters of this machine, software ones too; none in a build without the feature `gpu`.
+pub fn adapters() -> Vec<AdapterReport> {
+    #[cfg(feature = "gpu")]
+    return Adapters::find().reports().to_vec();
+    #[cfg(not(feature = "gpu"))]
+    Vec::new()
 }
 
 impl Device {
@@ -39,7 +51,12 @@ impl Device {
 
     #[cfg(feature = "gpu")]
     fn open_gpu(choice: DeviceChoice) -> Result<Self, DeviceError> {
-        Ok(Gpu::choose(choice)?.map_or(Self::Cpu, Self::Gpu))
+        let adapters = Adapters::find();
+        let Some(index) = choose_adapter(adapters.reports(), choice)? else { return Ok(Self::Cpu) };
+        let gpu = Gpu::open(&adapters, index, GpuOptions::from_env())?;
+        // Nothing is built on a device that cannot add.
+        gpu.self_test()?;
+        Ok(Self::Gpu(gpu))
     }
 
     #[cfg(not(feature = "gpu"))]

@@ -28,10 +28,10 @@ mod training;
 mod zeros;
 
 pub use adam::{StepCounts, StepSizes};
-pub use adapter::{AdapterReport, DeviceChoice};
+pub use adapter::{AdapterReport, DeviceChoice, choose_adapter};
 pub use camera::RasterCamera;
 pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Positions, SplitOrigin};
-pub use device::Device;
+pub use device::{Device, adapters};
 pub use error::DeviceError;
 pub use frame::{Frame, Output};
 pub use frames::{

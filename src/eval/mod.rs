@@ -18,11 +18,14 @@ mod views;
 pub use attribution::{TruthLayer, attribute};
 pub use contact::{contact_sheet, truth_layers};
 pub use evaluate::{EvalError, EvalOptions, evaluate};
+#[cfg(feature = "cli")]
 pub(crate) use evaluate::{evenly_spaced, lights_of};
 pub use image::{DisplayImage, PSNR_CAP, mean_squared_error, psnr, psnr_of, ssim};
 pub use layers::{NormalErrors, RatioMedian, normal_errors};
 pub use lpips::{Lpips, LpipsError};
+#[cfg(feature = "cli")]
 pub(crate) use report::figure;
 pub use report::{AlbedoScores, ImageScores, NormalScores, RelitScores, Report};
+#[cfg(feature = "cli")]
 pub(crate) use views::on_white;
 pub use views::photograph;

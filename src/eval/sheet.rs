@@ -5,8 +5,8 @@ use std::io::Cursor;
 use image::{ImageFormat, Rgb, RgbImage};
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
-use crate::scene::Plane;
 use crate::eval::image::DisplayImage;
+use crate::scene::Plane;
 
 const PAPER: [u8; 3] = [24, 24, 27];
 const INK: [u8; 3] = [235, 235, 235];

@@ -1,6 +1,5 @@
 //! A model's renderings of one test view, as pictures and layers that can be compared with ground truth.
 
-use crate::scene::{ImageRgba, Plane};
 use crate::eval::image::DisplayImage;
 use crate::formats::srgb;
 use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer};

@@ -9,7 +9,10 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
 use crate::engine::cpu::evaluation;
-use crate::engine::{Device, DeviceError, PhotoId, PhotoSize, Positions, Step, StepCounts, TrainState, Training, TrainingLimits};
+use crate::engine::{
+    Device, DeviceError, PhotoId, PhotoSize, Positions, Step, StepCounts, TrainState, Training,
+    TrainingLimits,
+};
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Field, Model};
 use crate::train::complexity::{self, state::ComplexityState};

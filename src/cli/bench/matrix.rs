@@ -13,7 +13,7 @@ use crate::cli::bench::training::{Trained, train_and_evaluate};
 use crate::cli::error::CommandResult;
 use crate::cli::light::illuminate;
 use crate::cli::output;
-use crate::engine::{Device, gpu::DeviceChoice};
+use crate::engine::{Device, DeviceChoice};
 use crate::eval::figure;
 use crate::formats::model_file;
 use crate::train::{Preset, TrainConfig, TrainOverrides};

@@ -2,9 +2,11 @@
 
 mod attribution;
 mod complexity;
+#[cfg(feature = "gpu")]
 mod device;
 mod input;
 mod matrix;
+#[cfg(feature = "gpu")]
 mod precision;
 mod table;
 mod tradeoff;
@@ -22,12 +24,14 @@ pub(super) struct BenchArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    #[cfg(feature = "gpu")]
     /// Milliseconds per stage and step, frames a second and memory of a device, by number of Gaussians.
     Device(device::DeviceArgs),
     /// Accuracy of each variant of the settings on each capture, in one table.
     Matrix(matrix::MatrixArgs),
     /// What each layer of a model costs its relit pictures, in dB: ground truth replaces one layer after the other.
     Attribution(attribution::AttributionArgs),
+    #[cfg(feature = "gpu")]
     /// Error of a device's engine against f64, stage by stage.
     Precision(precision::PrecisionArgs),
     /// Size, time and accuracy of trainings with all model features and with those that the scene requires.
@@ -40,9 +44,11 @@ enum What {
 
 pub(super) fn run(args: &BenchArgs) -> CommandResult {
     match &args.what {
+        #[cfg(feature = "gpu")]
         What::Device(args) => device::run(args),
         What::Matrix(args) => matrix::run(args),
         What::Attribution(args) => attribution::run(args),
+        #[cfg(feature = "gpu")]
         What::Precision(args) => precision::run(args),
         What::Complexity(args) => complexity::run(args),
         What::Tradeoff(args) => tradeoff::run(args),

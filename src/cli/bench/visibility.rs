@@ -11,6 +11,7 @@ use crate::cli::error::CommandResult;
 use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{AttributeSource, Occluders, Pass, Surface, surface_at, surface_point};
+use crate::engine::{RasterCamera, fibonacci_sphere};
 use crate::eval::evenly_spaced;
 use crate::light::sh_eval;
 use crate::render::{Output, Renderer, Tier};

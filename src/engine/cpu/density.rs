@@ -2,7 +2,9 @@
 
 use crate::engine::constants::{HALF_OPACITY_EXPONENT, HALF_SCALE_ACROSS, HALF_SCALE_ALONG};
 use crate::engine::cpu::{rotation, sigmoid};
-use crate::engine::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Positions, SplitOrigin, TrainState};
+use crate::engine::{
+    DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Positions, SplitOrigin, TrainState,
+};
 use crate::scene::{Field, Gaussians};
 
 /// What a round is planned from.

@@ -56,10 +56,7 @@ pub(super) fn run(args: &TradeoffArgs) -> CommandResult {
     std::fs::create_dir_all(&args.out)?;
     let capture = read_capture(&args.capture, args.resolution)?;
     let mut devices = vec![Device::Cpu];
-    match Device::open(args.device)? {
-        Device::Cpu => {}
-        gpu => devices.push(gpu),
-    }
+    devices.extend(Some(Device::open(args.device)?).filter(Device::is_gpu));
     let mut rows = Vec::new();
     for path in &args.models {
         let subject = BenchModel::read(path)?;
@@ -133,10 +130,8 @@ fn measure(
     let sampled = args.samples.iter().map(|n| Quality::monte_carlo(*n));
     let fast = [Tier::Preview, Tier::Standard, Tier::High].map(Quality::from);
     // Only these two run on a GPU.
-    let wanted = match device {
-        Device::Cpu => fast.into_iter().chain(sampled).collect::<Vec<_>>(),
-        Device::Gpu(_) => fast[..2].to_vec(),
-    };
+    let wanted: Vec<Quality> =
+        if device.is_gpu() { fast[..2].to_vec() } else { fast.into_iter().chain(sampled).collect() };
     let mut sums: Vec<ErrorSums> = wanted.iter().map(|_| ErrorSums::default()).collect();
     for (l, name) in lights.iter().enumerate() {
         let light = renderer.prepare_light(&capture.lights[*name])?;
