@@ -18,7 +18,7 @@ use std::fmt::Write as _;
 use std::ops::Range;
 
 use channel::{Channels, GROUP, IncidentLight, OutgoingRadiance};
-use field::{Field, Width};
+use field::{Field, FieldWidth};
 use kernel_constants::{GRADIENT_HEADER, LossSlot};
 
 /// `const NAME = value;` for each constant of a module.
@@ -217,10 +217,10 @@ fn parameters() -> String {
     out += "}\n";
     out += &field_function("start", |field| format!("model.{}", field.kernel_name()));
     out + &field_function("width", |field| match field.width() {
-        Width::Fixed(floats) => floats.literal(),
-        Width::Prototypes => "model.n_scores".to_owned(),
-        Width::Visibility => "model.n_visibility".to_owned(),
-        Width::Radiance => "3u * model.n_radiance".to_owned(),
+        FieldWidth::Fixed(floats) => floats.literal(),
+        FieldWidth::Prototypes => "model.n_scores".to_owned(),
+        FieldWidth::Visibility => "model.n_visibility".to_owned(),
+        FieldWidth::Radiance => "3u * model.n_radiance".to_owned(),
     })
 }
 

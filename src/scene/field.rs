@@ -35,7 +35,7 @@ pub enum Field {
 
 /// How many floats a Gaussian has in a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Width {
+pub enum FieldWidth {
     /// The same for every model.
     Fixed(usize),
     /// One a prototype.
@@ -48,15 +48,15 @@ pub enum Width {
 
 impl Field {
     /// How many floats a Gaussian has in it.
-    pub const fn width(self) -> Width {
+    pub const fn width(self) -> FieldWidth {
         match self {
-            Self::Mean | Self::LogScale | Self::Normal | Self::Residual => Width::Fixed(3),
-            Self::Quaternion => Width::Fixed(4),
-            Self::OpacityLogit | Self::MetalLogit | Self::RoughLogit | Self::Sheen => Width::Fixed(1),
-            Self::Indirect => Width::Fixed(16),
-            Self::ProtoLogits => Width::Prototypes,
-            Self::Visibility => Width::Visibility,
-            Self::Radiance => Width::Radiance,
+            Self::Mean | Self::LogScale | Self::Normal | Self::Residual => FieldWidth::Fixed(3),
+            Self::Quaternion => FieldWidth::Fixed(4),
+            Self::OpacityLogit | Self::MetalLogit | Self::RoughLogit | Self::Sheen => FieldWidth::Fixed(1),
+            Self::Indirect => FieldWidth::Fixed(16),
+            Self::ProtoLogits => FieldWidth::Prototypes,
+            Self::Visibility => FieldWidth::Visibility,
+            Self::Radiance => FieldWidth::Radiance,
         }
     }
 

@@ -1,7 +1,7 @@
 //! The Gaussians of a model: one flat array per parameter, so that optimiser, density control and files treat all
 //! parameters in the same way.
 
-use crate::scene::field::{Field, Width};
+use crate::scene::field::{Field, FieldWidth};
 
 /// Number of real SH coefficients up to degree `order`.
 pub const fn sh_count(order: usize) -> usize {
@@ -56,10 +56,10 @@ impl Gaussians {
     /// Floats a Gaussian has in `field`.
     pub fn width(&self, field: Field) -> usize {
         match field.width() {
-            Width::Fixed(floats) => floats,
-            Width::Prototypes => self.prototypes,
-            Width::Visibility => sh_count(self.visibility_order),
-            Width::Radiance => 3 * sh_count(self.radiance_order),
+            FieldWidth::Fixed(floats) => floats,
+            FieldWidth::Prototypes => self.prototypes,
+            FieldWidth::Visibility => sh_count(self.visibility_order),
+            FieldWidth::Radiance => 3 * sh_count(self.radiance_order),
         }
     }
 

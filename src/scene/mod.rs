@@ -11,7 +11,7 @@ pub use camera::{Camera, CameraError};
 pub use environment::{
     BRIGHTEST, EnvMap, EnvMapError, EnvMapStats, direction_to_uv, texel_directions, uv_to_direction,
 };
-pub use field::Field;
+pub use field::{Field, FieldWidth};
 pub use gaussians::{Gaussians, sh_count};
 pub use image::{ImageRgba, Plane};
 pub use model::{

@@ -6,6 +6,7 @@ use crate::engine::DeviceError;
 use crate::engine::density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin};
 use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
+use crate::scene::Field;
 
 /// One new Gaussian; `plan` of `shaders/density_gather.wgsl`.
 #[repr(C)]
@@ -36,14 +37,14 @@ pub fn read_signals(
     stats: &Buffer<[f32; 2]>,
 ) -> Result<DensitySignals, DeviceError> {
     let (n, layout) = (model.len(), &model.layout);
-    let vectors = |start: u32| -> Result<Vec<[f32; 3]>, DeviceError> {
-        let start = start as usize;
+    let vectors = |field: Field| -> Result<Vec<[f32; 3]>, DeviceError> {
+        let start = layout.start(field);
         Ok(bytemuck::cast_slice(&gpu.read(&model.params, start..start + 3 * n)?).to_vec())
     };
-    let opacity = layout.opacity as usize;
+    let opacity = layout.start(Field::OpacityLogit);
     Ok(DensitySignals {
-        means: vectors(layout.mean)?,
-        log_scales: vectors(layout.log_scale)?,
+        means: vectors(Field::Mean)?,
+        log_scales: vectors(Field::LogScale)?,
         opacity_logits: gpu.read(&model.params, opacity..opacity + n)?,
         stats: read_stats(gpu, stats)?,
     })

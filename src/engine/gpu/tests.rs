@@ -152,8 +152,8 @@ fn a_model_survives_the_planar_layout() {
     }
     let layout = LayoutUniform::new(&g, &ShadingOptions::default());
     let flat = planar(&g);
-    assert_eq!(flat[layout.scores as usize + 5], g.row(Field::ProtoLogits, 1)[0]);
-    assert_eq!(flat[layout.radiance as usize + 2 * 12 + 3], g.row(Field::Radiance, 2)[3]);
+    assert_eq!(flat[layout.start(Field::ProtoLogits) + 5], g.row(Field::ProtoLogits, 1)[0]);
+    assert_eq!(flat[layout.start(Field::Radiance) + 2 * 12 + 3], g.row(Field::Radiance, 2)[3]);
     let mut back = Gaussians::zeroed(3, 5, 2, 1);
     from_planar(&flat, &mut back);
     assert_eq!(back, g);

@@ -55,7 +55,7 @@ impl ProbeBuffers {
         params: &Buffer<f32>,
         model: &LayoutUniform,
     ) -> Result<(), DeviceError> {
-        let (first, len) = (model.visibility as usize, self.n * self.n_coefficients);
+        let (first, len) = (model.start(Field::Visibility), self.n * self.n_coefficients);
         if (model.n as usize, model.n_visibility as usize) != (self.n, self.n_coefficients)
             || params.len() < first + len
         {

@@ -343,7 +343,7 @@ fn the_measurement_becomes_the_visibility_field_and_nothing_else_changes() {
     rec.submit().unwrap();
     let mut expected = planar(&scene.gaussians);
     let coefficients = gpu.read(&buffers.coefficients, 0..1600).unwrap();
-    let first = scene.layout().visibility as usize;
+    let first = scene.layout().start(Field::Visibility);
     assert_ne!(expected[first..first + 1600], coefficients);
     expected[first..first + 1600].copy_from_slice(&coefficients);
     assert_eq!(gpu.read(&params, 0..expected.len()).unwrap(), expected);

@@ -318,5 +318,11 @@ fn host_structs_have_the_layout_of_the_shaders() {
     let g = random_model(&Shape::default(), &mut ChaCha8Rng::seed_from_u64(1)).gaussians;
     let layout = LayoutUniform::new(&g, &ShadingOptions::default());
     assert_eq!(layout.resized(g.len() as u32), layout);
+    let generated = shaders::UPDATE.layout("Layout").unwrap();
+    assert_eq!(generated.size, size_of::<LayoutUniform>());
+    let first = std::mem::offset_of!(LayoutUniform, first);
+    let fields = Field::ALL.map(|field| (field.kernel_name(), first + 4 * field as usize));
+    assert_eq!(generated.members[4..4 + Field::COUNT], fields);
+    assert_eq!(generated.members[4 + Field::COUNT].1, std::mem::offset_of!(LayoutUniform, normal_form));
     assert_eq!(layout.floats(), crate::engine::gpu::model::planar(&g).len());
 }
