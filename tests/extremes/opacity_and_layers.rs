@@ -2,7 +2,8 @@
 
 use relume::engine::Device;
 use relume::engine::channel::{COVERAGE, Channels};
-use relume::engine::cpu::{AttributeSource, Pass, TRANSMITTANCE_STOP, View, backward_labels};
+use relume::engine::cpu::{AttributeSource, Pass, TRANSMITTANCE_STOP, backward_labels};
+use relume::engine::RasterCamera;
 use relume::engine::gpu::{AttributeBuffers, Gpu, Raster, ViewUniform, model::ModelBuffers};
 use relume::engine::reference::{Options, Scene, Tables, Tape, forward, losses};
 use relume::scene::{Camera, Field, Model};

@@ -2,6 +2,7 @@
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::model::LayoutUniform;
+use crate::scene::Field;
 use crate::engine::gpu::{Buffer, Gpu, Recorder};
 
 /// Measured visibility of a model, in device memory.

@@ -16,7 +16,7 @@ use crate::engine::gpu::scan::Scan;
 use crate::engine::gpu::sort::{Pairs, Sorter};
 use crate::engine::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
 use crate::light::sh_eval;
-use crate::scene::{Field, sh_count};
+use crate::scene::sh_count;
 
 /// Most cells along an edge of the grid: a flat Gaussian keeps its first and last cell in a byte each.
 const MOST_SIDE: usize = 256;

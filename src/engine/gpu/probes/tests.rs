@@ -149,8 +149,9 @@ fn host_and_shaders_agree_on_the_structs() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn a_random_scene_is_seen_as_on_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let scene = Scene::random(1, 400, 4);
     let blocked = assert_parity(&gpu, &scene, ProbeSettings::default());
     assert!(
@@ -162,8 +163,9 @@ fn a_random_scene_is_seen_as_on_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_comparison_notices_other_settings_and_another_scene() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let scene = Scene::random(1, 400, 2);
     let expected = cpu::Probes::measure(&scene.source(), directions(), ProbeSettings::default());
     let default = ProbeSettings::default();
@@ -189,8 +191,9 @@ fn the_comparison_notices_other_settings_and_another_scene() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn coefficients_are_the_projection_of_the_transmittances() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for (order, n) in [(0, 70), (1, 300), (3, 257), (6, 300)] {
         let scene = Scene::random(3, n, order);
         let buffers = scene.on_device(&gpu, ProbeSettings::default(), &directions());
@@ -209,8 +212,9 @@ fn coefficients_are_the_projection_of_the_transmittances() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_grid_changes_nothing() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let scene = Scene::random(5, 300, 2);
     let params = gpu.upload("params", &planar(&scene.gaussians)).unwrap();
     let measured = |side: usize, entries: usize| {
@@ -231,8 +235,9 @@ fn the_grid_changes_nothing() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn no_gaussian_one_gaussian_and_no_direction_are_fine() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     assert_parity(&gpu, &Scene::random(1, 0, 2), ProbeSettings::default());
     let one = Scene::random(1, 1, 2);
     assert_eq!(assert_parity(&gpu, &one, ProbeSettings::default()), 0.0, "nothing hides itself");
@@ -241,8 +246,9 @@ fn no_gaussian_one_gaussian_and_no_direction_are_fine() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn a_plane_a_line_and_a_point_are_seen_as_on_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for fixed in [&[2][..], &[0, 1], &[0, 1, 2]] {
         let scene = Scene::random(11, 300, 2).with(|i, g| {
             fixed.iter().for_each(|k| g.row_mut(Field::Mean, i)[*k] = 0.25);
@@ -259,8 +265,9 @@ fn a_plane_a_line_and_a_point_are_seen_as_on_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn a_gaussian_far_out_neither_changes_results_nor_fills_one_cell() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let scene = Scene::random(1, 400, 2).with(|i, g| {
         if i == 100 {
             g.row_mut(Field::Mean, i).copy_from_slice(&[3e4, -1e4, 2e4]);
@@ -277,8 +284,9 @@ fn a_gaussian_far_out_neither_changes_results_nor_fills_one_cell() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn needles_and_pancakes_are_seen_as_on_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for (scales, aligned) in [
         ([-1.0, -6.0, -6.0], false),
         ([-1.0, -1.0, -7.0], false),
@@ -296,8 +304,9 @@ fn needles_and_pancakes_are_seen_as_on_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn what_is_too_transparent_too_far_or_no_number_hides_nothing() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let transparent = Scene::random(31, 300, 2).with(|i, g| g.row_mut(Field::OpacityLogit, i)[0] = -6.0);
     assert_eq!(assert_parity(&gpu, &transparent, ProbeSettings::default()), 0.0);
     let half = Scene::random(32, 300, 2).with(|i, g| {
@@ -333,8 +342,9 @@ fn what_is_too_transparent_too_far_or_no_number_hides_nothing() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_measurement_becomes_the_visibility_field_and_nothing_else_changes() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let scene = Scene::random(41, 100, 3);
     let params = gpu.upload("params", &planar(&scene.gaussians)).unwrap();
     let buffers = scene.on_device(&gpu, ProbeSettings::default(), &directions());
@@ -352,8 +362,9 @@ fn the_measurement_becomes_the_visibility_field_and_nothing_else_changes() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn what_does_not_fit_is_refused_with_numbers() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let params: Buffer<f32> = gpu.buffer("params", 4).unwrap();
     let model = LayoutUniform { n: 1 << 30, ..Scene::random(1, 1, 0).layout() };
     let up = [[0.0, 0.0, 1.0]; 2];

@@ -28,8 +28,9 @@ fn forward_errors(raster: &mut Raster, scene: &Scene, channels: Channels) -> (f3
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn needles_keep_their_digits_on_both_engines() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(31, 60, (64, 48), 1).fill(Field::LogScale, &[0.7, -6.0, -6.5]);
     let (device, cpu) = forward_errors(&mut raster, &scene, Channels::Material);
@@ -40,8 +41,9 @@ fn needles_keep_their_digits_on_both_engines() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn pancakes_and_splats_that_cover_everything_match_f64() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for (name, scale, n) in [("pancakes", [-1.5, -1.2, -8.0], 80), ("covering", [1.0, 1.2, 0.8], 40)] {
         let scene = Scene::random(32, n, (64, 48), 1).fill(Field::LogScale, &scale);
@@ -54,8 +56,9 @@ fn pancakes_and_splats_that_cover_everything_match_f64() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn three_hundred_opaque_layers_have_gradients_in_front_and_none_behind() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for logit in [-1.0, 4.0, 9.0] {
         let scene = Scene::random(33, 300, (16, 16), 1)
@@ -70,8 +73,9 @@ fn three_hundred_opaque_layers_have_gradients_in_front_and_none_behind() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn early_stop_misses_no_more_than_its_threshold() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(34, 300, (37, 21), 1).fill(Field::LogScale, &[-1.0, -0.8, -1.2]);
     let whole = gbuffer(&gpu, &scene.gpu(&mut raster, Channels::Colour, EarlyStop::Never));
@@ -82,8 +86,9 @@ fn early_stop_misses_no_more_than_its_threshold() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn any_image_size_matches_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for size in [(1, 1), (1, 40), (16, 16), (17, 15), (37, 21), (3, 64)] {
         let scene = Scene::random(35, 100, size, 1);
@@ -94,8 +99,9 @@ fn any_image_size_matches_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn nothing_to_see_is_an_empty_picture() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for n in [0, 5] {
         // Behind the camera, if any.
@@ -114,8 +120,9 @@ fn nothing_to_see_is_an_empty_picture() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn what_is_no_number_is_invisible() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let fields = [Field::Mean, Field::LogScale, Field::Quaternion, Field::OpacityLogit];
     let mut scene = Scene::random(37, 40, (20, 20), 1);
@@ -139,8 +146,9 @@ fn what_is_no_number_is_invisible() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn equal_depths_are_ordered_by_index() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(38, 100, (37, 21), 1)
         .fill(Field::Mean, &[0.1, 0.0, 0.1])
@@ -152,8 +160,9 @@ fn equal_depths_are_ordered_by_index() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn more_pairs_than_a_binding_holds_are_refused_with_numbers() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let raster = Raster::new(&gpu).unwrap();
     let most = gpu.report().max_binding.min(gpu.report().max_buffer);
     let pairs = (1u64 << 33) + 5;
@@ -166,8 +175,9 @@ fn more_pairs_than_a_binding_holds_are_refused_with_numbers() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn channels_and_buffers_that_do_not_fit_the_model_are_refused() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(39, 10, (1, 1), 1);
     let (camera, fitting) = (CameraUniform::new(&scene.view), scene.on_device(&gpu));
@@ -223,8 +233,9 @@ fn emitted(raster: &mut Raster, scene: &Scene, off: i32, room: usize) -> (Vec<u3
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn miscounted_tiles_are_neither_written_past_nor_left_undefined() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(40, 60, (40, 40), 1);
     let counts = counts(&scene.gpu(&mut raster, Channels::Colour, EarlyStop::WhenSaturated));
@@ -241,8 +252,9 @@ fn miscounted_tiles_are_neither_written_past_nor_left_undefined() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_count_of_pairs_carries_beyond_32_bits() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(41, 300, (64, 48), 1);
     let frame = scene.gpu(&mut raster, Channels::Colour, EarlyStop::WhenSaturated);

@@ -6,7 +6,8 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::engine::Gradients;
 use crate::engine::RasterCamera;
-use crate::engine::channel::{self, Channels};
+use crate::engine::channel::{Channels, IncidentLight};
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{AttributeSource as CpuSource, Pass, ROW_HEADER, backward_labels};
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{GpuOptions, model::LayoutUniform};
@@ -127,7 +128,7 @@ impl Case {
         let basis = std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-0.5f32..0.8)));
         let source = source(&model, &basis);
         let view = RasterCamera::new(&camera(), &model.shading);
-        let pass = Pass::forward(&source, view, shape.channels, true);
+        let pass = Pass::forward(&source, view, shape.channels, EarlyStop::WhenSaturated);
         let (count, stored) = (shape.channels.count(), shape.channels.stored());
         let mut by_gbuffer = vec![0.0f32; pass.gbuffer.len()];
         let mut planes = vec![[0.0f32; 4]; stored / 4 * view.width * view.height];
@@ -147,12 +148,12 @@ impl Case {
         let groups = stored / 4;
         let (records, rows) = device_rows(&pass, shape.n, &summed, count, groups);
         let mut by_basis = [[0.0; 3]; 16];
-        if count >= channel::INDIRECT.end {
+        if count >= IncidentLight::BLOCKED.end {
             for (splat, row) in pass.splats.iter().zip(summed.chunks_exact(ROW_HEADER + count)) {
                 let weights = model.gaussians.row(Field::Indirect, splat.gaussian as usize);
                 for (o, w) in by_basis.iter_mut().zip(weights) {
                     (0..3).for_each(|c| {
-                        o[c] += f64::from(*w) * f64::from(row[ROW_HEADER + channel::INDIRECT.start + c])
+                        o[c] += f64::from(*w) * f64::from(row[ROW_HEADER + IncidentLight::BLOCKED.start + c])
                     });
                 }
             }
