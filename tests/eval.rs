@@ -301,7 +301,7 @@ mod with_data {
     use super::*;
     use crate::requirements::data;
 
-    fn picture(path: PathBuf) -> Picture {
+    fn picture(path: PathBuf) -> DisplayImage {
         let image = image::open(path).unwrap().into_rgb32f();
         let values = image.pixels().map(|p| p.0).collect();
         Plane { width: image.width(), height: image.height(), values }

@@ -5,7 +5,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::capture::photos::{self, PhotoEntry, Split};
-use crate::capture::{Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, nerfstudio, truth};
+use crate::capture::{
+    Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, nerfstudio, truth,
+};
 use crate::formats::image_file;
 use crate::formats::ply_points::Point;
 

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use crate::engine::adapter::choose_adapter;
 #[cfg(feature = "gpu")]
 use crate::engine::gpu::{self, Adapters, Gpu, GpuOptions};
-use crate::engine::{AdapterReport, DeviceChoice, DeviceError, Frames, TrainState, Training, TrainingLimits, cpu};
+use crate::engine::{
+    AdapterReport, DeviceChoice, DeviceError, Frames, TrainState, Training, TrainingLimits, cpu,
+};
 use crate::light::EnvOperators;
 use crate::scene::Model;
 

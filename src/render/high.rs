@@ -7,7 +7,10 @@ use rayon::prelude::*;
 
 use crate::engine::channel::{self, Channels, OutgoingRadiance};
 use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{AttributeSource, MAX_COEFFICIENTS, Pass, Probes, Surface, SurfaceShader, attribute_rows, blended_radiance, normalise, project_all, reflector, resolve};
+use crate::engine::cpu::{
+    AttributeSource, MAX_COEFFICIENTS, Pass, Probes, Surface, SurfaceShader, attribute_rows,
+    blended_radiance, normalise, project_all, reflector, resolve,
+};
 use crate::engine::{ProbeSettings, RasterCamera};
 use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, rendering_tables};
 use crate::render::{Frame, Job};

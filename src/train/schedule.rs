@@ -1,6 +1,9 @@
 //! What each step trains, with which weights and step sizes: the configuration as a function of progress.
 
-use crate::engine::{Branches, FieldUpdate, ImageWeights, LightWeights, ParameterWeights, ProbeMeasurement, StepSizes, StepWeights, SurfaceWeights};
+use crate::engine::{
+    Branches, FieldUpdate, ImageWeights, LightWeights, ParameterWeights, ProbeMeasurement, StepSizes,
+    StepWeights, SurfaceWeights,
+};
 use crate::scene::Field;
 use crate::train::{LabelSource, TrainConfig};
 

@@ -9,7 +9,9 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
 use crate::engine::cpu::evaluation;
-use crate::engine::{Device, DeviceError, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
+use crate::engine::{
+    Device, DeviceError, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits,
+};
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Field, Model};
 use crate::train::complexity::{self, state::ComplexityState};

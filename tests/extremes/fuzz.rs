@@ -4,7 +4,7 @@
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use relume::engine::Device;
-use relume::engine::side_by_side::{Answer, Question, by_cpu};
+use relume::engine::parity::{ParityCase, ParityResult, by_cpu};
 use relume::scene::{Camera, Field, Model};
 
 use super::harness::{BACKGROUND, LIGHT, answer, in_front, looking_from, model, on_each_engine};
@@ -99,11 +99,11 @@ fn is_on_a_threshold(model: &Model, camera: &Camera, i: usize) -> bool {
 }
 
 fn check(model: &Model, camera: &Camera, device: &Device) -> Result<(), TestCaseError> {
-    let question = Question::new(model, camera, BACKGROUND, &LIGHT, 5);
+    let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 5);
     let found = answer(device, &question);
     prop_assert!(images_are_finite(&found));
     if let Device::Gpu(_) = device {
-        let drawn = |answer: &Answer| -> Vec<usize> {
+        let drawn = |answer: &ParityResult| -> Vec<usize> {
             let steady = |i: &usize| !is_on_a_threshold(model, camera, *i);
             answer.splats.iter().map(|s| s.gaussian).filter(steady).collect()
         };
@@ -114,7 +114,7 @@ fn check(model: &Model, camera: &Camera, device: &Device) -> Result<(), TestCase
     let kept: Vec<usize> = found.splats.iter().map(|s| s.gaussian).collect();
     let mut rest = model.clone();
     rest.gaussians = model.gaussians.gathered(&kept);
-    let without = by_cpu(&Question::new(&rest, camera, BACKGROUND, &LIGHT, 5));
+    let without = by_cpu(&ParityCase::new(&rest, camera, BACKGROUND, &LIGHT, 5));
     prop_assert_eq!(found.physical, without.physical);
     Ok(())
 }
@@ -138,7 +138,7 @@ fn extreme_parameters_give_finite_images(device: &Device) {
 
 fn gaussians_with_nan_geometry_are_not_drawn(device: &Device) {
     let drawn = |model: &Model| {
-        let found = answer(device, &Question::new(model, &in_front((16, 12)), BACKGROUND, &LIGHT, 5));
+        let found = answer(device, &ParityCase::new(model, &in_front((16, 12)), BACKGROUND, &LIGHT, 5));
         assert!(found.is_finite());
         found.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>()
     };

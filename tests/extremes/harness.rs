@@ -4,8 +4,8 @@ use std::sync::LazyLock;
 
 use glam::DVec3;
 use relume::engine::Device;
-use relume::engine::side_by_side::{
-    Answer, LightShape, Question, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
+use relume::engine::parity::{
+    LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
 };
 use relume::light::TableResolution;
 use relume::scene::{Camera, Field, Gaussians, Model, ShadingOptions};
@@ -181,12 +181,12 @@ impl<'d> Suite<'d> {
 
     /// Where f64 has no answer, or too slow a one: the engine's answer is finite, and the GPU engine draws the same
     /// Gaussians as the CPU engine and agrees with it to `bound`.
-    pub(super) fn alike(&mut self, name: &str, model: &Model, camera: &Camera, bound: f64) -> Answer {
-        let question = Question::new(model, camera, BACKGROUND, &LIGHT, 7);
+    pub(super) fn alike(&mut self, name: &str, model: &Model, camera: &Camera, bound: f64) -> ParityResult {
+        let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
         let found = self.finite(name, &question);
         if let Device::Gpu(_) = self.device {
             let cpu = by_cpu(&question);
-            let drawn = |a: &Answer| a.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>();
+            let drawn = |a: &ParityResult| a.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>();
             if drawn(&found) != drawn(&cpu) {
                 self.failures.push(format!("{name}: draws other Gaussians than the CPU engine"));
             }
@@ -199,7 +199,7 @@ impl<'d> Suite<'d> {
         found
     }
 
-    fn finite(&mut self, name: &str, question: &Question<'_>) -> Answer {
+    fn finite(&mut self, name: &str, question: &ParityCase<'_>) -> ParityResult {
         let found = answer(self.device, question);
         if !found.is_finite() {
             self.failures.push(format!("{name}: not finite"));
@@ -219,7 +219,7 @@ impl Drop for Suite<'_> {
     }
 }
 
-pub(super) fn answer(device: &Device, question: &Question<'_>) -> Answer {
+pub(super) fn answer(device: &Device, question: &ParityCase<'_>) -> ParityResult {
     match device {
         Device::Cpu => by_cpu(question),
         Device::Gpu(gpu) => by_gpu(gpu, question).unwrap(),

@@ -1,11 +1,12 @@
 //! Opacity at its ends, and very many layers on one ray.
 
-use relume::engine::Device;
 use relume::engine::channel::{COVERAGE, Channels};
-use relume::engine::cpu::{AttributeSource, Pass, TRANSMITTANCE_STOP, backward_labels};
-use relume::engine::RasterCamera;
-use relume::engine::gpu::{AttributeBuffers, Gpu, Raster, ViewUniform, model::ModelBuffers};
-use relume::engine::reference::{Options, Scene, Tables, Tape, forward, losses};
+use relume::engine::constants::{EarlyStop, TRANSMITTANCE_STOP};
+use relume::engine::cpu::{AttributeSource, Pass, backward_labels};
+use relume::engine::gpu::raster::{Projected, Raster};
+use relume::engine::gpu::{AttributeSource as GpuSource, CameraUniform, Gpu, model::ModelBuffers};
+use relume::engine::reference::{Options, ReferenceModel, TableOperators, Tape, forward, losses};
+use relume::engine::{Device, RasterCamera};
 use relume::scene::{Camera, Field, Model};
 
 use super::harness::{Bounds, ENV, Suite, TABLES, TIGHT, in_front, model, on_each_engine};
@@ -77,40 +78,33 @@ fn source(model: &Model) -> AttributeSource<'_> {
     }
 }
 
-/// The GPU rasteriser with the model's splats prepared.
-fn prepared(gpu: &Gpu, model: &Model, camera: &Camera) -> (Raster, ModelBuffers) {
-    let buffers = ModelBuffers::upload(gpu, model).unwrap();
-    let mut raster = Raster::new(gpu).unwrap();
-    let view = ViewUniform::new(&View::new(camera, &model.shading));
-    raster.prepare(&view, &buffers.layout, &buffers.params).unwrap();
-    (raster, buffers)
+/// The model's splats, projected on the GPU.
+fn projected<'r>(raster: &'r mut Raster, gpu: &Gpu, model: &Model, camera: &Camera) -> Projected<'r> {
+    let source = GpuSource::new(&ModelBuffers::upload(gpu, model).unwrap());
+    let camera = CameraUniform::new(&RasterCamera::new(camera, &model.shading));
+    raster.prepare(&camera, &source).unwrap()
 }
 
 /// The accumulated alpha of the only pixel.
-fn coverage(device: &Device, model: &Model, camera: &Camera, early_stop: bool) -> f32 {
+fn coverage(device: &Device, model: &Model, camera: &Camera, early_stop: EarlyStop) -> f32 {
     let channels = Channels::Full(9);
     let Device::Gpu(gpu) = device else {
-        let view = View::new(camera, &model.shading);
+        let view = RasterCamera::new(camera, &model.shading);
         return Pass::forward(&source(model), view, channels, early_stop).at(0, 0, COVERAGE);
     };
-    let (mut raster, buffers) = prepared(gpu, model, camera);
-    let source = AttributeBuffers {
-        params: &buffers.params,
-        globals: &buffers.globals,
-        gathered: None,
-        indirect_basis: None,
-    };
+    let mut raster = Raster::new(gpu).unwrap();
     let mut recorder = gpu.record();
-    raster.attributes(&mut recorder, channels, &source).unwrap();
-    raster.blend(&mut recorder, channels, early_stop).unwrap();
+    let frame = projected(&mut raster, gpu, model, camera).attributes(&mut recorder, channels).unwrap();
+    let frame = frame.blend(&mut recorder, early_stop).unwrap();
     recorder.submit().unwrap();
-    gpu.read(raster.gbuffer.as_ref().unwrap(), 0..1).unwrap()[0][0]
+    gpu.read(frame.gbuffer(), 0..1).unwrap()[0][0]
 }
 
 fn early_stop_misses_less_weight_than_it_promises(device: &Device) {
     for logit in [-3.2, 0.0, 9.0] {
         let (model, camera) = layered(logit);
-        let [whole, stopped] = [false, true].map(|early| coverage(device, &model, &camera, early));
+        let [whole, stopped] =
+            [EarlyStop::Never, EarlyStop::WhenSaturated].map(|stop| coverage(device, &model, &camera, stop));
         let missed = whole - stopped;
         assert!((0.0..=MOST_MISSED).contains(&missed), "{logit}: {missed:e}");
         assert!(missed > 0.0 || logit > 0.0, "the control: something is missed at {logit}");
@@ -120,18 +114,19 @@ fn early_stop_misses_less_weight_than_it_promises(device: &Device) {
 /// Weighted backward transmittance of each Gaussian, with early stop of the forward pass.
 fn labels(device: &Device, model: &Model, camera: &Camera) -> Vec<f64> {
     let Device::Gpu(gpu) = device else {
-        let pass = Pass::forward(&source(model), View::new(camera, &model.shading), Channels::Full(9), true);
+        let view = RasterCamera::new(camera, &model.shading);
+        let pass = Pass::forward(&source(model), view, Channels::Full(9), EarlyStop::WhenSaturated);
         let mut found = vec![f64::NAN; LAYERS];
         for (splat, label) in pass.splats.iter().zip(backward_labels(&pass)) {
             found[splat.gaussian as usize] = f64::from(label.transmittance);
         }
         return found;
     };
-    let (mut raster, _) = prepared(gpu, model, camera);
+    let mut raster = Raster::new(gpu).unwrap();
     let mut recorder = gpu.record();
-    raster.backward_labels(&mut recorder).unwrap();
+    let labels = projected(&mut raster, gpu, model, camera).backward_labels(&mut recorder).unwrap();
     recorder.submit().unwrap();
-    let found = gpu.read(raster.labels.as_ref().unwrap(), 0..LAYERS).unwrap();
+    let found = gpu.read(&labels, 0..LAYERS).unwrap();
     found.into_iter().map(|[sum, weight]| f64::from(sum) / f64::from(weight)).collect()
 }
 

@@ -200,7 +200,7 @@ fn the_f64_tables_are_those_of_the_light_module() {
 
 #[test]
 fn transmittances_in_front_at_and_behind_a_layer_multiply_to_that_of_the_ray() {
-    let scene = Scene::new(ball(60, 0.0, 0.0)).unwrap();
+    let scene = ReferenceModel::new(ball(60, 0.0, 0.0)).unwrap();
     let tape = Tape::new();
     let pass = forward(&tape, &scene, &camera_from(DVec3::new(1.0, 3.0, 1.0)), &options(constant_sky()));
     let (w, behind) = (pass.weights.weights.value(), pass.weights.backward.value());
@@ -276,7 +276,7 @@ fn a_wall_hides_what_is_behind_it_and_nothing_else() {
 
 #[test]
 fn a_scene_without_gaussians_is_background_without_gradients() {
-    let scene = Scene::new(ball(0, 0.0, 0.0)).unwrap();
+    let scene = ReferenceModel::new(ball(0, 0.0, 0.0)).unwrap();
     let options = Options { background: [0.1, 0.2, 0.3], ..options(constant_sky()) };
     let frame = render(&scene, &camera_from(DVec3::X * 4.0), &options);
     assert!(frame["image"].data().chunks(3).all(|p| p == [0.1, 0.2, 0.3]));
@@ -343,7 +343,7 @@ fn a_missing_or_misshapen_parameter_is_named() {
     for name in parameter_names().filter(|n| !["radiance_sh", "sheen"].contains(n)) {
         let mut arrays = ball(3, 0.0, 0.0);
         arrays.remove(name);
-        assert_eq!(Scene::new(arrays).unwrap_err().name, name);
+        assert_eq!(ReferenceModel::new(arrays).unwrap_err().name, name);
         let mut arrays = ball(3, 0.0, 0.0);
         arrays.insert(name, Array::zeros(&[4, 2, 2]));
         assert!(ReferenceModel::new(arrays).is_err(), "{name}");

@@ -1,16 +1,16 @@
 //! The objective of the trainer, f32 with gradients by hand, against the reference's terms.
 
 use glam::DVec3;
-use relume::engine::{ImageWeights, RasterCamera};
 use relume::engine::channel::Channels;
 use relume::engine::constants::EarlyStop;
+use relume::engine::cpu::objective::{aggregation, geometry, image, parameters};
 use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader};
 use relume::engine::reference::{
     Array, Arrays, Options, ReferenceModel, TableOperators, Tape, Target, forward, objective,
 };
+use relume::engine::{ImageWeights, RasterCamera};
 use relume::light::{EnvOperators, TableResolution};
 use relume::scene::{Camera, Field, Model, ShadingOptions, softplus, texel_directions};
-use relume::engine::cpu::objective::{aggregation, geometry, image, parameters};
 
 use super::parity::{BACKGROUND, GAUSSIANS, Noise, SIZE, as_arrays, camera, distance, model, wide};
 

@@ -3,10 +3,10 @@
 use std::sync::LazyLock;
 
 use glam::DVec3;
-use relume::engine::Gradients;
 use relume::engine::cpu::{self, AttributeSource};
-use relume::engine::reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES, Probes, Scene};
-use relume::engine::side_by_side::{Answer, LightShape, Question, by_cpu, by_reference, relative_error};
+use relume::engine::parity::{LightShape, ParityCase, ParityResult, by_cpu, by_reference, relative_error};
+use relume::engine::reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES, Probes, ReferenceModel};
+use relume::engine::{Gradients, ProbeSettings, fibonacci_sphere};
 use relume::light::TableResolution;
 use relume::scene::{
     Camera, DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions,
@@ -87,10 +87,10 @@ fn gathered_light(seed: u64) -> Vec<[f32; 6]> {
 }
 
 /// The case `seed`, answered by both engines: the CPU engine's answer, the reference's.
-fn answers(model: &Model, seed: u64) -> [Answer; 2] {
+fn answers(model: &Model, seed: u64) -> [ParityResult; 2] {
     let (camera, gathered) = (camera(seed), gathered_light(seed));
     let question =
-        Question { gathered: &gathered, ..Question::new(model, &camera, BACKGROUND, &LIGHT, seed) };
+        ParityCase { gathered: &gathered, ..ParityCase::new(model, &camera, BACKGROUND, &LIGHT, seed) };
     [by_cpu(&question), by_reference(&question)]
 }
 
@@ -232,7 +232,7 @@ fn the_comparison_notices_another_model_and_another_place_of_shading() {
     rougher.gaussians.field_mut(Field::RoughLogit).iter_mut().for_each(|r| *r += 0.05);
     let [rougher, _] = answers(&rougher, 1);
     assert!(image_error(&rougher.physical, &reference.physical) > TOLERANCE_VALUE);
-    let normals = |answer: &Answer| answer.gradients["normals_raw"].clone();
+    let normals = |answer: &ParityResult| answer.gradients["normals_raw"].clone();
     assert!(distance(&normals(&rougher), &normals(&reference)) > TOLERANCE_GRADIENT);
     let radiance = image_error(&rougher.radiance, &reference.radiance);
     assert!(radiance < TOLERANCE_VALUE, "the radiance branch has no roughness");

@@ -9,6 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::cli::bench::table::{head, machine, publish, row};
 use crate::cli::error::CommandResult;
 use crate::engine::Device;
+use crate::engine::cpu::objective::image::Target;
 use crate::engine::gpu::objective::{ImageTerm, LOSS_SLOTS, LossSlot};
 use crate::engine::gpu::{CameraUniform, Gpu};
 use crate::engine::parity::{
@@ -18,7 +19,6 @@ use crate::engine::reference::{Array, Tape, losses};
 use crate::engine::{DeviceChoice, DeviceError, ImageWeights, RasterCamera};
 use crate::light::TableResolution;
 use crate::scene::{Camera, Field, Gaussians, Model, ShadingOptions};
-use crate::engine::cpu::objective::image::Target;
 
 const SIZE: (u32, u32) = (24, 16);
 const GAUSSIANS: usize = 24;

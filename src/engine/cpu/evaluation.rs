@@ -3,7 +3,9 @@
 use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::training::environment_radiance;
-use crate::engine::cpu::{self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance, training};
+use crate::engine::cpu::{
+    self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance, training,
+};
 use crate::engine::step::{Branches, Photo};
 use crate::engine::{RasterCamera, TrainState, indirect_basis};
 use crate::light::EnvOperators;

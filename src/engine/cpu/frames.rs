@@ -8,7 +8,10 @@ use rayon::prelude::*;
 use crate::engine::channel::{self, Channels, OutgoingRadiance, RowLight};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::resolve::resolve;
-use crate::engine::cpu::{AttributeSource, Occluders, Pass, Probes, SurfaceShader, Transport, attribute_rows, outward_normals, project_all};
+use crate::engine::cpu::{
+    AttributeSource, Occluders, Pass, Probes, SurfaceShader, Transport, attribute_rows, outward_normals,
+    project_all,
+};
 use crate::engine::{BOUNCES, FrameJob, PROBE_DIRECTIONS, ShadeColour};
 use crate::engine::{Frame, Output, ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
 use crate::light::LightTables;

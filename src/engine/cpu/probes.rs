@@ -13,19 +13,6 @@ use crate::engine::cpu::shadows::{Query, measure_direction};
 use crate::light::sh_eval;
 use crate::scene::{Field, sh_count};
 
-/// `n` directions spread evenly over the sphere (Fibonacci spiral).
-pub fn fibonacci_sphere(n: usize) -> Vec<Vec3> {
-    let golden = std::f64::consts::PI * (1.0 + 5.0f64.sqrt());
-    (0..n)
-        .map(|i| {
-            let z = 1.0 - 2.0 * (i as f64 + 0.5) / n as f64;
-            let r = (1.0 - z * z).max(0.0).sqrt();
-            let phi = golden * (i as f64 + 0.5);
-            [(r * phi.cos()) as f32, (r * phi.sin()) as f32, z as f32]
-        })
-        .collect()
-}
-
 /// Measured visibility of a set of Gaussians.
 #[derive(Debug, Clone)]
 pub struct Probes {

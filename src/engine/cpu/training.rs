@@ -7,11 +7,17 @@ use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::adam::adam_step;
 use crate::engine::cpu::objective::image::Target;
 use crate::engine::cpu::objective::{aggregation, geometry, parameters};
-use crate::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, Probes, SurfaceShader, Transport, density, outward_normals, radiance_image, radiance_image_backward};
+use crate::engine::cpu::{
+    AttributeSource, BranchImages, BufferGradient, Pass, Probes, SurfaceShader, Transport, density,
+    outward_normals, radiance_image, radiance_image_backward,
+};
 use crate::engine::density::{DensityPlan, DensitySignals};
 use crate::engine::step::{FieldUpdate, ProbeMeasurement, Step, StepSums};
 use crate::engine::training;
-use crate::engine::{DeviceError, Gradients, ProbeSettings, RasterCamera, StepWeights, TrainState, fibonacci_sphere, indirect_basis};
+use crate::engine::{
+    DeviceError, Gradients, ProbeSettings, RasterCamera, StepWeights, TrainState, fibonacci_sphere,
+    indirect_basis,
+};
 use crate::light::EnvOperators;
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
 

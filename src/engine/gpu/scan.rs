@@ -4,10 +4,8 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::grow::grow;
+use crate::engine::gpu::kernel_constants::SCAN_BLOCK;
 use crate::engine::gpu::{Buffer, Groups, Recorder, shaders, uniform};
-
-/// Elements a workgroup sums.
-const BLOCK: usize = 1024;
 
 /// `ScanSize` of `scan_blocks.wgsl` and `scan_add.wgsl`.
 #[repr(C)]
@@ -63,7 +61,7 @@ impl Scan {
         if self.levels.len() <= depth {
             self.levels.push(Level::default());
         }
-        let n_blocks = n_out.div_ceil(BLOCK);
+        let n_blocks = n_out.div_ceil(SCAN_BLOCK);
         let level = &mut self.levels[depth];
         let sums = grow(rec.gpu(), "block sums", &mut level.sums, n_blocks)?;
         let size = ScanSize { n_in: n_in as u32, n_out: n_out as u32, pad_a: 0, pad_b: 0 };

@@ -4,11 +4,10 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::grow::grow;
+use crate::engine::gpu::kernel_constants::SORT_BLOCK;
 use crate::engine::gpu::scan::Scan;
 use crate::engine::gpu::{Buffer, Groups, Recorder, shaders, uniform};
 
-/// Pairs a workgroup sorts.
-const BLOCK: usize = 2048;
 /// Most bits a pass sorts by.
 const PASS_BITS: u32 = 8;
 
@@ -87,7 +86,7 @@ impl Sorter {
         to: &Pairs,
         (n, shift, bits): (usize, u32, u32),
     ) -> Result<(), DeviceError> {
-        let n_blocks = n.div_ceil(BLOCK);
+        let n_blocks = n.div_ceil(SORT_BLOCK);
         let n_counts = n_blocks << bits;
         let counts = grow(rec.gpu(), "digit counts", &mut self.counts, n_counts)?;
         let places = grow(rec.gpu(), "digit places", &mut self.places, n_counts + 1)?;

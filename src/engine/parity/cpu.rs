@@ -1,12 +1,12 @@
 //! The CPU engine's result.
 
 use crate::engine::Gradients;
-use crate::engine::{RasterCamera, indirect_basis};
 use crate::engine::channel::{COVERAGE, Channels};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{AttributeSource, BranchImages, Pass, SurfaceShader};
 use crate::engine::parity::case::{ParityCase, ParityResult, SplatSeen};
 use crate::engine::reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES};
+use crate::engine::{RasterCamera, indirect_basis};
 use crate::scene::{Field, Model, softplus};
 
 /// The result of the CPU engine, without early stop.

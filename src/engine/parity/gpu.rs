@@ -9,7 +9,7 @@ use crate::engine::gpu::model::{ModelBuffers, from_planar};
 use crate::engine::gpu::objective::LOSS_SLOTS;
 use crate::engine::gpu::raster::SplatRecord;
 use crate::engine::gpu::shading::{Images, Shading};
-use crate::engine::gpu::update::{STATUS_LEN, StepInput, Sums, Updater, Upstream};
+use crate::engine::gpu::update::{STATUS_WORDS, StepInput, Sums, Updater, Upstream};
 use crate::engine::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Raster};
 use crate::engine::parity::case::{ParityCase, ParityResult, SplatSeen};
 use crate::engine::parity::cpu::shared;
@@ -52,7 +52,7 @@ impl Canvas {
             globals: gpu.buffer("gradients of what is shared", model.globals.len())?,
             losses: gpu.buffer("losses", LOSS_SLOTS)?,
             density: gpu.buffer("density", model.len())?,
-            status: gpu.buffer("status", STATUS_LEN)?,
+            status: gpu.buffer("status", STATUS_WORDS)?,
         })
     }
 }

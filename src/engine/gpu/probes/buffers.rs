@@ -2,8 +2,8 @@
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::model::LayoutUniform;
-use crate::scene::Field;
 use crate::engine::gpu::{Buffer, Gpu, Recorder};
+use crate::scene::Field;
 
 /// Measured visibility of a model, in device memory.
 #[derive(Debug, Clone)]

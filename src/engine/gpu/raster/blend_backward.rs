@@ -8,8 +8,7 @@ use crate::engine::gpu::raster::project::Projected;
 use crate::engine::gpu::raster::records::Words;
 use crate::engine::gpu::{Buffer, Recorder, shaders, uniform};
 
-/// Floats of a splat gradient row in front of the channels: mean x, y, conic xx, xy, yy, opacity, absgrad, one unused.
-pub const GRADIENT_HEADER: usize = 8;
+pub use crate::engine::gpu::kernel_constants::GRADIENT_HEADER;
 
 /// A blended view with the gradients of its splats.
 #[derive(Debug)]

@@ -24,7 +24,7 @@ use crate::engine::gpu::shading::Shading;
 use crate::engine::gpu::training::canvas::Canvas;
 use crate::engine::gpu::training::photos::PhotoCache;
 use crate::engine::gpu::training::state::DeviceState;
-use crate::engine::gpu::update::{STATUS_LEN, StepInput, Sums, Updater, Upstream};
+use crate::engine::gpu::update::{STATUS_WORDS, StepInput, Sums, Updater, Upstream};
 use crate::engine::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Recorder};
 use crate::engine::{
     DensityPlan, DensitySignals, DeviceError, FieldUpdate, LightWeights, ProbeMeasurement, ProbeSettings,
@@ -81,7 +81,7 @@ impl Training {
             canvas: None,
             losses: gpu.buffer("losses", LOSS_SLOTS)?,
             globals_gradient: gpu.buffer("gradient of what is shared", on_device.model.globals.len())?,
-            status: gpu.buffer("status", STATUS_LEN)?,
+            status: gpu.buffer("status", STATUS_WORDS)?,
             gpu: gpu.clone(),
             shape: state.model,
             state: on_device,

@@ -7,26 +7,19 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::engine::DeviceError;
+use crate::engine::adam::{FieldGroup, HIGHER_DEGREE_SHARE};
 use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::raster::{Differentiated, SplatRecord};
 use crate::engine::gpu::{Buffer, CameraUniform, Gpu, Groups, Recorder, shaders, uniform};
 use crate::engine::{ParameterWeights, StepCounts, StepSizes};
 use crate::scene::Field;
 
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.999;
-/// Radiance coefficients beyond the first take this share of the field's step size.
-const REST_OF_RADIANCE: f32 = 0.05;
-/// Slot of `UpdateUniform::rates` for them.
+pub use crate::engine::gpu::kernel_constants::STATUS_WORDS;
+
+/// Slot of `UpdateUniform::rates` for radiance coefficients beyond degree 0.
 const RADIANCE_REST: usize = Field::COUNT;
 /// Slots of `UpdateUniform::rates`.
 const RATES: usize = Field::COUNT + 1;
-
-/// Adam's bias corrections: of the first moment, and the root of that of the second.
-fn corrections(count: u32) -> [f32; 2] {
-    let correction = |beta: f32| 1.0 - beta.powi(count.clamp(1, 100_000) as i32);
-    [correction(BETA1), correction(BETA2).sqrt()]
-}
 
 /// `Update` of `shaders/update.wgsl`.
 #[repr(C)]
@@ -129,9 +122,6 @@ pub struct StepInput<'a> {
     pub weights: ParameterWeights,
 }
 
-/// Elements of the status buffer.
-pub const STATUS_LEN: usize = 4;
-
 /// The kernels with the little memory of their own.
 #[derive(Debug, Clone)]
 pub struct Updater {
@@ -183,7 +173,7 @@ impl Updater {
         sizes: &StepSizes,
         counts: StepCounts,
     ) {
-        let [first, second] = corrections(counts.material);
+        let [first, second] = counts.corrections(FieldGroup::Material);
         let n = 3 * (model.n_prototypes + model.n_texels);
         let uniforms = AdamGlobals {
             n_prototypes: 3 * model.n_prototypes as u32,
@@ -278,22 +268,15 @@ impl Updater {
     }
 }
 
-/// Fields that only the physically based branch trains.
-fn is_material(field: Field) -> bool {
-    use Field::{Indirect, MetalLogit, Normal, ProtoLogits, Residual, RoughLogit, Sheen, Visibility};
-    matches!(field, Normal | MetalLogit | RoughLogit | Sheen | ProtoLogits | Residual | Visibility | Indirect)
-}
-
 /// `UpdateUniform::rates`.
 fn rate_table(sizes: &StepSizes, counts: StepCounts) -> [[f32; 4]; RATES] {
     let mut out = [[0.0; 4]; RATES];
     for field in Field::ALL {
-        let count = if is_material(field) { counts.material } else { counts.geometry };
-        let [first, second] = corrections(count);
+        let [first, second] = counts.corrections(FieldGroup::of(field));
         out[field as usize] = [sizes.fields[field as usize] / first, second, 0.0, 0.0];
     }
     let [rate, second, ..] = out[Field::Radiance as usize];
-    out[RADIANCE_REST] = [rate * REST_OF_RADIANCE, second, 0.0, 0.0];
+    out[RADIANCE_REST] = [rate * HIGHER_DEGREE_SHARE, second, 0.0, 0.0];
     out
 }
 

@@ -233,7 +233,7 @@ impl OnDevice {
             globals_gradient: gpu.upload("by globals", &vec![0.0f32; model.globals.len()]).unwrap(),
             losses: gpu.upload("losses", &[0.0f32; 16]).unwrap(),
             density: gpu.upload("density", &vec![[1.0f32, 2.0]; n]).unwrap(),
-            status: gpu.upload("status", &[0u32; STATUS_LEN]).unwrap(),
+            status: gpu.upload("status", &[0u32; STATUS_WORDS]).unwrap(),
             model,
         }
     }
