@@ -80,11 +80,11 @@ fn put_truth(
     surface: &mut Surface,
 ) {
     let truth = &view.truth;
-    let is = |layer| replaced.contains(&layer);
+    let replaces = |layer| replaced.contains(&layer);
     if view.image.pixels[i][3] < 0.5 {
         return;
     }
-    if let (true, Some(occlusion)) = (is(TruthLayer::Occlusion), &truth.ambient_occlusion) {
+    if let (true, Some(occlusion)) = (replaces(TruthLayer::Occlusion), &truth.ambient_occlusion) {
         let wanted = occlusion.values[i][0].clamp(0.0, 1.0);
         let normal = truth.normal.as_ref().map_or(surface.normal, |n| n.values[i]);
         let found = shader.ambient_occlusion(&surface.visibility, normal).clamp(0.02, 1.0);
@@ -92,13 +92,13 @@ fn put_truth(
         let blocked = ((1.0 - wanted) / (1.0 - found).max(0.02)).min(10.0);
         surface.gathered.iter_mut().for_each(|e| *e *= blocked);
     }
-    if let (true, Some(albedo)) = (is(TruthLayer::Albedo), &truth.albedo) {
+    if let (true, Some(albedo)) = (replaces(TruthLayer::Albedo), &truth.albedo) {
         surface.albedo = albedo.values[i];
     }
-    if let (true, Some(normal)) = (is(TruthLayer::Normal), &truth.normal) {
+    if let (true, Some(normal)) = (replaces(TruthLayer::Normal), &truth.normal) {
         surface.normal = normal.values[i];
     }
-    if let (true, Some(material)) = (is(TruthLayer::Material), &truth.metallic_roughness) {
+    if let (true, Some(material)) = (replaces(TruthLayer::Material), &truth.metallic_roughness) {
         [surface.metal, surface.rough] = material.values[i];
     }
 }
