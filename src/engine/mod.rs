@@ -13,6 +13,7 @@ mod density;
 mod device;
 mod error;
 mod frame;
+mod frame_job;
 mod frames;
 #[cfg(feature = "gpu")]
 pub mod gpu;
@@ -34,9 +35,8 @@ pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Sp
 pub use device::{Device, adapters};
 pub use error::DeviceError;
 pub use frame::{Frame, Output};
-pub use frames::{
-    BOUNCES, DeviceFrames, DeviceLight, FrameJob, FrameLight, Frames, PROBE_DIRECTIONS, ShadeColour,
-};
+pub use frame_job::{BOUNCES, DeviceFrames, DeviceLight, FrameJob, PROBE_DIRECTIONS, ShadeColour};
+pub use frames::{FrameLight, Frames};
 pub use gradients::{Gradients, RowLayout};
 pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use objective::{

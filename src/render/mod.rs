@@ -2,7 +2,9 @@
 
 mod edited;
 mod encode;
+mod error;
 mod high;
+mod job;
 mod monte_carlo;
 mod renderer;
 mod tier;
@@ -10,8 +12,7 @@ mod viewpoint;
 
 pub use crate::engine::{Frame, Output};
 pub use encode::{EncodedFrame, FrameFormat, encode_frame, is_colour};
-pub use renderer::{PreparedLight, RenderError, Renderer};
+pub use error::RenderError;
+pub use renderer::{PreparedLight, Renderer};
 pub use tier::{Quality, Tier};
 pub use viewpoint::{Orbit, Viewpoint};
-
-use renderer::Job;

@@ -8,7 +8,8 @@ use crate::engine::channel::{Channels, OutgoingRadiance};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{Occluders, Pass, Surface, reflector, resolve, surface_point};
 use crate::light::{EnvSampler, Shares, estimate};
-use crate::render::{Frame, Job, Quality};
+use crate::render::job::Job;
+use crate::render::{Frame, Quality};
 use crate::scene::Field;
 
 /// Most rows of a sampled environment: a texel of 0.35 degrees, two thirds of the sun.

@@ -2,31 +2,17 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::engine::cpu::{AttributeSource, FrameLight as CpuLight, Occluders, SurfaceShader};
+use crate::engine::cpu::{FrameLight as CpuLight, Occluders};
 use crate::engine::{Device, DeviceError, FrameJob, FrameLight, Frames, RasterCamera, ShadeColour};
 use crate::light::EnvSampler;
 use crate::render::high::{self, SplitLight};
+use crate::render::error::RenderError;
+use crate::render::job::Job;
 use crate::render::{Frame, Output, Quality, Tier, monte_carlo};
 use crate::scene::{Camera, EnvMap, Model, ShadeAt};
 
 /// Most pixels of a frame.
 const MOST_PIXELS: u64 = 64 << 20;
-
-/// Why there is no frame.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RenderError {
-    /// The request cannot be rendered.
-    #[error("{field}: {reason}")]
-    Refused {
-        /// The request field at fault.
-        field: &'static str,
-        /// What is wrong.
-        reason: String,
-    },
-    /// The device failed.
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-}
 
 /// An environment turned into what a model is shaded with; costs a second at most, keep it. Belongs to the renderer
 /// that prepared it. What only some tiers need is made when the first of them asks.
@@ -40,13 +26,6 @@ pub struct PreparedLight {
 /// A model ready to be rendered many times. Shared between threads.
 pub struct Renderer {
     pub(super) frames: Frames,
-}
-
-/// A frame that the CPU engine makes, whatever the device: the model under a light, and what is wanted.
-pub(super) struct Job<'a> {
-    pub(super) source: AttributeSource<'a>,
-    pub(super) shader: SurfaceShader<'a>,
-    pub(super) frame: FrameJob<'a>,
 }
 
 impl Renderer {

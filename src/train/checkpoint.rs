@@ -11,7 +11,8 @@ use crate::formats::model_file::{self, Tensor, floats};
 use crate::scene::{Field, Gaussians};
 use crate::train::complexity::state::ComplexityState;
 use crate::train::state::ScheduleState;
-use crate::train::{TrainConfig, TrainError};
+use crate::train::TrainConfig;
+use crate::train::error::TrainError;
 
 const VERSION: u32 = 1;
 const HEADER_KEY: &str = "relume_checkpoint";

@@ -6,6 +6,7 @@ mod config;
 mod context;
 mod dataset;
 mod density;
+mod error;
 mod import;
 mod initial;
 mod known_light;
@@ -20,5 +21,6 @@ pub use config::{
 };
 pub use import::import_for_training;
 pub use known_light::{Auto, KnownLight, LightExposure};
-pub use trainer::{Progress, StepReport, TrainError, Trainer};
+pub use error::TrainError;
+pub use trainer::{Progress, StepReport, Trainer};
 pub use weights::{LearningRates, LossWeights};

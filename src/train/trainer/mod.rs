@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::capture::Capture;
 use crate::engine::cpu::evaluation;
 use crate::engine::{
-    Device, DeviceError, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits,
+    Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits,
 };
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Field, Model};
@@ -18,36 +18,15 @@ use crate::train::complexity::{self, state::ComplexityState};
 use crate::train::context::StepContext;
 use crate::train::dataset::Dataset;
 use crate::train::state::ScheduleState;
+use crate::train::error::{MOST_ROLLBACKS, TrainError};
 use crate::train::{LabelSource, TrainConfig, checkpoint, density, initial, materials, schedule};
 
 /// Fewest photographs worth training on.
 const LEAST_VIEWS: usize = 3;
 /// Steps between the states a roll-back can return to.
 const SNAPSHOT_EVERY: u32 = 50;
-/// Roll-backs in a row after which the optimisation is given up.
-const MOST_ROLLBACKS: u32 = 6;
 /// Steps between density rounds.
 const REFINE_EVERY: u32 = 100;
-
-/// Why a training cannot start or go on.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    /// A setting or the capture cannot be trained on; the message names what.
-    #[error("{0}")]
-    Invalid(String),
-    /// A checkpoint could not be read; the message names the field.
-    #[error("checkpoint: {0}")]
-    Checkpoint(String),
-    /// Loss or gradients stayed non-finite through every roll-back.
-    #[error("optimisation diverged at step {step}: still not finite after {MOST_ROLLBACKS} roll-backs")]
-    Diverged {
-        /// The step that could not be passed.
-        step: u32,
-    },
-    /// The device failed; the training can go on from its last checkpoint, here or elsewhere.
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-}
 
 /// What one step did.
 #[derive(Debug, Clone, PartialEq)]
