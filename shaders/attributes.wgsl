@@ -8,11 +8,11 @@
 #import index
 #import sh
 #import splat
-#import view
+#import camera
 
 const WG_SIZE = 256u;
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> model: Layout;
 @group(0) @binding(2) var<storage, read> params: array<f32>;
 @group(0) @binding(3) var<storage, read> globals: array<f32>;
@@ -43,7 +43,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     if splats[gaussian_ix].n_tiles == 0u {
         return;
     }
-    let to_mean = params_vec3(model.mean + 3u * gaussian_ix) - view.eye.xyz;
+    let to_mean = params_vec3(model.mean + 3u * gaussian_ix) - camera.centre.xyz;
     let row = gaussian_ix * GROUPS;
     rows[row + COVERAGE_GROUP] = vec4f(1.0, radiance_of(gaussian_ix, to_mean));
 #ifndef COLOUR

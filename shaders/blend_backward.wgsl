@@ -19,9 +19,9 @@
 // reads the gradients of other pixels from memory, where the tile's share (4 KiB a group) stays in the cache.
 #import alpha
 #import generated/channels
-#import view
+#import camera
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> size: BackwardSize;
 @group(0) @binding(2) var<storage, read> splats: array<Splat>;
 @group(0) @binding(3) var<storage, read> attributes: array<vec4f>;
@@ -66,10 +66,10 @@ fn pixel_of(tile: vec2u, pixel_local: u32) -> vec2u {
 // Gradient of group `group` in a pixel of the tile; zero outside the image.
 fn gradient_at(tile: vec2u, pixel_local: u32, group: u32) -> vec4f {
     let pixel = pixel_of(tile, pixel_local);
-    if pixel.x >= view.size.x || pixel.y >= view.size.y {
+    if pixel.x >= camera.size.x || pixel.y >= camera.size.y {
         return vec4f(0.0);
     }
-    return by_gbuffer[group * view.n_pixels + pixel.y * view.size.x + pixel.x];
+    return by_gbuffer[group * camera.n_pixels + pixel.y * camera.size.x + pixel.x];
 }
 
 // Adds to the gradient rows of the batch: `sh_matrix` holds the weights.
@@ -186,7 +186,7 @@ fn header_entry(gaussian_ix: u32, splat: u32, output: u32) -> f32 {
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) local_ix: u32) {
     let tile = wid.xy;
-    let tile_ix = tile.y * view.tiles.x + tile.x;
+    let tile_ix = tile.y * camera.tiles.x + tile.x;
     let tile_first = first_slot[tile_ix];
     let pixel = pixel_of(tile, local_ix);
     let centre = vec2f(pixel) + 0.5;
@@ -202,7 +202,7 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
     is_active = is_active || any(gradient_$g != vec4f(0.0));
 #end
     if is_active {
-        let end = ends[pixel.y * view.size.x + pixel.x];
+        let end = ends[pixel.y * camera.size.x + pixel.x];
         // A stale buffer must not lead out of the tile.
         own_end = clamp(end.slot, tile_first, first_slot[tile_ix + 1u]);
         transmittance = end.transmittance;

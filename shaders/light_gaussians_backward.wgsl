@@ -46,8 +46,8 @@ fn gaussian_backward(gaussian_ix: u32) -> Shares {
 #endif
     // The direction of view is that of the ray through the splat's place: it moves with nothing else.
     let across = dot(s.view, by.view) * s.view - by.view;
-    let turned = vec2f(dot(across, view.rotation[0].xyz), dot(across, view.rotation[1].xyz));
-    let by_place = turned * splats[gaussian_ix].depth / (length3(to_gaussian(gaussian_ix)) * view.focal);
+    let turned = vec2f(dot(across, camera.rotation[0].xyz), dot(across, camera.rotation[1].xyz));
+    let by_place = turned * splats[gaussian_ix].depth / (length3(to_gaussian(gaussian_ix)) * camera.focal);
     splat_gradients[row - HEADER_GROUPS] += vec4f(by_place, 0.0, 0.0);
     return shares_of(&f, &by, 1.0);
 }

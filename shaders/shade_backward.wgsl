@@ -21,14 +21,14 @@ var<private> origin: vec2u;
 // Group `quad` of the visibility of thread `local_ix` of the square.
 fn member_visibility(local_ix: u32, quad: u32) -> vec4f {
     let pixel = origin + vec2u(local_ix % 16u, local_ix / 16u);
-    return pixel_visibility(pixel.y * view.size.x + pixel.x, quad, sh_by[local_ix].w);
+    return pixel_visibility(pixel.y * camera.size.x + pixel.x, quad, sh_by[local_ix].w);
 }
 
 // Writes one pixel's G-buffer gradient; what it adds to the tables.
 fn pixel_backward(pixel: vec2u) -> Shares {
     var shares = no_shares();
-    let n = view.n_pixels;
-    let pixel_ix = pixel.y * view.size.x + pixel.x;
+    let n = camera.n_pixels;
+    let pixel_ix = pixel.y * camera.size.x + pixel.x;
     let coverage = channel_coverage(gbuffer[pixel_ix]);
     let g = by_physical[pixel_ix].xyz;
     let g_radiance = by_radiance[pixel_ix].xyz;
@@ -75,7 +75,7 @@ fn main(
     @builtin(local_invocation_index) local_ix: u32,
 ) {
     var shares = no_shares();
-    if gid.x < view.size.x && gid.y < view.size.y {
+    if gid.x < camera.size.x && gid.y < camera.size.y {
         shares = pixel_backward(gid.xy);
     }
     origin = 16u * wid.xy;

@@ -6,7 +6,7 @@
 // Gradient by the buffers, two vec4 a pixel, planar: (normal xyz, plane distance), then (coverage, metalness, roughness).
 // GEOMETRY: the pass has normals and plane distances. MATERIAL: also metalness and roughness.
 const WG_SIZE = 256u;
-#import view
+#import camera
 #import quaternion
 #import generated/channels
 #import generated/light
@@ -25,7 +25,7 @@ struct SurfaceTerms {
     smoothness: vec4f,
 }
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> weights: SurfaceTerms;
 @group(0) @binding(2) var<storage, read> gbuffer: array<vec4f>;
 // rgb and mask.
@@ -42,13 +42,13 @@ struct BufferGradient {
 }
 
 fn pixel_ix_of(pixel: vec2u) -> u32 {
-    return pixel.y * view.size.x + pixel.x;
+    return pixel.y * camera.size.x + pixel.x;
 }
 
 #ifdef GEOMETRY
 // Blended normal and plane distance.
 fn plane_at(pixel: vec2u) -> vec4f {
-    return gbuffer[NORMAL_GROUP * view.n_pixels + pixel_ix_of(pixel)];
+    return gbuffer[NORMAL_GROUP * camera.n_pixels + pixel_ix_of(pixel)];
 }
 
 // Where a pixel's plane is hit: `t = D / (N . ray)` along the unnormalised ray, or 0.
@@ -74,12 +74,12 @@ struct Consistency {
 
 fn consistency(pixel: vec2u) -> Consistency {
     var out: Consistency;
-    if pixel.x + 1u >= view.size.x || pixel.y + 1u >= view.size.y {
+    if pixel.x + 1u >= camera.size.x || pixel.y + 1u >= camera.size.y {
         return out;
     }
-    let ray = pixel_ray(view, pixel.x, pixel.y);
-    let ray_right = pixel_ray(view, pixel.x + 1u, pixel.y);
-    let ray_down = pixel_ray(view, pixel.x, pixel.y + 1u);
+    let ray = pixel_ray(camera, pixel.x, pixel.y);
+    let ray_right = pixel_ray(camera, pixel.x + 1u, pixel.y);
+    let ray_down = pixel_ray(camera, pixel.x, pixel.y + 1u);
     let t = vec3f(
         plane_depth(pixel, ray),
         plane_depth(pixel + vec2u(1u, 0u), ray_right),
@@ -125,7 +125,7 @@ fn add_consistency(pixel: vec2u, out: ptr<function, BufferGradient>) -> f32 {
         by_depth += consistency(pixel - vec2u(0u, 1u)).by_depth.z;
     }
     if by_depth != 0.0 {
-        let ray = pixel_ray(view, pixel.x, pixel.y);
+        let ray = pixel_ray(camera, pixel.x, pixel.y);
         let facing = dot(plane_at(pixel).xyz, ray);
         (*out).plane += by_depth / facing;
         (*out).normal -= by_depth * plane_depth(pixel, ray) / facing * ray;
@@ -145,7 +145,7 @@ struct Attributes {
 fn attributes_at(pixel_ix: u32) -> Attributes {
     let coverage = channel_coverage(gbuffer[pixel_ix]);
     let inverse = select(0.0, 1.0 / max(coverage, 1e-6), coverage >= LEAST_COVERAGE);
-    let n = view.n_pixels;
+    let n = camera.n_pixels;
     return Attributes(
         channel_normal(gbuffer[NORMAL_GROUP * n + pixel_ix]) * inverse,
         vec2f(
@@ -187,11 +187,11 @@ fn add_smoothness(pixel: vec2u, out: ptr<function, BufferGradient>) -> f32 {
         let ahead = (side & 1u) == 1u;
         let across = side < 2u;
         let place = select(pixel.y, pixel.x, across);
-        let last = select(view.size.y, view.size.x, across) - 1u;
+        let last = select(camera.size.y, camera.size.x, across) - 1u;
         if select(place == 0u, place >= last, ahead) {
             continue;
         }
-        let step = select(view.size.x, 1u, across);
+        let step = select(camera.size.x, 1u, across);
         let scale = select(weights.down, weights.across, across);
         let by = pair_term(own_ix, own, select(own_ix - step, own_ix + step, ahead), scale);
         by_normal += by.normal;
@@ -225,14 +225,14 @@ fn pixel_terms(pixel: vec2u) -> vec4f {
     }
 #endif
     by_buffers[pixel_ix] = vec4f(out.normal, out.plane);
-    by_buffers[view.n_pixels + pixel_ix] = vec4f(out.coverage, out.metal, out.rough, 0.0);
+    by_buffers[camera.n_pixels + pixel_ix] = vec4f(out.coverage, out.metal, out.rough, 0.0);
     return values;
 }
 
 @compute @workgroup_size(16, 16)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(local_invocation_index) local_ix: u32) {
     var values = vec4f(0.0);
-    if gid.x < view.size.x && gid.y < view.size.y {
+    if gid.x < camera.size.x && gid.y < camera.size.y {
         values = pixel_terms(gid.xy);
     }
     let total = workgroup_sum(local_ix, values);

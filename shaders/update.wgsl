@@ -11,7 +11,7 @@
 // (3) The sums of the losses reuse it.
 #import attributes
 #import index
-#import view
+#import camera
 #import splat
 #import sh_walk
 #import generated/slots
@@ -48,7 +48,7 @@ struct Update {
 }
 
 @group(0) @binding(0) var<uniform> model: Layout;
-@group(0) @binding(1) var<uniform> view: View;
+@group(0) @binding(1) var<uniform> camera: Camera;
 @group(0) @binding(2) var<uniform> update: Update;
 @group(0) @binding(3) var<storage, read> splats: array<Splat>;
 // Rows of HEADER_GROUPS + groups: mean and conic xx, xy; conic yy, opacity, absgrad, 0; channels.
@@ -378,7 +378,7 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream, radiance: ptr<function, Rad
     let log_scale = params_vec3(model.log_scale + 3u * gaussian_ix);
     let quaternion_ix = model.quaternion + 4u * gaussian_ix;
     let quaternion = quaternion_at(gaussian_ix);
-    let to_mean = mean - view.eye.xyz;
+    let to_mean = mean - camera.centre.xyz;
     var by = Geometry(vec3f(0.0), vec3f(0.0), mat3x3f(), 0.0);
     var by_quaternion = vec4f(0.0);
     var by_normal = vec3f(0.0);
@@ -388,7 +388,7 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream, radiance: ptr<function, Rad
         by_normal = normal_backward(gaussian_ix, up, to_mean, &by);
         by_quaternion = rotation_backward(quaternion, by.rotation);
         if update.groups >= GROUPS_FULL {
-            by.mean += channel_depth(channels(up, DEPTH_GROUP)) * view.rotation[2].xyz;
+            by.mean += channel_depth(channels(up, DEPTH_GROUP)) * camera.rotation[2].xyz;
         }
         density[gaussian_ix] += vec2f(splat_gradients[up.row + 1u].z * update.half_width, 1.0);
     }

@@ -15,7 +15,7 @@ const ROW_GROUPS = GROUPS_MATERIAL;
 // From the camera centre to the Gaussian's.
 fn to_gaussian(gaussian_ix: u32) -> vec3f {
     let at = model.mean + 3u * gaussian_ix;
-    return vec3f(params[at], params[at + 1u], params[at + 2u]) - view.eye.xyz;
+    return vec3f(params[at], params[at + 1u], params[at + 2u]) - camera.centre.xyz;
 }
 
 fn gaussian_surface(gaussian_ix: u32) -> Surface {

@@ -1,7 +1,7 @@
 // Shading of a surface (docs/MODEL.md section 4), as src/engine/cpu/surface_shader.rs. Takes bindings 0 to 5; permutations
 // define S and ORDER.
 #import surface
-#import view
+#import camera
 #import generated/parameters
 #import quaternion
 #import sh
@@ -24,7 +24,7 @@ struct Shading {
     srgb: u32,
 }
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> shading: Shading;
 @group(0) @binding(2) var<uniform> tables: Tables;
 @group(0) @binding(3) var<storage, read> constants: array<f32>;

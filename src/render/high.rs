@@ -13,8 +13,8 @@ use crate::engine::cpu::{
 };
 use crate::engine::{ProbeSettings, RasterCamera};
 use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, rendering_tables};
-use crate::render::job::Job;
 use crate::render::Frame;
+use crate::render::job::Job;
 use crate::scene::{EnvMap, Field, ShadeAt};
 
 /// Most lights that get a shadow of their own.

@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize};
 use crate::engine::{DensityStats, Moments, TrainState};
 use crate::formats::model_file::{self, Tensor, floats};
 use crate::scene::{Field, Gaussians};
-use crate::train::complexity::state::ComplexityState;
-use crate::train::state::ScheduleState;
 use crate::train::TrainConfig;
+use crate::train::complexity::state::ComplexityState;
 use crate::train::error::TrainError;
+use crate::train::state::ScheduleState;
 
 const VERSION: u32 = 1;
 const HEADER_KEY: &str = "relume_checkpoint";

@@ -19,8 +19,8 @@ mod weights;
 pub use config::{
     Complexity, ComplexitySetting, ConfigError, LabelSource, Preset, TrainConfig, TrainOverrides,
 };
+pub use error::TrainError;
 pub use import::import_for_training;
 pub use known_light::{Auto, KnownLight, LightExposure};
-pub use error::TrainError;
 pub use trainer::{Progress, StepReport, Trainer};
 pub use weights::{LearningRates, LossWeights};

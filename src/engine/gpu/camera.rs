@@ -8,7 +8,7 @@ use crate::engine::gpu::recorder::Groups;
 /// Side of a tile, pixels.
 pub const TILE: u32 = crate::engine::constants::TILE as u32;
 
-/// `View` of `shaders/shared/view.wgsl`.
+/// `Camera` of `shaders/shared/camera.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct CameraUniform {
@@ -19,7 +19,7 @@ pub struct CameraUniform {
     /// Rows of the world-to-camera matrix: rotation, then translation.
     pub rotation: [[f32; 4]; 3],
     /// Camera centre, padded.
-    pub eye: [f32; 4],
+    pub centre: [f32; 4],
     /// Limits of x/z, then of y/z.
     pub ratio_limits: [f32; 4],
     /// Width and height, pixels.
@@ -50,7 +50,7 @@ impl CameraUniform {
             focal: view.focal,
             centre_px: view.centre_px,
             rotation: std::array::from_fn(row),
-            eye: padded(view.centre),
+            centre: padded(view.centre),
             ratio_limits: [x[0], x[1], y[0], y[1]],
             size,
             tiles: size.map(|s| s.div_ceil(TILE)),

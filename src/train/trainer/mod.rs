@@ -9,16 +9,14 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
 use crate::engine::cpu::evaluation;
-use crate::engine::{
-    Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits,
-};
+use crate::engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Field, Model};
 use crate::train::complexity::{self, state::ComplexityState};
 use crate::train::context::StepContext;
 use crate::train::dataset::Dataset;
-use crate::train::state::ScheduleState;
 use crate::train::error::{MOST_ROLLBACKS, TrainError};
+use crate::train::state::ScheduleState;
 use crate::train::{LabelSource, TrainConfig, checkpoint, density, initial, materials, schedule};
 
 /// Fewest photographs worth training on.
@@ -274,9 +272,9 @@ impl Trainer {
             return Ok(());
         }
         let mut state = state.into_owned();
-        let mut ledger = self.schedule.complexity.clone();
-        ledger.decide(point, &self.context(), steps, &self.data.full, &mut state);
-        self.schedule.complexity = ledger;
+        let mut decisions = self.schedule.complexity.clone();
+        decisions.decide(point, &self.context(), steps, &self.data.full, &mut state);
+        self.schedule.complexity = decisions;
         if state.model.gaussians.visibility_order() != self.operators.order() {
             self.operators = operators_of(&state.model);
         }

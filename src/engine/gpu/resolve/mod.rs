@@ -11,7 +11,7 @@ use crate::engine::gpu::{Buffer, CameraUniform, Gpu, Recorder, shaders, uniform}
 #[cfg(test)]
 mod tests;
 
-/// `Develop` of `shaders/develop.wgsl`.
+/// `Resolve` of `shaders/resolve.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 struct ResolveUniform {
@@ -66,7 +66,7 @@ impl Planes {
         depth_scale: f32,
     ) -> Result<(), DeviceError> {
         use shaders::*;
-        let all = [&DEVELOP_1, &DEVELOP_4, &DEVELOP_9, &DEVELOP_16, &DEVELOP_25, &DEVELOP_36, &DEVELOP_49];
+        let all = [&RESOLVE_1, &RESOLVE_4, &RESOLVE_9, &RESOLVE_16, &RESOLVE_25, &RESOLVE_36, &RESOLVE_49];
         let kernel = by_coefficients(shading.coefficients(), all)?;
         let mut wanted = ResolveUniform { first: [u32::MAX; 12], depth_scale, pad_a: 0, pad_b: 0, pad_c: 0 };
         for (output, first) in self.wanted.iter().zip(&self.first) {

@@ -151,5 +151,5 @@ fn planes_that_were_not_asked_for_change_nothing_in_those_that_were() {
 
 #[test]
 fn uniforms_are_laid_out_as_the_shader_reads_them() {
-    assert_layout!(ResolveUniform as "Develop" in shaders::DEVELOP_1; first, depth_scale, pad_a, pad_b, pad_c);
+    assert_layout!(ResolveUniform as "Resolve" in shaders::RESOLVE_1; first, depth_scale, pad_a, pad_b, pad_c);
 }

@@ -235,7 +235,7 @@ pub fn shaded_images(
     let composite = CompositeUniform::shaded(camera, shading, 0);
     let bindings =
         [uniform(&composite), gbuffer.into(), (&images.physical).into(), (&images.radiance).into()];
-    recorder.dispatch(&shaders::LIT, Groups::Linear(camera.pixels()), &bindings);
+    recorder.dispatch(&shaders::SHADED_IMAGES, Groups::Linear(camera.pixels()), &bindings);
 }
 
 /// Backward of [`shaded_images`]: gradients of the G-buffer; none of the light tables, which get theirs at the Gaussians.
@@ -255,7 +255,7 @@ pub fn shaded_images_backward(
         gradients.by_buffers.into(),
         gradients.by_gbuffer.into(),
     ];
-    recorder.dispatch(&shaders::LIT_BACKWARD, Groups::Linear(camera.pixels()), &bindings);
+    recorder.dispatch(&shaders::SHADED_IMAGES_BACKWARD, Groups::Linear(camera.pixels()), &bindings);
 }
 
 /// The radiance branch alone, for passes that carry no material.

@@ -134,8 +134,8 @@ fn gradients_match_the_cpu() {
         for (g, e) in got[i][7..].iter().zip(expected) {
             assert!((g - e).abs() < 1e-5 * scale, "Gaussian {i}: {g} {e}");
         }
-        let pull = got[i][6] * 0.5 * 64.0;
-        assert!((pull - rows.absgrad[i]).abs() < 1e-4 * rows.absgrad[i].max(1.0), "Gaussian {i}");
+        let absgrad = got[i][6] * 0.5 * 64.0;
+        assert!((absgrad - rows.absgrad[i]).abs() < 1e-4 * rows.absgrad[i].max(1.0), "Gaussian {i}");
         assert!(got[i][0].hypot(got[i][1]) <= got[i][6] * 1.0001, "a sum is no longer than its parts");
         let sigma = crate::engine::cpu::sigmoid(scene.gaussians.row(Field::OpacityLogit, i)[0]);
         let opacity = got[i][5] * splat.compensation * sigma * (1.0 - sigma);

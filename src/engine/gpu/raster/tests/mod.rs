@@ -179,8 +179,8 @@ fn assert_forward(raster: &mut Raster, scene: &Scene, channels: Channels, tolera
 fn host_and_shaders_agree_on_structs() {
     assert_layout!(SplatRecord as "Splat" in shaders::PROJECT;
         mean, opacity, reach, conic, depth, covariance, compensation, n_tiles, flags, pad_a, pad_b);
-    assert_layout!(CameraUniform as "View" in shaders::BLEND_4;
-        focal, centre_px, rotation, eye, ratio_limits, size, tiles, low_pass, low_pass_compensation, n_pixels, pad);
+    assert_layout!(CameraUniform as "Camera" in shaders::BLEND_4;
+        focal, centre_px, rotation, centre, ratio_limits, size, tiles, low_pass, low_pass_compensation, n_pixels, pad);
     assert_layout!(BlendEnd as "BlendEnd" in shaders::BLEND_4; transmittance, slot);
     for (shader, name) in [
         (&shaders::BLEND_4, "EarlyStop"),

@@ -60,7 +60,7 @@ fn terms_and_their_slopes_are_those_of_the_formulas() {
         assert!(by_globals.iter().all(|v| *v == 0.0));
         let values: Vec<f64> = device.params().into_iter().map(f64::from).collect();
         let total = |v: &[f64]| objective(v, g, &labels, &terms).iter().sum::<f64>();
-        let slope = |at: usize| {
+        let derivative = |at: usize| {
             let moved = |by: f64| {
                 let mut v = values.clone();
                 v[at] += by;
@@ -71,7 +71,7 @@ fn terms_and_their_slopes_are_those_of_the_formulas() {
         for field in Field::ALL {
             let r = range(g, field);
             let (mut numeric, mut analytic): (Vec<f32>, _) =
-                (r.clone().map(slope).collect(), got[r].to_vec());
+                (r.clone().map(derivative).collect(), got[r].to_vec());
             if field == Field::LogScale {
                 // All scales of Gaussian 1 are equal, a kink for the differences: the first is the smallest.
                 assert!(analytic[3] > 0.0 && analytic[4..6] == [0.0; 2]);
@@ -107,7 +107,7 @@ fn one_hot_scores_have_a_finite_aggregation() {
     assert!(device.losses()[11].abs() < 1e-5);
 }
 
-/// The label term of a Gaussian in f64: value and slope by the visibility, before the weight.
+/// The label term of a Gaussian in f64: value and derivative by the visibility, before the weight.
 fn label(raw: f64, p: f64, form: VisibilityForm) -> (f64, f64) {
     let loss = |v: f64| -(p * v.ln() + (1.0 - p) * (1.0 - v).ln());
     if form == VisibilityForm::Sigmoid {
@@ -115,9 +115,9 @@ fn label(raw: f64, p: f64, form: VisibilityForm) -> (f64, f64) {
         return (loss(v), v - p);
     }
     let v = raw.clamp(1e-3, 1.0 - 1e-3);
-    let slope = (1.0 - p) / (1.0 - v) - p / v;
-    let runs_away = (raw < v && slope > 0.0) || (raw > v && slope < 0.0);
-    (loss(v), if runs_away { 0.0 } else { slope })
+    let derivative = (1.0 - p) / (1.0 - v) - p / v;
+    let leads_away = (raw < v && derivative > 0.0) || (raw > v && derivative < 0.0);
+    (loss(v), if leads_away { 0.0 } else { derivative })
 }
 
 /// A case whose picture has no gradient but whose splats are visible, and labels for it: four in five have weight.
@@ -157,11 +157,11 @@ fn expected_pull(case: &Case, labels: &[[f32; 2]], form: VisibilityForm) -> (f64
         let mut y = [0.0f64; 49];
         sh_eval(g.visibility_order(), to.map(|v| v / length), &mut y);
         let raw = g.row(Field::Visibility, i).iter().zip(&y).map(|(c, y)| f64::from(*c) * y).sum::<f64>();
-        let (loss, slope) = label(raw, f64::from(l[0]) / f64::from(l[1]), form);
+        let (loss, derivative) = label(raw, f64::from(l[0]) / f64::from(l[1]), form);
         let share = 0.7 / counted as f64;
-        held += usize::from(slope == 0.0);
+        held += usize::from(derivative == 0.0);
         value += share * loss;
-        gradient.extend(y[..width].iter().map(|y| (share * slope * y) as f32));
+        gradient.extend(y[..width].iter().map(|y| (share * derivative * y) as f32));
     }
     (value, gradient, held)
 }
@@ -185,6 +185,6 @@ fn backward_labels_pull_where_there_is_weight_and_never_run_away() {
         assert!((loss - value).abs() < 1e-5 * (1.0 + value), "{loss} {value}");
         assert!(form == Sigmoid || held > 0, "the control: some labels hold");
         let off = device.gradients(&ParameterWeights::default()).0;
-        assert!(relative_error(&off[r], &expected) > 0.5, "the control: no weight, no pull");
+        assert!(relative_error(&off[r], &expected) > 0.5, "the control: no weight, no gradient");
     }
 }

@@ -1,5 +1,5 @@
 // Gradients of the G-buffer of a pass whose Gaussians were shaded before they were blended, from those of both images
-// (lit.wgsl) and of the buffers. A thread owns
+// (shaded_images.wgsl) and of the buffers. A thread owns
 // a pixel: it writes all n_groups groups, zeros beyond material. No workgroup memory.
 const WG_SIZE = 256u;
 #import generated/channels

@@ -4,8 +4,8 @@
 #import shading
 #import pixel_surface
 
-// Kept in step with `DevelopUniform` of src/engine/gpu/develop.rs.
-struct Develop {
+// Kept in step with `ResolveUniform` of src/engine/gpu/resolve/mod.rs.
+struct Resolve {
     // First float of each plane, or UNWANTED; the last member of the last row is unused.
     first: array<vec4u, 3>,
     // Model to capture units.
@@ -15,13 +15,13 @@ struct Develop {
     pad_c: u32,
 }
 
-@group(0) @binding(6) var<uniform> wanted: Develop;
+@group(0) @binding(6) var<uniform> wanted: Resolve;
 @group(0) @binding(7) var<storage, read> gbuffer: array<vec4f>;
 @group(0) @binding(8) var<storage, read_write> planes: array<u32>;
 
 const UNWANTED = 0xffffffffu;
 const INFINITY_BITS = 0x7f800000u;
-// `Plane` of src/engine/gpu/develop.rs.
+// `Output` of src/engine/frame.rs.
 const RGB = 0u;
 const ALBEDO = 1u;
 const NORMAL = 2u;
@@ -74,10 +74,10 @@ fn put_nothing(pixel_ix: u32) {
 
 @compute @workgroup_size(16, 16)
 fn main(@builtin(global_invocation_id) gid: vec3u) {
-    if gid.x >= view.size.x || gid.y >= view.size.y {
+    if gid.x >= camera.size.x || gid.y >= camera.size.y {
         return;
     }
-    let pixel_ix = gid.y * view.size.x + gid.x;
+    let pixel_ix = gid.y * camera.size.x + gid.x;
     let first = gbuffer[pixel_ix];
     let coverage = channel_coverage(first);
     put(ALPHA, pixel_ix, coverage);
@@ -89,8 +89,8 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     if is_wanted(RGB) || is_wanted(DIFFUSE) || is_wanted(SPECULAR) {
         // Of Gaussians that were shaded before they were blended, the G-buffer has the radiance.
         let inverse = 1.0 / coverage;
-        var light = channel_outgoing(gbuffer[ROUGH_GROUP * view.n_pixels + pixel_ix]) * inverse;
-        var specular = channel_specular(gbuffer[DEPTH_GROUP * view.n_pixels + pixel_ix]) * inverse;
+        var light = channel_outgoing(gbuffer[ROUGH_GROUP * camera.n_pixels + pixel_ix]) * inverse;
+        var specular = channel_specular(gbuffer[DEPTH_GROUP * camera.n_pixels + pixel_ix]) * inverse;
         if shading.shade_at == SHADE_AT_PIXEL {
             let f = shade(&s);
             light = f.diffuse + f.specular;
@@ -110,7 +110,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     if is_wanted(VISIBILITY_PLANE) {
         put(VISIBILITY_PLANE, pixel_ix, clamp(ambient_occlusion(&s, normal), 0.0, 1.0));
     }
-    put(DEPTH, pixel_ix, channel_depth(gbuffer[DEPTH_GROUP * view.n_pixels + pixel_ix]) / coverage * wanted.depth_scale);
+    put(DEPTH, pixel_ix, channel_depth(gbuffer[DEPTH_GROUP * camera.n_pixels + pixel_ix]) / coverage * wanted.depth_scale);
     let shown = clamp(channel_radiance(first) / coverage, vec3f(0.0), vec3f(1.0));
     let linear = vec3f(linear_from_srgb(shown.x), linear_from_srgb(shown.y), linear_from_srgb(shown.z));
     put_rgb(RADIANCE, pixel_ix, linear * coverage);
