@@ -10,13 +10,13 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use relume::capture::{Capture, ImportOptions, SyntheticOptions, builtin, import, synthetic};
-use relume::engine::Device;
+use relume::capture::{SyntheticOptions, builtin, synthetic};
 use relume::formats::exr_frame::{self, ColourDepth, FrameLayer, FrameLayers};
 use relume::formats::image_file::encode_png;
-use relume::render::{Frame, Output, Renderer, Tier};
-use relume::scene::Model;
-use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer};
+use relume::{
+    Capture, Device, Frame, ImportOptions, Model, Output, Preset, Renderer, Tier, TrainConfig,
+    TrainOverrides, Trainer, import,
+};
 
 const DEFAULT_STEPS: u32 = 300;
 /// Longest side of the photographs that are trained on, pixels.

@@ -23,6 +23,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
+#[cfg(feature = "server")]
 use error::CommandResult;
 
 /// Turns posed photographs into relightable 3D Gaussian models and serves them relit.

@@ -9,6 +9,6 @@ mod renders;
 mod thread;
 mod training;
 
-pub use device_handle::{DeviceHandle, Rendered};
+pub use device_handle::DeviceHandle;
 pub use renders::{LightSource, ModelSource, RenderFailure, RenderTask};
 pub use thread::{StartError, WorkerOptions, start};
