@@ -186,7 +186,7 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
         .zip(&model.env_raw)
         .map(|(g, raw)| std::array::from_fn(|c| g[c] / (1.0 + (-raw[c]).exp())))
         .collect();
-    loss += parameter_terms(&w, &source, &pass, &state.labels, &mut gradients);
+    loss += parameter_terms(w, &source, &pass, &state.labels, &mut gradients);
     Outcome { loss, mse: physical.mse, gradients }
 }
 
