@@ -183,7 +183,7 @@ fn host_and_shaders_agree_on_structs() {
         focal, centre_px, rotation, centre, ratio_limits, size, tiles, low_pass, low_pass_compensation, n_pixels, pad);
     assert_layout!(BlendEnd as "BlendEnd" in shaders::BLEND_4; transmittance, slot);
     for (shader, name) in [
-        (&shaders::BLEND_4, "EarlyStop"),
+        (&shaders::BLEND_4, "Blending"),
         (&shaders::TILE_COUNT, "Ranks"),
         (&shaders::TILE_EMIT, "Emission"),
         (&shaders::TILE_OFFSETS, "TileCounts"),
