@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use super::array::Array;
 use super::attributes::{field, from_camera};
+use super::forward::{Conventions, Options, Stages, forward};
 use super::geometry_loss::{DepthNormalInput, depth_normal};
 use super::losses;
+use super::model::{Arrays, ReferenceModel};
 use super::projection::rays;
 use super::tape::{Tape, Var};
-use super::{Conventions, Options, Stages};
 use crate::light::DAYLIGHT;
 use crate::scene::{Camera, Field, VisibilityForm, texel_directions};
 
@@ -157,4 +158,19 @@ pub fn occlusion<'t>(pass: &Stages<'t>, camera: &Camera, options: &Options, labe
         VisibilityForm::Linear | VisibilityForm::Off => losses::cross_entropy(linear, backward),
     };
     entropies.mean()
+}
+
+/// The value of every term of the objective, and the gradient of the weighted total by parameter.
+pub fn loss_and_gradients(
+    scene: &ReferenceModel,
+    camera: &Camera,
+    target: &Target,
+    options: &Options,
+    weights: &[(&str, f64)],
+) -> (BTreeMap<&'static str, f64>, Arrays) {
+    let tape = Tape::new();
+    let pass = forward(&tape, scene, camera, options);
+    let terms = objective(&pass, camera, target, options, weights);
+    let gradients = pass.parameters.gradients(&tape.gradients(terms["total"]));
+    (terms.iter().map(|(name, term)| (*name, term.value().data()[0])).collect(), gradients)
 }
