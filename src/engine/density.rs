@@ -31,7 +31,7 @@ impl DensityStats {
 /// What a round is planned from, by Gaussian.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct DensitySignals {
-    /// Centres, normalised world; empty unless asked for.
+    /// Centres, normalised world.
     pub means: Vec<[f32; 3]>,
     /// ln of the standard deviations.
     pub log_scales: Vec<[f32; 3]>,
@@ -66,13 +66,4 @@ pub struct PlannedGaussian {
 pub struct DensityPlan {
     /// The next generation.
     pub gaussians: Vec<PlannedGaussian>,
-}
-
-/// Whether [`DensitySignals`] have the centres.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Positions {
-    /// They are read.
-    Read,
-    /// They are left out.
-    LeftOut,
 }

@@ -110,7 +110,7 @@ impl Device {
             Self::Cpu => Ok(Frames::on_cpu_only(model)),
             #[cfg(feature = "gpu")]
             Self::Gpu(gpu) => {
-                let device = gpu::Frames::new(gpu, model.clone())?;
+                let device = gpu::Frames::new(gpu, &model)?;
                 Ok(Frames::beside(model, Box::new(device)))
             }
         }

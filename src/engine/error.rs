@@ -30,10 +30,10 @@ pub enum DeviceError {
     /// The device did not answer in time.
     #[error("the device did not answer within {0} s")]
     Timeout(u64),
-    /// The caller asked for what does not fit together, such as a light that another device prepared.
-    #[error("misuse of a device: {0}")]
-    Misuse(&'static str),
-    /// A mistake of ours; the text is for the log.
+    /// The caller passed what does not fit together; the text says what.
+    #[error("the engine was used wrongly: {0}")]
+    Misuse(String),
+    /// The driver reported something unexpected, or a result is wrong; the text is for the log.
     #[error("internal device error: {0}")]
     Internal(String),
 }

@@ -118,7 +118,7 @@ impl Frames {
         match (&self.device, &light.device, light.cpu.get()) {
             (Some(device), Some(light), _) => device.render(job, light),
             (None, None, Some(light)) => Ok(self.cpu.render(job, light)),
-            _ => Err(DeviceError::Misuse("the light was prepared for another device")),
+            _ => Err(DeviceError::Misuse("the light was prepared for another device".to_owned())),
         }
     }
 

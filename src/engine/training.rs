@@ -6,7 +6,7 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use crate::engine::density::{DensityPlan, DensitySignals, Positions};
+use crate::engine::density::{DensityPlan, DensitySignals};
 use crate::engine::step::{ProbeMeasurement, Step, StepSums};
 use crate::engine::{DeviceError, TrainState};
 use crate::light::EnvOperators;
@@ -24,7 +24,7 @@ pub trait Training: Send {
     fn measure(&mut self, how: &ProbeMeasurement) -> Result<(), DeviceError>;
 
     /// What density control plans from.
-    fn density_signals(&self, positions: Positions) -> Result<DensitySignals, DeviceError>;
+    fn density_signals(&self) -> Result<DensitySignals, DeviceError>;
 
     /// Rebuilds the model as `plan` says and clears the statistics.
     fn rebuild(&mut self, plan: &DensityPlan) -> Result<(), DeviceError>;

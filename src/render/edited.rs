@@ -22,7 +22,7 @@ impl Renderer {
         let view = self.view(camera)?;
         let cpu = self.frames.on_cpu();
         let Some(light) = light.frame.on_cpu() else {
-            return Err(DeviceError::Misuse("surfaces are edited on the CPU engine only").into());
+            return Err(DeviceError::Misuse("surfaces are edited on the CPU engine only".to_owned()).into());
         };
         // Deferred whatever the model: what is edited is in the pixel.
         let options = ShadingOptions { shade_at: ShadeAt::Pixel, ..self.model().shading };

@@ -10,8 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::capture::Capture;
 use crate::engine::cpu::evaluation;
 use crate::engine::{
-    Device, DeviceError, PhotoId, PhotoSize, Positions, Step, StepCounts, TrainState, Training,
-    TrainingLimits,
+    Device, DeviceError, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits,
 };
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Field, Model};
@@ -336,8 +335,7 @@ impl Trainer {
         let most = self.schedule.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
         let budget = ((low + (high - low) * share) as usize).min(most);
         let centres = (!self.data.has_alpha).then(|| self.data.camera_centres());
-        let positions = if centres.is_some() { Positions::Read } else { Positions::LeftOut };
-        let signals = self.engine.density_signals(positions)?;
+        let signals = self.engine.density_signals()?;
         self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
         if step > self.config.warm_up_steps() && self.measures() {
             // New Gaussians need labels and light of their own.

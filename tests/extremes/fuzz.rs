@@ -2,7 +2,7 @@
 //! Gaussian changes nothing.
 
 use proptest::prelude::*;
-use relume::engine::side_by_side::{Answer, Question, by_cpu, by_gpu};
+use relume::engine::parity::{ParityCase, ParityResult, by_cpu, by_gpu};
 use relume::scene::{Camera, Field, Model};
 
 use super::harness::{BACKGROUND, LIGHT, gpu, in_front, looking_from, model};
@@ -69,7 +69,7 @@ fn cameras() -> [Camera; 4] {
     ]
 }
 
-fn images_are_finite(answer: &Answer) -> bool {
+fn images_are_finite(answer: &ParityResult) -> bool {
     let images = answer.physical.iter().chain(&answer.radiance).flatten().chain(&answer.coverage);
     images.into_iter().all(|v| v.is_finite())
 }
@@ -92,10 +92,10 @@ fn is_on_a_threshold(model: &Model, camera: &Camera, i: usize) -> bool {
 }
 
 fn check(model: &Model, camera: &Camera) -> Result<(), TestCaseError> {
-    let question = Question::new(model, camera, BACKGROUND, &LIGHT, 5);
+    let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 5);
     let cpu = by_cpu(&question);
     prop_assert!(images_are_finite(&cpu), "cpu");
-    let drawn = |answer: &Answer| -> Vec<usize> {
+    let drawn = |answer: &ParityResult| -> Vec<usize> {
         let steady = |i: &usize| !is_on_a_threshold(model, camera, *i);
         answer.splats.iter().map(|s| s.gaussian).filter(steady).collect()
     };
@@ -108,7 +108,7 @@ fn check(model: &Model, camera: &Camera) -> Result<(), TestCaseError> {
     let kept: Vec<usize> = cpu.splats.iter().map(|s| s.gaussian).collect();
     let mut rest = model.clone();
     rest.gaussians = model.gaussians.gathered(&kept);
-    let without = by_cpu(&Question::new(&rest, camera, BACKGROUND, &LIGHT, 5));
+    let without = by_cpu(&ParityCase::new(&rest, camera, BACKGROUND, &LIGHT, 5));
     prop_assert_eq!(cpu.physical, without.physical);
     Ok(())
 }
@@ -140,7 +140,7 @@ fn a_gaussian_that_is_none_is_drawn_by_no_engine() {
     for field in GEOMETRY {
         let mut poisoned = model(3, 50);
         *poisoned.gaussians.row_mut(field, 1).last_mut().unwrap() = f32::NAN;
-        let question = Question::new(&poisoned, &camera, BACKGROUND, &LIGHT, 5);
+        let question = ParityCase::new(&poisoned, &camera, BACKGROUND, &LIGHT, 5);
         for (engine, answer) in super::harness::answers(&question) {
             let drawn: Vec<usize> = answer.splats.iter().map(|s| s.gaussian).collect();
             assert_eq!(drawn, [0, 2], "{engine} {field:?}");
@@ -148,7 +148,7 @@ fn a_gaussian_that_is_none_is_drawn_by_no_engine() {
         }
     }
     let sound = model(3, 50);
-    let answer = by_cpu(&Question::new(&sound, &camera, BACKGROUND, &LIGHT, 5));
+    let answer = by_cpu(&ParityCase::new(&sound, &camera, BACKGROUND, &LIGHT, 5));
     assert_eq!(answer.splats.len(), 3, "the control");
 }
 

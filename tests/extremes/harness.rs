@@ -5,8 +5,8 @@ use std::sync::LazyLock;
 use glam::DVec3;
 use relume::engine::Device;
 use relume::engine::gpu::Gpu;
-use relume::engine::side_by_side::{
-    Answer, LightShape, Question, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
+use relume::engine::parity::{
+    LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
 };
 use relume::light::TableResolution;
 use relume::scene::{Camera, Field, Gaussians, Model, ShadingOptions};
@@ -114,7 +114,7 @@ pub(super) struct Errors {
     pub(super) worst: &'static str,
 }
 
-pub(super) fn errors(found: &Answer, expected: &Answer, kept: &[bool]) -> Errors {
+pub(super) fn errors(found: &ParityResult, expected: &ParityResult, kept: &[bool]) -> Errors {
     let steady = |rows: &[[f64; 3]]| -> Vec<f64> {
         rows.iter().zip(kept).filter(|(_, kept)| **kept).flat_map(|(p, _)| *p).collect()
     };
@@ -144,7 +144,7 @@ pub(super) struct Suite {
 impl Suite {
     /// CPU and GPU engine against the reference.
     pub(super) fn check(&mut self, name: &str, model: &Model, camera: &Camera, bounds: Bounds) {
-        let mut question = Question::new(model, camera, BACKGROUND, &LIGHT, 7);
+        let mut question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
         let kept = steady_pixels(&question, MARGIN);
         question.keep(&kept);
         let expected = by_reference(&question);
@@ -173,8 +173,8 @@ impl Suite {
     }
 
     /// Where f64 has no answer, or too slow a one: both engines are finite, draw the same Gaussians and agree to `bound`.
-    pub(super) fn alike(&mut self, name: &str, model: &Model, camera: &Camera, bound: f64) -> Answer {
-        let question = Question::new(model, camera, BACKGROUND, &LIGHT, 7);
+    pub(super) fn alike(&mut self, name: &str, model: &Model, camera: &Camera, bound: f64) -> ParityResult {
+        let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
         let mut all = answers(&question).into_iter();
         let Some((_, cpu)) = all.next() else { unreachable!("the CPU engine is always there") };
         let all = [("cpu", cpu.clone())].into_iter().chain(all);
@@ -182,7 +182,7 @@ impl Suite {
             if !found.is_finite() {
                 self.failures.push(format!("{name} {engine}: not finite"));
             }
-            let drawn = |a: &Answer| a.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>();
+            let drawn = |a: &ParityResult| a.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>();
             if drawn(&found) != drawn(&cpu) {
                 self.failures.push(format!("{name} {engine}: draws other Gaussians than the CPU engine"));
             }
@@ -208,7 +208,7 @@ impl Drop for Suite {
 }
 
 /// CPU engine first, then the GPU engine where there is one.
-pub(super) fn answers(question: &Question<'_>) -> Vec<(&'static str, Answer)> {
+pub(super) fn answers(question: &ParityCase<'_>) -> Vec<(&'static str, ParityResult)> {
     let mut out = vec![("cpu", by_cpu(question))];
     if let Some(gpu) = gpu() {
         out.push(("gpu", by_gpu(gpu, question).unwrap()));
@@ -219,12 +219,12 @@ pub(super) fn answers(question: &Question<'_>) -> Vec<(&'static str, Answer)> {
 #[test]
 fn the_harness_notices_a_changed_image_a_changed_gradient_and_nan() {
     let (plain, camera) = (model(8, 1), in_front((16, 12)));
-    let question = Question::new(&plain, &camera, BACKGROUND, &LIGHT, 7);
+    let question = ParityCase::new(&plain, &camera, BACKGROUND, &LIGHT, 7);
     let kept = vec![true; 192];
     let expected = by_reference(&question);
     let mut other = plain.clone();
     other.gaussians.field_mut(Field::RoughLogit)[2] += 0.2;
-    let found = by_cpu(&Question::new(&other, &camera, BACKGROUND, &LIGHT, 7));
+    let found = by_cpu(&ParityCase::new(&other, &camera, BACKGROUND, &LIGHT, 7));
     let e = errors(&found, &expected, &kept);
     assert!(e.image > TIGHT.image && e.gradient > TIGHT.gradient, "{:e} {:e}", e.image, e.gradient);
     let mut poisoned = by_cpu(&question);

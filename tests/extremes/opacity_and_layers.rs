@@ -1,11 +1,11 @@
 //! Opacity at its ends, and very many layers on one ray.
 
+use relume::engine::RasterCamera;
 use relume::engine::channel::{COVERAGE, Channels};
 use relume::engine::constants::{EarlyStop, TRANSMITTANCE_STOP};
 use relume::engine::cpu::{AttributeSource, Pass, backward_labels};
-use relume::engine::gpu::{AttributeBuffers, Raster, ViewUniform, model::ModelBuffers};
+use relume::engine::gpu::{AttributeSource as GpuSource, CameraUniform, Raster, model::ModelBuffers};
 use relume::engine::reference::{Options, ReferenceModel, TableOperators, Tape, forward, losses};
-use relume::engine::{RasterCamera, TRANSMITTANCE_STOP};
 use relume::scene::{Camera, Field, Model};
 
 use super::harness::{Bounds, ENV, Suite, TABLES, TIGHT, gpu, in_front, model};
@@ -86,18 +86,14 @@ fn early_stop_misses_less_weight_than_it_says() {
         let on_gpu = |early| {
             let buffers = ModelBuffers::upload(gpu, &model).unwrap();
             let mut raster = Raster::new(gpu).unwrap();
-            raster.prepare(&CameraUniform::new(&view), &buffers.layout, &buffers.params).unwrap();
-            let source = AttributeBuffers {
-                params: &buffers.params,
-                globals: &buffers.globals,
-                gathered: None,
-                indirect_basis: None,
-            };
+            let (camera, source) = (CameraUniform::new(&view), GpuSource::new(&buffers));
+            let projected = raster.prepare(&camera, &source).unwrap();
             let mut recorder = gpu.record();
-            raster.attributes(&mut recorder, Channels::Full(9), &source).unwrap();
-            raster.blend(&mut recorder, Channels::Full(9), early).unwrap();
+            let blending = if early { EarlyStop::WhenSaturated } else { EarlyStop::Never };
+            let frame = projected.attributes(&mut recorder, Channels::Full(9)).unwrap();
+            let frame = frame.blend(&mut recorder, blending).unwrap();
             recorder.submit().unwrap();
-            gpu.read(raster.gbuffer.as_ref().unwrap(), 0..1).unwrap()[0][0]
+            gpu.read(frame.gbuffer(), 0..1).unwrap()[0][0]
         };
         let missed = on_gpu(false) - on_gpu(true);
         assert!((0.0..=MOST_MISSED).contains(&missed), "gpu {logit}: {missed:e}");
@@ -122,11 +118,12 @@ fn backward_transmittance_is_taken_to_the_end_of_the_ray_whatever_stops_early() 
     let on_gpu = gpu().map(|gpu| {
         let buffers = ModelBuffers::upload(gpu, &model).unwrap();
         let mut raster = Raster::new(gpu).unwrap();
-        raster.prepare(&CameraUniform::new(&view), &buffers.layout, &buffers.params).unwrap();
+        let (camera, source) = (CameraUniform::new(&view), GpuSource::new(&buffers));
+        let mut projected = raster.prepare(&camera, &source).unwrap();
         let mut recorder = gpu.record();
-        raster.backward_labels(&mut recorder).unwrap();
+        let labels = projected.backward_labels(&mut recorder).unwrap();
         recorder.submit().unwrap();
-        gpu.read(raster.labels.as_ref().unwrap(), 0..LAYERS).unwrap()
+        gpu.read(&labels, 0..LAYERS).unwrap()
     });
     let (mut worst, mut worst_on_gpu, mut counted) = (0.0f64, 0.0f64, 0);
     for (rank, gaussian) in pass.splats.indices.iter().enumerate() {

@@ -9,14 +9,13 @@ use rand_chacha::ChaCha8Rng;
 use crate::cli::bench::table::{head, machine, publish, row};
 use crate::cli::error::CommandResult;
 use crate::engine::Device;
-use crate::engine::RasterCamera;
-use crate::engine::gpu::losses::{ImageTerm, LOSS_SLOTS, LossSlot};
+use crate::engine::gpu::objective::{ImageTerm, LOSS_SLOTS, LossSlot};
 use crate::engine::gpu::{CameraUniform, Gpu};
-use crate::engine::reference::{Array, Tape, losses};
-use crate::engine::side_by_side::{
-    Answer, LightShape, Question, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
+use crate::engine::parity::{
+    LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
 };
-use crate::engine::{DeviceChoice, DeviceError};
+use crate::engine::reference::{Array, Tape, losses};
+use crate::engine::{DeviceChoice, DeviceError, ImageWeights, RasterCamera};
 use crate::light::TableResolution;
 use crate::scene::{Camera, Field, Gaussians, Model, ShadingOptions};
 use crate::train::objective::image::Target;
@@ -170,7 +169,7 @@ fn scene(kind: Kind, seed: u64) -> CommandResult<(Model, Camera)> {
 /// The error of each of [`STAGES`] on one scene.
 fn measure(device: &Device, light: &LightShape, kind: Kind, seed: u64) -> CommandResult<[f64; STAGES.len()]> {
     let (model, camera) = scene(kind, seed)?;
-    let mut question = Question::new(&model, &camera, [0.25, 0.5, 0.75], light, seed);
+    let mut question = ParityCase::new(&model, &camera, [0.25, 0.5, 0.75], light, seed);
     let kept = steady_pixels(&question, MARGIN);
     question.keep(&kept);
     let expected = by_reference(&question);
@@ -182,7 +181,7 @@ fn measure(device: &Device, light: &LightShape, kind: Kind, seed: u64) -> Comman
     let steady = |rows: &[[f64; 3]]| -> Vec<f64> {
         rows.iter().zip(&kept).filter(|(_, kept)| **kept).flat_map(|(p, _)| *p).collect()
     };
-    let covered = |a: &Answer| -> Vec<f64> {
+    let covered = |a: &ParityResult| -> Vec<f64> {
         a.coverage.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(c, _)| *c).collect()
     };
     let gradients = |names: &[&str]| {
@@ -204,7 +203,7 @@ fn measure(device: &Device, light: &LightShape, kind: Kind, seed: u64) -> Comman
 }
 
 /// Largest errors of the projected means, in image widths, and of the conics, relative to their largest entry.
-fn projection_errors(found: &Answer, expected: &Answer) -> [f64; 2] {
+fn projection_errors(found: &ParityResult, expected: &ParityResult) -> [f64; 2] {
     let mut worst = [0.0f64; 2];
     for theirs in &expected.splats {
         // Gaussians that no pixel can see are not drawn by the engine.
@@ -224,11 +223,11 @@ fn photograph(seed: u64) -> Vec<[f32; 3]> {
 }
 
 /// The image that the terms are taken of, the same for every engine.
-fn rendered(answer: &Answer) -> Vec<[f32; 3]> {
+fn rendered(answer: &ParityResult) -> Vec<[f32; 3]> {
     answer.physical.iter().map(|p| p.map(|v| v as f32)).collect()
 }
 
-fn loss_gradient_reference(expected: &Answer, seed: u64) -> Vec<f64> {
+fn loss_gradient_reference(expected: &ParityResult, seed: u64) -> Vec<f64> {
     let shape = [SIZE.1 as usize, SIZE.0 as usize, 3];
     let wide =
         |rows: &[[f32; 3]]| Array::new(&shape, rows.as_flattened().iter().map(|v| f64::from(*v)).collect());
@@ -241,7 +240,7 @@ fn loss_gradient_reference(expected: &Answer, seed: u64) -> Vec<f64> {
     tape.gradients(total).of(image).data().to_vec()
 }
 
-fn loss_gradient_cpu(expected: &Answer, seed: u64) -> Vec<f64> {
+fn loss_gradient_cpu(expected: &ParityResult, seed: u64) -> Vec<f64> {
     let target = Target::new(SIZE.0 as usize, SIZE.1 as usize, photograph(seed));
     let [l1, ssim] = IMAGE_WEIGHTS;
     let gradient = target.compare(&rendered(expected), l1, ssim).gradient;
@@ -250,8 +249,8 @@ fn loss_gradient_cpu(expected: &Answer, seed: u64) -> Vec<f64> {
 
 fn loss_gradient_gpu(
     gpu: &Gpu,
-    question: &Question<'_>,
-    expected: &Answer,
+    question: &ParityCase<'_>,
+    expected: &ParityResult,
     seed: u64,
 ) -> Result<Vec<f64>, DeviceError> {
     let padded =
@@ -265,12 +264,11 @@ fn loss_gradient_gpu(
     let view = CameraUniform::new(&RasterCamera::new(question.camera, &question.model.shading));
     let [l1, ssim] = IMAGE_WEIGHTS;
     let term = ImageTerm {
-        view: &view,
+        camera: &view,
         image: &image,
         photo: &photo,
         slot: LossSlot::PhysicalL1,
-        l1,
-        ssim,
+        weights: ImageWeights { l1, ssim },
         partials: &partials,
     };
     let mut recorder = gpu.record();

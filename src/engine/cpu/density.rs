@@ -2,17 +2,15 @@
 
 use crate::engine::constants::{HALF_OPACITY_EXPONENT, HALF_SCALE_ACROSS, HALF_SCALE_ALONG};
 use crate::engine::cpu::{rotation, sigmoid};
-use crate::engine::{
-    DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Positions, SplitOrigin, TrainState,
-};
+use crate::engine::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin, TrainState};
 use crate::scene::{Field, Gaussians};
 
 /// What a round is planned from.
-pub fn signals(state: &TrainState, positions: Positions) -> DensitySignals {
+pub fn signals(state: &TrainState) -> DensitySignals {
     let g = &state.model.gaussians;
     let rows = |field: Field| g.field(field).as_chunks::<3>().0.to_vec();
     DensitySignals {
-        means: if positions == Positions::Read { rows(Field::Mean) } else { Vec::new() },
+        means: rows(Field::Mean),
         log_scales: rows(Field::LogScale),
         opacity_logits: g.field(Field::OpacityLogit).to_vec(),
         stats: state.density.clone(),

@@ -11,7 +11,7 @@ use crate::engine::cpu::{
     AttributeSource, BranchImages, BufferGradient, Pass, Probes, SurfaceShader, Transport, density,
     outward_normals, radiance_image, radiance_image_backward,
 };
-use crate::engine::density::{DensityPlan, DensitySignals, Positions};
+use crate::engine::density::{DensityPlan, DensitySignals};
 use crate::engine::step::{FieldUpdate, ProbeMeasurement, Step, StepSums};
 use crate::engine::training;
 use crate::engine::{
@@ -84,8 +84,8 @@ impl training::Training for Training {
         Ok(())
     }
 
-    fn density_signals(&self, positions: Positions) -> Result<DensitySignals, DeviceError> {
-        Ok(density::signals(&self.state, positions))
+    fn density_signals(&self) -> Result<DensitySignals, DeviceError> {
+        Ok(density::signals(&self.state))
     }
 
     fn rebuild(&mut self, plan: &DensityPlan) -> Result<(), DeviceError> {

@@ -2,8 +2,9 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::engine::DeviceError;
 use crate::engine::gpu::kernel_constants as codes;
-use crate::engine::gpu::{Buffer, Gpu, GpuError};
+use crate::engine::gpu::{Buffer, Gpu};
 use crate::scene::{
     DiffuseForm, Field, FieldWidth, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions,
     VisibilityForm,
@@ -103,6 +104,11 @@ impl LayoutUniform {
         Self { n, first, ..*self }
     }
 
+    /// True when shading reads `E_j` of Eq. 20: `IndirectForm::Learned`.
+    pub(super) fn reads_indirect_basis(&self) -> bool {
+        self.indirect_form == codes::INDIRECT_LEARNED
+    }
+
     /// Floats of all Gaussians together.
     pub fn floats(&self) -> usize {
         Field::ALL.iter().map(|field| self.width(*field) as usize).sum::<usize>() * self.n as usize
@@ -136,8 +142,8 @@ impl ModelBuffers {
     /// `model` with zero moments.
     ///
     /// # Errors
-    /// [`GpuError::TooLarge`] or [`GpuError::OutOfMemory`] when it does not fit.
-    pub fn upload(gpu: &Gpu, model: &Model) -> Result<Self, GpuError> {
+    /// [`DeviceError::TooLarge`] or [`DeviceError::OutOfMemory`] when it does not fit.
+    pub fn upload(gpu: &Gpu, model: &Model) -> Result<Self, DeviceError> {
         let shared: Vec<[f32; 3]> = model.prototypes.iter().chain(&model.env_raw).copied().collect();
         let params = gpu.upload_gaussians(&model.gaussians)?;
         let globals = gpu.upload("prototypes and environment", bytemuck::cast_slice::<_, f32>(&shared))?;
@@ -179,7 +185,7 @@ impl ModelBuffers {
         gpu: &Gpu,
         buffer: &Buffer<f32>,
         shape: &Gaussians,
-    ) -> Result<Gaussians, GpuError> {
+    ) -> Result<Gaussians, DeviceError> {
         let (l, order) = (shape.visibility_order(), shape.radiance_order());
         let mut out = Gaussians::zeroed(self.len(), shape.prototypes(), l, order);
         from_planar(&gpu.read(buffer, 0..self.layout.floats())?, &mut out);
@@ -190,7 +196,7 @@ impl ModelBuffers {
     ///
     /// # Errors
     /// What went wrong on the device.
-    pub fn read_globals(&self, gpu: &Gpu, buffer: &Buffer<f32>) -> Result<[Vec<[f32; 3]>; 2], GpuError> {
+    pub fn read_globals(&self, gpu: &Gpu, buffer: &Buffer<f32>) -> Result<[Vec<[f32; 3]>; 2], DeviceError> {
         let values = gpu.read(buffer, 0..3 * (self.n_prototypes + self.n_texels))?;
         let (prototypes, texels) = values.split_at(3 * self.n_prototypes);
         Ok([prototypes, texels].map(|part| bytemuck::cast_slice(part).to_vec()))
@@ -216,8 +222,8 @@ impl Gpu {
     /// The parameters of `g` in device memory.
     ///
     /// # Errors
-    /// [`GpuError::TooLarge`] with the numbers when the model does not fit.
-    pub fn upload_gaussians(&self, g: &Gaussians) -> Result<Buffer<f32>, GpuError> {
+    /// [`DeviceError::TooLarge`] with the numbers when the model does not fit.
+    pub fn upload_gaussians(&self, g: &Gaussians) -> Result<Buffer<f32>, DeviceError> {
         self.upload("the Gaussians", &planar(g))
     }
 }

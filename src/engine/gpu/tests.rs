@@ -1,9 +1,10 @@
 //! Tests of the ground everything stands on: dispatches, accumulation, transfers, errors, shared shader pieces.
 
+use crate::engine::DeviceError;
 use crate::engine::RasterCamera;
 use crate::engine::cpu;
 use crate::engine::gpu::model::{LayoutUniform, from_planar, planar};
-use crate::engine::gpu::{Buffer, Gpu, GpuError, GpuOptions, Groups, shaders};
+use crate::engine::gpu::{Buffer, Gpu, GpuOptions, Groups, shaders};
 use crate::light::sh_eval_with_gradient;
 use crate::scene::{Field, Gaussians, ShadingOptions};
 
@@ -62,7 +63,8 @@ fn fresh_buffers_hold_garbage_in_tests_and_parts_can_be_written_and_read() {
 fn what_no_binding_can_hold_is_refused_with_numbers() {
     let gpu = Gpu::for_tests();
     let most = gpu.report().max_binding;
-    let Err(GpuError::TooLarge { needs, most: said, .. }) = gpu.buffer::<f32>("huge", most as usize) else {
+    let Err(DeviceError::TooLarge { needs, most: said, .. }) = gpu.buffer::<f32>("huge", most as usize)
+    else {
         panic!("was not refused")
     };
     assert_eq!((needs, said), (4 * most, most));

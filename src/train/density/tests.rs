@@ -1,6 +1,6 @@
 use super::*;
 use crate::engine::SplitOrigin::{Keep, LowerHalf, UpperHalf};
-use crate::engine::{DensityStats, Device, Positions, TrainState, TrainingLimits};
+use crate::engine::{DensityStats, Device, TrainState, TrainingLimits};
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::{Field, Gaussians, Model};
 use std::sync::Arc;
@@ -49,7 +49,7 @@ fn planned(
     budget: usize,
     centres: Option<&[[f32; 3]]>,
 ) -> Vec<(u32, SplitOrigin)> {
-    let signals = training(state(g.clone(), stats.clone())).density_signals(Positions::Read).unwrap();
+    let signals = training(state(g.clone(), stats.clone())).density_signals().unwrap();
     let plan = plan(&signals, budget, centres);
     plan.gaussians.iter().map(|g| (g.source, g.origin)).collect()
 }
@@ -82,7 +82,7 @@ fn halves_lie_on_both_sides_along_the_longest_axis_and_only_kept_moments_stay() 
     let mut state = state(gaussians, stats);
     state.moments.first.field_mut(Field::Mean).fill(7.0);
     let mut training = training(state);
-    let plan = plan(&training.density_signals(Positions::LeftOut).unwrap(), 10, None);
+    let plan = plan(&training.density_signals().unwrap(), 10, None);
     training.rebuild(&plan).unwrap();
     let state = training.state().unwrap();
     let g = &state.model.gaussians;

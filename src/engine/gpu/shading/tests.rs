@@ -184,14 +184,8 @@ impl Case {
         let groups = self.differentiated(all).stored() / 4;
         let by_gbuffer = gpu.buffer("by gbuffer", n * groups).unwrap();
         let by_tables = gpu.buffer("by tables", light.layout.floats()).unwrap();
-        let shading = ShadingUniform::new(&self.options, self.background);
-        let job = ShadeJob {
-            view: &view,
-            shading: &shading,
-            n_visibility: sh_count(self.order),
-            light: &light,
-            constants: &constants,
-        };
+        let (options, background) = (self.options, self.background);
+        let shading = Shading { options, background, light, constants };
         let mut recorder = gpu.record();
         recorder.clear(&by_tables);
         let gradients = ShadeGradients {
@@ -200,16 +194,16 @@ impl Case {
             by_buffers: &by_buffers,
             by_gbuffer: &by_gbuffer,
             by_tables: &by_tables,
-            all_channels: all,
+            differentiated: self.differentiated(all),
         };
         match self.options.shade_at {
             ShadeAt::Pixel => {
-                shade(&mut recorder, &job, &gbuffer, &images).unwrap();
-                shade_backward(&mut recorder, &job, &gradients).unwrap();
+                shade(&mut recorder, &view, &shading, &gbuffer, &images).unwrap();
+                shade_backward(&mut recorder, &view, &shading, &gradients).unwrap();
             }
             ShadeAt::Gaussian => {
-                show_lit(&mut recorder, &job, &gbuffer, &images);
-                show_lit_backward(&mut recorder, &job, &gradients);
+                shaded_images(&mut recorder, &view, &shading, &gbuffer, &images);
+                shaded_images_backward(&mut recorder, &view, &shading, &gradients);
             }
         }
         recorder.submit().unwrap();

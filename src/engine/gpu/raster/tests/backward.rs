@@ -22,15 +22,14 @@ pub(super) fn planes(rows: &[Vec<f32>]) -> Vec<[f32; 4]> {
 }
 
 /// The device's splat gradients as rows of 7 + stored by Gaussian.
-fn device_rows(raster: &mut Raster, by: &[Vec<f32>], n: usize) -> Vec<Vec<f32>> {
-    let gpu = raster.gpu.clone();
+fn device_rows(gpu: &Gpu, frame: Blended<'_>, by: &[Vec<f32>], n: usize) -> Vec<Vec<f32>> {
     let stored = by[0].len();
     let gradient = gpu.upload("by", &planes(by)).unwrap();
     let mut rec = gpu.record();
-    raster.blend_backward(&mut rec, &gradient, stored / 4).unwrap();
+    let frame = frame.backward(&mut rec, &gradient, stored / 4).unwrap();
     rec.submit().unwrap();
     let width = GRADIENT_HEADER + stored;
-    let flat = gpu.read(raster.splat_gradients.as_ref().unwrap(), 0..n * width).unwrap();
+    let flat = gpu.read(&frame.splat_gradients, 0..n * width).unwrap();
     let row = |r: &[f32]| {
         assert_eq!(r[7], 0.0, "the unused entry stays zero");
         [&r[..7], &r[8..]].concat()
@@ -65,10 +64,11 @@ fn worst(got: &[Vec<f32>], expected: &[Vec<f64>]) -> f64 {
 /// Runs both ways back; gives the largest error against f64.
 pub(super) fn check(raster: &mut Raster, scene: &Scene, channels: Channels, count: usize) -> f64 {
     let n = scene.gaussians.len();
-    scene.gpu(raster, channels, false);
-    let pass = scene.cpu(channels, false);
+    let gpu = raster.gpu.clone();
+    let frame = scene.gpu(raster, channels, EarlyStop::Never);
+    let pass = scene.cpu(channels, EarlyStop::Never);
     let by = random_gradient(&scene.view, count, 99);
-    let got = device_rows(raster, &by, n);
+    let got = device_rows(&gpu, frame, &by, n);
     let attributes = attributes_by_gaussian(&pass, n, by[0].len());
     let splats = exact::project(&scene.view, &scene.gaussians);
     worst(&got, &exact::backward(&scene.view, &splats, &attributes, &by, n))
@@ -118,10 +118,10 @@ fn gradients_match_the_cpu() {
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(6, 400, (64, 48), 2);
     let (channels, count, n) = (Channels::Material, 13, scene.gaussians.len());
-    scene.gpu(&mut raster, channels, true);
-    let pass = scene.cpu(channels, true);
+    let frame = scene.gpu(&mut raster, channels, EarlyStop::WhenSaturated);
+    let pass = scene.cpu(channels, EarlyStop::WhenSaturated);
     let by = random_gradient(&scene.view, count, 3);
-    let got = device_rows(&mut raster, &by, n);
+    let got = device_rows(&gpu, frame, &by, n);
     let by = for_cpu(&pass, &scene.view, &by);
     let width = ROW_HEADER + count;
     let summed = pass.splat_gradients(&by, 16, count);
@@ -154,14 +154,14 @@ fn the_gradient_comparison_notices_one_changed_pixel() {
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(5, 150, (37, 21), 1);
     let n = scene.gaussians.len();
-    scene.gpu(&mut raster, Channels::Material, false);
-    let pass = scene.cpu(Channels::Material, false);
+    let frame = scene.gpu(&mut raster, Channels::Material, EarlyStop::Never);
+    let pass = scene.cpu(Channels::Material, EarlyStop::Never);
     let mut by = random_gradient(&scene.view, 13, 99);
     let attributes = attributes_by_gaussian(&pass, n, 16);
     let splats = exact::project(&scene.view, &scene.gaussians);
     let expected = exact::backward(&scene.view, &splats, &attributes, &by, n);
     by[10 * 37 + 19].iter_mut().for_each(|v| *v *= 1.1);
-    let error = worst(&device_rows(&mut raster, &by, n), &expected);
+    let error = worst(&device_rows(&gpu, frame, &by, n), &expected);
     assert!(error > 2e-4, "{error:e}");
 }
 
@@ -170,12 +170,17 @@ fn the_gradient_comparison_notices_one_changed_pixel() {
 fn no_gradient_gives_none_and_too_many_groups_are_refused() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let scene = Scene::random(5, 150, (37, 21), 1);
-    scene.gpu(&mut raster, Channels::Geometry, true);
-    let rows = device_rows(&mut raster, &vec![vec![0.0; 8]; 37 * 21], 150);
+    fn geometry(raster: &mut Raster) -> Blended<'_> {
+        Scene::random(5, 150, (37, 21), 1).gpu(raster, Channels::Geometry, EarlyStop::WhenSaturated)
+    }
+    let rows = device_rows(&gpu, geometry(&mut raster), &vec![vec![0.0; 8]; 37 * 21], 150);
     assert!(rows.iter().flatten().all(|v| *v == 0.0));
     let by = gpu.upload("by", &vec![[0.0f32; 4]; 4 * 37 * 21]).unwrap();
-    assert!(raster.blend_backward(&mut gpu.record(), &by, 4).is_err());
+    let refused = geometry(&mut raster).backward(&mut gpu.record(), &by, 4);
+    assert!(matches!(refused, Err(DeviceError::Misuse(_))));
+    let short = gpu.upload("by", &[[0.0f32; 4]; 37]).unwrap();
+    let refused = geometry(&mut raster).backward(&mut gpu.record(), &short, 1);
+    assert!(matches!(refused, Err(DeviceError::Misuse(_))));
 }
 
 #[test]
@@ -195,14 +200,14 @@ fn a_device_without_float_atomics_finds_the_same_gradients() {
 
 /// Largest error of labels and weights, in units of the largest weight.
 pub(super) fn label_error(raster: &mut Raster, scene: &Scene) -> f32 {
-    scene.gpu(raster, Channels::Colour, true);
     let gpu = raster.gpu.clone();
+    let mut projected = raster.prepare(&CameraUniform::new(&scene.view), &scene.on_device(&gpu)).unwrap();
     let mut rec = gpu.record();
-    raster.backward_labels(&mut rec).unwrap();
+    let labels = projected.backward_labels(&mut rec).unwrap();
     rec.submit().unwrap();
     let n = scene.gaussians.len();
-    let got = gpu.read(raster.labels.as_ref().unwrap(), 0..n).unwrap();
-    let pass = scene.cpu(Channels::Colour, true);
+    let got = gpu.read(&labels, 0..n).unwrap();
+    let pass = scene.cpu(Channels::Colour, EarlyStop::WhenSaturated);
     let expected = backward_labels(&pass);
     let scale = expected.iter().fold(1e-9f32, |m, l| m.max(l.weight));
     let mut unseen = vec![true; n];

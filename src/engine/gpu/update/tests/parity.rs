@@ -20,7 +20,7 @@ fn compare(case: &Case, got: &[f32]) -> (f32, &'static str) {
 fn check(gpu: &Gpu, shape: &Shape, seed: u64) {
     let case = Case::new(shape, seed, |_| ());
     let device = OnDevice::new(gpu, &case);
-    let (got, by_globals) = device.gradients(&ParameterTerms::default());
+    let (got, by_globals) = device.gradients(&ParameterWeights::default());
     let (error, field) = compare(&case, &got);
     eprintln!("{shape:?} seed {seed}: {error:e} in {field}");
     assert!(error < 1e-5, "{shape:?} seed {seed}: {error:e} in {field}");
@@ -113,7 +113,7 @@ fn control_one_changed_input_is_seen_in_the_gradients() {
     for (at, change) in changes.into_iter().enumerate() {
         let mut case = Case::new(&shape, 9, |_| ());
         change(&mut case);
-        let (got, _) = OnDevice::new(&gpu, &case).gradients(&ParameterTerms::default());
+        let (got, _) = OnDevice::new(&gpu, &case).gradients(&ParameterWeights::default());
         let (error, field) = compare(&case, &got);
         assert!(error > 1e-4, "change {at} went unnoticed: {error:e} in {field}");
     }
@@ -138,7 +138,7 @@ fn what_is_not_finite_and_not_seen_does_no_harm() {
     // A quaternion that is not finite is the identity.
     assert!([2, 5, 7].iter().all(|i| !case.expected.visible[*i]));
     let device = OnDevice::new(&gpu, &case);
-    let (got, by_globals) = device.gradients(&ParameterTerms::default());
+    let (got, by_globals) = device.gradients(&ParameterWeights::default());
     let (error, field) = compare(&case, &got);
     assert!(error < 1e-5, "{error:e} in {field}");
     assert!(by_globals.iter().all(|v| v.is_finite()));
@@ -173,7 +173,7 @@ fn nothing_happens_without_gaussians() {
     let mut case = Case::new(&Shape::default(), 3, |_| ());
     case.model.gaussians = Gaussians::zeroed(0, 8, 2, 2);
     let device = OnDevice::new(&gpu, &case);
-    let (_, by_globals) = device.gradients(&ParameterTerms { aggregation: 1.0, ..Default::default() });
+    let (_, by_globals) = device.gradients(&ParameterWeights { aggregation: 1.0, ..Default::default() });
     assert!(by_globals.iter().all(|v| *v == 0.0));
     assert_eq!(device.losses(), [0.0; 16]);
 }

@@ -22,7 +22,7 @@ fn aggregation(scores: &[f64]) -> f64 {
 }
 
 /// Aggregation, residual, flatness and probe labels on planar `values`.
-fn objective(values: &[f64], g: &Gaussians, labels: &[f32], terms: &ParameterTerms) -> [f64; 4] {
+fn objective(values: &[f64], g: &Gaussians, labels: &[f32], terms: &ParameterWeights) -> [f64; 4] {
     let n = g.len();
     let of = |field: Field, i: usize| &values[range(g, field)][i * g.width(field)..(i + 1) * g.width(field)];
     let mut out = [0.0; 4];
@@ -49,7 +49,7 @@ fn terms_and_their_slopes_are_those_of_the_formulas() {
         let mut device = OnDevice::new(&gpu, &case);
         let labels: Vec<f32> = (0..g.field(Field::Visibility).len()).map(|i| (i as f32).cos()).collect();
         device.probe_labels = Some(gpu.upload("labels", &labels).unwrap());
-        let terms = ParameterTerms {
+        let terms = ParameterWeights {
             aggregation: 2.0,
             residual: 3.0,
             flatness: 5.0,
@@ -102,7 +102,7 @@ fn one_hot_scores_have_a_finite_aggregation() {
     case.model.gaussians.field_mut(Field::ProtoLogits).fill(-60.0);
     (0..5).for_each(|i| case.model.gaussians.row_mut(Field::ProtoLogits, i)[i] = 60.0);
     let device = OnDevice::new(&gpu, &case);
-    let (got, _) = device.gradients(&ParameterTerms { aggregation: 1.0, ..Default::default() });
+    let (got, _) = device.gradients(&ParameterWeights { aggregation: 1.0, ..Default::default() });
     assert!(got.iter().all(|v| v.abs() < 1e-4));
     assert!(device.losses()[11].abs() < 1e-5);
 }
@@ -176,7 +176,7 @@ fn backward_labels_pull_where_there_is_weight_and_never_run_away() {
         let (value, expected, held) = expected_pull(&case, &labels, form);
         let mut device = OnDevice::new(&gpu, &case);
         device.view_labels = Some(gpu.upload("labels", &labels).unwrap());
-        let (got, _) = device.gradients(&ParameterTerms { view_labels: 0.7, ..Default::default() });
+        let (got, _) = device.gradients(&ParameterWeights { view_labels: 0.7, ..Default::default() });
         let r = range(&case.model.gaussians, Field::Visibility);
         let error = relative_error(&got[r.clone()], &expected);
         eprintln!("labels {form:?} {visibility}: {error:e}, {held} held");
@@ -184,7 +184,7 @@ fn backward_labels_pull_where_there_is_weight_and_never_run_away() {
         let loss = f64::from(device.losses()[14]);
         assert!((loss - value).abs() < 1e-5 * (1.0 + value), "{loss} {value}");
         assert!(form == Sigmoid || held > 0, "the control: some labels hold");
-        let off = device.gradients(&ParameterTerms::default()).0;
+        let off = device.gradients(&ParameterWeights::default()).0;
         assert!(relative_error(&off[r], &expected) > 0.5, "the control: no weight, no pull");
     }
 }
