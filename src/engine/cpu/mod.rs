@@ -52,4 +52,4 @@ pub use rays::Occluders;
 pub use resolve::{reflector, resolve};
 pub use surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader};
 pub use surface_shader::Shaded;
-pub use training::Training;
+pub use training::{Outcome, Training, objective};

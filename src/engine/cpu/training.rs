@@ -32,11 +32,13 @@ pub struct Training {
 }
 
 /// Value and gradients of the objective.
-struct Outcome {
-    loss: f32,
+pub struct Outcome {
+    /// The objective.
+    pub loss: f32,
     /// Mean squared error of the leading branch.
-    mse: f32,
-    gradients: Gradients,
+    pub mse: f32,
+    /// By every parameter.
+    pub gradients: Gradients,
 }
 
 /// What the kernels read of a state.
@@ -66,10 +68,7 @@ impl Training {
 
 impl training::Training for Training {
     fn step(&mut self, step: &Step<'_>) -> Result<StepSums, DeviceError> {
-        let outcome = match step.branches.is_physical() {
-            true => both_branches(step, &self.state, &self.operators),
-            false => radiance_branch(step, &self.state),
-        };
+        let outcome = objective(step, &self.state, &self.operators);
         let finite = outcome.loss.is_finite() && outcome.gradients.is_finite();
         if finite {
             let TrainState { model, moments, density, .. } = &mut self.state;
@@ -128,6 +127,14 @@ impl training::Training for Training {
 
     fn engine(&self) -> &'static str {
         "cpu"
+    }
+}
+
+/// The objective of `step` (docs/MODEL.md section 5) and its gradients; `operators` belong to the state's light.
+pub fn objective(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) -> Outcome {
+    match step.branches.is_physical() {
+        true => both_branches(step, state, operators),
+        false => radiance_branch(step, state),
     }
 }
 
