@@ -4,21 +4,21 @@
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use relume::engine::{ProbeSettings, RasterCamera, fibonacci_sphere};
 use std::sync::OnceLock;
 
 use divan::{Bencher, black_box};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Scene3dBounds};
+use relume::capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::engine::Device;
 use relume::engine::channel::Channels;
-use relume::engine::cpu::{
-    AttributeSource, BranchImages, Pass, ProbeSettings, Probes, Shader, View, fibonacci_sphere,
-};
+use relume::engine::constants::EarlyStop;
+use relume::engine::cpu::{AttributeSource, BranchImages, Pass, Probes, SurfaceShader};
 use relume::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
 use relume::render::{Output, Renderer, Tier};
-use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadingOptions};
+use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, ShadingOptions};
 use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer};
 
 const GAUSSIANS: usize = 10_000;
@@ -77,8 +77,8 @@ fn source() -> AttributeSource<'static> {
     source.under(shader())
 }
 
-fn view() -> View {
-    View::new(&camera(SIDE), &model().shading)
+fn view() -> RasterCamera {
+    RasterCamera::new(&camera(SIDE), &model().shading)
 }
 
 fn operators() -> &'static EnvOperators {
@@ -91,23 +91,23 @@ fn tables() -> &'static LightTables {
     TABLES.get_or_init(|| operators().apply(&[[1.0; 3]; 512]))
 }
 
-fn shader() -> Shader<'static> {
-    Shader { tables: tables(), options: &model().shading, order: 4 }
+fn shader() -> SurfaceShader<'static> {
+    SurfaceShader { tables: tables(), options: &model().shading, order: 4 }
 }
 
 fn full_pass() -> &'static Pass {
     static PASS: OnceLock<Pass> = OnceLock::new();
-    PASS.get_or_init(|| Pass::forward(&source(), view(), Channels::Full(25), true))
+    PASS.get_or_init(|| Pass::forward(&source(), view(), Channels::Full(25), EarlyStop::WhenSaturated))
 }
 
 #[divan::bench]
 fn forward_radiance_channels(b: Bencher) {
-    b.bench(|| Pass::forward(&source(), view(), Channels::Colour, true));
+    b.bench(|| Pass::forward(&source(), view(), Channels::Colour, EarlyStop::WhenSaturated));
 }
 
 #[divan::bench]
 fn forward_all_channels(b: Bencher) {
-    b.bench(|| Pass::forward(&source(), view(), Channels::Full(25), true));
+    b.bench(|| Pass::forward(&source(), view(), Channels::Full(25), EarlyStop::WhenSaturated));
 }
 
 #[divan::bench]

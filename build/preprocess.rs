@@ -1,6 +1,6 @@
 //! The shader preprocessor: imports, conditions, unrolling and float accumulation, line by line.
 //!
-//! - `#import name`: the text of `shaders/shared/name.wgsl`, once a shader.
+//! - `#import name`: the text of `shaders/shared/name.wgsl`, once a shader; of `generated/name`, see `build/generated.rs`.
 //! - `#ifdef X`, `#ifndef X`, `#else`, `#endif`: X is a define of the permutation.
 //! - `#repeat k COUNT` ... `#end`: the lines COUNT times, `$k` replaced by 0, 1, ...; COUNT is a number or a define.
 //! - `accumulate!(target, value);` on a line of its own: atomic float addition to an element of type `accumulator`.

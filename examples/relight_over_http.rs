@@ -8,9 +8,9 @@
 use std::path::Path;
 
 use relume::api::jobs::NewJob;
-use relume::api::picture::Format;
 use relume::api::renders::{CameraSpec, EnvironmentSpec, LookAtSpec, RenderRequest};
 use relume::capture::{SyntheticOptions, synthetic, write_archive};
+use relume::render::FrameFormat;
 use relume::render::Output;
 use relume::train::{Preset, TrainOverrides};
 
@@ -47,7 +47,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
             ..RenderRequest::default()
         };
         let file = format!("relit_{light}.png");
-        std::fs::write(&file, client.render(&model, &request, Format::Png).await?)?;
+        std::fs::write(&file, client.render(&model, &request, FrameFormat::Png).await?)?;
         println!("wrote {file}");
     }
     client.download(&model, "model.ply", Path::new("relit_model.ply")).await?;

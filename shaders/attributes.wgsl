@@ -3,15 +3,16 @@
 // A thread owns one Gaussian. No workgroup memory. Threads go by Gaussian, not by rank: parameters of neighbours lie next
 // to each other, in depth order every read would be a line of its own.
 #import attributes
+#import generated/channels
 #import incoming
 #import index
 #import sh
 #import splat
-#import view
+#import camera
 
 const WG_SIZE = 256u;
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> model: Layout;
 @group(0) @binding(2) var<storage, read> params: array<f32>;
 @group(0) @binding(3) var<storage, read> globals: array<f32>;
@@ -42,25 +43,24 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     if splats[gaussian_ix].n_tiles == 0u {
         return;
     }
-    let to_mean = params_vec3(model.mean + 3u * gaussian_ix) - view.eye.xyz;
+    let to_mean = params_vec3(model.mean + 3u * gaussian_ix) - camera.centre.xyz;
     let row = gaussian_ix * GROUPS;
-    rows[row] = vec4f(1.0, radiance_of(gaussian_ix, to_mean));
+    rows[row + COVERAGE_GROUP] = vec4f(1.0, radiance_of(gaussian_ix, to_mean));
 #ifndef COLOUR
     let normal = normal_of(gaussian_ix, to_mean);
-    rows[row + 1u] = vec4f(normal.unit, dot(normal.unit, to_mean));
+    rows[row + NORMAL_GROUP] = vec4f(normal.unit, dot(normal.unit, to_mean));
 #ifndef GEOMETRY
     let albedo = clamp(albedo_of(gaussian_ix), vec3f(0.0), vec3f(1.0));
-    rows[row + 2u] = vec4f(albedo, sigmoid(params[model.metal + gaussian_ix]));
+    rows[row + ALBEDO_GROUP] = vec4f(albedo, sigmoid(params[model.metal + gaussian_ix]));
     let rough = sigmoid(params[model.rough + gaussian_ix]);
 #ifdef MATERIAL
-    rows[row + 3u] = vec4f(rough, 0.0, 0.0, 0.0);
+    rows[row + ROUGH_GROUP] = vec4f(rough, 0.0, 0.0, 0.0);
 #else
-    let indirect = indirect_of(gaussian_ix);
-    rows[row + 3u] = vec4f(rough, indirect.irradiance);
-    rows[row + 4u] = vec4f(splats[gaussian_ix].depth, indirect.radiance);
-    // Visibility begins with channel 20, the first of group 5.
-    for (var group = 5u; group < GROUPS; group++) {
-        rows[row + group] = visibility_quad(gaussian_ix, group - 5u);
+    let incident = incident_light(gaussian_ix);
+    rows[row + ROUGH_GROUP] = vec4f(rough, incident.gathered);
+    rows[row + DEPTH_GROUP] = vec4f(splats[gaussian_ix].depth, incident.blocked);
+    for (var group = VISIBILITY_GROUP; group < GROUPS; group++) {
+        rows[row + group] = visibility_quad(gaussian_ix, group - VISIBILITY_GROUP);
     }
 #endif
 #endif

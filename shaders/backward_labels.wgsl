@@ -8,9 +8,9 @@
 // pixel still counts in That. Weights behind LEAST are below any that matter and taken as zero, since the transmittance
 // there cannot be divided back.
 #import alpha
-#import view
+#import camera
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<storage, read> splats: array<Splat>;
 @group(0) @binding(2) var<storage, read> gaussian_of_slot: array<u32>;
 @group(0) @binding(3) var<storage, read> first_slot: array<u32>;
@@ -50,12 +50,12 @@ fn sum_batch(local_ix: u32, first: u32, n: u32) {
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) local_ix: u32) {
-    let tile_ix = wid.y * view.tiles.x + wid.x;
+    let tile_ix = wid.y * camera.tiles.x + wid.x;
     let tile_first = first_slot[tile_ix];
     let tile_end = first_slot[tile_ix + 1u];
     let pixel = wid.xy * TILE + vec2u(local_ix % TILE, local_ix / TILE);
     let centre = vec2f(pixel) + 0.5;
-    let inside = pixel.x < view.size.x && pixel.y < view.size.y;
+    let inside = pixel.x < camera.size.x && pixel.y < camera.size.y;
     var transmittance = 1.0;
     var own_end = tile_first;
     for (var first = tile_first; first < tile_end; first += WG_SIZE) {

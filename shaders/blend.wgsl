@@ -6,9 +6,9 @@
 // Threads whose pixel is saturated leave the batch; the workgroup stops when none is left.
 // It also leaves where each pixel ended and with which transmittance: the way back recovers the rest by division.
 #import alpha
-#import view
+#import camera
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> blending: Blending;
 @group(0) @binding(2) var<storage, read> splats: array<Splat>;
 @group(0) @binding(3) var<storage, read> attributes: array<vec4f>;
@@ -33,12 +33,12 @@ var<workgroup> sh_n_live: atomic<u32>;
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) local_ix: u32) {
-    let tile_ix = wid.y * view.tiles.x + wid.x;
+    let tile_ix = wid.y * camera.tiles.x + wid.x;
     let first = first_slot[tile_ix];
     let end = first_slot[tile_ix + 1u];
     let pixel = wid.xy * TILE + vec2u(local_ix % TILE, local_ix / TILE);
     let centre = vec2f(pixel) + 0.5;
-    let inside = pixel.x < view.size.x && pixel.y < view.size.y;
+    let inside = pixel.x < camera.size.x && pixel.y < camera.size.y;
     if local_ix == 0u {
         atomicStore(&sh_n_live, 0u);
     }
@@ -82,9 +82,9 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
         }
     }
     if inside {
-        let pixel_ix = pixel.y * view.size.x + pixel.x;
+        let pixel_ix = pixel.y * camera.size.x + pixel.x;
 #repeat g GROUPS
-        gbuffer[$gu * view.n_pixels + pixel_ix] = sum_$g;
+        gbuffer[$gu * camera.n_pixels + pixel_ix] = sum_$g;
 #end
         ends[pixel_ix] = BlendEnd(transmittance, end_slot);
     }

@@ -9,19 +9,19 @@
 // the pixels (16 products for each pair of loads), the shares are added up in `sh_matrix` again, and one atomic addition
 // an output and tile goes out. The same memory then carries the alpha gradients, which are multiplied with the moments
 // 1, dx, dy, dx^2, dx dy, dy^2 of the pixels about the splat's mean: mean, conic and opacity follow from those. A seventh
-// sum is the pull: of the length of each pixel's gradient by the mean, what density control goes by.
+// sum is absgrad: of the length of each pixel's gradient by the mean, the signal of density control (AbsGS, Ye et al. 2024).
 // Compared with summing each of the 8 + 4 GROUPS outputs over the workgroup by itself this needs a few barriers per 16
-// splats instead of some per output, and no subgroup operations. Tried and lost: all sixteen splats of a batch unrolled
-// (three times the compilation time at GROUPS = 18, the same results).
+// splats instead of some per output, and no subgroup operations.
 //
 // Workgroup memory: `sh_matrix` 16 KiB, moments 7 KiB, attributes 256 B a group, footprints 0.5 KiB: 28 KiB at most.
 // Rows of `sh_matrix` are rotated by half the pixel index, so that neither pixels side by side (writing) nor groups of four
 // splats side by side (reading) meet in a memory bank. A pixel's own gradient stays in registers; the matrix product
 // reads the gradients of other pixels from memory, where the tile's share (4 KiB a group) stays in the cache.
 #import alpha
-#import view
+#import generated/channels
+#import camera
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> size: BackwardSize;
 @group(0) @binding(2) var<storage, read> splats: array<Splat>;
 @group(0) @binding(3) var<storage, read> attributes: array<vec4f>;
@@ -42,8 +42,7 @@ struct BackwardSize {
 const WG_SIZE = 256u;
 // Splats a batch; also 4 vectors of 4.
 const BATCH = 16u;
-const HEADER = 8u;
-const ROW = HEADER + 4u * GROUPS;
+const ROW = GRADIENT_HEADER + 4u * GROUPS;
 // (4 splats, 4 channels) pairs, and how many threads share the pixels of each.
 const N_BLOCKS = 4u * GROUPS;
 const N_SHARES = WG_SIZE / N_BLOCKS;
@@ -67,10 +66,10 @@ fn pixel_of(tile: vec2u, pixel_local: u32) -> vec2u {
 // Gradient of group `group` in a pixel of the tile; zero outside the image.
 fn gradient_at(tile: vec2u, pixel_local: u32, group: u32) -> vec4f {
     let pixel = pixel_of(tile, pixel_local);
-    if pixel.x >= view.size.x || pixel.y >= view.size.y {
+    if pixel.x >= camera.size.x || pixel.y >= camera.size.y {
         return vec4f(0.0);
     }
-    return by_gbuffer[group * view.n_pixels + pixel.y * view.size.x + pixel.x];
+    return by_gbuffer[group * camera.n_pixels + pixel.y * camera.size.x + pixel.x];
 }
 
 // Adds to the gradient rows of the batch: `sh_matrix` holds the weights.
@@ -108,7 +107,7 @@ fn attribute_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
             }
             if total != 0.0 {
                 let row = gaussian_of_slot[first + splat] * ROW;
-                accumulate!(splat_gradients[row + HEADER + channel], total);
+                accumulate!(splat_gradients[row + GRADIENT_HEADER + channel], total);
             }
         }
     }
@@ -124,7 +123,7 @@ fn geometry_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
     var d_one = vec2f(0.0);
     // xx, xy, yy.
     var d_two = vec3f(0.0);
-    var pull = 0.0;
+    var absgrad = 0.0;
     if splat < n {
         let conic = splats[gaussian_of_slot[first + splat]].conic;
         // A share is a row of pixels.
@@ -136,7 +135,7 @@ fn geometry_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
             one += flow;
             d_one += flow_d;
             d_two += vec3f(flow_d.x * d.x, flow_d.x * d.y, flow_d.y * d.y);
-            pull += length(vec2f(dot(conic.xy, d), dot(conic.yz, d))) * abs(flow);
+            absgrad += length(vec2f(dot(conic.xy, d), dot(conic.yz, d))) * abs(flow);
         }
     }
     sh_moments[0u * WG_SIZE + local_ix] = one;
@@ -145,7 +144,7 @@ fn geometry_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
     sh_moments[3u * WG_SIZE + local_ix] = d_two.x;
     sh_moments[4u * WG_SIZE + local_ix] = d_two.y;
     sh_moments[5u * WG_SIZE + local_ix] = d_two.z;
-    sh_moments[6u * WG_SIZE + local_ix] = pull;
+    sh_moments[6u * WG_SIZE + local_ix] = absgrad;
     workgroupBarrier();
     // A thread sums one moment of one splat over the rows, into the place of the first row.
     if local_ix < BATCH * N_MOMENTS {
@@ -167,7 +166,7 @@ fn geometry_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
     }
 }
 
-// Entry of a gradient row's header (mean x, y, conic xx, xy, yy, opacity, pull) out of the sums.
+// Entry of a gradient row's header (mean x, y, conic xx, xy, yy, opacity, absgrad) out of the sums.
 fn header_entry(gaussian_ix: u32, splat: u32, output: u32) -> f32 {
     if output < 2u {
         let conic = splats[gaussian_ix].conic;
@@ -187,7 +186,7 @@ fn header_entry(gaussian_ix: u32, splat: u32, output: u32) -> f32 {
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) local_ix: u32) {
     let tile = wid.xy;
-    let tile_ix = tile.y * view.tiles.x + tile.x;
+    let tile_ix = tile.y * camera.tiles.x + tile.x;
     let tile_first = first_slot[tile_ix];
     let pixel = pixel_of(tile, local_ix);
     let centre = vec2f(pixel) + 0.5;
@@ -197,13 +196,13 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
     workgroupBarrier();
     var own_end = tile_first;
     var transmittance = 1.0;
-    var lit = false;
+    var is_active = false;
 #repeat g GROUPS
     let gradient_$g = gradient_at(tile, local_ix, $gu);
-    lit = lit || any(gradient_$g != vec4f(0.0));
+    is_active = is_active || any(gradient_$g != vec4f(0.0));
 #end
-    if lit {
-        let end = ends[pixel.y * view.size.x + pixel.x];
+    if is_active {
+        let end = ends[pixel.y * camera.size.x + pixel.x];
         // A stale buffer must not lead out of the tile.
         own_end = clamp(end.slot, tile_first, first_slot[tile_ix + 1u]);
         transmittance = end.transmittance;

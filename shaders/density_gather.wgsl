@@ -1,8 +1,9 @@
 // Rebuilds parameters and moments after a round of density control: Gaussians dropped, copied and halved. A thread owns
 // one element of the new planar buffers, so that writes are coalesced and reads nearly so; nothing lies in workgroup
 // memory. The planar layout depends on the number of Gaussians: an element is found again by field, Gaussian and k.
+#import generated/density
 #import index
-#import parameters
+#import generated/parameters
 #import quaternion
 
 const WG_SIZE = 256u;
@@ -11,10 +12,6 @@ const KIND_KEEP = 0u;
 const KIND_FRESH = 1u;
 const KIND_UPPER_HALF = 2u;
 const KIND_LOWER_HALF = 3u;
-// A half's size along the split axis and across it, and the exponent that gives both halves the whole's transmittance.
-const SHRINK_ALONG: f32 = 0.55;
-const SHRINK_ACROSS: f32 = 0.9;
-const OPACITY_EXPONENT = 0.7;
 
 @group(0) @binding(0) var<uniform> old: Layout;
 @group(0) @binding(1) var<uniform> now: Layout;
@@ -36,19 +33,11 @@ struct Place {
 
 // The field that new element `ix` belongs to.
 fn place_of(ix: u32) -> Place {
-    if ix >= now.radiance { return Place(now.radiance, old.radiance, 3u * now.n_radiance); }
-    if ix >= now.indirect { return Place(now.indirect, old.indirect, 16u); }
-    if ix >= now.visibility { return Place(now.visibility, old.visibility, now.n_visibility); }
-    if ix >= now.residual { return Place(now.residual, old.residual, 3u); }
-    if ix >= now.scores { return Place(now.scores, old.scores, now.n_scores); }
-    if ix >= now.sheen { return Place(now.sheen, old.sheen, 1u); }
-    if ix >= now.rough { return Place(now.rough, old.rough, 1u); }
-    if ix >= now.metal { return Place(now.metal, old.metal, 1u); }
-    if ix >= now.normal { return Place(now.normal, old.normal, 3u); }
-    if ix >= now.opacity { return Place(now.opacity, old.opacity, 1u); }
-    if ix >= now.quaternion { return Place(now.quaternion, old.quaternion, 4u); }
-    if ix >= now.log_scale { return Place(now.log_scale, old.log_scale, 3u); }
-    return Place(now.mean, old.mean, 3u);
+    var field = N_PARAMETER_FIELDS - 1u;
+    while field > 0u && ix < field_start(now, field) {
+        field--;
+    }
+    return Place(field_start(now, field), field_start(old, field), field_width(now, field));
 }
 
 fn old_vector(start: u32) -> vec3f {
@@ -76,11 +65,11 @@ fn halved(place: Place, source_ix: u32, k: u32, value: f32, side: f32) -> f32 {
         return value + side * 0.5 * exp(longest) * direction[k];
     }
     if place.new_start == now.log_scale {
-        return value + log(select(SHRINK_ACROSS, SHRINK_ALONG, k == axis));
+        return value + log(select(HALF_SCALE_ACROSS, HALF_SCALE_ALONG, k == axis));
     }
     if place.new_start == now.opacity {
         let opacity = 1.0 / (1.0 + exp(-value));
-        let half = clamp(1.0 - pow(1.0 - opacity, OPACITY_EXPONENT), 0.01, 0.98);
+        let half = clamp(1.0 - pow(1.0 - opacity, HALF_OPACITY_EXPONENT), 0.01, 0.98);
         return log(half / (1.0 - half));
     }
     return value;

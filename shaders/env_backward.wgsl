@@ -1,10 +1,11 @@
 // Gradient of the raw environment: the transposed map `M^T g`, the terms on the light itself, and the chain through
 // softplus (docs/MODEL.md sections 4 and 5).
 // A workgroup owns one texel; its threads share the (colour, coefficient) pairs of the diffuse rows and the entries of the
-// specular ones, then add up. One thread a texel would walk 20,000 terms alone. Workgroup memory holds the partial sums.
+// specular ones, then add up. A texel has up to 20,000 terms. Workgroup memory holds the partial sums.
 const WG_SIZE = 128u;
 #import environment
 #import index
+#import reduce
 #import tables
 
 @group(0) @binding(0) var<uniform> tables: Tables;
@@ -12,15 +13,13 @@ const WG_SIZE = 128u;
 @group(0) @binding(2) var<storage, read> globals: array<f32>;
 @group(0) @binding(3) var<storage, read> radiance: array<f32>;
 @group(0) @binding(4) var<storage, read> upward: array<f32>;
-@group(0) @binding(5) var<storage, read> light_slope: array<f32>;
+@group(0) @binding(5) var<storage, read> light_derivative: array<f32>;
 @group(0) @binding(6) var<storage, read> tables_gradient: array<f32>;
 // Transposed rows, two a texel: `(diffuse node, weight)`, then `(specular node of all levels, weight)`.
 @group(0) @binding(7) var<storage, read> first_entry: array<u32>;
 @group(0) @binding(8) var<storage, read> entries: array<vec2u>;
 @group(0) @binding(9) var<storage, read> harmonics: array<f32>;
 @group(0) @binding(10) var<storage, read_write> globals_gradient: array<f32>;
-
-var<workgroup> sh_sums: array<vec3f, WG_SIZE>;
 
 @compute @workgroup_size(WG_SIZE)
 fn main(
@@ -35,12 +34,12 @@ fn main(
     var sums = vec3f(0.0);
     let coefficients = tables.coefficients;
     for (var pair_ix = local_ix; pair_ix < 3u * coefficients; pair_ix += WG_SIZE) {
-        var lit = 0.0;
+        var product = 0.0;
         for (var at = first_entry[2u * texel_ix]; at < first_entry[2u * texel_ix + 1u]; at++) {
-            lit += bitcast<f32>(entries[at].y) * tables_gradient[entries[at].x * 3u * coefficients + pair_ix];
+            product += bitcast<f32>(entries[at].y) * tables_gradient[entries[at].x * 3u * coefficients + pair_ix];
         }
         let channel = pair_ix / coefficients;
-        let g = lit * harmonics[texel_ix * coefficients + pair_ix % coefficients];
+        let g = product * harmonics[texel_ix * coefficients + pair_ix % coefficients];
         sums += select(vec3f(0.0), vec3f(g), vec3u(0u, 1u, 2u) == vec3u(channel));
     }
     let first_specular = tables.specular_first[0].x;
@@ -50,20 +49,14 @@ fn main(
         let g = vec3f(tables_gradient[first], tables_gradient[first + 1u], tables_gradient[first + 2u]);
         sums += bitcast<f32>(entries[at].y) * g;
     }
-    sh_sums[local_ix] = sums;
-    for (var width = WG_SIZE / 2u; width > 0u; width /= 2u) {
-        workgroupBarrier();
-        if local_ix < width {
-            sh_sums[local_ix] += sh_sums[local_ix + width];
-        }
-    }
+    let total = workgroup_sum(local_ix, vec4f(sums, 0.0)).xyz;
     if local_ix == 0u {
         let light = vec3f(radiance[3u * texel_ix], radiance[3u * texel_ix + 1u], radiance[3u * texel_ix + 2u]);
         let deviation = sign(light - vec3f((light.r + light.g + light.b) / 3.0));
         let shared_sign = (deviation.r + deviation.g + deviation.b) / 3.0;
         let by_neutrality = environment.neutrality * (deviation - shared_sign);
-        let by_above = vec3f(light_slope[0], light_slope[1], light_slope[2]);
-        let by_light = sh_sums[0] + by_neutrality + by_above * upward[texel_ix];
+        let by_above = vec3f(light_derivative[0], light_derivative[1], light_derivative[2]);
+        let by_light = total + by_neutrality + by_above * upward[texel_ix];
         let first = environment.first_texel + 3u * texel_ix;
         for (var c = 0u; c < 3u; c++) {
             globals_gradient[first + c] = by_light[c] / (1.0 + exp(-globals[first + c]));

@@ -1,10 +1,11 @@
 // Radiance of the environment from its raw texels (softplus), the terms of the objective on it, and what their gradients
 // need (docs/MODEL.md section 5: light neutrality, exposure, daylight).
-// One workgroup walks all texels, since two terms need sums over them and there are few thousand at most; a
-// thread owns every 256th texel. Workgroup memory holds the partial sums of the reduction.
+// One workgroup takes all texels, since two terms need sums over them and there are few thousand at most; a
+// thread owns every 256th texel.
 const WG_SIZE = 256u;
 #import environment
-#import losses
+#import generated/slots
+#import reduce
 
 @group(0) @binding(0) var<uniform> environment: Environment;
 // Raw prototypes, then raw texels.
@@ -12,11 +13,9 @@ const WG_SIZE = 256u;
 // What a texel adds to the mean irradiance of a surface facing up, divided by pi.
 @group(0) @binding(2) var<storage, read> upward: array<f32>;
 @group(0) @binding(3) var<storage, read_write> radiance: array<f32>;
-// Slopes of exposure and daylight by what comes from above, in each channel.
-@group(0) @binding(4) var<storage, read_write> light_slope: array<f32>;
+// Derivatives of exposure and daylight by what comes from above, in each channel.
+@group(0) @binding(4) var<storage, read_write> light_derivative: array<f32>;
 @group(0) @binding(5) var<storage, read_write> losses: array<accumulator>;
-
-var<workgroup> sh_sums: array<vec4f, WG_SIZE>;
 
 fn softplus(x: f32) -> f32 {
     return max(x, 0.0) + log(1.0 + exp(-abs(x)));
@@ -36,24 +35,18 @@ fn main(@builtin(local_invocation_index) local_ix: u32) {
         let deviation = abs(light - grey);
         sums += vec4f(upward[texel_ix] * light, deviation.r + deviation.g + deviation.b);
     }
-    sh_sums[local_ix] = sums;
-    for (var width = WG_SIZE / 2u; width > 0u; width /= 2u) {
-        workgroupBarrier();
-        if local_ix < width {
-            sh_sums[local_ix] += sh_sums[local_ix + width];
-        }
-    }
+    sums = workgroup_sum(local_ix, sums);
     if local_ix == 0u {
-        let above = max(sh_sums[0].rgb, vec3f(1e-6));
-        let up = max(sh_sums[0].r + sh_sums[0].g + sh_sums[0].b, 1e-6);
+        let above = max(sums.rgb, vec3f(1e-6));
+        let up = max(sums.r + sums.g + sums.b, 1e-6);
         let level = log(up);
         let colour = log(above.b / above.r) - environment.blue_over_red;
         let by_level = 2.0 * environment.exposure * level / up;
         let by_colour = 2.0 * environment.daylight * colour;
-        light_slope[0] = by_level - by_colour / above.r;
-        light_slope[1] = by_level;
-        light_slope[2] = by_level + by_colour / above.b;
-        accumulate!(losses[LOSS_NEUTRALITY], environment.neutrality * sh_sums[0].w);
+        light_derivative[0] = by_level - by_colour / above.r;
+        light_derivative[1] = by_level;
+        light_derivative[2] = by_level + by_colour / above.b;
+        accumulate!(losses[LOSS_NEUTRALITY], environment.neutrality * sums.w);
         let values = environment.exposure * level * level + environment.daylight * colour * colour;
         accumulate!(losses[LOSS_EXPOSURE], values);
     }

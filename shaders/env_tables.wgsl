@@ -29,8 +29,8 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
         let row = float_ix / (3u * tables.coefficients);
         for (var at = first_entry[row]; at < first_entry[row + 1u]; at++) {
             let texel_ix = entries[at].x;
-            let lit = radiance[3u * texel_ix + channel] * harmonics[texel_ix * tables.coefficients + coefficient_ix];
-            sum += bitcast<f32>(entries[at].y) * lit;
+            let product = radiance[3u * texel_ix + channel] * harmonics[texel_ix * tables.coefficients + coefficient_ix];
+            sum += bitcast<f32>(entries[at].y) * product;
         }
     } else {
         let rest = float_ix - diffuse_floats;

@@ -2,10 +2,8 @@
 // its upper hemisphere. A thread owns one Gaussian and goes through the directions: neighbouring threads read
 // neighbouring transmittances and hits, and links need no lists. No workgroup memory.
 #import gather
+#import generated/occlusion
 #import index
-
-// Blocked share of a direction below which nothing is gathered from it.
-const LEAST_BLOCKED = 0.02;
 
 @group(0) @binding(0) var<uniform> transport: GatherSize;
 @group(0) @binding(1) var<storage, read> directions: array<vec4f>;

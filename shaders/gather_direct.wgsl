@@ -3,13 +3,12 @@
 #import attributes
 #import cube_grid
 #import finite
+#import generated/light
 #import index
 #import tables
 
 const WG_SIZE = 256u;
 const FRAC_1_PI = 0.31830989;
-// Visibility coefficient 0 of a point that sees the whole sky: 2 sqrt(pi).
-const FULLY_OPEN = 3.5449077;
 
 @group(0) @binding(0) var<uniform> model: Layout;
 @group(0) @binding(1) var<uniform> shape: Tables;

@@ -1,7 +1,7 @@
 // Counts the Gaussians that have a label from this view: the mean of the label loss is over them. A thread owns a
 // Gaussian; workgroup memory holds the workgroup's count, so that it costs one atomic in memory.
 #import index
-#import labels
+#import generated/objective
 
 const WG_SIZE = 256u;
 

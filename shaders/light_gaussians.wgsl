@@ -33,9 +33,9 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     colours[gaussian_ix] = vec4f(1.0, light);
 #else
     let row = gaussian_ix * ROW_GROUPS;
-    attributes[row + 3u] = vec4f(s.rough, light);
+    attributes[row + ROUGH_GROUP] = vec4f(s.rough, light);
 #ifdef ALL_CHANNELS
-    attributes[row + 4u] = vec4f(attributes[row + 4u].x, f.specular);
+    attributes[row + DEPTH_GROUP] = vec4f(channel_depth(attributes[row + DEPTH_GROUP]), f.specular);
 #endif
 #endif
 }

@@ -1,7 +1,6 @@
 // The way back through light_gaussians: in each Gaussian's row of splat gradients, what its light has is added to its place,
 // its normal, its material and (with ALL_CHANNELS) its indirect light and visibility; what the light tables get goes by
-// shared/table_shares.wgsl. A thread owns a Gaussian. Neighbours in memory have normals of their own, so that few share a
-// cell: sorting all Gaussians by cell first would save additions to memory; it was not tried.
+// shared/table_shares.wgsl. A thread owns a Gaussian.
 const WG_SIZE = 256u;
 #import index
 #import shading_backward
@@ -18,8 +17,6 @@ const WG_SIZE = 256u;
 @group(0) @binding(12) var<storage, read_write> splat_gradients: array<vec4f>;
 @group(0) @binding(13) var<storage, read_write> by_tables: array<accumulator>;
 
-const HEADER_GROUPS = 2u;
-
 // The Gaussian that the workgroup begins with.
 var<private> first_ix: u32;
 
@@ -29,27 +26,28 @@ fn member_visibility(local_ix: u32, quad: u32) -> vec4f {
 
 fn gaussian_backward(gaussian_ix: u32) -> Shares {
     let row = gaussian_ix * (HEADER_GROUPS + ROW_GROUPS) + HEADER_GROUPS;
-    let g = splat_gradients[row + 3u].yzw;
+    let g = channel_outgoing(splat_gradients[row + ROUGH_GROUP]);
     if all(g == vec3f(0.0)) {
         return no_shares();
     }
     var s = gaussian_surface(gaussian_ix);
     var f = shade(&s);
     var by = shade_backward(&s, &f, g);
-    splat_gradients[row + 1u] += vec4f(by.normal, 0.0);
-    splat_gradients[row + 2u] += vec4f(by.albedo, by.metal);
-    // The light's own gradient is spent: its first place carries that by sheen.
-    splat_gradients[row + 3u] = vec4f(splat_gradients[row + 3u].x + by.rough, by.sheen, g.yz);
+    splat_gradients[row + NORMAL_GROUP] += vec4f(by.normal, 0.0);
+    splat_gradients[row + ALBEDO_GROUP] += vec4f(by.albedo, by.metal);
+    // The gradient by the outgoing radiance has been passed on; its first channel now carries that by sheen.
+    let by_rough = channel_rough(splat_gradients[row + ROUGH_GROUP]) + by.rough;
+    splat_gradients[row + ROUGH_GROUP] = vec4f(by_rough, by.sheen, g.yz);
 #ifdef ALL_CHANNELS
-    splat_gradients[row + 4u] += vec4f(0.0, by.indirect);
+    splat_gradients[row + DEPTH_GROUP] += vec4f(0.0, by.blocked);
     for (var quad = 0u; quad < N_QUADS; quad++) {
         splat_gradients[row + VISIBILITY_GROUP + quad] += by.visibility[quad];
     }
 #endif
     // The direction of view is that of the ray through the splat's place: it moves with nothing else.
     let across = dot(s.view, by.view) * s.view - by.view;
-    let turned = vec2f(dot(across, view.rotation[0].xyz), dot(across, view.rotation[1].xyz));
-    let by_place = turned * splats[gaussian_ix].depth / (length3(to_gaussian(gaussian_ix)) * view.focal);
+    let turned = vec2f(dot(across, camera.rotation[0].xyz), dot(across, camera.rotation[1].xyz));
+    let by_place = turned * splats[gaussian_ix].depth / (length3(to_gaussian(gaussian_ix)) * camera.focal);
     splat_gradients[row - HEADER_GROUPS] += vec4f(by_place, 0.0, 0.0);
     return shares_of(&f, &by, 1.0);
 }

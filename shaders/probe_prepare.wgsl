@@ -1,7 +1,7 @@
 // Gaussians as the probes see them: occluders with their scaled axes, outward normals, and the points they ask from.
 // A thread owns one Gaussian. No workgroup memory. Once a measurement: what follows runs once a direction.
 #import index
-#import parameters
+#import generated/parameters
 #import probe
 #import quaternion
 

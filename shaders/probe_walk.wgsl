@@ -1,11 +1,8 @@
 // What each Gaussian sees along one direction: transmittance, and the Gaussian that hides most of the rest.
-// A thread owns one query and walks its cell outwards from its own depth. No workgroup memory: neighbouring Gaussians may
+// A thread owns one query and takes the shadows of its cell in order of depth, from its own depth on. No workgroup memory: neighbouring Gaussians may
 // lie in different cells.
 #import index
 #import probe
-
-// A query stops when less than this gets through.
-const OPAQUE = 1e-3;
 
 @group(0) @binding(0) var<uniform> sweep: Sweep;
 @group(0) @binding(1) var<storage, read> frames: array<Frame>;
@@ -23,7 +20,7 @@ struct Seen {
     hit: u32,
 }
 
-fn walk(gaussian_ix: u32, query: vec4f) -> Seen {
+fn measure(gaussian_ix: u32, query: vec4f) -> Seen {
     let frame = frames[sweep.direction_ix];
     let grid = plane_grid(frame, bounds[0].xyz, bounds[1].xyz, sweep.side);
     let p = vec2f(dot(query.xyz, frame.u.xyz), dot(query.xyz, frame.v.xyz));
@@ -85,7 +82,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     var seen = Seen(1.0, NO_HIT);
     // A query from nowhere meets nothing.
     if within_reason(query.xyz) && is_finite(query.w) {
-        seen = walk(gaussian_ix, query);
+        seen = measure(gaussian_ix, query);
     }
     let at = sweep.direction_ix * sweep.n + gaussian_ix;
     transmittances[at] = seen.transmittance;

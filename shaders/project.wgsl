@@ -6,13 +6,13 @@
 // added to xx and yy it grows by lp (xx + yy) + lp^2, a sum of positive terms.
 #import finite
 #import index
-#import parameters
+#import generated/parameters
 #import quaternion
 #import tiles
 
 const WG_SIZE = 256u;
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> model: Layout;
 @group(0) @binding(2) var<storage, read> params: array<f32>;
 @group(0) @binding(3) var<storage, read_write> splats: array<Splat>;
@@ -49,16 +49,16 @@ fn project(gaussian_ix: u32) -> Splat {
     if !(numbers && all_finite(mean) && is_finite(quaternion.x) && all_finite(quaternion.yzw)) {
         return invisible();
     }
-    let camera = to_camera(view, mean);
-    if !(camera.z > NEAR && camera.z < FAR) {
+    let at_camera = to_camera(camera, mean);
+    if !(at_camera.z > NEAR && at_camera.z < FAR) {
         return invisible();
     }
-    let inverse = 1.0 / camera.z;
-    let ratio = clamp(camera.xy * inverse, view.ratio_limits.xz, view.ratio_limits.yw);
-    let slope = view.focal * inverse;
-    let to_x = slope.x * view.rotation[0].xyz - slope.x * ratio.x * view.rotation[2].xyz;
-    let to_y = slope.y * view.rotation[1].xyz - slope.y * ratio.y * view.rotation[2].xyz;
-    let scale = exp(clamp(log_scale, vec3f(-60.0), vec3f(60.0)));
+    let inverse = 1.0 / at_camera.z;
+    let ratio = clamp(at_camera.xy * inverse, camera.ratio_limits.xz, camera.ratio_limits.yw);
+    let derivative = camera.focal * inverse;
+    let to_x = derivative.x * camera.rotation[0].xyz - derivative.x * ratio.x * camera.rotation[2].xyz;
+    let to_y = derivative.y * camera.rotation[1].xyz - derivative.y * ratio.y * camera.rotation[2].xyz;
+    let scale = exp(clamp(log_scale, vec3f(-LOG_SCALE_LIMIT), vec3f(LOG_SCALE_LIMIT)));
     let axes = rotation_of(quaternion);
     // The three scaled axes on screen: squares of them cannot turn negative.
     let x = scale * vec3f(dot(to_x, axes[0]), dot(to_x, axes[1]), dot(to_x, axes[2]));
@@ -69,16 +69,16 @@ fn project(gaussian_ix: u32) -> Splat {
     }
     let area = cross(x, y);
     let raw_determinant = dot(area, area);
-    let lp = view.low_pass;
+    let lp = camera.low_pass;
     let determinant = raw_determinant + lp * (raw.x + raw.z) + lp * lp;
-    if !(determinant > 1e-12) {
+    if !(determinant > LEAST_DETERMINANT) {
         return invisible();
     }
     var s: Splat;
     s.covariance = raw + vec3f(lp, 0.0, lp);
     s.conic = vec3f(s.covariance.z, -s.covariance.y, s.covariance.x) / determinant;
     s.compensation = 1.0;
-    if view.low_pass_compensation != 0u {
+    if camera.low_pass_compensation != 0u {
         s.compensation = sqrt(raw_determinant / determinant);
     }
     // Beyond 80 the sigmoid is 0 or 1 in f32.
@@ -86,20 +86,20 @@ fn project(gaussian_ix: u32) -> Splat {
     if !(s.opacity >= ALPHA_MIN) {
         return invisible();
     }
-    s.mean = view.focal * (camera.xy / camera.z) + view.centre_px;
+    s.mean = camera.focal * (at_camera.xy / at_camera.z) + camera.centre_px;
     // Beyond this no pixel is anywhere near, and the way back would overflow.
     if !(abs(s.mean.x) < FARTHEST_PIXEL && abs(s.mean.y) < FARTHEST_PIXEL) {
         return invisible();
     }
     s.reach = log(255.0 * s.opacity);
-    s.depth = camera.z;
+    s.depth = at_camera.z;
     s.flags = SPLAT_VISIBLE;
     s.pad_a = 0u;
     s.pad_b = 0u;
-    let rows = tile_rows(s, view);
+    let rows = tile_rows(s, camera);
     var n_tiles = 0u;
     for (var row = rows.x; row < rows.y; row++) {
-        let columns = tile_columns(s, view, row);
+        let columns = tile_columns(s, camera, row);
         n_tiles += columns.y - columns.x;
     }
     s.n_tiles = n_tiles;
@@ -110,7 +110,7 @@ fn project(gaussian_ix: u32) -> Splat {
 // of a model has the same depth but for the last digits; this has all of its own.
 fn depth_key(mean: vec3f) -> u32 {
     // Positive floats order like their bits, negative ones the other way; -0 goes with 0.
-    let bits = bitcast<u32>(dot(view.rotation[2].xyz, mean));
+    let bits = bitcast<u32>(dot(camera.rotation[2].xyz, mean));
     let positive = bits < 0x80000000u || bits == 0x80000000u;
     return select(~bits, (bits & 0x7fffffffu) | 0x80000000u, positive);
 }

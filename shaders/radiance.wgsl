@@ -2,7 +2,7 @@
 const WG_SIZE = 256u;
 #import index
 #import composite
-
+#import generated/channels
 
 @group(0) @binding(0) var<uniform> composite: Composite;
 @group(0) @binding(1) var<storage, read> gbuffer: array<vec4f>;
@@ -15,5 +15,5 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
         return;
     }
     let first = gbuffer[pixel_ix];
-    radiance[pixel_ix] = vec4f(first.yzw + composite.background.xyz * (1.0 - first.x), 0.0);
+    radiance[pixel_ix] = vec4f(channel_radiance(first) + composite.background.xyz * (1.0 - channel_coverage(first)), 0.0);
 }

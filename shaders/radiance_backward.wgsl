@@ -1,8 +1,9 @@
-// Gradient of the first BY_GROUPS groups of the G-buffer (1: colour, 2: also normal and plane) from those of the radiance
+// Gradient of the first group of the G-buffer (GEOMETRY: also normal and plane) from those of the radiance
 // image and of the buffers. A thread owns a pixel; no workgroup memory.
 const WG_SIZE = 256u;
 #import index
 #import composite
+#import generated/channels
 
 @group(0) @binding(0) var<uniform> composite: Composite;
 @group(0) @binding(1) var<storage, read> by_radiance: array<vec4f>;
@@ -20,6 +21,6 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     let by_coverage = by_buffers[composite.n_pixels + pixel_ix].x - dot(g, composite.background.xyz);
     by_gbuffer[pixel_ix] = vec4f(by_coverage, g);
 #ifdef GEOMETRY
-    by_gbuffer[composite.n_pixels + pixel_ix] = by_buffers[pixel_ix];
+    by_gbuffer[NORMAL_GROUP * composite.n_pixels + pixel_ix] = by_buffers[pixel_ix];
 #endif
 }

@@ -1,8 +1,8 @@
 // Adds to each prefix the sum of all blocks before its own. A thread owns one element; no workgroup memory.
+#import generated/kernels
 #import index
 
 const WG_SIZE = 256u;
-const BLOCK = 1024u;
 
 struct ScanSize {
     n_in: u32,
@@ -21,5 +21,5 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     if element_ix >= size.n_out {
         return;
     }
-    prefixes[element_ix] += before_block[element_ix / BLOCK];
+    prefixes[element_ix] += before_block[element_ix / SCAN_BLOCK];
 }

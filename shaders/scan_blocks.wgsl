@@ -2,11 +2,12 @@
 // A thread owns four consecutive elements and one prefix; a workgroup owns a block. Workgroup memory holds one partial
 // sum a thread (2 KiB). Elements past the input count as zero, so an output one longer than its input ends with the
 // grand total.
+#import generated/kernels
 #import index
 #import workgroup_scan
 
 const WG_SIZE = 256u;
-const PER_THREAD = 4u;
+const PER_THREAD = SCAN_BLOCK / WG_SIZE;
 
 struct ScanSize {
     // Elements read and elements written, the latter at least the former.
@@ -36,7 +37,7 @@ fn main(
 ) {
     let block_ix = workgroup_ix(wid, n_wg);
     let n_blocks = (size.n_out + WG_SIZE * PER_THREAD - 1u) / (WG_SIZE * PER_THREAD);
-    // Workgroups that only exist because the dispatch is folded keep the barriers company.
+    // Workgroups beyond the last block, of a folded dispatch, only take part in the barriers.
     let first_ix = min(block_ix, n_blocks) * WG_SIZE * PER_THREAD + local_ix * PER_THREAD;
     let own = vec4u(value_at(first_ix), value_at(first_ix + 1u), value_at(first_ix + 2u), value_at(first_ix + 3u));
     let scan = scan_workgroup(local_ix, own.x + own.y + own.z + own.w);

@@ -9,14 +9,14 @@
 
 @compute @workgroup_size(16, 16)
 fn main(@builtin(global_invocation_id) gid: vec3u) {
-    if gid.x >= view.size.x || gid.y >= view.size.y {
+    if gid.x >= camera.size.x || gid.y >= camera.size.y {
         return;
     }
-    let pixel_ix = gid.y * view.size.x + gid.x;
+    let pixel_ix = gid.y * camera.size.x + gid.x;
     let first = gbuffer[pixel_ix];
-    let coverage = first.x;
+    let coverage = channel_coverage(first);
     let behind = shading.background.xyz * (1.0 - coverage);
-    radiance[pixel_ix] = vec4f(first.yzw + behind, 0.0);
+    radiance[pixel_ix] = vec4f(channel_radiance(first) + behind, 0.0);
     if !(coverage >= LEAST_COVERAGE) {
         physical[pixel_ix] = vec4f(behind, 0.0);
         return;

@@ -21,15 +21,15 @@ var<private> origin: vec2u;
 // Group `quad` of the visibility of thread `local_ix` of the square.
 fn member_visibility(local_ix: u32, quad: u32) -> vec4f {
     let pixel = origin + vec2u(local_ix % 16u, local_ix / 16u);
-    return pixel_visibility(pixel.y * view.size.x + pixel.x, quad, sh_by[local_ix].w);
+    return pixel_visibility(pixel.y * camera.size.x + pixel.x, quad, sh_by[local_ix].w);
 }
 
 // Writes one pixel's G-buffer gradient; what it adds to the tables.
 fn pixel_backward(pixel: vec2u) -> Shares {
     var shares = no_shares();
-    let n = view.n_pixels;
-    let pixel_ix = pixel.y * view.size.x + pixel.x;
-    let coverage = gbuffer[pixel_ix].x;
+    let n = camera.n_pixels;
+    let pixel_ix = pixel.y * camera.size.x + pixel.x;
+    let coverage = channel_coverage(gbuffer[pixel_ix]);
     let g = by_physical[pixel_ix].xyz;
     let g_radiance = by_radiance[pixel_ix].xyz;
     let on_geometry = by_buffers[pixel_ix];
@@ -48,19 +48,19 @@ fn pixel_backward(pixel: vec2u) -> Shares {
         by = shade_backward(&s, &f, by_linear);
         // Attributes are buffers divided by coverage.
         let along = dot(by.normal, s.normal) + dot(by.albedo, s.albedo) + dot(by.gathered, s.gathered)
-            + dot(by.indirect, s.indirect) + by.metal * s.metal + by.rough * s.rough + by.along_visibility;
+            + dot(by.blocked, s.blocked) + by.metal * s.metal + by.rough * s.rough + by.along_visibility;
         by_coverage -= along * inverse;
         shares = shares_of(&f, &by, inverse);
     } else {
         by_coverage -= dot(g, shading.background.xyz);
     }
     by_gbuffer[pixel_ix] = vec4f(by_coverage, g_radiance);
-    by_gbuffer[n + pixel_ix] = vec4f(by.normal * inverse + on_geometry.xyz, on_geometry.w);
-    by_gbuffer[2u * n + pixel_ix] = vec4f(by.albedo, by.metal) * inverse + vec4f(0.0, 0.0, 0.0, on_material.y);
+    by_gbuffer[NORMAL_GROUP * n + pixel_ix] = vec4f(by.normal * inverse + on_geometry.xyz, on_geometry.w);
+    by_gbuffer[ALBEDO_GROUP * n + pixel_ix] = vec4f(by.albedo, by.metal) * inverse + vec4f(0.0, 0.0, 0.0, on_material.y);
     let by_rough = by.rough * inverse + on_material.z;
-    by_gbuffer[3u * n + pixel_ix] = vec4f(by_rough, by.gathered * inverse);
+    by_gbuffer[ROUGH_GROUP * n + pixel_ix] = vec4f(by_rough, by.gathered * inverse);
 #ifdef ALL_CHANNELS
-    by_gbuffer[4u * n + pixel_ix] = vec4f(0.0, by.indirect * inverse);
+    by_gbuffer[DEPTH_GROUP * n + pixel_ix] = vec4f(0.0, by.blocked * inverse);
     for (var quad = 0u; quad < N_QUADS; quad++) {
         by_gbuffer[(VISIBILITY_GROUP + quad) * n + pixel_ix] = by.visibility[quad] * inverse;
     }
@@ -75,7 +75,7 @@ fn main(
     @builtin(local_invocation_index) local_ix: u32,
 ) {
     var shares = no_shares();
-    if gid.x < view.size.x && gid.y < view.size.y {
+    if gid.x < camera.size.x && gid.y < camera.size.y {
         shares = pixel_backward(gid.xy);
     }
     origin = 16u * wid.xy;

@@ -21,7 +21,7 @@ fn main(
     atomicStore(&sh_count[local_ix], 0u);
     workgroupBarrier();
     for (var k = 0u; k < PER_THREAD; k++) {
-        let element_ix = block_ix * BLOCK + k * WG_SIZE + local_ix;
+        let element_ix = block_ix * SORT_BLOCK + k * WG_SIZE + local_ix;
         if element_ix < sort.n {
             atomicAdd(&sh_count[digit_of(keys[element_ix], sort)], 1u);
         }

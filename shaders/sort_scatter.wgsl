@@ -6,7 +6,6 @@
 // `sh_rank`, two 16-bit counters a word (digits d and d + 8), digit-major; one prefix sum over all 2048 words in that
 // order is then the place of the first pair of each (digit, thread), lower halves first. That costs a single scan over
 // the threads for all sixteen digits. Workgroup memory: pairs 16 KiB, ranks 8 KiB, scan 2 KiB, digit starts 1 KiB.
-// Considered: 4 bits a pass over device memory (twice the traffic and dispatches for the same work here).
 #import index
 #import workgroup_scan
 #import radix
@@ -19,9 +18,9 @@
 @group(0) @binding(4) var<storage, read_write> sorted_keys: array<u32>;
 @group(0) @binding(5) var<storage, read_write> sorted_values: array<u32>;
 
-var<workgroup> sh_key: array<u32, 2048>;
-var<workgroup> sh_value: array<u32, 2048>;
-var<workgroup> sh_rank: array<u32, 2048>;
+var<workgroup> sh_key: array<u32, SORT_BLOCK>;
+var<workgroup> sh_value: array<u32, SORT_BLOCK>;
+var<workgroup> sh_rank: array<u32, SORT_BLOCK>;
 var<workgroup> sh_start: array<u32, 256>;
 
 // One stable four-bit step; `step_shift` counts from the digit's lowest bit.
@@ -75,7 +74,7 @@ fn main(
     @builtin(local_invocation_index) local_ix: u32,
 ) {
     let block_ix = min(workgroup_ix(wid, n_wg), sort.n_blocks);
-    let first_ix = block_ix * BLOCK;
+    let first_ix = block_ix * SORT_BLOCK;
     for (var k = 0u; k < PER_THREAD; k++) {
         let at = k * WG_SIZE + local_ix;
         // Filling has the last digit and comes last: it stays behind the true pairs.

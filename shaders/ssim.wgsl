@@ -6,7 +6,7 @@
 // channel after the other, because three at once would halve the workgroups that fit.
 const WG_SIZE = 256u;
 #import ssim_window
-#import losses
+#import generated/slots
 #import reduce
 
 @group(0) @binding(0) var<uniform> term: ImageTerm;
@@ -15,9 +15,6 @@ const WG_SIZE = 256u;
 // `[channel][pixel]`: by mean, by mean square and by mean product; w unused.
 @group(0) @binding(3) var<storage, read_write> partials: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> losses: array<accumulator>;
-
-const C1 = 1e-4;
-const C2 = 9e-4;
 
 // Image and photograph.
 var<workgroup> sh_pair: array<vec2f, N_WIDE>;
@@ -38,13 +35,13 @@ fn load_channel(local_ix: u32, origin: vec2u, channel: u32) {
 }
 
 fn blur_across(local_ix: u32) {
-    var window = WINDOW;
+    var window = SSIM_WINDOW;
     for (var ix = local_ix; ix < N_ACROSS; ix += WG_SIZE) {
-        let first = ix / TILE_SIDE * WIDE + ix % TILE_SIDE;
+        let first = ix / TILE * WIDE + ix % TILE;
         var means = vec2f(0.0);
         var squares = vec2f(0.0);
         var product = 0.0;
-        for (var t = 0u; t < TAPS; t++) {
+        for (var t = 0u; t < SSIM_TAPS; t++) {
             let pair = sh_pair[first + t];
             let weighted = window[t] * pair;
             means += weighted;
@@ -59,22 +56,22 @@ fn blur_across(local_ix: u32) {
 
 // SSIM in x, and its derivatives by mean, mean square and mean product of the image.
 fn similarity(local_ix: u32) -> vec4f {
-    var window = WINDOW;
+    var window = SSIM_WINDOW;
     var m = vec2f(0.0);
     var squares = vec2f(0.0);
     var product = 0.0;
-    for (var t = 0u; t < TAPS; t++) {
-        let ix = local_ix + TILE_SIDE * t;
+    for (var t = 0u; t < SSIM_TAPS; t++) {
+        let ix = local_ix + TILE * t;
         m += window[t] * sh_means[ix];
         squares += window[t] * sh_squares[ix];
         product += window[t] * sh_products[ix];
     }
     let variance = squares - m * m;
     let covariance = product - m.x * m.y;
-    let n1 = 2.0 * m.x * m.y + C1;
-    let n2 = 2.0 * covariance + C2;
-    let d1 = dot(m, m) + C1;
-    let d2 = variance.x + variance.y + C2;
+    let n1 = 2.0 * m.x * m.y + SSIM_C1;
+    let n2 = 2.0 * covariance + SSIM_C2;
+    let d1 = dot(m, m) + SSIM_C1;
+    let d2 = variance.x + variance.y + SSIM_C2;
     let s = n1 * n2 / (d1 * d2);
     let by_covariance = 2.0 * n1 / (d1 * d2);
     let by_variance = -s / d2;
@@ -88,11 +85,11 @@ fn main(
     @builtin(workgroup_id) wid: vec3u,
     @builtin(local_invocation_index) local_ix: u32,
 ) {
-    let origin = TILE_SIDE * wid.xy;
+    let origin = TILE * wid.xy;
     let inside = gid.x < term.size.x && gid.y < term.size.y;
     let n_pixels = term.size.x * term.size.y;
     let pixel_ix = gid.y * term.size.x + gid.x;
-    let own = (local_ix / TILE_SIDE + HALF) * WIDE + local_ix % TILE_SIDE + HALF;
+    let own = (local_ix / TILE + HALF) * WIDE + local_ix % TILE + HALF;
     // Absolute error, squared error, SSIM.
     var sums = vec4f(0.0);
     for (var channel = 0u; channel < 3u; channel++) {

@@ -16,7 +16,7 @@ var<workgroup> sh_partials: array<vec4f, N_WIDE>;
 var<workgroup> sh_across: array<vec4f, N_ACROSS>;
 
 fn blurred(local_ix: u32, origin: vec2u, channel: u32) -> vec4f {
-    var window = WINDOW;
+    var window = SSIM_WINDOW;
     let n_pixels = term.size.x * term.size.y;
     for (var ix = local_ix; ix < N_WIDE; ix += WG_SIZE) {
         let pixel_ix = wide_pixel(ix, origin, term.size);
@@ -28,17 +28,17 @@ fn blurred(local_ix: u32, origin: vec2u, channel: u32) -> vec4f {
     }
     workgroupBarrier();
     for (var ix = local_ix; ix < N_ACROSS; ix += WG_SIZE) {
-        let first = ix / TILE_SIDE * WIDE + ix % TILE_SIDE;
+        let first = ix / TILE * WIDE + ix % TILE;
         var sum = vec4f(0.0);
-        for (var t = 0u; t < TAPS; t++) {
+        for (var t = 0u; t < SSIM_TAPS; t++) {
             sum += window[t] * sh_partials[first + t];
         }
         sh_across[ix] = sum;
     }
     workgroupBarrier();
     var sum = vec4f(0.0);
-    for (var t = 0u; t < TAPS; t++) {
-        sum += window[t] * sh_across[local_ix + TILE_SIDE * t];
+    for (var t = 0u; t < SSIM_TAPS; t++) {
+        sum += window[t] * sh_across[local_ix + TILE * t];
     }
     return sum;
 }
@@ -55,7 +55,7 @@ fn main(
     let b = photo[pixel_ix].xyz;
     var g = term.l1 * term.scale * sign(a - b);
     for (var channel = 0u; channel < 3u; channel++) {
-        let by = blurred(local_ix, TILE_SIDE * wid.xy, channel);
+        let by = blurred(local_ix, TILE * wid.xy, channel);
         g[channel] += by.x + 2.0 * a[channel] * by.y + b[channel] * by.z;
     }
     if inside {

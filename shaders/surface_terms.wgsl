@@ -6,9 +6,12 @@
 // Gradient by the buffers, two vec4 a pixel, planar: (normal xyz, plane distance), then (coverage, metalness, roughness).
 // GEOMETRY: the pass has normals and plane distances. MATERIAL: also metalness and roughness.
 const WG_SIZE = 256u;
-#import view
+#import camera
 #import quaternion
-#import losses
+#import generated/channels
+#import generated/light
+#import generated/objective
+#import generated/slots
 #import reduce
 
 // Kept in step with `SurfaceTermsUniform` of src/engine/gpu/losses.rs. Weights are divided by what their mean runs over.
@@ -22,19 +25,13 @@ struct SurfaceTerms {
     smoothness: vec4f,
 }
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> weights: SurfaceTerms;
 @group(0) @binding(2) var<storage, read> gbuffer: array<vec4f>;
 // rgb and mask.
 @group(0) @binding(3) var<storage, read> photo: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> by_buffers: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> losses: array<accumulator>;
-
-const LEAST_COVERAGE = 1e-3;
-// Coverage below which a pixel's depth is not trusted.
-const TRUSTED_COVERAGE = 0.5;
-// Neighbouring depths further apart than this fraction are an edge, not a surface.
-const DEPTH_JUMP = 0.05;
 
 struct BufferGradient {
     normal: vec3f,
@@ -45,18 +42,18 @@ struct BufferGradient {
 }
 
 fn pixel_ix_of(pixel: vec2u) -> u32 {
-    return pixel.y * view.size.x + pixel.x;
+    return pixel.y * camera.size.x + pixel.x;
 }
 
 #ifdef GEOMETRY
 // Blended normal and plane distance.
 fn plane_at(pixel: vec2u) -> vec4f {
-    return gbuffer[view.n_pixels + pixel_ix_of(pixel)];
+    return gbuffer[NORMAL_GROUP * camera.n_pixels + pixel_ix_of(pixel)];
 }
 
 // Where a pixel's plane is hit: `t = D / (N . ray)` along the unnormalised ray, or 0.
 fn plane_depth(pixel: vec2u, ray: vec3f) -> f32 {
-    if gbuffer[pixel_ix_of(pixel)].x < TRUSTED_COVERAGE {
+    if channel_coverage(gbuffer[pixel_ix_of(pixel)]) < TRUSTED_COVERAGE {
         return 0.0;
     }
     let plane = plane_at(pixel);
@@ -77,12 +74,12 @@ struct Consistency {
 
 fn consistency(pixel: vec2u) -> Consistency {
     var out: Consistency;
-    if pixel.x + 1u >= view.size.x || pixel.y + 1u >= view.size.y {
+    if pixel.x + 1u >= camera.size.x || pixel.y + 1u >= camera.size.y {
         return out;
     }
-    let ray = pixel_ray(view, pixel.x, pixel.y);
-    let ray_right = pixel_ray(view, pixel.x + 1u, pixel.y);
-    let ray_down = pixel_ray(view, pixel.x, pixel.y + 1u);
+    let ray = pixel_ray(camera, pixel.x, pixel.y);
+    let ray_right = pixel_ray(camera, pixel.x + 1u, pixel.y);
+    let ray_down = pixel_ray(camera, pixel.x, pixel.y + 1u);
     let t = vec3f(
         plane_depth(pixel, ray),
         plane_depth(pixel + vec2u(1u, 0u), ray_right),
@@ -101,7 +98,7 @@ fn consistency(pixel: vec2u) -> Consistency {
     let raw = plane_at(pixel).xyz;
     let normal_length = length3(raw);
     let normal = raw / normal_length;
-    let coverage = gbuffer[pixel_ix_of(pixel)].x;
+    let coverage = channel_coverage(gbuffer[pixel_ix_of(pixel)]);
     let aligned = dot(normal, towards);
     let weight = weights.depth_normal;
     let by_towards = normalised3_backward(towards, length, -weight * coverage * normal);
@@ -128,7 +125,7 @@ fn add_consistency(pixel: vec2u, out: ptr<function, BufferGradient>) -> f32 {
         by_depth += consistency(pixel - vec2u(0u, 1u)).by_depth.z;
     }
     if by_depth != 0.0 {
-        let ray = pixel_ray(view, pixel.x, pixel.y);
+        let ray = pixel_ray(camera, pixel.x, pixel.y);
         let facing = dot(plane_at(pixel).xyz, ray);
         (*out).plane += by_depth / facing;
         (*out).normal -= by_depth * plane_depth(pixel, ray) / facing * ray;
@@ -146,12 +143,15 @@ struct Attributes {
 }
 
 fn attributes_at(pixel_ix: u32) -> Attributes {
-    let coverage = gbuffer[pixel_ix].x;
+    let coverage = channel_coverage(gbuffer[pixel_ix]);
     let inverse = select(0.0, 1.0 / max(coverage, 1e-6), coverage >= LEAST_COVERAGE);
-    let n = view.n_pixels;
+    let n = camera.n_pixels;
     return Attributes(
-        gbuffer[n + pixel_ix].xyz * inverse,
-        vec2f(gbuffer[2u * n + pixel_ix].w, gbuffer[3u * n + pixel_ix].x) * inverse,
+        channel_normal(gbuffer[NORMAL_GROUP * n + pixel_ix]) * inverse,
+        vec2f(
+            channel_metal(gbuffer[ALBEDO_GROUP * n + pixel_ix]),
+            channel_rough(gbuffer[ROUGH_GROUP * n + pixel_ix]),
+        ) * inverse,
         inverse,
     );
 }
@@ -169,10 +169,10 @@ fn pair_term(own_ix: u32, own: Attributes, other_ix: u32, scale: f32) -> PairGra
     let factor = scale * exp(-edge);
     let by_normal = own.normal - other.normal;
     let by_material = own.material - other.material;
-    let slope_normal = factor * weights.smoothness.z * sign(by_normal);
-    let slope_material = factor * weights.smoothness.xy * sign(by_material);
-    let loss = dot(slope_normal, by_normal) + dot(slope_material, by_material);
-    return PairGradient(slope_normal, slope_material, loss);
+    let derivative_normal = factor * weights.smoothness.z * sign(by_normal);
+    let derivative_material = factor * weights.smoothness.xy * sign(by_material);
+    let loss = dot(derivative_normal, by_normal) + dot(derivative_material, by_material);
+    return PairGradient(derivative_normal, derivative_material, loss);
 }
 
 // Adds the smoothness term's gradient at `pixel`; the value of its pairs to the right and down.
@@ -187,11 +187,11 @@ fn add_smoothness(pixel: vec2u, out: ptr<function, BufferGradient>) -> f32 {
         let ahead = (side & 1u) == 1u;
         let across = side < 2u;
         let place = select(pixel.y, pixel.x, across);
-        let last = select(view.size.y, view.size.x, across) - 1u;
+        let last = select(camera.size.y, camera.size.x, across) - 1u;
         if select(place == 0u, place >= last, ahead) {
             continue;
         }
-        let step = select(view.size.x, 1u, across);
+        let step = select(camera.size.x, 1u, across);
         let scale = select(weights.down, weights.across, across);
         let by = pair_term(own_ix, own, select(own_ix - step, own_ix + step, ahead), scale);
         by_normal += by.normal;
@@ -211,7 +211,7 @@ fn pixel_terms(pixel: vec2u) -> vec4f {
     let pixel_ix = pixel_ix_of(pixel);
     var out: BufferGradient;
     var values = vec4f(0.0);
-    let difference = gbuffer[pixel_ix].x - photo[pixel_ix].w;
+    let difference = channel_coverage(gbuffer[pixel_ix]) - photo[pixel_ix].w;
     values.x = weights.coverage * abs(difference);
     out.coverage += weights.coverage * sign(difference);
 #ifdef GEOMETRY
@@ -225,14 +225,14 @@ fn pixel_terms(pixel: vec2u) -> vec4f {
     }
 #endif
     by_buffers[pixel_ix] = vec4f(out.normal, out.plane);
-    by_buffers[view.n_pixels + pixel_ix] = vec4f(out.coverage, out.metal, out.rough, 0.0);
+    by_buffers[camera.n_pixels + pixel_ix] = vec4f(out.coverage, out.metal, out.rough, 0.0);
     return values;
 }
 
 @compute @workgroup_size(16, 16)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(local_invocation_index) local_ix: u32) {
     var values = vec4f(0.0);
-    if gid.x < view.size.x && gid.y < view.size.y {
+    if gid.x < camera.size.x && gid.y < camera.size.y {
         values = pixel_terms(gid.xy);
     }
     let total = workgroup_sum(local_ix, values);

@@ -1,7 +1,6 @@
 // Writes one (tile, Gaussian) pair for each tile a splat reaches, splats in depth order.
 // A thread owns one rank and the instances that were counted for it: it never writes past them, and fills what it does
 // not use with the tile after the last, which nobody reads. No workgroup memory.
-// Considered: a workgroup per large splat; counting by rows left too little work per splat to share.
 #import index
 #import tiles
 
@@ -15,7 +14,7 @@ struct Emission {
     pad_b: u32,
 }
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> emission: Emission;
 @group(0) @binding(2) var<storage, read> splats: array<Splat>;
 @group(0) @binding(3) var<storage, read> gaussian_of_rank: array<u32>;
@@ -36,17 +35,17 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     }
     let gaussian_ix = gaussian_of_rank[rank_ix];
     let s = splats[gaussian_ix];
-    let rows = tile_rows(s, view);
+    let rows = tile_rows(s, camera);
     for (var row = rows.x; row < rows.y; row++) {
-        let columns = tile_columns(s, view, row);
+        let columns = tile_columns(s, camera, row);
         for (var column = columns.x; column < columns.y && instance_ix < end; column++) {
-            tile_of_instance[instance_ix] = row * view.tiles.x + column;
+            tile_of_instance[instance_ix] = row * camera.tiles.x + column;
             gaussian_of_instance[instance_ix] = gaussian_ix;
             instance_ix++;
         }
     }
     for (; instance_ix < end; instance_ix++) {
-        tile_of_instance[instance_ix] = view.tiles.x * view.tiles.y;
+        tile_of_instance[instance_ix] = camera.tiles.x * camera.tiles.y;
         gaussian_of_instance[instance_ix] = gaussian_ix;
     }
 }

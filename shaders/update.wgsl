@@ -6,17 +6,17 @@
 // Workgroup memory, 24 KiB: (1) Gradients of the wide fields (scores, indirect, radiance), N_STAGED values a Gaussian at a
 // time: its thread writes them, then neighbouring threads emit neighbouring elements, so that parameters and moments are
 // read and written a whole line at a time; rows are one longer than the workgroup, against bank conflicts. (2) Gradients of
-// what all Gaussians share (prototypes, basis of the learned indirect light) are outer products factor x slope summed
-// over Gaussians; factors and slopes lie there, a row is summed by 32 threads and costs three atomics a workgroup.
+// what all Gaussians share (prototypes, basis of the learned indirect light) are outer products factor x derivative summed
+// over Gaussians; factors and derivatives lie there, a row is summed by 32 threads and costs three atomics a workgroup.
 // (3) The sums of the losses reuse it.
 #import attributes
 #import index
-#import view
+#import camera
 #import splat
 #import sh_walk
-#import losses
-#import fields
-#import status
+#import generated/slots
+#import generated/channels
+#import generated/parameters
 #import emit
 #import project_backward
 #import score_mixture
@@ -29,11 +29,6 @@ const LANES = 32u;
 // Values a Gaussian can stage, and the distance between rows of them. BLOCK factors, then BLOCK gradients; or harmonics.
 const N_STAGED = 16u;
 const STRIDE = 257u;
-// Differentiated groups from which on these channels are among them.
-const GROUPS_GEOMETRY = 2u;
-const GROUPS_MATERIAL = 4u;
-const GROUPS_FULL = 6u;
-const FIRST_VISIBILITY = 20u;
 
 struct Update {
     // By field: rate over the correction of the first moment, root of the correction of the second.
@@ -53,10 +48,10 @@ struct Update {
 }
 
 @group(0) @binding(0) var<uniform> model: Layout;
-@group(0) @binding(1) var<uniform> view: View;
+@group(0) @binding(1) var<uniform> camera: Camera;
 @group(0) @binding(2) var<uniform> update: Update;
 @group(0) @binding(3) var<storage, read> splats: array<Splat>;
-// Rows of 2 + groups: mean and conic xx, xy; conic yy, opacity, 0, 0; channels.
+// Rows of HEADER_GROUPS + groups: mean and conic xx, xy; conic yy, opacity, absgrad, 0; channels.
 @group(0) @binding(4) var<storage, read> splat_gradients: array<vec4f>;
 @group(0) @binding(5) var<storage, read> globals: array<f32>;
 @group(0) @binding(6) var<storage, read_write> globals_gradient: array<accumulator>;
@@ -68,7 +63,7 @@ struct Update {
 @group(0) @binding(10) var<storage, read> view_labels: array<vec2f>;
 @group(0) @binding(11) var<storage, read> label_count: array<u32>;
 @group(0) @binding(12) var<storage, read_write> losses: array<accumulator>;
-// By Gaussian: sum of pulls (blend_backward) in half image widths, steps on screen: what density control goes by.
+// By Gaussian: sum of absgrad (blend_backward) in half image widths, steps on screen: the signal of density control.
 @group(0) @binding(13) var<storage, read_write> density: array<vec2f>;
 @group(0) @binding(14) var<storage, read_write> status: array<atomic<u32>>;
 #ifdef GRADIENTS
@@ -82,11 +77,11 @@ struct Update {
 
 // [value][Gaussian].
 var<workgroup> sh_staged: array<f32, 4112>;
-var<workgroup> sh_slope: array<vec4f, 256>;
+var<workgroup> sh_derivative: array<vec4f, 256>;
 var<workgroup> sh_partial: array<vec4f, 256>;
 
-// Slope of the sigmoid.
-fn sigmoid_slope(x: f32) -> f32 {
+// Derivative of the sigmoid.
+fn sigmoid_derivative(x: f32) -> f32 {
     // Not s (1 - s): where s is nearly 1, 1 - s has no digits left.
     return sigmoid(x) * sigmoid(-x);
 }
@@ -100,7 +95,7 @@ struct Upstream {
 }
 
 fn upstream_of(gaussian_ix: u32) -> Upstream {
-    return Upstream((splats[gaussian_ix].flags & SPLAT_VISIBLE) != 0u, gaussian_ix * (2u + update.groups));
+    return Upstream((splats[gaussian_ix].flags & SPLAT_VISIBLE) != 0u, gaussian_ix * (HEADER_GROUPS + update.groups));
 }
 
 // Four channels' gradient.
@@ -108,7 +103,7 @@ fn channels(up: Upstream, group: u32) -> vec4f {
     if !up.visible || group >= update.groups {
         return vec4f(0.0);
     }
-    return splat_gradients[up.row + 2u + group];
+    return splat_gradients[up.row + HEADER_GROUPS + group];
 }
 
 // Chain rule of the normal and the plane's distance; returns the gradient of the field `Normal`.
@@ -116,7 +111,7 @@ fn normal_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f, geometry: ptr
     if !up.visible || update.groups < GROUPS_GEOMETRY {
         return vec3f(0.0);
     }
-    let by = channels(up, 1u);
+    let by = channels(up, NORMAL_GROUP);
     let normal = normal_of(gaussian_ix, to_mean);
     (*geometry).mean += by.w * normal.unit;
     let by_sum = normalised3_backward(normal.unit, normal.length, by.xyz + by.w * to_mean);
@@ -140,28 +135,28 @@ struct Radiance {
 fn radiance_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f, out: ptr<function, Radiance>) -> vec3f {
     let base = model.radiance + gaussian_ix * 3u * model.n_radiance;
     let order = sh_order_of(model.n_radiance);
-    let by_colour = channels(up, 0u).yzw;
+    let by_colour = channel_radiance(channels(up, COVERAGE_GROUP));
     if all(by_colour == vec3f(0.0)) {
         return vec3f(0.0);
     }
     let direction = normalised3(to_mean);
     var raw = vec3f(0.5);
-    for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
-        let ix = sh_indices(walk);
-        let y = sh_values(walk);
+    for (var term = sh_first(order, direction); sh_is_term(term); sh_next(&term)) {
+        let ix = sh_indices(term);
+        let y = sh_values(term);
         raw += y.x * params_vec3(base + 3u * ix.x);
-        if walk.m > 0u {
+        if term.m > 0u {
             raw += y.y * params_vec3(base + 3u * ix.y);
         }
     }
     let g = select(vec3f(0.0), by_colour, raw > vec3f(0.0));
     var by_direction = vec3f(0.0);
-    for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
-        let ix = sh_indices(walk);
-        let slopes = sh_slopes(walk);
-        by_direction += dot(g, params_vec3(base + 3u * ix.x)) * slopes[0];
-        if walk.m > 0u {
-            by_direction += dot(g, params_vec3(base + 3u * ix.y)) * slopes[1];
+    for (var term = sh_first(order, direction); sh_is_term(term); sh_next(&term)) {
+        let ix = sh_indices(term);
+        let derivatives = sh_gradients(term);
+        by_direction += dot(g, params_vec3(base + 3u * ix.x)) * derivatives[0];
+        if term.m > 0u {
+            by_direction += dot(g, params_vec3(base + 3u * ix.y)) * derivatives[1];
         }
     }
     *out = Radiance(g, direction, true);
@@ -173,16 +168,16 @@ fn emit_radiance(first_ix: u32, local_ix: u32, own: Radiance) {
     if !trains(FIELD_RADIANCE) {
         return;
     }
-    sh_slope[local_ix] = vec4f(own.by_colour, 0.0);
+    sh_derivative[local_ix] = vec4f(own.by_colour, 0.0);
     for (var coefficient = 0u; coefficient < model.n_radiance; coefficient += N_STAGED) {
-        for (var walk = sh_walk(sh_order_of(model.n_radiance), own.direction); sh_walking(walk); sh_walk_on(&walk)) {
+        for (var term = sh_first(sh_order_of(model.n_radiance), own.direction); sh_is_term(term); sh_next(&term)) {
             // Below `coefficient` the difference wraps around and is large.
-            let ix = sh_indices(walk) - coefficient;
-            let y = select(vec2f(0.0), sh_values(walk), own.is_active);
+            let ix = sh_indices(term) - coefficient;
+            let y = select(vec2f(0.0), sh_values(term), own.is_active);
             if ix.x < N_STAGED {
                 sh_staged[ix.x * STRIDE + local_ix] = y.x;
             }
-            if walk.m > 0u && ix.y < N_STAGED {
+            if term.m > 0u && ix.y < N_STAGED {
                 sh_staged[ix.y * STRIDE + local_ix] = y.y;
             }
         }
@@ -195,7 +190,7 @@ fn emit_radiance(first_ix: u32, local_ix: u32, own: Radiance) {
             let k = at % width;
             let gaussian_ix = first_ix + owner_ix;
             if gaussian_ix < model.n {
-                let gradient = sh_slope[owner_ix][k % 3u] * sh_staged[k / 3u * STRIDE + owner_ix];
+                let gradient = sh_derivative[owner_ix][k % 3u] * sh_staged[k / 3u * STRIDE + owner_ix];
                 let field = select(FIELD_RADIANCE_REST, FIELD_RADIANCE, coefficient == 0u && k < 3u);
                 emit(model.radiance + 3u * (gaussian_ix * model.n_radiance + coefficient) + k, gradient, field);
             }
@@ -217,16 +212,16 @@ fn visibility_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f) -> f32 {
         label = view_label(gaussian_ix, up, order, direction);
     }
     var value = label.x;
-    for (var walk = sh_walk(order, direction); sh_walking(walk); sh_walk_on(&walk)) {
-        let ix = sh_indices(walk);
-        let by_y = select(vec2f(0.0), label.y * sh_values(walk), label.y != 0.0);
-        for (var side = 0u; side < select(2u, 1u, walk.m == 0u); side++) {
+    for (var term = sh_first(order, direction); sh_is_term(term); sh_next(&term)) {
+        let ix = sh_indices(term);
+        let by_y = select(vec2f(0.0), label.y * sh_values(term), label.y != 0.0);
+        for (var side = 0u; side < select(2u, 1u, term.m == 0u); side++) {
             let k = select(ix.y, ix.x, side == 0u);
             let element_ix = model.visibility + first_ix + k;
             var gradient = select(by_y.y, by_y.x, side == 0u);
             if up.visible && update.groups >= GROUPS_FULL {
                 let channel = FIRST_VISIBILITY + k;
-                gradient += splat_gradients[up.row + 2u + channel / 4u][channel % 4u];
+                gradient += splat_gradients[up.row + HEADER_GROUPS + channel / 4u][channel % 4u];
             }
             if update.probe_labels != 0.0 {
                 let error = params[element_ix] - probe_labels[first_ix + k];
@@ -247,20 +242,20 @@ fn score_backward(m: Mixture, gaussian_ix: u32, up: Upstream, k: u32) -> vec2f {
         gradient = p * (dot(m.by_albedo, albedo_of_prototype(k)) - m.by_mixture);
     }
     if update.aggregation != 0.0 {
-        gradient += p * (aggregation_slope(m, p) - m.by_aggregation);
+        gradient += p * (aggregation_derivative(m, p) - m.by_aggregation);
     }
-    // Without slope the share may be anything, and must not spoil the sum.
+    // Without a gradient by the albedo the share may be any value, NaN included: it must not enter the sum.
     return vec2f(gradient, select(0.0, p, any(m.by_albedo != vec3f(0.0))));
 }
 
-// Sum over the workgroup of factor x slope for this thread's row and channel, given factors and slopes in workgroup
+// Sum over the workgroup of factor x derivative for this thread's row and channel, given factors and derivatives in workgroup
 // memory. Threads below 3 * BLOCK get it: row `local_ix / 3`, channel `local_ix % 3`. Between two barriers of the caller.
 fn reduce_products(local_ix: u32) -> f32 {
     let row = local_ix / LANES;
     let lane = local_ix % LANES;
     var sum = vec3f(0.0);
     for (var i = lane; i < WG_SIZE; i += LANES) {
-        sum += sh_staged[row * STRIDE + i] * sh_slope[i].xyz;
+        sum += sh_staged[row * STRIDE + i] * sh_derivative[i].xyz;
     }
     sh_partial[local_ix] = vec4f(sum, 0.0);
     workgroupBarrier();
@@ -288,7 +283,7 @@ fn scores_backward(gaussian_ix: u32, is_owner: bool, up: Upstream, local_ix: u32
             value = -update.aggregation * log(select(m.q, AGGREGATION_EPSILON, m.q <= AGGREGATION_EPSILON));
         }
     }
-    sh_slope[local_ix] = vec4f(*by_albedo, 0.0);
+    sh_derivative[local_ix] = vec4f(*by_albedo, 0.0);
     for (var k = 0u; k < model.n_scores; k += BLOCK) {
         for (var row = 0u; row < BLOCK; row++) {
             var by = vec2f(0.0);
@@ -324,10 +319,10 @@ fn indirect_backward(gaussian_ix: u32, is_owner: bool, up: Upstream, local_ix: u
     }
     var by_light = vec3f(0.0);
     if reduces && is_owner {
-        by_light = channels(up, 4u).yzw;
+        by_light = channel_blocked(channels(up, DEPTH_GROUP));
     }
     let is_active = any(by_light != vec3f(0.0));
-    sh_slope[local_ix] = vec4f(by_light, 0.0);
+    sh_derivative[local_ix] = vec4f(by_light, 0.0);
     for (var j = 0u; j < 16u; j += BLOCK) {
         for (var row = 0u; row < BLOCK; row++) {
             var factor = 0.0;
@@ -354,18 +349,17 @@ fn indirect_backward(gaussian_ix: u32, is_owner: bool, up: Upstream, local_ix: u
 
 // Metalness, roughness, sheen and residual; returns the residual term's value.
 fn material_backward(gaussian_ix: u32, up: Upstream, by_albedo: vec3f) -> f32 {
-    let by_metal = channels(up, 2u).w;
-    let by_light = channels(up, 3u);
-    var slopes = vec3f(0.0);
+    let by_metal = channel_metal(channels(up, ALBEDO_GROUP));
+    let by_rough_group = channels(up, ROUGH_GROUP);
+    var derivatives = vec3f(0.0);
     if up.visible && update.groups >= GROUPS_MATERIAL {
-        slopes.x = by_metal * sigmoid_slope(params[model.metal + gaussian_ix]);
-        slopes.y = by_light.x * sigmoid_slope(params[model.rough + gaussian_ix]);
-        // Shading in the pixel has the gradient by gathered light there.
-        slopes.z = select(0.0, by_light.y, model.shade_at == SHADE_AT_GAUSSIAN);
+        derivatives.x = by_metal * sigmoid_derivative(params[model.metal + gaussian_ix]);
+        derivatives.y = channel_rough(by_rough_group) * sigmoid_derivative(params[model.rough + gaussian_ix]);
+        derivatives.z = select(0.0, channel_by_sheen(by_rough_group), model.shade_at == SHADE_AT_GAUSSIAN);
     }
-    emit(model.metal + gaussian_ix, slopes.x, FIELD_METAL);
-    emit(model.rough + gaussian_ix, slopes.y, FIELD_ROUGH);
-    emit(model.sheen + gaussian_ix, slopes.z, FIELD_SHEEN);
+    emit(model.metal + gaussian_ix, derivatives.x, FIELD_METAL);
+    emit(model.rough + gaussian_ix, derivatives.y, FIELD_ROUGH);
+    emit(model.sheen + gaussian_ix, derivatives.z, FIELD_SHEEN);
     var gradient = by_albedo;
     var value = 0.0;
     let residual_ix = model.residual + 3u * gaussian_ix;
@@ -384,7 +378,7 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream, radiance: ptr<function, Rad
     let log_scale = params_vec3(model.log_scale + 3u * gaussian_ix);
     let quaternion_ix = model.quaternion + 4u * gaussian_ix;
     let quaternion = quaternion_at(gaussian_ix);
-    let to_mean = mean - view.eye.xyz;
+    let to_mean = mean - camera.centre.xyz;
     var by = Geometry(vec3f(0.0), vec3f(0.0), mat3x3f(), 0.0);
     var by_quaternion = vec4f(0.0);
     var by_normal = vec3f(0.0);
@@ -394,7 +388,7 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream, radiance: ptr<function, Rad
         by_normal = normal_backward(gaussian_ix, up, to_mean, &by);
         by_quaternion = rotation_backward(quaternion, by.rotation);
         if update.groups >= GROUPS_FULL {
-            by.mean += channels(up, 4u).x * view.rotation[2].xyz;
+            by.mean += channel_depth(channels(up, DEPTH_GROUP)) * camera.rotation[2].xyz;
         }
         density[gaussian_ix] += vec2f(splat_gradients[up.row + 1u].z * update.half_width, 1.0);
     }

@@ -16,8 +16,8 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use crate::api::server::{ServeError, ServerConfig, run};
 use crate::client::Client;
+use crate::server::{ServeError, ServerConfig, run};
 
 /// A running server with a data directory of its own; both end when it is dropped.
 pub struct TestServer {

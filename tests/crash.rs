@@ -8,8 +8,9 @@ use std::time::Duration;
 use futures::TryStreamExt;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use relume::api::JobId;
+use relume::api::jobs::JobState;
 use relume::client::{Client, JobEvent};
-use relume::store::JobState;
 use reqwest::Method;
 use tempfile::TempDir;
 
@@ -56,19 +57,19 @@ impl Drop for Server {
 }
 
 /// Uploads the capture and submits a job on it, always under the same key.
-async fn submit(client: &Client, steps: u32) -> String {
+async fn submit(client: &Client, steps: u32) -> JobId {
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
     client.create_job(&small_job(&capture.id, steps, CHECKPOINT_EVERY), Some("once")).await.unwrap().id
 }
 
-async fn model_bytes(client: &Client, job: &str) -> Vec<u8> {
+async fn model_bytes(client: &Client, job: &JobId) -> Vec<u8> {
     let job = ended(client, job).await;
     assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
     client.file(&job.model.unwrap(), "model.safetensors").await.unwrap().to_vec()
 }
 
 /// Listens until a checkpoint at or beyond `step`, keeping what was heard.
-async fn hear_checkpoint(client: &Client, job: &str, step: i64, heard: &mut Vec<JobEvent>) {
+async fn hear_checkpoint(client: &Client, job: &JobId, step: i64, heard: &mut Vec<JobEvent>) {
     let after = heard.last().map_or(0, |e: &JobEvent| e.seq);
     let mut events = std::pin::pin!(client.events(job, after).await.unwrap());
     while let Some(event) = events.try_next().await.unwrap() {

@@ -1,69 +1,22 @@
-//! Evaluation through the public API: LPIPS against its authors' figures, and a model against pictures that it
-//! drew itself.
+//! Evaluation through the public API: LPIPS against its authors' figures, and a model against its own renderings.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use glam::DVec3;
-use relume::capture::{Capture, CaptureView, GroundTruthView, ImageRgba, Plane, Scene3dBounds};
+use relume::capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::cli::eval::{EvalArgs, QualityArgs, run};
 use relume::engine::Device;
-use relume::engine::gpu::DeviceChoice;
+use relume::engine::DeviceChoice;
 use relume::eval::{
-    EvalError, EvalOptions, Lpips, Picture, Replaced, Report, attribute, contact_sheet, evaluate,
+    DisplayImage, EvalError, EvalOptions, Lpips, Report, TruthLayer, attribute, contact_sheet, evaluate,
 };
 use relume::formats::model_file;
 use relume::render::{Frame, Output, Renderer, Tier};
-use relume::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadeAt, ShadingOptions};
+use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, Plane, ShadeAt, ShadingOptions};
 
 const SIDE: u32 = 40;
-
-/// The folder of real inputs, or a visible word that the test does without.
-fn test_data(what: &str) -> Option<PathBuf> {
-    let given = std::env::var_os("RELUME_TEST_DATA").map(PathBuf::from);
-    let root = given.unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
-    let path = root.join(what);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("SKIPPED: {what} is not in the test data folder (RELUME_TEST_DATA)");
-    None
-}
-
-fn picture(path: PathBuf) -> Picture {
-    let image = image::open(path).unwrap().into_rgb32f();
-    let values = image.pixels().map(|p| p.0).collect();
-    Plane { width: image.width(), height: image.height(), values }
-}
-
-#[test]
-fn lpips_gives_its_authors_published_figures() {
-    let Some(folder) = test_data("lpips") else { return };
-    let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
-    let image = |name: &str| picture(folder.join("reference_images").join(name));
-    let reference = image("ex_ref.png");
-    for (other, published) in [("ex_p0.png", 0.722), ("ex_p1.png", 0.138)] {
-        let distance = lpips.distance(&reference, &image(other)).unwrap();
-        assert!((distance - published).abs() < 2e-3, "{other}: {distance}, published {published}");
-    }
-    assert_eq!(lpips.distance(&reference, &reference), Some(0.0));
-    // Negative control: another range of inputs is another metric.
-    let mut dark = (reference.clone(), image("ex_p0.png"));
-    dark.0.values.iter_mut().chain(&mut dark.1.values).flatten().for_each(|v| *v *= 0.5);
-    assert!((lpips.distance(&dark.0, &dark.1).unwrap() - 0.722).abs() > 2e-3);
-}
-
-#[test]
-fn lpips_of_pictures_too_small_for_the_network_is_absent() {
-    let Some(folder) = test_data("lpips") else { return };
-    let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
-    let flat =
-        |side: u32| Plane { width: side, height: side, values: vec![[0.5; 3]; (side * side) as usize] };
-    assert_eq!(lpips.distance(&flat(30), &flat(30)), None);
-    assert_eq!(lpips.distance(&flat(31), &flat(31)), Some(0.0));
-    assert_eq!(lpips.distance(&flat(31), &flat(32)), None);
-}
 
 /// A handful of fat Gaussians of several colours around the origin.
 fn model() -> Model {
@@ -111,11 +64,11 @@ fn plane<const C: usize>(frame: &Frame, output: Output) -> Plane<C> {
     Plane { width: frame.width, height: frame.height, values }
 }
 
-/// What `model` itself shows, as a capture with all its ground truth.
+/// A capture whose photographs and ground truth are renderings of `model`.
 fn drawn_by(model: &Arc<Model>) -> Capture {
     let renderer = Renderer::new(model.clone());
     let lamp = EnvMap::from_fn(32, 16, |d| [0.4 + 0.5 * d.z.max(0.0) as f32, 0.5, 0.6]);
-    let (own, lit) =
+    let (own, lamp_light) =
         (renderer.prepare_light(&model.environment()).unwrap(), renderer.prepare_light(&lamp).unwrap());
     let layers = [
         Output::Rgb,
@@ -131,7 +84,7 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
         let eye = DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.5);
         let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.7, (SIDE, SIDE)).unwrap();
         let frame = renderer.render(&camera, &own, Tier::Standard, &layers).unwrap();
-        let relit = renderer.render(&camera, &lit, Tier::Standard, &[Output::Rgb]).unwrap();
+        let relit = renderer.render(&camera, &lamp_light, Tier::Standard, &[Output::Rgb]).unwrap();
         let (metal, rough) = (&frame.planes[&Output::Metallic], &frame.planes[&Output::Roughness]);
         let material = metal.iter().zip(rough).map(|(m, r)| [*m, *r]).collect();
         let truth = GroundTruthView {
@@ -218,21 +171,21 @@ fn the_truth_in_place_of_the_one_spoilt_layer_repairs_the_picture() {
     let capture = drawn_by(&model);
     let mut dark = (*model).clone();
     dark.prototypes.iter_mut().flatten().for_each(|v| *v *= 0.6);
-    let albedo = Replaced { albedo: true, ..Replaced::NONE };
-    let material = Replaced { material: true, ..Replaced::NONE };
-    let rows = [Replaced::NONE, albedo, material, Replaced::ALL];
+    use TruthLayer::{Albedo, Alpha, Material, Normal, Occlusion};
+    let rows: [&[TruthLayer]; 4] =
+        [&[], &[Albedo], &[Material], &[Albedo, Normal, Material, Occlusion, Alpha]];
     let [nothing, albedo, material, everything] =
         attribute(&Arc::new(dark), &capture, None, &rows).unwrap().try_into().unwrap();
     let [nothing, albedo, material, everything] = [nothing, albedo, material, everything].map(Option::unwrap);
     assert!(nothing < 35.0, "{nothing}");
-    // Half-covered pixels at the rim keep the model's layers, and light that bounces is gathered from dark albedo.
+    // Half-covered pixels keep the model's layers, and indirect light is gathered from the dark albedo.
     assert!(albedo > nothing + 10.0 && everything > nothing + 10.0, "{nothing} {albedo} {everything}");
     assert!((material - nothing).abs() < 1.0, "the control: what was not spoilt repairs nothing, {material}");
-    // Nothing replaced is what the evaluation measures of a model whose pixels are shaded alone.
+    // With nothing replaced the figure is the evaluation's when surfaces are shaded in the pixel.
     let difference = |shade_at| {
         let shading = ShadingOptions { shade_at, ..model.shading };
         let model = Arc::new(Model { shading, ..(*model).clone() });
-        let own = attribute(&model, &capture, None, &[Replaced::NONE]).unwrap()[0];
+        let own = attribute(&model, &capture, None, &[&[]]).unwrap()[0];
         (own.unwrap() - measured(&model, &capture).relit.mean.psnr.unwrap()).abs()
     };
     assert!(difference(ShadeAt::Pixel) < 1e-6);
@@ -262,23 +215,6 @@ fn what_cannot_be_measured_is_null_and_the_notes_say_why() {
     }
     assert!(report.novel_view.psnr.is_some() && report.ao_mae.is_some());
     assert!(!report.notes.contains_key("ao_mae"));
-}
-
-#[test]
-fn lpips_enters_the_report_when_its_weights_are_given() {
-    let Some(folder) = test_data("lpips") else { return };
-    let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
-    let model = Arc::new(model());
-    let options = EvalOptions {
-        lpips: Some(&lpips),
-        views: Some(1),
-        frame_rate_time: Duration::ZERO,
-        ..EvalOptions::default()
-    };
-    let report = evaluate(model.clone(), &drawn_by(&model), &options).unwrap();
-    assert!(report.novel_view.lpips.unwrap() < 1e-6 && report.relit.lights["lamp"].lpips.is_some());
-    assert!(!report.notes.keys().any(|key| key.ends_with("lpips")), "{:?}", report.notes);
-    assert_eq!(report.views, 1);
 }
 
 #[test]
@@ -342,28 +278,6 @@ fn arguments(model: PathBuf, capture: PathBuf, json: PathBuf) -> EvalArgs {
 }
 
 #[test]
-fn the_command_writes_json_markdown_and_a_sheet_for_a_real_scene() {
-    let Some(scene) = test_data("scenes/helmet") else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let file = |name: &str| folder.path().join(name);
-    std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
-    let args = EvalArgs {
-        markdown: Some(file("report.md")),
-        sheet: Some(file("sheet.png")),
-        ..arguments(file("model"), scene, file("report.json"))
-    };
-    run(&args).unwrap();
-    let report: Report = serde_json::from_slice(&std::fs::read(file("report.json")).unwrap()).unwrap();
-    let lights: Vec<&str> = report.relit.lights.keys().map(String::as_str).collect();
-    assert_eq!(lights, ["bridge", "city", "interior", "night"]);
-    assert!(report.relit.mean.psnr.unwrap().is_finite() && report.albedo.psnr_aligned.is_some());
-    assert!(report.normal_mae_deg.foreground.unwrap() > report.normal_mae_deg.all_pixels.unwrap());
-    assert!(report.protocol.contains("48x48"), "{}", report.protocol);
-    assert!(std::fs::read_to_string(file("report.md")).unwrap().contains("relit, night"));
-    assert!(image::open(file("sheet.png")).is_ok());
-}
-
-#[test]
 fn the_command_names_the_file_at_fault_and_checks_outputs_first() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
@@ -373,11 +287,94 @@ fn the_command_names_the_file_at_fault_and_checks_outputs_first() {
     assert!(unreadable.contains("absent"), "{unreadable}");
     let no_model = refused(arguments(file("model"), file("scene"), file("out.json")));
     assert!(no_model.contains("model"), "{no_model}");
-    // Neither input exists either, yet it is the output that is complained of.
+    // The inputs do not exist either: outputs are checked first.
     let unwritable = refused(arguments(file("absent"), file("scene"), file("model/out.json")));
     assert!(unwritable.contains("out.json"), "{unwritable}");
     std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
     let no_capture = refused(arguments(file("model"), file("scene"), file("out.json")));
     assert!(no_capture.contains("scene"), "{no_capture}");
     assert!(!file("out.json").exists(), "a failed evaluation leaves no report behind");
+}
+
+/// Tests on LPIPS weights and on a real scene.
+mod with_data {
+    use super::*;
+    use crate::requirements::data;
+
+    fn picture(path: PathBuf) -> DisplayImage {
+        let image = image::open(path).unwrap().into_rgb32f();
+        let values = image.pixels().map(|p| p.0).collect();
+        Plane { width: image.width(), height: image.height(), values }
+    }
+
+    #[test]
+    #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+    fn lpips_gives_its_authors_published_figures() {
+        let folder = data("lpips");
+        let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
+        let image = |name: &str| picture(folder.join("reference_images").join(name));
+        let reference = image("ex_ref.png");
+        for (other, published) in [("ex_p0.png", 0.722), ("ex_p1.png", 0.138)] {
+            let distance = lpips.distance(&reference, &image(other)).unwrap();
+            assert!((distance - published).abs() < 2e-3, "{other}: {distance}, published {published}");
+        }
+        assert_eq!(lpips.distance(&reference, &reference), Some(0.0));
+        // Negative control: another range of inputs is another metric.
+        let mut dark = (reference.clone(), image("ex_p0.png"));
+        dark.0.values.iter_mut().chain(&mut dark.1.values).flatten().for_each(|v| *v *= 0.5);
+        assert!((lpips.distance(&dark.0, &dark.1).unwrap() - 0.722).abs() > 2e-3);
+    }
+
+    #[test]
+    #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+    fn lpips_of_pictures_too_small_for_the_network_is_absent() {
+        let folder = data("lpips");
+        let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
+        let flat =
+            |side: u32| Plane { width: side, height: side, values: vec![[0.5; 3]; (side * side) as usize] };
+        assert_eq!(lpips.distance(&flat(30), &flat(30)), None);
+        assert_eq!(lpips.distance(&flat(31), &flat(31)), Some(0.0));
+        assert_eq!(lpips.distance(&flat(31), &flat(32)), None);
+    }
+
+    #[test]
+    #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+    fn lpips_enters_the_report_when_its_weights_are_given() {
+        let folder = data("lpips");
+        let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
+        let model = Arc::new(model());
+        let options = EvalOptions {
+            lpips: Some(&lpips),
+            views: Some(1),
+            frame_rate_time: Duration::ZERO,
+            ..EvalOptions::default()
+        };
+        let report = evaluate(model.clone(), &drawn_by(&model), &options).unwrap();
+        assert!(report.novel_view.lpips.unwrap() < 1e-6 && report.relit.lights["lamp"].lpips.is_some());
+        assert!(!report.notes.keys().any(|key| key.ends_with("lpips")), "{:?}", report.notes);
+        assert_eq!(report.views, 1);
+    }
+
+    #[test]
+    #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+    fn the_command_writes_json_markdown_and_a_sheet_for_a_real_scene() {
+        let scene = data("scenes/helmet");
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
+        let args = EvalArgs {
+            markdown: Some(file("report.md")),
+            sheet: Some(file("sheet.png")),
+            ..arguments(file("model"), scene, file("report.json"))
+        };
+        run(&args).unwrap();
+        let report: Report = serde_json::from_slice(&std::fs::read(file("report.json")).unwrap()).unwrap();
+        let lights: Vec<&str> = report.relit.lights.keys().map(String::as_str).collect();
+        assert_eq!(lights, ["bridge", "city", "interior", "night"]);
+        assert!(report.relit.mean.psnr.unwrap().is_finite() && report.albedo.psnr_aligned.is_some());
+        assert!(report.normal_mae_deg.foreground.unwrap() > report.normal_mae_deg.all_pixels.unwrap());
+        assert!(report.protocol.contains("48x48"), "{}", report.protocol);
+        assert!(std::fs::read_to_string(file("report.md")).unwrap().contains("relit, night"));
+        assert!(image::open(file("sheet.png")).is_ok());
+    }
 }

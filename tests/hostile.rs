@@ -185,7 +185,7 @@ async fn raw(server: &TestServer, head: &str, body: &[u8]) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_body_of_two_gigabytes_is_refused_before_it_is_sent() {
-    let limits = |c: &mut relume::api::server::ServerConfig| c.limits.capture_bytes = 1 << 20;
+    let limits = |c: &mut relume::server::ServerConfig| c.limits.capture_bytes = 1 << 20;
     let server = testing::spawn_with(tempfile::tempdir().unwrap(), limits).await.unwrap();
     for (path, media) in [
         ("/v1/captures", "application/zip"),
@@ -204,7 +204,7 @@ async fn a_body_of_two_gigabytes_is_refused_before_it_is_sent() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_body_of_unknown_length_is_cut_off_at_the_limit() {
-    let limits = |c: &mut relume::api::server::ServerConfig| c.limits.capture_bytes = 1 << 20;
+    let limits = |c: &mut relume::server::ServerConfig| c.limits.capture_bytes = 1 << 20;
     let server = testing::spawn_with(tempfile::tempdir().unwrap(), limits).await.unwrap();
     let head = "POST /v1/captures HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\n\
                 Transfer-Encoding: chunked\r\n\r\n";

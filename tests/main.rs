@@ -11,6 +11,7 @@ mod extremes;
 mod gpu;
 mod hostile;
 mod reference;
+mod requirements;
 mod service;
 mod service_api;
 mod service_cli;

@@ -1,13 +1,13 @@
 //! The service from outside: upload, train, look, download, render.
 
-use relume::api::picture::Format;
+use relume::api::jobs::JobState;
 use relume::api::renders::{CameraSpec, LookAtSpec, RenderRequest};
-use relume::api::server::ServerConfig;
 use relume::engine::Device;
-use relume::engine::gpu::DeviceChoice;
+use relume::engine::DeviceChoice;
 use relume::formats::image_file;
+use relume::render::FrameFormat;
 use relume::render::Output;
-use relume::store::JobState;
+use relume::server::ServerConfig;
 use relume::testing;
 
 use crate::service_support::{capture_zip, ended, small_job, trained, until};
@@ -38,13 +38,13 @@ async fn a_capture_becomes_a_model_that_renders_over_http() {
     assert_eq!(names, ["model.ply", "model.safetensors"]);
     let request = RenderRequest { camera: look_at(), width: 24, height: 16, ..RenderRequest::default() };
     let request = RenderRequest { outputs: vec![Output::Rgb], ..request };
-    let png = client.render(&model.summary.id, &request, Format::Png).await.unwrap();
+    let png = client.render(&model.summary.id, &request, FrameFormat::Png).await.unwrap();
     assert_eq!(image_file::dimensions(&png).unwrap(), (24, 16));
-    let jpeg = client.render(&model.summary.id, &request, Format::Jpeg).await.unwrap();
+    let jpeg = client.render(&model.summary.id, &request, FrameFormat::Jpeg).await.unwrap();
     assert_eq!(image_file::dimensions(&jpeg).unwrap(), (24, 16));
     let outputs = vec![Output::Rgb, Output::Normal, Output::Depth, Output::Visibility];
     let request = RenderRequest { outputs, ..request };
-    let exr = client.render(&model.summary.id, &request, Format::Exr).await.unwrap();
+    let exr = client.render(&model.summary.id, &request, FrameFormat::Exr).await.unwrap();
     assert_eq!(image_file::dimensions(&exr).unwrap(), (24, 16));
     let thumbnail = client.thumbnail(&model.summary.id, "env=studio&size=32").await.unwrap();
     assert_eq!(image_file::dimensions(&thumbnail).unwrap(), (32, 32));
@@ -86,8 +86,9 @@ async fn a_thumbnail_during_training_waits_for_at_most_one_step() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 async fn a_thumbnail_during_training_on_a_gpu_waits_for_at_most_one_step() {
-    let Some(Device::Gpu(gpu)) = crate::gpu::device() else { return };
+    let Device::Gpu(gpu) = crate::requirements::gpu_device() else { panic!("the device is a GPU") };
     let index = gpu.report().index;
     let folder = tempfile::TempDir::new().unwrap();
     let on_gpu = |config: &mut ServerConfig| config.worker.device = DeviceChoice::Gpu(Some(index));
@@ -103,7 +104,7 @@ async fn a_server_without_a_gpu_refuses_jobs_that_ask_for_one_and_one_that_has_n
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
     let mut job = small_job(&capture.id, 10, 5);
-    job.device = relume::api::jobs::DeviceChoice::Gpu;
+    job.device = relume::api::jobs::JobDevice::Gpu;
     let refusal = client.create_job(&job, None).await.unwrap_err().to_string();
     assert!(refusal.contains("/device") || refusal.contains("no GPU"), "{refusal}");
     server.stop().await.unwrap();

@@ -1,11 +1,12 @@
 //! The HTTP conventions: problems, caching, ranges, paging, keys, metrics, the description.
 
-use relume::api::auth::ApiKeys;
+use relume::api::JobId;
+use relume::api::jobs::JobState;
 use relume::capture::builtin;
 use relume::client::Client;
 use relume::formats::model_file;
 use relume::scene::EnvMap;
-use relume::store::JobState;
+use relume::server::ApiKeys;
 use relume::testing;
 use relume::train::{KnownLight, LightExposure};
 use reqwest::{Method, RequestBuilder, StatusCode, header};
@@ -131,7 +132,7 @@ async fn lists_page_from_the_newest_to_the_oldest() {
     loop {
         let request = client.request(Method::GET, &format!("/v1/jobs?limit=2{before}")).unwrap();
         let page: Value = serde_json::from_str(&request.send().await.unwrap().text().await.unwrap()).unwrap();
-        seen.extend(page["items"].as_array().unwrap().iter().map(|j| j["id"].as_str().unwrap().to_owned()));
+        seen.extend(page["items"].as_array().unwrap().iter().map(|j| JobId::from(j["id"].as_str().unwrap())));
         match page["next"].as_str() {
             Some(next) => before = format!("&before={next}"),
             None => break,
@@ -174,7 +175,7 @@ async fn a_cancelled_job_runs_again_as_a_new_one() {
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
     let long = client.create_job(&small_job(&capture, 100_000, 1000), None).await.unwrap();
     let waiting = client.create_job(&small_job(&capture, 3, 5), None).await.unwrap();
-    let retry = |id: &str| client.request(Method::POST, &format!("/v1/jobs/{id}/retry")).unwrap();
+    let retry = |id: &JobId| client.request(Method::POST, &format!("/v1/jobs/{id}/retry")).unwrap();
     problem(retry(&waiting.id), 409, "job-not-retryable").await;
     assert_eq!(client.cancel_job(&waiting.id).await.unwrap().state, JobState::Cancelled);
     client.cancel_job(&long.id).await.unwrap();
@@ -349,7 +350,7 @@ async fn a_render_is_refused_by_the_field_at_fault() {
 #[tokio::test(flavor = "multi_thread")]
 async fn with_keys_only_their_bearers_are_let_in() {
     let keys =
-        |config: &mut relume::api::server::ServerConfig| config.api_keys = ApiKeys::new(["one-long-api-key"]);
+        |config: &mut relume::server::ServerConfig| config.api_keys = ApiKeys::new(["one-long-api-key"]);
     let server = testing::spawn_with(tempfile::tempdir().unwrap(), keys).await.unwrap();
     let get = |path: &str| server.client().request(Method::GET, path).unwrap();
     problem(get("/v1/jobs"), 401, "unauthorized").await;
@@ -366,7 +367,7 @@ async fn with_keys_only_their_bearers_are_let_in() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn only_listed_origins_get_cors_headers() {
-    let origins = |config: &mut relume::api::server::ServerConfig| {
+    let origins = |config: &mut relume::server::ServerConfig| {
         config.cors_origins = vec!["https://app.example".parse().unwrap()];
     };
     let server = testing::spawn_with(tempfile::tempdir().unwrap(), origins).await.unwrap();
@@ -428,7 +429,7 @@ async fn a_job_holds_the_light_it_is_told() {
         rotation_deg: 90.0,
         exposure_ev: LightExposure::Stops(1.0),
     };
-    for light in [None, Some(light(uploaded)), Some(light("studio".into()))] {
+    for light in [None, Some(light(uploaded.to_string())), Some(light("studio".into()))] {
         let mut job = small_job(&capture, 40, 20);
         job.overrides.light = light.clone();
         let job = client.create_job(&job, None).await.unwrap();
@@ -449,7 +450,7 @@ async fn a_job_holds_the_light_it_is_told() {
 
 #[test]
 fn every_reference_of_the_description_leads_somewhere() {
-    let description = serde_json::to_value(relume::api::openapi()).unwrap();
+    let description = serde_json::to_value(relume::server::openapi()).unwrap();
     let text = description.to_string();
     let references: Vec<&str> =
         text.split("\"$ref\":\"#").skip(1).map(|t| t.split('"').next().unwrap()).collect();
@@ -463,7 +464,7 @@ fn every_reference_of_the_description_leads_somewhere() {
 fn the_checked_in_description_is_what_the_code_says() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json");
     let stored: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
-    let generated = serde_json::to_value(relume::api::openapi()).unwrap();
+    let generated = serde_json::to_value(relume::server::openapi()).unwrap();
     assert!(stored == generated, "run: cargo run --release -- openapi > openapi/openapi.json");
     let paths = generated["paths"].as_object().unwrap();
     let render = &paths["/v1/models/{id}/render"]["post"]["responses"];

@@ -5,8 +5,8 @@ use std::process::{Command, Output};
 
 use relume::engine::Device;
 use relume::formats::{image_file, model_file};
-use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer};
-use relume::worker::import_for_training;
+use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer, import_for_training};
+
 use tempfile::TempDir;
 
 use crate::service_support::capture_zip;
@@ -143,7 +143,7 @@ fn doctor_and_openapi_tell_what_they_should() {
     assert!(!folder.path().join("relume-data").exists(), "looking makes nothing");
     let description: serde_json::Value =
         serde_json::from_str(&succeeds(folder.path(), &["openapi"])).unwrap();
-    assert_eq!(description, serde_json::to_value(relume::api::openapi()).unwrap());
+    assert_eq!(description, serde_json::to_value(relume::server::openapi()).unwrap());
 }
 
 #[test]

@@ -3,10 +3,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume::jobs::{JobOrder, Jobs, Lease, LeasePolicy, ManualClock, SequentialIds};
+use relume::api::JobId;
+use relume::api::jobs::{JobProgress, JobState, NewJob};
+use relume::capture::CaptureReport;
+use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, SequentialIds};
 use relume::store::{
-    Cancelled, CaptureRecord, Held, IdempotencyKey, JobState, ModelFile, ModelRecord, Page, ProgressUpdate,
-    Store, StoreError, Submitted,
+    CancelOutcome, CaptureRecord, IdempotencyKey, LeaseStatus, ModelFile, ModelRecord, Page, Release, Store,
+    StoreError, Submitted,
 };
 use relume::testing;
 use tempfile::TempDir;
@@ -30,7 +33,7 @@ impl Bench {
             sha256: "00".into(),
             bytes: 1,
             artifact: "captures/00".into(),
-            report: "{}".into(),
+            report: CaptureReport::default(),
             created_ms: 0,
         };
         bench.jobs.store().insert_capture(&capture).await.unwrap();
@@ -45,23 +48,15 @@ impl Bench {
         Self { jobs, clock, dir }
     }
 
-    async fn submit(&self, priority: i64) -> String {
+    async fn submit(&self, priority: i64) -> JobId {
         self.submit_with(priority, None).await.unwrap()
     }
 
     /// Submits and answers with the identifier.
-    async fn submit_with(&self, priority: i64, key: Option<&IdempotencyKey>) -> Result<String, StoreError> {
-        let order = JobOrder {
-            capture_id: "capture".into(),
-            retry_of: None,
-            preset: "draft".into(),
-            overrides: "{}".into(),
-            device: "auto".into(),
-            priority,
-            total: 100,
-        };
-        match self.jobs.submit(order, key, |job, _| job.id.clone()).await? {
-            Submitted::Created(id) | Submitted::Replayed(id) => Ok(id),
+    async fn submit_with(&self, priority: i64, key: Option<&IdempotencyKey>) -> Result<JobId, StoreError> {
+        let job = NewJob { capture: "capture".into(), priority, ..NewJob::default() };
+        match self.jobs.submit(job, 100, None, key, |job, _| job.id.to_string()).await? {
+            Submitted::Created(id) | Submitted::Replayed(id) => Ok(id.into()),
         }
     }
 
@@ -69,7 +64,7 @@ impl Bench {
         self.jobs.claim().await.unwrap().expect("a job waits")
     }
 
-    async fn state(&self, id: &str) -> JobState {
+    async fn state(&self, id: &JobId) -> JobState {
         self.jobs.store().job(id).await.unwrap().unwrap().state
     }
 }
@@ -80,7 +75,7 @@ fn model_of(lease: &Lease, id: &str) -> (ModelRecord, Vec<ModelFile>) {
         job_id: lease.job().id.clone(),
         capture_id: "capture".into(),
         gaussians: 1,
-        card: "{}".into(),
+        card: serde_json::json!({}),
         created_ms: 0,
     };
     let file = ModelFile {
@@ -93,7 +88,7 @@ fn model_of(lease: &Lease, id: &str) -> (ModelRecord, Vec<ModelFile>) {
     (model, vec![file])
 }
 
-async fn publish(lease: &Lease, id: &str) -> Held {
+async fn publish(lease: &Lease, id: &str) -> LeaseStatus {
     let (model, files) = model_of(lease, id);
     lease.publish(&model, &files).await.unwrap()
 }
@@ -107,19 +102,19 @@ async fn a_paused_worker_that_lost_its_lease_publishes_nothing() {
     assert_eq!(bench.jobs.reclaim_expired().await.unwrap().len(), 1);
     let second = bench.claim().await;
 
-    let progress = ProgressUpdate { step: 99, total: 100, ..ProgressUpdate::default() };
-    assert_eq!(paused.progress(&progress).await.unwrap(), Held::Lost);
-    assert_eq!(paused.checkpoint(99, vec![1]).await.unwrap(), Held::Lost);
-    assert_eq!(paused.fail("x", "y").await.unwrap(), Held::Lost);
-    assert_eq!(paused.release(true).await.unwrap(), Held::Lost);
-    assert_eq!(publish(&paused, "from-the-paused").await, Held::Lost);
+    let progress = JobProgress { step: 99, total: 100, ..JobProgress::default() };
+    assert_eq!(paused.progress(&progress).await.unwrap(), LeaseStatus::Lost);
+    assert_eq!(paused.checkpoint(99, vec![1]).await.unwrap(), LeaseStatus::Lost);
+    assert_eq!(paused.fail("x", "y").await.unwrap(), LeaseStatus::Lost);
+    assert_eq!(paused.release(Release::Shutdown).await.unwrap(), LeaseStatus::Lost);
+    assert_eq!(publish(&paused, "from-the-paused").await, LeaseStatus::Lost);
     assert!(bench.jobs.store().models(&Page { limit: 10, before: None }).await.unwrap().is_empty());
     let job = bench.jobs.store().job(&id).await.unwrap().unwrap();
-    assert_eq!((job.state, job.step, job.checkpoint), (JobState::Running, 0, None));
+    assert_eq!((job.state, job.progress.step, job.checkpoint), (JobState::Running, 0, None));
 
     // The control: the same calls with a lease that stands do change things.
-    assert_eq!(second.progress(&progress).await.unwrap(), Held::Yes);
-    assert_eq!(publish(&second, "from-the-second").await, Held::Yes);
+    assert_eq!(second.progress(&progress).await.unwrap(), LeaseStatus::Held);
+    assert_eq!(publish(&second, "from-the-second").await, LeaseStatus::Held);
     assert_eq!(bench.state(&id).await, JobState::Succeeded);
 }
 
@@ -128,11 +123,11 @@ async fn a_job_publishes_exactly_once() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     let lease = bench.claim().await;
-    assert_eq!(publish(&lease, "first").await, Held::Yes);
-    assert_eq!(publish(&lease, "again").await, Held::Lost);
+    assert_eq!(publish(&lease, "first").await, LeaseStatus::Held);
+    assert_eq!(publish(&lease, "again").await, LeaseStatus::Lost);
     let models = bench.jobs.store().models(&Page { limit: 10, before: None }).await.unwrap();
     assert_eq!(models.iter().map(|m| m.id.as_str()).collect::<Vec<_>>(), ["first"]);
-    assert_eq!(bench.jobs.store().job(&id).await.unwrap().unwrap().model_id.as_deref(), Some("first"));
+    assert_eq!(bench.jobs.store().job(&id).await.unwrap().unwrap().model_id, Some("first".into()));
 }
 
 #[tokio::test]
@@ -142,7 +137,7 @@ async fn terminal_states_never_change() {
         let id = bench.submit(0).await;
         let lease = bench.claim().await;
         match end {
-            JobState::Succeeded => publish(&lease, &id).await,
+            JobState::Succeeded => publish(&lease, id.as_str()).await,
             JobState::Failed => lease.fail("code", "detail").await.unwrap(),
             _ => {
                 bench.jobs.cancel(&id).await.unwrap();
@@ -152,9 +147,9 @@ async fn terminal_states_never_change() {
         assert_eq!(bench.state(&id).await, end);
         let before = bench.jobs.events_after(&id, 0).await.unwrap();
         let cancelled = bench.jobs.cancel(&id).await.unwrap();
-        assert_eq!(matches!(cancelled, Cancelled::Accepted(_)), end == JobState::Cancelled);
-        assert_eq!(lease.fail("other", "other").await.unwrap(), Held::Lost);
-        assert_eq!(lease.release(true).await.unwrap(), Held::Lost);
+        assert_eq!(matches!(cancelled, CancelOutcome::Accepted(_)), end == JobState::Cancelled);
+        assert_eq!(lease.fail("other", "other").await.unwrap(), LeaseStatus::Lost);
+        assert_eq!(lease.release(Release::Shutdown).await.unwrap(), LeaseStatus::Lost);
         assert!(!bench.jobs.set_priority(&id, 5).await.unwrap());
         bench.jobs.reclaim_all().await.unwrap();
         assert_eq!(bench.state(&id).await, end);
@@ -192,7 +187,7 @@ async fn a_job_that_reaches_checkpoints_may_crash_as_often_as_it_likes() {
     let id = bench.submit(0).await;
     for step in 1..=10 {
         let lease = bench.claim().await;
-        assert_eq!(lease.checkpoint(step, vec![step as u8]).await.unwrap(), Held::Yes);
+        assert_eq!(lease.checkpoint(step, vec![step as u8]).await.unwrap(), LeaseStatus::Held);
         bench.jobs.reclaim_all().await.unwrap();
     }
     let job = bench.jobs.store().job(&id).await.unwrap().unwrap();
@@ -208,7 +203,7 @@ async fn a_job_that_has_ended_keeps_no_checkpoint() {
     let lease = bench.claim().await;
     lease.checkpoint(1, vec![1]).await.unwrap();
     assert_eq!(files_under(&bench.dir.path().join("artifacts")).len(), 1);
-    assert_eq!(publish(&lease, "model").await, Held::Yes);
+    assert_eq!(publish(&lease, "model").await, LeaseStatus::Held);
     assert!(files_under(&bench.dir.path().join("artifacts")).is_empty());
 }
 
@@ -217,7 +212,7 @@ async fn a_release_at_shutdown_does_not_count_against_the_job() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     for _ in 0..10 {
-        assert_eq!(bench.claim().await.release(true).await.unwrap(), Held::Yes);
+        assert_eq!(bench.claim().await.release(Release::Shutdown).await.unwrap(), LeaseStatus::Held);
     }
     assert_eq!(bench.state(&id).await, JobState::Queued);
 }
@@ -230,14 +225,14 @@ async fn higher_priority_runs_first_and_equals_run_in_order() {
         ids.push(bench.submit(priority).await);
         bench.clock.advance(Duration::from_millis(1));
     }
-    let position = async |id: &str| bench.jobs.get(id).await.unwrap().unwrap().1.unwrap();
+    let position = async |id: &JobId| bench.jobs.get(id).await.unwrap().unwrap().1.unwrap();
     assert_eq!([position(&ids[1]).await, position(&ids[3]).await, position(&ids[0]).await], [0, 1, 2]);
     assert!(bench.jobs.set_priority(&ids[2], 9).await.unwrap());
     let mut order = Vec::new();
     for _ in 0..4 {
         order.push(bench.claim().await.job().id.clone());
     }
-    assert_eq!(order, [&ids[2], &ids[1], &ids[3], &ids[0]].map(String::clone));
+    assert_eq!(order, [&ids[2], &ids[1], &ids[3], &ids[0]].map(JobId::clone));
     assert!(bench.jobs.claim().await.unwrap().is_none());
 }
 
@@ -314,7 +309,7 @@ async fn a_shutdown_checkpoints_and_the_next_server_goes_on_from_there() {
 }
 
 /// The whole history of a job.
-async fn history(server: &testing::TestServer, id: &str) -> Vec<relume::client::JobEvent> {
+async fn history(server: &testing::TestServer, id: &JobId) -> Vec<relume::client::JobEvent> {
     let mut events = Vec::new();
     server.client().wait(id, |event| events.push(event.clone())).await.unwrap();
     events
@@ -340,8 +335,8 @@ async fn two_servers_never_share_a_data_directory() {
     let server = testing::spawn().await.unwrap();
     server.client().models().await.unwrap();
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let config = relume::api::server::ServerConfig::new(server.data_dir());
-    let refused = relume::api::server::run(config, listener, async {}).await.unwrap_err();
+    let config = relume::server::ServerConfig::new(server.data_dir());
+    let refused = relume::server::run(config, listener, async {}).await.unwrap_err();
     assert!(refused.to_string().contains("in use by another server"), "{refused}");
 }
 
@@ -349,8 +344,8 @@ async fn two_servers_never_share_a_data_directory() {
 async fn a_server_without_a_key_refuses_to_listen_beyond_loopback() {
     let dir = TempDir::new().unwrap();
     let listener = tokio::net::TcpListener::bind("0.0.0.0:0").await.unwrap();
-    let config = relume::api::server::ServerConfig::new(dir.path());
-    let refused = relume::api::server::run(config, listener, async {}).await.unwrap_err();
-    assert!(matches!(refused, relume::api::server::ServeError::Exposed(_)), "{refused}");
+    let config = relume::server::ServerConfig::new(dir.path());
+    let refused = relume::server::run(config, listener, async {}).await.unwrap_err();
+    assert!(matches!(refused, relume::server::ServeError::Exposed(_)), "{refused}");
     assert!(!dir.path().join("relume.db").exists());
 }

@@ -4,11 +4,11 @@ use std::io::{Cursor, Write};
 use std::time::Duration;
 
 use glam::DVec3;
-use relume::api::jobs::{JobView, NewJob};
+use relume::api::jobs::{JobState, JobView, NewJob};
+use relume::api::{CaptureId, JobId};
 use relume::client::Client;
 use relume::formats::image_file::encode_png;
 use relume::scene::Camera;
-use relume::store::JobState;
 use relume::train::Preset;
 use serde_json::{Value, json};
 
@@ -79,8 +79,8 @@ fn photograph(camera: &Camera) -> Vec<u8> {
 }
 
 /// A job of `iterations` steps at 32 pixels with a checkpoint every `every`.
-pub fn small_job(capture: &str, iterations: u32, every: u32) -> NewJob {
-    let mut job = NewJob { capture: capture.to_owned(), preset: Preset::Draft, ..NewJob::default() };
+pub fn small_job(capture: &CaptureId, iterations: u32, every: u32) -> NewJob {
+    let mut job = NewJob { capture: capture.clone(), preset: Preset::Draft, ..NewJob::default() };
     job.overrides.iterations = Some(iterations);
     job.overrides.resolution = Some(32);
     job.overrides.max_gaussians = Some(64);
@@ -89,7 +89,7 @@ pub fn small_job(capture: &str, iterations: u32, every: u32) -> NewJob {
 }
 
 /// Polls a job until it satisfies `done`.
-pub async fn until(client: &Client, id: &str, done: impl Fn(&JobView) -> bool) -> JobView {
+pub async fn until(client: &Client, id: &JobId, done: impl Fn(&JobView) -> bool) -> JobView {
     for _ in 0..3000 {
         let job = client.job(id).await.unwrap();
         if done(&job) {
@@ -101,7 +101,7 @@ pub async fn until(client: &Client, id: &str, done: impl Fn(&JobView) -> bool) -
 }
 
 /// Polls a job until it ends.
-pub async fn ended(client: &Client, id: &str) -> JobView {
+pub async fn ended(client: &Client, id: &JobId) -> JobView {
     until(client, id, |job| job.state.is_terminal()).await
 }
 

@@ -1,9 +1,11 @@
-//! The render tiers against each other: what `high` gains over `standard`, and what makes `reference` a yardstick.
+//! The render tiers against each other: what `high` gains over `standard`, and that `reference` is
+//! a ground truth.
 
 use std::sync::{Arc, OnceLock};
 
 use glam::DVec3;
-use relume::engine::cpu::{AttributeSource, ProbeSettings, Probes, fibonacci_sphere};
+use relume::engine::cpu::{AttributeSource, Probes};
+use relume::engine::{ProbeSettings, fibonacci_sphere};
 use relume::render::{Frame, Output, Quality, Renderer, Tier};
 use relume::scene::{
     Camera, EnvMap, Field, Gaussians, IndirectForm, Model, ShadeAt, ShadingOptions, texel_directions,
@@ -112,7 +114,7 @@ fn the_shadow_of_a_sun_is_closer_to_the_reference_in_high_than_in_standard() {
         let mut model = (*table()).clone();
         model.shading.shade_at = shade_at;
         let renderer = Renderer::new(Arc::new(model));
-        let truth = frame(&renderer, &map, Quality::reference(512), 64);
+        let truth = frame(&renderer, &map, Quality::monte_carlo(512), 64);
         let [standard, high] = [Tier::Standard, Tier::High].map(|tier| frame(&renderer, &map, tier, 64));
         let errors = [&standard, &high].map(|f| distance(f, &truth, Output::Diffuse));
         println!("{shade_at:?}: diffuse error: standard {:.4}, high {:.4}", errors[0], errors[1]);
@@ -124,7 +126,7 @@ fn the_shadow_of_a_sun_is_closer_to_the_reference_in_high_than_in_standard() {
 }
 
 #[test]
-fn colour_alone_is_the_colour_of_the_whole_frame_where_gaussians_are_shaded() {
+fn colour_without_other_outputs_is_the_colour_with_them_where_gaussians_are_shaded() {
     let light = EnvMap::constant(64, 32, [0.9, 0.5, 0.2]);
     let camera = camera(48);
     let colour = |shade_at: ShadeAt, tier: Tier, outputs: &[Output]| {
@@ -147,7 +149,7 @@ fn colour_alone_is_the_colour_of_the_whole_frame_where_gaussians_are_shaded() {
 }
 
 #[test]
-fn sheen_brightens_what_a_sun_and_what_a_sky_light_alike() {
+fn sheen_brightens_the_light_of_sun_and_sky_alike() {
     let discs: Vec<Disc> = plate(40, 0.05, 0.0).collect();
     let plain = model(&discs, 0.3, 0.0);
     let mut cloth = (*plain).clone();
@@ -165,7 +167,10 @@ fn sheen_brightens_what_a_sun_and_what_a_sky_light_alike() {
     for tier in [Tier::Standard, Tier::High] {
         assert!((gain(tier) - expected).abs() < 0.03, "{tier:?}: {} against {expected}", gain(tier));
     }
-    assert!((gain(Tier::Reference) - 1.0).abs() < 1e-6, "the control: there is none where pixels are shaded");
+    assert!(
+        (gain(Tier::MonteCarlo) - 1.0).abs() < 1e-6,
+        "the control: there is none where pixels are shaded"
+    );
 }
 
 #[test]
@@ -175,7 +180,7 @@ fn a_white_surface_that_nothing_hides_is_white_in_a_white_furnace() {
     let white = EnvMap::constant(32, 16, [1.0; 3]);
     let above = Camera::look_at(DVec3::Z * 3.0, DVec3::ZERO, DVec3::Y, 0.7, (24, 24)).unwrap();
     let mean = |renderer: &Renderer, map: &EnvMap, output: Output| {
-        let shown = seen_from(&above, renderer, map, Quality::reference(256));
+        let shown = seen_from(&above, renderer, map, Quality::monte_carlo(256));
         let alpha: f32 = shown.planes[&Output::Alpha].iter().sum();
         shown.planes[&output].iter().sum::<f32>() / (3.0 * alpha)
     };
@@ -209,10 +214,10 @@ fn ball() -> Arc<Model> {
 fn the_reference_converges_as_monte_carlo_does() {
     let renderer = Renderer::new(table());
     let map = sun();
-    let truth = frame(&renderer, &map, Quality { seed: 99, ..Quality::reference(2048) }, 24);
+    let truth = frame(&renderer, &map, Quality { seed: 99, ..Quality::monte_carlo(2048) }, 24);
     let slope = |map: &EnvMap| {
         let point = |n: &u32| {
-            let shown = frame(&renderer, map, Quality::reference(*n), 24);
+            let shown = frame(&renderer, map, Quality::monte_carlo(*n), 24);
             (f64::from(*n).ln(), distance(&shown, &truth, Output::Rgb).ln())
         };
         let points: Vec<(f64, f64)> = [4, 8, 16, 32, 64].iter().map(point).collect();
@@ -235,11 +240,11 @@ fn the_same_seed_gives_the_same_bytes_on_one_thread_and_on_four() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| frame(&Renderer::new(table()), &sun(), quality, 24))
     };
-    for quality in [Quality::reference(8), Tier::High.into()] {
+    for quality in [Quality::monte_carlo(8), Tier::High.into()] {
         assert!(run(1, quality) == run(4, quality), "{quality:?}");
     }
-    let other = Quality { seed: 1, ..Quality::reference(8) };
-    assert!(run(2, Quality::reference(8)) != run(2, other), "the control: another seed, other bytes");
+    let other = Quality { seed: 1, ..Quality::monte_carlo(8) };
+    assert!(run(2, Quality::monte_carlo(8)) != run(2, other), "the control: another seed, other bytes");
     assert!(run(2, Tier::High.into()) == run(2, Quality { seed: 1, ..Tier::High.into() }));
 }
 
@@ -248,13 +253,13 @@ fn samples_out_of_range_are_refused_by_name_and_extreme_lights_stay_finite() {
     let renderer = Renderer::new(table());
     let light = renderer.prepare_light(&sun()).unwrap();
     for samples in [0, Quality::MOST_SAMPLES + 1] {
-        let refused = renderer.render(&camera(8), &light, Quality::reference(samples), &[Output::Rgb]);
+        let refused = renderer.render(&camera(8), &light, Quality::monte_carlo(samples), &[Output::Rgb]);
         assert!(refused.unwrap_err().to_string().starts_with("samples: "));
     }
     let mut texels = vec![[0.0f32; 3]; 64 * 32];
     texels[300] = [1e30; 3];
     for map in [EnvMap::new(64, 32, texels).unwrap().0, EnvMap::constant(8, 4, [0.0; 3])] {
-        for quality in [Tier::High.into(), Quality::reference(4), Quality::reference(1)] {
+        for quality in [Tier::High.into(), Quality::monte_carlo(4), Quality::monte_carlo(1)] {
             let shown = frame(&renderer, &map, quality, 12);
             assert!(shown.planes.values().flatten().all(|v| v.is_finite()), "{quality:?}");
         }

@@ -1,4 +1,4 @@
-//! The trainer as its callers see it: it learns, repeats itself byte for byte, resumes, and refuses.
+//! The trainer as its callers see it: it learns, gives the same bytes again, resumes, and refuses bad input.
 
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
@@ -70,6 +70,7 @@ fn the_same_seed_gives_the_same_bytes_for_one_thread_and_for_three() {
 
 #[test]
 fn a_resumed_training_ends_with_the_bytes_of_an_undisturbed_one() {
+    let undisturbed = trained(&overrides());
     // 30 lies between two probe refreshes, two density rounds and two snapshots.
     for stop in [1, 17, 30, 59] {
         let mut trainer = Trainer::new(capture(), config(&overrides()), &Device::Cpu).unwrap();
@@ -80,7 +81,7 @@ fn a_resumed_training_ends_with_the_bytes_of_an_undisturbed_one() {
         drop(trainer);
         let resumed = Trainer::resume(capture(), config(&overrides()), &checkpoint, &Device::Cpu).unwrap();
         assert_eq!(resumed.progress().step, stop);
-        assert!(run(resumed) == trained(&overrides()), "resumed at step {stop}");
+        assert!(run(resumed) == undisturbed, "resumed at step {stop}");
     }
 }
 
@@ -118,7 +119,7 @@ fn training_explains_the_photographs_better_step_by_step() {
 }
 
 #[test]
-fn every_label_source_and_form_trains_to_finite_parameters() {
+fn every_label_source_trains_to_finite_parameters() {
     for labels in [LabelSource::None, LabelSource::Backward, LabelSource::Probes, LabelSource::Both] {
         let bytes = trained(&TrainOverrides { labels: Some(labels), iterations: Some(40), ..overrides() });
         let model = model_file::decode(&bytes).unwrap();
@@ -129,7 +130,7 @@ fn every_label_source_and_form_trains_to_finite_parameters() {
 }
 
 #[test]
-fn a_known_light_is_held_through_a_resumption_and_asked_for_by_name() {
+fn a_known_light_stays_fixed_through_a_resumption_and_is_named_where_missing() {
     let light =
         KnownLight { environment: "lamp".into(), rotation_deg: 0.0, exposure_ev: LightExposure::Stops(-1.0) };
     let config = config(&TrainOverrides { light: Some(light), ..overrides() });
@@ -154,9 +155,7 @@ fn a_known_light_is_held_through_a_resumption_and_asked_for_by_name() {
 }
 
 #[test]
-fn a_step_that_is_not_finite_is_rolled_back_and_said() {
-    // Weights at their upper limit overflow the loss in f32 only if something is already wrong; a step size of 1000
-    // on everything is what sends parameters to infinity.
+fn wild_step_sizes_end_in_a_finite_model_or_a_refusal() {
     let rates = serde_json::from_value(serde_json::json!({
         "mean": 1000.0, "mean_final": 1000.0, "scale": 1000.0, "opacity": 1000.0, "radiance": 1000.0
     }));
@@ -182,14 +181,6 @@ fn extreme_weights_do_not_poison_a_model() {
         LossWeights { depth_normal: 1000.0, flatness: 1000.0, smoothness: 1000.0, ..Default::default() };
     let bytes = trained(&TrainOverrides { weights: Some(heavy), iterations: Some(40), ..overrides() });
     assert!(model_file::decode(&bytes).unwrap().gaussians.is_finite());
-}
-
-#[test]
-fn too_few_photographs_are_refused_with_their_number() {
-    let mut few = capture().clone();
-    few.train.truncate(2);
-    let error = Trainer::new(&few, config(&overrides()), &Device::Cpu).err().unwrap().to_string();
-    assert!(error.contains("2 usable"), "{error}");
 }
 
 fn auto() -> TrainOverrides {
@@ -219,7 +210,7 @@ fn auto_model(scene: SyntheticScene, overrides: &TrainOverrides) -> Model {
 }
 
 #[test]
-fn a_convex_ball_gets_no_visibility_and_a_table_of_things_keeps_it() {
+fn auto_complexity_drops_visibility_on_a_ball_and_keeps_it_on_a_table() {
     let ball = auto_model(SyntheticScene::MatteBall, &auto());
     assert_eq!(ball.shading.visibility, VisibilityForm::Off, "{}", ball.card["complexity"]);
     assert_eq!(ball.shading.indirect, IndirectForm::Off);
@@ -236,7 +227,7 @@ fn a_convex_ball_gets_no_visibility_and_a_table_of_things_keeps_it() {
 }
 
 #[test]
-fn a_training_resumed_around_its_decisions_ends_with_the_same_bytes() {
+fn a_training_resumed_around_its_complexity_decisions_ends_with_the_same_bytes() {
     let start = || Trainer::new(capture(), sized(&auto()), &Device::Cpu).unwrap();
     let undisturbed = run(start());
     // Decisions fall after 15 and 37 steps and at the end.

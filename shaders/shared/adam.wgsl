@@ -1,8 +1,5 @@
-// Adam (Kingma and Ba 2015), as src/train/optimiser.rs.
-// Typed, so that 1 - beta rounds as it does on the host.
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.999;
-const ADAM_EPSILON = 1e-15;
+// Adam (Kingma and Ba 2015).
+#import generated/objective
 
 struct Adam {
     // What to take off the parameter.
@@ -13,7 +10,7 @@ struct Adam {
 
 // `rate`: over the correction of the first moment; `correction`: root of that of the second.
 fn adam(first: f32, second: f32, gradient: f32, rate: f32, correction: f32) -> Adam {
-    let m = BETA1 * first + (1.0 - BETA1) * gradient;
-    let v = BETA2 * second + (1.0 - BETA2) * gradient * gradient;
+    let m = ADAM_BETA1 * first + (1.0 - ADAM_BETA1) * gradient;
+    let v = ADAM_BETA2 * second + (1.0 - ADAM_BETA2) * gradient * gradient;
     return Adam(rate * m / (sqrt(v) / correction + ADAM_EPSILON), m, v);
 }

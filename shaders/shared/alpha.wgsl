@@ -5,8 +5,6 @@
 // 0.5 ((sqrt(a) dx + b / sqrt(a) dy)^2 + dy^2 / yy), since c - b^2 / a = 1 / yy.
 #import splat
 
-// A pixel whose transmittance is below this may be left.
-const TRANSMITTANCE_STOP = 1e-4;
 // sqrt(0.5 log2(e)): squares come out as exponents of two.
 const TO_LOG2 = 0.849321800288019;
 

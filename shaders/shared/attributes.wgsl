@@ -1,7 +1,7 @@
 // From a Gaussian's raw parameters to what is blended (docs/MODEL.md sections 1 and 3), for the forward kernel and its
 // way back. The including kernel declares the bindings `model: Layout`, `params: array<f32>` and
 // `globals: array<f32>` (prototypes first).
-#import parameters
+#import generated/parameters
 #import quaternion
 
 const NO_AXIS = 3u;
@@ -28,7 +28,7 @@ fn sigmoid(x: f32) -> f32 {
     return 1.0 / (1.0 + exp(-clamp(x, -80.0, 80.0)));
 }
 
-// The normal of a Gaussian seen along `to_mean` (mean - eye).
+// The normal of a Gaussian seen along `to_mean` (mean minus camera centre).
 fn normal_of(gaussian_ix: u32, to_mean: vec3f) -> Normal {
     var sum = params_vec3(model.normal + 3u * gaussian_ix);
     var axis = NO_AXIS;

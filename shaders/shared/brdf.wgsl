@@ -1,8 +1,8 @@
 // The split-sum table and the position between specular levels: src/light/{brdf,operators}.rs. The importer binds the
 // tables of `gpu::light::Constants` as `constants`: 32 x 32 (scale, bias) by roughness and n.v, then the lobe rows.
+#import generated/light
 
-const LUT_SIZE = 32u;
-const LUT_FLOATS = 2048u;
+const LUT_FLOATS = 2u * LUT_SIZE * LUT_SIZE;
 
 struct LutSample {
     // Scale and bias.
@@ -14,7 +14,7 @@ struct LutSample {
 struct LutCell {
     first: u32,
     fraction: f32,
-    slope: f32,
+    derivative: f32,
 }
 
 fn lut_cell(v: f32) -> LutCell {
@@ -46,18 +46,16 @@ fn lut_sample(nov: f32, roughness: f32) -> LutSample {
     let bottom = c * (1.0 - x.fraction) + d * x.fraction;
     return LutSample(
         top * (1.0 - y.fraction) + bottom * y.fraction,
-        ((b - a) * (1.0 - y.fraction) + (d - c) * y.fraction) * x.slope,
-        (bottom - top) * y.slope,
+        ((b - a) * (1.0 - y.fraction) + (d - c) * y.fraction) * x.derivative,
+        (bottom - top) * y.derivative,
     );
 }
 
-const SPECULAR_LEVELS = array<f32, 6>(0.1, 0.25, 0.4, 0.6, 0.8, 1.0);
-
-// Level below a roughness, the fraction towards the next, and the fraction's slope (0 where clamped).
+// Level below a roughness, the fraction towards the next, and the fraction's derivative (0 where clamped).
 struct LevelPosition {
     level: u32,
     fraction: f32,
-    slope: f32,
+    derivative: f32,
 }
 
 fn level_position(roughness: f32) -> LevelPosition {
@@ -65,13 +63,13 @@ fn level_position(roughness: f32) -> LevelPosition {
     if !(roughness > levels[0]) {
         return LevelPosition(0u, 0.0, 0.0);
     }
-    if roughness >= levels[5] {
-        return LevelPosition(4u, 1.0, 0.0);
+    if roughness >= levels[N_LEVELS - 1u] {
+        return LevelPosition(N_LEVELS - 2u, 1.0, 0.0);
     }
     var k = 0u;
-    for (var i = 1u; i < 5u; i++) {
+    for (var i = 1u; i < N_LEVELS - 1u; i++) {
         k = select(k, i, roughness >= levels[i]);
     }
-    let slope = 1.0 / (levels[k + 1u] - levels[k]);
-    return LevelPosition(k, (roughness - levels[k]) * slope, slope);
+    let derivative = 1.0 / (levels[k + 1u] - levels[k]);
+    return LevelPosition(k, (roughness - levels[k]) * derivative, derivative);
 }

@@ -5,7 +5,7 @@ struct Composite {
     n_pixels: u32,
     // 1: images are compared through the sRGB curve.
     srgb: u32,
-    // Groups of the G-buffer gradient of a lit pass.
+    // Groups of the G-buffer gradient of Gaussians that were shaded before they were blended.
     n_groups: u32,
     pad: u32,
 }

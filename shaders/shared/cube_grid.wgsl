@@ -43,11 +43,11 @@ fn cube_taps(n: u32, d: vec3f) -> Taps {
     let gs = 1.0 - fs;
     let gt = 1.0 - ft;
     let base = (face * n + down.first) * n + across.first;
-    // Slopes of the two face coordinates by the turned direction, then turned back.
-    let slope = half * inverse;
+    // Derivatives of the two face coordinates by the turned direction, then turned back.
+    let derivative = half * inverse;
     let sign = select(1.0, -1.0, negative);
-    let ds = turn_back(axis, vec3f(-s * slope * sign, slope, 0.0));
-    let dt = turn_back(axis, vec3f(-t * slope * sign, 0.0, slope));
+    let ds = turn_back(axis, vec3f(-s * derivative * sign, derivative, 0.0));
+    let dt = turn_back(axis, vec3f(-t * derivative * sign, 0.0, derivative));
     return Taps(
         vec4u(base, base + 1u, base + n, base + n + 1u),
         vec4f(gs * gt, fs * gt, gs * ft, fs * ft),

@@ -1,8 +1,6 @@
-// From linear radiance to display and back: the port of `Shader::display` of src/engine/cpu/shading.rs.
+// From linear radiance to display and back: the port of `SurfaceShader::display` of src/engine/cpu/surface_shader.rs.
+#import generated/light
 #import srgb
-
-// Pixels of less coverage are not shaded.
-const LEAST_COVERAGE = 1e-3;
 
 // Linear radiance to display; `is_srgb`: through the curve.
 fn display(linear: vec3f, is_srgb: bool) -> vec3f {
@@ -14,7 +12,7 @@ fn channel_backward(linear: f32, g: f32, is_srgb: bool) -> f32 {
     if linear < 0.0 || (linear > 1.0 && g <= 0.0) {
         return 0.0;
     }
-    return g * select(1.0, srgb_slope(min(linear, 1.0)), is_srgb);
+    return g * select(1.0, srgb_derivative(min(linear, 1.0)), is_srgb);
 }
 
 // Chain rule through `display`; above 1 only gradients that lower the value pass.

@@ -9,23 +9,24 @@
 #ifdef ALL_CHANNELS
 const ROW_GROUPS = VISIBILITY_GROUP + N_QUADS;
 #else
-const ROW_GROUPS = 4u;
+const ROW_GROUPS = GROUPS_MATERIAL;
 #endif
 
-// From the camera to its centre.
+// From the camera centre to the Gaussian's.
 fn to_gaussian(gaussian_ix: u32) -> vec3f {
     let at = model.mean + 3u * gaussian_ix;
-    return vec3f(params[at], params[at + 1u], params[at + 2u]) - view.eye.xyz;
+    return vec3f(params[at], params[at + 1u], params[at + 2u]) - camera.centre.xyz;
 }
 
 fn gaussian_surface(gaussian_ix: u32) -> Surface {
     let row = gaussian_ix * ROW_GROUPS;
-    let indirect = indirect_of(gaussian_ix);
-    var s = surface_of_groups(
-        attributes[row + 1u],
-        attributes[row + 2u],
-        vec4f(attributes[row + 3u].x, indirect.irradiance),
-        vec4f(0.0, indirect.radiance),
+    let incident = incident_light(gaussian_ix);
+    var s = surface_of_channels(
+        attributes[row + NORMAL_GROUP],
+        attributes[row + ALBEDO_GROUP],
+        channel_rough(attributes[row + ROUGH_GROUP]),
+        incident.gathered,
+        incident.blocked,
         1.0,
         -normalised3(to_gaussian(gaussian_ix)),
     );

@@ -1,31 +1,31 @@
 // What is known of the light that reaches a Gaussian: how much of the environment it sees, and what others send to it. The
 // importer binds `model`, `params`, `gathered` (irradiance, then mean blocked radiance, six floats a Gaussian; shorter where
 // nothing was gathered) and `indirect_basis` (E_j of Eq. 20).
-#import parameters
+#import generated/parameters
 
-struct Indirect {
-    // Gathered irradiance.
-    irradiance: vec3f,
-    // Radiance where the environment is blocked.
-    radiance: vec3f,
+struct IncidentLight {
+    // Irradiance gathered from other surfaces.
+    gathered: vec3f,
+    // Radiance from where the environment is blocked.
+    blocked: vec3f,
 }
 
 fn gathered_vec3(at: u32) -> vec3f {
     return vec3f(gathered[at], gathered[at + 1u], gathered[at + 2u]);
 }
 
-fn indirect_of(gaussian_ix: u32) -> Indirect {
-    var out = Indirect(vec3f(0.0), vec3f(0.0));
+fn incident_light(gaussian_ix: u32) -> IncidentLight {
+    var out = IncidentLight(vec3f(0.0), vec3f(0.0));
     if model.indirect_form == INDIRECT_LEARNED {
         let first = model.indirect + 16u * gaussian_ix;
         for (var j = 0u; j < 16u; j++) {
             let e = vec3f(indirect_basis[3u * j], indirect_basis[3u * j + 1u], indirect_basis[3u * j + 2u]);
-            out.radiance += params[first + j] * e;
+            out.blocked += params[first + j] * e;
         }
     }
     if model.indirect_form == INDIRECT_GATHERED && 6u * gaussian_ix + 6u <= arrayLength(&gathered) {
-        out.irradiance = gathered_vec3(6u * gaussian_ix);
-        out.radiance = gathered_vec3(6u * gaussian_ix + 3u);
+        out.gathered = gathered_vec3(6u * gaussian_ix);
+        out.blocked = gathered_vec3(6u * gaussian_ix + 3u);
     }
     return out;
 }

@@ -1,24 +1,25 @@
-// The surface behind a pixel of a full G-buffer, which the importer binds as `gbuffer`.
+// The surface behind a pixel of a full G-buffer of blended attributes, which the importer binds as `gbuffer`.
 #import surface
-#import view
+#import camera
 #import quaternion
 
 // Group `quad` of the visibility behind a pixel, divided by coverage.
 fn pixel_visibility(pixel_ix: u32, quad: u32, inverse: f32) -> vec4f {
-    return masked_quad(quad, gbuffer[(VISIBILITY_GROUP + quad) * view.n_pixels + pixel_ix] * inverse);
+    return masked_quad(quad, gbuffer[(VISIBILITY_GROUP + quad) * camera.n_pixels + pixel_ix] * inverse);
 }
 
 // For pixels of coverage >= LEAST_COVERAGE.
 fn pixel_surface(pixel: vec2u, pixel_ix: u32, coverage: f32) -> Surface {
-    let n = view.n_pixels;
+    let n = camera.n_pixels;
     let inverse = 1.0 / coverage;
-    var s = surface_of_groups(
-        gbuffer[n + pixel_ix],
-        gbuffer[2u * n + pixel_ix],
-        gbuffer[3u * n + pixel_ix],
-        gbuffer[4u * n + pixel_ix],
+    var s = surface_of_channels(
+        gbuffer[NORMAL_GROUP * n + pixel_ix],
+        gbuffer[ALBEDO_GROUP * n + pixel_ix],
+        channel_rough(gbuffer[ROUGH_GROUP * n + pixel_ix]),
+        channel_gathered(gbuffer[ROUGH_GROUP * n + pixel_ix]),
+        channel_blocked(gbuffer[DEPTH_GROUP * n + pixel_ix]),
         inverse,
-        -normalised3(pixel_ray(view, pixel.x, pixel.y)),
+        -normalised3(pixel_ray(camera, pixel.x, pixel.y)),
     );
     for (var quad = 0u; quad < N_QUADS; quad++) {
         s.visibility[quad] = pixel_visibility(pixel_ix, quad, inverse);

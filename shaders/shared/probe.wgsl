@@ -3,11 +3,10 @@
 // and queries agree. Which grid it is changes no result: a cell lists all that overlaps it, and what lies outside the grid
 // belongs to the cell at its edge.
 #import finite
+#import generated/occlusion
 #import splat
 
 const WG_SIZE = 256u;
-// No Gaussian hides the direction.
-const NO_HIT = 0xffffffffu;
 // Coordinates beyond this, far outside any scene, are not measured: their squares would not stay finite.
 const FAR_OUT = 1e10;
 
@@ -117,10 +116,10 @@ fn flatten(o: Occluder, frame: Frame, grid: PlaneGrid) -> Flat {
     let y = frame.v.xyz * axes;
     let along = frame.d.xyz * axes;
     let narrow = vec2f(dot(x, x), dot(y, y));
-    if !(narrow.x < 1e12 && narrow.y < 1e12) {
+    if !(narrow.x < WIDEST && narrow.y < WIDEST) {
         return flat;
     }
-    // An edge-on pancake keeps a sliver of width, or nothing could ever hit it.
+    // A disc seen edge-on would have a width of 0.
     let sum = narrow.x + narrow.y;
     let widening = 1e-4 * sum + 1e-14;
     let area = cross(x, y);

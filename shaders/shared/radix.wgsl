@@ -1,9 +1,8 @@
 // What the two kernels of a radix sort pass share: the digit of a key, and who owns which elements.
+#import generated/kernels
 
 const WG_SIZE = 256u;
-const PER_THREAD = 8u;
-// Elements a workgroup sorts.
-const BLOCK = 2048u;
+const PER_THREAD = SORT_BLOCK / WG_SIZE;
 
 struct SortPass {
     n: u32,

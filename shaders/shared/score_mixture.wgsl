@@ -1,9 +1,7 @@
 // Sums over a Gaussian's prototype scores for update.wgsl: the mixture behind its albedo, and the aggregation term. The
 // including kernel declares its bindings.
 #import attributes
-
-// Clamp inside the aggregation term.
-const AGGREGATION_EPSILON = 1e-6;
+#import generated/objective
 
 // What the softmax of a Gaussian's scores is needed for.
 struct Mixture {
@@ -35,8 +33,8 @@ fn rest(p: f32) -> f32 {
     return max(1.0 - p, AGGREGATION_EPSILON);
 }
 
-// Slope of `-scale ln Q` by p.
-fn aggregation_slope(m: Mixture, p: f32) -> f32 {
+// Derivative of `-scale ln Q` by p.
+fn aggregation_derivative(m: Mixture, p: f32) -> f32 {
     if m.q <= AGGREGATION_EPSILON {
         return 0.0;
     }
@@ -61,7 +59,7 @@ fn mixture_of(gaussian_ix: u32, up: Upstream) -> Mixture {
     }
     let albedo = mixed + params_vec3(model.residual + 3u * gaussian_ix);
     let is_inside = (albedo > vec3f(0.0)) & (albedo < vec3f(1.0));
-    m.by_albedo = select(vec3f(0.0), channels(up, 2u).xyz, is_inside);
+    m.by_albedo = select(vec3f(0.0), channel_albedo(channels(up, ALBEDO_GROUP)), is_inside);
     m.by_mixture = select(0.0, dot(m.by_albedo, mixed), up.visible && update.groups >= GROUPS_MATERIAL);
     m.q = 0.0;
     m.by_aggregation = 0.0;
@@ -72,7 +70,7 @@ fn mixture_of(gaussian_ix: u32, up: Upstream) -> Mixture {
         }
         for (var k = 0u; k < model.n_scores; k++) {
             let p = share(m, gaussian_ix, k);
-            m.by_aggregation += p * aggregation_slope(m, p);
+            m.by_aggregation += p * aggregation_derivative(m, p);
         }
     }
     return m;

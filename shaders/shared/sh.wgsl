@@ -1,18 +1,6 @@
 // Real spherical harmonics to order 6 without angles, so values and gradients stay finite at the poles; the basis,
 // its order and signs are those of src/light/sh.rs. Index of (l, m) is l * l + l + m.
-
-const MAX_SH = 49u;
-
-// K_lm with the sqrt(2) of m > 0, at l (l + 1) / 2 + m.
-const SH_NORM = array<f32, 28>(
-    0.282094792,
-    0.488602512, 0.488602512,
-    0.630783131, 0.36418281, 0.182091405,
-    0.746352665, 0.3046972, 0.0963537148, 0.0393362393,
-    0.846284375, 0.267618617, 0.0630783131, 0.0168583883, 0.00596034034,
-    0.93560258, 0.241571547, 0.0456527313, 0.00931882475, 0.00219646806, 0.000694584187,
-    1.01710724, 0.221950995, 0.0350935337, 0.00584892228, 0.00106786222, 0.000227668991, 6.57223766e-05,
-);
+#import generated/light
 
 // Values of all harmonics up to `order` along the unit direction `d`.
 fn sh_basis(order: u32, d: vec3f, out: ptr<function, array<f32, 49>>) {
@@ -56,7 +44,7 @@ fn sh_basis_with_gradient(
     var diagonal = 1.0;
     var turn = vec2f(1.0, 0.0);
     // m (x + i y)^(m - 1).
-    var slope = vec2f(0.0, 0.0);
+    var derivative = vec2f(0.0, 0.0);
     for (var m = 0u; m <= order; m++) {
         // Q and dQ/dz at l and l - 1.
         var before = vec2f(0.0, 0.0);
@@ -75,14 +63,14 @@ fn sh_basis_with_gradient(
             let scaled = norms[l * (l + 1u) / 2u + m] * q;
             let centre = l * l + l;
             (*out)[centre + m] = scaled.x * turn.x;
-            (*gradient)[centre + m] = vec3f(scaled.x * slope.x, -scaled.x * slope.y, scaled.y * turn.x);
+            (*gradient)[centre + m] = vec3f(scaled.x * derivative.x, -scaled.x * derivative.y, scaled.y * turn.x);
             if m > 0u {
                 (*out)[centre - m] = scaled.x * turn.y;
-                (*gradient)[centre - m] = vec3f(scaled.x * slope.y, scaled.x * slope.x, scaled.y * turn.y);
+                (*gradient)[centre - m] = vec3f(scaled.x * derivative.y, scaled.x * derivative.x, scaled.y * turn.y);
             }
         }
         diagonal = -diagonal * f32(2u * m + 1u);
-        slope = f32(m + 1u) * turn;
+        derivative = f32(m + 1u) * turn;
         turn = vec2f(d.x * turn.x - d.y * turn.y, d.x * turn.y + d.y * turn.x);
     }
 }

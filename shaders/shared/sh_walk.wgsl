@@ -1,15 +1,15 @@
-// The harmonics of sh.wgsl one (l, +-m) pair after the other, for kernels that use each value once: nothing is kept in
+// The harmonics of sh.wgsl, one pair (l, +-m) after another, for kernels that use each value once: nothing is kept in
 // private arrays, which would spill. Column by column: m = 0, l = 0..order; m = 1, l = 1..order; ...
 //
-//   for (var walk = sh_walk(order, d); sh_walking(walk); sh_walk_on(&walk)) { ... }
+//   for (var term = sh_first(order, d); sh_is_term(term); sh_next(&term)) { ... }
 #import sh
 
-struct ShWalk {
+struct ShTerm {
     d: vec3f,
     order: u32,
     l: u32,
     m: u32,
-    // Q_l^m and its slope by z, at l and at l - 1.
+    // Q_l^m and its derivative by z, at l and at l - 1.
     q: vec2f,
     before: vec2f,
     // Q_m^m.
@@ -19,45 +19,45 @@ struct ShWalk {
     first_ratio: f32,
     // (x + i y)^m and m (x + i y)^(m - 1).
     turn: vec2f,
-    slope: vec2f,
+    derivative: vec2f,
 }
 
 const FOUR_PI = 12.566370614;
 
 // At l = m = 0 along the unit direction `d`.
-fn sh_walk(order: u32, d: vec3f) -> ShWalk {
-    return ShWalk(d, order, 0u, 0u, vec2f(1.0, 0.0), vec2f(0.0), 1.0, 1.0, 1.0, vec2f(1.0, 0.0), vec2f(0.0));
+fn sh_first(order: u32, d: vec3f) -> ShTerm {
+    return ShTerm(d, order, 0u, 0u, vec2f(1.0, 0.0), vec2f(0.0), 1.0, 1.0, 1.0, vec2f(1.0, 0.0), vec2f(0.0));
 }
 
-fn sh_walking(w: ShWalk) -> bool {
+fn sh_is_term(w: ShTerm) -> bool {
     return w.m <= w.order;
 }
 
 // Indices of the coefficients +m and -m; equal where m = 0, and then only the first counts.
-fn sh_indices(w: ShWalk) -> vec2u {
+fn sh_indices(w: ShTerm) -> vec2u {
     let centre = w.l * w.l + w.l;
     return vec2u(centre + w.m, centre - w.m);
 }
 
-fn sh_walk_norm(w: ShWalk) -> f32 {
+fn sh_norm(w: ShTerm) -> f32 {
     return sqrt(f32(2u * w.l + 1u) * w.ratio * select(2.0, 1.0, w.m == 0u) / FOUR_PI);
 }
 
 // Y of +m and -m; the second is 0 where m = 0.
-fn sh_values(w: ShWalk) -> vec2f {
-    return sh_walk_norm(w) * w.q.x * w.turn;
+fn sh_values(w: ShTerm) -> vec2f {
+    return sh_norm(w) * w.q.x * w.turn;
 }
 
 // Their gradients as polynomials in (x, y, z), in the columns.
-fn sh_slopes(w: ShWalk) -> mat2x3f {
-    let q = sh_walk_norm(w) * w.q;
+fn sh_gradients(w: ShTerm) -> mat2x3f {
+    let q = sh_norm(w) * w.q;
     return mat2x3f(
-        vec3f(q.x * w.slope.x, -q.x * w.slope.y, q.y * w.turn.x),
-        vec3f(q.x * w.slope.y, q.x * w.slope.x, q.y * w.turn.y),
+        vec3f(q.x * w.derivative.x, -q.x * w.derivative.y, q.y * w.turn.x),
+        vec3f(q.x * w.derivative.y, q.x * w.derivative.x, q.y * w.turn.y),
     );
 }
 
-fn sh_walk_on(w: ptr<function, ShWalk>) {
+fn sh_next(w: ptr<function, ShTerm>) {
     let m = (*w).m;
     if (*w).l < (*w).order {
         let l = (*w).l + 1u;
@@ -76,7 +76,7 @@ fn sh_walk_on(w: ptr<function, ShWalk>) {
     (*w).diagonal *= -f32(2u * m + 1u);
     (*w).first_ratio /= f32((2u * m + 1u) * (2u * m + 2u));
     (*w).ratio = (*w).first_ratio;
-    (*w).slope = f32(m + 1u) * turn;
+    (*w).derivative = f32(m + 1u) * turn;
     (*w).turn = vec2f(d.x * turn.x - d.y * turn.y, d.x * turn.y + d.y * turn.x);
     (*w).q = vec2f((*w).diagonal, 0.0);
     (*w).before = vec2f(0.0);

@@ -1,8 +1,8 @@
-// Shading of a surface (docs/MODEL.md section 4), a port of src/engine/cpu/shade.rs. Takes bindings 0 to 5; permutations
+// Shading of a surface (docs/MODEL.md section 4), as src/engine/cpu/surface_shader.rs. Takes bindings 0 to 5; permutations
 // define S and ORDER.
 #import surface
-#import view
-#import parameters
+#import camera
+#import generated/parameters
 #import quaternion
 #import sh
 #import cube_grid
@@ -24,7 +24,7 @@ struct Shading {
     srgb: u32,
 }
 
-@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> shading: Shading;
 @group(0) @binding(2) var<uniform> tables: Tables;
 @group(0) @binding(3) var<storage, read> constants: array<f32>;
@@ -33,10 +33,6 @@ struct Shading {
 @group(0) @binding(5) var<storage, read> light_quads: array<vec4f>;
 
 const INV_PI = 0.318309886;
-// c_00 of a field that is 1 everywhere.
-const FULLY_OPEN = 3.5449077;
-// lambda_l / pi of the clamped cosine.
-const NRSH_FACTORS = array<f32, 7>(1.0, 0.666666667, 0.25, 0.0, -0.0416666667, 0.0, 0.015625);
 
 // A shaded surface and what its backward pass needs.
 struct Shaded {
@@ -85,8 +81,8 @@ fn squash(x: f32) -> f32 {
     return select(clamp(x, 0.0, 1.0), 1.0, is_open());
 }
 
-// Slope of `squash` at `x`, where it gave `y`.
-fn squash_slope(x: f32, y: f32) -> f32 {
+// Derivative of `squash` at `x`, where it gave `y`.
+fn squash_derivative(x: f32, y: f32) -> f32 {
     if shading.visibility_form == VISIBILITY_SIGMOID {
         return y * (1.0 - y);
     }
@@ -159,7 +155,7 @@ fn ambient_occlusion(s: ptr<function, Surface>, normal: vec3f) -> f32 {
     return squash(ambient_raw(s, normal));
 }
 
-// `h_l` and its slope, or (1, 0) for the article's V(R).
+// `h_l` and its derivative, or (1, 0) for the article's V(R).
 fn attenuation(cell: LobeCell, l: u32) -> vec2f {
     if shading.visibility_form == VISIBILITY_SIGMOID {
         return vec2f(1.0, 0.0);
@@ -186,8 +182,8 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     f.flipped = facing < 0.0;
     f.normal = select(f.normal, -f.normal, f.flipped);
     let nov_raw = abs(facing);
-    f.nov = clamp(nov_raw, 1e-4, 1.0);
-    f.nov_inside = nov_raw > 1e-4 && nov_raw < 1.0;
+    f.nov = clamp(nov_raw, LEAST_NOV, 1.0);
+    f.nov_inside = nov_raw > LEAST_NOV && nov_raw < 1.0;
     let bent = 2.0 * f.nov * f.normal - (*s).view;
     f.reflection_length = length3(bent);
     f.reflection = bent / f.reflection_length;
@@ -208,8 +204,8 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
         f.visible = squash(f.visible_raw);
     }
     f.lut = lut_sample(f.nov, (*s).rough);
-    let f0 = 0.04 * (1.0 - (*s).metal) + (*s).albedo * (*s).metal;
-    let light = f.visible * f.prefiltered + (1.0 - f.visible) * (*s).indirect;
+    let f0 = DIELECTRIC_F0 * (1.0 - (*s).metal) + (*s).albedo * (*s).metal;
+    let light = f.visible * f.prefiltered + (1.0 - f.visible) * (*s).blocked;
     f.specular = light * (f0 * f.lut.value.x + f.lut.value.y);
     return f;
 }

@@ -1,4 +1,4 @@
-// Chain rule through `shade` (src/engine/cpu/shade.rs). With ALL_CHANNELS it also gives the gradient by visibility.
+// Chain rule through `shade` (src/engine/cpu/surface_shader.rs). With ALL_CHANNELS it also gives the gradient by visibility.
 #import shading
 
 struct SurfaceGradient {
@@ -9,7 +9,7 @@ struct SurfaceGradient {
     sheen: f32,
     // By the direction to the camera.
     view: vec3f,
-    indirect: vec3f,
+    blocked: vec3f,
     gathered: vec3f,
     // By irradiance before the clamp, for the diffuse table.
     irradiance: vec3f,
@@ -65,13 +65,13 @@ fn visibility_backward(
     let cell = lobe_cell((*s).rough);
     var by = array<vec3f, 2>(vec3f(0.0), vec3f(0.0));
     for (var which = 0u; which < 2u; which++) {
-        let slope = by_raw[which];
-        if slope == 0.0 {
+        let derivative = by_raw[which];
+        if derivative == 0.0 {
             continue;
         }
         var factors: array<vec2f, 7>;
         for (var l = 0u; l <= order(); l++) {
-            factors[l] = slope * select(attenuation(cell, l), vec2f(nrsh[l], 0.0), which == 0u);
+            factors[l] = derivative * select(attenuation(cell, l), vec2f(nrsh[l], 0.0), which == 0u);
         }
         by[which] = field_backward(s, select(reflection, normal, which == 0u), &factors, out);
     }
@@ -105,9 +105,9 @@ fn lambert_backward(
     (*out).metal -= dot(g, (*s).albedo * light) * INV_PI;
     let by_light = g * (*s).albedo * kd;
     (*out).gathered = by_light;
-    let lit = (*f).irradiance_raw > vec3f(0.0);
-    let by_irradiance = select(vec3f(0.0), by_light * (*f).ambient, lit);
-    let by_ambient = dot(select(vec3f(0.0), by_light, lit), (*f).irradiance_raw);
+    let is_positive = (*f).irradiance_raw > vec3f(0.0);
+    let by_irradiance = select(vec3f(0.0), by_light * (*f).ambient, is_positive);
+    let by_ambient = dot(select(vec3f(0.0), by_light, is_positive), (*f).irradiance_raw);
     (*out).irradiance = by_irradiance;
     var by_normal = vec3f(0.0);
     let scalar = is_scalar();
@@ -123,7 +123,7 @@ fn lambert_backward(
         }
     }
 #end
-    (*out).ambient_raw = select(0.0, by_ambient * squash_slope((*f).ambient_raw, (*f).ambient), scalar && !is_open());
+    (*out).ambient_raw = select(0.0, by_ambient * squash_derivative((*f).ambient_raw, (*f).ambient), scalar && !is_open());
     return by_normal;
 }
 
@@ -134,24 +134,24 @@ fn specular_backward(
     g: vec3f,
     out: ptr<function, SurfaceGradient>,
 ) -> vec4f {
-    let f0 = 0.04 * (1.0 - (*s).metal) + (*s).albedo * (*s).metal;
+    let f0 = DIELECTRIC_F0 * (1.0 - (*s).metal) + (*s).albedo * (*s).metal;
     let lut = (*f).lut;
     let visible = (*f).visible;
-    let light = visible * (*f).prefiltered + (1.0 - visible) * (*s).indirect;
+    let light = visible * (*f).prefiltered + (1.0 - visible) * (*s).blocked;
     let by_light = g * (f0 * lut.value.x + lut.value.y);
     let by_reflectance = g * light;
     let by_f0 = by_reflectance * lut.value.x;
     (*out).albedo += by_f0 * (*s).metal;
-    (*out).metal += dot(by_f0, (*s).albedo - 0.04);
+    (*out).metal += dot(by_f0, (*s).albedo - DIELECTRIC_F0);
     let by_nov = dot(by_reflectance, f0 * lut.by_nov.x + lut.by_nov.y);
     (*out).rough += dot(by_reflectance, f0 * lut.by_roughness.x + lut.by_roughness.y);
-    let by_visible = dot(by_light, (*f).prefiltered - (*s).indirect);
-    (*out).indirect = by_light * (1.0 - visible);
+    let by_visible = dot(by_light, (*f).prefiltered - (*s).blocked);
+    (*out).blocked = by_light * (1.0 - visible);
     let by_prefiltered = by_light * visible;
     let position = (*f).position;
     (*out).level[0] = by_prefiltered * (1.0 - position.fraction);
     (*out).level[1] = by_prefiltered * position.fraction;
-    (*out).rough += position.slope * dot(by_prefiltered, (*f).level_value[1] - (*f).level_value[0]);
+    (*out).rough += position.derivative * dot(by_prefiltered, (*f).level_value[1] - (*f).level_value[0]);
     var by_reflection = vec3f(0.0);
 #repeat k 2
 #repeat j 4
@@ -161,7 +161,7 @@ fn specular_backward(
     }
 #end
 #end
-    (*out).visible_raw = by_visible * squash_slope((*f).visible_raw, visible);
+    (*out).visible_raw = by_visible * squash_derivative((*f).visible_raw, visible);
     return vec4f(by_nov, by_reflection);
 }
 

@@ -1,5 +1,5 @@
 // Sheen, the gain of the diffuse term at grazing view: the port of src/light/sheen.rs, a part of `shading`.
-const MOST_SHEEN = 3.0;
+#import generated/light
 
 struct Sheen {
     gain: f32,

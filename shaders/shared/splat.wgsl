@@ -1,4 +1,6 @@
 // A projected Gaussian, 64 bytes, indexed by gaussian_ix. Kept in step with `SplatRecord` of src/engine/gpu/view.rs.
+#import generated/projection
+
 struct Splat {
     // Projected mean, pixels.
     mean: vec2f,
@@ -23,10 +25,3 @@ struct Splat {
 }
 
 const SPLAT_VISIBLE = 1u;
-const NEAR = 0.05;
-// As in src/engine/cpu/project.rs: depth, variance (px^2) and place on screen (px) beyond which nothing is drawn.
-const FAR = 1e12;
-const LARGEST_VARIANCE = 1e18;
-const FARTHEST_PIXEL = 1e12;
-const ALPHA_MIN = 1.0 / 255.0;
-const ALPHA_MAX = 0.99;

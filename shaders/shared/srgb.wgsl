@@ -1,10 +1,10 @@
-// The sRGB curve on [0, 1], its slope and its inverse: src/engine/cpu/shading.rs.
+// The sRGB curve on [0, 1], its derivative and its inverse: src/engine/cpu/display.rs.
 
 fn srgb(x: f32) -> f32 {
     return select(1.055 * pow(max(x, 0.0031308), 1.0 / 2.4) - 0.055, 12.92 * x, x <= 0.0031308);
 }
 
-fn srgb_slope(x: f32) -> f32 {
+fn srgb_derivative(x: f32) -> f32 {
     return select(1.055 / 2.4 * pow(max(x, 0.0031308), 1.0 / 2.4 - 1.0), 12.92, x <= 0.0031308);
 }
 

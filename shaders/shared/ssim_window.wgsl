@@ -1,26 +1,13 @@
-// The window of structural similarity: 11 Gaussian taps, sigma 1.5, applied across and then down a square of TILE_SIDE
+// The window of structural similarity: 11 Gaussian taps, sigma 1.5, applied across and then down a square of TILE
 // pixels with a border of HALF on all sides; what lies outside the image counts as zero.
-const TILE_SIDE = 16u;
-const TAPS = 11u;
-const HALF = 5u;
+#import generated/objective
+#import generated/projection
+
+const HALF = SSIM_TAPS / 2u;
 // Side of the square with its border, and its pixels; its pixels once blurred across.
-const WIDE = 26u;
-const N_WIDE = 676u;
-const N_ACROSS = 416u;
-// Normalised exp(-(i - 5)^2 / 4.5).
-const WINDOW = array<f32, 11>(
-    0.00102838008447911,
-    0.00759875813523919,
-    0.03600077212843083,
-    0.10936068950970002,
-    0.21300553771125369,
-    0.26601172486179436,
-    0.21300553771125369,
-    0.10936068950970002,
-    0.03600077212843083,
-    0.00759875813523919,
-    0.00102838008447911,
-);
+const WIDE = TILE + 2u * HALF;
+const N_WIDE = WIDE * WIDE;
+const N_ACROSS = WIDE * TILE;
 
 // Weights and sums of an image term. Kept in step with `ImageTermUniform` of src/engine/gpu/losses.rs.
 struct ImageTerm {

@@ -1,4 +1,4 @@
-// Words of the status buffer, `array<atomic<u32>>`.
+// Elements of the status buffer, `array<atomic<u32>>`.
 
 // Not 0 once a gradient was not finite.
 const STATUS_POISON = 0u;

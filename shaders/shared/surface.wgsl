@@ -1,10 +1,10 @@
-// What a pixel or a Gaussian is shaded from (`Surface` of src/engine/cpu/shade.rs). The permutation defines S, the number
+// What is shaded (`Surface` of src/engine/cpu/surface_shader.rs). The permutation defines S, the number
 // of visibility coefficients.
+
+#import generated/channels
 
 // Groups of four visibility coefficients.
 const N_QUADS = (S + 3u) / 4u;
-// First group of visibility coefficients in a row of channels (src/engine/channel.rs).
-const VISIBILITY_GROUP = 5u;
 
 struct Surface {
     // Any length.
@@ -12,11 +12,11 @@ struct Surface {
     metal: f32,
     albedo: vec3f,
     rough: f32,
-    // Sheen of a Gaussian, none in the pixel (src/light/sheen.rs).
+    // ln of the diffuse term's gain at grazing view (src/light/sheen.rs).
     sheen: f32,
     // Irradiance gathered from other surfaces, and radiance where the environment is blocked.
     gathered: vec3f,
-    indirect: vec3f,
+    blocked: vec3f,
     // Unit direction to the camera.
     view: vec3f,
     // Zero-padded.
@@ -28,16 +28,24 @@ fn masked_quad(quad: u32, value: vec4f) -> vec4f {
     return select(vec4f(0.0), value, quad * 4u + vec4u(0u, 1u, 2u, 3u) < vec4u(S));
 }
 
-// From groups 1 to 4 of a row of channels, scaled; visibility is left to the caller.
-fn surface_of_groups(g1: vec4f, g2: vec4f, g3: vec4f, g4: vec4f, scale: f32, towards: vec3f) -> Surface {
+// From channels times `scale`, seen from the unit direction `towards`; without sheen, and visibility is left to the caller.
+fn surface_of_channels(
+    normal_group: vec4f,
+    albedo_group: vec4f,
+    rough: f32,
+    gathered: vec3f,
+    blocked: vec3f,
+    scale: f32,
+    towards: vec3f,
+) -> Surface {
     var s: Surface;
-    s.normal = g1.xyz * scale;
-    s.albedo = g2.xyz * scale;
-    s.metal = g2.w * scale;
-    s.rough = g3.x * scale;
+    s.normal = channel_normal(normal_group) * scale;
+    s.albedo = channel_albedo(albedo_group) * scale;
+    s.metal = channel_metal(albedo_group) * scale;
+    s.rough = rough * scale;
     s.sheen = 0.0;
-    s.gathered = g3.yzw * scale;
-    s.indirect = g4.yzw * scale;
+    s.gathered = gathered * scale;
+    s.blocked = blocked * scale;
     s.view = towards;
     return s;
 }

@@ -1,8 +1,9 @@
-// Adding what the members of a workgroup of WG_SIZE threads, pixels or Gaussians, owe to the gradient of the light tables.
+// Adds the shares that the members of a workgroup of WG_SIZE threads, pixels or Gaussians, have in the gradient of the light
+// tables.
 //
 // A member adds to four nodes of the diffuse table, 12 x S sums, or to four of a specular level, and members share nodes. So
 // they are sorted by cell in workgroup memory (cell, weights, gradient and place a member: 10 KiB), then each thread owns
-// one (tap, colour, four coefficients), walks the sorted members, and adds to memory only where the cell changes.
+// one (tap, colour, four coefficients), takes the sorted members in turn, and adds to memory only where the cell changes.
 // Visibility is read again from where it came, which is in the cache by then: it would not fit beside the rest.
 //
 // The importer binds `by_tables: array<accumulator>` and defines `member_visibility(local_ix, quad) -> vec4f`.
@@ -96,7 +97,7 @@ fn add_sorted(is_diffuse: bool, local_ix: u32) {
     }
 }
 
-// Adds to one table, the diffuse one or a specular level, what all members of the workgroup owe; every thread calls it.
+// Adds to one table, the diffuse one or a specular level, the shares of all members of the workgroup; every thread calls it.
 fn add_shares(is_diffuse: bool, local_ix: u32, cell: u32, weight: vec4f, by: vec4f) {
     sh_cell[local_ix] = cell;
     sh_weight[local_ix] = weight;
@@ -135,7 +136,7 @@ fn shares_of(f: ptr<function, Shaded>, by: ptr<function, SurfaceGradient>, inver
     return shares;
 }
 
-// Adds what all members of the workgroup owe to the three tables; every thread calls it.
+// Adds the shares of all members of the workgroup to the three tables; every thread calls it.
 fn add_all_shares(local_ix: u32, shares: ptr<function, Shares>) {
     for (var part = 0u; part < 3u; part++) {
         let by = vec4f((*shares).by[part], (*shares).inverse);

@@ -14,5 +14,3 @@ struct Tables {
     // First float, per level.
     specular_first: array<vec4u, 2>,
 }
-
-const N_LEVELS = 6u;

@@ -4,7 +4,7 @@
 // a row of tiles is convex, so it covers an interval of x, and the tiles whose pixel centres meet that interval are
 // exactly those the ellipse meets: no tile has to be tested by itself.
 #import splat
-#import view
+#import camera
 
 // Rounding may move an ellipse's edge; a tile too many costs little, one too few leaves a hole. Pixels.
 const TILE_SLACK = 1e-3;
@@ -20,13 +20,13 @@ fn tile_span(lo: f32, hi: f32, n: u32) -> vec2u {
 }
 
 // Rows of tiles under the splat: first and end.
-fn tile_rows(s: Splat, view: View) -> vec2u {
+fn tile_rows(s: Splat, camera: Camera) -> vec2u {
     let extent = sqrt(2.0 * max(s.reach, 0.0) * s.covariance.z);
-    return tile_span(s.mean.y - extent, s.mean.y + extent, view.tiles.y);
+    return tile_span(s.mean.y - extent, s.mean.y + extent, camera.tiles.y);
 }
 
 // Columns of tiles that the splat reaches in a row of tiles: first and end.
-fn tile_columns(s: Splat, view: View, row: u32) -> vec2u {
+fn tile_columns(s: Splat, camera: Camera, row: u32) -> vec2u {
     let reach = 2.0 * max(s.reach, 0.0);
     let extent = sqrt(reach * s.covariance.z);
     let top = f32(row * TILE) + 0.5 - s.mean.y;
@@ -38,5 +38,5 @@ fn tile_columns(s: Splat, view: View, row: u32) -> vec2u {
     // Half its width at height y is sqrt((2 reach - y^2 / yy) / a) with a = yy / determinant = conic.x.
     let half = sqrt(max(vec2f(reach) - y * y / s.covariance.z, vec2f(0.0)) / s.conic.x);
     let middle = s.mean.x + y * (s.covariance.y / s.covariance.z);
-    return tile_span(middle.x - half.x, middle.y + half.y, view.tiles.x);
+    return tile_span(middle.x - half.x, middle.y + half.y, camera.tiles.x);
 }

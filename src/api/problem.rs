@@ -1,28 +1,22 @@
 //! RFC 9457 problem details: the one shape of every error.
 
-use axum::http::{HeaderValue, StatusCode, header};
-use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
-
-use crate::api::observe;
-use crate::store::StoreError;
-use crate::worker::RenderFailure;
 
 /// Prefix of every problem type; what follows is stable.
 pub const TYPE_PREFIX: &str = "urn:relume:problem:";
 
 /// The body of every error, `application/problem+json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 pub struct Problem {
     /// Stable URI of the kind of problem, e.g. `urn:relume:problem:invalid-field`.
     #[serde(rename = "type")]
     pub kind: String,
-    /// The kind in words.
+    /// A short description of the kind.
     pub title: String,
     /// HTTP status.
     pub status: u16,
-    /// What happened this time.
+    /// What happened in this request.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub detail: Option<String>,
     /// Identifier of the request, also in the `x-request-id` header and in the server's log.
@@ -33,12 +27,14 @@ pub struct Problem {
     /// What an importer found wrong with an uploaded file.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub content: Option<ContentError>,
+    /// Seconds after which to try again. The server sends it as the header `Retry-After`, not in the body.
     #[serde(skip)]
-    retry_after: Option<u32>,
+    pub retry_after: Option<u32>,
 }
 
 /// A field of the request that is at fault.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 pub struct FieldError {
     /// JSON pointer into the body, or `query/<name>`, `header/<name>`.
     pub pointer: String,
@@ -47,7 +43,8 @@ pub struct FieldError {
 }
 
 /// What is wrong inside an uploaded file.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 pub struct ContentError {
     /// Stable code, e.g. `capture_archive_damaged`.
     pub code: String,
@@ -57,145 +54,4 @@ pub struct ContentError {
     /// The field of that file.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub field: Option<String>,
-}
-
-impl Problem {
-    /// A problem of a stable kind.
-    pub fn new(status: StatusCode, kind: &str, title: &str) -> Self {
-        Self {
-            kind: format!("{TYPE_PREFIX}{kind}"),
-            title: title.to_owned(),
-            status: status.as_u16(),
-            detail: None,
-            request_id: observe::request_id(),
-            errors: Vec::new(),
-            content: None,
-            retry_after: None,
-        }
-    }
-
-    /// With what happened this time.
-    #[must_use]
-    pub fn detail(mut self, detail: impl Into<String>) -> Self {
-        self.detail = Some(detail.into());
-        self
-    }
-
-    /// With a hint when to come again, seconds.
-    #[must_use]
-    pub fn retry_after(mut self, seconds: u32) -> Self {
-        self.retry_after = Some(seconds);
-        self
-    }
-
-    /// 404.
-    pub fn not_found(what: &str, id: &str) -> Self {
-        Self::new(StatusCode::NOT_FOUND, "not-found", "There is no such thing")
-            .detail(format!("{what} {id:?} does not exist"))
-    }
-
-    /// 422 that names a field.
-    pub fn invalid_field(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
-        let (pointer, detail) = (pointer.into(), detail.into());
-        let mut problem =
-            Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid-field", "A field cannot be accepted")
-                .detail(format!("{pointer}: {detail}"));
-        problem.errors.push(FieldError { pointer, detail });
-        problem
-    }
-
-    /// 422 for an uploaded file that was understood as far as needed to refuse it.
-    pub fn invalid_content(content: ContentError, detail: impl Into<String>) -> Self {
-        let status = StatusCode::UNPROCESSABLE_ENTITY;
-        let mut problem = Self::new(status, "invalid-content", "The uploaded file cannot be accepted");
-        problem.content = Some(content);
-        problem.detail(detail)
-    }
-
-    /// 413.
-    pub fn too_large(limit: u64) -> Self {
-        Self::new(StatusCode::PAYLOAD_TOO_LARGE, "too-large", "The body is too large")
-            .detail(format!("at most {limit} bytes are accepted here"))
-    }
-
-    /// 415.
-    pub fn unsupported_media_type(expected: &str) -> Self {
-        Self::new(
-            StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            "unsupported-media-type",
-            "The content type is not accepted here",
-        )
-        .detail(format!("expected {expected}"))
-    }
-
-    /// 409.
-    pub fn conflict(kind: &str, detail: impl Into<String>) -> Self {
-        Self::new(StatusCode::CONFLICT, kind, "The state of the resource forbids it").detail(detail)
-    }
-
-    /// 500. The cause goes to the log, never to the client.
-    pub fn internal(cause: impl std::fmt::Display) -> Self {
-        tracing::error!(%cause, "internal error");
-        Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed")
-            .detail("the server's log has the cause under this request_id")
-    }
-}
-
-impl IntoResponse for Problem {
-    fn into_response(self) -> Response {
-        let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-        let body = serde_json::to_vec(&self).unwrap_or_default();
-        let mut response = (status, body).into_response();
-        let headers = response.headers_mut();
-        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
-        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-        if let Some(seconds) = self.retry_after {
-            headers.insert(header::RETRY_AFTER, HeaderValue::from(seconds));
-        }
-        if status == StatusCode::UNAUTHORIZED {
-            headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
-        }
-        response
-    }
-}
-
-impl From<StoreError> for Problem {
-    fn from(error: StoreError) -> Self {
-        match error {
-            StoreError::Full => {
-                Self::new(StatusCode::INSUFFICIENT_STORAGE, "insufficient-storage", "There is no room left")
-                    .detail("nothing was stored")
-                    .retry_after(60)
-            }
-            StoreError::TooLarge { limit } => Self::too_large(limit),
-            StoreError::Body(reason) => {
-                Self::new(StatusCode::BAD_REQUEST, "incomplete-body", "The body could not be read")
-                    .detail(reason)
-            }
-            StoreError::KeyReused => Self::new(
-                StatusCode::UNPROCESSABLE_ENTITY,
-                "idempotency-key-reused",
-                "The idempotency key belongs to another request",
-            )
-            .detail("use a fresh Idempotency-Key for a different body"),
-            error => Self::internal(error),
-        }
-    }
-}
-
-impl From<RenderFailure> for Problem {
-    fn from(failure: RenderFailure) -> Self {
-        match failure {
-            RenderFailure::Busy => {
-                Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "The device is busy").retry_after(1)
-            }
-            RenderFailure::Refused { field, reason } => Self::invalid_field(format!("/{field}"), reason),
-            RenderFailure::Device(error) => {
-                tracing::error!(%error, "the device failed under a render");
-                Self::new(StatusCode::SERVICE_UNAVAILABLE, "device-failed", "The device failed")
-                    .retry_after(5)
-            }
-            RenderFailure::Internal(cause) => Self::internal(cause),
-        }
-    }
 }

@@ -1,7 +1,7 @@
-//! Zip and tar archives from strangers: indexed once, every limit checked, entries read into memory on demand.
+//! Untrusted zip and tar archives: indexed once, every limit checked, entries read into memory on demand.
 //!
-//! Nothing is unpacked to disk, so no entry can escape; unsafe names are refused all the same, since their
-//! only use is an attack.
+//! Nothing is unpacked to disk, so no entry can be written outside a folder. Unsafe names are refused all the
+//! same, since their only use is an attack.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -11,10 +11,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use flate2::read::MultiGzDecoder;
 
-use crate::capture::source::read_bounded;
-use crate::capture::{CaptureError, Limits};
+use crate::capture::{CaptureError, ImportLimits};
 
-/// Entries up to this size may compress as well as they like: all-black images and tables of zeros do.
+/// Entries up to this size may have any compression ratio: all-black images and tables of zeros have high ones.
 const RATIO_FREE_BYTES: u64 = 1 << 20;
 /// Longest path of an entry, bytes.
 const MAX_NAME_BYTES: usize = 1024;
@@ -27,21 +26,17 @@ fn unsafe_entry(file: &str, reason: &str) -> CaptureError {
     CaptureError::UnsafeEntry { file: file.to_owned(), reason: reason.to_owned() }
 }
 
-fn over(file: &str, limit: &'static str, reason: String) -> CaptureError {
-    CaptureError::OverLimit { file: file.to_owned(), limit, reason }
-}
-
-/// Counts what an archive declares, entry by entry, and refuses at the first excess.
-struct Census<'a> {
+/// Checks the entries that an archive declares, one by one, against the limits.
+struct EntryCheck<'a> {
     label: &'a str,
-    limits: &'a Limits,
+    limits: &'a ImportLimits,
     entries: usize,
     total: u64,
     names: BTreeSet<String>,
 }
 
-impl<'a> Census<'a> {
-    fn new(label: &'a str, limits: &'a Limits) -> Self {
+impl<'a> EntryCheck<'a> {
+    fn new(label: &'a str, limits: &'a ImportLimits) -> Self {
         Self { label, limits, entries: 0, total: 0, names: BTreeSet::new() }
     }
 
@@ -50,22 +45,22 @@ impl<'a> Census<'a> {
         self.entries += 1;
         if self.entries > self.limits.max_entries {
             let reason = format!("more than {} entries", self.limits.max_entries);
-            return Err(over(self.label, "max_entries", reason));
+            return Err(CaptureError::over_limit(self.label, "max_entries", reason));
         }
         Ok(())
     }
 
-    /// Takes in a regular file; returns its checked, normalised path.
+    /// Counts a regular file; returns its checked, normalised path.
     fn file(&mut self, raw_name: &[u8], size: u64) -> Result<String, CaptureError> {
         let path = safe_path(raw_name)?;
         if size > self.limits.max_entry_bytes {
             let reason = format!("{size} bytes, {} allowed", self.limits.max_entry_bytes);
-            return Err(over(&path, "max_entry_bytes", reason));
+            return Err(CaptureError::over_limit(&path, "max_entry_bytes", reason));
         }
         self.total = self.total.saturating_add(size);
         if self.total > self.limits.max_total_bytes {
             let reason = format!("unpacks to more than {} bytes", self.limits.max_total_bytes);
-            return Err(over(self.label, "max_total_bytes", reason));
+            return Err(CaptureError::over_limit(self.label, "max_total_bytes", reason));
         }
         if !self.names.insert(path.clone()) {
             return Err(unsafe_entry(&path, "the archive has it twice"));
@@ -74,7 +69,7 @@ impl<'a> Census<'a> {
     }
 }
 
-/// An entry's name as a relative path of plain parts.
+/// An entry's name as a relative path without `.`, `..` and empty parts.
 fn safe_path(raw: &[u8]) -> Result<String, CaptureError> {
     let lossy = String::from_utf8_lossy(raw);
     let refuse = |reason: &str| Err(unsafe_entry(&lossy, reason));
@@ -98,16 +93,31 @@ fn safe_path(raw: &[u8]) -> Result<String, CaptureError> {
     Ok(parts.join("/"))
 }
 
-fn check_ratio(file: &str, packed: u64, unpacked: u64, limits: &Limits) -> Result<(), CaptureError> {
+/// All bytes of `reader`.
+///
+/// # Errors
+/// [`CaptureError::OverLimit`] beyond `limit` bytes.
+pub(super) fn read_bounded(reader: impl Read, limit: u64, name: &str) -> Result<Vec<u8>, CaptureError> {
+    let mut bytes = Vec::new();
+    let damaged = |source| CaptureError::Io { file: name.to_owned(), source };
+    reader.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(damaged)?;
+    if bytes.len() as u64 > limit {
+        let reason = format!("more than {limit} bytes");
+        return Err(CaptureError::over_limit(name, "max_entry_bytes", reason));
+    }
+    Ok(bytes)
+}
+
+fn check_ratio(file: &str, packed: u64, unpacked: u64, limits: &ImportLimits) -> Result<(), CaptureError> {
     if unpacked > RATIO_FREE_BYTES && unpacked / packed.max(1) >= limits.max_ratio {
         let reason = format!("{packed} bytes claim to unpack to {unpacked}");
-        return Err(over(file, "max_ratio", reason));
+        return Err(CaptureError::over_limit(file, "max_ratio", reason));
     }
     Ok(())
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A reader that panicked leaves only a file position behind, and every read seeks first.
+    // A thread that panicked can only have moved the file position, and every read seeks first.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -124,7 +134,7 @@ impl ZipEntries {
     pub(super) fn open(
         path: &Path,
         label: &str,
-        limits: &Limits,
+        limits: &ImportLimits,
     ) -> Result<(Self, Vec<String>), CaptureError> {
         let io = |source| CaptureError::Io { file: label.to_owned(), source };
         let file = File::open(path).map_err(io)?;
@@ -133,43 +143,48 @@ impl ZipEntries {
         if archive.has_duplicate_names() {
             return Err(unsafe_entry(label, "the archive has a name twice"));
         }
-        let mut census = Census::new(label, limits);
+        let mut check = EntryCheck::new(label, limits);
         let (mut indices, mut names) = (Vec::new(), Vec::new());
         for index in 0..archive.len() {
             let entry = archive.by_index_raw(index).map_err(|e| damaged(label, e))?;
-            census.count()?;
-            if let Some(name) = check_zip_entry(&entry, &mut census)? {
+            check.count()?;
+            if let Some(name) = check_zip_entry(&entry, &mut check)? {
                 indices.push(index);
                 names.push(name);
             }
         }
-        check_ratio(label, packed, census.total, limits)?;
+        check_ratio(label, packed, check.total, limits)?;
         Ok((Self { archive: Mutex::new(archive), indices }, names))
     }
 
-    /// Unpacks a file, checking length and checksum against what the directory promised.
-    pub(super) fn read(&self, key: usize, name: &str, limits: &Limits) -> Result<Vec<u8>, CaptureError> {
+    /// Unpacks a file and checks its length and checksum against the central directory.
+    pub(super) fn read(
+        &self,
+        key: usize,
+        name: &str,
+        limits: &ImportLimits,
+    ) -> Result<Vec<u8>, CaptureError> {
         let mut archive = locked(&self.archive);
         let entry = archive.by_index(self.indices[key]).map_err(|e| damaged(name, e))?;
-        let promised = entry.size();
-        let bytes = read_bounded(entry, promised.min(limits.max_entry_bytes), name);
+        let stated = entry.size();
+        let bytes = read_bounded(entry, stated.min(limits.max_entry_bytes), name);
         let bytes = bytes.map_err(|e| damaged(name, format!("does not unpack: {e}")))?;
-        if bytes.len() as u64 != promised {
-            return Err(damaged(name, format!("is cut short: {} of {promised} bytes", bytes.len())));
+        if bytes.len() as u64 != stated {
+            return Err(damaged(name, format!("is cut short: {} of {stated} bytes", bytes.len())));
         }
         Ok(bytes)
     }
 }
 
-/// The path of a regular file, nothing for a folder, a refusal for anything else.
+/// The path of a regular file, `None` for a folder, an error for any other kind.
 fn check_zip_entry<R: Read + ?Sized>(
     entry: &zip::read::ZipFile<'_, R>,
-    census: &mut Census<'_>,
+    check: &mut EntryCheck<'_>,
 ) -> Result<Option<String>, CaptureError> {
     let name = entry.name_raw();
     let lossy = String::from_utf8_lossy(name);
     if entry.is_dir() {
-        // A folder entry creates nothing here, but an escaping one still marks a hostile archive.
+        // A folder entry creates nothing here, but an unsafe name marks a hostile archive.
         let is_root = name.iter().all(|b| matches!(b, b'.' | b'/'));
         return if is_root && !lossy.contains("..") { Ok(None) } else { safe_path(name).map(|_| None) };
     }
@@ -182,12 +197,19 @@ fn check_zip_entry<R: Read + ?Sized>(
     if entry.encrypted() {
         return Err(unsafe_entry(&lossy, "it is encrypted"));
     }
-    let path = census.file(name, entry.size())?;
-    check_ratio(&path, entry.compressed_size(), entry.size(), census.limits)?;
+    let path = check.file(name, entry.size())?;
+    check_ratio(&path, entry.compressed_size(), entry.size(), check.limits)?;
     Ok(Some(path))
 }
 
-/// The regular files of a tar: on disk when plain, in memory when it came gzipped.
+/// How a tar is compressed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum TarCompression {
+    None,
+    Gzip,
+}
+
+/// The regular files of a tar, which stays on disk when it is not compressed and is held in memory otherwise.
 #[derive(Debug)]
 pub(super) struct TarEntries {
     backing: Backing,
@@ -202,17 +224,17 @@ enum Backing {
 }
 
 impl TarEntries {
-    /// Walks the headers and checks them; returns the files' paths in the order of their keys.
+    /// Reads and checks all headers; returns the files' paths in the order of their keys.
     pub(super) fn open(
         path: &Path,
         label: &str,
-        gzipped: bool,
-        limits: &Limits,
+        compression: TarCompression,
+        limits: &ImportLimits,
     ) -> Result<(Self, Vec<String>), CaptureError> {
         let io = |source| CaptureError::Io { file: label.to_owned(), source };
         let mut file = File::open(path).map_err(io)?;
         let length = file.metadata().map_err(io)?.len();
-        if gzipped {
+        if compression == TarCompression::Gzip {
             let bytes = gunzip(file, length, label, limits)?;
             let (spans, names) = index_tar(Cursor::new(&bytes), bytes.len() as u64, label, limits)?;
             return Ok((Self { backing: Backing::Memory(bytes), spans }, names));
@@ -239,7 +261,7 @@ impl TarEntries {
     }
 }
 
-fn gunzip(file: File, packed: u64, label: &str, limits: &Limits) -> Result<Vec<u8>, CaptureError> {
+fn gunzip(file: File, packed: u64, label: &str, limits: &ImportLimits) -> Result<Vec<u8>, CaptureError> {
     let by_ratio = packed.saturating_mul(limits.max_ratio).max(RATIO_FREE_BYTES);
     let (limit, name) = if by_ratio < limits.max_gzip_bytes {
         (by_ratio, "max_ratio")
@@ -250,7 +272,11 @@ fn gunzip(file: File, packed: u64, label: &str, limits: &Limits) -> Result<Vec<u
     let decoder = MultiGzDecoder::new(BufReader::new(file));
     decoder.take(limit + 1).read_to_end(&mut bytes).map_err(|e| damaged(label, e))?;
     if bytes.len() as u64 > limit {
-        return Err(over(label, name, format!("{packed} bytes unpack to more than {limit}")));
+        return Err(CaptureError::over_limit(
+            label,
+            name,
+            format!("{packed} bytes unpack to more than {limit}"),
+        ));
     }
     Ok(bytes)
 }
@@ -261,16 +287,16 @@ fn index_tar(
     reader: impl Read + Seek,
     length: u64,
     label: &str,
-    limits: &Limits,
+    limits: &ImportLimits,
 ) -> Result<TarIndex, CaptureError> {
-    let mut census = Census::new(label, limits);
+    let mut check = EntryCheck::new(label, limits);
     let (mut spans, mut names) = (Vec::new(), Vec::new());
     let mut end = 0;
     let mut archive = tar::Archive::new(reader);
     let not_tar = |e: std::io::Error| damaged(label, format!("not a readable zip, tar or tar.gz: {e}"));
     for entry in archive.entries_with_seek().map_err(not_tar)? {
         let entry = entry.map_err(not_tar)?;
-        census.count()?;
+        check.count()?;
         let kind = entry.header().entry_type();
         let name = entry.path_bytes();
         let (start, size) = (entry.raw_file_position(), entry.size());
@@ -291,10 +317,10 @@ fn index_tar(
             let reason = "it is a link, a device or sparse, not a regular file";
             return Err(unsafe_entry(&String::from_utf8_lossy(&name), reason));
         }
-        names.push(census.file(&name, size)?);
+        names.push(check.file(&name, size)?);
         spans.push((start, size));
     }
-    // A whole tar closes with blocks of zeros; one cut between two entries does not.
+    // A complete tar ends in blocks of zeros; one cut between two entries does not.
     if length < end.next_multiple_of(512).saturating_add(512) {
         return Err(damaged(label, "is cut short: it has no end mark"));
     }

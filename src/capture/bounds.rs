@@ -1,22 +1,22 @@
-//! Where the subject is, told from the cameras and the sparse points.
+//! Estimates position and size of the subject from the cameras and the sparse points.
 
 use glam::{DMat3, DVec3};
 
 use crate::capture::{CaptureView, Scene3dBounds};
 use crate::scene::Camera;
 
-/// Share of the ball seen whole that a subject may reach.
+/// Radius of the subject relative to the ball that a camera sees completely.
 const CORNER_MARGIN: f64 = 1.15;
 
 /// The region of interest.
 ///
-/// - With points: centred on their median, as large as the distance 90 % of them keep, but never beyond twice
-///   the farthest camera (a few points on the horizon must not decide).
-/// - Without, for a cut-out subject: the ball around the point nearest to all optical axes that the median
-///   camera just sees whole, and 15 % more, since tightly framed subjects reach into the image's corners. For
-///   NeRF-synthetic that is the origin with radius 1.57.
-/// - Without, for whole photographs: the same centre, reaching out to the median camera, since the surroundings
-///   are in the picture too.
+/// - With points: the centre is their median. The radius is the distance within which 90 % of them lie, at most
+///   twice that of the farthest camera, so that a few very distant points do not decide.
+/// - Without points, with masks: the centre is the point nearest to all optical axes. The radius is that of the
+///   ball that the median camera just sees completely, times [`CORNER_MARGIN`], since tightly framed subjects
+///   reach into the image's corners. For NeRF-synthetic this gives the origin and radius 1.57.
+/// - Without points and masks: the same centre. The radius is the distance of the median camera, since the
+///   surroundings are in the photographs too.
 pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_alpha: bool) -> Scene3dBounds {
     let cameras: Vec<&Camera> = views.iter().map(|v| &v.camera).collect();
     if points.len() >= 16 {
@@ -43,7 +43,7 @@ fn positive(radius: f64) -> f64 {
     if radius.is_finite() && radius > 0.0 { radius } else { 1.0 }
 }
 
-/// The value below which a share `q` of `values` lies; 0 of nothing.
+/// The `q`-quantile of `values`, nearest rank; 0 when there are none.
 fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
     if values.is_empty() {
         return 0.0;
@@ -52,8 +52,8 @@ fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
     *values.select_nth_unstable_by(index, f64::total_cmp).1
 }
 
-/// The point with the least summed squared distance to the optical axes, or, when the axes are parallel and
-/// no such point stands out, the cameras' mean one unit ahead.
+/// The point with the least summed squared distance to the optical axes. When the axes are nearly parallel, so
+/// that this point is not well defined: the mean of the points one unit in front of the cameras.
 fn nearest_to_axes(cameras: &[&Camera]) -> DVec3 {
     let mut normal = DMat3::ZERO;
     let mut moment = DVec3::ZERO;
@@ -71,12 +71,11 @@ fn nearest_to_axes(cameras: &[&Camera]) -> DVec3 {
     cameras.iter().map(ahead).sum::<DVec3>() / count
 }
 
-/// Radius of the largest ball around `centre` that lies inside the camera's frustum; nothing when the centre
-/// itself is outside.
+/// Radius of the largest ball around `centre` inside the camera's frustum; `None` when the centre is outside.
 fn seen_radius(camera: &Camera, centre: DVec3) -> Option<f64> {
     let p = camera.rotation * centre + camera.translation;
     let (w, h) = (f64::from(camera.width), f64::from(camera.height));
-    // Each side plane holds the camera's centre and one image edge; its inward normal follows from that edge.
+    // Each side plane contains the camera's centre and one image edge, which gives its inward normal.
     let sides = [
         DVec3::new(camera.fx, 0.0, camera.cx),
         DVec3::new(-camera.fx, 0.0, w - camera.cx),
@@ -90,7 +89,8 @@ fn seen_radius(camera: &Camera, centre: DVec3) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::{GroundTruthView, ImageRgba};
+    use crate::capture::GroundTruthView;
+    use crate::scene::ImageRgba;
 
     fn ring(centre: DVec3, distance: f64) -> Vec<CaptureView> {
         let view = |i: usize| {

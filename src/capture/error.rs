@@ -1,6 +1,6 @@
-//! Why a capture was refused, in words for a person and a code for a program.
+//! Why a capture was refused: a text for a person and a code for a program.
 
-/// A refusal that names the file, and the field in it, that is at fault.
+/// An error that names the file at fault, and the field in it.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// The file system failed.
@@ -19,7 +19,7 @@ pub enum CaptureError {
         /// What is wrong.
         reason: String,
     },
-    /// An entry that no honest capture contains: a path that escapes, a link, a device, a duplicate.
+    /// An entry that is not safe: a path that leads out of the archive, a link, a device, a duplicate.
     #[error("{file}: refused: {reason}")]
     UnsafeEntry {
         /// The entry's name as the archive spells it.
@@ -27,12 +27,12 @@ pub enum CaptureError {
         /// What is wrong with it.
         reason: String,
     },
-    /// A limit of [`super::Limits`] was passed.
+    /// A limit of [`super::ImportLimits`] was passed.
     #[error("{file}: over the limit {limit}: {reason}")]
     OverLimit {
         /// The archive, entry or image.
         file: String,
-        /// The field of [`super::Limits`] that was passed.
+        /// The field of [`super::ImportLimits`] that was passed.
         limit: &'static str,
         /// By how much.
         reason: String,
@@ -97,6 +97,21 @@ pub(super) fn name_list(names: &[String]) -> String {
 }
 
 impl CaptureError {
+    /// [`CaptureError::Field`].
+    pub(super) fn at_field(file: &str, field: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self::Field { file: file.to_owned(), field: field.into(), reason: reason.into() }
+    }
+
+    /// [`CaptureError::OverLimit`].
+    pub(super) fn over_limit(file: &str, limit: &'static str, reason: impl Into<String>) -> Self {
+        Self::OverLimit { file: file.to_owned(), limit, reason: reason.into() }
+    }
+
+    /// [`CaptureError::Image`].
+    pub(super) fn image(file: &str, reason: impl std::fmt::Display) -> Self {
+        Self::Image { file: file.to_owned(), reason: reason.to_string() }
+    }
+
     /// A stable identifier of the kind of refusal, for APIs.
     pub fn code(&self) -> &'static str {
         match self {

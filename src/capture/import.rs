@@ -1,17 +1,17 @@
-//! The one entry: a folder or an archive in, a [`Capture`] out.
+//! Imports a folder or an archive as a [`Capture`].
 
 use std::path::Path;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use crate::capture::photos::{self, Photo};
+use crate::capture::photos::{self, PhotoEntry, Split};
 use crate::capture::{
     Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, nerfstudio, truth,
 };
 use crate::formats::image_file;
 use crate::formats::ply_points::Point;
 
-/// Every how-manieth view, by sorted name, is held out where the set does not say.
+/// One in this many views, by sorted name, is held out where the set names no test views.
 const HOLD_OUT_EVERY: usize = 8;
 
 /// Imports a folder, zip, tar or tar.gz, whatever supported layout it holds.
@@ -22,8 +22,8 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureEr
     read(&Source::open(path, &options.limits)?, options)
 }
 
-/// Says what an import would find. Everything is decoded and checked as [`import`] does, but reduced to
-/// thumbnails at once, so that a capture of any size needs little memory; `options.max_side` is ignored.
+/// Reports what an import would find. Every file is decoded and checked as by [`import`], but images are reduced
+/// to thumbnails at once, so that a capture of any size needs little memory; `options.max_side` is ignored.
 ///
 /// # Errors
 /// As [`import`], except that the limit on all pixels together cannot be reached.
@@ -33,8 +33,7 @@ pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, Ca
     let mut report = capture.report();
     if let Some(view) = capture.train.first() {
         let stored = image_file::dimensions(&source.read(&view.name)?);
-        (report.width, report.height) =
-            stored.map_err(|e| CaptureError::Image { file: view.name.clone(), reason: e.to_string() })?;
+        (report.width, report.height) = stored.map_err(|e| CaptureError::image(&view.name, e))?;
     }
     Ok(report)
 }
@@ -54,7 +53,7 @@ fn read(source: &Source, options: &ImportOptions) -> Result<Capture, CaptureErro
 }
 
 /// The layout's name, its photographs and its points.
-type Layout = (String, Vec<Photo>, Vec<Point>);
+type Layout = (String, Vec<PhotoEntry>, Vec<Point>);
 
 fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
     if source.contains(blender::MARKER) {
@@ -67,8 +66,8 @@ fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, Ca
         let (photos, points) = nerfstudio::read(source, warnings)?;
         return Ok(("nerfstudio".to_owned(), photos, points));
     }
-    if let Some((folder, ending)) = colmap::find(source) {
-        let (photos, points) = colmap::read(source, (&folder, ending), warnings)?;
+    if let Some(files) = colmap::find(source) {
+        let (photos, points) = colmap::read(source, files, warnings)?;
         return Ok(("colmap".to_owned(), photos, points));
     }
     let first: Vec<&str> = source.paths().take(5).collect();
@@ -80,40 +79,43 @@ fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, Ca
     Err(CaptureError::UnknownLayout { reason })
 }
 
-/// Training and held-out views: as the set says, else every 8th by sorted name.
-fn split(photos: &[Photo], views: Vec<CaptureView>) -> (Vec<CaptureView>, Vec<CaptureView>) {
-    let set_says = photos.iter().any(|p| p.held_out);
-    let mut by_name: Vec<usize> = (0..views.len()).collect();
-    by_name.sort_by(|&a, &b| views[a].name.cmp(&views[b].name));
-    let mut held_out: Vec<bool> = photos.iter().map(|p| p.held_out).collect();
-    if !set_says {
-        by_name.iter().step_by(HOLD_OUT_EVERY).for_each(|&i| held_out[i] = true);
+/// Training and held-out views: as the set says, else every [`HOLD_OUT_EVERY`]th by sorted name is held out.
+fn split(photos: &[PhotoEntry], views: Vec<CaptureView>) -> (Vec<CaptureView>, Vec<CaptureView>) {
+    let mut splits: Vec<Split> = photos.iter().map(|p| p.split).collect();
+    if !splits.contains(&Split::Test) {
+        let mut by_name: Vec<usize> = (0..views.len()).collect();
+        by_name.sort_by(|&a, &b| views[a].name.cmp(&views[b].name));
+        by_name.iter().step_by(HOLD_OUT_EVERY).for_each(|&i| splits[i] = Split::Test);
     }
     let (mut train, mut test) = (Vec::new(), Vec::new());
-    for (view, out) in views.into_iter().zip(held_out) {
-        if out { test.push(view) } else { train.push(view) }
+    for (view, split) in views.into_iter().zip(splits) {
+        match split {
+            Split::Train => train.push(view),
+            Split::Test => test.push(view),
+        }
     }
     (train, test)
 }
 
-/// What an import found, for a validation report.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// What validation found in a capture.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 pub struct CaptureReport {
-    /// The layout that was recognised.
+    /// The layout that was recognised, e.g. `nerf-synthetic`, `nerfstudio`, `colmap`.
     pub layout: String,
-    /// Views to train on.
+    /// Photographs to train on.
     pub train_images: usize,
-    /// Held-out views.
+    /// Held-out photographs.
     pub test_images: usize,
-    /// Width of the first training image as loaded, pixels.
+    /// Width of the first training image, pixels.
     pub width: u32,
-    /// Height of the first training image as loaded, pixels.
+    /// Height of the first training image, pixels.
     pub height: u32,
     /// Sparse points.
     pub points: usize,
-    /// True when alpha carries a mask.
+    /// True when the alpha channel carries a mask.
     pub has_alpha: bool,
-    /// True when some test view has ground truth beyond its photograph.
+    /// True when some held-out view has ground truth beyond its photograph.
     pub has_ground_truth: bool,
     /// Lights whose maps were found.
     pub lights: Vec<String>,
@@ -121,12 +123,12 @@ pub struct CaptureReport {
     pub centre: [f64; 3],
     /// Radius of the region of interest, capture units.
     pub radius: f64,
-    /// What a user should know.
+    /// What a user should know but that did not stop the import, e.g. missing images by name.
     pub warnings: Vec<String>,
 }
 
 impl Capture {
-    /// A summary for people and APIs.
+    /// A summary of the capture.
     pub fn report(&self) -> CaptureReport {
         let (width, height) = self.train.first().map_or((0, 0), |v| (v.image.width, v.image.height));
         CaptureReport {

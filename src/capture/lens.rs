@@ -1,8 +1,8 @@
-//! Intrinsics as capture files state them, before they are fitted to an image.
+//! Intrinsics as capture files state them, and their conversion to the size of an image.
 
 use crate::capture::CaptureError;
 
-/// How a lens bends the pinhole's rays.
+/// How a lens deviates from a pinhole.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Distortion {
     /// None: a pinhole.
@@ -22,7 +22,7 @@ pub enum Distortion {
 }
 
 impl Distortion {
-    /// The same lens, with coefficients that do nothing told apart as [`Distortion::None`].
+    /// The same lens; [`Distortion::None`] when all coefficients are 0.
     #[must_use]
     pub fn simplified(self) -> Self {
         match self {
@@ -32,16 +32,16 @@ impl Distortion {
     }
 }
 
-/// Intrinsics with everything optional that a capture file may leave out.
+/// Intrinsics; what a capture file may leave out is optional.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lens {
-    /// Size the intrinsics belong to, pixels; absent means the image's own.
+    /// Image size of the intrinsics, pixels; `None` means the stored image's own.
     pub size: Option<(f64, f64)>,
     /// Focal lengths, pixels.
     pub focal: [Option<f64>; 2],
     /// Full fields of view along x and y, radians; used where a focal length is absent.
     pub angle: [Option<f64>; 2],
-    /// Principal point, pixels; absent means the middle.
+    /// Principal point, pixels; `None` means the centre of the image.
     pub centre: [Option<f64>; 2],
     /// The lens's distortion.
     pub distortion: Distortion,
@@ -57,16 +57,12 @@ pub struct Intrinsics {
 }
 
 impl Lens {
-    /// The intrinsics at the size of the image that came with them.
+    /// The intrinsics scaled to an image of `(width, height)` pixels.
     ///
     /// # Errors
     /// Names `w,h`, `fl_x` or `camera_angle_x` when the size does not fit or no focal length follows.
     pub fn resolve(&self, file: &str, (width, height): (u32, u32)) -> Result<Intrinsics, CaptureError> {
-        let bad = |field: &str, reason: String| CaptureError::Field {
-            file: file.to_owned(),
-            field: field.to_owned(),
-            reason,
-        };
+        let bad = |field: &str, reason: String| CaptureError::at_field(file, field, reason);
         let image = (f64::from(width), f64::from(height));
         let stated = self.size.unwrap_or(image);
         if !(stated.0 >= 1.0 && stated.1 >= 1.0 && stated.0.is_finite() && stated.1.is_finite()) {

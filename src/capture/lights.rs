@@ -1,5 +1,4 @@
-//! Built-in environments: smooth procedural skies and studios, made in code, for demos, tests and as names that
-//! every server knows.
+//! Built-in environments: smooth procedural skies and studios, for demos, tests and requests by name.
 
 use glam::{DVec3, Vec3};
 
@@ -46,7 +45,7 @@ impl Sky {
     fn radiance(&self, d: DVec3) -> Vec3 {
         let up = d.z as f32;
         let sky = self.horizon.lerp(self.zenith, up.max(0.0).powf(0.7));
-        // The ground takes over within a few degrees of the horizon, without an edge.
+        // The ground replaces the sky within a few degrees of the horizon, without a visible edge.
         let below = 1.0 / (1.0 + (up * 12.0).exp());
         let mut sum = sky.lerp(self.ground, below);
         for &(direction, sharpness, peak) in self.lamps {
@@ -118,7 +117,7 @@ mod tests {
         for (i, map) in maps.iter().enumerate() {
             assert!(map.texels().iter().flatten().all(|v| v.is_finite() && *v > 0.0), "{}", BUILTIN[i]);
             assert!((0.2..1.01).contains(&mean_luminance(map)), "{}", BUILTIN[i]);
-            assert!(maps[..i].iter().all(|other| other != map), "{} is a twin", BUILTIN[i]);
+            assert!(maps[..i].iter().all(|other| other != map), "{} equals another", BUILTIN[i]);
         }
     }
 

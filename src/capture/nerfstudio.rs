@@ -1,22 +1,22 @@
 //! nerfstudio and Instant-NGP: one `transforms.json`, shared or per-frame intrinsics, masks, a point cloud.
 
-use crate::capture::photos::{Photo, check_missing, locate};
+use crate::capture::photos::{PhotoEntry, Split, check_missing, locate};
 use crate::capture::transforms;
 use crate::capture::truth::TruthFiles;
 use crate::capture::{CaptureError, Source};
 use crate::formats::ply_points::{self, Point};
 
-/// The file that tells this layout.
+/// The file that marks this layout.
 pub(super) const MARKER: &str = "transforms.json";
 
-/// The photographs and the points of `ply_file_path`. The world is +Z up as it stands.
+/// The photographs and the points of `ply_file_path`. The world is +Z up already.
 ///
 /// # Errors
 /// Names the field of `transforms.json`, the mask or the point cloud at fault.
 pub(super) fn read(
     source: &Source,
     warnings: &mut Vec<String>,
-) -> Result<(Vec<Photo>, Vec<Point>), CaptureError> {
+) -> Result<(Vec<PhotoEntry>, Vec<Point>), CaptureError> {
     let set = transforms::read(source, MARKER)?;
     let (mut photos, mut missing) = (Vec::new(), Vec::new());
     for frame in set.frames {
@@ -24,13 +24,13 @@ pub(super) fn read(
             missing.push(frame.path);
             continue;
         };
-        photos.push(Photo {
+        photos.push(PhotoEntry {
             image,
             mask: frame.mask,
             pose: frame.pose,
             lens: frame.lens,
             stated_in: MARKER.to_owned(),
-            held_out: set.held_out.contains(&frame.path),
+            split: if set.held_out.contains(&frame.path) { Split::Test } else { Split::Train },
             field: frame.field,
             truth: TruthFiles::default(),
         });
@@ -40,12 +40,12 @@ pub(super) fn read(
     Ok((photos, points))
 }
 
-/// The point cloud; one that is named but absent is a warning, since training can do without.
+/// The point cloud. A named file that is missing is a warning, since training does not need points.
 fn read_cloud(source: &Source, file: &str, warnings: &mut Vec<String>) -> Result<Vec<Point>, CaptureError> {
     if !source.contains(file) {
         warnings.push(format!("{MARKER} names the point cloud {file}, which is missing"));
         return Ok(Vec::new());
     }
     let points = ply_points::read_points(&source.read(file)?, source.limits().max_points);
-    points.map_err(|e| CaptureError::Field { file: file.to_owned(), field: e.field, reason: e.reason })
+    points.map_err(|e| CaptureError::at_field(file, e.field, e.reason))
 }

@@ -1,8 +1,8 @@
-//! What an import may cost and how large its images become.
+//! Limits and options of an import.
 
-/// Bounds on what an import accepts; archives come from strangers.
+/// Bounds on what an import accepts, since archives are untrusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Limits {
+pub struct ImportLimits {
     /// Entries in an archive or files in a folder.
     pub max_entries: usize,
     /// Uncompressed bytes of one entry.
@@ -23,7 +23,7 @@ pub struct Limits {
     pub max_points: usize,
 }
 
-impl Default for Limits {
+impl Default for ImportLimits {
     fn default() -> Self {
         Self {
             max_entries: 100_000,
@@ -42,18 +42,18 @@ impl Default for Limits {
 /// How to import.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ImportOptions {
-    /// Longest image side, pixels: larger photographs are reduced by area right after decoding, cameras with
-    /// them. Absent keeps the stored size.
+    /// Longest image side, pixels: larger photographs are reduced by area averaging right after decoding, and
+    /// their cameras with them. `None` keeps the stored size.
     pub max_side: Option<u32>,
-    /// What is too much.
-    pub limits: Limits,
+    /// Bounds on what is accepted.
+    pub limits: ImportLimits,
     /// Load ground-truth layers of test views and the lights they name.
     pub load_truth: bool,
 }
 
 impl Default for ImportOptions {
     fn default() -> Self {
-        Self { max_side: None, limits: Limits::default(), load_truth: true }
+        Self { max_side: None, limits: ImportLimits::default(), load_truth: true }
     }
 }
 

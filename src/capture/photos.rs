@@ -1,20 +1,19 @@
-//! From a list of named, posed photographs to loaded views: the part every layout shares.
+//! From a list of named, posed photographs to loaded views; all layouts share this step.
 
 use glam::DMat4;
 use rayon::prelude::*;
 
 use crate::capture::error::name_list;
+use crate::capture::images::load_image;
 use crate::capture::lens::{Distortion, Intrinsics, Lens};
 use crate::capture::truth::TruthFiles;
-use crate::capture::{
-    CaptureError, CaptureView, GroundTruthView, ImageRgba, ImportOptions, Source, undistort,
-};
+use crate::capture::{CaptureError, CaptureView, GroundTruthView, ImportOptions, Source, undistort};
 use crate::formats::image_file;
-use crate::scene::Camera;
+use crate::scene::{Camera, ImageRgba};
 
 /// A photograph an importer has found, before its pixels are read.
 #[derive(Debug, Clone)]
-pub(super) struct Photo {
+pub(super) struct PhotoEntry {
     /// Path of the image in the capture.
     pub image: String,
     /// Path of a mask, black = not the subject.
@@ -27,16 +26,28 @@ pub(super) struct Photo {
     pub stated_in: String,
     /// The entry in that file, e.g. `frames[3]`, for errors.
     pub field: String,
-    /// True when the set itself holds it out.
-    pub held_out: bool,
+    /// What the set uses it for.
+    pub split: Split,
     /// Ground-truth layers beside it.
     pub truth: TruthFiles,
+}
+
+/// What a set uses a photograph for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Split {
+    /// To train on, unless the set names no test views at all.
+    Train,
+    /// Held out by the set itself.
+    Test,
 }
 
 /// Fewest photographs that make a capture.
 pub(super) const MIN_IMAGES: usize = 3;
 
-/// Says which listed images are absent: a warning while enough remain, a refusal below [`MIN_IMAGES`].
+/// Names the listed images that are absent in a warning.
+///
+/// # Errors
+/// [`CaptureError::TooFewImages`] when fewer than [`MIN_IMAGES`] remain.
 pub(super) fn check_missing(
     file: &str,
     usable: usize,
@@ -61,7 +72,7 @@ pub(super) fn check_missing(
     Ok(())
 }
 
-/// The image a `file_path` means: as written, or with the ending or light name its writer left out.
+/// The image a `file_path` means: the path as written, or with a file ending or light name added.
 pub(super) fn locate(source: &Source, path: &str) -> Option<String> {
     if source.contains(path) {
         return Some(path.to_owned());
@@ -71,13 +82,13 @@ pub(super) fn locate(source: &Source, path: &str) -> Option<String> {
     ENDINGS.iter().map(|e| format!("{path}{e}")).find(|p| source.contains(p))
 }
 
-/// Loads the photographs in parallel; the order, and which error is told, depend on the list alone.
+/// Loads the photographs in parallel. Their order, and which error is returned, depend on the list alone.
 ///
 /// # Errors
 /// The first photograph in the list whose image, mask, pose or lens is unusable.
 pub(super) fn load(
     source: &Source,
-    photos: &[Photo],
+    photos: &[PhotoEntry],
     options: &ImportOptions,
 ) -> Result<Vec<CaptureView>, CaptureError> {
     check_total_pixels(source, photos, options)?;
@@ -85,54 +96,33 @@ pub(super) fn load(
     views.into_iter().collect()
 }
 
-/// Adds up the reduced sizes told by the image headers, so that a capture too large for memory is refused
-/// before it fills it. Reading every file twice is cheap beside decoding it once.
+/// Adds up the reduced sizes from the image headers, so that a capture too large for memory is refused before
+/// it is decoded. Every file is read twice, which is cheap compared with decoding it once.
 fn check_total_pixels(
     source: &Source,
-    photos: &[Photo],
+    photos: &[PhotoEntry],
     options: &ImportOptions,
 ) -> Result<(), CaptureError> {
     let limit = options.limits.max_total_pixels;
-    let pixels = |photo: &Photo| {
+    let pixels = |photo: &PhotoEntry| {
         let bytes = source.read(&photo.image).ok()?;
         let (w, h) = options.reduced_size(image_file::dimensions(&bytes).ok()?);
         Some(u64::from(w) * u64::from(h))
     };
-    // An unreadable image is refused with its name when its turn comes.
+    // An unreadable image counts nothing here; decoding it later returns an error with its name.
     let total: u64 = photos.par_iter().filter_map(pixels).sum();
     if total > limit {
         let reason = format!("{total} pixels in all, {limit} allowed; reduce the resolution");
-        return Err(CaptureError::OverLimit {
-            file: source.label().to_owned(),
-            limit: "max_total_pixels",
-            reason,
-        });
+        return Err(CaptureError::over_limit(source.label(), "max_total_pixels", reason));
     }
     Ok(())
 }
 
-/// Decodes an image and reduces it as the options ask; also tells its stored size.
-pub(super) fn load_image(
+fn load_one(
     source: &Source,
-    path: &str,
+    photo: &PhotoEntry,
     options: &ImportOptions,
-) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
-    let bytes = source.read(path)?;
-    let image = image_file::decode(&bytes, options.limits.max_image_pixels);
-    let image = image.map_err(|error| match error {
-        image_file::ImageFileError::TooManyPixels { .. } => CaptureError::OverLimit {
-            file: path.to_owned(),
-            limit: "max_image_pixels",
-            reason: error.to_string(),
-        },
-        other => CaptureError::Image { file: path.to_owned(), reason: other.to_string() },
-    })?;
-    let stored = (image.width, image.height);
-    let (width, height) = options.reduced_size(stored);
-    Ok((image.resized(width, height), stored))
-}
-
-fn load_one(source: &Source, photo: &Photo, options: &ImportOptions) -> Result<CaptureView, CaptureError> {
+) -> Result<CaptureView, CaptureError> {
     let (mut image, stored) = load_image(source, &photo.image, options)?;
     if let Some(mask) = &photo.mask {
         apply_mask(source, mask, &mut image, options)?;
@@ -141,10 +131,8 @@ fn load_one(source: &Source, photo: &Photo, options: &ImportOptions) -> Result<C
     let camera = camera(photo, intrinsics, stored)?.resized(image.width, image.height);
     let (camera, image) = match photo.lens.distortion {
         Distortion::None => (camera, image),
-        bent => undistort::undistort(&camera, &bent, &image).map_err(|reason| CaptureError::Field {
-            file: photo.stated_in.clone(),
-            field: format!("{}.k1", photo.field),
-            reason,
+        distortion => undistort::undistort(&camera, &distortion, &image).map_err(|reason| {
+            CaptureError::at_field(&photo.stated_in, format!("{}.k1", photo.field), reason)
         })?,
     };
     let truth = if options.load_truth {
@@ -155,12 +143,10 @@ fn load_one(source: &Source, photo: &Photo, options: &ImportOptions) -> Result<C
     Ok(CaptureView { name: photo.image.clone(), camera, image, truth })
 }
 
-fn camera(photo: &Photo, intrinsics: Intrinsics, stored: (u32, u32)) -> Result<Camera, CaptureError> {
+fn camera(photo: &PhotoEntry, intrinsics: Intrinsics, stored: (u32, u32)) -> Result<Camera, CaptureError> {
     let camera = Camera::from_opengl(&photo.pose, stored, intrinsics.focal, intrinsics.centre);
-    camera.map_err(|error| CaptureError::Field {
-        file: photo.stated_in.clone(),
-        field: format!("{}.{}", photo.field, error.field),
-        reason: error.reason,
+    camera.map_err(|error| {
+        CaptureError::at_field(&photo.stated_in, format!("{}.{}", photo.field, error.field), error.reason)
     })
 }
 

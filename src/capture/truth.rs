@@ -1,15 +1,15 @@
-//! Ground-truth layers of synthetic sets: TensoIR's files, and the further ones `scene.json` describes.
+//! Ground-truth layers of synthetic sets: TensoIR's files, and further ones that `scene.json` describes.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::Vec3;
 use serde::Deserialize;
 
-use crate::capture::photos::load_image;
-use crate::capture::transforms::parse_json;
-use crate::capture::{CaptureError, CaptureView, GroundTruthView, ImageRgba, ImportOptions, Plane, Source};
+use crate::capture::images::load_image;
+use crate::capture::json::parse_json;
+use crate::capture::{CaptureError, CaptureView, GroundTruthView, ImportOptions, Source};
 use crate::formats::{environment, image_file, srgb};
-use crate::scene::EnvMap;
+use crate::scene::{EnvMap, ImageRgba, Plane};
 
 /// Depth images store `value / 65535 * DEPTH_RANGE` capture units along the view axis.
 pub(super) const DEPTH_RANGE: f32 = 10.0;
@@ -26,29 +26,40 @@ pub(super) struct TruthFiles {
     relit: BTreeMap<String, String>,
     layers: BTreeSet<String>,
     folder: String,
-    albedo_is_srgb: bool,
+    albedo: AlbedoEncoding,
 }
 
-/// True when the set's albedo images are sRGB-encoded, as `scene.json` says; without it they are linear.
+/// How a set's albedo images store colour.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) enum AlbedoEncoding {
+    /// Linear Rec.709.
+    #[default]
+    Linear,
+    /// The sRGB curve.
+    Srgb,
+}
+
+/// The encoding of the set's albedo images that `scene.json` names; linear without that file.
 ///
 /// # Errors
-/// When `scene.json` is there but no JSON.
-pub(super) fn albedo_is_srgb(source: &Source) -> Result<bool, CaptureError> {
+/// When `scene.json` exists but is not JSON.
+pub(super) fn albedo_encoding(source: &Source) -> Result<AlbedoEncoding, CaptureError> {
     if !source.contains("scene.json") {
-        return Ok(false);
+        return Ok(AlbedoEncoding::Linear);
     }
     let scene: SceneFile = parse_json("scene.json", &source.read("scene.json")?)?;
-    Ok(scene.albedo_png.is_some_and(|text| text.to_ascii_lowercase().contains("srgb")))
+    let is_srgb = scene.albedo_png.is_some_and(|text| text.to_ascii_lowercase().contains("srgb"));
+    Ok(if is_srgb { AlbedoEncoding::Srgb } else { AlbedoEncoding::Linear })
 }
 
 impl TruthFiles {
-    /// Looks beside `image` (like `test_003/rgba.png`) for layers and for the view under other lights.
-    pub(super) fn beside(source: &Source, image: &str, albedo_is_srgb: bool) -> Self {
+    /// Finds the layers, and the view under other lights, in the folder of `image` (like `test_003/rgba.png`).
+    pub(super) fn beside(source: &Source, image: &str, albedo: AlbedoEncoding) -> Self {
         let Some((folder, own_name)) = image.rsplit_once('/') else { return Self::default() };
         if !own_name.starts_with("rgba") {
             return Self::default();
         }
-        let mut out = Self { folder: folder.to_owned(), albedo_is_srgb, ..Self::default() };
+        let mut out = Self { folder: folder.to_owned(), albedo, ..Self::default() };
         for path in source.paths_under(folder) {
             let name = &path[folder.len() + 1..];
             let light = name.strip_prefix("rgba_").and_then(|n| n.strip_suffix(".png"));
@@ -77,7 +88,10 @@ impl TruthFiles {
             truth.relit.insert(light.clone(), fitted(path, image, size)?);
         }
         let layer = |name: &str| self.layer(source, name, size, options);
-        let colour = |v: f32| if self.albedo_is_srgb { srgb::decode(v) } else { v };
+        let colour = |v: f32| match self.albedo {
+            AlbedoEncoding::Linear => v,
+            AlbedoEncoding::Srgb => srgb::decode(v),
+        };
         if let Some(image) = layer("albedo.png")? {
             truth.albedo = Some(reduced(&image, size, |p| ([0, 1, 2].map(|k| colour(p[k])), p[3])));
         }
@@ -114,7 +128,7 @@ impl TruthFiles {
         let path = format!("{}/{name}", self.folder);
         let bytes = source.read(&path)?;
         let image = image_file::decode(&bytes, options.limits.max_image_pixels)
-            .map_err(|e| CaptureError::Image { file: path.clone(), reason: e.to_string() })?;
+            .map_err(|e| CaptureError::image(&path, e))?;
         check_shape(&path, (image.width, image.height), size)?;
         Ok(Some(image))
     }
@@ -125,17 +139,18 @@ fn fitted(path: &str, image: ImageRgba, size: (u32, u32)) -> Result<ImageRgba, C
     Ok(image.resized(size.0, size.1))
 }
 
-/// A layer may be larger than its view, never of another shape.
+/// A layer may be larger than its view, but must have the same aspect ratio.
 fn check_shape(path: &str, layer: (u32, u32), view: (u32, u32)) -> Result<(), CaptureError> {
     let aspect = |(w, h): (u32, u32)| f64::from(w) / f64::from(h);
     if (aspect(layer) / aspect(view) - 1.0).abs() < 0.02 && layer.0 >= view.0 {
         return Ok(());
     }
     let reason = format!("is {}x{}, which does not fit its view of {}x{}", layer.0, layer.1, view.0, view.1);
-    Err(CaptureError::Image { file: path.to_owned(), reason })
+    Err(CaptureError::image(path, reason))
 }
 
-/// Values and their coverage by pixel, averaged over what is covered; zero where nothing is.
+/// The mean over the covered pixels under each new pixel; zero where none is covered. `value` returns a
+/// pixel's value and coverage.
 fn reduced<const C: usize>(
     image: &ImageRgba,
     (width, height): (u32, u32),
@@ -157,7 +172,10 @@ fn reduced<const C: usize>(
 }
 
 /// The maps of the lights that the views' ground truth names, from the capture or from beside its folder.
-/// A light without a map is told in `warnings`.
+/// A light without a map is named in `warnings`.
+///
+/// # Errors
+/// Names the map that cannot be read or decoded.
 pub(super) fn lights(
     source: &Source,
     views: &[CaptureView],
@@ -170,8 +188,7 @@ pub(super) fn lights(
             warnings.push(format!("no environment map was found for the ground truth under light {name:?}"));
             continue;
         };
-        let loaded = environment::decode(&bytes)
-            .map_err(|e| CaptureError::Image { file: path.clone(), reason: e.to_string() })?;
+        let loaded = environment::decode(&bytes).map_err(|e| CaptureError::image(&path, e))?;
         warnings.extend(loaded.warnings.iter().map(|w| format!("{path}: {w}")));
         lights.insert(name.clone(), loaded.map);
     }

@@ -1,16 +1,15 @@
-//! Bent photographs to pinhole photographs of the same size.
+//! Distorted photographs to pinhole photographs of the same size.
 //!
-//! The new pinhole sees the largest axis-aligned window that lies wholly inside the photograph, so that every
-//! new pixel has a source and no alpha need be invented.
+//! The pinhole camera shows the largest axis-aligned window that lies completely inside the photograph. So every
+//! new pixel has a source, and no alpha has to be made up.
 
 use glam::{DMat2, DVec2};
 
-use crate::capture::ImageRgba;
 use crate::capture::lens::Distortion;
-use crate::scene::Camera;
+use crate::scene::{Camera, ImageRgba};
 
-/// A pinhole window reaches at most this far from the axis, in units of depth (62 degrees): beyond, a
-/// perspective image spends its pixels on the rim.
+/// Largest distance of a window's edge from the axis, in units of depth (62 degrees). In a wider window most
+/// pixels of a perspective image would show its outermost degrees.
 const MAX_REACH: f64 = 1.9;
 
 /// Image points sampled along each side of the photograph.
@@ -31,26 +30,26 @@ impl Distortion {
             }
             Self::Fisheye { k } => {
                 let r = r2.sqrt();
-                if r < 1e-9 { p } else { p * (bent_angle(k, r.atan()) / r) }
+                if r < 1e-9 { p } else { p * (distorted_radius(k, r.atan()) / r) }
             }
         }
     }
 
-    /// The inverse of [`Distortion::distort`], by Newton's method; nothing where it does not converge.
-    pub fn undistort(&self, bent: DVec2) -> Option<DVec2> {
+    /// The inverse of [`Distortion::distort`], by Newton's method; `None` where it does not converge.
+    pub fn undistort(&self, distorted: DVec2) -> Option<DVec2> {
         match self {
-            Self::None => Some(bent),
-            Self::Fisheye { k } => unbend_fisheye(k, bent),
+            Self::None => Some(distorted),
+            Self::Fisheye { k } => undistort_fisheye(k, distorted),
             Self::RadialTangential { .. } => {
-                let mut p = bent;
+                let mut p = distorted;
                 for _ in 0..50 {
-                    let residual = self.distort(p) - bent;
+                    let residual = self.distort(p) - distorted;
                     if residual.length() < 1e-12 {
                         break;
                     }
                     p -= self.jacobian(p).inverse() * residual;
                 }
-                let converged = p.is_finite() && (self.distort(p) - bent).length() < 1e-8;
+                let converged = p.is_finite() && (self.distort(p) - distorted).length() < 1e-8;
                 converged.then_some(p)
             }
         }
@@ -65,33 +64,34 @@ impl Distortion {
 }
 
 /// Image radius of a ray at `theta` radians from the axis.
-fn bent_angle(k: &[f64; 4], theta: f64) -> f64 {
+fn distorted_radius(k: &[f64; 4], theta: f64) -> f64 {
     let t2 = theta * theta;
     theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
 }
 
-fn unbend_fisheye(k: &[f64; 4], bent: DVec2) -> Option<DVec2> {
-    let radius = bent.length();
+fn undistort_fisheye(k: &[f64; 4], distorted: DVec2) -> Option<DVec2> {
+    let radius = distorted.length();
     if radius < 1e-9 {
-        return Some(bent);
+        return Some(distorted);
     }
     let mut theta = radius.min(1.5);
     for _ in 0..50 {
-        let slope = (bent_angle(k, theta + 1e-6) - bent_angle(k, theta - 1e-6)) / 2e-6;
-        theta = (theta - (bent_angle(k, theta) - radius) / slope).clamp(0.0, 3.2);
+        let derivative = (distorted_radius(k, theta + 1e-6) - distorted_radius(k, theta - 1e-6)) / 2e-6;
+        theta = (theta - (distorted_radius(k, theta) - radius) / derivative).clamp(0.0, 3.2);
     }
-    if !theta.is_finite() || (bent_angle(k, theta) - radius).abs() > 1e-8 {
+    if !theta.is_finite() || (distorted_radius(k, theta) - radius).abs() > 1e-8 {
         return None;
     }
-    // At 90 degrees and beyond the pinhole's plane ends; far outside the window is what matters.
+    // Directions at 90 degrees and more do not meet the plane of depth 1; any point far outside the window will do.
     let reach = if theta < 1.56 { theta.tan() } else { 1e2 };
-    Some(bent * (reach / radius))
+    Some(distorted * (reach / radius))
 }
 
-/// The pinhole camera and image of a bent one; `camera` holds the bent camera's focal lengths and centre.
+/// The pinhole camera and image for a distorted one; `camera` has the distorted image's focal lengths and
+/// principal point.
 ///
 /// # Errors
-/// Says why when the coefficients fold the image over or push it out of itself.
+/// The reason, when the coefficients fold the image over or leave no window.
 pub(super) fn undistort(
     camera: &Camera,
     lens: &Distortion,
@@ -100,39 +100,40 @@ pub(super) fn undistort(
     let window = inner_window(camera, lens)?;
     let (low, size) = (window.0, window.1 - window.0);
     let (fx, fy) = (f64::from(camera.width) / size.x, f64::from(camera.height) / size.y);
-    let straight = Camera { fx, fy, cx: -low.x * fx, cy: -low.y * fy, ..*camera };
+    let undistorted = Camera { fx, fy, cx: -low.x * fx, cy: -low.y * fy, ..*camera };
     check_window(camera, lens, window)?;
     let source = |x: u32, y: u32| {
-        let u = (f64::from(x) + 0.5 - straight.cx) / fx;
-        let v = (f64::from(y) + 0.5 - straight.cy) / fy;
+        let u = (f64::from(x) + 0.5 - undistorted.cx) / fx;
+        let v = (f64::from(y) + 0.5 - undistorted.cy) / fy;
         to_pixel(camera, lens.distort(DVec2::new(u, v)))
     };
     let mut pixels = Vec::with_capacity(image.pixels.len());
     for y in 0..image.height {
         pixels.extend((0..image.width).map(|x| bilinear(image, source(x, y))));
     }
-    Ok((straight, ImageRgba { width: image.width, height: image.height, pixels }))
+    Ok((undistorted, ImageRgba { width: image.width, height: image.height, pixels }))
 }
 
 fn to_pixel(camera: &Camera, p: DVec2) -> DVec2 {
     DVec2::new(camera.fx * p.x + camera.cx, camera.fy * p.y + camera.cy)
 }
 
-/// Corners, on the plane of depth 1, of the largest window inside the image's straightened outline.
+/// Corners, on the plane of depth 1, of the largest window inside the image's undistorted outline.
 fn inner_window(camera: &Camera, lens: &Distortion) -> Result<(DVec2, DVec2), String> {
     let (w, h) = (f64::from(camera.width), f64::from(camera.height));
-    let straight = |x: f64, y: f64| {
-        let bent = DVec2::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy);
-        lens.undistort(bent).ok_or_else(|| "these coefficients cannot be undone over the image".to_owned())
+    let undistorted = |x: f64, y: f64| {
+        let distorted = DVec2::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy);
+        lens.undistort(distorted)
+            .ok_or_else(|| "these coefficients cannot be undone over the image".to_owned())
     };
     let mut low = DVec2::splat(-MAX_REACH);
     let mut high = DVec2::splat(MAX_REACH);
     for i in 0..SIDE_SAMPLES {
         let t = i as f64 / (SIDE_SAMPLES - 1) as f64;
-        low.x = low.x.max(straight(0.0, t * h)?.x);
-        high.x = high.x.min(straight(w, t * h)?.x);
-        low.y = low.y.max(straight(t * w, 0.0)?.y);
-        high.y = high.y.min(straight(t * w, h)?.y);
+        low.x = low.x.max(undistorted(0.0, t * h)?.x);
+        high.x = high.x.min(undistorted(w, t * h)?.x);
+        low.y = low.y.max(undistorted(t * w, 0.0)?.y);
+        high.y = high.y.min(undistorted(t * w, h)?.y);
     }
     if !(high - low).cmpgt(DVec2::splat(1e-6)).all() {
         return Err("these coefficients leave nothing of the image".to_owned());
@@ -140,7 +141,7 @@ fn inner_window(camera: &Camera, lens: &Distortion) -> Result<(DVec2, DVec2), St
     Ok((low, high))
 }
 
-/// Refuses a lens that folds over or that needs pixels more than one outside the image.
+/// Refuses a lens that folds the image over or that needs pixels more than one pixel outside it.
 fn check_window(camera: &Camera, lens: &Distortion, (low, high): (DVec2, DVec2)) -> Result<(), String> {
     const GRID: usize = 16;
     let limit = DVec2::new(f64::from(camera.width), f64::from(camera.height)) + 1.0;
@@ -156,7 +157,7 @@ fn check_window(camera: &Camera, lens: &Distortion, (low, high): (DVec2, DVec2))
     Ok(())
 }
 
-/// The image between its pixel centres (at +0.5), clamped at the rim; alpha weighs colour.
+/// Bilinear lookup with pixel centres at +0.5, clamped at the edges; colours are weighted by alpha.
 fn bilinear(image: &ImageRgba, at: DVec2) -> [f32; 4] {
     let p =
         (at - 0.5).clamp(DVec2::ZERO, DVec2::new(f64::from(image.width - 1), f64::from(image.height - 1)));
@@ -177,7 +178,7 @@ fn bilinear(image: &ImageRgba, at: DVec2) -> [f32; 4] {
         (0..3).for_each(|k| colour[k] += weight * p[3] * p[k]);
     }
     let divisor = if alpha > 0.0 { alpha } else { 1.0 };
-    // An opaque image stays exactly opaque, whatever the weights' rounding.
+    // Rounding of the weights must not make an opaque image transparent.
     let alpha = if alpha > 1.0 - 1e-6 { 1.0 } else { alpha };
     [colour[0] / divisor, colour[1] / divisor, colour[2] / divisor, alpha]
 }
@@ -217,13 +218,13 @@ mod tests {
 
     /// Largest difference between where a lens sees a point and what the straightened image shows there.
     fn error(lens: &Distortion, truth: &Distortion) -> f64 {
-        let bent = camera();
-        let (straight, image) = undistort(&bent, lens, &coordinates()).unwrap();
+        let distorted = camera();
+        let (undistorted, image) = undistort(&distorted, lens, &coordinates()).unwrap();
         let mut worst = 0.0f64;
         for y in 2..62 {
             for x in 2..94 {
-                let d = straight.rotation * straight.ray(x, y);
-                let seen = to_pixel(&bent, truth.distort(DVec2::new(d.x / d.z, d.y / d.z))) - 0.5;
+                let d = undistorted.rotation * undistorted.ray(x, y);
+                let seen = to_pixel(&distorted, truth.distort(DVec2::new(d.x / d.z, d.y / d.z))) - 0.5;
                 let p = image.pixels[(y * 96 + x) as usize];
                 let shown = DVec2::new(f64::from(p[0]) * 100.0, f64::from(p[1]) * 100.0);
                 let inside = seen.clamp(DVec2::ZERO, DVec2::new(95.0, 63.0));

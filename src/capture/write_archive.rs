@@ -1,4 +1,4 @@
-//! A capture as a zip in TensoIR's layout, with its ground truth: what [`crate::capture::import`] reads back.
+//! Writes a capture and its ground truth as a zip in TensoIR's layout, which [`crate::capture::import`] reads.
 
 use std::io::{Cursor, Write};
 
@@ -7,11 +7,12 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
 use crate::capture::truth::DEPTH_RANGE;
-use crate::capture::{Capture, CaptureError, CaptureView, GroundTruthView, ImageRgba, Plane};
-use crate::formats::image_file::{ImageFileError, encode_png, encode_png16, encode_rgba};
-use crate::formats::{environment, srgb};
+use crate::capture::{Capture, CaptureError, CaptureView, GroundTruthView};
+use crate::formats::image_file::{encode_png, encode_png16, encode_rgba};
+use crate::formats::{ImageFileError, environment, srgb};
+use crate::scene::{ImageRgba, Plane};
 
-/// Writes images as 8-bit PNG, depth as 16-bit PNG, lights as Radiance files; the same capture gives the same
+/// Writes images as 8-bit PNG, depth as 16-bit PNG, lights as Radiance files. The same capture gives the same
 /// bytes.
 ///
 /// # Errors
@@ -41,7 +42,7 @@ pub fn write_archive(capture: &Capture) -> Result<Vec<u8>, CaptureError> {
     archive.finish()
 }
 
-/// The set's JSON. Intrinsics stand in each frame; the shared field of view is there for other readers.
+/// The set's JSON. Each frame has its intrinsics; the shared field of view is there for other readers.
 fn transforms(split: &str, views: &[CaptureView]) -> serde_json::Value {
     let frame = |(i, view): (usize, &CaptureView)| {
         let c = &view.camera;
@@ -84,7 +85,7 @@ impl Archive {
         self.layers(folder, &view.truth, &view.image)
     }
 
-    /// The layers carry the photograph's alpha, as TensoIR's do.
+    /// Layers have the photograph's alpha, as in TensoIR's sets.
     fn layers(
         &mut self,
         folder: &str,

@@ -1,4 +1,4 @@
-//! What several commands' arguments share.
+//! Arguments that several commands share.
 
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
@@ -6,13 +6,13 @@ use serde_json::{Map, Value};
 use crate::render::{Quality, Tier};
 use crate::train::TrainOverrides;
 
-/// At which tier to render.
+/// The tier to render with.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct QualityArgs {
-    /// `preview`, `standard`, `high` or `reference`; the last two run on the CPU engine whatever the device.
+    /// `preview`, `standard`, `high` or `monte_carlo`; the last two run on the CPU engine, whatever the device.
     #[arg(long, default_value = "standard", value_parser = named::<Tier>)]
     pub tier: Tier,
-    /// Directions a pixel that the reference tier draws.
+    /// Directions that the Monte-Carlo tier draws for each pixel.
     #[arg(long, default_value_t = Quality::SAMPLES,
           value_parser = clap::value_parser!(u32).range(1..=i64::from(Quality::MOST_SAMPLES)))]
     pub samples: u32,
@@ -39,7 +39,7 @@ pub(super) fn named<T: DeserializeOwned>(name: &str) -> Result<T, String> {
     serde_json::from_value(Value::String(name.to_owned())).map_err(|e| e.to_string())
 }
 
-/// Overrides from flags and `--set key=value` pairs; a value is JSON, or else a string.
+/// Overrides from flags and `--set key=value` pairs; a value that is not JSON is a string. A flag wins over a pair.
 pub(super) fn overrides(flags: &[(&str, Option<Value>)], set: &[String]) -> Result<TrainOverrides, String> {
     let mut fields = Map::new();
     for pair in set {
@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn set_takes_json_or_words_and_flags_win() {
+    fn set_takes_json_or_strings_and_flags_win() {
         let set = ["labels=both".to_owned(), "seed=3".to_owned()];
         let overrides = overrides(&[("seed", Some(4.into())), ("resolution", None)], &set).unwrap();
         assert_eq!(overrides.seed, Some(4));

@@ -1,7 +1,7 @@
 //! `relume demo`: the whole service on a scene whose truth is known, in one command and in a few minutes.
 //!
-//! Everything a user would do goes over HTTP to a server started for the occasion: upload, train, render,
-//! download. Only the verdict is passed locally, since only the caller knows the truth.
+//! Everything a user would do goes over HTTP to a server that the demo starts: upload, train, render, download.
+//! Only the evaluation runs locally, since the server does not know the ground truth.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,17 +10,17 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::api::jobs::NewJob;
-use crate::api::picture::Format;
 use crate::api::renders::{CameraSpec, EnvironmentSpec, IntrinsicsSpec, RenderRequest};
-use crate::api::server::ServeError;
+use crate::api::{CaptureId, EnvironmentId, ModelId};
 use crate::capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
 use crate::cli::output;
 use crate::client::{Client, ClientError, JobEvent};
 use crate::eval::sheet::Sheet;
-use crate::eval::{EvalError, EvalOptions, Picture, Report, evaluate, photograph, truth_layers};
+use crate::eval::{DisplayImage, EvalError, EvalOptions, Report, evaluate, photograph, truth_layers};
 use crate::formats::environment::{self, EnvironmentFileError};
 use crate::formats::model_file::{self, ModelFileError};
-use crate::render::Output;
+use crate::render::{FrameFormat, Output};
+use crate::server::ServeError;
 use crate::testing;
 use crate::train::{Preset, TrainOverrides};
 
@@ -67,7 +67,7 @@ pub enum DemoError {
     #[error("the job ended {state}: {detail}")]
     Job {
         /// The job's last state.
-        state: String,
+        state: &'static str,
         /// Its reason.
         detail: String,
     },
@@ -83,7 +83,7 @@ pub enum DemoError {
     /// The model could not be measured.
     #[error(transparent)]
     Eval(#[from] EvalError),
-    /// A computation died.
+    /// A computation panicked.
     #[error("a computation was cut off: {0}")]
     Join(#[from] tokio::task::JoinError),
 }
@@ -100,7 +100,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     Ok(())
 }
 
-/// The demo from the first pixel of truth to the report; prints each step as it begins.
+/// The whole demo, from the ground truth to the report; prints each step when it begins.
 ///
 /// # Errors
 /// [`DemoError`] says which step failed.
@@ -121,7 +121,7 @@ pub async fn demo(args: &DemoArgs) -> Result<Report, DemoError> {
     println!("2/5 uploading {} kB to {}", archive.len() / 1024, server.client().base());
     let uploaded = server.client().upload_capture_bytes(archive).await?;
     let report = show(server.client(), &uploaded.id, capture, args).await;
-    // A failed demo stops its server, too; what failed first is what the user should read.
+    // The server is stopped in any case; the first failure is the one to report.
     let stopped = server.stop().await;
     let report = report?;
     stopped?;
@@ -131,7 +131,7 @@ pub async fn demo(args: &DemoArgs) -> Result<Report, DemoError> {
 /// Everything between upload and summary.
 async fn show(
     client: &Client,
-    capture_id: &str,
+    capture_id: &CaptureId,
     capture: Arc<Capture>,
     args: &DemoArgs,
 ) -> Result<Report, DemoError> {
@@ -151,17 +151,21 @@ async fn show(
 }
 
 /// Queues the training and follows it; the model's identifier and how long the job ran, seconds.
-async fn train(client: &Client, capture: &str, args: &DemoArgs) -> Result<(String, Option<f64>), DemoError> {
+async fn train(
+    client: &Client,
+    capture: &CaptureId,
+    args: &DemoArgs,
+) -> Result<(ModelId, Option<f64>), DemoError> {
     let overrides =
         TrainOverrides { seed: Some(args.seed), iterations: args.iterations, ..TrainOverrides::default() };
-    let order = NewJob { capture: capture.to_owned(), preset: Preset::Draft, overrides, ..NewJob::default() };
-    let job = client.create_job(&order, None).await?;
+    let job = NewJob { capture: capture.clone(), preset: Preset::Draft, overrides, ..NewJob::default() };
+    let job = client.create_job(&job, None).await?;
     println!("3/5 training, job {}", job.id);
     let bar = progress_bar();
     let job = client.wait(&job.id, |event| show_event(&bar, event)).await?;
     bar.finish();
     let failed = || DemoError::Job {
-        state: format!("{:?}", job.state).to_lowercase(),
+        state: job.state.name(),
         detail: job.error.as_ref().map_or_else(|| "it left no model".to_owned(), |e| e.detail.clone()),
     };
     Ok((job.model.clone().ok_or_else(failed)?, seconds_between(&job.started_at, &job.finished_at)))
@@ -194,7 +198,7 @@ fn show_event(bar: &ProgressBar, event: &JobEvent) {
 }
 
 /// Two rows a view: what the service renders, and the truth.
-async fn contact_sheet(client: &Client, model: &str, capture: &Capture) -> Result<Sheet, DemoError> {
+async fn contact_sheet(client: &Client, model: &ModelId, capture: &Capture) -> Result<Sheet, DemoError> {
     let lights = upload_lights(client, capture).await?;
     let mut columns = vec!["input".to_owned()];
     columns.extend(lights.iter().map(|(name, _)| format!("relit {name}")));
@@ -225,7 +229,7 @@ async fn contact_sheet(client: &Client, model: &str, capture: &Capture) -> Resul
 async fn upload_lights<'a>(
     client: &Client,
     capture: &'a Capture,
-) -> Result<Vec<(&'a str, String)>, DemoError> {
+) -> Result<Vec<(&'a str, EnvironmentId)>, DemoError> {
     let mut lights = Vec::new();
     for (name, map) in &capture.lights {
         let uploaded = client.upload_environment(environment::encode_exr(map)?).await?;
@@ -237,11 +241,11 @@ async fn upload_lights<'a>(
 /// One output of one view from the render endpoint, on white; under the recovered light when none is named.
 async fn frame(
     client: &Client,
-    model: &str,
+    model: &ModelId,
     view: &CaptureView,
     output: Output,
-    light: Option<&String>,
-) -> Result<Picture, DemoError> {
+    light: Option<&EnvironmentId>,
+) -> Result<DisplayImage, DemoError> {
     let camera = &view.camera;
     let matrix = camera.to_opengl().transpose().to_cols_array_2d();
     let intrinsics = IntrinsicsSpec { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
@@ -257,20 +261,20 @@ async fn frame(
         outputs: vec![output],
         ..RenderRequest::default()
     };
-    let png = client.render(model, &request, Format::Png).await?;
+    let png = client.render(model, &request, FrameFormat::Png).await?;
     let image = image::load_from_memory(&png)?.into_rgba32f();
     let on_white = |p: &image::Rgba<f32>| {
         let [r, g, b, a] = p.0;
         [r, g, b].map(|v| v * a + 1.0 - a)
     };
     let values = image.pixels().map(on_white).collect();
-    Ok(Picture { width: image.width(), height: image.height(), values })
+    Ok(DisplayImage { width: image.width(), height: image.height(), values })
 }
 
 /// A layer without alpha of its own, on white by the frame's coverage.
-fn cut_out(layer: &Picture, coverage: &Picture) -> Picture {
+fn cut_out(layer: &DisplayImage, coverage: &DisplayImage) -> DisplayImage {
     let pixel = |(c, a): (&[f32; 3], &[f32; 3])| std::array::from_fn(|k| c[k] * a[k] + 1.0 - a[k]);
-    Picture { values: layer.values.iter().zip(&coverage.values).map(pixel).collect(), ..*layer }
+    DisplayImage { values: layer.values.iter().zip(&coverage.values).map(pixel).collect(), ..*layer }
 }
 
 fn measure(model: &[u8], capture: &Capture) -> Result<Report, DemoError> {

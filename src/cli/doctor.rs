@@ -1,14 +1,15 @@
-//! `relume doctor`: what this machine offers, what will be used and why, and whether everything is in order.
+//! `relume doctor`: this machine's devices, which one will be used and why, and whether the service can run.
 
 use std::path::{Path, PathBuf};
 
-use crate::cli::CommandResult;
-use crate::engine::gpu::{AdapterReport, Adapters, DeviceChoice, Gpu, GpuOptions};
+use crate::cli::error::CommandResult;
+use crate::engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
+#[cfg(feature = "server")]
 use crate::store::Store;
 
 /// Options of `relume doctor`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct DoctorArgs {
     /// The data directory to look at.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
@@ -17,22 +18,24 @@ pub(super) struct Args {
     device: DeviceChoice,
 }
 
-pub(super) fn run(args: &Args) -> CommandResult {
+pub(super) fn run(args: &DoctorArgs) -> CommandResult {
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     println!("relume        {}", env!("CARGO_PKG_VERSION"));
     println!("cpu threads   {threads}");
     println!("cpu features  {}", features().join(" "));
-    let adapters = Adapters::find();
-    if adapters.reports().is_empty() {
+    let adapters = adapters();
+    if adapters.is_empty() {
         println!("gpus          none: no Vulkan, Metal or DX12 driver found");
     }
-    adapters.reports().iter().for_each(describe);
+    adapters.iter().for_each(describe);
+    #[cfg(feature = "server")]
     println!("sqlite        {}", sqlite_version()?);
     println!("data dir      {}", data_dir(&args.data_dir)?);
-    let chosen = adapters.choose(args.device)?;
-    println!("device        {}", verdict(args.device, chosen, adapters.reports()));
+    let chosen = choose_adapter(&adapters, args.device)?;
+    println!("device        {}", verdict(args.device, chosen, &adapters));
     if let Some(index) = chosen {
-        Gpu::open(&adapters, index, GpuOptions::from_env())?.self_test()?;
+        // Opening a device tests it.
+        Device::open(DeviceChoice::Gpu(Some(index)))?;
         println!("self-test     passed");
     }
     Ok(())
@@ -60,7 +63,7 @@ fn describe(r: &AdapterReport) {
     r.lacks.iter().for_each(|what| println!("              cannot be used: {what}"));
 }
 
-/// What will be used, and why.
+/// The device that will be used, and why.
 fn verdict(choice: DeviceChoice, chosen: Option<usize>, reports: &[AdapterReport]) -> String {
     match (choice, chosen) {
         (_, Some(index)) => format!("gpu:{index} ({choice})"),
@@ -73,7 +76,7 @@ fn verdict(choice: DeviceChoice, chosen: Option<usize>, reports: &[AdapterReport
     }
 }
 
-/// What the CPU engine can make use of.
+/// Instruction sets that the CPU engine has code for.
 #[cfg(target_arch = "x86_64")]
 fn features() -> Vec<&'static str> {
     let known = [
@@ -86,14 +89,15 @@ fn features() -> Vec<&'static str> {
     known.into_iter().filter_map(|(name, there)| there.then_some(name)).collect()
 }
 
-/// What the CPU engine can make use of.
+/// Instruction sets that the CPU engine has code for.
 #[cfg(not(target_arch = "x86_64"))]
 fn features() -> Vec<&'static str> {
     vec![std::env::consts::ARCH]
 }
 
-/// Runs a real database with the real schema, in a folder of its own.
-fn sqlite_version() -> Result<String, Box<dyn std::error::Error + Send + Sync>> {
+/// Opens a database with the service's schema in a temporary folder.
+#[cfg(feature = "server")]
+fn sqlite_version() -> CommandResult<String> {
     let folder = tempfile::tempdir()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     Ok(runtime.block_on(async {
@@ -104,8 +108,8 @@ fn sqlite_version() -> Result<String, Box<dyn std::error::Error + Send + Sync>> 
     })?)
 }
 
-/// Whether the directory, or the nearest folder above it that exists, takes files.
-fn data_dir(path: &Path) -> Result<String, Box<dyn std::error::Error + Send + Sync>> {
+/// Whether files can be written to the directory, or to the nearest folder above it that exists.
+fn data_dir(path: &Path) -> CommandResult<String> {
     let absolute = std::path::absolute(path)?;
     let there = absolute.ancestors().find(|p| p.exists()).unwrap_or(Path::new("/"));
     let state = match tempfile::tempfile_in(there) {

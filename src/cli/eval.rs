@@ -1,4 +1,4 @@
-//! `relume eval`: a model file against a capture's ground truth.
+//! `relume eval`: compares a model file with a capture's ground truth.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -7,11 +7,11 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::capture::{Capture, CaptureError, ImportOptions, import};
 pub use crate::cli::args::QualityArgs;
-use crate::cli::output;
+use crate::cli::error::CommandResult;
+use crate::cli::{input, output};
 use crate::engine::Device;
-use crate::engine::gpu::{DeviceChoice, GpuError};
-use crate::eval::{EvalError, EvalOptions, Lpips, LpipsError, contact_sheet, evaluate};
-use crate::formats::model_file::{self, ModelFileError};
+use crate::engine::DeviceChoice;
+use crate::eval::{EvalOptions, Lpips, contact_sheet, evaluate};
 
 /// Side of a contact sheet's cells, pixels.
 const CELL: u32 = 200;
@@ -52,60 +52,13 @@ pub struct EvalArgs {
     pub views: Option<u32>,
 }
 
-/// Why `relume eval` gave no report. Each names the file at fault.
-#[derive(Debug, thiserror::Error)]
-pub enum EvalCommandError {
-    /// A file could not be read.
-    #[error("cannot read {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// A file could not be written.
-    #[error("cannot write {path}: {source}")]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Not a model.
-    #[error("{path}: {source}")]
-    Model {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        source: ModelFileError,
-    },
-    /// The capture cannot be imported.
-    #[error(transparent)]
-    Capture(#[from] CaptureError),
-    /// The LPIPS weights were refused.
-    #[error(transparent)]
-    Lpips(#[from] LpipsError),
-    /// The device cannot be had.
-    #[error(transparent)]
-    Device(#[from] GpuError),
-    /// Nothing could be compared.
-    #[error(transparent)]
-    Eval(#[from] EvalError),
-    /// The contact sheet could not be encoded.
-    #[error("contact sheet: {0}")]
-    Sheet(#[from] image::ImageError),
-}
-
 /// Evaluates, prints the Markdown report and writes what was asked for.
 ///
 /// # Errors
-/// [`EvalCommandError`] names the file at fault. Output folders are made before the work begins.
-pub fn run(args: &EvalArgs) -> Result<(), EvalCommandError> {
+/// Names the file at fault. Output folders are made before the work begins.
+pub fn run(args: &EvalArgs) -> CommandResult {
     [&args.json, &args.markdown, &args.sheet].into_iter().flatten().try_for_each(|f| make_folder(f))?;
-    let bytes = read(&args.model)?;
-    let model = model_file::decode(&bytes)
-        .map_err(|source| EvalCommandError::Model { path: args.model.clone(), source })?;
-    let model = Arc::new(model);
+    let model = Arc::new(input::read_model(&args.model)?);
     let lpips = args.lpips.as_deref().map(Lpips::read).transpose()?;
     let capture = load_capture(args)?;
 
@@ -129,19 +82,19 @@ pub fn run(args: &EvalArgs) -> Result<(), EvalCommandError> {
     let markdown = report.to_markdown();
     println!("{markdown}");
     if let Some(path) = &args.json {
-        write(path, report.to_json().as_bytes())?;
+        output::write_named(path, report.to_json().as_bytes())?;
     }
     if let Some(path) = &args.markdown {
-        write(path, markdown.as_bytes())?;
+        output::write_named(path, markdown.as_bytes())?;
     }
     if let Some(path) = &args.sheet {
         let sheet = contact_sheet(model, &capture, args.quality.quality(), SHEET_ROWS, &device)?;
-        write(path, &sheet.to_png(CELL)?)?;
+        output::write_named(path, &sheet.to_png(CELL)?)?;
     }
     Ok(())
 }
 
-fn load_capture(args: &EvalArgs) -> Result<Capture, EvalCommandError> {
+fn load_capture(args: &EvalArgs) -> Result<Capture, CaptureError> {
     let options = ImportOptions { max_side: args.resolution, ..ImportOptions::default() };
     let capture = import(&args.capture, &options)?;
     capture.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
@@ -153,18 +106,8 @@ fn progress_bar() -> ProgressBar {
     ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, EvalCommandError> {
-    std::fs::read(path).map_err(|source| EvalCommandError::Read { path: path.to_owned(), source })
-}
-
-fn write(path: &Path, bytes: &[u8]) -> Result<(), EvalCommandError> {
-    output::write_whole(path, bytes)
-        .map_err(|source| EvalCommandError::Write { path: path.to_owned(), source })
-}
-
-/// A report that cannot be written should be known before it is measured.
-fn make_folder(file: &Path) -> Result<(), EvalCommandError> {
+/// Makes the folder of an output before the work begins, so that a wrong path is known early.
+fn make_folder(file: &Path) -> Result<(), String> {
     let Some(folder) = file.parent().filter(|p| !p.as_os_str().is_empty()) else { return Ok(()) };
-    std::fs::create_dir_all(folder)
-        .map_err(|source| EvalCommandError::Write { path: file.to_owned(), source })
+    std::fs::create_dir_all(folder).map_err(|error| format!("{}: {error}", file.display()))
 }

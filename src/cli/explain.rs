@@ -1,37 +1,37 @@
-//! `relume explain`: the model card in words.
+//! `relume explain`: the model card as text.
 
 use std::path::PathBuf;
 
 use serde_json::Value;
 
-use crate::cli::CommandResult;
+use crate::cli::error::CommandResult;
+use crate::cli::input;
 use crate::formats::model_file;
 use crate::scene::Model;
 
 /// Options of `relume explain`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct ExplainArgs {
     /// The model file.
     model: PathBuf,
 }
 
-pub(super) fn run(args: &Args) -> CommandResult {
-    let bytes = std::fs::read(&args.model)?;
-    let model = model_file::decode(&bytes)?;
-    for line in explain(&model, bytes.len()) {
+pub(super) fn run(args: &ExplainArgs) -> CommandResult {
+    let model = input::read_model(&args.model)?;
+    for line in explain(&model, std::fs::metadata(&args.model)?.len()) {
         println!("{line}");
     }
     Ok(())
 }
 
-/// A string, or JSON as it stands.
+/// The text of a string, or the JSON of another value.
 fn plain(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
-fn explain(model: &Model, bytes: usize) -> Vec<String> {
+fn explain(model: &Model, bytes: u64) -> Vec<String> {
     let (g, card) = (&model.gaussians, &model.card);
-    let said = |key: &str| card.get(key).filter(|v| !v.is_null()).map_or("unknown".to_owned(), plain);
+    let text = |key: &str| card.get(key).filter(|v| !v.is_null()).map_or("unknown".to_owned(), plain);
     let floats = model_file::floats_a_gaussian(model);
     let mut out = vec![
         format!("{} Gaussians of {floats} floats each, {:.1} kB in all", g.len(), bytes as f64 / 1e3),
@@ -46,10 +46,10 @@ fn explain(model: &Model, bytes: usize) -> Vec<String> {
         format!("environment of {} x {} texels", model.env_width, model.env_height),
         format!(
             "trained by relume {} on engine {} for {} steps on {} photographs",
-            said("relume_version"),
-            said("engine"),
-            said("steps"),
-            said("photographs")
+            text("relume_version"),
+            text("engine"),
+            text("steps"),
+            text("photographs")
         ),
     ];
     out.push(match card.get("training_seconds").and_then(Value::as_f64) {
@@ -74,8 +74,8 @@ pub(super) fn findings(card: &Value) -> Vec<String> {
 }
 
 fn sentence(finding: &Value) -> String {
-    let said = |key: &str| finding.get(key).map_or(String::new(), plain);
-    let (setting, step, was, is) = (said("setting"), said("step"), said("was"), said("is"));
+    let text = |key: &str| finding.get(key).map_or(String::new(), plain);
+    let (setting, step, was, is) = (text("setting"), text("step"), text("was"), text("is"));
     if finding.get("forced").and_then(Value::as_bool) == Some(true) {
         return format!("{setting}: {is}, as was asked for (step {step})");
     }
@@ -91,15 +91,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_decision_is_told_with_its_evidence() {
+    fn a_decision_is_printed_with_its_evidence() {
         let card = serde_json::json!({"complexity": {"mode": "auto", "findings": [
             {"setting": "visibility", "step": 9, "was": "degree 4", "is": "off", "forced": false,
              "evidence": {"ao_error_off": 0.01}},
             {"setting": "radiance", "step": 9, "was": "degree 1", "is": "degree 1", "forced": true, "evidence": {}},
         ]}});
-        let told = findings(&card);
-        assert_eq!(told[0], "visibility: degree 4 -> off at step 9; ao error off 0.01");
-        assert_eq!(told[1], "radiance: degree 1, as was asked for (step 9)");
+        let printed = findings(&card);
+        assert_eq!(printed[0], "visibility: degree 4 -> off at step 9; ao error off 0.01");
+        assert_eq!(printed[1], "radiance: degree 1, as was asked for (step 9)");
         assert!(findings(&Value::Null).is_empty(), "a card without decisions has none");
     }
 }

@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
-use crate::cli::{CommandResult, output};
-use crate::formats::{model_file, ply_model};
+use crate::cli::error::CommandResult;
+use crate::cli::{input, output};
+use crate::formats::ply_model;
 
 /// Options of `relume export`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct ExportArgs {
     /// The model file.
     model: PathBuf,
     /// The file to write, ending in `.ply`.
@@ -15,11 +16,11 @@ pub(super) struct Args {
     out: PathBuf,
 }
 
-pub(super) fn run(args: &Args) -> CommandResult {
+pub(super) fn run(args: &ExportArgs) -> CommandResult {
     if args.out.extension().is_none_or(|e| !e.eq_ignore_ascii_case("ply")) {
         return Err(format!("{}: only .ply can be written", args.out.display()).into());
     }
-    let model = model_file::decode(&std::fs::read(&args.model)?)?;
+    let model = input::read_model(&args.model)?;
     output::write_named(&args.out, &ply_model::encode(&model))?;
     eprintln!("wrote {}", args.out.display());
     Ok(())

@@ -1,11 +1,12 @@
-//! Lights as they are named on the command line.
+//! Lights by their names on the command line.
 
 use crate::capture::{BUILTIN, Capture, builtin};
 use crate::formats::environment;
 use crate::scene::EnvMap;
 use crate::train::TrainConfig;
 
-/// A built-in map or the contents of a `.hdr` or `.exr` file; `others` says what else could have been named.
+/// A built-in map or the contents of a `.hdr` or `.exr` file. The error lists the allowed names; `others` are further
+/// ones that the caller accepts.
 pub(super) fn named_light(name: &str, others: &str) -> Result<EnvMap, String> {
     if let Some(map) = builtin(name) {
         return Ok(map);
@@ -20,7 +21,7 @@ pub(super) fn named_light(name: &str, others: &str) -> Result<EnvMap, String> {
     Ok(loaded.map)
 }
 
-/// Gives `capture` the measured light that `config` names, if it names one.
+/// Sets the measured light of `capture` that `config` names, if it names one.
 pub(super) fn illuminate(capture: &mut Capture, config: &TrainConfig) -> Result<(), String> {
     if let Some(known) = &config.light {
         known.illuminate(capture, named_light(&known.environment, "")?);
@@ -34,7 +35,7 @@ mod tests {
     use crate::capture::{SyntheticOptions, synthetic};
     use crate::train::{Preset, TrainOverrides};
 
-    fn lit(overrides: &str) -> Result<Option<EnvMap>, String> {
+    fn lit_by(overrides: &str) -> Result<Option<EnvMap>, String> {
         let overrides: TrainOverrides = serde_json::from_str(overrides).unwrap();
         let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
         let options =
@@ -44,10 +45,10 @@ mod tests {
     }
 
     #[test]
-    fn a_capture_is_lit_by_what_the_settings_name_and_by_nothing_else() {
-        assert_eq!(lit(r#"{"light": {"environment": "studio"}}"#), Ok(builtin("studio")));
-        assert_eq!(lit("{}"), Ok(None));
-        let missing = lit(r#"{"light": {"environment": "no/such.hdr"}}"#).unwrap_err();
+    fn a_capture_has_the_light_that_the_settings_name_and_no_other() {
+        assert_eq!(lit_by(r#"{"light": {"environment": "studio"}}"#), Ok(builtin("studio")));
+        assert_eq!(lit_by("{}"), Ok(None));
+        let missing = lit_by(r#"{"light": {"environment": "no/such.hdr"}}"#).unwrap_err();
         assert!(missing.starts_with("no/such.hdr: "), "{missing}");
     }
 }

@@ -1,15 +1,19 @@
-//! The command line: one file a command.
+//! The command line, one file for each command.
 
 mod args;
 mod bench;
+#[cfg(all(feature = "server", feature = "client"))]
 pub mod demo;
 mod doctor;
+mod error;
 pub mod eval;
 mod explain;
 mod export;
+mod input;
 mod light;
 mod output;
 mod render;
+#[cfg(feature = "server")]
 mod serve;
 mod train;
 
@@ -19,8 +23,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-/// What every command returns: an error is printed with its causes.
-type CommandResult = Result<(), Box<dyn std::error::Error + Send + Sync>>;
+#[cfg(feature = "server")]
+use error::CommandResult;
 
 /// Turns posed photographs into relightable 3D Gaussian models and serves them relit.
 #[derive(Debug, Parser)]
@@ -35,42 +39,59 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    #[cfg(all(feature = "server", feature = "client"))]
     /// See it work: train on a synthetic capture, relight it, measure it against the exact truth.
     Demo(demo::DemoArgs),
+    #[cfg(feature = "server")]
     /// Run the HTTP service.
-    Serve(serve::Args),
+    Serve(serve::ServeArgs),
     /// Train a model from a capture on this machine.
-    Train(train::Args),
+    Train(train::TrainArgs),
     /// Render a model on this machine.
-    Render(render::Args),
+    Render(render::RenderArgs),
     /// Measure a model against a capture's held-out views and ground truth.
     Eval(eval::EvalArgs),
     /// Measure speed on this machine.
-    Bench(bench::Args),
-    /// Say in words what a model is, what was decided about it and on what evidence.
-    Explain(explain::Args),
+    Bench(bench::BenchArgs),
+    /// Print what a model contains, and the complexity decisions of its training with their evidence.
+    Explain(explain::ExplainArgs),
     /// Write a model in another format.
-    Export(export::Args),
-    /// Show what this machine offers and whether everything is in order.
-    Doctor(doctor::Args),
+    Export(export::ExportArgs),
+    /// Show this machine's devices and check that the service can run on it.
+    Doctor(doctor::DoctorArgs),
+    #[cfg(feature = "server")]
     /// Print the description of the HTTP API.
     Openapi,
+}
+
+impl Command {
+    /// What is logged when `RUST_LOG` says nothing: a server reports what it does, other commands only what goes wrong.
+    fn log_level(&self) -> &'static str {
+        match self {
+            #[cfg(feature = "server")]
+            Self::Serve(_) => "relume=info,warn",
+            _ => "warn",
+        }
+    }
 }
 
 /// Runs the command that the process was started with.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    log_to_stderr(cli.json_logs, matches!(cli.command, Command::Serve(_)));
+    log_to_stderr(cli.json_logs, cli.command.log_level());
     let outcome = match cli.command {
+        #[cfg(all(feature = "server", feature = "client"))]
         Command::Demo(args) => demo::run(&args).map_err(Into::into),
+        #[cfg(feature = "server")]
         Command::Serve(args) => serve::run(args),
         Command::Train(args) => train::run(&args),
         Command::Render(args) => render::run(&args),
-        Command::Eval(args) => eval::run(&args).map_err(Into::into),
+        Command::Eval(args) => eval::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "server")]
         Command::Openapi => openapi(),
     };
     match outcome {
@@ -82,15 +103,15 @@ pub fn main() -> ExitCode {
     }
 }
 
+#[cfg(feature = "server")]
 fn openapi() -> CommandResult {
-    println!("{}", crate::api::openapi().to_pretty_json()?);
+    println!("{}", crate::server::openapi().to_pretty_json()?);
     Ok(())
 }
 
-/// `RUST_LOG` decides; a server tells what it does, other commands only what goes wrong.
-fn log_to_stderr(json: bool, server: bool) {
-    let default = if server { "relume=info,warn" } else { "warn" };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
+/// Logs to standard error, as `RUST_LOG` says or else at `default_level`.
+fn log_to_stderr(json: bool, default_level: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_level));
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

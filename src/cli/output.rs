@@ -1,4 +1,4 @@
-//! Files that are there whole or not at all.
+//! Files that are written whole or not at all.
 
 use std::io::Write;
 use std::path::Path;
@@ -8,13 +8,13 @@ pub(super) fn write_named(path: &Path, bytes: &[u8]) -> Result<(), String> {
     write_whole(path, bytes).map_err(|error| format!("{}: {error}", path.display()))
 }
 
-/// Writes beside `path`, syncs, then renames, so that no reader ever sees half a file.
+/// Writes beside `path`, syncs, then renames, so that no reader sees part of a file.
 pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
     std::fs::create_dir_all(folder)?;
     let mut builder = tempfile::Builder::new();
     builder.suffix(".relume-tmp");
-    // Results are for others too: as readable as the umask allows, unlike a private temporary file.
+    // As readable as the umask allows; a temporary file is private by default.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let mut file = builder.tempfile_in(folder)?;

@@ -3,19 +3,17 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::api::picture::{self, Format};
 use crate::cli::args::{QualityArgs, named};
+use crate::cli::error::CommandResult;
 use crate::cli::light::named_light;
-use crate::cli::{CommandResult, output};
+use crate::cli::{input, output};
 use crate::engine::Device;
-use crate::engine::gpu::DeviceChoice;
-use crate::formats::model_file;
-use crate::render::{Output, Renderer};
-use crate::worker::{Orbit, View};
+use crate::engine::DeviceChoice;
+use crate::render::{FrameFormat, Orbit, Output, Renderer, Viewpoint, encode_frame};
 
 /// Options of `relume render`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct RenderArgs {
     /// The model file.
     model: PathBuf,
     /// A `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
@@ -27,7 +25,7 @@ pub(super) struct Args {
     /// Exposure of the light, stops.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     exposure: f64,
-    /// Degrees around the model, counter-clockwise seen from above; 0 stands on the +x side.
+    /// Degrees around the model, counter-clockwise seen from above; 0 is on the +x side.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     azimuth: f64,
     /// Degrees above the horizon.
@@ -38,7 +36,7 @@ pub(super) struct Args {
     size: u32,
     #[command(flatten)]
     quality: QualityArgs,
-    /// What to render, with commas; a PNG or JPEG holds one, an EXR all.
+    /// Outputs to render, separated by commas; a PNG or JPEG holds one, an EXR all.
     #[arg(long, default_value = "rgb", value_delimiter = ',', value_parser = named::<Output>)]
     output: Vec<Output>,
     /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
@@ -49,34 +47,34 @@ pub(super) struct Args {
     out: PathBuf,
 }
 
-pub(super) fn run(args: &Args) -> CommandResult {
+pub(super) fn run(args: &RenderArgs) -> CommandResult {
     let format = format(&args.out)?;
-    if format != Format::Exr && args.output.len() > 1 {
+    if format != FrameFormat::Exr && args.output.len() > 1 {
         return Err("only an .exr holds several outputs".into());
     }
-    let model = Arc::new(model_file::decode(&std::fs::read(&args.model)?)?);
+    let model = Arc::new(input::read_model(&args.model)?);
     let light = match args.env.as_str() {
         "recovered" => model.environment(),
         name => named_light(name, "recovered ")?,
     };
     let light = light.rotated_and_scaled(args.rotation, args.exposure.exp2() as f32);
     let orbit = Orbit { azimuth_deg: args.azimuth, elevation_deg: args.elevation, size: args.size };
-    let camera = View::Orbit(orbit).camera(&model)?;
+    let camera = Viewpoint::Orbit(orbit).camera(&model)?;
     let renderer = Renderer::on(model, &Device::open(args.device)?)?;
     let frame =
         renderer.render(&camera, &renderer.prepare_light(&light)?, args.quality.quality(), &args.output)?;
-    let picture = picture::encode(&frame, &args.output, format)?;
-    output::write_named(&args.out, &picture.bytes)?;
+    let encoded = encode_frame(&frame, &args.output, format)?;
+    output::write_named(&args.out, &encoded.bytes)?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
 }
 
-fn format(path: &Path) -> Result<Format, String> {
+fn format(path: &Path) -> Result<FrameFormat, String> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     match extension.as_str() {
-        "png" => Ok(Format::Png),
-        "jpg" | "jpeg" => Ok(Format::Jpeg),
-        "exr" => Ok(Format::Exr),
+        "png" => Ok(FrameFormat::Png),
+        "jpg" | "jpeg" => Ok(FrameFormat::Jpeg),
+        "exr" => Ok(FrameFormat::Exr),
         _ => Err(format!("{}: must end in .png, .jpg or .exr", path.display())),
     }
 }

@@ -7,21 +7,20 @@ use axum::http::HeaderValue;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 
-use crate::api::auth::ApiKeys;
-use crate::api::server::{self, ServerConfig};
 use crate::cli::CommandResult;
-use crate::worker::DeviceChoice;
+use crate::engine::DeviceChoice;
+use crate::server::{self, ApiKeys, ServerConfig};
 
 /// Options of `relume serve`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct ServeArgs {
     /// Address to listen on. Anything but loopback needs an API key.
     #[arg(long, env = "RELUME_LISTEN", default_value = "127.0.0.1:7878")]
     listen: SocketAddr,
-    /// Where everything is kept.
+    /// Where everything is stored.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
-    /// Keys that are let in, as `Authorization: Bearer KEY`; several with commas.
+    /// Accepted keys, as `Authorization: Bearer KEY`; several with commas.
     #[arg(
         long = "api-key",
         env = "RELUME_API_KEYS",
@@ -47,17 +46,17 @@ pub(super) struct Args {
     max_attempts: u32,
 }
 
-/// Long enough that nobody guesses it.
+/// A key that is too long to be guessed.
 fn api_key(text: &str) -> Result<String, String> {
     let key = text.trim();
     if key.len() < 16 { Err("a key needs at least 16 characters".to_owned()) } else { Ok(key.to_owned()) }
 }
 
-pub(super) fn run(args: Args) -> CommandResult {
+pub(super) fn run(args: ServeArgs) -> CommandResult {
     tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(serve(args))
 }
 
-async fn serve(args: Args) -> CommandResult {
+async fn serve(args: ServeArgs) -> CommandResult {
     let mut config = ServerConfig::new(&args.data_dir);
     config.api_keys = ApiKeys::new(&args.api_keys);
     config.cors_origins = args.cors_origins;
@@ -66,7 +65,7 @@ async fn serve(args: Args) -> CommandResult {
     config.worker.device = args.device;
     config.lease.max_idle_attempts = args.max_attempts;
     let listener = TcpListener::bind(args.listen).await?;
-    // For people and scripts alike: with port 0 this is how they learn the address.
+    // With port 0 this line is how users and scripts learn the address.
     println!("listening on http://{}", listener.local_addr()?);
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
@@ -74,7 +73,7 @@ async fn serve(args: Args) -> CommandResult {
         tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
         tokio::spawn(async move {
             tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-            tracing::warn!("stopped hard; the running job goes on from its last checkpoint next time");
+            tracing::warn!("stopped without a checkpoint; the running job continues from its last one");
             std::process::exit(130);
         });
     };

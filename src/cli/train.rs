@@ -1,4 +1,4 @@
-//! `relume train`: a capture in, a model file out, no server involved.
+//! `relume train`: from a capture to a model file, without a server.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -7,17 +7,19 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::capture::Capture;
 use crate::cli::args::{named, overrides};
+use crate::cli::error::CommandResult;
 use crate::cli::light::named_light;
-use crate::cli::{CommandResult, output};
+use crate::cli::output;
 use crate::engine::Device;
-use crate::engine::gpu::DeviceChoice;
+use crate::engine::DeviceChoice;
 use crate::formats::model_file;
-use crate::train::{KnownLight, LightExposure, Preset, StepReport, TrainConfig, Trainer};
-use crate::worker::import_for_training;
+use crate::train::{
+    KnownLight, LightExposure, Preset, StepReport, TrainConfig, Trainer, import_for_training,
+};
 
 /// Options of `relume train`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct TrainArgs {
     /// A folder, zip, tar or tar.gz of posed photographs.
     capture: PathBuf,
     /// `draft`, `standard` or `high`.
@@ -32,7 +34,7 @@ pub(super) struct Args {
     /// Seed of every random choice.
     #[arg(long)]
     seed: Option<u64>,
-    /// The light of the photographs, where it was measured: a `.hdr` or `.exr` file or the name of a built-in map.
+    /// The measured light of the photographs: a `.hdr` or `.exr` file or the name of a built-in map.
     #[arg(long)]
     light: Option<String>,
     /// Turn of that light about the capture's +Z, degrees counter-clockwise.
@@ -48,7 +50,7 @@ pub(super) struct Args {
     /// Any other override of the preset, e.g. `--set labels=both`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Where to keep the state now and then; a training that finds one there goes on from it. Removed at the end.
+    /// The file for checkpoints. A training resumes from it when it exists; it is removed at the end.
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// The model file to write.
@@ -56,7 +58,7 @@ pub(super) struct Args {
     out: PathBuf,
 }
 
-pub(super) fn run(args: &Args) -> CommandResult {
+pub(super) fn run(args: &TrainArgs) -> CommandResult {
     let flags = [
         ("resolution", args.resolution.map(Into::into)),
         ("iterations", args.iterations.map(Into::into)),
@@ -88,7 +90,7 @@ pub(super) fn run(args: &Args) -> CommandResult {
     let mut trainer = trainer(&capture, config, &device, args.checkpoint.as_deref())?;
     train(&mut trainer, args.checkpoint.as_deref().map(|file| (file, every)))?;
     let mut model = trainer.model()?;
-    // Only here: a job's model file leaves the time out, so that its bytes depend on nothing else.
+    // A job's model file has no time in it, so that its bytes are reproducible.
     if let Some(card) = model.card.as_object_mut() {
         card.insert("training_seconds".to_owned(), trainer.seconds().into());
     }
@@ -107,13 +109,13 @@ fn exposure(text: &str) -> Result<LightExposure, String> {
     text.parse().map(LightExposure::Stops).map_err(|_| format!("{text:?} is neither a number nor `auto`"))
 }
 
-/// Goes on from a checkpoint that is there, or starts.
+/// Resumes from the checkpoint when the file exists, or starts anew.
 fn trainer(
     capture: &Capture,
     config: TrainConfig,
     device: &Device,
     checkpoint: Option<&Path>,
-) -> Result<Trainer, Box<dyn Error + Send + Sync>> {
+) -> CommandResult<Trainer> {
     let Some(file) = checkpoint.filter(|file| file.exists()) else {
         return Ok(Trainer::new(capture, config, device)?);
     };
@@ -124,7 +126,7 @@ fn trainer(
     Ok(trainer)
 }
 
-/// Trains to the end; `checkpoint`: where to keep the state, and every how many steps.
+/// Trains to the end; `checkpoint`: the file for the state, and the steps between two writes.
 fn train(trainer: &mut Trainer, checkpoint: Option<(&Path, u32)>) -> CommandResult {
     let bar = ProgressBar::new(u64::from(trainer.progress().total));
     let style = "{bar:32} {pos}/{len} {per_sec:>12} eta {eta:>4}  {msg}";
@@ -138,7 +140,7 @@ fn train(trainer: &mut Trainer, checkpoint: Option<(&Path, u32)>) -> CommandResu
         if let Some((file, _)) = checkpoint.filter(|(_, every)| progress.step.is_multiple_of(*every)) {
             output::write_named(file, &trainer.checkpoint()?)?;
         }
-        // Without a terminal there is no bar; a log wants a line now and then.
+        // Without a terminal there is no bar: twenty lines go to the log instead.
         if bar.is_hidden() && progress.step.is_multiple_of((progress.total / 20).max(1)) {
             eprintln!("step {}/{}  {}", progress.step, progress.total, summary(&report));
         }

@@ -1,10 +1,13 @@
-//! The G-buffer's channels. Order matters: work that needs fewer of them takes a prefix.
+//! What the channels of an attribute row and of the G-buffer carry: one definition for both engines. The build script
+//! compiles this file as well and generates the shaders' constants from it (`build/generated.rs`).
+//!
+//! Order matters: a pass that needs fewer channels carries a prefix ([`Channels`]).
 
 use std::ops::Range;
 
 /// Coverage: the channel whose attribute is 1.
 pub const COVERAGE: usize = 0;
-/// Colour of the radiance branch, display-referred; the preview tier puts shaded colour here.
+/// Colour of the radiance branch, display-referred; a pass of [`Channels::Colour`] blends any colour here.
 pub const RADIANCE: Range<usize> = 1..4;
 /// World-space normal.
 pub const NORMAL: Range<usize> = 4..7;
@@ -16,16 +19,72 @@ pub const ALBEDO: Range<usize> = 8..11;
 pub const METAL: usize = 11;
 /// Roughness.
 pub const ROUGH: usize = 12;
-/// Light: of a lit pass the radiance that leaves for the camera, else gathered irradiance.
-pub const LIGHT: Range<usize> = 13..16;
-/// Of the gradient of a lit pass by a Gaussian, once [`LIGHT`] has been passed on: that by sheen.
-pub const SHEEN: usize = LIGHT.start;
 /// Camera depth.
 pub const DEPTH: usize = 16;
-/// Of a lit pass the specular part of [`LIGHT`], else radiance from where the environment is blocked.
-pub const INDIRECT: Range<usize> = 17..20;
 /// First visibility coefficient.
 pub const VISIBILITY: usize = 20;
+
+/// Radiance that leaves a surface for the camera, W/(m^2 sr), linear: the light in a row of a Gaussian that is shaded before
+/// it is blended (`ShadeAt::Gaussian`).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OutgoingRadiance {
+    /// Diffuse part of what leaves for the camera.
+    pub diffuse: [f32; 3],
+    /// Specular part.
+    pub specular: [f32; 3],
+}
+
+impl OutgoingRadiance {
+    /// Channels of [`Self::total`].
+    pub const TOTAL: Range<usize> = 13..16;
+    /// Channels of [`Self::specular`]; zero in the passes of a training, which need no part by itself.
+    pub const SPECULAR: Range<usize> = 17..20;
+    /// In the gradient of a row, once that by [`Self::TOTAL`] has gone through the shading: the gradient by sheen.
+    pub const SHEEN_GRADIENT: usize = Self::TOTAL.start;
+
+    /// Both parts together.
+    pub fn total(&self) -> [f32; 3] {
+        std::array::from_fn(|c| self.diffuse[c] + self.specular[c])
+    }
+}
+
+/// Light in a row of attributes that are blended and shaded in the pixel (`ShadeAt::Pixel`), linear.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct IncidentLight {
+    /// Irradiance gathered from other surfaces, W/m^2.
+    pub gathered: [f32; 3],
+    /// Radiance from where the environment is blocked, W/(m^2 sr).
+    pub blocked: [f32; 3],
+}
+
+impl IncidentLight {
+    /// Channels of [`Self::gathered`].
+    pub const GATHERED: Range<usize> = 13..16;
+    /// Channels of [`Self::blocked`].
+    pub const BLOCKED: Range<usize> = 17..20;
+}
+
+/// Which light a pass blends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RowLight {
+    /// [`OutgoingRadiance`].
+    Outgoing,
+    /// [`IncidentLight`].
+    Incident,
+}
+
+/// Channels that kernels take at once.
+pub const GROUP: usize = 4;
+
+/// A group is a scalar and a triple, or a triple and a scalar: the shaders write groups as `vec4f` of those two.
+const _: () = {
+    assert!(COVERAGE.is_multiple_of(GROUP) && RADIANCE.start == COVERAGE + 1);
+    assert!(NORMAL.start.is_multiple_of(GROUP) && PLANE == NORMAL.end);
+    assert!(ALBEDO.start.is_multiple_of(GROUP) && METAL == ALBEDO.end);
+    assert!(ROUGH.is_multiple_of(GROUP) && DEPTH.is_multiple_of(GROUP) && VISIBILITY.is_multiple_of(GROUP));
+    assert!(OutgoingRadiance::TOTAL.start == ROUGH + 1 && OutgoingRadiance::SPECULAR.start == DEPTH + 1);
+    assert!(IncidentLight::GATHERED.start == ROUGH + 1 && IncidentLight::BLOCKED.start == DEPTH + 1);
+};
 
 /// How many channels a pass carries: a prefix of the list above.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,7 +93,7 @@ pub enum Channels {
     Colour,
     /// Also normal and plane distance: radiance warm-up with depth-normal consistency.
     Geometry,
-    /// Also material and light, without what only shading in the pixel and pictures need: the usual training.
+    /// Also material and the first triple of light: the usual training.
     Material,
     /// Everything, visibility of this many coefficients included.
     Full(usize),
@@ -42,17 +101,26 @@ pub enum Channels {
 
 impl Channels {
     /// Number of channels in use.
-    pub fn count(self) -> usize {
+    pub const fn count(self) -> usize {
         match self {
-            Self::Colour => 4,
-            Self::Geometry => 8,
-            Self::Material => 16,
+            Self::Colour => RADIANCE.end,
+            Self::Geometry => PLANE + 1,
+            Self::Material => OutgoingRadiance::TOTAL.end,
             Self::Full(coefficients) => VISIBILITY + coefficients,
         }
     }
 
-    /// Channels stored: `count` rounded up so that kernels work in whole blocks of 4.
-    pub fn stored(self) -> usize {
-        self.count().next_multiple_of(4)
+    /// Channels stored: `count` rounded up so that kernels work in whole groups.
+    pub const fn stored(self) -> usize {
+        self.count().next_multiple_of(GROUP)
     }
+}
+
+/// Channels of a training step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StepChannels {
+    /// Those that are blended.
+    pub blended: Channels,
+    /// Those of them that the backward pass carries.
+    pub differentiated: Channels,
 }

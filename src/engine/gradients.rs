@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::engine::{channel, zeros};
+use crate::engine::channel::{self, OutgoingRadiance};
+use crate::engine::zeros;
 use crate::scene::{Field, Gaussians};
 
 /// Where each field starts in a gradient row.
@@ -28,7 +29,7 @@ impl RowLayout {
             Field::MetalLogit | Field::RoughLogit | Field::ProtoLogits | Field::Residual => {
                 count > channel::ROUGH
             }
-            Field::Sheen => count > channel::SHEEN,
+            Field::Sheen => count > OutgoingRadiance::SHEEN_GRADIENT,
             Field::Normal => count > channel::PLANE,
             _ => true,
         })
@@ -66,7 +67,7 @@ pub struct Gradients {
     pub env_raw: Vec<[f32; 3]>,
     /// Sum over pixels of the length of each one's gradient by the projected mean, in half image widths, per Gaussian
     /// (AbsGS's density signal).
-    pub pull: Vec<f32>,
+    pub absgrad: Vec<f32>,
     /// Gaussians that were on screen.
     pub visible: Vec<bool>,
 }
@@ -84,7 +85,7 @@ impl Gradients {
             rows: zeros(g.len() * layout.row),
             prototypes: vec![[0.0; 3]; g.prototypes()],
             env_raw: vec![[0.0; 3]; texels],
-            pull: vec![0.0; g.len()],
+            absgrad: vec![0.0; g.len()],
             visible: vec![false; g.len()],
         }
     }

@@ -1,10 +1,10 @@
-//! What each layer of a recovered model costs its relit pictures: the truth is put in a layer's place, and what is left of
-//! the error is somebody else's.
+//! What each layer of a recovered model costs its relit pictures: the error that remains when ground truth replaces the
+//! layer comes from the other layers.
 
 use std::sync::Arc;
 
 use crate::capture::{Capture, CaptureView};
-use crate::engine::cpu::{Shader, Surface};
+use crate::engine::cpu::{Surface, SurfaceShader};
 use crate::eval::evaluate::{EvalError, check_sizes, evenly_spaced, lights_of, refused};
 use crate::eval::image::{mean_squared_error, psnr_of};
 use crate::eval::totals::Mean;
@@ -12,41 +12,34 @@ use crate::eval::views::{on_white, photograph};
 use crate::render::{Frame, Output, Renderer};
 use crate::scene::Model;
 
-/// One replacement: the layers named are ground truth, the others are the model's.
+/// What ground truth can replace in a model's picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Replaced {
+pub enum TruthLayer {
     /// Linear base colour.
-    pub albedo: bool,
+    Albedo,
     /// Shading normal.
-    pub normal: bool,
+    Normal,
     /// Metalness and roughness.
-    pub material: bool,
-    /// Visibility, scaled until its ambient occlusion is the truth's; what is gathered from blocked directions likewise.
-    pub occlusion: bool,
-    /// Silhouette.
-    pub alpha: bool,
+    Material,
+    /// Visibility, scaled until its ambient occlusion is the truth's; radiance gathered from blocked directions is scaled
+    /// likewise.
+    Occlusion,
+    /// Silhouette: the alpha channel.
+    Alpha,
 }
 
-impl Replaced {
-    /// Nothing is replaced.
-    pub const NONE: Self =
-        Self { albedo: false, normal: false, material: false, occlusion: false, alpha: false };
-    /// Everything is.
-    pub const ALL: Self = Self { albedo: true, normal: true, material: true, occlusion: true, alpha: true };
-}
-
-/// Relit PSNR of `model` in dB, mean over `capture`'s lights of the mean over its views (at most `views`), for each of
-/// `replacements`; layers without truth stay the model's. `None` without relit truth. Surfaces are shaded in the pixel,
-/// where the truth is put, also of a model that finds it at its Gaussians: with nothing replaced such a model does not
-/// get here what it gets elsewhere.
+/// Relit PSNR of `model` in dB, mean over `capture`'s lights of the mean over its views (at most `views`), for each set
+/// of layers in `replacements`; layers without truth stay the model's. `None` without relit truth. Surfaces are always
+/// shaded in the pixel, where the truth is known. A model that is shaded at its Gaussians therefore has another PSNR here
+/// than in [`crate::eval::evaluate`], even with nothing replaced.
 ///
 /// # Errors
-/// Names the view and layer whose size is not its camera's, or what the renderer refuses.
+/// Names the view and layer whose size is not its camera's, or is the renderer's.
 pub fn attribute(
     model: &Arc<Model>,
     capture: &Capture,
     views: Option<usize>,
-    replacements: &[Replaced],
+    replacements: &[&[TruthLayer]],
 ) -> Result<Vec<Option<f64>>, EvalError> {
     let views = evenly_spaced(&capture.test, views);
     views.iter().try_for_each(|view| check_sizes(view))?;
@@ -60,13 +53,13 @@ pub fn attribute(
             let Some(truth) = view.truth.relit.get(*name) else { continue };
             let truth = photograph(truth);
             for (mean, replaced) in of_light.iter_mut().zip(replacements) {
-                let edit = |shader: &Shader<'_>, i: usize, surface: &mut Surface| {
-                    put_truth(view, *replaced, shader, i, surface);
+                let edit = |shader: &SurfaceShader<'_>, i: usize, surface: &mut Surface| {
+                    put_truth(view, replaced, shader, i, surface);
                 };
                 let mut frame = renderer
                     .render_edited(&view.camera, &light, &edit)
                     .map_err(|source| refused(view, source))?;
-                if replaced.alpha {
+                if replaced.contains(&TruthLayer::Alpha) {
                     set_alpha(&mut frame, view);
                 }
                 let picture = on_white(&frame, Output::Rgb);
@@ -78,12 +71,20 @@ pub fn attribute(
     Ok(means.into_iter().map(|mean| mean.value()).collect())
 }
 
-fn put_truth(view: &CaptureView, replaced: Replaced, shader: &Shader<'_>, i: usize, surface: &mut Surface) {
+/// Replaces the given layers of pixel `i` where the photograph has foreground.
+fn put_truth(
+    view: &CaptureView,
+    replaced: &[TruthLayer],
+    shader: &SurfaceShader<'_>,
+    i: usize,
+    surface: &mut Surface,
+) {
     let truth = &view.truth;
+    let replaces = |layer| replaced.contains(&layer);
     if view.image.pixels[i][3] < 0.5 {
         return;
     }
-    if let (true, Some(occlusion)) = (replaced.occlusion, &truth.ambient_occlusion) {
+    if let (true, Some(occlusion)) = (replaces(TruthLayer::Occlusion), &truth.ambient_occlusion) {
         let wanted = occlusion.values[i][0].clamp(0.0, 1.0);
         let normal = truth.normal.as_ref().map_or(surface.normal, |n| n.values[i]);
         let found = shader.ambient_occlusion(&surface.visibility, normal).clamp(0.02, 1.0);
@@ -91,18 +92,18 @@ fn put_truth(view: &CaptureView, replaced: Replaced, shader: &Shader<'_>, i: usi
         let blocked = ((1.0 - wanted) / (1.0 - found).max(0.02)).min(10.0);
         surface.gathered.iter_mut().for_each(|e| *e *= blocked);
     }
-    if let (true, Some(albedo)) = (replaced.albedo, &truth.albedo) {
+    if let (true, Some(albedo)) = (replaces(TruthLayer::Albedo), &truth.albedo) {
         surface.albedo = albedo.values[i];
     }
-    if let (true, Some(normal)) = (replaced.normal, &truth.normal) {
+    if let (true, Some(normal)) = (replaces(TruthLayer::Normal), &truth.normal) {
         surface.normal = normal.values[i];
     }
-    if let (true, Some(material)) = (replaced.material, &truth.metallic_roughness) {
+    if let (true, Some(material)) = (replaces(TruthLayer::Material), &truth.metallic_roughness) {
         [surface.metal, surface.rough] = material.values[i];
     }
 }
 
-/// The silhouette of the photograph around the model's colours.
+/// Gives the frame the photograph's alpha channel; colours are premultiplied.
 fn set_alpha(frame: &mut Frame, view: &CaptureView) {
     let found = frame.planes.get(&Output::Alpha).cloned().unwrap_or_default();
     let wanted: Vec<f32> = view.image.pixels.iter().map(|p| p[3]).collect();

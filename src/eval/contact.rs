@@ -1,16 +1,16 @@
-//! The contact sheet of an evaluation: what the report's figures look like.
+//! The contact sheet of an evaluation.
 
 use std::sync::Arc;
 
-use crate::capture::{Capture, CaptureView, Plane};
+use crate::capture::{Capture, CaptureView};
 use crate::engine::Device;
-use crate::eval::Picture;
 use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
+use crate::eval::image::DisplayImage;
 use crate::eval::sheet::{Sheet, error_map, grey};
 use crate::eval::views::{ViewLayers, alpha_of, photograph, relit};
 use crate::formats::srgb;
 use crate::render::{PreparedLight, Quality, Renderer};
-use crate::scene::Model;
+use crate::scene::{Model, Plane};
 
 /// Draws a sheet of `rows` test views, evenly spaced: photograph, both branches, each light beside its truth,
 /// albedo, normal, roughness and ambient occlusion beside theirs, and the error of the novel view.
@@ -62,7 +62,7 @@ fn column_names(lights: &[&str]) -> Vec<String> {
     names
 }
 
-fn layer_cells(layers: &ViewLayers, view: &CaptureView) -> [Option<Picture>; 8] {
+fn layer_cells(layers: &ViewLayers, view: &CaptureView) -> [Option<DisplayImage>; 8] {
     let (width, height) = (view.camera.width, view.camera.height);
     let picture = |values: Vec<[f32; 3]>| on_white(&Plane { width, height, values }, &layers.alpha);
     let one = |values: &[f32]| on_white(&grey(width, height, values.iter().copied()), &layers.alpha);
@@ -81,7 +81,7 @@ fn layer_cells(layers: &ViewLayers, view: &CaptureView) -> [Option<Picture>; 8] 
 
 /// A view's true albedo (sRGB curve), normal (`n / 2 + 1 / 2`), roughness and ambient occlusion, on white, as
 /// far as the view knows them.
-pub fn truth_layers(view: &CaptureView) -> [Option<Picture>; 4] {
+pub fn truth_layers(view: &CaptureView) -> [Option<DisplayImage>; 4] {
     let (width, height, alpha) = (view.image.width, view.image.height, alpha_of(&view.image));
     let truth = &view.truth;
     let colours = |p: &Plane<3>, shown: fn(&[f32; 3]) -> [f32; 3]| {
@@ -106,7 +106,7 @@ fn shown_normal(n: &[f32; 3]) -> [f32; 3] {
     n.map(|v| 0.5 * v + 0.5)
 }
 
-fn on_white(picture: &Picture, alpha: &[f32]) -> Picture {
+fn on_white(picture: &DisplayImage, alpha: &[f32]) -> DisplayImage {
     let pixel = |(c, a): (&[f32; 3], &f32)| c.map(|v| v * a + 1.0 - a);
     Plane { values: picture.values.iter().zip(alpha).map(pixel).collect(), ..*picture }
 }

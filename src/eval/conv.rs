@@ -1,4 +1,4 @@
-//! The little of a neural network that LPIPS needs: convolution with ReLU, and max pooling, on the CPU.
+//! The layers of a neural network that LPIPS needs, on the CPU: convolution with ReLU, and max pooling.
 //!
 //! A convolution is a matrix product `weights x patches`. Patches are laid out for a strip of output pixels at
 //! a time, so the strip stays in cache while every group of output channels passes over it.
@@ -96,7 +96,7 @@ impl Conv {
         out
     }
 
-    /// What each pixel of the strip sees, `[panel][tap][PIXELS]`; zero outside the input.
+    /// The receptive field of each pixel of the strip, `[panel][tap][PIXELS]`; zero outside the input.
     fn patches(&self, input: &Maps, width: usize, pixels: std::ops::Range<usize>, taps: usize) -> Vec<f32> {
         let mut out = vec![0.0; PANELS * taps * PIXELS];
         for (slot, pixel) in pixels.enumerate() {

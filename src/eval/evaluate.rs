@@ -4,15 +4,16 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::capture::{Capture, CaptureView, ImageRgba, Plane};
+use crate::capture::{Capture, CaptureView};
 use crate::engine::Device;
-use crate::engine::gpu::GpuError;
+use crate::engine::DeviceError;
+use crate::eval::layers::albedo_psnr;
+use crate::eval::lpips::Lpips;
 use crate::eval::report::{ImageScores, RelitScores, Report};
-use crate::eval::totals::{LayerTotals, Mean, PictureTotals};
+use crate::eval::totals::{ImageTotals, LayerTotals, Mean};
 use crate::eval::views::{ViewLayers, photograph, relit, with_scaled_albedo};
-use crate::eval::{Lpips, layers};
 use crate::render::{Output, Quality, RenderError, Renderer, Tier};
-use crate::scene::Model;
+use crate::scene::{ImageRgba, Model, Plane};
 
 /// How to evaluate.
 pub struct EvalOptions<'a> {
@@ -26,7 +27,7 @@ pub struct EvalOptions<'a> {
     pub frame_rate_time: Duration,
     /// Where to render.
     pub device: &'a Device,
-    /// Told how many view renderings are done, of how many.
+    /// Called after each rendered view with the number of views done and their total.
     pub progress: &'a dyn Fn(usize, usize),
 }
 
@@ -43,10 +44,10 @@ impl Default for EvalOptions<'_> {
     }
 }
 
-/// Why nothing could be evaluated.
+/// Why an evaluation failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum EvalError {
-    /// There is nothing to compare with.
+    /// The capture has no test views.
     #[error("the capture has no held-out views to evaluate on")]
     NoTestViews,
     /// An image or layer of a view is not of its camera's size.
@@ -66,16 +67,16 @@ pub enum EvalError {
     Render {
         /// The view.
         view: String,
-        /// What the renderer said.
+        /// The renderer's error.
         source: RenderError,
     },
     /// The device failed.
     #[error(transparent)]
-    Device(#[from] GpuError),
+    Device(#[from] DeviceError),
 }
 
-/// Compares a model with a capture: novel views (both branches), relit views a light, material and geometry
-/// layers, at the size of the capture's views and on white.
+/// Compares a model with a capture: novel views (both branches), relit views of each light, material and geometry
+/// layers. Pictures have the size of the capture's views and a white background.
 ///
 /// # Errors
 /// [`EvalError`] names the view and layer that cannot be compared. A missing *kind* of truth is no error: its
@@ -91,12 +92,12 @@ pub fn evaluate(
     }
     views.iter().try_for_each(|view| check_sizes(view))?;
     let lights = lights_of(&views, capture);
-    let mut run = Run { capture, options, views, lights, done: std::cell::Cell::new(0) };
+    let mut run = Evaluation { capture, options, views, lights, done: std::cell::Cell::new(0) };
     run.evaluate(model)
 }
 
-/// The frame of one evaluation.
-struct Run<'a> {
+/// One evaluation: what is compared and how.
+struct Evaluation<'a> {
     capture: &'a Capture,
     options: &'a EvalOptions<'a>,
     views: Vec<&'a CaptureView>,
@@ -105,7 +106,7 @@ struct Run<'a> {
     done: std::cell::Cell<usize>,
 }
 
-impl Run<'_> {
+impl Evaluation<'_> {
     fn evaluate(&mut self, model: Arc<Model>) -> Result<Report, EvalError> {
         let renderer = Renderer::on(model.clone(), self.options.device)?;
         let mut report = Report {
@@ -130,7 +131,7 @@ impl Run<'_> {
     /// Novel views and layers under the light the model recovered.
     fn own_light(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
         let light = renderer.prepare_light(&renderer.model().environment())?;
-        let (mut shaded, mut radiance) = (PictureTotals::default(), PictureTotals::default());
+        let (mut shaded, mut radiance) = (ImageTotals::default(), ImageTotals::default());
         let mut totals = LayerTotals::default();
         for view in &self.views {
             let layers = ViewLayers::render(renderer, &view.camera, &light, self.options.quality)
@@ -158,7 +159,7 @@ impl Run<'_> {
                 .map_err(|source| refused(view, source))?;
             let plane = |o| frame.planes.get(&o).map_or(&[][..], |p| p.as_slice());
             let (albedo, alpha) = (plane(Output::Albedo).as_chunks::<3>().0, plane(Output::Alpha));
-            let [all, inside] = layers::albedo_psnr((albedo, alpha), truth, &view.image);
+            let [all, inside] = albedo_psnr((albedo, alpha), truth, &view.image);
             whole.add(all);
             foreground.add(inside);
             self.step();
@@ -173,7 +174,7 @@ impl Run<'_> {
         let mut scores = RelitScores::default();
         for &name in &self.lights {
             let light = renderer.prepare_light(&self.capture.lights[name])?;
-            let mut totals = PictureTotals::default();
+            let mut totals = ImageTotals::default();
             for view in &self.views {
                 let Some(truth) = view.truth.relit.get(name) else { continue };
                 let picture = relit(renderer, &view.camera, &light, self.options.quality)
@@ -231,7 +232,9 @@ impl Run<'_> {
             self.views.iter().map(|v| format!("{}x{}", v.camera.width, v.camera.height)).collect();
         let sizes = sizes.into_iter().collect::<Vec<_>>().join(", ");
         let tier = match self.options.quality {
-            Quality { tier: Tier::Reference, samples, .. } => format!("reference ({samples} samples)"),
+            Quality { tier: tier @ Tier::MonteCarlo, samples, .. } => {
+                format!("{} ({samples} samples)", tier.name())
+            }
             Quality { tier, .. } => tier.name().to_owned(),
         };
         format!(
@@ -249,7 +252,7 @@ impl Run<'_> {
         )
     }
 
-    /// Says of every null why it is null.
+    /// Writes a note on each figure that is null.
     fn explain_absences(&self, report: &mut Report) {
         let mut notes = std::mem::take(&mut report.notes);
         let mut note = |absent: bool, key: &str, reason: &str| {

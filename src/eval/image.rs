@@ -1,9 +1,9 @@
 //! Metrics that compare two display-referred pictures: PSNR and SSIM.
 
-use crate::capture::Plane;
+use crate::scene::Plane;
 
 /// A display-referred RGB picture, values in [0, 1].
-pub type Picture = Plane<3>;
+pub type DisplayImage = Plane<3>;
 
 /// SSIM's window: a Gaussian of 11 taps a side.
 const TAPS: usize = 11;
@@ -12,7 +12,7 @@ const SIGMA: f64 = 1.5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// The PSNR of identical pictures: quantised to 8 bits they could not be told from this.
+/// The PSNR of identical pictures, dB. The error at this PSNR is far below one level of 8 bits.
 pub const PSNR_CAP: f64 = 100.0;
 
 /// Mean squared error over all pixels and channels. Both slices have one length.
@@ -25,19 +25,19 @@ pub fn mean_squared_error<const C: usize>(a: &[[f32; C]], b: &[[f32; C]]) -> f64
 
 /// Peak signal to noise ratio in dB for a peak of 1, at most [`PSNR_CAP`].
 pub fn psnr_of(mean_squared_error: f64) -> f64 {
-    // Not `f64::min`, which would turn NaN into the best score there is.
+    // Not `f64::min`, which would turn NaN into the cap.
     let psnr = -10.0 * mean_squared_error.log10();
     if psnr > PSNR_CAP { PSNR_CAP } else { psnr }
 }
 
 /// PSNR in dB over the whole picture, at most [`PSNR_CAP`].
-pub fn psnr(a: &Picture, b: &Picture) -> f64 {
+pub fn psnr(a: &DisplayImage, b: &DisplayImage) -> f64 {
     psnr_of(mean_squared_error(&a.values, &b.values))
 }
 
 /// Structural similarity in [-1, 1]: 11x11 Gaussian window (sigma 1.5) over the *valid* region only, as
 /// TensoIR and mip-NeRF do; each channel apart, then the mean. `None` below 11 pixels a side.
-pub fn ssim(a: &Picture, b: &Picture) -> Option<f64> {
+pub fn ssim(a: &DisplayImage, b: &DisplayImage) -> Option<f64> {
     let (width, height) = (a.width as usize, a.height as usize);
     if width < TAPS || height < TAPS || (a.width, a.height) != (b.width, b.height) {
         return None;
@@ -46,7 +46,7 @@ pub fn ssim(a: &Picture, b: &Picture) -> Option<f64> {
     Some(total / 3.0)
 }
 
-fn channel(picture: &Picture, k: usize) -> Vec<f64> {
+fn channel(picture: &DisplayImage, k: usize) -> Vec<f64> {
     picture.values.iter().map(|p| f64::from(p[k])).collect()
 }
 
@@ -91,7 +91,7 @@ fn window() -> [f64; TAPS] {
 mod tests {
     use super::*;
 
-    fn textured(shift: f32) -> Picture {
+    fn textured(shift: f32) -> DisplayImage {
         let value = |i: usize| {
             let (x, y) = ((i % 24) as f32, (i / 24) as f32);
             [0.5 + 0.3 * (0.9 * x).sin() + shift, 0.5 + 0.3 * (0.7 * y).cos(), ((x * y) / 600.0).min(1.0)]

@@ -1,8 +1,8 @@
 //! Metrics of G-buffer layers against ground truth: normals, albedo, and plain masked errors.
 
-use crate::capture::{ImageRgba, Plane};
 use crate::eval::image::{mean_squared_error, psnr_of};
 use crate::eval::views::{alpha_of, foreground};
+use crate::scene::{ImageRgba, Plane};
 
 /// Mean angle between predicted and true normals, degrees.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,7 +45,7 @@ fn blended(n: [f32; 3], alpha: f32) -> glam::DVec3 {
     (unit(n) * a + glam::DVec3::Z * (1.0 - a)).normalize_or_zero()
 }
 
-/// The angle between two unit vectors; a zero vector is a right angle off everything.
+/// The angle between two unit vectors; 90 degrees when one is zero.
 fn angle_deg(a: glam::DVec3, b: glam::DVec3) -> f64 {
     // atan2 keeps its accuracy where acos of a rounded cosine near 1 does not.
     if a == glam::DVec3::ZERO || b == glam::DVec3::ZERO {

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use safetensors::SafeTensors;
 use safetensors::tensor::Dtype;
 
-use crate::eval::Picture;
 use crate::eval::conv::{Conv, Maps, max_pool};
+use crate::eval::image::DisplayImage;
 
 /// The network's input normalisation, for RGB in [-1, 1].
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
@@ -32,7 +32,7 @@ pub enum LpipsError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
     /// Not a safetensors file.
@@ -81,8 +81,8 @@ impl Lpips {
     }
 
     /// The distance of two display-referred pictures, 0 for equal ones; `None` when they differ in size or a
-    /// side is shorter than 31 pixels, which the network cannot see.
-    pub fn distance(&self, a: &Picture, b: &Picture) -> Option<f64> {
+    /// side is shorter than 31 pixels, the network's smallest input.
+    pub fn distance(&self, a: &DisplayImage, b: &DisplayImage) -> Option<f64> {
         if (a.width, a.height) != (b.width, b.height) || a.width.min(a.height) < MIN_SIDE {
             return None;
         }
@@ -91,7 +91,7 @@ impl Lpips {
     }
 
     /// The activations after each of the five convolutions.
-    fn features(&self, picture: &Picture) -> Vec<Maps> {
+    fn features(&self, picture: &DisplayImage) -> Vec<Maps> {
         let normalised = |k: usize| {
             picture.values.iter().map(move |p| (2.0 * p[k].clamp(0.0, 1.0) - 1.0 - SHIFT[k]) / SCALE[k])
         };

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use serde::{Deserialize, Serialize};
 
-/// How like two sets of pictures are; each figure is computed per picture, then averaged.
+/// Similarity of two sets of pictures; each figure is computed per picture, then averaged.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ImageScores {
     /// Peak signal to noise ratio, dB.
@@ -96,7 +96,7 @@ impl Report {
         }
     }
 
-    /// The report as indented JSON, ending in a newline.
+    /// The report as indented JSON with a newline at its end.
     pub fn to_json(&self) -> String {
         // Numbers and strings only: serialisation cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
@@ -149,12 +149,12 @@ impl Report {
     }
 }
 
-/// A number for a table, or a dash.
-fn figure(value: Option<f64>, digits: usize) -> String {
+/// A number for a table with so many decimals, or a dash.
+pub(crate) fn figure(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |v| format!("{v:.digits$}"))
 }
 
-/// A name that cannot break out of its table cell.
+/// A name with the characters escaped that would end its table cell.
 fn cell(name: &str) -> String {
     name.replace('|', "\\|").replace('\n', " ")
 }

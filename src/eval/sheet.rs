@@ -3,12 +3,16 @@
 use std::io::Cursor;
 
 use image::{ImageFormat, Rgb, RgbImage};
+use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
-use crate::capture::Plane;
-use crate::eval::{Picture, font};
+use crate::eval::image::DisplayImage;
+use crate::scene::Plane;
 
-const PAPER: Rgb<u8> = Rgb([24, 24, 27]);
-const INK: Rgb<u8> = Rgb([235, 235, 235]);
+const PAPER: [u8; 3] = [24, 24, 27];
+const INK: [u8; 3] = [235, 235, 235];
+/// Weight and height in pixels of the labels' letters.
+const WEIGHT: FontWeight = FontWeight::Regular;
+const LETTERS: RasterHeight = RasterHeight::Size16;
 /// Pixels between cells.
 const GAP: u32 = 4;
 
@@ -16,7 +20,7 @@ const GAP: u32 = 4;
 #[derive(Debug, Clone, Default)]
 pub struct Sheet {
     columns: Vec<String>,
-    rows: Vec<(String, Vec<Option<Picture>>)>,
+    rows: Vec<(String, Vec<Option<DisplayImage>>)>,
 }
 
 impl Sheet {
@@ -26,7 +30,7 @@ impl Sheet {
     }
 
     /// Adds a row. `None` leaves a cell empty; what exceeds the columns is not drawn.
-    pub fn push(&mut self, name: impl Into<String>, cells: Vec<Option<Picture>>) {
+    pub fn push(&mut self, name: impl Into<String>, cells: Vec<Option<DisplayImage>>) {
         self.rows.push((name.into(), cells));
     }
 
@@ -41,19 +45,18 @@ impl Sheet {
     }
 
     fn draw(&self, side: u32) -> RgbImage {
-        let scale = (side / 110).max(1);
-        let label = font::HEIGHT as u32 * scale + 2 * GAP;
+        let label = LETTERS.val() as u32 + 2 * GAP;
         let cell = side + GAP;
         let width = GAP + cell * self.columns.len() as u32;
         let height = label + (label + cell) * self.rows.len() as u32;
-        let mut sheet = RgbImage::from_pixel(width.max(1), height, PAPER);
+        let mut sheet = RgbImage::from_pixel(width.max(1), height, Rgb(PAPER));
         let column_x = |c: usize| GAP + cell * c as u32;
         for (c, name) in self.columns.iter().enumerate() {
-            write(&mut sheet, (column_x(c), GAP), scale, side, name);
+            write(&mut sheet, (column_x(c), GAP), side, name);
         }
         for (r, (name, cells)) in self.rows.iter().enumerate() {
             let top = label + (label + cell) * r as u32;
-            write(&mut sheet, (GAP, top + GAP), scale, width - GAP, name);
+            write(&mut sheet, (GAP, top + GAP), width - GAP, name);
             for (c, picture) in cells.iter().enumerate().take(self.columns.len()) {
                 let Some(picture) = picture else { continue };
                 paste(&mut sheet, (column_x(c), top + label), &fitted(picture, side));
@@ -64,13 +67,13 @@ impl Sheet {
 }
 
 /// The picture with its longer side at `side` pixels.
-fn fitted(picture: &Picture, side: u32) -> Picture {
+fn fitted(picture: &DisplayImage, side: u32) -> DisplayImage {
     let longest = picture.width.max(picture.height).max(1);
     let scaled = |n: u32| ((u64::from(n) * u64::from(side) / u64::from(longest)) as u32).max(1);
     picture.resized(scaled(picture.width), scaled(picture.height))
 }
 
-fn paste(sheet: &mut RgbImage, (left, top): (u32, u32), picture: &Picture) {
+fn paste(sheet: &mut RgbImage, (left, top): (u32, u32), picture: &DisplayImage) {
     for (i, pixel) in picture.values.iter().enumerate() {
         let (x, y) = (i as u32 % picture.width, i as u32 / picture.width);
         let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
@@ -78,35 +81,31 @@ fn paste(sheet: &mut RgbImage, (left, top): (u32, u32), picture: &Picture) {
     }
 }
 
-/// Writes text from its top left corner, cut off at `room` pixels or the sheet's edge.
-fn write(sheet: &mut RgbImage, (left, top): (u32, u32), scale: u32, room: u32, text: &str) {
-    let advance = (font::WIDTH as u32 + 1) * scale;
-    for (i, character) in text.chars().take((room / advance) as usize).enumerate() {
-        for (row, bits) in font::glyph(character).into_iter().enumerate() {
-            for column in (0..font::WIDTH).filter(|c| bits >> (font::WIDTH - 1 - c) & 1 == 1) {
-                let (x, y) = (left + i as u32 * advance + column as u32 * scale, top + row as u32 * scale);
-                block(sheet, (x, y), scale);
+/// Writes text from its top left corner, cut off at `room` pixels or the sheet's edge. A question mark stands for a
+/// character that the font does not have.
+fn write(sheet: &mut RgbImage, (left, top): (u32, u32), room: u32, text: &str) {
+    let advance = get_raster_width(WEIGHT, LETTERS);
+    let glyph = |c| get_raster(c, WEIGHT, LETTERS).or_else(|| get_raster('?', WEIGHT, LETTERS));
+    let glyphs = text.chars().take(room as usize / advance).filter_map(glyph);
+    for (i, glyph) in glyphs.enumerate() {
+        for (p, coverage) in glyph.pixels().iter().enumerate() {
+            let (x, y) = (i * advance + p % glyph.width(), p / glyph.width());
+            if let Some(pixel) = sheet.get_pixel_mut_checked(left + x as u32, top + y as u32) {
+                let blend = |k: usize| u32::from(INK[k] - PAPER[k]) * u32::from(*coverage) / 255;
+                *pixel = Rgb([0, 1, 2].map(|k| PAPER[k] + blend(k) as u8));
             }
         }
     }
 }
 
-fn block(sheet: &mut RgbImage, (left, top): (u32, u32), size: u32) {
-    for (x, y) in (0..size * size).map(|i| (left + i % size, top + i / size)) {
-        if let Some(pixel) = sheet.get_pixel_mut_checked(x, y) {
-            *pixel = INK;
-        }
-    }
-}
-
 /// A one-channel layer as grey.
-pub fn grey(width: u32, height: u32, values: impl IntoIterator<Item = f32>) -> Picture {
+pub fn grey(width: u32, height: u32, values: impl IntoIterator<Item = f32>) -> DisplayImage {
     Plane { width, height, values: values.into_iter().map(|v| [v; 3]).collect() }
 }
 
 /// How far two pictures of one size differ: black for equal, over red and yellow to white at a mean channel
 /// difference of 0.25.
-pub fn error_map(a: &Picture, b: &Picture) -> Picture {
+pub fn error_map(a: &DisplayImage, b: &DisplayImage) -> DisplayImage {
     let heat = |(p, q): (&[f32; 3], &[f32; 3])| {
         let difference: f32 = p.iter().zip(q).map(|(x, y)| (x - y).abs()).sum::<f32>() / 3.0;
         let t = (difference / 0.25).min(1.0) * 3.0;
@@ -119,7 +118,7 @@ pub fn error_map(a: &Picture, b: &Picture) -> Picture {
 mod tests {
     use super::*;
 
-    fn flat(width: u32, height: u32, colour: [f32; 3]) -> Picture {
+    fn flat(width: u32, height: u32, colour: [f32; 3]) -> DisplayImage {
         Plane { width, height, values: vec![colour; (width * height) as usize] }
     }
 
@@ -138,11 +137,18 @@ mod tests {
     }
 
     #[test]
-    fn text_is_cut_off_rather_than_drawn_over_its_neighbour() {
-        let mut sheet = RgbImage::from_pixel(40, 10, PAPER);
-        write(&mut sheet, (0, 0), 1, 18, "MMMMMM");
-        let rightmost = sheet.enumerate_pixels().filter(|(_, _, p)| **p == INK).map(|(x, _, _)| x).max();
-        assert_eq!(rightmost, Some(2 * 6 + 4));
+    fn text_is_cut_off_at_its_room_and_unknown_characters_become_question_marks() {
+        let drawn = |room: u32, text: &str| {
+            let mut sheet = RgbImage::from_pixel(60, 16, Rgb(PAPER));
+            write(&mut sheet, (0, 0), room, text);
+            sheet
+        };
+        let advance = get_raster_width(WEIGHT, LETTERS) as u32;
+        let cut = drawn(2 * advance + 1, "MMMMMM");
+        assert_eq!(cut, drawn(60, "MM"));
+        assert_ne!(cut, drawn(60, "MMM"), "the control");
+        assert_eq!(drawn(60, "\u{4e00}"), drawn(60, "?"));
+        assert_ne!(drawn(60, "?"), drawn(60, " "), "the control");
     }
 
     #[test]

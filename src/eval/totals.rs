@@ -1,13 +1,14 @@
 //! Running means over views.
 
 use crate::capture::CaptureView;
+use crate::eval::image::DisplayImage;
 use crate::eval::image::{psnr, ssim};
 use crate::eval::layers::{RatioMedian, albedo_psnr, masked_mae, normal_errors};
+use crate::eval::lpips::Lpips;
 use crate::eval::report::{ImageScores, Report};
 use crate::eval::views::{ViewLayers, alpha_of, foreground};
-use crate::eval::{Lpips, Picture};
 
-/// A mean of what was there.
+/// A mean of the values that are present.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Mean {
     sum: f64,
@@ -27,16 +28,16 @@ impl Mean {
     }
 }
 
-/// Picture metrics over views.
+/// DisplayImage metrics over views.
 #[derive(Default)]
-pub(crate) struct PictureTotals {
+pub(crate) struct ImageTotals {
     psnr: Mean,
     ssim: Mean,
     lpips: Mean,
 }
 
-impl PictureTotals {
-    pub(crate) fn add(&mut self, predicted: &Picture, truth: &Picture, lpips: Option<&Lpips>) {
+impl ImageTotals {
+    pub(crate) fn add(&mut self, predicted: &DisplayImage, truth: &DisplayImage, lpips: Option<&Lpips>) {
         self.psnr.add(Some(psnr(predicted, truth)));
         self.ssim.add(ssim(predicted, truth));
         self.lpips.add(lpips.and_then(|metric| metric.distance(predicted, truth)));

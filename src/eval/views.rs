@@ -1,17 +1,16 @@
-//! What a model shows of one test view, as pictures and layers ready to be compared.
+//! A model's renderings of one test view, as pictures and layers that can be compared with ground truth.
 
-use crate::capture::{ImageRgba, Plane};
-use crate::eval::Picture;
+use crate::eval::image::DisplayImage;
 use crate::formats::srgb;
 use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer};
-use crate::scene::{Camera, Model};
+use crate::scene::{Camera, ImageRgba, Model, Plane};
 
 /// A test view under the model's own recovered light, with every layer that ground truth may know.
 pub(crate) struct ViewLayers {
     /// The physically based branch on white, display-referred.
-    pub(crate) shaded: Picture,
+    pub(crate) shaded: DisplayImage,
     /// The radiance branch on white, display-referred.
-    pub(crate) radiance: Picture,
+    pub(crate) radiance: DisplayImage,
     pub(crate) alpha: Vec<f32>,
     pub(crate) albedo: Vec<[f32; 3]>,
     pub(crate) normal: Vec<[f32; 3]>,
@@ -36,7 +35,7 @@ impl ViewLayers {
     /// Renders all layers of `camera`'s view under `light`.
     ///
     /// # Errors
-    /// What the renderer refuses.
+    /// The renderer's.
     pub(crate) fn render(
         renderer: &Renderer,
         camera: &Camera,
@@ -61,19 +60,19 @@ impl ViewLayers {
 /// The relit picture of a view on white, display-referred.
 ///
 /// # Errors
-/// What the renderer refuses.
+/// The renderer's.
 pub(crate) fn relit(
     renderer: &Renderer,
     camera: &Camera,
     light: &PreparedLight,
     quality: Quality,
-) -> Result<Picture, RenderError> {
+) -> Result<DisplayImage, RenderError> {
     Ok(on_white(&renderer.render(camera, light, quality, &[Output::Rgb])?, Output::Rgb))
 }
 
 /// A premultiplied linear colour plane, composited on white *after* the display curve, as photographs with
 /// straight alpha are: `srgb(clamp(rgb / alpha)) * alpha + 1 - alpha`.
-pub(crate) fn on_white(frame: &Frame, output: Output) -> Picture {
+pub(crate) fn on_white(frame: &Frame, output: Output) -> DisplayImage {
     let alpha = scalars(frame, Output::Alpha);
     let pixel = |(c, a): (&[f32; 3], &f32)| {
         let a = a.clamp(0.0, 1.0);
@@ -92,7 +91,7 @@ fn colours(frame: &Frame, output: Output) -> Vec<[f32; 3]> {
 }
 
 /// A photograph or relit truth on white, display-referred.
-pub fn photograph(image: &ImageRgba) -> Picture {
+pub fn photograph(image: &ImageRgba) -> DisplayImage {
     Plane { width: image.width, height: image.height, values: image.over([1.0; 3]) }
 }
 

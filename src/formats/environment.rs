@@ -5,13 +5,12 @@ use std::io::Cursor;
 use image::codecs::hdr::{HdrDecoder, HdrEncoder};
 use image::{ImageDecoder, Rgb};
 
-use crate::formats::exr_image;
-use crate::formats::image_file::ImageFileError;
+use crate::formats::{ImageFileError, exr_image};
 use crate::scene::{EnvMap, EnvMapError};
 
-/// Widest map taken, texels.
+/// Largest width of a map, texels.
 pub const MAX_WIDTH: u32 = 16_384;
-/// Highest map taken, texels.
+/// Largest height of a map, texels.
 pub const MAX_HEIGHT: u32 = 8_192;
 
 /// Why an environment file was refused.
@@ -20,7 +19,7 @@ pub enum EnvironmentFileError {
     /// Neither Radiance nor OpenEXR.
     #[error("environment: not a Radiance .hdr or OpenEXR file")]
     UnknownKind,
-    /// Larger than [`MAX_WIDTH`] x [`MAX_HEIGHT`], told from the header.
+    /// Larger than [`MAX_WIDTH`] x [`MAX_HEIGHT`] according to the header.
     #[error("environment: {width}x{height} is larger than {MAX_WIDTH}x{MAX_HEIGHT}")]
     TooLarge {
         /// Width the header names.
@@ -36,21 +35,21 @@ pub enum EnvironmentFileError {
     Values(#[from] EnvMapError),
 }
 
-/// A map read from a file and what a user should know about it.
+/// A map read from a file, with warnings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoadedEnvironment {
     /// The map.
     pub map: EnvMap,
-    /// What was mended or looks unusual.
+    /// Values that were corrected, and unusual properties.
     pub warnings: Vec<String>,
 }
 
-/// Reads an equirectangular map, told by content. Negative values become 0 with a warning.
+/// Reads an equirectangular map; the format is detected from the content. Negative values become 0 with a warning.
 ///
 /// # Errors
 /// [`EnvironmentFileError`]; NaN and infinity are refused with the texel named.
 pub fn decode(bytes: &[u8]) -> Result<LoadedEnvironment, EnvironmentFileError> {
-    let (width, height, texels) = if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+    let (width, height, texels) = if exr_image::is_exr(bytes) {
         let (width, height) = exr_image::dimensions(bytes)?;
         check_size(width, height)?;
         let (width, height, pixels) = exr_image::decode_rgba(bytes)?;

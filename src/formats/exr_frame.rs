@@ -1,7 +1,7 @@
-//! Rendered frames as multi-part OpenEXR: pictures in one part, measurements in another.
+//! Rendered frames as multi-part OpenEXR: colours in one part, measurements in another.
 //!
 //! Colour parts name their colour space by the string attribute `colorInteropID` and carry no chromaticities;
-//! measurements live in a part tagged `data`, so that no tool colour-manages a normal (ASWF Color Interop
+//! measurements live in a part tagged `data`, so that no tool applies colour management to a normal (ASWF Color Interop
 //! Forum, July 2026).
 
 use std::io::Cursor;
@@ -11,16 +11,16 @@ use exr::prelude::{
     ImageAttributes, IntegerBounds, Layer, LayerAttributes, LineOrder, Text, Vec2, WritableImage, f16,
 };
 
-use crate::formats::image_file::ImageFileError;
+use crate::formats::ImageFileError;
 
 /// Interleaved values that become channels `name.SUFFIX`, or bare suffixes when the name is empty.
 #[derive(Debug, Clone, Copy)]
 pub struct FrameLayer<'a> {
-    /// E.g. `albedo`, `N`; empty for the main picture (`R G B A`) and for depth (`Z`).
+    /// E.g. `albedo`, `N`; empty for the main image (`R G B A`) and for depth (`Z`).
     pub name: &'a str,
-    /// One letter a channel, e.g. `RGBA`, `XYZ`, `Y`.
+    /// One letter per channel, e.g. `RGBA`, `XYZ`, `Y`.
     pub suffixes: &'a str,
-    /// Row-major, `suffixes.len()` floats a pixel.
+    /// Row-major, `suffixes.len()` floats per pixel.
     pub values: &'a [f32],
 }
 

@@ -1,18 +1,23 @@
-//! OpenEXR pictures as linear RGBA: photographs and environment maps share this reader.
+//! OpenEXR images as linear RGBA, for photographs and environment maps.
 
 use std::io::Cursor;
 
 use exr::prelude::{AnyChannels, FlatSamples, Layer, MetaData, ReadChannels, ReadLayers, WritableImage};
 
-use crate::formats::image_file::ImageFileError;
+use crate::formats::ImageFileError;
 
-/// Decoded bytes one file may take, all parts and channels together.
+/// Decoded bytes of one file at most, all parts and channels together.
 const MAX_DECODED_BYTES: u64 = 4 << 30;
+
+/// True when the bytes begin like an OpenEXR file.
+pub fn is_exr(bytes: &[u8]) -> bool {
+    bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01])
+}
 
 /// Width and height of the first part, from the header.
 ///
 /// # Errors
-/// [`ImageFileError::Damaged`] when the header cannot be read or names data this reader does not take.
+/// [`ImageFileError::Damaged`] when the header cannot be read or names data that this reader does not support.
 pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
     let refuse = |reason: &str| Err(ImageFileError::Damaged(reason.to_owned()));

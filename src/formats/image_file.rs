@@ -1,55 +1,26 @@
 //! Photographs: PNG, JPEG, WebP and EXR bytes to pixels, and pixels to PNG and JPEG.
 //!
-//! The kind is told from the content; a file's name proves nothing.
+//! The format is detected from the content, never from a file's name.
 
 use std::io::Cursor;
 
 use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat, ImageReader};
 
-use crate::capture::ImageRgba;
-use crate::formats::{exr_image, srgb};
-
-/// Why an image was refused.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ImageFileError {
-    /// The file has no bytes.
-    #[error("the file is empty")]
-    Empty,
-    /// Not a PNG, JPEG, WebP or EXR file.
-    #[error("not a PNG, JPEG, WebP or EXR image (it begins with {0})")]
-    UnknownKind(String),
-    /// More pixels than allowed, told from the header alone.
-    #[error("{width}x{height} pixels are more than the {limit} allowed")]
-    TooManyPixels {
-        /// Width the header names.
-        width: u64,
-        /// Height the header names.
-        height: u64,
-        /// Pixels allowed.
-        limit: u64,
-    },
-    /// Cut short or corrupt.
-    #[error("cannot be decoded: {0}")]
-    Damaged(String),
-    /// The pixels handed to an encoder do not fit the size.
-    #[error("{0}")]
-    Encode(String),
-}
+use crate::formats::{ImageFileError, exr_image, srgb};
+use crate::scene::ImageRgba;
 
 /// Most pixels of one image unless a caller says otherwise.
 pub const DEFAULT_MAX_PIXELS: u64 = 64 << 20;
-
-const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 
 /// Width and height from the header, nothing decoded.
 ///
 /// # Errors
 /// [`ImageFileError`] when the kind is unknown or the header unreadable.
 pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
-    if bytes.starts_with(&EXR_MAGIC) {
+    if exr_image::is_exr(bytes) {
         return exr_image::dimensions(bytes);
     }
-    // The PNG reader wants to see pixel data before it names a size; the size stands in front of it.
+    // The PNG reader needs pixel data before it returns a size, which is in the header.
     if let (true, Some(&[a, b, c, d, e, f, g, h])) = (is_png(bytes), bytes.get(16..24)) {
         return Ok((u32::from_be_bytes([a, b, c, d]), u32::from_be_bytes([e, f, g, h])));
     }
@@ -57,14 +28,14 @@ pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
     reader.into_dimensions().map_err(damaged)
 }
 
-/// A photograph as display-referred RGBA with straight alpha. EXR holds linear light, which is put through
+/// A photograph as display-referred RGBA with straight alpha. EXR holds linear light, which is encoded with
 /// the sRGB curve and clamped; every other kind is taken as sRGB. Images without alpha are opaque.
 ///
 /// # Errors
 /// [`ImageFileError`]; more than `max_pixels` is refused before anything is decoded.
 pub fn decode(bytes: &[u8], max_pixels: u64) -> Result<ImageRgba, ImageFileError> {
     check_size(bytes, max_pixels)?;
-    if bytes.starts_with(&EXR_MAGIC) {
+    if exr_image::is_exr(bytes) {
         let (width, height, linear) = exr_image::decode_rgba(bytes)?;
         let display = |p: [f32; 4]| [srgb::encode(p[0]), srgb::encode(p[1]), srgb::encode(p[2]), p[3]];
         let pixels = linear.into_iter().map(|p| display(straightened(p))).collect();
@@ -84,7 +55,7 @@ fn rgba8(p: [u8; 4]) -> [f32; 4] {
     p.map(|v| f32::from(v) / 255.0)
 }
 
-/// EXR colour is premultiplied by convention; alpha above 1 and NaN are mended.
+/// EXR colour is premultiplied by convention. Alpha above 1 becomes 1; negative alpha and NaN become 0.
 fn straightened([r, g, b, a]: [f32; 4]) -> [f32; 4] {
     let a = if a > 0.0 { a.min(1.0) } else { 0.0 };
     let divisor = if a > 0.0 { a } else { 1.0 };
@@ -141,14 +112,8 @@ pub fn encode_png<const C: usize>(
     height: u32,
     pixels: &[[u8; C]],
 ) -> Result<Vec<u8>, ImageFileError> {
-    let colour = match C {
-        1 => ExtendedColorType::L8,
-        3 => ExtendedColorType::Rgb8,
-        4 => ExtendedColorType::Rgba8,
-        _ => return Err(ImageFileError::Encode(format!("a PNG cannot have {C} channels"))),
-    };
-    check_length(width, height, pixels.len())?;
-    write_png(width, height, pixels.as_flattened(), colour)
+    use ExtendedColorType::{L8, Rgb8, Rgba8};
+    write_png((width, height), pixels, [L8, Rgb8, Rgba8])
 }
 
 /// A 16-bit PNG, as [`encode_png`].
@@ -160,14 +125,27 @@ pub fn encode_png16<const C: usize>(
     height: u32,
     pixels: &[[u16; C]],
 ) -> Result<Vec<u8>, ImageFileError> {
+    use ExtendedColorType::{L16, Rgb16, Rgba16};
+    write_png((width, height), pixels, [L16, Rgb16, Rgba16])
+}
+
+fn write_png<T: bytemuck::NoUninit, const C: usize>(
+    (width, height): (u32, u32),
+    pixels: &[[T; C]],
+    [grey, rgb, rgba]: [ExtendedColorType; 3],
+) -> Result<Vec<u8>, ImageFileError> {
     let colour = match C {
-        1 => ExtendedColorType::L16,
-        3 => ExtendedColorType::Rgb16,
-        4 => ExtendedColorType::Rgba16,
+        1 => grey,
+        3 => rgb,
+        4 => rgba,
         _ => return Err(ImageFileError::Encode(format!("a PNG cannot have {C} channels"))),
     };
     check_length(width, height, pixels.len())?;
-    write_png(width, height, bytemuck::cast_slice(pixels.as_flattened()), colour)
+    let mut out = Vec::new();
+    image::codecs::png::PngEncoder::new(&mut out)
+        .write_image(bytemuck::cast_slice(pixels.as_flattened()), width, height, colour)
+        .map_err(|e| ImageFileError::Encode(e.to_string()))?;
+    Ok(out)
 }
 
 /// A JPEG of row-major RGB pixels, `quality` 1 to 100.
@@ -194,14 +172,6 @@ fn check_length(width: u32, height: u32, pixels: usize) -> Result<(), ImageFileE
         return Ok(());
     }
     Err(ImageFileError::Encode(format!("{pixels} pixels do not fill {width}x{height}")))
-}
-
-fn write_png(w: u32, h: u32, bytes: &[u8], colour: ExtendedColorType) -> Result<Vec<u8>, ImageFileError> {
-    let mut out = Vec::new();
-    image::codecs::png::PngEncoder::new(&mut out)
-        .write_image(bytes, w, h, colour)
-        .map_err(|e| ImageFileError::Encode(e.to_string()))?;
-    Ok(out)
 }
 
 /// A photograph as an 8-bit RGBA PNG.

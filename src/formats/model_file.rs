@@ -1,4 +1,4 @@
-//! The model file: safetensors with a versioned JSON header, nothing executable.
+//! The model file: safetensors with a versioned JSON header.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::scene::{Field, Gaussians, IndirectForm, Model, ShadeAt, ShadingOptions};
 
-/// The header's version; a reader refuses any other than this and the three before.
+/// The header version that is written. Versions 1 to 4 are read.
 const VERSION: u32 = 4;
-/// The version before, of models without sheen, which read as they are.
+/// Models without sheen; read without changes.
 const WITHOUT_SHEEN: u32 = 3;
-/// The version before that, of models trained with the diffuse term alone at their Gaussians; they are shaded there wholly.
+/// Models trained with only the diffuse term shaded at the Gaussians. Both terms are shaded there.
 const DIFFUSE_AT_GAUSSIANS: u32 = 2;
-/// The version before that, of models shaded in the pixel, whose header does not say so.
+/// Models shaded in the pixel, whose header does not name it.
 const ALL_DEFERRED: u32 = 1;
 const HEADER_KEY: &str = "relume";
 
@@ -35,7 +35,7 @@ pub enum ModelFileError {
 }
 
 #[derive(Serialize, Deserialize)]
-struct Header {
+struct ModelHeader {
     version: u32,
     gaussians: usize,
     prototypes: usize,
@@ -49,7 +49,7 @@ struct Header {
     card: serde_json::Value,
 }
 
-/// A named f32 tensor view that safetensors can serialise.
+/// A view of an f32 tensor that safetensors can serialise.
 pub(crate) struct Tensor<'a> {
     shape: Vec<usize>,
     data: &'a [f32],
@@ -91,7 +91,7 @@ pub(crate) fn tensors(model: &Model) -> Vec<(String, Tensor<'_>)> {
 /// The versioned header of a model, as JSON text.
 pub(crate) fn header(model: &Model) -> String {
     let g = &model.gaussians;
-    let header = Header {
+    let header = ModelHeader {
         version: VERSION,
         gaussians: g.len(),
         prototypes: g.prototypes(),
@@ -107,13 +107,13 @@ pub(crate) fn header(model: &Model) -> String {
     serde_json::to_string(&header).unwrap_or_default()
 }
 
-/// Floats that a Gaussian of `model` has in its file.
+/// Floats per Gaussian in the file of `model`.
 pub fn floats_a_gaussian(model: &Model) -> usize {
     let stored = Field::ALL.iter().filter(|f| is_stored(**f, model));
     stored.map(|f| model.gaussians.width(*f)).sum()
 }
 
-/// Whether a model file holds a field: what the model makes no use of it does not.
+/// True when a model file contains a field; fields that the model does not use are left out.
 fn is_stored(field: Field, model: &Model) -> bool {
     match field {
         Field::Indirect => model.shading.indirect == IndirectForm::Learned,
@@ -144,7 +144,7 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     let (_, metadata) = SafeTensors::read_metadata(bytes)?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get(HEADER_KEY));
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a Relume model".into()))?;
-    let mut header: Header = serde_json::from_str(text).map_err(|e| bad("header", e.to_string()))?;
+    let mut header: ModelHeader = serde_json::from_str(text).map_err(|e| bad("header", e.to_string()))?;
     match header.version {
         VERSION | WITHOUT_SHEEN | DIFFUSE_AT_GAUSSIANS => {}
         ALL_DEFERRED => header.shading.shade_at = ShadeAt::Pixel,
@@ -156,7 +156,7 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     if header.visibility_order > 8 || header.radiance_order > 4 {
         return Err(bad("visibility_order,radiance_order", "are beyond 8 and 4".into()));
     }
-    // Sizes come from the file's own bytes before anything is allocated for them.
+    // Sizes are checked against the file's length before memory is allocated for them.
     if header.gaussians.saturating_mul(3 * 4) > bytes.len() {
         return Err(bad("gaussians", "names more than the file holds".into()));
     }

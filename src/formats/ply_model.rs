@@ -1,18 +1,18 @@
-//! Models as PLY: the layout every splat viewer reads, and behind it the materials that make it relightable.
+//! Models as PLY: the properties that splat viewers read, followed by the materials for relighting.
 //!
 //! The first properties are those of the 3D Gaussian Splatting authors' own files: position, normal, radiance SH
-//! (`f_dc_*`, then `f_rest_*` channel by channel), opacity logit, log-scales, quaternion `w x y z`. Then follow,
-//! announced by `comment relight_schema 1`: `albedo_0..2` (linear Rec.709), `metallic`, `roughness`, all ready to
-//! use, and `visibility_*` (SH coefficients, `l * l + l + m`). Sheen is left out: the materials of other tools know it in other
-//! forms. Everything is in capture coordinates.
+//! (`f_dc_*`, then `f_rest_*` channel by channel), opacity logit, log-scales, quaternion `w x y z`. After them,
+//! marked by `comment relight_schema 1`: `albedo_0..2` (linear Rec.709), `metallic`, `roughness`, all
+//! activated, and `visibility_*` (SH coefficients, `l * l + l + m`). Sheen is left out, since the
+//! materials of other tools define it differently. All values are in capture coordinates.
 //! `comment SplatRenderMode: mip` or `default`, a convention of Brush and gsplat, tells a viewer whether the opacities
-//! expect low-pass compensation.
+//! need low-pass compensation.
 
 use glam::{DQuat, DVec3, Vec3};
 
 use crate::scene::{Field, Model, NormalForm, sh_count};
 
-/// Degree of `f_rest_*` in the files viewers expect; a model of a lower degree is padded with zeros.
+/// SH degree of `f_rest_*` that viewers expect; coefficients that a model lacks are written as 0.
 const VIEWER_DEGREE: usize = 3;
 
 /// The bytes of a binary little-endian PLY file.
@@ -109,8 +109,8 @@ fn orientation(model: &Model, i: usize) -> DQuat {
     if q.length() > 1e-12 { q.normalize() } else { DQuat::IDENTITY }
 }
 
-/// The shading normal. A renderer turns the shortest axis to its camera; a file has none, so here it is turned
-/// to where the visibility field is open, which its degree-1 part tells.
+/// The shading normal. A renderer turns the shortest axis to its camera. A file has no camera, so the axis is turned
+/// to the side where visibility is larger, which the degree-1 part of the visibility field gives.
 fn normal(model: &Model, i: usize) -> Vec3 {
     let g = &model.gaussians;
     let own = Vec3::from(g.get::<3>(Field::Normal, i));

@@ -18,68 +18,48 @@ fn bad<T>(field: impl Into<String>, reason: impl Into<String>) -> Result<T, PlyE
     Err(PlyError { field: field.into(), reason: reason.into() })
 }
 
-/// A position and a linear Rec.709 colour; colourless files give mid grey.
+/// A position and a linear Rec.709 colour; 0.5 in files without colours.
 pub type Point = (DVec3, [f32; 3]);
 
-/// Longest header taken, bytes.
+/// Longest accepted header, bytes.
 const MAX_HEADER: usize = 1 << 16;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
+/// A scalar type of PLY.
+#[derive(Clone, Copy)]
+struct Scalar {
+    /// Its two names.
+    names: [&'static str; 2],
+    /// Bytes in a binary file.
+    size: usize,
+    /// The value that means full brightness in a colour.
+    white: f64,
+    /// The value in the first `size` bytes, little-endian.
+    read: fn(&[u8]) -> Option<f64>,
 }
 
-impl Scalar {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
+macro_rules! scalar {
+    ($short:literal, $long:literal, $type:ty, $white:literal) => {
+        Scalar {
+            names: [$short, $long],
+            size: size_of::<$type>(),
+            white: $white,
+            read: |bytes| bytes.first_chunk().map(|b| f64::from(<$type>::from_le_bytes(*b))),
         }
-    }
-
-    /// The value at the front of `b`, which holds at least [`Scalar::size`] bytes.
-    fn value(self, b: &[u8]) -> Option<f64> {
-        Some(match self {
-            Self::I8 => f64::from(b.first()?.cast_signed()),
-            Self::U8 => f64::from(*b.first()?),
-            Self::I16 => f64::from(i16::from_le_bytes(*b.first_chunk()?)),
-            Self::U16 => f64::from(u16::from_le_bytes(*b.first_chunk()?)),
-            Self::I32 => f64::from(i32::from_le_bytes(*b.first_chunk()?)),
-            Self::U32 => f64::from(u32::from_le_bytes(*b.first_chunk()?)),
-            Self::F32 => f64::from(f32::from_le_bytes(*b.first_chunk()?)),
-            Self::F64 => f64::from_le_bytes(*b.first_chunk()?),
-        })
-    }
-
-    fn is_integer(self) -> bool {
-        !matches!(self, Self::F32 | Self::F64)
-    }
+    };
 }
 
-struct Header {
+const SCALARS: [Scalar; 8] = [
+    scalar!("char", "int8", i8, 255.0),
+    scalar!("uchar", "uint8", u8, 255.0),
+    scalar!("short", "int16", i16, 255.0),
+    scalar!("ushort", "uint16", u16, 255.0),
+    scalar!("int", "int32", i32, 255.0),
+    scalar!("uint", "uint32", u32, 255.0),
+    scalar!("float", "float32", f32, 1.0),
+    scalar!("double", "float64", f64, 1.0),
+];
+
+struct PlyHeader {
     binary: bool,
     vertices: usize,
     properties: Vec<(String, Scalar)>,
@@ -87,11 +67,11 @@ struct Header {
     length: usize,
 }
 
-/// Reads the vertices of a PLY file.
+/// Reads the vertices of a PLY file; colours are taken as sRGB.
 ///
 /// # Errors
-/// Names the header line or vertex that is wrong; more than `max_points`, or more than the file's length can
-/// hold, is refused before anything is allocated.
+/// Names the header line or vertex at fault. More than `max_points`, or more than a binary file's length allows,
+/// is refused before memory is allocated for them.
 pub fn read_points(bytes: &[u8], max_points: usize) -> Result<Vec<Point>, PlyError> {
     let header = header(bytes)?;
     if header.vertices > max_points {
@@ -113,16 +93,13 @@ pub fn read_points(bytes: &[u8], max_points: usize) -> Result<Vec<Point>, PlyErr
         if !position.is_finite() {
             return bad(format!("vertex {i}"), "has a position that is not finite");
         }
-        let channel = |c: usize| {
-            let range = if header.properties[c].1.is_integer() { 255.0 } else { 1.0 };
-            srgb::decode((row[c] / range) as f32)
-        };
+        let channel = |c: usize| srgb::decode((row[c] / header.properties[c].1.white) as f32);
         points.push((position, colour.map_or([0.5; 3], |c| c.map(channel))));
     }
     Ok(points)
 }
 
-fn header(bytes: &[u8]) -> Result<Header, PlyError> {
+fn header(bytes: &[u8]) -> Result<PlyHeader, PlyError> {
     let window = &bytes[..bytes.len().min(MAX_HEADER)];
     const END: &[u8] = b"end_header";
     let end = window.windows(END.len()).position(|w| w == END);
@@ -132,7 +109,7 @@ fn header(bytes: &[u8]) -> Result<Header, PlyError> {
     let newline = window[end..].iter().position(|&b| b == b'\n');
     let Some(newline) = newline else { return bad("header", "is cut short") };
     let text = String::from_utf8_lossy(&window[..end]);
-    let mut out = Header { binary: false, vertices: 0, properties: Vec::new(), length: end + newline + 1 };
+    let mut out = PlyHeader { binary: false, vertices: 0, properties: Vec::new(), length: end + newline + 1 };
     let (mut format_seen, mut element) = (false, None);
     for line in text.lines().skip(1) {
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -142,23 +119,25 @@ fn header(bytes: &[u8]) -> Result<Header, PlyError> {
             ["format", other, ..] => return bad("format", format!("{other} is not supported")),
             ["element", name, count] => {
                 if name != "vertex" && element.is_none() {
-                    return bad("element", format!("{name} stands before vertex, which is not supported"));
+                    return bad("element", format!("{name} comes before vertex, which is not supported"));
                 }
                 element = Some(name == "vertex");
                 if name == "vertex" {
-                    out.vertices = match count.parse() {
-                        Ok(n) => n,
-                        Err(_) => return bad("element vertex", format!("{count:?} is no count")),
+                    let Ok(vertices) = count.parse() else {
+                        return bad("element vertex", format!("{count:?} is no count"));
                     };
+                    out.vertices = vertices;
                 }
             }
             ["property", "list", ..] if element == Some(true) => {
                 return bad("property list", "is not supported in vertices");
             }
-            ["property", kind, name] if element == Some(true) => match Scalar::parse(kind) {
-                Some(kind) => out.properties.push((name.to_owned(), kind)),
-                None => return bad(format!("property {name}"), format!("{kind} is no type")),
-            },
+            ["property", kind, name] if element == Some(true) => {
+                match SCALARS.iter().find(|s| s.names.contains(&kind)) {
+                    Some(scalar) => out.properties.push((name.to_owned(), *scalar)),
+                    None => return bad(format!("property {name}"), format!("{kind} is no type")),
+                }
+            }
             _ => {}
         }
     }
@@ -168,8 +147,8 @@ fn header(bytes: &[u8]) -> Result<Header, PlyError> {
     Ok(out)
 }
 
-fn binary_rows(body: &[u8], header: &Header) -> Result<Vec<f64>, PlyError> {
-    let stride: usize = header.properties.iter().map(|(_, s)| s.size()).sum();
+fn binary_rows(body: &[u8], header: &PlyHeader) -> Result<Vec<f64>, PlyError> {
+    let stride: usize = header.properties.iter().map(|(_, s)| s.size).sum();
     if header.vertices.checked_mul(stride).is_none_or(|need| need > body.len()) {
         return bad("element vertex", format!("{} points are more than the file holds", header.vertices));
     }
@@ -177,23 +156,20 @@ fn binary_rows(body: &[u8], header: &Header) -> Result<Vec<f64>, PlyError> {
     for row in body.chunks_exact(stride).take(header.vertices) {
         let mut at = 0;
         for (_, scalar) in &header.properties {
-            out.extend(scalar.value(&row[at..]));
-            at += scalar.size();
+            out.extend((scalar.read)(&row[at..]));
+            at += scalar.size;
         }
     }
     Ok(out)
 }
 
-fn ascii_rows(body: &[u8], header: &Header) -> Result<Vec<f64>, PlyError> {
-    let text = match std::str::from_utf8(body) {
-        Ok(text) => text,
-        Err(_) => return bad("body", "is not text"),
-    };
+fn ascii_rows(body: &[u8], header: &PlyHeader) -> Result<Vec<f64>, PlyError> {
+    let Ok(text) = std::str::from_utf8(body) else { return bad("body", "is not text") };
     let mut out = Vec::new();
     let mut lines = text.lines().filter(|l| !l.trim().is_empty());
     for i in 0..header.vertices {
         let Some(line) = lines.next() else {
-            return bad("element vertex", format!("{} points promised, {i} found", header.vertices));
+            return bad("element vertex", format!("{} points stated, {i} found", header.vertices));
         };
         let before = out.len();
         out.extend(

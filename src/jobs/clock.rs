@@ -35,7 +35,7 @@ impl Ids for RandomIds {
     }
 }
 
-/// A clock that moves when it is told to.
+/// A clock that only [`ManualClock::advance`] moves.
 #[derive(Debug, Default)]
 pub struct ManualClock(AtomicI64);
 

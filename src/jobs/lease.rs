@@ -1,8 +1,9 @@
-//! A worker's hold on a job. Whatever it writes carries the lease token, so that a worker which was paused for
-//! too long finds out that it lost the job and publishes nothing.
+//! A worker's right to work on a job. Whatever the worker writes carries the lease token, so that a worker which was paused
+//! for too long finds out that it lost the job and publishes nothing.
 
-use crate::jobs::Jobs;
-use crate::store::{Held, JobRecord, JobState, ModelFile, ModelRecord, ProgressUpdate, StoreError};
+use crate::api::jobs::{JobProgress, JobState};
+use crate::jobs::queue::Jobs;
+use crate::store::{JobRecord, LeaseStatus, ModelFile, ModelRecord, Release, StoreError};
 
 /// One attempt at one job.
 pub struct Lease {
@@ -11,11 +12,22 @@ pub struct Lease {
     token: String,
 }
 
-impl Lease {
-    pub(super) fn new(jobs: Jobs, job: JobRecord, token: String) -> Self {
-        Self { jobs, job, token }
+impl Jobs {
+    /// Claims the next job for a worker.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn claim(&self) -> Result<Option<Lease>, StoreError> {
+        let (token, now) = (self.fresh_id::<String>(), self.now_ms());
+        let job = self.store.claim_job(&token, now, self.lease_end(now)).await?;
+        if job.is_some() {
+            self.announce();
+        }
+        Ok(job.map(|job| Lease { jobs: self.clone(), job, token }))
     }
+}
 
+impl Lease {
     /// The job as it was when it was claimed.
     pub fn job(&self) -> &JobRecord {
         &self.job
@@ -26,27 +38,27 @@ impl Lease {
         format!("attempts/{}/{}", self.job.id, self.job.attempts)
     }
 
-    /// Whether the lease still stands. Changes nothing.
+    /// Whether the lease is still valid. Changes nothing.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn check(&self) -> Result<Held, StoreError> {
-        self.jobs.store.held(&self.job.id, &self.token).await
+    pub async fn check(&self) -> Result<LeaseStatus, StoreError> {
+        self.jobs.store.lease_status(&self.job.id, &self.token).await
     }
 
     /// Records progress. This is the heartbeat: it is called when a step was done and at no other time.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn progress(&self, progress: &ProgressUpdate) -> Result<Held, StoreError> {
+    pub async fn progress(&self, progress: &JobProgress) -> Result<LeaseStatus, StoreError> {
         let now = self.jobs.now_ms();
         let until = self.jobs.lease_end(now);
-        let held = self.jobs.store.record_progress(&self.job.id, &self.token, progress, now, until).await?;
+        let status = self.jobs.store.record_progress(&self.job.id, &self.token, progress, now, until).await?;
         self.jobs.announce();
-        Ok(held)
+        Ok(status)
     }
 
-    /// Tells listeners something a user should know.
+    /// Records a warning for the user.
     ///
     /// # Errors
     /// When the database fails.
@@ -60,40 +72,40 @@ impl Lease {
     ///
     /// # Errors
     /// When the bytes cannot be stored or the database fails; the previous checkpoint then still counts.
-    pub async fn checkpoint(&self, step: i64, bytes: Vec<u8>) -> Result<Held, StoreError> {
+    pub async fn checkpoint(&self, step: i64, bytes: Vec<u8>) -> Result<LeaseStatus, StoreError> {
         let store = &self.jobs.store;
         let key = format!("{}/checkpoint-{step:08}.safetensors", self.artifact_prefix());
         store.artifacts().put(&key, bytes).await?;
-        let (held, replaced) =
+        let (status, replaced) =
             store.record_checkpoint(&self.job.id, &self.token, &key, step, self.jobs.now_ms()).await?;
-        match held {
-            Held::Lost => store.artifacts().remove(&key).await,
-            Held::Yes | Held::Cancelling => {
+        match status {
+            LeaseStatus::Lost => store.artifacts().remove(&key).await,
+            LeaseStatus::Held | LeaseStatus::Cancelling => {
                 if let Some(replaced) = replaced {
                     store.artifacts().remove(&replaced).await;
                 }
             }
         }
-        Ok(held)
+        Ok(status)
     }
 
-    /// Publishes the model and ends the job as succeeded. Anything but [`Held::Yes`] published nothing.
+    /// Publishes the model and ends the job as succeeded. Anything but [`LeaseStatus::Held`] published nothing.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn publish(&self, model: &ModelRecord, files: &[ModelFile]) -> Result<Held, StoreError> {
+    pub async fn publish(&self, model: &ModelRecord, files: &[ModelFile]) -> Result<LeaseStatus, StoreError> {
         let now = self.jobs.now_ms();
         let checkpoint = self.last_checkpoint().await?;
-        let held = self.jobs.store.publish_model(&self.token, model, files, now).await?;
-        self.ended(held, checkpoint).await;
-        Ok(held)
+        let status = self.jobs.store.publish_model(&self.token, model, files, now).await?;
+        self.ended(status, checkpoint).await;
+        Ok(status)
     }
 
     /// Ends the job as failed.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn fail(&self, code: &str, detail: &str) -> Result<Held, StoreError> {
+    pub async fn fail(&self, code: &str, detail: &str) -> Result<LeaseStatus, StoreError> {
         self.end(JobState::Failed, Some((code, detail))).await
     }
 
@@ -101,43 +113,43 @@ impl Lease {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn confirm_cancel(&self) -> Result<Held, StoreError> {
+    pub async fn confirm_cancel(&self) -> Result<LeaseStatus, StoreError> {
         self.end(JobState::Cancelled, None).await
     }
 
-    async fn end(&self, state: JobState, error: Option<(&str, &str)>) -> Result<Held, StoreError> {
+    async fn end(&self, state: JobState, error: Option<(&str, &str)>) -> Result<LeaseStatus, StoreError> {
         let now = self.jobs.now_ms();
         let checkpoint = self.last_checkpoint().await?;
-        let held = self.jobs.store.end_job(&self.job.id, &self.token, state, error, now).await?;
-        self.ended(held, checkpoint).await;
-        Ok(held)
+        let status = self.jobs.store.end_job(&self.job.id, &self.token, state, error, now).await?;
+        self.ended(status, checkpoint).await;
+        Ok(status)
     }
 
     async fn last_checkpoint(&self) -> Result<Option<String>, StoreError> {
         Ok(self.jobs.store.job(&self.job.id).await?.and_then(|job| job.checkpoint))
     }
 
-    /// A job that has ended resumes no more: its checkpoint goes once the end is durable.
-    async fn ended(&self, held: Held, checkpoint: Option<String>) {
-        if let (Held::Yes, Some(key)) = (held, checkpoint) {
+    /// Removes the checkpoint of a job that has ended, once the end is durable.
+    async fn ended(&self, status: LeaseStatus, checkpoint: Option<String>) {
+        if let (LeaseStatus::Held, Some(key)) = (status, checkpoint) {
             self.jobs.store.artifacts().remove(&key).await;
         }
         self.jobs.announce();
     }
 
-    /// Gives the job back to the queue; `blameless` when the attempt should not count against it.
+    /// Gives the job back to the queue.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn release(&self, blameless: bool) -> Result<Held, StoreError> {
+    pub async fn release(&self, release: Release) -> Result<LeaseStatus, StoreError> {
         let now = self.jobs.now_ms();
-        let held = self.jobs.store.release_job(&self.job.id, &self.token, blameless, now).await?;
+        let status = self.jobs.store.release_job(&self.job.id, &self.token, release, now).await?;
         self.jobs.announce();
-        Ok(held)
+        Ok(status)
     }
 
-    /// Attempts without a new checkpoint, this one included, have used up the policy's patience.
-    pub fn is_last_chance(&self) -> bool {
+    /// True when the attempts without a new checkpoint, this one included, have reached the policy's maximum.
+    pub fn is_last_attempt(&self) -> bool {
         self.job.idle_attempts >= i64::from(self.jobs.policy.max_idle_attempts)
     }
 

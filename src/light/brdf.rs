@@ -4,6 +4,8 @@ use std::f64::consts::PI;
 
 use num_traits::Float;
 
+use crate::light::constants::LUT_SIZE;
+
 /// GGX normal distribution, `alpha = roughness^2`, per steradian of half vectors.
 pub fn ggx_d(cos_h: f64, alpha: f64) -> f64 {
     let a2 = alpha * alpha;
@@ -59,9 +61,10 @@ impl BrdfLut {
         (resolution > 0 && values.len() == resolution * resolution).then_some(Self { resolution, values })
     }
 
-    /// The table every engine uses: 32 x 32, 4,096 samples, built once.
+    /// The table every engine uses: [`LUT_SIZE`] texels a side, 4,096 samples, built once.
     pub fn shared() -> &'static Self {
-        static TABLE: std::sync::LazyLock<BrdfLut> = std::sync::LazyLock::new(|| BrdfLut::build(32, 4096));
+        static TABLE: std::sync::LazyLock<BrdfLut> =
+            std::sync::LazyLock::new(|| BrdfLut::build(LUT_SIZE, 4096));
         &TABLE
     }
 

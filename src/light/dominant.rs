@@ -127,19 +127,19 @@ impl Search {
         let level = ring.map(|sum| (sum / ring_area.max(1e-12)) as f32);
         let excess = |t: [f32; 3], c: usize| (f64::from(t[c]) - f64::from(level[c])).max(0.0);
         let mut light = [0.0f64; 3];
-        let (mut pull, mut spread) = (DVec3::ZERO, 0.0);
+        let (mut moment, mut spread) = (DVec3::ZERO, 0.0);
         for &i in &disc {
             let (d, w) = self.directions[i];
             let part: [f64; 3] = std::array::from_fn(|c| w * excess(self.texels[i], c));
             (0..3).for_each(|c| light[c] += part[c]);
-            pull += d * part.iter().sum::<f64>();
+            moment += d * part.iter().sum::<f64>();
         }
         let sum: f64 = light.iter().sum();
         let stands_out = sum / 3.0 >= (CONTRAST - 1.0) * brightness(level) * disc_area;
         if !(sum / 3.0 >= LEAST_SHARE * self.power && sum > 0.0 && stands_out) {
             return None;
         }
-        let direction = pull.normalize_or(towards);
+        let direction = moment.normalize_or(towards);
         for &i in &disc {
             let (d, w) = self.directions[i];
             // A texel is itself as wide as a disc of its area.

@@ -76,7 +76,7 @@ impl CubeGrid {
         };
         let (us, ut) = ((axis + 1) % 3, (axis + 2) % 3);
         let one = T::one();
-        // A null direction has no neighbours to move to: node 0 side, no slope.
+        // A null direction has no neighbours to move to: node 0 side, derivatives 0.
         let length = magnitude[axis];
         let inverse = if length > T::min_positive_value() { one / length } else { T::zero() };
         let (s, t) = (d[us] * inverse, d[ut] * inverse);

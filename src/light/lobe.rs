@@ -5,15 +5,12 @@ use std::f64::consts::PI;
 use num_traits::Float;
 
 use crate::light::brdf::ggx_d;
-
-/// Degrees the table covers: 0..=8.
-pub const LOBE_ORDERS: usize = 9;
-const ROUGHNESSES: usize = 33;
+use crate::light::constants::{LOBE_ORDERS, LOBE_ROUGHNESSES};
 
 /// Zonal attenuation `h_l(roughness)`, with `h_0 = 1`, of the prefilter lobe around the reflection.
 #[derive(Debug, Clone)]
 pub struct LobeAttenuation {
-    rows: [[f32; LOBE_ORDERS]; ROUGHNESSES],
+    rows: [[f32; LOBE_ORDERS]; LOBE_ROUGHNESSES],
 }
 
 /// `h_l` and its derivative by roughness.
@@ -29,7 +26,7 @@ impl LobeAttenuation {
     /// The table every engine uses, built once.
     pub fn shared() -> &'static Self {
         static TABLE: std::sync::LazyLock<LobeAttenuation> = std::sync::LazyLock::new(|| {
-            let row = |i: usize| attenuation(i as f64 / (ROUGHNESSES - 1) as f64).map(|v| v as f32);
+            let row = |i: usize| attenuation(i as f64 / (LOBE_ROUGHNESSES - 1) as f64).map(|v| v as f32);
             LobeAttenuation { rows: std::array::from_fn(row) }
         });
         &TABLE
@@ -43,16 +40,16 @@ impl LobeAttenuation {
     /// Linear interpolation in roughness, clamped to [0, 1].
     #[inline]
     pub fn sample<T: Float>(&self, roughness: T) -> LobeSample<T> {
-        let cells = T::from(ROUGHNESSES - 1).unwrap_or_else(T::one);
+        let cells = T::from(LOBE_ROUGHNESSES - 1).unwrap_or_else(T::one);
         let x = (roughness * cells).max(T::zero()).min(cells);
-        let i = x.to_usize().unwrap_or(0).min(ROUGHNESSES - 2);
+        let i = x.to_usize().unwrap_or(0).min(LOBE_ROUGHNESSES - 2);
         let f = x - T::from(i).unwrap_or_else(T::zero);
         let inside = roughness > T::zero() && roughness < T::one();
-        let slope = if inside { cells } else { T::zero() };
+        let derivative = if inside { cells } else { T::zero() };
         let at = |i: usize, l: usize| T::from(self.rows[i][l]).unwrap_or_else(T::nan);
         LobeSample {
             value: std::array::from_fn(|l| at(i, l) * (T::one() - f) + at(i + 1, l) * f),
-            by_roughness: std::array::from_fn(|l| (at(i + 1, l) - at(i, l)) * slope),
+            by_roughness: std::array::from_fn(|l| (at(i + 1, l) - at(i, l)) * derivative),
         }
     }
 }

@@ -2,6 +2,7 @@
 //! into what a pixel looks up.
 
 mod brdf;
+mod constants;
 mod dominant;
 mod grid;
 mod lobe;
@@ -14,17 +15,20 @@ mod sheen;
 mod tables;
 
 /// Colour of the light before anything is known of it, linear sRGB of mean 1: bluish, as under an open sky; chosen by
-/// relighting (docs/experiments.md).
+/// relighting (docs/decisions/0009).
 pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
 
 pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
+pub use constants::{
+    CLAMPED_COSINE, DIELECTRIC_F0, FULLY_OPEN, LOBE_ORDERS, MOST_SHEEN, SPECULAR_LEVELS, nrsh_factor,
+};
 pub use dominant::{DominantLight, SplitEnvironment};
 pub use grid::{CubeGrid, Taps};
-pub use lobe::{LOBE_ORDERS, LobeAttenuation, LobeSample};
-pub use operators::{CompressedRows, EnvOperators, SPECULAR_LEVELS, TableResolution, level_position};
+pub use lobe::{LobeAttenuation, LobeSample};
+pub use operators::{CompressedRows, EnvOperators, LevelPosition, TableResolution};
 pub use prefilter::rendering_tables;
 pub use reflector::{Reflected, Reflector};
 pub use sampler::{EnvSampler, Shares, estimate};
-pub use sh::{CLAMPED_COSINE, nrsh, nrsh_factor, sh_eval, sh_eval_with_gradient};
-pub use sheen::{MOST_SHEEN, Sheen};
+pub use sh::{nrsh, sh_eval, sh_eval_with_gradient};
+pub use sheen::Sheen;
 pub use tables::{LightTables, TABLE_LANES, padded};

@@ -1,28 +1,38 @@
-//! Environment operators as explicit linear maps: tables = M L, and the gradient is M^T g (DESIGN section 3).
+//! Environment operators as explicit linear maps (docs/MODEL.md section 4): tables = M L, and the gradient is M^T g.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::light::{CubeGrid, LightTables, brdf::ggx_d, padded, sh_eval};
+use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
 use crate::scene::{sh_count, texel_directions};
 
-/// Roughness of each prefiltered level; radiance between two levels is interpolated linearly.
-pub const SPECULAR_LEVELS: [f32; 6] = [0.1, 0.25, 0.4, 0.6, 0.8, 1.0];
+/// Where a roughness lies between two prefiltered levels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LevelPosition<T> {
+    /// The level below.
+    pub level: usize,
+    /// Fraction of the way to the next level, 0 to 1.
+    pub fraction: T,
+    /// Derivative of the fraction by roughness; 0 where clamped.
+    pub by_roughness: T,
+}
 
-/// Level below `roughness`, the fraction towards the next, and the fraction's slope (0 where clamped).
-#[inline]
-pub fn level_position<T: num_traits::Float>(roughness: T) -> (usize, T, T) {
-    let level = |k: usize| T::from(SPECULAR_LEVELS[k]).unwrap_or_else(T::one);
-    let last = SPECULAR_LEVELS.len() - 1;
-    if !(roughness > level(0)) {
-        return (0, T::zero(), T::zero());
+impl<T: num_traits::Float> LevelPosition<T> {
+    /// The position of `roughness`, clamped to the first and the last level.
+    #[inline]
+    pub fn of(roughness: T) -> Self {
+        let at = |k: usize| T::from(SPECULAR_LEVELS[k]).unwrap_or_else(T::one);
+        let last = SPECULAR_LEVELS.len() - 1;
+        if !(roughness > at(0)) {
+            return Self { level: 0, fraction: T::zero(), by_roughness: T::zero() };
+        }
+        if roughness >= at(last) {
+            return Self { level: last - 1, fraction: T::one(), by_roughness: T::zero() };
+        }
+        let level = (0..last).rev().find(|&k| roughness >= at(k)).unwrap_or(0);
+        let by_roughness = T::one() / (at(level + 1) - at(level));
+        Self { level, fraction: (roughness - at(level)) * by_roughness, by_roughness }
     }
-    if roughness >= level(last) {
-        return (last - 1, T::one(), T::zero());
-    }
-    let k = (0..last).rev().find(|&k| roughness >= level(k)).unwrap_or(0);
-    let slope = T::one() / (level(k + 1) - level(k));
-    (k, (roughness - level(k)) * slope, slope)
 }
 
 /// How finely directions are tabulated.
@@ -166,7 +176,7 @@ impl EnvOperators {
     pub fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
         let n = padded(sh_count(self.order));
         // F[t] = Y_j(t) L_c(t), the light that a coefficient lets through at texel t.
-        let lit: Vec<f32> = radiance
+        let products: Vec<f32> = radiance
             .par_iter()
             .zip(self.harmonics.par_chunks(n))
             .flat_map_iter(|(l, y)| (0..3).flat_map(move |c| y.iter().map(move |v| v * l[c])))
@@ -175,7 +185,7 @@ impl EnvOperators {
         diffuse.par_chunks_mut(3 * n).enumerate().for_each(|(node, out)| {
             for &(t, w) in self.cosine.row(node) {
                 let t = t as usize * 3 * n;
-                out.iter_mut().zip(&lit[t..t + 3 * n]).for_each(|(o, v)| *o += w * v);
+                out.iter_mut().zip(&products[t..t + 3 * n]).for_each(|(o, v)| *o += w * v);
             }
         });
         LightTables {
@@ -193,14 +203,15 @@ impl EnvOperators {
         (0..self.width * self.height)
             .into_par_iter()
             .map(|t| {
-                let mut lit = vec![0.0f32; 3 * n];
+                let mut products = vec![0.0f32; 3 * n];
                 for &(node, w) in self.cosine_transposed.row(t) {
                     let row = &gradient.diffuse[node as usize * 3 * n..(node as usize + 1) * 3 * n];
-                    lit.iter_mut().zip(row).for_each(|(o, v)| *o += w * v);
+                    products.iter_mut().zip(row).for_each(|(o, v)| *o += w * v);
                 }
                 let y = &self.harmonics[t * n..(t + 1) * n];
-                let mut out: [f32; 3] =
-                    std::array::from_fn(|c| lit[c * n..(c + 1) * n].iter().zip(y).map(|(a, b)| a * b).sum());
+                let mut out: [f32; 3] = std::array::from_fn(|c| {
+                    products[c * n..(c + 1) * n].iter().zip(y).map(|(a, b)| a * b).sum()
+                });
                 for (rows, grad) in self.specular_transposed.iter().zip(&gradient.specular) {
                     for &(node, w) in rows.row(t) {
                         (0..3).for_each(|c| out[c] += w * grad[node as usize][c]);

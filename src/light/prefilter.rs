@@ -50,7 +50,7 @@ fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, order: usize) -> Vec<f32> {
     };
     let n = padded(sh_count(order));
     let directions = texel_directions(map.width(), map.height());
-    let lit: Vec<f32> = directions
+    let products: Vec<f32> = directions
         .iter()
         .zip(map.texels())
         .flat_map(|((d, w), l)| {
@@ -64,7 +64,7 @@ fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, order: usize) -> Vec<f32> {
     let nodes = grid.directions();
     let mut out = vec![0.0f32; nodes.len() * 3 * n];
     out.par_chunks_mut(3 * n).zip(&nodes).for_each(|(row, node)| {
-        for ((d, _), light) in directions.iter().zip(lit.chunks_exact(3 * n)) {
+        for ((d, _), light) in directions.iter().zip(products.chunks_exact(3 * n)) {
             let cos = node.dot(*d) as f32;
             if cos > 0.0 {
                 row.iter_mut().zip(light).for_each(|(o, v)| *o += cos * v);
@@ -75,15 +75,15 @@ fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, order: usize) -> Vec<f32> {
 }
 
 /// One sample of the lobe around +Z: direction, weight, solid angle.
-struct LobeSample {
+struct LobeDirection {
     direction: DVec3,
     weight: f64,
     solid_angle: f64,
 }
 
 /// Samples of `D(half) cos` with N = V = R, weights summing to 1.
-fn lobe_samples(alpha: f64) -> Vec<LobeSample> {
-    let mut out: Vec<LobeSample> = (0..SAMPLES)
+fn lobe_samples(alpha: f64) -> Vec<LobeDirection> {
+    let mut out: Vec<LobeDirection> = (0..SAMPLES)
         .filter_map(|i| {
             let u1 = (f64::from(i) + 0.5) / f64::from(SAMPLES);
             let u2 = (f64::from(i.reverse_bits()) + 0.5) / 4_294_967_296.0;
@@ -95,7 +95,7 @@ fn lobe_samples(alpha: f64) -> Vec<LobeSample> {
             // The density of the reflected direction is D(h) cos_h / (4 cos_h).
             let density = 0.25 * ggx_d(cos_h, alpha);
             let solid_angle = 1.0 / (f64::from(SAMPLES) * density.max(1e-12));
-            (direction.z > 0.0).then_some(LobeSample { direction, weight: direction.z, solid_angle })
+            (direction.z > 0.0).then_some(LobeDirection { direction, weight: direction.z, solid_angle })
         })
         .collect();
     let total: f64 = out.iter().map(|s| s.weight).sum();
@@ -122,7 +122,7 @@ impl Pyramid {
     }
 
     /// Mean radiance of the lobe turned to `r`.
-    fn filtered(&self, r: DVec3, lobe: &[LobeSample]) -> [f32; 3] {
+    fn filtered(&self, r: DVec3, lobe: &[LobeDirection]) -> [f32; 3] {
         let (u, v) = r.any_orthonormal_pair();
         let texel = 4.0 * PI / (self.levels[0].width() * self.levels[0].height()) as f64;
         let mut sum = [0.0f64; 3];

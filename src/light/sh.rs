@@ -1,40 +1,23 @@
 //! Real spherical harmonics to any order, without angles, so values and gradients stay finite at the poles.
 //!
 //! Index of (l, m) is `l*l + l + m`; the basis is orthonormal and carries the Condon-Shortley sign, as the
-//! article's listing and `fixtures/sh.safetensors`. With `Q_l^m = (-1)^m d^m P_l / dz^m` and
+//! article's listing. With `Q_l^m = (-1)^m d^m P_l / dz^m` and
 //! `A_m + i B_m = (x + i y)^m`, `Y_lm = K_lm Q_l^m(z) {A_m | B_m}(x, y)`.
 
 use num_traits::Float;
 
+use crate::light::constants::{nrsh_factor, sh_normalisation};
+
 /// Highest order any table in the crate is built for.
 pub const MAX_ORDER: usize = 8;
 const ROWS: usize = MAX_ORDER + 2;
-
-/// Funk-Hecke eigenvalues of the clamped cosine for l = 0..=6: pi, 2pi/3, pi/4, 0, -pi/24, 0, pi/64.
-pub const CLAMPED_COSINE: [f64; 7] = {
-    use std::f64::consts::PI;
-    [PI, 2.0 * PI / 3.0, PI / 4.0, 0.0, -PI / 24.0, 0.0, PI / 64.0]
-};
-
-/// `lambda_l / pi`, the factor of normal-related SH (article Eq. 17 with the 1/pi of Eq. 16).
-/// Zero beyond l = 6, where the clamped cosine has next to no energy.
-pub fn nrsh_factor(l: usize) -> f64 {
-    CLAMPED_COSINE.get(l).map_or(0.0, |lambda| lambda / std::f64::consts::PI)
-}
-
-/// `K_lm` of the orthonormal real basis, with the sqrt(2) of m > 0, for m >= 0.
-fn normalisation(l: usize, m: usize) -> f64 {
-    let ratio: f64 = ((l - m + 1)..=(l + m)).map(|k| k as f64).product();
-    let k = ((2 * l + 1) as f64 / (4.0 * std::f64::consts::PI) / ratio).sqrt();
-    if m == 0 { k } else { k * std::f64::consts::SQRT_2 }
-}
 
 /// `K_lm` at index `l*l + l + m` for every m >= 0, to [`MAX_ORDER`].
 fn normalisations() -> &'static [f64; 81] {
     static TABLE: std::sync::LazyLock<[f64; 81]> = std::sync::LazyLock::new(|| {
         let mut table = [0.0; 81];
         for l in 0..=MAX_ORDER {
-            (0..=l).for_each(|m| table[l * l + l + m] = normalisation(l, m));
+            (0..=l).for_each(|m| table[l * l + l + m] = sh_normalisation(l, m));
         }
         table
     });

@@ -3,10 +3,9 @@
 //!
 //! Light's own angle of incidence, which a microfibre model has as well, is left out: under a whole sky it is averaged.
 
-/// Sheen counts to this, a gain of 20 or of a twentieth; what is beyond has no gradient.
-pub const MOST_SHEEN: f32 = 3.0;
+use crate::light::MOST_SHEEN;
 
-/// Gain of the diffuse term with its slopes.
+/// Gain of the diffuse term with its derivatives.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sheen {
     /// The gain.
@@ -36,14 +35,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn none_is_lambert_and_slopes_are_those_of_the_gain() {
+    fn none_is_lambert_and_derivatives_are_those_of_the_gain() {
         for nov in [0.0, 0.3, 1.0] {
             assert_eq!(Sheen::new(0.0, nov).gain, 1.0);
         }
         let (step, at) = (1e-3, Sheen::new(0.7, 0.2));
-        let slope = |f: &dyn Fn(f32) -> f32| (f(step) - f(-step)) / (2.0 * step);
-        assert!((slope(&|h| Sheen::new(0.7 + h, 0.2).gain) - at.by_sheen).abs() < 1e-3);
-        assert!((slope(&|h| Sheen::new(0.7, 0.2 + h).gain) - at.by_nov).abs() < 1e-3);
+        let numeric = |f: &dyn Fn(f32) -> f32| (f(step) - f(-step)) / (2.0 * step);
+        assert!((numeric(&|h| Sheen::new(0.7 + h, 0.2).gain) - at.by_sheen).abs() < 1e-3);
+        assert!((numeric(&|h| Sheen::new(0.7, 0.2 + h).gain) - at.by_nov).abs() < 1e-3);
         assert!(at.by_sheen > 0.1 && at.by_nov < -0.1, "the control: neither is flat here");
     }
 

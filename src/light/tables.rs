@@ -17,7 +17,7 @@ pub struct LightTables {
     pub diffuse_grid: CubeGrid,
     /// Padded number of visibility coefficients a colour has in `diffuse`.
     pub coefficients: usize,
-    /// `T_j(n)` (DESIGN 4.2) as `[node][rgb][coefficient]`, W/m^2 per unit coefficient.
+    /// `T_j(n)`, irradiance at normal n through visibility `Y_j` alone (docs/MODEL.md section 4), as `[node][rgb][coefficient]`, W/m^2 per unit coefficient.
     pub diffuse: Vec<f32>,
     /// Grid of reflection directions, per level.
     pub specular_grids: [CubeGrid; SPECULAR_LEVELS.len()],

@@ -5,15 +5,16 @@
 
 use rayon::prelude::*;
 
-use crate::engine::channel::{self, Channels};
+use crate::engine::channel::{self, Channels, OutgoingRadiance};
+use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
-    AttributeSource, MAX_COEFFICIENTS, Pass, ProbeSettings, Probes, Shader, Surface, View, attribute_rows,
-    normalise, project_all,
+    AttributeSource, MAX_COEFFICIENTS, Pass, Probes, Surface, SurfaceShader, attribute_rows,
+    blended_radiance, normalise, project_all, reflector, resolve,
 };
+use crate::engine::{ProbeSettings, RasterCamera};
 use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, rendering_tables};
-use crate::render::develop::{Lit, develop, reflector};
-use crate::render::standard::{blended, shade_here};
-use crate::render::{Frame, Job};
+use crate::render::Frame;
+use crate::render::job::Job;
 use crate::scene::{EnvMap, Field, ShadeAt};
 
 /// Most lights that get a shadow of their own.
@@ -46,9 +47,9 @@ impl SplitLight {
     }
 }
 
-/// Renders every pixel under the rest and each of the lights; `whole` has the tables of both together.
-pub(super) fn render(job: &Job<'_>, whole: &Shader<'_>, light: &SplitLight) -> Frame {
-    let shader = Shader { tables: light.rest.as_ref().unwrap_or(whole.tables), ..*whole };
+/// Renders every pixel under the rest and each of the lights; the job's shader has the tables of both together.
+pub(super) fn render(job: &Job<'_>, light: &SplitLight) -> Frame {
+    let shader = SurfaceShader { tables: light.rest.as_ref().unwrap_or(job.shader.tables), ..job.shader };
     match shader.options.shade_at {
         ShadeAt::Gaussian => at_gaussians(job, &shader, light),
         ShadeAt::Pixel => in_pixels(job, &shader, light),
@@ -56,26 +57,27 @@ pub(super) fn render(job: &Job<'_>, whole: &Shader<'_>, light: &SplitLight) -> F
 }
 
 /// The lights are added to what each Gaussian sends.
-fn at_gaussians(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
+fn at_gaussians(job: &Job<'_>, shader: &SurfaceShader<'_>, light: &SplitLight) -> Frame {
     let source = job.source.under(*shader);
     let full = Channels::Full(source.gaussians.width(Field::Visibility));
-    let (splats, stored) = (project_all(&source, &job.view), full.stored());
-    let mut rows = attribute_rows(&source, &job.view, &splats, full, stored);
+    let view = job.frame.view;
+    let (splats, stored) = (project_all(&source, &view), full.stored());
+    let mut rows = attribute_rows(&source, &view, &splats, full, stored);
     rows.par_chunks_mut(stored).zip(&splats).with_min_len(64).for_each(|(row, splat)| {
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = source.gaussians.get(Field::Mean, i);
-        let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - job.view.eye[k]));
-        let mut lit = Lit { diffuse: [0.0; 3], specular: [0.0; 3] };
-        add_lights(&light.lights, light.arriving_at(i), &surface, &mut lit);
+        let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - view.centre[k]));
+        let mut direct = OutgoingRadiance { diffuse: [0.0; 3], specular: [0.0; 3] };
+        add_lights(&light.lights, light.arriving_at(i), &surface, &mut direct);
         let gain = Sheen::new(surface.sheen, cosine(surface.normal, surface.view)).gain;
         for c in 0..3 {
-            lit.diffuse[c] *= gain;
-            row[channel::LIGHT.start + c] += lit.diffuse[c] + lit.specular[c];
-            row[channel::INDIRECT.start + c] += lit.specular[c];
+            direct.diffuse[c] *= gain;
+            row[OutgoingRadiance::TOTAL.start + c] += direct.diffuse[c] + direct.specular[c];
+            row[OutgoingRadiance::SPECULAR.start + c] += direct.specular[c];
         }
     });
-    let pass = Pass::blend(job.view, splats, full, rows, true);
-    develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| blended(surface))
+    let pass = Pass::blend(view, splats, full, source.row_light(), rows, EarlyStop::WhenSaturated);
+    resolve(&pass, shader, job.frame.outputs, job.frame.depth_scale, |at, _| blended_radiance(&pass, at))
 }
 
 /// `|n . v|` of a normal of any length.
@@ -85,20 +87,20 @@ fn cosine(normal: [f32; 3], view: [f32; 3]) -> f32 {
 }
 
 /// The lights are added to what each pixel sends; their shadows are blended.
-fn in_pixels(job: &Job<'_>, shader: &Shader<'_>, light: &SplitLight) -> Frame {
+fn in_pixels(job: &Job<'_>, shader: &SurfaceShader<'_>, light: &SplitLight) -> Frame {
     let coefficients = job.source.gaussians.width(Field::Visibility);
-    let pass = pass(&job.source, job.view, light, coefficients);
-    develop(&pass, shader, job.outputs, job.depth_scale, |_, surface| {
-        let mut lit = shade_here(shader, surface);
+    let pass = pass(&job.source, job.frame.view, light, coefficients);
+    resolve(&pass, shader, job.frame.outputs, job.frame.depth_scale, |_, surface| {
+        let mut direct = shader.shade(surface).outgoing();
         let arriving = &surface.visibility[coefficients..coefficients + light.lights.len()];
-        add_lights(&light.lights, arriving.iter().copied(), surface, &mut lit);
-        lit
+        add_lights(&light.lights, arriving.iter().copied(), surface, &mut direct);
+        direct
     })
 }
 
 /// The standard G-buffer with a channel a light behind the coefficients; tables have zeros there, so that shading
 /// from tables does not see them.
-fn pass(source: &AttributeSource<'_>, view: View, light: &SplitLight, coefficients: usize) -> Pass {
+fn pass(source: &AttributeSource<'_>, view: RasterCamera, light: &SplitLight, coefficients: usize) -> Pass {
     let (own, all) = (Channels::Full(coefficients), Channels::Full(coefficients + light.lights.len()));
     let splats = project_all(source, &view);
     let stored = all.stored();
@@ -107,14 +109,14 @@ fn pass(source: &AttributeSource<'_>, view: View, light: &SplitLight, coefficien
         let extra = &mut row[channel::VISIBILITY + coefficients..];
         extra.iter_mut().zip(light.arriving_at(splat.gaussian as usize)).for_each(|(o, share)| *o = share);
     });
-    Pass::blend(view, splats, all, rows, true)
+    Pass::blend(view, splats, all, source.row_light(), rows, EarlyStop::WhenSaturated)
 }
 
 fn add_lights(
     lights: &[DominantLight],
     arriving: impl Iterator<Item = f32>,
     surface: &Surface,
-    lit: &mut Lit,
+    direct: &mut OutgoingRadiance,
 ) {
     let reflector = reflector(surface);
     for (light, share) in lights.iter().zip(arriving) {
@@ -122,8 +124,8 @@ fn add_lights(
         let share = f64::from(share.clamp(0.0, 1.0));
         for c in 0..3 {
             let light = share * light.irradiance[c];
-            lit.diffuse[c] += (light * reflected.diffuse[c]) as f32;
-            lit.specular[c] += (light * reflected.specular[c]) as f32;
+            direct.diffuse[c] += (light * reflected.diffuse[c]) as f32;
+            direct.specular[c] += (light * reflected.specular[c]) as f32;
         }
     }
 }

@@ -1,18 +1,18 @@
 //! A camera and a light in, a frame out.
 
-mod colour;
-mod develop;
 mod edited;
-mod frame;
+mod encode;
+mod error;
 mod high;
-mod on_gpu;
-mod reference;
+mod job;
+mod monte_carlo;
 mod renderer;
-mod standard;
 mod tier;
+mod viewpoint;
 
-pub use frame::{Frame, Output};
-pub use renderer::{PreparedLight, RenderError, Renderer};
+pub use crate::engine::{Frame, Output};
+pub use encode::{EncodedFrame, FrameFormat, encode_frame, is_colour};
+pub use error::RenderError;
+pub use renderer::{PreparedLight, Renderer};
 pub use tier::{Quality, Tier};
-
-use renderer::Job;
+pub use viewpoint::{Orbit, Viewpoint};

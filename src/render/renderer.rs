@@ -2,146 +2,68 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::engine::Device;
-use crate::engine::cpu::{AttributeSource, Occluders, ProbeSettings, Shader, Transport, View};
-use crate::engine::gpu::GpuError;
-use crate::light::{EnvSampler, rendering_tables};
+use crate::engine::cpu::{FrameLight as CpuLight, Occluders};
+use crate::engine::{Device, DeviceError, FrameJob, FrameLight, Frames, RasterCamera, ShadeColour};
+use crate::light::EnvSampler;
+use crate::render::error::RenderError;
 use crate::render::high::{self, SplitLight};
-use crate::render::on_gpu::{LightOnGpu, OnGpu};
-use crate::render::standard::{self, LightOnCpu};
-use crate::render::{Frame, Output, Quality, Tier, colour, reference};
+use crate::render::job::Job;
+use crate::render::{Frame, Output, Quality, Tier, monte_carlo};
 use crate::scene::{Camera, EnvMap, Model, ShadeAt};
 
 /// Most pixels of a frame.
 const MOST_PIXELS: u64 = 64 << 20;
-/// Why there is no frame.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RenderError {
-    /// The request cannot be rendered.
-    #[error("{field}: {reason}")]
-    Refused {
-        /// The request field at fault.
-        field: &'static str,
-        /// What is wrong.
-        reason: String,
-    },
-    /// The device failed.
-    #[error(transparent)]
-    Device(#[from] GpuError),
-}
 
 /// An environment turned into what a model is shaded with; costs a second at most, keep it. Belongs to the renderer
 /// that prepared it. What only some tiers need is made when the first of them asks.
 pub struct PreparedLight {
     environment: EnvMap,
-    pub(super) on_gpu: Option<LightOnGpu>,
-    pub(super) on_cpu: OnceLock<LightOnCpu>,
+    pub(super) frame: FrameLight,
     split: OnceLock<SplitLight>,
     sampler: OnceLock<EnvSampler>,
 }
 
 /// A model ready to be rendered many times. Shared between threads.
 pub struct Renderer {
-    model: Arc<Model>,
-    /// Where the two fast tiers run, if not on the CPU engine.
-    gpu: Option<Box<OnGpu>>,
-    /// What sends light to what, and what hides what: independent of the light, made when first needed.
-    transport: OnceLock<Transport>,
-    occluders: OnceLock<Occluders>,
+    pub(super) frames: Frames,
 }
-
-/// A frame to make on the CPU engine.
-pub(super) struct Job<'a> {
-    pub(super) source: AttributeSource<'a>,
-    pub(super) view: View,
-    pub(super) outputs: &'a [Output],
-    /// From model to capture units.
-    pub(super) depth_scale: f32,
-}
-
-const NO_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
 
 impl Renderer {
     /// Takes a checked model in, to be rendered on the CPU engine.
     pub fn new(model: Arc<Model>) -> Self {
-        Self { model, gpu: None, transport: OnceLock::new(), occluders: OnceLock::new() }
+        Self { frames: Frames::on_cpu_only(model) }
     }
 
     /// Takes a checked model in, to be rendered on `device`: tiers `preview` and `standard` there, `high` and
-    /// `reference` on the CPU engine whatever the device.
+    /// `monte_carlo` on the CPU engine whatever the device.
     ///
     /// # Errors
     /// When the device cannot hold the model.
-    pub fn on(model: Arc<Model>, device: &Device) -> Result<Self, GpuError> {
-        let gpu = match device {
-            Device::Cpu => None,
-            Device::Gpu(gpu) => Some(Box::new(OnGpu::new(gpu, &model)?)),
-        };
-        Ok(Self { gpu, ..Self::new(model) })
+    pub fn on(model: Arc<Model>, device: &Device) -> Result<Self, DeviceError> {
+        Ok(Self { frames: device.frames(model)? })
     }
 
     /// The model.
     pub fn model(&self) -> &Model {
-        &self.model
-    }
-
-    pub(super) fn source<'a>(
-        &'a self,
-        gathered: &'a [[f32; 6]],
-        basis: &'a [[f32; 3]; 16],
-    ) -> AttributeSource<'a> {
-        AttributeSource {
-            gaussians: &self.model.gaussians,
-            prototypes: &self.model.prototypes,
-            options: &self.model.shading,
-            gathered,
-            indirect_basis: basis,
-            light: None,
-        }
+        self.frames.model()
     }
 
     /// Makes `environment` ready for this model, light that bounces between its surfaces included.
     ///
     /// # Errors
     /// When the device failed.
-    pub fn prepare_light(&self, environment: &EnvMap) -> Result<PreparedLight, GpuError> {
-        let tables = rendering_tables(environment, self.model.gaussians.visibility_order());
-        let mut light = PreparedLight {
-            environment: at_most(environment, reference::MOST_ROWS),
-            on_gpu: None,
-            on_cpu: OnceLock::new(),
+    pub fn prepare_light(&self, environment: &EnvMap) -> Result<PreparedLight, DeviceError> {
+        Ok(PreparedLight {
+            environment: at_most(environment, monte_carlo::MOST_ROWS),
+            frame: self.frames.prepare_light(environment)?,
             split: OnceLock::new(),
             sampler: OnceLock::new(),
-        };
-        match &self.gpu {
-            Some(gpu) => light.on_gpu = Some(gpu.prepare_light(&self.model, &tables)?),
-            None => {
-                let on_cpu = LightOnCpu::new(&self.bare_source(), &self.transport, tables);
-                light.on_cpu = OnceLock::from(on_cpu);
-            }
-        }
-        Ok(light)
-    }
-
-    /// The model without gathered light.
-    fn bare_source(&self) -> AttributeSource<'_> {
-        self.source(&[], &NO_BASIS)
-    }
-
-    /// The light on the CPU engine, for the tiers that have no other.
-    fn on_cpu<'a>(&self, light: &'a PreparedLight) -> &'a LightOnCpu {
-        light.on_cpu.get_or_init(|| {
-            let tables = rendering_tables(&light.environment, self.model.gaussians.visibility_order());
-            LightOnCpu::new(&self.bare_source(), &self.transport, tables)
         })
     }
 
-    /// What hides what, as the reference tier asks it.
+    /// What hides what, as the Monte-Carlo tier asks it.
     pub fn occluders(&self) -> &Occluders {
-        self.occluders.get_or_init(|| {
-            let source = self.bare_source();
-            Occluders::new(&source, ProbeSettings::of(source.options))
-        })
+        self.frames.on_cpu().occluders()
     }
 
     /// Renders `outputs` for a camera in capture coordinates, at a [`Tier`] or, with its samples and seed, a [`Quality`].
@@ -157,56 +79,68 @@ impl Renderer {
     ) -> Result<Frame, RenderError> {
         let quality = quality.into();
         quality.check()?;
-        let view = self.view(camera)?;
-        if light.on_gpu.is_some() != self.gpu.is_some() {
-            return Err(GpuError::Internal("a light that another renderer prepared".to_owned()).into());
-        }
         let mut wanted: Vec<Output> = outputs.to_vec();
         wanted.push(Output::Alpha);
         wanted.sort_unstable();
         wanted.dedup();
-        // Where Gaussians are shaded, colour alone needs no G-buffer; anything else does, in every tier.
-        let is_lit = match quality.tier {
-            Tier::Preview => true,
-            Tier::Standard => self.model.shading.shade_at == ShadeAt::Gaussian,
-            Tier::High | Tier::Reference => false,
+        let frame = FrameJob {
+            view: self.view(camera)?,
+            outputs: &wanted,
+            colour: self.colour(quality.tier, &wanted),
+            depth_scale: (1.0 / self.model().world_scale) as f32,
         };
-        let is_colour = is_lit && wanted.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
-        if let (Some(gpu), Some(on_gpu), Tier::Preview | Tier::Standard) =
-            (&self.gpu, &light.on_gpu, quality.tier)
-        {
-            return Ok(gpu.render(&self.model, &view, on_gpu, is_colour, &wanted)?);
-        }
-        let on_cpu = self.on_cpu(light);
-        let source = self.source(&on_cpu.gathered, &on_cpu.indirect_basis);
-        let order = self.model.gaussians.visibility_order();
-        let shader = Shader { tables: &on_cpu.tables, options: &self.model.shading, order };
-        let depth_scale = (1.0 / self.model.world_scale) as f32;
-        let job = Job { source, view, outputs: &wanted, depth_scale };
         Ok(match quality.tier {
-            Tier::Preview | Tier::Standard if is_colour => colour::render(&job.source, view, &shader),
-            Tier::Preview | Tier::Standard => standard::render(&job, &shader),
+            Tier::Preview | Tier::Standard => self.frames.render(&frame, &light.frame)?,
             Tier::High => {
+                let job = self.job(frame, self.light_on_cpu(light));
                 let split = light.split.get_or_init(|| SplitLight::new(&job.source, &light.environment));
-                high::render(&job, &shader, split)
+                high::render(&job, split)
             }
-            Tier::Reference => {
+            Tier::MonteCarlo => {
                 let sampler = light.sampler.get_or_init(|| EnvSampler::new(light.environment.clone()));
-                reference::render(&job, &shader, sampler, self.occluders(), quality)
+                monte_carlo::render(
+                    &self.job(frame, self.light_on_cpu(light)),
+                    sampler,
+                    self.occluders(),
+                    quality,
+                )
             }
         })
     }
 
+    /// Where Gaussians are shaded, colour alone needs no G-buffer; anything else does, in every tier.
+    fn colour(&self, tier: Tier, outputs: &[Output]) -> ShadeColour {
+        let at_gaussians = match tier {
+            Tier::Preview => true,
+            Tier::Standard => self.model().shading.shade_at == ShadeAt::Gaussian,
+            Tier::High | Tier::MonteCarlo => false,
+        };
+        match at_gaussians && outputs.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha)) {
+            true => ShadeColour::Alone,
+            false => ShadeColour::WithGBuffer,
+        }
+    }
+
+    fn light_on_cpu<'a>(&self, light: &'a PreparedLight) -> &'a CpuLight {
+        self.frames.light_on_cpu(&light.frame, &light.environment)
+    }
+
+    fn job<'a>(&'a self, frame: FrameJob<'a>, light: &'a CpuLight) -> Job<'a> {
+        let cpu = self.frames.on_cpu();
+        Job { source: cpu.lit_source(light), shader: cpu.shader(&light.tables), frame }
+    }
+
     /// `camera` as the engines want it.
-    pub(super) fn view(&self, camera: &Camera) -> Result<View, RenderError> {
+    pub(super) fn view(&self, camera: &Camera) -> Result<RasterCamera, RenderError> {
         let checked =
             camera.validated().map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
         if u64::from(checked.width) * u64::from(checked.height) > MOST_PIXELS {
             let reason = format!("more than {MOST_PIXELS} pixels");
             return Err(RenderError::Refused { field: "width,height", reason });
         }
-        let camera = checked.in_normalised_world(self.model.world_scale, self.model.world_offset);
-        Ok(View::new(&camera, &self.model.shading))
+        let model = self.model();
+        let camera = checked.in_normalised_world(model.world_scale, model.world_offset);
+        Ok(RasterCamera::new(&camera, &model.shading))
     }
 }
 

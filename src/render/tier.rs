@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::render::RenderError;
+use crate::render::error::RenderError;
 
 /// A named trade of time against accuracy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Default)]
@@ -15,13 +15,14 @@ pub enum Tier {
     Standard,
     /// As `standard`, with a true shadow for each strong small light of the environment.
     High,
-    /// Monte-Carlo over the environment, with a query through the Gaussians a sample: the yardstick of the others.
-    Reference,
+    /// Monte-Carlo over the environment, with a query through the Gaussians a sample: ground truth of the others' integrals.
+    #[serde(alias = "reference")]
+    MonteCarlo,
 }
 
 impl Tier {
     /// Every tier, cheapest first.
-    pub const ALL: [Self; 4] = [Self::Preview, Self::Standard, Self::High, Self::Reference];
+    pub const ALL: [Self; 4] = [Self::Preview, Self::Standard, Self::High, Self::MonteCarlo];
 
     /// The name it has in requests.
     pub fn name(self) -> &'static str {
@@ -29,7 +30,7 @@ impl Tier {
             Self::Preview => "preview",
             Self::Standard => "standard",
             Self::High => "high",
-            Self::Reference => "reference",
+            Self::MonteCarlo => "monte_carlo",
         }
     }
 }
@@ -39,7 +40,7 @@ impl Tier {
 pub struct Quality {
     /// The tier.
     pub tier: Tier,
-    /// Directions a pixel that [`Tier::Reference`] draws, 1 to [`Quality::MOST_SAMPLES`]; the others draw none.
+    /// Directions a pixel that [`Tier::MonteCarlo`] draws, 1 to [`Quality::MOST_SAMPLES`]; the others draw none.
     pub samples: u32,
     /// Seed of those directions: equal seeds, equal bytes, whatever the number of threads.
     pub seed: u64,
@@ -51,9 +52,9 @@ impl Quality {
     /// Most samples a pixel.
     pub const MOST_SAMPLES: u32 = 1 << 16;
 
-    /// The reference tier with so many samples a pixel and seed 0.
-    pub fn reference(samples: u32) -> Self {
-        Self { samples, ..Tier::Reference.into() }
+    /// The Monte-Carlo tier with so many samples a pixel and seed 0.
+    pub fn monte_carlo(samples: u32) -> Self {
+        Self { samples, ..Tier::MonteCarlo.into() }
     }
 
     /// # Errors

@@ -1,5 +1,5 @@
 //! Pinhole cameras. Inside Relume every camera uses OpenCV axes (x right, y down, z forward) and stores
-//! world-to-camera; the outside world (API, nerfstudio, Blender) speaks camera-to-world in OpenGL axes.
+//! world-to-camera; interfaces (API, nerfstudio, Blender) use camera-to-world in OpenGL axes.
 
 use glam::{DMat3, DMat4, DVec3};
 
@@ -24,12 +24,12 @@ pub struct Camera {
     pub translation: DVec3,
 }
 
-/// Focal lengths that are taken, pixels: 179.99999 degrees on one pixel to a thousandth of a second of arc on 8k.
+/// Accepted focal lengths, pixels: 179.99999 degrees on one pixel to a thousandth of a second of arc on 8k.
 const FOCAL_LENGTHS: std::ops::RangeInclusive<f64> = 1e-7..=1e13;
 /// Farthest a principal point may lie from the image's corner, pixels.
 const FARTHEST_PRINCIPAL_POINT: f64 = 1e9;
 
-/// Why a camera was refused. `field` names what was wrong in the caller's vocabulary.
+/// Why a camera was refused. `field` is the caller's name of the value at fault.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{field}: {reason}")]
 pub struct CameraError {
@@ -84,7 +84,8 @@ impl Camera {
         Self { width, height, fx, fy, cx, cy, rotation, translation: -(rotation * centre) }.validated()
     }
 
-    /// Looks from `eye` at `target` with world up `up`; `fov_y` in radians, square pixels, centred.
+    /// A camera with centre `eye` that looks at `target` with world up `up`; `fov_y` in radians, square pixels,
+    /// principal point at the image centre.
     ///
     /// # Errors
     /// Names `eye`, `target`, `up` or `fov_y` when they do not define a view.
@@ -101,7 +102,7 @@ impl Camera {
         let forward = (target - eye).try_normalize();
         let forward =
             forward.ok_or_else(|| CameraError::new("target", "coincides with eye or is not finite"))?;
-        // A view along the up axis leaves roll undefined: take any perpendicular, the same one each time.
+        // A view along the up axis leaves roll undefined: any perpendicular will do, if it is always the same.
         let right = forward.cross(up).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
         let down = forward.cross(right);
         let rotation = DMat3::from_cols(right, down, forward).transpose();
@@ -171,7 +172,7 @@ impl Camera {
         (self.rotation.transpose() * DVec3::new(u, v, 1.0)).normalize()
     }
 
-    /// The same view at another size: intrinsics scale with the image.
+    /// The same view at another image size, with scaled intrinsics.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
         let sx = f64::from(width) / f64::from(self.width);

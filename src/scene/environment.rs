@@ -1,7 +1,7 @@
-//! Equirectangular HDR environment maps and the one mapping between directions and texels.
+//! Equirectangular HDR environment maps and the mapping between directions and texels.
 //!
 //! World +Z is up and row 0 looks along it; `u = 0.5 - atan2(d.y, d.x) / 2pi`, `v = acos(d.z) / pi`
-//! (Blender's and TensoIR's convention, DESIGN section 10).
+//! (the convention of Blender and TensoIR).
 
 use std::f64::consts::{PI, TAU};
 
@@ -46,10 +46,10 @@ pub enum EnvMapError {
     },
 }
 
-/// Brightest radiance that is taken: sums over the whole sphere stay finite in f32, exposed by up to 20 stops.
+/// Largest accepted radiance: sums over the whole sphere stay finite in f32, with up to 20 stops of exposure.
 pub const BRIGHTEST: f32 = 1e30;
 
-/// What was mended while an environment was taken in.
+/// What [`EnvMap::new`] corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct EnvMapStats {
     /// Colour values below zero that were set to zero.
@@ -57,7 +57,7 @@ pub struct EnvMapStats {
 }
 
 impl EnvMap {
-    /// Takes linear radiance in; negative values are set to 0 and counted.
+    /// A map of linear radiance; negative values are set to 0 and counted.
     ///
     /// # Errors
     /// [`EnvMapError::Size`] when the lengths disagree, [`EnvMapError::NotFinite`] for NaN or infinity,
@@ -86,7 +86,7 @@ impl EnvMap {
         Ok((Self { width, height, texels }, stats))
     }
 
-    /// A map of one radiance everywhere.
+    /// A map of the same radiance everywhere.
     pub fn constant(width: usize, height: usize, radiance: [f32; 3]) -> Self {
         Self {
             width: width.max(1),
@@ -95,7 +95,7 @@ impl EnvMap {
         }
     }
 
-    /// Fills a map by asking `radiance` for each texel centre's direction.
+    /// A map with the value of `radiance` at each texel centre's direction.
     pub fn from_fn(width: usize, height: usize, mut radiance: impl FnMut(DVec3) -> [f32; 3]) -> Self {
         let texels = texel_directions(width, height).into_iter().map(|(d, _)| radiance(d)).collect();
         Self { width, height, texels }
@@ -133,9 +133,8 @@ impl EnvMap {
         })
     }
 
-    /// The map reduced to `width` x `height`, each new texel the solid-angle weighted mean of what it covers,
-    /// so that total power is kept. A request at or above the present size returns the map resampled by area
-    /// too, which repeats texels.
+    /// The map at `width` x `height`: each new texel is the mean over the old texels that it covers, weighted by
+    /// solid angle, so that total power does not change. A larger size repeats texels.
     #[must_use]
     pub fn resampled(&self, width: usize, height: usize) -> Self {
         let columns = overlaps(self.width, width, |i, n| i as f64 / n as f64);
@@ -159,12 +158,12 @@ impl EnvMap {
         Self { width, height, texels }
     }
 
-    /// The map turned about world +Z by `degrees` (counter-clockwise seen from above) and scaled.
+    /// The map rotated about world +Z by `degrees` (counter-clockwise seen from above) and scaled.
     #[must_use]
     pub fn rotated_and_scaled(&self, degrees: f64, gain: f32) -> Self {
         let turn = glam::DQuat::from_rotation_z(-degrees.to_radians());
-        let keep = degrees.rem_euclid(360.0) == 0.0;
-        let mut texels = if keep {
+        let unrotated = degrees.rem_euclid(360.0) == 0.0;
+        let mut texels = if unrotated {
             self.texels.clone()
         } else {
             let dirs = texel_directions(self.width, self.height);
@@ -184,7 +183,7 @@ fn overlaps(from: usize, to: usize, edge: impl Fn(usize, usize) -> f64) -> Vec<V
     };
     (0..to)
         .map(|a| {
-            // Both grids are uniform in index space, so only neighbours of the scaled index can overlap.
+            // Both grids are uniform in index space, so only cells near the scaled index can overlap.
             let first = (a * from / to).saturating_sub(1);
             let last = ((a + 1) * from / to + 1).min(from);
             let cells = (first..last).map(|b| (b, overlap(a, b))).filter(|&(_, w)| w > 1e-15);

@@ -1,79 +1,11 @@
-//! The Gaussians of a model: one flat array a parameter, so that optimiser, density control and files can
-//! walk over all of them alike.
+//! The Gaussians of a model: one flat array per parameter, so that optimiser, density control and files treat all
+//! parameters in the same way.
 
-use crate::scene::model::sh_count;
+use crate::scene::field::{Field, FieldWidth};
 
-/// One per-Gaussian parameter array. The discriminant indexes every per-field table in the crate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[repr(usize)]
-pub enum Field {
-    /// Centre, capture units (3).
-    Mean,
-    /// Natural logarithm of the three standard deviations (3).
-    LogScale,
-    /// Orientation quaternion w x y z, not normalised (4).
-    Quaternion,
-    /// Opacity before the sigmoid (1).
-    OpacityLogit,
-    /// Free normal, or the offset added to the shortest axis (3).
-    Normal,
-    /// Metalness before the sigmoid (1).
-    MetalLogit,
-    /// Roughness before the sigmoid (1).
-    RoughLogit,
-    /// Sheen: natural logarithm of the diffuse term's gain at grazing view, 0 for none (1).
-    Sheen,
-    /// Prototype scores before the softmax (K).
-    ProtoLogits,
-    /// Albedo residual, linear (3).
-    Residual,
-    /// Visibility SH coefficients ((L+1)^2).
-    Visibility,
-    /// Indirect-light SH weights, article Eq. 19 (16).
-    Indirect,
-    /// Radiance-branch SH coefficients, coefficient-major RGB (3 (d+1)^2).
-    Radiance,
-}
-
-impl Field {
-    /// Number of fields.
-    pub const COUNT: usize = 13;
-
-    /// Every field, in storage order.
-    pub const ALL: [Self; Self::COUNT] = [
-        Self::Mean,
-        Self::LogScale,
-        Self::Quaternion,
-        Self::OpacityLogit,
-        Self::Normal,
-        Self::MetalLogit,
-        Self::RoughLogit,
-        Self::Sheen,
-        Self::ProtoLogits,
-        Self::Residual,
-        Self::Visibility,
-        Self::Indirect,
-        Self::Radiance,
-    ];
-
-    /// The stable name used in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Mean => "means",
-            Self::LogScale => "log_scales",
-            Self::Quaternion => "quats",
-            Self::OpacityLogit => "opacity_logit",
-            Self::Normal => "normals_raw",
-            Self::MetalLogit => "metal_logit",
-            Self::RoughLogit => "rough_logit",
-            Self::Sheen => "sheen",
-            Self::ProtoLogits => "proto_logits",
-            Self::Residual => "residual",
-            Self::Visibility => "occ_sh",
-            Self::Indirect => "ind_sh",
-            Self::Radiance => "radiance_sh",
-        }
-    }
+/// Number of real SH coefficients up to degree `order`.
+pub const fn sh_count(order: usize) -> usize {
+    (order + 1) * (order + 1)
 }
 
 /// N Gaussians as arrays of raw (pre-activation) parameters, `field(f)[i * width(f) ..][.. width(f)]`.
@@ -123,14 +55,11 @@ impl Gaussians {
 
     /// Floats a Gaussian has in `field`.
     pub fn width(&self, field: Field) -> usize {
-        match field {
-            Field::Mean | Field::LogScale | Field::Normal | Field::Residual => 3,
-            Field::Quaternion => 4,
-            Field::OpacityLogit | Field::MetalLogit | Field::RoughLogit | Field::Sheen => 1,
-            Field::ProtoLogits => self.prototypes,
-            Field::Visibility => sh_count(self.visibility_order),
-            Field::Indirect => 16,
-            Field::Radiance => 3 * sh_count(self.radiance_order),
+        match field.width() {
+            FieldWidth::Fixed(floats) => floats,
+            FieldWidth::Prototypes => self.prototypes,
+            FieldWidth::Visibility => sh_count(self.visibility_order),
+            FieldWidth::Radiance => 3 * sh_count(self.radiance_order),
         }
     }
 

@@ -1,16 +1,20 @@
-//! What a relightable model *is*: Gaussians, materials, environment and camera. Plain data: no GPU, no IO.
+//! The data of a relightable model: Gaussians, materials, environment, camera, images. No GPU, no input or output.
 
 mod camera;
 mod environment;
+mod field;
 mod gaussians;
+mod image;
 mod model;
 
 pub use camera::{Camera, CameraError};
 pub use environment::{
     BRIGHTEST, EnvMap, EnvMapError, EnvMapStats, direction_to_uv, texel_directions, uv_to_direction,
 };
-pub use gaussians::{Field, Gaussians};
+pub use field::{Field, FieldWidth};
+pub use gaussians::{Gaussians, sh_count};
+pub use image::{ImageRgba, Plane};
 pub use model::{
     DiffuseForm, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
-    sh_count, softplus, softplus_inverse,
+    softplus, softplus_inverse,
 };

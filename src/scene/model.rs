@@ -5,13 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::scene::{EnvMap, Field, Gaussians};
 
-/// Number of real SH coefficients up to degree `order`.
-pub const fn sh_count(order: usize) -> usize {
-    (order + 1) * (order + 1)
-}
-
 /// How visibility coefficients become a visibility (article Eq. 13).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum VisibilityForm {
     /// `V = sum c Y`, clamped to [0, 1] where it is used; V = 1 gives AO = 1 exactly.
@@ -24,32 +20,35 @@ pub enum VisibilityForm {
 }
 
 /// How occlusion enters the diffuse term.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum DiffuseForm {
     /// The article's `AO * L_diff(n)` (Eq. 21).
     AmbientOcclusion,
-    /// `E(n) = sum_j c_j T_j(n)`: the integral of visibility x light x cosine (DESIGN 4.2).
+    /// `E(n) = sum_j c_j T_j(n)`: the integral of visibility x light x cosine (docs/MODEL.md, section 4).
     #[default]
     Directional,
 }
 
 /// Where surfaces are shaded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ShadeAt {
-    /// In the pixel, from blended attributes (deferred, as the article).
+    /// In the pixel, from blended attributes (deferred shading, as in the article).
     Pixel,
-    /// At each Gaussian, from its own attributes; what is blended is radiance, as at an edge of a photograph.
+    /// At each Gaussian, from its own attributes; the resulting radiance is blended.
     #[default]
     Gaussian,
 }
 
 /// Where a Gaussian's normal comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum NormalForm {
-    /// The `Normal` field itself, normalised (the listing).
+    /// The `Normal` field itself, normalised (as in the article's listing).
     Free,
     /// The shortest axis turned to the camera, plus the `Normal` field as an offset.
     #[default]
@@ -57,20 +56,23 @@ pub enum NormalForm {
 }
 
 /// What lights a direction that is not visible.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum IndirectForm {
     /// Nothing.
     Off,
     /// 16 learned SH weights on the low-frequency environment, specular only (Eq. 19-20).
     Learned,
-    /// Irradiance gathered from the Gaussians that block it, diffuse and specular (DESIGN 4.4).
+    /// Irradiance gathered from the Gaussians that block it, diffuse and specular (docs/MODEL.md, section 6).
     #[default]
     Gathered,
 }
 
-/// Every choice of the forward model; stored with the model, since parameters only mean something under it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+/// The choices of the forward model. They are stored with the model, since its parameters are only valid with
+/// them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ShadingOptions {
     /// Form of the visibility field.
@@ -87,13 +89,13 @@ pub struct ShadingOptions {
     pub indirect: IndirectForm,
     /// Screen-space low-pass added to the projected covariance, px^2.
     pub low_pass: f32,
-    /// Scale opacity so that the low-pass keeps a splat's total weight (Mip-Splatting). Without it a splat widens as the
-    /// picture shrinks: at half the trained size that costs 4 to 6 dB.
+    /// Scale opacity so that the low-pass does not change a splat's total weight (Mip-Splatting). Without it splats
+    /// become too wide in small images: at half the trained size that costs 4 to 6 dB.
     pub low_pass_compensation: bool,
-    /// Farthest an occluder may be from what it shades, world units; absent = any distance. Captures without masks
-    /// model their surroundings, and what is far away is where their light comes from, not what hides it.
+    /// Largest distance of an occluder, world units; absent = any distance. Captures without masks model their
+    /// surroundings, and what is far away in them is a source of light, not an occluder.
     pub occluder_reach: Option<f32>,
-    /// True: compare in sRGB (clamp, curve); false: clamp only, as the listing.
+    /// True: images are clamped and sRGB-encoded; false: only clamped, as in the article's listing.
     pub srgb: bool,
 }
 
@@ -113,7 +115,7 @@ impl Default for ShadingOptions {
     }
 }
 
-/// A relightable model in a normalised world (the scene fills about the unit ball around the origin).
+/// A relightable model in a normalised world: the scene fills about the unit ball around the origin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
     /// The Gaussians.
@@ -152,7 +154,7 @@ impl Model {
         let texels = self.env_raw.iter().map(|t| t.map(softplus)).collect();
         match EnvMap::new(self.env_width, self.env_height, texels) {
             Ok((map, _)) => map,
-            // Unreachable for a checked model; black is the safe picture of "no light".
+            // Unreachable for a checked model; a black map has no light.
             Err(_) => EnvMap::constant(self.env_width, self.env_height, [0.0; 3]),
         }
     }

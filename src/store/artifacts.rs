@@ -1,7 +1,7 @@
 //! Artifacts: immutable bytes under keys, fsynced and hashed as they stream in.
 //!
-//! Nothing is ever written in place. Bytes arrive under `incoming/`, which belongs to the running server alone,
-//! and are moved to their key when they are complete. Files that the server does not know are left alone.
+//! Nothing is written in place. Bytes are written under `incoming/`, which only the running server uses, and are moved
+//! to their key when they are complete. Files that the server did not write are not touched.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -26,12 +26,12 @@ pub struct Artifacts {
     root: PathBuf,
 }
 
-/// A complete upload that has no key yet. Publish it, or it is forgotten when dropped.
+/// A complete upload that has no key yet. It is deleted when dropped unless it was published.
 #[derive(Debug)]
 pub struct Incoming {
     key: Key,
     published: bool,
-    /// Where the bytes lie on this machine.
+    /// The file on this machine.
     pub path: PathBuf,
     /// Hash of the bytes, lower-case hex.
     pub sha256: String,
@@ -61,7 +61,7 @@ impl Artifacts {
         Ok(Self { files: Arc::new(files), root })
     }
 
-    /// Removes what uploads of a dead server left under `incoming/`. Call it as the owner of the node lock only.
+    /// Removes what uploads of a server that died left under `incoming/`. The caller must hold the node lock.
     ///
     /// # Errors
     /// When a left-over cannot be removed.
@@ -72,11 +72,11 @@ impl Artifacts {
         }
     }
 
-    /// Streams a body to disk, hashing it. On any error nothing stays behind.
+    /// Streams a body to disk, hashing it. After an error nothing of it is left.
     ///
     /// # Errors
     /// [`StoreError::TooLarge`] beyond `limit` bytes, [`StoreError::Body`] when the sender fails,
-    /// [`StoreError::Full`] when there is no room.
+    /// [`StoreError::Full`] when the disk is full.
     pub async fn receive<E: std::fmt::Display>(
         &self,
         name: &str,
@@ -101,7 +101,7 @@ impl Artifacts {
     /// Moves a complete upload to its key. Content-addressed keys may exist already: the bytes are the same.
     ///
     /// # Errors
-    /// When the move fails; the upload is then forgotten.
+    /// When the move fails; the upload is then deleted.
     pub async fn publish(&self, mut incoming: Incoming, key: &str) -> Result<(), StoreError> {
         self.files.rename(&incoming.key, &Key::from(key)).await?;
         incoming.published = true;
@@ -111,7 +111,7 @@ impl Artifacts {
     /// Writes a whole artifact and returns its sha256 in hex; durable when it returns.
     ///
     /// # Errors
-    /// [`StoreError::Full`] when there is no room; nothing is at `key` then.
+    /// [`StoreError::Full`] when the disk is full; nothing is at `key` then.
     pub async fn put(&self, key: &str, bytes: Vec<u8>) -> Result<String, StoreError> {
         let sha256 = hex(&Sha256::digest(&bytes));
         self.files.put(&Key::from(key), PutPayload::from(bytes)).await?;
@@ -143,14 +143,14 @@ impl Artifacts {
         Ok(result.into_stream().map_err(StoreError::from).boxed())
     }
 
-    /// Removes an artifact that was superseded before anyone was told of it; a missing one is fine.
+    /// Removes an artifact that nothing refers to; that it is missing already is no error.
     pub async fn remove(&self, key: &str) {
         if let Err(error) = self.files.delete(&Key::from(key)).await {
             tracing::debug!(%error, key, "an artifact was not removed");
         }
     }
 
-    /// Where an artifact lies on this machine.
+    /// The path of an artifact on this machine.
     pub fn local_path(&self, key: &str) -> PathBuf {
         self.root.join(key)
     }

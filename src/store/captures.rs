@@ -1,5 +1,8 @@
 //! Captures.
 
+use sqlx::types::Json;
+
+use crate::api::CaptureId;
 use crate::store::{CaptureRecord, Page, Store, StoreError};
 
 impl Store {
@@ -17,7 +20,7 @@ impl Store {
         .bind(&capture.sha256)
         .bind(capture.bytes)
         .bind(&capture.artifact)
-        .bind(&capture.report)
+        .bind(Json(&capture.report))
         .bind(capture.created_ms)
         .execute(&mut *tx)
         .await?;
@@ -33,7 +36,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn capture(&self, id: &str) -> Result<Option<CaptureRecord>, StoreError> {
+    pub async fn capture(&self, id: &CaptureId) -> Result<Option<CaptureRecord>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM captures WHERE id = ?1").bind(id);
         Ok(query.fetch_optional(&self.pool).await?)
     }

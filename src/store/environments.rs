@@ -1,5 +1,8 @@
 //! Environment maps.
 
+use sqlx::types::Json;
+
+use crate::api::EnvironmentId;
 use crate::store::{EnvironmentRecord, Page, Store, StoreError};
 
 impl Store {
@@ -21,7 +24,7 @@ impl Store {
         .bind(&env.artifact)
         .bind(env.width)
         .bind(env.height)
-        .bind(&env.warnings)
+        .bind(Json(&env.warnings))
         .bind(env.created_ms)
         .execute(&mut *tx)
         .await?;
@@ -37,7 +40,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn environment(&self, id: &str) -> Result<Option<EnvironmentRecord>, StoreError> {
+    pub async fn environment(&self, id: &EnvironmentId) -> Result<Option<EnvironmentRecord>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM environments WHERE id = ?1").bind(id);
         Ok(query.fetch_optional(&self.pool).await?)
     }

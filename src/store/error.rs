@@ -1,4 +1,4 @@
-//! What can go wrong with the store, sorted by what a caller can do about it.
+//! The errors of the store, one for each thing that a caller can do about it.
 
 use std::error::Error;
 use std::io::ErrorKind;
@@ -15,10 +15,10 @@ pub enum StoreError {
         /// The limit, bytes.
         limit: u64,
     },
-    /// The sender broke off or sent garbage; the message is the transport's.
+    /// The transfer was cut off or malformed; the message is the transport's.
     #[error("the body could not be read: {0}")]
     Body(String),
-    /// Nothing by that name.
+    /// No artifact has that key.
     #[error("{0} does not exist")]
     Missing(String),
     /// Another process owns the data directory.
@@ -27,14 +27,6 @@ pub enum StoreError {
     /// The same idempotency key came with another request.
     #[error("the idempotency key was used with a different request")]
     KeyReused,
-    /// A stored value cannot be read back.
-    #[error("stored {what}: {reason}")]
-    Corrupt {
-        /// The column or file.
-        what: &'static str,
-        /// What is wrong.
-        reason: String,
-    },
     /// The database failed.
     #[error("database: {0}")]
     Database(sqlx::Error),
@@ -73,7 +65,7 @@ impl From<std::io::Error> for StoreError {
     }
 }
 
-/// True when any error of the chain says that there is no room.
+/// True when any error of the chain says that the disk is full.
 fn is_full(error: &(dyn Error + 'static)) -> bool {
     let mut next = Some(error);
     while let Some(error) = next {

@@ -1,8 +1,9 @@
-//! The history of a job, numbered so that a listener can go on where it stopped.
+//! The history of a job, numbered so that a listener can continue where it stopped.
 
 use serde_json::Value;
 use sqlx::{Sqlite, Transaction};
 
+use crate::api::JobId;
 use crate::store::{EventRecord, Store, StoreError};
 
 impl Store {
@@ -10,17 +11,17 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn events_after(&self, job: &str, after: i64) -> Result<Vec<EventRecord>, StoreError> {
+    pub async fn events_after(&self, job: &JobId, after: i64) -> Result<Vec<EventRecord>, StoreError> {
         let query =
             sqlx::query_as("SELECT * FROM events WHERE job_id = ?1 AND seq > ?2 ORDER BY seq LIMIT 1000");
         Ok(query.bind(job).bind(after).fetch_all(&self.pool).await?)
     }
 }
 
-/// Appends to a job's history, in the transaction of the change it tells of.
+/// Appends to a job's history, in the transaction of the change that the event reports.
 pub(super) async fn append(
     tx: &mut Transaction<'_, Sqlite>,
-    job: &str,
+    job: &JobId,
     now_ms: i64,
     kind: &str,
     data: Value,

@@ -1,10 +1,13 @@
-//! Jobs as clients see them: submit, look, cancel, re-order.
+//! What clients do with jobs: submit, read, cancel, re-order.
 
 use serde_json::json;
+use sqlx::types::Json;
 use sqlx::{Sqlite, Transaction};
 
+use crate::api::JobId;
+use crate::api::jobs::JobState;
 use crate::store::idempotency::{remember, replay};
-use crate::store::{IdempotencyKey, JobRecord, JobState, NewJob, Page, Store, StoreError, events};
+use crate::store::{IdempotencyKey, JobRecord, Page, Store, StoreError, events};
 
 /// Outcome of a submission.
 #[derive(Debug, Clone)]
@@ -17,7 +20,7 @@ pub enum Submitted {
 
 /// Outcome of a request to cancel.
 #[derive(Debug, Clone)]
-pub enum Cancelled {
+pub enum CancelOutcome {
     /// It is cancelled or about to be.
     Accepted(JobRecord),
     /// It had ended otherwise before.
@@ -35,22 +38,21 @@ impl Store {
     /// [`StoreError::KeyReused`] when the key came with another request before.
     pub async fn submit_job(
         &self,
-        job: &NewJob,
+        job: &JobRecord,
         key: Option<&IdempotencyKey>,
-        now_ms: i64,
         answer: impl FnOnce(&JobRecord, Option<i64>) -> String + Send,
     ) -> Result<Submitted, StoreError> {
-        let mut tx = self.write().await?;
+        let (mut tx, now_ms) = (self.write().await?, job.created_ms);
         if let Some(key) = key
             && let Some(response) = replay(&mut tx, key, now_ms).await?
         {
             tx.commit().await?;
             return Ok(Submitted::Replayed(response));
         }
-        let record = insert(&mut tx, job, now_ms).await?;
+        insert(&mut tx, job).await?;
         events::append(&mut tx, &job.id, now_ms, "state", json!({ "state": JobState::Queued })).await?;
         let position = sqlx::query_scalar(POSITION).bind(&job.id).fetch_optional(&mut *tx).await?;
-        let response = answer(&record, position);
+        let response = answer(job, position);
         if let Some(key) = key {
             remember(&mut tx, key, &response, now_ms).await?;
         }
@@ -62,7 +64,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn job(&self, id: &str) -> Result<Option<JobRecord>, StoreError> {
+    pub async fn job(&self, id: &JobId) -> Result<Option<JobRecord>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM jobs WHERE id = ?1").bind(id);
         Ok(query.fetch_optional(&self.pool).await?)
     }
@@ -85,7 +87,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn queue_position(&self, id: &str) -> Result<Option<i64>, StoreError> {
+    pub async fn queue_position(&self, id: &JobId) -> Result<Option<i64>, StoreError> {
         Ok(sqlx::query_scalar(POSITION).bind(id).fetch_optional(&self.pool).await?)
     }
 
@@ -102,7 +104,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn cancel_job(&self, id: &str, now_ms: i64) -> Result<Cancelled, StoreError> {
+    pub async fn cancel_job(&self, id: &JobId, now_ms: i64) -> Result<CancelOutcome, StoreError> {
         let mut tx = self.write().await?;
         let changed: Option<JobRecord> = sqlx::query_as(
             "UPDATE jobs SET
@@ -118,15 +120,15 @@ impl Store {
         if let Some(job) = changed {
             events::append(&mut tx, id, now_ms, "state", json!({ "state": job.state })).await?;
             tx.commit().await?;
-            return Ok(Cancelled::Accepted(job));
+            return Ok(CancelOutcome::Accepted(job));
         }
         drop(tx);
         Ok(match self.job(id).await? {
-            None => Cancelled::NotFound,
+            None => CancelOutcome::NotFound,
             Some(job) if matches!(job.state, JobState::Succeeded | JobState::Failed) => {
-                Cancelled::AlreadyFinished(job)
+                CancelOutcome::AlreadyFinished(job)
             }
-            Some(job) => Cancelled::Accepted(job),
+            Some(job) => CancelOutcome::Accepted(job),
         })
     }
 
@@ -134,7 +136,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn set_priority(&self, id: &str, priority: i64) -> Result<bool, StoreError> {
+    pub async fn set_priority(&self, id: &JobId, priority: i64) -> Result<bool, StoreError> {
         let query = sqlx::query("UPDATE jobs SET priority = ?2 WHERE id = ?1 AND state = 'queued'");
         let done = query.bind(id).bind(priority).execute(&self.pool).await?;
         Ok(done.rows_affected() == 1)
@@ -145,26 +147,24 @@ const POSITION: &str = "SELECT (SELECT COUNT(*) FROM jobs AS other WHERE other.s
          AND (-other.priority, other.created_ms, other.id) < (-me.priority, me.created_ms, me.id))
      FROM jobs AS me WHERE me.id = ?1 AND me.state = 'queued'";
 
-async fn insert(
-    tx: &mut Transaction<'_, Sqlite>,
-    job: &NewJob,
-    now_ms: i64,
-) -> Result<JobRecord, StoreError> {
-    let query = sqlx::query_as(
+async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &JobRecord) -> Result<(), StoreError> {
+    let query = sqlx::query(
         "INSERT INTO jobs
              (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 'queued', ?9) RETURNING *",
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
     );
-    Ok(query
+    query
         .bind(&job.id)
-        .bind(&job.capture_id)
+        .bind(&job.request.capture)
         .bind(&job.retry_of)
-        .bind(&job.preset)
-        .bind(&job.overrides)
-        .bind(&job.device)
-        .bind(job.priority)
-        .bind(job.total)
-        .bind(now_ms)
-        .fetch_one(&mut **tx)
-        .await?)
+        .bind(job.request.preset)
+        .bind(Json(&job.request.overrides))
+        .bind(job.request.device)
+        .bind(job.request.priority)
+        .bind(job.progress.total)
+        .bind(job.state)
+        .bind(job.created_ms)
+        .execute(&mut **tx)
+        .await?;
+    Ok(())
 }

@@ -1,19 +1,42 @@
-//! Jobs as workers see them. Every write carries the lease token; zero rows changed means that the lease is lost.
+//! What workers do with jobs. Every write carries the lease token; zero rows changed means that the lease is lost.
 
 use serde_json::json;
+use sqlx::types::Json;
 use sqlx::{Sqlite, Transaction};
 
-use crate::store::{JobRecord, JobState, ModelFile, ModelRecord, ProgressUpdate, Store, StoreError, events};
+use crate::api::JobId;
+use crate::api::jobs::{JobProgress, JobState};
+use crate::store::{JobRecord, ModelFile, ModelRecord, Store, StoreError, events};
 
 /// What a worker's write found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Held {
-    /// The lease stands.
-    Yes,
-    /// The lease stands and the job was asked to stop.
+pub enum LeaseStatus {
+    /// The lease is valid.
+    Held,
+    /// The lease is valid and the job was asked to stop.
     Cancelling,
-    /// Someone else has the job: stop and publish nothing.
+    /// The lease ran out or was taken back: stop and publish nothing.
     Lost,
+}
+
+impl LeaseStatus {
+    /// The status of a lease on a job in `state`.
+    fn of(state: Option<JobState>) -> Self {
+        match state {
+            Some(JobState::Running) => Self::Held,
+            Some(JobState::Cancelling) => Self::Cancelling,
+            _ => Self::Lost,
+        }
+    }
+}
+
+/// Why a worker gives a job back to the queue.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Release {
+    /// The server stops; the attempt does not count as one without a checkpoint.
+    Shutdown,
+    /// The attempt failed and another may succeed.
+    AttemptFailed,
 }
 
 impl Store {
@@ -53,28 +76,24 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn held(&self, job: &str, token: &str) -> Result<Held, StoreError> {
+    pub async fn lease_status(&self, job: &JobId, token: &str) -> Result<LeaseStatus, StoreError> {
         let query = sqlx::query_scalar("SELECT state FROM jobs WHERE id = ?1 AND lease_token = ?2");
         let state: Option<JobState> = query.bind(job).bind(token).fetch_optional(&self.pool).await?;
-        Ok(match state {
-            Some(JobState::Running) => Held::Yes,
-            Some(JobState::Cancelling) => Held::Cancelling,
-            _ => Held::Lost,
-        })
+        Ok(LeaseStatus::of(state))
     }
 
-    /// Records progress, extends the lease and tells listeners.
+    /// Records progress with an event and extends the lease.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn record_progress(
         &self,
-        job: &str,
+        job: &JobId,
         token: &str,
-        progress: &ProgressUpdate,
+        progress: &JobProgress,
         now_ms: i64,
         until_ms: i64,
-    ) -> Result<Held, StoreError> {
+    ) -> Result<LeaseStatus, StoreError> {
         let mut tx = self.write().await?;
         let state: Option<JobState> = sqlx::query_scalar(
             "UPDATE jobs SET lease_until_ms = ?3, step = ?4, total = ?5, loss = ?6, psnr = ?7,
@@ -93,17 +112,18 @@ impl Store {
         .bind(&progress.message)
         .fetch_optional(&mut *tx)
         .await?;
-        let Some(state) = state else { return Ok(Held::Lost) };
-        events::append(&mut tx, job, now_ms, "progress", json!(progress)).await?;
-        tx.commit().await?;
-        Ok(if state == JobState::Running { Held::Yes } else { Held::Cancelling })
+        if state.is_some() {
+            events::append(&mut tx, job, now_ms, "progress", json!(progress)).await?;
+            tx.commit().await?;
+        }
+        Ok(LeaseStatus::of(state))
     }
 
-    /// Tells listeners something a user should know.
+    /// Records a warning for the user.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn record_warning(&self, job: &str, message: &str, now_ms: i64) -> Result<(), StoreError> {
+    pub async fn record_warning(&self, job: &JobId, message: &str, now_ms: i64) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
         events::append(&mut tx, job, now_ms, "warning", json!({ "message": message })).await?;
         Ok(tx.commit().await?)
@@ -115,12 +135,12 @@ impl Store {
     /// When the database fails.
     pub async fn record_checkpoint(
         &self,
-        job: &str,
+        job: &JobId,
         token: &str,
         artifact: &str,
         step: i64,
         now_ms: i64,
-    ) -> Result<(Held, Option<String>), StoreError> {
+    ) -> Result<(LeaseStatus, Option<String>), StoreError> {
         let mut tx = self.write().await?;
         let query = sqlx::query_scalar("SELECT checkpoint FROM jobs WHERE id = ?1");
         let previous: Option<Option<String>> = query.bind(job).fetch_optional(&mut *tx).await?;
@@ -134,11 +154,12 @@ impl Store {
         .bind(step)
         .fetch_optional(&mut *tx)
         .await?;
-        let Some(state) = state else { return Ok((Held::Lost, None)) };
+        if state.is_none() {
+            return Ok((LeaseStatus::Lost, None));
+        }
         events::append(&mut tx, job, now_ms, "checkpoint", json!({ "step": step })).await?;
         tx.commit().await?;
-        let held = if state == JobState::Running { Held::Yes } else { Held::Cancelling };
-        Ok((held, previous.flatten().filter(|key| key != artifact)))
+        Ok((LeaseStatus::of(state), previous.flatten().filter(|key| key != artifact)))
     }
 
     /// Publishes the model and ends the job, in one transaction: both happen or neither.
@@ -151,7 +172,7 @@ impl Store {
         model: &ModelRecord,
         files: &[ModelFile],
         now_ms: i64,
-    ) -> Result<Held, StoreError> {
+    ) -> Result<LeaseStatus, StoreError> {
         let mut tx = self.write().await?;
         let done = sqlx::query(
             "UPDATE jobs SET state = 'succeeded', finished_ms = ?3, model_id = ?4, step = total,
@@ -166,16 +187,16 @@ impl Store {
         .await?;
         if done.rows_affected() == 0 {
             drop(tx);
-            return match self.held(&model.job_id, token).await? {
-                Held::Cancelling => Ok(Held::Cancelling),
-                Held::Yes | Held::Lost => Ok(Held::Lost),
+            return match self.lease_status(&model.job_id, token).await? {
+                LeaseStatus::Cancelling => Ok(LeaseStatus::Cancelling),
+                LeaseStatus::Held | LeaseStatus::Lost => Ok(LeaseStatus::Lost),
             };
         }
         insert_model(&mut tx, model, files).await?;
         let data = json!({ "state": JobState::Succeeded, "model": model.id });
         events::append(&mut tx, &model.job_id, now_ms, "state", data).await?;
         tx.commit().await?;
-        Ok(Held::Yes)
+        Ok(LeaseStatus::Held)
     }
 
     /// Ends a job for good: `Cancelled`, or `Failed` with a stable code and a reason.
@@ -184,12 +205,12 @@ impl Store {
     /// When the database fails.
     pub async fn end_job(
         &self,
-        job: &str,
+        job: &JobId,
         token: &str,
         state: JobState,
         error: Option<(&str, &str)>,
         now_ms: i64,
-    ) -> Result<Held, StoreError> {
+    ) -> Result<LeaseStatus, StoreError> {
         let mut tx = self.write().await?;
         let (code, detail) = error.unzip();
         let done = sqlx::query(
@@ -206,26 +227,25 @@ impl Store {
         .execute(&mut *tx)
         .await?;
         if done.rows_affected() == 0 {
-            return Ok(Held::Lost);
+            return Ok(LeaseStatus::Lost);
         }
         let data = json!({ "state": state, "code": code, "detail": detail });
         events::append(&mut tx, job, now_ms, "state", data).await?;
         tx.commit().await?;
-        Ok(Held::Yes)
+        Ok(LeaseStatus::Held)
     }
 
-    /// Gives a job back to the queue. `blameless` when the job did nothing wrong, e.g. at a shutdown: the attempt
-    /// then does not count against it.
+    /// Gives a job back to the queue.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn release_job(
         &self,
-        job: &str,
+        job: &JobId,
         token: &str,
-        blameless: bool,
+        release: Release,
         now_ms: i64,
-    ) -> Result<Held, StoreError> {
+    ) -> Result<LeaseStatus, StoreError> {
         let mut tx = self.write().await?;
         let done = sqlx::query(
             "UPDATE jobs SET state = 'queued', lease_token = NULL, lease_until_ms = NULL,
@@ -234,15 +254,15 @@ impl Store {
         )
         .bind(job)
         .bind(token)
-        .bind(i64::from(blameless))
+        .bind(i64::from(release == Release::Shutdown))
         .execute(&mut *tx)
         .await?;
         if done.rows_affected() == 0 {
-            return Ok(Held::Lost);
+            return Ok(LeaseStatus::Lost);
         }
         events::append(&mut tx, job, now_ms, "state", json!({ "state": JobState::Queued })).await?;
         tx.commit().await?;
-        Ok(Held::Yes)
+        Ok(LeaseStatus::Held)
     }
 
     /// Takes leases back: those that ran out before `expired_ms`, or every one when it is `i64::MAX`.
@@ -298,7 +318,7 @@ async fn insert_model(
     .bind(&model.job_id)
     .bind(&model.capture_id)
     .bind(model.gaussians)
-    .bind(&model.card)
+    .bind(Json(&model.card))
     .bind(model.created_ms)
     .execute(&mut **tx)
     .await?;

@@ -1,6 +1,6 @@
 //! Metadata in SQLite and artifacts in an object store. SQL text lives here and nowhere else.
 //!
-//! Every change that the outside world may have been told about is one transaction on a database in WAL mode
+//! Every change that a client may have been told of is one transaction on a database in WAL mode
 //! with `synchronous=FULL`. Times come in as milliseconds since 1970 UTC, so that callers can inject a clock.
 
 mod artifacts;
@@ -24,13 +24,10 @@ use sqlx::{Sqlite, SqlitePool, Transaction};
 pub use artifacts::{Artifacts, Incoming, hex};
 pub use error::StoreError;
 pub use idempotency::IdempotencyKey;
-pub use jobs::{Cancelled, Submitted};
-pub use leases::Held;
+pub use jobs::{CancelOutcome, Submitted};
+pub use leases::{LeaseStatus, Release};
 pub use node_lock::NodeLock;
-pub use records::{
-    CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, JobState, ModelFile, ModelRecord, NewJob, Page,
-    ProgressUpdate,
-};
+pub use records::{CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, ModelFile, ModelRecord, Page};
 
 /// The metadata database and the artifact store of one data directory.
 #[derive(Clone)]

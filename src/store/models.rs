@@ -1,5 +1,6 @@
 //! Published models.
 
+use crate::api::ModelId;
 use crate::store::{ModelFile, ModelRecord, Page, Store, StoreError};
 
 impl Store {
@@ -7,7 +8,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn model(&self, id: &str) -> Result<Option<ModelRecord>, StoreError> {
+    pub async fn model(&self, id: &ModelId) -> Result<Option<ModelRecord>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM models WHERE id = ?1").bind(id);
         Ok(query.fetch_optional(&self.pool).await?)
     }
@@ -29,7 +30,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn model_files(&self, id: &str) -> Result<Vec<ModelFile>, StoreError> {
+    pub async fn model_files(&self, id: &ModelId) -> Result<Vec<ModelFile>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM model_files WHERE model_id = ?1 ORDER BY name").bind(id);
         Ok(query.fetch_all(&self.pool).await?)
     }
@@ -38,7 +39,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn model_file(&self, id: &str, name: &str) -> Result<Option<ModelFile>, StoreError> {
+    pub async fn model_file(&self, id: &ModelId, name: &str) -> Result<Option<ModelFile>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM model_files WHERE model_id = ?1 AND name = ?2");
         Ok(query.bind(id).bind(name).fetch_optional(&self.pool).await?)
     }

@@ -6,16 +6,18 @@ use rand_chacha::ChaCha8Rng;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
+use crate::engine::{DensityStats, Moments, TrainState};
 use crate::formats::model_file::{self, Tensor, floats};
 use crate::scene::{Field, Gaussians};
-use crate::train::complexity::Ledger;
-use crate::train::density::DensityStats;
-use crate::train::optimiser::Moments;
-use crate::train::state::{Course, Learned};
-use crate::train::{TrainConfig, TrainError};
+use crate::train::TrainConfig;
+use crate::train::complexity::state::ComplexityState;
+use crate::train::error::TrainError;
+use crate::train::state::ScheduleState;
 
 const VERSION: u32 = 1;
 const HEADER_KEY: &str = "relume_checkpoint";
+/// Tensor of the summed absgrad; the name is that of all files of this version.
+const ABSGRAD_KEY: &str = "density.pull";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -28,7 +30,7 @@ struct Header {
     rate_factor: f32,
     seconds: f64,
     #[serde(default)]
-    complexity: Ledger,
+    complexity: ComplexityState,
     labels: usize,
     gathered: usize,
 }
@@ -41,30 +43,34 @@ fn bad(field: &str, reason: impl std::fmt::Display) -> TrainError {
 ///
 /// # Errors
 /// When a parameter is not finite.
-pub fn encode(course: &Course, learned: &Learned, config: &TrainConfig) -> Result<Vec<u8>, TrainError> {
-    if let Err(e) = learned.model.check() {
+pub fn encode(
+    schedule: &ScheduleState,
+    state: &TrainState,
+    config: &TrainConfig,
+) -> Result<Vec<u8>, TrainError> {
+    if let Err(e) = state.model.check() {
         return Err(bad(e.field, e.reason));
     }
     let header = Header {
         version: VERSION,
         config: config.clone(),
-        step: course.step,
-        order: course.order.clone(),
-        cursor: course.cursor,
-        rng: course.rng.clone(),
-        rate_factor: course.rate_factor,
-        seconds: course.seconds,
-        complexity: course.complexity.clone(),
-        labels: learned.labels.len(),
-        gathered: learned.gathered.len(),
+        step: schedule.step,
+        order: schedule.order.clone(),
+        cursor: schedule.cursor,
+        rng: schedule.rng.clone(),
+        rate_factor: schedule.rate_factor,
+        seconds: schedule.seconds,
+        complexity: schedule.complexity.clone(),
+        labels: state.labels.len(),
+        gathered: state.gathered.len(),
     };
     let text = serde_json::to_string(&header).map_err(|e| bad("header", e))?;
     let metadata = HashMap::from([
         (HEADER_KEY.to_owned(), text),
-        ("relume".to_owned(), model_file::header(&learned.model)),
+        ("relume".to_owned(), model_file::header(&state.model)),
     ]);
-    let mut tensors = model_file::tensors(&learned.model);
-    for (prefix, g) in [("first", &learned.moments.first), ("second", &learned.moments.second)] {
+    let mut tensors = model_file::tensors(&state.model);
+    for (prefix, g) in [("first", &state.moments.first), ("second", &state.moments.second)] {
         for field in Field::ALL {
             let name = format!("{prefix}.{}", field.name());
             tensors.push((name, Tensor::new([g.len(), g.width(field)], g.field(field))));
@@ -72,12 +78,12 @@ pub fn encode(course: &Course, learned: &Learned, config: &TrainConfig) -> Resul
     }
     let mut flat =
         |name: &str, data| tensors.push((name.to_owned(), Tensor::new([<[f32]>::len(data)], data)));
-    flat("first.globals", bytemuck::cast_slice(&learned.moments.globals[0]));
-    flat("second.globals", bytemuck::cast_slice(&learned.moments.globals[1]));
-    flat("density.pull", &learned.density.pull);
-    flat("density.seen", &learned.density.seen);
-    flat("labels", &learned.labels);
-    flat("gathered", bytemuck::cast_slice(&learned.gathered));
+    flat("first.globals", bytemuck::cast_slice(&state.moments.globals[0]));
+    flat("second.globals", bytemuck::cast_slice(&state.moments.globals[1]));
+    flat(ABSGRAD_KEY, &state.density.absgrad);
+    flat("density.seen", &state.density.seen);
+    flat("labels", &state.labels);
+    flat("gathered", bytemuck::cast_slice(&state.gathered));
     safetensors::serialize(tensors, Some(metadata)).map_err(|e| bad("container", e))
 }
 
@@ -85,7 +91,7 @@ pub fn encode(course: &Course, learned: &Learned, config: &TrainConfig) -> Resul
 ///
 /// # Errors
 /// Names the part that is missing, damaged, or from another configuration.
-pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(Course, Learned), TrainError> {
+pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, TrainState), TrainError> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| bad("container", e))?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get(HEADER_KEY));
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a checkpoint"))?;
@@ -104,7 +110,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(Course, Learned), T
         let g = &model.gaussians;
         let name = |field: Field| format!("{prefix}.{}", field.name());
         let mut out = Gaussians::zeroed(n, g.prototypes(), g.visibility_order(), g.radiance_order());
-        // A checkpoint from before sheen has none to go on from.
+        // Checkpoints of models without sheen have no moments of it.
         let is_there = |field: Field| field != Field::Sheen || file.tensor(&name(field)).is_ok();
         for (field, _, data) in out.fields_mut().filter(|(field, ..)| is_there(*field)) {
             *data = read(&name(field), data.len())?;
@@ -114,18 +120,18 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(Course, Learned), T
     let globals = 3 * (model.prototypes.len() + model.env_raw.len());
     let triples = |name: &str| read(name, globals).map(|values| values.as_chunks::<3>().0.to_vec());
     let gathered = read("gathered", header.gathered.saturating_mul(6))?;
-    let learned = Learned {
+    let state = TrainState {
         moments: Moments {
             first: moments("first")?,
             second: moments("second")?,
             globals: [triples("first.globals")?, triples("second.globals")?],
         },
-        density: DensityStats { pull: read("density.pull", n)?, seen: read("density.seen", n)? },
+        density: DensityStats { absgrad: read(ABSGRAD_KEY, n)?, seen: read("density.seen", n)? },
         labels: read("labels", header.labels)?,
         gathered: gathered.as_chunks::<6>().0.to_vec(),
         model,
     };
-    let course = Course {
+    let schedule = ScheduleState {
         step: header.step,
         order: header.order,
         cursor: header.cursor,
@@ -134,5 +140,5 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(Course, Learned), T
         seconds: header.seconds,
         complexity: header.complexity,
     };
-    Ok((course, learned))
+    Ok((schedule, state))
 }

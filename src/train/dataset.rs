@@ -1,20 +1,9 @@
-//! Photographs and cameras as a training step wants them: in the normalised world, at two resolutions, composited.
+//! The training photographs with their cameras: in the normalised world, at two resolutions, composited.
 
 use rayon::prelude::*;
 
 use crate::capture::{Capture, CaptureView};
-use crate::scene::Camera;
-
-/// One photograph at one resolution.
-#[derive(Debug, Clone)]
-pub struct Photo {
-    /// Camera in the normalised world.
-    pub camera: Camera,
-    /// Display-referred pixels over the background.
-    pub pixels: Vec<[f32; 3]>,
-    /// Mask, when the capture has masks.
-    pub alpha: Vec<f32>,
-}
+use crate::engine::{Photo, PhotoSize};
 
 /// All training photographs.
 #[derive(Debug, Clone)]
@@ -29,7 +18,7 @@ pub struct Dataset {
     pub offset: glam::DVec3,
     /// Background the photographs were composited over.
     pub background: [f32; 3],
-    /// True when `alpha` means something.
+    /// True when the photographs have masks.
     pub has_alpha: bool,
 }
 
@@ -54,8 +43,16 @@ impl Dataset {
         Self { full: all(1), half: all(2), scale, offset, background, has_alpha: capture.has_alpha }
     }
 
+    /// Photograph `index` at `size`.
+    pub fn photo(&self, index: usize, size: PhotoSize) -> &Photo {
+        match size {
+            PhotoSize::Half => &self.half[index],
+            PhotoSize::Full => &self.full[index],
+        }
+    }
+
     /// Camera centres, normalised world.
-    pub fn eyes(&self) -> Vec<[f32; 3]> {
+    pub fn camera_centres(&self) -> Vec<[f32; 3]> {
         self.full.iter().map(|p| p.camera.centre().as_vec3().to_array()).collect()
     }
 }

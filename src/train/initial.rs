@@ -4,14 +4,15 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
+use crate::engine::Photo;
 use crate::light::DAYLIGHT;
 use crate::scene::{Field, Gaussians, Model, softplus_inverse};
-use crate::train::dataset::{Dataset, Photo};
+use crate::train::dataset::Dataset;
 use crate::train::{TrainConfig, materials};
 
 /// Voxels along an edge of the carved cube.
 const HULL_SIDE: usize = 80;
-/// Without masks, what is further away than this (scene radii) counts as light, not as an occluder.
+/// Without masks, distance beyond which a Gaussian occludes nothing, scene radii: what is farther away counts as light.
 const SURROUNDINGS: f32 = 0.5;
 /// Nearest and farthest first Gaussian along a ray, in distances from the camera to the subject.
 const RAY_DEPTHS: [f64; 2] = [0.4, 4.0];
@@ -20,6 +21,7 @@ const FIRST_LIGHT: f32 = 0.6;
 /// Opacity of a new Gaussian.
 const OPACITY: f32 = 0.3;
 
+/// Position and display colour of a first Gaussian.
 type Seed = ([f32; 3], [f32; 3]);
 
 /// The model training starts from.
@@ -38,7 +40,7 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
         gaussians.row_mut(Field::LogScale, i).fill(spacing.clamp(1e-4, 1.0).ln());
         gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
         gaussians.row_mut(Field::OpacityLogit, i)[0] = logit(OPACITY);
-        gaussians.row_mut(Field::Visibility, i)[0] = crate::engine::cpu::FULLY_OPEN;
+        gaussians.row_mut(Field::Visibility, i)[0] = crate::light::FULLY_OPEN;
         for (s, c) in gaussians.row_mut(Field::Radiance, i).iter_mut().zip(colour) {
             *s = (c - 0.5) / 0.282_094_8;
         }
@@ -62,7 +64,7 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
     }
 }
 
-/// The environment training starts from, before the softplus: the light of the photographs if it is known.
+/// The environment that training starts from, before the softplus: the light of the photographs if it is known.
 fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
     let rows = config.environment_rows as usize;
     let (Some(map), Some(light)) = (&capture.lit_by, &config.light) else {
@@ -96,8 +98,8 @@ fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng)
     (seeds, spacing)
 }
 
-/// Along random pixels of random photographs, at log-uniform depths around the subject's distance: everywhere a camera
-/// looks and never right in front of one.
+/// Seeds along the rays of random pixels of random photographs, at log-uniform depths around the subject's distance:
+/// everywhere in the cameras' views and never close in front of one.
 fn seeds_along_rays(photos: &[Photo], wanted: usize, rng: &mut ChaCha8Rng) -> Vec<Seed> {
     (0..wanted)
         .map(|_| {

@@ -1,25 +1,27 @@
-//! The light that the photographs were taken in, where somebody measured it.
+//! The measured light of the photographs, where it is known.
 
 use serde::{Deserialize, Serialize};
 
 use crate::capture::Capture;
+use crate::engine::upward_share;
 use crate::scene::{EnvMap, texel_directions};
-use crate::train::objective::material::upward;
+use crate::train::config::error::ConfigError;
 
 /// Most characters of an environment's name.
-const LONGEST_NAME: usize = 1024;
+const MOST_CHARACTERS: usize = 1024;
 /// Largest exposure either way, stops.
 const MOST_STOPS: f64 = 20.0;
-/// Further than this from the usual level a map is likely on another scale than the photographs, stops.
-const SUSPICIOUS: f64 = 1.0;
+/// Distance from the usual level beyond which a map is likely on another scale than the photographs, stops.
+const MOST_OFFSET: f64 = 1.0;
 
-/// A measured light: training holds it, instead of recovering one beside the materials.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+/// A measured light: training holds it and does not recover one beside the materials.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct KnownLight {
     /// A built-in map, an uploaded environment's identifier, or on the command line a file.
     pub environment: String,
-    /// Turn of the map about the capture's +Z, degrees counter-clockwise seen from above.
+    /// Rotation of the map about the capture's +Z, degrees counter-clockwise seen from above.
     #[serde(default)]
     pub rotation_deg: f64,
     /// Exposure of the map.
@@ -27,26 +29,28 @@ pub struct KnownLight {
     pub exposure_ev: LightExposure,
 }
 
-/// What a map's radiance is in the photographs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+/// Radiance of the map in the photographs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(untagged, expecting = "must be a number of stops or \"auto\"")]
 pub enum LightExposure {
-    /// Times two to this, -20 to 20: at 0, a surface that sends a radiance of 1 is white in the photographs.
+    /// The map times two to this, -20 to 20: at 0, a surface of radiance 1 is white in the photographs.
     Stops(f64),
-    /// Not known: such that a white surface facing up is white, the level that a recovered light is held near, too.
+    /// Not known: the map is scaled so that a white surface facing up is white. A recovered light is held near the same level.
     Unknown(Auto),
 }
 
-/// The word `auto`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+/// The string `auto`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Auto {
-    /// The only one.
+    /// `auto`.
     Auto,
 }
 
 impl LightExposure {
-    /// Found, not told.
+    /// Exposure from the map itself.
     pub const AUTO: Self = Self::Unknown(Auto::Auto);
 }
 
@@ -59,26 +63,28 @@ impl Default for LightExposure {
 impl KnownLight {
     /// # Errors
     /// Names the field that is out of range.
-    pub(super) fn check(&self) -> Result<(), String> {
-        if self.environment.is_empty() || self.environment.chars().count() > LONGEST_NAME {
-            return Err(format!("light.environment: must have 1 to {LONGEST_NAME} characters"));
+    pub(super) fn check(&self) -> Result<(), ConfigError> {
+        if self.environment.is_empty() || self.environment.chars().count() > MOST_CHARACTERS {
+            let reason = format!("must have 1 to {MOST_CHARACTERS} characters");
+            return Err(ConfigError::new("light.environment", reason));
         }
         if !self.rotation_deg.is_finite() {
-            return Err("light.rotation_deg: must be finite".into());
+            return Err(ConfigError::new("light.rotation_deg", "must be finite"));
         }
         match self.exposure_ev {
             LightExposure::Stops(ev) if !(-MOST_STOPS..=MOST_STOPS).contains(&ev) => {
-                Err(format!("light.exposure_ev: must be -{MOST_STOPS} to {MOST_STOPS}, or \"auto\""))
+                let reason = format!("must be -{MOST_STOPS} to {MOST_STOPS}, or \"auto\"");
+                Err(ConfigError::new("light.exposure_ev", reason))
             }
             _ => Ok(()),
         }
     }
 
-    /// Gives `capture` the map, as it was measured; one that is likely on another scale is warned of.
+    /// Gives `capture` the measured map, with a warning if it is likely on another scale than the photographs.
     pub fn illuminate(&self, capture: &mut Capture, map: EnvMap) {
         if let LightExposure::Stops(ev) = self.exposure_ev {
             let off = level(&map).log2() + ev;
-            if off.abs() > SUSPICIOUS {
+            if off.abs() > MOST_OFFSET {
                 capture.warnings.push(format!(
                     "light: under it a white surface facing up is {off:+.1} stops from white; a map on another scale \
                      than the photographs spoils albedo (exposure \"auto\" assumes 0)"
@@ -88,11 +94,11 @@ impl KnownLight {
         capture.lit_by = Some(map);
     }
 
-    /// `map` as the photographs saw it.
+    /// `map` at the rotation and exposure of the photographs.
     pub(super) fn applied(&self, map: &EnvMap) -> EnvMap {
         let gain = match self.exposure_ev {
             LightExposure::Stops(ev) => ev.exp2(),
-            // As far as a told exposure may go: what only shines from below stays finite.
+            // At most the largest exposure in stops: a map that is dark above stays finite.
             LightExposure::Unknown(Auto::Auto) => level(map).recip().min(MOST_STOPS.exp2()),
         };
         map.rotated_and_scaled(self.rotation_deg, gain as f32)
@@ -102,7 +108,7 @@ impl KnownLight {
 /// Radiance of a white horizontal surface facing up, mean of the channels; never 0.
 fn level(map: &EnvMap) -> f64 {
     let texels = map.texels().iter().zip(texel_directions(map.width(), map.height()));
-    let level: f64 = texels.map(|(t, at)| f64::from(upward(&at)) * mean(t)).sum();
+    let level: f64 = texels.map(|(t, at)| f64::from(upward_share(&at)) * mean(t)).sum();
     level.max(1e-9)
 }
 
@@ -119,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_exposure_makes_white_white_and_a_told_one_is_kept() {
+    fn an_unknown_exposure_makes_white_white_and_a_given_one_is_kept() {
         let sky = EnvMap::from_fn(64, 32, |d| [3.0 * (d.z.max(0.0) as f32), 0.5, 0.25]);
         assert!((level(&sky) - (2.0 + 0.5 + 0.25) / 3.0).abs() < 5e-3);
         assert!((level(&light(LightExposure::AUTO).applied(&sky)) - 1.0).abs() < 1e-6);
@@ -129,19 +135,19 @@ mod tests {
             lit.texels().iter().flatten().all(|v| v.is_finite()),
             "nothing from above is no reason for infinity"
         );
-        let told = light(LightExposure::Stops(2.0)).applied(&sky);
-        assert!((level(&told) / level(&sky) - 4.0).abs() < 1e-5);
+        let given = light(LightExposure::Stops(2.0)).applied(&sky);
+        assert!((level(&given) / level(&sky) - 4.0).abs() < 1e-5);
     }
 
     #[test]
-    fn the_exposure_is_a_number_or_the_word() {
+    fn the_exposure_is_a_number_or_auto() {
         let read = |text: &str| serde_json::from_str::<KnownLight>(text).map(|l| l.exposure_ev);
         let with = |value: &str| read(&format!(r#"{{"environment": "sky", "exposure_ev": {value}}}"#));
         assert_eq!(with("-1.5").unwrap(), LightExposure::Stops(-1.5));
         assert_eq!(with(r#""auto""#).unwrap(), LightExposure::AUTO);
         assert_eq!(read(r#"{"environment": "sky"}"#).unwrap(), LightExposure::Stops(0.0));
         assert!(with(r#""bright""#).unwrap_err().to_string().contains("stops or \"auto\""));
-        assert!(light(LightExposure::Stops(f64::NAN)).check().unwrap_err().contains("exposure_ev"));
+        assert!(light(LightExposure::Stops(f64::NAN)).check().is_err_and(|e| e.field == "light.exposure_ev"));
         assert!(light(LightExposure::AUTO).check().is_ok());
     }
 }

@@ -1,23 +1,22 @@
-//! Where albedo starts from: the colours that the radiance branch found, with as much light taken out as is known.
+//! First values and restarts of the materials: albedo from the colours of the radiance branch, with the shading divided out.
 
-use crate::engine::cpu::{self, linear_from_srgb, sigmoid, sky_irradiance};
+use crate::engine::TrainState;
+use crate::engine::cpu::{evaluation, linear_from_srgb, sigmoid};
 use crate::light::{DAYLIGHT, EnvOperators};
 use crate::scene::{Field, Gaussians};
-use crate::train::state::Learned;
-use crate::train::step;
 
 /// Rounds of k-means.
 const ROUNDS: usize = 12;
-/// Sharpness of the very first scores, per squared linear colour distance: vague, since the colours have the light in
-/// them, and what albedo explains the light will not learn. Flat ones (0) left texture to the normals.
+/// Sharpness of the first prototype scores, per squared linear colour distance. Low, since the colours include the shading,
+/// and the light does not learn what albedo explains; above 0, or the normals learn the texture.
 const FIRST_SHARPNESS: f32 = 2.0;
-/// The same once the light has been divided out.
+/// The same at a restart, with the shading divided out.
 const SHARPNESS: f32 = 60.0;
 /// Least irradiance that a colour is divided by.
 const LEAST_IRRADIANCE: f32 = 0.3;
 /// Range of a first albedo.
 const RANGE: (f32, f32) = (0.02, 0.95);
-/// First metalness: most surfaces are dielectrics, and a metal is what a wrong light makes of a highlight.
+/// First metalness: most surfaces are dielectrics, and under a wrong light a highlight looks like metal.
 const METALNESS: f32 = 0.03;
 /// First roughness.
 const ROUGHNESS: f32 = 0.5;
@@ -32,42 +31,36 @@ fn colour(g: &Gaussians, i: usize) -> [f32; 3] {
     std::array::from_fn(|c| linear_from_srgb((0.5 + 0.282_094_8 * s[c]).clamp(0.0, 1.0)))
 }
 
-/// The very first materials: albedo from the Gaussians' view-independent colours, under daylight.
+/// The first materials: albedo from the Gaussians' view-independent colours, under daylight.
 ///
 /// Under a light of irradiance pi (see the exposure term) a diffuse surface's colour is its albedo times the light's.
-pub fn initialise(learned: &mut Learned) {
-    let g = &learned.model.gaussians;
+pub fn initialise(state: &mut TrainState) {
+    let g = &state.model.gaussians;
     let albedo = |i: usize| {
         let colour = colour(g, i);
         std::array::from_fn(|c| colour[c] / DAYLIGHT[c])
     };
     let albedos: Vec<[f32; 3]> = (0..g.len()).map(albedo).collect();
-    restart(learned, &albedos, FIRST_SHARPNESS);
+    restart(state, &albedos, FIRST_SHARPNESS);
 }
 
-/// Materials anew from colours with the light divided out: `albedo = colour pi / E`, `E` the irradiance of each
-/// Gaussian through its visibility with what is gathered. `normals` are the outward ones of the measured visibility.
-/// Metalness and roughness, which a wrong light has led astray, start anew with them.
+/// Restarts the materials from colours with the shading divided out: `albedo = colour pi / E`, `E` the irradiance of each
+/// Gaussian through its visibility plus what is gathered. `normals` are the outward ones of the measured visibility.
+/// Metalness and roughness, which a wrong light distorts, restart from their first values.
 ///
-/// Light and albedo trade shading for one another, and gradient steps move along that valley slowly; this walks it in
-/// strides, as alternating least squares would.
-pub fn take_light_out(learned: &mut Learned, operators: &EnvOperators, normals: &[[f32; 3]]) {
-    let model = &learned.model;
-    let tables = operators.apply(&step::radiance_of(model));
-    let basis = cpu::indirect_basis(&tables);
-    let source = step::source(learned, &basis);
-    let albedo = |i: usize| -> [f32; 3] {
-        let (colour, sky) = (colour(&model.gaussians, i), sky_irradiance(&source, &tables, normals[i], i));
-        let bounced = learned.gathered.get(i).map_or([0.0; 6], |g| *g);
-        std::array::from_fn(|c| {
-            colour[c] * std::f32::consts::PI / (sky[c] + bounced[c]).max(LEAST_IRRADIANCE)
-        })
+/// Light and albedo can explain the same shading, and gradient steps resolve this slowly; a restart acts like a step of
+/// alternating least squares.
+pub fn restart_albedo(state: &mut TrainState, operators: &EnvOperators, normals: &[[f32; 3]]) {
+    let irradiance = evaluation::irradiance(state, operators, normals);
+    let albedo = |(i, irradiance): (usize, &[f32; 3])| -> [f32; 3] {
+        let colour = colour(&state.model.gaussians, i);
+        std::array::from_fn(|c| colour[c] * std::f32::consts::PI / irradiance[c].max(LEAST_IRRADIANCE))
     };
-    let albedos: Vec<[f32; 3]> = (0..model.gaussians.len()).map(albedo).collect();
-    restart(learned, &albedos, SHARPNESS);
+    let albedos: Vec<[f32; 3]> = irradiance.iter().enumerate().map(albedo).collect();
+    restart(state, &albedos, SHARPNESS);
 }
 
-/// A dielectric of middling roughness everywhere.
+/// Sets metalness and roughness to their first values.
 pub fn reset_surface(g: &mut Gaussians) {
     for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
         g.field_mut(field).fill((start / (1.0 - start)).ln());
@@ -75,9 +68,9 @@ pub fn reset_surface(g: &mut Gaussians) {
 }
 
 /// Prototypes at the k-means centres of `albedos` less their residuals, scores by distance, metalness and roughness as
-/// at the start, and no memory of earlier steps. Residuals stay: where there are few prototypes they are the texture.
-fn restart(learned: &mut Learned, albedos: &[[f32; 3]], sharpness: f32) {
-    let Learned { model, moments, .. } = learned;
+/// at the start, moments zero. Residuals stay: with few prototypes they hold the texture.
+fn restart(state: &mut TrainState, albedos: &[[f32; 3]], sharpness: f32) {
+    let TrainState { model, moments, .. } = state;
     let opacity = |i: usize| sigmoid(model.gaussians.row(Field::OpacityLogit, i)[0]);
     let point = |(i, albedo): (usize, &[f32; 3])| {
         let residual = model.gaussians.row(Field::Residual, i);
@@ -105,7 +98,7 @@ fn restart(learned: &mut Learned, albedos: &[[f32; 3]], sharpness: f32) {
     model.prototypes = centres;
 }
 
-/// Farthest-first start, then Lloyd's rounds: no random draw.
+/// K-means of weighted points: farthest-first start, then Lloyd's iterations; no random draw.
 fn k_means(points: &[([f32; 3], f32)], k: usize) -> Vec<[f32; 3]> {
     let mut centres = vec![points[0].0];
     let mut nearest: Vec<f32> = points.iter().map(|(p, _)| distance(*p, centres[0])).collect();
@@ -137,7 +130,8 @@ fn k_means(points: &[([f32; 3], f32)], k: usize) -> Vec<[f32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::cpu::{AttributeSource, fibonacci_sphere, srgb};
+    use crate::engine::cpu::{AttributeSource, srgb};
+    use crate::engine::fibonacci_sphere;
     use crate::light::TableResolution;
     use crate::scene::{Model, ShadingOptions, VisibilityForm, softplus_inverse, texel_directions};
     use crate::train::{Preset, TrainConfig};
@@ -145,7 +139,7 @@ mod tests {
     const COLOURS: [[f32; 3]; 2] = [[0.6, 0.2, 0.1], [0.2, 0.3, 0.5]];
 
     /// A ball whose Gaussians have one of two albedos in turn, lit from above, and the radiance that follows.
-    fn lit_ball() -> (Learned, EnvOperators, Vec<[f32; 3]>) {
+    fn shaded_ball() -> (TrainState, EnvOperators, Vec<[f32; 3]>) {
         let config = TrainConfig::preset(Preset::Draft);
         let normals = fibonacci_sphere(200);
         let (rows, columns) = (8, 16);
@@ -172,12 +166,12 @@ mod tests {
                 *r = (srgb(albedo * light) - 0.5) / 0.282_094_8;
             }
         }
-        (Learned::new(model), EnvOperators::new(columns, rows, 0, TableResolution::TRAINING), normals)
+        (TrainState::new(model), EnvOperators::new(columns, rows, 0, TableResolution::TRAINING), normals)
     }
 
     /// Worst difference of any Gaussian's albedo from the truth.
-    fn worst(learned: &Learned) -> f32 {
-        let Model { gaussians, prototypes, shading, .. } = &learned.model;
+    fn worst(state: &TrainState) -> f32 {
+        let Model { gaussians, prototypes, shading, .. } = &state.model;
         let source = AttributeSource {
             gaussians,
             prototypes,
@@ -191,51 +185,51 @@ mod tests {
     }
 
     #[test]
-    fn what_the_light_did_to_the_colours_is_not_in_the_albedo() {
-        let (mut learned, operators, normals) = lit_ball();
-        initialise(&mut learned);
-        assert!(worst(&learned) > 0.1, "the control: colours as they are, {}", worst(&learned));
-        learned.model.gaussians.field_mut(Field::Residual).fill(0.05);
-        learned.moments.second.field_mut(Field::ProtoLogits).fill(1.0);
-        take_light_out(&mut learned, &operators, &normals);
-        assert!(worst(&learned) < 0.01, "{}", worst(&learned));
-        assert!(learned.moments.second.field(Field::ProtoLogits).iter().all(|m| *m == 0.0));
+    fn a_restart_removes_the_shading_from_albedo() {
+        let (mut state, operators, normals) = shaded_ball();
+        initialise(&mut state);
+        assert!(worst(&state) > 0.1, "the control: colours as they are, {}", worst(&state));
+        state.model.gaussians.field_mut(Field::Residual).fill(0.05);
+        state.moments.second.field_mut(Field::ProtoLogits).fill(1.0);
+        restart_albedo(&mut state, &operators, &normals);
+        assert!(worst(&state) < 0.01, "{}", worst(&state));
+        assert!(state.moments.second.field(Field::ProtoLogits).iter().all(|m| *m == 0.0));
     }
 
     #[test]
-    fn under_daylight_a_grey_thing_starts_grey() {
-        let (mut learned, ..) = lit_ball();
-        for radiance in learned.model.gaussians.field_mut(Field::Radiance).chunks_mut(3) {
+    fn a_grey_object_under_daylight_starts_grey() {
+        let (mut state, ..) = shaded_ball();
+        for radiance in state.model.gaussians.field_mut(Field::Radiance).chunks_mut(3) {
             for (r, light) in radiance.iter_mut().zip(DAYLIGHT) {
                 *r = (srgb(0.5 * light) - 0.5) / 0.282_094_8;
             }
         }
-        initialise(&mut learned);
-        assert!(learned.model.prototypes.iter().flatten().all(|v| (v - 0.5).abs() < 1e-3));
+        initialise(&mut state);
+        assert!(state.model.prototypes.iter().flatten().all(|v| (v - 0.5).abs() < 1e-3));
     }
 
     #[test]
-    fn metalness_and_roughness_start_anew_with_albedo() {
-        let (mut learned, operators, normals) = lit_ball();
+    fn metalness_and_roughness_restart_with_albedo() {
+        let (mut state, operators, normals) = shaded_ball();
         for field in [Field::MetalLogit, Field::RoughLogit] {
-            learned.model.gaussians.field_mut(field).fill(4.0);
-            learned.moments.first.field_mut(field).fill(1.0);
+            state.model.gaussians.field_mut(field).fill(4.0);
+            state.moments.first.field_mut(field).fill(1.0);
         }
-        take_light_out(&mut learned, &operators, &normals);
+        restart_albedo(&mut state, &operators, &normals);
         for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
-            let values = learned.model.gaussians.field(field);
+            let values = state.model.gaussians.field(field);
             assert!(values.iter().all(|v| (sigmoid(*v) - start).abs() < 1e-6), "{field:?}: {}", values[0]);
-            assert!(learned.moments.first.field(field).iter().all(|m| *m == 0.0));
+            assert!(state.moments.first.field(field).iter().all(|m| *m == 0.0));
         }
     }
 
     #[test]
     fn a_black_sky_and_a_white_colour_leave_albedo_in_its_range() {
-        let (mut learned, operators, normals) = lit_ball();
-        learned.model.env_raw.fill([softplus_inverse(1e-6); 3]);
-        learned.model.gaussians.field_mut(Field::Radiance).fill(10.0);
-        take_light_out(&mut learned, &operators, &normals);
-        assert!(learned.model.prototypes.iter().flatten().all(|v| (RANGE.0..=RANGE.1).contains(v)));
-        assert!(learned.model.check().is_ok());
+        let (mut state, operators, normals) = shaded_ball();
+        state.model.env_raw.fill([softplus_inverse(1e-6); 3]);
+        state.model.gaussians.field_mut(Field::Radiance).fill(10.0);
+        restart_albedo(&mut state, &operators, &normals);
+        assert!(state.model.prototypes.iter().flatten().all(|v| (RANGE.0..=RANGE.1).contains(v)));
+        assert!(state.model.check().is_ok());
     }
 }

@@ -1,24 +1,26 @@
 //! The joint optimisation: objective, optimiser, density control, schedule, checkpoints, trainer.
 
-mod backend;
 mod checkpoint;
 pub mod complexity;
 mod config;
+mod context;
 mod dataset;
 mod density;
+mod error;
+mod import;
 mod initial;
 mod known_light;
 mod materials;
-pub mod objective;
-mod on_cpu;
-mod on_gpu;
-mod optimiser;
+mod schedule;
 mod state;
-mod step;
 mod trainer;
 mod weights;
 
-pub use config::{Complexity, LabelSource, Preset, Setting, TrainConfig, TrainOverrides};
+pub use config::{
+    Complexity, ComplexitySetting, ConfigError, LabelSource, Preset, TrainConfig, TrainOverrides,
+};
+pub use error::TrainError;
+pub use import::import_for_training;
 pub use known_light::{Auto, KnownLight, LightExposure};
-pub use trainer::{Progress, StepReport, TrainError, Trainer};
+pub use trainer::{Progress, StepReport, Trainer};
 pub use weights::{LearningRates, LossWeights};

@@ -1,15 +1,12 @@
-//! Everything that changes while a training runs; saving it saves the training.
+//! Where a training stands in its schedule.
 
 use rand_chacha::ChaCha8Rng;
 
-use crate::scene::Model;
-use crate::train::complexity::Ledger;
-use crate::train::density::DensityStats;
-use crate::train::optimiser::Moments;
+use crate::train::complexity::state::ComplexityState;
 
 /// Where a training stands in its schedule; kept on the host whatever device trains.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Course {
+pub struct ScheduleState {
     /// Steps done.
     pub step: u32,
     /// Order in which this epoch visits the photographs.
@@ -23,33 +20,5 @@ pub struct Course {
     /// Seconds spent in steps.
     pub seconds: f64,
     /// What was decided about the model's size so far.
-    pub complexity: Ledger,
-}
-
-/// What has been learned and measured so far; lives where the training runs.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Learned {
-    /// The model.
-    pub model: Model,
-    /// Optimiser moments.
-    pub moments: Moments,
-    /// Density statistics since the last round.
-    pub density: DensityStats,
-    /// Probe labels, `[Gaussian][coefficient]`; empty before the first refresh.
-    pub labels: Vec<f32>,
-    /// Gathered light per Gaussian; empty before the first refresh.
-    pub gathered: Vec<[f32; 6]>,
-}
-
-impl Learned {
-    /// The start from an initial model.
-    pub fn new(model: Model) -> Self {
-        Self {
-            moments: Moments::zeroed(&model),
-            density: DensityStats::zeroed(model.gaussians.len()),
-            labels: Vec::new(),
-            gathered: Vec::new(),
-            model,
-        }
-    }
+    pub complexity: ComplexityState,
 }

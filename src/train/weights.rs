@@ -1,9 +1,10 @@
-//! What each term of the objective weighs, and how far a step moves each group of parameters.
+//! Weights of the objective's terms and step sizes of each group of parameters.
 
 use serde::{Deserialize, Serialize};
 
 /// Weights of the objective's terms (docs/MODEL.md section 5).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct LossWeights {
     /// Mean absolute error of the physically based branch.
@@ -18,13 +19,13 @@ pub struct LossWeights {
     pub depth_normal: f32,
     /// Edge-aware smoothness (Eq. 32) of metalness and normals.
     pub smoothness: f32,
-    /// The same of roughness: at the weight of the others it stays at the value it starts from.
+    /// Edge-aware smoothness (Eq. 32) of roughness, which at the weight of the others would stay at its first value.
     pub smooth_roughness: f32,
-    /// Light neutrality (Eq. 31); off by default (docs/ARCHITECTURE.md).
+    /// Light neutrality (Eq. 31); 0 by default.
     pub light: f32,
-    /// White stays white: the light's level (docs/MODEL.md section 5).
+    /// Exposure: the level of the light under which a white surface is white (docs/MODEL.md section 5).
     pub exposure: f32,
-    /// The light's colour starts as daylight's and is held there for the first three tenths of the material steps.
+    /// Daylight: holds the light's colour at daylight's over the first three tenths of the steps that train materials.
     pub daylight: f32,
     /// Aggregation (Eq. 24).
     pub aggregation: f32,
@@ -32,7 +33,7 @@ pub struct LossWeights {
     pub residual: f32,
     /// Visibility labels (Eq. 15).
     pub visibility: f32,
-    /// Mean smallest standard deviation: flat Gaussians have meaningful normals.
+    /// Flatness, the mean smallest standard deviation: flat Gaussians have meaningful normals.
     pub flatness: f32,
 }
 
@@ -65,7 +66,8 @@ impl Default for LossWeights {
 }
 
 /// Adam step sizes, per parameter group, in the normalised world.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct LearningRates {
     /// Centres at the start; decays exponentially to `mean_final`.

@@ -1,12 +1,14 @@
-//! From step reports to progress events: not too many of them, and with an honest ETA.
+//! From step reports to progress events: at most two a second, each with the expected time to the end.
 
-use crate::store::ProgressUpdate;
+use crate::api::jobs::JobProgress;
+use crate::jobs::Lease;
+use crate::store::StoreError;
 use crate::train::{Progress, StepReport};
 
 /// Least time between two progress events.
 const INTERVAL_MS: i64 = 500;
 
-/// Decides when to report and what.
+/// Decides when progress is reported.
 pub(super) struct Reporter {
     started_ms: i64,
     first_step: u32,
@@ -25,12 +27,12 @@ impl Reporter {
         now_ms: i64,
         step: &StepReport,
         progress: Progress,
-    ) -> Option<ProgressUpdate> {
+    ) -> Option<JobProgress> {
         if now_ms < self.reported_ms.saturating_add(INTERVAL_MS) && progress.step < progress.total {
             return None;
         }
         self.reported_ms = now_ms;
-        Some(ProgressUpdate {
+        Some(JobProgress {
             step: i64::from(progress.step),
             total: i64::from(progress.total),
             loss: Some(f64::from(step.loss)),
@@ -48,6 +50,18 @@ impl Reporter {
         (done > 0)
             .then(|| seconds / f64::from(done) * f64::from(progress.total.saturating_sub(progress.step)))
     }
+}
+
+/// Reports what the worker does before the first step; the steps of earlier attempts stay.
+pub(super) async fn announce(lease: &Lease, message: &str) -> Result<(), StoreError> {
+    let job = lease.job();
+    let update = JobProgress {
+        step: job.checkpoint_step.unwrap_or(0),
+        total: job.progress.total,
+        message: Some(message.to_owned()),
+        ..JobProgress::default()
+    };
+    lease.progress(&update).await.map(drop)
 }
 
 #[cfg(test)]

@@ -1,22 +1,55 @@
-//! Renders on the device thread, with models and prepared lights kept ready.
+//! Renders on the device thread, with a cache of models and prepared lights.
 
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use lru::LruCache;
+
+use crate::api::ModelId;
 use crate::capture::builtin;
 use crate::engine::Device;
-use crate::engine::gpu::GpuError;
+use crate::engine::DeviceError;
 use crate::formats::{environment, model_file};
-use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer};
+use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer, Viewpoint};
 use crate::scene::EnvMap;
-use crate::worker::lru::Lru;
-use crate::worker::{RenderFailure, View};
+
+/// Why there is no frame.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RenderFailure {
+    /// The queue is full or the device did not answer in time.
+    #[error("the device is busy")]
+    Busy,
+    /// The request cannot be rendered.
+    #[error("{field}: {reason}")]
+    Refused {
+        /// The request field at fault.
+        field: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The device failed; the request may be made again.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// The service failed; the text is for the log.
+    #[error("{0}")]
+    Internal(String),
+}
+
+impl From<RenderError> for RenderFailure {
+    fn from(error: RenderError) -> Self {
+        match error {
+            RenderError::Refused { field, reason } => Self::Refused { field, reason },
+            RenderError::Device(error) => Self::Device(error),
+        }
+    }
+}
 
 /// A model to render: its identifier and its file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelSource {
     /// Identifier, the cache key: a published model never changes.
-    pub id: String,
+    pub id: ModelId,
     /// The model file on this machine.
     pub path: PathBuf,
 }
@@ -86,7 +119,7 @@ pub struct RenderTask {
     /// Exposure of the light, stops.
     pub exposure_ev: f64,
     /// From where.
-    pub view: View,
+    pub viewpoint: Viewpoint,
     /// How.
     pub quality: Quality,
     /// What.
@@ -94,17 +127,18 @@ pub struct RenderTask {
 }
 
 /// Model, light, rotation and exposure; floats by their bits.
-type LightKey = (String, String, u64, u64);
+type LightKey = (ModelId, String, u64, u64);
 
-/// Models and lights that were used lately.
+/// The models and lights that were used last.
 pub(super) struct RenderCache {
-    models: Lru<String, Arc<Renderer>>,
-    lights: Lru<LightKey, Arc<PreparedLight>>,
+    models: LruCache<ModelId, Arc<Renderer>>,
+    lights: LruCache<LightKey, Arc<PreparedLight>>,
 }
 
 impl RenderCache {
     pub(super) fn new(models: usize, lights: usize) -> Self {
-        Self { models: Lru::new(models), lights: Lru::new(lights) }
+        let capacity = |wanted| NonZeroUsize::new(wanted).unwrap_or(NonZeroUsize::MIN);
+        Self { models: LruCache::new(capacity(models)), lights: LruCache::new(capacity(lights)) }
     }
 
     pub(super) fn clear(&mut self) {
@@ -113,17 +147,17 @@ impl RenderCache {
     }
 
     pub(super) fn render(&mut self, task: &RenderTask, device: &Device) -> Result<Frame, RenderFailure> {
-        let renderer = self.models.get_or_insert(task.model.id.clone(), || load(&task.model, device))?;
+        let renderer = self.models.try_get_or_insert(task.model.id.clone(), || load(&task.model, device))?;
         let key = (
             task.model.id.clone(),
             task.light.key(),
             task.rotation_deg.to_bits(),
             task.exposure_ev.to_bits(),
         );
-        let light = self.lights.get_or_insert(key, || prepare(&renderer, task))?;
-        let camera = task.view.camera(renderer.model());
+        let light = self.lights.try_get_or_insert(key, || prepare(renderer, task))?;
+        let camera = task.viewpoint.camera(renderer.model());
         let camera = camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
-        Ok(renderer.render(&camera, &light, task.quality, &task.outputs)?)
+        Ok(renderer.render(&camera, light, task.quality, &task.outputs)?)
     }
 }
 
@@ -133,8 +167,8 @@ fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFa
     let model = model_file::decode(&bytes).map_err(|e| internal(e.to_string()))?;
     let model = Arc::new(model);
     Ok(Arc::new(match Renderer::on(model.clone(), device) {
-        Err(error @ GpuError::TooLarge { .. }) => {
-            tracing::warn!(%error, model = source.id, "the CPU engine renders this model");
+        Err(error @ DeviceError::TooLarge { .. }) => {
+            tracing::warn!(%error, model = %source.id, "the CPU engine renders this model");
             Renderer::new(model)
         }
         other => other?,

@@ -1,18 +1,18 @@
-//! Archives: every kind reads alike, every attack and every accident is refused.
+//! Archives: all kinds give the same capture; attacks and damaged files are refused.
 
 use std::io::{Cursor, Write};
 
 use proptest::prelude::*;
 
 use super::small_set::{Files, blender, colmap, gzip, import_bytes, import_folder, nerfstudio, tar, zip};
-use relume::capture::{CaptureError, ImportOptions, Limits, import};
+use relume::capture::{CaptureError, ImportLimits, ImportOptions, import};
 
 fn refusal(bytes: &[u8]) -> CaptureError {
     import_bytes(bytes).unwrap_err()
 }
 
 /// Imports with limits changed by `edit`.
-fn limited(bytes: &[u8], edit: impl FnOnce(&mut Limits)) -> CaptureError {
+fn limited(bytes: &[u8], edit: impl FnOnce(&mut ImportLimits)) -> CaptureError {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
     let mut options = ImportOptions::default();

@@ -3,7 +3,7 @@
 use serde_json::json;
 
 use super::small_set::{
-    Files, blender, colmap, import_bytes, nerfstudio, picture, spoilt_pose, transforms, zip,
+    Files, blender, colmap, import_bytes, nerfstudio, picture, pose_with_entry, transforms, zip,
 };
 use relume::capture::CaptureError;
 
@@ -66,7 +66,7 @@ fn poses_that_are_none_are_refused_by_frame() {
     let mirrored = json!([[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
     let sheared = json!([[1, 0.5, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
     for pose in
-        [zero, flat, mirrored, sheared, json!([[1, 0], [0, 1]]), json!([]), spoilt_pose(3, 3, json!(2))]
+        [zero, flat, mirrored, sheared, json!([[1, 0], [0, 1]]), json!([]), pose_with_entry(3, 3, json!(2))]
     {
         let error = refusal(&with_pose(pose.clone()));
         assert_eq!(error.code(), "capture_field_invalid", "{pose}: {error}");
@@ -77,7 +77,7 @@ fn poses_that_are_none_are_refused_by_frame() {
 
 #[test]
 fn the_nan_that_python_writes_is_refused_with_file_and_field() {
-    let text = with_pose(spoilt_pose(0, 3, json!("NAN")))["transforms_train.json"].clone();
+    let text = with_pose(pose_with_entry(0, 3, json!("NAN")))["transforms_train.json"].clone();
     let text = String::from_utf8(text).unwrap().replace("\"NAN\"", "NaN");
     let error = refusal(&with_json(&text));
     assert_eq!((error.file(), error.field()), (Some("transforms_train.json"), Some("transform_matrix")));

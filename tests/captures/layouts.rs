@@ -1,4 +1,4 @@
-//! Every layout, made by hand: what is recognised, where cameras stand, what is held out.
+//! Every layout: what is recognised, where the cameras are, what is held out.
 
 use glam::DVec3;
 use serde_json::json;
@@ -134,7 +134,7 @@ fn photographs_shrink_with_their_cameras() {
 }
 
 #[test]
-fn a_folder_around_everything_and_the_litter_of_macs_are_looked_through() {
+fn an_outer_folder_and_files_of_file_managers_are_ignored() {
     let mut files: Files = blender().into_iter().map(|(k, v)| (format!("my scan/lego/{k}"), v)).collect();
     files.insert("__MACOSX/my scan/._lego".into(), vec![0; 9]);
     files.insert("my scan/.DS_Store".into(), vec![0; 9]);

@@ -1,4 +1,4 @@
-//! A tiny valid capture as files in memory, to be packed and spoilt.
+//! A small valid capture as files in memory, for tests to pack and to damage.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
@@ -121,7 +121,7 @@ pub fn import_folder(files: &Files) -> Result<Capture, CaptureError> {
 }
 
 /// A pose with one entry replaced.
-pub fn spoilt_pose(row: usize, column: usize, value: Value) -> Value {
+pub fn pose_with_entry(row: usize, column: usize, value: Value) -> Value {
     let mut pose = json!(pose(0));
     pose[row][column] = value;
     pose

@@ -1,4 +1,4 @@
-//! Cameras at the poles, far away, and with fields of view from next to nothing to next to everything.
+//! Cameras at the poles, far away, and with fields of view from 0.001 to 179 degrees.
 
 use std::sync::Arc;
 
@@ -7,11 +7,17 @@ use relume::engine::Device;
 use relume::render::{Output, Renderer, Tier};
 use relume::scene::{Camera, EnvMap, Field};
 
-use super::harness::{Suite, TIGHT, in_front, looking_from, model, set};
+use super::harness::{Suite, TIGHT, in_front, looking_from, model, on_each_engine, set};
 
-#[test]
-fn views_along_the_poles_and_harmonics_at_both_of_them() {
-    let mut suite = Suite::default();
+on_each_engine! {
+    views_along_both_poles,
+    cameras_a_million_units_away,
+    a_capture_a_million_units_from_the_origin,
+    fields_of_view_up_to_179_degrees,
+}
+
+fn views_along_both_poles(device: &Device) {
+    let mut suite = Suite::on(device);
     let mut model = model(8, 20);
     // Exactly above and below the camera's axis: directions are exactly +z and -z.
     set(&mut model, Field::Mean, &[[0.0, 0.0, 0.3], [0.0, 0.0, -0.4]]);
@@ -21,9 +27,8 @@ fn views_along_the_poles_and_harmonics_at_both_of_them() {
     suite.finish();
 }
 
-#[test]
-fn cameras_a_million_scenes_away() {
-    let mut suite = Suite::default();
+fn cameras_a_million_units_away(device: &Device) {
+    let mut suite = Suite::on(device);
     let model = model(8, 21);
     for distance in [1e3, 1e6] {
         let eye = DVec3::new(0.6, -0.64, 0.48) * distance;
@@ -34,33 +39,26 @@ fn cameras_a_million_scenes_away() {
     suite.finish();
 }
 
-#[test]
-fn a_capture_a_million_units_from_the_origin_is_a_capture_at_the_origin() {
+fn a_capture_a_million_units_from_the_origin(device: &Device) {
     let offset = DVec3::new(1e6, -2e6, 5e5);
     let light = EnvMap::from_fn(8, 4, |d| [0.3 + d.x.max(0.0) as f32, 0.5, 0.6]);
-    let mut devices = vec![&Device::Cpu];
-    devices.extend(crate::gpu::device());
-    for device in devices {
-        let render = |shift: DVec3, seed| {
-            let mut model = model(8, seed);
-            model.world_offset = -shift;
-            let renderer = Renderer::on(Arc::new(model), device).unwrap();
-            let light = renderer.prepare_light(&light).unwrap();
-            let eye = DVec3::new(0.0, -3.0, 0.5) + shift;
-            let camera = Camera::look_at(eye, shift, DVec3::Z, 0.6, (16, 12)).unwrap();
-            renderer.render(&camera, &light, Tier::Standard, &[Output::Rgb]).unwrap().planes[&Output::Rgb]
-                .clone()
-        };
-        let worst = |a: &[f32], b: &[f32]| a.iter().zip(b).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
-        let (near, far) = (render(DVec3::ZERO, 22), render(offset, 22));
-        assert!(worst(&near, &far) < 1e-5, "{} {:e}", device.name(), worst(&near, &far));
-        assert!(worst(&near, &render(offset, 23)) > 1e-2, "the control: another model is another picture");
-    }
+    let render = |shift: DVec3, seed| {
+        let mut model = model(8, seed);
+        model.world_offset = -shift;
+        let renderer = Renderer::on(Arc::new(model), device).unwrap();
+        let light = renderer.prepare_light(&light).unwrap();
+        let eye = DVec3::new(0.0, -3.0, 0.5) + shift;
+        let camera = Camera::look_at(eye, shift, DVec3::Z, 0.6, (16, 12)).unwrap();
+        renderer.render(&camera, &light, Tier::Standard, &[Output::Rgb]).unwrap().planes[&Output::Rgb].clone()
+    };
+    let worst = |a: &[f32], b: &[f32]| a.iter().zip(b).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
+    let (near, far) = (render(DVec3::ZERO, 22), render(offset, 22));
+    assert!(worst(&near, &far) < 1e-5, "{} {:e}", device.name(), worst(&near, &far));
+    assert!(worst(&near, &render(offset, 23)) > 1e-2, "the control: another model is another picture");
 }
 
-#[test]
-fn fields_of_view_from_a_thousandth_of_a_degree_to_179_degrees() {
-    let mut suite = Suite::default();
+fn fields_of_view_up_to_179_degrees(device: &Device) {
+    let mut suite = Suite::on(device);
     for degrees in [1e-3f64, 0.1, 90.0, 170.0, 179.0] {
         let mut model = model(8, 24);
         // As large as the view is wide.
@@ -77,7 +75,7 @@ fn fields_of_view_from_a_thousandth_of_a_degree_to_179_degrees() {
 }
 
 #[test]
-fn cameras_that_are_none_are_refused_by_field() {
+fn invalid_cameras_are_refused_by_field() {
     let (eye, size) = (DVec3::new(0.0, -3.0, 0.0), (16, 12));
     let look = |fov| Camera::look_at(eye, DVec3::ZERO, DVec3::Z, fov, size).unwrap_err().field;
     for fov in [0.0, -1.0, std::f64::consts::PI, f64::NAN, f64::INFINITY] {

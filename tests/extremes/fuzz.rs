@@ -1,11 +1,18 @@
-//! Poison in the parameters: neither engine may panic, both give a finite picture of the same Gaussians, and what is no
-//! Gaussian changes nothing.
+//! NaN, infinite and extreme parameters: no engine panics, the images are finite, both engines draw the same Gaussians,
+//! and Gaussians that are not drawn change nothing.
 
 use proptest::prelude::*;
-use relume::engine::side_by_side::{Answer, Question, by_cpu, by_gpu};
+use proptest::test_runner::TestRunner;
+use relume::engine::Device;
+use relume::engine::parity::{ParityCase, ParityResult, by_cpu};
 use relume::scene::{Camera, Field, Model};
 
-use super::harness::{BACKGROUND, LIGHT, gpu, in_front, looking_from, model};
+use super::harness::{BACKGROUND, LIGHT, answer, in_front, looking_from, model, on_each_engine};
+
+on_each_engine! {
+    extreme_parameters_give_finite_images,
+    gaussians_with_nan_geometry_are_not_drawn,
+}
 
 const N: usize = 6;
 
@@ -69,7 +76,7 @@ fn cameras() -> [Camera; 4] {
     ]
 }
 
-fn images_are_finite(answer: &Answer) -> bool {
+fn images_are_finite(answer: &ParityResult) -> bool {
     let images = answer.physical.iter().chain(&answer.radiance).flatten().chain(&answer.coverage);
     images.into_iter().all(|v| v.is_finite())
 }
@@ -91,38 +98,32 @@ fn is_on_a_threshold(model: &Model, camera: &Camera, i: usize) -> bool {
         || (depth > 0.05 && (mean.length() / depth) > 1e8)
 }
 
-fn check(model: &Model, camera: &Camera) -> Result<(), TestCaseError> {
-    let question = Question::new(model, camera, BACKGROUND, &LIGHT, 5);
-    let cpu = by_cpu(&question);
-    prop_assert!(images_are_finite(&cpu), "cpu");
-    let drawn = |answer: &Answer| -> Vec<usize> {
-        let steady = |i: &usize| !is_on_a_threshold(model, camera, *i);
-        answer.splats.iter().map(|s| s.gaussian).filter(steady).collect()
-    };
-    if let Some(gpu) = gpu() {
-        let on_gpu = by_gpu(gpu, &question).unwrap();
-        prop_assert!(images_are_finite(&on_gpu), "gpu");
-        prop_assert_eq!(drawn(&cpu), drawn(&on_gpu));
+fn check(model: &Model, camera: &Camera, device: &Device) -> Result<(), TestCaseError> {
+    let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 5);
+    let found = answer(device, &question);
+    prop_assert!(images_are_finite(&found));
+    if let Device::Gpu(_) = device {
+        let drawn = |answer: &ParityResult| -> Vec<usize> {
+            let steady = |i: &usize| !is_on_a_threshold(model, camera, *i);
+            answer.splats.iter().map(|s| s.gaussian).filter(steady).collect()
+        };
+        prop_assert_eq!(drawn(&by_cpu(&question)), drawn(&found));
+        return Ok(());
     }
-    // What is not drawn changes nothing: leave it out.
-    let kept: Vec<usize> = cpu.splats.iter().map(|s| s.gaussian).collect();
+    // The same without the Gaussians that are not drawn.
+    let kept: Vec<usize> = found.splats.iter().map(|s| s.gaussian).collect();
     let mut rest = model.clone();
     rest.gaussians = model.gaussians.gathered(&kept);
-    let without = by_cpu(&Question::new(&rest, camera, BACKGROUND, &LIGHT, 5));
-    prop_assert_eq!(cpu.physical, without.physical);
+    let without = by_cpu(&ParityCase::new(&rest, camera, BACKGROUND, &LIGHT, 5));
+    prop_assert_eq!(found.physical, without.physical);
     Ok(())
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
-
-    #[test]
-    fn poison_anywhere_gives_a_finite_picture_of_the_same_gaussians(
-        injections in prop::collection::vec(injection(), 1..5),
-        camera in 0..4usize,
-        seed in 0..1000u64,
-        compensation in any::<bool>(),
-    ) {
+fn extreme_parameters_give_finite_images(device: &Device) {
+    let config = ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() };
+    let injections = prop::collection::vec(injection(), 1..5);
+    let cases = (injections, 0..4usize, 0..1000u64, any::<bool>());
+    let run = TestRunner::new(config).run(&cases, |(injections, camera, seed, compensation)| {
         let mut model = model(N, seed);
         model.shading.low_pass_compensation = compensation;
         for (i, field, component, value) in injections {
@@ -130,30 +131,27 @@ proptest! {
             let width = row.len();
             row[component % width] = value;
         }
-        check(&model, &cameras()[camera])?;
-    }
+        check(&model, &cameras()[camera], device)
+    });
+    run.unwrap();
 }
 
-#[test]
-fn a_gaussian_that_is_none_is_drawn_by_no_engine() {
-    let camera = in_front((16, 12));
+fn gaussians_with_nan_geometry_are_not_drawn(device: &Device) {
+    let drawn = |model: &Model| {
+        let found = answer(device, &ParityCase::new(model, &in_front((16, 12)), BACKGROUND, &LIGHT, 5));
+        assert!(found.is_finite());
+        found.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>()
+    };
     for field in GEOMETRY {
         let mut poisoned = model(3, 50);
         *poisoned.gaussians.row_mut(field, 1).last_mut().unwrap() = f32::NAN;
-        let question = Question::new(&poisoned, &camera, BACKGROUND, &LIGHT, 5);
-        for (engine, answer) in super::harness::answers(&question) {
-            let drawn: Vec<usize> = answer.splats.iter().map(|s| s.gaussian).collect();
-            assert_eq!(drawn, [0, 2], "{engine} {field:?}");
-            assert!(answer.is_finite(), "{engine} {field:?}");
-        }
+        assert_eq!(drawn(&poisoned), [0, 2], "{field:?}");
     }
-    let sound = model(3, 50);
-    let answer = by_cpu(&Question::new(&sound, &camera, BACKGROUND, &LIGHT, 5));
-    assert_eq!(answer.splats.len(), 3, "the control");
+    assert_eq!(drawn(&model(3, 50)), [0, 1, 2], "the control");
 }
 
 #[test]
-fn what_no_file_may_hold_is_refused_by_field() {
+fn non_finite_and_huge_parameters_are_refused_by_field() {
     for field in Field::ALL {
         for value in [f32::NAN, f32::INFINITY, 1e38] {
             let mut poisoned = model(3, 51);

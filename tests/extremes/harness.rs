@@ -1,12 +1,11 @@
-//! One case, three engines: the f64 reference says what is right, CPU and GPU engine must say the same.
+//! One case on three engines: the CPU and the GPU engine are compared with the f64 reference.
 
 use std::sync::LazyLock;
 
 use glam::DVec3;
 use relume::engine::Device;
-use relume::engine::gpu::Gpu;
-use relume::engine::side_by_side::{
-    Answer, LightShape, Question, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
+use relume::engine::parity::{
+    LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
 };
 use relume::light::TableResolution;
 use relume::scene::{Camera, Field, Gaussians, Model, ShadingOptions};
@@ -90,12 +89,25 @@ pub(super) fn in_front(size: (u32, u32)) -> Camera {
     looking_from([0.0, -3.0, 0.0], size)
 }
 
-pub(super) fn gpu() -> Option<&'static Gpu> {
-    match crate::gpu::device()? {
-        Device::Gpu(gpu) => Some(gpu),
-        Device::Cpu => None,
-    }
+/// Makes two tests of each function that takes a `&Device`: one on the CPU engine, one on the GPU engine.
+macro_rules! on_each_engine {
+    ($($case:ident),* $(,)?) => {
+        mod on_cpu {
+            $(#[test]
+            fn $case() {
+                super::$case(&relume::engine::Device::Cpu);
+            })*
+        }
+        mod on_gpu {
+            $(#[test]
+            #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+            fn $case() {
+                super::$case(crate::requirements::gpu_device());
+            })*
+        }
+    };
 }
+pub(super) use on_each_engine;
 
 /// What is allowed, relative to the largest value of an image and to the largest gradient of a parameter.
 #[derive(Clone, Copy)]
@@ -114,7 +126,7 @@ pub(super) struct Errors {
     pub(super) worst: &'static str,
 }
 
-pub(super) fn errors(found: &Answer, expected: &Answer, kept: &[bool]) -> Errors {
+pub(super) fn errors(found: &ParityResult, expected: &ParityResult, kept: &[bool]) -> Errors {
     let steady = |rows: &[[f64; 3]]| -> Vec<f64> {
         rows.iter().zip(kept).filter(|(_, kept)| **kept).flat_map(|(p, _)| *p).collect()
     };
@@ -134,65 +146,65 @@ pub(super) fn errors(found: &Answer, expected: &Answer, kept: &[bool]) -> Errors
     Errors { image: image[0].max(image[1]), gradient, worst }
 }
 
-/// Cases of one test; what goes wrong is collected, so that a run tells everything.
-#[derive(Default)]
-pub(super) struct Suite {
+/// Cases of one test on one engine. Failures are collected, so that one run names them all.
+pub(super) struct Suite<'d> {
+    device: &'d Device,
     failures: Vec<String>,
     ended: bool,
 }
 
-impl Suite {
-    /// CPU and GPU engine against the reference.
+impl<'d> Suite<'d> {
+    pub(super) fn on(device: &'d Device) -> Self {
+        Self { device, failures: Vec::new(), ended: false }
+    }
+
+    /// The engine against the reference.
     pub(super) fn check(&mut self, name: &str, model: &Model, camera: &Camera, bounds: Bounds) {
-        let mut question = Question::new(model, camera, BACKGROUND, &LIGHT, 7);
+        let mut question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
         let kept = steady_pixels(&question, MARGIN);
         question.keep(&kept);
         let expected = by_reference(&question);
         if !expected.is_finite() {
             self.failures.push(format!("{name}: the reference itself is not finite"));
         }
-        for (engine, found) in answers(&question) {
-            let e = errors(&found, &expected, &kept);
-            eprintln!(
-                "{name} {engine}: image {:.1e}, gradient {:.1e} ({}), {}/{} pixels",
-                e.image,
-                e.gradient,
-                e.worst,
-                kept.iter().filter(|k| **k).count(),
-                kept.len()
-            );
-            if !found.is_finite() {
-                self.failures.push(format!("{name} {engine}: not finite"));
-            }
-            if !(e.image < bounds.image && e.gradient < bounds.gradient) {
-                let line =
-                    format!("{name} {engine}: image {:e}, gradient {:e} of {}", e.image, e.gradient, e.worst);
-                self.failures.push(line);
-            }
+        let found = self.finite(name, &question);
+        let Errors { image, gradient, worst } = errors(&found, &expected, &kept);
+        let steady = kept.iter().filter(|k| **k).count();
+        eprintln!(
+            "{name}: image {image:.1e}, gradient {gradient:.1e} ({worst}), {steady}/{} pixels",
+            kept.len()
+        );
+        if !(image < bounds.image && gradient < bounds.gradient) {
+            self.failures.push(format!("{name}: image {image:e}, gradient {gradient:e} of {worst}"));
         }
     }
 
-    /// Where f64 has no answer, or too slow a one: both engines are finite, draw the same Gaussians and agree to `bound`.
-    pub(super) fn alike(&mut self, name: &str, model: &Model, camera: &Camera, bound: f64) -> Answer {
-        let question = Question::new(model, camera, BACKGROUND, &LIGHT, 7);
-        let mut all = answers(&question).into_iter();
-        let Some((_, cpu)) = all.next() else { unreachable!("the CPU engine is always there") };
-        let all = [("cpu", cpu.clone())].into_iter().chain(all);
-        for (engine, found) in all {
-            if !found.is_finite() {
-                self.failures.push(format!("{name} {engine}: not finite"));
-            }
-            let drawn = |a: &Answer| a.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>();
+    /// Where f64 has no answer, or too slow a one: the engine's answer is finite, and the GPU engine draws the same
+    /// Gaussians as the CPU engine and agrees with it to `bound`.
+    pub(super) fn alike(&mut self, name: &str, model: &Model, camera: &Camera, bound: f64) -> ParityResult {
+        let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
+        let found = self.finite(name, &question);
+        if let Device::Gpu(_) = self.device {
+            let cpu = by_cpu(&question);
+            let drawn = |a: &ParityResult| a.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>();
             if drawn(&found) != drawn(&cpu) {
-                self.failures.push(format!("{name} {engine}: draws other Gaussians than the CPU engine"));
+                self.failures.push(format!("{name}: draws other Gaussians than the CPU engine"));
             }
             let image = relative_error(found.radiance.as_flattened(), cpu.radiance.as_flattened());
-            eprintln!("{name} {engine}: {image:.1e} from the CPU engine");
+            eprintln!("{name}: {image:.1e} from the CPU engine");
             if !(image <= bound) {
-                self.failures.push(format!("{name} {engine}: {image:e} from the CPU engine"));
+                self.failures.push(format!("{name}: {image:e} from the CPU engine"));
             }
         }
-        cpu
+        found
+    }
+
+    fn finite(&mut self, name: &str, question: &ParityCase<'_>) -> ParityResult {
+        let found = answer(self.device, question);
+        if !found.is_finite() {
+            self.failures.push(format!("{name}: not finite"));
+        }
+        found
     }
 
     pub(super) fn finish(mut self) {
@@ -201,30 +213,28 @@ impl Suite {
     }
 }
 
-impl Drop for Suite {
+impl Drop for Suite<'_> {
     fn drop(&mut self) {
         assert!(self.ended || std::thread::panicking(), "a suite must be finished");
     }
 }
 
-/// CPU engine first, then the GPU engine where there is one.
-pub(super) fn answers(question: &Question<'_>) -> Vec<(&'static str, Answer)> {
-    let mut out = vec![("cpu", by_cpu(question))];
-    if let Some(gpu) = gpu() {
-        out.push(("gpu", by_gpu(gpu, question).unwrap()));
+pub(super) fn answer(device: &Device, question: &ParityCase<'_>) -> ParityResult {
+    match device {
+        Device::Cpu => by_cpu(question),
+        Device::Gpu(gpu) => by_gpu(gpu, question).unwrap(),
     }
-    out
 }
 
 #[test]
 fn the_harness_notices_a_changed_image_a_changed_gradient_and_nan() {
     let (plain, camera) = (model(8, 1), in_front((16, 12)));
-    let question = Question::new(&plain, &camera, BACKGROUND, &LIGHT, 7);
+    let question = ParityCase::new(&plain, &camera, BACKGROUND, &LIGHT, 7);
     let kept = vec![true; 192];
     let expected = by_reference(&question);
     let mut other = plain.clone();
     other.gaussians.field_mut(Field::RoughLogit)[2] += 0.2;
-    let found = by_cpu(&Question::new(&other, &camera, BACKGROUND, &LIGHT, 7));
+    let found = by_cpu(&ParityCase::new(&other, &camera, BACKGROUND, &LIGHT, 7));
     let e = errors(&found, &expected, &kept);
     assert!(e.image > TIGHT.image && e.gradient > TIGHT.gradient, "{:e} {:e}", e.image, e.gradient);
     let mut poisoned = by_cpu(&question);

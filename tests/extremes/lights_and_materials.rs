@@ -1,4 +1,4 @@
-//! Materials at their ends, grazing views, and lights from black to blinding.
+//! Materials at their ends, grazing views, and lights from black to 1e30.
 
 use std::sync::Arc;
 
@@ -6,11 +6,19 @@ use relume::engine::Device;
 use relume::render::{Output, Renderer, Tier};
 use relume::scene::{DiffuseForm, EnvMap, EnvMapError, Field, NormalForm, VisibilityForm};
 
-use super::harness::{ENV, Suite, TIGHT, in_front, model, set};
+use super::harness::{ENV, Suite, TIGHT, in_front, model, on_each_engine, set};
 
-#[test]
-fn normals_square_to_the_view() {
-    let mut suite = Suite::default();
+on_each_engine! {
+    normals_square_to_the_view,
+    normals_without_a_direction,
+    roughness_and_metalness_at_both_ends,
+    sheen_at_both_ends,
+    learned_environments_from_black_to_1e18,
+    frames_are_linear_in_the_light,
+}
+
+fn normals_square_to_the_view(device: &Device) {
+    let mut suite = Suite::on(device);
     let mut model = model(3, 30);
     model.shading.normal = NormalForm::Free;
     (0..3).for_each(|i| model.gaussians.row_mut(Field::Mean, i)[0] = 0.0);
@@ -22,9 +30,8 @@ fn normals_square_to_the_view() {
     suite.finish();
 }
 
-#[test]
-fn normals_without_a_direction() {
-    let mut suite = Suite::default();
+fn normals_without_a_direction(device: &Device) {
+    let mut suite = Suite::on(device);
     let mut model = model(4, 31);
     model.shading.normal = NormalForm::Free;
     set(&mut model, Field::Normal, &[[0.0; 3], [-0.0; 3], [1e-30, 0.0, 0.0], [1e18, -1e18, 0.0]]);
@@ -32,9 +39,8 @@ fn normals_without_a_direction() {
     suite.finish();
 }
 
-#[test]
-fn roughness_and_metalness_at_both_ends() {
-    let mut suite = Suite::default();
+fn roughness_and_metalness_at_both_ends(device: &Device) {
+    let mut suite = Suite::on(device);
     for visibility in [VisibilityForm::Linear, VisibilityForm::Sigmoid, VisibilityForm::Off] {
         for (rough, metal) in [(-1e4, -1e4), (-1e4, 1e4), (1e4, -1e4), (1e4, 1e4), (-20.0, 20.0)] {
             let mut model = model(8, 32);
@@ -50,9 +56,8 @@ fn roughness_and_metalness_at_both_ends() {
     suite.finish();
 }
 
-#[test]
-fn sheen_at_both_ends() {
-    let mut suite = Suite::default();
+fn sheen_at_both_ends(device: &Device) {
+    let mut suite = Suite::on(device);
     for sheen in [-1e30, -3.0, 3.0, 1e30] {
         let mut model = model(8, 35);
         model.gaussians.field_mut(Field::Sheen).fill(sheen);
@@ -61,9 +66,8 @@ fn sheen_at_both_ends() {
     suite.finish();
 }
 
-#[test]
-fn environments_from_black_to_blinding() {
-    let mut suite = Suite::default();
+fn learned_environments_from_black_to_1e18(device: &Device) {
+    let mut suite = Suite::on(device);
     for texel in [-1e4f32, 6e4, 1e18] {
         let mut model = model(8, 33);
         if texel < 0.0 {
@@ -83,32 +87,27 @@ fn lit_by(texel: f32) -> EnvMap {
     EnvMap::new(ENV.0, ENV.1, texels).unwrap().0
 }
 
-#[test]
-fn frames_under_posted_lights_from_black_to_blinding_are_linear_in_the_light() {
-    let mut devices = vec![&Device::Cpu];
-    devices.extend(crate::gpu::device());
-    for device in devices {
-        let renderer = Renderer::on(Arc::new(model(8, 34)), device).unwrap();
-        let rgb = |map: &EnvMap| {
-            let light = renderer.prepare_light(map).unwrap();
-            let frame = renderer.render(&in_front((16, 12)), &light, Tier::Standard, &[Output::Rgb]).unwrap();
-            frame.planes[&Output::Rgb].clone()
-        };
-        assert!(rgb(&lit_by(0.0)).iter().all(|v| *v == 0.0), "no light, no picture: {}", device.name());
-        let one = rgb(&lit_by(1.0));
-        let most = one.iter().fold(0.0f32, |m, v| m.max(*v));
-        assert!(most > 1e-3, "the control: light makes a picture");
-        for gain in [6e4f32, 1e30] {
-            let bright = rgb(&lit_by(gain));
-            let apart = one.iter().zip(&bright).map(|(a, b)| (a - b / gain).abs() / most);
-            let worst = apart.fold(0.0f32, |m, e| if m.is_nan() || e <= m { m } else { e });
-            assert!(worst < 1e-5, "{} {gain:e}: {worst:e}", device.name());
-        }
+fn frames_are_linear_in_the_light(device: &Device) {
+    let renderer = Renderer::on(Arc::new(model(8, 34)), device).unwrap();
+    let rgb = |map: &EnvMap| {
+        let light = renderer.prepare_light(map).unwrap();
+        let frame = renderer.render(&in_front((16, 12)), &light, Tier::Standard, &[Output::Rgb]).unwrap();
+        frame.planes[&Output::Rgb].clone()
+    };
+    assert!(rgb(&lit_by(0.0)).iter().all(|v| *v == 0.0), "no light, no picture: {}", device.name());
+    let one = rgb(&lit_by(1.0));
+    let most = one.iter().fold(0.0f32, |m, v| m.max(*v));
+    assert!(most > 1e-3, "the control: light makes a picture");
+    for gain in [6e4f32, 1e30] {
+        let bright = rgb(&lit_by(gain));
+        let apart = one.iter().zip(&bright).map(|(a, b)| (a - b / gain).abs() / most);
+        let worst = apart.fold(0.0f32, |m, e| if m.is_nan() || e <= m { m } else { e });
+        assert!(worst < 1e-5, "{} {gain:e}: {worst:e}", device.name());
     }
 }
 
 #[test]
-fn texels_that_are_no_light_are_refused_by_place_and_negative_ones_counted() {
+fn texels_without_a_finite_value_are_refused_by_place_and_negative_ones_counted() {
     let with = |value: f32| {
         let mut texels = vec![[0.5f32; 3]; 8];
         texels[6][1] = value;

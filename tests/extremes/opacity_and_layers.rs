@@ -1,12 +1,22 @@
 //! Opacity at its ends, and very many layers on one ray.
 
 use relume::engine::channel::{COVERAGE, Channels};
-use relume::engine::cpu::{AttributeSource, Pass, TRANSMITTANCE_STOP, View, backward_labels};
-use relume::engine::gpu::{AttributeBuffers, Raster, ViewUniform, model::ModelBuffers};
-use relume::engine::reference::{Options, Scene, Tables, Tape, forward, losses};
+use relume::engine::constants::{EarlyStop, TRANSMITTANCE_STOP};
+use relume::engine::cpu::{AttributeSource, Pass, backward_labels};
+use relume::engine::gpu::raster::{Projected, Raster};
+use relume::engine::gpu::{AttributeSource as GpuSource, CameraUniform, Gpu, model::ModelBuffers};
+use relume::engine::reference::{Options, ReferenceModel, TableOperators, Tape, forward, losses};
+use relume::engine::{Device, RasterCamera};
 use relume::scene::{Camera, Field, Model};
 
-use super::harness::{Bounds, ENV, Suite, TABLES, TIGHT, gpu, in_front, model};
+use super::harness::{Bounds, ENV, Suite, TABLES, TIGHT, in_front, model, on_each_engine};
+
+on_each_engine! {
+    opacity_from_nothing_to_everything,
+    ten_thousand_layers_on_one_ray,
+    early_stop_misses_less_weight_than_it_promises,
+    backward_transmittance_reaches_the_end_of_the_ray,
+}
 
 const LAYERS: usize = 10_000;
 /// What early stop may miss, and the last digit of a coverage of 1.
@@ -26,9 +36,8 @@ fn layered(logit: f32) -> (Model, Camera) {
     (model, in_front((1, 1)))
 }
 
-#[test]
-fn opacity_from_nothing_to_everything_and_beyond() {
-    let mut suite = Suite::default();
+fn opacity_from_nothing_to_everything(device: &Device) {
+    let mut suite = Suite::on(device);
     for compensation in [false, true] {
         for logit in [-1e4, -90.0, -20.0, -5.4, -3.0, 0.0, 4.5, 4.7, 20.0, 90.0, 1e4] {
             let mut model = model(8, 2);
@@ -46,9 +55,8 @@ fn opacity_from_nothing_to_everything_and_beyond() {
     suite.finish();
 }
 
-#[test]
-fn ten_thousand_layers_on_one_ray() {
-    let mut suite = Suite::default();
+fn ten_thousand_layers_on_one_ray(device: &Device) {
+    let mut suite = Suite::on(device);
     // T ends at 1e-8, 1e-175 (below the smallest f32) and 1e-20000.
     for logit in [-5.3, -3.2, 9.0] {
         let (model, camera) = layered(logit);
@@ -70,76 +78,70 @@ fn source(model: &Model) -> AttributeSource<'_> {
     }
 }
 
-#[test]
-fn early_stop_misses_less_weight_than_it_says() {
+/// The model's splats, projected on the GPU.
+fn projected<'r>(raster: &'r mut Raster, gpu: &Gpu, model: &Model, camera: &Camera) -> Projected<'r> {
+    let source = GpuSource::new(&ModelBuffers::upload(gpu, model).unwrap());
+    let camera = CameraUniform::new(&RasterCamera::new(camera, &model.shading));
+    raster.prepare(&camera, &source).unwrap()
+}
+
+/// The accumulated alpha of the only pixel.
+fn coverage(device: &Device, model: &Model, camera: &Camera, early_stop: EarlyStop) -> f32 {
+    let channels = Channels::Full(9);
+    let Device::Gpu(gpu) = device else {
+        let view = RasterCamera::new(camera, &model.shading);
+        return Pass::forward(&source(model), view, channels, early_stop).at(0, 0, COVERAGE);
+    };
+    let mut raster = Raster::new(gpu).unwrap();
+    let mut recorder = gpu.record();
+    let frame = projected(&mut raster, gpu, model, camera).attributes(&mut recorder, channels).unwrap();
+    let frame = frame.blend(&mut recorder, early_stop).unwrap();
+    recorder.submit().unwrap();
+    gpu.read(frame.gbuffer(), 0..1).unwrap()[0][0]
+}
+
+fn early_stop_misses_less_weight_than_it_promises(device: &Device) {
     for logit in [-3.2, 0.0, 9.0] {
         let (model, camera) = layered(logit);
-        let view = View::new(&camera, &model.shading);
-        let pass = |early| Pass::forward(&source(&model), view, Channels::Full(9), early);
-        let (whole, stopped) = (pass(false), pass(true));
-        let missed = whole.at(0, 0, COVERAGE) - stopped.at(0, 0, COVERAGE);
-        assert!((0.0..=MOST_MISSED).contains(&missed), "cpu {logit}: {missed:e}");
+        let [whole, stopped] =
+            [EarlyStop::Never, EarlyStop::WhenSaturated].map(|stop| coverage(device, &model, &camera, stop));
+        let missed = whole - stopped;
+        assert!((0.0..=MOST_MISSED).contains(&missed), "{logit}: {missed:e}");
         assert!(missed > 0.0 || logit > 0.0, "the control: something is missed at {logit}");
-        let Some(gpu) = gpu() else { continue };
-        let on_gpu = |early| {
-            let buffers = ModelBuffers::upload(gpu, &model).unwrap();
-            let mut raster = Raster::new(gpu).unwrap();
-            raster.prepare(&ViewUniform::new(&view), &buffers.layout, &buffers.params).unwrap();
-            let source = AttributeBuffers {
-                params: &buffers.params,
-                globals: &buffers.globals,
-                gathered: None,
-                indirect_basis: None,
-            };
-            let mut recorder = gpu.record();
-            raster.attributes(&mut recorder, Channels::Full(9), &source).unwrap();
-            raster.blend(&mut recorder, Channels::Full(9), early).unwrap();
-            recorder.submit().unwrap();
-            gpu.read(raster.gbuffer.as_ref().unwrap(), 0..1).unwrap()[0][0]
-        };
-        let missed = on_gpu(false) - on_gpu(true);
-        assert!((0.0..=MOST_MISSED).contains(&missed), "gpu {logit}: {missed:e}");
     }
 }
 
-#[test]
-fn backward_transmittance_is_taken_to_the_end_of_the_ray_whatever_stops_early() {
+/// Weighted backward transmittance of each Gaussian, with early stop of the forward pass.
+fn labels(device: &Device, model: &Model, camera: &Camera) -> Vec<f64> {
+    let Device::Gpu(gpu) = device else {
+        let view = RasterCamera::new(camera, &model.shading);
+        let pass = Pass::forward(&source(model), view, Channels::Full(9), EarlyStop::WhenSaturated);
+        let mut found = vec![f64::NAN; LAYERS];
+        for (splat, label) in pass.splats.iter().zip(backward_labels(&pass)) {
+            found[splat.gaussian as usize] = f64::from(label.transmittance);
+        }
+        return found;
+    };
+    let mut raster = Raster::new(gpu).unwrap();
+    let mut recorder = gpu.record();
+    let labels = projected(&mut raster, gpu, model, camera).backward_labels(&mut recorder).unwrap();
+    recorder.submit().unwrap();
+    let found = gpu.read(&labels, 0..LAYERS).unwrap();
+    found.into_iter().map(|[sum, weight]| f64::from(sum) / f64::from(weight)).collect()
+}
+
+fn backward_transmittance_reaches_the_end_of_the_ray(device: &Device) {
     let (model, camera) = layered(-3.2);
     let tape = Tape::new();
-    let options = Options::model(model.shading, Tables::new(ENV.0, ENV.1, TABLES));
-    let pass = forward(&tape, &Scene::from_model(&model), &camera, &options);
+    let options = Options::model(model.shading, TableOperators::new(ENV.0, ENV.1, TABLES));
+    let pass = forward(&tape, &ReferenceModel::from_model(&model), &camera, &options);
     let (label, weight) = losses::backward_labels(&pass.weights);
     let (label, weight) = (label.value(), weight.value());
-    let view = View::new(&camera, &model.shading);
-    let stopped = Pass::forward(&source(&model), view, Channels::Full(9), true);
-    let found = backward_labels(&stopped);
-    let mut by_gaussian = vec![(0.0, 0.0); LAYERS];
-    for (splat, l) in stopped.splats.iter().zip(&found) {
-        by_gaussian[splat.gaussian as usize] = (l.transmittance, l.weight);
-    }
-    let on_gpu = gpu().map(|gpu| {
-        let buffers = ModelBuffers::upload(gpu, &model).unwrap();
-        let mut raster = Raster::new(gpu).unwrap();
-        raster.prepare(&ViewUniform::new(&view), &buffers.layout, &buffers.params).unwrap();
-        let mut recorder = gpu.record();
-        raster.backward_labels(&mut recorder).unwrap();
-        recorder.submit().unwrap();
-        gpu.read(raster.labels.as_ref().unwrap(), 0..LAYERS).unwrap()
-    });
-    let (mut worst, mut worst_on_gpu, mut counted) = (0.0f64, 0.0f64, 0);
-    for (rank, gaussian) in pass.splats.indices.iter().enumerate() {
-        // Labels count from this weight on (docs/MODEL.md section 5).
-        if weight.data()[rank] < 1e-3 {
-            continue;
-        }
-        counted += 1;
-        let expected = label.data()[rank];
-        worst = worst.max((f64::from(by_gaussian[*gaussian].0) - expected).abs());
-        if let Some(labels) = &on_gpu {
-            let [sum, weight] = labels[*gaussian].map(f64::from);
-            worst_on_gpu = worst_on_gpu.max((sum / weight - expected).abs());
-        }
-    }
-    eprintln!("That of {counted} layers: cpu {worst:.1e}, gpu {worst_on_gpu:.1e}");
-    assert!(counted > 50 && worst < 1e-6 && worst_on_gpu < 1e-6, "{counted} {worst:e} {worst_on_gpu:e}");
+    let found = labels(device, &model, &camera);
+    // Labels count from this weight on (docs/MODEL.md section 5).
+    let counted: Vec<usize> = (0..LAYERS).filter(|rank| weight.data()[*rank] >= 1e-3).collect();
+    let error = |rank: &usize| (found[pass.splats.indices[*rank]] - label.data()[*rank]).abs();
+    let worst = counted.iter().map(error).fold(0.0, |worst, e| if e <= worst { worst } else { e });
+    eprintln!("{} layers count, worst error {worst:.1e}", counted.len());
+    assert!(counted.len() > 50 && worst < 1e-6, "{} {worst:e}", counted.len());
 }

@@ -1,12 +1,23 @@
 //! Sizes and shapes of Gaussians, and where they stand.
 
+use relume::engine::Device;
 use relume::scene::Field;
 
-use super::harness::{Suite, TIGHT, in_front, looking_from, model, set};
+use super::harness::{Suite, TIGHT, in_front, looking_from, model, on_each_engine, set};
 
-#[test]
-fn scales_from_a_millionth_to_a_million_of_the_scene() {
-    let mut suite = Suite::default();
+on_each_engine! {
+    scales_from_a_millionth_to_a_million,
+    scales_whose_square_overflows_or_underflows,
+    needles_and_pancakes,
+    a_pancake_seen_edge_on_and_one_seen_flat,
+    a_zero_quaternion_is_the_identity,
+    equal_depths_are_blended_by_index,
+    gaussians_on_the_near_plane_behind_and_at_the_camera,
+    large_gaussians_beside_and_around_the_camera,
+}
+
+fn scales_from_a_millionth_to_a_million(device: &Device) {
+    let mut suite = Suite::on(device);
     for compensation in [false, true] {
         for scale in [1e-6f32, 1e-3, 1.0, 1e3, 1e6] {
             let mut model = model(8, 4);
@@ -21,9 +32,8 @@ fn scales_from_a_millionth_to_a_million_of_the_scene() {
     suite.finish();
 }
 
-#[test]
-fn scales_whose_square_is_no_number_are_not_drawn_or_points() {
-    let mut suite = Suite::default();
+fn scales_whose_square_overflows_or_underflows(device: &Device) {
+    let mut suite = Suite::on(device);
     // A point is as wide as the low-pass; compensation leaves it the weight that it has, none.
     for (log, is_point) in
         [(f32::NEG_INFINITY, true), (-1e30, true), (-60.0, true), (60.0, false), (f32::INFINITY, false)]
@@ -41,9 +51,8 @@ fn scales_whose_square_is_no_number_are_not_drawn_or_points() {
     suite.finish();
 }
 
-#[test]
-fn needles_and_pancakes() {
-    let mut suite = Suite::default();
+fn needles_and_pancakes(device: &Device) {
+    let mut suite = Suite::on(device);
     let shapes: [[f32; 3]; 6] = [
         [1.0, 1e-3, 1e-3],
         [1e2, 1e-3, 1e-3],
@@ -72,9 +81,8 @@ fn needles_and_pancakes() {
     suite.finish();
 }
 
-#[test]
-fn a_pancake_seen_edge_on_and_one_seen_flat() {
-    let mut suite = Suite::default();
+fn a_pancake_seen_edge_on_and_one_seen_flat(device: &Device) {
+    let mut suite = Suite::on(device);
     for compensation in [false, true] {
         let mut model = model(4, 7);
         model.shading.low_pass_compensation = compensation;
@@ -86,9 +94,8 @@ fn a_pancake_seen_edge_on_and_one_seen_flat() {
     suite.finish();
 }
 
-#[test]
-fn a_zero_quaternion_is_the_identity() {
-    let mut suite = Suite::default();
+fn a_zero_quaternion_is_the_identity(device: &Device) {
+    let mut suite = Suite::on(device);
     let mut zero = model(6, 8);
     let mut identity = zero.clone();
     for (i, row) in [[0.0f32; 4], [-0.0; 4], [0.0, -0.0, 0.0, 0.0]].iter().enumerate() {
@@ -114,9 +121,8 @@ fn a_zero_quaternion_is_the_identity() {
     suite.finish();
 }
 
-#[test]
-fn equal_depths_are_blended_by_index() {
-    let mut suite = Suite::default();
+fn equal_depths_are_blended_by_index(device: &Device) {
+    let mut suite = Suite::on(device);
     let mut model = model(8, 9);
     (0..8).for_each(|i| model.gaussians.row_mut(Field::Mean, i)[1] = 0.0);
     model.gaussians.field_mut(Field::OpacityLogit).fill(2.0);
@@ -130,9 +136,8 @@ fn equal_depths_are_blended_by_index() {
     suite.finish();
 }
 
-#[test]
-fn gaussians_on_the_near_plane_behind_and_at_the_camera() {
-    let mut suite = Suite::default();
+fn gaussians_on_the_near_plane_behind_and_at_the_camera(device: &Device) {
+    let mut suite = Suite::on(device);
     let mut model = model(8, 10);
     // Camera at y = -3, near plane at -2.95.
     let means = [
@@ -155,9 +160,8 @@ fn gaussians_on_the_near_plane_behind_and_at_the_camera() {
     suite.finish();
 }
 
-#[test]
-fn large_gaussians_beside_and_around_the_camera() {
-    let mut suite = Suite::default();
+fn large_gaussians_beside_and_around_the_camera(device: &Device) {
+    let mut suite = Suite::on(device);
     let mut model = model(6, 11);
     set(&mut model, Field::Mean, &[[2.0, -2.5, 0.5], [-40.0, 1.0, 3.0], [0.1, -2.6, 0.1]]);
     (0..3).for_each(|i| model.gaussians.row_mut(Field::LogScale, i).copy_from_slice(&[1.5, 1.2, 0.9]));

@@ -1,26 +1,32 @@
 //! None, one and very many: Gaussians, pixels, cameras; and photographs without contrast.
 
-use relume::capture::{Capture, ImageRgba, SyntheticOptions, synthetic};
+use relume::capture::{Capture, SyntheticOptions, synthetic};
 use relume::engine::Device;
-use relume::scene::{Camera, Field};
+use relume::scene::{Camera, Field, ImageRgba};
 use relume::train::{Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
 
 use glam::DVec3;
 
-use super::harness::{BACKGROUND, Suite, TIGHT, in_front, model};
+use super::harness::{BACKGROUND, Suite, TIGHT, in_front, model, on_each_engine};
 
-#[test]
-fn no_gaussian_is_the_background_and_one_is_one() {
-    let mut suite = Suite::default();
+on_each_engine! {
+    no_gaussian_and_one,
+    a_hundred_thousand_gaussians_in_a_few_tiles,
+    images_of_one_pixel_and_of_8192,
+    photographs_all_black_all_white_and_of_one_pixel,
+    two_thousand_photographs,
+}
+
+fn no_gaussian_and_one(device: &Device) {
+    let mut suite = Suite::on(device);
     let nothing = suite.alike("none", &model(0, 40), &in_front((16, 12)), 0.0);
     assert!(nothing.radiance.iter().chain(&nothing.physical).all(|p| *p == BACKGROUND.map(f64::from)));
     suite.check("one", &model(1, 41), &in_front((16, 12)), TIGHT);
     suite.finish();
 }
 
-#[test]
-fn a_hundred_thousand_gaussians_in_a_few_tiles() {
-    let mut suite = Suite::default();
+fn a_hundred_thousand_gaussians_in_a_few_tiles(device: &Device) {
+    let mut suite = Suite::on(device);
     let mut many = model(100_000, 42);
     many.gaussians.field_mut(Field::LogScale).iter_mut().for_each(|s| *s -= 2.5);
     many.gaussians.field_mut(Field::OpacityLogit).iter_mut().for_each(|s| *s -= 3.0);
@@ -29,9 +35,8 @@ fn a_hundred_thousand_gaussians_in_a_few_tiles() {
     suite.finish();
 }
 
-#[test]
-fn images_of_one_pixel_and_of_8192() {
-    let mut suite = Suite::default();
+fn images_of_one_pixel_and_of_8192(device: &Device) {
+    let mut suite = Suite::on(device);
     suite.check("1 x 1", &model(6, 43), &in_front((1, 1)), TIGHT);
     // Strips as long as 8k, 90 degrees from end to end.
     for (size, fov) in [((8192, 1), 2.0 * (0.5f64 / 4096.0).atan()), ((1, 8192), 0.5 * std::f64::consts::PI)]
@@ -59,8 +64,8 @@ fn capture(views: usize) -> Capture {
     capture
 }
 
-/// Trains a little on every device; the last losses.
-fn train(capture: &Capture, steps: usize) -> Vec<f32> {
+/// Trains a little; the last loss.
+fn train(capture: &Capture, steps: usize, device: &Device) -> f32 {
     let overrides = TrainOverrides {
         iterations: Some(40),
         resolution: Some(16),
@@ -70,40 +75,34 @@ fn train(capture: &Capture, steps: usize) -> Vec<f32> {
         probe_directions: Some(8),
         ..TrainOverrides::default()
     };
-    let mut devices = vec![&Device::Cpu];
-    devices.extend(crate::gpu::device());
-    let losses = devices.into_iter().map(|device| {
-        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-        let mut trainer = Trainer::new(capture, config, device).unwrap();
-        let mut loss = f32::NAN;
-        for _ in 0..steps {
-            let report = trainer.step().unwrap();
-            assert_eq!(report.warning, None, "{}: no step may fail", device.name());
-            loss = report.loss;
-        }
-        trainer.model().unwrap().check().unwrap();
-        loss
-    });
-    losses.collect()
+    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    let mut trainer = Trainer::new(capture, config, device).unwrap();
+    let mut loss = f32::NAN;
+    for _ in 0..steps {
+        let report = trainer.step().unwrap();
+        assert_eq!(report.warning, None, "no step may fail");
+        loss = report.loss;
+    }
+    trainer.model().unwrap().check().unwrap();
+    loss
 }
 
-#[test]
-fn photographs_all_black_all_white_and_of_one_pixel_are_trained_on() {
+fn photographs_all_black_all_white_and_of_one_pixel(device: &Device) {
     for colour in [[0.0, 0.0, 0.0, 1.0], [1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]] {
         let mut flat = capture(4);
         flat.train.iter_mut().for_each(|v| v.image.pixels.fill(colour));
-        assert!(train(&flat, 6).iter().all(|l| l.is_finite()), "{colour:?}");
+        assert!(train(&flat, 6, device).is_finite(), "{colour:?}");
     }
     let mut tiny = capture(4);
     for view in &mut tiny.train {
         view.camera = view.camera.resized(1, 1);
         view.image = ImageRgba { width: 1, height: 1, pixels: vec![[0.4, 0.5, 0.6, 1.0]] };
     }
-    assert!(train(&tiny, 6).iter().all(|l| l.is_finite()));
+    assert!(train(&tiny, 6, device).is_finite());
 }
 
 #[test]
-fn one_camera_is_refused_by_number_and_two_thousand_are_trained_on() {
+fn fewer_than_three_photographs_are_refused_by_number() {
     let config = TrainConfig::new(Preset::Draft, &TrainOverrides::default()).unwrap();
     for views in [0, 1, 2] {
         let Err(TrainError::Invalid(reason)) = Trainer::new(&capture(views), config.clone(), &Device::Cpu)
@@ -112,5 +111,8 @@ fn one_camera_is_refused_by_number_and_two_thousand_are_trained_on() {
         };
         assert!(reason.contains("capture") && reason.contains(&views.to_string()), "{reason}");
     }
-    assert!(train(&capture(2000), 3).iter().all(|l| l.is_finite()));
+}
+
+fn two_thousand_photographs(device: &Device) {
+    assert!(train(&capture(2000), 3, device).is_finite());
 }

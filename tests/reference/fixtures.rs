@@ -1,12 +1,12 @@
-//! The values and gradients of the article's own listing, computed in f64, tensor by tensor.
+//! The values and gradients of the article's own listing, computed in f64, tensor by tensor (tests/fixtures/README.md).
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use relume::engine::reference::{
-    Array, LISTING_WEIGHTS, Options, Quadrature, Scene, Tape, Target, fibonacci_sphere, forward, losses,
-    normal_related_sh, objective, parameter_names, real_sh,
+    Array, LISTING_WEIGHTS, Options, Quadrature, ReferenceModel, Tape, Target, fibonacci_sphere, forward,
+    losses, normal_related_sh, objective, parameter_names, real_sh,
 };
 use relume::scene::Camera;
 use safetensors::{Dtype, SafeTensors};
@@ -18,30 +18,28 @@ const FLOOR: f64 = 1e-12;
 
 type Fixture = BTreeMap<String, Array>;
 
-/// A fixture file by name, or None (said aloud) when the fixtures are not there.
-fn fixture(name: &str) -> Option<Fixture> {
-    let folder = std::env::var_os("RELUME_TEST_FIXTURES")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/fixtures"), PathBuf::from);
-    let path = folder.join(name);
-    let Ok(bytes) = std::fs::read(&path) else {
-        eprintln!("SKIPPED: no fixture {}", path.display());
-        return None;
-    };
-    let file = SafeTensors::deserialize(&bytes).unwrap();
-    let array = |(name, tensor): (String, safetensors::tensor::TensorView<'_>)| {
-        let words = tensor.data().as_chunks::<8>().0;
-        let value = |w: &[u8; 8]| match tensor.dtype() {
-            Dtype::I64 => i64::from_le_bytes(*w) as f64,
-            _ => f64::from_le_bytes(*w),
-        };
-        (name, Array::new(tensor.shape(), words.iter().map(value).collect()))
-    };
-    Some(file.tensors().into_iter().map(array).collect())
+/// A file of tests/fixtures.
+fn committed(name: &str) -> Fixture {
+    read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name))
 }
 
-fn scene_of(fixture: &Fixture) -> Scene {
+fn read(path: &Path) -> Fixture {
+    let bytes = std::fs::read(path).unwrap();
+    let file = SafeTensors::deserialize(&bytes).unwrap();
+    let array = |(name, tensor): (String, safetensors::tensor::TensorView<'_>)| {
+        let value = |bytes: &[u8; 8]| match tensor.dtype() {
+            Dtype::I64 => i64::from_le_bytes(*bytes) as f64,
+            _ => f64::from_le_bytes(*bytes),
+        };
+        let values = tensor.data().as_chunks::<8>().0.iter().map(value).collect();
+        (name, Array::new(tensor.shape(), values))
+    };
+    file.tensors().into_iter().map(array).collect()
+}
+
+fn scene_of(fixture: &Fixture) -> ReferenceModel {
     let named = parameter_names().filter_map(|n| Some((n, fixture.get(&format!("param.{n}"))?.clone())));
-    Scene::new(named.collect()).unwrap()
+    ReferenceModel::new(named.collect()).unwrap()
 }
 
 fn camera_of(fixture: &Fixture) -> Camera {
@@ -117,13 +115,12 @@ fn expected(fixture: &Fixture) -> impl Iterator<Item = (&String, &Array)> {
     fixture.iter().filter(move |(name, _)| kinds.iter().any(|k| name.starts_with(k)))
 }
 
-fn matches_fixture(name: &str) {
-    let Some(fixture) = fixture(name) else { return };
-    let ours = computed(&fixture);
+fn matches(fixture: &Fixture) {
+    let ours = computed(fixture);
     let mut failed = Vec::new();
-    for (tensor, theirs) in expected(&fixture) {
+    for (tensor, theirs) in expected(fixture) {
         let worst = worst_error(&ours[tensor], theirs);
-        println!("{name} {tensor:32} worst relative error {worst:.1e}");
+        println!("{tensor:32} worst relative error {worst:.1e}");
         if worst.is_nan() || worst > RELATIVE {
             failed.push(tensor);
         }
@@ -137,22 +134,26 @@ fn matches_fixture(name: &str) {
             assert!(gradient.data().iter().all(|g| *g == 0.0), "{tensor} should be zero");
         }
     }
-    assert!(failed.is_empty(), "{name}: {failed:?}");
+    assert!(failed.is_empty(), "{failed:?}");
 }
 
 #[test]
-fn the_small_fixture_is_matched_tensor_by_tensor() {
-    matches_fixture("reference_small.safetensors");
+fn the_small_scene_is_matched_tensor_by_tensor() {
+    matches(&committed("reference_small.safetensors"));
+}
+
+mod with_data {
+    #[test]
+    #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+    fn the_medium_scene_is_matched_tensor_by_tensor() {
+        let path = crate::requirements::data("../fixtures/reference_medium.safetensors");
+        super::matches(&super::read(&path));
+    }
 }
 
 #[test]
-fn the_medium_fixture_is_matched_tensor_by_tensor() {
-    matches_fixture("reference_medium.safetensors");
-}
-
-#[test]
-fn the_comparison_notices_one_part_in_a_hundred_million() {
-    let Some(mut fixture) = fixture("reference_small.safetensors") else { return };
+fn the_comparison_notices_a_change_of_one_in_ten_million() {
+    let mut fixture = committed("reference_small.safetensors");
     let truth = computed(&fixture);
     let moved = |fixture: &Fixture, tensor: &str| worst_error(&computed(fixture)[tensor], &truth[tensor]);
     assert_eq!(moved(&fixture, "grad_total.means"), 0.0);
@@ -168,7 +169,7 @@ fn the_comparison_notices_one_part_in_a_hundred_million() {
 
 #[test]
 fn the_indirect_directions_are_those_of_the_listing() {
-    let Some(fixture) = fixture("reference_small.safetensors") else { return };
+    let fixture = committed("reference_small.safetensors");
     let worst = worst_error(&fibonacci_sphere(32), &fixture["ind_dirs"]);
     assert!(worst <= RELATIVE, "{worst:e}");
     assert!(worst_error(&fibonacci_sphere(32), &fixture["ind_dirs"].map(|v| v + 1e-8)) > RELATIVE);
@@ -176,7 +177,7 @@ fn the_indirect_directions_are_those_of_the_listing() {
 
 #[test]
 fn spherical_harmonics_match_to_order_six() {
-    let Some(fixture) = fixture("sh.safetensors") else { return };
+    let fixture = committed("sh.safetensors");
     let tape = Tape::new();
     let directions = tape.input(fixture["dirs"].clone());
     let ours = [("sh", real_sh(directions, 6)), ("nrsh", normal_related_sh(directions, 4))];

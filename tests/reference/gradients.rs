@@ -6,8 +6,9 @@
 
 use glam::DVec3;
 use relume::engine::reference::{
-    AlphaLimits, Array, Arrays, ENVIRONMENT, Gathered, Labels, Options, Parameters, Quadrature, Scene,
-    Tables, Tape, Target, Var, forward, objective, occlusion, parameter_names, weighted_sum,
+    AlphaLimits, Array, Arrays, ENVIRONMENT, Gathered, Labels, Options, Parameters, Quadrature,
+    ReferenceModel, TableOperators, Tape, Target, Var, forward, objective, occlusion, parameter_names,
+    weighted_sum,
 };
 use relume::light::TableResolution;
 use relume::scene::{
@@ -28,7 +29,7 @@ fn noise(shape: &[usize], seed: f64, centre: f64, spread: f64) -> Array {
     Array::new(shape, (0..count).map(|i| centre + spread * value(i)).collect())
 }
 
-fn scene() -> Scene {
+fn scene() -> ReferenceModel {
     let n = GAUSSIANS;
     let mut means = noise(&[n, 3], 1.0, 0.0, 0.7);
     // One beyond the image's edge, where the Jacobian's guard band binds, yet wide enough to be seen.
@@ -56,7 +57,7 @@ fn scene() -> Scene {
         ("prototypes", noise(&[3, 3], 13.0, 0.5, 0.3)),
         (ENVIRONMENT, noise(&[ENV.1, ENV.0, 3], 14.0, -1.0, 0.6)),
     ]);
-    Scene::new(arrays).unwrap()
+    ReferenceModel::new(arrays).unwrap()
 }
 
 fn camera() -> Camera {
@@ -87,7 +88,7 @@ fn listing() -> Options {
 }
 
 fn model(shading: ShadingOptions) -> Options {
-    let tables = Tables::new(ENV.0, ENV.1, TableResolution { diffuse: 4, sharp: 5, rough: 3 });
+    let tables = TableOperators::new(ENV.0, ENV.1, TableResolution { diffuse: 4, sharp: 5, rough: 3 });
     let gathered = Gathered {
         irradiance: noise(&[GAUSSIANS, 3], 19.0, 0.3, 0.2),
         radiance: noise(&[GAUSSIANS, 3], 20.0, 0.2, 0.1),
@@ -96,7 +97,7 @@ fn model(shading: ShadingOptions) -> Options {
 }
 
 /// Everything there is, in one number.
-fn everything<'t>(tape: &'t Tape, scene: &Scene, options: &Options) -> (Parameters<'t>, Var<'t>) {
+fn everything<'t>(tape: &'t Tape, scene: &ReferenceModel, options: &Options) -> (Parameters<'t>, Var<'t>) {
     let camera = camera();
     let pass = forward(tape, scene, &camera, options);
     let mut terms = objective(&pass, &camera, &target(), options, &[]);
@@ -108,7 +109,7 @@ fn everything<'t>(tape: &'t Tape, scene: &Scene, options: &Options) -> (Paramete
     (pass.parameters, sum)
 }
 
-fn value(scene: &Scene, options: &Options) -> f64 {
+fn value(scene: &ReferenceModel, options: &Options) -> f64 {
     let tape = Tape::new();
     everything(&tape, scene, options).1.value().data()[0]
 }
@@ -203,7 +204,7 @@ fn directional_light_by_quadrature_has_the_gradients_differences_measure() {
 }
 
 /// A thin, slightly bent wall right before the camera: depths that form a surface.
-fn wall() -> Scene {
+fn wall() -> ReferenceModel {
     let mut scene = scene();
     let mut set = |name: &str, values: Vec<f64>| scene.values_mut(name).unwrap().copy_from_slice(&values);
     let spread = |f: fn(usize) -> [f64; 3]| (0..GAUSSIANS).flat_map(f).collect::<Vec<f64>>();
@@ -217,7 +218,7 @@ fn wall() -> Scene {
 fn the_depth_normal_term_has_the_gradients_differences_measure() {
     let options = model(ShadingOptions::default());
     let camera = Camera::look_at(DVec3::new(0.2, -3.0, 0.3), DVec3::ZERO, DVec3::Z, 0.4, (9, 8)).unwrap();
-    let term = |scene: &Scene| {
+    let term = |scene: &ReferenceModel| {
         let tape = Tape::new();
         let pass = forward(&tape, scene, &camera, &options);
         let term = objective(&pass, &camera, &target(), &options, &[])["depth_normal"];

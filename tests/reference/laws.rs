@@ -1,19 +1,20 @@
-//! Laws that the reference engine's parts obey whatever the scene, and what it says of scenes without one.
+//! Physical and mathematical laws that the reference engine's parts obey in any scene, and its errors.
 
 use std::f64::consts::PI;
 
 use glam::DVec3;
 use relume::engine::reference::{
-    Array, Arrays, ENVIRONMENT, Lighting, Options, Probes, Scene, Tables, Tape, Target, fibonacci_sphere,
-    forward, loss_and_gradients, losses, normal_related_sh, parameter_names, real_sh, render,
+    Array, Arrays, ENVIRONMENT, Lighting, Options, Probes, ReferenceModel, TableOperators, Tape, Target,
+    fibonacci_sphere, forward, loss_and_gradients, losses, normal_related_sh, parameter_names, real_sh,
+    render,
 };
 use relume::light::{EnvOperators, TableResolution, sh_eval};
 use relume::scene::{Camera, DiffuseForm, NormalForm, ShadingOptions, direction_to_uv};
 
 const ENV: (usize, usize) = (32, 16);
 
-fn tables() -> Tables {
-    Tables::new(ENV.0, ENV.1, TableResolution::TRAINING)
+fn tables() -> TableOperators {
+    TableOperators::new(ENV.0, ENV.1, TableResolution::TRAINING)
 }
 
 /// A closed ball of radius 1 made of `count` flat Gaussians with outward normals, all of one material.
@@ -92,7 +93,7 @@ fn full_visibility_means_ambient_occlusion_of_exactly_one() {
         assert!(ao.data().iter().all(|a| (a - 1.0).abs() < 1e-14), "order {order}");
     }
     let frame = render(
-        &Scene::new(ball(300, 0.0, 0.0)).unwrap(),
+        &ReferenceModel::new(ball(300, 0.0, 0.0)).unwrap(),
         &camera_from(DVec3::X * 4.0),
         &options(constant_sky()),
     );
@@ -116,7 +117,7 @@ fn aggregation_is_zero_at_one_hot_and_known_at_uniform() {
 #[test]
 fn a_white_ball_in_a_white_furnace_reflects_what_it_gets_and_never_more() {
     let seen = |metal: f64, rough: f64| {
-        let scene = Scene::new(ball(400, metal, rough)).unwrap();
+        let scene = ReferenceModel::new(ball(400, metal, rough)).unwrap();
         let frame = render(&scene, &camera_from(DVec3::new(2.0, -3.0, 1.5)), &options(constant_sky()));
         let covered = frame["coverage"].data().iter().zip(0..).filter(|(c, _)| **c > 0.99).map(|(_, i)| i);
         let pixels: Vec<usize> = covered.collect();
@@ -140,7 +141,7 @@ fn a_white_ball_in_a_white_furnace_reflects_what_it_gets_and_never_more() {
 
 #[test]
 fn one_bright_texel_lights_the_ball_from_its_own_side() {
-    let scene = Scene::new(ball(400, -40.0, 40.0)).unwrap();
+    let scene = ReferenceModel::new(ball(400, -40.0, 40.0)).unwrap();
     let brightest_normal = |texel: usize, eye: DVec3| {
         let mut radiance = Array::zeros(&[ENV.0 * ENV.1, 3]);
         radiance.data_mut()[3 * texel..][..3].fill(100.0);
@@ -171,7 +172,7 @@ fn the_f64_tables_are_those_of_the_light_module() {
     let theirs = EnvOperators::new(32, 16, 4, TableResolution::TRAINING).apply(&radiance);
     let tape = Tape::new();
     let wide: Vec<f64> = radiance.as_flattened().iter().map(|v| f64::from(*v)).collect();
-    let ours = tables().lit(tape.input(Array::new(&[512, 3], wide)), 4);
+    let ours = tables().under(tape.input(Array::new(&[512, 3], wide)), 4);
     let directions = fibonacci_sphere(60);
     let normals = tape.input(directions.clone());
     let coefficients: Vec<f64> = (0..60 * 25).map(|i| (i as f64 * 0.31).sin()).collect();
@@ -198,8 +199,8 @@ fn the_f64_tables_are_those_of_the_light_module() {
 }
 
 #[test]
-fn what_passes_in_front_at_and_behind_a_layer_is_what_passes_the_ray() {
-    let scene = Scene::new(ball(60, 0.0, 0.0)).unwrap();
+fn transmittances_in_front_at_and_behind_a_layer_multiply_to_that_of_the_ray() {
+    let scene = ReferenceModel::new(ball(60, 0.0, 0.0)).unwrap();
     let tape = Tape::new();
     let pass = forward(&tape, &scene, &camera_from(DVec3::new(1.0, 3.0, 1.0)), &options(constant_sky()));
     let (w, behind) = (pass.weights.weights.value(), pass.weights.backward.value());
@@ -231,7 +232,7 @@ fn a_closed_glowing_ball_hides_the_sky_and_lights_what_is_inside() {
         arrays.insert("means", Array::new(&[shell + 1, 3], means));
         arrays.insert("log_scales", scales);
         let facing = Array::new(&[shell + 1, 3], facing);
-        let probes = Probes::measure(&Scene::new(arrays).unwrap(), &facing, &directions, 1.0);
+        let probes = Probes::measure(&ReferenceModel::new(arrays).unwrap(), &facing, &directions, 1.0);
         let irradiance = probes.gathered_irradiance(&facing, &Array::filled(&[shell + 1, 3], 1.0));
         let seen = probes.transmittance.row(shell).iter().sum::<f64>() / 96.0;
         (seen, irradiance.row(shell)[0], probes.coefficients(2).row(shell)[0])
@@ -259,7 +260,7 @@ fn a_wall_hides_what_is_behind_it_and_nothing_else() {
     arrays.insert("log_scales", scales);
     let directions = fibonacci_sphere(200);
     let normals = Array::from_rows(&vec![[0.0, 0.0, 1.0]; count]);
-    let probes = Probes::measure(&Scene::new(arrays).unwrap(), &normals, &directions, 1.0);
+    let probes = Probes::measure(&ReferenceModel::new(arrays).unwrap(), &normals, &directions, 1.0);
     for (d, t) in (0..200).map(|k| (directions.row(k), probes.transmittance.row(0)[k])) {
         match d[0] {
             x if x > 0.7 => assert!(t < 0.05, "{d:?} {t}"),
@@ -274,8 +275,8 @@ fn a_wall_hides_what_is_behind_it_and_nothing_else() {
 }
 
 #[test]
-fn nothing_renders_as_background_and_has_no_gradient() {
-    let scene = Scene::new(ball(0, 0.0, 0.0)).unwrap();
+fn a_scene_without_gaussians_is_background_without_gradients() {
+    let scene = ReferenceModel::new(ball(0, 0.0, 0.0)).unwrap();
     let options = Options { background: [0.1, 0.2, 0.3], ..options(constant_sky()) };
     let frame = render(&scene, &camera_from(DVec3::X * 4.0), &options);
     assert!(frame["image"].data().chunks(3).all(|p| p == [0.1, 0.2, 0.3]));
@@ -292,7 +293,7 @@ fn outputs_and_gradients_stay_finite_at_the_extremes() {
     let target = Target::from(Array::filled(&[17, 17, 3], 0.5));
     let weights =
         [("img_mae", 1.0), ("img_dssim", 1.0), ("radiance_mae", 1.0), ("depth_normal", 1.0), ("occ", 1.0)];
-    let tables = Tables::new(ENV.0, ENV.1, TableResolution { diffuse: 3, sharp: 5, rough: 3 });
+    let tables = TableOperators::new(ENV.0, ENV.1, TableResolution { diffuse: 3, sharp: 5, rough: 3 });
     let extremes: [(&str, f64); 14] = [
         ("opacity_logit", 800.0),
         ("opacity_logit", -800.0),
@@ -314,7 +315,7 @@ fn outputs_and_gradients_stay_finite_at_the_extremes() {
             let mut arrays = ball(20, 0.0, 0.0);
             let shape = arrays[name].shape().to_vec();
             arrays.insert(name, Array::filled(&shape, value));
-            let scene = Scene::new(arrays).unwrap();
+            let scene = ReferenceModel::new(arrays).unwrap();
             let shading = ShadingOptions {
                 diffuse: form,
                 normal: NormalForm::Free,
@@ -342,16 +343,16 @@ fn a_missing_or_misshapen_parameter_is_named() {
     for name in parameter_names().filter(|n| !["radiance_sh", "sheen"].contains(n)) {
         let mut arrays = ball(3, 0.0, 0.0);
         arrays.remove(name);
-        assert_eq!(Scene::new(arrays).unwrap_err().name, if name == "means" { "means" } else { name });
+        assert_eq!(ReferenceModel::new(arrays).unwrap_err().name, name);
         let mut arrays = ball(3, 0.0, 0.0);
         arrays.insert(name, Array::zeros(&[4, 2, 2]));
-        assert!(Scene::new(arrays).is_err(), "{name}");
+        assert!(ReferenceModel::new(arrays).is_err(), "{name}");
     }
 }
 
 #[test]
 fn relighting_replaces_the_scenes_own_environment() {
-    let scene = Scene::new(ball(100, 0.0, 0.0)).unwrap();
+    let scene = ReferenceModel::new(ball(100, 0.0, 0.0)).unwrap();
     let eye = camera_from(DVec3::X * 4.0);
     let own = options(constant_sky());
     let same = Options { environment: Some(Array::filled(&[512, 3], 2f64.ln())), ..own.clone() };

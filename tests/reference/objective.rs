@@ -1,12 +1,15 @@
 //! The objective of the trainer, f32 with gradients by hand, against the reference's terms.
 
 use glam::DVec3;
-use relume::engine::channel::Channels;
-use relume::engine::cpu::{AttributeSource, BranchImages, BufferGradient, Pass, Shader, View};
-use relume::engine::reference::{Array, Arrays, Options, Scene, Tables, Tape, Target, forward, objective};
+use relume::engine::reference::{
+    Array, Arrays, Options, ReferenceModel, TableOperators, Tape, Target, forward, objective,
+};
+use relume::engine::{
+    Branches, ImageWeights, LightWeights, ParameterWeights, Photo, PhotoId, PhotoSize, Step, StepCounts,
+    StepSizes, StepWeights, SurfaceWeights, TrainState, cpu,
+};
 use relume::light::{EnvOperators, TableResolution};
-use relume::scene::{Camera, Field, Model, ShadingOptions, softplus, texel_directions};
-use relume::train::objective::{aggregation, geometry, image, material};
+use relume::scene::{Camera, Field, Model, ShadingOptions};
 
 use super::parity::{BACKGROUND, GAUSSIANS, Noise, SIZE, as_arrays, camera, distance, model, wide};
 
@@ -55,39 +58,30 @@ fn facing_the_wall() -> Camera {
     Camera::look_at(DVec3::new(0.3, -3.0, 0.4), DVec3::ZERO, DVec3::Z, 0.5, SIZE).unwrap()
 }
 
-struct Photograph {
-    pixels: Vec<[f32; 3]>,
-    alpha: Vec<f32>,
-    probes: Vec<f32>,
+/// A photograph of noise, and probe labels of noise.
+fn photograph(camera: &Camera, seed: u64) -> (Photo, Vec<f32>) {
+    let mut noise = Noise(seed);
+    let count = (SIZE.0 * SIZE.1) as usize;
+    let mut unit = || 0.5 + 0.5 * noise.next();
+    let pixels = (0..count).map(|_| [unit(), unit(), unit()]).collect();
+    let alpha = (0..count).map(|_| unit()).collect();
+    (Photo { camera: *camera, pixels, alpha }, (0..GAUSSIANS * 25).map(|_| unit()).collect())
 }
 
-impl Photograph {
-    fn new(seed: u64) -> Self {
-        let mut noise = Noise(seed);
-        let count = (SIZE.0 * SIZE.1) as usize;
-        let mut unit = || 0.5 + 0.5 * noise.next();
-        Self {
-            pixels: (0..count).map(|_| [unit(), unit(), unit()]).collect(),
-            alpha: (0..count).map(|_| unit()).collect(),
-            probes: (0..GAUSSIANS * 25).map(|_| unit()).collect(),
-        }
-    }
-}
-
-fn by_reference(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Arrays) {
+fn by_reference(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
     let tape = Tape::new();
-    let tables = Tables::new(32, 16, TableResolution::TRAINING);
+    let tables = TableOperators::new(32, 16, TableResolution::TRAINING);
     let options = Options { background: BACKGROUND.map(f64::from), ..Options::model(model.shading, tables) };
-    let pass = forward(&tape, &Scene::from_model(model), camera, &options);
+    let pass = forward(&tape, &ReferenceModel::from_model(model), &photo.camera, &options);
     let [width, height] = [SIZE.0, SIZE.1].map(|n| n as usize);
     let floats = |v: &[f32]| v.iter().map(|v| f64::from(*v)).collect();
     let target = Target {
         image: wide(&photo.pixels).reshaped(&[height, width, 3]),
         coverage: Some(Array::new(&[height, width, 1], floats(&photo.alpha))),
-        probes: Some(Array::new(&[GAUSSIANS, 25], floats(&photo.probes))),
+        probes: Some(Array::new(&[GAUSSIANS, 25], floats(probes))),
     };
     let weights: Vec<_> = WEIGHTS.into_iter().chain([("probes", PROBES)]).collect();
-    let terms = objective(&pass, camera, &target, &options, &weights);
+    let terms = objective(&pass, &photo.camera, &target, &options, &weights);
     for (name, term) in &terms {
         let value = term.value().data()[0];
         println!("{name:14} {value:.6}");
@@ -97,73 +91,51 @@ fn by_reference(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Arr
     (total.value().data()[0], pass.parameters.gradients(&tape.gradients(total)))
 }
 
-fn by_trainer(model: &Model, camera: &Camera, photo: &Photograph) -> (f64, Arrays) {
+fn by_trainer(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
     let operators = EnvOperators::new(32, 16, 4, TableResolution::TRAINING);
-    let radiance: Vec<[f32; 3]> = model.env_raw.iter().map(|t| t.map(softplus)).collect();
-    let tables = operators.apply(&radiance);
-    let source = AttributeSource {
-        gaussians: &model.gaussians,
-        prototypes: &model.prototypes,
-        options: &model.shading,
-        gathered: &[],
-        indirect_basis: &[[0.0; 3]; 16],
-        light: None,
+    let state = TrainState { labels: probes.to_vec(), ..TrainState::new(model.clone()) };
+    let image = |l1, ssim| ImageWeights { l1: weight(l1), ssim: weight(ssim) };
+    let weights = StepWeights {
+        physical: image("img_mae", "img_dssim"),
+        radiance: image("radiance_mae", "radiance_dssim"),
+        surface: SurfaceWeights {
+            coverage: weight("coverage"),
+            depth_normal: weight("depth_normal"),
+            smoothness: ["smooth_metal", "smooth_rough", "smooth_normal"].map(weight),
+        },
+        light: LightWeights {
+            neutrality: weight("light"),
+            exposure: weight("exposure"),
+            daylight: weight("daylight"),
+        },
+        parameters: ParameterWeights {
+            aggregation: weight("agg"),
+            residual: weight("res"),
+            flatness: weight("flatness"),
+            probe_labels: PROBES as f32,
+            view_labels: weight("occ"),
+        },
     };
-    let shader = Shader { tables: &tables, options: &model.shading, order: 4 };
-    let source = source.under(shader);
-    let channels = Channels::Full(25);
-    let count = channels.count();
-    let pass = Pass::forward(&source, View::new(camera, &model.shading), channels, false);
-    let images = shader.images(&pass, BACKGROUND);
-    let target = image::Target::new(SIZE.0 as usize, SIZE.1 as usize, photo.pixels.clone());
-    let physical = target.compare(&images.physical, weight("img_mae"), weight("img_dssim"));
-    let branch = target.compare(&images.radiance, weight("radiance_mae"), weight("radiance_dssim"));
-    let mut buffers = vec![BufferGradient::default(); photo.pixels.len()];
-    let mut total = weight("img_mae") * physical.mae + weight("img_dssim") * (1.0 - physical.ssim);
-    total += weight("radiance_mae") * branch.mae + weight("radiance_dssim") * (1.0 - branch.ssim);
-    total += geometry::depth_normal(&pass, weight("depth_normal"), &mut buffers);
-    let smooth = ["smooth_metal", "smooth_rough", "smooth_normal"].map(weight);
-    total += geometry::smoothness(&pass, &photo.pixels, smooth, &mut buffers);
-    total += geometry::coverage(&pass, &photo.alpha, weight("coverage"), &mut buffers);
-
-    let by = BranchImages { physical: physical.gradient, radiance: branch.gradient };
-    let (by_gbuffer, mut by_tables) = shader.images_backward(&pass, BACKGROUND, &by, &buffers, count);
-    let stored = count.next_multiple_of(4);
-    let mut found = pass.backward(&source, &by_gbuffer, stored, count, Some(&mut by_tables));
-    let (neutrality, by_neutrality) = material::light_neutrality(&radiance, weight("light"));
-    let texels = texel_directions(32, 16);
-    let (exposure, by_exposure) = material::exposure(&radiance, &texels, weight("exposure"));
-    let (daylight, by_daylight) = material::daylight(&radiance, &texels, weight("daylight"));
-    total += neutrality + exposure + daylight;
-    total += material::backward_labels(
-        &model.gaussians,
-        &pass,
-        model.shading.visibility,
-        weight("occ"),
-        &mut found,
-    );
-    total += material::flatness(&model.gaussians, weight("flatness"), &mut found);
-    total += aggregation::aggregation(&model.gaussians, weight("agg"), &mut found);
-    total += material::residual(&model.gaussians, weight("res"), &mut found);
-    total += material::probe_labels(&model.gaussians, &photo.probes, PROBES as f32, &mut found);
-
-    let by_radiance = operators.apply_transposed(&by_tables);
-    let by_raw: Vec<[f32; 3]> = (0..radiance.len())
-        .map(|t| {
-            let slope = model.env_raw[t].map(|raw| 1.0 / (1.0 + (-raw).exp()));
-            let terms = [by_radiance[t], by_neutrality[t], by_exposure[t], by_daylight[t]];
-            std::array::from_fn(|c| terms.iter().map(|term| term[c]).sum::<f32>() * slope[c])
-        })
-        .collect();
-    (total.into(), as_arrays(model, &found, &by_raw))
+    let step = Step {
+        photo,
+        photo_id: PhotoId { index: 0, size: PhotoSize::Full },
+        background: BACKGROUND,
+        branches: Branches::BothWithVisibility,
+        weights,
+        sizes: StepSizes::default(),
+        counts: StepCounts { geometry: 1, material: 1 },
+    };
+    let found = cpu::objective(&step, &state, &operators);
+    let by_raw = found.gradients.env_raw.clone();
+    (found.loss.into(), as_arrays(model, &found.gradients, &by_raw))
 }
 
 #[test]
 fn the_trainers_objective_and_its_gradient_are_the_references() {
-    let photo = Photograph::new(3);
-    let (wall, eye) = (wall(), facing_the_wall());
-    let (value, reference) = by_reference(&wall, &eye, &photo);
-    let (ours, gradients) = by_trainer(&wall, &eye, &photo);
+    let (wall, camera_of_wall) = (wall(), facing_the_wall());
+    let (photo, probes) = photograph(&camera_of_wall, 3);
+    let (value, reference) = by_reference(&wall, &photo, &probes);
+    let (ours, gradients) = by_trainer(&wall, &photo, &probes);
     assert!((ours / value - 1.0).abs() < 1e-5, "{ours} {value}");
     for (parameter, theirs) in &reference {
         let worst = distance(&gradients[parameter], theirs);
@@ -171,6 +143,6 @@ fn the_trainers_objective_and_its_gradient_are_the_references() {
         assert!(worst < 1e-3, "{parameter}: {worst:e}");
     }
     // And the comparison can fail: another view has another gradient.
-    let (_, other) = by_trainer(&wall, &camera(2), &photo);
+    let (_, other) = by_trainer(&wall, &Photo { camera: camera(2), ..photo }, &probes);
     assert!(distance(&other["means"], &reference["means"]) > 0.1);
 }

@@ -1,16 +1,16 @@
 //! The f32 CPU engine and the f64 reference are the same function, and so are their gradients.
 
+use std::sync::LazyLock;
+
 use glam::DVec3;
-use relume::engine::Gradients;
-use relume::engine::channel::Channels;
-use relume::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, Shader, View};
-use relume::engine::reference::{
-    Array, Arrays, ENVIRONMENT, Gathered, Options, PROTOTYPES, Probes, Scene, Tables, Tape, Var, forward,
-};
-use relume::light::{EnvOperators, TableResolution};
+use relume::engine::cpu::{self, AttributeSource};
+use relume::engine::parity::{LightShape, ParityCase, ParityResult, by_cpu, by_reference, relative_error};
+use relume::engine::reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES, Probes, ReferenceModel};
+use relume::engine::{Gradients, ProbeSettings, fibonacci_sphere};
+use relume::light::TableResolution;
 use relume::scene::{
     Camera, DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions,
-    VisibilityForm, softplus,
+    VisibilityForm,
 };
 
 pub(super) const GAUSSIANS: usize = 40;
@@ -20,6 +20,8 @@ pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
 const TOLERANCE_VALUE: f64 = 1e-5;
 /// Relative to the largest gradient of a parameter; measured 1e-5.
 const TOLERANCE_GRADIENT: f64 = 1e-4;
+
+static LIGHT: LazyLock<LightShape> = LazyLock::new(|| LightShape::new(32, 16, 4, TableResolution::TRAINING));
 
 /// A reproducible stream of numbers in [-1, 1).
 pub(super) struct Noise(pub(super) u64);
@@ -75,40 +77,6 @@ pub(super) fn model(seed: u64, shading: ShadingOptions) -> Model {
     }
 }
 
-/// What both engines are asked for: images, and the gradient of a fixed linear functional of them.
-struct Answer {
-    physical: Array,
-    radiance: Array,
-    gradients: Arrays,
-}
-
-/// The functional: weights of both images' pixels and of the normal, plane and metalness buffers.
-struct Functional {
-    physical: Vec<[f32; 3]>,
-    radiance: Vec<[f32; 3]>,
-    buffers: Vec<BufferGradient>,
-}
-
-impl Functional {
-    fn new(seed: u64) -> Self {
-        let mut noise = Noise(seed ^ 0x5eed);
-        let pixels = (SIZE.0 * SIZE.1) as usize;
-        let triples =
-            |noise: &mut Noise| (0..pixels).map(|_| [noise.next(), noise.next(), noise.next()]).collect();
-        let physical = triples(&mut noise);
-        let radiance = triples(&mut noise);
-        let normals: Vec<[f32; 3]> = triples(&mut noise);
-        let buffers = normals.into_iter().map(|normal| BufferGradient {
-            normal,
-            plane: noise.next(),
-            metal: noise.next(),
-            rough: noise.next(),
-            coverage: noise.next(),
-        });
-        Self { physical, radiance, buffers: buffers.collect() }
-    }
-}
-
 pub(super) fn wide<const W: usize>(rows: &[[f32; W]]) -> Array {
     Array::from_rows(&rows.iter().map(|r| r.map(f64::from)).collect::<Vec<_>>())
 }
@@ -118,74 +86,12 @@ fn gathered_light(seed: u64) -> Vec<[f32; 6]> {
     (0..GAUSSIANS).map(|_| std::array::from_fn(|_| 0.2 + 0.1 * noise.next())).collect()
 }
 
-fn weigh<'t>(values: Var<'t>, weights: Array) -> Var<'t> {
-    (values * values.tape().input(weights)).sum()
-}
-
-fn by_reference(model: &Model, camera: &Camera, gathered: &[[f32; 6]], functional: &Functional) -> Answer {
-    let half = |from: usize| -> Vec<[f32; 3]> {
-        gathered.iter().map(|g| std::array::from_fn(|c| g[from + c])).collect()
-    };
-    let tables = Tables::new(32, 16, TableResolution::TRAINING);
-    let options = Options {
-        background: BACKGROUND.map(f64::from),
-        gathered: Some(Gathered { irradiance: wide(&half(0)), radiance: wide(&half(3)) }),
-        ..Options::model(model.shading, tables)
-    };
-    let tape = Tape::new();
-    let pass = forward(&tape, &Scene::from_model(model), camera, &options);
-    let buffer =
-        |f: fn(&BufferGradient) -> f32| wide(&functional.buffers.iter().map(|b| [f(b)]).collect::<Vec<_>>());
-    let normals: Vec<[f32; 3]> = functional.buffers.iter().map(|b| b.normal).collect();
-    let b = &pass.buffer;
-    let sum = weigh(pass.image, wide(&functional.physical))
-        + weigh(pass.radiance_image, wide(&functional.radiance))
-        + weigh(b.normal * b.coverage, wide(&normals))
-        + weigh(b.plane * b.coverage, buffer(|b| b.plane))
-        + weigh(b.metal * b.coverage, buffer(|b| b.metal))
-        + weigh(b.rough * b.coverage, buffer(|b| b.rough))
-        + weigh(b.coverage, buffer(|b| b.coverage));
-    Answer {
-        physical: (*pass.image.value()).clone(),
-        radiance: (*pass.radiance_image.value()).clone(),
-        gradients: pass.parameters.gradients(&tape.gradients(sum)),
-    }
-}
-
-fn by_cpu(model: &Model, camera: &Camera, gathered: &[[f32; 6]], functional: &Functional) -> Answer {
-    let operators = EnvOperators::new(32, 16, 4, TableResolution::TRAINING);
-    let radiance: Vec<[f32; 3]> = model.env_raw.iter().map(|t| t.map(softplus)).collect();
-    let tables = operators.apply(&radiance);
-    let source = AttributeSource {
-        gaussians: &model.gaussians,
-        prototypes: &model.prototypes,
-        options: &model.shading,
-        gathered,
-        indirect_basis: &cpu::indirect_basis(&tables),
-        light: None,
-    };
-    let shader = Shader { tables: &tables, options: &model.shading, order: 4 };
-    let source = source.under(shader);
-    let channels = Channels::Full(25);
-    let pass = Pass::forward(&source, View::new(camera, &model.shading), channels, false);
-    let images = shader.images(&pass, BACKGROUND);
-    let by = BranchImages { physical: functional.physical.clone(), radiance: functional.radiance.clone() };
-    let count = channels.count();
-    let (by_gbuffer, mut by_tables) =
-        shader.images_backward(&pass, BACKGROUND, &by, &functional.buffers, count);
-    let stored = count.next_multiple_of(4);
-    let found = pass.backward(&source, &by_gbuffer, stored, count, Some(&mut by_tables));
-    let by_radiance = operators.apply_transposed(&by_tables);
-    let by_raw: Vec<[f32; 3]> = by_radiance
-        .iter()
-        .zip(&model.env_raw)
-        .map(|(g, raw)| std::array::from_fn(|c| g[c] / (1.0 + (-raw[c]).exp())))
-        .collect();
-    Answer {
-        physical: wide(&images.physical),
-        radiance: wide(&images.radiance),
-        gradients: as_arrays(model, &found, &by_raw),
-    }
+/// The case `seed`, answered by both engines: the CPU engine's answer, the reference's.
+fn answers(model: &Model, seed: u64) -> [ParityResult; 2] {
+    let (camera, gathered) = (camera(seed), gathered_light(seed));
+    let question =
+        ParityCase { gathered: &gathered, ..ParityCase::new(model, &camera, BACKGROUND, &LIGHT, seed) };
+    [by_cpu(&question), by_reference(&question)]
 }
 
 /// The CPU engine's gradients under the reference's names.
@@ -211,15 +117,15 @@ pub(super) fn camera(seed: u64) -> Camera {
     Camera::look_at(DVec3::new(3.0 * cosine, 3.0 * sine, 1.0), DVec3::ZERO, DVec3::Z, 0.6, SIZE).unwrap()
 }
 
+fn image_error(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
+    relative_error(a.as_flattened(), b.as_flattened())
+}
+
 fn engines_agree(name: &str, shading: ShadingOptions) {
     for seed in 1..=4 {
-        let (model, camera, gathered) = (model(seed, shading), camera(seed), gathered_light(seed));
-        let functional = Functional::new(seed);
-        let reference = by_reference(&model, &camera, &gathered, &functional);
-        let cpu = by_cpu(&model, &camera, &gathered, &functional);
+        let [cpu, reference] = answers(&model(seed, shading), seed);
         let images = [(&cpu.physical, &reference.physical), (&cpu.radiance, &reference.radiance)];
-        for (ours, theirs) in images {
-            let worst = distance(ours, theirs);
+        for worst in images.map(|(ours, theirs)| image_error(ours, theirs)) {
             println!("{name} {seed} image {worst:.1e}");
             assert!(worst < TOLERANCE_VALUE, "{name} {seed}: {worst:e}");
         }
@@ -232,8 +138,8 @@ fn engines_agree(name: &str, shading: ShadingOptions) {
 }
 
 /// One sigma of offset and of clearance, as the reference has it.
-const PLAIN: cpu::ProbeSettings =
-    cpu::ProbeSettings { offset: 1.0, lift: 0.0, clearance: 1.0, bias: 0.0, reach: f32::INFINITY };
+const PLAIN: ProbeSettings =
+    ProbeSettings { offset: 1.0, lift: 0.0, clearance: 1.0, bias: 0.0, reach: f32::INFINITY };
 
 #[test]
 fn the_cpu_engine_is_the_reference_in_the_default_form() {
@@ -261,17 +167,6 @@ fn the_cpu_engine_is_the_reference_with_ambient_occlusion_at_the_gaussians() {
 }
 
 #[test]
-fn where_surfaces_are_shaded_makes_a_difference() {
-    let at = |shade_at| {
-        let shading = ShadingOptions { shade_at, ..ShadingOptions::default() };
-        let light = gathered_light(1);
-        by_cpu(&model(1, shading), &camera(1), &light, &Functional::new(1)).physical
-    };
-    let difference = distance(&at(ShadeAt::Pixel), &at(ShadeAt::Gaussian));
-    assert!(difference > 10.0 * TOLERANCE_VALUE, "{difference:e}");
-}
-
-#[test]
 fn the_cpu_engine_is_the_reference_in_the_article_form_on_tables() {
     let shading = ShadingOptions {
         visibility: VisibilityForm::Sigmoid,
@@ -296,7 +191,7 @@ fn the_cpu_engine_is_the_reference_without_visibility() {
 }
 
 #[test]
-fn the_cpu_engines_probes_see_what_the_references_see() {
+fn probes_of_the_cpu_engine_are_those_of_the_reference() {
     let model = model(6, ShadingOptions::default());
     let source = AttributeSource {
         gaussians: &model.gaussians,
@@ -306,10 +201,10 @@ fn the_cpu_engines_probes_see_what_the_references_see() {
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     };
-    let directions = cpu::fibonacci_sphere(48);
+    let directions = fibonacci_sphere(48);
     let normals = cpu::outward_normals(&source);
     let ours = cpu::Probes::measure(&source, directions.clone(), PLAIN);
-    let scene = Scene::from_model(&model);
+    let scene = ReferenceModel::from_model(&model);
     let measure = |normals: &[[f32; 3]]| Probes::measure(&scene, &wide(normals), &wide(&directions), 1.0);
     let reference = measure(&normals);
     // The CPU engine calls a transmittance below 1e-3 opaque.
@@ -331,18 +226,17 @@ fn the_cpu_engines_probes_see_what_the_references_see() {
 }
 
 #[test]
-fn the_comparison_of_engines_notices_another_model() {
-    let (camera, gathered, functional) = (camera(1), gathered_light(1), Functional::new(1));
-    let reference = by_reference(&model(1, ShadingOptions::default()), &camera, &gathered, &functional);
-    let mut other = model(1, ShadingOptions::default());
-    other.gaussians.field_mut(Field::RoughLogit).iter_mut().for_each(|r| *r += 0.05);
-    let cpu = by_cpu(&other, &camera, &gathered, &functional);
-    assert!(distance(&cpu.physical, &reference.physical) > TOLERANCE_VALUE);
-    assert!(
-        distance(&cpu.gradients["normals_raw"], &reference.gradients["normals_raw"]) > TOLERANCE_GRADIENT
-    );
-    assert!(
-        distance(&cpu.radiance, &reference.radiance) < TOLERANCE_VALUE,
-        "the radiance branch has no roughness"
-    );
+fn the_comparison_notices_another_model_and_another_place_of_shading() {
+    let [cpu, reference] = answers(&model(1, ShadingOptions::default()), 1);
+    let mut rougher = model(1, ShadingOptions::default());
+    rougher.gaussians.field_mut(Field::RoughLogit).iter_mut().for_each(|r| *r += 0.05);
+    let [rougher, _] = answers(&rougher, 1);
+    assert!(image_error(&rougher.physical, &reference.physical) > TOLERANCE_VALUE);
+    let normals = |answer: &ParityResult| answer.gradients["normals_raw"].clone();
+    assert!(distance(&normals(&rougher), &normals(&reference)) > TOLERANCE_GRADIENT);
+    let radiance = image_error(&rougher.radiance, &reference.radiance);
+    assert!(radiance < TOLERANCE_VALUE, "the radiance branch has no roughness");
+    let deferred = ShadingOptions { shade_at: ShadeAt::Pixel, ..ShadingOptions::default() };
+    let [deferred, _] = answers(&model(1, deferred), 1);
+    assert!(image_error(&deferred.physical, &cpu.physical) > 10.0 * TOLERANCE_VALUE);
 }

@@ -1,6 +1,4 @@
-//! The synthetic capture: a known scene, exact images and exact answers, generated in code.
-//!
-//! For demos and for other people's tests: nothing is downloaded, and every number can be checked.
+//! The synthetic capture: path-traced images of an analytic scene with exact ground truth, for demos and tests.
 
 mod scene;
 mod shading;
@@ -9,28 +7,26 @@ mod tracer;
 
 use std::collections::BTreeMap;
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
-use crate::capture::{
-    Capture, CaptureError, CaptureView, GroundTruthView, ImageRgba, Plane, Scene3dBounds, builtin,
-};
+use self::scene::AnalyticScene;
+pub use self::scene::SyntheticScene;
+use self::tracer::{AmbientOcclusion, Pixel, Tracer};
+use crate::capture::{Capture, CaptureError, CaptureView, GroundTruthView, Scene3dBounds, builtin};
 use crate::formats::srgb;
-use crate::scene::{Camera, EnvMap};
-use scene::Scene;
-pub use scene::SyntheticScene;
-use tracer::{Pixel, Tracer};
+use crate::scene::{Camera, EnvMap, ImageRgba, Plane};
 
 /// Radius of the ball around the origin that holds the scene.
 const SCENE_RADIUS: f64 = 1.2;
 /// Distance of every camera from the origin.
 const CAMERA_DISTANCE: f64 = 3.6;
-/// Full field of view, radians: the ball just fits.
+/// Full field of view, radians; the ball just fits into it.
 const FIELD_OF_VIEW: f64 = 0.691_111_2;
 
-/// What to generate.
+/// Options of [`synthetic`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct SyntheticOptions {
-    /// What is photographed.
+    /// The scene in the images.
     pub scene: SyntheticScene,
     /// Training views, at least 3.
     pub train_views: usize,
@@ -42,7 +38,7 @@ pub struct SyntheticOptions {
     pub train_light: EnvMap,
     /// Lights of the relit truth, by name.
     pub relit: BTreeMap<String, EnvMap>,
-    /// Light paths a pixel, 4 to 65,536; the noise falls with its square root.
+    /// Light paths per pixel, 4 to 65,536; the noise is inversely proportional to its square root.
     pub paths: u32,
     /// Seed of the noise.
     pub seed: u64,
@@ -65,44 +61,37 @@ impl Default for SyntheticOptions {
     }
 }
 
-/// Renders the synthetic capture: by default some spheres, a block and a drum of different materials on a chequered table.
+/// Renders the synthetic capture: by default spheres, a box and a cylinder of different materials on a chequered
+/// table.
 ///
-/// World +Z is up; the scene lies within 1.2 units of the origin; cameras stand on the upper hemisphere 3.6
-/// units away. Two bounces of indirect light. The same options give the same bytes on any number of threads.
+/// World +Z is up; the scene lies within 1.2 units of the origin; camera centres are 3.6 units from it on the
+/// upper hemisphere. Two bounces of indirect light. The same options give the same bytes on any number of threads.
 ///
 /// # Errors
 /// [`CaptureError::Field`] names the option that is out of range.
 pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
     check(options)?;
-    let train_tracer = Tracer::new(
-        Scene::new(options.scene),
-        vec![options.train_light.clone()],
-        options.paths,
-        options.seed,
-        false,
-    );
-    let mut all = vec![options.train_light.clone()];
-    all.extend(options.relit.values().cloned());
-    let test_tracer = Tracer::new(Scene::new(options.scene), all, options.paths, options.seed, true);
+    let tracer = |lights, ambient_occlusion| {
+        let scene = AnalyticScene::new(options.scene);
+        Tracer::new(scene, lights, options.paths, options.seed, ambient_occlusion)
+    };
+    let train_tracer = tracer(vec![options.train_light.clone()], AmbientOcclusion::Off);
+    let mut lights = vec![options.train_light.clone()];
+    lights.extend(options.relit.values().cloned());
+    let test_tracer = tracer(lights, AmbientOcclusion::On);
     let mut train = Vec::new();
     for i in 0..options.train_views {
         let camera = camera(spiral(i, options.train_views, 0.0), options.size)?;
-        let pixels = train_tracer.render(&camera, i as u64);
+        let image = image(&camera, &train_tracer.render(&camera, i as u64), 0);
         let name = format!("train_{i:03}/rgba.png");
-        train.push(CaptureView {
-            name,
-            camera,
-            image: image(&camera, &pixels, 0),
-            truth: Default::default(),
-        });
+        train.push(CaptureView { name, camera, image, truth: GroundTruthView::default() });
     }
     let mut test = Vec::new();
     for i in 0..options.test_views {
         let camera = camera(spiral(i, options.test_views, 1.1), options.size)?;
         let pixels = test_tracer.render(&camera, (1 << 32) + i as u64);
-        let truth = truth(&camera, &pixels, options);
-        let name = format!("test_{i:03}/rgba.png");
-        test.push(CaptureView { name, camera, image: image(&camera, &pixels, 0), truth });
+        let (image, truth) = (image(&camera, &pixels, 0), truth(&camera, &pixels, options));
+        test.push(CaptureView { name: format!("test_{i:03}/rgba.png"), camera, image, truth });
     }
     Ok(Capture {
         layout: "synthetic".to_owned(),
@@ -118,9 +107,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
 }
 
 fn check(options: &SyntheticOptions) -> Result<(), CaptureError> {
-    let refuse = |field: &str, reason: &str| {
-        Err(CaptureError::Field { file: "synthetic".into(), field: field.into(), reason: reason.into() })
-    };
+    let refuse = |field: &str, reason: &str| Err(CaptureError::at_field("synthetic", field, reason));
     if options.train_views < 3 {
         return refuse("train_views", "must be at least 3");
     }
@@ -143,10 +130,10 @@ fn spiral(i: usize, count: usize, turn: f64) -> DVec3 {
     DVec3::new(side * azimuth.cos(), side * azimuth.sin(), z)
 }
 
+/// A camera in direction `towards` of the origin, looking at it.
 fn camera(towards: DVec3, size: u32) -> Result<Camera, CaptureError> {
-    Camera::look_at(towards * CAMERA_DISTANCE, DVec3::ZERO, DVec3::Z, FIELD_OF_VIEW, (size, size)).map_err(
-        |e| CaptureError::Field { file: "synthetic".into(), field: e.field.into(), reason: e.reason },
-    )
+    Camera::look_at(towards * CAMERA_DISTANCE, DVec3::ZERO, DVec3::Z, FIELD_OF_VIEW, (size, size))
+        .map_err(|e| CaptureError::at_field("synthetic", e.field, e.reason))
 }
 
 /// The photograph under light number `light`.
@@ -164,11 +151,10 @@ fn truth(camera: &Camera, pixels: &[Pixel], options: &SyntheticOptions) -> Groun
         Plane { width: camera.width, height: camera.height, values: pixels.iter().map(f).collect() }
     }
     let relit = options.relit.keys().enumerate();
-    let normal = |p: &Pixel| -> Vec3 { p.normal.as_vec3() };
     GroundTruthView {
         relit: relit.map(|(i, name)| (name.clone(), image(camera, pixels, i + 1))).collect(),
         albedo: Some(plane(camera, pixels, |p| p.albedo.as_vec3().to_array())),
-        normal: Some(plane(camera, pixels, |p| normal(p).to_array())),
+        normal: Some(plane(camera, pixels, |p| p.normal.as_vec3().to_array())),
         metallic_roughness: Some(plane(camera, pixels, |p| p.metallic_roughness.as_vec2().to_array())),
         ambient_occlusion: Some(plane(camera, pixels, |p| [p.ambient_occlusion as f32])),
         depth: Some(plane(camera, pixels, |p| [p.depth as f32])),
@@ -213,11 +199,11 @@ mod tests {
         let camera = camera(spiral(3, 6, 1.1), 96).unwrap();
         let render = |seed, paths| {
             let tracer = Tracer::new(
-                Scene::new(SyntheticScene::Table),
+                AnalyticScene::new(SyntheticScene::Table),
                 vec![SyntheticOptions::default().train_light],
                 paths,
                 seed,
-                false,
+                AmbientOcclusion::Off,
             );
             image(&camera, &tracer.render(&camera, 0), 0)
         };
@@ -249,7 +235,7 @@ mod tests {
             }
             seen += 1;
             for (encoded, albedo) in p[..3].iter().zip(albedo.values[i]) {
-                // What is not diffuse is a few percent of gloss on top.
+                // Specular reflection adds a few percent.
                 let (shown, diffuse) = (srgb::decode(*encoded), albedo * ao.values[i][0]);
                 assert!((diffuse - 0.01..diffuse + 0.09).contains(&shown), "{shown} {diffuse}");
             }

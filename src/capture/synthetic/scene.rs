@@ -1,4 +1,4 @@
-//! The analytic scene: primitives with exact intersections, each of one material.
+//! The analytic scene: primitives with exact ray intersections, each of one material.
 
 use glam::{DVec2, DVec3};
 
@@ -13,7 +13,7 @@ pub(super) struct Material {
     pub roughness: f64,
 }
 
-/// Where a ray met the scene.
+/// The point where a ray meets the scene.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Hit {
     /// Distance along the ray.
@@ -26,19 +26,19 @@ pub(super) struct Hit {
     pub material: Material,
 }
 
-enum Shape {
+enum Solid {
     Sphere {
         centre: DVec3,
         radius: f64,
     },
-    /// Upright box turned about +Z by the angle of the unit vector `turn`.
-    Block {
+    /// Upright box rotated about +Z by the angle of the unit vector `turn`.
+    Cuboid {
         centre: DVec3,
         half: DVec3,
         turn: DVec2,
     },
     /// Upright closed cylinder.
-    Drum {
+    Cylinder {
         centre: DVec3,
         radius: f64,
         half_height: f64,
@@ -46,44 +46,44 @@ enum Shape {
 }
 
 struct Primitive {
-    shape: Shape,
+    shape: Solid,
     material: Material,
     /// The second albedo of a checkerboard in x and y, if it has one.
     checker: Option<DVec3>,
 }
 
-/// Which scene to photograph; all lie inside the ball of radius 1.2 around the origin, +Z up.
+/// The available scenes. All lie inside the ball of radius 1.2 around the origin, +Z up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SyntheticScene {
-    /// Six things of different materials on a chequered round table.
+    /// Five objects of different materials on a chequered round table.
     #[default]
     Table,
     /// One matte ball: convex, dielectric, one colour.
     MatteBall,
     /// One polished metal ball.
     MirrorBall,
-    /// The things and the table of [`SyntheticScene::Table`], all of one rough dielectric material.
+    /// The objects and the table of [`SyntheticScene::Table`], all of one rough dielectric material.
     OneMaterial,
 }
 
 /// The primitives of one scene.
-pub(super) struct Scene {
+pub(super) struct AnalyticScene {
     primitives: Vec<Primitive>,
 }
 
 /// Height of the table's top.
 const TABLE: f64 = -0.42;
-/// Side of a field of the table's checkerboard.
+/// Side of a square of the table's checkerboard.
 const FIELD: f64 = 0.25;
-/// Radius of a ball that is alone.
+/// Radius of the ball in the scenes of one ball.
 const BALL: f64 = 0.85;
 
-impl Scene {
+impl AnalyticScene {
     /// The primitives of `which`.
     pub(super) fn new(which: SyntheticScene) -> Self {
         let ball = |metallic, roughness| {
             let albedo = DVec3::new(0.7, 0.62, 0.5);
-            let shape = Shape::Sphere { centre: DVec3::ZERO, radius: BALL };
+            let shape = Solid::Sphere { centre: DVec3::ZERO, radius: BALL };
             vec![Primitive { shape, material: Material { albedo, metallic, roughness }, checker: None }]
         };
         let primitives = match which {
@@ -103,15 +103,16 @@ impl Scene {
         let material =
             |r, g, b, metallic, roughness| Material { albedo: DVec3::new(r, g, b), metallic, roughness };
         let plain = |shape, material| Primitive { shape, material, checker: None };
-        let ball = |x, y, radius| Shape::Sphere { centre: DVec3::new(x, y, TABLE + radius), radius };
+        let ball = |x, y, radius| Solid::Sphere { centre: DVec3::new(x, y, TABLE + radius), radius };
         let table =
-            Shape::Drum { centre: DVec3::new(0.0, 0.0, TABLE - 0.05), radius: 1.05, half_height: 0.05 };
-        let block = Shape::Block {
+            Solid::Cylinder { centre: DVec3::new(0.0, 0.0, TABLE - 0.05), radius: 1.05, half_height: 0.05 };
+        let cuboid = Solid::Cuboid {
             centre: DVec3::new(-0.42, 0.36, TABLE + 0.28),
             half: DVec3::new(0.2, 0.2, 0.28),
             turn: DVec2::from_angle(0.5),
         };
-        let drum = Shape::Drum { centre: DVec3::new(0.48, 0.42, TABLE + 0.2), radius: 0.2, half_height: 0.2 };
+        let cylinder =
+            Solid::Cylinder { centre: DVec3::new(0.48, 0.42, TABLE + 0.2), radius: 0.2, half_height: 0.2 };
         vec![
             Primitive {
                 shape: table,
@@ -121,12 +122,12 @@ impl Scene {
             plain(ball(0.1, -0.12, 0.34), material(0.62, 0.07, 0.05, 0.0, 0.25)),
             plain(ball(-0.52, -0.42, 0.24), material(0.91, 0.72, 0.36, 1.0, 0.4)),
             plain(ball(0.62, -0.4, 0.16), material(0.75, 0.75, 0.72, 0.0, 0.9)),
-            plain(block, material(0.08, 0.22, 0.55, 0.0, 0.7)),
-            plain(drum, material(0.12, 0.42, 0.12, 0.0, 0.55)),
+            plain(cuboid, material(0.08, 0.22, 0.55, 0.0, 0.7)),
+            plain(cylinder, material(0.12, 0.42, 0.12, 0.0, 0.55)),
         ]
     }
 
-    /// The nearest hit of the ray beyond a hair's breadth from its origin.
+    /// The nearest hit of the ray at a distance over [`NEAR`].
     pub(super) fn intersect(&self, origin: DVec3, direction: DVec3) -> Option<Hit> {
         let mut nearest: Option<(f64, DVec3, &Primitive)> = None;
         for primitive in &self.primitives {
@@ -153,22 +154,22 @@ impl Primitive {
     }
 }
 
-/// Nearest distance a hit counts at: keeps a ray from meeting the surface it starts on.
+/// Smallest distance of a hit, so that a ray does not meet the surface that it starts on.
 const NEAR: f64 = 1e-6;
 
-impl Shape {
+impl Solid {
     /// Distance and outward normal of the nearest hit.
     fn intersect(&self, origin: DVec3, direction: DVec3) -> Option<(f64, DVec3)> {
         match *self {
             Self::Sphere { centre, radius } => sphere(origin - centre, direction, radius),
-            Self::Block { centre, half, turn } => {
+            Self::Cuboid { centre, half, turn } => {
                 let turned = |v: DVec3, a: DVec2| a.rotate(v.truncate()).extend(v.z);
                 let back = DVec2::new(turn.x, -turn.y);
-                let (t, normal) = block(turned(origin - centre, back), turned(direction, back), half)?;
+                let (t, normal) = cuboid(turned(origin - centre, back), turned(direction, back), half)?;
                 Some((t, turned(normal, turn)))
             }
-            Self::Drum { centre, radius, half_height } => {
-                drum(origin - centre, direction, radius, half_height)
+            Self::Cylinder { centre, radius, half_height } => {
+                cylinder(origin - centre, direction, radius, half_height)
             }
         }
     }
@@ -183,7 +184,7 @@ fn sphere(o: DVec3, d: DVec3, radius: f64) -> Option<(f64, DVec3)> {
     (t > NEAR).then(|| (t, (o + d * t) / radius))
 }
 
-fn block(o: DVec3, d: DVec3, half: DVec3) -> Option<(f64, DVec3)> {
+fn cuboid(o: DVec3, d: DVec3, half: DVec3) -> Option<(f64, DVec3)> {
     let inverse = d.recip();
     let a = (-half - o) * inverse;
     let b = (half - o) * inverse;
@@ -200,7 +201,7 @@ fn block(o: DVec3, d: DVec3, half: DVec3) -> Option<(f64, DVec3)> {
     Some((t, normal))
 }
 
-fn drum(o: DVec3, d: DVec3, radius: f64, half_height: f64) -> Option<(f64, DVec3)> {
+fn cylinder(o: DVec3, d: DVec3, radius: f64, half_height: f64) -> Option<(f64, DVec3)> {
     let mut nearest: Option<(f64, DVec3)> = None;
     let mut offer = |t: f64, normal: DVec3| {
         if t > NEAR && nearest.is_none_or(|(best, _)| t < best) {
@@ -237,19 +238,21 @@ mod tests {
         let start = DVec3::new(-5.0, 0.0, 0.1);
         let (t, n) = sphere(start, d, 1.0).unwrap();
         assert!((t - (5.0 - 0.99f64.sqrt())).abs() < 1e-12 && (n.length() - 1.0).abs() < 1e-12);
-        let (t, n) = block(start, d, DVec3::new(0.5, 1.0, 1.0)).unwrap();
+        let (t, n) = cuboid(start, d, DVec3::new(0.5, 1.0, 1.0)).unwrap();
         assert!((t - 4.5).abs() < 1e-12 && n == -DVec3::X);
-        let (t, n) = drum(start, d, 0.5, 0.2).unwrap();
+        let (t, n) = cylinder(start, d, 0.5, 0.2).unwrap();
         assert!((t - 4.5).abs() < 1e-12 && n == -DVec3::X);
-        let (t, n) = drum(DVec3::new(0.1, 0.0, 3.0), -DVec3::Z, 0.5, 0.2).unwrap();
+        let (t, n) = cylinder(DVec3::new(0.1, 0.0, 3.0), -DVec3::Z, 0.5, 0.2).unwrap();
         assert!((t - 2.8).abs() < 1e-12 && n == DVec3::Z);
-        assert!(sphere(start + DVec3::Z, d, 1.0).is_none() && drum(start + DVec3::Z, d, 0.5, 0.2).is_none());
-        assert!(block(start + DVec3::Z, d, DVec3::splat(1.0)).is_none());
+        assert!(
+            sphere(start + DVec3::Z, d, 1.0).is_none() && cylinder(start + DVec3::Z, d, 0.5, 0.2).is_none()
+        );
+        assert!(cuboid(start + DVec3::Z, d, DVec3::splat(1.0)).is_none());
     }
 
     #[test]
     fn hits_lie_inside_the_promised_ball_and_normals_face_the_ray() {
-        let scene = Scene::new(SyntheticScene::Table);
+        let scene = AnalyticScene::new(SyntheticScene::Table);
         let mut hits = 0;
         for i in 0..4000 {
             let (a, z) = (i as f64 * 2.399_963, 1.0 - 2.0 * (i as f64 + 0.5) / 4000.0);

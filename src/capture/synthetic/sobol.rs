@@ -1,7 +1,7 @@
-//! Evenly spread number pairs: the first two Sobol dimensions under hashed Owen scrambling.
+//! Low-discrepancy number pairs: the first two Sobol dimensions with hashed Owen scrambling.
 //!
-//! Each `key` gives another scrambling of values and of order, so that pairs of different keys are independent
-//! while the pairs of one key fill the square evenly, at every power of two.
+//! Each `key` scrambles values and order differently. Pairs of different keys are independent; the pairs of one
+//! key are evenly distributed over the square for every power of two.
 
 use glam::DVec2;
 
@@ -27,8 +27,8 @@ fn second_dimension(mut index: u32) -> u32 {
     sum
 }
 
-/// Owen scrambling in place of a random binary tree: each bit is flipped by a hash of the bits above it.
-/// Multiplications carry from low to high, hence the reversals.
+/// Owen scrambling by a hash: each bit is flipped by a hash of the bits above it. The bits are reversed because
+/// multiplications carry from low to high.
 fn scrambled(bits: u32, seed: u32) -> u32 {
     let mut x = bits.reverse_bits();
     x ^= x.wrapping_mul(0x3d20_adea);

@@ -1,30 +1,38 @@
-//! A small path tracer with a fixed, seeded low-discrepancy sequence a pixel: the same picture for any number
-//! of threads.
+//! A small path tracer with a seeded low-discrepancy sequence per pixel, so that the image does not depend on the
+//! number of threads.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::scene::{Hit, Scene};
-use super::shading::{LightSampler, Surface, sample_cosine, sample_mixture};
+use super::scene::{AnalyticScene, Hit};
+use super::shading::{LightSampler, SurfacePoint, sample_cosine, sample_mixture};
 use super::sobol::{self, mix};
 use crate::scene::{Camera, EnvMap};
 
-/// Surface points on a path: the one seen and two it receives bounced light from.
+/// Surface points on a path: the visible one and two bounces of indirect light.
 const PATH_LENGTH: u64 = 3;
-/// Paths from one point in the pixel.
-const PATHS_A_POINT: u32 = 4;
+/// Paths per camera ray.
+const PATHS_PER_RAY: u32 = 4;
 
-/// Everything a path needs.
+/// Renders views of a scene under several lights at once.
 pub(super) struct Tracer {
-    scene: Scene,
+    scene: AnalyticScene,
     lights: Vec<EnvMap>,
     sampler: LightSampler,
     paths: u32,
     seed: u64,
-    wants_truth: bool,
+    ambient_occlusion: AmbientOcclusion,
 }
 
-/// What one pixel shows; all but `coverage` are means over the covered part.
+/// Whether ambient occlusion is estimated, which costs one more ray per path.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum AmbientOcclusion {
+    /// [`Pixel::ambient_occlusion`] stays 0.
+    Off,
+    On,
+}
+
+/// The values of one pixel; all but `coverage` are means over its covered part.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Pixel {
     /// Share of the pixel that the scene covers.
@@ -40,14 +48,19 @@ pub(super) struct Pixel {
 }
 
 impl Tracer {
-    /// A tracer of `scene` under `lights`, all at once, with about `paths` paths a pixel; ambient occlusion
-    /// costs extra rays and is left at 0 unless `wants_truth`.
-    pub(super) fn new(scene: Scene, lights: Vec<EnvMap>, paths: u32, seed: u64, wants_truth: bool) -> Self {
+    /// A tracer of `scene` under each of `lights`, with about `paths` paths per pixel.
+    pub(super) fn new(
+        scene: AnalyticScene,
+        lights: Vec<EnvMap>,
+        paths: u32,
+        seed: u64,
+        ambient_occlusion: AmbientOcclusion,
+    ) -> Self {
         let sampler = LightSampler::new(&lights);
-        Self { scene, sampler, lights, paths, seed, wants_truth }
+        Self { scene, sampler, lights, paths, seed, ambient_occlusion }
     }
 
-    /// The pixels of a view, row-major; `stream` tells views apart so that their noise is independent.
+    /// The pixels of a view, row-major. Views with different `stream` have independent noise.
     pub(super) fn render(&self, camera: &Camera, stream: u64) -> Vec<Pixel> {
         let count = camera.width * camera.height;
         (0..count).into_par_iter().map(|i| self.pixel(camera, stream, i)).collect()
@@ -55,22 +68,22 @@ impl Tracer {
 
     fn pixel(&self, camera: &Camera, stream: u64, index: u32) -> Pixel {
         let (x, y) = (index % camera.width, index / camera.width);
-        // Which of a pixel's sequences a number comes from: the image plane, the sky, then one a path vertex.
+        // One sequence for the image plane, one for ambient occlusion, and one per path vertex.
         let key = mix(self.seed ^ mix(stream ^ mix(u64::from(index))));
         let [in_pixel, in_sky, on_path] = [0, 1, 2].map(|d| mix(key ^ d));
         let mut sum = Pixel { radiance: vec![DVec3::ZERO; self.lights.len()], ..Pixel::default() };
-        let points = self.paths.div_ceil(PATHS_A_POINT);
+        let points = self.paths.div_ceil(PATHS_PER_RAY);
         for point in 0..points {
             let at = DVec2::new(f64::from(x), f64::from(y)) + sobol::pair(point, in_pixel);
-            let (eye, direction) = ray(camera, at);
-            let Some(hit) = self.scene.intersect(eye, direction) else { continue };
+            let (origin, direction) = ray(camera, at);
+            let Some(hit) = self.scene.intersect(origin, direction) else { continue };
             sum.coverage += 1.0;
             sum.albedo += hit.material.albedo;
             sum.normal += hit.normal;
             sum.metallic_roughness += DVec2::new(hit.material.metallic, hit.material.roughness);
             sum.depth += hit.distance * direction.dot(camera.forward());
-            for path in point * PATHS_A_POINT..(point + 1) * PATHS_A_POINT {
-                if self.wants_truth {
+            for path in point * PATHS_PER_RAY..(point + 1) * PATHS_PER_RAY {
+                if self.ambient_occlusion == AmbientOcclusion::On {
                     let sky = sample_cosine(hit.normal, sobol::pair(path, in_sky));
                     sum.ambient_occlusion += f64::from(self.scene.intersect(hit.point, sky).is_none());
                 }
@@ -85,11 +98,11 @@ impl Tracer {
         sum.averaged(f64::from(points))
     }
 
-    /// Adds the light that one path brings from each light to the point seen.
+    /// Adds the radiance of one path under each light.
     fn path(&self, first: Hit, view: DVec3, numbers: impl Fn(u64) -> DVec2, radiance: &mut [DVec3]) {
         let (mut hit, mut view, mut throughput) = (first, view, DVec3::ONE);
         for vertex in 0..PATH_LENGTH {
-            let surface = Surface { normal: hit.normal, view, material: hit.material };
+            let surface = SurfacePoint { normal: hit.normal, view, material: hit.material };
             let (l, weight) = sample_mixture(&surface, &self.sampler, numbers(vertex));
             throughput *= weight;
             if throughput == DVec3::ZERO {
@@ -114,7 +127,7 @@ impl Pixel {
         if hits == 0.0 {
             return self;
         }
-        let paths = hits * f64::from(PATHS_A_POINT);
+        let paths = hits * f64::from(PATHS_PER_RAY);
         self.coverage = hits / points;
         self.radiance.iter_mut().for_each(|r| *r /= paths);
         self.albedo /= hits;

@@ -1,17 +1,16 @@
 //! `relume bench attribution`: where the error of relit pictures comes from.
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
-use std::sync::Arc;
 
-use crate::capture::{ImportOptions, import};
-use crate::cli::{CommandResult, output};
-use crate::eval::{Replaced, attribute};
-use crate::formats::model_file;
+use crate::cli::bench::input::{BenchModel, read_capture};
+use crate::cli::bench::table::{head, publish, row};
+use crate::cli::error::CommandResult;
+use crate::eval::TruthLayer::{self, Albedo, Alpha, Material, Normal, Occlusion};
+use crate::eval::{attribute, figure};
 
 /// Options of `relume bench attribution`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct AttributionArgs {
     /// A capture with relit truth and layers.
     #[arg(long)]
     capture: PathBuf,
@@ -29,49 +28,35 @@ pub(super) struct Args {
     out: Option<PathBuf>,
 }
 
-const NONE: Replaced = Replaced::NONE;
-const ALL: Replaced = Replaced::ALL;
-const ROWS: [(&str, Replaced); 13] = [
-    ("nothing", NONE),
-    ("silhouette", Replaced { alpha: true, ..NONE }),
-    ("albedo", Replaced { albedo: true, ..NONE }),
-    ("normals", Replaced { normal: true, ..NONE }),
-    ("metalness and roughness", Replaced { material: true, ..NONE }),
-    ("albedo, metalness and roughness", Replaced { albedo: true, material: true, ..NONE }),
-    ("occlusion", Replaced { occlusion: true, ..NONE }),
-    ("everything", ALL),
-    ("everything but the silhouette", Replaced { alpha: false, ..ALL }),
-    ("everything but albedo", Replaced { albedo: false, ..ALL }),
-    ("everything but normals", Replaced { normal: false, ..ALL }),
-    ("everything but metalness and roughness", Replaced { material: false, ..ALL }),
-    ("everything but occlusion", Replaced { occlusion: false, ..ALL }),
+const ROWS: [(&str, &[TruthLayer]); 13] = [
+    ("nothing", &[]),
+    ("silhouette", &[Alpha]),
+    ("albedo", &[Albedo]),
+    ("normals", &[Normal]),
+    ("metalness and roughness", &[Material]),
+    ("albedo, metalness and roughness", &[Albedo, Material]),
+    ("occlusion", &[Occlusion]),
+    ("everything", &[Albedo, Normal, Material, Occlusion, Alpha]),
+    ("everything but the silhouette", &[Albedo, Normal, Material, Occlusion]),
+    ("everything but albedo", &[Normal, Material, Occlusion, Alpha]),
+    ("everything but normals", &[Albedo, Material, Occlusion, Alpha]),
+    ("everything but metalness and roughness", &[Albedo, Normal, Occlusion, Alpha]),
+    ("everything but occlusion", &[Albedo, Normal, Material, Alpha]),
 ];
 
-pub(super) fn run(args: &Args) -> CommandResult {
-    let options = ImportOptions { max_side: Some(args.resolution), ..ImportOptions::default() };
-    let capture = import(&args.capture, &options)?;
-    let replacements = ROWS.map(|(_, r)| r);
-    let mut columns = Vec::new();
+pub(super) fn run(args: &AttributionArgs) -> CommandResult {
+    let capture = read_capture(&args.capture, args.resolution)?;
+    let replacements = ROWS.map(|(_, layers)| layers);
+    let (mut names, mut columns) = (Vec::new(), Vec::new());
     for path in &args.models {
-        let model = Arc::new(model_file::decode(&std::fs::read(path)?)?);
+        let BenchModel { name, model } = BenchModel::read(path)?;
+        names.push(name);
         columns.push(attribute(&model, &capture, Some(args.views as usize), &replacements)?);
     }
-    let mut text = "| truth in place of the model's".to_owned();
-    for path in &args.models {
-        let name = path.file_stem().map_or_else(String::new, |n| n.to_string_lossy().into());
-        write!(text, " | {name}")?;
-    }
-    writeln!(text, " |\n|---{}|", "|---:".repeat(args.models.len()))?;
+    let mut text = head(&["truth in place of the model's"], names);
     for (i, (name, _)) in ROWS.iter().enumerate() {
-        write!(text, "| {name}")?;
-        for column in &columns {
-            write!(text, " | {}", column[i].map_or("-".to_owned(), |v| format!("{v:.2}")))?;
-        }
-        writeln!(text, " |")?;
+        let cells = columns.iter().map(|column| figure(column[i], 2));
+        text += &row(std::iter::once((*name).to_owned()).chain(cells));
     }
-    print!("{text}");
-    if let Some(out) = &args.out {
-        output::write_named(out, text.as_bytes())?;
-    }
-    Ok(())
+    Ok(publish(&text, args.out.as_deref())?)
 }

@@ -1,26 +1,26 @@
-//! `relume bench device`: a real training and real frames on one device, stage by stage, against the device's limits.
+//! `relume bench device`: training steps and frames on one device, stage by stage, against the device's limits.
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
 use crate::capture::{Capture, SyntheticOptions, synthetic};
-use crate::cli::{CommandResult, output};
+use crate::cli::bench::table::{head, machine, publish, row};
+use crate::cli::error::CommandResult;
 use crate::engine::Device;
-use crate::engine::gpu::{DeviceChoice, StageTime};
+use crate::engine::DeviceChoice;
+use crate::engine::gpu::StageTime;
+use crate::eval::figure;
 use crate::render::{Output, Renderer, Tier};
 use crate::scene::{Camera, Model};
 use crate::train::{Preset, TrainConfig, TrainOverrides, Trainer};
 
-type Failure = Box<dyn std::error::Error + Send + Sync>;
-
-/// Steps before anything is measured: pipelines are compiled, buffers have their size.
+/// Steps before the measurement, in which pipelines are compiled and buffers grow to their size.
 const WARM_UP: usize = 5;
 
 /// Options of `relume bench device`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct DeviceArgs {
     /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
@@ -44,17 +44,17 @@ pub(super) struct Args {
     out: Option<PathBuf>,
 }
 
-/// What one number of Gaussians came to.
+/// The measurements for one number of Gaussians.
 struct Figures {
     gaussians: usize,
     step_ms: f64,
     stages: Vec<StageTime>,
-    /// Frames a second: what, rate.
+    /// Tier with frame size, and frames a second.
     frames: Vec<(String, f64)>,
     peak_bytes: Option<u64>,
 }
 
-pub(super) fn run(args: &Args) -> CommandResult {
+pub(super) fn run(args: &DeviceArgs) -> CommandResult {
     let device = Device::open(args.device)?;
     eprintln!("device: {}", device.name());
     let capture = synthetic(&SyntheticOptions {
@@ -70,20 +70,15 @@ pub(super) fn run(args: &Args) -> CommandResult {
         eprintln!("{n} Gaussians");
         all.push(measure(args, &device, &capture, n)?);
     }
-    let text = report(args, &device, &all)?;
-    println!("{text}");
-    if let Some(path) = &args.out {
-        output::write_named(path, text.as_bytes())?;
-    }
-    Ok(())
+    Ok(publish(&report(args, &device, &all), args.out.as_deref())?)
 }
 
-fn measure(args: &Args, device: &Device, capture: &Capture, n: u32) -> Result<Figures, Failure> {
+fn measure(args: &DeviceArgs, device: &Device, capture: &Capture, n: u32) -> CommandResult<Figures> {
     let overrides = TrainOverrides {
         resolution: Some(args.size),
         initial_gaussians: Some(n),
         max_gaussians: Some(n),
-        // Every step is a full one, and density control stays out of the way.
+        // Every step has all terms, and density control does nothing.
         warm_up: Some(0.0),
         half_resolution: Some(0.0),
         iterations: Some(1_000_000),
@@ -124,11 +119,11 @@ fn measure(args: &Args, device: &Device, capture: &Capture, n: u32) -> Result<Fi
 }
 
 fn frames(
-    args: &Args,
+    args: &DeviceArgs,
     device: &Device,
     capture: &Capture,
     model: Model,
-) -> Result<Vec<(String, f64)>, Failure> {
+) -> CommandResult<Vec<(String, f64)>> {
     let renderer = Renderer::on(Arc::new(model), device)?;
     let light = renderer.prepare_light(&renderer.model().environment())?;
     let mut out = Vec::new();
@@ -148,7 +143,7 @@ fn frames(
     Ok(out)
 }
 
-/// The same view in another format, as high as before.
+/// The same vertical field of view at another size.
 fn framed(camera: &Camera, width: u32, height: u32) -> Camera {
     let focal = camera.fy * f64::from(height) / f64::from(camera.height);
     Camera {
@@ -162,54 +157,51 @@ fn framed(camera: &Camera, width: u32, height: u32) -> Camera {
     }
 }
 
-fn report(args: &Args, device: &Device, all: &[Figures]) -> Result<String, std::fmt::Error> {
-    let mut text = String::new();
-    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    writeln!(text, "Device: {}; host with {threads} threads; seed 0.", device.name())?;
-    writeln!(text, "Photographs {0}x{0}, preset `high`, every step with all terms.\n", args.size)?;
-    let head: Vec<String> = all.iter().map(|f| format!("{} Gaussians", f.gaussians)).collect();
-    writeln!(text, "| per step | {} |", head.join(" | "))?;
-    writeln!(text, "|---|{}", "---:|".repeat(all.len()))?;
-    let mut row = |name: &str, cells: Vec<String>| writeln!(text, "| {name} | {} |", cells.join(" | "));
-    row("whole step, ms", all.iter().map(|f| format!("{:.2}", f.step_ms)).collect())?;
+fn report(args: &DeviceArgs, device: &Device, all: &[Figures]) -> String {
+    let columns = all.iter().map(|f| format!("{} Gaussians", f.gaussians));
+    let mut text = format!(
+        "{}; seed 0.\nPhotographs {1}x{1}, preset `high`, every step with all terms.\n\n{2}",
+        machine(device),
+        args.size,
+        head(&["per step"], columns)
+    );
+    let mut line = |name: &str, cell: &dyn Fn(&Figures) -> String| {
+        text += &row(std::iter::once(name.to_owned()).chain(all.iter().map(cell)));
+    };
+    line("whole step, ms", &|f| format!("{:.2}", f.step_ms));
     for stage in all.first().map_or(&[][..], |f| &f.stages) {
         let ms = |f: &Figures| f.stages.iter().find(|s| s.name == stage.name).map_or(0.0, |s| s.ms);
-        row(&format!("{}, ms", stage.name), all.iter().map(|f| format!("{:.3}", ms(f))).collect())?;
+        line(&format!("{}, ms", stage.name), &|f| format!("{:.3}", ms(f)));
     }
     for (k, (name, _)) in all.first().map_or(&[][..], |f| &f.frames).iter().enumerate() {
-        row(&format!("{name}, frames/s"), all.iter().map(|f| format!("{:.0}", f.frames[k].1)).collect())?;
+        line(&format!("{name}, frames/s"), &|f| format!("{:.0}", f.frames[k].1));
     }
-    let memory = |f: &Figures| f.peak_bytes.map_or("-".to_owned(), |b| format!("{:.0}", b as f64 / 1e6));
-    row("peak device memory so far, MB", all.iter().map(memory).collect())?;
-    limits(args, all, &mut text)?;
-    Ok(text)
+    line("peak device memory so far, MB", &|f| figure(f.peak_bytes.map(|b| b as f64 / 1e6), 0));
+    text + &limits(args, all)
 }
 
-/// The three costliest counted stages against the device's limits.
-fn limits(args: &Args, all: &[Figures], text: &mut String) -> std::fmt::Result {
-    let (Some(bandwidth), Some(tflops)) = (args.bandwidth, args.tflops) else { return Ok(()) };
-    writeln!(
-        text,
-        "\nAgainst {bandwidth} GB/s and {tflops} TFLOP/s (least bytes and operations, as counted):\n"
-    )?;
-    writeln!(text, "| stage | Gaussians | ms | MB | GFLOP | limit, ms | of the limit |")?;
-    writeln!(text, "|---|---:|---:|---:|---:|---:|---:|")?;
+/// The three costliest counted stages against the device's limits, where those are given.
+fn limits(args: &DeviceArgs, all: &[Figures]) -> String {
+    let (Some(bandwidth), Some(tflops)) = (args.bandwidth, args.tflops) else { return String::new() };
+    let mut text = format!(
+        "\nAgainst {bandwidth} GB/s and {tflops} TFLOP/s (least bytes and operations, as counted):\n\n{}",
+        head(&["stage"], ["Gaussians", "ms", "MB", "GFLOP", "limit, ms", "of the limit"])
+    );
     for figures in all {
         let mut counted: Vec<&StageTime> = figures.stages.iter().filter(|s| s.bytes > 0.0).collect();
         counted.sort_by(|a, b| b.ms.total_cmp(&a.ms));
         for s in counted.iter().take(3) {
             let limit = (s.bytes / bandwidth / 1e6).max(s.flops / tflops / 1e9);
-            writeln!(
-                text,
-                "| {} | {} | {:.3} | {:.1} | {:.2} | {limit:.3} | {:.0} % |",
-                s.name,
-                figures.gaussians,
-                s.ms,
-                s.bytes / 1e6,
-                s.flops / 1e9,
-                100.0 * limit / s.ms.max(1e-9)
-            )?;
+            text += &row([
+                s.name.to_string(),
+                figures.gaussians.to_string(),
+                format!("{:.3}", s.ms),
+                format!("{:.1}", s.bytes / 1e6),
+                format!("{:.2}", s.flops / 1e9),
+                format!("{limit:.3}"),
+                format!("{:.0} %", 100.0 * limit / s.ms.max(1e-9)),
+            ]);
         }
     }
-    Ok(())
+    text
 }

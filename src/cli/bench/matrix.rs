@@ -1,31 +1,30 @@
 //! `relume bench matrix`: trains each capture once per variant of the settings and writes one table.
 
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::path::PathBuf;
 
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
-use crate::capture::{Capture, ImportOptions, import};
+use crate::capture::Capture;
 use crate::cli::args::named;
+use crate::cli::bench::input::{file_name, read_capture};
+use crate::cli::bench::table::{head, row};
+use crate::cli::bench::training::{Trained, train_and_evaluate};
+use crate::cli::error::CommandResult;
 use crate::cli::light::illuminate;
-use crate::cli::{CommandResult, output};
-use crate::engine::{Device, gpu::DeviceChoice};
-use crate::eval::{EvalOptions, Report, evaluate};
+use crate::cli::output;
+use crate::engine::{Device, DeviceChoice};
+use crate::eval::figure;
 use crate::formats::model_file;
-use crate::train::{Preset, TrainConfig, TrainOverrides, Trainer};
-
-type Failure = Box<dyn std::error::Error + Send + Sync>;
+use crate::train::{Preset, TrainConfig, TrainOverrides};
 
 /// Options of `relume bench matrix`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct MatrixArgs {
     /// Captures with held-out views and, for the relit columns, relit truth.
     #[arg(required = true)]
     captures: Vec<PathBuf>,
-    /// `ablation` (the article's rows and ours), `orders` (visibility orders 0 to 6), or a JSON file:
+    /// `ablation` (the article's rows and additions), `orders` (visibility orders 0 to 6), or a JSON file:
     /// `[{"name": "...", "overrides": {...}}, ...]`.
     #[arg(long, default_value = "ablation")]
     variants: String,
@@ -63,26 +62,41 @@ struct Variant {
     overrides: Map<String, Value>,
 }
 
-pub(super) fn run(args: &Args) -> CommandResult {
+/// The columns after capture and variant.
+const COLUMNS: [&str; 10] = [
+    "novel, dB",
+    "radiance, dB",
+    "relit, dB",
+    "relit aligned, dB",
+    "albedo aligned, dB",
+    "normals, deg",
+    "AO MAE",
+    "roughness MAE",
+    "floats a Gaussian",
+    "s",
+];
+
+pub(super) fn run(args: &MatrixArgs) -> CommandResult {
     let device = Device::open(args.device)?;
     let variants = variants(args)?;
     let mut text = format!(
-        "Device: {}; preset `{}`, {} px, {} held-out views, seed {}.\n\n{HEAD}",
+        "Device: {}; preset `{}`, {} px, {} held-out views, seed {}.\n\n{}",
         device.name(),
         serde_json::to_value(args.preset)?.as_str().unwrap_or_default(),
         args.resolution,
         args.views,
-        args.seed
+        args.seed,
+        head(&["capture", "variant"], COLUMNS)
     );
     println!("{text}");
     for path in &args.captures {
-        let options = ImportOptions { max_side: Some(args.resolution), ..ImportOptions::default() };
-        let mut capture = import(path, &options)?;
+        let mut capture = read_capture(path, args.resolution)?;
         for variant in &variants {
-            let row = row(args, &device, path, &mut capture, variant)?;
-            println!("{row}");
-            writeln!(text, "{row}")?;
-            // A long sweep that is cut short keeps what it has found.
+            let trained = train(args, &device, &mut capture, variant)?;
+            let line = row(cells(file_name(path), variant, &trained));
+            print!("{line}");
+            text += &line;
+            // Row by row, so that a sweep that is cut short keeps its results.
             if let Some(out) = &args.out {
                 output::write_named(out, text.as_bytes())?;
             }
@@ -91,17 +105,13 @@ pub(super) fn run(args: &Args) -> CommandResult {
     Ok(())
 }
 
-const HEAD: &str = "| capture | variant | novel, dB | radiance, dB | relit, dB | relit aligned, dB | albedo aligned, dB | \
-normals, deg | AO MAE | roughness MAE | floats a Gaussian | s |\n|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
-
 /// Trains one variant and measures it.
-fn row(
-    args: &Args,
+fn train(
+    args: &MatrixArgs,
     device: &Device,
-    path: &Path,
     capture: &mut Capture,
     variant: &Variant,
-) -> Result<String, Failure> {
+) -> CommandResult<Trained> {
     let mut fields = variant.overrides.clone();
     fields.insert("resolution".to_owned(), args.resolution.into());
     fields.insert("seed".to_owned(), args.seed.into());
@@ -112,46 +122,28 @@ fn row(
         .map_err(|e| format!("variant {}: {}: {}", variant.name, e.path(), e.inner()))?;
     let config = TrainConfig::new(args.preset, &overrides)?;
     illuminate(capture, &config).map_err(|e| format!("variant {}: light: {e}", variant.name))?;
-    let start = Instant::now();
-    let mut trainer = Trainer::new(capture, config, device)?;
-    while !trainer.is_done() {
-        trainer.step()?;
-    }
-    let seconds = start.elapsed().as_secs_f64();
-    let model = Arc::new(trainer.model()?);
-    let floats = model_file::floats_a_gaussian(&model);
-    let options = EvalOptions {
-        views: Some(args.views as usize),
-        frame_rate_time: Duration::ZERO,
-        device,
-        ..EvalOptions::default()
-    };
-    let report = evaluate(model, capture, &options)?;
-    let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into());
-    Ok(cells(&name, &variant.name, &report, floats, seconds))
+    train_and_evaluate(capture, config, device, args.views as usize)
 }
 
-fn cells(capture: &str, variant: &str, r: &Report, floats: usize, seconds: f64) -> String {
-    let cell = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+fn cells(capture: String, variant: &Variant, trained: &Trained) -> [String; 12] {
+    let r = &trained.report;
     [
-        capture.to_owned(),
-        variant.to_owned(),
-        cell(r.novel_view.psnr, 2),
-        cell(r.novel_view_radiance.psnr, 2),
-        cell(r.relit.mean.psnr, 2),
-        cell(r.relit_aligned.mean.psnr, 2),
-        cell(r.albedo.psnr_aligned, 2),
-        cell(r.normal_mae_deg.foreground, 1),
-        cell(r.ao_mae, 3),
-        cell(r.roughness_mae, 3),
-        floats.to_string(),
-        format!("{seconds:.0}"),
+        capture,
+        variant.name.clone(),
+        figure(r.novel_view.psnr, 2),
+        figure(r.novel_view_radiance.psnr, 2),
+        figure(r.relit.mean.psnr, 2),
+        figure(r.relit_aligned.mean.psnr, 2),
+        figure(r.albedo.psnr_aligned, 2),
+        figure(r.normal_mae_deg.foreground, 1),
+        figure(r.ao_mae, 3),
+        figure(r.roughness_mae, 3),
+        model_file::floats_a_gaussian(&trained.model).to_string(),
+        format!("{:.0}", trained.seconds),
     ]
-    .iter()
-    .fold("|".to_owned(), |row, cell| format!("{row} {cell} |"))
 }
 
-fn variants(args: &Args) -> Result<Vec<Variant>, Failure> {
+fn variants(args: &MatrixArgs) -> CommandResult<Vec<Variant>> {
     let mut all = match args.variants.as_str() {
         "ablation" => ablation(),
         "orders" => orders(),
@@ -175,21 +167,22 @@ fn variant(name: &str, overrides: Value) -> Variant {
     Variant { name: name.to_owned(), overrides }
 }
 
-/// The article's ablation in kind, from nothing to everything, then what this engine adds, one thing a row.
+/// Rows like those of the article's ablation, from no occlusion to everything, then one row for each addition of this
+/// engine.
 fn ablation() -> Vec<Variant> {
-    // All fields of the forward model, in the pixel as the article's unless said otherwise.
+    // All settings of the forward model; shaded in the pixel, as in the article.
     let form = |visibility: &str, diffuse: &str, indirect: &str| {
         let (visibility, diffuse, indirect) = (json!(visibility), json!(diffuse), json!(indirect));
         json!({"visibility": visibility, "diffuse": diffuse, "indirect": indirect, "shade_at": "pixel"})
     };
     let ao = form("linear", "ambient_occlusion", "learned");
     let listing = form("sigmoid", "ambient_occlusion", "learned");
-    let unlit = form("off", "ambient_occlusion", "off");
+    let open = form("off", "ambient_occlusion", "off");
     let directional = form("linear", "directional", "off");
     let gathered = form("linear", "directional", "gathered");
-    let unlit_at_gaussians = json!({"visibility": "off", "indirect": "off"});
+    let open_at_gaussians = json!({"visibility": "off", "indirect": "off"});
     vec![
-        variant("no occlusion", json!({"shading": unlit, "labels": "none", "bounces": 0})),
+        variant("no occlusion", json!({"shading": open, "labels": "none", "bounces": 0})),
         variant("field without label", json!({"shading": ao, "labels": "none", "bounces": 0})),
         variant("backward labels", json!({"shading": ao, "labels": "backward", "bounces": 0})),
         variant("backward, sigmoid field", json!({"shading": listing, "labels": "backward", "bounces": 0})),
@@ -204,7 +197,7 @@ fn ablation() -> Vec<Variant> {
         variant("without sheen", json!({"sheen": false})),
         variant(
             "no occlusion, at the Gaussians",
-            json!({"shading": unlit_at_gaussians, "labels": "none", "bounces": 0}),
+            json!({"shading": open_at_gaussians, "labels": "none", "bounces": 0}),
         ),
         variant("one prototype", json!({"prototypes": 1})),
         variant("prototypes without losses", json!({"weights": {"aggregation": 0.0, "residual": 0.0}})),

@@ -1,46 +1,54 @@
-//! `relume bench`: figures anyone can repeat, each with the machine it was measured on.
+//! `relume bench`: measurements as Markdown tables, with the machine that they were made on.
 
 mod attribution;
 mod complexity;
+#[cfg(feature = "gpu")]
 mod device;
+mod input;
 mod matrix;
+#[cfg(feature = "gpu")]
 mod precision;
-mod subject;
+mod table;
 mod tradeoff;
+mod training;
 mod visibility;
 
-use crate::cli::CommandResult;
+use crate::cli::error::CommandResult;
 
 /// Options of `relume bench`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct BenchArgs {
     #[command(subcommand)]
     what: What,
 }
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    #[cfg(feature = "gpu")]
     /// Milliseconds per stage and step, frames a second and memory of a device, by number of Gaussians.
-    Device(device::Args),
+    Device(device::DeviceArgs),
     /// Accuracy of each variant of the settings on each capture, in one table.
-    Matrix(matrix::Args),
-    /// What each layer of a model costs its relit pictures, in dB: the truth in its place, one layer after the other.
-    Attribution(attribution::Args),
+    Matrix(matrix::MatrixArgs),
+    /// What each layer of a model costs its relit pictures, in dB: ground truth replaces one layer after the other.
+    Attribution(attribution::AttributionArgs),
+    #[cfg(feature = "gpu")]
     /// Error of a device's engine against f64, stage by stage.
-    Precision(precision::Args),
-    /// What modelling only what a scene requires saves and costs, scene by scene.
-    Complexity(complexity::Args),
+    Precision(precision::PrecisionArgs),
+    /// Size, time and accuracy of trainings with all model features and with those that the scene requires.
+    Complexity(complexity::ComplexityArgs),
     /// Time of every render tier against its error, by model; a table, a CSV and a plot.
-    Tradeoff(tradeoff::Args),
-    /// How right the visibility is that models learned, by the source of its labels.
-    Visibility(visibility::Args),
+    Tradeoff(tradeoff::TradeoffArgs),
+    /// Error of the visibility that models learned, by the source of its labels.
+    Visibility(visibility::VisibilityArgs),
 }
 
-pub(super) fn run(args: &Args) -> CommandResult {
+pub(super) fn run(args: &BenchArgs) -> CommandResult {
     match &args.what {
+        #[cfg(feature = "gpu")]
         What::Device(args) => device::run(args),
         What::Matrix(args) => matrix::run(args),
         What::Attribution(args) => attribution::run(args),
+        #[cfg(feature = "gpu")]
         What::Precision(args) => precision::run(args),
         What::Complexity(args) => complexity::run(args),
         What::Tradeoff(args) => tradeoff::run(args),

@@ -1,40 +1,38 @@
-//! `relume bench precision`: how far an f32 engine is from the f64 reference, stage by stage, as scenes get harder.
+//! `relume bench precision`: the error of an f32 engine against the f64 reference, stage by stage, by kind of scene.
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use glam::DVec3;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::cli::{CommandResult, output};
+use crate::cli::bench::table::{head, machine, publish, row};
+use crate::cli::error::CommandResult;
 use crate::engine::Device;
-use crate::engine::cpu::View;
-use crate::engine::gpu::losses::{ImageTerm, LOSS_SLOTS, LossSlot};
-use crate::engine::gpu::{DeviceChoice, Gpu, GpuError, ViewUniform};
-use crate::engine::reference::{Array, Tape, losses};
-use crate::engine::side_by_side::{
-    Answer, LightShape, Question, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
+use crate::engine::cpu::objective::image::Target;
+use crate::engine::gpu::objective::{ImageTerm, LOSS_SLOTS, LossSlot};
+use crate::engine::gpu::{CameraUniform, Gpu};
+use crate::engine::parity::{
+    LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
 };
+use crate::engine::reference::{Array, Tape, losses};
+use crate::engine::{DeviceChoice, DeviceError, ImageWeights, RasterCamera};
 use crate::light::TableResolution;
 use crate::scene::{Camera, Field, Gaussians, Model, ShadingOptions};
-use crate::train::objective::image::Target;
-
-type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 const SIZE: (u32, u32) = (24, 16);
 const GAUSSIANS: usize = 24;
 const ENVIRONMENT: (usize, usize) = (16, 8);
 const ORDER: usize = 2;
-/// Pixels with a splat this close (relative) to a threshold of alpha are left out: which side f32 falls on is no matter
-/// of digits.
+/// Pixels with a splat this close (relative) to a threshold of alpha are left out: an f32 engine may decide the threshold
+/// otherwise without an error in its digits.
 const MARGIN: f64 = 2e-3;
 /// Weights of the image term (docs/MODEL.md section 5).
 const IMAGE_WEIGHTS: [f32; 2] = [1.0, 0.25];
 
 /// Options of `relume bench precision`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct PrecisionArgs {
     /// The engine that is measured: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value = "cpu")]
     device: DeviceChoice,
@@ -49,7 +47,7 @@ pub(super) struct Args {
     out: Option<PathBuf>,
 }
 
-/// How hard a scene is.
+/// Kinds of scenes, by what makes them hard in f32.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
     /// Soft Gaussians about the origin.
@@ -58,7 +56,7 @@ enum Kind {
     Needles,
     /// A hundred thousand scene radii away.
     FarCamera,
-    /// Nearly opaque flakes, most of them hidden.
+    /// Nearly opaque flat Gaussians, most of them hidden.
     NearOpaque,
 }
 
@@ -81,7 +79,7 @@ const STAGES: [&str; 9] = [
     "gradients by light, visibility and radiance",
 ];
 
-pub(super) fn run(args: &Args) -> CommandResult {
+pub(super) fn run(args: &PrecisionArgs) -> CommandResult {
     let device = Device::open(args.device)?;
     let resolution = TableResolution::TRAINING;
     let light = LightShape::new(ENVIRONMENT.0, ENVIRONMENT.1, ORDER, resolution);
@@ -95,37 +93,29 @@ pub(super) fn run(args: &Args) -> CommandResult {
         }
         columns.push(worst);
     }
-    let text = report(args, &device, &columns)?;
-    println!("{text}");
-    if let Some(path) = &args.out {
-        output::write_named(path, text.as_bytes())?;
-    }
-    Ok(())
+    Ok(publish(&report(args, &device, &columns), args.out.as_deref())?)
 }
 
-fn report(args: &Args, device: &Device, columns: &[[f64; STAGES.len()]]) -> Result<String, std::fmt::Error> {
-    let mut text = String::new();
-    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    writeln!(text, "Device: {}; host with {threads} threads.", device.name())?;
-    let last = args.seed + args.scenes - 1;
-    writeln!(
-        text,
-        "Largest error against f64, relative to the largest value of the image or parameter: seeds {} to {last}, \
-         {GAUSSIANS} Gaussians, {}x{} pixels.\n",
-        args.seed, SIZE.0, SIZE.1
-    )?;
-    let names: Vec<&str> = KINDS.iter().map(|(_, name)| *name).collect();
-    writeln!(text, "| stage | {} |", names.join(" | "))?;
-    writeln!(text, "|---|{}", "---:|".repeat(names.len()))?;
+fn report(args: &PrecisionArgs, device: &Device, columns: &[[f64; STAGES.len()]]) -> String {
+    let mut text = format!(
+        "{}.\nLargest error against f64, relative to the largest value of the image or parameter: seeds {} to {}, \
+         {GAUSSIANS} Gaussians, {}x{} pixels.\n\n{}",
+        machine(device),
+        args.seed,
+        args.seed + args.scenes - 1,
+        SIZE.0,
+        SIZE.1,
+        head(&["stage"], KINDS.map(|(_, name)| name))
+    );
     for (stage, name) in STAGES.iter().enumerate() {
-        let cells: Vec<String> = columns.iter().map(|c| format!("{:.1e}", c[stage])).collect();
-        writeln!(text, "| {name} | {} |", cells.join(" | "))?;
+        let errors = columns.iter().map(|c| format!("{:.1e}", c[stage]));
+        text += &row(std::iter::once((*name).to_owned()).chain(errors));
     }
-    Ok(text)
+    text
 }
 
 /// A model of this kind and a camera that sees it.
-fn scene(kind: Kind, seed: u64) -> Result<(Model, Camera), Failure> {
+fn scene(kind: Kind, seed: u64) -> CommandResult<(Model, Camera)> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut gaussians = Gaussians::zeroed(GAUSSIANS, 4, ORDER, 2);
     for (field, centre, spread) in [
@@ -176,15 +166,10 @@ fn scene(kind: Kind, seed: u64) -> Result<(Model, Camera), Failure> {
     Ok((model, camera))
 }
 
-/// Errors of all stages.
-fn measure(
-    device: &Device,
-    light: &LightShape,
-    kind: Kind,
-    seed: u64,
-) -> Result<[f64; STAGES.len()], Failure> {
+/// The error of each of [`STAGES`] on one scene.
+fn measure(device: &Device, light: &LightShape, kind: Kind, seed: u64) -> CommandResult<[f64; STAGES.len()]> {
     let (model, camera) = scene(kind, seed)?;
-    let mut question = Question::new(&model, &camera, [0.25, 0.5, 0.75], light, seed);
+    let mut question = ParityCase::new(&model, &camera, [0.25, 0.5, 0.75], light, seed);
     let kept = steady_pixels(&question, MARGIN);
     question.keep(&kept);
     let expected = by_reference(&question);
@@ -196,7 +181,7 @@ fn measure(
     let steady = |rows: &[[f64; 3]]| -> Vec<f64> {
         rows.iter().zip(&kept).filter(|(_, kept)| **kept).flat_map(|(p, _)| *p).collect()
     };
-    let covered = |a: &Answer| -> Vec<f64> {
+    let covered = |a: &ParityResult| -> Vec<f64> {
         a.coverage.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(c, _)| *c).collect()
     };
     let gradients = |names: &[&str]| {
@@ -217,8 +202,8 @@ fn measure(
     ])
 }
 
-/// Of the projected means in image widths, and of the conics each relative to its largest entry.
-fn projection_errors(found: &Answer, expected: &Answer) -> [f64; 2] {
+/// Largest errors of the projected means, in image widths, and of the conics, relative to their largest entry.
+fn projection_errors(found: &ParityResult, expected: &ParityResult) -> [f64; 2] {
     let mut worst = [0.0f64; 2];
     for theirs in &expected.splats {
         // Gaussians that no pixel can see are not drawn by the engine.
@@ -238,11 +223,11 @@ fn photograph(seed: u64) -> Vec<[f32; 3]> {
 }
 
 /// The image that the terms are taken of, the same for every engine.
-fn rendered(answer: &Answer) -> Vec<[f32; 3]> {
+fn rendered(answer: &ParityResult) -> Vec<[f32; 3]> {
     answer.physical.iter().map(|p| p.map(|v| v as f32)).collect()
 }
 
-fn loss_gradient_reference(expected: &Answer, seed: u64) -> Vec<f64> {
+fn loss_gradient_reference(expected: &ParityResult, seed: u64) -> Vec<f64> {
     let shape = [SIZE.1 as usize, SIZE.0 as usize, 3];
     let wide =
         |rows: &[[f32; 3]]| Array::new(&shape, rows.as_flattened().iter().map(|v| f64::from(*v)).collect());
@@ -255,19 +240,19 @@ fn loss_gradient_reference(expected: &Answer, seed: u64) -> Vec<f64> {
     tape.gradients(total).of(image).data().to_vec()
 }
 
-fn loss_gradient_cpu(expected: &Answer, seed: u64) -> Vec<f64> {
+fn loss_gradient_cpu(expected: &ParityResult, seed: u64) -> Vec<f64> {
     let target = Target::new(SIZE.0 as usize, SIZE.1 as usize, photograph(seed));
     let [l1, ssim] = IMAGE_WEIGHTS;
-    let gradient = target.compare(&rendered(expected), l1, ssim).gradient;
+    let gradient = target.compare(&rendered(expected), ImageWeights { l1, ssim }).gradient;
     gradient.as_flattened().iter().map(|v| f64::from(*v)).collect()
 }
 
 fn loss_gradient_gpu(
     gpu: &Gpu,
-    question: &Question<'_>,
-    expected: &Answer,
+    question: &ParityCase<'_>,
+    expected: &ParityResult,
     seed: u64,
-) -> Result<Vec<f64>, GpuError> {
+) -> Result<Vec<f64>, DeviceError> {
     let padded =
         |rows: &[[f32; 3]]| -> Vec<[f32; 4]> { rows.iter().map(|[r, g, b]| [*r, *g, *b, 1.0]).collect() };
     let pixels = (SIZE.0 * SIZE.1) as usize;
@@ -276,15 +261,14 @@ fn loss_gradient_gpu(
     let partials = gpu.buffer("partials", 3 * pixels)?;
     let by_image = gpu.buffer("by image", pixels)?;
     let losses = gpu.buffer("losses", LOSS_SLOTS)?;
-    let view = ViewUniform::new(&View::new(question.camera, &question.model.shading));
+    let view = CameraUniform::new(&RasterCamera::new(question.camera, &question.model.shading));
     let [l1, ssim] = IMAGE_WEIGHTS;
     let term = ImageTerm {
-        view: &view,
+        camera: &view,
         image: &image,
         photo: &photo,
         slot: LossSlot::PhysicalL1,
-        l1,
-        ssim,
+        weights: ImageWeights { l1, ssim },
         partials: &partials,
     };
     let mut recorder = gpu.record();

@@ -1,30 +1,28 @@
-//! `relume bench visibility`: how right the visibility is that models learned, by the source of its labels.
+//! `relume bench visibility`: the error of the visibility that models learned, by the source of its labels.
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use rayon::prelude::*;
 
-use crate::capture::{Capture, CaptureView, ImportOptions, import};
-use crate::cli::bench::subject::Subject;
-use crate::cli::{CommandResult, output};
+use crate::capture::{Capture, CaptureView};
+use crate::cli::bench::input::{BenchModel, read_capture};
+use crate::cli::bench::table::{head, publish, row};
+use crate::cli::error::CommandResult;
 use crate::engine::channel::Channels;
-use crate::engine::cpu::{
-    AttributeSource, Occluders, Pass, Surface, View, fibonacci_sphere, surface_at, surface_point,
-};
+use crate::engine::constants::EarlyStop;
+use crate::engine::cpu::{AttributeSource, Occluders, Pass, Surface, surface_at, surface_point};
+use crate::engine::{RasterCamera, fibonacci_sphere};
 use crate::eval::evenly_spaced;
 use crate::light::sh_eval;
 use crate::render::{Output, Renderer, Tier};
 use crate::scene::{EnvMap, Field, Model, VisibilityForm};
 
-type Failure = Box<dyn std::error::Error + Send + Sync>;
-
-/// Pixels of less coverage are edges: what they blend is no surface.
+/// Least coverage of a surface point; pixels of less coverage are edges, which blend several surfaces.
 const SOLID: f32 = 0.9;
 
 /// Options of `relume bench visibility`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct VisibilityArgs {
     /// A capture with held-out views and true ambient occlusion (`ao.png`).
     capture: PathBuf,
     /// Models of it, one a label source.
@@ -36,10 +34,10 @@ pub(super) struct Args {
     /// Held-out views, evenly spaced.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     views: u32,
-    /// Surface points a view whose directions are asked for, spread over its pixels.
+    /// Surface points a view at which directions are compared, spread over its pixels.
     #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..))]
     points: u32,
-    /// Directions over the whole sphere that are asked for.
+    /// Directions compared at a point, over the whole sphere.
     #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..=65536))]
     directions: u32,
     /// The Markdown file to write; printed in any case.
@@ -47,32 +45,30 @@ pub(super) struct Args {
     out: Option<PathBuf>,
 }
 
-pub(super) fn run(args: &Args) -> CommandResult {
-    let options = ImportOptions { max_side: Some(args.resolution), ..ImportOptions::default() };
-    let capture = import(&args.capture, &options)?;
+pub(super) fn run(args: &VisibilityArgs) -> CommandResult {
+    let capture = read_capture(&args.capture, args.resolution)?;
+    let figures = ["AO MAE", "AO correlation", "V(w) MAE", "of V = 1", "least at this order"];
     let mut text = format!(
-        "CPU engine; {} px, {} held-out views, {} points a view, {} directions.\n\n{HEAD}",
-        args.resolution, args.views, args.points, args.directions
+        "CPU engine; {} px, {} held-out views, {} points a view, {} directions.\n\n{}",
+        args.resolution,
+        args.views,
+        args.points,
+        args.directions,
+        head(&["model", "labels"], figures)
     );
     for path in &args.models {
-        let subject = Subject::read(path)?;
-        let row = row(args, &capture, &subject)?;
-        eprintln!("{row}");
-        writeln!(text, "{row}")?;
+        let line = measure(args, &capture, &BenchModel::read(path)?)?;
+        eprint!("{line}");
+        text += &line;
     }
-    println!("{text}");
-    if let Some(path) = &args.out {
-        output::write_named(path, text.as_bytes())?;
-    }
-    Ok(())
+    Ok(publish(&text, args.out.as_deref())?)
 }
 
-const HEAD: &str = "| model | labels | AO MAE | AO correlation | V(w) MAE | of V = 1 | least at this order |\n|---|---|---:|---:|---:|---:|---:|\n";
-
-fn row(args: &Args, capture: &Capture, subject: &Subject) -> Result<String, Failure> {
+/// The table row of one model.
+fn measure(args: &VisibilityArgs, capture: &Capture, subject: &BenchModel) -> CommandResult<String> {
     let renderer = Renderer::new(subject.model.clone());
     let views = evenly_spaced(&capture.test, Some(args.views as usize));
-    let (mut occlusion, mut directions) = (Pairs::default(), Directional::default());
+    let (mut occlusion, mut directions) = (PairSums::default(), DirectionSums::default());
     let towards = basis(args.directions as usize, subject.model.gaussians.visibility_order());
     for view in views {
         occlusion.add(&ambient_occlusion(&renderer, view)?);
@@ -81,20 +77,19 @@ fn row(args: &Args, capture: &Capture, subject: &Subject) -> Result<String, Fail
     if occlusion.count == 0.0 {
         return Err("the held-out views have no true ambient occlusion (ao.png)".into());
     }
-    Ok(format!(
-        "| {} | {} | {:.3} | {:.3} | {:.3} | {:.3} | {:.3} |",
-        subject.name,
-        subject.setting("labels"),
+    let figures = [
         occlusion.error / occlusion.count,
         occlusion.correlation(),
         directions.error / directions.weight,
         directions.of_open / directions.weight,
         directions.of_projection / directions.weight,
-    ))
+    ];
+    let figures = figures.iter().map(|v| format!("{v:.3}"));
+    Ok(row([subject.name.clone(), subject.setting("labels")].into_iter().chain(figures)))
 }
 
 /// Field and truth of each foreground pixel.
-fn ambient_occlusion(renderer: &Renderer, view: &CaptureView) -> Result<Vec<[f64; 2]>, Failure> {
+fn ambient_occlusion(renderer: &Renderer, view: &CaptureView) -> CommandResult<Vec<[f64; 2]>> {
     let Some(truth) = &view.truth.ambient_occlusion else { return Ok(Vec::new()) };
     // The field does not depend on the light.
     let light = renderer.prepare_light(&EnvMap::constant(8, 4, [1.0; 3]))?;
@@ -104,14 +99,14 @@ fn ambient_occlusion(renderer: &Renderer, view: &CaptureView) -> Result<Vec<[f64
     Ok(pixels.filter(|(_, p)| p[3] > 0.5).map(|((a, b), _)| [f64::from(*a), f64::from(b[0])]).collect())
 }
 
-/// Error of the field towards single directions against rays through the Gaussians themselves.
+/// Error of the field in single directions against the transmittance of rays through the Gaussians.
 fn directional(
-    args: &Args,
+    args: &VisibilityArgs,
     model: &Model,
     view: &CaptureView,
     towards: &[Towards],
     occluders: &Occluders,
-) -> Directional {
+) -> DirectionSums {
     let source = AttributeSource {
         gaussians: &model.gaussians,
         prototypes: &model.prototypes,
@@ -122,7 +117,12 @@ fn directional(
     };
     let camera = view.camera.in_normalised_world(model.world_scale, model.world_offset);
     let channels = Channels::Full(model.gaussians.width(Field::Visibility));
-    let pass = Pass::forward(&source, View::new(&camera, &model.shading), channels, true);
+    let pass = Pass::forward(
+        &source,
+        RasterCamera::new(&camera, &model.shading),
+        channels,
+        EarlyStop::WhenSaturated,
+    );
     let (width, height) = (pass.view.width, pass.view.height);
     let mut points: Vec<([f32; 3], Surface)> = Vec::new();
     for i in 0..width * height {
@@ -135,9 +135,9 @@ fn directional(
     }
     let step = points.len().div_ceil(args.points as usize).max(1);
     let chosen: Vec<_> = points.iter().step_by(step).collect();
-    let parts: Vec<Directional> =
+    let parts: Vec<DirectionSums> =
         chosen.par_iter().map(|(point, s)| at_point(model, *point, s, towards, occluders)).collect();
-    let mut sum = Directional::default();
+    let mut sum = DirectionSums::default();
     parts.iter().for_each(|p| sum.add(p));
     sum
 }
@@ -148,7 +148,7 @@ fn at_point(
     surface: &Surface,
     towards: &[Towards],
     occluders: &Occluders,
-) -> Directional {
+) -> DirectionSums {
     let vector = glam::Vec3::from_array;
     let normal = vector(surface.normal).normalize_or_zero();
     let normal = if normal.dot(vector(surface.view)) < 0.0 { -normal } else { normal };
@@ -158,7 +158,7 @@ fn at_point(
         let weight = 4.0 * std::f32::consts::PI / towards.len() as f32 * truth;
         projection.iter_mut().zip(&t.basis).for_each(|(c, y)| *c += weight * y);
     }
-    let mut sum = Directional::default();
+    let mut sum = DirectionSums::default();
     for (truth, t) in truths.iter().zip(towards) {
         let cos = f64::from(normal.dot(vector(t.direction)));
         if cos > 0.0 {
@@ -200,16 +200,16 @@ fn field(form: VisibilityForm, coefficients: &[f32], towards: &Towards) -> f32 {
 
 /// Cosine-weighted sums over directions.
 #[derive(Default)]
-struct Directional {
+struct DirectionSums {
     weight: f64,
     error: f64,
     /// Error of a field that is 1 everywhere.
     of_open: f64,
-    /// Error of the truth itself, projected to the model's order and clamped: no field of that order has much less.
+    /// Error of the truth itself, projected to the model's order and clamped: about the least of any field of that order.
     of_projection: f64,
 }
 
-impl Directional {
+impl DirectionSums {
     fn add(&mut self, other: &Self) {
         self.weight += other.weight;
         self.error += other.error;
@@ -220,7 +220,7 @@ impl Directional {
 
 /// Sums over pairs of a found and a true value.
 #[derive(Default)]
-struct Pairs {
+struct PairSums {
     count: f64,
     error: f64,
     sums: [f64; 2],
@@ -228,7 +228,7 @@ struct Pairs {
     product: f64,
 }
 
-impl Pairs {
+impl PairSums {
     fn add(&mut self, pairs: &[[f64; 2]]) {
         for pair in pairs {
             self.count += 1.0;
@@ -258,7 +258,7 @@ mod tests {
     #[test]
     fn correlation_is_one_along_a_line_minus_one_against_it_and_nothing_for_a_constant() {
         let of = |pairs: &[[f64; 2]]| {
-            let mut sums = Pairs::default();
+            let mut sums = PairSums::default();
             sums.add(pairs);
             sums.correlation()
         };

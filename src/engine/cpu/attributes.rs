@@ -1,13 +1,13 @@
 //! From a Gaussian's raw parameters to the row of attributes that is blended, and back
 //! (docs/MODEL.md sections 1 and 3).
 
+use crate::engine::RasterCamera;
 use crate::engine::RowLayout;
-use crate::engine::channel::{self, Channels};
+use crate::engine::channel::{self, Channels, IncidentLight, OutgoingRadiance, RowLight};
 use crate::engine::cpu::project::{
-    Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid, sigmoid_slope,
+    Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid, sigmoid_derivative,
 };
-use crate::engine::cpu::shade::{MAX_COEFFICIENTS, Shader, Surface};
-use crate::engine::cpu::view::View;
+use crate::engine::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceShader};
 use crate::light::{LightTables, sh_eval, sh_eval_with_gradient};
 use crate::scene::{Field, Gaussians, IndirectForm, NormalForm, ShadeAt, ShadingOptions};
 
@@ -27,28 +27,33 @@ pub struct AttributeSource<'a> {
     pub gathered: &'a [[f32; 6]],
     /// `E_j` of Eq. 20, for `IndirectForm::Learned`.
     pub indirect_basis: &'a [[f32; 3]; 16],
-    /// Lights each Gaussian; none: the channels of light carry what shading in the pixel needs.
-    pub light: Option<Shader<'a>>,
+    /// Shades each Gaussian, whose rows then carry [`OutgoingRadiance`]; none: rows carry [`IncidentLight`].
+    pub light: Option<SurfaceShader<'a>>,
 }
 
 impl<'a> AttributeSource<'a> {
     /// The same under a light, for a model that is shaded at its Gaussians.
     #[must_use]
-    pub fn under(self, light: Shader<'a>) -> Self {
+    pub fn under(self, light: SurfaceShader<'a>) -> Self {
         match self.options.shade_at {
-            ShadeAt::Gaussian => self.lit(light),
+            ShadeAt::Gaussian => self.shaded(light),
             ShadeAt::Pixel => self,
         }
     }
 
     /// The same shaded at its Gaussians, whatever the model.
     #[must_use]
-    pub fn lit(self, light: Shader<'a>) -> Self {
+    pub fn shaded(self, light: SurfaceShader<'a>) -> Self {
         Self { light: Some(light), ..self }
     }
 }
 
 impl AttributeSource<'_> {
+    /// Which light its rows carry.
+    pub fn row_light(&self) -> RowLight {
+        if self.light.is_some() { RowLight::Outgoing } else { RowLight::Incident }
+    }
+
     /// Raw geometry of Gaussian `i`.
     #[inline]
     pub fn geometry(&self, i: usize) -> Geometry {
@@ -62,11 +67,11 @@ impl AttributeSource<'_> {
     }
 
     /// Fills `row` (zeroed but for albedo, which is there already; `channels.stored()` floats) for a visible splat.
-    pub(super) fn write(&self, view: &View, splat: &Splat, channels: Channels, row: &mut [f32]) {
+    pub(super) fn write(&self, view: &RasterCamera, splat: &Splat, channels: Channels, row: &mut [f32]) {
         let i = splat.gaussian as usize;
         row[channel::COVERAGE] = 1.0;
         let geometry = self.geometry(i);
-        let to_mean: [f32; 3] = std::array::from_fn(|k| geometry.mean[k] - view.eye[k]);
+        let to_mean: [f32; 3] = std::array::from_fn(|k| geometry.mean[k] - view.centre[k]);
         row[channel::RADIANCE].copy_from_slice(&self.radiance(i, to_mean).colour);
         if channels == Channels::Colour {
             return;
@@ -79,49 +84,49 @@ impl AttributeSource<'_> {
         }
         row[channel::METAL] = sigmoid(self.gaussians.row(Field::MetalLogit, i)[0]);
         row[channel::ROUGH] = sigmoid(self.gaussians.row(Field::RoughLogit, i)[0]);
-        let lit = self.light.map(|light| light.shade(&self.surface(i, row, to_mean)));
-        if let Some(lit) = &lit {
-            (0..3).for_each(|c| row[channel::LIGHT.start + c] = lit.diffuse[c] + lit.specular[c]);
+        let outgoing = self.light.map(|light| light.shade(&self.surface(i, row, to_mean)).outgoing());
+        if let Some(outgoing) = &outgoing {
+            row[OutgoingRadiance::TOTAL].copy_from_slice(&outgoing.total());
         }
         let Channels::Full(coefficients) = channels else { return };
         row[channel::DEPTH] = splat.depth;
-        match &lit {
-            Some(lit) => row[channel::INDIRECT].copy_from_slice(&lit.specular),
+        match &outgoing {
+            Some(outgoing) => row[OutgoingRadiance::SPECULAR].copy_from_slice(&outgoing.specular),
             None => {
-                let (gathered, indirect) = self.indirect(i);
-                row[channel::LIGHT].copy_from_slice(&gathered);
-                row[channel::INDIRECT].copy_from_slice(&indirect);
+                let incident = self.incident(i);
+                row[IncidentLight::GATHERED].copy_from_slice(&incident.gathered);
+                row[IncidentLight::BLOCKED].copy_from_slice(&incident.blocked);
             }
         }
         row[channel::VISIBILITY..channel::VISIBILITY + coefficients]
             .copy_from_slice(&self.gaussians.row(Field::Visibility, i)[..coefficients]);
     }
 
-    /// Irradiance that Gaussian `i` gathers, and the radiance of directions that are blocked.
-    fn indirect(&self, i: usize) -> ([f32; 3], [f32; 3]) {
-        let (mut gathered, mut indirect) = ([0.0f32; 3], [0.0f32; 3]);
+    /// Light that Gaussian `i` gets from other surfaces.
+    fn incident(&self, i: usize) -> IncidentLight {
+        let mut out = IncidentLight::default();
         match self.options.indirect {
             IndirectForm::Off => {}
             IndirectForm::Learned => {
                 for (w, e) in self.gaussians.row(Field::Indirect, i).iter().zip(self.indirect_basis) {
-                    (0..3).for_each(|c| indirect[c] += w * e[c]);
+                    (0..3).for_each(|c| out.blocked[c] += w * e[c]);
                 }
             }
             IndirectForm::Gathered => {
                 if let Some([r, g, b, blocked @ ..]) = self.gathered.get(i) {
-                    (gathered, indirect) = ([*r, *g, *b], *blocked);
+                    out = IncidentLight { gathered: [*r, *g, *b], blocked: *blocked };
                 }
             }
         }
-        (gathered, indirect)
+        out
     }
 
-    /// Gaussian `i`, whose normal and material are in `row`, as a surface seen along `to_mean` (mean minus eye).
+    /// Gaussian `i`, whose normal and material are in `row`, as a surface seen along `to_mean` (mean minus camera centre).
     pub fn surface(&self, i: usize, row: &[f32], to_mean: [f32; 3]) -> Surface {
         let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| row[r.start + k]);
         let mut visibility = [0.0f32; MAX_COEFFICIENTS];
         visibility.iter_mut().zip(self.gaussians.row(Field::Visibility, i)).for_each(|(v, c)| *v = *c);
-        let (gathered, indirect) = self.indirect(i);
+        let IncidentLight { gathered, blocked } = self.incident(i);
         Surface {
             normal: triple(channel::NORMAL),
             albedo: triple(channel::ALBEDO),
@@ -129,31 +134,33 @@ impl AttributeSource<'_> {
             rough: row[channel::ROUGH],
             sheen: self.gaussians.row(Field::Sheen, i)[0],
             gathered,
-            indirect,
+            blocked,
             visibility,
             view: normalise(to_mean).0.map(|v| -v),
         }
     }
 
     /// Chain rule through the light of a Gaussian whose attributes are `row`: what `by_row` has for it is added to the
-    /// channels it is made of, to `by_mean`, the gradient by the splat's place, and to that of the light's tables.
+    /// channels it is made of, to `by_mean`, the gradient by the projected mean, and to that of the light tables.
     pub fn light_backward(
         &self,
-        view: &View,
+        view: &RasterCamera,
         splat: &Splat,
         row: &[f32],
         (by_mean, by_row): (&mut [f32], &mut [f32]),
         by_tables: &mut LightTables,
     ) {
         let Some(light) = &self.light else { return };
-        if by_row.len() < channel::LIGHT.end || by_row[channel::LIGHT].iter().all(|g| *g == 0.0) {
+        if by_row.len() < OutgoingRadiance::TOTAL.end
+            || by_row[OutgoingRadiance::TOTAL].iter().all(|g| *g == 0.0)
+        {
             return;
         }
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = self.gaussians.get(Field::Mean, i);
-        let to_mean = std::array::from_fn(|k| mean[k] - view.eye[k]);
+        let to_mean = std::array::from_fn(|k| mean[k] - view.centre[k]);
         let surface = self.surface(i, row, to_mean);
-        let g = std::array::from_fn(|c| by_row[channel::LIGHT.start + c]);
+        let g = std::array::from_fn(|c| by_row[OutgoingRadiance::TOTAL.start + c]);
         let by = light.shade_backward(&surface, &light.shade(&surface), g, by_tables);
         for c in 0..3 {
             by_row[channel::NORMAL.start + c] += by.normal[c];
@@ -161,19 +168,19 @@ impl AttributeSource<'_> {
         }
         by_row[channel::METAL] += by.metal;
         by_row[channel::ROUGH] += by.rough;
-        // The light's own gradient is spent.
-        by_row[channel::SHEEN] = by.sheen;
+        // The gradient by the outgoing radiance has been passed on: its first channel now carries that by sheen.
+        by_row[OutgoingRadiance::SHEEN_GRADIENT] = by.sheen;
         if by_row.len() >= channel::VISIBILITY {
-            (0..3).for_each(|c| by_row[channel::INDIRECT.start + c] += by.indirect[c]);
+            (0..3).for_each(|c| by_row[IncidentLight::BLOCKED.start + c] += by.blocked[c]);
             by_row[channel::VISIBILITY..].iter_mut().zip(&by.visibility).for_each(|(o, g)| *o += g);
         }
-        // The direction of view is that of the ray through the splat's place: it moves with nothing else.
+        // The view direction depends on the projected mean alone.
         let (direction, length) = normalise(to_mean);
         let along: f32 = (0..3).map(|k| direction[k] * by.view[k]).sum();
-        for (axis, by_place) in by_mean.iter_mut().enumerate() {
+        for (axis, by_mean) in by_mean.iter_mut().enumerate() {
             let across: f32 =
                 (0..3).map(|k| (direction[k] * along - by.view[k]) * view.rotation[axis][k]).sum();
-            *by_place += across * splat.depth / (length * view.focal[axis]);
+            *by_mean += across * splat.depth / (length * view.focal[axis]);
         }
     }
 
@@ -181,7 +188,7 @@ impl AttributeSource<'_> {
     /// the Gaussian's gradient row, but for albedo; geometry shared with the projection goes to `geometry_gradient`.
     pub fn write_backward(
         &self,
-        view: &View,
+        view: &RasterCamera,
         splat: &Splat,
         by_row: &[f32],
         layout: &RowLayout,
@@ -190,7 +197,7 @@ impl AttributeSource<'_> {
     ) {
         let i = splat.gaussian as usize;
         let geometry = self.geometry(i);
-        let to_mean: [f32; 3] = std::array::from_fn(|k| geometry.mean[k] - view.eye[k]);
+        let to_mean: [f32; 3] = std::array::from_fn(|k| geometry.mean[k] - view.centre[k]);
         self.radiance_backward(i, to_mean, by_row, layout, geometry_gradient, out);
         if by_row.len() > channel::PLANE {
             self.normal_backward(i, &geometry, to_mean, by_row, layout, geometry_gradient, out);
@@ -199,18 +206,18 @@ impl AttributeSource<'_> {
             for (field, channel) in [(Field::MetalLogit, channel::METAL), (Field::RoughLogit, channel::ROUGH)]
             {
                 out[layout.range(field)][0] +=
-                    by_row[channel] * sigmoid_slope(self.gaussians.row(field, i)[0]);
+                    by_row[channel] * sigmoid_derivative(self.gaussians.row(field, i)[0]);
             }
         }
-        if self.options.shade_at == ShadeAt::Gaussian && by_row.len() > channel::SHEEN {
-            out[layout.range(Field::Sheen)][0] += by_row[channel::SHEEN];
+        if self.options.shade_at == ShadeAt::Gaussian && by_row.len() > OutgoingRadiance::SHEEN_GRADIENT {
+            out[layout.range(Field::Sheen)][0] += by_row[OutgoingRadiance::SHEEN_GRADIENT];
         }
         if by_row.len() > channel::DEPTH {
             (0..3).for_each(|c| geometry_gradient.mean[c] += view.rotation[2][c] * by_row[channel::DEPTH]);
         }
         if by_row.len() >= channel::VISIBILITY {
             if self.options.indirect == IndirectForm::Learned {
-                let g = &by_row[channel::INDIRECT];
+                let g = &by_row[IncidentLight::BLOCKED];
                 for (o, e) in out[layout.range(Field::Indirect)].iter_mut().zip(self.indirect_basis) {
                     *o += (0..3).map(|c| g[c] * e[c]).sum::<f32>();
                 }
@@ -288,7 +295,7 @@ impl AttributeSource<'_> {
         for (s, y) in coefficients.chunks_exact(3).zip(&basis) {
             (0..3).for_each(|c| raw[c] += s[c] * y);
         }
-        Radiance { colour: raw.map(|v| v.max(0.0)), lit: raw.map(|v| v > 0.0), direction, length }
+        Radiance { colour: raw.map(|v| v.max(0.0)), is_positive: raw.map(|v| v > 0.0), direction, length }
     }
 
     fn radiance_backward(
@@ -305,13 +312,18 @@ impl AttributeSource<'_> {
             return;
         }
         let radiance = self.radiance(i, to_mean);
-        let g: [f32; 3] = std::array::from_fn(|c| if radiance.lit[c] { by_colour[c] } else { 0.0 });
-        let (mut basis, mut slope) = ([0.0f32; MAX_RADIANCE], [[0.0f32; 3]; MAX_RADIANCE]);
-        sh_eval_with_gradient(self.gaussians.radiance_order(), radiance.direction, &mut basis, &mut slope);
+        let g: [f32; 3] = std::array::from_fn(|c| if radiance.is_positive[c] { by_colour[c] } else { 0.0 });
+        let (mut basis, mut derivatives) = ([0.0f32; MAX_RADIANCE], [[0.0f32; 3]; MAX_RADIANCE]);
+        sh_eval_with_gradient(
+            self.gaussians.radiance_order(),
+            radiance.direction,
+            &mut basis,
+            &mut derivatives,
+        );
         let coefficients = self.gaussians.row(Field::Radiance, i).chunks_exact(3);
         let gradients = out[layout.range(Field::Radiance)].chunks_exact_mut(3);
         let mut by_direction = [0.0f32; 3];
-        for (((o, s), y), dy) in gradients.zip(coefficients).zip(&basis).zip(&slope) {
+        for (((o, s), y), dy) in gradients.zip(coefficients).zip(&basis).zip(&derivatives) {
             let along: f32 = (0..3).map(|c| g[c] * s[c]).sum();
             (0..3).for_each(|c| o[c] += g[c] * y);
             (0..3).for_each(|k| by_direction[k] += along * dy[k]);
@@ -330,7 +342,8 @@ struct Normal {
 
 struct Radiance {
     colour: [f32; 3],
-    lit: [bool; 3],
+    /// Where the clamp lets the gradient through.
+    is_positive: [bool; 3],
     direction: [f32; 3],
     length: f32,
 }

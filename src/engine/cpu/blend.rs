@@ -6,12 +6,9 @@
 
 use multiversion::multiversion;
 
+use crate::engine::constants::{ALPHA_MAX, ALPHA_MIN, EarlyStop, TILE, TRANSMITTANCE_STOP};
 use crate::engine::cpu::lanes::{LANES, Lanes, exp_negative};
-use crate::engine::cpu::project::{ALPHA_MAX, ALPHA_MIN, Splat};
-use crate::engine::cpu::tiles::TILE;
-
-/// A pixel whose transmittance is below this may be left; the weight missed is less than this in all.
-pub const TRANSMITTANCE_STOP: f32 = 1e-4;
+use crate::engine::cpu::project::Splat;
 
 /// The part of a splat that a strip needs.
 ///
@@ -110,8 +107,8 @@ pub struct TileJob<'a> {
     pub stored: usize,
     /// Top-left pixel.
     pub origin: (usize, usize),
-    /// Whether saturated pixels may be left early.
-    pub early_stop: bool,
+    /// When a pixel is left.
+    pub early_stop: EarlyStop,
 }
 
 impl BlendScratch {
@@ -122,14 +119,14 @@ impl BlendScratch {
 
     /// Alpha and transmittance of every splat that reaches the strip at row `y`.
     #[inline(always)]
-    pub(super) fn find_entries(&mut self, x: usize, y: usize, early_stop: bool) {
+    pub(super) fn find_entries(&mut self, x: usize, y: usize, early_stop: EarlyStop) {
         self.entries.clear();
         let mut transmittance = Lanes::ONE;
         for (local, s) in self.splats.iter().enumerate() {
             let Some(alpha) = s.alpha(x, y) else { continue };
             self.entries.push(Entry { local: local as u32, alpha, transmittance });
             transmittance = behind_splat(&transmittance, &alpha);
-            if early_stop && is_saturated(self.entries.len(), &transmittance) {
+            if is_finished(early_stop, self.entries.len(), &transmittance) {
                 break;
             }
         }
@@ -142,10 +139,12 @@ pub(super) fn behind_splat(in_front: &Lanes, alpha: &Lanes) -> Lanes {
     Lanes::from_fn(|i| in_front.0[i] * (1.0 - capped(alpha.0[i])))
 }
 
-/// Whether a strip may be left after `count` splats; looked at every fourth.
+/// Whether a strip is left after `count` splats; every fourth is tested.
 #[inline(always)]
-pub(super) fn is_saturated(count: usize, transmittance: &Lanes) -> bool {
-    count.is_multiple_of(4) && transmittance.max() < TRANSMITTANCE_STOP
+pub(super) fn is_finished(early_stop: EarlyStop, count: usize, transmittance: &Lanes) -> bool {
+    early_stop == EarlyStop::WhenSaturated
+        && count.is_multiple_of(4)
+        && transmittance.max() < TRANSMITTANCE_STOP
 }
 
 /// Alpha after the cap.

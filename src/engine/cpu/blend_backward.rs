@@ -7,21 +7,20 @@
 //! enough to recover all six. The tile's gradient (a kilobyte a row at 16 channels) stays in the L1 cache meanwhile.
 //! Channels go four at a time, rows in the inner loop: with channels innermost the compiler vectorises across *them*, by
 //! gathers and scatters.
-//! Tried: strip by strip, with the sums of all the tile's splats kept meanwhile: as fast while parts of this were scalar
-//! (see [`totals`]), not compared since. Lost: horizontal sums per strip (about 12 instructions for each of 16 a strip).
 
 use multiversion::multiversion;
 
-use crate::engine::cpu::blend::{BlendScratch, LocalSplat, TileJob, behind_splat, capped, is_saturated};
+use crate::engine::constants::{ALPHA_MAX, TILE};
+use crate::engine::cpu::blend::{BlendScratch, LocalSplat, TileJob, behind_splat, capped, is_finished};
 use crate::engine::cpu::lanes::{LANES, Lanes, totals};
-use crate::engine::cpu::project::ALPHA_MAX;
-use crate::engine::cpu::tiles::TILE;
 
-/// Leading floats of a gradient row: projected mean (2), conic (3), opacity (1), pull (1), then the channels.
+/// Leading floats of a gradient row: projected mean (2), conic (3), opacity (1), absgrad (1), then the channels.
 ///
-/// The pull is the sum over pixels of the *length* of each one's gradient by the projected mean: where pixels pull a splat
-/// apart the gradient is nothing and the pull is not (AbsGS, Ye et al. 2024, takes absolute values by axis).
+/// Absgrad is the sum over pixels of the *length* of each one's gradient by the projected mean (AbsGS, Ye et al. 2024, takes
+/// absolute values by axis): gradients of opposite sign cancel in the mean's gradient and do not here.
 pub const ROW_HEADER: usize = 7;
+/// Place of absgrad in a gradient row.
+pub const ABSGRAD: usize = ROW_HEADER - 1;
 
 /// Channels that are worked on together.
 const BLOCK: usize = 4;
@@ -131,7 +130,7 @@ fn find_entries(job: &TileJob<'_>, is_done: [bool; TILE], scratch: &mut Backward
             rows.transmittance[row] = behind_splat(&transmittance, &alpha);
             rows.count[row] += 1;
             rows.is_done[row] =
-                job.early_stop && is_saturated(rows.count[row] as usize, &rows.transmittance[row]);
+                is_finished(job.early_stop, rows.count[row] as usize, &rows.transmittance[row]);
         }
     }
     scratch.first_entry.push(scratch.entries.len());
@@ -189,24 +188,24 @@ fn header(
 ) -> [f32; ROW_HEADER] {
     let (x0, [a, b, c]) = (splat.dx(x), splat.conic());
     let dx = Lanes::from_fn(|i| x0 + i as f32);
-    // Moments 1, dy and dy^2 of the alpha gradient, and the pull.
+    // Moments 1, dy and dy^2 of the alpha gradient, and absgrad.
     let mut sums = [Lanes::ZERO; 4];
     for (e, flow) in entries.iter().zip(flow) {
         let dy = splat.dy(y + e.row);
         let (gx, gy) = (Lanes::from_fn(|i| a * dx.0[i] + b * dy), Lanes::from_fn(|i| b * dx.0[i] + c * dy));
         let square = Lanes::from_fn(|i| gx.0[i] * gx.0[i] + gy.0[i] * gy.0[i]);
-        let pull = Lanes::from_fn(|i| square.0[i].sqrt() * flow.0[i].abs());
+        let absgrad = Lanes::from_fn(|i| square.0[i].sqrt() * flow.0[i].abs());
         sums[0].add_product(1.0, flow);
         sums[1].add_product(dy, flow);
         sums[2].add_product(dy * dy, flow);
-        sums[3].add_product(1.0, &pull);
+        sums[3].add_product(1.0, &absgrad);
     }
     let x = Lanes::from_fn(|i| sums[0].0[i] * dx.0[i]);
     let xx = Lanes::from_fn(|i| x.0[i] * dx.0[i]);
     let xy = Lanes::from_fn(|i| sums[1].0[i] * dx.0[i]);
-    let [one, y, yy, pull] = totals(&sums);
+    let [one, y, yy, absgrad] = totals(&sums);
     let [x, xx, xy, _] = totals(&[x, xx, xy, Lanes::ZERO]);
-    [a * x + b * y, b * x + c * y, -0.5 * xx, -xy, -0.5 * yy, one / splat.opacity(), pull]
+    [a * x + b * y, b * x + c * y, -0.5 * xx, -xy, -0.5 * yy, one / splat.opacity(), absgrad]
 }
 
 /// The rows' gradients times the splat's weights, summed over the tile, into `out`.

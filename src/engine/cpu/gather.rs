@@ -1,19 +1,18 @@
-//! Light that bounces: what the blocked directions of each Gaussian send back under one light (docs/MODEL.md section 6).
+//! Light that bounces: what each Gaussian receives from the Gaussians that block its directions, under one light
+//! (docs/MODEL.md section 6).
 
 use rayon::prelude::*;
 
+use crate::engine::constants::{LEAST_BLOCKED, NO_HIT};
 use crate::engine::cpu::attributes::AttributeSource;
-use crate::engine::cpu::probes::{NO_HIT, Probes};
+use crate::engine::cpu::probes::Probes;
 use crate::engine::cpu::project::sigmoid;
-use crate::light::LightTables;
+use crate::light::{FULLY_OPEN, LightTables};
 use crate::scene::{Field, VisibilityForm};
 
 type Vec3 = [f32; 3];
 
-/// Blocked share of a direction below which nothing is gathered from it.
-const LEAST_BLOCKED: f32 = 0.02;
-
-/// Which Gaussian each Gaussian sees where it does not see the sky; independent of the light.
+/// Which Gaussians block the directions of each Gaussian; independent of the light.
 #[derive(Debug, Clone)]
 pub struct Transport {
     normals: Vec<Vec3>,
@@ -49,8 +48,8 @@ impl Transport {
                     }
                     // Only a face turned to the receiver emits towards it.
                     let emitter: f32 = (0..3).map(|a| normals[from as usize][a] * d[a]).sum();
-                    let lit = if emitter < 0.0 { 1.0 } else { 0.0 };
-                    row.push(Link { from, irradiance: lit * share * facing * weight, share });
+                    let faces_receiver = if emitter < 0.0 { 1.0 } else { 0.0 };
+                    row.push(Link { from, irradiance: faces_receiver * share * facing * weight, share });
                 }
                 row
             })
@@ -119,11 +118,7 @@ pub fn sky_irradiance(source: &AttributeSource<'_>, tables: &LightTables, normal
     let mut out = [0.0f32; 3];
     for k in 0..4 {
         for (o, row) in out.iter_mut().zip(tables.diffuse_rows(taps.node[k])) {
-            let e: f32 = if open {
-                row[0] * crate::engine::cpu::FULLY_OPEN
-            } else {
-                row.iter().zip(c).map(|(t, c)| t * c).sum()
-            };
+            let e: f32 = if open { row[0] * FULLY_OPEN } else { row.iter().zip(c).map(|(t, c)| t * c).sum() };
             *o += taps.weight[k] * e;
         }
     }

@@ -3,10 +3,10 @@
 use multiversion::multiversion;
 use rayon::prelude::*;
 
+use crate::engine::constants::{EarlyStop, TILE};
 use crate::engine::cpu::blend::{BlendScratch, TileJob, capped};
 use crate::engine::cpu::lanes::{LANES, Lanes};
 use crate::engine::cpu::pass::Pass;
-use crate::engine::cpu::tiles::TILE;
 
 /// A Gaussian's label: mean backward transmittance over the pixels it contributes to, and their summed weight.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -17,7 +17,7 @@ pub struct BackwardLabel {
     pub weight: f32,
 }
 
-/// Labels by rank. The view is swept to the end whatever early stop the pass itself used.
+/// Labels by rank. All splats count, whatever early stop the pass itself used.
 pub fn backward_labels(pass: &Pass) -> Vec<BackwardLabel> {
     let per_tile: Vec<Vec<[f32; 2]>> = (0..pass.tiles.len())
         .into_par_iter()
@@ -29,7 +29,7 @@ pub fn backward_labels(pass: &Pass) -> Vec<BackwardLabel> {
                 attributes: &pass.attributes,
                 stored: pass.channels.stored(),
                 origin: pass.tiles.origin(tile),
-                early_stop: false,
+                early_stop: EarlyStop::Never,
             };
             let mut out = vec![[0.0f32; 2]; ranks.len()];
             let (x0, y0) = job.origin;
@@ -65,8 +65,8 @@ fn label_tile(
 ) {
     scratch.gather(job);
     for row in 0..rows {
-        scratch.find_entries(job.origin.0, job.origin.1 + row, false);
-        // Walking back to front, the running product *is* That (Eq. 14): nothing is divided.
+        scratch.find_entries(job.origin.0, job.origin.1 + row, EarlyStop::Never);
+        // From back to front, the running product is That (Eq. 14): nothing is divided.
         let mut behind = Lanes::ONE;
         for e in scratch.entries.iter().rev() {
             let mut sums = [0.0f32; 2];

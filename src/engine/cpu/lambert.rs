@@ -1,8 +1,7 @@
 //! The diffuse term of one surface, a pixel's or a Gaussian's (docs/MODEL.md section 4), forward and backward.
 
-use crate::engine::cpu::shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shader, Surface, SurfaceGradient, dot3};
-use crate::light::{LightTables, Taps, nrsh_factor, sh_eval, sh_eval_with_gradient};
-use crate::scene::{DiffuseForm, VisibilityForm};
+use crate::engine::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader, dot3};
+use crate::light::{FULLY_OPEN, LightTables, Taps, nrsh_factor, sh_eval, sh_eval_with_gradient};
 
 const INV_PI: f32 = std::f32::consts::FRAC_1_PI;
 
@@ -40,16 +39,7 @@ fn dot_padded(a: &[f32], b: &[f32]) -> f32 {
     sums[0]
 }
 
-impl Shader<'_> {
-    fn is_open(&self) -> bool {
-        self.options.visibility == VisibilityForm::Off
-    }
-
-    /// Whether one number stands for the visibility of all directions.
-    fn is_scalar(&self) -> bool {
-        self.is_open() || self.options.diffuse == DiffuseForm::AmbientOcclusion
-    }
-
+impl SurfaceShader<'_> {
     /// `AO = squash(<c, NRSH(n)>)` (Eq. 16-18) for a unit normal.
     pub fn ambient_occlusion(&self, visibility: &[f32], normal: [f32; 3]) -> f32 {
         if self.is_open() { 1.0 } else { self.ambient_with_raw(visibility, normal).0 }
@@ -137,11 +127,11 @@ impl Shader<'_> {
             }
         }
         if scalar && !self.is_open() {
-            let slope = by_ambient * self.squash_slope(f.ambient_raw, f.ambient);
+            let by_raw = by_ambient * self.squash_derivative(f.ambient_raw, f.ambient);
             let (mut y, mut dy) = ([0.0f32; MAX_COEFFICIENTS], [[0.0f32; 3]; MAX_COEFFICIENTS]);
             sh_eval_with_gradient(self.order, f.normal, &mut y, &mut dy);
             for l in 0..=self.order {
-                let factor = slope * nrsh_factor(l) as f32;
+                let factor = by_raw * nrsh_factor(l) as f32;
                 for j in l * l..(l + 1) * (l + 1) {
                     out.visibility[j] += factor * y[j];
                     (0..3).for_each(|a| by_normal[a] += factor * s.visibility[j] * dy[j][a]);

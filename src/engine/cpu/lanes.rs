@@ -3,7 +3,7 @@
 //! Everything here is `inline(always)` so that it takes on the CPU features of the kernel it is used in
 //! (kernels are compiled once per feature set by `multiversion` and chosen at run time).
 
-/// Pixels in a strip; also the tile's side.
+/// Values in a vector: pixels of a tile row, or Gaussians.
 pub const LANES: usize = 16;
 
 /// One value per pixel of a strip.

@@ -1,4 +1,4 @@
-//! Albedo as a mixture of prototypes (article Eq. 23), sixteen Gaussians abreast, forward and backward.
+//! Albedo as a mixture of prototypes (article Eq. 23), sixteen Gaussians in SIMD lanes, forward and backward.
 //!
 //! Scores are turned from rows to lanes, one lane a Gaussian, so that each one's sums are taken in the order of its
 //! prototypes whatever the registers' width.
@@ -114,7 +114,7 @@ impl MixtureScratch {
 
 /// Softmax of `scores`, in place, lane by lane.
 #[inline(always)]
-pub fn softmax_abreast(scores: &mut [Lanes]) {
+pub fn softmax_lanes(scores: &mut [Lanes]) {
     let mut top = Lanes([f32::NEG_INFINITY; LANES]);
     for s in scores.iter() {
         top = Lanes::from_fn(|i| if s.0[i] > top.0[i] { s.0[i] } else { top.0[i] });
@@ -132,7 +132,7 @@ pub fn softmax_abreast(scores: &mut [Lanes]) {
 /// Softmax of `scores`, in place, and the mixtures of `palette` by it on top of `residual`.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
 fn blend(scores: &mut [Lanes], palette: &[[f32; 3]], residual: &[Lanes; 3]) -> [Lanes; 3] {
-    softmax_abreast(scores);
+    softmax_lanes(scores);
     let mut mixed = [Lanes::ZERO; 3];
     for (share, colour) in scores.iter().zip(palette) {
         (0..3).for_each(|c| mixed[c].add_product(colour[c], share));
@@ -194,9 +194,9 @@ mod tests {
     }
 
     #[test]
-    fn sixteen_abreast_are_what_each_is_alone() {
-        let [abreast, alone] = both(&gaussians());
-        assert_eq!(abreast, alone);
+    fn sixteen_in_lanes_are_what_each_is_alone() {
+        let [in_lanes, alone] = both(&gaussians());
+        assert_eq!(in_lanes, alone);
         assert!(alone.iter().flatten().any(|a| *a < 0.0), "the control: nothing is clamped yet");
     }
 

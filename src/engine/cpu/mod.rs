@@ -1,51 +1,55 @@
 //! The native CPU engine: f32, tiles, sixteen pixels at a time, rayon over tiles and Gaussians.
 //!
 //! The same inputs give the same bytes for any number of threads: work is split by tile or Gaussian, never by thread,
-//! and every sum across tiles is taken in a fixed order. Kernels round products and sums separately, so that the bytes
-//! do not depend on which CPU features were found either.
+//! and every sum across tiles is taken in a fixed order. Kernels round products and sums separately: the bytes do not depend
+//! on the CPU features found.
 
+mod adam;
 mod attributes;
 mod blend;
 mod blend_backward;
+mod branch_images;
+mod density;
+mod display;
+pub mod evaluation;
+mod frames;
 mod gather;
-mod indirect;
 mod labels;
 mod lambert;
 mod lanes;
 mod mixture;
+pub mod objective;
 mod occluder;
 mod pass;
 mod point;
 mod probes;
 mod project;
 mod rays;
-mod shade;
-mod shading;
+mod resolve;
 mod shadows;
+mod surface;
+mod surface_shader;
 mod tiles;
-mod view;
+mod training;
 
 pub use attributes::{AttributeSource, softmax};
-pub use blend::TRANSMITTANCE_STOP;
 #[cfg(test)]
 pub use blend_backward::ROW_HEADER;
+pub use branch_images::{BranchImages, BufferGradient, radiance_image, radiance_image_backward, surface_at};
+pub use display::{linear_from_srgb, srgb, srgb_derivative};
+pub use frames::{FrameLight, Frames, blended_radiance};
 pub use gather::{Transport, sky_irradiance};
-pub use indirect::{indirect_basis, indirect_basis_backward};
 pub use labels::{BackwardLabel, backward_labels};
 pub use lanes::{LANES, Lanes};
-pub use mixture::softmax_abreast;
-pub use occluder::ProbeSettings;
+pub use mixture::softmax_lanes;
 pub use pass::{Pass, attribute_rows, project_all};
 pub use point::surface_point;
-pub use probes::{NO_HIT, Probes, fibonacci_sphere, outward_normals};
+pub use probes::{Probes, outward_normals};
 pub use project::{
-    ALPHA_MAX, ALPHA_MIN, Geometry, NEAR, Splat, normalise, normalise_backward, rotation, rotation_backward,
-    sigmoid, sigmoid_slope,
+    Geometry, Splat, normalise, normalise_backward, rotation, rotation_backward, sigmoid, sigmoid_derivative,
 };
 pub use rays::Occluders;
-pub use shade::{FULLY_OPEN, MAX_COEFFICIENTS, Shaded, Shader, Surface, SurfaceGradient};
-pub use shading::{
-    BranchImages, BufferGradient, LEAST_COVERAGE, linear_from_srgb, radiance_image, radiance_image_backward,
-    srgb, srgb_slope, surface_at,
-};
-pub use view::View;
+pub use resolve::{reflector, resolve};
+pub use surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader};
+pub use surface_shader::Shaded;
+pub use training::{Outcome, Training, objective};

@@ -1,16 +1,11 @@
-//! A Gaussian as what hides a direction: its shadow on a plane across that direction.
+//! A Gaussian as an occluder: its orthographic footprint on the plane across a direction.
 
 use rayon::prelude::*;
 
+use crate::engine::constants::{ALPHA_MAX, ALPHA_MIN, LOG_SCALE_LIMIT, WIDEST};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::lanes::exp_negative;
-use crate::engine::cpu::project::{ALPHA_MAX, ALPHA_MIN, rotation, sigmoid};
-use crate::scene::ShadingOptions;
-
-/// What lets through less than this lets nothing through.
-pub(super) const OPAQUE: f32 = 1e-3;
-/// A covariance beyond this is no occluder, world units^2.
-pub(super) const WIDEST: f32 = 1e12;
+use crate::engine::cpu::project::{rotation, sigmoid};
 
 pub(super) type Vec3 = [f32; 3];
 
@@ -18,35 +13,7 @@ pub(super) fn dot(a: Vec3, b: Vec3) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// How a query keeps clear of the surface it starts from.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ProbeSettings {
-    /// Start this many standard deviations along the outward normal.
-    pub offset: f32,
-    /// Start this much further along the outward normal, world units.
-    pub lift: f32,
-    /// An occluder must be this many of its own standard deviations further along the direction.
-    pub clearance: f32,
-    /// And this much besides, world units.
-    pub bias: f32,
-    /// And no further than this, world units.
-    pub reach: f32,
-}
-
-impl ProbeSettings {
-    /// The settings a model is trained and rendered with.
-    pub fn of(options: &ShadingOptions) -> Self {
-        Self { reach: options.occluder_reach.unwrap_or(f32::INFINITY), ..Self::default() }
-    }
-}
-
-impl Default for ProbeSettings {
-    fn default() -> Self {
-        Self { offset: 1.0, lift: 0.0, clearance: 2.0, bias: 0.03, reach: f32::INFINITY }
-    }
-}
-
-/// A Gaussian that hides.
+/// A Gaussian as an occluder.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Occluder {
     pub(super) mean: Vec3,
@@ -69,7 +36,7 @@ pub(super) struct Footprint {
     pub(super) reach: f32,
 }
 
-/// Every Gaussian of `source`; those that hide nothing have an opacity of 0.
+/// Every Gaussian of `source`; those with unusable parameters have an opacity of 0.
 pub(super) fn occluders(source: &AttributeSource<'_>) -> Vec<Occluder> {
     (0..source.gaussians.len()).into_par_iter().with_min_len(256).map(|i| Occluder::new(source, i)).collect()
 }
@@ -78,17 +45,17 @@ impl Occluder {
     fn new(source: &AttributeSource<'_>, i: usize) -> Self {
         let g = source.geometry(i);
         let q = rotation(g.quaternion);
-        let scale = g.log_scale.map(|s| s.clamp(-60.0, 60.0).exp());
+        let scale = g.log_scale.map(|s| s.clamp(-LOG_SCALE_LIMIT, LOG_SCALE_LIMIT).exp());
         let axes = std::array::from_fn(|k| std::array::from_fn(|r| q[r][k] * scale[k]));
         let opacity = if g.is_usable() { sigmoid(g.opacity_logit) } else { 0.0 };
         Self { mean: g.mean, axes, opacity, reach: (opacity / ALPHA_MIN).ln() }
     }
 
-    pub(super) fn hides(&self) -> bool {
+    pub(super) fn occludes(&self) -> bool {
         self.opacity >= ALPHA_MIN
     }
 
-    /// The shadow along `d` on the plane of `u` and `v`, an orthonormal basis; `None` where it is not a number.
+    /// The footprint along `d` on the plane of `u` and `v`, an orthonormal basis; `None` where it is degenerate or too wide.
     #[inline]
     pub(super) fn along(&self, d: Vec3, u: Vec3, v: Vec3) -> Option<Footprint> {
         let (mut uu, mut uv, mut vv, mut dd) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
@@ -99,7 +66,7 @@ impl Occluder {
             vv += b * b;
             dd += c * c;
         }
-        let floor = sliver(uu + vv);
+        let floor = widening(uu + vv);
         let (uu, vv) = (uu + floor, vv + floor);
         let det = uu * vv - uv * uv;
         (det > 0.0 && uu < WIDEST && vv < WIDEST).then(|| Footprint {
@@ -113,7 +80,7 @@ impl Occluder {
 }
 
 impl Footprint {
-    /// Share of light it takes `offset` from its centre; `None` below 1/255.
+    /// Alpha `offset` from its centre; `None` below 1/255.
     #[inline]
     pub(super) fn alpha(&self, [dx, dy]: [f32; 2]) -> Option<f32> {
         let power = 0.5 * (self.conic[0] * dx * dx + self.conic[2] * dy * dy) + self.conic[1] * dx * dy;
@@ -126,9 +93,8 @@ impl Footprint {
     }
 }
 
-/// An edge-on pancake keeps a sliver of width, or nothing could ever hit it: what is added to the variances that sum up to
-/// `trace`.
-pub(super) fn sliver(trace: f32) -> f32 {
+/// Added to both variances of a footprint, whose sum is `trace`: a disc seen edge-on would have a width of 0.
+pub(super) fn widening(trace: f32) -> f32 {
     1e-4 * trace + 1e-14
 }
 

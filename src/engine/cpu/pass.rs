@@ -1,60 +1,69 @@
 //! One rasterisation: project, sort, bin and blend; and the way back to the parameters.
 
+use crate::engine::RasterCamera;
 use rayon::prelude::*;
 
-use crate::engine::channel::{self, Channels};
+use crate::engine::channel::{self, Channels, IncidentLight, RowLight};
+use crate::engine::constants::{EarlyStop, TILE};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::blend::{BlendScratch, TileJob, blend_tile};
-use crate::engine::cpu::blend_backward::{BackwardScratch, ROW_HEADER, blend_tile_backward};
-use crate::engine::cpu::indirect::indirect_basis_backward;
+use crate::engine::cpu::blend_backward::{ABSGRAD, BackwardScratch, ROW_HEADER, blend_tile_backward};
 use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::mixture::MixtureScratch;
 use crate::engine::cpu::project::{Splat, SplatGradient, project, project_backward, rotation_backward};
-use crate::engine::cpu::tiles::{TILE, TileLists};
-use crate::engine::cpu::view::View;
+use crate::engine::cpu::tiles::TileLists;
+use crate::engine::indirect_basis_backward;
 use crate::engine::{Gradients, RowLayout, zeros};
 use crate::light::LightTables;
 use crate::scene::{Field, IndirectForm};
 
 /// Gaussians a task takes; fixed, so that sums come out the same for any number of threads.
 const CHUNK: usize = 512;
-/// The same where a task has tables of light of its own.
-const LIT_CHUNK: usize = 4096;
+/// The same where a task differentiates the shading, with a gradient of the light tables of its own.
+const SHADED_CHUNK: usize = 4096;
 
 /// A rasterised view: the G-buffer and everything its backward pass needs.
 #[derive(Debug, Clone)]
 pub struct Pass {
     /// The camera.
-    pub view: View,
+    pub view: RasterCamera,
     /// Visible splats, front to back.
     pub splats: Vec<Splat>,
     /// Their tiles.
     pub tiles: TileLists,
     /// Channels carried.
     pub channels: Channels,
+    /// Light carried, where there are channels for it.
+    pub light: RowLight,
     /// Attribute rows by rank, `channels.stored()` floats each.
     pub attributes: Vec<f32>,
     /// `[tile][row][channel][lane]`.
     pub gbuffer: Vec<f32>,
-    early_stop: bool,
+    early_stop: EarlyStop,
 }
 
 impl Pass {
     /// Rasterises `source` as seen by `view`.
-    pub fn forward(source: &AttributeSource<'_>, view: View, channels: Channels, early_stop: bool) -> Self {
+    pub fn forward(
+        source: &AttributeSource<'_>,
+        view: RasterCamera,
+        channels: Channels,
+        early_stop: EarlyStop,
+    ) -> Self {
         let splats = project_all(source, &view);
         let stored = channels.stored();
         let attributes = attribute_rows(source, &view, &splats, channels, stored);
-        Self::blend(view, splats, channels, attributes, early_stop)
+        Self::blend(view, splats, channels, source.row_light(), attributes, early_stop)
     }
 
     /// Blends given attribute rows; for callers that make their own, such as the preview tier.
     pub fn blend(
-        view: View,
+        view: RasterCamera,
         splats: Vec<Splat>,
         channels: Channels,
+        light: RowLight,
         attributes: Vec<f32>,
-        early_stop: bool,
+        early_stop: EarlyStop,
     ) -> Self {
         let tiles = TileLists::new(view.width, view.height, &splats);
         let stored = channels.stored();
@@ -72,7 +81,7 @@ impl Pass {
                 blend_tile(&job, scratch, out);
             },
         );
-        Self { view, splats, tiles, channels, attributes, gbuffer, early_stop }
+        Self { view, splats, tiles, channels, light, attributes, gbuffer, early_stop }
     }
 
     /// Index of channel 0 of pixel (`x`, `y`) in a buffer of `stored` channels; channels are a strip (16 floats) apart.
@@ -126,11 +135,11 @@ impl Pass {
         }
         let half_width = 0.5 * self.view.width.max(self.view.height) as f32;
         let has_albedo = width > ROW_HEADER + channel::ROUGH;
-        let marks = out.pull.par_chunks_mut(LANES).zip(out.visible.par_chunks_mut(LANES));
+        let marks = out.absgrad.par_chunks_mut(LANES).zip(out.visible.par_chunks_mut(LANES));
         let blocks = out.rows.par_chunks_mut(LANES * layout.row).zip(marks).zip(rank_of.par_chunks(LANES));
         blocks.enumerate().with_min_len(4).for_each_init(
             MixtureScratch::default,
-            |scratch, (block, ((rows, (pull, visible)), ranks))| {
+            |scratch, (block, ((rows, (absgrad, visible)), ranks))| {
                 let of_rank = |rank: &u32| summed.chunks_exact(width).nth(*rank as usize);
                 if has_albedo {
                     let by_rows: Vec<Option<&[f32]>> =
@@ -144,8 +153,7 @@ impl Pass {
                     let (Some(splat), Some(summed)) = (self.splats.get(*rank as usize), of_rank(rank)) else {
                         continue;
                     };
-                    // The last float of the header.
-                    pull[lane] = summed[ROW_HEADER - 1] * half_width;
+                    absgrad[lane] = summed[ABSGRAD] * half_width;
                     visible[lane] = true;
                     self.geometry_backward(source, splat, summed, &layout, row);
                 }
@@ -190,11 +198,11 @@ impl Pass {
             return;
         }
         let stored = self.channels.stored();
-        let splats = self.splats.par_chunks(LIT_CHUNK);
-        let rows = self.attributes.par_chunks(LIT_CHUNK * stored);
+        let splats = self.splats.par_chunks(SHADED_CHUNK);
+        let rows = self.attributes.par_chunks(SHADED_CHUNK * stored);
         let partial: Vec<LightTables> = splats
             .zip(rows)
-            .zip(summed.par_chunks_mut(LIT_CHUNK * width))
+            .zip(summed.par_chunks_mut(SHADED_CHUNK * width))
             .map(|((splats, rows), summed)| {
                 let mut tables = by_tables.zeroed();
                 let rows = rows.chunks_exact(stored).zip(summed.chunks_exact_mut(width));
@@ -217,21 +225,21 @@ impl Pass {
         width: usize,
         by_tables: &mut LightTables,
     ) {
-        let indirect = ROW_HEADER + channel::INDIRECT.start..ROW_HEADER + channel::INDIRECT.end;
-        if source.options.indirect != IndirectForm::Learned || width < indirect.end {
+        let blocked = ROW_HEADER + IncidentLight::BLOCKED.start..ROW_HEADER + IncidentLight::BLOCKED.end;
+        if source.options.indirect != IndirectForm::Learned || width < blocked.end {
             return;
         }
         let mut by_basis = [[0.0f32; 3]; 16];
         for (splat, row) in self.splats.iter().zip(summed.chunks_exact(width)) {
             let weights = source.gaussians.row(Field::Indirect, splat.gaussian as usize);
             for (o, w) in by_basis.iter_mut().zip(weights) {
-                o.iter_mut().zip(&row[indirect.clone()]).for_each(|(o, g)| *o += w * g);
+                o.iter_mut().zip(&row[blocked.clone()]).for_each(|(o, g)| *o += w * g);
             }
         }
         indirect_basis_backward(&by_basis, by_tables);
     }
 
-    /// The splats' own gradients by rank, summed over their tiles: mean, conic, opacity, pull, then `count` channels.
+    /// The splats' own gradients by rank, summed over their tiles: mean, conic, opacity, absgrad, then `count` channels.
     pub fn splat_gradients(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
         self.sum_instances(&self.blend_backward(by_gbuffer, stored, count), ROW_HEADER + count)
     }
@@ -322,7 +330,7 @@ fn gaussians_of(splats: &[Splat]) -> Vec<u32> {
 /// The attributes that `channels` carry of every splat, by rank, in rows of `stored` floats; what is beyond is zero.
 pub fn attribute_rows(
     source: &AttributeSource<'_>,
-    view: &View,
+    view: &RasterCamera,
     splats: &[Splat],
     channels: Channels,
     stored: usize,
@@ -341,7 +349,7 @@ pub fn attribute_rows(
 }
 
 /// Every visible Gaussian as a splat, sorted front to back, ties by index.
-pub fn project_all(source: &AttributeSource<'_>, view: &View) -> Vec<Splat> {
+pub fn project_all(source: &AttributeSource<'_>, view: &RasterCamera) -> Vec<Splat> {
     let mut splats: Vec<Splat> = (0..source.gaussians.len())
         .into_par_iter()
         .with_min_len(256)

@@ -1,11 +1,11 @@
 //! Where in the world the surface is that a pixel sees.
 
 use crate::engine::channel;
+use crate::engine::constants::{ALPHA_MAX, TILE};
 use crate::engine::cpu::pass::Pass;
-use crate::engine::cpu::project::{ALPHA_MAX, Splat};
-use crate::engine::cpu::tiles::TILE;
+use crate::engine::cpu::project::Splat;
 
-/// How far a Gaussian's plane may lead from its centre's depth, relative: what leads further is seen edge-on.
+/// Largest relative distance of a depth on a Gaussian's plane from its centre's depth; beyond, the plane is seen edge-on.
 const FARTHEST: f32 = 0.05;
 
 /// The world point that pixel (`x`, `y`) of a pass with normals sees: on the plane of the Gaussian that brings coverage
@@ -27,7 +27,7 @@ pub fn surface_point(pass: &Pass, x: usize, y: usize) -> [f32; 3] {
             break;
         }
     }
-    std::array::from_fn(|k| pass.view.eye[k] + depth * ray[k])
+    std::array::from_fn(|k| pass.view.centre[k] + depth * ray[k])
 }
 
 /// What `splat` takes from the centre of pixel (`x`, `y`).

@@ -1,31 +1,17 @@
-//! Transmittance probes: what each Gaussian sees of the sky, and which Gaussian hides the rest (docs/MODEL.md section 6).
+//! Transmittance probes: the visibility of the environment from each Gaussian, and its dominant occluder (docs/MODEL.md
+//! section 6).
 //!
 //! Directions are independent and run in parallel; `shadows.rs` answers all queries of one.
 
 use rayon::prelude::*;
 
+use crate::engine::ProbeSettings;
 use crate::engine::cpu::attributes::AttributeSource;
-use crate::engine::cpu::occluder::{ProbeSettings, Vec3, dot, occluders};
+use crate::engine::cpu::occluder::{Vec3, dot, occluders};
 use crate::engine::cpu::project::rotation;
 use crate::engine::cpu::shadows::{Query, measure_direction};
 use crate::light::sh_eval;
 use crate::scene::{Field, sh_count};
-
-/// No Gaussian hides the direction.
-pub const NO_HIT: u32 = u32::MAX;
-
-/// `n` directions spread evenly over the sphere (Fibonacci spiral).
-pub fn fibonacci_sphere(n: usize) -> Vec<Vec3> {
-    let golden = std::f64::consts::PI * (1.0 + 5.0f64.sqrt());
-    (0..n)
-        .map(|i| {
-            let z = 1.0 - 2.0 * (i as f64 + 0.5) / n as f64;
-            let r = (1.0 - z * z).max(0.0).sqrt();
-            let phi = golden * (i as f64 + 0.5);
-            [(r * phi.cos()) as f32, (r * phi.sin()) as f32, z as f32]
-        })
-        .collect()
-}
 
 /// Measured visibility of a set of Gaussians.
 #[derive(Debug, Clone)]
@@ -34,7 +20,7 @@ pub struct Probes {
     pub directions: Vec<Vec3>,
     /// `[direction][Gaussian]`: transmittance towards the direction.
     pub transmittance: Vec<Vec<f32>>,
-    /// `[direction][Gaussian]`: the Gaussian that takes most of the rest, or [`NO_HIT`].
+    /// `[direction][Gaussian]`: the Gaussian that takes most of the rest, or [`NO_HIT`](crate::engine::constants::NO_HIT).
     pub hit: Vec<Vec<u32>>,
 }
 

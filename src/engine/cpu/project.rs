@@ -4,7 +4,10 @@
 //! `xx yy - xy^2` would be the difference of two large numbers. With the low-pass l added to xx and yy it grows by
 //! `l (xx + yy) + l^2`, a sum of positive terms.
 
-use crate::engine::cpu::view::View;
+use crate::engine::RasterCamera;
+use crate::engine::constants::{
+    ALPHA_MIN, FAR, FARTHEST_PIXEL, LARGEST_VARIANCE, LEAST_DETERMINANT, LOG_SCALE_LIMIT, NEAR,
+};
 
 /// A projected Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,7 +28,7 @@ pub struct Splat {
     pub reach: f32,
     /// Camera depth.
     pub depth: f32,
-    /// Sorts like depth, see [`View::depth_key`].
+    /// Sorts like depth, see [`RasterCamera::depth_key`].
     pub depth_key: u32,
 }
 
@@ -68,28 +71,15 @@ pub struct GeometryGradient {
 
 type Mat3 = [[f32; 3]; 3];
 
-/// Nearest camera depth that is drawn, world units.
-pub const NEAR: f32 = 0.05;
-/// Farthest camera depth that is drawn: its cube is still finite in f32.
-const FAR: f32 = 1e12;
-/// Farthest a projected mean may lie from the image's corner, pixels.
-const FARTHEST_PIXEL: f32 = 1e12;
-/// Largest variance of a splat on screen, px^2: its square is still finite in f32.
-const LARGEST_VARIANCE: f32 = 1e18;
-/// Alpha below this is treated as nothing.
-pub const ALPHA_MIN: f32 = 1.0 / 255.0;
-/// Alpha is capped here.
-pub const ALPHA_MAX: f32 = 0.99;
-
 /// `1 / (1 + e^-x)`.
 #[inline]
 pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Slope of [`sigmoid`]: `s(x) s(-x)`, which keeps its digits where `s` is nearly 1 and `1 - s` has none left.
+/// Derivative of [`sigmoid`]: `s(x) s(-x)`, which keeps its digits where `s` is nearly 1 and `1 - s` has none left.
 #[inline]
-pub fn sigmoid_slope(x: f32) -> f32 {
+pub fn sigmoid_derivative(x: f32) -> f32 {
     sigmoid(x) * sigmoid(-x)
 }
 
@@ -141,7 +131,7 @@ pub fn rotation_backward(quaternion: [f32; 4], g: &Mat3) -> [f32; 4] {
 }
 
 impl Geometry {
-    /// Whether this is a Gaussian at all. Scales and opacity may be infinite: they have limits.
+    /// Whether all parameters are numbers. Scales and opacity may be infinite: they are clamped.
     pub(super) fn is_usable(&self) -> bool {
         let finite = self.mean.iter().chain(&self.quaternion).all(|v| v.is_finite());
         finite && !self.opacity_logit.is_nan() && !self.log_scale.iter().any(|s| s.is_nan())
@@ -169,7 +159,7 @@ struct Projection {
     area: [f32; 3],
 }
 
-fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
+fn prepare(view: &RasterCamera, g: &Geometry) -> Option<Projection> {
     if !g.is_usable() {
         return None;
     }
@@ -192,7 +182,7 @@ fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
         std::array::from_fn(|c| (0..3).map(|k| jacobian[r][k] * view.rotation[k][c]).sum())
     });
     let rotation = rotation(g.quaternion);
-    let scale = g.log_scale.map(|s| s.clamp(-60.0, 60.0).exp());
+    let scale = g.log_scale.map(|s| s.clamp(-LOG_SCALE_LIMIT, LOG_SCALE_LIMIT).exp());
     let axes: Mat3 = std::array::from_fn(|r| std::array::from_fn(|c| rotation[r][c] * scale[c]));
     // The scale comes last: nothing cancels between axes of different length.
     let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
@@ -209,12 +199,12 @@ fn prepare(view: &View, g: &Geometry) -> Option<Projection> {
 }
 
 /// Projects a Gaussian, or `None` when no pixel can see it.
-pub fn project(view: &View, index: u32, g: &Geometry) -> Option<Splat> {
+pub fn project(view: &RasterCamera, index: u32, g: &Geometry) -> Option<Splat> {
     let p = prepare(view, g)?;
     let (raw, raw_determinant, low_pass) = (p.raw, p.raw_determinant, view.low_pass);
     let covariance = [raw[0] + low_pass, raw[1], raw[2] + low_pass];
     let determinant = blurred_determinant(&p, low_pass);
-    if !(determinant > 1e-12) {
+    if !(determinant > LEAST_DETERMINANT) {
         return None;
     }
     let conic = [covariance[2], -covariance[1], covariance[0]].map(|v| v / determinant);
@@ -254,11 +244,11 @@ fn blurred_determinant(p: &Projection, low_pass: f32) -> f32 {
 }
 
 /// Chain rule from a splat's gradient to the Gaussian's geometry; `s` is the forward result.
-pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient) -> GeometryGradient {
+pub fn project_backward(view: &RasterCamera, g: &Geometry, s: &Splat, d: &SplatGradient) -> GeometryGradient {
     let Some(p) = prepare(view, g) else { return GeometryGradient::default() };
     let mut out = GeometryGradient::default();
     let sigma = sigmoid(g.opacity_logit);
-    out.opacity_logit = d.opacity * s.compensation * sigmoid_slope(g.opacity_logit);
+    out.opacity_logit = d.opacity * s.compensation * sigmoid_derivative(g.opacity_logit);
     // Gradient by the conic as a symmetric matrix.
     let (da, db, dc) = (d.conic[0], 0.5 * d.conic[1], d.conic[2]);
     let by_screen = screen_backward(view, &p, s, [da, db, dc], d.opacity * sigma, &mut out.log_scale);
@@ -298,7 +288,7 @@ pub fn project_backward(view: &View, g: &Geometry, s: &Splat, d: &SplatGradient)
 /// of its length: as a difference of C's entries times x it would be lost, so it is taken from the adjugate,
 /// `adj(raw) x_k = sum over the other axes j of (x_k x x_j) perp x_j`, in which the axis itself cancels exactly.
 fn screen_backward(
-    view: &View,
+    view: &RasterCamera,
     p: &Projection,
     s: &Splat,
     [da, db, dc]: [f32; 3],
@@ -308,9 +298,9 @@ fn screen_backward(
     let [a, b, c] = s.conic;
     let (determinant, low_pass) = (blurred_determinant(p, view.low_pass), view.low_pass);
     let adjugate = [cross(&p.screen[1], &p.area), cross(&p.area, &p.screen[0])];
-    // Below, its root no longer has a slope that f32 can hold.
-    let has_slope = view.low_pass_compensation && p.raw_determinant > 1e-12;
-    let factor = if has_slope { s.compensation * by_compensation } else { 0.0 };
+    // Below, the derivative of its root overflows f32.
+    let has_derivative = view.low_pass_compensation && p.raw_determinant > LEAST_DETERMINANT;
+    let factor = if has_derivative { s.compensation * by_compensation } else { 0.0 };
     let mut by_screen = [[0.0f32; 3]; 2];
     for k in 0..3 {
         let x = [p.screen[0][k], p.screen[1][k]];
@@ -318,7 +308,7 @@ fn screen_backward(
         let v = [da * y[0] + db * y[1], db * y[0] + dc * y[1]];
         let mut by = [-2.0 * (a * v[0] + b * v[1]), -2.0 * (b * v[0] + c * v[1])];
         let mut by_length = -2.0 * (y[0] * v[0] + y[1] * v[1]);
-        if has_slope {
+        if has_derivative {
             for r in 0..2 {
                 let sharper = factor * (adjugate[r][k] / p.raw_determinant - y[r]);
                 by[r] += sharper;

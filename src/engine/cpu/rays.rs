@@ -1,19 +1,19 @@
-//! Transmittance along single rays through the Gaussians: the probes' rule from any point in any direction.
+//! Transmittance along single rays through the Gaussians, from any point in any direction, as the probes define it.
 //!
-//! A tree of boxes around where each Gaussian's alpha reaches 1/255. What a Gaussian takes from a ray is its peak along
-//! the ray's line, which is its shadow on the plane across the ray: the same number as the probes' orthographic view.
+//! A tree of boxes around where each Gaussian's alpha reaches 1/255. The alpha of a Gaussian on a ray is its
+//! peak along the ray's line: that of its footprint on the plane across the ray, as the probes measure it.
 
+use crate::engine::ProbeSettings;
+use crate::engine::constants::{OPAQUE, WIDEST};
 use crate::engine::cpu::attributes::AttributeSource;
-use crate::engine::cpu::occluder::{
-    OPAQUE, Occluder, ProbeSettings, Vec3, WIDEST, dot, occluders, plane_basis, sliver,
-};
+use crate::engine::cpu::occluder::{Occluder, Vec3, dot, occluders, plane_basis, widening};
 
 /// Gaussians a leaf may have.
 const LEAF: usize = 4;
 /// Depth of the tree of 2^32 Gaussians, and one more.
 const DEEPEST: usize = 34;
 
-/// The Gaussians of a model, ready to be asked what they hide.
+/// A bounding volume hierarchy over the Gaussians of a model, for transmittance along rays.
 #[derive(Debug, Clone)]
 pub struct Occluders {
     /// In the order of the leaves.
@@ -40,7 +40,7 @@ struct Boxed {
 }
 
 impl Occluders {
-    /// Builds the tree over the Gaussians of `source`; queries keep as clear as `settings` say.
+    /// Builds the tree over the Gaussians of `source`; `settings` say which of them count for a ray.
     pub fn new(source: &AttributeSource<'_>, settings: ProbeSettings) -> Self {
         let mut boxes: Vec<Boxed> = occluders(source).into_iter().filter_map(boxed).collect();
         let mut nodes = Vec::with_capacity(2 * boxes.len() / LEAF + 1);
@@ -53,8 +53,8 @@ impl Occluders {
     /// Share of light, 0 to 1, that reaches surface point `origin` from unit direction `d`.
     ///
     /// An occluder counts from two of its own standard deviations and a little beyond the point
-    /// ([`ProbeSettings::clearance`], [`ProbeSettings::bias`]) to [`ProbeSettings::reach`]. What lets less than a
-    /// thousandth through lets nothing through.
+    /// ([`ProbeSettings::clearance`], [`ProbeSettings::bias`]) to [`ProbeSettings::reach`]. Less than [`OPAQUE`] counts
+    /// as 0.
     pub fn transmittance(&self, origin: Vec3, d: Vec3) -> f32 {
         let (u, v) = plane_basis(d);
         let inverse = d.map(|x| 1.0 / x);
@@ -76,7 +76,7 @@ impl Occluders {
             }
             let first = node.first as usize;
             for o in &self.members[first..first + node.count as usize] {
-                left *= 1.0 - self.taken(o, origin, [d, u, v]);
+                left *= 1.0 - self.alpha_on_ray(o, origin, [d, u, v]);
             }
             // The product does not grow again, whatever order the rest comes in.
             if left < OPAQUE {
@@ -86,9 +86,9 @@ impl Occluders {
         left
     }
 
-    /// Share of light that one occluder takes from a ray.
+    /// Alpha of one occluder on a ray.
     #[inline]
-    fn taken(&self, o: &Occluder, origin: Vec3, [d, u, v]: [Vec3; 3]) -> f32 {
+    fn alpha_on_ray(&self, o: &Occluder, origin: Vec3, [d, u, v]: [Vec3; 3]) -> f32 {
         let offset: Vec3 = std::array::from_fn(|k| o.mean[k] - origin[k]);
         let depth = dot(offset, d);
         // NaN is no occluder either.
@@ -121,9 +121,9 @@ impl Node {
 
 fn boxed(occluder: Occluder) -> Option<Boxed> {
     let variance: Vec3 = std::array::from_fn(|k| occluder.axes.iter().map(|a| a[k] * a[k]).sum());
-    let floor = sliver(variance.iter().sum());
+    let floor = widening(variance.iter().sum());
     let half = variance.map(|s| (2.0 * occluder.reach * (s + floor)).sqrt());
-    let usable = occluder.hides() && variance.iter().all(|s| *s < WIDEST);
+    let usable = occluder.occludes() && variance.iter().all(|s| *s < WIDEST);
     usable.then_some(Boxed { occluder, half })
 }
 
@@ -158,7 +158,8 @@ fn build(boxes: &mut [Boxed], first: usize, nodes: &mut Vec<Node>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::cpu::{Probes, fibonacci_sphere, outward_normals};
+    use crate::engine::cpu::{Probes, outward_normals};
+    use crate::engine::fibonacci_sphere;
     use crate::scene::{Field, Gaussians, ShadingOptions};
 
     /// A cloud of discs, needles and blobs, some far larger than others, some all but transparent.

@@ -1,23 +1,21 @@
-//! What hides one direction from every Gaussian: the shadows of all Gaussians on the plane across it.
+//! Transmittance towards one direction from every Gaussian: the footprints of all Gaussians on the plane across it.
 //!
-//! Shadows are listed by cell of a square grid, far ones last. The queries of a cell are answered together: its shadows are
-//! laid out sixteen abreast once, and each query walks them outwards from its own depth.
-//! Tried and lost, by CPU time of a training that measures often: lists walked one shadow at a time (twice), as many cells
-//! as Gaussians (a third more: the time goes into filling them).
+//! Footprints are listed by cell of a square grid, nearest first. The queries of a cell are answered together: its footprints
+//! are laid out once, sixteen in lanes, and each query takes them in order of depth, from its own depth on.
 
 use multiversion::multiversion;
 
+use crate::engine::ProbeSettings;
+use crate::engine::constants::{ALPHA_MAX, NO_HIT, OPAQUE};
 use crate::engine::cpu::lanes::{LANES, Lanes, exp_negative};
-use crate::engine::cpu::occluder::{Footprint, OPAQUE, Occluder, ProbeSettings, Vec3, dot, plane_basis};
-use crate::engine::cpu::probes::NO_HIT;
-use crate::engine::cpu::project::ALPHA_MAX;
+use crate::engine::cpu::occluder::{Footprint, Occluder, Vec3, dot, plane_basis};
 
 /// Gaussians there are for each cell of the grid.
 const PER_CELL: usize = 4;
 /// Most cells along a side.
 const SIDE_MAX: usize = 256;
 
-/// Where a Gaussian asks from.
+/// Where the visibility of a Gaussian is measured from.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Query {
     pub(super) point: Vec3,
@@ -25,16 +23,16 @@ pub(super) struct Query {
     pub(super) clearance: f32,
 }
 
-/// A query as one direction's plane has it.
+/// A query projected to the plane across one direction.
 #[derive(Debug, Clone, Copy)]
-struct Asked {
+struct PlaneQuery {
     index: u32,
     place: [f32; 2],
     depth: f32,
     clearance: f32,
 }
 
-/// A Gaussian seen along one direction.
+/// The footprint of a Gaussian along one direction.
 #[derive(Debug, Clone, Copy)]
 struct Flat {
     index: u32,
@@ -44,13 +42,13 @@ struct Flat {
     footprint: Footprint,
 }
 
-/// Sixteen shadows side by side, in order of depth; lanes without one are infinitely far and reach nothing.
+/// Sixteen footprints, one a lane, in order of depth; an unused lane is infinitely far and has no reach.
 #[derive(Debug, Clone)]
 struct Block {
     index: [u32; LANES],
     centre: [Lanes; 2],
     depth: Lanes,
-    /// The shadow counts from this much beyond the query's own clearance.
+    /// A footprint counts from this distance on, besides the query's own clearance.
     clearance: Lanes,
     conic: [Lanes; 3],
     opacity: Lanes,
@@ -69,36 +67,36 @@ pub(super) fn measure_direction(
         occluders.iter().enumerate().filter_map(|(i, o)| flatten(o, i as u32, d, u, v)).collect();
     flats.sort_unstable_by(|a, b| a.depth.total_cmp(&b.depth).then(a.index.cmp(&b.index)));
     let grid = Grid::over(&flats);
-    let shadows = grid.list(&flats, |f| grid.cells_under(f.centre, f.extent));
-    let asked: Vec<Asked> = queries
+    let footprints = grid.list(&flats, |f| grid.cells_under(f.centre, f.extent));
+    let projected: Vec<PlaneQuery> = queries
         .iter()
         .enumerate()
-        .map(|(i, q)| Asked {
+        .map(|(i, q)| PlaneQuery {
             index: i as u32,
             place: [dot(q.point, u), dot(q.point, v)],
             depth: dot(q.point, d),
             clearance: q.clearance,
         })
         .collect();
-    let askers = grid.list(&asked, |a| grid.cells_under(a.place, [0.0; 2]));
+    let queries_of = grid.list(&projected, |a| grid.cells_under(a.place, [0.0; 2]));
     let (mut transmittance, mut hit) = (vec![1.0f32; queries.len()], vec![NO_HIT; queries.len()]);
     let mut blocks = Vec::new();
     for cell in 0..grid.side * grid.side {
-        if askers.of(cell).is_empty() || shadows.of(cell).is_empty() {
+        if queries_of.of(cell).is_empty() || footprints.of(cell).is_empty() {
             continue;
         }
-        lay_out(&flats, shadows.of(cell), settings.clearance, &mut blocks);
-        for &q in askers.of(cell) {
-            let asked = &asked[q as usize];
-            (transmittance[asked.index as usize], hit[asked.index as usize]) =
-                answer(&blocks, asked, settings.reach);
+        lay_out(&flats, footprints.of(cell), settings.clearance, &mut blocks);
+        for &q in queries_of.of(cell) {
+            let projected = &projected[q as usize];
+            (transmittance[projected.index as usize], hit[projected.index as usize]) =
+                answer(&blocks, projected, settings.reach);
         }
     }
     (transmittance, hit)
 }
 
 fn flatten(o: &Occluder, index: u32, d: Vec3, u: Vec3, v: Vec3) -> Option<Flat> {
-    if !o.hides() {
+    if !o.occludes() {
         return None;
     }
     let footprint = o.along(d, u, v)?;
@@ -106,7 +104,7 @@ fn flatten(o: &Occluder, index: u32, d: Vec3, u: Vec3, v: Vec3) -> Option<Flat> 
     Some(Flat { index, centre, depth, extent: footprint.extent(), footprint })
 }
 
-/// The shadows of `members` as blocks.
+/// The footprints of `members` as blocks.
 fn lay_out(flats: &[Flat], members: &[u32], clearance: f32, blocks: &mut Vec<Block>) {
     blocks.clear();
     blocks.extend(members.chunks(LANES).map(|members| {
@@ -141,9 +139,9 @@ impl Block {
         self.reach.0[lane] = f.footprint.reach;
     }
 
-    /// What each shadow takes from the query's light; 0 where it does not count ([`Footprint::alpha`]).
+    /// Alpha of each footprint at the query; 0 where it does not count ([`Footprint::alpha`]).
     #[inline(always)]
-    fn alpha(&self, q: &Asked, reach: f32) -> Lanes {
+    fn alpha(&self, q: &PlaneQuery, reach: f32) -> Lanes {
         Lanes::from_fn(|i| {
             let away = self.depth.0[i] - q.depth;
             let (dx, dy) = (q.place[0] - self.centre[0].0[i], q.place[1] - self.centre[1].0[i]);
@@ -162,9 +160,9 @@ impl Block {
     }
 }
 
-/// Transmittance and dominant occluder of one query, by the shadows of its cell.
+/// Transmittance and dominant occluder of one query, from the footprints of its cell.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
-fn answer(blocks: &[Block], q: &Asked, reach: f32) -> (f32, u32) {
+fn answer(blocks: &[Block], q: &PlaneQuery, reach: f32) -> (f32, u32) {
     let (mut transmittance, mut strongest, mut hit) = (1.0f32, 0.0f32, NO_HIT);
     let start = blocks.partition_point(|b| b.depth.0[LANES - 1] <= q.depth);
     for block in &blocks[start..] {
@@ -182,7 +180,7 @@ fn answer(blocks: &[Block], q: &Asked, reach: f32) -> (f32, u32) {
             }
             transmittance *= 1.0 - alpha;
         }
-        // What is behind weighs less than a thousandth; the first that took anything weighed 1/255 or more.
+        // Every footprint behind weighs less than `OPAQUE`; the first one counted weighed 1/255 or more.
         if transmittance < OPAQUE {
             return (0.0, hit);
         }
@@ -197,8 +195,8 @@ struct Grid {
     side: usize,
 }
 
-/// What lies in each cell of a [`Grid`], in the order it was given.
-struct Listed {
+/// Members of each cell of a [`Grid`], in the order given.
+struct CellLists {
     first: Vec<u32>,
     members: Vec<u32>,
 }
@@ -222,7 +220,7 @@ impl Grid {
         Self { origin: lo, inverse_size, side }
     }
 
-    /// What lies beyond the grid belongs to the cells at its rim.
+    /// Index along axis `k`; coordinates beyond the grid belong to its outermost cells.
     fn coordinate(&self, k: usize, x: f32) -> usize {
         ((x - self.origin[k]) * self.inverse_size[k]).clamp(0.0, (self.side - 1) as f32) as usize
     }
@@ -231,7 +229,7 @@ impl Grid {
         [0, 1].map(|k| (self.coordinate(k, centre[k] - extent[k]), self.coordinate(k, centre[k] + extent[k])))
     }
 
-    fn list<T>(&self, things: &[T], span: impl Fn(&T) -> Span) -> Listed {
+    fn list<T>(&self, things: &[T], span: impl Fn(&T) -> Span) -> CellLists {
         let mut first = vec![0u32; self.side * self.side + 1];
         let spans: Vec<Span> = things.iter().map(span).collect();
         let cells = |[x, y]: Span| {
@@ -251,11 +249,11 @@ impl Grid {
                 next[cell] += 1;
             }
         }
-        Listed { first, members }
+        CellLists { first, members }
     }
 }
 
-impl Listed {
+impl CellLists {
     fn of(&self, cell: usize) -> &[u32] {
         &self.members[self.first[cell] as usize..self.first[cell + 1] as usize]
     }

@@ -1,10 +1,11 @@
 //! Which splats touch which tile, in depth order.
 
+use crate::engine::constants::TILE;
 use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::project::Splat;
 
-/// Side of a tile in pixels: a strip is one tile row.
-pub const TILE: usize = LANES;
+// A strip is one tile row.
+const _: () = assert!(TILE == LANES);
 
 /// For each tile, the ranks (positions in the depth-sorted splat list) of the splats that reach a pixel of it.
 ///

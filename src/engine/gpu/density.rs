@@ -2,22 +2,11 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::engine::DeviceError;
+use crate::engine::density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin};
 use crate::engine::gpu::model::ModelBuffers;
-use crate::engine::gpu::{Buffer, Gpu, GpuError, Groups, Recorder, shaders, uniform};
-
-/// What becomes of a Gaussian.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(u32)]
-pub enum Origin {
-    /// Itself, moments included.
-    Keep = 0,
-    /// Itself, its moments zero.
-    Fresh = 1,
-    /// Its half on the positive side of its longest axis, moments zero.
-    UpperHalf = 2,
-    /// Its other half, moments zero.
-    LowerHalf = 3,
-}
+use crate::engine::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
+use crate::scene::Field;
 
 /// One new Gaussian; `plan` of `shaders/density_gather.wgsl`.
 #[repr(C)]
@@ -27,55 +16,18 @@ struct Entry {
     origin: u32,
 }
 
-/// The Gaussians after a round, in order, and where each comes from.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct GatherPlan {
-    entries: Vec<Entry>,
-}
-
-impl GatherPlan {
-    /// For tests: a round that keeps `keep` in order and splits those of them that `is_split` names: first halves in their
-    /// wholes' places, second halves at the end.
-    #[cfg(test)]
-    fn new(keep: &[u32], is_split: impl Fn(u32) -> bool) -> Self {
-        let mut out = Self::default();
-        for &i in keep {
-            out.push(i, if is_split(i) { Origin::UpperHalf } else { Origin::Keep });
-        }
-        keep.iter().filter(|i| is_split(**i)).for_each(|&i| out.push(i, Origin::LowerHalf));
-        out
-    }
-
-    /// Adds a Gaussian at the end.
-    pub fn push(&mut self, source: u32, origin: Origin) {
-        self.entries.push(Entry { source, origin: origin as u32 });
-    }
-
-    /// Gaussians after the round.
-    pub fn len(&self) -> usize {
-        self.entries.len()
-    }
-
-    /// True when none is left.
-    pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
+impl Entry {
+    fn new(planned: &PlannedGaussian) -> Self {
+        let origin = match planned.origin {
+            SplitOrigin::Keep => 0,
+            SplitOrigin::UpperHalf => 2,
+            SplitOrigin::LowerHalf => 3,
+        };
+        Self { source: planned.source, origin }
     }
 }
 
-/// What the choice is made from, by Gaussian.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct DensitySignals {
-    /// Centres; empty unless asked for.
-    pub means: Vec<[f32; 3]>,
-    /// ln of the standard deviations.
-    pub log_scales: Vec<[f32; 3]>,
-    /// Opacity logits.
-    pub opacity_logits: Vec<f32>,
-    /// Sum of pulls, steps on screen.
-    pub stats: Vec<[f32; 2]>,
-}
-
-/// Reads what density control chooses from: 6 floats a Gaussian, 9 `with_means`.
+/// Reads what density control chooses from: 9 floats a Gaussian.
 ///
 /// # Errors
 /// What went wrong on the device.
@@ -83,20 +35,28 @@ pub fn read_signals(
     gpu: &Gpu,
     model: &ModelBuffers,
     stats: &Buffer<[f32; 2]>,
-    with_means: bool,
-) -> Result<DensitySignals, GpuError> {
+) -> Result<DensitySignals, DeviceError> {
     let (n, layout) = (model.len(), &model.layout);
-    let vectors = |start: u32| -> Result<Vec<[f32; 3]>, GpuError> {
-        let start = start as usize;
+    let vectors = |field: Field| -> Result<Vec<[f32; 3]>, DeviceError> {
+        let start = layout.start(field);
         Ok(bytemuck::cast_slice(&gpu.read(&model.params, start..start + 3 * n)?).to_vec())
     };
-    let opacity = layout.opacity as usize;
+    let opacity = layout.start(Field::OpacityLogit);
     Ok(DensitySignals {
-        means: if with_means { vectors(layout.mean)? } else { Vec::new() },
-        log_scales: vectors(layout.log_scale)?,
+        means: vectors(Field::Mean)?,
+        log_scales: vectors(Field::LogScale)?,
         opacity_logits: gpu.read(&model.params, opacity..opacity + n)?,
-        stats: gpu.read(stats, 0..n)?,
+        stats: read_stats(gpu, stats)?,
     })
+}
+
+/// The statistics since the last round.
+///
+/// # Errors
+/// What went wrong on the device.
+pub fn read_stats(gpu: &Gpu, stats: &Buffer<[f32; 2]>) -> Result<DensityStats, DeviceError> {
+    let (absgrad, seen) = gpu.read(stats, 0..stats.len())?.iter().map(|s| (s[0], s[1])).unzip();
+    Ok(DensityStats { absgrad, seen })
 }
 
 /// `old` after a round of density control, in new buffers; prototypes and light are shared with it. Gathered light, labels and
@@ -107,13 +67,13 @@ pub fn read_signals(
 pub fn gather(
     recorder: &mut Recorder<'_>,
     old: &ModelBuffers,
-    plan: &GatherPlan,
-) -> Result<ModelBuffers, GpuError> {
+    plan: &DensityPlan,
+) -> Result<ModelBuffers, DeviceError> {
     let gpu = recorder.gpu();
-    if let Some(entry) = plan.entries.iter().find(|e| e.source >= old.layout.n) {
-        return Err(GpuError::Internal(format!("density: source {} of {}", entry.source, old.layout.n)));
+    if let Some(planned) = plan.gaussians.iter().find(|p| p.source >= old.layout.n) {
+        return Err(DeviceError::Misuse(format!("density: source {} of {}", planned.source, old.layout.n)));
     }
-    let layout = old.layout.resized(plan.len() as u32);
+    let layout = old.layout.resized(plan.gaussians.len() as u32);
     let floats = layout.floats();
     let out = ModelBuffers {
         layout,
@@ -122,11 +82,12 @@ pub fn gather(
         second: gpu.buffer("second moments", floats)?,
         ..old.clone()
     };
-    let plan = gpu.upload("density plan", &plan.entries)?;
+    let entries: Vec<Entry> = plan.gaussians.iter().map(Entry::new).collect();
+    let entries = gpu.upload("density plan", &entries)?;
     let bindings = [
         uniform(&old.layout),
         uniform(&layout),
-        (&plan).into(),
+        (&entries).into(),
         (&old.params).into(),
         (&old.first).into(),
         (&old.second).into(),
@@ -182,6 +143,16 @@ mod tests {
         *opacity = (halved / (1.0 - halved)).ln();
     }
 
+    /// A round that keeps `keep` in order and splits those of them that `is_split` names: first halves in the places of
+    /// their sources, second halves at the end.
+    fn plan(keep: &[u32], is_split: impl Fn(u32) -> bool) -> DensityPlan {
+        let first = |i: u32| if is_split(i) { SplitOrigin::UpperHalf } else { SplitOrigin::Keep };
+        let kept = keep.iter().map(|&source| PlannedGaussian { source, origin: first(source) });
+        let second = keep.iter().filter(|i| is_split(**i));
+        let second = second.map(|&source| PlannedGaussian { source, origin: SplitOrigin::LowerHalf });
+        DensityPlan { gaussians: kept.chain(second).collect() }
+    }
+
     fn worst(a: &Gaussians, b: &Gaussians) -> f32 {
         let of =
             |f: &Field| a.field(*f).iter().zip(b.field(*f)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
@@ -189,8 +160,9 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
     fn a_round_drops_keeps_and_halves_as_the_host_does() {
-        let Some(gpu) = Gpu::for_tests() else { return };
+        let gpu = Gpu::for_tests();
         for n in [1usize, 7, 300] {
             let mut model = model(n);
             // A tie of the longest axis, an opaque and a faint one.
@@ -201,7 +173,7 @@ mod tests {
             gpu.write(&old.first, 0, &crate::engine::gpu::model::planar(&model.gaussians));
             let keep: Vec<u32> = (0..n as u32).filter(|i| i % 3 != 1).collect();
             let is_split = |i: u32| i.is_multiple_of(4);
-            let plan = GatherPlan::new(&keep, is_split);
+            let plan = plan(&keep, is_split);
             let mut recorder = gpu.record();
             let new = gather(&mut recorder, &old, &plan).unwrap();
             recorder.submit().unwrap();
@@ -230,26 +202,29 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
     fn a_round_may_leave_nothing_and_a_plan_may_not_invent_sources() {
-        let Some(gpu) = Gpu::for_tests() else { return };
+        let gpu = Gpu::for_tests();
         let old = ModelBuffers::upload(&gpu, &model(3)).unwrap();
         let mut recorder = gpu.record();
-        assert!(gather(&mut recorder, &old, &GatherPlan::default()).unwrap().is_empty());
-        assert!(gather(&mut recorder, &old, &GatherPlan::new(&[3], |_| false)).is_err());
+        assert!(gather(&mut recorder, &old, &DensityPlan::default()).unwrap().is_empty());
+        assert!(gather(&mut recorder, &old, &plan(&[3], |_| false)).is_err());
         recorder.submit().unwrap();
     }
 
     #[test]
+    #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
     fn the_signals_are_those_of_the_model() {
-        let Some(gpu) = Gpu::for_tests() else { return };
+        let gpu = Gpu::for_tests();
         let model = model(9);
         let buffers = ModelBuffers::upload(&gpu, &model).unwrap();
         let stats: Vec<[f32; 2]> = (0..9).map(|i| [i as f32, 2.0]).collect();
-        let signals = read_signals(&gpu, &buffers, &gpu.upload("stats", &stats).unwrap(), true).unwrap();
+        let signals = read_signals(&gpu, &buffers, &gpu.upload("stats", &stats).unwrap()).unwrap();
         let g = &model.gaussians;
         assert_eq!(signals.means[8], g.get::<3>(Field::Mean, 8));
         assert_eq!(signals.log_scales[8], g.get::<3>(Field::LogScale, 8));
         assert_eq!(signals.opacity_logits, g.field(Field::OpacityLogit));
-        assert_eq!(signals.stats, stats);
+        assert_eq!(signals.stats.absgrad, (0..9).map(|i| i as f32).collect::<Vec<_>>());
+        assert_eq!(signals.stats.seen, [2.0; 9]);
     }
 }

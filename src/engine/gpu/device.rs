@@ -7,11 +7,13 @@ use std::time::Duration;
 
 use bytemuck::Pod;
 
-use crate::engine::gpu::adapter::{AdapterReport, Adapters};
+use crate::engine::AdapterReport;
+use crate::engine::DeviceError;
+use crate::engine::gpu::adapter::Adapters;
 use crate::engine::gpu::buffer::{Buffer, MemoryAccount};
-use crate::engine::gpu::recorder::{Recorder, StageTime, Timings};
-use crate::engine::gpu::shaders::{self, BindingKind, Shader};
-use crate::engine::gpu::{GpuError, Groups, trusted};
+use crate::engine::gpu::shaders::{BindingKind, Kernel};
+use crate::engine::gpu::timing::{StageTime, Timings};
+use crate::engine::gpu::trusted;
 
 /// How long the host waits for the device before it gives up on it, s.
 const PATIENCE: u64 = 120;
@@ -66,7 +68,7 @@ pub(super) struct Inner {
     pipelines: Mutex<HashMap<&'static str, Arc<Pipeline>>>,
     staging: Mutex<Option<wgpu::Buffer>>,
     memory: Arc<MemoryAccount>,
-    fault: Arc<Mutex<Option<GpuError>>>,
+    fault: Arc<Mutex<Option<DeviceError>>>,
 }
 
 /// An open device. A clone is another handle on the same device.
@@ -90,14 +92,14 @@ impl Gpu {
     /// Opens adapter `index`.
     ///
     /// # Errors
-    /// [`GpuError::Unavailable`] when the driver refuses.
-    pub fn open(adapters: &Adapters, index: usize, options: GpuOptions) -> Result<Self, GpuError> {
+    /// [`DeviceError::Unavailable`] when the driver refuses.
+    pub fn open(adapters: &Adapters, index: usize, options: GpuOptions) -> Result<Self, DeviceError> {
         let (adapter, report) = adapters
             .adapter(index)
-            .ok_or_else(|| GpuError::Unavailable(format!("device: there is no gpu:{index}")))?;
+            .ok_or_else(|| DeviceError::Unavailable(format!("device: there is no gpu:{index}")))?;
         if !report.lacks.is_empty() {
             let lacks = report.lacks.join("; ");
-            return Err(GpuError::Unavailable(format!("device gpu:{index}: {lacks}")));
+            return Err(DeviceError::Unavailable(format!("device gpu:{index}: {lacks}")));
         }
         let wanted = wgpu::Features::SHADER_FLOAT32_ATOMIC | wgpu::Features::TIMESTAMP_QUERY;
         let descriptor = wgpu::DeviceDescriptor {
@@ -107,7 +109,7 @@ impl Gpu {
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
-            .map_err(|e| GpuError::Unavailable(format!("device gpu:{index}: {e}")))?;
+            .map_err(|e| DeviceError::Unavailable(format!("device gpu:{index}: {e}")))?;
         let fault = Arc::new(Mutex::new(None));
         watch(&device, &fault);
         let uniforms = device.create_buffer(&wgpu::BufferDescriptor {
@@ -150,20 +152,20 @@ impl Gpu {
     ///
     /// # Errors
     /// What went wrong first.
-    pub fn healthy(&self) -> Result<(), GpuError> {
+    pub fn healthy(&self) -> Result<(), DeviceError> {
         locked(&self.inner.fault).clone().map_or(Ok(()), Err)
     }
 
     /// Room for `len` elements, contents undefined.
     ///
     /// # Errors
-    /// [`GpuError::TooLarge`] with the numbers when one binding cannot hold it, [`GpuError::OutOfMemory`].
-    pub fn buffer<T: Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>, GpuError> {
+    /// [`DeviceError::TooLarge`] with the numbers when one binding cannot hold it, [`DeviceError::OutOfMemory`].
+    pub fn buffer<T: Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>, DeviceError> {
         self.healthy()?;
         let bytes = (len as u64).saturating_mul(size_of::<T>() as u64).max(LEAST_BYTES).next_multiple_of(16);
         let most = self.inner.report.max_binding.min(self.inner.report.max_buffer);
         if bytes > most {
-            return Err(GpuError::TooLarge { what: label.to_owned(), needs: bytes, most });
+            return Err(DeviceError::TooLarge { what: label.to_owned(), needs: bytes, most });
         }
         let scope = self.inner.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let buffer = self.inner.device.create_buffer(&wgpu::BufferDescriptor {
@@ -173,7 +175,7 @@ impl Gpu {
             mapped_at_creation: false,
         });
         if pollster::block_on(scope.pop()).is_some() {
-            return Err(GpuError::OutOfMemory { what: label.to_owned(), bytes });
+            return Err(DeviceError::OutOfMemory { what: label.to_owned(), bytes });
         }
         if self.inner.options.garbage {
             let garbage = vec![GARBAGE; (bytes / 4) as usize];
@@ -186,7 +188,7 @@ impl Gpu {
     ///
     /// # Errors
     /// As [`Self::buffer`].
-    pub fn upload<T: Pod>(&self, label: &str, data: &[T]) -> Result<Buffer<T>, GpuError> {
+    pub fn upload<T: Pod>(&self, label: &str, data: &[T]) -> Result<Buffer<T>, DeviceError> {
         let buffer = self.buffer(label, data.len())?;
         self.write(&buffer, 0, data);
         Ok(buffer)
@@ -205,7 +207,7 @@ impl Gpu {
     ///
     /// # Errors
     /// Whatever went wrong on the device meanwhile.
-    pub fn read<T: Pod>(&self, buffer: &Buffer<T>, range: Range<usize>) -> Result<Vec<T>, GpuError> {
+    pub fn read<T: Pod>(&self, buffer: &Buffer<T>, range: Range<usize>) -> Result<Vec<T>, DeviceError> {
         self.healthy()?;
         let range = range.start.min(buffer.len())..range.end.min(buffer.len());
         if range.is_empty() {
@@ -245,47 +247,22 @@ impl Gpu {
     /// Waits until the device has done all that was submitted.
     ///
     /// # Errors
-    /// [`GpuError::Timeout`] when it takes too long, or what went wrong meanwhile.
-    pub fn wait(&self) -> Result<(), GpuError> {
+    /// [`DeviceError::Timeout`] when it takes too long, or what went wrong meanwhile.
+    pub fn wait(&self) -> Result<(), DeviceError> {
         let timeout = Some(Duration::from_secs(PATIENCE));
         match self.inner.device.poll(wgpu::PollType::Wait { submission_index: None, timeout }) {
             Ok(_) => self.healthy(),
             Err(wgpu::PollError::Timeout) => {
                 let mut fault = locked(&self.inner.fault);
-                Err(fault.get_or_insert(GpuError::Timeout(PATIENCE)).clone())
+                Err(fault.get_or_insert(DeviceError::Timeout(PATIENCE)).clone())
             }
             Err(error) => Err(self.failure(error.to_string())),
         }
     }
 
-    /// Proves that dispatches, float accumulation and transfers work on this device.
-    ///
-    /// # Errors
-    /// [`GpuError::Internal`] when the device computes something else, or what went wrong.
-    pub fn self_test(&self) -> Result<(), GpuError> {
-        let n = 100_000;
-        let seen: Buffer<u32> = self.buffer("self-test", n)?;
-        let sums: Buffer<f32> = self.buffer("self-test sums", 2)?;
-        let mut recorder = self.record();
-        recorder.clear(&sums);
-        recorder.dispatch(&shaders::SELF_TEST, Groups::Linear(n), &[(&seen).into(), (&sums).into()]);
-        recorder.submit()?;
-        let counted = self.read(&seen, 0..n)?.iter().enumerate().all(|(i, v)| *v == i as u32);
-        let sums = self.read(&sums, 0..2)?;
-        if counted && sums.iter().all(|s| *s == n as f32 / 2.0) {
-            return Ok(());
-        }
-        Err(GpuError::Internal(format!("the self-test of the device failed: sums {sums:?}")))
-    }
-
-    /// Starts recording work.
-    pub fn record(&self) -> Recorder<'_> {
-        Recorder::new(self)
-    }
-
-    /// Gives the device up: everything asked of it from now on fails with [`GpuError::Lost`].
+    /// Gives the device up: everything asked of it from now on fails with [`DeviceError::Lost`].
     pub fn destroy(&self) {
-        locked(&self.inner.fault).get_or_insert(GpuError::Lost("it was given up".to_owned()));
+        locked(&self.inner.fault).get_or_insert(DeviceError::Lost("it was given up".to_owned()));
         self.inner.device.destroy();
     }
 
@@ -300,40 +277,40 @@ impl Gpu {
         locked(&self.inner.timings).as_ref().map(Timings::listed).unwrap_or_default()
     }
 
-    pub(super) fn pipeline(&self, shader: &'static Shader) -> Arc<Pipeline> {
-        if let Some(found) = locked(&self.inner.pipelines).get(shader.name) {
+    pub(super) fn pipeline(&self, kernel: &'static Kernel) -> Arc<Pipeline> {
+        if let Some(found) = locked(&self.inner.pipelines).get(kernel.name) {
             return found.clone();
         }
-        let made = Arc::new(self.compile(shader));
-        locked(&self.inner.pipelines).insert(shader.name, made.clone());
+        let made = Arc::new(self.compile(kernel));
+        locked(&self.inner.pipelines).insert(kernel.name, made.clone());
         made
     }
 
-    fn compile(&self, shader: &'static Shader) -> Pipeline {
+    fn compile(&self, kernel: &'static Kernel) -> Pipeline {
         let device = &self.inner.device;
         let native = self.inner.report.float_atomics && !self.inner.options.compare_exchange;
-        let source = if native { shader.source } else { shader.fallback.unwrap_or(shader.source) };
+        let source = if native { kernel.source } else { kernel.fallback.unwrap_or(kernel.source) };
         let module = if self.inner.options.checks {
             device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some(shader.name),
+                label: Some(kernel.name),
                 source: wgpu::ShaderSource::Wgsl(source.into()),
             })
         } else {
-            trusted::unchecked_module(device, shader.name, source)
+            trusted::unchecked_module(device, kernel.name, source)
         };
         let entries: Vec<wgpu::BindGroupLayoutEntry> =
-            shader.bindings.iter().enumerate().map(|(i, kind)| layout_entry(i as u32, *kind)).collect();
+            kernel.bindings.iter().enumerate().map(|(i, kind)| layout_entry(i as u32, *kind)).collect();
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some(shader.name),
+            label: Some(kernel.name),
             entries: &entries,
         });
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(shader.name),
+            label: Some(kernel.name),
             bind_group_layouts: &[Some(&layout)],
             ..Default::default()
         });
         let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(shader.name),
+            label: Some(kernel.name),
             layout: Some(&pipeline_layout),
             module: &module,
             entry_point: Some("main"),
@@ -360,8 +337,8 @@ impl Gpu {
     }
 
     /// The fault on record, or else this one.
-    fn failure(&self, text: String) -> GpuError {
-        locked(&self.inner.fault).get_or_insert(GpuError::Internal(text)).clone()
+    fn failure(&self, text: String) -> DeviceError {
+        locked(&self.inner.fault).get_or_insert(DeviceError::Internal(text)).clone()
     }
 }
 
@@ -380,12 +357,14 @@ fn layout_entry(binding: u32, kind: BindingKind) -> wgpu::BindGroupLayoutEntry {
 }
 
 /// Keeps the first fault of the device: wgpu's own reaction would be to panic.
-fn watch(device: &wgpu::Device, fault: &Arc<Mutex<Option<GpuError>>>) {
+fn watch(device: &wgpu::Device, fault: &Arc<Mutex<Option<DeviceError>>>) {
     let uncaptured = fault.clone();
     device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
         let error = match error {
-            wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory { what: "a command".into(), bytes: 0 },
-            other => GpuError::Internal(other.to_string()),
+            wgpu::Error::OutOfMemory { .. } => {
+                DeviceError::OutOfMemory { what: "a command".into(), bytes: 0 }
+            }
+            other => DeviceError::Internal(other.to_string()),
         };
         tracing::error!(%error, "the device reported an error");
         locked(&uncaptured).get_or_insert(error);
@@ -393,35 +372,27 @@ fn watch(device: &wgpu::Device, fault: &Arc<Mutex<Option<GpuError>>>) {
     let lost = fault.clone();
     device.set_device_lost_callback(move |reason, text| {
         if reason != wgpu::DeviceLostReason::Destroyed {
-            locked(&lost).get_or_insert(GpuError::Lost(text));
+            locked(&lost).get_or_insert(DeviceError::Lost(text));
         }
     });
 }
 
 #[cfg(test)]
 impl Gpu {
-    /// Any adapter, software or not, with garbage in fresh buffers. Without one the test is skipped, visibly; with
-    /// `RELUME_REQUIRE_GPU=1` it fails.
-    pub fn for_tests() -> Option<Self> {
-        static SHARED: std::sync::LazyLock<Option<Gpu>> = std::sync::LazyLock::new(|| {
+    /// Any usable adapter, software or not, with garbage in fresh buffers. Shared by all tests.
+    pub fn for_tests() -> Self {
+        static SHARED: std::sync::LazyLock<Gpu> = std::sync::LazyLock::new(|| {
             let options = GpuOptions { garbage: true, ..GpuOptions::from_env() };
             Gpu::with_options(options)
         });
         SHARED.clone()
     }
 
-    /// As [`Self::for_tests`], with other options.
-    pub fn with_options(options: GpuOptions) -> Option<Self> {
+    /// As [`Self::for_tests`], with other options and shared with nobody.
+    pub fn with_options(options: GpuOptions) -> Self {
         let adapters = Adapters::find();
-        let index = adapters.reports().iter().position(|r| r.lacks.is_empty());
-        let Some(index) = index else {
-            assert!(
-                std::env::var_os("RELUME_REQUIRE_GPU").is_none(),
-                "RELUME_REQUIRE_GPU is set and no adapter was found"
-            );
-            eprintln!("SKIPPED: no Vulkan adapter; install mesa-vulkan-drivers to run the GPU tests");
-            return None;
-        };
-        Some(Self::open(&adapters, index, options).expect("the adapter opens"))
+        let usable = adapters.reports().iter().position(|r| r.lacks.is_empty());
+        let index = usable.expect("this test needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)");
+        Self::open(&adapters, index, options).expect("the adapter opens")
     }
 }

@@ -1,42 +1,47 @@
 //! The GPU engine: the model of `docs/MODEL.md` in WGSL (`shaders/`), on any Vulkan, Metal or DX12 device.
 //!
-//! One file a family of kernels; each host file holds the buffers its kernels work on and the tests that hold them
-//! against the CPU engine. Data layouts are written down where the shaders declare them (`shaders/shared/`).
+//! One module a family of kernels; each holds the buffers its kernels work on and the tests that hold them against the
+//! CPU engine. Data layouts are written down where the shaders declare them (`shaders/shared/`).
 
 mod adapter;
-mod attributes;
+mod attribute_source;
 mod buffer;
-pub mod density;
-pub mod develop;
+mod camera;
+mod density;
 mod device;
-mod error;
+pub mod frame;
+pub mod frames;
 pub mod gather;
+mod grow;
+mod kernel_constants;
 pub mod light;
-pub mod losses;
 pub mod model;
+pub mod objective;
+mod permutations;
 pub mod probes;
 pub mod raster;
 mod recorder;
+pub mod resolve;
 mod scan;
+mod self_test;
 pub mod shaders;
 pub mod shading;
 mod sort;
 #[cfg(test)]
 mod tests;
+mod timing;
 pub mod training;
 mod trusted;
 pub mod update;
-mod view;
 
-pub use adapter::{AdapterReport, Adapters, DeviceChoice};
-pub use attributes::AttributeBuffers;
+pub use adapter::Adapters;
+pub use attribute_source::AttributeSource;
 pub use buffer::Buffer;
+pub use camera::{CameraUniform, TILE};
 pub use device::{Gpu, GpuOptions};
-pub use error::GpuError;
-pub use gather::{GatherSource, gather};
-pub use probes::{ProbeBuffers, Probes};
-pub use raster::{Raster, RasterCounts};
-pub use recorder::{Bind, Groups, Recorder, StageTime, uniform};
-pub use scan::{Scan, grow};
-pub use sort::{Pairs, Sorter};
-pub use view::{SplatRecord, TILE, ViewUniform};
+pub use frames::Frames;
+pub use permutations::groups;
+pub use raster::Raster;
+pub use recorder::{Bind, Groups, Recorder, uniform};
+pub use timing::StageTime;
+pub use training::Training;

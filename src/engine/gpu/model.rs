@@ -2,91 +2,93 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::engine::RowLayout;
-use crate::engine::gpu::{Buffer, Gpu, GpuError};
+use crate::engine::DeviceError;
+use crate::engine::gpu::kernel_constants as codes;
+use crate::engine::gpu::{Buffer, Gpu};
 use crate::scene::{
-    DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
+    DiffuseForm, Field, FieldWidth, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions,
+    VisibilityForm,
 };
 
-/// `Layout` of `shaders/shared/parameters.wgsl`: where each field starts in the planar parameter buffer.
+/// `Layout` of the generated piece `parameters` (`build/generated.rs`): where each field starts in the planar parameter buffer.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
-#[expect(missing_docs, reason = "the members are the shader's, described there")]
 pub struct LayoutUniform {
+    /// Gaussians.
     pub n: u32,
+    /// Prototype scores a Gaussian has.
     pub n_scores: u32,
+    /// Visibility coefficients a Gaussian has.
     pub n_visibility: u32,
+    /// Radiance coefficients a Gaussian has, RGB each.
     pub n_radiance: u32,
-    pub mean: u32,
-    pub log_scale: u32,
-    pub quaternion: u32,
-    pub opacity: u32,
-    pub normal: u32,
-    pub metal: u32,
-    pub rough: u32,
-    pub sheen: u32,
-    pub scores: u32,
-    pub residual: u32,
-    pub visibility: u32,
-    pub indirect: u32,
-    pub radiance: u32,
+    /// First float of each field, in storage order.
+    pub first: [u32; Field::COUNT],
+    /// Code of the [`NormalForm`].
     pub normal_form: u32,
+    /// Code of the [`IndirectForm`].
     pub indirect_form: u32,
+    /// Code of the [`VisibilityForm`].
     pub visibility_form: u32,
+    /// Code of the [`DiffuseForm`].
     pub diffuse_form: u32,
+    /// Code of [`ShadeAt`].
     pub shade_at: u32,
-    pub pad_0: u32,
-    pub pad_1: u32,
+    /// Unused.
+    pub pad: [u32; PAD],
 }
+
+/// Members that fill the layout up to whole vectors.
+const PAD: usize = (Field::COUNT + 9).next_multiple_of(4) - (Field::COUNT + 9);
 
 impl LayoutUniform {
     /// The layout of `g` under the forward model `options`.
     pub fn new(g: &Gaussians, options: &ShadingOptions) -> Self {
-        let row = RowLayout::new(g);
-        let n = g.len() as u32;
-        let at = |field: Field| n * row.range(field).start as u32;
-        Self {
-            n,
+        let shape = Self {
+            n: 0,
             n_scores: g.prototypes() as u32,
             n_visibility: g.width(Field::Visibility) as u32,
             n_radiance: g.width(Field::Radiance) as u32 / 3,
-            mean: at(Field::Mean),
-            log_scale: at(Field::LogScale),
-            quaternion: at(Field::Quaternion),
-            opacity: at(Field::OpacityLogit),
-            normal: at(Field::Normal),
-            metal: at(Field::MetalLogit),
-            rough: at(Field::RoughLogit),
-            sheen: at(Field::Sheen),
-            scores: at(Field::ProtoLogits),
-            residual: at(Field::Residual),
-            visibility: at(Field::Visibility),
-            indirect: at(Field::Indirect),
-            radiance: at(Field::Radiance),
+            first: [0; Field::COUNT],
             normal_form: match options.normal {
-                NormalForm::Free => 0,
-                NormalForm::ShortestAxis => 1,
+                NormalForm::Free => codes::NORMAL_FREE,
+                NormalForm::ShortestAxis => codes::NORMAL_SHORTEST_AXIS,
             },
             indirect_form: match options.indirect {
-                IndirectForm::Off => 0,
-                IndirectForm::Learned => 1,
-                IndirectForm::Gathered => 2,
+                IndirectForm::Off => codes::INDIRECT_OFF,
+                IndirectForm::Learned => codes::INDIRECT_LEARNED,
+                IndirectForm::Gathered => codes::INDIRECT_GATHERED,
             },
             visibility_form: match options.visibility {
-                VisibilityForm::Off => 0,
-                VisibilityForm::Linear => 1,
-                VisibilityForm::Sigmoid => 2,
+                VisibilityForm::Off => codes::VISIBILITY_OFF,
+                VisibilityForm::Linear => codes::VISIBILITY_LINEAR,
+                VisibilityForm::Sigmoid => codes::VISIBILITY_SIGMOID,
             },
             diffuse_form: match options.diffuse {
-                DiffuseForm::AmbientOcclusion => 0,
-                DiffuseForm::Directional => 1,
+                DiffuseForm::AmbientOcclusion => codes::DIFFUSE_AMBIENT_OCCLUSION,
+                DiffuseForm::Directional => codes::DIFFUSE_DIRECTIONAL,
             },
             shade_at: match options.shade_at {
-                ShadeAt::Pixel => 0,
-                ShadeAt::Gaussian => 1,
+                ShadeAt::Pixel => codes::SHADE_AT_PIXEL,
+                ShadeAt::Gaussian => codes::SHADE_AT_GAUSSIAN,
             },
-            pad_0: 0,
-            pad_1: 0,
+            pad: [0; PAD],
+        };
+        shape.resized(g.len() as u32)
+    }
+
+    /// First float of `field`.
+    pub fn start(&self, field: Field) -> usize {
+        self.first[field as usize] as usize
+    }
+
+    /// Floats a Gaussian has in `field`.
+    fn width(&self, field: Field) -> u32 {
+        match field.width() {
+            FieldWidth::Fixed(floats) => floats as u32,
+            FieldWidth::Prototypes => self.n_scores,
+            FieldWidth::Visibility => self.n_visibility,
+            FieldWidth::Radiance => 3 * self.n_radiance,
         }
     }
 
@@ -94,32 +96,22 @@ impl LayoutUniform {
     #[must_use]
     pub fn resized(&self, n: u32) -> Self {
         let mut next = 0;
-        let mut place = |width: u32| {
-            next += n * width;
-            next - n * width
-        };
-        Self {
-            n,
-            mean: place(3),
-            log_scale: place(3),
-            quaternion: place(4),
-            opacity: place(1),
-            normal: place(3),
-            metal: place(1),
-            rough: place(1),
-            sheen: place(1),
-            scores: place(self.n_scores),
-            residual: place(3),
-            visibility: place(self.n_visibility),
-            indirect: place(16),
-            radiance: place(3 * self.n_radiance),
-            ..*self
-        }
+        let first = Field::ALL.map(|field| {
+            let start = next;
+            next += n * self.width(field);
+            start
+        });
+        Self { n, first, ..*self }
+    }
+
+    /// True when shading reads `E_j` of Eq. 20: `IndirectForm::Learned`.
+    pub(super) fn reads_indirect_basis(&self) -> bool {
+        self.indirect_form == codes::INDIRECT_LEARNED
     }
 
     /// Floats of all Gaussians together.
     pub fn floats(&self) -> usize {
-        self.radiance as usize + 3 * self.n_radiance as usize * self.n as usize
+        Field::ALL.iter().map(|field| self.width(*field) as usize).sum::<usize>() * self.n as usize
     }
 }
 
@@ -150,8 +142,8 @@ impl ModelBuffers {
     /// `model` with zero moments.
     ///
     /// # Errors
-    /// [`GpuError::TooLarge`] or [`GpuError::OutOfMemory`] when it does not fit.
-    pub fn upload(gpu: &Gpu, model: &Model) -> Result<Self, GpuError> {
+    /// [`DeviceError::TooLarge`] or [`DeviceError::OutOfMemory`] when it does not fit.
+    pub fn upload(gpu: &Gpu, model: &Model) -> Result<Self, DeviceError> {
         let shared: Vec<[f32; 3]> = model.prototypes.iter().chain(&model.env_raw).copied().collect();
         let params = gpu.upload_gaussians(&model.gaussians)?;
         let globals = gpu.upload("prototypes and environment", bytemuck::cast_slice::<_, f32>(&shared))?;
@@ -193,7 +185,7 @@ impl ModelBuffers {
         gpu: &Gpu,
         buffer: &Buffer<f32>,
         shape: &Gaussians,
-    ) -> Result<Gaussians, GpuError> {
+    ) -> Result<Gaussians, DeviceError> {
         let (l, order) = (shape.visibility_order(), shape.radiance_order());
         let mut out = Gaussians::zeroed(self.len(), shape.prototypes(), l, order);
         from_planar(&gpu.read(buffer, 0..self.layout.floats())?, &mut out);
@@ -204,7 +196,7 @@ impl ModelBuffers {
     ///
     /// # Errors
     /// What went wrong on the device.
-    pub fn read_globals(&self, gpu: &Gpu, buffer: &Buffer<f32>) -> Result<[Vec<[f32; 3]>; 2], GpuError> {
+    pub fn read_globals(&self, gpu: &Gpu, buffer: &Buffer<f32>) -> Result<[Vec<[f32; 3]>; 2], DeviceError> {
         let values = gpu.read(buffer, 0..3 * (self.n_prototypes + self.n_texels))?;
         let (prototypes, texels) = values.split_at(3 * self.n_prototypes);
         Ok([prototypes, texels].map(|part| bytemuck::cast_slice(part).to_vec()))
@@ -230,8 +222,8 @@ impl Gpu {
     /// The parameters of `g` in device memory.
     ///
     /// # Errors
-    /// [`GpuError::TooLarge`] with the numbers when the model does not fit.
-    pub fn upload_gaussians(&self, g: &Gaussians) -> Result<Buffer<f32>, GpuError> {
+    /// [`DeviceError::TooLarge`] with the numbers when the model does not fit.
+    pub fn upload_gaussians(&self, g: &Gaussians) -> Result<Buffer<f32>, DeviceError> {
         self.upload("the Gaussians", &planar(g))
     }
 }

@@ -1,9 +1,9 @@
 //! Recording of dispatches, clears and copies, submitted together.
 
-use crate::engine::gpu::GpuError;
+use crate::engine::DeviceError;
 use crate::engine::gpu::buffer::Buffer;
 use crate::engine::gpu::device::{Gpu, UNIFORM_BYTES, locked};
-use crate::engine::gpu::shaders::Shader;
+use crate::engine::gpu::shaders::Kernel;
 
 /// Most workgroups in one dimension of a dispatch.
 const MOST_GROUPS: u64 = 65_535;
@@ -66,8 +66,15 @@ pub struct Recorder<'g> {
     work: Vec<(&'static str, u64, u64)>,
 }
 
+impl Gpu {
+    /// Starts recording work.
+    pub fn record(&self) -> Recorder<'_> {
+        Recorder::new(self)
+    }
+}
+
 impl<'g> Recorder<'g> {
-    pub(super) fn new(gpu: &'g Gpu) -> Self {
+    fn new(gpu: &'g Gpu) -> Self {
         let device = &gpu.inner.device;
         let queries = locked(&gpu.inner.timings).is_some().then(|| {
             let descriptor = wgpu::QuerySetDescriptor {
@@ -103,14 +110,14 @@ impl<'g> Recorder<'g> {
         }
     }
 
-    /// Runs `shader` with `bindings` 0, 1, 2, ...; a dispatch without workgroups is left out.
-    pub fn dispatch(&mut self, shader: &'static Shader, groups: Groups, bindings: &[Bind<'_>]) {
-        debug_assert_eq!(bindings.len(), shader.bindings.len(), "bindings of {}", shader.name);
-        let [x, y] = groups.dimensions(shader.workgroup);
+    /// Runs `kernel` with `bindings` 0, 1, 2, ...; a dispatch without workgroups is left out.
+    pub fn dispatch(&mut self, kernel: &'static Kernel, groups: Groups, bindings: &[Bind<'_>]) {
+        debug_assert_eq!(bindings.len(), kernel.bindings.len(), "bindings of {}", kernel.name);
+        let [x, y] = groups.dimensions(kernel.workgroup);
         if x == 0 || y == 0 {
             return;
         }
-        let pipeline = self.gpu.pipeline(shader);
+        let pipeline = self.gpu.pipeline(kernel);
         let spare: Vec<(wgpu::Buffer, u64, u64)> = bindings.iter().map(|b| self.place(b)).collect();
         let entries: Vec<wgpu::BindGroupEntry<'_>> = spare
             .iter()
@@ -125,7 +132,7 @@ impl<'g> Recorder<'g> {
             })
             .collect();
         let group = self.gpu.inner.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(shader.name),
+            label: Some(kernel.name),
             layout: &pipeline.layout,
             entries: &entries,
         });
@@ -164,7 +171,7 @@ impl<'g> Recorder<'g> {
     ///
     /// # Errors
     /// A fault of the device, of this or of earlier work.
-    pub fn submit(mut self) -> Result<(), GpuError> {
+    pub fn submit(mut self) -> Result<(), DeviceError> {
         self.pass = None;
         let inner = &self.gpu.inner;
         // Recordings of other threads share the uniforms.
@@ -243,42 +250,6 @@ impl<'g> Recorder<'g> {
             let descriptor = wgpu::ComputePassDescriptor { label: Some(stage), timestamp_writes };
             encoder.begin_compute_pass(&descriptor).forget_lifetime()
         })
-    }
-}
-
-/// What a stage took and had to do, summed over all its submissions.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StageTime {
-    /// Name of the stage.
-    pub name: &'static str,
-    /// Milliseconds on the device.
-    pub ms: f64,
-    /// Bytes it has to move at the least; 0 where nobody counted.
-    pub bytes: f64,
-    /// Floating-point operations; 0 where nobody counted.
-    pub flops: f64,
-}
-
-/// Time per stage, in order of first appearance.
-#[derive(Debug, Default)]
-pub(super) struct Timings {
-    stages: Vec<StageTime>,
-}
-
-impl Timings {
-    fn add(&mut self, name: &'static str, [ms, bytes, flops]: [f64; 3]) {
-        let at = self.stages.iter().position(|s| s.name == name).unwrap_or_else(|| {
-            self.stages.push(StageTime { name, ms: 0.0, bytes: 0.0, flops: 0.0 });
-            self.stages.len() - 1
-        });
-        let stage = &mut self.stages[at];
-        stage.ms += ms;
-        stage.bytes += bytes;
-        stage.flops += flops;
-    }
-
-    pub(super) fn listed(&self) -> Vec<StageTime> {
-        self.stages.clone()
     }
 }
 

@@ -1,8 +1,8 @@
 //! The compiled shaders: text, bindings and struct layouts, as the build script checked them.
 
-/// A shader with one entry point `main`.
+/// A compute shader with one entry point `main`.
 #[derive(Debug)]
-pub struct Shader {
+pub struct Kernel {
     /// Name of the permutation.
     pub name: &'static str,
     /// WGSL.
@@ -39,12 +39,15 @@ pub struct StructLayout {
     pub members: &'static [(&'static str, usize)],
 }
 
-impl Shader {
-    /// The layout of struct `name`, if this shader has it.
+impl Kernel {
+    /// The layout of struct `name`, if this kernel has it.
     pub fn layout(&self, name: &str) -> Option<&'static StructLayout> {
         self.structs.iter().find(|s| s.name == name)
     }
 }
+
+/// The name by which the generated text calls a kernel.
+type Shader = Kernel;
 
 include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
 

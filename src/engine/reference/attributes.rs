@@ -1,8 +1,8 @@
 //! What each Gaussian carries into the G-buffer: activations of raw parameters (docs/MODEL.md section 1).
 
 use super::array::Array;
+use super::model::Parameters;
 use super::projection::rotations;
-use super::scene::Parameters;
 use super::spherical::{order_of, real_sh};
 use super::tape::{Tape, Var};
 use crate::scene::{Camera, Field, NormalForm};

@@ -5,20 +5,20 @@ use super::tape::Var;
 
 /// Radiance clamped to [0, 1] and put through the sRGB curve if `srgb`.
 ///
-/// Below 0 no gradient passes. Above 1 a gradient passes, with the slope at 1, only where following it would
+/// Below 0 no gradient passes. Above 1 a gradient passes, with the derivative at 1, only where following it would
 /// lower the radiance: over-bright pixels can recover.
 pub fn display(radiance: Var<'_>, srgb: bool) -> Var<'_> {
     let x = radiance.value();
     let curve = |x: f64| if srgb { srgb_curve(x) } else { x };
-    let slope = move |x: f64| if srgb { srgb_slope(x) } else { 1.0 };
+    let derivative = move |x: f64| if srgb { srgb_derivative(x) } else { 1.0 };
     let shown = x.map(|x| curve(x.clamp(0.0, 1.0)));
     radiance.tape.custom(&[radiance], shown, move |g| {
-        let pull = |(&x, &g): (&f64, &f64)| match x {
+        let backward = |(&x, &g): (&f64, &f64)| match x {
             x if x < 0.0 => 0.0,
-            x if x > 1.0 => slope(1.0) * g.max(0.0),
-            x => slope(x) * g,
+            x if x > 1.0 => derivative(1.0) * g.max(0.0),
+            x => derivative(x) * g,
         };
-        vec![Array::new(g.shape(), x.data().iter().zip(g.data()).map(pull).collect())]
+        vec![Array::new(g.shape(), x.data().iter().zip(g.data()).map(backward).collect())]
     })
 }
 
@@ -27,7 +27,7 @@ fn srgb_curve(x: f64) -> f64 {
     if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
 }
 
-fn srgb_slope(x: f64) -> f64 {
+fn srgb_derivative(x: f64) -> f64 {
     if x <= 0.003_130_8 { 12.92 } else { 1.055 / 2.4 * x.powf(1.0 / 2.4 - 1.0) }
 }
 
@@ -47,18 +47,18 @@ mod tests {
     fn over_bright_pixels_can_only_be_told_to_darken() {
         let told_to_darken = gradients([-0.5, 0.25, 1.0, 3.0], [2.0; 4]);
         let told_to_brighten = gradients([-0.5, 0.25, 1.0, 3.0], [-2.0; 4]);
-        let slope = 1.055 / 2.4;
+        let derivative = 1.055 / 2.4;
         assert_eq!(told_to_darken[0], 0.0);
-        assert!((told_to_darken[3] - 2.0 * slope).abs() < 1e-12);
+        assert!((told_to_darken[3] - 2.0 * derivative).abs() < 1e-12);
         assert_eq!(told_to_brighten[3], 0.0);
         assert!(told_to_brighten[1] < 0.0 && told_to_brighten[2] < 0.0);
     }
 
     #[test]
-    fn the_curve_and_its_slope_belong_together() {
+    fn the_curve_and_its_derivative_belong_together() {
         for x in [1e-3, 0.02, 0.5, 0.99] {
             let numeric = (srgb_curve(x + 1e-7) - srgb_curve(x - 1e-7)) / 2e-7;
-            assert!((srgb_slope(x) - numeric).abs() < 1e-6, "{x}");
+            assert!((srgb_derivative(x) - numeric).abs() < 1e-6, "{x}");
         }
         assert!((srgb_curve(0.214_041_140_482_232) - 0.5).abs() < 1e-9);
         assert_eq!(srgb_curve(1.0), 1.055 - 0.055);

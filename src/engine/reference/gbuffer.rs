@@ -1,10 +1,29 @@
 //! The G-buffer: per-Gaussian attributes blended into screen space (docs/MODEL.md section 3).
 
 use super::compositing::Weights;
+use super::model::Parameters;
 use super::projection::Splats;
-use super::scene::Parameters;
 use super::tape::Var;
 use crate::scene::Field;
+
+/// Light of N Gaussians or P pixels.
+#[derive(Clone, Copy)]
+pub enum BlendedLight<'t> {
+    /// Of Gaussians that are shaded before they are blended.
+    Outgoing {
+        /// Radiance that leaves for the camera, (N, 3).
+        total: Var<'t>,
+        /// Its specular part, (N, 3).
+        specular: Var<'t>,
+    },
+    /// Of attributes that are shaded in the pixel.
+    Incident {
+        /// Irradiance gathered from other Gaussians, (N, 3).
+        gathered: Var<'t>,
+        /// Radiance from where the environment is blocked, (N, 3).
+        blocked: Var<'t>,
+    },
+}
 
 /// Attributes of N Gaussians that depend on more than their material.
 pub struct Attributes<'t> {
@@ -14,11 +33,8 @@ pub struct Attributes<'t> {
     pub plane: Var<'t>,
     /// Colour of the radiance branch, display-referred, (N, 3).
     pub radiance: Var<'t>,
-    /// Irradiance gathered from other Gaussians or, with [`ShadeAt::Gaussian`](crate::scene::ShadeAt), the radiance that
-    /// leaves for the camera, (N, 3).
-    pub light: Var<'t>,
-    /// Radiance that comes from blocked directions or the specular part of what leaves, (N, 3).
-    pub indirect: Var<'t>,
+    /// Light.
+    pub light: BlendedLight<'t>,
 }
 
 /// Attributes of P pixels, divided by coverage where not said otherwise.
@@ -39,10 +55,8 @@ pub struct GBuffer<'t> {
     pub rough: Var<'t>,
     /// Colour of the radiance branch, *not* divided by coverage, (P, 3).
     pub radiance: Var<'t>,
-    /// As [`Attributes::light`], (P, 3).
-    pub light: Var<'t>,
-    /// As [`Attributes::indirect`], (P, 3).
-    pub indirect: Var<'t>,
+    /// Light, divided by coverage.
+    pub light: BlendedLight<'t>,
     /// Visibility SH coefficients, (P, (L + 1)^2).
     pub visibility: Var<'t>,
 }
@@ -70,8 +84,14 @@ pub fn blend<'t>(
         metal: mean(p.get(Field::MetalLogit).sigmoid()),
         rough: mean(p.get(Field::RoughLogit).sigmoid()),
         radiance: sums(attributes.radiance),
-        light: mean(attributes.light),
-        indirect: mean(attributes.indirect),
+        light: match attributes.light {
+            BlendedLight::Outgoing { total, specular } => {
+                BlendedLight::Outgoing { total: mean(total), specular: mean(specular) }
+            }
+            BlendedLight::Incident { gathered, blocked } => {
+                BlendedLight::Incident { gathered: mean(gathered), blocked: mean(blocked) }
+            }
+        },
         visibility: mean(p.get(Field::Visibility)),
     }
 }

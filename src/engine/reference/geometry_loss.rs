@@ -5,7 +5,7 @@ use super::ops::concat;
 use super::tape::Var;
 
 /// What the term looks at, each (H, W, C).
-pub struct Surface<'t> {
+pub struct DepthNormalInput<'t> {
     /// Coverage (1).
     pub coverage: Var<'t>,
     /// Blended normals divided by coverage, not of unit length (3).
@@ -30,7 +30,7 @@ const DEPTH_JUMP: f64 = 0.05;
 ///
 /// Depths are `t = D / (N . ray)`; `n_d` is the normal of the triangle of the three points `t ray`, towards
 /// the camera. Which pixels count is decided on values, and is no function of the parameters.
-pub fn depth_normal<'t>(surface: &Surface<'t>) -> Var<'t> {
+pub fn depth_normal<'t>(surface: &DepthNormalInput<'t>) -> Var<'t> {
     let tape = surface.coverage.tape;
     let [height, width] = [0, 1].map(|axis| surface.coverage.value().shape()[axis]);
     if height < 2 || width < 2 {

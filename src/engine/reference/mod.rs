@@ -1,4 +1,4 @@
-//! The oracle: f64, dense, straight from the equations (docs/MODEL.md), never tuned for speed.
+//! The reference engine: f64, dense, straight from the equations (docs/MODEL.md), not tuned for speed.
 //!
 //! Everything is recorded on a [`Tape`], so any gradient of any intermediate value is at hand: [`forward`] for
 //! the pieces, [`objective`] for the loss terms, [`Tape::gradients`] for the rest. [`render`] and
@@ -8,290 +8,38 @@ mod array;
 mod attributes;
 mod compositing;
 mod display;
+mod forward;
 mod gbuffer;
 mod geometry_loss;
 mod lighting;
 pub mod losses;
+mod model;
 mod objective;
 mod ops;
 mod probes;
 mod projection;
 mod quadrature;
-mod scene;
 mod shading;
 mod spherical;
 mod tables;
 mod tape;
 
-use std::collections::BTreeMap;
-
 pub use array::Array;
 pub use compositing::{AlphaLimits, Weights};
-pub use gbuffer::{Attributes, GBuffer};
+pub use forward::{Conventions, Gathered, Light, Options, Stages, forward, render};
+pub use gbuffer::{Attributes, BlendedLight, GBuffer};
 pub use lighting::Lighting;
-pub use objective::{LISTING_WEIGHTS, Labels, Target, Terms, objective, occlusion, weighted_sum};
+pub use model::{
+    Arrays, ENVIRONMENT, PROTOTYPES, Parameters, ReferenceModel, ReferenceModelError, parameter_names,
+};
+pub use objective::{
+    LISTING_WEIGHTS, Labels, Target, Terms, loss_and_gradients, objective, occlusion, weighted_sum,
+};
 pub use ops::{Order, concat};
 pub use probes::Probes;
 pub use projection::{GuardBand, NEAR, Splats};
-pub use quadrature::{LitQuadrature, Quadrature};
-pub use scene::{Arrays, ENVIRONMENT, PROTOTYPES, Parameters, Scene, SceneError, parameter_names};
+pub use quadrature::{Quadrature, QuadratureLight};
 pub use shading::{Shaded, Surfaces};
 pub use spherical::{CLAMPED_COSINE, fibonacci_sphere, normal_related_sh, real_sh};
-pub use tables::{LitTables, Tables};
-pub use tape::{Gradients, Tape, Var};
-
-use crate::scene::{
-    Camera, DiffuseForm, Field, IndirectForm, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
-};
-
-/// Which set of small choices is followed where the article's listing and docs/MODEL.md differ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Conventions {
-    /// The listing: Jacobian taken anywhere, every pixel shaded, plain clamp, 7-tap SSIM.
-    Listing,
-    /// docs/MODEL.md.
-    Model,
-}
-
-impl Conventions {
-    fn guard_band(self) -> GuardBand {
-        match self {
-            Self::Listing => GuardBand::Unlimited,
-            Self::Model => GuardBand::Image,
-        }
-    }
-
-    /// 1 where a pixel of some coverage is shaded, else 0.
-    fn shaded(self, coverage: &Array) -> Array {
-        let least = match self {
-            Self::Listing => 0.0,
-            Self::Model => LEAST_SHADED,
-        };
-        coverage.map(|c| f64::from(u8::from(c >= least)))
-    }
-
-    fn ssim_window(self) -> Vec<f64> {
-        let taps = match self {
-            Self::Listing => 7,
-            Self::Model => 11,
-        };
-        losses::gaussian_window(taps, 1.5)
-    }
-}
-
-/// Where light is looked up.
-#[derive(Debug, Clone)]
-pub enum Light {
-    /// The listing's quadrature over the texels.
-    Quadrature(Quadrature),
-    /// Our tables.
-    Tables(Tables),
-}
-
-/// What other Gaussians send to each Gaussian: measured, constant to the optimiser.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Gathered {
-    /// Irradiance `E`, (N, 3).
-    pub irradiance: Array,
-    /// Radiance of blocked directions `G`, (N, 3).
-    pub radiance: Array,
-}
-
-/// Choices of the forward model.
-#[derive(Debug, Clone)]
-pub struct Options {
-    /// The switches a model carries.
-    pub shading: ShadingOptions,
-    /// The small print.
-    pub conventions: Conventions,
-    /// Screen-space low-pass, px^2: as in `shading`, whose f32 is not the listing's 0.3 to nine digits.
-    pub low_pass: f64,
-    /// From footprint to alpha.
-    pub alpha: AlphaLimits,
-    /// Colour behind everything, in the space images are compared in.
-    pub background: [f64; 3],
-    /// Tables of the light.
-    pub light: Light,
-    /// Radiance (M, 3) to light the scene with instead of its own environment.
-    pub environment: Option<Array>,
-    /// Gathered light for [`IndirectForm::Gathered`]; none is black.
-    pub gathered: Option<Gathered>,
-}
-
-impl Options {
-    /// docs/MODEL.md on white, under the scene's own environment, without gathered light.
-    pub fn model(shading: ShadingOptions, tables: Tables) -> Self {
-        Self {
-            shading,
-            conventions: Conventions::Model,
-            low_pass: shading.low_pass.into(),
-            alpha: AlphaLimits::default(),
-            background: [1.0; 3],
-            light: Light::Tables(tables),
-            environment: None,
-            gathered: None,
-        }
-    }
-
-    /// The article's listing, on white.
-    pub fn listing(quadrature: Quadrature) -> Self {
-        let shading = ShadingOptions {
-            visibility: VisibilityForm::Sigmoid,
-            diffuse: DiffuseForm::AmbientOcclusion,
-            shade_at: ShadeAt::Pixel,
-            normal: NormalForm::Free,
-            indirect: IndirectForm::Learned,
-            low_pass_compensation: false,
-            srgb: false,
-            ..ShadingOptions::default()
-        };
-        Self {
-            shading,
-            conventions: Conventions::Listing,
-            low_pass: 0.3,
-            alpha: AlphaLimits::default(),
-            background: [1.0; 3],
-            light: Light::Quadrature(quadrature),
-            environment: None,
-            gathered: None,
-        }
-    }
-}
-
-/// Every stage of one rendered view of N Gaussians on P pixels.
-pub struct Pass<'t> {
-    /// The scene's parameters.
-    pub parameters: Parameters<'t>,
-    /// What each Gaussian carries.
-    pub attributes: Attributes<'t>,
-    /// The projected Gaussians.
-    pub splats: Splats<'t>,
-    /// Their blending weights.
-    pub weights: Weights<'t>,
-    /// The blended attributes.
-    pub buffer: GBuffer<'t>,
-    /// The shaded pixels.
-    pub shaded: Shaded<'t>,
-    /// The physically based image over the background, in display space, (P, 3).
-    pub image: Var<'t>,
-    /// The radiance branch over the background, in display space, (P, 3).
-    pub radiance_image: Var<'t>,
-}
-
-/// Pixels covered less than this are not shaded (docs/MODEL.md section 4).
-const LEAST_SHADED: f64 = 1e-3;
-
-/// Renders a scene, keeping every stage on the tape.
-pub fn forward<'t>(tape: &'t Tape, scene: &Scene, camera: &Camera, options: &Options) -> Pass<'t> {
-    let parameters = Parameters::new(tape, scene);
-    let p = &parameters;
-    let shading = &options.shading;
-    let splats = projection::project(tape, p, camera, options.low_pass, options.conventions.guard_band());
-    let mut opacities = p.get(Field::OpacityLogit).sigmoid().gather(0, &splats.indices);
-    if shading.low_pass_compensation {
-        opacities = opacities * splats.compensation;
-    }
-    let weights = compositing::composite(tape, &splats, opacities, camera, options.alpha);
-
-    let light = light(tape, p, options);
-    let attributes = attributes(tape, p, camera, &*light, options);
-    let buffer = gbuffer::blend(p, &splats, &weights, &attributes);
-    let shaded = shading::pixels(tape, &buffer, camera, &*light, shading);
-
-    let background = tape.input(Array::from_rows(&[options.background])) * (1.0 - buffer.coverage);
-    let radiance = shaded.diffuse + shaded.specular;
-    let display = match options.conventions {
-        Conventions::Listing => radiance.clamp(0.0, 1.0),
-        Conventions::Model => display::display(radiance, shading.srgb),
-    };
-    let seen = tape.input(options.conventions.shaded(&buffer.coverage.value()));
-    let image = display * seen * buffer.coverage + background;
-    let radiance_image = buffer.radiance + background;
-    Pass { parameters, attributes, splats, weights, buffer, shaded, image, radiance_image }
-}
-
-fn light<'t>(tape: &'t Tape, p: &Parameters<'t>, options: &Options) -> Box<dyn Lighting<'t> + 't> {
-    let radiance = options.environment.as_ref().map_or_else(|| p.environment(), |e| tape.input(e.clone()));
-    match &options.light {
-        Light::Quadrature(quadrature) => Box::new(quadrature.lit(radiance)),
-        Light::Tables(tables) => {
-            Box::new(tables.lit(radiance, spherical::order_of(p.get(Field::Visibility))))
-        }
-    }
-}
-
-fn attributes<'t>(
-    tape: &'t Tape,
-    p: &Parameters<'t>,
-    camera: &Camera,
-    light: &dyn Lighting<'t>,
-    options: &Options,
-) -> Attributes<'t> {
-    let normal = attributes::normals(tape, p, camera, options.shading.normal);
-    let outward = attributes::from_camera(tape, p, camera);
-    let black = || tape.input(Array::zeros(outward.value().shape()));
-    let (gathered, indirect) = match (options.shading.indirect, &options.gathered) {
-        (IndirectForm::Learned, _) => (black(), shading::learned_indirect(tape, p, light)),
-        (IndirectForm::Gathered, Some(g)) => {
-            (tape.input(g.irradiance.clone()), tape.input(g.radiance.clone()))
-        }
-        _ => (black(), black()),
-    };
-    let (light, indirect) = match options.shading.shade_at {
-        ShadeAt::Pixel => (gathered, indirect),
-        ShadeAt::Gaussian => {
-            let surfaces = Surfaces {
-                normal,
-                albedo: p.albedo(),
-                metal: p.get(Field::MetalLogit).sigmoid(),
-                rough: p.get(Field::RoughLogit).sigmoid(),
-                sheen: Some(p.get(Field::Sheen)),
-                gathered,
-                indirect,
-                visibility: p.get(Field::Visibility),
-                view: outward.normalised() * -1.0,
-            };
-            let shaded = shading::shade(tape, &surfaces, light, &options.shading);
-            (shaded.diffuse + shaded.specular, shaded.specular)
-        }
-    };
-    let plane = normal.dot(outward);
-    let radiance = attributes::radiance(tape, p, camera);
-    Attributes { normal, plane, radiance, light, indirect }
-}
-
-/// A rendered view by channel name, each (P, C): `image radiance normal albedo metal rough ao coverage depth
-/// diffuse specular`.
-pub fn render(scene: &Scene, camera: &Camera, options: &Options) -> Arrays {
-    let tape = Tape::new();
-    let pass = forward(&tape, scene, camera, options);
-    let channels = [
-        ("image", pass.image),
-        ("radiance", pass.radiance_image),
-        ("normal", pass.shaded.normal),
-        ("albedo", pass.buffer.albedo),
-        ("metal", pass.buffer.metal),
-        ("rough", pass.buffer.rough),
-        ("ao", pass.shaded.ambient_occlusion),
-        ("coverage", pass.buffer.coverage),
-        ("depth", pass.buffer.depth),
-        ("diffuse", pass.shaded.diffuse),
-        ("specular", pass.shaded.specular),
-    ];
-    channels.into_iter().map(|(name, var)| (name, (*var.value()).clone())).collect()
-}
-
-/// The value of every term of the objective, and the gradient of the weighted total by parameter.
-pub fn loss_and_gradients(
-    scene: &Scene,
-    camera: &Camera,
-    target: &Target,
-    options: &Options,
-    weights: &[(&str, f64)],
-) -> (BTreeMap<&'static str, f64>, Arrays) {
-    let tape = Tape::new();
-    let pass = forward(&tape, scene, camera, options);
-    let terms = objective(&pass, camera, target, options, weights);
-    let gradients = pass.parameters.gradients(&tape.gradients(terms["total"]));
-    (terms.iter().map(|(name, term)| (*name, term.value().data()[0])).collect(), gradients)
-}
+pub use tables::{TableLight, TableOperators};
+pub use tape::{Tape, TapeGradients, Var};

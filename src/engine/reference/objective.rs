@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use super::array::Array;
 use super::attributes::{field, from_camera};
-use super::geometry_loss::{Surface, depth_normal};
+use super::forward::{Conventions, Options, Stages, forward};
+use super::geometry_loss::{DepthNormalInput, depth_normal};
 use super::losses;
+use super::model::{Arrays, ReferenceModel};
 use super::projection::rays;
 use super::tape::{Tape, Var};
-use super::{Conventions, Options, Pass};
 use crate::light::DAYLIGHT;
 use crate::scene::{Camera, Field, VisibilityForm, texel_directions};
 
@@ -50,7 +51,7 @@ const LABELLED: f64 = 1e-3;
 
 /// Measures a pass against its target; `total` is the sum under `weights`.
 pub fn objective<'t>(
-    pass: &Pass<'t>,
+    pass: &Stages<'t>,
     camera: &Camera,
     target: &Target,
     options: &Options,
@@ -85,7 +86,7 @@ pub fn weighted_sum<'t>(tape: &'t Tape, terms: &Terms<'t>, weights: &[(&str, f64
 }
 
 /// The terms that look at pixels.
-fn image_terms<'t>(pass: &Pass<'t>, camera: &Camera, target: &Target, options: &Options) -> Terms<'t> {
+fn image_terms<'t>(pass: &Stages<'t>, camera: &Camera, target: &Target, options: &Options) -> Terms<'t> {
     let tape = pass.image.tape;
     let picture = |x: Var<'t>| {
         let channels = x.value().shape()[1];
@@ -97,7 +98,7 @@ fn image_terms<'t>(pass: &Pass<'t>, camera: &Camera, target: &Target, options: &
     let dissimilarity = |image| losses::structural_dissimilarity(image, photograph, &window);
     let (image, radiance) = (picture(pass.image), picture(pass.radiance_image));
     let coverage = picture(pass.buffer.coverage);
-    let surface = Surface {
+    let surface = DepthNormalInput {
         coverage,
         normal: picture(pass.buffer.normal),
         plane: picture(pass.buffer.plane),
@@ -138,7 +139,7 @@ pub enum Labels {
 
 /// Visibility along the continued view rays against backward transmittance (Eq. 14-15), over the Gaussians
 /// with enough weight in the view.
-pub fn occlusion<'t>(pass: &Pass<'t>, camera: &Camera, options: &Options, labels: Labels) -> Var<'t> {
+pub fn occlusion<'t>(pass: &Stages<'t>, camera: &Camera, options: &Options, labels: Labels) -> Var<'t> {
     let p = &pass.parameters;
     let tape = pass.image.tape;
     let data = |x: Var<'t>| if labels == Labels::Constant { x.detached() } else { x };
@@ -157,4 +158,19 @@ pub fn occlusion<'t>(pass: &Pass<'t>, camera: &Camera, options: &Options, labels
         VisibilityForm::Linear | VisibilityForm::Off => losses::cross_entropy(linear, backward),
     };
     entropies.mean()
+}
+
+/// The value of every term of the objective, and the gradient of the weighted total by parameter.
+pub fn loss_and_gradients(
+    scene: &ReferenceModel,
+    camera: &Camera,
+    target: &Target,
+    options: &Options,
+    weights: &[(&str, f64)],
+) -> (BTreeMap<&'static str, f64>, Arrays) {
+    let tape = Tape::new();
+    let pass = forward(&tape, scene, camera, options);
+    let terms = objective(&pass, camera, target, options, weights);
+    let gradients = pass.parameters.gradients(&tape.gradients(terms["total"]));
+    (terms.iter().map(|(name, term)| (*name, term.value().data()[0])).collect(), gradients)
 }

@@ -29,10 +29,10 @@ impl<'t> Var<'t> {
         let rows = x.data().as_chunks::<A>().0.iter().map(|row| f(*row));
         let (values, jacobians): (Vec<_>, Vec<_>) = rows.unzip();
         self.tape.custom(&[self], Array::from_rows(&values), move |g| {
-            let pull = |(g, j): (&[f64; B], &[[f64; A]; B])| -> [f64; A] {
+            let backward = |(g, j): (&[f64; B], &[[f64; A]; B])| -> [f64; A] {
                 std::array::from_fn(|a| (0..B).map(|b| g[b] * j[b][a]).sum())
             };
-            let rows: Vec<_> = g.data().as_chunks::<B>().0.iter().zip(&jacobians).map(pull).collect();
+            let rows: Vec<_> = g.data().as_chunks::<B>().0.iter().zip(&jacobians).map(backward).collect();
             vec![Array::from_rows(&rows)]
         })
     }
@@ -114,12 +114,12 @@ impl<'t> Var<'t> {
     pub fn clamp_recoverable(self, low: f64, high: f64) -> Var<'t> {
         let x = self.value();
         self.tape.custom(&[self], x.map(|x| x.clamp(low, high)), move |g| {
-            let pull = |(&x, &g): (&f64, &f64)| match x {
+            let backward = |(&x, &g): (&f64, &f64)| match x {
                 x if x < low => g.min(0.0),
                 x if x > high => g.max(0.0),
                 _ => g,
             };
-            vec![Array::new(g.shape(), x.data().iter().zip(g.data()).map(pull).collect())]
+            vec![Array::new(g.shape(), x.data().iter().zip(g.data()).map(backward).collect())]
         })
     }
 
@@ -233,7 +233,7 @@ impl<'t> Var<'t> {
         }
         let values = y.clone();
         self.tape.custom(&[self], y, move |g| {
-            // The recurrence y[to] = y[from] x[from], walked backwards: no division, so x = 0 is fine.
+            // The recurrence y[to] = y[from] x[from], from its last product to the first: no division, so x = 0 is fine.
             let mut gy = g.clone();
             let mut gx = Array::zeros(x.shape());
             for (row, gy) in gy.data_mut().chunks_mut(width).enumerate() {
@@ -257,7 +257,7 @@ impl<'t> Var<'t> {
     }
 }
 
-/// Which way a running product walks.
+/// Direction of a running product.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
     /// Entry k holds the product of entries before k.
@@ -267,7 +267,7 @@ pub enum Order {
 }
 
 impl Order {
-    /// The (from, to) index pairs of the walk over `size` entries.
+    /// The (from, to) index pairs of the product over `size` entries.
     fn steps(self, size: usize) -> impl DoubleEndedIterator<Item = (usize, usize)> {
         (1..size).map(move |k| match self {
             Self::Forward => (k - 1, k),

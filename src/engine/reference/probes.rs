@@ -1,5 +1,5 @@
-//! Measured visibility and gathered light (docs/MODEL.md section 6), by asking every Gaussian about every other
-//! in every direction. Measurements are data: plain f64, no tape.
+//! Measured visibility and gathered light (docs/MODEL.md section 6), from every pair of Gaussians in every direction.
+//! Measurements are data: plain f64, no tape.
 
 use std::f64::consts::PI;
 
@@ -7,8 +7,8 @@ use glam::{DMat3, DVec3};
 
 use super::array::Array;
 use super::compositing::AlphaLimits;
+use super::model::{Parameters, ReferenceModel};
 use super::projection::covariances;
-use super::scene::{Parameters, Scene};
 use super::spherical::real_sh;
 use super::tape::Tape;
 use crate::scene::Field;
@@ -41,9 +41,9 @@ impl Occluder {
     fn alpha(&self, point: DVec3, d: DVec3, limits: AlphaLimits) -> f64 {
         let (u, v) = d.any_orthonormal_pair();
         let [uu, uv, vv] = [(u, u), (u, v), (v, v)].map(|(a, b)| a.dot(self.covariance * b));
-        // An edge-on pancake keeps a sliver of width, or nothing could ever hit it.
-        let sliver = 1e-4 * (uu + vv) + 1e-14;
-        let (uu, vv) = (uu + sliver, vv + sliver);
+        // A disc seen edge-on would have a width of 0.
+        let widening = 1e-4 * (uu + vv) + 1e-14;
+        let (uu, vv) = (uu + widening, vv + widening);
         let away = point - self.mean;
         let (x, y) = (away.dot(u), away.dot(v));
         let power = -0.5 * (vv * x * x - 2.0 * uv * x * y + uu * y * y) / (uu * vv - uv * uv);
@@ -55,7 +55,7 @@ impl Occluder {
 impl Probes {
     /// Measures `directions` (D, 3) from each centre moved `offset` standard deviations along its normal
     /// (N, 3). What lies within one standard deviation of both along the direction does not occlude.
-    pub fn measure(scene: &Scene, normals: &Array, directions: &Array, offset: f64) -> Self {
+    pub fn measure(scene: &ReferenceModel, normals: &Array, directions: &Array, offset: f64) -> Self {
         let occluders = occluders(scene);
         let (count, rays) = (occluders.len(), directions.shape()[0]);
         let mut transmittance = Array::filled(&[count, rays], 1.0);
@@ -109,7 +109,7 @@ impl Probes {
     }
 }
 
-fn occluders(scene: &Scene) -> Vec<Occluder> {
+fn occluders(scene: &ReferenceModel) -> Vec<Occluder> {
     let tape = Tape::new();
     let p = Parameters::new(&tape, scene);
     let covariances = covariances(&p).value();

@@ -3,8 +3,8 @@
 use glam::DVec3;
 
 use super::array::Array;
+use super::model::Parameters;
 use super::ops::concat;
-use super::scene::Parameters;
 use super::tape::{Tape, Var};
 use crate::scene::{Camera, Field};
 

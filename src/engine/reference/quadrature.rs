@@ -23,9 +23,9 @@ const SMALLEST_ALPHA: f64 = 0.02;
 
 impl Quadrature {
     /// The quadrature of one `radiance`, (M, 3).
-    pub fn lit<'t>(&self, radiance: Var<'t>) -> LitQuadrature<'t> {
+    pub fn under<'t>(&self, radiance: Var<'t>) -> QuadratureLight<'t> {
         let tape = radiance.tape;
-        LitQuadrature {
+        QuadratureLight {
             directions: tape.input(self.directions.clone()),
             solid_angles: tape.input(self.solid_angles.clone()),
             brdf: self.brdf.clone(),
@@ -35,21 +35,21 @@ impl Quadrature {
 }
 
 /// A [`Quadrature`] of one environment.
-pub struct LitQuadrature<'t> {
+pub struct QuadratureLight<'t> {
     directions: Var<'t>,
     solid_angles: Var<'t>,
     brdf: Array,
     radiance: Var<'t>,
 }
 
-impl<'t> LitQuadrature<'t> {
+impl<'t> QuadratureLight<'t> {
     /// Cosines between rows (P, 3) and every texel, (P, M), 0 below the horizon.
     fn cosines(&self, rows: Var<'t>) -> Var<'t> {
         rows.matmul(self.directions.transposed()).at_least(0.0)
     }
 }
 
-impl<'t> Lighting<'t> for LitQuadrature<'t> {
+impl<'t> Lighting<'t> for QuadratureLight<'t> {
     fn irradiance(&self, normals: Var<'t>) -> Var<'t> {
         (self.cosines(normals) * self.solid_angles).matmul(self.radiance)
     }

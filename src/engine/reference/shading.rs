@@ -4,14 +4,14 @@
 use std::f64::consts::PI;
 
 use super::array::Array;
-use super::gbuffer::GBuffer;
+use super::gbuffer::{BlendedLight, GBuffer};
 use super::lighting::Lighting;
+use super::model::Parameters;
 use super::projection::view_vectors;
-use super::scene::Parameters;
 use super::spherical::{degrees, fibonacci_sphere, normal_related_sh, order_of, real_sh};
 use super::tape::{Tape, Var};
 use crate::light::{LobeAttenuation, MOST_SHEEN};
-use crate::scene::{Camera, DiffuseForm, Field, ShadeAt, ShadingOptions, VisibilityForm};
+use crate::scene::{Camera, DiffuseForm, Field, ShadingOptions, VisibilityForm};
 
 /// What shading makes of P pixels or Gaussians.
 pub struct Shaded<'t> {
@@ -50,8 +50,8 @@ pub struct Surfaces<'t> {
     pub sheen: Option<Var<'t>>,
     /// Irradiance gathered from other surfaces, (P, 3).
     pub gathered: Var<'t>,
-    /// Radiance that comes from blocked directions, (P, 3).
-    pub indirect: Var<'t>,
+    /// Radiance from where the environment is blocked, (P, 3).
+    pub blocked: Var<'t>,
     /// Visibility SH coefficients, (P, (L + 1)^2).
     pub visibility: Var<'t>,
     /// Unit direction to the camera, (P, 3).
@@ -59,16 +59,23 @@ pub struct Surfaces<'t> {
 }
 
 impl<'t> Surfaces<'t> {
-    /// What is behind the pixels of a G-buffer seen by `camera`.
+    /// What is behind the pixels of a G-buffer seen by `camera`; no light is incident where it was outgoing that was blended.
     pub fn behind(tape: &'t Tape, buffer: &GBuffer<'t>, camera: &Camera) -> Self {
+        let (gathered, blocked) = match buffer.light {
+            BlendedLight::Incident { gathered, blocked } => (gathered, blocked),
+            BlendedLight::Outgoing { total, .. } => {
+                let black = tape.input(Array::zeros(total.value().shape()));
+                (black, black)
+            }
+        };
         Self {
             normal: buffer.normal,
             albedo: buffer.albedo,
             metal: buffer.metal,
             rough: buffer.rough,
             sheen: None,
-            gathered: buffer.light,
-            indirect: buffer.indirect,
+            gathered,
+            blocked,
             visibility: buffer.visibility,
             view: tape.input(view_vectors(camera)),
         }
@@ -84,10 +91,10 @@ pub fn pixels<'t>(
     options: &ShadingOptions,
 ) -> Shaded<'t> {
     let shaded = shade(tape, &Surfaces::behind(tape, buffer, camera), light, options);
-    match options.shade_at {
-        ShadeAt::Pixel => shaded,
-        ShadeAt::Gaussian => {
-            Shaded { diffuse: buffer.light - buffer.indirect, specular: buffer.indirect, ..shaded }
+    match buffer.light {
+        BlendedLight::Incident { .. } => shaded,
+        BlendedLight::Outgoing { total, specular } => {
+            Shaded { diffuse: total - specular, specular, ..shaded }
         }
     }
 }
@@ -116,7 +123,7 @@ pub fn shade<'t>(
     let f0 = 0.04 * (1.0 - s.metal) + s.albedo * s.metal;
     let split = light.brdf(n_dot_v, s.rough);
     let prefiltered = light.prefiltered(reflection, s.rough);
-    let incoming = mirrored * prefiltered + (1.0 - mirrored) * s.indirect;
+    let incoming = mirrored * prefiltered + (1.0 - mirrored) * s.blocked;
     let specular = incoming * (f0 * split.column(0) + split.column(1));
     Shaded { normal, ambient_occlusion, diffuse, specular }
 }
@@ -173,7 +180,7 @@ fn lobe_visibility<'t>(
     }
     let attenuation = roughness.map_rows(|[roughness]: [f64; 1]| {
         let sample = LobeAttenuation::shared().sample(roughness);
-        (sample.value, sample.by_roughness.map(|slope| [slope]))
+        (sample.value, sample.by_roughness.map(|derivative| [derivative]))
     });
     squashed(along.dot(attenuation.gather(1, &degrees(order))), form)
 }

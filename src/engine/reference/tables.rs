@@ -7,7 +7,7 @@ use super::array::Array;
 use super::lighting::Lighting;
 use super::spherical::{order_of, real_sh};
 use super::tape::Var;
-use crate::light::{BrdfLut, CubeGrid, SPECULAR_LEVELS, TableResolution, ggx_d, level_position};
+use crate::light::{BrdfLut, CubeGrid, LevelPosition, SPECULAR_LEVELS, TableResolution, ggx_d};
 use crate::scene::texel_directions;
 
 /// Number of prefiltered levels.
@@ -15,7 +15,7 @@ const LEVELS: usize = SPECULAR_LEVELS.len();
 
 /// Operators from the texels of `width` x `height` environments to the nodes of the tables.
 #[derive(Debug, Clone)]
-pub struct Tables {
+pub struct TableOperators {
     /// Texel directions, (M, 3).
     directions: Array,
     diffuse: Operator,
@@ -29,7 +29,7 @@ struct Operator {
     weights: Array,
 }
 
-impl Tables {
+impl TableOperators {
     /// The operators for one size of environment, at one resolution of tables.
     pub fn new(width: usize, height: usize, resolution: TableResolution) -> Self {
         let texels = texel_directions(width, height);
@@ -59,15 +59,15 @@ impl Tables {
     }
 
     /// The tables of one `radiance`, (M, 3), serving visibility up to degree `order`.
-    pub fn lit<'t>(&self, radiance: Var<'t>, order: usize) -> LitTables<'t> {
+    pub fn under<'t>(&self, radiance: Var<'t>, order: usize) -> TableLight<'t> {
         let tape = radiance.tape;
         let basis = real_sh(tape.input(self.directions.clone()), order);
         let [texels, coefficients] = [0, 1].map(|i| basis.value().shape()[i]);
         // Light let through by each coefficient, per colour.
-        let lit = radiance.reshaped(&[texels, 3, 1]) * basis.reshaped(&[texels, 1, coefficients]);
-        let lit = lit.reshaped(&[texels, 3 * coefficients]);
-        LitTables {
-            diffuse: self.diffuse.apply(lit),
+        let products = radiance.reshaped(&[texels, 3, 1]) * basis.reshaped(&[texels, 1, coefficients]);
+        let products = products.reshaped(&[texels, 3 * coefficients]);
+        TableLight {
+            diffuse: self.diffuse.apply(products),
             specular: self.specular.iter().map(|level| level.apply(radiance)).collect(),
         }
     }
@@ -119,15 +119,15 @@ impl<'t> Table<'t> {
     }
 }
 
-/// The [`Tables`] of one environment.
-pub struct LitTables<'t> {
+/// The [`TableOperators`] of one environment.
+pub struct TableLight<'t> {
     /// Transfer `T_j(n)` per colour, (nodes, 3 (L + 1)^2).
     diffuse: Table<'t>,
     /// Prefiltered radiance per level, (nodes, 3).
     specular: Vec<Table<'t>>,
 }
 
-impl<'t> Lighting<'t> for LitTables<'t> {
+impl<'t> Lighting<'t> for TableLight<'t> {
     /// The first transfer coefficient, rescaled: V = 1 is `c_0 = 2 sqrt(pi)`.
     fn irradiance(&self, normals: Var<'t>) -> Var<'t> {
         let pixels = normals.value().shape()[0];
@@ -147,10 +147,10 @@ impl<'t> Lighting<'t> for LitTables<'t> {
     /// Levels mixed by hat functions of roughness.
     fn prefiltered(&self, directions: Var<'t>, roughness: Var<'t>) -> Var<'t> {
         let shares = roughness.map_rows(|[roughness]: [f64; 1]| {
-            let (level, fraction, slope) = level_position(roughness);
+            let LevelPosition { level, fraction, by_roughness: derivative } = LevelPosition::of(roughness);
             let (mut share, mut by_roughness) = ([0.0; LEVELS], [[0.0]; LEVELS]);
             (share[level], share[level + 1]) = (1.0 - fraction, fraction);
-            (by_roughness[level], by_roughness[level + 1]) = ([-slope], [slope]);
+            (by_roughness[level], by_roughness[level + 1]) = ([-derivative], [derivative]);
             (share, by_roughness)
         });
         let level = |k: usize| shares.column(k) * self.specular[k].at(directions);

@@ -1,5 +1,5 @@
 //! Reverse-mode differentiation over dense arrays: every operation appends its value and its pullback to a
-//! tape, and the gradient of a scalar is one walk back along it.
+//! tape, and the gradient of a scalar is found in one pass back along it.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -58,30 +58,30 @@ impl Tape {
         Var { tape: self, id: nodes.len() - 1 }
     }
 
-    /// Gradients of the sum of `of` with respect to everything recorded before it.
-    pub fn gradients(&self, of: Var<'_>) -> Gradients {
+    /// TapeGradients of the sum of `of` with respect to everything recorded before it.
+    pub fn gradients(&self, of: Var<'_>) -> TapeGradients {
         let nodes = self.nodes.borrow();
         let mut grads: Vec<Option<Array>> = vec![None; of.id + 1];
         grads[of.id] = Some(Array::filled(nodes[of.id].value.shape(), 1.0));
         for (id, node) in nodes.iter().enumerate().take(of.id + 1).rev() {
             let Some(grad) = &grads[id] else { continue };
-            for (&parent, pulled) in node.parents.iter().zip((node.pullback)(grad)) {
+            for (&parent, by_parent) in node.parents.iter().zip((node.pullback)(grad)) {
                 match &mut grads[parent] {
-                    Some(sum) => sum.data_mut().iter_mut().zip(pulled.data()).for_each(|(s, p)| *s += p),
-                    empty => *empty = Some(pulled),
+                    Some(sum) => sum.data_mut().iter_mut().zip(by_parent.data()).for_each(|(s, p)| *s += p),
+                    empty => *empty = Some(by_parent),
                 }
             }
         }
-        Gradients { grads }
+        TapeGradients { grads }
     }
 }
 
 /// What [`Tape::gradients`] found.
-pub struct Gradients {
+pub struct TapeGradients {
     grads: Vec<Option<Array>>,
 }
 
-impl Gradients {
+impl TapeGradients {
     /// The gradient with respect to `var`; zeros where nothing depends on it.
     pub fn of(&self, var: Var<'_>) -> Array {
         let found = self.grads.get(var.id).and_then(Clone::clone);

@@ -1,13 +1,13 @@
-//! Making a state smaller as decided, moments and statistics with it.
+//! Makes a state smaller as decided, with its moments and statistics.
 
-use crate::engine::cpu::{FULLY_OPEN, softmax};
+use crate::engine::cpu::{sigmoid, softmax};
+use crate::engine::{DensityStats, TrainState};
+use crate::light::FULLY_OPEN;
 use crate::scene::{Field, Gaussians, IndirectForm, VisibilityForm, sh_count};
-use crate::train::complexity::decide::Visibility;
+use crate::train::complexity::decide::RequiredVisibility;
 use crate::train::complexity::evidence::Overlap;
-use crate::train::density::DensityStats;
-use crate::train::state::Learned;
 
-/// Metalness logit of what is held at dielectric: 1e-4.
+/// Metalness logit of a surface that is held at dielectric: a metalness of 1e-4.
 pub const DIELECTRIC: f32 = -9.0;
 
 /// The same Gaussians with `prototypes` scores (zero) and lower orders: the first coefficients of each.
@@ -24,36 +24,36 @@ fn reshaped(g: &Gaussians, prototypes: usize, visibility: usize, radiance: usize
     out
 }
 
-/// Cuts visibility and radiance.
-pub fn cut_orders(learned: &mut Learned, visibility: Visibility, radiance: usize) {
-    let old = learned.model.gaussians.visibility_order();
+/// Cuts visibility and radiance, moments and labels with them.
+pub fn cut_orders(state: &mut TrainState, visibility: RequiredVisibility, radiance: usize) {
+    let old = state.model.gaussians.visibility_order();
     let order = match visibility {
-        Visibility::Off => 0,
-        Visibility::Order(order) => order.min(old),
+        RequiredVisibility::Off => 0,
+        RequiredVisibility::Order(order) => order.min(old),
     };
     let cut = |g: &Gaussians| reshaped(g, g.prototypes(), order, radiance.min(g.radiance_order()));
-    learned.model.gaussians = cut(&learned.model.gaussians);
-    learned.moments.first = cut(&learned.moments.first);
-    learned.moments.second = cut(&learned.moments.second);
-    if visibility == Visibility::Off {
-        learned.model.shading.visibility = VisibilityForm::Off;
-        learned.model.gaussians.field_mut(Field::Visibility).fill(FULLY_OPEN);
-        learned.labels = Vec::new();
+    state.model.gaussians = cut(&state.model.gaussians);
+    state.moments.first = cut(&state.moments.first);
+    state.moments.second = cut(&state.moments.second);
+    if visibility == RequiredVisibility::Off {
+        state.model.shading.visibility = VisibilityForm::Off;
+        state.model.gaussians.field_mut(Field::Visibility).fill(FULLY_OPEN);
+        state.labels = Vec::new();
     } else {
-        let rows = learned.labels.chunks_exact(sh_count(old));
-        learned.labels = rows.flat_map(|row| row[..sh_count(order)].iter().copied()).collect();
+        let rows = state.labels.chunks_exact(sh_count(old));
+        state.labels = rows.flat_map(|row| row[..sh_count(order)].iter().copied()).collect();
     }
 }
 
-/// Leaves out light that bounces.
-pub fn drop_indirect(learned: &mut Learned) {
-    learned.model.shading.indirect = IndirectForm::Off;
-    learned.gathered = Vec::new();
+/// Leaves out bounced light.
+pub fn drop_indirect(state: &mut TrainState) {
+    state.model.shading.indirect = IndirectForm::Off;
+    state.gathered = Vec::new();
 }
 
 /// Mixed prototype colour of every Gaussian: its albedo without the residual (Eq. 23).
-fn mixed(learned: &Learned) -> Vec<[f32; 3]> {
-    let (g, colours) = (&learned.model.gaussians, &learned.model.prototypes);
+fn mixed(state: &TrainState) -> Vec<[f32; 3]> {
+    let (g, colours) = (&state.model.gaussians, &state.model.prototypes);
     let mut shares = vec![0.0; g.prototypes()];
     let mix = |i: usize| {
         softmax(g.row(Field::ProtoLogits, i), &mut shares);
@@ -63,18 +63,18 @@ fn mixed(learned: &Learned) -> Vec<[f32; 3]> {
     (0..g.len()).map(mix).collect()
 }
 
-/// Moves what the mix of prototypes lost against `wanted` into the residuals: albedos stay what they were.
-fn compensate(learned: &mut Learned, wanted: &[[f32; 3]]) {
-    let now = mixed(learned);
+/// Adds to the residuals what the mixed prototypes lack of `wanted`.
+fn compensate(state: &mut TrainState, wanted: &[[f32; 3]]) {
+    let now = mixed(state);
     for (i, (wanted, now)) in wanted.iter().zip(&now).enumerate() {
-        let residual = learned.model.gaussians.row_mut(Field::Residual, i);
+        let residual = state.model.gaussians.row_mut(Field::Residual, i);
         (0..3).for_each(|c| residual[c] += wanted[c] - now[c]);
     }
 }
 
 /// Merges prototypes by `groups` (heaviest member first); no albedo changes.
-pub fn merge_prototypes(learned: &mut Learned, groups: &[Vec<usize>], overlap: &Overlap) {
-    let before = mixed(learned);
+pub fn merge_prototypes(state: &mut TrainState, groups: &[Vec<usize>], overlap: &Overlap) {
+    let before = mixed(state);
     let n = groups.len();
     let merge = |g: &Gaussians, combine: &dyn Fn(&[f32], &[usize]) -> f32| {
         let mut out = reshaped(g, n, g.visibility_order(), g.radiance_order());
@@ -91,63 +91,62 @@ pub fn merge_prototypes(learned: &mut Learned, groups: &[Vec<usize>], overlap: &
         top + group.iter().map(|k| (row[*k] - top).exp()).sum::<f32>().ln()
     };
     let heaviest = |row: &[f32], group: &[usize]| row[group[0]];
-    learned.model.gaussians = merge(&learned.model.gaussians, &log_sum);
-    learned.moments.first = merge(&learned.moments.first, &heaviest);
-    learned.moments.second = merge(&learned.moments.second, &heaviest);
-    let old = std::mem::take(&mut learned.model.prototypes);
-    learned.model.prototypes = groups.iter().map(|group| overlap.mean(&old, group)).collect();
-    for moments in &mut learned.moments.globals {
+    state.model.gaussians = merge(&state.model.gaussians, &log_sum);
+    state.moments.first = merge(&state.moments.first, &heaviest);
+    state.moments.second = merge(&state.moments.second, &heaviest);
+    let old = std::mem::take(&mut state.model.prototypes);
+    state.model.prototypes = groups.iter().map(|group| overlap.mean(&old, group)).collect();
+    for moments in &mut state.moments.globals {
         let rest = moments.split_off(old.len());
         *moments = groups.iter().map(|group| moments[group[0]]).chain(rest).collect();
     }
-    // Where nothing was merged nothing needs moving, and nothing is touched.
+    // Without a merge the residuals stay bit for bit.
     if n < old.len() {
-        compensate(learned, &before);
+        compensate(state, &before);
     }
 }
 
-/// Makes every surface dielectric; what was left of its albedo beside the metal stays: the same diffuse colour.
-pub fn make_dielectric(learned: &mut Learned) {
-    let metalness = |learned: &Learned, i: usize| {
-        crate::engine::cpu::sigmoid(learned.model.gaussians.row(Field::MetalLogit, i)[0])
-    };
-    let n = learned.model.gaussians.len();
-    let mean = (0..n).map(|i| metalness(learned, i)).sum::<f32>() / n.max(1) as f32;
-    let mut wanted = mixed(learned);
+/// Makes every surface dielectric and keeps its diffuse colour: albedo times one minus metalness becomes the albedo.
+pub fn make_dielectric(state: &mut TrainState) {
+    let metalness =
+        |state: &TrainState, i: usize| sigmoid(state.model.gaussians.row(Field::MetalLogit, i)[0]);
+    let n = state.model.gaussians.len();
+    let mean = (0..n).map(|i| metalness(state, i)).sum::<f32>() / n.max(1) as f32;
+    let mut wanted = mixed(state);
     for (i, colour) in wanted.iter_mut().enumerate() {
-        let left = 1.0 - metalness(learned, i);
-        let residual = learned.model.gaussians.row_mut(Field::Residual, i);
+        let left = 1.0 - metalness(state, i);
+        let residual = state.model.gaussians.row_mut(Field::Residual, i);
         residual.iter_mut().for_each(|r| *r *= left);
         colour.iter_mut().for_each(|v| *v *= left);
     }
-    // Most of it is common to all, and that much goes into the prototypes.
-    learned.model.prototypes.iter_mut().flatten().for_each(|v| *v = v.clamp(0.0, 1.0) * (1.0 - mean));
-    compensate(learned, &wanted);
-    hold_dielectric(learned);
+    // The mean of that factor goes into the prototypes, the rest into the residuals.
+    state.model.prototypes.iter_mut().flatten().for_each(|v| *v = v.clamp(0.0, 1.0) * (1.0 - mean));
+    compensate(state, &wanted);
+    hold_dielectric(state);
 }
 
-/// Sets metalness to none, and forgets how it was learned.
-pub fn hold_dielectric(learned: &mut Learned) {
-    learned.model.gaussians.field_mut(Field::MetalLogit).fill(DIELECTRIC);
-    for moments in [&mut learned.moments.first, &mut learned.moments.second] {
+/// Sets metalness to none and its moments to zero.
+pub fn hold_dielectric(state: &mut TrainState) {
+    state.model.gaussians.field_mut(Field::MetalLogit).fill(DIELECTRIC);
+    for moments in [&mut state.moments.first, &mut state.moments.second] {
         moments.field_mut(Field::MetalLogit).fill(0.0);
     }
 }
 
-/// Keeps the Gaussians of `indices` only, with all that was measured of them.
-pub fn keep(learned: &mut Learned, indices: &[usize]) {
-    let width = learned.labels.len() / learned.model.gaussians.len().max(1);
-    learned.model.gaussians = learned.model.gaussians.gathered(indices);
-    learned.moments.gather(&indices.iter().map(|i| Some(*i)).collect::<Vec<_>>());
-    learned.density = DensityStats {
-        pull: indices.iter().map(|i| learned.density.pull[*i]).collect(),
-        seen: indices.iter().map(|i| learned.density.seen[*i]).collect(),
+/// Keeps the Gaussians of `indices` only, with their moments, statistics and measurements.
+pub fn select_gaussians(state: &mut TrainState, indices: &[usize]) {
+    let width = state.labels.len() / state.model.gaussians.len().max(1);
+    state.model.gaussians = state.model.gaussians.gathered(indices);
+    state.moments.gather(&indices.iter().map(|i| Some(*i)).collect::<Vec<_>>());
+    state.density = DensityStats {
+        absgrad: indices.iter().map(|i| state.density.absgrad[*i]).collect(),
+        seen: indices.iter().map(|i| state.density.seen[*i]).collect(),
     };
     if width > 0 {
-        let row = |i: &usize| learned.labels[i * width..(i + 1) * width].iter().copied();
-        learned.labels = indices.iter().flat_map(row).collect();
+        let row = |i: &usize| state.labels[i * width..(i + 1) * width].iter().copied();
+        state.labels = indices.iter().flat_map(row).collect();
     }
-    if !learned.gathered.is_empty() {
-        learned.gathered = indices.iter().map(|i| learned.gathered[*i]).collect();
+    if !state.gathered.is_empty() {
+        state.gathered = indices.iter().map(|i| state.gathered[*i]).collect();
     }
 }

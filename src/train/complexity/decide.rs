@@ -1,61 +1,82 @@
-//! Decisions: from evidence to the smallest model within stated tolerances. Pure.
+//! Decisions: from evidence to the smallest model within stated tolerances. Pure functions.
+
+use std::fmt;
 
 use crate::train::complexity::evidence::{Overlap, VisibilityErrors};
 
-/// Share of a silhouette's hull that a convex thing's silhouette may leave empty, mean over the photographs.
+/// Share of its hull that the silhouette of a convex object may leave empty, mean over the photographs.
 pub const CONVEX_TOLERANCE: f32 = 0.01;
-/// Ambient occlusion (0 to 1) that leaving visibility out may change, mean. Generous: halfway through a training the
-/// measurement of a matte ball is off by 0.04 to 0.09, that of a mirror, whose picture is made of Gaussians inside it, by 0.14. It
-/// is there to notice what silhouettes cannot show, a bowl: half of the sky is hidden from its inside, none from its outside.
+/// Mean change of ambient occlusion (0 to 1) that leaving visibility out may cause. It catches what silhouettes cannot show,
+/// such as a bowl: half of the sky is hidden from its inside. It is above the error of the measurement halfway through a
+/// training: 0.04 to 0.09 on a matte ball, 0.14 on a mirror, whose image is made of Gaussians inside it.
 pub const OFF_TOLERANCE: f32 = 0.18;
-/// Ambient occlusion that cutting degrees may change, mean.
+/// Mean change of ambient occlusion that cutting degrees may cause.
 pub const AMBIENT_TOLERANCE: f32 = 0.005;
-/// Mean squared error of the field (0 to 1) that cutting degrees may cost. At 0.02 two scenes of five lost 0.15 and 0.27 dB
-/// of relighting, albedo aligned; at 0.01 none lost 0.1 (results.md section 13).
+/// Mean squared error of the field (0 to 1) that cutting degrees may cause.
 pub const FIELD_TOLERANCE: f32 = 0.01;
-/// Bounced over direct irradiance below which it is left out.
+/// Bounced over direct irradiance up to which bounced light is left out.
 pub const INDIRECT_TOLERANCE: f32 = 0.01;
 /// Display colour that the radiance branch may lose, root mean square.
 pub const RADIANCE_TOLERANCE: f32 = 0.01;
-/// Training PSNR that holding everything at dielectric may cost on the spot, dB: as much as may be lost in all.
+/// Training PSNR that holding everything at dielectric may cost at once, dB.
 pub const METALNESS_TOLERANCE: f32 = 0.1;
 /// Training PSNR that leaving sheen out may cost at the end, dB.
 pub const SHEEN_TOLERANCE: f32 = 0.05;
 /// Linear albedo that merging prototypes may move into the residuals, root mean square.
 pub const PROTOTYPE_TOLERANCE: f32 = 0.08;
-/// Training PSNR that dropping Gaussians may cost on the spot, dB. What it costs in the end: results.md section 13.
+/// Training PSNR that dropping Gaussians may cost at once, dB.
 pub const DROP_TOLERANCE: f32 = 0.05;
-/// Shares of the Gaussians that are tried to be dropped, one after the other, those of least weight first.
+/// Shares of the Gaussians, those of least weight, that are dropped in trials, in this order.
 pub const DROPPED_SHARES: [f32; 12] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7];
-/// Training PSNR per doubling of the Gaussians below which more are not worth it, dB.
+/// Training PSNR per doubling of the Gaussians below which no more are added, dB.
 pub const FLAT: f32 = 0.2;
-/// Training PSNR beyond which more Gaussians are not worth it (an error of 3.6 / 255), dB.
+/// Training PSNR beyond which no more Gaussians are added, dB: a root mean square error of 3.6 / 255.
 pub const ENOUGH: f32 = 37.0;
 
-/// What of the visibility field a scene requires.
+/// The visibility field that a scene requires.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Visibility {
-    /// Every surface is open to all that it faces.
+pub enum RequiredVisibility {
+    /// None: every surface sees all directions that it faces.
     Off,
     /// Degrees up to this.
     Order(usize),
 }
 
-/// Whether a thing is convex, by its silhouettes (`concavity`, `None` without masks) and by what its surfaces see.
-pub fn is_convex(concavity: Option<f32>, off: f32) -> bool {
-    concavity.is_some_and(|c| c <= CONVEX_TOLERANCE) && off <= OFF_TOLERANCE
+impl fmt::Display for RequiredVisibility {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Off => f.write_str("off"),
+            Self::Order(order) => write!(f, "degree {order}"),
+        }
+    }
 }
 
-/// The least visibility within tolerance; none for what is convex, unless light that bounces stays all the same.
+/// What is known about the shape of a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Convexity {
+    /// It is convex: no surface hides the sky from another.
+    Convex,
+    /// It is not, or there is no evidence that it is.
+    Unproven,
+}
+
+/// The convexity by silhouettes (`concavity`, `None` without masks) and by measured visibility (`off`, the mean change of
+/// ambient occlusion without it).
+pub fn convexity(concavity: Option<f32>, off: f32) -> Convexity {
+    let is_convex = concavity.is_some_and(|c| c <= CONVEX_TOLERANCE) && off <= OFF_TOLERANCE;
+    if is_convex { Convexity::Convex } else { Convexity::Unproven }
+}
+
+/// The least visibility within tolerance; none for a convex object, unless gathered light stays.
 ///
-/// Never degree 0 of a higher configured degree: degree 1 tells a surface's open side.
-pub fn visibility(errors: &VisibilityErrors, is_convex: bool, is_lit_by_others: bool) -> Visibility {
-    if is_convex && !is_lit_by_others {
-        return Visibility::Off;
+/// Never degree 0 of a higher configured degree: degree 1 holds the open side of a surface.
+pub fn visibility(errors: &VisibilityErrors, convexity: Convexity, is_gathered: bool) -> RequiredVisibility {
+    if convexity == Convexity::Convex && !is_gathered {
+        return RequiredVisibility::Off;
     }
     let order = errors.field.len() - 1;
     let fits = |l: &usize| errors.ambient[*l] <= AMBIENT_TOLERANCE && errors.field[*l] <= FIELD_TOLERANCE;
-    Visibility::Order((1..order).find(fits).unwrap_or(order))
+    RequiredVisibility::Order((1..order).find(fits).unwrap_or(order))
 }
 
 /// The Gaussians left when `share` of them, those of least weight, are dropped: in order, at least one.
@@ -70,18 +91,18 @@ pub fn heaviest(weights: &[f32], share: f32) -> Vec<usize> {
 
 /// The least degree of the radiance branch whose loss is within tolerance.
 ///
-/// Never degree 0 of a higher configured degree: albedo starts anew from what is left of a colour when what depends on
-/// the direction has gone into degree 1 (a matte ball lost 0.5 dB of relighting, albedo aligned, without).
+/// Never degree 0 of a higher configured degree: degree 1 takes the part of the colour that depends on the direction, so
+/// that albedo restarts from the rest.
 pub fn radiance_order(residuals: &[f32]) -> usize {
     let most = residuals.len().saturating_sub(1);
     residuals.iter().position(|r| *r <= RADIANCE_TOLERANCE).unwrap_or(most).max(1).min(most)
 }
 
-/// Which prototypes become one: groups, the heaviest member first. Merges go on, the cheapest of each round, while what moves
-/// into the residuals (second value) is within tolerance.
+/// The prototypes to merge: groups, the heaviest member first. The cheapest merge of each round is made while the albedo that
+/// moves into the residuals (root mean square, the second value) is within tolerance.
 ///
-/// Judged by the mixtures of the Gaussians and not by the prototypes' own colours: colours far apart may be mixed alike
-/// everywhere, and one that colours nothing is not far from anything.
+/// The cost is that of the mixtures of the Gaussians, not the distance of the prototypes' colours: all Gaussians may mix two
+/// distant colours in the same proportion, and a prototype may have no weight at all.
 pub fn prototypes(colours: &[[f32; 3]], overlap: &Overlap) -> (Vec<Vec<usize>>, f32) {
     let shown: Vec<[f32; 3]> = colours.iter().map(|c| c.map(|v| v.clamp(0.0, 1.0))).collect();
     let mut groups: Vec<Vec<usize>> = (0..shown.len()).map(|k| vec![k]).collect();
@@ -102,7 +123,7 @@ pub fn prototypes(colours: &[[f32; 3]], overlap: &Overlap) -> (Vec<Vec<usize>>, 
     (groups, moved)
 }
 
-/// The two groups, in order, whose means are nearest, weighted as in Ward's method: what merging them costs if no Gaussian
+/// The two groups, in order, whose means are nearest, weighted as in Ward's method: the cost of merging them if no Gaussian
 /// mixes the two.
 fn cheapest_merge(colours: &[[f32; 3]], groups: &[Vec<usize>], overlap: &Overlap) -> Option<(usize, usize)> {
     let of: Vec<_> = groups.iter().map(|g| (overlap.mean(colours, g), overlap.mass_of(g))).collect();
@@ -114,9 +135,9 @@ fn cheapest_merge(colours: &[[f32; 3]], groups: &[Vec<usize>], overlap: &Overlap
     pairs.min_by(|x, y| cost(x).total_cmp(&cost(y)))
 }
 
-/// Whether more Gaussians are worth it, from `(Gaussians, training PSNR)` after each round of density control.
+/// Whether more Gaussians no longer improve the result, from `(Gaussians, training PSNR)` after each round of density control.
 ///
-/// Twice in a row: one round's PSNR is a mean over some photographs and not over all.
+/// Judged on two rounds in a row: the PSNR of one is a mean over some photographs, not over all.
 pub fn is_enough(history: &[(u32, f32)]) -> bool {
     let [.., a, b, c] = history else { return false };
     let is_flat = |from: &(u32, f32), to: &(u32, f32)| {
@@ -128,6 +149,7 @@ pub fn is_enough(history: &[(u32, f32)]) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use super::Convexity::{Convex, Unproven};
     use super::*;
 
     fn errors(off: f32, ambient: [f32; 5], field: [f32; 5]) -> VisibilityErrors {
@@ -137,16 +159,17 @@ mod tests {
     #[test]
     fn visibility_is_the_least_within_both_tolerances() {
         let flat = [0.0; 5];
-        assert_eq!(visibility(&errors(0.01, flat, flat), true, false), Visibility::Off);
-        assert_eq!(visibility(&errors(0.01, flat, flat), true, true), Visibility::Order(1));
-        assert_eq!(visibility(&errors(0.01, flat, flat), false, false), Visibility::Order(1));
-        assert!(is_convex(Some(0.0), 0.05) && !is_convex(Some(0.0), 0.3), "a bowl looks convex from outside");
-        assert!(!is_convex(Some(0.2), 0.0) && !is_convex(None, 0.0), "without masks nothing is known");
+        assert_eq!(visibility(&errors(0.01, flat, flat), Convex, false), RequiredVisibility::Off);
+        assert_eq!(visibility(&errors(0.01, flat, flat), Convex, true), RequiredVisibility::Order(1));
+        assert_eq!(visibility(&errors(0.01, flat, flat), Unproven, false), RequiredVisibility::Order(1));
+        assert_eq!(convexity(Some(0.0), 0.05), Convex);
+        assert_eq!(convexity(Some(0.0), 0.3), Unproven, "a bowl looks convex from outside");
+        assert_eq!([convexity(Some(0.2), 0.0), convexity(None, 0.0)], [Unproven; 2], "no masks, no evidence");
         let needs_two = [0.5, 0.1, 0.001, 0.0, 0.0];
-        assert_eq!(visibility(&errors(0.2, needs_two, flat), false, false), Visibility::Order(2));
-        assert_eq!(visibility(&errors(0.2, flat, needs_two), false, false), Visibility::Order(2));
+        assert_eq!(visibility(&errors(0.2, needs_two, flat), Unproven, false), RequiredVisibility::Order(2));
+        assert_eq!(visibility(&errors(0.2, flat, needs_two), Unproven, false), RequiredVisibility::Order(2));
         let needs_all = [0.5, 0.4, 0.3, 0.2, 0.0];
-        assert_eq!(visibility(&errors(0.2, flat, needs_all), false, false), Visibility::Order(4));
+        assert_eq!(visibility(&errors(0.2, flat, needs_all), Unproven, false), RequiredVisibility::Order(4));
     }
 
     /// Mixtures of equally heavy Gaussians.
@@ -160,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn twins_become_one_and_the_unused_join_them() {
+    fn similar_prototypes_merge_and_unused_ones_join_them() {
         let colours = [[0.5; 3], [0.52; 3], [0.9; 3], [0.1; 3]];
         let pure = mixed(&[[0.4, 0.6, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
         let (groups, moved) = prototypes(&colours, &pure);
@@ -180,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn growth_ends_when_twice_flat_or_beyond_what_shows() {
+    fn growth_ends_when_twice_flat_or_beyond_the_highest_psnr() {
         assert!(is_enough(&[(1000, 30.0), (1200, 30.01), (1400, 30.0)]));
         assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.3)]), "once is not twice");
         assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.6)]));

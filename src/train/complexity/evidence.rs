@@ -1,7 +1,7 @@
-//! Evidence: what a state of a training says about what its scene requires. Pure functions on plain arrays.
+//! Evidence: what the state of a training shows about what its scene requires. Pure functions on plain arrays.
 //!
 //! Every mean is weighted by what a Gaussian contributes to the photographs (summed blending weight): what no
-//! photograph shows, such as the inside of a hull, is no evidence.
+//! photograph shows, such as the inside of an object, is no evidence.
 
 use std::f32::consts::PI;
 
@@ -20,7 +20,7 @@ pub fn weighted_mean(pairs: impl Iterator<Item = (f32, f32)>) -> f32 {
     if weight > 0.0 { (sum / weight) as f32 } else { 0.0 }
 }
 
-/// What the measured visibility loses when it is cut, against all of its degrees.
+/// Errors of the measured visibility when its degrees are cut.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VisibilityErrors {
     /// Mean `|1 - AO|`: without visibility every surface is fully open.
@@ -33,7 +33,7 @@ pub struct VisibilityErrors {
 
 /// The direction in which each field of `coefficients` is most open, from its degree 1; up where it has none.
 ///
-/// Early in a training Gaussians are still round and their normals arbitrary; what they see is not.
+/// Early in a training Gaussians are round and their normals arbitrary; the measured visibility is not.
 pub fn open_directions(coefficients: &[f32], order: usize) -> Vec<[f32; 3]> {
     let open = |c: &[f32]| {
         let [x, y, z] = if c.len() >= 4 { [-c[3], -c[1], c[2]] } else { [0.0; 3] };
@@ -45,7 +45,7 @@ pub fn open_directions(coefficients: &[f32], order: usize) -> Vec<[f32; 3]> {
 
 /// Share of a silhouette's convex hull that the silhouette leaves empty, in pixels; `None` without a silhouette.
 ///
-/// Zero for every picture of a convex thing, however coarse: no pixel centre lies between the disc and its hull.
+/// Zero for every image of a convex object, however coarse: no pixel centre lies between the silhouette and its hull.
 pub fn concavity(alpha: &[f32], width: usize) -> Option<f32> {
     let mut points: Vec<[i64; 2]> = Vec::new();
     let mut covered = 0usize;
@@ -118,7 +118,7 @@ pub fn visibility(
     }
 }
 
-/// Mean gathered irradiance over mean direct irradiance, summed over the colours: how much light bounces.
+/// Mean gathered irradiance over mean direct irradiance, summed over the colour channels: the share of bounced light.
 pub fn indirect_share(
     gathered: &[[f32; 6]],
     coefficients: &[f32],
@@ -174,17 +174,17 @@ impl Overlap {
             }
         }
         let total = sums.iter().sum::<f64>().max(1e-12);
-        // Shares of a Gaussian add up to 1, and so a row's products to its prototype's share of the picture.
+        // Shares of a Gaussian add up to 1, so a row's products add up to its prototype's mass.
         let masses = sums.chunks_exact(k.max(1)).map(|row| (row.iter().sum::<f64>() / total) as f32);
         Self { masses: masses.collect(), products: sums.iter().map(|s| (s / total) as f32).collect() }
     }
 
-    /// Share of the picture that prototype `k` colours.
+    /// Share of the photographs' pixels that prototype `k` colours.
     pub fn mass(&self, k: usize) -> f32 {
         self.masses[k]
     }
 
-    /// Share of the picture that a group colours.
+    /// The same of a group.
     pub fn mass_of(&self, group: &[usize]) -> f32 {
         group.iter().map(|k| self.masses[*k]).sum()
     }
@@ -217,7 +217,7 @@ impl Overlap {
 /// Coefficients of a field that is open on the side of `normal` only, and of one open everywhere (for tests).
 #[cfg(test)]
 pub(super) fn half_open(order: usize, normal: [f32; 3]) -> Vec<f32> {
-    let directions = crate::engine::cpu::fibonacci_sphere(4096);
+    let directions = crate::engine::fibonacci_sphere(4096);
     let mut out = vec![0.0; sh_count(order)];
     for d in directions.iter().filter(|d| (0..3).map(|k| d[k] * normal[k]).sum::<f32>() > 0.0) {
         let mut y = [0.0f32; MOST];
@@ -230,11 +230,11 @@ pub(super) fn half_open(order: usize, normal: [f32; 3]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::cpu::FULLY_OPEN;
+    use crate::light::FULLY_OPEN;
     use crate::light::{EnvOperators, TableResolution};
 
     #[test]
-    fn a_surface_of_a_convex_thing_needs_no_visibility_and_its_half_sky_has_the_energy_of_its_degrees() {
+    fn a_surface_of_a_convex_object_needs_no_visibility_and_its_half_sky_has_the_energy_of_its_degrees() {
         let up = [0.0, 0.0, 1.0];
         let errors = visibility(&half_open(4, up), 4, &[up], &[2.0]);
         assert!(errors.off < 0.01, "open to all that it faces: {errors:?}");

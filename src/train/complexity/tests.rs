@@ -1,15 +1,26 @@
-//! The ledger on hand-made states, and what applying a decision keeps.
+//! Decisions on hand-made states, and what applying them leaves unchanged.
 
-use super::*;
-use crate::scene::{Gaussians, Model, ShadingOptions};
-use crate::train::{Preset, TrainOverrides};
+use serde_json::Value;
 
-fn state() -> Learned {
+use super::decide::RequiredVisibility;
+use super::orders::{self, Shown};
+use super::photographs::DecisionContext;
+use super::state::ComplexityState;
+use super::{apply, evidence, trials};
+use crate::engine::channel::Channels;
+use crate::engine::constants::EarlyStop;
+use crate::engine::cpu::{Pass, evaluation, radiance_image};
+use crate::engine::{Photo, RasterCamera, TrainState};
+use crate::scene::{Field, Gaussians, IndirectForm, Model, ShadingOptions, VisibilityForm};
+use crate::train::context::StepContext;
+use crate::train::{Complexity, Preset, TrainConfig, TrainOverrides};
+
+fn small_state() -> TrainState {
     let mut gaussians = Gaussians::zeroed(5, 4, 4, 1);
     for (_, _, data) in gaussians.fields_mut() {
         data.iter_mut().enumerate().for_each(|(i, v)| *v = ((i * 37) % 23) as f32 / 23.0 - 0.4);
     }
-    let mut learned = Learned::new(Model {
+    let mut state = TrainState::new(Model {
         gaussians,
         prototypes: vec![[0.5, 0.4, 0.3], [0.51, 0.41, 0.3], [0.9, 0.8, 0.1], [0.1, 0.2, 0.3]],
         env_raw: vec![[0.5; 3]; 8],
@@ -20,17 +31,17 @@ fn state() -> Learned {
         world_offset: glam::DVec3::ZERO,
         card: Value::Null,
     });
-    learned.labels = learned.model.gaussians.field(Field::Visibility).to_vec();
-    learned.gathered = (0..5).map(|i| [i as f32; 6]).collect();
-    learned.moments.first.field_mut(Field::Mean).fill(7.0);
-    learned
+    state.labels = state.model.gaussians.field(Field::Visibility).to_vec();
+    state.gathered = (0..5).map(|i| [i as f32; 6]).collect();
+    state.moments.first.field_mut(Field::Mean).fill(7.0);
+    state
 }
 
-fn albedo(learned: &Learned, i: usize) -> [f32; 3] {
+fn albedo(state: &TrainState, i: usize) -> [f32; 3] {
     let options = ShadingOptions::default();
     let source = crate::engine::cpu::AttributeSource {
-        gaussians: &learned.model.gaussians,
-        prototypes: &learned.model.prototypes,
+        gaussians: &state.model.gaussians,
+        prototypes: &state.model.prototypes,
         options: &options,
         gathered: &[],
         indirect_basis: &[[0.0; 3]; 16],
@@ -41,8 +52,8 @@ fn albedo(learned: &Learned, i: usize) -> [f32; 3] {
 
 #[test]
 fn cutting_degrees_keeps_the_lower_ones_and_the_moments() {
-    let (before, mut after) = (state(), state());
-    apply::cut_orders(&mut after, Visibility::Order(2), 0);
+    let (before, mut after) = (small_state(), small_state());
+    apply::cut_orders(&mut after, RequiredVisibility::Order(2), 0);
     let (old, new) = (&before.model.gaussians, &after.model.gaussians);
     assert_eq!((new.visibility_order(), new.radiance_order()), (2, 0));
     assert_eq!(new.row(Field::Visibility, 3), &old.row(Field::Visibility, 3)[..9]);
@@ -54,8 +65,8 @@ fn cutting_degrees_keeps_the_lower_ones_and_the_moments() {
 }
 
 #[test]
-fn merging_twins_changes_no_albedo_and_merging_others_without_compensation_would() {
-    let (before, mut after) = (state(), state());
+fn merging_similar_prototypes_changes_no_albedo_and_merging_others_without_compensation_would() {
+    let (before, mut after) = (small_state(), small_state());
     let groups = [vec![0, 1], vec![2, 3]];
     let overlap = evidence::Overlap::of(&before.model.gaussians, &[0.4, 0.3, 0.297, 0.003, 0.0]);
     apply::merge_prototypes(&mut after, &groups, &overlap);
@@ -77,7 +88,7 @@ fn merging_twins_changes_no_albedo_and_merging_others_without_compensation_would
 
 #[test]
 fn a_dielectric_keeps_its_diffuse_colour() {
-    let (before, mut after) = (state(), state());
+    let (before, mut after) = (small_state(), small_state());
     apply::make_dielectric(&mut after);
     for i in 0..5 {
         let left = 1.0 - crate::engine::cpu::sigmoid(before.model.gaussians.row(Field::MetalLogit, i)[0]);
@@ -91,8 +102,8 @@ fn a_dielectric_keeps_its_diffuse_colour() {
 
 #[test]
 fn what_stays_keeps_its_rows() {
-    let (before, mut after) = (state(), state());
-    apply::keep(&mut after, &[1, 4]);
+    let (before, mut after) = (small_state(), small_state());
+    apply::select_gaussians(&mut after, &[1, 4]);
     assert_eq!(after.labels[25..], before.labels[100..]);
     assert_eq!(after.gathered, [[1.0; 6], [4.0; 6]]);
     assert_eq!(after.model.gaussians.row(Field::Mean, 1), before.model.gaussians.row(Field::Mean, 4));
@@ -104,60 +115,60 @@ fn config(overrides: &TrainOverrides) -> TrainConfig {
 }
 
 /// A ball's upper side: every surface is open to what it faces. `share`: bounced over direct irradiance.
-fn convex(share: f32) -> Learned {
-    let mut learned = state();
+fn convex(share: f32) -> TrainState {
+    let mut state = small_state();
     let rows = (0..5).flat_map(|_| evidence::half_open(4, [0.0, 0.0, 1.0]));
-    learned.labels = rows.collect();
-    let labels = learned.labels.clone();
-    let g = &mut learned.model.gaussians;
+    state.labels = rows.collect();
+    let labels = state.labels.clone();
+    let g = &mut state.model.gaussians;
     g.field_mut(Field::Visibility).copy_from_slice(&labels);
     for i in 0..5 {
         g.row_mut(Field::Quaternion, i).copy_from_slice(&[1.0, 0.0, 0.0, 0.0]);
         g.row_mut(Field::LogScale, i).copy_from_slice(&[0.0, 0.0, -3.0]);
         g.row_mut(Field::Radiance, i)[3..].fill(0.0);
     }
-    let direct = learned.model.environment().texels()[0][0] * std::f32::consts::PI;
-    learned.gathered = vec![[share * direct; 6]; 5];
-    learned
+    let direct = state.model.environment().texels()[0][0] * std::f32::consts::PI;
+    state.gathered = vec![[share * direct; 6]; 5];
+    state
 }
 
-fn in_context(overrides: &TrainOverrides, act: impl FnOnce(&StepContext<'_>)) {
+/// Calls `act` with a context in which 7 steps are done.
+fn in_context(overrides: &TrainOverrides, photos: &[Photo], act: impl FnOnce(&DecisionContext<'_>)) {
     let config = config(overrides);
     let operators = crate::light::EnvOperators::new(4, 2, 4, crate::light::TableResolution::TRAINING);
-    act(&StepContext {
-        config: &config,
-        operators: &operators,
-        background: [1.0; 3],
-        has_alpha: true,
-        progress: 0.3,
-    });
+    let step = StepContext { config: &config, operators: &operators, background: [1.0; 3], has_alpha: true };
+    act(&DecisionContext { step: &step, steps: 7, photos });
 }
 
-fn decided(overrides: &TrainOverrides, concavity: f32, mut learned: Learned) -> (Ledger, Learned) {
-    let mut ledger = Ledger::default();
+fn decided(
+    overrides: &TrainOverrides,
+    concavity: f32,
+    mut state: TrainState,
+) -> (ComplexityState, TrainState) {
+    let mut complexity = ComplexityState::default();
     let shown = Shown { weights: vec![1.0; 5], concavity: Some(concavity) };
-    in_context(overrides, |context| ledger.decide_orders(context, 7, &shown, &mut learned));
-    (ledger, learned)
+    in_context(overrides, &[], |context| orders::decide(&mut complexity, context, &shown, &mut state));
+    (complexity, state)
 }
 
 #[test]
-fn a_convex_thing_needs_no_visibility_and_no_indirect_light() {
-    let (ledger, learned) = decided(&TrainOverrides::default(), 0.0, convex(0.001));
-    assert_eq!(learned.model.shading.visibility, VisibilityForm::Off);
-    assert_eq!(learned.model.shading.indirect, IndirectForm::Off);
-    let g = &learned.model.gaussians;
+fn a_convex_object_needs_no_visibility_and_no_indirect_light() {
+    let (complexity, state) = decided(&TrainOverrides::default(), 0.0, convex(0.001));
+    assert_eq!(state.model.shading.visibility, VisibilityForm::Off);
+    assert_eq!(state.model.shading.indirect, IndirectForm::Off);
+    let g = &state.model.gaussians;
     assert_eq!((g.visibility_order(), g.radiance_order()), (0, 1));
-    assert!(learned.labels.is_empty() && learned.gathered.is_empty());
-    let card = ledger.card(&config(&TrainOverrides::default()));
+    assert!(state.labels.is_empty() && state.gathered.is_empty());
+    let card = complexity.card(&config(&TrainOverrides::default()));
     assert_eq!(card["findings"][0]["is"], "off", "{card}");
     assert!(card["findings"][0]["evidence"]["bounced_over_direct"].as_f64().unwrap() < 0.01, "{card}");
 }
 
 #[test]
-fn bounced_light_keeps_itself_and_the_visibility_that_lets_it_in() {
-    let (_, learned) = decided(&TrainOverrides::default(), 0.2, convex(0.5));
-    assert_eq!(learned.model.shading, ShadingOptions::default());
-    assert!(learned.model.gaussians.visibility_order() >= 1);
+fn bounced_light_stays_with_the_visibility_that_it_needs() {
+    let (_, state) = decided(&TrainOverrides::default(), 0.2, convex(0.5));
+    assert_eq!(state.model.shading, ShadingOptions::default());
+    assert!(state.model.gaussians.visibility_order() >= 1);
 }
 
 #[test]
@@ -168,65 +179,17 @@ fn what_is_named_is_not_decided() {
         bounces: Some(2),
         ..TrainOverrides::default()
     };
-    let (ledger, learned) = decided(&named, 0.0, convex(0.001));
-    assert_eq!(learned.model.shading, ShadingOptions::default());
-    let g = &learned.model.gaussians;
+    let (complexity, state) = decided(&named, 0.0, convex(0.001));
+    assert_eq!(state.model.shading, ShadingOptions::default());
+    let g = &state.model.gaussians;
     assert_eq!((g.visibility_order(), g.radiance_order()), (4, 1));
-    assert!(ledger.findings.iter().all(|f| f.forced) && ledger.findings.len() == 3, "{ledger:?}");
-}
-
-#[test]
-fn decisions_come_once_each_in_order_and_only_if_asked_for() {
-    let auto = config(&TrainOverrides { iterations: Some(100), ..Default::default() });
-    let mut ledger = Ledger::default();
-    assert_eq!(ledger.due(&auto, 24), None);
-    assert_eq!(ledger.due(&auto, 25), Some(Point::Measured));
-    ledger.points = 1;
-    assert_eq!((ledger.due(&auto, 60), ledger.due(&auto, 61)), (None, Some(Point::Trained)));
-    ledger.points = 2;
-    assert_eq!((ledger.due(&auto, 61), ledger.due(&auto, 62)), (None, Some(Point::HalfWay)));
-    ledger.points = 3;
-    assert_eq!((ledger.due(&auto, 99), ledger.due(&auto, 100)), (None, Some(Point::End)));
-    let full = TrainConfig { complexity: Complexity::Full, ..auto };
-    assert_eq!(ledger.due(&full, 100), None);
-}
-
-#[test]
-fn metalness_is_judged_when_it_has_trained_and_not_when_it_has_just_started_anew() {
-    for iterations in [100, 801, 1500] {
-        let auto = config(&TrainOverrides { iterations: Some(iterations), ..Default::default() });
-        let when = |points, point| {
-            let ledger = Ledger { points, ..Ledger::default() };
-            (0..iterations).find(|step| ledger.due(&auto, *step) == Some(point)).unwrap()
-        };
-        let (trained, half_way) = (when(1, Point::Trained), when(2, Point::HalfWay));
-        let anew = (0..=trained).rfind(|step| auto.is_albedo_round(*step)).unwrap();
-        assert!(
-            trained - anew > (iterations - auto.warm_up_steps()) / 6,
-            "{anew}, {trained} of {iterations}"
-        );
-        assert!(auto.is_albedo_round(half_way), "the control: the next decisions come after a start");
-    }
-}
-
-#[test]
-fn growth_ends_when_it_brings_nothing_unless_the_number_was_named() {
-    let rounds = |config: &TrainConfig| {
-        let mut ledger = Ledger::default();
-        for round in 0..4u32 {
-            (0..10).for_each(|_| ledger.record(0, 30.0));
-            ledger.before_round(config, 100 * round, 1000 + 100 * round as usize);
-        }
-        ledger.most_gaussians
-    };
-    assert_eq!(rounds(&config(&TrainOverrides::default())), Some(1200));
-    assert_eq!(rounds(&config(&TrainOverrides { max_gaussians: Some(5000), ..Default::default() })), None);
+    assert!(complexity.findings.iter().all(|f| f.forced) && complexity.findings.len() == 3, "{complexity:?}");
 }
 
 /// Five discs beside each other in front of a camera, of which those of `hidden` are behind it, and their photograph.
-fn discs(hidden: &[usize]) -> (Learned, Photo) {
-    let mut learned = state();
-    let g = &mut learned.model.gaussians;
+fn discs(hidden: &[usize]) -> (TrainState, Photo) {
+    let mut state = small_state();
+    let g = &mut state.model.gaussians;
     for i in 0..5 {
         let depth = if hidden.contains(&i) { -9.0 } else { 0.0 };
         g.row_mut(Field::Mean, i).copy_from_slice(&[0.3 * (i as f32 - 2.0), depth, 0.0]);
@@ -234,51 +197,51 @@ fn discs(hidden: &[usize]) -> (Learned, Photo) {
         g.row_mut(Field::OpacityLogit, i).fill(3.0);
         g.row_mut(Field::Radiance, i).fill(0.0);
     }
-    let eye = glam::DVec3::new(0.0, -3.0, 0.0);
+    let centre = glam::DVec3::new(0.0, -3.0, 0.0);
     let camera =
-        crate::scene::Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Z, 0.6, (32, 32)).unwrap();
+        crate::scene::Camera::look_at(centre, glam::DVec3::ZERO, glam::DVec3::Z, 0.6, (32, 32)).unwrap();
     let options = ShadingOptions::default();
-    let source = step::source(&learned, &[[0.0; 3]; 16]);
-    let view = crate::engine::cpu::View::new(&camera, &options);
-    let pass =
-        crate::engine::cpu::Pass::forward(&source, view, crate::engine::channel::Channels::Colour, true);
-    let pixels = crate::engine::cpu::radiance_image(&pass, [1.0; 3]);
-    (learned, Photo { camera, pixels, alpha: Vec::new() })
+    let source = evaluation::source(&state);
+    let view = RasterCamera::new(&camera, &options);
+    let pass = Pass::forward(&source, view, Channels::Colour, EarlyStop::WhenSaturated);
+    let pixels = radiance_image(&pass, [1.0; 3]);
+    (state, Photo { camera, pixels, alpha: Vec::new() })
 }
 
 #[test]
-fn what_no_photograph_misses_is_dropped_and_what_one_misses_stays() {
+fn hidden_gaussians_are_dropped_and_visible_ones_stay() {
     let dropped = |hidden: &[usize]| {
-        let (mut learned, photo) = discs(hidden);
-        let mut ledger = Ledger::default();
+        let (mut state, photo) = discs(hidden);
+        let mut complexity = ComplexityState::default();
         let photos = [photo.clone(), photo];
-        in_context(&TrainOverrides::default(), |context| {
-            ledger.drop_least(context, 7, &photos, &mut learned)
+        in_context(&TrainOverrides::default(), &photos, |context| {
+            trials::drop_least(&mut complexity, context, &mut state);
         });
-        assert_eq!(ledger.findings[0].is, learned.model.gaussians.len().to_string());
-        (learned.model.gaussians.field(Field::Mean).to_vec(), ledger)
+        assert_eq!(complexity.findings[0].is, state.model.gaussians.len().to_string());
+        (state.model.gaussians.field(Field::Mean).to_vec(), complexity)
     };
-    let (means, ledger) = dropped(&[1, 2, 4]);
+    let (means, complexity) = dropped(&[1, 2, 4]);
     let near = |a: f32, b: f32| (a - b).abs() < 1e-6;
     assert!(means.len() == 6 && near(means[0], -0.6) && near(means[3], 0.3), "{means:?}");
-    assert!((ledger.findings[0].evidence["share_dropped"] - 0.6).abs() < 1e-6, "{ledger:?}");
-    assert_eq!(dropped(&[]).0.len(), 15, "the control: each of five is missed");
+    assert!((complexity.findings[0].evidence["share_dropped"] - 0.6).abs() < 1e-6, "{complexity:?}");
+    assert_eq!(dropped(&[]).0.len(), 15, "the control: all five are visible");
 }
 
 #[test]
 fn sheen_stays_where_photographs_show_it() {
     let decided = |sheen: f32| {
-        let (mut learned, mut photo) = discs(&[]);
-        learned.model.gaussians.field_mut(Field::Sheen).fill(sheen);
-        let mut ledger = Ledger::default();
-        in_context(&TrainOverrides::default(), |context| {
-            // No picture is met exactly.
-            let seen = step::physical_image(context, &learned, &photo);
-            photo.pixels = seen.iter().map(|p| p.map(|v| v + 0.05)).collect();
-            ledger.decide_sheen(context, 7, &[photo], &mut learned);
+        let (mut state, mut photo) = discs(&[]);
+        state.model.gaussians.field_mut(Field::Sheen).fill(sheen);
+        let mut complexity = ComplexityState::default();
+        in_context(&TrainOverrides::default(), &[], |context| {
+            // No model reproduces its photographs exactly.
+            let image = context.step.physical_image(&state, &photo);
+            photo.pixels = image.iter().map(|p| p.map(|v| v + 0.05)).collect();
+            let context = DecisionContext { photos: &[photo], ..*context };
+            trials::decide_sheen(&mut complexity, &context, &mut state);
         });
-        let stays = learned.model.gaussians.field(Field::Sheen).iter().all(|s| *s == sheen);
-        (stays, ledger.findings[0].is.clone())
+        let stays = state.model.gaussians.field(Field::Sheen).iter().all(|s| *s == sheen);
+        (stays, complexity.findings[0].is.clone())
     };
     assert_eq!(decided(1.5), (true, "learned".to_owned()));
     assert_eq!(decided(1e-3), (false, "none".to_owned()), "the control: too little to show");

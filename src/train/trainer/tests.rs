@@ -4,7 +4,17 @@ use crate::engine::gpu::Gpu;
 use crate::train::{Preset, TrainOverrides};
 
 #[test]
-fn a_poisoned_step_is_rolled_back_with_smaller_steps_and_said() {
+fn a_poisoned_step_is_rolled_back_with_smaller_steps_on_the_cpu() {
+    a_poisoned_step_is_rolled_back(&Device::Cpu);
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_poisoned_step_is_rolled_back_with_smaller_steps_on_a_gpu() {
+    a_poisoned_step_is_rolled_back(&Device::Gpu(Gpu::for_tests()));
+}
+
+fn a_poisoned_step_is_rolled_back(device: &Device) {
     let options = SyntheticOptions {
         train_views: 3,
         test_views: 1,
@@ -22,21 +32,18 @@ fn a_poisoned_step_is_rolled_back_with_smaller_steps_and_said() {
         ..Default::default()
     };
     let capture = synthetic(&options).unwrap();
-    let devices = [Some(Device::Cpu), Gpu::for_tests().map(Device::Gpu)];
-    for device in devices.into_iter().flatten() {
-        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-        let mut trainer = Trainer::new(&capture, config, &device).unwrap();
-        assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
-        let mut learned = trainer.backend.learned().unwrap().into_owned();
-        learned.model.env_raw[5] = [f32::NAN; 3];
-        trainer.backend.load(learned).unwrap();
-        assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
-        let warning = trainer.step().unwrap().warning.unwrap();
-        assert!(warning.contains("back to step 0"), "{warning}");
-        assert_eq!(trainer.course.rate_factor, 0.5);
-        assert!(trainer.model().unwrap().check().is_ok());
-        assert_eq!(trainer.step().unwrap().warning, None, "and goes on");
-    }
+    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    let mut trainer = Trainer::new(&capture, config, device).unwrap();
+    assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
+    let mut state = trainer.engine.state().unwrap().into_owned();
+    state.model.env_raw[5] = [f32::NAN; 3];
+    trainer.engine.load(state).unwrap();
+    assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
+    let warning = trainer.step().unwrap().warning.unwrap();
+    assert!(warning.contains("back to step 0"), "{warning}");
+    assert_eq!(trainer.schedule.rate_factor, 0.5);
+    assert!(trainer.model().unwrap().check().is_ok());
+    assert_eq!(trainer.step().unwrap().warning, None, "and goes on");
 }
 
 /// One field of a small training with `overrides`.
@@ -81,7 +88,17 @@ fn sheen_is_learned_unless_it_is_left_out() {
 }
 
 #[test]
-fn a_smaller_model_goes_on_training_on_every_device() {
+fn a_model_made_smaller_goes_on_training_on_the_cpu() {
+    a_model_made_smaller_goes_on_training(&Device::Cpu);
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_model_made_smaller_goes_on_training_on_a_gpu() {
+    a_model_made_smaller_goes_on_training(&Device::Gpu(Gpu::for_tests()));
+}
+
+fn a_model_made_smaller_goes_on_training(device: &Device) {
     let options = SyntheticOptions {
         scene: crate::capture::SyntheticScene::MatteBall,
         train_views: 5,
@@ -99,17 +116,15 @@ fn a_smaller_model_goes_on_training_on_every_device() {
         complexity: Some(crate::train::Complexity::Auto),
         ..Default::default()
     };
-    for device in [Some(Device::Cpu), Gpu::for_tests().map(Device::Gpu)].into_iter().flatten() {
-        let mut config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-        (config.initial_gaussians, config.max_gaussians) = (128, 160);
-        let mut trainer = Trainer::new(&capture, config, &device).unwrap();
-        while !trainer.is_done() {
-            assert_eq!(trainer.step().unwrap().warning, None);
-        }
-        assert_eq!(trainer.course.complexity.due(&trainer.config, 24), None, "all decisions are made");
-        let model = trainer.model().unwrap();
-        assert!(model.check().is_ok());
-        assert_eq!(trainer.operators.order(), model.gaussians.visibility_order());
-        assert!(model.card["complexity"]["findings"].as_array().unwrap().len() >= 6, "{}", model.card);
+    let mut config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    (config.initial_gaussians, config.max_gaussians) = (128, 160);
+    let mut trainer = Trainer::new(&capture, config, device).unwrap();
+    while !trainer.is_done() {
+        assert_eq!(trainer.step().unwrap().warning, None);
     }
+    assert_eq!(trainer.schedule.complexity.due(&trainer.config, 24), None, "all decisions are made");
+    let model = trainer.model().unwrap();
+    assert!(model.check().is_ok());
+    assert_eq!(trainer.operators.order(), model.gaussians.visibility_order());
+    assert!(model.card["complexity"]["findings"].as_array().unwrap().len() >= 6, "{}", model.card);
 }

@@ -2,24 +2,25 @@
 
 mod plot;
 mod report;
+mod row;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use crate::capture::{Capture, CaptureView, ImportOptions, import};
-use crate::cli::bench::subject::Subject;
-use crate::cli::{CommandResult, output};
+use crate::capture::{Capture, CaptureView};
+use crate::cli::bench::input::{BenchModel, read_capture};
+use crate::cli::error::CommandResult;
+use crate::cli::output;
 use crate::engine::Device;
-use crate::engine::gpu::DeviceChoice;
-use crate::eval::{Picture, evenly_spaced, lights_of, mean_squared_error, on_white, photograph};
+use crate::engine::DeviceChoice;
+use crate::eval::{DisplayImage, evenly_spaced, lights_of, mean_squared_error, on_white, photograph};
 use crate::render::{Frame, Output, PreparedLight, Quality, Renderer, Tier};
-
-type Failure = Box<dyn std::error::Error + Send + Sync>;
+use row::Row;
 
 /// Options of `relume bench tradeoff`.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct TradeoffArgs {
     /// A capture with held-out views, relit truth and its lights' maps.
     capture: PathBuf,
     /// Models of it, e.g. one a training preset.
@@ -37,7 +38,7 @@ pub(super) struct Args {
     /// Only these lights of the capture, with commas; all when absent.
     #[arg(long, value_delimiter = ',')]
     lights: Vec<String>,
-    /// Samples a pixel of the reference tier, with commas.
+    /// Samples a pixel of the Monte-Carlo tier, with commas.
     #[arg(long, value_delimiter = ',', default_value = "4,8,16,32,64,128")]
     samples: Vec<u32>,
     /// Samples a pixel of the picture that errors are measured against.
@@ -46,51 +47,36 @@ pub(super) struct Args {
     /// Times each frame is made; the fastest counts.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     repeats: u32,
-    /// A device beside the CPU engine: `cpu` for none, `gpu` or `gpu:N`.
+    /// A device to measure besides the CPU engine: `cpu` for none, `gpu` or `gpu:N`.
     #[arg(long, default_value = "cpu")]
     device: DeviceChoice,
 }
 
-/// One line of the table: a model, a device and a quality, over all views and lights.
-struct Row {
-    model: String,
-    preset: String,
-    training_seconds: Option<f64>,
-    device: String,
-    quality: Quality,
-    /// Mean time of a frame.
-    frame_ms: f64,
-    /// Mean time of the first frame under a light beyond that of the others: what the tier prepares for itself.
-    first_ms: f64,
-    /// Root mean squared error of linear radiance against the reference tier on the same model.
-    linear: f64,
-    /// The same of the display-referred picture on white.
-    shown: f64,
-    /// Against ground truth, display-referred on white.
-    truth: Option<f64>,
-}
-
-pub(super) fn run(args: &Args) -> CommandResult {
+pub(super) fn run(args: &TradeoffArgs) -> CommandResult {
     std::fs::create_dir_all(&args.out)?;
-    let options = ImportOptions { max_side: Some(args.resolution), ..ImportOptions::default() };
-    let capture = import(&args.capture, &options)?;
+    let capture = read_capture(&args.capture, args.resolution)?;
     let mut devices = vec![Device::Cpu];
-    match Device::open(args.device)? {
-        Device::Cpu => {}
-        gpu => devices.push(gpu),
-    }
+    devices.extend(Some(Device::open(args.device)?).filter(Device::is_gpu));
     let mut rows = Vec::new();
     for path in &args.models {
-        let subject = Subject::read(path)?;
+        let subject = BenchModel::read(path)?;
         let truths = truths(args, &capture, &subject)?;
         for device in &devices {
             rows.extend(measure(args, &capture, &subject, device, &truths)?);
         }
     }
-    let markdown = report::markdown(args, &rows)?;
+    let introduction = format!(
+        "{} threads; {} px, {} held-out views; errors are root mean squares over all pixels, against the Monte-Carlo tier \
+         with {} samples on the same model and against ground truth, display-referred on white.",
+        rayon::current_num_threads(),
+        args.resolution,
+        args.views,
+        args.truth_samples
+    );
+    let markdown = report::markdown(&introduction, &rows);
     println!("{markdown}");
     output::write_named(&args.out.join("tradeoff.md"), markdown.as_bytes())?;
-    output::write_named(&args.out.join("tradeoff.csv"), report::csv(&rows)?.as_bytes())?;
+    output::write_named(&args.out.join("tradeoff.csv"), report::csv(&rows).as_bytes())?;
     output::write_named(&args.out.join("tradeoff.svg"), plot::svg(&rows)?.as_bytes())?;
     Ok(())
 }
@@ -99,7 +85,10 @@ pub(super) fn run(args: &Args) -> CommandResult {
 type Truths = BTreeMap<(usize, usize), Frame>;
 
 /// The views and lights that are compared.
-fn cases<'a>(args: &Args, capture: &'a Capture) -> Result<(Vec<&'a CaptureView>, Vec<&'a str>), Failure> {
+fn cases<'a>(
+    args: &TradeoffArgs,
+    capture: &'a Capture,
+) -> CommandResult<(Vec<&'a CaptureView>, Vec<&'a str>)> {
     let views = evenly_spaced(&capture.test, Some(args.views as usize));
     let mut lights = lights_of(&views, capture);
     if let Some(unknown) = args.lights.iter().find(|l| !lights.contains(&l.as_str())) {
@@ -112,11 +101,11 @@ fn cases<'a>(args: &Args, capture: &'a Capture) -> Result<(Vec<&'a CaptureView>,
     Ok((views, lights))
 }
 
-/// What the reference tier says of this model with many samples, from a seed that no row has.
-fn truths(args: &Args, capture: &Capture, subject: &Subject) -> Result<Truths, Failure> {
+/// The pictures of the Monte-Carlo tier with many samples, from a seed that no row has.
+fn truths(args: &TradeoffArgs, capture: &Capture, subject: &BenchModel) -> CommandResult<Truths> {
     let (views, lights) = cases(args, capture)?;
     let renderer = Renderer::new(subject.model.clone());
-    let quality = Quality { seed: 1, ..Quality::reference(args.truth_samples) };
+    let quality = Quality { seed: 1, ..Quality::monte_carlo(args.truth_samples) };
     let mut out = BTreeMap::new();
     for (l, name) in lights.iter().enumerate() {
         let light = renderer.prepare_light(&capture.lights[*name])?;
@@ -130,22 +119,20 @@ fn truths(args: &Args, capture: &Capture, subject: &Subject) -> Result<Truths, F
 
 /// Every tier of one model on one device.
 fn measure(
-    args: &Args,
+    args: &TradeoffArgs,
     capture: &Capture,
-    subject: &Subject,
+    subject: &BenchModel,
     device: &Device,
     truths: &Truths,
-) -> Result<Vec<Row>, Failure> {
+) -> CommandResult<Vec<Row>> {
     let (views, lights) = cases(args, capture)?;
     let renderer = Renderer::on(subject.model.clone(), device)?;
-    let sampled = args.samples.iter().map(|n| Quality::reference(*n));
+    let sampled = args.samples.iter().map(|n| Quality::monte_carlo(*n));
     let fast = [Tier::Preview, Tier::Standard, Tier::High].map(Quality::from);
-    // On a device of their own are only two.
-    let wanted = match device {
-        Device::Cpu => fast.into_iter().chain(sampled).collect::<Vec<_>>(),
-        Device::Gpu(_) => fast[..2].to_vec(),
-    };
-    let mut sums: Vec<Sums> = wanted.iter().map(|_| Sums::default()).collect();
+    // Only these two run on a GPU.
+    let wanted: Vec<Quality> =
+        if device.is_gpu() { fast[..2].to_vec() } else { fast.into_iter().chain(sampled).collect() };
+    let mut sums: Vec<ErrorSums> = wanted.iter().map(|_| ErrorSums::default()).collect();
     for (l, name) in lights.iter().enumerate() {
         let light = renderer.prepare_light(&capture.lights[*name])?;
         for (quality, sum) in wanted.iter().zip(&mut sums) {
@@ -165,12 +152,12 @@ fn measure(
 
 /// A frame and the least time it took, milliseconds.
 fn timed(
-    args: &Args,
+    args: &TradeoffArgs,
     renderer: &Renderer,
     view: &CaptureView,
     light: &PreparedLight,
     quality: Quality,
-) -> Result<(Frame, f64), Failure> {
+) -> CommandResult<(Frame, f64)> {
     let mut least = f64::INFINITY;
     let mut frame = Frame::default();
     for _ in 0..args.repeats {
@@ -181,8 +168,9 @@ fn timed(
     Ok((frame, least))
 }
 
+/// Sums over frames, of times in ms and of mean squared errors.
 #[derive(Default)]
-struct Sums {
+struct ErrorSums {
     frames: f64,
     ms: f64,
     first: f64,
@@ -192,8 +180,8 @@ struct Sums {
     truth: f64,
 }
 
-impl Sums {
-    fn add(&mut self, frame: &Frame, ms: f64, reference: &Frame, relit: Option<&Picture>) {
+impl ErrorSums {
+    fn add(&mut self, frame: &Frame, ms: f64, reference: &Frame, relit: Option<&DisplayImage>) {
         let linear =
             |f: &Frame| f.planes.get(&Output::Rgb).map_or(Vec::new(), |p| p.as_chunks::<3>().0.to_vec());
         let (picture, wanted) = (on_white(frame, Output::Rgb), on_white(reference, Output::Rgb));
@@ -207,7 +195,7 @@ impl Sums {
         }
     }
 
-    fn row(self, subject: &Subject, device: &Device, quality: Quality, lights: f64) -> Row {
+    fn row(self, subject: &BenchModel, device: &Device, quality: Quality, lights: f64) -> Row {
         let frame_ms = self.ms / self.frames;
         Row {
             model: subject.name.clone(),

@@ -1,89 +1,101 @@
 //! The figures as one SVG of three panels with logarithmic axes.
 
-use std::fmt::Write as _;
+use std::ops::Range;
 
-use super::Row;
-use super::report::{slopes, tier_name};
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::row::{Row, exponents};
+use crate::cli::error::CommandResult;
 use crate::render::Tier;
 
-const WIDTH: f64 = 420.0;
-const HEIGHT: f64 = 340.0;
-/// Left, top, right, bottom of a panel's axes inside it; the legend's lines come on top of the top.
-const MARGIN: [f64; 4] = [64.0, 36.0, 16.0, 52.0];
-/// Of a line of text, and of a letter as wide as most.
-const LINE: f64 = 14.0;
-const LETTER: f64 = 6.2;
-const COLOURS: [&str; 6] = ["#1b6ca8", "#d1495b", "#3c8d53", "#8d5a97", "#c77f1b", "#555555"];
+/// Width and height of a panel, pixels.
+const PANEL: (u32, u32) = (420, 340);
+const COLOURS: [RGBColor; 6] = [
+    RGBColor(27, 108, 168),
+    RGBColor(209, 73, 91),
+    RGBColor(60, 141, 83),
+    RGBColor(141, 90, 151),
+    RGBColor(199, 127, 27),
+    RGBColor(85, 85, 85),
+];
+const FONT: (&str, u32) = ("sans-serif", 12);
 
-/// Points of one colour, joined in their order.
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+/// Points of one colour.
 struct Series {
     name: String,
-    /// Leading points that stand by themselves.
-    alone: usize,
-    /// Abscissa, ordinate and what is written beside the point.
+    /// How many of the first points no line joins.
+    unjoined: usize,
+    /// Abscissa, ordinate and label of each point.
     points: Vec<(f64, f64, String)>,
 }
 
-/// A panel of the figure.
+/// One chart of the figure.
 struct Panel {
     title: &'static str,
-    across: &'static str,
-    up: &'static str,
+    x_label: &'static str,
+    y_label: &'static str,
     series: Vec<Series>,
 }
 
-pub(super) fn svg(rows: &[Row]) -> Result<String, std::fmt::Error> {
-    let panels = [time_against_error(rows), samples_against_error(rows), training_against_truth(rows)];
-    let shown: Vec<&Panel> =
-        panels.iter().filter(|p| p.series.iter().any(|s| !s.points.is_empty())).collect();
-    let width = WIDTH * shown.len() as f64;
-    let mut out = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {HEIGHT}\" width=\"{width}\" height=\"{HEIGHT}\" \
-         font-family=\"sans-serif\" font-size=\"11\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
-    );
-    for (i, panel) in shown.iter().enumerate() {
-        writeln!(out, "<g transform=\"translate({} 0)\">", i as f64 * WIDTH)?;
-        panel.draw(&mut out)?;
-        writeln!(out, "</g>")?;
+/// The panels that have points, side by side.
+pub(super) fn svg(rows: &[Row]) -> CommandResult<String> {
+    let mut panels =
+        vec![time_against_error(rows), samples_against_error(rows), training_against_truth(rows)];
+    panels.retain(|panel| panel.series.iter().any(|s| !s.points.is_empty()));
+    let mut out = String::new();
+    let size = (PANEL.0 * panels.len() as u32, PANEL.1);
+    let figure = SVGBackend::with_string(&mut out, size).into_drawing_area();
+    figure.fill(&WHITE)?;
+    for (area, panel) in figure.split_evenly((1, panels.len())).iter().zip(&panels) {
+        panel.draw(area)?;
     }
-    writeln!(out, "</svg>")?;
+    figure.present()?;
+    drop(figure);
     Ok(out)
 }
 
-fn groups(rows: &[Row]) -> Vec<(&str, &str)> {
-    let mut all: Vec<(&str, &str)> = rows.iter().map(|r| (r.model.as_str(), r.device.as_str())).collect();
-    all.dedup();
-    all
-}
-
 fn time_against_error(rows: &[Row]) -> Panel {
-    let series = groups(rows).into_iter().map(|(model, device)| {
+    let mut groups: Vec<(&str, &str)> = rows.iter().map(|r| (r.model.as_str(), r.device.as_str())).collect();
+    groups.dedup();
+    let series = groups.into_iter().map(|(model, device)| {
         let own = || rows.iter().filter(|r| (r.model.as_str(), r.device.as_str()) == (model, device));
         Series {
             name: format!("{model}, {device}"),
-            // Samples of the reference tier make a line, tiers do not.
-            alone: own().take_while(|r| r.quality.tier != Tier::Reference).count(),
-            points: own().map(|r| (r.frame_ms, r.shown, tier_name(r))).collect(),
+            // A line joins the sample counts of the Monte-Carlo tier; the other tiers are single points.
+            unjoined: own().take_while(|r| r.quality.tier != Tier::MonteCarlo).count(),
+            points: own().map(|r| (r.frame_ms, r.shown, label(r))).collect(),
         }
     });
     Panel {
         title: "Tiers: time against error",
-        across: "milliseconds a frame",
-        up: "error against reference (shown)",
+        x_label: "milliseconds a frame",
+        y_label: "error against Monte Carlo (shown)",
         series: series.collect(),
     }
 }
 
+/// The samples a pixel of the Monte-Carlo tier, or the name of another tier.
+fn label(row: &Row) -> String {
+    match row.quality.tier {
+        Tier::MonteCarlo => format!("{} samples", row.quality.samples),
+        tier => tier.name().to_owned(),
+    }
+}
+
 fn samples_against_error(rows: &[Row]) -> Panel {
-    let series = slopes(rows).into_iter().map(|(model, slope)| {
-        let own = rows.iter().filter(|r| r.model == model && r.quality.tier == Tier::Reference);
+    let series = exponents(rows).into_iter().map(|(model, exponent)| {
+        let own = rows.iter().filter(|r| r.model == model && r.quality.tier == Tier::MonteCarlo);
         let points = own.map(|r| (f64::from(r.quality.samples), r.linear, String::new())).collect();
-        Series { name: format!("{model}: slope {slope:.2}"), alone: 0, points }
+        Series { name: format!("{model}: samples^{exponent:.2}"), unjoined: 0, points }
     });
     Panel {
-        title: "Reference: samples against error",
-        across: "samples a pixel",
-        up: "error (linear)",
+        title: "Monte Carlo: samples against error",
+        x_label: "samples a pixel",
+        y_label: "error (linear)",
         series: series.collect(),
     }
 }
@@ -92,178 +104,109 @@ fn training_against_truth(rows: &[Row]) -> Panel {
     let series = [Tier::Standard, Tier::High].map(|tier| {
         let own = rows.iter().filter(|r| r.quality.tier == tier && r.device == "cpu");
         let points = own.filter_map(|r| Some((r.training_seconds?, r.truth?, r.preset.clone())));
-        Series { name: format!("rendered with {}", tier.name()), alone: 0, points: points.collect() }
+        Series { name: format!("rendered with {}", tier.name()), unjoined: 0, points: points.collect() }
     });
     Panel {
         title: "Training: time against truth",
-        across: "seconds of training",
-        up: "error against ground truth (shown)",
+        x_label: "seconds of training",
+        y_label: "error against ground truth (shown)",
         series: series.into(),
     }
 }
 
-/// A logarithmic axis between two powers of ten or halves of one.
-struct Axis {
-    low: f64,
-    high: f64,
-    /// Pixels of its ends.
-    ends: [f64; 2],
+/// From half the least to twice the greatest of the positive finite values.
+fn range(values: impl Iterator<Item = f64>) -> Range<f64> {
+    let usable = values.filter(|v| *v > 0.0 && v.is_finite());
+    let (low, high) = usable.fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
+    if high > 0.0 { low / 2.0..high * 2.0 } else { 0.1..1.0 }
 }
 
-impl Axis {
-    fn new(values: impl Iterator<Item = f64>, ends: [f64; 2]) -> Self {
-        let usable = values.filter(|v| *v > 0.0 && v.is_finite());
-        let (low, high) = usable.fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
-        if high <= 0.0 {
-            return Self { low: 0.1, high: 1.0, ends };
-        }
-        Self { low: low / 1.5, high: high * 1.5, ends }
-    }
-
-    fn at(&self, value: f64) -> f64 {
-        let share = (value.max(1e-300) / self.low).ln() / (self.high / self.low).ln();
-        self.ends[0] + share.clamp(0.0, 1.0) * (self.ends[1] - self.ends[0])
-    }
-
-    /// 1, 2 and 5 times powers of ten.
-    fn ticks(&self) -> Vec<f64> {
-        let (first, last) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
-        let all = (first..=last).flat_map(|e| [1.0, 2.0, 5.0].map(|m| m * 10f64.powi(e)));
-        all.filter(|v| (self.low..=self.high).contains(v)).collect()
-    }
+/// 1, 2 and 5 times powers of ten; plotters' own ticks leave out those below the first power of ten.
+fn ticks(range: &Range<f64>) -> Vec<f64> {
+    let (first, last) = (range.start.log10().floor() as i32, range.end.log10().ceil() as i32);
+    let all = (first..=last).flat_map(|e| [1, 2, 5].map(|m| format!("{m}e{e}").parse().unwrap_or_default()));
+    all.filter(|v| range.contains(v)).collect()
 }
 
 impl Panel {
-    fn draw(&self, out: &mut String) -> std::fmt::Result {
-        let [left, top, right, bottom] = MARGIN;
+    fn draw(&self, area: &Area<'_>) -> CommandResult {
         let points = || self.series.iter().flat_map(|s| &s.points);
-        let x = Axis::new(points().map(|p| p.0), [left, WIDTH - right]);
-        let legend = LINE * self.series.len() as f64;
-        let y = Axis::new(points().map(|p| p.1), [HEIGHT - bottom, top + legend]);
-        writeln!(
-            out,
-            "<text x=\"{left}\" y=\"20\" font-size=\"13\" font-weight=\"bold\">{}</text>",
-            self.title
-        )?;
-        for tick in x.ticks() {
-            let at = x.at(tick);
-            writeln!(out, "<path d=\"M{at:.1} {:.1}V{:.1}\" stroke=\"#dddddd\"/>", y.ends[0], y.ends[1])?;
-            writeln!(
-                out,
-                "<text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{tick}</text>",
-                y.ends[0] + 14.0
-            )?;
+        let (x, y) = (range(points().map(|p| p.0)), range(points().map(|p| p.1)));
+        let mut area = area.titled(self.title, ("sans-serif", 15).into_font().style(FontStyle::Bold))?;
+        let coloured = || self.series.iter().zip(COLOURS.iter().cycle());
+        for (series, colour) in coloured() {
+            area = area.titled(&series.name, FONT.into_font().color(colour))?;
         }
-        for tick in y.ticks() {
-            let (at, label) = (y.at(tick), format!("{tick:.6}"));
-            let label = label.trim_end_matches('0').trim_end_matches('.');
-            writeln!(out, "<path d=\"M{:.1} {at:.1}H{:.1}\" stroke=\"#dddddd\"/>", x.ends[0], x.ends[1])?;
-            writeln!(
-                out,
-                "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{label}</text>",
-                left - 4.0,
-                at + 4.0
+        let mut chart = ChartBuilder::on(&area)
+            .margin(10)
+            .margin_right(20)
+            .x_label_area_size(40)
+            .y_label_area_size(60)
+            .build_cartesian_2d(
+                x.clone().log_scale().with_key_points(ticks(&x)),
+                y.clone().log_scale().with_key_points(ticks(&y)),
             )?;
+        let size = area.dim_in_pixel();
+        let plain = |v: &f64| v.to_string();
+        chart
+            .configure_mesh()
+            .max_light_lines(0)
+            .x_desc(self.x_label)
+            .y_desc(self.y_label)
+            .x_label_formatter(&plain)
+            .y_label_formatter(&plain)
+            .label_style(FONT)
+            .draw()?;
+        for (series, colour) in coloured() {
+            let joined = series.points.iter().skip(series.unjoined).map(|p| (p.0, p.1));
+            chart.draw_series(LineSeries::new(joined, colour))?;
+            chart.draw_series(series.points.iter().map(|p| Circle::new((p.0, p.1), 3, colour.filled())))?;
         }
-        let middle = |axis: &Axis| 0.5 * (axis.ends[0] + axis.ends[1]);
-        writeln!(
-            out,
-            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-            middle(&x),
-            HEIGHT - 12.0,
-            self.across
-        )?;
-        let up = middle(&y);
-        writeln!(
-            out,
-            "<text transform=\"translate(14 {up:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
-            self.up
-        )?;
-        let mut labels = Labels { right: WIDTH - right, taken: Vec::new() };
-        for (i, series) in self.series.iter().enumerate() {
-            series.draw(out, (&x, &y), i, &mut labels)?;
+        // One series names its points; those of the others are in the same order.
+        if let Some(series) = self.series.first() {
+            chart.draw_series(series.points.iter().enumerate().map(|(k, (x, y, label))| {
+                // To the lower left of a line; single points lie close together, so their names are below one another.
+                let (side, offset) = match k {
+                    k if k < series.unjoined => (HPos::Left, (6, 13 * k as i32 - 12)),
+                    _ => (HPos::Right, (-6, 4)),
+                };
+                let style = FONT.into_font().into_text_style(&size).pos(Pos::new(side, VPos::Top));
+                EmptyElement::at((*x, *y)) + Text::new(label.clone(), offset, style)
+            }))?;
         }
         Ok(())
     }
 }
 
-/// Where there is text already.
-struct Labels {
-    /// No text goes beyond.
-    right: f64,
-    /// Left, top, right, bottom.
-    taken: Vec<[f64; 4]>,
-}
-
-impl Labels {
-    /// Left end and baseline of a text beside a point: where it covers no other, else above to the right.
-    fn place(&mut self, (x, y): (f64, f64), text: &str) -> (f64, f64) {
-        let width = LETTER * text.chars().count() as f64;
-        let places =
-            [(5.0, -5.0), (5.0, 13.0), (-5.0 - width, -5.0), (-5.0 - width, 13.0), (5.0, 26.0), (5.0, -18.0)];
-        let around = |(dx, dy): (f64, f64)| [x + dx, y + dy - 10.0, x + dx + width, y + dy + 2.0];
-        let is_free = |b: &[f64; 4]| {
-            let clear = |t: &[f64; 4]| b[0] > t[2] || t[0] > b[2] || b[1] > t[3] || t[1] > b[3];
-            b[2] <= self.right && self.taken.iter().all(clear)
-        };
-        let (dx, dy) = places.into_iter().find(|place| is_free(&around(*place))).unwrap_or(places[0]);
-        self.taken.push(around((dx, dy)));
-        (x + dx, y + dy)
-    }
-}
-
-impl Series {
-    fn draw(
-        &self,
-        out: &mut String,
-        (x, y): (&Axis, &Axis),
-        index: usize,
-        labels: &mut Labels,
-    ) -> std::fmt::Result {
-        let colour = COLOURS[index % COLOURS.len()];
-        let at: Vec<(f64, f64)> = self.points.iter().map(|p| (x.at(p.0), y.at(p.1))).collect();
-        let line: Vec<String> = at.iter().skip(self.alone).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
-        writeln!(out, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\"/>", line.join(" "))?;
-        for ((px, py), (_, _, label)) in at.iter().zip(&self.points) {
-            writeln!(out, "<circle cx=\"{px:.1}\" cy=\"{py:.1}\" r=\"3\" fill=\"{colour}\"/>")?;
-            // One series names its points; those of the others are in the same order.
-            if index == 0 && !label.is_empty() {
-                let (lx, ly) = labels.place((*px, *py), label);
-                let label = escaped(label);
-                writeln!(out, "<text x=\"{lx:.1}\" y=\"{ly:.1}\" fill=\"#333333\">{label}</text>")?;
-            }
-        }
-        let height = MARGIN[1] + LINE * index as f64;
-        let name = escaped(&self.name);
-        writeln!(out, "<text x=\"{:.1}\" y=\"{height:.1}\" fill=\"{colour}\">{name}</text>", x.ends[0])
-    }
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::Quality;
 
     #[test]
-    fn an_axis_spreads_decades_evenly_and_labels_what_lies_on_it() {
-        let axis = Axis::new([1.5, 1500.0].into_iter(), [0.0, 300.0]);
-        assert!((axis.at(47.4) - axis.at(4.74) - (axis.at(474.0) - axis.at(47.4))).abs() < 1e-6);
-        assert_eq!(axis.ticks()[..3], [1.0, 2.0, 5.0]);
-        assert!(axis.ticks().len() == 11 && axis.at(0.0) == 0.0 && axis.at(1e9) == 300.0);
-        assert!(!Axis::new(std::iter::empty(), [0.0, 1.0]).ticks().is_empty());
-        assert_eq!(escaped("a<b&c"), "a&lt;b&amp;c");
+    fn ticks_are_one_two_and_five_within_the_range() {
+        assert_eq!(ticks(&(0.015..1.5)), [0.02, 0.05, 0.1, 0.2, 0.5, 1.0]);
+        assert_eq!(range([0.0, f64::NAN].into_iter()), 0.1..1.0, "nothing that a logarithm can show");
     }
 
     #[test]
-    fn labels_keep_off_one_another_and_inside() {
-        let mut labels = Labels { right: 400.0, taken: Vec::new() };
-        let first = labels.place((100.0, 100.0), "standard");
-        assert_eq!(first, (105.0, 95.0));
-        assert_eq!(labels.place((98.0, 102.0), "high"), (103.0, 115.0), "below the first");
-        let (x, _) = labels.place((395.0, 200.0), "reference, 128");
-        assert!(x + LETTER * 14.0 <= 395.0, "to the left of a point at the edge: {x}");
+    fn the_figure_has_a_panel_for_each_kind_of_figure_that_is_known_and_escapes_names() {
+        let row = |quality: Quality| Row {
+            model: "a<b".to_owned(),
+            preset: "draft".to_owned(),
+            training_seconds: None,
+            device: "cpu".to_owned(),
+            quality,
+            frame_ms: 5.0,
+            first_ms: 0.0,
+            linear: 0.1,
+            shown: 0.1,
+            truth: Some(0.1),
+        };
+        let rows = [row(Tier::Standard.into()), row(Quality::monte_carlo(4)), row(Quality::monte_carlo(16))];
+        let figure = svg(&rows).unwrap();
+        assert!(figure.contains("Tiers: time") && figure.contains("Monte Carlo: samples"));
+        assert!(!figure.contains("Training: time"), "no training time is known");
+        assert!(figure.contains("a&lt;b, cpu") && !figure.contains("a<b"));
     }
 }

@@ -1,12 +1,13 @@
 //! The gathering against the CPU engine.
 
 use super::*;
-use crate::engine::cpu::{ProbeSettings, Transport, fibonacci_sphere, outward_normals};
+use crate::engine::cpu::{Transport, outward_normals};
 use crate::engine::gpu::Gpu;
-use crate::engine::gpu::light::flat;
+use crate::engine::gpu::light::TablesUniform;
 use crate::engine::gpu::model::planar;
 use crate::engine::gpu::probes::tests::{Scene, read};
 use crate::engine::gpu::shaders::assert_layout;
+use crate::engine::{ProbeSettings, fibonacci_sphere};
 use crate::light::{LightTables, rendering_tables};
 use crate::scene::{EnvMap, Field, VisibilityForm};
 
@@ -27,16 +28,17 @@ impl Case {
         let probes = self.scene.on_device(gpu, ProbeSettings::default(), &fibonacci_sphere(32));
         let tables = tables(gaussians.visibility_order());
         let globals: Vec<f32> = prototypes.as_flattened().iter().copied().chain([f32::NAN; 5]).collect();
-        let model = self.scene.layout();
-        let source = GatherSource {
-            params: &gpu.upload("params", &planar(gaussians)).unwrap(),
-            model: &model,
-            globals: &gpu.upload("globals", &globals).unwrap(),
-            tables: &gpu.upload("tables", &flat(&tables)).unwrap(),
-            shape: &TablesUniform::new(&tables, gaussians.visibility_order()),
+        let order = gaussians.visibility_order();
+        let light = LightBuffers::upload(gpu, &tables, order, &[[0.0; 3]; 16]).unwrap();
+        let source = AttributeSource {
+            layout: self.scene.layout(),
+            params: gpu.upload("params", &planar(gaussians)).unwrap(),
+            globals: gpu.upload("globals", &globals).unwrap(),
+            gathered: None,
+            indirect_basis: None,
         };
         let mut rec = gpu.record();
-        let gathered = gather(&mut rec, &probes, &source, self.bounces).unwrap();
+        let gathered = gather(&mut rec, &probes, &source, &light, self.bounces).unwrap();
         rec.submit().unwrap();
         let got = gpu.read(&gathered, 0..6 * gaussians.len()).unwrap();
         let attributes = self.scene.source();
@@ -63,8 +65,9 @@ fn host_and_shaders_agree_on_the_structs() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn bounced_light_is_that_of_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for (bounces, order) in [(1, 4), (2, 2), (4, 0), (0, 1)] {
         let case = Case { scene: Scene::random(1, 300, order), bounces };
         let (got, expected) = case.gathered(&gpu);
@@ -76,8 +79,9 @@ fn bounced_light_is_that_of_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn an_open_sky_and_prototypes_alone_are_those_of_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut scene = Scene::random(2, 200, 2);
     scene.options.visibility = VisibilityForm::Off;
     scene.gaussians.field_mut(Field::Residual).fill(0.0);
@@ -86,8 +90,9 @@ fn an_open_sky_and_prototypes_alone_are_those_of_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_comparison_notices_another_albedo_another_light_and_one_more_bounce() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let (_, expected) = Case { scene: Scene::random(1, 300, 2), bounces: 2 }.gathered(&gpu);
     let (more, _) = Case { scene: Scene::random(1, 300, 2), bounces: 3 }.gathered(&gpu);
     assert!(error(&more, &expected) > 1e-3);
@@ -100,8 +105,9 @@ fn the_comparison_notices_another_albedo_another_light_and_one_more_bounce() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn no_gaussian_and_one_gaussian_gather_nothing() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for n in [0, 1] {
         let (got, expected) = Case { scene: Scene::random(1, n, 2), bounces: 2 }.gathered(&gpu);
         assert_eq!((&got, got.iter().all(|v| *v == 0.0)), (&expected, true));
@@ -109,23 +115,33 @@ fn no_gaussian_and_one_gaussian_gather_nothing() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn light_that_does_not_fit_is_refused() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let scene = Scene::random(1, 3, 2);
     let probes = scene.on_device(&gpu, ProbeSettings::default(), &fibonacci_sphere(4));
-    let (model, other) = (scene.layout(), Scene::random(1, 4, 2).layout());
     let (params, short) = (gpu.buffer("params", 400).unwrap(), gpu.buffer("short", 4).unwrap());
-    let tables = gpu.buffer("tables", 6 * 4 * 48).unwrap();
-    let shape = TablesUniform { diffuse_n: 2, coefficients: 16, ..bytemuck::Zeroable::zeroed() };
-    let source =
-        GatherSource { params: &params, model: &model, globals: &params, tables: &tables, shape: &shape };
-    let attempt = |source: &GatherSource<'_>| gather(&mut gpu.record(), &probes, source, 1).err();
-    assert_eq!(attempt(&source), None);
-    for wrong in [GatherSource { model: &other, ..source }, GatherSource { globals: &short, ..source }] {
-        assert!(matches!(attempt(&wrong), Some(GpuError::Internal(_))));
+    let source = AttributeSource {
+        layout: scene.layout(),
+        globals: params.clone(),
+        params,
+        gathered: None,
+        indirect_basis: None,
+    };
+    let layout = TablesUniform { diffuse_n: 2, coefficients: 16, ..bytemuck::Zeroable::zeroed() };
+    let values = gpu.buffer("tables", 6 * 4 * 48).unwrap();
+    let light = LightBuffers { layout, values, indirect_basis: short.clone() };
+    let attempt = |source: &AttributeSource, light: &LightBuffers| {
+        gather(&mut gpu.record(), &probes, source, light, 1).err()
+    };
+    assert_eq!(attempt(&source, &light), None);
+    let other = AttributeSource { layout: Scene::random(1, 4, 2).layout(), ..source.clone() };
+    for wrong in [other, AttributeSource { globals: short, ..source.clone() }] {
+        assert!(matches!(attempt(&wrong, &light), Some(DeviceError::Misuse(_))));
     }
     for (diffuse_n, coefficients) in [(1, 16), (3, 16), (2, 17), (2, 0)] {
-        let shape = TablesUniform { diffuse_n, coefficients, ..shape };
-        assert!(matches!(attempt(&GatherSource { shape: &shape, ..source }), Some(GpuError::Internal(_))));
+        let layout = TablesUniform { diffuse_n, coefficients, ..layout };
+        let wrong = LightBuffers { layout, ..light.clone() };
+        assert!(matches!(attempt(&source, &wrong), Some(DeviceError::Misuse(_))));
     }
 }

@@ -5,7 +5,7 @@ use crate::engine::cpu::ROW_HEADER;
 use crate::engine::cpu::backward_labels;
 
 /// A random gradient by the first `count` channels, `[pixel][stored]`; every seventh pixel has none.
-fn random_gradient(view: &View, count: usize, seed: u64) -> Vec<Vec<f32>> {
+fn random_gradient(view: &RasterCamera, count: usize, seed: u64) -> Vec<Vec<f32>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let stored = count.next_multiple_of(4);
     let mut row = |pixel: usize| -> Vec<f32> {
@@ -22,15 +22,14 @@ pub(super) fn planes(rows: &[Vec<f32>]) -> Vec<[f32; 4]> {
 }
 
 /// The device's splat gradients as rows of 7 + stored by Gaussian.
-fn device_rows(raster: &mut Raster, by: &[Vec<f32>], n: usize) -> Vec<Vec<f32>> {
-    let gpu = raster.gpu.clone();
+fn device_rows(gpu: &Gpu, frame: Blended<'_>, by: &[Vec<f32>], n: usize) -> Vec<Vec<f32>> {
     let stored = by[0].len();
     let gradient = gpu.upload("by", &planes(by)).unwrap();
     let mut rec = gpu.record();
-    raster.blend_backward(&mut rec, &gradient, stored / 4).unwrap();
+    let frame = frame.backward(&mut rec, &gradient, stored / 4).unwrap();
     rec.submit().unwrap();
     let width = GRADIENT_HEADER + stored;
-    let flat = gpu.read(raster.splat_gradients.as_ref().unwrap(), 0..n * width).unwrap();
+    let flat = gpu.read(&frame.splat_gradients, 0..n * width).unwrap();
     let row = |r: &[f32]| {
         assert_eq!(r[7], 0.0, "the unused entry stays zero");
         [&r[..7], &r[8..]].concat()
@@ -65,17 +64,18 @@ fn worst(got: &[Vec<f32>], expected: &[Vec<f64>]) -> f64 {
 /// Runs both ways back; gives the largest error against f64.
 pub(super) fn check(raster: &mut Raster, scene: &Scene, channels: Channels, count: usize) -> f64 {
     let n = scene.gaussians.len();
-    scene.gpu(raster, channels, false);
-    let pass = scene.cpu(channels, false);
+    let gpu = raster.gpu.clone();
+    let frame = scene.gpu(raster, channels, EarlyStop::Never);
+    let pass = scene.cpu(channels, EarlyStop::Never);
     let by = random_gradient(&scene.view, count, 99);
-    let got = device_rows(raster, &by, n);
+    let got = device_rows(&gpu, frame, &by, n);
     let attributes = attributes_by_gaussian(&pass, n, by[0].len());
     let splats = exact::project(&scene.view, &scene.gaussians);
     worst(&got, &exact::backward(&scene.view, &splats, &attributes, &by, n))
 }
 
 /// The gradient laid out for the CPU's pass.
-pub(super) fn for_cpu(pass: &Pass, view: &View, by: &[Vec<f32>]) -> Vec<f32> {
+pub(super) fn for_cpu(pass: &Pass, view: &RasterCamera, by: &[Vec<f32>]) -> Vec<f32> {
     let stored = by[0].len();
     let mut out = vec![0.0f32; pass.tiles.len() * 256 * stored];
     for (pixel, row) in by.iter().enumerate() {
@@ -86,8 +86,9 @@ pub(super) fn for_cpu(pass: &Pass, view: &View, by: &[Vec<f32>]) -> Vec<f32> {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn gradients_of_every_channel_set_match_f64() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for (channels, count) in [
         (Channels::Colour, 4),
@@ -111,15 +112,16 @@ fn gradients_of_every_channel_set_match_f64() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn gradients_match_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(6, 400, (64, 48), 2);
     let (channels, count, n) = (Channels::Material, 13, scene.gaussians.len());
-    scene.gpu(&mut raster, channels, true);
-    let pass = scene.cpu(channels, true);
+    let frame = scene.gpu(&mut raster, channels, EarlyStop::WhenSaturated);
+    let pass = scene.cpu(channels, EarlyStop::WhenSaturated);
     let by = random_gradient(&scene.view, count, 3);
-    let got = device_rows(&mut raster, &by, n);
+    let got = device_rows(&gpu, frame, &by, n);
     let by = for_cpu(&pass, &scene.view, &by);
     let width = ROW_HEADER + count;
     let summed = pass.splat_gradients(&by, 16, count);
@@ -132,8 +134,8 @@ fn gradients_match_the_cpu() {
         for (g, e) in got[i][7..].iter().zip(expected) {
             assert!((g - e).abs() < 1e-5 * scale, "Gaussian {i}: {g} {e}");
         }
-        let pull = got[i][6] * 0.5 * 64.0;
-        assert!((pull - rows.pull[i]).abs() < 1e-4 * rows.pull[i].max(1.0), "Gaussian {i}");
+        let absgrad = got[i][6] * 0.5 * 64.0;
+        assert!((absgrad - rows.absgrad[i]).abs() < 1e-4 * rows.absgrad[i].max(1.0), "Gaussian {i}");
         assert!(got[i][0].hypot(got[i][1]) <= got[i][6] * 1.0001, "a sum is no longer than its parts");
         let sigma = crate::engine::cpu::sigmoid(scene.gaussians.row(Field::OpacityLogit, i)[0]);
         let opacity = got[i][5] * splat.compensation * sigma * (1.0 - sigma);
@@ -146,35 +148,43 @@ fn gradients_match_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_gradient_comparison_notices_one_changed_pixel() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(5, 150, (37, 21), 1);
     let n = scene.gaussians.len();
-    scene.gpu(&mut raster, Channels::Material, false);
-    let pass = scene.cpu(Channels::Material, false);
+    let frame = scene.gpu(&mut raster, Channels::Material, EarlyStop::Never);
+    let pass = scene.cpu(Channels::Material, EarlyStop::Never);
     let mut by = random_gradient(&scene.view, 13, 99);
     let attributes = attributes_by_gaussian(&pass, n, 16);
     let splats = exact::project(&scene.view, &scene.gaussians);
     let expected = exact::backward(&scene.view, &splats, &attributes, &by, n);
     by[10 * 37 + 19].iter_mut().for_each(|v| *v *= 1.1);
-    let error = worst(&device_rows(&mut raster, &by, n), &expected);
+    let error = worst(&device_rows(&gpu, frame, &by, n), &expected);
     assert!(error > 2e-4, "{error:e}");
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn no_gradient_gives_none_and_too_many_groups_are_refused() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let scene = Scene::random(5, 150, (37, 21), 1);
-    scene.gpu(&mut raster, Channels::Geometry, true);
-    let rows = device_rows(&mut raster, &vec![vec![0.0; 8]; 37 * 21], 150);
+    fn geometry(raster: &mut Raster) -> Blended<'_> {
+        Scene::random(5, 150, (37, 21), 1).gpu(raster, Channels::Geometry, EarlyStop::WhenSaturated)
+    }
+    let rows = device_rows(&gpu, geometry(&mut raster), &vec![vec![0.0; 8]; 37 * 21], 150);
     assert!(rows.iter().flatten().all(|v| *v == 0.0));
     let by = gpu.upload("by", &vec![[0.0f32; 4]; 4 * 37 * 21]).unwrap();
-    assert!(raster.blend_backward(&mut gpu.record(), &by, 4).is_err());
+    let refused = geometry(&mut raster).backward(&mut gpu.record(), &by, 4);
+    assert!(matches!(refused, Err(DeviceError::Misuse(_))));
+    let short = gpu.upload("by", &[[0.0f32; 4]; 37]).unwrap();
+    let refused = geometry(&mut raster).backward(&mut gpu.record(), &short, 1);
+    assert!(matches!(refused, Err(DeviceError::Misuse(_))));
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn a_device_without_float_atomics_finds_the_same_gradients() {
     let options = crate::engine::gpu::GpuOptions {
         compare_exchange: true,
@@ -182,7 +192,7 @@ fn a_device_without_float_atomics_finds_the_same_gradients() {
         checks: true,
         ..Default::default()
     };
-    let Some(gpu) = Gpu::with_options(options) else { return };
+    let gpu = Gpu::with_options(options);
     let mut raster = Raster::new(&gpu).unwrap();
     let error = check(&mut raster, &Scene::random(5, 150, (37, 21), 1), Channels::Material, 13);
     assert!(error < 2e-5, "{error:e}");
@@ -190,14 +200,14 @@ fn a_device_without_float_atomics_finds_the_same_gradients() {
 
 /// Largest error of labels and weights, in units of the largest weight.
 pub(super) fn label_error(raster: &mut Raster, scene: &Scene) -> f32 {
-    scene.gpu(raster, Channels::Colour, true);
     let gpu = raster.gpu.clone();
+    let mut projected = raster.prepare(&CameraUniform::new(&scene.view), &scene.on_device(&gpu)).unwrap();
     let mut rec = gpu.record();
-    raster.backward_labels(&mut rec).unwrap();
+    let labels = projected.backward_labels(&mut rec).unwrap();
     rec.submit().unwrap();
     let n = scene.gaussians.len();
-    let got = gpu.read(raster.labels.as_ref().unwrap(), 0..n).unwrap();
-    let pass = scene.cpu(Channels::Colour, true);
+    let got = gpu.read(&labels, 0..n).unwrap();
+    let pass = scene.cpu(Channels::Colour, EarlyStop::WhenSaturated);
     let expected = backward_labels(&pass);
     let scale = expected.iter().fold(1e-9f32, |m, l| m.max(l.weight));
     let mut unseen = vec![true; n];
@@ -215,8 +225,9 @@ pub(super) fn label_error(raster: &mut Raster, scene: &Scene) -> f32 {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn backward_labels_match_the_cpu() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for (seed, n, size) in [(21, 400, (64, 48)), (22, 300, (37, 21)), (23, 30, (1, 1))] {
         let error = label_error(&mut raster, &Scene::random(seed, n, size, 1));

@@ -1,6 +1,6 @@
 //! Projection and blending in f64 without tiles or tricks: what both engines approximate where f32 runs out of digits.
 
-use crate::engine::cpu::View;
+use crate::engine::RasterCamera;
 use crate::scene::{Field, Gaussians};
 
 /// A splat in f64.
@@ -14,13 +14,13 @@ pub struct ExactSplat {
 }
 
 /// Visible splats, nearest first. Quaternions must not be zero.
-pub fn project(view: &View, g: &Gaussians) -> Vec<ExactSplat> {
+pub fn project(view: &RasterCamera, g: &Gaussians) -> Vec<ExactSplat> {
     let mut out: Vec<ExactSplat> = (0..g.len()).filter_map(|i| project_one(view, g, i)).collect();
     out.sort_by(|a, b| a.order.cmp(&b.order).then(a.gaussian.cmp(&b.gaussian)));
     out
 }
 
-fn project_one(view: &View, g: &Gaussians, i: usize) -> Option<ExactSplat> {
+fn project_one(view: &RasterCamera, g: &Gaussians, i: usize) -> Option<ExactSplat> {
     let wide = |v: &[f32]| -> [f64; 3] { std::array::from_fn(|k| f64::from(v[k])) };
     let rows = view.rotation.map(|r| wide(&r));
     let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f64>();
@@ -83,7 +83,7 @@ fn entries(splats: &[ExactSplat], x: usize, y: usize) -> Vec<Entry> {
 }
 
 /// `[pixel][channel]` of the blended attributes (`[gaussian][stored]`).
-pub fn blend(view: &View, splats: &[ExactSplat], attributes: &[f32], stored: usize) -> Vec<Vec<f32>> {
+pub fn blend(view: &RasterCamera, splats: &[ExactSplat], attributes: &[f32], stored: usize) -> Vec<Vec<f32>> {
     (0..view.width * view.height)
         .map(|pixel| {
             let mut sums = vec![0.0f64; stored];
@@ -96,9 +96,9 @@ pub fn blend(view: &View, splats: &[ExactSplat], attributes: &[f32], stored: usi
         .collect()
 }
 
-/// Rows of 7 + `stored` by Gaussian: mean, conic, opacity, pull, channels. `by` is `[pixel][stored]`.
+/// Rows of 7 + `stored` by Gaussian: mean, conic, opacity, absgrad, channels. `by` is `[pixel][stored]`.
 pub fn backward(
-    view: &View,
+    view: &RasterCamera,
     splats: &[ExactSplat],
     attributes: &[f32],
     by: &[Vec<f32>],

@@ -18,12 +18,12 @@ impl Plain {
     }
 }
 
-fn rates() -> Rates {
-    Rates { fields: std::array::from_fn(|i| 1e-3 * (i + 1) as f32), prototypes: 2e-3, environment: 0.0 }
+fn rates() -> StepSizes {
+    StepSizes { fields: std::array::from_fn(|i| 1e-3 * (i + 1) as f32), prototypes: 2e-3, environment: 0.0 }
 }
 
 /// Step size of planar element `at`, and whether it has the material's age.
-fn rate_at(g: &Gaussians, rates: &Rates, at: usize) -> (f64, bool) {
+fn rate_at(g: &Gaussians, rates: &StepSizes, at: usize) -> (f64, bool) {
     let field = Field::ALL.into_iter().find(|f| range(g, *f).contains(&at)).unwrap();
     let rate = f64::from(rates.fields[field as usize]);
     let k = (at - range(g, field).start) % g.width(field);
@@ -32,31 +32,32 @@ fn rate_at(g: &Gaussians, rates: &Rates, at: usize) -> (f64, bool) {
     (if rest { rate * 0.05 } else { rate }, !geometry.contains(&field))
 }
 
-fn step(device: &OnDevice, terms: &ParameterTerms, rates: &Rates, ages: Ages) {
+fn step(device: &OnDevice, terms: &ParameterWeights, rates: &StepSizes, ages: StepCounts) {
     let mut recorder = device.gpu.record();
     device.updater.step(&mut recorder, &device.input(terms), rates, ages);
     recorder.submit().unwrap();
 }
 
-fn step_globals(device: &OnDevice, rates: &Rates, ages: Ages) {
+fn step_globals(device: &OnDevice, rates: &StepSizes, ages: StepCounts) {
     let mut recorder = device.gpu.record();
     device.updater.step_globals(&mut recorder, &device.model, &device.sums(), rates, ages);
     recorder.submit().unwrap();
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn steps_are_those_of_adam_at_every_age_and_rate() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let options = ShadingOptions { indirect: IndirectForm::Learned, ..Default::default() };
     let case = Case::new(&Shape { options, ..Default::default() }, 21, |_| ());
     let device = OnDevice::new(&gpu, &case);
     let g = &case.model.gaussians;
     let mut rates = rates();
     rates.fields[Field::RoughLogit as usize] = 0.0;
-    let terms = ParameterTerms { aggregation: 0.1, residual: 0.1, flatness: 1.0, ..Default::default() };
+    let terms = ParameterWeights { aggregation: 0.1, residual: 0.1, flatness: 1.0, ..Default::default() };
     let mut plain = vec![Plain::default(); device.model.layout.floats()];
     for round in 0..4u32 {
-        let ages = Ages { geometry: 500 + round, material: 1 + round };
+        let ages = StepCounts { geometry: 500 + round, material: 1 + round };
         let before = device.params();
         let (gradient, _) = device.gradients(&terms);
         step(&device, &terms, &rates, ages);
@@ -84,8 +85,9 @@ fn steps_are_those_of_adam_at_every_age_and_rate() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn shared_parameters_step_with_the_age_of_the_material() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let case = Case::new(&Shape::default(), 22, |_| ());
     let device = OnDevice::new(&gpu, &case);
     let n = device.model.globals.len();
@@ -94,9 +96,9 @@ fn shared_parameters_step_with_the_age_of_the_material() {
     let read = || gpu.read(&device.model.globals, 0..n).unwrap();
     let mut expected: Vec<f64> = read().into_iter().map(f64::from).collect();
     let mut plain = vec![Plain::default(); n];
-    let rates = Rates { environment: 1e-2, ..rates() };
+    let rates = StepSizes { environment: 1e-2, ..rates() };
     for round in 0..3 {
-        let ages = Ages { geometry: 90, material: 4 + round };
+        let ages = StepCounts { geometry: 90, material: 4 + round };
         step_globals(&device, &rates, ages);
         for (at, e) in expected.iter_mut().enumerate() {
             let rate = if at < 24 { 2e-3f32 } else { 1e-2f32 };
@@ -108,23 +110,24 @@ fn shared_parameters_step_with_the_age_of_the_material() {
     expected[24] += 1e-4;
     assert!(worst(&expected) > 2e-6, "the control");
     let before = read();
-    let still = Rates { environment: 0.0, prototypes: 0.0, ..rates };
-    step_globals(&device, &still, Ages { geometry: 1, material: 1 });
+    let still = StepSizes { environment: 0.0, prototypes: 0.0, ..rates };
+    step_globals(&device, &still, StepCounts { geometry: 1, material: 1 });
     assert_eq!(read(), before);
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn a_gradient_that_is_not_finite_is_reported_and_changes_nothing() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let case = Case::new(&Shape::default(), 23, |_| ());
     let seen = case.expected.visible.iter().position(|v| *v).unwrap();
-    let ages = Ages { geometry: 1, material: 1 };
+    let ages = StepCounts { geometry: 1, material: 1 };
     for (poison, value) in [(true, f32::NAN), (true, f32::INFINITY), (false, 0.5)] {
         let device = OnDevice::new(&gpu, &case);
         // The gradient by opacity: without compensation only the logit depends on it.
         gpu.write(&device.rows, seen * (8 + 4 * case.groups) + 5, &[value]);
         let before = device.params();
-        step(&device, &ParameterTerms::default(), &rates(), ages);
+        step(&device, &ParameterWeights::default(), &rates(), ages);
         let after = device.params();
         let at = range(&case.model.gaussians, Field::OpacityLogit).start + seen;
         assert_eq!((device.poisoned() != 0, before[at] == after[at]), (poison, poison));

@@ -22,7 +22,7 @@ fn aggregation(scores: &[f64]) -> f64 {
 }
 
 /// Aggregation, residual, flatness and probe labels on planar `values`.
-fn objective(values: &[f64], g: &Gaussians, labels: &[f32], terms: &ParameterTerms) -> [f64; 4] {
+fn objective(values: &[f64], g: &Gaussians, labels: &[f32], terms: &ParameterWeights) -> [f64; 4] {
     let n = g.len();
     let of = |field: Field, i: usize| &values[range(g, field)][i * g.width(field)..(i + 1) * g.width(field)];
     let mut out = [0.0; 4];
@@ -40,15 +40,16 @@ fn objective(values: &[f64], g: &Gaussians, labels: &[f32], terms: &ParameterTer
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn terms_and_their_slopes_are_those_of_the_formulas() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     for (at, prototypes) in [1usize, 2, 8, 40].into_iter().enumerate() {
         let case = unseen(&Shape { n: 20, prototypes, ..Default::default() }, 40 + at as u64);
         let g = &case.model.gaussians;
         let mut device = OnDevice::new(&gpu, &case);
         let labels: Vec<f32> = (0..g.field(Field::Visibility).len()).map(|i| (i as f32).cos()).collect();
         device.probe_labels = Some(gpu.upload("labels", &labels).unwrap());
-        let terms = ParameterTerms {
+        let terms = ParameterWeights {
             aggregation: 2.0,
             residual: 3.0,
             flatness: 5.0,
@@ -59,7 +60,7 @@ fn terms_and_their_slopes_are_those_of_the_formulas() {
         assert!(by_globals.iter().all(|v| *v == 0.0));
         let values: Vec<f64> = device.params().into_iter().map(f64::from).collect();
         let total = |v: &[f64]| objective(v, g, &labels, &terms).iter().sum::<f64>();
-        let slope = |at: usize| {
+        let derivative = |at: usize| {
             let moved = |by: f64| {
                 let mut v = values.clone();
                 v[at] += by;
@@ -70,7 +71,7 @@ fn terms_and_their_slopes_are_those_of_the_formulas() {
         for field in Field::ALL {
             let r = range(g, field);
             let (mut numeric, mut analytic): (Vec<f32>, _) =
-                (r.clone().map(slope).collect(), got[r].to_vec());
+                (r.clone().map(derivative).collect(), got[r].to_vec());
             if field == Field::LogScale {
                 // All scales of Gaussian 1 are equal, a kink for the differences: the first is the smallest.
                 assert!(analytic[3] > 0.0 && analytic[4..6] == [0.0; 2]);
@@ -94,18 +95,19 @@ fn terms_and_their_slopes_are_those_of_the_formulas() {
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn one_hot_scores_have_a_finite_aggregation() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     let mut case = unseen(&Shape { n: 5, ..Default::default() }, 50);
     case.model.gaussians.field_mut(Field::ProtoLogits).fill(-60.0);
     (0..5).for_each(|i| case.model.gaussians.row_mut(Field::ProtoLogits, i)[i] = 60.0);
     let device = OnDevice::new(&gpu, &case);
-    let (got, _) = device.gradients(&ParameterTerms { aggregation: 1.0, ..Default::default() });
+    let (got, _) = device.gradients(&ParameterWeights { aggregation: 1.0, ..Default::default() });
     assert!(got.iter().all(|v| v.abs() < 1e-4));
     assert!(device.losses()[11].abs() < 1e-5);
 }
 
-/// The label term of a Gaussian in f64: value and slope by the visibility, before the weight.
+/// The label term of a Gaussian in f64: value and derivative by the visibility, before the weight.
 fn label(raw: f64, p: f64, form: VisibilityForm) -> (f64, f64) {
     let loss = |v: f64| -(p * v.ln() + (1.0 - p) * (1.0 - v).ln());
     if form == VisibilityForm::Sigmoid {
@@ -113,9 +115,9 @@ fn label(raw: f64, p: f64, form: VisibilityForm) -> (f64, f64) {
         return (loss(v), v - p);
     }
     let v = raw.clamp(1e-3, 1.0 - 1e-3);
-    let slope = (1.0 - p) / (1.0 - v) - p / v;
-    let runs_away = (raw < v && slope > 0.0) || (raw > v && slope < 0.0);
-    (loss(v), if runs_away { 0.0 } else { slope })
+    let derivative = (1.0 - p) / (1.0 - v) - p / v;
+    let leads_away = (raw < v && derivative > 0.0) || (raw > v && derivative < 0.0);
+    (loss(v), if leads_away { 0.0 } else { derivative })
 }
 
 /// A case whose picture has no gradient but whose splats are visible, and labels for it: four in five have weight.
@@ -150,30 +152,31 @@ fn expected_pull(case: &Case, labels: &[[f32; 2]], form: VisibilityForm) -> (f64
             continue;
         }
         let mean: [f32; 3] = g.get(Field::Mean, i);
-        let to: [f64; 3] = std::array::from_fn(|k| f64::from(mean[k]) - f64::from(case.view.eye[k]));
+        let to: [f64; 3] = std::array::from_fn(|k| f64::from(mean[k]) - f64::from(case.view.centre[k]));
         let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();
         let mut y = [0.0f64; 49];
         sh_eval(g.visibility_order(), to.map(|v| v / length), &mut y);
         let raw = g.row(Field::Visibility, i).iter().zip(&y).map(|(c, y)| f64::from(*c) * y).sum::<f64>();
-        let (loss, slope) = label(raw, f64::from(l[0]) / f64::from(l[1]), form);
+        let (loss, derivative) = label(raw, f64::from(l[0]) / f64::from(l[1]), form);
         let share = 0.7 / counted as f64;
-        held += usize::from(slope == 0.0);
+        held += usize::from(derivative == 0.0);
         value += share * loss;
-        gradient.extend(y[..width].iter().map(|y| (share * slope * y) as f32));
+        gradient.extend(y[..width].iter().map(|y| (share * derivative * y) as f32));
     }
     (value, gradient, held)
 }
 
 #[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn backward_labels_pull_where_there_is_weight_and_never_run_away() {
-    let Some(gpu) = Gpu::for_tests() else { return };
+    let gpu = Gpu::for_tests();
     use VisibilityForm::{Linear, Sigmoid};
     for (visibility, form) in [(2, Linear), (4, Sigmoid), (6, Linear), (0, Linear)] {
         let (case, labels) = labelled(visibility, form);
         let (value, expected, held) = expected_pull(&case, &labels, form);
         let mut device = OnDevice::new(&gpu, &case);
         device.view_labels = Some(gpu.upload("labels", &labels).unwrap());
-        let (got, _) = device.gradients(&ParameterTerms { view_labels: 0.7, ..Default::default() });
+        let (got, _) = device.gradients(&ParameterWeights { view_labels: 0.7, ..Default::default() });
         let r = range(&case.model.gaussians, Field::Visibility);
         let error = relative_error(&got[r.clone()], &expected);
         eprintln!("labels {form:?} {visibility}: {error:e}, {held} held");
@@ -181,7 +184,7 @@ fn backward_labels_pull_where_there_is_weight_and_never_run_away() {
         let loss = f64::from(device.losses()[14]);
         assert!((loss - value).abs() < 1e-5 * (1.0 + value), "{loss} {value}");
         assert!(form == Sigmoid || held > 0, "the control: some labels hold");
-        let off = device.gradients(&ParameterTerms::default()).0;
-        assert!(relative_error(&off[r], &expected) > 0.5, "the control: no weight, no pull");
+        let off = device.gradients(&ParameterWeights::default()).0;
+        assert!(relative_error(&off[r], &expected) > 0.5, "the control: no weight, no gradient");
     }
 }

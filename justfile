@@ -1,0 +1,47 @@
+# The commands one types; `just` lists them. $RELUME_TEST_DATA is described in CONTRIBUTING.md.
+
+default:
+    @just --list
+
+# Type-check everything, fast
+check:
+    cargo check --all-targets
+
+# Tests that need nothing but this machine; arguments filter by name
+test *FILTER:
+    cargo test --release {{FILTER}}
+
+# All tests, those of the GPU engine and of outside data included
+test-all *FILTER:
+    cargo test --release {{FILTER}} -- --include-ignored
+
+# Format, lints and API documentation without a warning
+lint:
+    cargo fmt --check
+    cargo clippy --release --all-targets -- -D warnings
+    RUSTDOCFLAGS='-D warnings' cargo doc --release --no-deps
+
+# Spelling, licences and sources of dependencies (pip install typos, cargo install cargo-deny)
+audit:
+    typos
+    cargo deny check licenses bans sources
+
+# Milliseconds of each stage of the CPU engine
+bench:
+    cargo bench --bench engine
+
+# The demo: train on a synthetic scene, relight, measure; writes demo-out/
+demo:
+    cargo run --release -- demo
+
+# The HTTP service on 127.0.0.1:7878
+serve *ARGS:
+    cargo run --release -- serve {{ARGS}}
+
+# Write openapi/openapi.json from the handlers
+openapi:
+    cargo run --release -- openapi > openapi/openapi.json
+
+# What a change must pass
+ci:
+    .ci/run

@@ -1,0 +1,117 @@
+// Turns a G-buffer into the planes asked for, one after another in one buffer, each pixel by pixel with its own number of
+// channels (src/render/renderer.rs). A thread owns a pixel; no workgroup memory. Planes are written as bits, because
+// infinity, the depth where nothing is, cannot be spelled as a float here.
+#import shading
+#import pixel_surface
+
+// Kept in step with `ResolveUniform` of src/engine/gpu/resolve/mod.rs.
+struct Resolve {
+    // First float of each plane, or UNWANTED; the last member of the last row is unused.
+    first: array<vec4u, 3>,
+    // Model to capture units.
+    depth_scale: f32,
+    pad_a: u32,
+    pad_b: u32,
+    pad_c: u32,
+}
+
+@group(0) @binding(6) var<uniform> wanted: Resolve;
+@group(0) @binding(7) var<storage, read> gbuffer: array<vec4f>;
+@group(0) @binding(8) var<storage, read_write> planes: array<u32>;
+
+const UNWANTED = 0xffffffffu;
+const INFINITY_BITS = 0x7f800000u;
+// `Output` of src/engine/frame.rs.
+const RGB = 0u;
+const ALBEDO = 1u;
+const NORMAL = 2u;
+const METALLIC = 3u;
+const ROUGHNESS = 4u;
+const VISIBILITY_PLANE = 5u;
+const DEPTH = 6u;
+const ALPHA = 7u;
+const DIFFUSE = 8u;
+const SPECULAR = 9u;
+const RADIANCE = 10u;
+
+fn first_of(plane: u32) -> u32 {
+    return wanted.first[plane / 4u][plane % 4u];
+}
+
+fn is_wanted(plane: u32) -> bool {
+    return first_of(plane) != UNWANTED;
+}
+
+fn put(plane: u32, pixel_ix: u32, value: f32) {
+    if is_wanted(plane) {
+        planes[first_of(plane) + pixel_ix] = bitcast<u32>(value);
+    }
+}
+
+fn put_rgb(plane: u32, pixel_ix: u32, value: vec3f) {
+    if is_wanted(plane) {
+        let at = first_of(plane) + 3u * pixel_ix;
+        planes[at] = bitcast<u32>(value.x);
+        planes[at + 1u] = bitcast<u32>(value.y);
+        planes[at + 2u] = bitcast<u32>(value.z);
+    }
+}
+
+fn put_nothing(pixel_ix: u32) {
+    put_rgb(RGB, pixel_ix, vec3f(0.0));
+    put_rgb(ALBEDO, pixel_ix, vec3f(0.0));
+    put_rgb(NORMAL, pixel_ix, vec3f(0.0));
+    put(METALLIC, pixel_ix, 0.0);
+    put(ROUGHNESS, pixel_ix, 0.0);
+    put(VISIBILITY_PLANE, pixel_ix, 0.0);
+    if is_wanted(DEPTH) {
+        planes[first_of(DEPTH) + pixel_ix] = INFINITY_BITS;
+    }
+    put_rgb(DIFFUSE, pixel_ix, vec3f(0.0));
+    put_rgb(SPECULAR, pixel_ix, vec3f(0.0));
+    put_rgb(RADIANCE, pixel_ix, vec3f(0.0));
+}
+
+@compute @workgroup_size(16, 16)
+fn main(@builtin(global_invocation_id) gid: vec3u) {
+    if gid.x >= camera.size.x || gid.y >= camera.size.y {
+        return;
+    }
+    let pixel_ix = gid.y * camera.size.x + gid.x;
+    let first = gbuffer[pixel_ix];
+    let coverage = channel_coverage(first);
+    put(ALPHA, pixel_ix, coverage);
+    if !(coverage >= LEAST_COVERAGE) {
+        put_nothing(pixel_ix);
+        return;
+    }
+    var s = pixel_surface(gid.xy, pixel_ix, coverage);
+    if is_wanted(RGB) || is_wanted(DIFFUSE) || is_wanted(SPECULAR) {
+        // Of Gaussians that were shaded before they were blended, the G-buffer has the radiance.
+        let inverse = 1.0 / coverage;
+        var light = channel_outgoing(gbuffer[ROUGH_GROUP * camera.n_pixels + pixel_ix]) * inverse;
+        var specular = channel_specular(gbuffer[DEPTH_GROUP * camera.n_pixels + pixel_ix]) * inverse;
+        if shading.shade_at == SHADE_AT_PIXEL {
+            let f = shade(&s);
+            light = f.diffuse + f.specular;
+            specular = f.specular;
+        }
+        put_rgb(RGB, pixel_ix, light * coverage);
+        put_rgb(DIFFUSE, pixel_ix, (light - specular) * coverage);
+        put_rgb(SPECULAR, pixel_ix, specular * coverage);
+    }
+    let length = length3(s.normal);
+    let unit = s.normal / length;
+    let normal = select(unit, -unit, dot(unit, s.view) < 0.0);
+    put_rgb(ALBEDO, pixel_ix, s.albedo);
+    put_rgb(NORMAL, pixel_ix, select(vec3f(0.0), normal, length > LEAST_COVERAGE));
+    put(METALLIC, pixel_ix, s.metal);
+    put(ROUGHNESS, pixel_ix, s.rough);
+    if is_wanted(VISIBILITY_PLANE) {
+        put(VISIBILITY_PLANE, pixel_ix, clamp(ambient_occlusion(&s, normal), 0.0, 1.0));
+    }
+    put(DEPTH, pixel_ix, channel_depth(gbuffer[DEPTH_GROUP * camera.n_pixels + pixel_ix]) / coverage * wanted.depth_scale);
+    let shown = clamp(channel_radiance(first) / coverage, vec3f(0.0), vec3f(1.0));
+    let linear = vec3f(linear_from_srgb(shown.x), linear_from_srgb(shown.y), linear_from_srgb(shown.z));
+    put_rgb(RADIANCE, pixel_ix, linear * coverage);
+}

@@ -1,0 +1,38 @@
+// A camera as the kernels want it. Kept in step with `CameraUniform` of src/engine/gpu/camera.rs.
+#import generated/projection
+
+struct Camera {
+    focal: vec2f,
+    centre_px: vec2f,
+    // Rows of the world-to-camera matrix: rotation in xyz, translation in w.
+    rotation: array<vec4f, 3>,
+    centre: vec4f,
+    // Limits of x/z (x, y) and of y/z (z, w) inside the projection's Jacobian.
+    ratio_limits: vec4f,
+    // Width and height, pixels.
+    size: vec2u,
+    // Tile columns and rows.
+    tiles: vec2u,
+    low_pass: f32,
+    low_pass_compensation: u32,
+    n_pixels: u32,
+    pad: u32,
+}
+
+// Camera coordinates of a world point: `R x + t`. Models lie around the origin, so this keeps the digits across the view
+// of a camera that is far away, where `R (x - centre)` would lose those of `x`.
+fn to_camera(camera: Camera, x: vec3f) -> vec3f {
+    let turned = vec3f(dot(camera.rotation[0].xyz, x), dot(camera.rotation[1].xyz, x), dot(camera.rotation[2].xyz, x));
+    return turned + vec3f(camera.rotation[0].w, camera.rotation[1].w, camera.rotation[2].w);
+}
+
+// World direction of a camera-space direction: `R^T d`.
+fn to_world(camera: Camera, d: vec3f) -> vec3f {
+    return d.x * camera.rotation[0].xyz + d.y * camera.rotation[1].xyz + d.z * camera.rotation[2].xyz;
+}
+
+// World direction through the centre of pixel (x, y), z_c = 1, not normalised.
+fn pixel_ray(camera: Camera, x: u32, y: u32) -> vec3f {
+    let uv = (vec2f(f32(x), f32(y)) + 0.5 - camera.centre_px) / camera.focal;
+    return to_world(camera, vec3f(uv, 1.0));
+}

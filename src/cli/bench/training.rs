@@ -1,0 +1,39 @@
+//! A training and its evaluation, for tables that compare settings.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::capture::Capture;
+use crate::cli::error::CommandResult;
+use crate::engine::Device;
+use crate::eval::{EvalOptions, Report, evaluate};
+use crate::scene::Model;
+use crate::train::{TrainConfig, Trainer};
+
+/// A trained model and its scores.
+pub(super) struct Trained {
+    pub(super) model: Arc<Model>,
+    /// Seconds spent in steps.
+    pub(super) seconds: f64,
+    pub(super) report: Report,
+}
+
+/// Trains on `capture` to the end and compares at most `views` held-out views, without frame rates.
+pub(super) fn train_and_evaluate(
+    capture: &Capture,
+    config: TrainConfig,
+    device: &Device,
+    views: usize,
+) -> CommandResult<Trained> {
+    let mut trainer = Trainer::new(capture, config, device)?;
+    while !trainer.is_done() {
+        trainer.step()?;
+    }
+    let (model, seconds) = (Arc::new(trainer.model()?), trainer.seconds());
+    // The renderer needs the trainer's device memory.
+    drop(trainer);
+    let options =
+        EvalOptions { views: Some(views), frame_rate_time: Duration::ZERO, device, ..EvalOptions::default() };
+    let report = evaluate(model.clone(), capture, &options)?;
+    Ok(Trained { model, seconds, report })
+}

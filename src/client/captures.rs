@@ -1,0 +1,73 @@
+//! Captures.
+
+use std::path::Path;
+
+use reqwest::Method;
+use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE};
+use serde::de::DeserializeOwned;
+use tokio_util::bytes::Bytes;
+
+use crate::api::captures::CaptureSummary;
+use crate::api::{CaptureId, List};
+use crate::capture::CaptureReport;
+use crate::client::connection::{Client, json};
+use crate::client::error::Result;
+
+impl Client {
+    /// Uploads a zip, tar or tar.gz, streaming it from disk.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn upload_capture(&self, archive: &Path) -> Result<CaptureSummary> {
+        let file = tokio::fs::File::open(archive).await?;
+        let length = file.metadata().await?.len();
+        let body = reqwest::Body::wrap_stream(tokio_util::io::ReaderStream::new(file));
+        self.post_archive("/v1/captures", body, Some(length)).await
+    }
+
+    /// Uploads an archive from memory.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn upload_capture_bytes(&self, archive: impl Into<Bytes>) -> Result<CaptureSummary> {
+        self.post_archive("/v1/captures", archive.into().into(), None).await
+    }
+
+    /// Asks what an upload would say, without keeping anything.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn validate_capture_bytes(&self, archive: impl Into<Bytes>) -> Result<CaptureReport> {
+        self.post_archive("/v1/captures/validate", archive.into().into(), None).await
+    }
+
+    async fn post_archive<T: DeserializeOwned>(
+        &self,
+        path: &str,
+        body: reqwest::Body,
+        length: Option<u64>,
+    ) -> Result<T> {
+        let request = self.request(Method::POST, path)?.header(CONTENT_TYPE, "application/octet-stream");
+        let request = match length {
+            Some(length) => request.header(CONTENT_LENGTH, length),
+            None => request,
+        };
+        json(request.body(body)).await
+    }
+
+    /// A capture.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn capture(&self, id: &CaptureId) -> Result<CaptureSummary> {
+        json(self.request(Method::GET, &format!("/v1/captures/{id}"))?).await
+    }
+
+    /// The newest captures.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn captures(&self) -> Result<List<CaptureSummary>> {
+        json(self.request(Method::GET, "/v1/captures")?).await
+    }
+}

@@ -1,0 +1,28 @@
+//! Environment maps.
+
+use reqwest::Method;
+use reqwest::header::CONTENT_TYPE;
+use tokio_util::bytes::Bytes;
+
+use crate::api::environments::{EnvironmentList, EnvironmentView};
+use crate::client::connection::{Client, json};
+use crate::client::error::Result;
+
+impl Client {
+    /// Uploads an HDR environment map.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn upload_environment(&self, file: impl Into<Bytes>) -> Result<EnvironmentView> {
+        let request = self.request(Method::POST, "/v1/environments")?;
+        json(request.header(CONTENT_TYPE, "application/octet-stream").body(file.into())).await
+    }
+
+    /// Built-in and uploaded environment maps.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn environments(&self) -> Result<EnvironmentList> {
+        json(self.request(Method::GET, "/v1/environments")?).await
+    }
+}

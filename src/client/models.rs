@@ -1,0 +1,81 @@
+//! Models, their files and frames of them.
+
+use std::path::Path;
+
+use futures::TryStreamExt;
+use reqwest::Method;
+use reqwest::header::ACCEPT;
+use tokio::io::AsyncWriteExt;
+use tokio_util::bytes::Bytes;
+
+use crate::api::models::{ModelSummary, ModelView};
+use crate::api::renders::RenderRequest;
+use crate::api::{List, ModelId};
+use crate::client::connection::{Client, checked, json};
+use crate::client::error::Result;
+use crate::render::FrameFormat;
+
+impl Client {
+    /// A model, its files and its card.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn model(&self, id: &ModelId) -> Result<ModelView> {
+        json(self.request(Method::GET, &format!("/v1/models/{id}"))?).await
+    }
+
+    /// The newest models.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn models(&self) -> Result<List<ModelSummary>> {
+        json(self.request(Method::GET, "/v1/models")?).await
+    }
+
+    /// A file of a model, in memory.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn file(&self, model: &ModelId, name: &str) -> Result<Bytes> {
+        let request = self.request(Method::GET, &format!("/v1/models/{model}/files/{name}"))?;
+        Ok(checked(request).await?.bytes().await?)
+    }
+
+    /// Downloads a file of a model to `path`.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way; an incomplete file may then be at `path`.
+    pub async fn download(&self, model: &ModelId, name: &str, path: &Path) -> Result<()> {
+        let request = self.request(Method::GET, &format!("/v1/models/{model}/files/{name}"))?;
+        let mut body = checked(request).await?.bytes_stream();
+        let mut file = tokio::fs::File::create(path).await?;
+        while let Some(chunk) = body.try_next().await? {
+            file.write_all(&chunk).await?;
+        }
+        Ok(file.sync_all().await?)
+    }
+
+    /// A rendered frame as an image file.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn render(
+        &self,
+        model: &ModelId,
+        request: &RenderRequest,
+        format: FrameFormat,
+    ) -> Result<Bytes> {
+        let post = self.request(Method::POST, &format!("/v1/models/{model}/render"))?;
+        let response = checked(post.header(ACCEPT, format.media_type()).json(request)).await?;
+        Ok(response.bytes().await?)
+    }
+
+    /// A thumbnail; `query` as in the API, e.g. `env=studio&size=128`.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn thumbnail(&self, model: &ModelId, query: &str) -> Result<Bytes> {
+        let request = self.request(Method::GET, &format!("/v1/models/{model}/thumbnail?{query}"))?;
+        Ok(checked(request).await?.bytes().await?)
+    }
+}

@@ -1,0 +1,74 @@
+//! Adam over all parameters of a model.
+
+use multiversion::multiversion;
+use rayon::prelude::*;
+
+use crate::engine::adam::{FieldGroup, StepCounts, StepSizes, share_of_step};
+use crate::engine::constants::{ADAM_BETA1 as BETA1, ADAM_BETA2 as BETA2, ADAM_EPSILON as EPSILON};
+use crate::engine::{Gradients, Moments};
+use crate::scene::Model;
+
+/// Gaussians a task takes.
+const CHUNK: usize = 512;
+
+/// One step: moves `model` and its moments along `gradients`.
+pub fn adam_step(
+    model: &mut Model,
+    moments: &mut Moments,
+    gradients: &Gradients,
+    sizes: &StepSizes,
+    counts: StepCounts,
+) {
+    let layout = gradients.layout;
+    let fields = moments.first.fields_mut().zip(moments.second.fields_mut());
+    for ((field, width, data), ((_, _, first), (_, _, second))) in model.gaussians.fields_mut().zip(fields) {
+        let [correction1, correction2] = counts.corrections(FieldGroup::of(field));
+        let rate = sizes.fields[field as usize] / correction1;
+        let range = layout.range(field);
+        if rate == 0.0 || range.is_empty() {
+            continue;
+        }
+        let rates: Vec<f32> = (0..width).map(|k| rate * share_of_step(field, k)).collect();
+        let chunks = data
+            .par_chunks_mut(CHUNK * width)
+            .zip(first.par_chunks_mut(CHUNK * width))
+            .zip(second.par_chunks_mut(CHUNK * width))
+            .zip(gradients.rows.par_chunks(CHUNK * layout.row));
+        chunks.for_each_init(Vec::new, |scratch, (((data, first), second), rows)| {
+            scratch.clear();
+            for row in rows.chunks_exact(layout.row) {
+                scratch.extend(row[range.clone()].iter().copied().zip(rates.iter().copied()));
+            }
+            adam_all(data, [first, second], scratch, correction2);
+        });
+    }
+    let [correction1, correction2] = counts.corrections(FieldGroup::Material);
+    let globals = model.prototypes.iter_mut().map(|p| (p, sizes.prototypes));
+    let globals = globals.chain(model.env_raw.iter_mut().map(|p| (p, sizes.environment)));
+    let [first, second] = &mut moments.globals;
+    let by_globals = gradients.prototypes.iter().chain(&gradients.env_raw);
+    for (((p, rate), (m, v)), g) in globals.zip(first.iter_mut().zip(second)).zip(by_globals) {
+        if rate > 0.0 {
+            for c in 0..3 {
+                p[c] -= adam(&mut m[c], &mut v[c], g[c], rate / correction1, correction2);
+            }
+        }
+    }
+}
+
+/// [`adam`] on every parameter of `data`, from `(gradient, rate)` pairs.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+fn adam_all(data: &mut [f32], [first, second]: [&mut [f32]; 2], steps: &[(f32, f32)], correction2: f32) {
+    let moments = first.iter_mut().zip(second);
+    for ((p, (m, v)), (g, rate)) in data.iter_mut().zip(moments).zip(steps) {
+        *p -= adam(m, v, *g, *rate, correction2);
+    }
+}
+
+/// Updates the moments and returns the step.
+#[inline(always)]
+fn adam(m: &mut f32, v: &mut f32, g: f32, rate: f32, correction2: f32) -> f32 {
+    *m = BETA1 * *m + (1.0 - BETA1) * g;
+    *v = BETA2 * *v + (1.0 - BETA2) * g * g;
+    rate * *m / (v.sqrt() / correction2 + EPSILON)
+}

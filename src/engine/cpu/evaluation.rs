@@ -1,0 +1,103 @@
+//! What a training state shows and measures, without a gradient: what decisions on the host are made from.
+
+use crate::engine::channel::Channels;
+use crate::engine::constants::EarlyStop;
+use crate::engine::cpu::training::environment_radiance;
+use crate::engine::cpu::{
+    self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance, training,
+};
+use crate::engine::step::{Branches, Photo};
+use crate::engine::{RasterCamera, TrainState, indirect_basis};
+use crate::light::EnvOperators;
+
+/// `E_j` where nothing reads it.
+const NO_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
+
+/// A state as the kernels read it, without learned indirect light.
+pub fn source(state: &TrainState) -> AttributeSource<'_> {
+    training::source(state, &NO_BASIS)
+}
+
+/// The physically based branch as `photo` would show it, display-referred.
+pub fn physical_image(
+    state: &TrainState,
+    operators: &EnvOperators,
+    photo: &Photo,
+    branches: Branches,
+    background: [f32; 3],
+) -> Vec<[f32; 3]> {
+    let model = &state.model;
+    let tables = operators.apply(&environment_radiance(model));
+    let basis = indirect_basis(&tables);
+    let order = model.gaussians.visibility_order();
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
+    let source = training::source(state, &basis).under(shader);
+    let channels = branches.channels(&model.gaussians, &model.shading).blended;
+    let pass = Pass::forward(
+        &source,
+        RasterCamera::new(&photo.camera, source.options),
+        channels,
+        EarlyStop::WhenSaturated,
+    );
+    shader.images(&pass, background).physical
+}
+
+/// Mean squared error of the physically based branch on one photograph.
+pub fn physical_error(
+    state: &TrainState,
+    operators: &EnvOperators,
+    photo: &Photo,
+    branches: Branches,
+    background: [f32; 3],
+) -> f32 {
+    mean_squared_error(&physical_image(state, operators, photo, branches, background), photo)
+}
+
+/// Mean squared error of the radiance branch on one photograph.
+pub fn radiance_error(state: &TrainState, photo: &Photo, background: [f32; 3]) -> f32 {
+    mean_squared_error(&radiance_image(&colour_pass(state, photo), background), photo)
+}
+
+/// Summed blending weight, in pixels, that each Gaussian has in one photograph.
+pub fn blending_weights(state: &TrainState, photo: &Photo) -> Vec<f32> {
+    let pass = colour_pass(state, photo);
+    let mut out = vec![0.0; state.model.gaussians.len()];
+    for (splat, label) in pass.splats.iter().zip(cpu::backward_labels(&pass)) {
+        out[splat.gaussian as usize] = label.weight;
+    }
+    out
+}
+
+/// Outward unit normals of all Gaussians, as the last measurement of visibility has them.
+pub fn normals(state: &TrainState) -> Vec<[f32; 3]> {
+    outward_normals(&source(state))
+}
+
+/// Irradiance of every Gaussian along its normal in `normals`: the sky through its visibility, and what is gathered.
+pub fn irradiance(state: &TrainState, operators: &EnvOperators, normals: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let tables = operators.apply(&environment_radiance(&state.model));
+    let basis = indirect_basis(&tables);
+    let source = training::source(state, &basis);
+    let of = |i: usize| -> [f32; 3] {
+        let sky = sky_irradiance(&source, &tables, normals[i], i);
+        let gathered = state.gathered.get(i).map_or([0.0; 6], |g| *g);
+        std::array::from_fn(|c| sky[c] + gathered[c])
+    };
+    (0..state.model.gaussians.len()).map(of).collect()
+}
+
+fn colour_pass(state: &TrainState, photo: &Photo) -> Pass {
+    let source = source(state);
+    Pass::forward(
+        &source,
+        RasterCamera::new(&photo.camera, source.options),
+        Channels::Colour,
+        EarlyStop::WhenSaturated,
+    )
+}
+
+fn mean_squared_error(image: &[[f32; 3]], photo: &Photo) -> f32 {
+    let squares = image.iter().zip(&photo.pixels);
+    let sum: f64 = squares.flat_map(|(a, b)| (0..3).map(move |c| f64::from(a[c] - b[c]).powi(2))).sum();
+    (sum / (3 * photo.pixels.len()).max(1) as f64) as f32
+}

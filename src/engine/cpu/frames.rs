@@ -1,0 +1,147 @@
+//! Frames from the CPU engine: a model that is ready to be rendered, and the tiers that shade from tables of the light.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, OnceLock};
+
+use rayon::prelude::*;
+
+use crate::engine::channel::{self, Channels, OutgoingRadiance, RowLight};
+use crate::engine::constants::EarlyStop;
+use crate::engine::cpu::resolve::resolve;
+use crate::engine::cpu::{
+    AttributeSource, Occluders, Pass, Probes, SurfaceShader, Transport, attribute_rows, outward_normals,
+    project_all,
+};
+use crate::engine::{BOUNCES, FrameJob, PROBE_DIRECTIONS, ShadeColour};
+use crate::engine::{Frame, Output, ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
+use crate::light::LightTables;
+use crate::scene::{Field, IndirectForm, Model, ShadeAt};
+
+const NO_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
+
+/// A model ready to be rendered. What does not depend on the light is made when first needed.
+pub struct Frames {
+    model: Arc<Model>,
+    transport: OnceLock<Transport>,
+    occluders: OnceLock<Occluders>,
+}
+
+/// A light as the CPU engine shades with it.
+pub struct FrameLight {
+    /// Tables of the light.
+    pub tables: LightTables,
+    /// Irradiance and mean blocked radiance that the model's surfaces send each other, by Gaussian.
+    gathered: Vec<[f32; 6]>,
+    indirect_basis: [[f32; 3]; 16],
+}
+
+impl Frames {
+    /// Takes a checked model in.
+    pub fn new(model: Arc<Model>) -> Self {
+        Self { model, transport: OnceLock::new(), occluders: OnceLock::new() }
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// The light of `tables`, with what the model's surfaces send each other under it.
+    pub fn prepare_light(&self, tables: LightTables) -> FrameLight {
+        let source = self.source(&[], &NO_BASIS);
+        let mut gathered = Vec::new();
+        if source.options.indirect == IndirectForm::Gathered {
+            let transport = self.transport.get_or_init(|| {
+                let directions = fibonacci_sphere(PROBE_DIRECTIONS);
+                let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
+                Transport::new(&probes, outward_normals(&source))
+            });
+            gathered = transport.gather(&source, &tables, BOUNCES);
+        }
+        let indirect_basis = indirect_basis(&tables);
+        FrameLight { tables, gathered, indirect_basis }
+    }
+
+    /// The model under `light`, not yet shaded.
+    pub fn lit_source<'a>(&'a self, light: &'a FrameLight) -> AttributeSource<'a> {
+        self.source(&light.gathered, &light.indirect_basis)
+    }
+
+    /// The shader of the model under `tables`.
+    pub fn shader<'a>(&'a self, tables: &'a LightTables) -> SurfaceShader<'a> {
+        let order = self.model.gaussians.visibility_order();
+        SurfaceShader { tables, options: &self.model.shading, order }
+    }
+
+    /// The occluder tree of the model.
+    pub fn occluders(&self) -> &Occluders {
+        self.occluders.get_or_init(|| {
+            let source = self.source(&[], &NO_BASIS);
+            Occluders::new(&source, ProbeSettings::of(source.options))
+        })
+    }
+
+    /// Renders `job` from the light's tables.
+    pub fn render(&self, job: &FrameJob<'_>, light: &FrameLight) -> Frame {
+        let (source, shader) = (self.lit_source(light), self.shader(&light.tables));
+        match job.colour {
+            ShadeColour::Alone => colour(&source, job.view, &shader),
+            ShadeColour::WithGBuffer => standard(&source, job, &shader),
+        }
+    }
+
+    fn source<'a>(&'a self, gathered: &'a [[f32; 6]], basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
+        AttributeSource {
+            gaussians: &self.model.gaussians,
+            prototypes: &self.model.prototypes,
+            options: &self.model.shading,
+            gathered,
+            indirect_basis: basis,
+            light: None,
+        }
+    }
+}
+
+/// `rgb` and `alpha` of Gaussians that are shaded once and blended in three channels.
+fn colour(source: &AttributeSource<'_>, view: RasterCamera, shader: &SurfaceShader<'_>) -> Frame {
+    let source = &source.shaded(*shader);
+    let splats = project_all(source, &view);
+    let material = Channels::Material.stored();
+    let rows = attribute_rows(source, &view, &splats, Channels::Material, material);
+    let stored = Channels::Colour.stored();
+    let mut attributes = vec![0.0f32; splats.len() * stored];
+    let places = attributes.par_chunks_mut(stored).zip(rows.par_chunks(material));
+    places.with_min_len(64).for_each(|(out, row)| {
+        out[channel::COVERAGE] = row[channel::COVERAGE];
+        out[channel::RADIANCE].copy_from_slice(&row[OutgoingRadiance::TOTAL]);
+    });
+    let pass =
+        Pass::blend(view, splats, Channels::Colour, RowLight::Outgoing, attributes, EarlyStop::WhenSaturated);
+    let pixels = (0..view.width * view.height).map(|i| (i % view.width, i / view.width));
+    let rgb = pixels.clone().flat_map(|(x, y)| channel::RADIANCE.map(move |c| (x, y, c)));
+    let planes = BTreeMap::from([
+        (Output::Rgb, rgb.map(|(x, y, c)| pass.at(x, y, c)).collect()),
+        (Output::Alpha, pixels.map(|(x, y)| pass.at(x, y, channel::COVERAGE)).collect()),
+    ]);
+    Frame { width: view.width as u32, height: view.height as u32, planes }
+}
+
+/// Every output of `job`, where the model was trained to be shaded.
+fn standard(source: &AttributeSource<'_>, job: &FrameJob<'_>, shader: &SurfaceShader<'_>) -> Frame {
+    let coefficients = source.gaussians.width(Field::Visibility);
+    let channels = Channels::Full(coefficients);
+    let pass = Pass::forward(&source.under(*shader), job.view, channels, EarlyStop::WhenSaturated);
+    resolve(&pass, shader, job.outputs, job.depth_scale, |at, surface| match shader.options.shade_at {
+        ShadeAt::Pixel => shader.shade(surface).outgoing(),
+        ShadeAt::Gaussian => blended_radiance(&pass, at),
+    })
+}
+
+/// Radiance that was blended in pixel (`x`, `y`), of some coverage, of a pass whose Gaussians were shaded before.
+pub fn blended_radiance(pass: &Pass, (x, y): (usize, usize)) -> OutgoingRadiance {
+    let inverse = 1.0 / pass.at(x, y, channel::COVERAGE);
+    let at = |first: usize, c: usize| pass.at(x, y, first + c) * inverse;
+    let specular = std::array::from_fn(|c| at(OutgoingRadiance::SPECULAR.start, c));
+    let diffuse = std::array::from_fn(|c| at(OutgoingRadiance::TOTAL.start, c) - specular[c]);
+    OutgoingRadiance { diffuse, specular }
+}

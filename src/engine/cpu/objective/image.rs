@@ -1,0 +1,213 @@
+//! Image term: mean absolute error and structural similarity (Eq. 30).
+//!
+//! SSIM with an 11-tap Gaussian window, sigma 1.5, zero padding, the mean over all pixels and channels (the form 3DGS
+//! uses). The photograph's own statistics are computed once for both branches.
+
+use multiversion::multiversion;
+use rayon::prelude::*;
+
+use crate::engine::constants::{SSIM_C1, SSIM_C2, SSIM_TAPS, ssim_window};
+use crate::engine::cpu::objective::sign;
+use crate::engine::objective::ImageWeights;
+
+/// A photograph with its window statistics, planar.
+#[derive(Debug, Clone)]
+pub struct Target {
+    width: usize,
+    height: usize,
+    /// Row-major RGB.
+    pub pixels: Vec<[f32; 3]>,
+    channels: Vec<Channel>,
+}
+
+/// One colour of a photograph.
+#[derive(Debug, Clone)]
+struct Channel {
+    plane: Vec<f32>,
+    mean: Vec<f32>,
+    mean_of_square: Vec<f32>,
+}
+
+/// Value and gradient of the image term for one branch.
+#[derive(Debug, Clone, Default)]
+pub struct ImageLoss {
+    /// Mean absolute error.
+    pub mae: f32,
+    /// Mean SSIM.
+    pub ssim: f32,
+    /// Mean squared error.
+    pub mse: f32,
+    /// Gradient of `l1 mae + ssim (1 - SSIM)` by pixel.
+    pub gradient: Vec<[f32; 3]>,
+}
+
+impl ImageLoss {
+    /// `l1 mae + ssim (1 - SSIM)`.
+    pub fn value(&self, weights: ImageWeights) -> f32 {
+        weights.l1 * self.mae + weights.ssim * (1.0 - self.ssim)
+    }
+}
+
+impl Target {
+    /// Prepares a row-major photograph.
+    pub fn new(width: usize, height: usize, pixels: Vec<[f32; 3]>) -> Self {
+        let statistics = |c: usize| {
+            let plane: Vec<f32> = pixels.iter().map(|p| p[c]).collect();
+            let squares: Vec<f32> = plane.iter().map(|v| v * v).collect();
+            let (mean, mean_of_square) =
+                rayon::join(|| blur(width, height, &plane), || blur(width, height, &squares));
+            Channel { plane, mean, mean_of_square }
+        };
+        let channels = [0, 1, 2].into_par_iter().map(statistics).collect();
+        Self { width, height, pixels, channels }
+    }
+
+    /// Compares an image with the photograph; weights as in docs/MODEL.md section 5.
+    pub fn compare(&self, image: &[[f32; 3]], weights: ImageWeights) -> ImageLoss {
+        let ImageWeights { l1, ssim } = weights;
+        let scale = 1.0 / (3 * image.len()).max(1) as f32;
+        let channels: Vec<(f64, Vec<f32>)> =
+            (0..3).into_par_iter().map(|c| self.ssim_channel(image, c, -ssim * scale)).collect();
+        let mut out = ImageLoss { gradient: vec![[0.0; 3]; image.len()], ..ImageLoss::default() };
+        let rows = out.gradient.par_chunks_mut(self.width.max(1)).enumerate();
+        let sums: Vec<[f64; 2]> = rows
+            .map(|(y, row)| {
+                let mut sums = [0.0f64; 2];
+                for (x, pixel) in row.iter_mut().enumerate() {
+                    let i = y * self.width + x;
+                    for c in 0..3 {
+                        let d = image[i][c] - self.pixels[i][c];
+                        sums[0] += f64::from(d.abs());
+                        sums[1] += f64::from(d * d);
+                        pixel[c] = l1 * scale * sign(d) + channels[c].1[i];
+                    }
+                }
+                sums
+            })
+            .collect();
+        let [absolute, squared] = sums.iter().fold([0.0; 2], |[a, s], row| [a + row[0], s + row[1]]);
+        out.mae = (absolute * f64::from(scale)) as f32;
+        out.mse = (squared * f64::from(scale)) as f32;
+        out.ssim = (channels.iter().map(|c| c.0).sum::<f64>() * f64::from(scale)) as f32;
+        out
+    }
+
+    /// Sum of SSIM over the channel and `weight` times its gradient.
+    fn ssim_channel(&self, image: &[[f32; 3]], c: usize, weight: f32) -> (f64, Vec<f32>) {
+        let (w, h) = (self.width, self.height);
+        let a: Vec<f32> = image.iter().map(|p| p[c]).collect();
+        let Channel { plane: b, mean: mean_b, mean_of_square: mean_bb } = &self.channels[c];
+        let squares: Vec<f32> = a.iter().map(|v| v * v).collect();
+        let products: Vec<f32> = a.iter().zip(b).map(|(x, y)| x * y).collect();
+        let (mean_a, mean_aa) = (blur(w, h, &a), blur(w, h, &squares));
+        let mean_ab = blur(w, h, &products);
+        let n = a.len();
+        let (mut by_mean, mut by_square, mut by_product) =
+            (vec![0.0f32; n], vec![0.0f32; n], vec![0.0f32; n]);
+        let mut total = 0.0f64;
+        for i in 0..n {
+            let (ma, mb) = (mean_a[i], mean_b[i]);
+            let (va, vb, cov) = (mean_aa[i] - ma * ma, mean_bb[i] - mb * mb, mean_ab[i] - ma * mb);
+            let (n1, n2) = (2.0 * ma * mb + SSIM_C1, 2.0 * cov + SSIM_C2);
+            let (d1, d2) = (ma * ma + mb * mb + SSIM_C1, va + vb + SSIM_C2);
+            let s = n1 * n2 / (d1 * d2);
+            total += f64::from(s);
+            let by_cov = 2.0 * n1 / (d1 * d2);
+            let by_va = -s / d2;
+            let by_ma = 2.0 * mb * n2 / (d1 * d2) - 2.0 * ma * s / d1;
+            by_mean[i] = weight * (by_ma - 2.0 * ma * by_va - mb * by_cov);
+            by_square[i] = weight * by_va;
+            by_product[i] = weight * by_cov;
+        }
+        // The window is symmetric, so its transpose is itself.
+        let (gm, gs, gp) = (blur(w, h, &by_mean), blur(w, h, &by_square), blur(w, h, &by_product));
+        (total, (0..n).map(|i| gm[i] + 2.0 * a[i] * gs[i] + b[i] * gp[i]).collect())
+    }
+}
+
+/// Separable Gaussian blur with zero padding.
+fn blur(width: usize, height: usize, input: &[f32]) -> Vec<f32> {
+    let taps = ssim_window();
+    let half = SSIM_TAPS / 2;
+    let mut across = vec![0.0f32; input.len()];
+    let mut padded = vec![0.0f32; width + SSIM_TAPS - 1];
+    for (row, out) in input.chunks_exact(width).zip(across.chunks_exact_mut(width)) {
+        padded[half..half + width].copy_from_slice(row);
+        for (t, k) in taps.iter().enumerate() {
+            add_scaled(*k, &padded[t..t + width], out);
+        }
+    }
+    let mut out = vec![0.0f32; input.len()];
+    for (y, target) in out.chunks_exact_mut(width).enumerate() {
+        for (t, k) in taps.iter().enumerate() {
+            let source = y + t;
+            if source >= half && source - half < height {
+                let row = source - half;
+                add_scaled(*k, &across[row * width..(row + 1) * width], target);
+            }
+        }
+    }
+    out
+}
+
+/// `out += k * input`.
+#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
+fn add_scaled(k: f32, input: &[f32], out: &mut [f32]) {
+    for (o, v) in out.iter_mut().zip(input) {
+        *o += k * v;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(n: usize, seed: u32) -> Vec<[f32; 3]> {
+        let mut state = seed;
+        let mut next = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as f32 / 16_777_216.0
+        };
+        (0..n).map(|_| [next(), next(), next()]).collect()
+    }
+
+    #[test]
+    fn an_image_equals_itself_and_nothing_else() {
+        let pixels = noise(24 * 20, 1);
+        let target = Target::new(24, 20, pixels.clone());
+        let same = target.compare(&pixels, ImageWeights { l1: 1.0, ssim: 1.0 });
+        assert!((same.ssim - 1.0).abs() < 1e-5 && same.mae == 0.0);
+        let other = target.compare(&noise(24 * 20, 2), ImageWeights { l1: 1.0, ssim: 1.0 });
+        assert!(other.ssim < 0.5 && other.mae > 0.1);
+    }
+
+    #[test]
+    fn the_gradient_agrees_with_central_differences() {
+        let (w, h) = (14, 13);
+        let target = Target::new(w, h, noise(w * h, 3));
+        let image = noise(w * h, 4);
+        let weights = ImageWeights { l1: 0.7, ssim: 0.4 };
+        let loss = |image: &[[f32; 3]]| {
+            let l = target.compare(image, weights);
+            f64::from(0.7 * l.mae) + f64::from(0.4 * (1.0 - l.ssim))
+        };
+        let analytic = target.compare(&image, weights).gradient;
+        for i in [0, 5, 70, 100, w * h - 1] {
+            for c in 0..3 {
+                // The absolute error has no derivative where image and photograph agree.
+                if (image[i][c] - target.pixels[i][c]).abs() < 5e-3 {
+                    continue;
+                }
+                let mut shifted = [image.clone(), image.clone()];
+                shifted[0][i][c] += 4e-3;
+                shifted[1][i][c] -= 4e-3;
+                let numeric = (loss(&shifted[0]) - loss(&shifted[1])) / 8e-3;
+                assert!(
+                    (numeric - f64::from(analytic[i][c])).abs() < 5e-5,
+                    "{i} {c} {numeric} {}",
+                    analytic[i][c]
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,83 @@
+//! The seam between a renderer and the engine that makes its frames: a model on a device, lights prepared for it, and the
+//! frames that are shaded from tables of the light.
+
+use std::sync::{Arc, OnceLock};
+
+use crate::engine::frame_job::{DeviceFrames, DeviceLight, FrameJob};
+use crate::engine::{DeviceError, Frame, cpu};
+use crate::light::{LightTables, rendering_tables};
+use crate::scene::{EnvMap, Model};
+
+/// A model on its device. The CPU engine can render it beside any device, for tiers that only it has.
+pub struct Frames {
+    cpu: cpu::Frames,
+    device: Option<Box<dyn DeviceFrames>>,
+}
+
+/// A light prepared for a model on its device.
+pub struct FrameLight {
+    device: Option<DeviceLight>,
+    cpu: OnceLock<cpu::FrameLight>,
+}
+
+impl FrameLight {
+    /// The light on the CPU engine, where it was prepared there.
+    pub fn on_cpu(&self) -> Option<&cpu::FrameLight> {
+        self.cpu.get()
+    }
+}
+
+impl Frames {
+    /// Takes a checked model in, for the CPU engine.
+    pub fn on_cpu_only(model: Arc<Model>) -> Self {
+        Self { cpu: cpu::Frames::new(model), device: None }
+    }
+
+    /// Takes a checked model in that `device` holds too.
+    pub fn beside(model: Arc<Model>, device: Box<dyn DeviceFrames>) -> Self {
+        Self { cpu: cpu::Frames::new(model), device: Some(device) }
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Model {
+        self.cpu.model()
+    }
+
+    /// The same model on the CPU engine.
+    pub fn on_cpu(&self) -> &cpu::Frames {
+        &self.cpu
+    }
+
+    /// Makes `environment` ready for this model, light that bounces between its surfaces included.
+    ///
+    /// # Errors
+    /// When the device failed.
+    pub fn prepare_light(&self, environment: &EnvMap) -> Result<FrameLight, DeviceError> {
+        let tables = self.tables(environment);
+        Ok(match &self.device {
+            Some(device) => FrameLight { device: Some(device.prepare_light(&tables)?), cpu: OnceLock::new() },
+            None => FrameLight { device: None, cpu: OnceLock::from(self.cpu.prepare_light(tables)) },
+        })
+    }
+
+    /// The light on the CPU engine, made of `environment` where it was prepared on another device.
+    pub fn light_on_cpu<'a>(&self, light: &'a FrameLight, environment: &EnvMap) -> &'a cpu::FrameLight {
+        light.cpu.get_or_init(|| self.cpu.prepare_light(self.tables(environment)))
+    }
+
+    /// Renders on the device.
+    ///
+    /// # Errors
+    /// [`DeviceError::Misuse`] for a light that was prepared for another device, otherwise when the device failed.
+    pub fn render(&self, job: &FrameJob<'_>, light: &FrameLight) -> Result<Frame, DeviceError> {
+        match (&self.device, &light.device, light.cpu.get()) {
+            (Some(device), Some(light), _) => device.render(job, light),
+            (None, None, Some(light)) => Ok(self.cpu.render(job, light)),
+            _ => Err(DeviceError::Misuse("the light was prepared for another device".to_owned())),
+        }
+    }
+
+    fn tables(&self, environment: &EnvMap) -> LightTables {
+        rendering_tables(environment, self.model().gaussians.visibility_order())
+    }
+}

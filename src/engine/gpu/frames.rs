@@ -1,0 +1,202 @@
+//! Rendered frames of a finished model on the device.
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+
+use crate::engine::channel::Channels;
+use crate::engine::constants::EarlyStop;
+use crate::engine::gpu::device::locked;
+use crate::engine::gpu::frame::{FrameBranches, FramePass};
+use crate::engine::gpu::gather::gather;
+use crate::engine::gpu::light::{Constants, LightBuffers};
+use crate::engine::gpu::model::LayoutUniform;
+use crate::engine::gpu::permutations::groups;
+use crate::engine::gpu::probes::{self, ProbeBuffers};
+use crate::engine::gpu::raster::{Projected, Raster};
+use crate::engine::gpu::resolve::Planes;
+use crate::engine::gpu::shading::Shading;
+use crate::engine::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Recorder};
+use crate::engine::{
+    BOUNCES, DeviceError, DeviceFrames, DeviceLight, Frame, FrameJob, Output, PROBE_DIRECTIONS,
+    ProbeSettings, ShadeColour, fibonacci_sphere, indirect_basis,
+};
+use crate::light::LightTables;
+use crate::scene::{IndirectForm, Model, ShadingOptions};
+
+/// A light in device memory, with what the model's surfaces send back under it.
+pub struct FrameLight {
+    buffers: LightBuffers,
+    gathered: Option<Buffer<f32>>,
+}
+
+/// Memory that frames use one after the other.
+struct Scratch {
+    raster: Raster,
+    planes: Option<Planes>,
+    /// What hides what, once it was needed: it does not depend on the light.
+    probes: Option<ProbeBuffers>,
+}
+
+/// A finished model in device memory. Shared between threads.
+pub struct Frames {
+    gpu: Gpu,
+    /// The model without indirect light.
+    source: AttributeSource,
+    options: ShadingOptions,
+    order: usize,
+    constants: Constants,
+    scratch: Mutex<Scratch>,
+}
+
+impl Frames {
+    /// Uploads `model`.
+    ///
+    /// # Errors
+    /// [`DeviceError::TooLarge`] or [`DeviceError::OutOfMemory`] when it does not fit.
+    pub fn new(gpu: &Gpu, model: &Model) -> Result<Self, DeviceError> {
+        let source = AttributeSource {
+            layout: LayoutUniform::new(&model.gaussians, &model.shading),
+            params: gpu.upload_gaussians(&model.gaussians)?,
+            globals: gpu.upload("prototypes", model.prototypes.as_flattened())?,
+            gathered: None,
+            indirect_basis: None,
+        };
+        Ok(Self {
+            source,
+            options: model.shading,
+            order: model.gaussians.visibility_order(),
+            constants: Constants::upload(gpu)?,
+            scratch: Mutex::new(Scratch { raster: Raster::new(gpu)?, planes: None, probes: None }),
+            gpu: gpu.clone(),
+        })
+    }
+
+    fn measure_probes(&self) -> Result<ProbeBuffers, DeviceError> {
+        let settings = ProbeSettings::of(&self.options);
+        let directions = fibonacci_sphere(PROBE_DIRECTIONS);
+        let AttributeSource { params, layout, .. } = &self.source;
+        probes::measure(&self.gpu, params, layout, settings, &directions, self.order)
+    }
+
+    /// All channels of the model.
+    fn full(&self) -> Channels {
+        Channels::Full(self.source.layout.n_visibility as usize)
+    }
+
+    fn render_band(
+        &self,
+        camera: &CameraUniform,
+        light: &FrameLight,
+        job: &FrameJob<'_>,
+    ) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+        let mut scratch = locked(&self.scratch);
+        let Scratch { raster, planes, .. } = &mut *scratch;
+        let source = AttributeSource {
+            gathered: light.gathered.clone(),
+            indirect_basis: Some(light.buffers.indirect_basis.clone()),
+            ..self.source.clone()
+        };
+        let shading = Shading {
+            options: self.options,
+            background: [0.0; 3],
+            light: light.buffers.clone(),
+            constants: self.constants.clone(),
+        };
+        let projected = raster.prepare(camera, &source)?;
+        let recorder = self.gpu.record();
+        match job.colour {
+            ShadeColour::Alone => self.colours(recorder, projected, &shading),
+            ShadeColour::WithGBuffer => self.outputs(recorder, projected, shading, planes, job),
+        }
+    }
+
+    /// Coverage and colour from Gaussians that are shaded before they are blended.
+    fn colours(
+        &self,
+        mut recorder: Recorder<'_>,
+        projected: Projected<'_>,
+        shading: &Shading,
+    ) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+        let shaded =
+            projected.attributes(&mut recorder, Channels::Material)?.colours(&mut recorder, shading)?;
+        let frame = shaded.blend(&mut recorder, EarlyStop::WhenSaturated)?;
+        recorder.submit()?;
+        let pixels = self.gpu.read(frame.gbuffer(), 0..frame.camera().pixels())?;
+        Ok(vec![
+            (Output::Rgb, pixels.iter().flat_map(|p| [p[1], p[2], p[3]]).collect()),
+            (Output::Alpha, pixels.iter().map(|p| p[0]).collect()),
+        ])
+    }
+
+    fn outputs(
+        &self,
+        mut recorder: Recorder<'_>,
+        projected: Projected<'_>,
+        shading: Shading,
+        planes: &mut Option<Planes>,
+        job: &FrameJob<'_>,
+    ) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+        let pass = FramePass {
+            channels: self.full(),
+            blending: EarlyStop::WhenSaturated,
+            branches: FrameBranches::Both(shading.clone()),
+        };
+        let frame = pass.forward(&mut recorder, projected)?;
+        let camera = frame.camera();
+        if !planes.as_ref().is_some_and(|p| p.fits(camera.pixels(), job.outputs)) {
+            *planes = None;
+        }
+        let planes = match planes {
+            Some(planes) => planes,
+            none => none.insert(Planes::new(&self.gpu, camera.pixels(), job.outputs)?),
+        };
+        recorder.stage("resolve");
+        planes.resolve(&mut recorder, camera, &shading, frame.gbuffer(), job.depth_scale)?;
+        recorder.submit()?;
+        planes.read(&self.gpu)
+    }
+}
+
+impl DeviceFrames for Frames {
+    fn prepare_light(&self, tables: &LightTables) -> Result<DeviceLight, DeviceError> {
+        let buffers = LightBuffers::upload(&self.gpu, tables, self.order, &indirect_basis(tables))?;
+        if self.options.indirect != IndirectForm::Gathered {
+            return Ok(Box::new(FrameLight { buffers, gathered: None }));
+        }
+        let mut scratch = locked(&self.scratch);
+        let probes = match &mut scratch.probes {
+            Some(probes) => probes,
+            none => none.insert(self.measure_probes()?),
+        };
+        let mut recorder = self.gpu.record();
+        let gathered = gather(&mut recorder, probes, &self.source, &buffers, BOUNCES)?;
+        recorder.submit()?;
+        Ok(Box::new(FrameLight { buffers, gathered: Some(gathered) }))
+    }
+
+    /// A picture whose G-buffer no binding holds is made band by band.
+    fn render(&self, job: &FrameJob<'_>, light: &DeviceLight) -> Result<Frame, DeviceError> {
+        let Some(light) = light.downcast_ref::<FrameLight>() else {
+            return Err(DeviceError::Misuse("the light was prepared for another device".to_owned()));
+        };
+        let camera = &job.view;
+        let groups = match job.colour {
+            ShadeColour::Alone => 1,
+            ShadeColour::WithGBuffer => groups(self.full()),
+        };
+        let report = self.gpu.report();
+        let row_bytes = (camera.width * groups * 16).max(1) as u64;
+        let rows = (report.max_binding.min(report.max_buffer) / row_bytes).max(1) as usize;
+        let mut frame =
+            Frame { width: camera.width as u32, height: camera.height as u32, planes: BTreeMap::new() };
+        for first in (0..camera.height).step_by(rows) {
+            let mut band = *camera;
+            band.height = rows.min(camera.height - first);
+            band.centre_px[1] -= first as f32;
+            for (output, mut values) in self.render_band(&CameraUniform::new(&band), light, job)? {
+                frame.planes.entry(output).or_default().append(&mut values);
+            }
+        }
+        Ok(frame)
+    }
+}

@@ -1,0 +1,108 @@
+//! The tables that surfaces are shaded with.
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::engine::DeviceError;
+use crate::engine::gpu::{Buffer, Gpu};
+use crate::light::{BrdfLut, CubeGrid, LightTables, LobeAttenuation};
+use crate::scene::sh_count;
+
+/// The tables of the reflectance model, uploaded once a device: 32 x 32 pairs `[roughness][n.v][scale, bias]`, then
+/// 33 x 9 attenuations `[roughness][degree]`.
+#[derive(Debug, Clone)]
+pub struct Constants {
+    pub(in crate::engine::gpu) buffer: Buffer<f32>,
+}
+
+impl Constants {
+    /// Uploads the tables that all engines share.
+    ///
+    /// # Errors
+    /// When the device has no memory left.
+    pub fn upload(gpu: &Gpu) -> Result<Self, DeviceError> {
+        let lut = BrdfLut::shared().values().iter().flatten();
+        let lobe = LobeAttenuation::shared().rows().iter().flatten();
+        let values: Vec<f32> = lut.chain(lobe).copied().collect();
+        Ok(Self { buffer: gpu.upload("reflectance tables", &values)? })
+    }
+}
+
+/// `Tables` of `shaders/shared/tables.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct TablesUniform {
+    /// Nodes along an edge of the grid of normals.
+    pub diffuse_n: u32,
+    /// Padded coefficients a colour.
+    pub coefficients: u32,
+    /// Coefficients in use.
+    pub n_coefficients: u32,
+    /// Nodes of all levels together.
+    pub n_specular: u32,
+    /// Nodes along an edge, per level; the last two are unused.
+    pub specular_n: [u32; 8],
+    /// First float, per level; the last two are unused.
+    pub specular_first: [u32; 8],
+}
+
+impl TablesUniform {
+    /// Where `tables`, for a visibility field of degree `order`, lie in one buffer.
+    pub fn new(tables: &LightTables, order: usize) -> Self {
+        let edge = |grid: &CubeGrid| grid.edge() as u32;
+        let mut out = Self {
+            diffuse_n: edge(&tables.diffuse_grid),
+            coefficients: tables.coefficients as u32,
+            n_coefficients: sh_count(order) as u32,
+            ..Self::zeroed()
+        };
+        let mut next = tables.diffuse.len() as u32;
+        for (k, (grid, level)) in tables.specular_grids.iter().zip(&tables.specular).enumerate() {
+            out.specular_n[k] = edge(grid);
+            out.specular_first[k] = next;
+            out.n_specular += level.len() as u32;
+            next += 3 * level.len() as u32;
+        }
+        out
+    }
+
+    /// Floats of the whole buffer.
+    pub fn floats(&self) -> usize {
+        self.specular_first[0] as usize + 3 * self.n_specular as usize
+    }
+}
+
+/// The tables of one light in device memory.
+#[derive(Debug, Clone)]
+pub struct LightBuffers {
+    /// Where they lie.
+    pub layout: TablesUniform,
+    /// The tables.
+    pub values: Buffer<f32>,
+    /// `E_j` of Eq. 20, `[16][3]`.
+    pub indirect_basis: Buffer<f32>,
+}
+
+/// All floats of `tables` in the order of the device's buffer.
+pub fn flat(tables: &LightTables) -> Vec<f32> {
+    let levels = tables.specular.iter().flatten().flatten();
+    tables.diffuse.iter().chain(levels).copied().collect()
+}
+
+impl LightBuffers {
+    /// Uploads finished tables.
+    ///
+    /// # Errors
+    /// When they do not fit.
+    pub fn upload(
+        gpu: &Gpu,
+        tables: &LightTables,
+        order: usize,
+        indirect_basis: &[[f32; 3]; 16],
+    ) -> Result<Self, DeviceError> {
+        Ok(Self {
+            layout: TablesUniform::new(tables, order),
+            values: gpu.upload("light tables", &flat(tables))?,
+            indirect_basis: gpu.upload("indirect basis", indirect_basis.as_flattened())?,
+        })
+    }
+}

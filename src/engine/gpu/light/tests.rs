@@ -1,0 +1,147 @@
+//! The light of a training against the host's operators.
+
+use crate::engine::LightWeights;
+use crate::engine::gpu::light::training::EnvironmentUniform;
+use crate::engine::gpu::light::{TablesUniform, TrainingLight, flat};
+use crate::engine::gpu::model::ModelBuffers;
+use crate::engine::gpu::shaders::assert_layout;
+use crate::engine::gpu::{Buffer, Gpu, shaders};
+use crate::engine::{indirect_basis, indirect_basis_backward};
+use crate::light::{DAYLIGHT, EnvOperators, TableResolution};
+use crate::scene::{Gaussians, IndirectForm, Model, ShadingOptions, softplus, texel_directions};
+
+const WEIGHTS: LightWeights = LightWeights { neutrality: 0.3, exposure: 0.7, daylight: 0.4 };
+
+fn model() -> Model {
+    let env_raw: Vec<[f32; 3]> =
+        (0..128).map(|i| std::array::from_fn(|c| ((i * 7 + c * 3) % 11) as f32 * 0.3 - 1.2)).collect();
+    Model {
+        gaussians: Gaussians::zeroed(3, 2, 2, 0),
+        prototypes: vec![[0.5; 3]; 2],
+        env_raw,
+        env_width: 16,
+        env_height: 8,
+        shading: ShadingOptions::default(),
+        world_scale: 1.0,
+        world_offset: glam::DVec3::ZERO,
+        card: serde_json::Value::Null,
+    }
+}
+
+struct Run {
+    operators: EnvOperators,
+    light: TrainingLight,
+    buffers: ModelBuffers,
+    losses: Buffer<f32>,
+}
+
+fn applied(gpu: &Gpu, model: &Model) -> Run {
+    let operators = EnvOperators::new(16, 8, 2, TableResolution::TRAINING);
+    let light = TrainingLight::new(gpu, &operators).unwrap();
+    let buffers = ModelBuffers::upload(gpu, model).unwrap();
+    let losses = gpu.buffer("losses", 16).unwrap();
+    let mut recorder = gpu.record();
+    recorder.clear(&losses);
+    light.apply(&mut recorder, &buffers, &WEIGHTS, &losses);
+    recorder.submit().unwrap();
+    Run { operators, light, buffers, losses }
+}
+
+fn radiance(model: &Model) -> Vec<[f32; 3]> {
+    model.env_raw.iter().map(|t| t.map(softplus)).collect()
+}
+
+fn worst(a: &[f32], b: &[f32]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    let most = b.iter().fold(1e-12f32, |m, v| m.max(v.abs()));
+    a.iter().zip(b).fold(0.0f32, |m, (a, b)| m.max((a - b).abs() / most))
+}
+
+/// The terms on the light in f64: value, and gradient by radiance.
+fn terms(radiance: &[[f32; 3]]) -> (f64, f64) {
+    let upward: Vec<f64> = texel_directions(16, 8)
+        .iter()
+        .map(|(d, w)| d.z.max(0.0) * w / (3.0 * std::f64::consts::PI))
+        .collect();
+    let (mut neutral, mut above) = (0.0, [0.0; 3]);
+    for (l, share) in radiance.iter().zip(upward) {
+        let l = l.map(f64::from);
+        let grey = (l[0] + l[1] + l[2]) / 3.0;
+        neutral += l.iter().map(|v| (v - grey).abs()).sum::<f64>();
+        (0..3).for_each(|c| above[c] += share * l[c]);
+    }
+    let n = 3.0 * radiance.len() as f64;
+    let level = above.iter().sum::<f64>().ln();
+    let colour = (above[2] / above[0]).ln() - f64::from(DAYLIGHT[2] / DAYLIGHT[0]).ln();
+    let by_above = f64::from(WEIGHTS.exposure) * level.powi(2) + f64::from(WEIGHTS.daylight) * colour.powi(2);
+    (f64::from(WEIGHTS.neutrality) * neutral / n, by_above)
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn tables_and_basis_are_those_of_the_host() {
+    let gpu = Gpu::for_tests();
+    let model = model();
+    let run = applied(&gpu, &model);
+    let expected = run.operators.apply(&radiance(&model));
+    assert_layout!(TablesUniform as "Tables" in shaders::ENV_TABLES; diffuse_n, coefficients, n_coefficients,
+        n_specular, specular_n, specular_first);
+    assert_layout!(EnvironmentUniform as "Environment" in shaders::ENV_BACKWARD; n_texels, first_texel, neutrality,
+        exposure, daylight, blue_over_red);
+    let light = &run.light.light;
+    let values = gpu.read(&light.values, 0..light.values.len()).unwrap();
+    assert!(worst(&values, &flat(&expected)) < 2e-6);
+    let basis = gpu.read(&light.indirect_basis, 0..48).unwrap();
+    assert!(worst(&basis, indirect_basis(&expected).as_flattened()) < 3e-6);
+    let mut other = radiance(&model);
+    other[5][1] += 0.05;
+    assert!(worst(&values, &flat(&run.operators.apply(&other))) > 1e-4, "the control: one texel shows");
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn the_gradient_of_the_light_is_the_transposed_operator_and_the_terms() {
+    let gpu = Gpu::for_tests();
+    let mut model = model();
+    let run = applied(&gpu, &model);
+    let losses = gpu.read(&run.losses, 0..16).unwrap();
+    let (neutral, exposure) = terms(&radiance(&model));
+    assert!((f64::from(losses[9]) - neutral).abs() < 1e-5 * neutral, "{} {neutral}", losses[9]);
+    assert!((f64::from(losses[10]) - exposure).abs() < 1e-5 * exposure, "{} {exposure}", losses[10]);
+    // A made-up gradient of the tables and of the basis.
+    let mut by_tables = run.operators.shape();
+    by_tables.diffuse.iter_mut().enumerate().for_each(|(i, v)| *v = ((i * 31) % 17) as f32 * 1e-3 - 8e-3);
+    for level in &mut by_tables.specular {
+        level
+            .iter_mut()
+            .enumerate()
+            .for_each(|(i, v)| *v = [(i % 3) as f32 * 1e-3, -1e-3, (i % 5) as f32 * 1e-3]);
+    }
+    let by_basis: [[f32; 3]; 16] = std::array::from_fn(|j| [0.1 * j as f32, -0.2, 0.05]);
+    gpu.write(&run.light.tables_gradient, 0, &flat(&by_tables));
+    gpu.write(&run.light.basis_gradient, 0, by_basis.as_flattened());
+    let out: Buffer<f32> = gpu.buffer("gradient", run.buffers.globals.len()).unwrap();
+    let mut recorder = gpu.record();
+    run.light.backward(&mut recorder, &run.buffers, &WEIGHTS, IndirectForm::Learned, &out);
+    recorder.submit().unwrap();
+    let found = gpu.read(&out, 6..out.len()).unwrap();
+    indirect_basis_backward(&by_basis, &mut by_tables);
+    let mut expected = run.operators.apply_transposed(&by_tables);
+    // The terms by central differences of their f64 values.
+    for t in 0..expected.len() {
+        for c in 0..3 {
+            let at = |step: f32| {
+                let mut moved = radiance(&model);
+                moved[t][c] += step;
+                let (a, b) = terms(&moved);
+                a + b
+            };
+            expected[t][c] += ((at(1e-3) - at(-1e-3)) / 2e-3) as f32;
+            expected[t][c] /= 1.0 + (-model.env_raw[t][c]).exp();
+        }
+    }
+    let error = worst(&found, expected.as_flattened());
+    assert!(error < 2e-3, "{error}");
+    model.env_raw[0][0] += 1.0;
+    assert!(worst(&found, &found.iter().map(|v| v * 1.01).collect::<Vec<_>>()) > 5e-3, "the control");
+}

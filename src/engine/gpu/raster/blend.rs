@@ -1,0 +1,74 @@
+//! Front-to-back blending of attribute rows into a G-buffer (Eq. 4-5).
+
+use crate::engine::DeviceError;
+use crate::engine::constants::{EarlyStop, TRANSMITTANCE_STOP};
+use crate::engine::gpu::grow::grow;
+use crate::engine::gpu::permutations::{by_groups, groups};
+use crate::engine::gpu::raster::attributes::Attributed;
+use crate::engine::gpu::raster::records::{BlendEnd, Words};
+use crate::engine::gpu::{Buffer, CameraUniform, Recorder, shaders, uniform};
+
+/// Where complete blending ends: what lies behind adds less than the last digit of anything, and transmittances can
+/// still be recovered by division.
+const LAST_TRANSMITTANCE: f32 = 1e-30;
+
+/// A view with its G-buffer.
+#[derive(Debug)]
+pub struct Blended<'r> {
+    pub(in crate::engine::gpu) attributed: Attributed<'r>,
+    pub(super) gbuffer: Buffer<[f32; 4]>,
+    /// By pixel.
+    pub(super) ends: Buffer<BlendEnd>,
+}
+
+impl Blended<'_> {
+    /// The camera of the view.
+    pub fn camera(&self) -> &CameraUniform {
+        &self.attributed.projected.camera
+    }
+
+    /// The G-buffer, `[group][pixel]`; elements beyond those of the view are undefined.
+    pub fn gbuffer(&self) -> &Buffer<[f32; 4]> {
+        &self.gbuffer
+    }
+}
+
+impl<'r> Attributed<'r> {
+    /// Blends the rows into a G-buffer.
+    ///
+    /// # Errors
+    /// As [`Gpu::buffer`](crate::engine::gpu::Gpu::buffer).
+    pub fn blend(self, rec: &mut Recorder<'_>, blending: EarlyStop) -> Result<Blended<'r>, DeviceError> {
+        use shaders::*;
+        rec.stage("blend");
+        let groups = groups(self.channels);
+        let kernels =
+            [&BLEND_1, &BLEND_2, &BLEND_4, &BLEND_6, &BLEND_8, &BLEND_9, &BLEND_12, &BLEND_14, &BLEND_18];
+        let kernel = by_groups(groups, kernels)?;
+        let pixels = self.projected.camera.pixels();
+        let raster = &mut *self.projected.raster;
+        let gbuffer = grow(&raster.gpu, "the G-buffer", &mut raster.gbuffer, groups * pixels)?;
+        let ends = grow(&raster.gpu, "blend ends", &mut raster.ends, pixels)?;
+        let p = &self.projected;
+        let least = match blending {
+            EarlyStop::WhenSaturated => TRANSMITTANCE_STOP,
+            EarlyStop::Never => LAST_TRANSMITTANCE,
+        };
+        let bindings = [
+            uniform(&p.camera),
+            uniform(&Words([least.to_bits(), 0, 0, 0])),
+            (&p.splats).into(),
+            (&self.rows).into(),
+            (&p.tiles.gaussian_of_slot).into(),
+            (&p.tiles.first_slot).into(),
+            (&gbuffer).into(),
+            (&ends).into(),
+        ];
+        rec.dispatch(kernel, p.camera.tile_groups(), &bindings);
+        // Footprints and rows once a tile, sums once a pixel; an exponent and 4 groups of multiply-adds a pair.
+        let row = 64 + 16 * groups as u64;
+        let bytes = p.counts.instances as u64 * row + pixels as u64 * (16 * groups as u64 + 8);
+        rec.work(bytes, p.pairs() * (14 + 8 * groups as u64));
+        Ok(Blended { attributed: self, gbuffer, ends })
+    }
+}

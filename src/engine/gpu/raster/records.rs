@@ -1,0 +1,46 @@
+//! Structs that the rasteriser's shaders read and write.
+
+use bytemuck::{Pod, Zeroable};
+
+/// Four numbers of a dispatch: counts, flags or bits of floats, as each shader names them.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(super) struct Words(pub(super) [u32; 4]);
+
+/// `Splat` of `shaders/shared/splat.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct SplatRecord {
+    /// Projected mean, pixels.
+    pub mean: [f32; 2],
+    /// Opacity, compensation included.
+    pub opacity: f32,
+    /// `ln(255 opacity)`.
+    pub reach: f32,
+    /// Inverse of the screen covariance.
+    pub conic: [f32; 3],
+    /// Camera depth.
+    pub depth: f32,
+    /// Screen covariance, low-pass included.
+    pub covariance: [f32; 3],
+    /// Factor of the compensation.
+    pub compensation: f32,
+    /// Tiles it reaches.
+    pub n_tiles: u32,
+    /// 1 when visible; otherwise nothing else may be read.
+    pub flags: u32,
+    /// Unused.
+    pub pad_a: u32,
+    /// Unused.
+    pub pad_b: u32,
+}
+
+/// `BlendEnd` of `shared/alpha.wgsl`: where a pixel's blending ended.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct BlendEnd {
+    /// Transmittance behind the last splat that counted.
+    pub transmittance: f32,
+    /// The slot after that splat's.
+    pub slot: u32,
+}

@@ -1,0 +1,89 @@
+//! From a G-buffer to the outputs that were asked for.
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::engine::DeviceError;
+use crate::engine::Output;
+use crate::engine::gpu::permutations::by_coefficients;
+use crate::engine::gpu::shading::Shading;
+use crate::engine::gpu::{Buffer, CameraUniform, Gpu, Recorder, shaders, uniform};
+
+#[cfg(test)]
+mod tests;
+
+/// `Resolve` of `shaders/resolve.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+struct ResolveUniform {
+    /// First float of each output, in the order of [`Output`].
+    first: [u32; 12],
+    depth_scale: f32,
+    pad_a: u32,
+    pad_b: u32,
+    pad_c: u32,
+}
+
+/// Outputs of one view in device memory, one after another.
+#[derive(Debug, Clone)]
+pub struct Planes {
+    wanted: Vec<Output>,
+    /// First float of each output, and the end.
+    first: Vec<usize>,
+    values: Buffer<f32>,
+}
+
+impl Planes {
+    /// Memory for `wanted` (each at most once) of `pixels` pixels.
+    ///
+    /// # Errors
+    /// [`DeviceError::TooLarge`] with the numbers, [`DeviceError::OutOfMemory`].
+    pub fn new(gpu: &Gpu, pixels: usize, wanted: &[Output]) -> Result<Self, DeviceError> {
+        let mut first = vec![0];
+        let mut end = 0;
+        for output in wanted {
+            end += output.channels() * pixels;
+            first.push(end);
+        }
+        Ok(Self { wanted: wanted.to_vec(), first, values: gpu.buffer("the outputs", end)? })
+    }
+
+    /// True when this is memory for exactly `wanted` of `pixels` pixels.
+    pub fn fits(&self, pixels: usize, wanted: &[Output]) -> bool {
+        self.wanted == wanted
+            && self.values.len() == pixels * wanted.iter().map(|p| p.channels()).sum::<usize>()
+    }
+
+    /// Computes the outputs from a full G-buffer, `[group][pixel]`; `depth_scale` turns model units into capture units.
+    ///
+    /// # Errors
+    /// When there is no kernel for the number of visibility coefficients.
+    pub fn resolve(
+        &self,
+        recorder: &mut Recorder<'_>,
+        camera: &CameraUniform,
+        shading: &Shading,
+        gbuffer: &Buffer<[f32; 4]>,
+        depth_scale: f32,
+    ) -> Result<(), DeviceError> {
+        use shaders::*;
+        let all = [&RESOLVE_1, &RESOLVE_4, &RESOLVE_9, &RESOLVE_16, &RESOLVE_25, &RESOLVE_36, &RESOLVE_49];
+        let kernel = by_coefficients(shading.coefficients(), all)?;
+        let mut wanted = ResolveUniform { first: [u32::MAX; 12], depth_scale, pad_a: 0, pad_b: 0, pad_c: 0 };
+        for (output, first) in self.wanted.iter().zip(&self.first) {
+            wanted.first[*output as usize] = *first as u32;
+        }
+        let rest = vec![uniform(&wanted), gbuffer.into(), (&self.values).into()];
+        shading.dispatch(recorder, camera, kernel, camera.tile_groups(), rest);
+        Ok(())
+    }
+
+    /// Copies the outputs to the host, in the order they were asked for; waits for the device.
+    ///
+    /// # Errors
+    /// Whatever went wrong on the device meanwhile.
+    pub fn read(&self, gpu: &Gpu) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+        let values = gpu.read(&self.values, 0..self.values.len())?;
+        let ranges = self.first.windows(2).map(|w| w[0]..w[1]);
+        Ok(self.wanted.iter().zip(ranges).map(|(p, range)| (*p, values[range].to_vec())).collect())
+    }
+}

@@ -1,0 +1,70 @@
+//! Buffers of the size of the image, and the terms of the objective on images and buffers.
+
+use crate::engine::DeviceError;
+use crate::engine::channel::Channels;
+use crate::engine::gpu::objective::{ImageTerm, LossSlot, surface_terms};
+use crate::engine::gpu::raster::Blended;
+use crate::engine::gpu::shading::Images;
+use crate::engine::gpu::{Buffer, Gpu, Recorder};
+use crate::engine::{ImageWeights, Step};
+
+/// Buffers of the size of the image.
+#[derive(Debug, Clone)]
+pub(super) struct Canvas {
+    pixels: usize,
+    pub(super) images: Images,
+    pub(super) by_images: Images,
+    /// Partial derivatives of the image terms, three elements a pixel.
+    partials: Buffer<[f32; 4]>,
+    /// Gradient by the buffers themselves, two elements a pixel.
+    pub(super) by_buffers: Buffer<[f32; 4]>,
+}
+
+impl Canvas {
+    /// The canvas in `slot`, replaced when it has another number of pixels.
+    pub(super) fn at(slot: &mut Option<Self>, gpu: &Gpu, pixels: usize) -> Result<Self, DeviceError> {
+        if let Some(canvas) = slot.as_ref().filter(|canvas| canvas.pixels == pixels) {
+            return Ok(canvas.clone());
+        }
+        // The old one goes first: both at once may not fit.
+        *slot = None;
+        let canvas = Self {
+            pixels,
+            images: Images::new(gpu, pixels)?,
+            by_images: Images::new(gpu, pixels)?,
+            partials: gpu.buffer("partial derivatives of the image terms", 3 * pixels)?,
+            by_buffers: gpu.buffer("gradient by the buffers", 2 * pixels)?,
+        };
+        Ok(slot.insert(canvas).clone())
+    }
+
+    /// Adds the terms on the images and buffers of `frame` to `losses`, and writes their gradients.
+    pub(super) fn terms(
+        &self,
+        recorder: &mut Recorder<'_>,
+        step: &Step<'_>,
+        channels: Channels,
+        photo: &Buffer<[f32; 4]>,
+        frame: &Blended<'_>,
+        losses: &Buffer<f32>,
+    ) {
+        recorder.stage("losses");
+        let (camera, gbuffer) = (frame.camera(), frame.gbuffer());
+        let term = |image, weights: &ImageWeights, slot| ImageTerm {
+            camera,
+            image,
+            photo,
+            slot,
+            weights: *weights,
+            partials: &self.partials,
+        };
+        if step.branches.is_physical() {
+            let physical = term(&self.images.physical, &step.weights.physical, LossSlot::PhysicalL1);
+            physical.record(recorder, &self.by_images.physical, losses);
+        }
+        let radiance = term(&self.images.radiance, &step.weights.radiance, LossSlot::RadianceL1);
+        radiance.record(recorder, &self.by_images.radiance, losses);
+        let buffers = [gbuffer, photo, &self.by_buffers];
+        surface_terms(recorder, camera, channels, &step.weights.surface, buffers, losses);
+    }
+}

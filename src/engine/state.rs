@@ -1,0 +1,67 @@
+//! What a training has learned and measured so far, on the host.
+
+use crate::engine::density::DensityStats;
+use crate::scene::{Gaussians, Model};
+
+/// First and second moments of Adam, shaped like the model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moments {
+    /// First moments of the Gaussians.
+    pub first: Gaussians,
+    /// Second moments of the Gaussians.
+    pub second: Gaussians,
+    /// First and second moments of prototypes, then environment texels.
+    pub globals: [Vec<[f32; 3]>; 2],
+}
+
+impl Moments {
+    /// Zero moments for `model`.
+    pub fn zeroed(model: &Model) -> Self {
+        let g = &model.gaussians;
+        let zero = Gaussians::zeroed(g.len(), g.prototypes(), g.visibility_order(), g.radiance_order());
+        let globals = vec![[0.0; 3]; model.prototypes.len() + model.env_raw.len()];
+        Self { first: zero.clone(), second: zero, globals: [globals.clone(), globals] }
+    }
+
+    /// Moments of the Gaussians that survive density control; new ones (`None`) start from zero.
+    pub fn gather(&mut self, indices: &[Option<usize>]) {
+        let pick: Vec<usize> = indices.iter().map(|i| i.unwrap_or(0)).collect();
+        for moments in [&mut self.first, &mut self.second] {
+            let mut picked = moments.gathered(&pick);
+            for (_, width, data) in picked.fields_mut() {
+                for (row, _) in data.chunks_mut(width.max(1)).zip(indices).filter(|(_, i)| i.is_none()) {
+                    row.fill(0.0);
+                }
+            }
+            *moments = picked;
+        }
+    }
+}
+
+/// All that a training has learned and measured.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainState {
+    /// The model.
+    pub model: Model,
+    /// Optimiser moments.
+    pub moments: Moments,
+    /// Density statistics since the last round.
+    pub density: DensityStats,
+    /// Probe labels, `[Gaussian][coefficient]`; empty before the first measurement.
+    pub labels: Vec<f32>,
+    /// Gathered light: irradiance and blocked radiance, `[Gaussian][6]`; empty before the first measurement.
+    pub gathered: Vec<[f32; 6]>,
+}
+
+impl TrainState {
+    /// The start from an initial model.
+    pub fn new(model: Model) -> Self {
+        Self {
+            moments: Moments::zeroed(&model),
+            density: DensityStats::zeroed(model.gaussians.len()),
+            labels: Vec::new(),
+            gathered: Vec::new(),
+            model,
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! The seam between the schedule of a training and the engine that does its arithmetic.
+//!
+//! It is as wide as a whole step: between two steps a device keeps everything learned in its own memory, and the host
+//! asks for it only when a checkpoint, a model or a decision needs it.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use crate::engine::density::{DensityPlan, DensitySignals};
+use crate::engine::step::{ProbeMeasurement, Step, StepSums};
+use crate::engine::{DeviceError, TrainState};
+use crate::light::EnvOperators;
+
+/// The arithmetic of a training on one device.
+pub trait Training: Send {
+    /// Objective, gradients, density statistics and parameter update for one photograph. A step that is not finite leaves
+    /// a state that must not be built on.
+    ///
+    /// # Errors
+    /// What went wrong on the device; as for every method here.
+    fn step(&mut self, step: &Step<'_>) -> Result<StepSums, DeviceError>;
+
+    /// Measures visibility and gathered light anew.
+    fn measure(&mut self, how: &ProbeMeasurement) -> Result<(), DeviceError>;
+
+    /// What density control plans from.
+    fn density_signals(&self) -> Result<DensitySignals, DeviceError>;
+
+    /// Rebuilds the model as `plan` says and clears the statistics.
+    fn rebuild(&mut self, plan: &DensityPlan) -> Result<(), DeviceError>;
+
+    /// Goes on from another state of the same shape.
+    fn load(&mut self, state: TrainState) -> Result<(), DeviceError>;
+
+    /// Goes on from a state of another shape (orders, prototypes, forward model, number of Gaussians) with the operators
+    /// that belong to it, and makes it the snapshot. The state must be finite.
+    fn reshape(&mut self, state: TrainState, operators: &Arc<EnvOperators>) -> Result<(), DeviceError>;
+
+    /// Makes this the state that [`Training::roll_back`] returns to, unless it is known not to be finite; says whether it
+    /// was taken.
+    fn snapshot(&mut self) -> Result<bool, DeviceError>;
+
+    /// Returns to the last snapshot.
+    fn roll_back(&mut self) -> Result<(), DeviceError>;
+
+    /// Gaussians now.
+    fn gaussians(&self) -> usize;
+
+    /// All that has been learned, on the host.
+    fn state(&self) -> Result<Cow<'_, TrainState>, DeviceError>;
+
+    /// Name of the engine, for the model card.
+    fn engine(&self) -> &'static str;
+}
+
+/// How large a training may become, so that a device can refuse it before the first step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TrainingLimits {
+    /// Longest side asked for, pixels; for the message.
+    pub resolution: u32,
+    /// Pixels of the largest photograph.
+    pub pixels: usize,
+    /// Most Gaussians.
+    pub max_gaussians: u32,
+    /// Probe directions.
+    pub probe_directions: u32,
+}

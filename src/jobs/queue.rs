@@ -1,0 +1,167 @@
+//! What clients of the service do to jobs, and what is done about leases that ran out.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+
+use crate::api::JobId;
+use crate::api::jobs::{JobState, NewJob};
+use crate::jobs::clock::{Clock, Ids};
+use crate::store::{
+    CancelOutcome, EventRecord, IdempotencyKey, JobRecord, Page, Store, StoreError, Submitted,
+};
+
+/// How leases behave.
+#[derive(Debug, Clone, Copy)]
+pub struct LeasePolicy {
+    /// How long a claim lasts without a heartbeat.
+    pub duration: Duration,
+    /// Attempts without a new checkpoint before a job is given up.
+    pub max_idle_attempts: u32,
+}
+
+impl Default for LeasePolicy {
+    fn default() -> Self {
+        // Heartbeats follow steps only, and there is none while a large capture is imported.
+        Self { duration: Duration::from_secs(600), max_idle_attempts: 5 }
+    }
+}
+
+/// The job queue.
+#[derive(Clone)]
+pub struct Jobs {
+    pub(super) store: Store,
+    clock: Arc<dyn Clock>,
+    ids: Arc<dyn Ids>,
+    pub(super) policy: LeasePolicy,
+    changes: Arc<watch::Sender<()>>,
+}
+
+impl Jobs {
+    /// A queue on `store`.
+    pub fn new(store: Store, clock: Arc<dyn Clock>, ids: Arc<dyn Ids>, policy: LeasePolicy) -> Self {
+        Self { store, clock, ids, policy, changes: Arc::new(watch::Sender::new(())) }
+    }
+
+    /// The store beneath.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// The current time, milliseconds since 1970 UTC.
+    pub fn now_ms(&self) -> i64 {
+        self.clock.now_ms()
+    }
+
+    /// A fresh identifier.
+    pub fn fresh_id<I: From<String>>(&self) -> I {
+        self.ids.fresh().into()
+    }
+
+    /// Wakes when some job may have changed; what changed is in the store.
+    pub fn subscribe(&self) -> watch::Receiver<()> {
+        self.changes.subscribe()
+    }
+
+    /// Queues a job of `total` steps, as a repetition of `retry_of` if that is given; see [`Store::submit_job`].
+    ///
+    /// # Errors
+    /// [`StoreError::KeyReused`] when the key came with another request before.
+    pub async fn submit(
+        &self,
+        request: NewJob,
+        total: i64,
+        retry_of: Option<JobId>,
+        key: Option<&IdempotencyKey>,
+        answer: impl FnOnce(&JobRecord, Option<i64>) -> String + Send,
+    ) -> Result<Submitted, StoreError> {
+        let job = JobRecord { retry_of, ..JobRecord::queued(self.fresh_id(), request, total, self.now_ms()) };
+        let submitted = self.store.submit_job(&job, key, answer).await?;
+        self.announce();
+        Ok(submitted)
+    }
+
+    /// A job and, while it waits, how many run before it.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn get(&self, id: &JobId) -> Result<Option<(JobRecord, Option<i64>)>, StoreError> {
+        let Some(job) = self.store.job(id).await? else { return Ok(None) };
+        let position = match job.state {
+            JobState::Queued => self.store.queue_position(id).await?,
+            _ => None,
+        };
+        Ok(Some((job, position)))
+    }
+
+    /// Jobs, newest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn list(&self, state: Option<JobState>, page: &Page) -> Result<Vec<JobRecord>, StoreError> {
+        self.store.jobs(state, page).await
+    }
+
+    /// Cancels a queued job at once, asks a running one to stop.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn cancel(&self, id: &JobId) -> Result<CancelOutcome, StoreError> {
+        let outcome = self.store.cancel_job(id, self.now_ms()).await?;
+        self.announce();
+        Ok(outcome)
+    }
+
+    /// Changes the priority of a job that waits; `false` when it does not wait.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn set_priority(&self, id: &JobId, priority: i64) -> Result<bool, StoreError> {
+        self.store.set_priority(id, priority).await
+    }
+
+    /// Events of a job after number `after`, oldest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn events_after(&self, id: &JobId, after: i64) -> Result<Vec<EventRecord>, StoreError> {
+        self.store.events_after(id, after).await
+    }
+
+    /// Takes back leases that ran out.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn reclaim_expired(&self) -> Result<Vec<JobRecord>, StoreError> {
+        self.reclaim(self.now_ms()).await
+    }
+
+    /// Takes back every lease. The caller must hold the node lock: then every worker is dead.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn reclaim_all(&self) -> Result<Vec<JobRecord>, StoreError> {
+        self.reclaim(i64::MAX).await
+    }
+
+    async fn reclaim(&self, expired_ms: i64) -> Result<Vec<JobRecord>, StoreError> {
+        let max_idle = i64::from(self.policy.max_idle_attempts);
+        let jobs = self.store.reclaim_leases(expired_ms, max_idle, self.now_ms()).await?;
+        for job in &jobs {
+            tracing::info!(job = %job.id, state = job.state.name(), "took a lease back");
+        }
+        if !jobs.is_empty() {
+            self.announce();
+        }
+        Ok(jobs)
+    }
+
+    pub(super) fn lease_end(&self, now_ms: i64) -> i64 {
+        now_ms.saturating_add(i64::try_from(self.policy.duration.as_millis()).unwrap_or(i64::MAX))
+    }
+
+    pub(super) fn announce(&self) {
+        self.changes.send_replace(());
+    }
+}

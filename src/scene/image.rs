@@ -1,0 +1,100 @@
+//! Images in memory: display-referred photographs, and planes of floats.
+
+/// A display-referred RGBA image: sRGB-curve colour and straight alpha, both in [0, 1], row-major.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImageRgba {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Row-major pixels `r g b a`.
+    pub pixels: Vec<[f32; 4]>,
+}
+
+/// A row-major image of `C` floats per pixel, e.g. a ground-truth layer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plane<const C: usize> {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Row-major values.
+    pub values: Vec<[f32; C]>,
+}
+
+impl ImageRgba {
+    /// RGB over a solid display-referred background.
+    pub fn over(&self, background: [f32; 3]) -> Vec<[f32; 3]> {
+        let blend = |p: &[f32; 4]| std::array::from_fn(|k| p[k] * p[3] + background[k] * (1.0 - p[3]));
+        self.pixels.iter().map(blend).collect()
+    }
+
+    /// The image reduced to `width` x `height` by area averaging with premultiplied alpha.
+    #[must_use]
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        if (width, height) == (self.width, self.height) {
+            return self.clone();
+        }
+        let premultiplied =
+            self.pixels.iter().map(|p| [p[0] * p[3], p[1] * p[3], p[2] * p[3], p[3]]).collect();
+        let plane = Plane { width: self.width, height: self.height, values: premultiplied };
+        let small = plane.resized(width, height);
+        let straight = |p: [f32; 4]| {
+            let a = p[3].max(1e-8);
+            [(p[0] / a).min(1.0), (p[1] / a).min(1.0), (p[2] / a).min(1.0), p[3].min(1.0)]
+        };
+        Self { width, height, pixels: small.values.into_iter().map(straight).collect() }
+    }
+}
+
+impl<const C: usize> Plane<C> {
+    /// The image reduced to `width` x `height` by exact area averaging.
+    #[must_use]
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        let rows = spans(self.height, height);
+        let columns = spans(self.width, width);
+        let mut values = Vec::with_capacity(rows.len() * columns.len());
+        for row in &rows {
+            for column in &columns {
+                let mut sum = [0.0f64; C];
+                for &(y, wy) in row {
+                    for &(x, wx) in column {
+                        let v = &self.values[y * self.width as usize + x];
+                        (0..C).for_each(|k| sum[k] += f64::from(v[k]) * wx * wy);
+                    }
+                }
+                values.push(sum.map(|s| s as f32));
+            }
+        }
+        Self { width, height, values }
+    }
+}
+
+/// For each new cell, the old cells under it and their shares, summing to 1.
+fn spans(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
+    let ratio = f64::from(from) / f64::from(to);
+    (0..to)
+        .map(|i| {
+            let (lo, hi) = (f64::from(i) * ratio, f64::from(i + 1) * ratio);
+            let last = (hi.ceil() as usize).min(from as usize);
+            let share = |j: usize| (hi.min(j as f64 + 1.0) - lo.max(j as f64)).max(0.0) / ratio;
+            (lo as usize..last).map(|j| (j, share(j))).filter(|&(_, w)| w > 1e-9).collect()
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn resizing_keeps_the_mean_and_ignores_colour_under_zero_alpha() {
+        let mut pixels = vec![[1.0, 0.0, 0.0, 1.0]; 16];
+        pixels[5] = [0.0, 1.0, 0.0, 0.0];
+        let image = ImageRgba { width: 4, height: 4, pixels };
+        let small = image.resized(2, 2);
+        assert!(small.pixels.iter().all(|p| (p[0] - 1.0).abs() < 1e-6 && p[1] == 0.0));
+        let mean: f32 = small.pixels.iter().map(|p| p[3]).sum::<f32>() / 4.0;
+        assert!((mean - 15.0 / 16.0).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,45 @@
+//! The state behind the routes.
+
+use std::sync::Arc;
+
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+use utoipa::openapi::OpenApi;
+
+use crate::jobs::Jobs;
+use crate::store::Store;
+use crate::worker::DeviceHandle;
+
+/// What handlers share.
+pub(super) type Shared = Arc<App>;
+
+/// Bounds on what a request may bring.
+#[derive(Debug, Clone, Copy)]
+pub struct RequestLimits {
+    /// Bytes of a capture archive.
+    pub capture_bytes: u64,
+    /// Bytes of an environment file.
+    pub environment_bytes: u64,
+}
+
+impl Default for RequestLimits {
+    fn default() -> Self {
+        Self { capture_bytes: 16 << 30, environment_bytes: 256 << 20 }
+    }
+}
+
+/// The state behind the routes.
+pub(super) struct App {
+    pub(super) store: Store,
+    pub(super) jobs: Jobs,
+    pub(super) device: DeviceHandle,
+    pub(super) limits: RequestLimits,
+    /// Permits for work that needs much memory.
+    pub(super) imports: Semaphore,
+    /// Cancelled when the server begins to shut down.
+    pub(super) stop: CancellationToken,
+    /// True when no API key is asked for.
+    pub(super) is_open: bool,
+    /// The description of the API.
+    pub(super) description: OpenApi,
+}

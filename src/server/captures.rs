@@ -1,0 +1,153 @@
+//! `/v1/captures`: archives of posed photographs.
+
+use axum::Json;
+use axum::extract::{Path, Request, State};
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::captures::CaptureSummary;
+use crate::api::problem::ContentError;
+use crate::api::{CaptureId, List, Problem};
+use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
+use crate::server::app::Shared;
+use crate::server::description::{ArchiveForm, File};
+use crate::server::extract::QueryString;
+use crate::server::listing::{PageQuery, list, rfc3339};
+use crate::server::upload::{self, Expected};
+use crate::store::{CaptureRecord, Incoming};
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new()
+        .routes(routes!(upload_capture, list_captures))
+        .routes(routes!(validate_capture))
+        .routes(routes!(get_capture))
+}
+
+/// Upload a capture
+///
+/// A zip, tar or tar.gz, as the raw body or as the multipart field `archive`. It is streamed to disk, hashed and
+/// validated; 201 means that every byte is durable. The same content again gives the same capture and 200.
+#[utoipa::path(
+    post, path = "/v1/captures", tag = "captures",
+    request_body(content(
+        (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
+        (ArchiveForm = "multipart/form-data")
+    )),
+    responses(
+        (status = 201, body = CaptureSummary), (status = 200, body = CaptureSummary, description = "Stored before"),
+        (status = 413, body = Problem), (status = 415, body = Problem),
+        (status = 422, body = Problem, description = "Refused; names the file and field"),
+        (status = 507, body = Problem, description = "The disk is full; nothing was stored")
+    )
+)]
+async fn upload_capture(State(app): State<Shared>, request: Request) -> Result<Response, Problem> {
+    let incoming = receive(&app, request).await?;
+    if let Some(known) = app.store.capture_by_hash(&incoming.sha256).await? {
+        return Ok(Json(view(known)).into_response());
+    }
+    let report = validate(&app, &incoming).await?;
+    let record = CaptureRecord {
+        id: app.jobs.fresh_id(),
+        sha256: incoming.sha256.clone(),
+        bytes: i64::try_from(incoming.bytes).unwrap_or(i64::MAX),
+        artifact: format!("captures/{}", incoming.sha256),
+        report,
+        created_ms: app.jobs.now_ms(),
+    };
+    app.store.artifacts().publish(incoming, &record.artifact).await?;
+    let stored = app.store.insert_capture(&record).await?;
+    let location = format!("/v1/captures/{}", stored.id);
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
+}
+
+/// Validate a capture without storing it
+///
+/// Takes what an upload takes and answers with the report, or with the problem that an upload would meet.
+#[utoipa::path(
+    post, path = "/v1/captures/validate", tag = "captures",
+    request_body(content(
+        (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
+        (ArchiveForm = "multipart/form-data")
+    )),
+    responses((status = 200, body = CaptureReport), (status = 422, body = Problem))
+)]
+async fn validate_capture(
+    State(app): State<Shared>,
+    request: Request,
+) -> Result<Json<CaptureReport>, Problem> {
+    let incoming = receive(&app, request).await?;
+    Ok(Json(validate(&app, &incoming).await?))
+}
+
+/// List captures
+#[utoipa::path(
+    get, path = "/v1/captures", tag = "captures", params(PageQuery),
+    responses((status = 200, body = List<CaptureSummary>))
+)]
+async fn list_captures(
+    State(app): State<Shared>,
+    QueryString(query): QueryString<PageQuery>,
+) -> Result<Json<List<CaptureSummary>>, Problem> {
+    let page = query.page()?;
+    let items = app.store.captures(&page).await?.into_iter().map(view).collect();
+    Ok(Json(list(items, &page, |c: &CaptureSummary| c.id.as_str())))
+}
+
+/// Get a capture
+#[utoipa::path(
+    get, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path)),
+    responses((status = 200, body = CaptureSummary), (status = 404, body = Problem))
+)]
+async fn get_capture(
+    State(app): State<Shared>,
+    Path(id): Path<CaptureId>,
+) -> Result<Json<CaptureSummary>, Problem> {
+    let record = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture", id.as_str()))?;
+    Ok(Json(view(record)))
+}
+
+async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
+    const MEDIA_TYPES: &[&str] = &[
+        "application/zip",
+        "application/x-zip-compressed",
+        "application/x-tar",
+        "application/gzip",
+        "application/x-gzip",
+        "application/octet-stream",
+    ];
+    let expected = Expected { field: "archive", media_types: MEDIA_TYPES, limit: app.limits.capture_bytes };
+    upload::receive(app, request, &expected).await
+}
+
+/// Decodes everything to see whether it can be decoded; a few archives at a time, since images take memory.
+async fn validate(app: &Shared, incoming: &Incoming) -> Result<CaptureReport, Problem> {
+    let _permit = app.imports.acquire().await.map_err(Problem::internal)?;
+    let path = incoming.path.clone();
+    let inspect = move || capture::inspect(&path, &ImportOptions::default());
+    tokio::task::spawn_blocking(inspect).await.map_err(Problem::internal)?.map_err(refused)
+}
+
+fn refused(error: CaptureError) -> Problem {
+    if !error.is_users_fault() {
+        return Problem::internal(error);
+    }
+    let content = ContentError {
+        code: error.code().to_owned(),
+        file: error.file().map(str::to_owned),
+        field: error.field().map(str::to_owned),
+    };
+    Problem::invalid_content(content, error.to_string())
+}
+
+fn view(record: CaptureRecord) -> CaptureSummary {
+    CaptureSummary {
+        id: record.id,
+        sha256: record.sha256,
+        bytes: record.bytes,
+        created_at: rfc3339(record.created_ms),
+        report: record.report,
+    }
+}

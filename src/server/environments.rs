@@ -1,0 +1,149 @@
+//! `/v1/environments`: HDR environment maps.
+
+use axum::Json;
+use axum::extract::{Path, Request, State};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::environments::{EnvironmentList, EnvironmentView};
+use crate::api::problem::ContentError;
+use crate::api::{EnvironmentId, Problem};
+use crate::capture::BUILTIN;
+use crate::formats::environment::{self, LoadedEnvironment};
+use crate::server::app::Shared;
+use crate::server::description::{EnvironmentForm, File};
+use crate::server::extract::QueryString;
+use crate::server::listing::{PageQuery, list, rfc3339};
+use crate::server::upload::{self, Expected};
+use crate::store::{EnvironmentRecord, Incoming};
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new()
+        .routes(routes!(upload_environment, list_environments))
+        .routes(routes!(get_environment))
+}
+
+/// How to name an uploaded map.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+struct UploadQuery {
+    /// A name for display, at most 128 characters.
+    name: Option<String>,
+}
+
+/// Upload an environment map
+///
+/// An equirectangular Radiance `.hdr` or OpenEXR, as the raw body or as the multipart field `environment`. Row 0
+/// looks along world +Z. NaN and infinity are refused; negative values are set to 0 with a warning.
+#[utoipa::path(
+    post, path = "/v1/environments", tag = "environments", params(UploadQuery),
+    request_body(content(
+        (File = "image/vnd.radiance"), (File = "image/x-exr"), (EnvironmentForm = "multipart/form-data")
+    )),
+    responses(
+        (status = 201, body = EnvironmentView),
+        (status = 200, body = EnvironmentView, description = "Stored before"),
+        (status = 413, body = Problem), (status = 415, body = Problem), (status = 422, body = Problem)
+    )
+)]
+async fn upload_environment(
+    State(app): State<Shared>,
+    QueryString(query): QueryString<UploadQuery>,
+    request: Request,
+) -> Result<Response, Problem> {
+    if query.name.as_ref().is_some_and(|n| n.is_empty() || n.chars().count() > 128) {
+        return Err(Problem::invalid_field("query/name", "must have 1 to 128 characters"));
+    }
+    let incoming = receive(&app, request).await?;
+    if let Some(known) = app.store.environment_by_hash(&incoming.sha256).await? {
+        return Ok(Json(view(known)).into_response());
+    }
+    let (width, height, warnings) = validate(&app, &incoming).await?;
+    let record = EnvironmentRecord {
+        id: app.jobs.fresh_id(),
+        sha256: incoming.sha256.clone(),
+        name: query.name,
+        bytes: i64::try_from(incoming.bytes).unwrap_or(i64::MAX),
+        artifact: format!("environments/{}", incoming.sha256),
+        width,
+        height,
+        warnings,
+        created_ms: app.jobs.now_ms(),
+    };
+    app.store.artifacts().publish(incoming, &record.artifact).await?;
+    let stored = app.store.insert_environment(&record).await?;
+    Ok((StatusCode::CREATED, Json(view(stored))).into_response())
+}
+
+/// List environment maps
+#[utoipa::path(
+    get, path = "/v1/environments", tag = "environments", params(PageQuery),
+    responses((status = 200, body = EnvironmentList))
+)]
+async fn list_environments(
+    State(app): State<Shared>,
+    QueryString(query): QueryString<PageQuery>,
+) -> Result<Json<EnvironmentList>, Problem> {
+    let page = query.page()?;
+    let items = app.store.environments(&page).await?.into_iter().map(view).collect();
+    Ok(Json(EnvironmentList {
+        builtin: BUILTIN.iter().map(|&name| name.to_owned()).collect(),
+        uploaded: list(items, &page, |e: &EnvironmentView| e.id.as_str()),
+    }))
+}
+
+/// Get an environment map
+#[utoipa::path(
+    get, path = "/v1/environments/{id}", tag = "environments", params(("id" = String, Path)),
+    responses((status = 200, body = EnvironmentView), (status = 404, body = Problem))
+)]
+async fn get_environment(
+    State(app): State<Shared>,
+    Path(id): Path<EnvironmentId>,
+) -> Result<Json<EnvironmentView>, Problem> {
+    let record = app.store.environment(&id).await?;
+    Ok(Json(view(record.ok_or_else(|| Problem::not_found("environment", id.as_str()))?)))
+}
+
+async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
+    const MEDIA_TYPES: &[&str] =
+        &["image/vnd.radiance", "image/x-hdr", "image/x-exr", "image/aces", "application/octet-stream"];
+    let limit = app.limits.environment_bytes;
+    let expected = Expected { field: "environment", media_types: MEDIA_TYPES, limit };
+    upload::receive(app, request, &expected).await
+}
+
+async fn validate(app: &Shared, incoming: &Incoming) -> Result<(i64, i64, Vec<String>), Problem> {
+    let _permit = app.imports.acquire().await.map_err(Problem::internal)?;
+    let bytes = tokio::fs::read(&incoming.path).await.map_err(Problem::internal)?;
+    let decoded = tokio::task::spawn_blocking(move || decode(&bytes)).await.map_err(Problem::internal)?;
+    let LoadedEnvironment { map, warnings } = decoded?;
+    Ok((map.width() as i64, map.height() as i64, warnings))
+}
+
+/// Decodes an uploaded map.
+pub(super) fn decode(bytes: &[u8]) -> Result<LoadedEnvironment, Problem> {
+    environment::decode(bytes).map_err(|error| {
+        let code = "environment_invalid".to_owned();
+        Problem::invalid_content(ContentError { code, file: None, field: None }, error.to_string())
+    })
+}
+
+fn view(record: EnvironmentRecord) -> EnvironmentView {
+    EnvironmentView {
+        id: record.id,
+        name: record.name,
+        sha256: record.sha256,
+        bytes: record.bytes,
+        width: record.width,
+        height: record.height,
+        warnings: record.warnings,
+        created_at: rfc3339(record.created_ms),
+    }
+}

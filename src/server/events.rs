@@ -1,0 +1,124 @@
+//! `/v1/jobs/{id}/events`: a job's past and future events, as server-sent events.
+
+use std::collections::VecDeque;
+use std::convert::Infallible;
+use std::time::Duration;
+
+use axum::extract::{Path, State};
+use axum::http::HeaderMap;
+use axum::response::Sse;
+use axum::response::sse::{Event, KeepAlive};
+use futures::Stream;
+use serde::Deserialize;
+use tokio::sync::watch;
+use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::{JobId, Problem};
+use crate::server::app::Shared;
+use crate::server::extract::QueryString;
+use crate::store::{EventRecord, StoreError};
+
+/// How long a listener waits for a notification before it queries the database.
+const POLL: Duration = Duration::from_secs(2);
+/// Time between comments that keep idle connections open.
+const KEEP_ALIVE: Duration = Duration::from_secs(15);
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(job_events))
+}
+
+/// Where to begin.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+struct EventQuery {
+    /// Only events numbered above this; `Last-Event-ID` takes precedence.
+    after: Option<i64>,
+}
+
+/// Stream a job's events
+///
+/// Every event since `Last-Event-ID` (or since the beginning), then new ones as they happen, until the job is in a
+/// terminal state. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object. Numbers only grow,
+/// also across restarts of the server.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/events", tag = "jobs",
+    params(("id" = String, Path), EventQuery, ("Last-Event-ID" = Option<i64>, Header)),
+    responses(
+        (status = 200, content_type = "text/event-stream", body = String), (status = 404, body = Problem)
+    )
+)]
+async fn job_events(
+    State(app): State<Shared>,
+    Path(id): Path<JobId>,
+    QueryString(query): QueryString<EventQuery>,
+    headers: HeaderMap,
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
+    if app.store.job(&id).await?.is_none() {
+        return Err(Problem::not_found("job", id.as_str()));
+    }
+    let after = match headers.get("last-event-id") {
+        None => query.after.unwrap_or(0),
+        Some(value) => value.to_str().ok().and_then(|v| v.trim().parse().ok()).ok_or_else(|| {
+            Problem::invalid_field("header/Last-Event-ID", "must be a number from an earlier event")
+        })?,
+    };
+    let changes = app.jobs.subscribe();
+    let listener = Listener { app, id, after, changes, waiting: VecDeque::new() };
+    let stream = futures::stream::unfold(listener, |mut listener| async move {
+        let event = listener.next().await?;
+        Some((Ok(event), listener))
+    });
+    Ok(Sse::new(stream).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
+}
+
+/// Follows one job. Events come from the database; the channel only says when to query it.
+struct Listener {
+    app: Shared,
+    id: JobId,
+    after: i64,
+    changes: watch::Receiver<()>,
+    waiting: VecDeque<EventRecord>,
+}
+
+impl Listener {
+    /// The next event; `None` when there will be none.
+    async fn next(&mut self) -> Option<Event> {
+        loop {
+            if let Some(event) = self.waiting.pop_front() {
+                self.after = event.seq;
+                return Some(Event::default().id(event.seq.to_string()).event(event.kind).data(event.data));
+            }
+            match self.fetch().await {
+                Ok(true) => {}
+                Ok(false) => return None,
+                Err(error) => {
+                    tracing::error!(%error, "events cannot be read");
+                    return None;
+                }
+            }
+        }
+    }
+
+    /// Fetches what is new, or waits for it; `false` when nothing can follow.
+    async fn fetch(&mut self) -> Result<bool, StoreError> {
+        self.changes.mark_unchanged();
+        // The state first: a job that is terminal now has written its last event already.
+        let job = self.app.store.job(&self.id).await?;
+        self.waiting = self.app.jobs.events_after(&self.id, self.after).await?.into();
+        if !self.waiting.is_empty() {
+            return Ok(true);
+        }
+        if job.is_none_or(|job| job.state.is_terminal()) {
+            return Ok(false);
+        }
+        tokio::select! {
+            () = self.app.stop.cancelled() => Ok(false),
+            _ = self.changes.changed() => Ok(true),
+            () = tokio::time::sleep(POLL) => Ok(true),
+        }
+    }
+}

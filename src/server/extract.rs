@@ -1,0 +1,145 @@
+//! Extractors whose refusals are problems that name the field.
+
+use axum::body::Bytes;
+use axum::extract::{FromRequest, FromRequestParts, Query, Request};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, StatusCode, header};
+use serde::de::DeserializeOwned;
+use serde_json::error::Category;
+use serde_path_to_error::Segment;
+
+use crate::api::Problem;
+
+/// A JSON body of at most `LIMIT` bytes.
+pub(super) struct JsonBody<T, const LIMIT: usize = 65_536>(pub(super) T);
+
+/// A query string.
+pub(super) struct QueryString<T>(pub(super) T);
+
+impl<S: Send + Sync, T: DeserializeOwned, const LIMIT: usize> FromRequest<S> for JsonBody<T, LIMIT> {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, _: &S) -> Result<Self, Problem> {
+        let bytes = json_bytes(request, LIMIT).await?;
+        parse(&bytes).map(Self)
+    }
+}
+
+impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for QueryString<T> {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
+        match Query::<T>::try_from_uri(&parts.uri) {
+            Ok(Query(value)) => Ok(Self(value)),
+            Err(rejection) => {
+                let text = rejection.body_text();
+                let detail = text.rsplit_once("query string: ").map_or(text.as_str(), |(_, d)| d);
+                let name = quoted(detail).or_else(|| detail.split_once(": ").map(|(name, _)| name));
+                Err(Problem::invalid_field(format!("query/{}", name.unwrap_or_default()), detail))
+            }
+        }
+    }
+}
+
+/// The declared length of a body.
+pub(super) fn content_length(headers: &HeaderMap) -> Option<u64> {
+    headers.get(header::CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
+}
+
+/// The media type of a body without its parameters, lower case.
+pub(super) fn media_type(headers: &HeaderMap) -> Option<String> {
+    let value = headers.get(header::CONTENT_TYPE)?.to_str().ok()?;
+    Some(value.split(';').next()?.trim().to_ascii_lowercase())
+}
+
+async fn json_bytes(request: Request, limit: usize) -> Result<Bytes, Problem> {
+    if !media_type(request.headers()).is_some_and(|m| m == "application/json" || m.ends_with("+json")) {
+        return Err(Problem::unsupported_media_type("application/json"));
+    }
+    if content_length(request.headers()).is_some_and(|n| n > limit as u64) {
+        return Err(Problem::too_large(limit as u64));
+    }
+    // Fails for a broken transfer too; but a body that outgrew its limit is by far the likelier.
+    axum::body::to_bytes(request.into_body(), limit).await.map_err(|_| Problem::too_large(limit as u64))
+}
+
+/// Parses JSON; an error says where in the document it is.
+pub(super) fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
+    let mut json = serde_json::Deserializer::from_slice(bytes);
+    let value = serde_path_to_error::deserialize(&mut json).map_err(|error| {
+        let mut pointer = pointer(error.path());
+        let inner = error.into_inner();
+        if inner.classify() != Category::Data {
+            return malformed(&inner);
+        }
+        let text = inner.to_string();
+        if text.starts_with("missing field")
+            && let Some(name) = quoted(&text)
+        {
+            pointer = format!("{pointer}/{name}");
+        }
+        Problem::invalid_field(pointer, text)
+    })?;
+    json.end().map_err(|error| malformed(&error))?;
+    Ok(value)
+}
+
+fn malformed(error: &serde_json::Error) -> Problem {
+    Problem::new(StatusCode::BAD_REQUEST, "malformed-json", "The body is not JSON").detail(error.to_string())
+}
+
+/// A JSON pointer (RFC 6901).
+fn pointer(path: &serde_path_to_error::Path) -> String {
+    path.iter()
+        .map(|segment| match segment {
+            Segment::Seq { index } => format!("/{index}"),
+            Segment::Map { key } | Segment::Enum { variant: key } => {
+                format!("/{}", key.replace('~', "~0").replace('/', "~1"))
+            }
+            Segment::Unknown => String::new(),
+        })
+        .collect()
+}
+
+/// The first name that serde put in backticks.
+fn quoted(text: &str) -> Option<&str> {
+    text.split('`').nth(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[allow(dead_code)]
+    struct Outer {
+        inner: Vec<Inner>,
+    }
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[allow(dead_code)]
+    struct Inner {
+        size: u32,
+    }
+
+    fn refusal(json: &str) -> (u16, String) {
+        let problem = parse::<Outer>(json.as_bytes()).unwrap_err();
+        (problem.status, problem.errors.first().map(|e| e.pointer.clone()).unwrap_or_default())
+    }
+
+    #[test]
+    fn the_pointer_names_the_field_at_fault() {
+        assert_eq!(refusal(r#"{"inner":[{"size":1},{"size":-1}]}"#), (422, "/inner/1/size".into()));
+        assert_eq!(refusal(r#"{"inner":[{"size":1,"a/b":2}]}"#), (422, "/inner/0/a~1b".into()));
+        assert_eq!(refusal(r#"{"inner":[{}]}"#), (422, "/inner/0/size".into()));
+        assert_eq!(refusal(r"{}"), (422, "/inner".into()));
+    }
+
+    #[test]
+    fn what_is_not_json_is_malformed() {
+        for json in ["", "{", "{} {}", "{\"inner\":[]}x", "{\"inner\":[{\"size\":1e999}]}"] {
+            assert_eq!(refusal(json).0, if json.starts_with("{} ") { 422 } else { 400 }, "{json}");
+        }
+    }
+}

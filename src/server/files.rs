@@ -1,0 +1,172 @@
+//! `/v1/models/{id}/files/{name}`: immutable files with ranges, strong validators and digests (RFC 9110, 9530).
+
+use std::ops::Range;
+
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::{ModelId, Problem};
+use crate::server::app::Shared;
+use crate::server::description::File;
+use crate::store::ModelFile;
+
+const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(get_file))
+}
+
+/// Download a file of a model
+///
+/// Answers `Range` (one range), `If-Range` and `If-None-Match`. The `ETag` is the sha256 of the file.
+#[utoipa::path(
+    get, path = "/v1/models/{id}/files/{name}", tag = "models",
+    params(("id" = String, Path), ("name" = String, Path)),
+    responses(
+        (status = 200, content_type = "application/octet-stream", body = File),
+        (status = 206, content_type = "application/octet-stream", body = File),
+        (status = 304, description = "The caller has it already"),
+        (status = 404, body = Problem), (status = 416, body = Problem)
+    )
+)]
+async fn get_file(
+    State(app): State<Shared>,
+    Path((id, name)): Path<(ModelId, String)>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let file = app.store.model_file(&id, &name).await?;
+    let file = file.ok_or_else(|| Problem::not_found("file", &format!("{id}/{name}")))?;
+    let size = u64::try_from(file.bytes).map_err(Problem::internal)?;
+    let etag = etag(&file.sha256);
+    if matches_etag(&headers, &etag) {
+        let mut response = StatusCode::NOT_MODIFIED.into_response();
+        describe(response.headers_mut(), &file, &etag);
+        return Ok(response);
+    }
+    let (status, range) = match requested(&headers, &etag, size) {
+        Requested::Whole => (StatusCode::OK, 0..size),
+        Requested::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
+        Requested::Unsatisfiable => return Ok(unsatisfiable(size)),
+    };
+    let stream = app.store.artifacts().stream(&file.artifact, range.clone()).await?;
+    let mut response = (status, Body::from_stream(stream)).into_response();
+    let out = response.headers_mut();
+    describe(out, &file, &etag);
+    out.insert(header::CONTENT_LENGTH, HeaderValue::from(range.end - range.start));
+    if status == StatusCode::PARTIAL_CONTENT {
+        let text = format!("bytes {}-{}/{size}", range.start, range.end - 1);
+        out.insert(header::CONTENT_RANGE, HeaderValue::from_str(&text).map_err(Problem::internal)?);
+    }
+    Ok(response)
+}
+
+/// A strong validator from a content hash.
+pub(super) fn etag(sha256: &str) -> String {
+    format!("\"{sha256}\"")
+}
+
+/// True when the caller has this content already.
+pub(super) fn matches_etag(headers: &HeaderMap, etag: &str) -> bool {
+    let values = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok());
+    values.flat_map(|v| v.split(',')).map(str::trim).any(|v| v == "*" || v.trim_start_matches("W/") == etag)
+}
+
+fn describe(headers: &mut HeaderMap, file: &ModelFile, etag: &str) {
+    let digest: Vec<u8> =
+        file.sha256.as_bytes().as_chunks::<2>().0.iter().filter_map(|pair| nibbles(*pair)).collect();
+    let entries = [
+        (header::ETAG, etag.to_owned()),
+        (header::CONTENT_TYPE, file.content_type.clone()),
+        (header::ACCEPT_RANGES, "bytes".to_owned()),
+        (header::CACHE_CONTROL, "private, max-age=31536000, immutable".to_owned()),
+        (REPR_DIGEST, format!("sha-256=:{}:", STANDARD.encode(digest))),
+    ];
+    for (name, value) in entries {
+        if let Ok(value) = HeaderValue::from_str(&value) {
+            headers.insert(name, value);
+        }
+    }
+}
+
+fn nibbles([high, low]: [u8; 2]) -> Option<u8> {
+    let digit = |c: u8| char::from(c).to_digit(16);
+    u8::try_from(digit(high)? * 16 + digit(low)?).ok()
+}
+
+fn unsatisfiable(size: u64) -> Response {
+    let problem = Problem::new(
+        StatusCode::RANGE_NOT_SATISFIABLE,
+        "range-not-satisfiable",
+        "The range lies outside the file",
+    );
+    let mut response = problem.detail(format!("the file has {size} bytes")).into_response();
+    if let Ok(value) = HeaderValue::from_str(&format!("bytes */{size}")) {
+        response.headers_mut().insert(header::CONTENT_RANGE, value);
+    }
+    response
+}
+
+#[derive(Debug, PartialEq, Eq)]
+enum Requested {
+    Whole,
+    Part(Range<u64>),
+    Unsatisfiable,
+}
+
+/// Which bytes to send. What is not a single well-formed byte range is ignored, as RFC 9110 allows.
+fn requested(headers: &HeaderMap, etag: &str, size: u64) -> Requested {
+    let text = |name| headers.get(name).and_then(|v: &HeaderValue| v.to_str().ok());
+    if text(header::IF_RANGE).is_some_and(|v| v != etag) {
+        return Requested::Whole;
+    }
+    let spec = text(header::RANGE).and_then(|v| v.strip_prefix("bytes=")).and_then(|v| v.split_once('-'));
+    let Some((first, last)) = spec else { return Requested::Whole };
+    let range = match (first.trim().parse::<u64>(), last.trim()) {
+        (Ok(first), "") => first..size,
+        (Ok(first), last) => match last.parse::<u64>() {
+            Ok(last) if last >= first => first..last.saturating_add(1).min(size),
+            _ => return Requested::Whole,
+        },
+        (Err(_), last) if first.trim().is_empty() => match last.parse::<u64>() {
+            Ok(count) => size.saturating_sub(count)..size,
+            Err(_) => return Requested::Whole,
+        },
+        _ => return Requested::Whole,
+    };
+    if range.is_empty() { Requested::Unsatisfiable } else { Requested::Part(range) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ask(range: &str) -> Requested {
+        let headers = HeaderMap::from_iter([(header::RANGE, HeaderValue::from_str(range).unwrap())]);
+        requested(&headers, "\"e\"", 10)
+    }
+
+    #[test]
+    fn ranges_are_read_as_the_standard_says() {
+        assert_eq!(ask("bytes=0-3"), Requested::Part(0..4));
+        assert_eq!(ask("bytes=4-"), Requested::Part(4..10));
+        assert_eq!(ask("bytes=-3"), Requested::Part(7..10));
+        assert_eq!(ask("bytes=-30"), Requested::Part(0..10));
+        assert_eq!(ask("bytes=8-99"), Requested::Part(8..10));
+        assert_eq!(ask("bytes=10-"), Requested::Unsatisfiable);
+        assert_eq!(ask("bytes=-0"), Requested::Unsatisfiable);
+    }
+
+    #[test]
+    fn what_is_not_one_byte_range_is_ignored() {
+        for odd in ["bytes=3-1", "bytes=a-b", "bytes=0-1,3-4", "lines=0-1", "bytes=--1", "bytes=-"] {
+            assert_eq!(ask(odd), Requested::Whole, "{odd}");
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! `/healthz`, `/readyz`, `/metrics` and the API's own description.
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use utoipa::openapi::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::Problem;
+use crate::api::jobs::JobState;
+use crate::server::app::Shared;
+use crate::server::observe;
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new()
+        .routes(routes!(healthz))
+        .routes(routes!(readyz))
+        .routes(routes!(prometheus))
+        .routes(routes!(description))
+}
+
+/// Check that the process runs
+#[utoipa::path(get, path = "/healthz", tag = "operations", responses((status = 200, body = String)))]
+async fn healthz() -> &'static str {
+    "ok\n"
+}
+
+/// Check that the server can work
+#[utoipa::path(
+    get, path = "/readyz", tag = "operations",
+    responses((status = 200, body = String), (status = 503, body = Problem))
+)]
+async fn readyz(State(app): State<Shared>) -> Result<&'static str, Problem> {
+    let not_ready = |why: &str| {
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, "not-ready", "The server cannot work").detail(why)
+    };
+    if app.stop.is_cancelled() {
+        return Err(not_ready("it is shutting down"));
+    }
+    if !app.device.is_alive() {
+        return Err(not_ready("the device thread has ended"));
+    }
+    app.store.ping().await.map_err(|error| {
+        tracing::error!(%error, "the database does not answer");
+        not_ready("the database does not answer")
+    })?;
+    Ok("ready\n")
+}
+
+/// Metrics for Prometheus
+#[utoipa::path(get, path = "/metrics", tag = "operations", responses((status = 200, body = String)))]
+async fn prometheus(State(app): State<Shared>) -> Result<Response, Problem> {
+    let counts = app.store.job_counts().await?;
+    for state in JobState::ALL {
+        let count = counts.iter().find(|(s, _)| *s == state).map_or(0, |(_, n)| *n);
+        metrics::gauge!("relume_jobs", "state" => state.name()).set(count as f64);
+    }
+    let text = observe::metrics_handle().render();
+    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response())
+}
+
+/// Get this description
+#[utoipa::path(get, path = "/v1/openapi.json", tag = "operations", responses((status = 200, body = Object)))]
+async fn description(State(app): State<Shared>) -> Json<OpenApi> {
+    Json(app.description.clone())
+}

@@ -1,0 +1,257 @@
+//! `/v1/jobs`: trainings, queued and run one after another.
+
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::jobs::{JobChange, JobDevice, JobError, JobState, JobView, NewJob};
+use crate::api::{EnvironmentId, JobId, List, Problem};
+use crate::capture::BUILTIN;
+use crate::server::app::Shared;
+use crate::server::extract::{JsonBody, QueryString};
+use crate::server::listing::{list, page, rfc3339};
+use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
+use crate::train::{ConfigError, KnownLight, TrainConfig};
+
+const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
+const REPLAYED: HeaderName = HeaderName::from_static("idempotent-replayed");
+const PRIORITIES: std::ops::RangeInclusive<i64> = -100..=100;
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new()
+        .routes(routes!(create_job, list_jobs))
+        .routes(routes!(get_job, change_job))
+        .routes(routes!(cancel_job))
+        .routes(routes!(retry_job))
+}
+
+/// Which jobs to list.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+struct JobQuery {
+    /// Only jobs in this state.
+    state: Option<JobState>,
+    /// Most items, 1 to 200; 50 when absent.
+    limit: Option<u32>,
+    /// Only items older than this identifier.
+    before: Option<String>,
+}
+
+/// Queue a training
+///
+/// With an `Idempotency-Key` header, a repetition of the same request within 24 hours is answered with the first
+/// answer (and the header `Idempotent-Replayed: true`) and queues nothing. 202 means that the job is durable.
+#[utoipa::path(
+    post, path = "/v1/jobs", tag = "jobs", request_body = NewJob,
+    params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible characters")),
+    responses(
+        (status = 202, body = JobView),
+        (status = 422, body = Problem, description = "A field is wrong, or the key came with another body")
+    )
+)]
+async fn create_job(
+    State(app): State<Shared>,
+    headers: HeaderMap,
+    JsonBody(job): JsonBody<NewJob>,
+) -> Result<Response, Problem> {
+    let config = TrainConfig::new(job.preset, &job.overrides).map_err(|e| override_refused(&e))?;
+    check_priority(job.priority)?;
+    if job.device == JobDevice::Gpu && !app.device.has_gpu() {
+        return Err(Problem::invalid_field("/device", "this server has no GPU"));
+    }
+    if app.store.capture(&job.capture).await?.is_none() {
+        return Err(Problem::invalid_field("/capture", format!("{:?} does not exist", job.capture.as_str())));
+    }
+    if let Some(light) = &config.light {
+        check_light(&app, light).await?;
+    }
+    let key = idempotency_key(&headers, &job)?;
+    submit(&app, job, i64::from(config.iterations), None, key.as_ref()).await
+}
+
+/// List jobs
+#[utoipa::path(
+    get, path = "/v1/jobs", tag = "jobs", params(JobQuery),
+    responses((status = 200, body = List<JobView>))
+)]
+async fn list_jobs(
+    State(app): State<Shared>,
+    QueryString(query): QueryString<JobQuery>,
+) -> Result<Json<List<JobView>>, Problem> {
+    let page = page(query.limit, query.before)?;
+    let mut items = Vec::new();
+    for job in app.jobs.list(query.state, &page).await? {
+        let position = match job.state {
+            JobState::Queued => app.store.queue_position(&job.id).await?,
+            _ => None,
+        };
+        items.push(view(job, position));
+    }
+    Ok(Json(list(items, &page, |j: &JobView| j.id.as_str())))
+}
+
+/// Get a job
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
+    responses((status = 200, body = JobView), (status = 404, body = Problem))
+)]
+async fn get_job(State(app): State<Shared>, Path(id): Path<JobId>) -> Result<Json<JobView>, Problem> {
+    current(&app, &id).await.map(Json)
+}
+
+/// Change the priority of a waiting job
+#[utoipa::path(
+    patch, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)), request_body = JobChange,
+    responses(
+        (status = 200, body = JobView), (status = 404, body = Problem),
+        (status = 409, body = Problem, description = "It is not queued any more")
+    )
+)]
+async fn change_job(
+    State(app): State<Shared>,
+    Path(id): Path<JobId>,
+    JsonBody(change): JsonBody<JobChange>,
+) -> Result<Json<JobView>, Problem> {
+    check_priority(change.priority)?;
+    let changed = app.jobs.set_priority(&id, change.priority).await?;
+    let job = current(&app, &id).await?;
+    if !changed {
+        let detail = format!("the job is {}; only a queued one has a place in the queue", job.state.name());
+        return Err(Problem::conflict("job-not-queued", detail));
+    }
+    Ok(Json(job))
+}
+
+/// Cancel a job
+///
+/// A queued job is cancelled at once; a running one becomes `cancelling` and stops before its next step. Asking
+/// again changes nothing.
+#[utoipa::path(
+    post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = String, Path)),
+    responses(
+        (status = 200, body = JobView), (status = 404, body = Problem),
+        (status = 409, body = Problem, description = "It succeeded or failed before")
+    )
+)]
+async fn cancel_job(State(app): State<Shared>, Path(id): Path<JobId>) -> Result<Json<JobView>, Problem> {
+    match app.jobs.cancel(&id).await? {
+        CancelOutcome::Accepted(job) => Ok(Json(view(job, None))),
+        CancelOutcome::AlreadyFinished(job) => {
+            let detail = format!("the job has {}; terminal states never change", job.state.name());
+            Err(Problem::conflict("job-finished", detail))
+        }
+        CancelOutcome::NotFound => Err(Problem::not_found("job", id.as_str())),
+    }
+}
+
+/// Run a failed or cancelled job again
+///
+/// Queues a new job with the same capture and settings; `retry_of` names the old one, which stays as it is.
+#[utoipa::path(
+    post, path = "/v1/jobs/{id}/retry", tag = "jobs", params(("id" = String, Path)),
+    responses(
+        (status = 202, body = JobView), (status = 404, body = Problem),
+        (status = 409, body = Problem, description = "It neither failed nor was cancelled")
+    )
+)]
+async fn retry_job(State(app): State<Shared>, Path(id): Path<JobId>) -> Result<Response, Problem> {
+    let job = app.store.job(&id).await?.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
+    if !matches!(job.state, JobState::Failed | JobState::Cancelled) {
+        let detail = format!("the job is {}; only a failed or cancelled one runs again", job.state.name());
+        return Err(Problem::conflict("job-not-retryable", detail));
+    }
+    submit(&app, job.request, job.progress.total, Some(job.id), None).await
+}
+
+async fn submit(
+    app: &Shared,
+    request: NewJob,
+    total: i64,
+    retry_of: Option<JobId>,
+    key: Option<&IdempotencyKey>,
+) -> Result<Response, Problem> {
+    let answer =
+        |job: &JobRecord, position| serde_json::to_string(&view(job.clone(), position)).unwrap_or_default();
+    let submitted = app.jobs.submit(request, total, retry_of, key, answer).await?;
+    let (text, replayed) = match submitted {
+        Submitted::Created(text) => (text, false),
+        Submitted::Replayed(text) => (text, true),
+    };
+    let json = HeaderValue::from_static("application/json");
+    let mut response = (StatusCode::ACCEPTED, [(header::CONTENT_TYPE, json)], text).into_response();
+    if replayed {
+        response.headers_mut().insert(REPLAYED, HeaderValue::from_static("true"));
+    }
+    Ok(response)
+}
+
+async fn current(app: &Shared, id: &JobId) -> Result<JobView, Problem> {
+    let found = app.jobs.get(id).await?;
+    let (job, position) = found.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
+    Ok(view(job, position))
+}
+
+/// The key with a hash of what the request means, so that white space does not make another request of it.
+fn idempotency_key(headers: &HeaderMap, job: &NewJob) -> Result<Option<IdempotencyKey>, Problem> {
+    let Some(value) = headers.get(IDEMPOTENCY_KEY) else { return Ok(None) };
+    let key = value.to_str().ok().filter(|k| (1..=255).contains(&k.len()));
+    let wrong = || Problem::invalid_field("header/Idempotency-Key", "must have 1 to 255 visible characters");
+    let body = serde_json::to_vec(job).map_err(Problem::internal)?;
+    Ok(Some(IdempotencyKey {
+        key: key.ok_or_else(wrong)?.to_owned(),
+        fingerprint: hex(&Sha256::digest(&body)),
+    }))
+}
+
+/// A known light must be one that the worker will find.
+async fn check_light(app: &Shared, light: &KnownLight) -> Result<(), Problem> {
+    let name = light.environment.as_str();
+    if BUILTIN.contains(&name) || app.store.environment(&EnvironmentId::from(name)).await?.is_some() {
+        return Ok(());
+    }
+    let detail = format!("{name:?} is no uploaded environment and none of {}", BUILTIN.join(", "));
+    Err(Problem::invalid_field("/overrides/light/environment", detail))
+}
+
+fn check_priority(priority: i64) -> Result<(), Problem> {
+    if PRIORITIES.contains(&priority) {
+        return Ok(());
+    }
+    Err(Problem::invalid_field("/priority", format!("must be -100 to 100, got {priority}")))
+}
+
+/// The trainer's refusals begin with the name of the field.
+fn override_refused(error: &ConfigError) -> Problem {
+    let setting = error.field.split('.').next().unwrap_or_default();
+    Problem::invalid_field(format!("/overrides/{setting}"), error.to_string())
+}
+
+fn view(job: JobRecord, queue_position: Option<i64>) -> JobView {
+    let detail = job.error_detail.unwrap_or_default();
+    JobView {
+        id: job.id,
+        capture: job.request.capture,
+        retry_of: job.retry_of,
+        preset: job.request.preset,
+        overrides: job.request.overrides,
+        device: job.request.device,
+        priority: job.request.priority,
+        state: job.state,
+        queue_position,
+        progress: job.progress,
+        attempts: job.attempts,
+        created_at: rfc3339(job.created_ms),
+        started_at: job.started_ms.map(rfc3339),
+        finished_at: job.finished_ms.map(rfc3339),
+        model: job.model_id,
+        error: job.error_code.map(|code| JobError { code, detail }),
+    }
+}

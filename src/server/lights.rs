@@ -1,0 +1,73 @@
+//! From the names, identifiers and files in a request to the light to render under.
+
+use std::sync::Arc;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use sha2::{Digest, Sha256};
+
+use crate::api::renders::EnvironmentSpec;
+use crate::api::{EnvironmentId, Problem};
+use crate::capture::BUILTIN;
+use crate::server::app::Shared;
+use crate::server::environments;
+use crate::store::hex;
+use crate::worker::LightSource;
+
+/// The light of a render request; a stored map is not read yet.
+pub(super) async fn light(app: &Shared, spec: &EnvironmentSpec) -> Result<LightSource, Problem> {
+    check_exposure(spec)?;
+    match (&spec.id, &spec.builtin, &spec.inline_base64) {
+        (None, None, None) => Ok(LightSource::Recovered),
+        (Some(id), None, None) => {
+            let found = stored_light(app, id).await?;
+            let missing = || format!("{:?} does not exist", id.as_str());
+            found.ok_or_else(|| Problem::invalid_field("/environment/id", missing()))
+        }
+        (None, Some(name), None) => builtin_light(name).ok_or_else(|| {
+            let detail = format!("must be recovered or one of {}", BUILTIN.join(", "));
+            Problem::invalid_field("/environment/builtin", detail)
+        }),
+        (None, None, Some(text)) => inline_light(app, text).await,
+        _ => Err(Problem::invalid_field("/environment", "must have one of id, builtin and inline_base64")),
+    }
+}
+
+/// An uploaded map.
+pub(super) async fn stored_light(app: &Shared, id: &EnvironmentId) -> Result<Option<LightSource>, Problem> {
+    let record = app.store.environment(id).await?;
+    Ok(record.map(|record| LightSource::Stored {
+        path: app.store.artifacts().local_path(&record.artifact),
+        sha256: record.sha256,
+    }))
+}
+
+/// A map that comes with the program, or the capture's own light.
+pub(super) fn builtin_light(name: &str) -> Option<LightSource> {
+    match name {
+        "recovered" => Some(LightSource::Recovered),
+        name if BUILTIN.contains(&name) => Some(LightSource::Builtin(name.to_owned())),
+        _ => None,
+    }
+}
+
+async fn inline_light(app: &Shared, text: &str) -> Result<LightSource, Problem> {
+    let bytes = STANDARD
+        .decode(text.trim())
+        .map_err(|e| Problem::invalid_field("/environment/inline_base64", format!("is not base64: {e}")))?;
+    let sha256 = hex(&Sha256::digest(&bytes));
+    let _permit = app.imports.acquire().await.map_err(Problem::internal)?;
+    let decoded = tokio::task::spawn_blocking(move || environments::decode(&bytes));
+    let loaded = decoded.await.map_err(Problem::internal)??;
+    Ok(LightSource::Inline { sha256, map: Arc::new(loaded.map) })
+}
+
+fn check_exposure(spec: &EnvironmentSpec) -> Result<(), Problem> {
+    if !(-20.0..=20.0).contains(&spec.exposure_ev) {
+        return Err(Problem::invalid_field("/environment/exposure_ev", "must be -20 to 20"));
+    }
+    if !spec.rotation_deg.is_finite() {
+        return Err(Problem::invalid_field("/environment/rotation_deg", "must be finite"));
+    }
+    Ok(())
+}

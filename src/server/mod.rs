@@ -1,0 +1,32 @@
+//! The HTTP service: one file for each family of endpoints, with its routes, documentation and refusals.
+
+// A refusal is made at most once a request; the cost of moving it does not matter.
+#![allow(clippy::result_large_err)]
+
+mod app;
+mod auth;
+mod captures;
+mod description;
+mod environments;
+mod events;
+mod extract;
+mod files;
+mod health;
+mod jobs;
+mod lights;
+mod listing;
+mod models;
+mod negotiate;
+mod observe;
+mod problem;
+mod render_request;
+mod renders;
+mod router;
+mod run;
+mod thumbnails;
+mod upload;
+
+pub use app::RequestLimits;
+pub use auth::ApiKeys;
+pub use router::openapi;
+pub use run::{ServeError, ServerConfig, run};

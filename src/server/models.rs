@@ -1,0 +1,93 @@
+//! `/v1/models`: what trainings produced.
+
+use axum::Json;
+use axum::extract::{Path, State};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::models::{FileView, ModelSummary, ModelView};
+use crate::api::{List, ModelId, Problem};
+use crate::server::app::Shared;
+use crate::server::extract::QueryString;
+use crate::server::listing::{PageQuery, list, rfc3339};
+use crate::store::{ModelFile, ModelRecord};
+use crate::worker::ModelSource;
+
+/// Name of the file that holds the model itself.
+const MODEL_FILE: &str = "model.safetensors";
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(list_models)).routes(routes!(get_model)).routes(routes!(get_card))
+}
+
+/// List models
+#[utoipa::path(
+    get, path = "/v1/models", tag = "models", params(PageQuery),
+    responses((status = 200, body = List<ModelSummary>))
+)]
+async fn list_models(
+    State(app): State<Shared>,
+    QueryString(query): QueryString<PageQuery>,
+) -> Result<Json<List<ModelSummary>>, Problem> {
+    let page = query.page()?;
+    let items = app.store.models(&page).await?.into_iter().map(summary).collect();
+    Ok(Json(list(items, &page, |m: &ModelSummary| m.id.as_str())))
+}
+
+/// Get a model and its files
+#[utoipa::path(
+    get, path = "/v1/models/{id}", tag = "models", params(("id" = String, Path)),
+    responses((status = 200, body = ModelView), (status = 404, body = Problem))
+)]
+async fn get_model(State(app): State<Shared>, Path(id): Path<ModelId>) -> Result<Json<ModelView>, Problem> {
+    let model = find(&app, &id).await?;
+    let files = app.store.model_files(&id).await?;
+    let files = files.into_iter().map(|file| file_view(&id, file)).collect();
+    let card = model.card.clone();
+    Ok(Json(ModelView { summary: summary(model), files, card }))
+}
+
+/// Get a model's card
+#[utoipa::path(
+    get, path = "/v1/models/{id}/card", tag = "models", params(("id" = String, Path)),
+    responses((status = 200, body = Object), (status = 404, body = Problem))
+)]
+async fn get_card(
+    State(app): State<Shared>,
+    Path(id): Path<ModelId>,
+) -> Result<Json<serde_json::Value>, Problem> {
+    Ok(Json(find(&app, &id).await?.card))
+}
+
+async fn find(app: &Shared, id: &ModelId) -> Result<ModelRecord, Problem> {
+    app.store.model(id).await?.ok_or_else(|| Problem::not_found("model", id.as_str()))
+}
+
+/// The model as the device thread takes it, and its content hash.
+pub(super) async fn source(app: &Shared, id: &ModelId) -> Result<(ModelSource, String), Problem> {
+    let file = app.store.model_file(id, MODEL_FILE).await?;
+    let file = file.ok_or_else(|| Problem::not_found("model", id.as_str()))?;
+    let path = app.store.artifacts().local_path(&file.artifact);
+    Ok((ModelSource { id: id.clone(), path }, file.sha256))
+}
+
+fn summary(model: ModelRecord) -> ModelSummary {
+    ModelSummary {
+        id: model.id,
+        job: model.job_id,
+        capture: model.capture_id,
+        gaussians: model.gaussians,
+        created_at: rfc3339(model.created_ms),
+    }
+}
+
+fn file_view(model: &ModelId, file: ModelFile) -> FileView {
+    FileView {
+        href: format!("/v1/models/{model}/files/{}", file.name),
+        name: file.name,
+        content_type: file.content_type,
+        bytes: file.bytes,
+        sha256: file.sha256,
+    }
+}

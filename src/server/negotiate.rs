@@ -1,0 +1,56 @@
+//! Content negotiation: which kind of image file a caller wants.
+
+use axum::http::{HeaderMap, StatusCode, header};
+
+use crate::api::Problem;
+use crate::render::FrameFormat;
+
+/// The kind of file that `Accept` prefers; PNG when there is no such header.
+///
+/// # Errors
+/// 406 when it accepts no kind that the server writes.
+pub(super) fn frame_format(headers: &HeaderMap) -> Result<FrameFormat, Problem> {
+    let Some(accept) = headers.get(header::ACCEPT) else { return Ok(FrameFormat::Png) };
+    let mut ranges: Vec<(f32, &str)> =
+        accept.to_str().unwrap_or_default().split(',').map(weighted).filter(|(q, _)| *q > 0.0).collect();
+    // Stable: among equals the caller's order counts.
+    ranges.sort_by(|a, b| b.0.total_cmp(&a.0));
+    ranges.iter().find_map(|(_, range)| matching(range)).ok_or_else(|| {
+        Problem::new(StatusCode::NOT_ACCEPTABLE, "not-acceptable", "No acceptable representation")
+            .detail("image/png, image/jpeg and image/x-exr are available")
+    })
+}
+
+fn matching(range: &str) -> Option<FrameFormat> {
+    match range {
+        "*/*" | "image/*" => Some(FrameFormat::Png),
+        _ => FrameFormat::ALL.into_iter().find(|f| f.media_type() == range),
+    }
+}
+
+/// One entry of `Accept` with its weight.
+fn weighted(entry: &str) -> (f32, &str) {
+    let mut parts = entry.split(';').map(str::trim);
+    let range = parts.next().unwrap_or_default();
+    let q = parts.find_map(|p| p.strip_prefix("q=")).map_or(Some(1.0), |q| q.parse().ok());
+    (q.unwrap_or(0.0), range)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn accept(value: &str) -> Option<FrameFormat> {
+        let headers = HeaderMap::from_iter([(header::ACCEPT, value.parse().unwrap())]);
+        frame_format(&headers).ok()
+    }
+
+    #[test]
+    fn the_callers_favourite_is_served() {
+        assert_eq!(accept("image/jpeg;q=0.5, image/x-exr"), Some(FrameFormat::Exr));
+        assert_eq!(accept("text/html, image/*;q=0.8"), Some(FrameFormat::Png));
+        assert_eq!(accept("image/webp, image/jpeg, image/png"), Some(FrameFormat::Jpeg));
+        assert_eq!(accept("text/html"), None);
+        assert_eq!(accept("image/png;q=0"), None);
+    }
+}

@@ -1,0 +1,91 @@
+//! From the fields of a render request to a camera and a quality; a refusal names the field.
+
+use glam::{DMat4, DVec3};
+
+use crate::api::Problem;
+use crate::api::renders::{CameraSpec, RenderRequest};
+use crate::render::{Quality, Tier};
+use crate::scene::{Camera, CameraError};
+
+/// Longest side of a frame, pixels.
+const MAX_SIDE: u32 = 4096;
+/// Most queries through the Gaussians a frame of the reference tier may cost: some seconds of the device thread.
+const MOST_QUERIES: u64 = 1 << 21;
+
+/// The tier and samples asked for; refuses a frame that would occupy the device thread for too long.
+pub(super) fn quality(request: &RenderRequest) -> Result<Quality, Problem> {
+    let quality = Quality {
+        tier: request.tier,
+        samples: request.samples.unwrap_or(Quality::SAMPLES),
+        seed: request.seed.unwrap_or(0),
+    };
+    let most = match request.tier {
+        Tier::MonteCarlo => MOST_QUERIES / (u64::from(request.width) * u64::from(request.height)).max(1),
+        _ => u64::MAX,
+    };
+    let most = most.min(u64::from(Quality::MOST_SAMPLES));
+    if !(1..=most).contains(&u64::from(quality.samples)) {
+        let detail = match most {
+            0 => format!("the tier monte_carlo takes pictures of at most {MOST_QUERIES} pixels"),
+            most => format!("must be 1 to {most} at this tier and size, got {}", quality.samples),
+        };
+        return Err(Problem::invalid_field("/samples", detail));
+    }
+    Ok(quality)
+}
+
+/// The camera asked for.
+pub(super) fn camera(request: &RenderRequest) -> Result<Camera, Problem> {
+    for (field, side) in [("/width", request.width), ("/height", request.height)] {
+        if !(1..=MAX_SIDE).contains(&side) {
+            return Err(Problem::invalid_field(field, format!("must be 1 to {MAX_SIDE}, got {side}")));
+        }
+    }
+    let size = (request.width, request.height);
+    let spec = &request.camera;
+    match (&spec.look_at, &spec.camera_to_world) {
+        (Some(look), None) => {
+            if spec.fov_y_deg.is_some() || spec.intrinsics.is_some() {
+                let detail = "look_at brings its own fov_y_deg; intrinsics go with camera_to_world";
+                return Err(Problem::invalid_field("/camera", detail));
+            }
+            let [eye, target, up] = [look.eye, look.target, look.up].map(DVec3::from_array);
+            Camera::look_at(eye, target, up, look.fov_y_deg.to_radians(), size)
+                .map_err(|e| camera_refused("/camera/look_at", &e))
+        }
+        (None, Some(rows)) => {
+            let (focal, centre) = intrinsics(spec, size)?;
+            let matrix = DMat4::from_cols_array_2d(rows).transpose();
+            Camera::from_opengl(&matrix, size, focal, centre).map_err(|e| camera_refused("/camera", &e))
+        }
+        _ => Err(Problem::invalid_field("/camera", "must have either look_at or camera_to_world")),
+    }
+}
+
+type Pair = (f64, f64);
+
+/// Focal lengths and principal point in pixels.
+fn intrinsics(spec: &CameraSpec, (width, height): (u32, u32)) -> Result<(Pair, Pair), Problem> {
+    match (&spec.intrinsics, spec.fov_y_deg) {
+        (Some(i), None) => Ok(((i.fx, i.fy), (i.cx, i.cy))),
+        (None, Some(fov)) if fov > 0.0 && fov < 180.0 => {
+            let focal = 0.5 * f64::from(height) / (0.5 * fov.to_radians()).tan();
+            Ok(((focal, focal), (0.5 * f64::from(width), 0.5 * f64::from(height))))
+        }
+        (None, Some(_)) => {
+            Err(Problem::invalid_field("/camera/fov_y_deg", "must lie strictly between 0 and 180"))
+        }
+        _ => Err(Problem::invalid_field("/camera", "must have either fov_y_deg or intrinsics")),
+    }
+}
+
+/// Translates the field names of [`Camera`] to those of the request.
+fn camera_refused(base: &str, error: &CameraError) -> Problem {
+    let pointer = match error.field {
+        "transform_matrix" => format!("{base}/camera_to_world"),
+        "fov_y" => format!("{base}/fov_y_deg"),
+        field @ ("fx" | "fy" | "cx" | "cy") => format!("{base}/intrinsics/{field}"),
+        field => format!("{base}/{field}"),
+    };
+    Problem::invalid_field(pointer, error.reason.clone())
+}

@@ -1,0 +1,121 @@
+//! `/v1/models/{id}/render`: relit frames and G-buffers for any camera under any light.
+
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
+use axum::response::{IntoResponse, Response};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::renders::RenderRequest;
+use crate::api::{ModelId, Problem};
+use crate::render::{EncodedFrame, FrameFormat, Output, Viewpoint, encode_frame, is_colour};
+use crate::server::app::Shared;
+use crate::server::description::File;
+use crate::server::extract::JsonBody;
+use crate::server::lights::light;
+use crate::server::render_request::{camera, quality};
+use crate::server::{models, negotiate};
+use crate::worker::RenderTask;
+
+/// Largest body: a 2k map in base64 and the rest.
+const BODY_LIMIT: usize = 64 << 20;
+const DEPTH_RANGE: HeaderName = HeaderName::from_static("relume-depth-range");
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(render))
+}
+
+/// Render a frame
+///
+/// `Accept` chooses between `image/png` (the default), `image/jpeg` and `image/x-exr`. A PNG of a colour is
+/// display-referred (clamp, sRGB curve, straight alpha); of `normal` it is 16-bit `(n + 1) / 2`; of `depth` 16-bit
+/// grey between the two depths in the header `relume-depth-range`, 65535 where nothing is; of anything else 8-bit
+/// linear grey. An EXR is multi-part and linear, with every output asked for.
+#[utoipa::path(
+    post, path = "/v1/models/{id}/render", tag = "models", params(("id" = String, Path)),
+    request_body = RenderRequest,
+    responses(
+        (status = 200, content_type = "image/png", body = File),
+        (status = 404, body = Problem), (status = 406, body = Problem), (status = 413, body = Problem),
+        (status = 422, body = Problem), (status = 503, body = Problem, description = "Busy; try again")
+    )
+)]
+async fn render(
+    State(app): State<Shared>,
+    Path(id): Path<ModelId>,
+    headers: HeaderMap,
+    JsonBody(request): JsonBody<RenderRequest, BODY_LIMIT>,
+) -> Result<Response, Problem> {
+    let format = negotiate::frame_format(&headers)?;
+    check_outputs(&request.outputs, format)?;
+    let camera = camera(&request)?;
+    let quality = quality(&request)?;
+    let (model, _) = models::source(&app, &id).await?;
+    let light = light(&app, &request.environment).await?;
+    let task = RenderTask {
+        model,
+        light,
+        rotation_deg: request.environment.rotation_deg,
+        exposure_ev: request.environment.exposure_ev,
+        viewpoint: Viewpoint::Camera(camera),
+        quality,
+        outputs: request.outputs,
+    };
+    Ok(respond(render_frame(&app, task, format).await?, format))
+}
+
+/// An encoded frame and the value of the header `Server-Timing`: how long the request waited and took.
+pub(super) struct TimedFrame {
+    encoded: EncodedFrame,
+    timing: String,
+}
+
+/// Renders on the device thread and encodes off it.
+pub(super) async fn render_frame(
+    app: &Shared,
+    task: RenderTask,
+    format: FrameFormat,
+) -> Result<TimedFrame, Problem> {
+    let outputs = task.outputs.clone();
+    let rendered = app.device.render(task).await?;
+    let ms = |d: std::time::Duration| d.as_secs_f64() * 1e3;
+    let timing = format!(
+        "queue;dur={:.1};desc=\"{} training steps\", render;dur={:.1}",
+        ms(rendered.waited),
+        rendered.steps_waited,
+        ms(rendered.took)
+    );
+    let encoded = tokio::task::spawn_blocking(move || encode_frame(&rendered.frame, &outputs, format));
+    let encoded = encoded.await.map_err(Problem::internal)?.map_err(Problem::internal)?;
+    Ok(TimedFrame { encoded, timing })
+}
+
+/// The response that carries a frame.
+pub(super) fn respond(TimedFrame { encoded, timing }: TimedFrame, format: FrameFormat) -> Response {
+    let mut response = encoded.bytes.into_response();
+    if let Ok(value) = HeaderValue::from_str(&timing) {
+        response.headers_mut().insert("server-timing", value);
+    }
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
+    if let Some([near, far]) = encoded.depth_range
+        && let Ok(value) = HeaderValue::from_str(&format!("{near} {far}"))
+    {
+        headers.insert(DEPTH_RANGE, value);
+    }
+    response
+}
+
+fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(), Problem> {
+    let refuse = |why: &str| Err(Problem::invalid_field("/outputs", why));
+    match (outputs, format) {
+        ([], _) => refuse("must name at least one output"),
+        ([_], FrameFormat::Png) | (_, FrameFormat::Exr) => Ok(()),
+        ([one], FrameFormat::Jpeg) if is_colour(*one) => Ok(()),
+        ([_], FrameFormat::Jpeg) => {
+            refuse("is data, which JPEG would spoil; accept image/png or image/x-exr")
+        }
+        _ => refuse("only image/x-exr holds several outputs"),
+    }
+}

@@ -1,0 +1,181 @@
+//! A server from start to end: lock the data directory, recover, serve, drain.
+
+use std::future::Future;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::http::HeaderValue;
+use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+
+use crate::engine::DeviceError;
+use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
+use crate::server::app::{App, RequestLimits};
+use crate::server::auth::ApiKeys;
+use crate::server::observe;
+use crate::server::router::{openapi, router};
+use crate::store::{NodeLock, Store, StoreError};
+use crate::worker::{self, StartError, WorkerOptions};
+
+/// Time between two searches for leases that ran out; metrics are maintained then, too.
+const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(10);
+/// How long open connections may take to end after a shutdown was asked for.
+const DRAIN: Duration = Duration::from_secs(20);
+/// Archives that are validated at the same time; each may take gigabytes of memory.
+const PARALLEL_IMPORTS: usize = 2;
+
+/// How a server runs.
+#[derive(Clone)]
+pub struct ServerConfig {
+    /// Where everything is stored. One server for each directory.
+    pub data_dir: PathBuf,
+    /// Accepted keys; without any, everyone is accepted, on loopback only.
+    pub api_keys: ApiKeys,
+    /// Origins whose web pages may call the API.
+    pub cors_origins: Vec<HeaderValue>,
+    /// Bounds on requests.
+    pub limits: RequestLimits,
+    /// How leases behave.
+    pub lease: LeasePolicy,
+    /// Sizes of the worker.
+    pub worker: WorkerOptions,
+    /// Tells the time.
+    pub clock: Arc<dyn Clock>,
+    /// Makes identifiers.
+    pub ids: Arc<dyn Ids>,
+}
+
+impl ServerConfig {
+    /// The defaults on a data directory.
+    pub fn new(data_dir: impl Into<PathBuf>) -> Self {
+        Self {
+            data_dir: data_dir.into(),
+            api_keys: ApiKeys::default(),
+            cors_origins: Vec::new(),
+            limits: RequestLimits::default(),
+            lease: LeasePolicy::default(),
+            worker: WorkerOptions::default(),
+            clock: Arc::new(SystemClock),
+            ids: Arc::new(RandomIds),
+        }
+    }
+}
+
+/// Why a server did not start or did not end well.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// Without a key it would be open to the network.
+    #[error(
+        "refusing to listen on {0} without an API key; set --api-key or RELUME_API_KEYS, or bind 127.0.0.1"
+    )]
+    Exposed(SocketAddr),
+    /// The data directory cannot be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The device that was asked for cannot be had.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// The network or a thread failed.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}
+
+/// Serves until `shutdown` resolves, then drains: claims nothing more, checkpoints and releases the running job,
+/// ends event streams and lets open requests finish.
+///
+/// # Errors
+/// See [`ServeError`].
+pub async fn run(
+    config: ServerConfig,
+    listener: TcpListener,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Result<(), ServeError> {
+    let address = listener.local_addr()?;
+    if !config.api_keys.may_listen(address) {
+        return Err(ServeError::Exposed(address));
+    }
+    observe::metrics_handle();
+    let _lock = NodeLock::acquire(&config.data_dir)?;
+    let store = Store::open(&config.data_dir).await?;
+    let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
+    recover(&store, &jobs).await?;
+
+    let stop = CancellationToken::new();
+    let (device, thread) = worker::start(jobs.clone(), config.worker, stop.clone()).map_err(|e| match e {
+        StartError::Device(error) => ServeError::Device(error),
+        StartError::Thread(error) => ServeError::Io(error),
+    })?;
+    let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
+    let app = App {
+        store: store.clone(),
+        jobs,
+        device,
+        limits: config.limits,
+        imports: Semaphore::new(PARALLEL_IMPORTS),
+        stop: stop.clone(),
+        is_open: config.api_keys.is_open(),
+        description: openapi(),
+    };
+    let service = router(Arc::new(app), config.api_keys, &config.cors_origins);
+    tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
+    let served = serve(listener, service, shutdown, stop.clone()).await;
+
+    stop.cancel();
+    let joined = tokio::task::spawn_blocking(move || thread.join()).await;
+    if !matches!(joined, Ok(Ok(()))) {
+        tracing::error!("the device thread did not end well");
+    }
+    maintenance.abort();
+    store.close().await;
+    tracing::info!("stopped");
+    served
+}
+
+/// Takes back what a server that died left. The caller holds the node lock, so no other process works here.
+async fn recover(store: &Store, jobs: &Jobs) -> Result<(), StoreError> {
+    store.artifacts().sweep_incoming()?;
+    let recovered = jobs.reclaim_all().await?;
+    if !recovered.is_empty() {
+        tracing::info!(jobs = recovered.len(), "recovered jobs of a server that died");
+    }
+    Ok(())
+}
+
+async fn serve(
+    listener: TcpListener,
+    service: axum::Router,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+    stop: CancellationToken,
+) -> Result<(), ServeError> {
+    let stopping = stop.clone();
+    let graceful = async move {
+        shutdown.await;
+        tracing::info!("shutting down");
+        stopping.cancel();
+    };
+    let serving = axum::serve(listener, service).with_graceful_shutdown(graceful);
+    let deadline = async {
+        stop.cancelled().await;
+        tokio::time::sleep(DRAIN).await;
+    };
+    tokio::select! {
+        result = serving => Ok(result?),
+        () = deadline => {
+            tracing::warn!("some connections did not end in time");
+            Ok(())
+        }
+    }
+}
+
+async fn maintain(jobs: Jobs, stop: CancellationToken) {
+    while !stop.is_cancelled() {
+        if let Err(error) = jobs.reclaim_expired().await {
+            tracing::error!(%error, "expired leases cannot be taken back");
+        }
+        observe::metrics_handle().run_upkeep();
+        tokio::time::sleep(MAINTENANCE_INTERVAL).await;
+    }
+}

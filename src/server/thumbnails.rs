@@ -1,0 +1,139 @@
+//! `/v1/models/{id}/thumbnail`: small relit pictures for web pages, cacheable without rendering them again.
+
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::{EnvironmentId, ModelId, Problem};
+use crate::render::{FrameFormat, Orbit, Output, Tier, Viewpoint};
+use crate::server::app::Shared;
+use crate::server::description::File;
+use crate::server::extract::QueryString;
+use crate::server::files::{etag, matches_etag};
+use crate::server::lights::{builtin_light, stored_light};
+use crate::server::{models, renders};
+use crate::store::hex;
+use crate::worker::{LightSource, RenderTask};
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(thumbnail))
+}
+
+/// Which picture.
+#[derive(Debug, Default, Clone, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ThumbnailQuery {
+    /// Name of a built-in map, identifier of an uploaded one, or `recovered` (the default).
+    pub env: Option<String>,
+    /// Side, 16 to 1024 pixels; 256 when absent.
+    pub size: Option<u32>,
+    /// Degrees counter-clockwise seen from above; 0 stands on the +x side.
+    pub azimuth: Option<f64>,
+    /// Degrees above the horizon, -90 to 90; 20 when absent.
+    pub elevation: Option<f64>,
+    /// `preview` (the default), `standard` or `high`.
+    #[param(value_type = Option<String>)]
+    pub tier: Option<Tier>,
+    /// `png` (the default, with alpha) or `jpeg` (over white).
+    #[param(inline)]
+    pub format: Option<FrameFormat>,
+}
+
+/// Get a thumbnail
+///
+/// The same URL always gives the same picture, so it may be cached; the `ETag` is known before rendering.
+#[utoipa::path(
+    get, path = "/v1/models/{id}/thumbnail", tag = "models", params(("id" = String, Path), ThumbnailQuery),
+    responses(
+        (status = 200, content_type = "image/png", body = File),
+        (status = 304, description = "The caller has it already"),
+        (status = 404, body = Problem), (status = 422, body = Problem), (status = 503, body = Problem)
+    )
+)]
+async fn thumbnail(
+    State(app): State<Shared>,
+    Path(id): Path<ModelId>,
+    QueryString(query): QueryString<ThumbnailQuery>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let orbit = orbit(&query)?;
+    let format = format(&query)?;
+    let tier = tier(&query)?;
+    let (model, model_hash) = models::source(&app, &id).await?;
+    let light = light(&app, query.env.as_deref().unwrap_or("recovered")).await?;
+    let tag = etag(&identity(&model_hash, &light, &orbit, tier, format));
+    let mut response = if matches_etag(&headers, &tag) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        let (viewpoint, outputs) = (Viewpoint::Orbit(orbit), vec![Output::Rgb]);
+        let task = RenderTask {
+            model,
+            light,
+            rotation_deg: 0.0,
+            exposure_ev: 0.0,
+            viewpoint,
+            quality: tier.into(),
+            outputs,
+        };
+        renders::respond(renders::render_frame(&app, task, format).await?, format)
+    };
+    let out = response.headers_mut();
+    out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
+    let scope = if app.is_open { "public, max-age=3600" } else { "private, max-age=3600" };
+    out.insert(header::CACHE_CONTROL, HeaderValue::from_static(scope));
+    Ok(response)
+}
+
+fn orbit(query: &ThumbnailQuery) -> Result<Orbit, Problem> {
+    let orbit = Orbit {
+        azimuth_deg: query.azimuth.unwrap_or(0.0),
+        elevation_deg: query.elevation.unwrap_or(20.0),
+        size: query.size.unwrap_or(256),
+    };
+    if !(16..=1024).contains(&orbit.size) {
+        return Err(Problem::invalid_field("query/size", "must be 16 to 1024"));
+    }
+    if !orbit.azimuth_deg.is_finite() {
+        return Err(Problem::invalid_field("query/azimuth", "must be finite"));
+    }
+    if !(-90.0..=90.0).contains(&orbit.elevation_deg) {
+        return Err(Problem::invalid_field("query/elevation", "must be -90 to 90"));
+    }
+    Ok(orbit)
+}
+
+fn tier(query: &ThumbnailQuery) -> Result<Tier, Problem> {
+    match query.tier.unwrap_or(Tier::Preview) {
+        Tier::MonteCarlo => Err(Problem::invalid_field("query/tier", "must be preview, standard or high")),
+        tier => Ok(tier),
+    }
+}
+
+fn format(query: &ThumbnailQuery) -> Result<FrameFormat, Problem> {
+    match query.format.unwrap_or(FrameFormat::Png) {
+        FrameFormat::Exr => Err(Problem::invalid_field("query/format", "must be png or jpeg")),
+        format => Ok(format),
+    }
+}
+
+async fn light(app: &Shared, name: &str) -> Result<LightSource, Problem> {
+    if let Some(light) = builtin_light(name) {
+        return Ok(light);
+    }
+    let stored = stored_light(app, &EnvironmentId::from(name)).await?;
+    stored.ok_or_else(|| Problem::invalid_field("query/env", format!("{name:?} does not exist")))
+}
+
+/// A hash of everything the picture depends on, the program's version included.
+fn identity(model: &str, light: &LightSource, orbit: &Orbit, tier: Tier, format: FrameFormat) -> String {
+    let light = light.key();
+    let text = format!("{}|{model}|{light}|{orbit:?}|{tier:?}|{format:?}", env!("CARGO_PKG_VERSION"));
+    hex(&Sha256::digest(text.as_bytes()))
+}

@@ -1,0 +1,68 @@
+//! Bodies that are files: raw, or one field of a multipart form. They stream to disk and are hashed on the way.
+
+use axum::extract::{FromRequest, Multipart, Request};
+use axum::http::StatusCode;
+use futures::StreamExt;
+
+use crate::api::Problem;
+use crate::server::app::Shared;
+use crate::server::extract::{content_length, media_type};
+use crate::store::Incoming;
+
+/// What a route accepts.
+pub(super) struct Expected {
+    /// Name of the multipart field.
+    pub(super) field: &'static str,
+    /// Media types of a raw body.
+    pub(super) media_types: &'static [&'static str],
+    /// Most bytes.
+    pub(super) limit: u64,
+}
+
+/// Bytes of multipart boundaries and headers that a declared length may have beyond the file.
+const FORM_OVERHEAD: u64 = 65_536;
+
+/// Receives the request's file. After an error nothing of it is left on disk.
+pub(super) async fn receive(
+    app: &Shared,
+    request: Request,
+    expected: &Expected,
+) -> Result<Incoming, Problem> {
+    let declared = content_length(request.headers());
+    if declared.is_some_and(|n| n > expected.limit + FORM_OVERHEAD) {
+        return Err(Problem::too_large(expected.limit));
+    }
+    match media_type(request.headers()).as_deref() {
+        Some("multipart/form-data") => from_form(app, request, expected).await,
+        Some(raw) if expected.media_types.contains(&raw) => {
+            let body = request.into_body().into_data_stream();
+            let name: String = app.jobs.fresh_id();
+            Ok(app.store.artifacts().receive(&name, body, expected.limit).await?)
+        }
+        _ => {
+            let types = expected.media_types.join(", ");
+            Err(Problem::unsupported_media_type(&format!("multipart/form-data or one of {types}")))
+        }
+    }
+}
+
+async fn from_form(app: &Shared, request: Request, expected: &Expected) -> Result<Incoming, Problem> {
+    let broken = |reason: String| {
+        Problem::new(StatusCode::BAD_REQUEST, "malformed-form", "The multipart form cannot be read")
+            .detail(reason)
+    };
+    let mut form = Multipart::from_request(request, app).await.map_err(|e| broken(e.body_text()))?;
+    let mut file = None;
+    while let Some(field) = form.next_field().await.map_err(|e| broken(e.body_text()))? {
+        let name = field.name().unwrap_or_default().to_owned();
+        if name != expected.field || file.is_some() {
+            let detail = format!("the form takes one field, {:?}", expected.field);
+            return Err(Problem::invalid_field(format!("/{name}"), detail));
+        }
+        let body = field.map(|chunk| chunk.map_err(|e| e.body_text()));
+        let id: String = app.jobs.fresh_id();
+        file = Some(app.store.artifacts().receive(&id, body, expected.limit).await?);
+    }
+    let missing = || Problem::invalid_field(format!("/{}", expected.field), "the form lacks this field");
+    file.ok_or_else(missing)
+}

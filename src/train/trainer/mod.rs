@@ -1,0 +1,392 @@
+//! The trainer: one object that owns everything a step needs.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
+use crate::capture::Capture;
+use crate::engine::cpu::evaluation;
+use crate::engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
+use crate::light::{EnvOperators, TableResolution};
+use crate::scene::{Field, Model};
+use crate::train::complexity::{self, state::ComplexityState};
+use crate::train::context::StepContext;
+use crate::train::dataset::Dataset;
+use crate::train::error::{MOST_ROLLBACKS, TrainError};
+use crate::train::state::ScheduleState;
+use crate::train::{LabelSource, TrainConfig, checkpoint, density, initial, materials, schedule};
+
+/// Fewest photographs worth training on.
+const LEAST_VIEWS: usize = 3;
+/// Steps between the states a roll-back can return to.
+const SNAPSHOT_EVERY: u32 = 50;
+/// Steps between density rounds.
+const REFINE_EVERY: u32 = 100;
+
+/// What one step did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepReport {
+    /// Steps done so far.
+    pub step: u32,
+    /// The objective.
+    pub loss: f32,
+    /// PSNR on this step's photograph, dB: physically based branch, or the radiance branch during its warm-up.
+    pub psnr: f32,
+    /// Gaussians now.
+    pub gaussians: usize,
+    /// Something a user should know, e.g. a roll-back after a non-finite loss.
+    pub warning: Option<String>,
+}
+
+/// Where a training stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Progress {
+    /// Steps done.
+    pub step: u32,
+    /// Steps in all.
+    pub total: u32,
+}
+
+/// A training in progress. The same capture, configuration and seed give the same bytes on the CPU engine; on a GPU
+/// sums are taken in no fixed order, and the result agrees to the last digits only.
+pub struct Trainer {
+    config: TrainConfig,
+    data: Dataset,
+    operators: Arc<EnvOperators>,
+    schedule: ScheduleState,
+    snapshot: ScheduleState,
+    engine: Box<dyn Training>,
+    rollbacks: u32,
+}
+
+impl Trainer {
+    /// Starts from nothing.
+    ///
+    /// # Errors
+    /// [`TrainError::Invalid`] names what cannot be trained on, [`TrainError::Device`] what the device lacks.
+    pub fn new(capture: &Capture, config: TrainConfig, device: &Device) -> Result<Self, TrainError> {
+        let data = prepare(capture, &config)?;
+        let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+        let model = initial::model(capture, &data, &config, &mut rng);
+        let schedule = ScheduleState {
+            step: 0,
+            order: (0..data.full.len() as u32).collect(),
+            cursor: data.full.len() as u32,
+            rng,
+            rate_factor: 1.0,
+            seconds: 0.0,
+            complexity: ComplexityState::default(),
+        };
+        Self::assemble(config, data, schedule, TrainState::new(model), device)
+    }
+
+    /// Goes on from [`Trainer::checkpoint`] bytes, on whatever device; on the CPU engine bit for bit.
+    ///
+    /// # Errors
+    /// [`TrainError::Checkpoint`] names what does not fit, [`TrainError::Invalid`] what cannot be trained on.
+    pub fn resume(
+        capture: &Capture,
+        config: TrainConfig,
+        bytes: &[u8],
+        device: &Device,
+    ) -> Result<Self, TrainError> {
+        let data = prepare(capture, &config)?;
+        let (schedule, state) = checkpoint::decode(bytes, &config)?;
+        if schedule.order.len() != data.full.len() {
+            return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
+        }
+        Self::assemble(config, data, schedule, state, device)
+    }
+
+    fn assemble(
+        config: TrainConfig,
+        data: Dataset,
+        schedule: ScheduleState,
+        state: TrainState,
+        device: &Device,
+    ) -> Result<Self, TrainError> {
+        let operators = operators_of(&state.model);
+        let limits = TrainingLimits {
+            resolution: config.resolution,
+            pixels: data.full.iter().map(|photo| photo.pixels.len()).max().unwrap_or(0),
+            max_gaussians: config.max_gaussians.max(config.initial_gaussians),
+            probe_directions: config.probe_directions,
+        };
+        let engine = device.training(state, &operators, &limits)?;
+        Ok(Self { snapshot: schedule.clone(), config, data, operators, schedule, engine, rollbacks: 0 })
+    }
+
+    fn context(&self) -> StepContext<'_> {
+        StepContext {
+            config: &self.config,
+            operators: &self.operators,
+            background: self.data.background,
+            has_alpha: self.data.has_alpha,
+        }
+    }
+
+    /// One optimisation step.
+    ///
+    /// A non-finite loss or gradient returns to the last good state with smaller steps and says so in the report.
+    ///
+    /// # Errors
+    /// [`TrainError::Diverged`] when that did not help either, [`TrainError::Device`] when the device failed.
+    pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        let start = Instant::now();
+        self.prepare_step()?;
+        let photo = self.next_photo();
+        let progress = self.schedule.step as f32 / self.config.iterations as f32;
+        let branches = schedule::branches(&self.config, self.schedule.step);
+        let size = if progress < self.config.half_resolution { PhotoSize::Half } else { PhotoSize::Full };
+        let mut sizes = schedule::step_sizes(&self.config, branches, progress);
+        if self.is_dielectric() {
+            sizes.fields[Field::MetalLogit as usize] = 0.0;
+        }
+        let next = self.schedule.step + 1;
+        let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
+        let sums = self.engine.step(&Step {
+            photo: self.data.photo(photo, size),
+            photo_id: PhotoId { index: photo, size },
+            background: self.data.background,
+            branches,
+            weights: schedule::step_weights(&self.config, branches, progress, self.data.has_alpha),
+            sizes: sizes.scaled(self.schedule.rate_factor),
+            counts: StepCounts { geometry: next, material },
+        })?;
+        if !sums.finite {
+            return self.roll_back();
+        }
+        let psnr = -10.0 * sums.mse.max(1e-10).log10();
+        let phase = u32::from(branches.is_physical()) + 2 * u32::from(size == PhotoSize::Half);
+        self.schedule.complexity.record(phase, psnr);
+        self.schedule.step = next;
+        self.refine()?;
+        if self.is_done() {
+            self.decide()?;
+        }
+        self.schedule.seconds += start.elapsed().as_secs_f64();
+        if self.is_snapshot_step() {
+            if !self.engine.snapshot()? {
+                return self.roll_back();
+            }
+            self.snapshot = self.schedule.clone();
+            self.rollbacks = 0;
+        }
+        Ok(StepReport {
+            step: self.schedule.step,
+            loss: sums.loss,
+            psnr,
+            gaussians: self.engine.gaussians(),
+            warning: None,
+        })
+    }
+
+    fn is_snapshot_step(&self) -> bool {
+        let step = self.schedule.step;
+        step.is_multiple_of(SNAPSHOT_EVERY) || step.is_multiple_of(self.config.checkpoint_every)
+    }
+
+    fn roll_back(&mut self) -> Result<StepReport, TrainError> {
+        let failed = self.schedule.step;
+        self.rollbacks += 1;
+        if self.rollbacks > MOST_ROLLBACKS {
+            return Err(TrainError::Diverged { step: failed });
+        }
+        self.engine.roll_back()?;
+        self.schedule = self.snapshot.clone();
+        self.schedule.rate_factor *= 0.5f32.powi(self.rollbacks as i32);
+        let factor = self.schedule.rate_factor;
+        let step = self.schedule.step;
+        Ok(StepReport {
+            step,
+            loss: f32::MAX,
+            psnr: 0.0,
+            gaussians: self.engine.gaussians(),
+            warning: Some(format!(
+                "step {failed} was not finite: back to step {step} with step sizes at {factor} of the schedule"
+            )),
+        })
+    }
+
+    /// True when the training measures visibility, for labels or for the light that bounces.
+    fn measures(&self) -> bool {
+        let uses_probes = matches!(self.config.labels, LabelSource::Probes | LabelSource::Both);
+        uses_probes || self.config.bounces > 0
+    }
+
+    /// What has to happen before certain steps: materials start, probes are refreshed.
+    fn prepare_step(&mut self) -> Result<(), TrainError> {
+        let (step, warm_up) = (self.schedule.step, self.config.warm_up_steps());
+        if step == warm_up {
+            let mut state = self.engine.state()?.into_owned();
+            materials::initialise(&mut state);
+            if self.is_dielectric() {
+                complexity::hold_dielectric(&mut state);
+            }
+            self.engine.load(state)?;
+        }
+        if self.measures() && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every) {
+            // The first measurement also finds each Gaussian's open side, which the second one starts from.
+            self.measure(if step == warm_up { 2 } else { 1 })?;
+        }
+        if self.config.is_albedo_round(step) {
+            self.restart_albedo()?;
+        }
+        self.decide()
+    }
+
+    /// Materials anew, from colours with the light divided out.
+    fn restart_albedo(&mut self) -> Result<(), TrainError> {
+        if self.measures() {
+            self.measure(1)?;
+        }
+        let state = self.engine.state()?;
+        if state.model.check().is_err() {
+            // The next step rolls back, and comes past here again.
+            return Ok(());
+        }
+        let mut state = state.into_owned();
+        let normals = evaluation::normals(&state);
+        materials::restart_albedo(&mut state, &self.operators, &normals);
+        if self.is_dielectric() {
+            complexity::hold_dielectric(&mut state);
+        }
+        Ok(self.engine.load(state)?)
+    }
+
+    /// True when metalness is not learned.
+    fn is_dielectric(&self) -> bool {
+        !self.config.metalness || self.schedule.complexity.is_dielectric
+    }
+
+    /// Makes the model as small as the scene allows, if a decision is due.
+    fn decide(&mut self) -> Result<(), TrainError> {
+        let steps = self.schedule.step;
+        let Some(point) = self.schedule.complexity.due(&self.config, steps) else { return Ok(()) };
+        let state = self.engine.state()?;
+        if state.model.check().is_err() {
+            // The next step rolls back, and comes past here again.
+            return Ok(());
+        }
+        let mut state = state.into_owned();
+        let mut decisions = self.schedule.complexity.clone();
+        decisions.decide(point, &self.context(), steps, &self.data.full, &mut state);
+        self.schedule.complexity = decisions;
+        if state.model.gaussians.visibility_order() != self.operators.order() {
+            self.operators = operators_of(&state.model);
+        }
+        self.engine.reshape(state, &self.operators)?;
+        self.snapshot = self.schedule.clone();
+        Ok(())
+    }
+
+    /// Measures visibility and gathered light, `repeats` times in a row.
+    fn measure(&mut self, repeats: usize) -> Result<(), TrainError> {
+        Ok(self.engine.measure(&schedule::measurement(&self.config, repeats))?)
+    }
+
+    fn next_photo(&mut self) -> usize {
+        let schedule = &mut self.schedule;
+        if schedule.cursor as usize >= schedule.order.len() {
+            schedule.order.shuffle(&mut schedule.rng);
+            schedule.cursor = 0;
+        }
+        schedule.cursor += 1;
+        schedule.order[schedule.cursor as usize - 1] as usize
+    }
+
+    fn refine(&mut self) -> Result<(), TrainError> {
+        let (step, total) = (self.schedule.step, self.config.iterations);
+        let last = (self.config.densify_until * total as f32) as u32;
+        let first = (total / 50).max(50);
+        if step < first || step > last || !step.is_multiple_of(REFINE_EVERY.min((total / 15).max(10))) {
+            return Ok(());
+        }
+        // The budget opens with the square root of progress, so that early Gaussians settle first.
+        let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
+        let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
+        self.schedule.complexity.before_round(&self.config, step, self.engine.gaussians());
+        let most = self.schedule.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
+        let budget = ((low + (high - low) * share) as usize).min(most);
+        let centres = (!self.data.has_alpha).then(|| self.data.camera_centres());
+        let signals = self.engine.density_signals()?;
+        self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
+        if step > self.config.warm_up_steps() && self.measures() {
+            // New Gaussians need labels and light of their own.
+            self.measure(1)?;
+        }
+        Ok(())
+    }
+
+    /// Where it stands.
+    pub fn progress(&self) -> Progress {
+        Progress { step: self.schedule.step, total: self.config.iterations }
+    }
+
+    /// True when every step is done.
+    pub fn is_done(&self) -> bool {
+        self.schedule.step >= self.config.iterations
+    }
+
+    /// The configuration in force.
+    pub fn config(&self) -> &TrainConfig {
+        &self.config
+    }
+
+    /// Everything a resume needs, as one safetensors file with a versioned header.
+    ///
+    /// # Errors
+    /// When the state is not finite (a poisoned checkpoint is never written) or the device failed.
+    pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
+        checkpoint::encode(&self.schedule, self.engine.state()?.as_ref(), &self.config)
+    }
+
+    /// The model as it is now, with its card.
+    ///
+    /// # Errors
+    /// [`TrainError::Device`] when the device failed.
+    pub fn model(&self) -> Result<Model, TrainError> {
+        let mut model = self.engine.state()?.model.clone();
+        model.card = serde_json::json!({
+            "relume_version": env!("CARGO_PKG_VERSION"),
+            "engine": self.engine.engine(),
+            "steps": self.schedule.step,
+            "gaussians": model.gaussians.len(),
+            "photographs": self.data.full.len(),
+            "has_alpha": self.data.has_alpha,
+            "complexity": self.schedule.complexity.card(&self.config),
+            "config": self.config,
+        });
+        Ok(model)
+    }
+
+    /// Seconds spent in steps so far, over all runs.
+    pub fn seconds(&self) -> f64 {
+        self.schedule.seconds
+    }
+}
+
+fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainError> {
+    if capture.train.len() < LEAST_VIEWS {
+        let n = capture.train.len();
+        return Err(TrainError::Invalid(format!(
+            "capture: {n} usable training photographs, at least {LEAST_VIEWS} are needed"
+        )));
+    }
+    if config.light.is_some() && capture.lit_by.is_none() {
+        return Err(TrainError::Invalid("light: the capture came without the map it names".into()));
+    }
+    Ok(Dataset::new(capture, config.resolution))
+}
+
+/// The operators for a model's environment and visibility.
+fn operators_of(model: &Model) -> Arc<EnvOperators> {
+    let order = model.gaussians.visibility_order();
+    Arc::new(EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,83 @@
+//! Reading a job's capture, and the light that it is known to have been taken in.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::Arc;
+
+use crate::api::EnvironmentId;
+use crate::capture::{BUILTIN, Capture};
+use crate::jobs::Lease;
+use crate::store::{LeaseStatus, Release};
+use crate::train::{TrainConfig, import_for_training};
+use crate::worker::progress::announce;
+use crate::worker::renders::LightSource;
+use crate::worker::thread::Worker;
+use crate::worker::training::outcome::{AttemptEnd, AttemptError, ENVIRONMENT_MISSING, settle};
+
+impl Worker {
+    /// Reads the capture on another thread while this one renders; stops early when the job is to stop.
+    pub(super) async fn import(
+        &mut self,
+        lease: &Lease,
+        config: &TrainConfig,
+    ) -> Result<ControlFlow<AttemptEnd, Capture>, AttemptError> {
+        let job = lease.job();
+        announce(lease, "reading the capture").await?;
+        let record = self.jobs.store().capture(&job.request.capture).await?;
+        let record = record.ok_or_else(|| AttemptError::new("capture_missing", "the capture is gone"))?;
+        let path = self.jobs.store().artifacts().local_path(&record.artifact);
+        let light = self.known_light(config).await?;
+        let config = config.clone();
+        let mut importing = tokio::task::spawn_blocking(move || load(&path, &config, light.as_ref()));
+        let capture = loop {
+            tokio::select! {
+                imported = &mut importing => break imported,
+                Some(request) = self.renders.recv() => self.serve(request),
+                _ = self.changes.changed() => if lease.check().await? != LeaseStatus::Held {
+                    return Ok(ControlFlow::Break(settle(lease).await?));
+                },
+                () = self.stop.cancelled() => {
+                    lease.release(Release::Shutdown).await?;
+                    return Ok(ControlFlow::Break(AttemptEnd::Stopped));
+                }
+            }
+        };
+        let capture = capture.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic()));
+        let capture = capture?;
+        if job.attempts == 1 {
+            for warning in &capture.warnings {
+                lease.warn(warning).await?;
+            }
+        }
+        Ok(ControlFlow::Continue(capture))
+    }
+
+    /// The source of the map of a known light.
+    async fn known_light(&self, config: &TrainConfig) -> Result<Option<LightSource>, AttemptError> {
+        let Some(light) = &config.light else { return Ok(None) };
+        if BUILTIN.contains(&light.environment.as_str()) {
+            return Ok(Some(LightSource::Builtin(light.environment.clone())));
+        }
+        let store = self.jobs.store();
+        let record = store.environment(&EnvironmentId::from(light.environment.as_str())).await?;
+        let record =
+            record.ok_or_else(|| AttemptError::new(ENVIRONMENT_MISSING, "the known light is gone"))?;
+        let path = store.artifacts().local_path(&record.artifact);
+        Ok(Some(LightSource::Stored { sha256: record.sha256, path }))
+    }
+}
+
+/// A capture with the light it is known to have been taken in.
+fn load(path: &Path, config: &TrainConfig, light: Option<&LightSource>) -> Result<Capture, AttemptError> {
+    let capture = import_for_training(path, config);
+    let mut capture = capture.map_err(|e| AttemptError::new(e.code(), e.to_string()))?;
+    if let (Some(known), Some(source)) = (&config.light, light) {
+        let map = source
+            .map()
+            .map_err(|e| AttemptError::new(ENVIRONMENT_MISSING, format!("the known light: {e}")))?;
+        if let Some(map) = map {
+            known.illuminate(&mut capture, Arc::unwrap_or_clone(map));
+        }
+    }
+    Ok(capture)
+}

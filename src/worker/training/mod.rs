@@ -1,0 +1,150 @@
+//! One attempt at a job: import, train step by step, checkpoint, publish.
+
+mod import;
+mod outcome;
+mod publish;
+
+use std::ops::ControlFlow;
+use std::sync::atomic::Ordering;
+
+use crate::api::jobs::JobDevice;
+use crate::capture::Capture;
+use crate::engine::Device;
+use crate::jobs::Lease;
+use crate::store::{LeaseStatus, Release, StoreError};
+use crate::train::{TrainConfig, TrainError, Trainer};
+use crate::worker::progress::{Reporter, announce};
+use crate::worker::thread::Worker;
+use outcome::{AttemptEnd, AttemptError, settle};
+
+/// The state of one attempt between steps.
+struct Attempt<'a> {
+    lease: &'a Lease,
+    trainer: Trainer,
+    reporter: Reporter,
+    checkpoint_every: u32,
+}
+
+impl Worker {
+    /// Trains the lease's job until it ends one way or another.
+    pub(super) async fn train(&mut self, lease: &Lease) -> Result<AttemptEnd, AttemptError> {
+        let request = &lease.job().request;
+        let config = TrainConfig::new(request.preset, &request.overrides)
+            .map_err(|error| AttemptError::new("config_invalid", error.to_string()))?;
+        let checkpoint_every = config.checkpoint_every.max(1);
+        let capture = match self.import(lease, &config).await? {
+            ControlFlow::Continue(capture) => capture,
+            ControlFlow::Break(ending) => return Ok(ending),
+        };
+        let trainer = self.trainer(lease, &capture, config).await?;
+        let reporter = Reporter::new(self.jobs.now_ms(), trainer.progress().step);
+        let mut attempt = Attempt { lease, trainer, reporter, checkpoint_every };
+        while !attempt.trainer.is_done() {
+            if self.stop.is_cancelled() {
+                return attempt.suspend().await;
+            }
+            if self.changes.has_changed().unwrap_or(false) {
+                self.changes.mark_unchanged();
+                if held_or_unknown(lease.check().await) != LeaseStatus::Held {
+                    return Ok(settle(lease).await?);
+                }
+            }
+            let status = attempt.step(self.jobs.now_ms()).await?;
+            self.steps.fetch_add(1, Ordering::SeqCst);
+            if status != LeaseStatus::Held {
+                return Ok(settle(lease).await?);
+            }
+            self.serve_waiting();
+        }
+        publish::publish(lease, &attempt.trainer).await
+    }
+
+    /// Continues from the last checkpoint, or starts over when none can be read.
+    async fn trainer(
+        &self,
+        lease: &Lease,
+        capture: &Capture,
+        config: TrainConfig,
+    ) -> Result<Trainer, AttemptError> {
+        announce(lease, "preparing").await?;
+        let device = match (lease.job().request.device, &self.device) {
+            (JobDevice::Cpu, _) => &Device::Cpu,
+            (JobDevice::Gpu, Device::Cpu) => {
+                return Err(AttemptError::new("device_unfit", "this server has no GPU"));
+            }
+            (_, device) => device,
+        };
+        let Some(key) = &lease.job().checkpoint else { return Ok(Trainer::new(capture, config, device)?) };
+        let resumed = match self.jobs.store().artifacts().get(key).await {
+            Ok(bytes) => Trainer::resume(capture, config.clone(), &bytes, device),
+            Err(error) => Err(TrainError::Checkpoint(error.to_string())),
+        };
+        match resumed {
+            Ok(trainer) => Ok(trainer),
+            Err(error @ TrainError::Device(_)) => Err(error.into()),
+            Err(error) => {
+                tracing::warn!(%error, key, "a checkpoint cannot be used");
+                lease.warn("the last checkpoint cannot be read; training starts over").await?;
+                Ok(Trainer::new(capture, config, device)?)
+            }
+        }
+    }
+}
+
+impl Attempt<'_> {
+    /// Takes one step and reports it.
+    async fn step(&mut self, now_ms: i64) -> Result<LeaseStatus, AttemptError> {
+        let report = self.trainer.step()?;
+        metrics::counter!("relume_training_steps_total").increment(1);
+        if let Some(warning) = &report.warning {
+            self.tell(warning).await;
+        }
+        let progress = self.trainer.progress();
+        let mut status = LeaseStatus::Held;
+        if let Some(update) = self.reporter.report(now_ms, &report, progress) {
+            status = held_or_unknown(self.lease.progress(&update).await);
+        }
+        if progress.step.is_multiple_of(self.checkpoint_every) && !self.trainer.is_done() {
+            self.checkpoint().await?;
+        }
+        Ok(status)
+    }
+
+    /// Stores a checkpoint. When that fails, training goes on and the checkpoint before still counts.
+    async fn checkpoint(&self) -> Result<(), AttemptError> {
+        let step = i64::from(self.trainer.progress().step);
+        let bytes = self.trainer.checkpoint()?;
+        if let Err(error) = self.lease.checkpoint(step, bytes).await {
+            tracing::error!(%error, step, "a checkpoint could not be stored");
+            self.tell("a checkpoint could not be stored; training goes on").await;
+        }
+        Ok(())
+    }
+
+    async fn tell(&self, warning: &str) {
+        if let Err(error) = self.lease.warn(warning).await {
+            tracing::warn!(%error, warning, "a warning could not be recorded");
+        }
+    }
+
+    /// Stores a checkpoint and gives the job back to the queue.
+    async fn suspend(&self) -> Result<AttemptEnd, AttemptError> {
+        let step = i64::from(self.trainer.progress().step);
+        if step > self.lease.job().checkpoint_step.unwrap_or(0) {
+            self.checkpoint().await?;
+        }
+        match self.lease.release(Release::Shutdown).await? {
+            LeaseStatus::Held => Ok(AttemptEnd::Stopped),
+            LeaseStatus::Cancelling | LeaseStatus::Lost => Ok(settle(self.lease).await?),
+        }
+    }
+}
+
+/// A store that fails for a while, e.g. on a full disk, is no reason to throw hours of training away: whether the
+/// lease still stands shows at the next write that succeeds, and nothing is published without one.
+fn held_or_unknown(status: Result<LeaseStatus, StoreError>) -> LeaseStatus {
+    status.unwrap_or_else(|error| {
+        tracing::error!(%error, "the store failed under a running job");
+        LeaseStatus::Held
+    })
+}

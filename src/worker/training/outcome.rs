@@ -1,0 +1,77 @@
+//! How an attempt at a job ends.
+
+use crate::engine::DeviceError;
+use crate::jobs::Lease;
+use crate::store::{LeaseStatus, StoreError};
+use crate::train::TrainError;
+
+/// How an attempt ended without a failure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::worker) enum AttemptEnd {
+    /// The model is published.
+    Published,
+    /// The job was cancelled.
+    Cancelled,
+    /// The lease was lost; another worker may have the job.
+    Lost,
+    /// The server is stopping; the job is checkpointed and back in the queue.
+    Stopped,
+}
+
+/// Code of failures to find or read a known light.
+pub(super) const ENVIRONMENT_MISSING: &str = "environment_missing";
+/// Code of failures after which the device is opened anew.
+const DEVICE_FAILED: &str = "device_failed";
+
+/// A failure that ends the attempt and, unless it is the device's, the job.
+pub(in crate::worker) struct AttemptError {
+    /// Stable code.
+    pub(in crate::worker) code: &'static str,
+    /// A description for the user, without internals.
+    pub(in crate::worker) detail: String,
+}
+
+impl AttemptError {
+    pub(super) fn new(code: &'static str, detail: impl Into<String>) -> Self {
+        Self { code, detail: detail.into() }
+    }
+
+    /// True when the device failed: it has to be opened anew, and the job may go on from its checkpoint.
+    pub(in crate::worker) fn is_device_failure(&self) -> bool {
+        self.code == DEVICE_FAILED
+    }
+}
+
+impl From<StoreError> for AttemptError {
+    fn from(error: StoreError) -> Self {
+        tracing::error!(%error, "the store failed under a job");
+        match error {
+            StoreError::Full => Self::new("storage_full", "the disk was full when the result was stored"),
+            _ => Self::new("storage_failed", "the store failed; the server's log says how"),
+        }
+    }
+}
+
+impl From<TrainError> for AttemptError {
+    fn from(error: TrainError) -> Self {
+        match error {
+            // A model that is too large for the device stays so.
+            TrainError::Device(error @ (DeviceError::TooLarge { .. } | DeviceError::Unavailable(_))) => {
+                Self::new("device_unfit", error.to_string())
+            }
+            TrainError::Device(error) => Self::new(DEVICE_FAILED, error.to_string()),
+            error => Self::new("training_failed", error.to_string()),
+        }
+    }
+}
+
+/// Ends an attempt whose lease is lost or whose job is to be cancelled.
+pub(super) async fn settle(lease: &Lease) -> Result<AttemptEnd, StoreError> {
+    match lease.check().await? {
+        LeaseStatus::Cancelling => {
+            lease.confirm_cancel().await?;
+            Ok(AttemptEnd::Cancelled)
+        }
+        LeaseStatus::Held | LeaseStatus::Lost => Ok(AttemptEnd::Lost),
+    }
+}
