@@ -29,7 +29,7 @@ pub(super) struct ServeArgs {
         value_parser = api_key
     )]
     api_keys: Vec<String>,
-    /// Origins whose web pages may call the API, e.g. https://app.example.org.
+    /// Origins whose web pages may call the API, e.g. `https://app.example.org`.
     #[arg(long = "cors-origin", env = "RELUME_CORS_ORIGINS", value_delimiter = ',')]
     cors_origins: Vec<HeaderValue>,
     /// Most bytes of a capture archive.

@@ -1,7 +1,7 @@
 //! The reference engine: f64, dense, straight from the equations (docs/MODEL.md), not tuned for speed.
 //!
-//! Everything is recorded on a [`Tape`], so any gradient of any intermediate value is at hand: [`forward`] for
-//! the pieces, [`objective`] for the loss terms, [`Tape::gradients`] for the rest. [`render`] and
+//! Everything is recorded on a [`Tape`], so any gradient of any intermediate value is at hand: [`forward()`] for
+//! the pieces, [`objective()`] for the loss terms, [`Tape::gradients`] for the rest. [`render`] and
 //! [`loss_and_gradients`] are the short ways.
 
 mod array;
