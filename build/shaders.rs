@@ -24,14 +24,14 @@ pub fn compile_all() -> Result<(), Failure> {
         out.push_str(&text);
         names.push(format!("&{}", permutation.name));
     }
-    writeln!(out, "/// Every shader.\npub static ALL: &[&Shader] = &[{}];", names.join(", "))?;
+    writeln!(out, "/// Every shader.\npub static ALL: &[&Kernel] = &[{}];", names.join(", "))?;
     let out_dir = std::env::var("OUT_DIR")?;
     std::fs::write(Path::new(&out_dir).join("shaders.rs"), out)?;
     std::fs::write(Path::new(&out_dir).join("generated.wgsl"), generated::all())?;
     Ok(())
 }
 
-/// The Rust text of one permutation's `Shader`.
+/// The Rust text of one permutation's `Kernel`.
 fn compile(folder: &Path, permutation: &Permutation) -> Result<String, Failure> {
     let read =
         |path: &str| std::fs::read_to_string(folder.join(path)).map_err(|e| format!("shaders/{path}: {e}"));
@@ -54,7 +54,7 @@ fn compile(folder: &Path, permutation: &Permutation) -> Result<String, Failure> 
         return Err("the entry point must be called main".into());
     }
     Ok(format!(
-        "/// `{file}.wgsl`.\npub static {name}: Shader = Shader {{ name: {name:?}, source: {native:?}, fallback: {fallback}, \
+        "/// `{file}.wgsl`.\npub static {name}: Kernel = Kernel {{ name: {name:?}, source: {native:?}, fallback: {fallback}, \
          workgroup: {size:?}, bindings: &[{bindings}], structs: &[{structs}] }};\n",
         file = permutation.file,
         name = permutation.name,

@@ -46,9 +46,6 @@ impl Kernel {
     }
 }
 
-/// The name by which the generated text calls a kernel.
-type Shader = Kernel;
-
 include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
 
 /// Asserts that a host struct has the size and the member offsets of its WGSL twin.
