@@ -6,6 +6,9 @@ use crate::light::{LightTables, sh_eval};
 /// Fixed directions the low-frequency environment is read in (article Eq. 20).
 pub(crate) const INDIRECT_DIRECTIONS: usize = 32;
 
+/// `E_j` where indirect light is not learned: nothing.
+pub const NO_INDIRECT_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
+
 /// `E_j = 1/32 sum_k Y_j(w_k) L_low(w_k)` (Eq. 20) over 32 Fibonacci directions.
 pub fn indirect_basis(tables: &LightTables) -> [[f32; 3]; 16] {
     let mut out = [[0.0f32; 3]; 16];

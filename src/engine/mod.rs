@@ -38,7 +38,7 @@ pub use frame::{Frame, Output};
 pub use frame_job::{BOUNCES, DeviceFrames, DeviceLight, FrameJob, PROBE_DIRECTIONS, ShadeColour};
 pub use frames::{FrameLight, Frames};
 pub use gradients::{Gradients, RowLayout};
-pub use indirect::{indirect_basis, indirect_basis_backward};
+pub use indirect::{NO_INDIRECT_BASIS, indirect_basis, indirect_basis_backward};
 pub use objective::{
     ImageWeights, LightWeights, ParameterWeights, StepWeights, SurfaceWeights, upward_share,
 };

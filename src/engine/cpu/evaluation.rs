@@ -7,15 +7,12 @@ use crate::engine::cpu::{
     self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance, training,
 };
 use crate::engine::step::{Branches, Photo};
-use crate::engine::{RasterCamera, TrainState, indirect_basis};
+use crate::engine::{NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
 use crate::light::EnvOperators;
-
-/// `E_j` where nothing reads it.
-const NO_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
 
 /// A state as the kernels read it, without learned indirect light.
 pub fn source(state: &TrainState) -> AttributeSource<'_> {
-    training::source(state, &NO_BASIS)
+    training::source(state, &NO_INDIRECT_BASIS)
 }
 
 /// The physically based branch as `photo` would show it, display-referred.

@@ -12,12 +12,10 @@ use crate::engine::cpu::{
     AttributeSource, Occluders, Pass, Probes, SurfaceShader, Transport, attribute_rows, outward_normals,
     project_all,
 };
-use crate::engine::{BOUNCES, FrameJob, PROBE_DIRECTIONS, ShadeColour};
+use crate::engine::{BOUNCES, FrameJob, NO_INDIRECT_BASIS, PROBE_DIRECTIONS, ShadeColour};
 use crate::engine::{Frame, Output, ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
 use crate::light::LightTables;
 use crate::scene::{Field, IndirectForm, Model, ShadeAt};
-
-const NO_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
 
 /// A model ready to be rendered. What does not depend on the light is made when first needed.
 pub struct Frames {
@@ -48,7 +46,7 @@ impl Frames {
 
     /// The light of `tables`, with what the model's surfaces send each other under it.
     pub fn prepare_light(&self, tables: LightTables) -> FrameLight {
-        let source = self.source(&[], &NO_BASIS);
+        let source = self.source(&[], &NO_INDIRECT_BASIS);
         let mut gathered = Vec::new();
         if source.options.indirect == IndirectForm::Gathered {
             let transport = self.transport.get_or_init(|| {
@@ -76,7 +74,7 @@ impl Frames {
     /// The occluder tree of the model.
     pub fn occluders(&self) -> &Occluders {
         self.occluders.get_or_init(|| {
-            let source = self.source(&[], &NO_BASIS);
+            let source = self.source(&[], &NO_INDIRECT_BASIS);
             Occluders::new(&source, ProbeSettings::of(source.options))
         })
     }

@@ -158,6 +158,7 @@ fn build(boxes: &mut [Boxed], first: usize, nodes: &mut Vec<Node>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::NO_INDIRECT_BASIS;
     use crate::engine::cpu::{Probes, outward_normals};
     use crate::engine::fibonacci_sphere;
     use crate::scene::{Field, Gaussians, ShadingOptions};
@@ -181,15 +182,13 @@ mod tests {
         g
     }
 
-    const NO_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
-
     fn source<'a>(g: &'a Gaussians, options: &'a ShadingOptions) -> AttributeSource<'a> {
         AttributeSource {
             gaussians: g,
             prototypes: &[[0.5; 3]],
             options,
             gathered: &[],
-            indirect_basis: &NO_BASIS,
+            indirect_basis: &NO_INDIRECT_BASIS,
             light: None,
         }
     }

@@ -15,14 +15,11 @@ use crate::engine::density::{DensityPlan, DensitySignals};
 use crate::engine::step::{FieldUpdate, ProbeMeasurement, Step, StepSums};
 use crate::engine::training;
 use crate::engine::{
-    DeviceError, Gradients, ProbeSettings, RasterCamera, StepWeights, TrainState, fibonacci_sphere,
-    indirect_basis,
+    DeviceError, Gradients, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights, TrainState,
+    fibonacci_sphere, indirect_basis,
 };
 use crate::light::EnvOperators;
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
-
-/// `E_j` where indirect light is not learned.
-const NO_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
 
 /// The state, and the snapshot to return to.
 pub struct Training {
@@ -141,7 +138,7 @@ pub fn objective(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
 /// The objective of the radiance branch and the geometry.
 fn radiance_branch(step: &Step<'_>, state: &TrainState) -> Outcome {
     let (photo, w) = (step.photo, &step.weights);
-    let source = source(state, &NO_BASIS);
+    let source = source(state, &NO_INDIRECT_BASIS);
     let channels = step.branches.channels(source.gaussians, source.options).differentiated;
     let view = RasterCamera::new(&photo.camera, source.options);
     let pass = Pass::forward(&source, view, channels, EarlyStop::WhenSaturated);
@@ -253,7 +250,7 @@ fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurem
     let tables = operators.apply(&environment_radiance(&state.model));
     let order = state.model.gaussians.visibility_order();
     for _ in 0..how.repeats {
-        let source = source(state, &NO_BASIS);
+        let source = source(state, &NO_INDIRECT_BASIS);
         let directions = fibonacci_sphere(how.directions);
         let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
         let labels = probes.coefficients(order);

@@ -41,6 +41,31 @@ pub struct LayoutUniform {
 /// Members that fill the layout up to whole vectors.
 const PAD: usize = (Field::COUNT + 9).next_multiple_of(4) - (Field::COUNT + 9);
 
+/// The shaders' code of a form of visibility.
+pub(super) fn visibility_code(form: VisibilityForm) -> u32 {
+    match form {
+        VisibilityForm::Off => codes::VISIBILITY_OFF,
+        VisibilityForm::Linear => codes::VISIBILITY_LINEAR,
+        VisibilityForm::Sigmoid => codes::VISIBILITY_SIGMOID,
+    }
+}
+
+/// The shaders' code of a form of the diffuse term.
+pub(super) fn diffuse_code(form: DiffuseForm) -> u32 {
+    match form {
+        DiffuseForm::AmbientOcclusion => codes::DIFFUSE_AMBIENT_OCCLUSION,
+        DiffuseForm::Directional => codes::DIFFUSE_DIRECTIONAL,
+    }
+}
+
+/// The shaders' code of where surfaces are shaded.
+pub(super) fn shade_at_code(shade_at: ShadeAt) -> u32 {
+    match shade_at {
+        ShadeAt::Pixel => codes::SHADE_AT_PIXEL,
+        ShadeAt::Gaussian => codes::SHADE_AT_GAUSSIAN,
+    }
+}
+
 impl LayoutUniform {
     /// The layout of `g` under the forward model `options`.
     pub fn new(g: &Gaussians, options: &ShadingOptions) -> Self {
@@ -59,19 +84,9 @@ impl LayoutUniform {
                 IndirectForm::Learned => codes::INDIRECT_LEARNED,
                 IndirectForm::Gathered => codes::INDIRECT_GATHERED,
             },
-            visibility_form: match options.visibility {
-                VisibilityForm::Off => codes::VISIBILITY_OFF,
-                VisibilityForm::Linear => codes::VISIBILITY_LINEAR,
-                VisibilityForm::Sigmoid => codes::VISIBILITY_SIGMOID,
-            },
-            diffuse_form: match options.diffuse {
-                DiffuseForm::AmbientOcclusion => codes::DIFFUSE_AMBIENT_OCCLUSION,
-                DiffuseForm::Directional => codes::DIFFUSE_DIRECTIONAL,
-            },
-            shade_at: match options.shade_at {
-                ShadeAt::Pixel => codes::SHADE_AT_PIXEL,
-                ShadeAt::Gaussian => codes::SHADE_AT_GAUSSIAN,
-            },
+            visibility_form: visibility_code(options.visibility),
+            diffuse_form: diffuse_code(options.diffuse),
+            shade_at: shade_at_code(options.shade_at),
             pad: [0; PAD],
         };
         shape.resized(g.len() as u32)

@@ -4,12 +4,12 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::engine::DeviceError;
 use crate::engine::channel::Channels;
-use crate::engine::gpu::kernel_constants as codes;
 use crate::engine::gpu::light::{Constants, LightBuffers};
+use crate::engine::gpu::model::{diffuse_code, shade_at_code, visibility_code};
 use crate::engine::gpu::permutations::{by_coefficients, groups};
 use crate::engine::gpu::shaders::{self, Kernel};
 use crate::engine::gpu::{Bind, Buffer, CameraUniform, Gpu, Groups, Recorder, uniform};
-use crate::scene::{DiffuseForm, ShadeAt, ShadingOptions, VisibilityForm};
+use crate::scene::ShadingOptions;
 
 #[cfg(test)]
 pub(super) mod tests;
@@ -36,19 +36,9 @@ impl ShadingUniform {
         let [r, g, b] = background;
         Self {
             background: [r, g, b, 0.0],
-            visibility_form: match options.visibility {
-                VisibilityForm::Off => codes::VISIBILITY_OFF,
-                VisibilityForm::Linear => codes::VISIBILITY_LINEAR,
-                VisibilityForm::Sigmoid => codes::VISIBILITY_SIGMOID,
-            },
-            diffuse_form: match options.diffuse {
-                DiffuseForm::AmbientOcclusion => codes::DIFFUSE_AMBIENT_OCCLUSION,
-                DiffuseForm::Directional => codes::DIFFUSE_DIRECTIONAL,
-            },
-            shade_at: match options.shade_at {
-                ShadeAt::Pixel => codes::SHADE_AT_PIXEL,
-                ShadeAt::Gaussian => codes::SHADE_AT_GAUSSIAN,
-            },
+            visibility_form: visibility_code(options.visibility),
+            diffuse_form: diffuse_code(options.diffuse),
+            shade_at: shade_at_code(options.shade_at),
             srgb: u32::from(options.srgb),
         }
     }

@@ -11,7 +11,7 @@ use crate::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pa
 use crate::engine::gpu::light::flat;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::light::{CubeGrid, LightTables};
-use crate::scene::{Camera, Gaussians, sh_count};
+use crate::scene::{Camera, DiffuseForm, Gaussians, ShadeAt, VisibilityForm, sh_count};
 
 pub(in crate::engine::gpu) struct Noise(ChaCha8Rng);
 
