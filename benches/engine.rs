@@ -150,6 +150,7 @@ fn capture() -> Capture {
         name: format!("view {i}"),
         camera: Camera::look_at(eye(i), DVec3::ZERO, DVec3::Z, 0.6, (SIDE, SIDE)).unwrap(),
         image: image.clone(),
+        light_rotation_deg: 0.0,
         truth: GroundTruthView::default(),
     };
     Capture {

@@ -21,16 +21,8 @@ const WG_SIZE = 128u;
 @group(0) @binding(9) var<storage, read> harmonics: array<f32>;
 @group(0) @binding(10) var<storage, read_write> globals_gradient: array<f32>;
 
-@compute @workgroup_size(WG_SIZE)
-fn main(
-    @builtin(workgroup_id) wid: vec3u,
-    @builtin(num_workgroups) n_wg: vec3u,
-    @builtin(local_invocation_index) local_ix: u32,
-) {
-    let texel_ix = workgroup_ix(wid, n_wg);
-    if texel_ix >= environment.n_texels {
-        return;
-    }
+// What thread `local_ix` adds up of the gradient of a texel of the turned map.
+fn share(texel_ix: u32, local_ix: u32) -> vec3f {
     var sums = vec3f(0.0);
     let coefficients = tables.coefficients;
     for (var pair_ix = local_ix; pair_ix < 3u * coefficients; pair_ix += WG_SIZE) {
@@ -48,6 +40,25 @@ fn main(
         let first = first_specular + 3u * entries[at].x;
         let g = vec3f(tables_gradient[first], tables_gradient[first + 1u], tables_gradient[first + 2u]);
         sums += bitcast<f32>(entries[at].y) * g;
+    }
+    return sums;
+}
+
+@compute @workgroup_size(WG_SIZE)
+fn main(
+    @builtin(workgroup_id) wid: vec3u,
+    @builtin(num_workgroups) n_wg: vec3u,
+    @builtin(local_invocation_index) local_ix: u32,
+) {
+    let texel_ix = workgroup_ix(wid, n_wg);
+    if texel_ix >= environment.n_texels {
+        return;
+    }
+    // Where the light is turned, a texel is part of two texels of the turned map, as many columns back.
+    let back = 2u * environment.width - environment.whole;
+    var sums = (1.0 - environment.fraction) * share(texel_beside(texel_ix, back, environment.width), local_ix);
+    if environment.fraction != 0.0 {
+        sums += environment.fraction * share(texel_beside(texel_ix, back - 1u, environment.width), local_ix);
     }
     let total = workgroup_sum(local_ix, vec4f(sums, 0.0)).xyz;
     if local_ix == 0u {

@@ -13,6 +13,8 @@ const WG_SIZE = 256u;
 // What a texel adds to the mean irradiance of a surface facing up, divided by pi.
 @group(0) @binding(2) var<storage, read> upward: array<f32>;
 @group(0) @binding(3) var<storage, read_write> radiance: array<f32>;
+// The same as it stood in the photograph, turned about +Z.
+@group(0) @binding(6) var<storage, read_write> turned: array<f32>;
 // Derivatives of exposure and daylight by what comes from above, in each channel.
 @group(0) @binding(4) var<storage, read_write> light_derivative: array<f32>;
 @group(0) @binding(5) var<storage, read_write> losses: array<accumulator>;
@@ -21,15 +23,26 @@ fn softplus(x: f32) -> f32 {
     return max(x, 0.0) + log(1.0 + exp(-abs(x)));
 }
 
+fn texel(texel_ix: u32) -> vec3f {
+    let first = environment.first_texel + 3u * texel_ix;
+    return vec3f(softplus(globals[first]), softplus(globals[first + 1u]), softplus(globals[first + 2u]));
+}
+
 @compute @workgroup_size(WG_SIZE)
 fn main(@builtin(local_invocation_index) local_ix: u32) {
     // Irradiance from above, sum of deviations from grey.
     var sums = vec4f(0.0);
     for (var texel_ix = local_ix; texel_ix < environment.n_texels; texel_ix += WG_SIZE) {
-        let first = environment.first_texel + 3u * texel_ix;
-        let light = vec3f(softplus(globals[first]), softplus(globals[first + 1u]), softplus(globals[first + 2u]));
+        let light = texel(texel_ix);
+        var as_stood = light;
+        if environment.whole != 0u || environment.fraction != 0.0 {
+            let near = texel(texel_beside(texel_ix, environment.whole, environment.width));
+            let far = texel(texel_beside(texel_ix, environment.whole + 1u, environment.width));
+            as_stood = (1.0 - environment.fraction) * near + environment.fraction * far;
+        }
         for (var c = 0u; c < 3u; c++) {
             radiance[3u * texel_ix + c] = light[c];
+            turned[3u * texel_ix + c] = as_stood[c];
         }
         let grey = (light.r + light.g + light.b) / 3.0;
         let deviation = abs(light - grey);

@@ -95,7 +95,8 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
             ambient_occlusion: Some(plane(&frame, Output::Visibility)),
             depth: Some(plane(&frame, Output::Depth)),
         };
-        CaptureView { name: format!("test_{i}"), camera, image: straight(&frame, Output::Rgb), truth }
+        let image = straight(&frame, Output::Rgb);
+        CaptureView { name: format!("test_{i}"), camera, image, light_rotation_deg: 0.0, truth }
     };
     Capture {
         layout: "synthetic".into(),
@@ -264,6 +265,7 @@ fn the_contact_sheet_is_a_png_with_a_cell_a_column_and_a_band_a_view() {
 
 fn arguments(model: PathBuf, capture: PathBuf, json: PathBuf) -> EvalArgs {
     EvalArgs {
+        light_rotations: None,
         model,
         capture,
         json: Some(json),

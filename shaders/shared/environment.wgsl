@@ -9,4 +9,14 @@ struct Environment {
     daylight: f32,
     // Logarithm of blue over red in daylight.
     blue_over_red: f32,
+    // Columns of the map, and how far they move along in the photograph: whole columns and the fraction of one.
+    width: u32,
+    whole: u32,
+    fraction: f32,
+}
+
+// The texel `columns` further in the row of `texel_ix`, counted round.
+fn texel_beside(texel_ix: u32, columns: u32, width: u32) -> u32 {
+    let x = texel_ix % width;
+    return texel_ix - x + (x + columns) % width;
 }

@@ -50,6 +50,7 @@ fn collect(
             mask: None,
             pose: frame.pose,
             lens: frame.lens,
+            light_rotation_deg: frame.light_rotation_deg,
             stated_in: set.file.clone(),
             field: frame.field.clone(),
             split,

@@ -100,6 +100,7 @@ mod tests {
                 name: format!("{i}"),
                 camera: Camera::look_at(eye, centre, DVec3::Z, 0.691_111_2, (80, 80)).unwrap(),
                 image: ImageRgba { width: 1, height: 1, pixels: vec![[0.0; 4]] },
+                light_rotation_deg: 0.0,
                 truth: GroundTruthView::default(),
             }
         };

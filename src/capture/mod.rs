@@ -9,6 +9,7 @@ mod images;
 mod import;
 mod json;
 mod lens;
+mod light_rotations;
 mod lights;
 mod nerfstudio;
 mod options;

@@ -29,6 +29,7 @@ pub(super) fn read(
             mask: frame.mask,
             pose: frame.pose,
             lens: frame.lens,
+            light_rotation_deg: frame.light_rotation_deg,
             stated_in: MARKER.to_owned(),
             split: if set.held_out.contains(&frame.path) { Split::Test } else { Split::Train },
             field: frame.field,

@@ -22,6 +22,8 @@ pub(super) struct PhotoEntry {
     pub pose: DMat4,
     /// Intrinsics.
     pub lens: Lens,
+    /// Turn of the light about +Z, degrees counter-clockwise.
+    pub light_rotation_deg: f64,
     /// The file that states pose and lens, for errors.
     pub stated_in: String,
     /// The entry in that file, e.g. `frames[3]`, for errors.
@@ -140,7 +142,8 @@ fn load_one(
     } else {
         GroundTruthView::default()
     };
-    Ok(CaptureView { name: photo.image.clone(), camera, image, truth })
+    let light_rotation_deg = photo.light_rotation_deg;
+    Ok(CaptureView { name: photo.image.clone(), camera, image, light_rotation_deg, truth })
 }
 
 fn camera(photo: &PhotoEntry, intrinsics: Intrinsics, stored: (u32, u32)) -> Result<Camera, CaptureError> {

@@ -35,6 +35,8 @@ pub(super) struct TransformsFrame {
     pub pose: DMat4,
     /// Intrinsics: the frame's own fields, else the file's.
     pub lens: Lens,
+    /// Turn of the light about +Z, degrees counter-clockwise; 0 where the frame has none.
+    pub light_rotation_deg: f64,
 }
 
 /// The intrinsics that both a file and a frame may have; unknown keys (`sharpness`, `rotation`) are ignored.
@@ -63,6 +65,7 @@ struct RawFrame {
     file_path: Option<String>,
     mask_path: Option<String>,
     transform_matrix: Option<Vec<Vec<f64>>>,
+    light_rotation_deg: Option<f64>,
     #[serde(flatten)]
     lens: RawLens,
 }
@@ -101,7 +104,11 @@ pub(super) fn read(source: &Source, file: &str) -> Result<Transforms, CaptureErr
         let reason = "must be a 4x4 matrix of finite numbers";
         let pose = pose.ok_or_else(|| bad(format!("{field}.transform_matrix"), reason))?;
         let lens = lens(&frame.lens.or(&raw.lens)).map_err(|(f, r)| bad(format!("{field}.{f}"), &r))?;
-        Ok(TransformsFrame { field, path, mask: mask.transpose()?, pose, lens })
+        let light_rotation_deg = frame.light_rotation_deg.unwrap_or(0.0);
+        if !light_rotation_deg.is_finite() {
+            return Err(bad(format!("{field}.light_rotation_deg"), "must be finite"));
+        }
+        Ok(TransformsFrame { field, path, mask: mask.transpose()?, pose, lens, light_rotation_deg })
     };
     let frames = frames.into_iter().enumerate().map(check).collect::<Result<_, _>>()?;
     let points = raw.ply_file_path.map(|p| inside("ply_file_path".into(), &p));

@@ -32,6 +32,9 @@ pub struct CaptureView {
     pub camera: Camera,
     /// The photograph.
     pub image: ImageRgba,
+    /// Turn of the light about +Z against the other photographs, degrees counter-clockwise seen from above; 0 where the
+    /// light stood still.
+    pub light_rotation_deg: f64,
     /// Ground-truth layers, when the set has them.
     pub truth: GroundTruthView,
 }

@@ -5,9 +5,10 @@ use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::capture::{Capture, CaptureError, ImportOptions, import};
+use crate::capture::{Capture, ImportOptions, import};
 pub use crate::cli::args::QualityArgs;
 use crate::cli::error::CommandResult;
+use crate::cli::light::read_rotations;
 use crate::cli::{input, output};
 use crate::engine::Device;
 use crate::engine::DeviceChoice;
@@ -41,6 +42,9 @@ pub struct EvalArgs {
     /// Longest side in pixels to compare at; the stored size when absent.
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=8192))]
     pub resolution: Option<u32>,
+    /// Turns of the light in single photographs, as given to `train`.
+    #[arg(long, value_name = "FILE")]
+    pub light_rotations: Option<PathBuf>,
     /// Where to render: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     pub device: DeviceChoice,
@@ -94,9 +98,12 @@ pub fn run(args: &EvalArgs) -> CommandResult {
     Ok(())
 }
 
-fn load_capture(args: &EvalArgs) -> Result<Capture, CaptureError> {
+fn load_capture(args: &EvalArgs) -> CommandResult<Capture> {
     let options = ImportOptions { max_side: args.resolution, ..ImportOptions::default() };
-    let capture = import(&args.capture, &options)?;
+    let mut capture = import(&args.capture, &options)?;
+    if let Some(file) = &args.light_rotations {
+        capture.turn_lights(&read_rotations(file)?)?;
+    }
     capture.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     Ok(capture)
 }

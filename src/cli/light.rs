@@ -1,5 +1,9 @@
 //! Lights by their names on the command line.
 
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::path::Path;
+
 use crate::capture::{BUILTIN, Capture, builtin};
 use crate::formats::environment;
 use crate::scene::EnvMap;
@@ -19,6 +23,13 @@ pub(super) fn named_light(name: &str, others: &str) -> Result<EnvMap, String> {
         eprintln!("warning: {name}: {warning}");
     }
     Ok(loaded.map)
+}
+
+/// Turns of the light by photograph, degrees, from a JSON object.
+pub(super) fn read_rotations(file: &Path) -> Result<BTreeMap<String, f64>, String> {
+    let named = |error: &dyn Display| format!("{}: {error}", file.display());
+    let text = std::fs::read(file).map_err(|error| named(&error))?;
+    serde_json::from_slice(&text).map_err(|error| named(&error))
 }
 
 /// Sets the measured light of `capture` that `config` names, if it names one.

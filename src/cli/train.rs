@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::capture::Capture;
 use crate::cli::args::{named, overrides};
 use crate::cli::error::CommandResult;
-use crate::cli::light::named_light;
+use crate::cli::light::{named_light, read_rotations};
 use crate::cli::output;
 use crate::engine::Device;
 use crate::engine::DeviceChoice;
@@ -44,6 +44,10 @@ pub(super) struct TrainArgs {
     /// `auto` makes a white surface facing up white.
     #[arg(long, default_value = "0", value_parser = exposure, allow_negative_numbers = true, requires = "light")]
     light_exposure: LightExposure,
+    /// Turns of the light in single photographs, for things on a turntable: a JSON file, `{"photo.jpg": degrees}`,
+    /// counter-clockwise about the capture's +Z.
+    #[arg(long, value_name = "FILE")]
+    light_rotations: Option<PathBuf>,
     /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
@@ -68,6 +72,9 @@ pub(super) fn run(args: &TrainArgs) -> CommandResult {
     if let Some(environment) = args.light.clone() {
         let (rotation_deg, exposure_ev) = (args.light_rotation, args.light_exposure);
         overrides.light = Some(KnownLight { environment, rotation_deg, exposure_ev });
+    }
+    if let Some(file) = &args.light_rotations {
+        overrides.light_rotation_per_photo = Some(read_rotations(file)?);
     }
     let config = TrainConfig::new(args.preset, &overrides)?;
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;

@@ -19,6 +19,7 @@ mod frames;
 pub mod gpu;
 mod gradients;
 mod indirect;
+mod light_turn;
 mod objective;
 pub mod parity;
 mod probing;
@@ -39,6 +40,7 @@ pub use frame_job::{BOUNCES, DeviceFrames, DeviceLight, FrameJob, PROBE_DIRECTIO
 pub use frames::{FrameLight, Frames};
 pub use gradients::{Gradients, RowLayout};
 pub use indirect::{NO_INDIRECT_BASIS, indirect_basis, indirect_basis_backward};
+pub use light_turn::{LightTurn, LightTurns};
 pub use objective::{
     ImageWeights, LightWeights, ParameterWeights, StepWeights, SurfaceWeights, upward_share,
 };

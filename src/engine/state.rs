@@ -49,11 +49,17 @@ pub struct TrainState {
     pub density: DensityStats,
     /// Probe labels, `[Gaussian][coefficient]`; empty before the first measurement.
     pub labels: Vec<f32>,
-    /// Gathered light: irradiance and blocked radiance, `[Gaussian][6]`; empty before the first measurement.
+    /// Gathered light: irradiance and blocked radiance, `[turn of the light][Gaussian][6]`; empty before the first
+    /// measurement.
     pub gathered: Vec<[f32; 6]>,
 }
 
 impl TrainState {
+    /// Gathered light under one turn of the light, `[Gaussian]`; empty where it was not measured.
+    pub fn gathered_in(&self, block: usize) -> &[[f32; 6]] {
+        self.gathered.chunks(self.model.gaussians.len().max(1)).nth(block).unwrap_or(&[])
+    }
+
     /// The start from an initial model.
     pub fn new(model: Model) -> Self {
         Self {

@@ -2,6 +2,7 @@
 
 use crate::engine::adam::{StepCounts, StepSizes};
 use crate::engine::channel::{Channels, StepChannels};
+use crate::engine::light_turn::LightTurn;
 use crate::engine::objective::StepWeights;
 use crate::scene::{Camera, Field, Gaussians, IndirectForm, ShadeAt, ShadingOptions};
 
@@ -14,6 +15,8 @@ pub struct Photo {
     pub pixels: Vec<[f32; 3]>,
     /// Mask in [0, 1], row-major; empty when the capture has no masks.
     pub alpha: Vec<f32>,
+    /// How the light stood in it.
+    pub light: LightTurn,
 }
 
 /// Size at which photographs are trained on.
@@ -109,12 +112,14 @@ pub enum FieldUpdate {
 }
 
 /// How visibility and gathered light are measured (docs/MODEL.md section 6).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ProbeMeasurement {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ProbeMeasurement<'a> {
     /// Probe directions.
     pub directions: usize,
     /// Rounds of gathered light, 0 for none; nothing is gathered by a model that does not shade with it.
     pub bounces: usize,
+    /// Turns of the light that light is gathered under, radians: a block of gathered light for each.
+    pub turns: &'a [f64],
     /// What the visibility field takes of it.
     pub field: FieldUpdate,
     /// Measurements in a row: each starts from the open side that the one before found.

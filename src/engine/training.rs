@@ -21,7 +21,7 @@ pub trait Training: Send {
     fn step(&mut self, step: &Step<'_>) -> Result<StepSums, DeviceError>;
 
     /// Measures visibility and gathered light anew.
-    fn measure(&mut self, how: &ProbeMeasurement) -> Result<(), DeviceError>;
+    fn measure(&mut self, how: &ProbeMeasurement<'_>) -> Result<(), DeviceError>;
 
     /// What density control plans from.
     fn density_signals(&self) -> Result<DensitySignals, DeviceError>;

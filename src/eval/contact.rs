@@ -7,7 +7,7 @@ use crate::engine::Device;
 use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
 use crate::eval::image::DisplayImage;
 use crate::eval::sheet::{Sheet, error_map, grey};
-use crate::eval::views::{ViewLayers, alpha_of, photograph, relit};
+use crate::eval::views::{OwnLight, ViewLayers, alpha_of, photograph, relit};
 use crate::formats::srgb;
 use crate::render::{PreparedLight, Quality, Renderer};
 use crate::scene::{Model, Plane};
@@ -31,14 +31,15 @@ pub fn contact_sheet(
     }
     let lights = lights_of(&views, capture);
     let renderer = Renderer::on(model, device)?;
-    let own = renderer.prepare_light(&renderer.model().environment())?;
+    let mut own = OwnLight::default();
     let mut prepared: Vec<(&str, PreparedLight)> = Vec::with_capacity(lights.len());
     for name in &lights {
         prepared.push((*name, renderer.prepare_light(&capture.lights[*name])?));
     }
     let mut sheet = Sheet::new(column_names(&lights));
     for view in views {
-        let layers = ViewLayers::render(&renderer, &view.camera, &own, quality)
+        let light = own.of(&renderer, view)?;
+        let layers = ViewLayers::render(&renderer, &view.camera, light, quality)
             .map_err(|source| refused(view, source))?;
         let mut cells =
             vec![Some(photograph(&view.image)), Some(layers.shaded.clone()), Some(layers.radiance.clone())];

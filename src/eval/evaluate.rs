@@ -11,7 +11,7 @@ use crate::eval::layers::albedo_psnr;
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{ImageScores, RelitScores, Report};
 use crate::eval::totals::{ImageTotals, LayerTotals, Mean};
-use crate::eval::views::{ViewLayers, photograph, relit, with_scaled_albedo};
+use crate::eval::views::{OwnLight, ViewLayers, photograph, relit, with_scaled_albedo};
 use crate::render::{Output, Quality, RenderError, Renderer, Tier};
 use crate::scene::{ImageRgba, Model, Plane};
 
@@ -128,13 +128,14 @@ impl Evaluation<'_> {
         Ok(report)
     }
 
-    /// Novel views and layers under the light the model recovered.
+    /// Novel views and layers under the light the model recovered, turned as it stood in each photograph.
     fn own_light(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
-        let light = renderer.prepare_light(&renderer.model().environment())?;
+        let mut own = OwnLight::default();
         let (mut shaded, mut radiance) = (ImageTotals::default(), ImageTotals::default());
         let mut totals = LayerTotals::default();
         for view in &self.views {
-            let layers = ViewLayers::render(renderer, &view.camera, &light, self.options.quality)
+            let light = own.of(renderer, view)?;
+            let layers = ViewLayers::render(renderer, &view.camera, light, self.options.quality)
                 .map_err(|source| refused(view, source))?;
             let truth = photograph(&view.image);
             shaded.add(&layers.shaded, &truth, self.options.lpips);

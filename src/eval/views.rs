@@ -1,5 +1,7 @@
 //! A model's renderings of one test view, as pictures and layers that can be compared with ground truth.
 
+use crate::capture::CaptureView;
+use crate::engine::DeviceError;
 use crate::eval::image::DisplayImage;
 use crate::formats::srgb;
 use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer};
@@ -30,6 +32,35 @@ const LAYERS: [Output; 8] = [
     Output::Visibility,
     Output::Depth,
 ];
+
+/// The light a model recovered, as it stood in a test view.
+#[derive(Default)]
+pub(crate) struct OwnLight {
+    /// Degrees, and the light turned by them; that of the last view.
+    prepared: Option<(f64, PreparedLight)>,
+}
+
+impl OwnLight {
+    /// The light of `view`; prepared anew only where it stood otherwise in the view before.
+    ///
+    /// # Errors
+    /// The device's.
+    pub(crate) fn of(
+        &mut self,
+        renderer: &Renderer,
+        view: &CaptureView,
+    ) -> Result<&PreparedLight, DeviceError> {
+        let degrees = view.light_rotation_deg;
+        let (_, light) = match self.prepared.take().filter(|(turn, _)| *turn == degrees) {
+            Some(prepared) => self.prepared.insert(prepared),
+            None => {
+                let turned = renderer.model().environment().rotated_and_scaled(degrees, 1.0);
+                self.prepared.insert((degrees, renderer.prepare_light(&turned)?))
+            }
+        };
+        Ok(light)
+    }
+}
 
 impl ViewLayers {
     /// Renders all layers of `camera`'s view under `light`.

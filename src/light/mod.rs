@@ -2,6 +2,7 @@
 //! into what a pixel looks up.
 
 mod brdf;
+mod column_turn;
 mod constants;
 mod dominant;
 mod grid;
@@ -19,6 +20,7 @@ mod tables;
 pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
 
 pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
+pub use column_turn::ColumnTurn;
 pub use constants::{
     CLAMPED_COSINE, DIELECTRIC_F0, FULLY_OPEN, LOBE_ORDERS, MOST_SHEEN, SPECULAR_LEVELS, nrsh_factor,
 };

@@ -1,7 +1,7 @@
 //! What decisions about a training are made from: its configuration, its light operators, how far it is.
 
 use crate::engine::cpu::evaluation;
-use crate::engine::{Branches, Photo, TrainState};
+use crate::engine::{Branches, LightTurns, Photo, TrainState};
 use crate::light::EnvOperators;
 use crate::train::{TrainConfig, schedule};
 
@@ -12,6 +12,8 @@ pub struct StepContext<'a> {
     pub config: &'a TrainConfig,
     /// Operators of the training environment.
     pub operators: &'a EnvOperators,
+    /// Turns of the photographs' light.
+    pub turns: &'a LightTurns,
     /// Display-referred background.
     pub background: [f32; 3],
     /// Whether the capture has masks.

@@ -3,7 +3,8 @@
 use rayon::prelude::*;
 
 use crate::capture::{Capture, CaptureView};
-use crate::engine::{Photo, PhotoSize};
+use crate::engine::{LightTurn, LightTurns, Photo, PhotoSize};
+use crate::train::TrainConfig;
 
 /// All training photographs.
 #[derive(Debug, Clone)]
@@ -18,29 +19,35 @@ pub struct Dataset {
     pub offset: glam::DVec3,
     /// Background the photographs were composited over.
     pub background: [f32; 3],
+    /// Turns of the photographs' light.
+    pub turns: LightTurns,
     /// True when the photographs have masks.
     pub has_alpha: bool,
 }
 
 impl Dataset {
-    /// Prepares the training views with their longest side at most `resolution` pixels.
-    pub fn new(capture: &Capture, resolution: u32) -> Self {
+    /// Prepares the training views as `config` asks for them.
+    pub fn new(capture: &Capture, config: &TrainConfig) -> Self {
         let scale = 1.0 / capture.bounds.radius.max(1e-12);
         let offset = -capture.bounds.centre;
         // White is what relighting benchmarks composite over; without a mask nothing shows through.
         let background = if capture.has_alpha { [1.0; 3] } else { [0.0; 3] };
-        let photo = |view: &CaptureView, divisor: u32| {
+        let degrees = |view: &CaptureView| if config.light_rotations { view.light_rotation_deg } else { 0.0 };
+        let (turns, lights) = LightTurns::of(&capture.train.iter().map(degrees).collect::<Vec<_>>());
+        let photo = |(view, light): (&CaptureView, &LightTurn), divisor: u32| {
             let longest = view.image.width.max(view.image.height);
-            let target = (resolution.min(longest) / divisor).max(1);
+            let target = (config.resolution.min(longest) / divisor).max(1);
             let side = |s: u32| (u64::from(s) * u64::from(target)).div_ceil(u64::from(longest)).max(1) as u32;
             let image = view.image.resized(side(view.image.width), side(view.image.height));
             let camera = view.camera.resized(image.width, image.height).in_normalised_world(scale, offset);
             let alpha =
                 if capture.has_alpha { image.pixels.iter().map(|p| p[3]).collect() } else { Vec::new() };
-            Photo { camera, pixels: image.over(background), alpha }
+            Photo { camera, pixels: image.over(background), alpha, light: *light }
         };
-        let all = |divisor: u32| capture.train.par_iter().map(|v| photo(v, divisor)).collect();
-        Self { full: all(1), half: all(2), scale, offset, background, has_alpha: capture.has_alpha }
+        let views = || capture.train.par_iter().zip(&lights);
+        let all = |divisor: u32| views().map(|view| photo(view, divisor)).collect();
+        let (full, half, has_alpha) = (all(1), all(2), capture.has_alpha);
+        Self { full, half, scale, offset, background, turns, has_alpha }
     }
 
     /// Photograph `index` at `size`.

@@ -1,7 +1,7 @@
 //! First values and restarts of the materials: albedo from the colours of the radiance branch, with the shading divided out.
 
-use crate::engine::TrainState;
 use crate::engine::cpu::{evaluation, linear_from_srgb, sigmoid};
+use crate::engine::{LightTurns, TrainState};
 use crate::light::{DAYLIGHT, EnvOperators};
 use crate::scene::{Field, Gaussians};
 
@@ -45,13 +45,18 @@ pub fn initialise(state: &mut TrainState) {
 }
 
 /// Restarts the materials from colours with the shading divided out: `albedo = colour pi / E`, `E` the irradiance of each
-/// Gaussian through its visibility plus what is gathered. `normals` are the outward ones of the measured visibility.
+/// Gaussian through its visibility plus what is gathered, mean over the `turns` of the light. `normals` are the outward ones of the measured visibility.
 /// Metalness and roughness, which a wrong light distorts, restart from their first values.
 ///
 /// Light and albedo can explain the same shading, and gradient steps resolve this slowly; a restart acts like a step of
 /// alternating least squares.
-pub fn restart_albedo(state: &mut TrainState, operators: &EnvOperators, normals: &[[f32; 3]]) {
-    let irradiance = evaluation::irradiance(state, operators, normals);
+pub fn restart_albedo(
+    state: &mut TrainState,
+    operators: &EnvOperators,
+    turns: &LightTurns,
+    normals: &[[f32; 3]],
+) {
+    let irradiance = evaluation::irradiance(state, operators, turns, normals);
     let albedo = |(i, irradiance): (usize, &[f32; 3])| -> [f32; 3] {
         let colour = colour(&state.model.gaussians, i);
         std::array::from_fn(|c| colour[c] * std::f32::consts::PI / irradiance[c].max(LEAST_IRRADIANCE))
@@ -191,7 +196,7 @@ mod tests {
         assert!(worst(&state) > 0.1, "the control: colours as they are, {}", worst(&state));
         state.model.gaussians.field_mut(Field::Residual).fill(0.05);
         state.moments.second.field_mut(Field::ProtoLogits).fill(1.0);
-        restart_albedo(&mut state, &operators, &normals);
+        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
         assert!(worst(&state) < 0.01, "{}", worst(&state));
         assert!(state.moments.second.field(Field::ProtoLogits).iter().all(|m| *m == 0.0));
     }
@@ -215,7 +220,7 @@ mod tests {
             state.model.gaussians.field_mut(field).fill(4.0);
             state.moments.first.field_mut(field).fill(1.0);
         }
-        restart_albedo(&mut state, &operators, &normals);
+        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
         for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
             let values = state.model.gaussians.field(field);
             assert!(values.iter().all(|v| (sigmoid(*v) - start).abs() < 1e-6), "{field:?}: {}", values[0]);
@@ -228,7 +233,7 @@ mod tests {
         let (mut state, operators, normals) = shaded_ball();
         state.model.env_raw.fill([softplus_inverse(1e-6); 3]);
         state.model.gaussians.field_mut(Field::Radiance).fill(10.0);
-        restart_albedo(&mut state, &operators, &normals);
+        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
         assert!(state.model.prototypes.iter().flatten().all(|v| (RANGE.0..=RANGE.1).contains(v)));
         assert!(state.model.check().is_ok());
     }

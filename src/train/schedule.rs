@@ -1,8 +1,8 @@
 //! What each step trains, with which weights and step sizes: the configuration as a function of progress.
 
 use crate::engine::{
-    Branches, FieldUpdate, ImageWeights, LightWeights, ParameterWeights, ProbeMeasurement, StepSizes,
-    StepWeights, SurfaceWeights,
+    Branches, FieldUpdate, ImageWeights, LightTurns, LightWeights, ParameterWeights, ProbeMeasurement,
+    StepSizes, StepWeights, SurfaceWeights,
 };
 use crate::scene::Field;
 use crate::train::{LabelSource, TrainConfig};
@@ -91,11 +91,12 @@ pub fn step_sizes(config: &TrainConfig, branches: Branches, progress: f32) -> St
     StepSizes { fields, prototypes: rates.prototypes * on, environment: rates.environment * on }
 }
 
-/// How visibility and gathered light are measured: `repeats` times in a row.
-pub fn measurement(config: &TrainConfig, repeats: usize) -> ProbeMeasurement {
+/// How visibility and gathered light are measured: `repeats` times in a row, under each of the `turns` of the light.
+pub fn measurement<'a>(config: &TrainConfig, turns: &'a LightTurns, repeats: usize) -> ProbeMeasurement<'a> {
     ProbeMeasurement {
         directions: config.probe_directions as usize,
         bounces: config.bounces as usize,
+        turns: &turns.blocks,
         field: match config.labels {
             LabelSource::Probes => FieldUpdate::Replace,
             LabelSource::Both => FieldUpdate::Start,

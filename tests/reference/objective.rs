@@ -65,7 +65,10 @@ fn photograph(camera: &Camera, seed: u64) -> (Photo, Vec<f32>) {
     let mut unit = || 0.5 + 0.5 * noise.next();
     let pixels = (0..count).map(|_| [unit(), unit(), unit()]).collect();
     let alpha = (0..count).map(|_| unit()).collect();
-    (Photo { camera: *camera, pixels, alpha }, (0..GAUSSIANS * 25).map(|_| unit()).collect())
+    (
+        Photo { camera: *camera, pixels, alpha, light: Default::default() },
+        (0..GAUSSIANS * 25).map(|_| unit()).collect(),
+    )
 }
 
 fn by_reference(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {

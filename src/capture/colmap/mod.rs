@@ -128,6 +128,7 @@ fn photo(
         mask: masks.into_iter().find(|m| source.contains(m)),
         pose: pose(image, turn),
         lens: *lens,
+        light_rotation_deg: 0.0,
         stated_in: stated_in.to_owned(),
         field,
         split: Split::Train,

@@ -84,14 +84,21 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
         let camera = camera(spiral(i, options.train_views, 0.0), options.size)?;
         let image = image(&camera, &train_tracer.render(&camera, i as u64), 0);
         let name = format!("train_{i:03}/rgba.png");
-        train.push(CaptureView { name, camera, image, truth: GroundTruthView::default() });
+        train.push(CaptureView {
+            name,
+            camera,
+            image,
+            light_rotation_deg: 0.0,
+            truth: GroundTruthView::default(),
+        });
     }
     let mut test = Vec::new();
     for i in 0..options.test_views {
         let camera = camera(spiral(i, options.test_views, 1.1), options.size)?;
         let pixels = test_tracer.render(&camera, (1 << 32) + i as u64);
         let (image, truth) = (image(&camera, &pixels, 0), truth(&camera, &pixels, options));
-        test.push(CaptureView { name: format!("test_{i:03}/rgba.png"), camera, image, truth });
+        let name = format!("test_{i:03}/rgba.png");
+        test.push(CaptureView { name, camera, image, light_rotation_deg: 0.0, truth });
     }
     Ok(Capture {
         layout: "synthetic".to_owned(),

@@ -1,5 +1,7 @@
 //! What a training state shows and measures, without a gradient: what decisions on the host are made from.
 
+use std::borrow::Cow;
+
 use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::training::environment_radiance;
@@ -7,12 +9,12 @@ use crate::engine::cpu::{
     self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance, training,
 };
 use crate::engine::step::{Branches, Photo};
-use crate::engine::{NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
-use crate::light::EnvOperators;
+use crate::engine::{LightTurn, LightTurns, NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
+use crate::light::{ColumnTurn, EnvOperators, LightTables};
 
-/// A state as the kernels read it, without learned indirect light.
+/// A state as the kernels read it, without learned indirect light and under the light unturned.
 pub fn source(state: &TrainState) -> AttributeSource<'_> {
-    training::source(state, &NO_INDIRECT_BASIS)
+    training::source(state, &NO_INDIRECT_BASIS, LightTurn::default())
 }
 
 /// The physically based branch as `photo` would show it, display-referred.
@@ -24,11 +26,12 @@ pub fn physical_image(
     background: [f32; 3],
 ) -> Vec<[f32; 3]> {
     let model = &state.model;
-    let tables = operators.apply(&environment_radiance(model));
+    let turn = ColumnTurn::new(photo.light.radians, model.env_width);
+    let tables = operators.apply(&turn.apply(&environment_radiance(model)));
     let basis = indirect_basis(&tables);
     let order = model.gaussians.visibility_order();
     let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
-    let source = training::source(state, &basis).under(shader);
+    let source = training::source(state, &basis, photo.light).under(shader);
     let channels = branches.channels(&model.gaussians, &model.shading).blended;
     let pass = Pass::forward(
         &source,
@@ -70,17 +73,52 @@ pub fn normals(state: &TrainState) -> Vec<[f32; 3]> {
     outward_normals(&source(state))
 }
 
-/// Irradiance of every Gaussian along its normal in `normals`: the sky through its visibility, and what is gathered.
-pub fn irradiance(state: &TrainState, operators: &EnvOperators, normals: &[[f32; 3]]) -> Vec<[f32; 3]> {
-    let tables = operators.apply(&environment_radiance(&state.model));
-    let basis = indirect_basis(&tables);
-    let source = training::source(state, &basis);
+/// Irradiance of every Gaussian along its normal in `normals`: the sky through its visibility, and what is gathered; the
+/// mean over the photographs where the light turns.
+pub fn irradiance(
+    state: &TrainState,
+    operators: &EnvOperators,
+    turns: &LightTurns,
+    normals: &[[f32; 3]],
+) -> Vec<[f32; 3]> {
+    let tables = mean_tables(state, operators, turns);
+    let gathered = mean_gathered(state, turns);
+    let source = source(state);
     let of = |i: usize| -> [f32; 3] {
         let sky = sky_irradiance(&source, &tables, normals[i], i);
-        let gathered = state.gathered.get(i).map_or([0.0; 6], |g| *g);
+        let gathered = gathered.get(i).map_or([0.0; 6], |g| *g);
         std::array::from_fn(|c| sky[c] + gathered[c])
     };
     (0..state.model.gaussians.len()).map(of).collect()
+}
+
+/// Tables of the mean light of the photographs: tables are linear in the light.
+pub fn mean_tables(state: &TrainState, operators: &EnvOperators, turns: &LightTurns) -> LightTables {
+    let model = &state.model;
+    let radiance = environment_radiance(model);
+    let turned = turns.blocks.iter().map(|t| ColumnTurn::new(*t, model.env_width).apply(&radiance));
+    operators.apply(&weighted_sum(turned, &turns.shares))
+}
+
+/// Gathered light, the mean over the photographs, `[Gaussian]`; empty where none was measured.
+pub fn mean_gathered(state: &TrainState, turns: &LightTurns) -> Vec<[f32; 6]> {
+    let blocks = (0..turns.blocks.len()).map(|block| Cow::Borrowed(state.gathered_in(block)));
+    weighted_sum(blocks, &turns.shares)
+}
+
+/// The sum of `weights[k]` times the `k`-th list, entry by entry.
+fn weighted_sum<'a, const N: usize>(
+    lists: impl Iterator<Item = Cow<'a, [[f32; N]]>>,
+    weights: &[f32],
+) -> Vec<[f32; N]> {
+    let mut sum: Vec<[f32; N]> = Vec::new();
+    for (list, weight) in lists.zip(weights) {
+        sum.resize(sum.len().max(list.len()), [0.0; N]);
+        for (sum, value) in sum.iter_mut().zip(list.iter()) {
+            (0..N).for_each(|c| sum[c] += weight * value[c]);
+        }
+    }
+    sum
 }
 
 fn colour_pass(state: &TrainState, photo: &Photo) -> Pass {

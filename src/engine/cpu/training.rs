@@ -15,10 +15,10 @@ use crate::engine::density::{DensityPlan, DensitySignals};
 use crate::engine::step::{FieldUpdate, ProbeMeasurement, Step, StepSums};
 use crate::engine::training;
 use crate::engine::{
-    DeviceError, Gradients, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights, TrainState,
-    fibonacci_sphere, indirect_basis,
+    DeviceError, Gradients, LightTurn, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights,
+    TrainState, fibonacci_sphere, indirect_basis,
 };
-use crate::light::EnvOperators;
+use crate::light::{ColumnTurn, EnvOperators, LightTables};
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
 
 /// The state, and the snapshot to return to.
@@ -39,19 +39,23 @@ pub struct Outcome {
 }
 
 /// What the kernels read of a state.
-pub(super) fn source<'a>(state: &'a TrainState, basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
+pub(super) fn source<'a>(
+    state: &'a TrainState,
+    basis: &'a [[f32; 3]; 16],
+    light: LightTurn,
+) -> AttributeSource<'a> {
     let Model { gaussians, prototypes, shading, .. } = &state.model;
     AttributeSource {
         gaussians,
         prototypes,
         options: shading,
-        gathered: &state.gathered,
+        gathered: state.gathered_in(light.block),
         indirect_basis: basis,
         light: None,
     }
 }
 
-/// Radiance of the environment's texels.
+/// Radiance of the environment's texels, as the model has them.
 pub(super) fn environment_radiance(model: &Model) -> Vec<[f32; 3]> {
     model.env_raw.iter().map(|t| t.map(softplus)).collect()
 }
@@ -75,7 +79,7 @@ impl training::Training for Training {
         Ok(StepSums { loss: outcome.loss, mse: outcome.mse, finite })
     }
 
-    fn measure(&mut self, how: &ProbeMeasurement) -> Result<(), DeviceError> {
+    fn measure(&mut self, how: &ProbeMeasurement<'_>) -> Result<(), DeviceError> {
         measure(&mut self.state, &self.operators, how);
         Ok(())
     }
@@ -138,7 +142,7 @@ pub fn objective(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
 /// The objective of the radiance branch and the geometry.
 fn radiance_branch(step: &Step<'_>, state: &TrainState) -> Outcome {
     let (photo, w) = (step.photo, &step.weights);
-    let source = source(state, &NO_INDIRECT_BASIS);
+    let source = source(state, &NO_INDIRECT_BASIS, photo.light);
     let channels = step.branches.channels(source.gaussians, source.options).differentiated;
     let view = RasterCamera::new(&photo.camera, source.options);
     let pass = Pass::forward(&source, view, channels, EarlyStop::WhenSaturated);
@@ -160,11 +164,12 @@ fn radiance_branch(step: &Step<'_>, state: &TrainState) -> Outcome {
 fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) -> Outcome {
     let (photo, w, model) = (step.photo, &step.weights, &state.model);
     let radiance = environment_radiance(model);
-    let tables = operators.apply(&radiance);
+    let turn = ColumnTurn::new(photo.light.radians, model.env_width);
+    let tables = operators.apply(&turn.apply(&radiance));
     let basis = indirect_basis(&tables);
     let order = model.gaussians.visibility_order();
     let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
-    let source = source(state, &basis).under(shader);
+    let source = source(state, &basis, photo.light).under(shader);
     let view = RasterCamera::new(&photo.camera, source.options);
     let channels = step.branches.channels(&model.gaussians, &model.shading);
     let pass = Pass::forward(&source, view, channels.blended, EarlyStop::WhenSaturated);
@@ -183,7 +188,8 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
         shader.images_backward(&pass, step.background, &by_images, &by_buffers, count);
     let mut gradients =
         pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, Some(&mut by_tables));
-    let mut by_radiance = operators.apply_transposed(&by_tables);
+    let by_turned = operators.apply_transposed(&by_tables);
+    let mut by_radiance = turn.apply_transposed(&by_turned).into_owned();
     loss += light_terms(step, model, &radiance, &mut by_radiance);
     gradients.env_raw = by_radiance
         .iter()
@@ -242,21 +248,25 @@ fn parameter_terms(
 }
 
 /// Measures visibility and gathers light anew (docs/MODEL.md section 6).
-fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurement) {
+fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurement<'_>) {
     let gathers = how.bounces > 0 && state.model.shading.indirect == IndirectForm::Gathered;
     if state.model.shading.visibility == VisibilityForm::Off && !gathers {
         return;
     }
-    let tables = operators.apply(&environment_radiance(&state.model));
+    let radiance = environment_radiance(&state.model);
+    let turned =
+        |turn: &f64| operators.apply(&ColumnTurn::new(*turn, state.model.env_width).apply(&radiance));
+    let tables: Vec<LightTables> = if gathers { how.turns.iter().map(turned).collect() } else { Vec::new() };
     let order = state.model.gaussians.visibility_order();
     for _ in 0..how.repeats {
-        let source = source(state, &NO_INDIRECT_BASIS);
+        let source = source(state, &NO_INDIRECT_BASIS, LightTurn::default());
         let directions = fibonacci_sphere(how.directions);
         let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
         let labels = probes.coefficients(order);
         if gathers {
             let transport = Transport::new(&probes, outward_normals(&source));
-            state.gathered = transport.gather(&source, &tables, how.bounces);
+            let gathered = tables.iter().flat_map(|tables| transport.gather(&source, tables, how.bounces));
+            state.gathered = gathered.collect();
         }
         let replaces = match how.field {
             FieldUpdate::Replace => true,

@@ -91,7 +91,7 @@ pub fn by_gpu(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, DeviceEr
     recorder.clear(&canvas.globals);
     recorder.clear(&canvas.status);
     recorder.clear(&canvas.density);
-    light.apply(&mut recorder, &model, &LightWeights::default(), &canvas.losses);
+    light.apply(&mut recorder, &model, 0.0, &LightWeights::default(), &canvas.losses);
     let frame = pass.forward(&mut recorder, projected)?;
     pass.images(&mut recorder, &frame, &canvas.images)?;
     let gbuffer = frame.gbuffer().clone();
@@ -112,7 +112,7 @@ pub fn by_gpu(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, DeviceEr
     let input = StepInput { model: &model, upstream, sums, weights: ParameterWeights::default() };
     Updater::new(gpu)?.gradients(&mut recorder, &input, &canvas.out);
     let (weights, indirect) = (LightWeights::default(), IndirectForm::Off);
-    light.backward(&mut recorder, &model, &weights, indirect, &canvas.globals);
+    light.backward(&mut recorder, &model, 0.0, &weights, indirect, &canvas.globals);
     recorder.submit()?;
     read(gpu, case, &model, &canvas, upstream.splats, &gbuffer)
 }

@@ -135,7 +135,8 @@ pub fn hold_dielectric(state: &mut TrainState) {
 
 /// Keeps the Gaussians of `indices` only, with their moments, statistics and measurements.
 pub fn select_gaussians(state: &mut TrainState, indices: &[usize]) {
-    let width = state.labels.len() / state.model.gaussians.len().max(1);
+    let n = state.model.gaussians.len().max(1);
+    let width = state.labels.len() / n;
     state.model.gaussians = state.model.gaussians.gathered(indices);
     state.moments.gather(&indices.iter().map(|i| Some(*i)).collect::<Vec<_>>());
     state.density = DensityStats {
@@ -147,6 +148,7 @@ pub fn select_gaussians(state: &mut TrainState, indices: &[usize]) {
         state.labels = indices.iter().flat_map(row).collect();
     }
     if !state.gathered.is_empty() {
-        state.gathered = indices.iter().map(|i| state.gathered[*i]).collect();
+        let blocks = state.gathered.chunks_exact(n);
+        state.gathered = blocks.flat_map(|block| indices.iter().map(|i| block[*i])).collect();
     }
 }

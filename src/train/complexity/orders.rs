@@ -114,10 +114,11 @@ fn decide_indirect(
     if !is_gathered || state.gathered.is_empty() {
         return is_gathered;
     }
-    let tables = context.step.operators.apply(state.model.environment().texels());
+    let tables = evaluation::mean_tables(state, context.step.operators, context.step.turns);
+    let gathered = evaluation::mean_gathered(state, context.step.turns);
     let field = state.model.gaussians.field(Field::Visibility);
     let normals = evaluation::normals(state);
-    let share = evidence::indirect_share(&state.gathered, field, &normals, &tables, &shown.weights);
+    let share = evidence::indirect_share(&gathered, field, &normals, &tables, &shown.weights);
     let is_convex = convexity == Convexity::Convex;
     let stays = !is_convex && share > decide::INDIRECT_TOLERANCE;
     let figures = [

@@ -136,7 +136,13 @@ fn convex(share: f32) -> TrainState {
 fn in_context(overrides: &TrainOverrides, photos: &[Photo], act: impl FnOnce(&DecisionContext<'_>)) {
     let config = config(overrides);
     let operators = crate::light::EnvOperators::new(4, 2, 4, crate::light::TableResolution::TRAINING);
-    let step = StepContext { config: &config, operators: &operators, background: [1.0; 3], has_alpha: true };
+    let step = StepContext {
+        config: &config,
+        operators: &operators,
+        turns: &crate::engine::LightTurns::default(),
+        background: [1.0; 3],
+        has_alpha: true,
+    };
     act(&DecisionContext { step: &step, steps: 7, photos });
 }
 
@@ -205,7 +211,7 @@ fn discs(hidden: &[usize]) -> (TrainState, Photo) {
     let view = RasterCamera::new(&camera, &options);
     let pass = Pass::forward(&source, view, Channels::Colour, EarlyStop::WhenSaturated);
     let pixels = radiance_image(&pass, [1.0; 3]);
-    (state, Photo { camera, pixels, alpha: Vec::new() })
+    (state, Photo { camera, pixels, alpha: Vec::new(), light: Default::default() })
 }
 
 #[test]

@@ -3,6 +3,7 @@
 mod choices;
 pub(in crate::train) mod error;
 
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
@@ -46,6 +47,9 @@ macro_rules! settings {
             /// The light of the photographs, where it is known; recovered otherwise.
             #[serde(default)]
             pub light: Option<KnownLight>,
+            /// Turns of the light that a caller gives, degrees by photograph; the capture's own where it gives none.
+            #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+            pub light_rotation_per_photo: BTreeMap<String, f64>,
         }
 
         /// What a caller may change on top of a preset. Absent means the preset's value.
@@ -56,6 +60,10 @@ macro_rules! settings {
             $($(#[doc = $doc])+ pub $name: Option<$type>,)+
             /// The light of the photographs, where it is known: held as it is, whatever the weights and step sizes say.
             pub light: Option<KnownLight>,
+            /// Turn of the light in single photographs, degrees counter-clockwise about the capture's +Z, by file name: for
+            /// things on a turntable, in captures that cannot state it themselves. A name is a photograph's path in the
+            /// capture or the end of it; one that fits no photograph, or several, is an error.
+            pub light_rotation_per_photo: Option<BTreeMap<String, f64>>,
         }
 
         impl TrainOverrides {
@@ -74,7 +82,8 @@ macro_rules! settings {
         impl TrainConfig {
             fn standard() -> Self {
                 let (preset, forced, light) = (Preset::Standard, Vec::new(), None);
-                Self { preset, $($name: $standard,)+ forced, light }
+                let light_rotation_per_photo = BTreeMap::new();
+                Self { preset, $($name: $standard,)+ forced, light, light_rotation_per_photo }
             }
 
             /// Takes the settings that `overrides` has, other than the light.
@@ -148,9 +157,17 @@ settings! {
     /// Whether sheen is learned; false leaves every surface without.
     #[serde(default = "learned")]
     sheen: bool = true, decides Sheen;
+    /// Whether the turns of the light that the capture states are used; false trains as if it had stood still.
+    #[serde(default = "used")]
+    light_rotations: bool = true;
     /// `auto`: leave out what the scene is measured not to require, except what the caller sets; `full`: everything.
     #[serde(default)]
     complexity: Complexity = Complexity::Full;
+}
+
+/// Turns of the light in files that do not say.
+fn used() -> bool {
+    true
 }
 
 /// Metalness and sheen of files that do not say.
@@ -230,6 +247,7 @@ impl TrainConfig {
         let mut config = Self::preset(preset);
         config.apply(overrides);
         config.forced = overrides.forced();
+        config.light_rotation_per_photo = overrides.light_rotation_per_photo.clone().unwrap_or_default();
         if let Some(light) = &overrides.light {
             config.hold_light(light);
         }
@@ -248,6 +266,9 @@ impl TrainConfig {
     fn check(&self) -> Result<(), ConfigError> {
         if let Some(light) = &self.light {
             light.check()?;
+        }
+        if let Some((name, _)) = self.light_rotation_per_photo.iter().find(|(_, turn)| !turn.is_finite()) {
+            return Err(ConfigError::new(format!("light_rotation_per_photo.{name}"), "must be finite"));
         }
         self.check_ranges()?;
         check_group("weights", &self.weights)?;

@@ -123,6 +123,7 @@ impl Trainer {
         StepContext {
             config: &self.config,
             operators: &self.operators,
+            turns: &self.data.turns,
             background: self.data.background,
             has_alpha: self.data.has_alpha,
         }
@@ -250,7 +251,7 @@ impl Trainer {
         }
         let mut state = state.into_owned();
         let normals = evaluation::normals(&state);
-        materials::restart_albedo(&mut state, &self.operators, &normals);
+        materials::restart_albedo(&mut state, &self.operators, &self.data.turns, &normals);
         if self.is_dielectric() {
             complexity::hold_dielectric(&mut state);
         }
@@ -285,7 +286,7 @@ impl Trainer {
 
     /// Measures visibility and gathered light, `repeats` times in a row.
     fn measure(&mut self, repeats: usize) -> Result<(), TrainError> {
-        Ok(self.engine.measure(&schedule::measurement(&self.config, repeats))?)
+        Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.turns, repeats))?)
     }
 
     fn next_photo(&mut self) -> usize {
@@ -379,7 +380,11 @@ fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainErro
     if config.light.is_some() && capture.lit_by.is_none() {
         return Err(TrainError::Invalid("light: the capture came without the map it names".into()));
     }
-    Ok(Dataset::new(capture, config.resolution))
+    if !capture.has_lights_turned(&config.light_rotation_per_photo) {
+        let reason = "the capture came without the turns of the light that are given here";
+        return Err(TrainError::Invalid(format!("light_rotation_per_photo: {reason}")));
+    }
+    Ok(Dataset::new(capture, config))
 }
 
 /// The operators for a model's environment and visibility.

@@ -7,10 +7,13 @@ use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{Buffer, Gpu, shaders};
 use crate::engine::{indirect_basis, indirect_basis_backward};
-use crate::light::{DAYLIGHT, EnvOperators, TableResolution};
+use crate::light::{ColumnTurn, DAYLIGHT, EnvOperators, TableResolution};
 use crate::scene::{Gaussians, IndirectForm, Model, ShadingOptions, softplus, texel_directions};
 
 const WEIGHTS: LightWeights = LightWeights { neutrality: 0.3, exposure: 0.7, daylight: 0.4 };
+
+/// None, whole columns, and a fraction of one.
+const TURNS: [f64; 3] = [0.0, std::f64::consts::FRAC_PI_2, 2.1];
 
 fn model() -> Model {
     let env_raw: Vec<[f32; 3]> =
@@ -35,14 +38,14 @@ struct Run {
     losses: Buffer<f32>,
 }
 
-fn applied(gpu: &Gpu, model: &Model) -> Run {
+fn applied(gpu: &Gpu, model: &Model, turn: f64) -> Run {
     let operators = EnvOperators::new(16, 8, 2, TableResolution::TRAINING);
     let light = TrainingLight::new(gpu, &operators).unwrap();
     let buffers = ModelBuffers::upload(gpu, model).unwrap();
     let losses = gpu.buffer("losses", 16).unwrap();
     let mut recorder = gpu.record();
     recorder.clear(&losses);
-    light.apply(&mut recorder, &buffers, &WEIGHTS, &losses);
+    light.apply(&mut recorder, &buffers, turn, &WEIGHTS, &losses);
     recorder.submit().unwrap();
     Run { operators, light, buffers, losses }
 }
@@ -82,28 +85,44 @@ fn terms(radiance: &[[f32; 3]]) -> (f64, f64) {
 fn tables_and_basis_are_those_of_the_host() {
     let gpu = Gpu::for_tests();
     let model = model();
-    let run = applied(&gpu, &model);
-    let expected = run.operators.apply(&radiance(&model));
+    for turn in TURNS {
+        tables_and_basis_are_those_of_the_host_at(&gpu, &model, turn);
+    }
     assert_layout!(TablesUniform as "Tables" in shaders::ENV_TABLES; diffuse_n, coefficients, n_coefficients,
         n_specular, specular_n, specular_first);
     assert_layout!(EnvironmentUniform as "Environment" in shaders::ENV_BACKWARD; n_texels, first_texel, neutrality,
-        exposure, daylight, blue_over_red);
+        exposure, daylight, blue_over_red, width, whole, fraction);
+}
+
+fn tables_and_basis_are_those_of_the_host_at(gpu: &Gpu, model: &Model, turn: f64) {
+    let run = applied(gpu, model, turn);
+    let host = |radiance: &[[f32; 3]], turn: f64| {
+        run.operators.apply(&ColumnTurn::new(turn, model.env_width).apply(radiance))
+    };
+    let expected = host(&radiance(model), turn);
     let light = &run.light.light;
     let values = gpu.read(&light.values, 0..light.values.len()).unwrap();
     assert!(worst(&values, &flat(&expected)) < 2e-6);
     let basis = gpu.read(&light.indirect_basis, 0..48).unwrap();
     assert!(worst(&basis, indirect_basis(&expected).as_flattened()) < 3e-6);
-    let mut other = radiance(&model);
+    let mut other = radiance(model);
     other[5][1] += 0.05;
-    assert!(worst(&values, &flat(&run.operators.apply(&other))) > 1e-4, "the control: one texel shows");
+    assert!(worst(&values, &flat(&host(&other, turn))) > 1e-4, "the control: one texel shows");
+    assert!(worst(&values, &flat(&host(&radiance(model), turn + 0.1))) > 1e-2, "the control: a turn shows");
 }
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_gradient_of_the_light_is_the_transposed_operator_and_the_terms() {
     let gpu = Gpu::for_tests();
+    for turn in TURNS {
+        the_gradient_is_the_transposed_operator_and_the_terms_at(&gpu, turn);
+    }
+}
+
+fn the_gradient_is_the_transposed_operator_and_the_terms_at(gpu: &Gpu, turn: f64) {
     let mut model = model();
-    let run = applied(&gpu, &model);
+    let run = applied(gpu, &model, turn);
     let losses = gpu.read(&run.losses, 0..16).unwrap();
     let (neutral, exposure) = terms(&radiance(&model));
     assert!((f64::from(losses[9]) - neutral).abs() < 1e-5 * neutral, "{} {neutral}", losses[9]);
@@ -122,11 +141,12 @@ fn the_gradient_of_the_light_is_the_transposed_operator_and_the_terms() {
     gpu.write(&run.light.basis_gradient, 0, by_basis.as_flattened());
     let out: Buffer<f32> = gpu.buffer("gradient", run.buffers.globals.len()).unwrap();
     let mut recorder = gpu.record();
-    run.light.backward(&mut recorder, &run.buffers, &WEIGHTS, IndirectForm::Learned, &out);
+    run.light.backward(&mut recorder, &run.buffers, turn, &WEIGHTS, IndirectForm::Learned, &out);
     recorder.submit().unwrap();
     let found = gpu.read(&out, 6..out.len()).unwrap();
     indirect_basis_backward(&by_basis, &mut by_tables);
-    let mut expected = run.operators.apply_transposed(&by_tables);
+    let turned = ColumnTurn::new(turn, model.env_width);
+    let mut expected = turned.apply_transposed(&run.operators.apply_transposed(&by_tables)).into_owned();
     // The terms by central differences of their f64 values.
     for t in 0..expected.len() {
         for c in 0..3 {

@@ -8,7 +8,7 @@ use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
 use crate::engine::indirect::INDIRECT_DIRECTIONS;
 use crate::engine::{LightWeights, fibonacci_sphere};
-use crate::light::{DAYLIGHT, EnvOperators, LightTables, sh_eval};
+use crate::light::{ColumnTurn, DAYLIGHT, EnvOperators, LightTables, sh_eval};
 use crate::scene::{IndirectForm, texel_directions};
 
 /// `Environment` of `shaders/shared/environment.wgsl`.
@@ -21,6 +21,9 @@ pub(super) struct EnvironmentUniform {
     pub(super) exposure: f32,
     pub(super) daylight: f32,
     pub(super) blue_over_red: f32,
+    pub(super) width: u32,
+    pub(super) whole: u32,
+    pub(super) fraction: f32,
 }
 
 /// The environment operators of a training, with the light they were last applied to and the gradient of its tables.
@@ -33,13 +36,16 @@ pub struct TrainingLight {
     /// Gradient of the indirect basis; likewise.
     pub basis_gradient: Buffer<f32>,
     radiance: Buffer<f32>,
+    /// The radiance as it stood in the photograph.
+    turned: Buffer<f32>,
     by_sky_light: Buffer<f32>,
     rows: [Buffer<u32>; 2],
     entries: [Buffer<[u32; 2]>; 2],
     harmonics: Buffer<f32>,
     upward: Buffer<f32>,
     reading: Buffer<f32>,
-    n_texels: usize,
+    /// Columns and rows.
+    size: (usize, usize),
 }
 
 impl TrainingLight {
@@ -60,6 +66,7 @@ impl TrainingLight {
             tables_gradient: gpu.buffer("gradient of the light tables", light.values.len())?,
             basis_gradient: gpu.buffer("gradient of the indirect basis", 48)?,
             radiance: gpu.buffer("radiance", 3 * width * height)?,
+            turned: gpu.buffer("turned radiance", 3 * width * height)?,
             by_sky_light: gpu.buffer("derivative by the light from above", 3)?,
             rows: [
                 gpu.upload("operator rows", &forward.start)?,
@@ -72,34 +79,41 @@ impl TrainingLight {
             harmonics: gpu.upload("harmonics of the texels", operators.harmonics())?,
             upward: gpu.upload("upward shares", &upward)?,
             reading: gpu.upload("reading of the roughest level", &basis_reading(&tables))?,
-            n_texels: width * height,
+            size: (width, height),
             light,
         })
     }
 
-    fn environment(&self, model: &ModelBuffers, weights: &LightWeights) -> EnvironmentUniform {
+    fn environment(&self, model: &ModelBuffers, turn: f64, weights: &LightWeights) -> EnvironmentUniform {
+        let (width, height) = self.size;
+        let (whole, fraction) = ColumnTurn::new(turn, width).columns();
         EnvironmentUniform {
-            n_texels: self.n_texels as u32,
+            n_texels: (width * height) as u32,
             first_texel: 3 * model.n_prototypes as u32,
-            neutrality: weights.neutrality / (3 * self.n_texels).max(1) as f32,
+            neutrality: weights.neutrality / (3 * width * height).max(1) as f32,
             exposure: weights.exposure,
             daylight: weights.daylight,
             blue_over_red: (DAYLIGHT[2] / DAYLIGHT[0]).ln(),
+            width: width as u32,
+            whole: whole as u32,
+            fraction,
         }
     }
 
-    /// Tables of the model's environment as it is now, and the values of the terms on it; clears the gradients.
+    /// Tables of the model's environment as it is now, turned about +Z by `turn` radians, and the values of the terms on
+    /// it; clears the gradients.
     pub fn apply(
         &self,
         recorder: &mut Recorder<'_>,
         model: &ModelBuffers,
+        turn: f64,
         weights: &LightWeights,
         losses: &Buffer<f32>,
     ) {
         recorder.stage("light");
         recorder.clear(&self.tables_gradient);
         recorder.clear(&self.basis_gradient);
-        let environment = uniform(&self.environment(model, weights));
+        let environment = uniform(&self.environment(model, turn, weights));
         let (globals, upward) = ((&model.globals).into(), (&self.upward).into());
         let bindings = [
             environment,
@@ -108,12 +122,13 @@ impl TrainingLight {
             (&self.radiance).into(),
             (&self.by_sky_light).into(),
             losses.into(),
+            (&self.turned).into(),
         ];
         recorder.dispatch(&shaders::ENV_RADIANCE, Groups::Workgroups(1), &bindings);
         let values = &self.light.values;
         let bindings = [
             uniform(&self.light.layout),
-            (&self.radiance).into(),
+            (&self.turned).into(),
             (&self.rows[0]).into(),
             (&self.entries[0]).into(),
             (&self.harmonics).into(),
@@ -129,12 +144,13 @@ impl TrainingLight {
         recorder.dispatch(&shaders::ENV_BASIS, Groups::Workgroups(1), &bindings);
     }
 
-    /// Gradient of the raw environment, written over its part of `globals_gradient`; the basis has a gradient where
-    /// `indirect` is `Learned`.
+    /// Gradient of the raw environment under the turn that [`Self::apply`] had, written over its part of
+    /// `globals_gradient`; the basis has a gradient where `indirect` is `Learned`.
     pub fn backward(
         &self,
         recorder: &mut Recorder<'_>,
         model: &ModelBuffers,
+        turn: f64,
         weights: &LightWeights,
         indirect: IndirectForm,
         globals_gradient: &Buffer<f32>,
@@ -152,7 +168,7 @@ impl TrainingLight {
         }
         let bindings = [
             uniform(&self.light.layout),
-            uniform(&self.environment(model, weights)),
+            uniform(&self.environment(model, turn, weights)),
             (&model.globals).into(),
             (&self.radiance).into(),
             (&self.upward).into(),
@@ -163,7 +179,7 @@ impl TrainingLight {
             (&self.harmonics).into(),
             globals_gradient.into(),
         ];
-        recorder.dispatch(&shaders::ENV_BACKWARD, Groups::Workgroups(self.n_texels), &bindings);
+        recorder.dispatch(&shaders::ENV_BACKWARD, Groups::Workgroups(self.size.0 * self.size.1), &bindings);
     }
 }
 

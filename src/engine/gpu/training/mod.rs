@@ -113,17 +113,24 @@ impl Training {
     }
 
     /// Measures visibility, and gathers light over `bounces` rounds.
-    fn measure_once(&mut self, how: &ProbeMeasurement, bounces: Option<usize>) -> Result<(), DeviceError> {
+    fn measure_once(
+        &mut self,
+        how: &ProbeMeasurement<'_>,
+        bounces: Option<usize>,
+    ) -> Result<(), DeviceError> {
         let (gpu, model) = (&self.gpu, &self.state.model);
         let settings = ProbeSettings::of(&self.shape.shading);
         let directions = fibonacci_sphere(how.directions);
         let probes = probes::measure(gpu, &model.params, &model.layout, settings, &directions, self.order)?;
         let mut recorder = gpu.record();
         if let Some(bounces) = bounces {
-            self.light.apply(&mut recorder, model, &LightWeights::default(), &self.losses);
             let source = AttributeSource::new(model);
-            let gathered = gather(&mut recorder, &probes, &source, &self.light.light, bounces)?;
-            self.state.measured.gathered = Some(gathered);
+            self.state.measured.gathered.clear();
+            for turn in how.turns {
+                self.light.apply(&mut recorder, model, *turn, &LightWeights::default(), &self.losses);
+                let gathered = gather(&mut recorder, &probes, &source, &self.light.light, bounces)?;
+                self.state.measured.gathered.push(gathered);
+            }
         }
         let replaces = match how.field {
             FieldUpdate::Keep => false,
@@ -149,7 +156,7 @@ impl training::Training for Training {
         let channels = step.branches.channels(&self.shape.gaussians, shading);
         let pass = self.pass(step, channels.blended);
         let canvas = Canvas::at(&mut self.canvas, &gpu, camera.pixels())?;
-        let source = self.state.source(&self.light);
+        let source = self.state.source(&self.light, step.photo.light);
         let projected = self.raster.prepare(&camera, &source)?;
         let mut recorder = gpu.record();
         recorder.clear(&self.losses);
@@ -157,7 +164,8 @@ impl training::Training for Training {
         recorder.clear(&self.status);
         let physical = step.branches.is_physical();
         if physical {
-            self.light.apply(&mut recorder, &self.state.model, &step.weights.light, &self.losses);
+            let turn = step.photo.light.radians;
+            self.light.apply(&mut recorder, &self.state.model, turn, &step.weights.light, &self.losses);
         }
         let frame = pass.forward(&mut recorder, projected)?;
         pass.images(&mut recorder, &frame, &canvas.images)?;
@@ -189,7 +197,7 @@ impl training::Training for Training {
         Ok(StepSums { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned })
     }
 
-    fn measure(&mut self, how: &ProbeMeasurement) -> Result<(), DeviceError> {
+    fn measure(&mut self, how: &ProbeMeasurement<'_>) -> Result<(), DeviceError> {
         let gathers = how.bounces > 0 && self.shape.shading.indirect == IndirectForm::Gathered;
         if self.shape.shading.visibility == VisibilityForm::Off && !gathers {
             return Ok(());
@@ -300,7 +308,8 @@ impl Update<'_> {
         let input = StepInput { model, upstream, sums, weights };
         self.updater.step(recorder, &input, &step.sizes, step.counts);
         if physical {
-            self.light.backward(recorder, model, &step.weights.light, indirect, self.globals_gradient);
+            let (turn, weights) = (step.photo.light.radians, &step.weights.light);
+            self.light.backward(recorder, model, turn, weights, indirect, self.globals_gradient);
             self.updater.step_globals(recorder, model, &sums, &step.sizes, step.counts);
         }
         Ok(())

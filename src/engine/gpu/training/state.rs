@@ -5,7 +5,7 @@ use crate::engine::gpu::density::read_stats;
 use crate::engine::gpu::light::TrainingLight;
 use crate::engine::gpu::model::{ModelBuffers, planar};
 use crate::engine::gpu::{AttributeSource, Buffer, Gpu};
-use crate::engine::{Moments, TrainState};
+use crate::engine::{LightTurn, Moments, TrainState};
 use crate::scene::Model;
 
 /// What is measured, not learned.
@@ -13,8 +13,8 @@ use crate::scene::Model;
 pub(super) struct Measured {
     /// Probe labels, `[Gaussian][coefficient]`.
     pub(super) labels: Option<Buffer<f32>>,
-    /// Gathered light, 6 floats a Gaussian.
-    pub(super) gathered: Option<Buffer<f32>>,
+    /// Gathered light by turn of the light, 6 floats a Gaussian.
+    pub(super) gathered: Vec<Buffer<f32>>,
     /// True once anything was measured, also for Gaussians that are gone.
     pub(super) ever: bool,
 }
@@ -22,7 +22,8 @@ pub(super) struct Measured {
 impl Measured {
     /// Drops what was measured of Gaussians that are gone.
     pub(super) fn forget_values(&mut self) {
-        (self.labels, self.gathered) = (None, None);
+        self.labels = None;
+        self.gathered.clear();
     }
 }
 
@@ -55,9 +56,10 @@ impl DeviceState {
         let some = |data: &[f32], label: &str| {
             if data.is_empty() { Ok(None) } else { gpu.upload(label, data).map(Some) }
         };
+        let blocks = state.gathered.as_flattened().chunks((6 * state.model.gaussians.len()).max(1));
         let measured = Measured {
             labels: some(&state.labels, "probe labels")?,
-            gathered: some(state.gathered.as_flattened(), "gathered light")?,
+            gathered: blocks.map(|block| gpu.upload("gathered light", block)).collect::<Result<_, _>>()?,
             ever: !state.labels.is_empty(),
         };
         Ok(Self { model, density: gpu.upload("density statistics", &stats)?, measured })
@@ -74,6 +76,8 @@ impl DeviceState {
             Some(buffer) => gpu.read(buffer, 0..buffer.len()),
             None => Ok(Vec::new()),
         };
+        let gathered = self.measured.gathered.iter().map(|block| gpu.read(block, 0..block.len()));
+        let gathered: Vec<Vec<f32>> = gathered.collect::<Result<_, _>>()?;
         let mut model = shape.clone();
         model.gaussians = gaussians(&buffers.params)?;
         [model.prototypes, model.env_raw] = buffers.read_globals(gpu, &buffers.globals)?;
@@ -86,7 +90,7 @@ impl DeviceState {
             },
             density: read_stats(gpu, &self.density)?,
             labels: read(&self.measured.labels)?,
-            gathered: read(&self.measured.gathered)?.as_chunks::<6>().0.to_vec(),
+            gathered: gathered.concat().as_chunks::<6>().0.to_vec(),
         })
     }
 
@@ -110,17 +114,17 @@ impl DeviceState {
         let density = copy(&self.density.cast())?.cast();
         let measured = Measured {
             labels: self.measured.labels.as_ref().map(&mut copy).transpose()?,
-            gathered: self.measured.gathered.as_ref().map(&mut copy).transpose()?,
+            gathered: self.measured.gathered.iter().map(&mut copy).collect::<Result<_, _>>()?,
             ever: self.measured.ever,
         };
         recorder.submit()?;
         Ok(Self { model, density, measured })
     }
 
-    /// The model as frames read it, under the light of the training.
-    pub(super) fn source(&self, light: &TrainingLight) -> AttributeSource {
+    /// The model as frames read it, under the light of the training as it stood in a photograph.
+    pub(super) fn source(&self, light: &TrainingLight, turn: LightTurn) -> AttributeSource {
         AttributeSource {
-            gathered: self.measured.gathered.clone(),
+            gathered: self.measured.gathered.get(turn.block).cloned(),
             indirect_basis: Some(light.light.indirect_basis.clone()),
             ..AttributeSource::new(&self.model)
         }
