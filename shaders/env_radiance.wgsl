@@ -1,5 +1,5 @@
 // Radiance of the environment from its raw texels (softplus), the terms of the objective on it, and what their gradients
-// need (docs/MODEL.md section 5: light neutrality, exposure, daylight).
+// need (docs/MODEL.md section 5: light neutrality, exposure, colour).
 // One workgroup takes all texels, since two terms need sums over them and there are few thousand at most; a
 // thread owns every 256th texel.
 const WG_SIZE = 256u;
@@ -15,7 +15,7 @@ const WG_SIZE = 256u;
 @group(0) @binding(3) var<storage, read_write> radiance: array<f32>;
 // The same as it stood in the photograph, turned about +Z.
 @group(0) @binding(6) var<storage, read_write> turned: array<f32>;
-// Derivatives of exposure and daylight by what comes from above, in each channel.
+// Derivatives of exposure and colour by what comes from above, in each channel.
 @group(0) @binding(4) var<storage, read_write> light_derivative: array<f32>;
 @group(0) @binding(5) var<storage, read_write> losses: array<accumulator>;
 
@@ -53,14 +53,15 @@ fn main(@builtin(local_invocation_index) local_ix: u32) {
         let above = max(sums.rgb, vec3f(1e-6));
         let up = max(sums.r + sums.g + sums.b, 1e-6);
         let level = log(up);
-        let colour = log(above.b / above.r) - environment.blue_over_red;
+        let blue = log(above.b / above.r) - environment.blue_over_red;
+        let green = log(above.g * above.g / (above.r * above.b)) - environment.green;
         let by_level = 2.0 * environment.exposure * level / up;
-        let by_colour = 2.0 * environment.daylight * colour;
-        light_derivative[0] = by_level - by_colour / above.r;
-        light_derivative[1] = by_level;
-        light_derivative[2] = by_level + by_colour / above.b;
+        let by_colour = 2.0 * environment.colour * vec3f(-blue - green, 2.0 * green, blue - green) / above;
+        for (var c = 0u; c < 3u; c++) {
+            light_derivative[c] = by_level + by_colour[c];
+        }
         accumulate!(losses[LOSS_NEUTRALITY], environment.neutrality * sums.w);
-        let values = environment.exposure * level * level + environment.daylight * colour * colour;
+        let values = environment.exposure * level * level + environment.colour * (blue * blue + green * green);
         accumulate!(losses[LOSS_EXPOSURE], values);
     }
 }

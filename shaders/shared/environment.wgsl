@@ -3,12 +3,13 @@ struct Environment {
     n_texels: u32,
     // First float of the texels among the globals.
     first_texel: u32,
-    // Weight of the light neutrality term, divided by three times the texels; weights of exposure and daylight.
+    // Weight of the light neutrality term, divided by three times the texels; weights of exposure and colour.
     neutrality: f32,
     exposure: f32,
-    daylight: f32,
-    // Logarithm of blue over red in daylight.
+    colour: f32,
+    // The colour that is asked for: logarithms of blue over red, and of green squared over red times blue.
     blue_over_red: f32,
+    green: f32,
     // Columns of the map, and how far they move along in the photograph: whole columns and the fraction of one.
     width: u32,
     whole: u32,

@@ -14,7 +14,7 @@ use crate::engine::Device;
 use crate::engine::DeviceChoice;
 use crate::formats::model_file;
 use crate::train::{
-    KnownLight, LightExposure, Preset, StepReport, TrainConfig, Trainer, import_for_training,
+    KnownLight, LightExposure, Preset, StepReport, TrainConfig, Trainer, WhiteBalance, import_for_training,
 };
 
 /// Options of `relume train`.
@@ -48,6 +48,10 @@ pub(super) struct TrainArgs {
     /// counter-clockwise about the capture's +Z.
     #[arg(long, value_name = "FILE")]
     light_rotations: Option<PathBuf>,
+    /// Colour of the light in the photographs: `auto` (estimated), `neutral` (balanced for their light), `daylight` (open
+    /// sky), or its temperature in kelvin in photographs that were balanced for daylight.
+    #[arg(long)]
+    white_balance: Option<WhiteBalance>,
     /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
@@ -75,6 +79,9 @@ pub(super) fn run(args: &TrainArgs) -> CommandResult {
     }
     if let Some(file) = &args.light_rotations {
         overrides.light_rotation_per_photo = Some(read_rotations(file)?);
+    }
+    if args.white_balance.is_some() {
+        overrides.white_balance = args.white_balance;
     }
     let config = TrainConfig::new(args.preset, &overrides)?;
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;

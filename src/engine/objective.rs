@@ -1,5 +1,7 @@
 //! Weights of the objective (docs/MODEL.md section 5), as both engines take them; 0 leaves a term out.
 
+use crate::light::LightColour;
+
 /// Weights of one branch's image term (Eq. 30).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ImageWeights {
@@ -27,8 +29,10 @@ pub struct LightWeights {
     pub neutrality: f32,
     /// Exposure: a white surface facing up shows as white.
     pub exposure: f32,
-    /// Colour of daylight.
-    pub daylight: f32,
+    /// Colour of what falls on a surface facing up.
+    pub colour: f32,
+    /// The colour that the term asks for.
+    pub wanted: LightColour,
 }
 
 /// Weights of the terms on the parameters.

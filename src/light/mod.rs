@@ -2,6 +2,7 @@
 //! into what a pixel looks up.
 
 mod brdf;
+mod colour;
 mod column_turn;
 mod constants;
 mod dominant;
@@ -15,11 +16,11 @@ mod sh;
 mod sheen;
 mod tables;
 
-/// Colour of the light before anything is known of it, linear sRGB of mean 1: bluish, as under an open sky; chosen by
-/// relighting (docs/decisions/0009).
+/// Colour of the light under an open sky, linear Rec.709 of mean 1.
 pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
 
 pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
+pub use colour::LightColour;
 pub use column_turn::ColumnTurn;
 pub use constants::{
     CLAMPED_COSINE, DIELECTRIC_F0, FULLY_OPEN, LOBE_ORDERS, MOST_SHEEN, SPECULAR_LEVELS, nrsh_factor,

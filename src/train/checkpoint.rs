@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::engine::{DensityStats, Moments, TrainState};
 use crate::formats::model_file::{self, Tensor, floats};
+use crate::light::LightColour;
 use crate::scene::{Field, Gaussians};
 use crate::train::TrainConfig;
 use crate::train::complexity::state::ComplexityState;
@@ -31,6 +32,8 @@ struct Header {
     seconds: f64,
     #[serde(default)]
     complexity: ComplexityState,
+    #[serde(default)]
+    light_colour: Option<LightColour>,
     labels: usize,
     gathered: usize,
 }
@@ -61,6 +64,7 @@ pub fn encode(
         rate_factor: schedule.rate_factor,
         seconds: schedule.seconds,
         complexity: schedule.complexity.clone(),
+        light_colour: schedule.light_colour,
         labels: state.labels.len(),
         gathered: state.gathered.len(),
     };
@@ -139,6 +143,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         rate_factor: header.rate_factor,
         seconds: header.seconds,
         complexity: header.complexity,
+        light_colour: header.light_colour,
     };
     Ok((schedule, state))
 }

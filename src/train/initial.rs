@@ -4,9 +4,9 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
-use crate::engine::Photo;
-use crate::light::DAYLIGHT;
-use crate::scene::{Field, Gaussians, Model, softplus_inverse};
+use crate::engine::{Photo, upward_share};
+use crate::light::LightColour;
+use crate::scene::{Field, Gaussians, Model, softplus, softplus_inverse, texel_directions};
 use crate::train::dataset::Dataset;
 use crate::train::{TrainConfig, materials};
 
@@ -64,11 +64,26 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
     }
 }
 
+/// Makes the environment the same from everywhere, of this colour.
+pub fn light_of_colour(model: &mut Model, colour: LightColour) {
+    model.env_raw.fill(colour.rgb().map(|c| softplus_inverse(FIRST_LIGHT * c)));
+}
+
+/// Colour of what the environment sends to a surface that faces up.
+pub fn colour_from_above(model: &Model) -> LightColour {
+    let texels = texel_directions(model.env_width, model.env_height);
+    let mut sum = [1e-6f32; 3];
+    for (raw, texel) in model.env_raw.iter().zip(&texels) {
+        (0..3).for_each(|c| sum[c] += upward_share(texel) * softplus(raw[c]));
+    }
+    LightColour::of(sum)
+}
+
 /// The environment that training starts from, before the softplus: the light of the photographs if it is known.
 fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
     let rows = config.environment_rows as usize;
     let (Some(map), Some(light)) = (&capture.lit_by, &config.light) else {
-        return vec![DAYLIGHT.map(|c| softplus_inverse(FIRST_LIGHT * c)); rows * rows * 2];
+        return vec![[softplus_inverse(FIRST_LIGHT); 3]; 2 * rows * rows];
     };
     light.applied(map).resampled(2 * rows, rows).texels().iter().map(|t| t.map(softplus_inverse)).collect()
 }

@@ -2,7 +2,7 @@
 
 use crate::engine::cpu::{evaluation, linear_from_srgb, sigmoid};
 use crate::engine::{LightTurns, TrainState};
-use crate::light::{DAYLIGHT, EnvOperators};
+use crate::light::{EnvOperators, LightColour};
 use crate::scene::{Field, Gaussians};
 
 /// Rounds of k-means.
@@ -31,14 +31,14 @@ fn colour(g: &Gaussians, i: usize) -> [f32; 3] {
     std::array::from_fn(|c| linear_from_srgb((0.5 + 0.282_094_8 * s[c]).clamp(0.0, 1.0)))
 }
 
-/// The first materials: albedo from the Gaussians' view-independent colours, under daylight.
+/// The first materials: albedo from the Gaussians' view-independent colours, under a light of this colour.
 ///
 /// Under a light of irradiance pi (see the exposure term) a diffuse surface's colour is its albedo times the light's.
-pub fn initialise(state: &mut TrainState) {
-    let g = &state.model.gaussians;
+pub fn initialise(state: &mut TrainState, light: LightColour) {
+    let (g, light) = (&state.model.gaussians, light.rgb());
     let albedo = |i: usize| {
         let colour = colour(g, i);
-        std::array::from_fn(|c| colour[c] / DAYLIGHT[c])
+        std::array::from_fn(|c| colour[c] / light[c])
     };
     let albedos: Vec<[f32; 3]> = (0..g.len()).map(albedo).collect();
     restart(state, &albedos, FIRST_SHARPNESS);
@@ -141,6 +141,7 @@ mod tests {
     use crate::scene::{Model, ShadingOptions, VisibilityForm, softplus_inverse, texel_directions};
     use crate::train::{Preset, TrainConfig};
 
+    const DAYLIGHT_SKY: LightColour = LightColour { blue_over_red: 0.45, green: -0.13 };
     const COLOURS: [[f32; 3]; 2] = [[0.6, 0.2, 0.1], [0.2, 0.3, 0.5]];
 
     /// A ball whose Gaussians have one of two albedos in turn, lit from above, and the radiance that follows.
@@ -192,7 +193,7 @@ mod tests {
     #[test]
     fn a_restart_removes_the_shading_from_albedo() {
         let (mut state, operators, normals) = shaded_ball();
-        initialise(&mut state);
+        initialise(&mut state, DAYLIGHT_SKY);
         assert!(worst(&state) > 0.1, "the control: colours as they are, {}", worst(&state));
         state.model.gaussians.field_mut(Field::Residual).fill(0.05);
         state.moments.second.field_mut(Field::ProtoLogits).fill(1.0);
@@ -205,11 +206,11 @@ mod tests {
     fn a_grey_object_under_daylight_starts_grey() {
         let (mut state, ..) = shaded_ball();
         for radiance in state.model.gaussians.field_mut(Field::Radiance).chunks_mut(3) {
-            for (r, light) in radiance.iter_mut().zip(DAYLIGHT) {
+            for (r, light) in radiance.iter_mut().zip(DAYLIGHT_SKY.rgb()) {
                 *r = (srgb(0.5 * light) - 0.5) / 0.282_094_8;
             }
         }
-        initialise(&mut state);
+        initialise(&mut state, DAYLIGHT_SKY);
         assert!(state.model.prototypes.iter().flatten().all(|v| (v - 0.5).abs() < 1e-3));
     }
 

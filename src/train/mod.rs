@@ -10,6 +10,7 @@ mod error;
 mod import;
 mod initial;
 mod known_light;
+mod light_colour;
 mod materials;
 mod schedule;
 mod state;
@@ -17,7 +18,8 @@ mod trainer;
 mod weights;
 
 pub use config::{
-    Complexity, ComplexitySetting, ConfigError, LabelSource, Preset, TrainConfig, TrainOverrides,
+    Complexity, ComplexitySetting, ConfigError, LabelSource, NamedBalance, Preset, TrainConfig,
+    TrainOverrides, WhiteBalance,
 };
 pub use error::TrainError;
 pub use import::import_for_training;

@@ -4,6 +4,7 @@ use crate::engine::{
     Branches, FieldUpdate, ImageWeights, LightTurns, LightWeights, ParameterWeights, ProbeMeasurement,
     StepSizes, StepWeights, SurfaceWeights,
 };
+use crate::light::LightColour;
 use crate::scene::Field;
 use crate::train::{LabelSource, TrainConfig};
 
@@ -28,7 +29,14 @@ pub fn branches(config: &TrainConfig, step: u32) -> Branches {
 }
 
 /// Weights of the objective at `progress` in [0, 1].
-pub fn step_weights(config: &TrainConfig, branches: Branches, progress: f32, has_alpha: bool) -> StepWeights {
+/// `light` is the colour that the light is held at.
+pub fn step_weights(
+    config: &TrainConfig,
+    branches: Branches,
+    progress: f32,
+    has_alpha: bool,
+    light: LightColour,
+) -> StepWeights {
     let w = &config.weights;
     let if_physical = |weight: f32| if branches.is_physical() { weight } else { 0.0 };
     let share = if branches.is_physical() { config.radiance_weight(has_alpha) } else { 1.0 };
@@ -46,7 +54,8 @@ pub fn step_weights(config: &TrainConfig, branches: Branches, progress: f32, has
         light: LightWeights {
             neutrality: if_physical(w.light),
             exposure: if_physical(w.exposure),
-            daylight: if_physical(config.daylight_weight(progress)),
+            colour: if_physical(config.light_colour_weight(progress)),
+            wanted: light,
         },
         parameters: ParameterWeights {
             aggregation: if_physical(w.aggregation),
@@ -133,7 +142,7 @@ mod tests {
             [at(0), at(75), at(375)],
             [Branches::Radiance, Branches::RadianceAndNormals, Branches::Both]
         );
-        let weights = |step| step_weights(&config, at(step), 0.5, true);
+        let weights = |step| step_weights(&config, at(step), 0.5, true, LightColour::NEUTRAL);
         assert_eq!(weights(75).physical, ImageWeights::default());
         assert!(weights(375).physical.l1 > 0.0 && weights(375).radiance.l1 < weights(75).radiance.l1);
     }

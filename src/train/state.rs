@@ -2,6 +2,7 @@
 
 use rand_chacha::ChaCha8Rng;
 
+use crate::light::LightColour;
 use crate::train::complexity::state::ComplexityState;
 
 /// Where a training stands in its schedule; kept on the host whatever device trains.
@@ -21,4 +22,6 @@ pub struct ScheduleState {
     pub seconds: f64,
     /// What was decided about the model's size so far.
     pub complexity: ComplexityState,
+    /// Colour of the light that materials started from, once they train.
+    pub light_colour: Option<LightColour>,
 }

@@ -25,8 +25,10 @@ pub struct LossWeights {
     pub light: f32,
     /// Exposure: the level of the light under which a white surface is white (docs/MODEL.md section 5).
     pub exposure: f32,
-    /// Daylight: holds the light's colour at daylight's over the first three tenths of the steps that train materials.
-    pub daylight: f32,
+    /// Colour of the light: holds it where it is known, and at the estimate over the first three tenths of the steps that
+    /// train materials.
+    #[serde(alias = "daylight")]
+    pub light_colour: f32,
     /// Aggregation (Eq. 24).
     pub aggregation: f32,
     /// Residual (Eq. 25).
@@ -56,7 +58,7 @@ impl Default for LossWeights {
             smooth_roughness: 0.015,
             light: 0.0,
             exposure: 0.01,
-            daylight: 0.01,
+            light_colour: 0.01,
             aggregation: 0.001,
             residual: 0.01,
             visibility: 0.1,

@@ -8,7 +8,7 @@ use relume::engine::{
     Branches, ImageWeights, LightWeights, ParameterWeights, Photo, PhotoId, PhotoSize, Step, StepCounts,
     StepSizes, StepWeights, SurfaceWeights, TrainState, cpu,
 };
-use relume::light::{EnvOperators, TableResolution};
+use relume::light::{DAYLIGHT, EnvOperators, LightColour, TableResolution};
 use relume::scene::{Camera, Field, Model, ShadingOptions};
 
 use super::parity::{BACKGROUND, GAUSSIANS, Noise, SIZE, as_arrays, camera, distance, model, wide};
@@ -29,7 +29,7 @@ const WEIGHTS: [(&str, f64); 16] = [
     ("res", 0.35),
     ("occ", 0.4),
     ("exposure", 0.05),
-    ("daylight", 0.07),
+    ("light_colour", 0.07),
     ("flatness", 0.8),
 ];
 const PROBES: f64 = 0.6;
@@ -109,7 +109,8 @@ fn by_trainer(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
         light: LightWeights {
             neutrality: weight("light"),
             exposure: weight("exposure"),
-            daylight: weight("daylight"),
+            colour: weight("light_colour"),
+            wanted: LightColour::of(DAYLIGHT),
         },
         parameters: ParameterWeights {
             aggregation: weight("agg"),

@@ -63,7 +63,7 @@ pub enum LossSlot {
     Smoothness,
     /// Neutrality of the light (Eq. 31).
     Neutrality,
-    /// Exposure and daylight.
+    /// Exposure and colour of the light.
     Exposure,
     /// Aggregation of prototypes (Eq. 24).
     Aggregation,

@@ -7,6 +7,7 @@ use glam::DVec3;
 use super::array::Array;
 use super::compositing::Weights;
 use super::tape::Var;
+use crate::light::LightColour;
 
 /// Mean absolute error of two images.
 pub fn mean_absolute_error<'t>(image: Var<'t>, target: Var<'t>) -> Var<'t> {
@@ -59,13 +60,15 @@ pub fn exposure<'t>(environment: Var<'t>, texels: &[(DVec3, f64)]) -> Var<'t> {
     log * log
 }
 
-/// `(ln(Y_blue / Y_red) - ln(D_blue / D_red))^2` of the same surface's irradiance Y, with `daylight` D.
-pub fn daylight<'t>(environment: Var<'t>, texels: &[(DVec3, f64)], daylight: [f32; 3]) -> Var<'t> {
+/// `(b - b')^2 + (g - g')^2` of the logarithms `b = ln(Y_blue / Y_red)` and `g = ln(Y_green^2 / (Y_red Y_blue))` of the same
+/// surface's irradiance Y against those `wanted`.
+pub fn light_colour<'t>(environment: Var<'t>, texels: &[(DVec3, f64)], wanted: LightColour) -> Var<'t> {
     let shares = texels.iter().map(|(d, w)| d.z.max(0.0) * w / PI).collect();
     let shares = environment.tape.input(Array::new(&[texels.len(), 1], shares));
     let up = |c: usize| (environment.slice(1, c..c + 1) * shares).sum().at_least(1e-6).ln();
-    let off = up(2) - up(0) - f64::from(daylight[2] / daylight[0]).ln();
-    off * off
+    let blue = up(2) - up(0) - f64::from(wanted.blue_over_red);
+    let green = 2.0 * up(1) - up(0) - up(2) - f64::from(wanted.green);
+    blue * blue + green * green
 }
 
 /// Mean of each Gaussian's smallest standard deviation, from log-scales (N, 3).

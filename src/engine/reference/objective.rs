@@ -10,7 +10,7 @@ use super::losses;
 use super::model::{Arrays, ReferenceModel};
 use super::projection::rays;
 use super::tape::{Tape, Var};
-use crate::light::DAYLIGHT;
+use crate::light::{DAYLIGHT, LightColour};
 use crate::scene::{Camera, Field, VisibilityForm, texel_directions};
 
 /// What a view is compared with.
@@ -65,7 +65,8 @@ pub fn objective<'t>(
         let [rows, columns] = p.environment_size();
         let texels = texel_directions(columns, rows);
         terms.insert("exposure", losses::exposure(p.environment(), &texels));
-        terms.insert("daylight", losses::daylight(p.environment(), &texels, DAYLIGHT));
+        let wanted = LightColour::of(DAYLIGHT);
+        terms.insert("light_colour", losses::light_colour(p.environment(), &texels, wanted));
     }
     terms.insert("flatness", losses::flatness(p.get(Field::LogScale)));
     terms.insert("agg", losses::aggregation(p.assignment()));

@@ -2,6 +2,7 @@
 
 mod choices;
 pub(in crate::train) mod error;
+mod white_balance;
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -11,13 +12,14 @@ use serde::{Deserialize, Serialize};
 
 pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset};
 pub use error::ConfigError;
+pub use white_balance::{NamedBalance, WhiteBalance};
 
 use crate::scene::ShadingOptions;
 use crate::train::{KnownLight, LearningRates, LossWeights};
 
-/// Share of the steps that train materials in which the light's colour is held at daylight: until the second restart of
+/// Share of the steps that train materials in which an estimated colour of the light is held: until the second restart of
 /// albedo.
-const DAYLIGHT_SHARE: f32 = 0.3;
+const ESTIMATE_SHARE: f32 = 0.3;
 
 /// Factor on the radiance branch's weight in captures without masks: otherwise the physically based branch distorts the
 /// shapes of their surroundings.
@@ -160,6 +162,9 @@ settings! {
     /// Whether the turns of the light that the capture states are used; false trains as if it had stood still.
     #[serde(default = "used")]
     light_rotations: bool = true;
+    /// Colour of the photographs' light: `auto`, `neutral`, `daylight`, a number of kelvin or `[red, green, blue]`.
+    #[serde(default = "unknown")]
+    white_balance: WhiteBalance = WhiteBalance::AUTO;
     /// `auto`: leave out what the scene is measured not to require, except what the caller sets; `full`: everything.
     #[serde(default)]
     complexity: Complexity = Complexity::Full;
@@ -173,6 +178,11 @@ fn used() -> bool {
 /// Metalness and sheen of files that do not say.
 fn learned() -> bool {
     true
+}
+
+/// White balance of files that do not say.
+fn unknown() -> WhiteBalance {
+    WhiteBalance::AUTO
 }
 
 fn check_range<T: PartialOrd + Display>(
@@ -260,13 +270,14 @@ impl TrainConfig {
     fn hold_light(&mut self, light: &KnownLight) {
         self.light = Some(light.clone());
         self.rates.environment = 0.0;
-        (self.weights.light, self.weights.exposure, self.weights.daylight) = (0.0, 0.0, 0.0);
+        (self.weights.light, self.weights.exposure, self.weights.light_colour) = (0.0, 0.0, 0.0);
     }
 
     fn check(&self) -> Result<(), ConfigError> {
         if let Some(light) = &self.light {
             light.check()?;
         }
+        self.white_balance.check()?;
         if let Some((name, _)) = self.light_rotation_per_photo.iter().find(|(_, turn)| !turn.is_finite()) {
             return Err(ConfigError::new(format!("light_rotation_per_photo.{name}"), "must be finite"));
         }
@@ -275,11 +286,12 @@ impl TrainConfig {
         check_group("rates", &self.rates)
     }
 
-    /// Weight of the daylight term after `progress`, a share of all steps: 0 once three tenths of the steps that train
-    /// materials are done.
-    pub fn daylight_weight(&self, progress: f32) -> f32 {
-        let until = self.warm_up + DAYLIGHT_SHARE * (1.0 - self.warm_up);
-        if progress < until { self.weights.daylight } else { 0.0 }
+    /// Weight of the term on the light's colour after `progress`, a share of all steps: to the end where the colour is known,
+    /// else 0 once three tenths of the steps that train materials are done.
+    pub fn light_colour_weight(&self, progress: f32) -> f32 {
+        let until = self.warm_up + ESTIMATE_SHARE * (1.0 - self.warm_up);
+        let holds = self.white_balance.known().is_some() || progress < until;
+        if holds { self.weights.light_colour } else { 0.0 }
     }
 
     /// Weight of the radiance branch beside the physically based one.

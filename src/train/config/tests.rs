@@ -74,14 +74,14 @@ fn a_configuration_reads_back_and_an_older_one_reads_without_the_newer_settings(
 }
 
 #[test]
-fn daylight_holds_until_the_second_restart() {
+fn an_estimated_colour_holds_until_the_second_restart() {
     let config = TrainConfig::preset(Preset::Draft);
     let first = config.warm_up_steps();
     let is_round = |step: &u32| config.is_albedo_round(*step);
     let second = (first..config.iterations).filter(is_round).nth(1).unwrap();
-    let weight = |step: u32| config.daylight_weight(step as f32 / config.iterations as f32);
-    assert_eq!(weight(first), config.weights.daylight);
-    assert_eq!(weight(second - 2), config.weights.daylight);
+    let weight = |step: u32| config.light_colour_weight(step as f32 / config.iterations as f32);
+    assert_eq!(weight(first), config.weights.light_colour);
+    assert_eq!(weight(second - 2), config.weights.light_colour);
     assert_eq!(weight(second + 2), 0.0);
 }
 

@@ -10,14 +10,16 @@ use rand_chacha::ChaCha8Rng;
 use crate::capture::Capture;
 use crate::engine::cpu::evaluation;
 use crate::engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
-use crate::light::{EnvOperators, TableResolution};
+use crate::light::{EnvOperators, LightColour, TableResolution};
 use crate::scene::{Field, Model};
 use crate::train::complexity::{self, state::ComplexityState};
 use crate::train::context::StepContext;
 use crate::train::dataset::Dataset;
 use crate::train::error::{MOST_ROLLBACKS, TrainError};
 use crate::train::state::ScheduleState;
-use crate::train::{LabelSource, TrainConfig, checkpoint, density, initial, materials, schedule};
+use crate::train::{
+    LabelSource, TrainConfig, checkpoint, density, initial, light_colour, materials, schedule,
+};
 
 /// Fewest photographs worth training on.
 const LEAST_VIEWS: usize = 3;
@@ -79,6 +81,7 @@ impl Trainer {
             rate_factor: 1.0,
             seconds: 0.0,
             complexity: ComplexityState::default(),
+            light_colour: None,
         };
         Self::assemble(config, data, schedule, TrainState::new(model), device)
     }
@@ -148,12 +151,13 @@ impl Trainer {
         }
         let next = self.schedule.step + 1;
         let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
+        let light = self.schedule.light_colour.unwrap_or(LightColour::NEUTRAL);
         let sums = self.engine.step(&Step {
             photo: self.data.photo(photo, size),
             photo_id: PhotoId { index: photo, size },
             background: self.data.background,
             branches,
-            weights: schedule::step_weights(&self.config, branches, progress, self.data.has_alpha),
+            weights: schedule::step_weights(&self.config, branches, progress, self.data.has_alpha, light),
             sizes: sizes.scaled(self.schedule.rate_factor),
             counts: StepCounts { geometry: next, material },
         })?;
@@ -223,7 +227,7 @@ impl Trainer {
         let (step, warm_up) = (self.schedule.step, self.config.warm_up_steps());
         if step == warm_up {
             let mut state = self.engine.state()?.into_owned();
-            materials::initialise(&mut state);
+            self.start_light(&mut state);
             if self.is_dielectric() {
                 complexity::hold_dielectric(&mut state);
             }
@@ -237,6 +241,20 @@ impl Trainer {
             self.restart_albedo()?;
         }
         self.decide()
+    }
+
+    /// The light and the materials that training starts them from: in the colour that is known, or estimated.
+    fn start_light(&mut self, state: &mut TrainState) {
+        let known = self.config.white_balance.known();
+        let colour = if self.config.light.is_some() {
+            initial::colour_from_above(&state.model)
+        } else {
+            let colour = known.unwrap_or_else(|| light_colour::estimate(&state.model.gaussians));
+            initial::light_of_colour(&mut state.model, colour);
+            colour
+        };
+        self.schedule.light_colour = Some(colour);
+        materials::initialise(state, colour);
     }
 
     /// Materials anew, from colours with the light divided out.

@@ -7,7 +7,7 @@ use crate::engine::constants::{LABEL_MARGIN, LEAST_LABEL_WEIGHT, SIGMOID_MARGIN}
 use crate::engine::cpu::objective::{sign, sum};
 use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass};
 use crate::engine::objective::upward_share;
-use crate::light::{DAYLIGHT, sh_eval};
+use crate::light::{LightColour, sh_eval};
 use crate::scene::{Field, Gaussians, VisibilityForm};
 
 /// `mean sum |eps|` (Eq. 25); adds its gradient, returns its value.
@@ -137,15 +137,23 @@ pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f3
     (weight * log * log, texels.iter().map(|t| [by_texel * upward_share(t); 3]).collect())
 }
 
-/// `weight (ln(Y_blue / Y_red) - ln(D_blue / D_red))^2` with Y the irradiance of a surface facing up and D
-/// [`DAYLIGHT`]: the colour that light and albedo could trade. `(value, gradient by radiance)`.
-pub fn daylight(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
-    let up =
-        |c: usize| radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * l[c]).sum::<f32>().max(1e-6);
-    let (red, blue) = (up(0), up(2));
-    let off = (blue / red).ln() - (DAYLIGHT[2] / DAYLIGHT[0]).ln();
-    let by_texel = [-2.0 * weight * off / red, 0.0, 2.0 * weight * off / blue];
-    (weight * off * off, texels.iter().map(|t| by_texel.map(|g| g * upward_share(t))).collect())
+/// `weight ((b - b')^2 + (g - g')^2)` with (b, g) the [`LightColour`] of the irradiance of a surface facing up and (b', g')
+/// the `wanted` one: the colour that light and albedo could trade. `(value, gradient by radiance)`.
+pub fn light_colour(
+    radiance: &[[f32; 3]],
+    texels: &[(glam::DVec3, f64)],
+    weight: f32,
+    wanted: LightColour,
+) -> (f32, Vec<[f32; 3]>) {
+    let up: [f32; 3] = std::array::from_fn(|c| {
+        radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * l[c]).sum::<f32>().max(1e-6)
+    });
+    let found = LightColour::of(up);
+    let (blue, green) = (found.blue_over_red - wanted.blue_over_red, found.green - wanted.green);
+    let by_log = [-blue - green, 2.0 * green, blue - green];
+    let by_up: [f32; 3] = std::array::from_fn(|c| 2.0 * weight * by_log[c] / up[c]);
+    let value = weight * (blue * blue + green * green);
+    (value, texels.iter().map(|t| by_up.map(|g| g * upward_share(t))).collect())
 }
 
 #[cfg(test)]
@@ -153,22 +161,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn daylight_is_held_to_its_colour_and_to_nothing_else() {
+    fn the_colour_of_the_light_is_asked_for_and_nothing_else() {
         let texels = crate::scene::texel_directions(8, 4);
-        let value = |light: [f32; 3]| daylight(&[light; 32], &texels, 1.0).0;
-        assert!(value(DAYLIGHT) < 1e-12);
-        assert!(value(DAYLIGHT.map(|c| 3.0 * c)) < 1e-12, "its level is the exposure term's");
-        assert!((value([1.0; 3]) - (1.26f32 / 0.8).ln().powi(2)).abs() < 1e-5);
+        let wanted = LightColour::of([0.8, 0.94, 1.26]);
+        let value = |light: [f32; 3]| light_colour(&[light; 32], &texels, 1.0, wanted).0;
+        assert!(value([0.8, 0.94, 1.26]) < 1e-12);
+        assert!(value([2.4, 2.82, 3.78]) < 1e-12, "its level is the exposure term's");
+        let expected = wanted.blue_over_red.powi(2) + wanted.green.powi(2);
+        assert!((value([1.0; 3]) - expected).abs() < 1e-5);
         let warm: Vec<[f32; 3]> = (0..32).map(|i| [1.0, 0.7, 0.2 + 0.01 * i as f32]).collect();
-        let gradient = daylight(&warm, &texels, 1.0).1;
+        let gradient = light_colour(&warm, &texels, 1.0, wanted).1;
         for (t, c) in [(0, 0), (3, 2), (9, 0), (9, 1), (9, 2)] {
             let at = |step: f32| {
                 let mut moved = warm.clone();
                 moved[t][c] += step;
-                daylight(&moved, &texels, 1.0).0
+                light_colour(&moved, &texels, 1.0, wanted).0
             };
             let numeric = (at(1e-2) - at(-1e-2)) / 2e-2;
-            assert!((numeric - gradient[t][c]).abs() < 1e-3, "{t} {c}: {numeric} {}", gradient[t][c]);
+            assert!((numeric - gradient[t][c]).abs() < 2e-3, "{t} {c}: {numeric} {}", gradient[t][c]);
         }
         assert!(gradient[9][2] < -1e-3 && gradient[9][0] > 1e-3, "a warm light is told to be bluer");
     }

@@ -7,10 +7,15 @@ use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{Buffer, Gpu, shaders};
 use crate::engine::{indirect_basis, indirect_basis_backward};
-use crate::light::{ColumnTurn, DAYLIGHT, EnvOperators, TableResolution};
+use crate::light::{ColumnTurn, EnvOperators, LightColour, TableResolution};
 use crate::scene::{Gaussians, IndirectForm, Model, ShadingOptions, softplus, texel_directions};
 
-const WEIGHTS: LightWeights = LightWeights { neutrality: 0.3, exposure: 0.7, daylight: 0.4 };
+const WEIGHTS: LightWeights = LightWeights {
+    neutrality: 0.3,
+    exposure: 0.7,
+    colour: 0.4,
+    wanted: LightColour { blue_over_red: 0.45, green: -0.2 },
+};
 
 /// None, whole columns, and a fraction of one.
 const TURNS: [f64; 3] = [0.0, std::f64::consts::FRAC_PI_2, 2.1];
@@ -75,8 +80,10 @@ fn terms(radiance: &[[f32; 3]]) -> (f64, f64) {
     }
     let n = 3.0 * radiance.len() as f64;
     let level = above.iter().sum::<f64>().ln();
-    let colour = (above[2] / above[0]).ln() - f64::from(DAYLIGHT[2] / DAYLIGHT[0]).ln();
-    let by_above = f64::from(WEIGHTS.exposure) * level.powi(2) + f64::from(WEIGHTS.daylight) * colour.powi(2);
+    let blue = (above[2] / above[0]).ln() - f64::from(WEIGHTS.wanted.blue_over_red);
+    let green = (above[1] * above[1] / (above[0] * above[2])).ln() - f64::from(WEIGHTS.wanted.green);
+    let colour = blue.powi(2) + green.powi(2);
+    let by_above = f64::from(WEIGHTS.exposure) * level.powi(2) + f64::from(WEIGHTS.colour) * colour;
     (f64::from(WEIGHTS.neutrality) * neutral / n, by_above)
 }
 
@@ -91,7 +98,7 @@ fn tables_and_basis_are_those_of_the_host() {
     assert_layout!(TablesUniform as "Tables" in shaders::ENV_TABLES; diffuse_n, coefficients, n_coefficients,
         n_specular, specular_n, specular_first);
     assert_layout!(EnvironmentUniform as "Environment" in shaders::ENV_BACKWARD; n_texels, first_texel, neutrality,
-        exposure, daylight, blue_over_red, width, whole, fraction);
+        exposure, colour, blue_over_red, green, width, whole, fraction);
 }
 
 fn tables_and_basis_are_those_of_the_host_at(gpu: &Gpu, model: &Model, turn: f64) {

@@ -8,7 +8,7 @@ use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
 use crate::engine::indirect::INDIRECT_DIRECTIONS;
 use crate::engine::{LightWeights, fibonacci_sphere};
-use crate::light::{ColumnTurn, DAYLIGHT, EnvOperators, LightTables, sh_eval};
+use crate::light::{ColumnTurn, EnvOperators, LightTables, sh_eval};
 use crate::scene::{IndirectForm, texel_directions};
 
 /// `Environment` of `shaders/shared/environment.wgsl`.
@@ -19,8 +19,9 @@ pub(super) struct EnvironmentUniform {
     pub(super) first_texel: u32,
     pub(super) neutrality: f32,
     pub(super) exposure: f32,
-    pub(super) daylight: f32,
+    pub(super) colour: f32,
     pub(super) blue_over_red: f32,
+    pub(super) green: f32,
     pub(super) width: u32,
     pub(super) whole: u32,
     pub(super) fraction: f32,
@@ -92,8 +93,9 @@ impl TrainingLight {
             first_texel: 3 * model.n_prototypes as u32,
             neutrality: weights.neutrality / (3 * width * height).max(1) as f32,
             exposure: weights.exposure,
-            daylight: weights.daylight,
-            blue_over_red: (DAYLIGHT[2] / DAYLIGHT[0]).ln(),
+            colour: weights.colour,
+            blue_over_red: weights.wanted.blue_over_red,
+            green: weights.wanted.green,
             width: width as u32,
             whole: whole as u32,
             fraction,
