@@ -45,8 +45,8 @@ pub fn initialise(state: &mut TrainState) {
 }
 
 /// Restarts the materials from colours with the shading divided out: `albedo = colour pi / E`, `E` the irradiance of each
-/// Gaussian through its visibility plus what is gathered, over the `turns` of the light. `normals` are the outward ones of the measured visibility.
-/// Metalness and roughness, which a wrong light distorts, restart from their first values.
+/// Gaussian through its visibility plus what is gathered, over the `turns` of the light. `normals` are the outward ones of
+/// the measured visibility. Metalness and roughness, which a wrong light distorts, restart from their first values.
 ///
 /// Light and albedo can explain the same shading, and gradient steps resolve this slowly; a restart acts like a step of
 /// alternating least squares.
