@@ -19,3 +19,4 @@ mod service_promises;
 mod service_support;
 mod tiers;
 mod training;
+mod turntable;

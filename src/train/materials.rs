@@ -45,8 +45,8 @@ pub fn initialise(state: &mut TrainState, light: LightColour) {
 }
 
 /// Restarts the materials from colours with the shading divided out: `albedo = colour pi / E`, `E` the irradiance of each
-/// Gaussian through its visibility plus what is gathered, mean over the `turns` of the light. `normals` are the outward ones of the measured visibility.
-/// Metalness and roughness, which a wrong light distorts, restart from their first values.
+/// Gaussian through its visibility plus what is gathered, over the `turns` of the light. `normals` are the outward ones of
+/// the measured visibility. Metalness and roughness, which a wrong light distorts, restart from their first values.
 ///
 /// Light and albedo can explain the same shading, and gradient steps resolve this slowly; a restart acts like a step of
 /// alternating least squares.
@@ -144,14 +144,23 @@ mod tests {
     const DAYLIGHT_SKY: LightColour = LightColour { blue_over_red: 0.45, green: -0.13 };
     const COLOURS: [[f32; 3]; 2] = [[0.6, 0.2, 0.1], [0.2, 0.3, 0.5]];
 
+    fn along(a: [f32; 3], b: [f32; 3]) -> f32 {
+        (0..3).map(|k| a[k] * b[k]).sum()
+    }
+
     /// A ball whose Gaussians have one of two albedos in turn, lit from above, and the radiance that follows.
     fn shaded_ball() -> (TrainState, EnvOperators, Vec<[f32; 3]>) {
+        ball_under([0.0, 0.0, 0.8], &[0.0])
+    }
+
+    /// The same under a sky of 1 + slope . d, photographed under it turned by each of `turns`, radians.
+    fn ball_under(slope: [f32; 3], turns: &[f64]) -> (TrainState, EnvOperators, Vec<[f32; 3]>) {
         let config = TrainConfig::preset(Preset::Draft);
         let normals = fibonacci_sphere(200);
         let (rows, columns) = (8, 16);
         let sky = texel_directions(columns, rows)
             .into_iter()
-            .map(|(d, _)| [softplus_inverse(1.0 + 0.8 * d[2] as f32); 3]);
+            .map(|(d, _)| [softplus_inverse(1.0 + along(slope, d.as_vec3().to_array())); 3]);
         let shading = ShadingOptions { visibility: VisibilityForm::Off, ..config.shading };
         let mut model = Model {
             gaussians: Gaussians::zeroed(normals.len(), 2, 0, 0),
@@ -165,11 +174,16 @@ mod tests {
             card: serde_json::Value::Null,
         };
         for (i, n) in normals.iter().enumerate() {
-            // E = pi (1 + 2/3 x 0.8 n_z) under a sky of 1 + 0.8 z.
-            let light = 1.0 + 0.8 * 2.0 / 3.0 * n[2];
+            // E = pi (1 + 2/3 slope . n) under a sky of 1 + slope . d.
+            let light = |turn: &f64| {
+                let (sin, cos) = (*turn as f32).sin_cos();
+                let slope = [cos * slope[0] - sin * slope[1], sin * slope[0] + cos * slope[1], slope[2]];
+                1.0 + 2.0 / 3.0 * along(slope, *n)
+            };
             let radiance = model.gaussians.row_mut(Field::Radiance, i);
             for (r, albedo) in radiance.iter_mut().zip(COLOURS[i % 2]) {
-                *r = (srgb(albedo * light) - 0.5) / 0.282_094_8;
+                let shown = turns.iter().map(|turn| srgb(albedo * light(turn))).sum::<f32>();
+                *r = (shown / turns.len() as f32 - 0.5) / 0.282_094_8;
             }
         }
         (TrainState::new(model), EnvOperators::new(columns, rows, 0, TableResolution::TRAINING), normals)
@@ -200,6 +214,17 @@ mod tests {
         restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
         assert!(worst(&state) < 0.01, "{}", worst(&state));
         assert!(state.moments.second.field(Field::ProtoLogits).iter().all(|m| *m == 0.0));
+    }
+
+    #[test]
+    fn a_restart_removes_the_shading_of_a_light_that_turns() {
+        let degrees = [0.0, 90.0];
+        let radians = degrees.map(f64::to_radians);
+        let (mut state, operators, normals) = ball_under([0.9, 0.0, 0.0], &radians);
+        restart_albedo(&mut state, &operators, &LightTurns::of(&degrees).0, &normals);
+        assert!(worst(&state) < 0.015, "{}", worst(&state));
+        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
+        assert!(worst(&state) > 0.05, "the control: as if the light stood still, {}", worst(&state));
     }
 
     #[test]

@@ -103,6 +103,19 @@ fn missing_and_absurd_intrinsics_are_named() {
 }
 
 #[test]
+fn a_turn_of_the_light_that_is_no_number_is_refused() {
+    for turn in ["\"north\"", "NaN", "1e999"] {
+        let mut set = transforms(4);
+        set["frames"][2]["light_rotation_deg"] = json!("TURN");
+        let error = refusal(&with_json(&set.to_string().replace("\"TURN\"", turn)));
+        assert_eq!(error.file(), Some("transforms_train.json"), "{turn}: {error}");
+        assert!(error.field().is_some_and(|f| f.contains("light_rotation_deg")), "{turn}: {error}");
+        let named = error.field() == Some("frames[2].light_rotation_deg");
+        assert!(named || error.to_string().contains("column"), "{error}");
+    }
+}
+
+#[test]
 fn json_of_another_shape_is_refused() {
     for (text, field) in [
         ("{}", Some("frames")),

@@ -74,6 +74,21 @@ fn nerfstudio_intrinsics_may_be_shared_or_each_frames_own() {
 }
 
 #[test]
+fn frames_state_how_the_light_stood() {
+    let mut set = transforms(4);
+    set["frames"][2]["light_rotation_deg"] = json!(-120);
+    let mut files = blender();
+    files.insert("transforms_train.json".into(), set.to_string().into_bytes());
+    let turned = import_folder(&files).unwrap();
+    assert_eq!(view(&turned, "train/r_2.png").light_rotation_deg, -120.0);
+    assert_eq!(view(&turned, "train/r_1.png").light_rotation_deg, 0.0);
+    let turned =
+        import_folder(&nerfstudio(|set| set["frames"][1]["light_rotation_deg"] = json!(7.5))).unwrap();
+    assert_eq!(view(&turned, "images/1.png").light_rotation_deg, 7.5);
+    assert_eq!(view(&turned, "images/2.png").light_rotation_deg, 0.0);
+}
+
+#[test]
 fn a_mask_becomes_alpha() {
     let mut files = nerfstudio(|set| set["frames"][1]["mask_path"] = json!("masks/1.png"));
     let half: Vec<[u8; 1]> = (0..48u8).map(|i| [if i % 8 < 4 { 0 } else { 255 }]).collect();

@@ -73,20 +73,44 @@ pub fn normals(state: &TrainState) -> Vec<[f32; 3]> {
     outward_normals(&source(state))
 }
 
-/// Irradiance of every Gaussian along its normal in `normals`: the sky through its visibility, and what is gathered; the
-/// mean over the photographs where the light turns.
+/// Exponent of the display curve's middle part: what a mean of displayed colours is a mean of.
+const DISPLAY_EXPONENT: f32 = 1.0 / 2.2;
+
+/// Irradiance of every Gaussian along its normal in `normals`: the sky through its visibility, and what is gathered.
+///
+/// Where the light turns, it is the irradiance under which a matte surface would show the mean of the colours, as
+/// displayed, that it shows in the photographs.
 pub fn irradiance(
     state: &TrainState,
     operators: &EnvOperators,
     turns: &LightTurns,
     normals: &[[f32; 3]],
 ) -> Vec<[f32; 3]> {
-    let tables = mean_tables(state, operators, turns);
-    let gathered = mean_gathered(state, turns);
-    let source = source(state);
+    if let [turn] = turns.blocks[..] {
+        return irradiance_under(state, operators, LightTurn { radians: turn, block: 0 }, normals);
+    }
+    let mut means = vec![[0.0f32; 3]; normals.len()];
+    for (block, (radians, share)) in turns.blocks.iter().zip(&turns.shares).enumerate() {
+        let light = LightTurn { radians: *radians, block };
+        for (mean, e) in means.iter_mut().zip(irradiance_under(state, operators, light, normals)) {
+            (0..3).for_each(|c| mean[c] += share * e[c].max(0.0).powf(DISPLAY_EXPONENT));
+        }
+    }
+    means.into_iter().map(|mean| mean.map(|m| m.powf(1.0 / DISPLAY_EXPONENT))).collect()
+}
+
+fn irradiance_under(
+    state: &TrainState,
+    operators: &EnvOperators,
+    light: LightTurn,
+    normals: &[[f32; 3]],
+) -> Vec<[f32; 3]> {
+    let turn = ColumnTurn::new(light.radians, state.model.env_width);
+    let tables = operators.apply(&turn.apply(&environment_radiance(&state.model)));
+    let source = training::source(state, &NO_INDIRECT_BASIS, light);
     let of = |i: usize| -> [f32; 3] {
         let sky = sky_irradiance(&source, &tables, normals[i], i);
-        let gathered = gathered.get(i).map_or([0.0; 6], |g| *g);
+        let gathered = source.gathered.get(i).map_or([0.0; 6], |g| *g);
         std::array::from_fn(|c| sky[c] + gathered[c])
     };
     (0..state.model.gaussians.len()).map(of).collect()

@@ -1,0 +1,187 @@
+//! Things that are turned under a standing light between photographs: in their own frame the light turns.
+
+use std::collections::BTreeMap;
+use std::sync::OnceLock;
+
+use relume::capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
+use relume::engine::Device;
+use relume::eval::{EvalOptions, evaluate};
+use relume::scene::{EnvMap, Field};
+use relume::train::{
+    KnownLight, LightExposure, Preset, StepReport, TrainConfig, TrainError, TrainOverrides, Trainer,
+};
+
+use crate::requirements::gpu_device;
+
+/// Turns of the light in the photographs, degrees: whole columns of the environment's 32, and not.
+const TURNS: [f64; 3] = [0.0, 112.5, 240.0];
+
+/// A light from one side, of the environment's own size.
+fn lamp() -> EnvMap {
+    EnvMap::from_fn(32, 16, |d| {
+        let side = (0.8 * d.x + 0.6 * d.z).max(0.0).powi(8) as f32;
+        [0.1 + 7.0 * side, 0.1 + 5.5 * side, 0.12 + 4.0 * side]
+    })
+}
+
+fn photographs(light: EnvMap) -> Capture {
+    let options = SyntheticOptions {
+        scene: SyntheticScene::default(),
+        train_views: 12,
+        test_views: 1,
+        size: 40,
+        train_light: light,
+        relit: BTreeMap::new(),
+        paths: 16,
+        seed: 0,
+    };
+    synthetic(&options).unwrap()
+}
+
+/// Photographs whose light turns from one to the next; the held-out one has its own turn.
+fn turntable() -> &'static Capture {
+    static CAPTURE: OnceLock<Capture> = OnceLock::new();
+    CAPTURE.get_or_init(|| {
+        let mut sets: Vec<Capture> =
+            TURNS.iter().map(|turn| photographs(lamp().rotated_and_scaled(*turn, 1.0))).collect();
+        let mut out = sets[0].clone();
+        for (i, view) in out.train.iter_mut().enumerate() {
+            *view = sets[i % 3].train[i].clone();
+            view.light_rotation_deg = TURNS[i % 3];
+        }
+        out.test = std::mem::take(&mut sets[2].test);
+        out.test[0].light_rotation_deg = TURNS[2];
+        out
+    })
+}
+
+fn overrides() -> TrainOverrides {
+    TrainOverrides {
+        iterations: Some(240),
+        resolution: Some(40),
+        initial_gaussians: Some(300),
+        max_gaussians: Some(500),
+        probe_directions: Some(16),
+        ..Default::default()
+    }
+}
+
+fn trainer(capture: &Capture, overrides: &TrainOverrides, device: &Device) -> Trainer {
+    Trainer::new(capture, TrainConfig::new(Preset::Draft, overrides).unwrap(), device).unwrap()
+}
+
+fn finish(trainer: &mut Trainer) -> Vec<StepReport> {
+    let mut reports = Vec::new();
+    while !trainer.is_done() {
+        reports.push(trainer.step().unwrap());
+    }
+    reports
+}
+
+#[test]
+fn photographs_are_explained_better_with_the_turns_of_their_light_than_without() {
+    let psnr = |used: bool| {
+        let overrides = TrainOverrides { light_rotations: Some(used), ..overrides() };
+        let mut trainer = trainer(turntable(), &overrides, &Device::Cpu);
+        let reports = finish(&mut trainer);
+        let last = &reports[reports.len() - 24..];
+        let model = std::sync::Arc::new(trainer.model().unwrap());
+        let novel = evaluate(model, turntable(), &EvalOptions::default()).unwrap().novel_view.psnr;
+        (last.iter().map(|r| r.psnr).sum::<f32>() / 24.0, novel.unwrap())
+    };
+    let ((with, novel_with), (without, novel_without)) = (psnr(true), psnr(false));
+    assert!(with > without + 1.0, "{with} dB with, {without} dB without");
+    assert!(novel_with > novel_without + 0.5, "held out: {novel_with} {novel_without}");
+}
+
+/// PSNR of the first steps, dB, where all photographs have the same turn, under a known light turned by the rest.
+fn first_steps(of_photographs: f64, of_the_map: f64, device: &Device) -> Vec<f32> {
+    let mut capture = photographs(lamp());
+    capture.train.iter_mut().for_each(|view| view.light_rotation_deg = of_photographs);
+    capture.lit_by = Some(lamp());
+    let light = KnownLight {
+        environment: "lamp".into(),
+        rotation_deg: of_the_map,
+        exposure_ev: LightExposure::default(),
+    };
+    let known = TrainOverrides { warm_up: Some(0.0), light: Some(light), ..overrides() };
+    let mut trainer = trainer(&capture, &known, device);
+    (0..4).map(|_| trainer.step().unwrap().psnr).collect()
+}
+
+fn worst(a: &[f32], b: &[f32]) -> f32 {
+    a.iter().zip(b).fold(0.0, |worst, (a, b)| worst.max((a - b).abs()))
+}
+
+fn a_turn_of_every_photograph_is_a_turn_of_the_light(device: &Device) {
+    // Six columns of 32; light gathered by the first measurement is under the turn as well.
+    let expected = first_steps(0.0, 67.5, device);
+    let error = worst(&first_steps(67.5, 0.0, device), &expected);
+    assert!(error < 5e-3, "{error} dB");
+    let wrong = worst(&first_steps(-67.5, 0.0, device), &expected);
+    assert!(wrong > 0.03, "the control: the other way round, {wrong} dB");
+}
+
+#[test]
+fn a_turn_of_every_photograph_is_a_turn_of_the_light_on_the_cpu() {
+    a_turn_of_every_photograph_is_a_turn_of_the_light(&Device::Cpu);
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_turn_of_every_photograph_is_a_turn_of_the_light_on_a_gpu() {
+    a_turn_of_every_photograph_is_a_turn_of_the_light(gpu_device());
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_turning_light_trains_on_a_gpu_as_on_the_cpu() {
+    let form = TrainOverrides { warm_up: Some(0.0), ..overrides() };
+    let still = TrainOverrides { light_rotations: Some(false), ..form.clone() };
+    let first = |form: &TrainOverrides, device: &Device| -> Vec<f32> {
+        let mut trainer = trainer(turntable(), form, device);
+        (0..6).map(|_| trainer.step().unwrap().psnr).collect()
+    };
+    let expected = first(&form, &Device::Cpu);
+    let error = worst(&first(&form, gpu_device()), &expected);
+    assert!(error < 0.03, "{error} dB");
+    let wrong = worst(&first(&still, gpu_device()), &expected);
+    assert!(wrong > 0.06, "the control: a light that stands still, {wrong} dB");
+    let mean = |device: &Device| {
+        let mut trainer = trainer(turntable(), &overrides(), device);
+        let reports = finish(&mut trainer);
+        reports[216..].iter().map(|r| r.psnr).sum::<f32>() / 24.0
+    };
+    let (cpu, gpu) = (mean(&Device::Cpu), mean(gpu_device()));
+    assert!((cpu - gpu).abs() < 0.5, "{cpu} dB, {gpu} dB");
+}
+
+#[test]
+fn a_training_under_a_turning_light_resumes_with_the_same_bytes() {
+    let form = TrainOverrides { iterations: Some(60), probe_every: Some(13), ..overrides() };
+    let means = |mut trainer: Trainer| {
+        finish(&mut trainer);
+        let model = trainer.model().unwrap();
+        (model.gaussians.field(Field::Mean).to_vec(), model.env_raw)
+    };
+    let undisturbed = means(trainer(turntable(), &form, &Device::Cpu));
+    let mut stopped = trainer(turntable(), &form, &Device::Cpu);
+    (0..30).for_each(|_| drop(stopped.step().unwrap()));
+    let checkpoint = stopped.checkpoint().unwrap();
+    let config = TrainConfig::new(Preset::Draft, &form).unwrap();
+    let resumed = Trainer::resume(turntable(), config, &checkpoint, &Device::Cpu).unwrap();
+    assert!(means(resumed) == undisturbed);
+}
+
+#[test]
+fn turns_of_photographs_that_a_capture_came_without_are_refused() {
+    let mut capture = photographs(lamp());
+    let turns = BTreeMap::from([("train_001/rgba.png".to_owned(), 30.0)]);
+    let overrides = TrainOverrides { light_rotation_per_photo: Some(turns.clone()), ..overrides() };
+    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    let refused = Trainer::new(&capture, config.clone(), &Device::Cpu).err();
+    let Some(TrainError::Invalid(why)) = refused else { panic!("must be refused: {refused:?}") };
+    assert!(why.starts_with("light_rotation_per_photo"), "{why}");
+    capture.turn_lights(&turns).unwrap();
+    assert!(Trainer::new(&capture, config, &Device::Cpu).is_ok());
+}
