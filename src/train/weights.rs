@@ -25,7 +25,8 @@ pub struct LossWeights {
     pub light: f32,
     /// Exposure: the level of the light under which a white surface is white (docs/MODEL.md section 5).
     pub exposure: f32,
-    /// Daylight: holds the light's colour at daylight's over the first three tenths of the steps that train materials.
+    /// Daylight: holds the light's colour at daylight's over the first three tenths of the steps that train materials; not
+    /// where the light turns between photographs.
     pub daylight: f32,
     /// Aggregation (Eq. 24).
     pub aggregation: f32,

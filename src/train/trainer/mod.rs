@@ -146,6 +146,11 @@ impl Trainer {
         if self.is_dielectric() {
             sizes.fields[Field::MetalLogit as usize] = 0.0;
         }
+        let mut weights = schedule::step_weights(&self.config, branches, progress, self.data.has_alpha);
+        if self.data.turns.is_several() {
+            // Highlights that move tell the colour of the light.
+            weights.light.daylight = 0.0;
+        }
         let next = self.schedule.step + 1;
         let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
         let sums = self.engine.step(&Step {
@@ -153,7 +158,7 @@ impl Trainer {
             photo_id: PhotoId { index: photo, size },
             background: self.data.background,
             branches,
-            weights: schedule::step_weights(&self.config, branches, progress, self.data.has_alpha),
+            weights,
             sizes: sizes.scaled(self.schedule.rate_factor),
             counts: StepCounts { geometry: next, material },
         })?;
