@@ -23,7 +23,8 @@ pub struct LossWeights {
     pub smooth_roughness: f32,
     /// Light neutrality (Eq. 31); 0 by default.
     pub light: f32,
-    /// Exposure: the level of the light under which a white surface is white (docs/MODEL.md section 5).
+    /// Exposure: the level of the light under which a white surface is white (docs/MODEL.md section 5); a hundredth of this
+    /// where the light turns between photographs.
     pub exposure: f32,
     /// Daylight: holds the light's colour at daylight's over the first three tenths of the steps that train materials; not
     /// where the light turns between photographs.

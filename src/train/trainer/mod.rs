@@ -148,8 +148,7 @@ impl Trainer {
         }
         let mut weights = schedule::step_weights(&self.config, branches, progress, self.data.has_alpha);
         if self.data.turns.is_several() {
-            // Highlights that move tell the colour of the light.
-            weights.light.daylight = 0.0;
+            weights.light = schedule::turning_light(weights.light);
         }
         let next = self.schedule.step + 1;
         let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
