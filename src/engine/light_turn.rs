@@ -31,6 +31,11 @@ impl Default for LightTurns {
 }
 
 impl LightTurns {
+    /// True where the light turns between photographs.
+    pub fn is_several(&self) -> bool {
+        self.blocks.len() > 1
+    }
+
     /// The turns of photographs whose light is turned by `degrees`, and each photograph's place among them. Beyond
     /// [`MOST_TURNS`] different ones, gathered light is measured at multiples of a sixteenth of a full turn.
     pub fn of(degrees: &[f64]) -> (Self, Vec<LightTurn>) {

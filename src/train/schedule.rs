@@ -10,6 +10,8 @@ use crate::train::{LabelSource, TrainConfig};
 
 /// Progress from which depth-normal consistency acts: before, depth is noise.
 const NORMALS_FROM: f32 = 0.05;
+/// Factor on the weight of exposure where the light turns.
+const TURNING_EXPOSURE: f32 = 0.01;
 /// Progress from which sheen trains: earlier it explains what normals, roughness and light should.
 const SHEEN_FROM: f32 = 0.7;
 
@@ -65,6 +67,12 @@ pub fn step_weights(
             view_labels: labels(&[LabelSource::Backward, LabelSource::Both]),
         },
     }
+}
+
+/// Weights of the terms on a light that turns between photographs: highlights that move tell its colour and its level, so
+/// that these terms need only keep it from drifting.
+pub fn turning_light(weights: LightWeights) -> LightWeights {
+    LightWeights { exposure: weights.exposure * TURNING_EXPOSURE, colour: 0.0, ..weights }
 }
 
 /// Adam's step sizes at `progress` in [0, 1].

@@ -5,8 +5,8 @@ use relume::engine::reference::{
     Array, Arrays, Options, ReferenceModel, TableOperators, Tape, Target, forward, objective,
 };
 use relume::engine::{
-    Branches, ImageWeights, LightWeights, ParameterWeights, Photo, PhotoId, PhotoSize, Step, StepCounts,
-    StepSizes, StepWeights, SurfaceWeights, TrainState, cpu,
+    Branches, ImageWeights, LightTurn, LightWeights, ParameterWeights, Photo, PhotoId, PhotoSize, Step,
+    StepCounts, StepSizes, StepWeights, SurfaceWeights, TrainState, cpu,
 };
 use relume::light::{DAYLIGHT, EnvOperators, LightColour, TableResolution};
 use relume::scene::{Camera, Field, Model, ShadingOptions};
@@ -94,7 +94,7 @@ fn by_reference(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
     (total.value().data()[0], pass.parameters.gradients(&tape.gradients(total)))
 }
 
-fn by_trainer(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
+fn outcome(model: &Model, photo: &Photo, probes: &[f32]) -> cpu::Outcome {
     let operators = EnvOperators::new(32, 16, 4, TableResolution::TRAINING);
     let state = TrainState { labels: probes.to_vec(), ..TrainState::new(model.clone()) };
     let image = |l1, ssim| ImageWeights { l1: weight(l1), ssim: weight(ssim) };
@@ -129,7 +129,11 @@ fn by_trainer(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
         sizes: StepSizes::default(),
         counts: StepCounts { geometry: 1, material: 1 },
     };
-    let found = cpu::objective(&step, &state, &operators);
+    cpu::objective(&step, &state, &operators)
+}
+
+fn by_trainer(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
+    let found = outcome(model, photo, probes);
     let by_raw = found.gradients.env_raw.clone();
     (found.loss.into(), as_arrays(model, &found.gradients, &by_raw))
 }
@@ -149,4 +153,52 @@ fn the_trainers_objective_and_its_gradient_are_the_references() {
     // And the comparison can fail: another view has another gradient.
     let (_, other) = by_trainer(&wall, &Photo { camera: camera(2), ..photo }, &probes);
     assert!(distance(&other["means"], &reference["means"]) > 0.1);
+}
+
+#[test]
+fn a_photograph_of_a_turned_light_is_one_of_the_turned_environment() {
+    let wall = wall();
+    let (photo, probes) = photograph(&facing_the_wall(), 3);
+    let columns = 5;
+    let radians = std::f64::consts::TAU * columns as f64 / 32.0;
+    let turned = Photo { light: LightTurn { radians, block: 0 }, ..photo.clone() };
+    let found = outcome(&wall, &turned, &probes);
+    let mut rolled = wall.clone();
+    rolled.env_raw.chunks_exact_mut(32).for_each(|row| row.rotate_left(columns));
+    let mut expected = outcome(&rolled, &photo, &probes);
+    expected.gradients.env_raw.chunks_exact_mut(32).for_each(|row| row.rotate_right(columns));
+    let worst = |a: &[[f32; 3]], b: &[[f32; 3]]| {
+        let most = b.as_flattened().iter().fold(1e-12f32, |most, v| most.max(v.abs()));
+        let pairs = a.as_flattened().iter().zip(b.as_flattened());
+        pairs.fold(0.0f32, |worst, (a, b)| worst.max((a - b).abs() / most))
+    };
+    assert!((found.loss - expected.loss).abs() < 1e-5, "{} {}", found.loss, expected.loss);
+    let error = worst(&found.gradients.env_raw, &expected.gradients.env_raw);
+    assert!(error < 1e-3, "{error}");
+    let still = outcome(&wall, &photo, &probes);
+    assert!((found.loss - still.loss).abs() > 1e-4, "the control: {} {}", found.loss, still.loss);
+    assert!(worst(&found.gradients.env_raw, &still.gradients.env_raw) > 0.05, "the control");
+}
+
+#[test]
+fn the_gradient_under_a_turn_by_part_of_a_column_is_the_objectives() {
+    let wall = wall();
+    let (photo, probes) = photograph(&facing_the_wall(), 3);
+    let photo = Photo { light: LightTurn { radians: 2.1, block: 0 }, ..photo };
+    let found = outcome(&wall, &photo, &probes).gradients.env_raw;
+    // Along the gradient itself, so that the difference stands out from rounding.
+    let length = found.as_flattened().iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+    let at = |step: f64| {
+        let mut moved = wall.clone();
+        for (raw, by) in moved.env_raw.as_flattened_mut().iter_mut().zip(found.as_flattened()) {
+            *raw += (step * f64::from(*by) / length) as f32;
+        }
+        f64::from(outcome(&moved, &photo, &probes).loss)
+    };
+    let slope = (at(0.5) - at(-0.5)) / 1.0;
+    assert!((slope / length - 1.0).abs() < 0.05, "{slope} {length}");
+    let still = outcome(&wall, &Photo { light: LightTurn::default(), ..photo.clone() }, &probes);
+    let along = still.gradients.env_raw.as_flattened().iter().zip(found.as_flattened());
+    let wrong = along.map(|(a, b)| f64::from(a * b)).sum::<f64>() / length;
+    assert!((wrong / length - 1.0).abs() > 0.1, "the control: the gradient without a turn, {wrong} {length}");
 }

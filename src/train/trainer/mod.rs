@@ -149,15 +149,19 @@ impl Trainer {
         if self.is_dielectric() {
             sizes.fields[Field::MetalLogit as usize] = 0.0;
         }
+        let light = self.schedule.light_colour.unwrap_or(LightColour::NEUTRAL);
+        let mut weights = schedule::step_weights(&self.config, branches, progress, self.data.has_alpha, light);
+        if self.data.turns.is_several() {
+            weights.light = schedule::turning_light(weights.light);
+        }
         let next = self.schedule.step + 1;
         let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
-        let light = self.schedule.light_colour.unwrap_or(LightColour::NEUTRAL);
         let sums = self.engine.step(&Step {
             photo: self.data.photo(photo, size),
             photo_id: PhotoId { index: photo, size },
             background: self.data.background,
             branches,
-            weights: schedule::step_weights(&self.config, branches, progress, self.data.has_alpha, light),
+            weights,
             sizes: sizes.scaled(self.schedule.rate_factor),
             counts: StepCounts { geometry: next, material },
         })?;
