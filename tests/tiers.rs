@@ -36,6 +36,7 @@ fn model(discs: &[Disc], albedo: f32, rough_logit: f32) -> Arc<Model> {
         prototypes: &[[albedo; 3]],
         options: &options,
         gathered: &[],
+        arriving: &[],
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     };
@@ -48,6 +49,7 @@ fn model(discs: &[Disc], albedo: f32, rough_logit: f32) -> Arc<Model> {
         env_raw: vec![[0.0; 3]; 8],
         env_width: 4,
         env_height: 2,
+        lights: Default::default(),
         shading: options,
         world_scale: 1.0,
         world_offset: DVec3::ZERO,

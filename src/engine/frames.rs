@@ -5,8 +5,8 @@ use std::sync::{Arc, OnceLock};
 
 use crate::engine::frame_job::{DeviceFrames, DeviceLight, FrameJob};
 use crate::engine::{DeviceError, Frame, cpu};
-use crate::light::{LightTables, rendering_tables};
-use crate::scene::{EnvMap, Model};
+use crate::light::{LightTables, rendering_tables, split_tables, tables_of_split};
+use crate::scene::{EnvMap, Model, ShadeAt};
 
 /// A model on its device. The CPU engine can render it beside any device, for tiers that only it has.
 pub struct Frames {
@@ -55,7 +55,10 @@ impl Frames {
     pub fn prepare_light(&self, environment: &EnvMap) -> Result<FrameLight, DeviceError> {
         let tables = self.tables(environment);
         Ok(match &self.device {
-            Some(device) => FrameLight { device: Some(device.prepare_light(&tables)?), cpu: OnceLock::new() },
+            Some(device) => {
+                let whole = rendering_tables(environment, self.model().gaussians.visibility_order());
+                FrameLight { device: Some(device.prepare_light(&whole)?), cpu: OnceLock::new() }
+            }
             None => FrameLight { device: None, cpu: OnceLock::from(self.cpu.prepare_light(tables)) },
         })
     }
@@ -77,7 +80,16 @@ impl Frames {
         }
     }
 
+    /// Tables of `environment`, and beside them the lights that cast a shadow each, where Gaussians are shaded.
     fn tables(&self, environment: &EnvMap) -> LightTables {
-        rendering_tables(environment, self.model().gaussians.visibility_order())
+        let (model, order) = (self.model(), self.model().gaussians.visibility_order());
+        match model.shading.shade_at {
+            ShadeAt::Pixel => rendering_tables(environment, order),
+            ShadeAt::Gaussian if model.lights.is_empty() || *environment != model.environment() => {
+                split_tables(environment, order)
+            }
+            // The light of the photographs is split as it was in training.
+            ShadeAt::Gaussian => tables_of_split(environment, &model.lights, order),
+        }
     }
 }

@@ -42,7 +42,7 @@ pub use indirect::{NO_INDIRECT_BASIS, indirect_basis, indirect_basis_backward};
 pub use objective::{
     ImageWeights, LightWeights, ParameterWeights, StepWeights, SurfaceWeights, upward_share,
 };
-pub use probing::{ProbeSettings, fibonacci_sphere};
+pub use probing::{ProbeSettings, fibonacci_sphere, towards_light};
 pub use state::{Moments, TrainState};
 pub use step::{Branches, FieldUpdate, Photo, PhotoId, PhotoSize, ProbeMeasurement, Step, StepSums};
 pub use training::{Training, TrainingLimits};

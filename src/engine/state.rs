@@ -1,7 +1,7 @@
 //! What a training has learned and measured so far, on the host.
 
 use crate::engine::density::DensityStats;
-use crate::scene::{Gaussians, Model};
+use crate::scene::{Gaussians, MAX_LIGHTS, Model};
 
 /// First and second moments of Adam, shaped like the model.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,6 +51,9 @@ pub struct TrainState {
     pub labels: Vec<f32>,
     /// Gathered light: irradiance and blocked radiance, `[Gaussian][6]`; empty before the first measurement.
     pub gathered: Vec<[f32; 6]>,
+    /// Share of each of the model's lights that arrives, `[Gaussian][light]`; empty before the first measurement, and then all
+    /// of it does.
+    pub arriving: Vec<[f32; MAX_LIGHTS]>,
 }
 
 impl TrainState {
@@ -61,6 +64,7 @@ impl TrainState {
             density: DensityStats::zeroed(model.gaussians.len()),
             labels: Vec::new(),
             gathered: Vec::new(),
+            arriving: Vec::new(),
             model,
         }
     }

@@ -12,6 +12,7 @@ mod reflector;
 mod sampler;
 mod sh;
 mod sheen;
+mod split_tables;
 mod tables;
 
 /// Colour of the light before anything is known of it, linear sRGB of mean 1: bluish, as under an open sky; chosen by
@@ -31,4 +32,5 @@ pub use reflector::{Reflected, Reflector};
 pub use sampler::{EnvSampler, Shares, estimate};
 pub use sh::{nrsh, sh_eval, sh_eval_with_gradient};
 pub use sheen::Sheen;
-pub use tables::{LightTables, TABLE_LANES, padded};
+pub use split_tables::{split_tables, tables_of_split};
+pub use tables::{LightTables, TABLE_LANES, TableLight, padded};

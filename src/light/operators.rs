@@ -1,10 +1,13 @@
 //! Environment operators as explicit linear maps (docs/MODEL.md section 4): tables = M L, and the gradient is M^T g.
+//! Strong small lights may be taken out first: each is one more read-out of the texels.
+
+use std::sync::Arc;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
-use crate::scene::{sh_count, texel_directions};
+use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, TableLight, brdf::ggx_d, padded, sh_eval};
+use crate::scene::{LightSplit, MAX_LIGHTS, SplitLight, sh_count, texel_directions};
 
 /// Where a roughness lies between two prefiltered levels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,7 +71,7 @@ pub struct CompressedRows {
 }
 
 impl CompressedRows {
-    fn new<'a>(rows: impl Iterator<Item = &'a [(u32, f32)]>) -> Self {
+    fn new(rows: impl Iterator<Item = Vec<(u32, f32)>>) -> Self {
         let mut out = Self { start: vec![0], entries: Vec::new() };
         for row in rows {
             out.entries.extend(row.iter().map(|(column, weight)| [*column, weight.to_bits()]));
@@ -78,9 +81,16 @@ impl CompressedRows {
     }
 }
 
-/// The operators of one environment size.
+/// The operators of one environment size, and what of an environment is taken out as lights first.
 #[derive(Debug, Clone)]
 pub struct EnvOperators {
+    maps: Arc<Maps>,
+    split: LightSplit,
+}
+
+/// The linear maps of a whole environment.
+#[derive(Debug)]
+struct Maps {
     width: usize,
     height: usize,
     order: usize,
@@ -93,6 +103,8 @@ pub struct EnvOperators {
     specular_transposed: [SparseRows; SPECULAR_LEVELS.len()],
     /// `Y_j(w)` a texel, padded.
     harmonics: Vec<f32>,
+    /// `dw` a texel.
+    solid_angles: Vec<f32>,
 }
 
 impl EnvOperators {
@@ -115,7 +127,7 @@ impl EnvOperators {
         for ((d, _), row) in texels.iter().zip(harmonics.chunks_mut(coefficients)) {
             sh_eval(order, d.to_array().map(|v| v as f32), row);
         }
-        Self {
+        let maps = Maps {
             width,
             height,
             order,
@@ -126,54 +138,118 @@ impl EnvOperators {
             specular_grids,
             specular,
             harmonics,
-        }
+            solid_angles: texels.iter().map(|(_, w)| *w as f32).collect(),
+        };
+        Self { maps: Arc::new(maps), split: LightSplit::default() }
+    }
+
+    /// The same maps for environments of which `split` takes lights out; it must fit their texels. An empty one gives
+    /// operators of the whole environment.
+    #[must_use]
+    pub fn with_lights(&self, split: &LightSplit) -> Self {
+        Self { maps: self.maps.clone(), split: split.clone() }
+    }
+
+    /// What is taken out.
+    pub fn split(&self) -> &LightSplit {
+        &self.split
     }
 
     /// Columns and rows of the environments these operators take.
     pub fn size(&self) -> (usize, usize) {
-        (self.width, self.height)
+        (self.maps.width, self.maps.height)
     }
 
-    /// Sparse rows of the whole operator: those of the normals' cosine first, then the prefilter levels' one after another.
+    /// Sparse rows of the whole operator: those of the normals' cosine first, then the prefilter levels' one after another,
+    /// then [`MAX_LIGHTS`] of the lights' irradiance, empty beyond the last light.
     pub fn rows(&self) -> CompressedRows {
-        let levels = self.specular.iter().flat_map(|rows| (0..rows.len()).map(|k| rows.row(k)));
-        CompressedRows::new((0..self.cosine.len()).map(|k| self.cosine.row(k)).chain(levels))
+        let maps = &*self.maps;
+        let levels = maps.specular.iter().flat_map(|rows| (0..rows.len()).map(|k| rows.row(k)));
+        let whole = (0..maps.cosine.len()).map(|k| maps.cosine.row(k)).chain(levels);
+        let rest = whole.map(|row| row.iter().map(|&(t, w)| (t, w * self.split.rest(t as usize))).collect());
+        CompressedRows::new(rest.chain((0..MAX_LIGHTS).map(|k| self.light_row(k))))
     }
 
-    /// The transpose, two rows a texel: its normals, then its nodes of all prefilter levels counted through.
+    /// `m_kt dw_t` of the texels that light `k` has a share in.
+    fn light_row(&self, k: usize) -> Vec<(u32, f32)> {
+        let shares = self.split.shares.iter().zip(&self.maps.solid_angles).enumerate();
+        shares.filter(|(_, (m, _))| m[k] > 0.0).map(|(t, (m, w))| (t as u32, m[k] * w)).collect()
+    }
+
+    /// The transpose, two rows a texel: its normals, then its nodes of all prefilter levels counted through and the lights
+    /// behind them.
     pub fn transposed_rows(&self) -> CompressedRows {
+        let maps = &*self.maps;
         let mut first_node = [0u32; SPECULAR_LEVELS.len()];
         for k in 1..first_node.len() {
-            first_node[k] = first_node[k - 1] + self.specular[k - 1].len() as u32;
+            first_node[k] = first_node[k - 1] + maps.specular[k - 1].len() as u32;
         }
-        let mut rows: Vec<Vec<(u32, f32)>> = Vec::with_capacity(2 * self.width * self.height);
-        for texel in 0..self.width * self.height {
-            rows.push(self.cosine_transposed.row(texel).to_vec());
-            let levels = self.specular_transposed.iter().zip(first_node);
-            let shifted =
-                levels.flat_map(|(t, first)| t.row(texel).iter().map(move |&(n, w)| (first + n, w)));
-            rows.push(shifted.collect());
-        }
-        CompressedRows::new(rows.iter().map(Vec::as_slice))
+        let first_light: u32 = maps.specular.iter().map(|rows| rows.len() as u32).sum();
+        CompressedRows::new((0..2 * maps.width * maps.height).map(|row| {
+            let (texel, rest) = (row / 2, self.split.rest(row / 2));
+            if row % 2 == 0 {
+                return maps.cosine_transposed.row(texel).iter().map(|&(n, w)| (n, w * rest)).collect();
+            }
+            let levels = maps.specular_transposed.iter().zip(first_node);
+            let nodes =
+                levels.flat_map(|(t, first)| t.row(texel).iter().map(move |&(n, w)| (first + n, w * rest)));
+            let shares = self.split.shares.get(texel).into_iter().flatten().zip(first_light..);
+            let lights = shares.filter(|(m, _)| **m > 0.0);
+            nodes.chain(lights.map(|(m, node)| (node, m * maps.solid_angles[texel]))).collect()
+        }))
     }
 
     /// `Y_j` of each texel, padded: `[texel][coefficient]`.
     pub fn harmonics(&self) -> &[f32] {
-        &self.harmonics
+        &self.maps.harmonics
     }
 
     /// Empty tables of the shape [`Self::apply`] gives.
     pub fn shape(&self) -> LightTables {
-        self.apply(&vec![[0.0; 3]; self.width * self.height])
+        self.apply(&vec![[0.0; 3]; self.maps.width * self.maps.height])
     }
 
     /// Degree of the visibility field the diffuse table serves.
     pub fn order(&self) -> usize {
-        self.order
+        self.maps.order
     }
 
-    /// `M L`: the tables of an environment given as `width * height` radiances.
+    /// The tables of an environment given as `width * height` radiances: `M L` of what is not a light's, and the lights.
     pub fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
+        if self.split.is_empty() {
+            return self.maps.apply(radiance);
+        }
+        let rest = |(t, l): (usize, &[f32; 3])| l.map(|v| v * self.split.rest(t));
+        let mut tables = self.maps.apply(&radiance.iter().enumerate().map(rest).collect::<Vec<_>>());
+        let light = |(k, light): (usize, &SplitLight)| {
+            let mut irradiance = [0.0f32; 3];
+            for (t, w) in self.light_row(k) {
+                (0..3).for_each(|c| irradiance[c] += w * radiance[t as usize][c]);
+            }
+            TableLight { direction: light.direction, radius: light.radius, irradiance }
+        };
+        tables.lights = self.split.lights.iter().enumerate().map(light).collect();
+        tables
+    }
+
+    /// The transpose of [`Self::apply`]: the gradient of each texel's radiance from the gradient of the tables.
+    pub fn apply_transposed(&self, gradient: &LightTables) -> Vec<[f32; 3]> {
+        let mut out = self.maps.apply_transposed(gradient);
+        for (t, shares) in self.split.shares.iter().enumerate() {
+            let rest = self.split.rest(t);
+            out[t] = out[t].map(|g| g * rest);
+            for (light, share) in gradient.lights.iter().zip(shares) {
+                let weight = share * self.maps.solid_angles[t];
+                (0..3).for_each(|c| out[t][c] += weight * light.irradiance[c]);
+            }
+        }
+        out
+    }
+}
+
+impl Maps {
+    /// `M L`.
+    fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
         let n = padded(sh_count(self.order));
         // F[t] = Y_j(t) L_c(t), the light that a coefficient lets through at texel t.
         let products: Vec<f32> = radiance
@@ -194,11 +270,12 @@ impl EnvOperators {
             diffuse,
             specular_grids: self.specular_grids,
             specular: std::array::from_fn(|k| self.specular[k].times(radiance)),
+            lights: Vec::new(),
         }
     }
 
-    /// `M^T g`: the gradient of each texel's radiance from the gradient of the tables.
-    pub fn apply_transposed(&self, gradient: &LightTables) -> Vec<[f32; 3]> {
+    /// `M^T g`.
+    fn apply_transposed(&self, gradient: &LightTables) -> Vec<[f32; 3]> {
         let n = padded(sh_count(self.order));
         (0..self.width * self.height)
             .into_par_iter()
@@ -366,5 +443,85 @@ mod tests {
         let back = operators.apply_transposed(&probe);
         let backward: f64 = back.iter().zip(&radiance).map(|(a, b)| dot3(a, b)).sum();
         assert!((forward - backward).abs() < 1e-4 * forward.abs().max(1.0), "{forward} {backward}");
+    }
+
+    #[test]
+    fn rest_and_lights_are_the_whole_and_the_transposed_is_the_transpose_with_lights() {
+        let whole = EnvOperators::new(16, 8, 1, TableResolution::TRAINING);
+        let radiance: Vec<[f32; 3]> = (0..128).map(|i| [(i % 7) as f32, (i % 5) as f32, 1.0]).collect();
+        let mut shares = vec![[0.0; MAX_LIGHTS]; 128];
+        (20..29).for_each(|t| shares[t] = [0.5, 0.125, 0.25, 0.0]);
+        shares[90] = [0.0, 1.0, 0.0, 0.0];
+        let light = SplitLight { direction: [0.0, 0.6, 0.8], radius: 0.02 };
+        let split = LightSplit { lights: vec![light; 3], shares: shares.clone() };
+        let operators = whole.with_lights(&split);
+        let tables = operators.apply(&radiance);
+        // A constant weight of the tables reads the whole power: nothing is lost, and nothing counted twice.
+        let taken = whole.apply(
+            &radiance
+                .iter()
+                .zip(&shares)
+                .map(|(l, m)| l.map(|v| v * m.iter().sum::<f32>()))
+                .collect::<Vec<_>>(),
+        );
+        let all = whole.apply(&radiance);
+        for (i, v) in all.diffuse.iter().enumerate() {
+            assert!((tables.diffuse[i] + taken.diffuse[i] - v).abs() < 1e-4);
+        }
+        for c in 0..3 {
+            let angles = texel_directions(16, 8);
+            let power = |share: &dyn Fn(usize) -> f64| -> f64 {
+                (0..128).map(|t| share(t) * angles[t].1 * f64::from(radiance[t][c])).sum()
+            };
+            for k in 0..3 {
+                let expected = power(&|t| f64::from(shares[t][k]));
+                assert!((f64::from(tables.lights[k].irradiance[c]) - expected).abs() < 1e-5);
+            }
+        }
+        assert!(all.diffuse.iter().zip(&tables.diffuse).any(|(a, b)| (a - b).abs() > 0.01), "the control");
+        let mut probe = tables.zeroed();
+        probe.diffuse.iter_mut().enumerate().for_each(|(i, v)| *v = ((i * 31) % 11) as f32 - 5.0);
+        probe.lights.iter_mut().enumerate().for_each(|(i, l)| l.irradiance = [i as f32 + 3.0, -1.0, 2.0]);
+        let pairs = tables.lights.iter().zip(&probe.lights);
+        let lights: f64 = pairs
+            .flat_map(|(a, b)| (0..3).map(|c| f64::from(a.irradiance[c]) * f64::from(b.irradiance[c])))
+            .sum();
+        let rows = tables.diffuse.iter().zip(&probe.diffuse).map(|(a, b)| f64::from(*a) * f64::from(*b));
+        let forward = rows.sum::<f64>() + lights;
+        let backward = operators.apply_transposed(&probe);
+        let backward: f64 = backward
+            .iter()
+            .zip(&radiance)
+            .flat_map(|(a, b)| (0..3).map(|c| f64::from(a[c]) * f64::from(b[c])))
+            .sum();
+        assert!((forward - backward).abs() < 1e-4 * forward.abs().max(1.0), "{forward} {backward}");
+        assert!((forward - lights - backward).abs() > 1e-3 * forward.abs(), "the control: lights count");
+    }
+
+    #[test]
+    fn compressed_rows_are_the_operators_with_lights() {
+        let mut shares = vec![[0.0; MAX_LIGHTS]; 32];
+        shares[9] = [0.5, 0.25, 0.0, 0.0];
+        let light = SplitLight { direction: [1.0, 0.0, 0.0], radius: 0.0 };
+        let resolution = TableResolution { diffuse: 3, sharp: 3, rough: 3 };
+        let operators = EnvOperators::new(8, 4, 0, resolution)
+            .with_lights(&LightSplit { lights: vec![light; 2], shares });
+        let (rows, back) = (operators.rows(), operators.transposed_rows());
+        let radiance: Vec<[f32; 3]> = (0..32).map(|i| [1.0 + i as f32; 3]).collect();
+        let tables = operators.apply(&radiance);
+        let row = |k: usize| &rows.entries[rows.start[k] as usize..rows.start[k + 1] as usize];
+        let value = |k: usize| -> f32 {
+            row(k).iter().map(|[t, w]| f32::from_bits(*w) * radiance[*t as usize][0]).sum()
+        };
+        let nodes: usize = tables.diffuse_grid.len() + tables.specular.iter().map(Vec::len).sum::<usize>();
+        assert_eq!(rows.start.len(), nodes + MAX_LIGHTS + 1);
+        for k in 0..2 {
+            assert!((value(nodes + k) - tables.lights[k].irradiance[0]).abs() < 1e-5);
+        }
+        assert!(value(nodes) > 1.0 && value(nodes + 2) == 0.0);
+        assert!((value(tables.diffuse_grid.len()) - tables.specular[0][0][0]).abs() < 1e-3);
+        let texel = &back.entries[back.start[19] as usize..back.start[20] as usize];
+        let specular = (nodes - tables.diffuse_grid.len()) as u32;
+        assert_eq!(texel.iter().filter(|[node, _]| *node >= specular).count(), 2);
     }
 }

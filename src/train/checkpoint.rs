@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::engine::{DensityStats, Moments, TrainState};
 use crate::formats::model_file::{self, Tensor, floats};
-use crate::scene::{Field, Gaussians};
+use crate::scene::{Field, Gaussians, MAX_LIGHTS};
 use crate::train::TrainConfig;
 use crate::train::complexity::state::ComplexityState;
 use crate::train::error::TrainError;
@@ -33,6 +33,8 @@ struct Header {
     complexity: ComplexityState,
     labels: usize,
     gathered: usize,
+    #[serde(default)]
+    arriving: usize,
 }
 
 fn bad(field: &str, reason: impl std::fmt::Display) -> TrainError {
@@ -63,6 +65,7 @@ pub fn encode(
         complexity: schedule.complexity.clone(),
         labels: state.labels.len(),
         gathered: state.gathered.len(),
+        arriving: state.arriving.len(),
     };
     let text = serde_json::to_string(&header).map_err(|e| bad("header", e))?;
     let metadata = HashMap::from([
@@ -84,6 +87,9 @@ pub fn encode(
     flat("density.seen", &state.density.seen);
     flat("labels", &state.labels);
     flat("gathered", bytemuck::cast_slice(&state.gathered));
+    if !state.arriving.is_empty() {
+        flat("arriving", state.arriving.as_flattened());
+    }
     safetensors::serialize(tensors, Some(metadata)).map_err(|e| bad("container", e))
 }
 
@@ -120,6 +126,11 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
     let globals = 3 * (model.prototypes.len() + model.env_raw.len());
     let triples = |name: &str| read(name, globals).map(|values| values.as_chunks::<3>().0.to_vec());
     let gathered = read("gathered", header.gathered.saturating_mul(6))?;
+    // Checkpoints without lights have no shares of them.
+    let arriving = match header.arriving {
+        0 => Vec::new(),
+        rows => read("arriving", rows.saturating_mul(MAX_LIGHTS))?,
+    };
     let state = TrainState {
         moments: Moments {
             first: moments("first")?,
@@ -129,6 +140,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         density: DensityStats { absgrad: read(ABSGRAD_KEY, n)?, seen: read("density.seen", n)? },
         labels: read("labels", header.labels)?,
         gathered: gathered.as_chunks::<6>().0.to_vec(),
+        arriving: arriving.as_chunks::<MAX_LIGHTS>().0.to_vec(),
         model,
     };
     let schedule = ScheduleState {

@@ -382,10 +382,11 @@ fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainErro
     Ok(Dataset::new(capture, config.resolution))
 }
 
-/// The operators for a model's environment and visibility.
+/// The operators for a model's environment, its lights and visibility.
 fn operators_of(model: &Model) -> Arc<EnvOperators> {
     let order = model.gaussians.visibility_order();
-    Arc::new(EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING))
+    let whole = EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING);
+    Arc::new(whole.with_lights(&model.lights))
 }
 
 #[cfg(test)]

@@ -21,6 +21,7 @@ fn model() -> Model {
         env_raw,
         env_width: 16,
         env_height: 8,
+        lights: Default::default(),
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,

@@ -78,6 +78,7 @@ impl DeviceState {
         model.gaussians = gaussians(&buffers.params)?;
         [model.prototypes, model.env_raw] = buffers.read_globals(gpu, &buffers.globals)?;
         Ok(TrainState {
+            arriving: Vec::new(),
             model,
             moments: Moments {
                 first: gaussians(&buffers.first)?,

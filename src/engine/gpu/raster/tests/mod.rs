@@ -77,6 +77,7 @@ impl Scene {
             prototypes: &self.prototypes,
             options: &self.options,
             gathered: &self.gathered,
+            arriving: &[],
             indirect_basis: &self.basis,
             light: None,
         }
