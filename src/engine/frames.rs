@@ -55,10 +55,7 @@ impl Frames {
     pub fn prepare_light(&self, environment: &EnvMap) -> Result<FrameLight, DeviceError> {
         let tables = self.tables(environment);
         Ok(match &self.device {
-            Some(device) => {
-                let whole = rendering_tables(environment, self.model().gaussians.visibility_order());
-                FrameLight { device: Some(device.prepare_light(&whole)?), cpu: OnceLock::new() }
-            }
+            Some(device) => FrameLight { device: Some(device.prepare_light(&tables)?), cpu: OnceLock::new() },
             None => FrameLight { device: None, cpu: OnceLock::from(self.cpu.prepare_light(tables)) },
         })
     }

@@ -33,6 +33,7 @@ struct Header {
     complexity: ComplexityState,
     labels: usize,
     gathered: usize,
+    /// Absent in checkpoints from before there were lights.
     #[serde(default)]
     arriving: usize,
 }
@@ -153,4 +154,52 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         complexity: header.complexity,
     };
     Ok((schedule, state))
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+    use crate::scene::{LightSplit, Model, ShadingOptions, SplitLight};
+    use crate::train::Preset;
+
+    fn state() -> TrainState {
+        TrainState::new(Model {
+            gaussians: Gaussians::zeroed(3, 2, 1, 0),
+            prototypes: vec![[0.5; 3]; 2],
+            env_raw: vec![[0.5; 3]; 8],
+            env_width: 4,
+            env_height: 2,
+            lights: LightSplit::default(),
+            shading: ShadingOptions::default(),
+            world_scale: 1.0,
+            world_offset: glam::DVec3::ZERO,
+            card: serde_json::Value::Null,
+        })
+    }
+
+    #[test]
+    fn lights_and_what_arrives_of_them_survive_and_checkpoints_without_them_have_none() {
+        let config = TrainConfig::new(Preset::Draft, &Default::default()).unwrap();
+        let schedule = ScheduleState {
+            step: 7,
+            order: vec![1, 0],
+            cursor: 1,
+            rng: ChaCha8Rng::seed_from_u64(3),
+            rate_factor: 1.0,
+            seconds: 0.0,
+            complexity: ComplexityState::default(),
+        };
+        let plain = state();
+        let bytes = encode(&schedule, &plain, &config).unwrap();
+        assert!(!String::from_utf8_lossy(&bytes).contains("light_shares"));
+        assert_eq!(decode(&bytes, &config).unwrap(), (schedule.clone(), plain));
+        let mut lit = state();
+        let light = SplitLight { direction: [0.0, 0.0, 1.0], radius: 0.02 };
+        lit.model.lights = LightSplit { lights: vec![light], shares: vec![[0.5, 0.0, 0.0, 0.0]; 8] };
+        lit.arriving = (0..3).map(|i| [0.25 * i as f32, 1.0, 1.0, 1.0]).collect();
+        let bytes = encode(&schedule, &lit, &config).unwrap();
+        assert_eq!(decode(&bytes, &config).unwrap(), (schedule, lit));
+    }
 }

@@ -4,7 +4,6 @@ use std::f64::consts::PI;
 
 use super::array::Array;
 use super::lighting::DirectLight;
-use super::shading::Surfaces;
 use super::tape::{Tape, Var};
 
 /// What one light adds to P surfaces.
@@ -15,20 +14,21 @@ pub struct Direct<'t> {
     pub specular: Var<'t>,
 }
 
-/// What `light` adds to surfaces of unit normals turned to the camera, through `arriving`, (P, 1).
+/// What `light` adds through `arriving`, (P, 1), to surfaces of unit normals turned to the camera, of directions to it, of
+/// roughnesses and of reflectances head-on.
 pub fn direct<'t>(
     tape: &'t Tape,
-    s: &Surfaces<'t>,
     light: &DirectLight<'t>,
     arriving: Var<'t>,
-    (normal, n_dot_v, f0): (Var<'t>, Var<'t>, Var<'t>),
+    (normal, view, n_dot_v): (Var<'t>, Var<'t>, Var<'t>),
+    (rough, f0): (Var<'t>, Var<'t>),
 ) -> Direct<'t> {
     let count = normal.value().shape()[0];
     let towards = tape.input(Array::from_rows(&vec![light.direction; count]));
     let n_dot_w = normal.dot(towards).at_least(0.0);
-    let half = (s.view + towards).normalised();
-    let (n_dot_h, v_dot_h) = (normal.dot(half), s.view.dot(half));
-    let alpha = (s.rough * s.rough).at_least(1e-4);
+    let half = (view + towards).normalised();
+    let (n_dot_h, v_dot_h) = (normal.dot(half), view.dot(half));
+    let alpha = (rough * rough).at_least(1e-4);
     let alpha2 = (alpha * alpha + 0.25 * light.radius * light.radius).at_most(1.0);
     let spread = n_dot_h * n_dot_h * (alpha2 - 1.0) + 1.0;
     let distribution = alpha2 / (PI * spread * spread);

@@ -123,7 +123,8 @@ pub fn shade<'t>(
     let f0 = 0.04 * (1.0 - s.metal) + s.albedo * s.metal;
     let lights = s.arriving.map_or_else(Vec::new, |arriving| {
         let lights = light.lights().into_iter().enumerate();
-        lights.map(|(k, light)| direct(tape, s, &light, arriving.column(k), (normal, n_dot_v, f0))).collect()
+        let seen = (normal, s.view, n_dot_v);
+        lights.map(|(k, light)| direct(tape, &light, arriving.column(k), seen, (s.rough, f0))).collect()
     });
     let irradiance = lights.iter().fold(irradiance + s.gathered, |sum, light| sum + light.irradiance);
     let lambert = s.albedo * (1.0 - s.metal) * (1.0 / PI) * irradiance;

@@ -2,18 +2,19 @@
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::density::read_stats;
+use crate::engine::gpu::gather::GATHERED;
 use crate::engine::gpu::light::TrainingLight;
 use crate::engine::gpu::model::{ModelBuffers, planar};
 use crate::engine::gpu::{AttributeSource, Buffer, Gpu};
 use crate::engine::{Moments, TrainState};
-use crate::scene::Model;
+use crate::scene::{IndirectForm, MAX_LIGHTS, Model};
 
 /// What is measured, not learned.
 #[derive(Debug, Clone)]
 pub(super) struct Measured {
     /// Probe labels, `[Gaussian][coefficient]`.
     pub(super) labels: Option<Buffer<f32>>,
-    /// Gathered light, 6 floats a Gaussian.
+    /// Gathered light and what arrives of the model's lights, as [`AttributeSource::gathered`].
     pub(super) gathered: Option<Buffer<f32>>,
     /// True once anything was measured, also for Gaussians that are gone.
     pub(super) ever: bool,
@@ -24,6 +25,17 @@ impl Measured {
     pub(super) fn forget_values(&mut self) {
         (self.labels, self.gathered) = (None, None);
     }
+}
+
+/// What a host has measured of light in the order of the device's buffer.
+fn measured_light(state: &TrainState) -> Vec<f32> {
+    let n = state.model.gaussians.len();
+    let mut out = state.gathered.as_flattened().to_vec();
+    if !state.arriving.is_empty() {
+        out.resize(GATHERED * n, 0.0);
+        out.extend(state.arriving.as_flattened());
+    }
+    out
 }
 
 /// All that a training has learned and measured.
@@ -57,7 +69,7 @@ impl DeviceState {
         };
         let measured = Measured {
             labels: some(&state.labels, "probe labels")?,
-            gathered: some(state.gathered.as_flattened(), "gathered light")?,
+            gathered: some(&measured_light(state), "gathered light")?,
             ever: !state.labels.is_empty(),
         };
         Ok(Self { model, density: gpu.upload("density statistics", &stats)?, measured })
@@ -77,8 +89,12 @@ impl DeviceState {
         let mut model = shape.clone();
         model.gaussians = gaussians(&buffers.params)?;
         [model.prototypes, model.env_raw] = buffers.read_globals(gpu, &buffers.globals)?;
+        let light = read(&self.measured.gathered)?;
+        let (gathered, arriving) = light.split_at(light.len().min(GATHERED * buffers.len()));
+        // Where nothing is gathered, the zeros in front of what arrives are no measurement.
+        let gathers = shape.shading.indirect == IndirectForm::Gathered;
         Ok(TrainState {
-            arriving: Vec::new(),
+            arriving: arriving.as_chunks::<MAX_LIGHTS>().0.to_vec(),
             model,
             moments: Moments {
                 first: gaussians(&buffers.first)?,
@@ -87,7 +103,7 @@ impl DeviceState {
             },
             density: read_stats(gpu, &self.density)?,
             labels: read(&self.measured.labels)?,
-            gathered: read(&self.measured.gathered)?.as_chunks::<6>().0.to_vec(),
+            gathered: if gathers { gathered.as_chunks::<GATHERED>().0.to_vec() } else { Vec::new() },
         })
     }
 
@@ -116,6 +132,20 @@ impl DeviceState {
         };
         recorder.submit()?;
         Ok(Self { model, density, measured })
+    }
+
+    /// Drops what was measured of lights that are the model's no longer.
+    pub(super) fn forget_arriving(&mut self, gpu: &Gpu) -> Result<(), DeviceError> {
+        let floats = GATHERED * self.model.len();
+        let Some(measured) = self.measured.gathered.as_ref().filter(|g| g.len() > floats) else {
+            return Ok(());
+        };
+        let gathered = gpu.buffer("gathered light", floats)?;
+        let mut recorder = gpu.record();
+        recorder.copy(measured, 0, &gathered, 0, floats);
+        recorder.submit()?;
+        self.measured.gathered = Some(gathered);
+        Ok(())
     }
 
     /// The model as frames read it, under the light of the training.
