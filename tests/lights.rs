@@ -144,8 +144,7 @@ mod on_gpu {
         let cpu = shadows_are_measured_and_follow_the_light(&Device::Cpu);
         let gpu = shadows_are_measured_and_follow_the_light(gpu_device());
         assert!(apart(&gpu, &cpu) < 1e-3, "{}", apart(&gpu, &cpu));
-        let shifted: Vec<f32> = cpu.iter().skip(1).chain(&cpu[..1]).copied().collect();
-        assert!(apart(&shifted, &cpu) > 1e-2, "the control");
+        assert!(apart(&vec![1.0; cpu.len()], &cpu) > 2e-2, "the control: there is a shadow");
     }
 
     #[test]
