@@ -52,6 +52,7 @@ fn model() -> &'static Model {
             env_raw: vec![[0.3; 3]; 512],
             env_width: 32,
             env_height: 16,
+            lights: Default::default(),
             shading: ShadingOptions::default(),
             world_scale: 1.0,
             world_offset: DVec3::ZERO,
@@ -71,6 +72,7 @@ fn source() -> AttributeSource<'static> {
         prototypes: &m.prototypes,
         options: &m.shading,
         gathered: &[],
+        arriving: &[],
         indirect_basis: &NO_BASIS,
         light: None,
     };

@@ -13,6 +13,8 @@ mod field;
 mod kernel_constants;
 #[path = "../src/light/constants.rs"]
 mod light;
+#[path = "../src/scene/split.rs"]
+mod split;
 
 use std::fmt::Write as _;
 use std::ops::Range;
@@ -42,12 +44,13 @@ pub const PIECES: [&str; 9] = [
 ];
 
 /// Files with the definitions.
-pub const SOURCES: [&str; 5] = [
+pub const SOURCES: [&str; 6] = [
     "src/engine/channel.rs",
     "src/engine/constants.rs",
     "src/engine/gpu/kernel_constants.rs",
     "src/light/constants.rs",
     "src/scene/field.rs",
+    "src/scene/split.rs",
 ];
 
 /// All pieces, one after another.
@@ -169,6 +172,7 @@ fn light() -> String {
     let mut out = list![light: FULLY_OPEN, DIELECTRIC_F0, MOST_SHEEN, SPECULAR_LEVELS, LUT_SIZE, LOBE_ORDERS,
         LOBE_ROUGHNESSES];
     out += &list![constants: LEAST_COVERAGE, LEAST_NOV];
+    out += &list![split: MAX_LIGHTS];
     out += &constant("N_LEVELS", light::SPECULAR_LEVELS.len());
     out += "// lambda_l / pi of the clamped cosine.\n";
     let factors: [f32; light::MOST_ORDER + 1] = std::array::from_fn(|l| light::nrsh_factor(l) as f32);

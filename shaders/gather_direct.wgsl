@@ -1,10 +1,12 @@
-// Per Gaussian, what a bounce starts from: the sky's irradiance through its own visibility, and what share of its
+// Per Gaussian, what a bounce starts from: the irradiance of the sky through its own visibility and of the lights beside the
+// tables as far as they arrive, and what share of its
 // irradiance a diffuse surface sends back (albedo (1 - metal) / pi). A thread owns one Gaussian. No workgroup memory.
 #import attributes
 #import cube_grid
 #import finite
 #import generated/light
 #import index
+#import measured
 #import tables
 
 const WG_SIZE = 256u;
@@ -18,6 +20,19 @@ const FRAC_1_PI = 0.31830989;
 @group(0) @binding(5) var<storage, read> normals: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> direct: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> diffuse: array<vec4f>;
+@group(0) @binding(8) var<storage, read> gathered: array<f32>;
+
+// Irradiance of the lights along a unit normal.
+fn of_lights(gaussian_ix: u32, normal: vec3f) -> vec3f {
+    let arriving = arriving_at(gaussian_ix, model.n);
+    var sum = vec3f(0.0);
+    for (var k = 0u; k < shape.n_lights; k++) {
+        let at = shape.first_light + 3u * k;
+        let light = vec3f(values[at], values[at + 1u], values[at + 2u]);
+        sum += arriving[k] * max(dot(normal, shape.lights[k].xyz), 0.0) * light;
+    }
+    return sum;
+}
 
 // Row of one colour of one node times the Gaussian's visibility.
 fn through_visibility(gaussian_ix: u32, row: u32) -> f32 {
@@ -40,6 +55,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     }
     let normal = normals[gaussian_ix].xyz;
     var sky = vec3f(0.0);
+    var lights = vec3f(0.0);
     // Parameters that are no numbers have no normal either.
     if is_finite(normal.x) && is_finite(normal.y) && is_finite(normal.z) {
         let taps = cube_taps(shape.diffuse_n, normal);
@@ -53,8 +69,9 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
             );
         }
 #end
+        lights = of_lights(gaussian_ix, normal);
     }
-    direct[gaussian_ix] = vec4f(max(sky, vec3f(0.0)), 0.0);
+    direct[gaussian_ix] = vec4f(max(sky, vec3f(0.0)) + lights, 0.0);
     let rest = 1.0 - sigmoid(params[model.metal + gaussian_ix]);
     let albedo = clamp(albedo_of(gaussian_ix), vec3f(0.0), vec3f(1.0));
     diffuse[gaussian_ix] = vec4f(albedo * rest * FRAC_1_PI, 0.0);

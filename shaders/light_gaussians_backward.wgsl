@@ -1,11 +1,12 @@
 // The way back through light_gaussians: in each Gaussian's row of splat gradients, what its light has is added to its place,
 // its normal, its material and (with ALL_CHANNELS) its indirect light and visibility; what the light tables get goes by
-// shared/table_shares.wgsl. A thread owns a Gaussian.
+// shared/table_shares.wgsl, and what lights beside them get is summed by workgroup. A thread owns a Gaussian.
 const WG_SIZE = 256u;
 #import index
 #import shading_backward
 #import gaussian_surface
 #import table_shares
+#import reduce
 
 @group(0) @binding(6) var<uniform> model: Layout;
 @group(0) @binding(7) var<storage, read> params: array<f32>;
@@ -67,4 +68,11 @@ fn main(
         }
     }
     add_all_shares(local_ix, &shares);
+    // All Gaussians add to the same few floats: a workgroup adds once.
+    for (var k = 0u; k < tables.n_lights; k++) {
+        let total = workgroup_sum(local_ix, vec4f(shares.lights[k], 0.0));
+        if local_ix < 3u {
+            accumulate!(by_tables[tables.first_light + 3u * k + local_ix], total[local_ix]);
+        }
+    }
 }

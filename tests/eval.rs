@@ -41,6 +41,7 @@ fn model() -> Model {
         env_raw: vec![[0.3; 3]; 512],
         env_width: 32,
         env_height: 16,
+        lights: Default::default(),
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: DVec3::ZERO,

@@ -10,6 +10,7 @@ mod eval;
 mod extremes;
 mod gpu;
 mod hostile;
+mod lights;
 mod reference;
 mod requirements;
 mod service;

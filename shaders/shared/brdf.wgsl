@@ -1,4 +1,4 @@
-// The split-sum table and the position between specular levels: src/light/{brdf,operators}.rs. The importer binds the
+// The split-sum table and the position between specular levels: src/light/{brdf,operators/mod}.rs. The importer binds the
 // tables of `gpu::light::Constants` as `constants`: 32 x 32 (scale, bias) by roughness and n.v, then the lobe rows.
 #import generated/light
 

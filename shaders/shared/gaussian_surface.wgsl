@@ -30,6 +30,7 @@ fn gaussian_surface(gaussian_ix: u32) -> Surface {
         1.0,
         -normalised3(to_gaussian(gaussian_ix)),
     );
+    s.arriving = arriving_at(gaussian_ix, model.n);
     s.sheen = params[model.sheen + gaussian_ix];
     for (var quad = 0u; quad < N_QUADS; quad++) {
         s.visibility[quad] = visibility_quad(gaussian_ix, quad);

@@ -1,7 +1,8 @@
 // What is known of the light that reaches a Gaussian: how much of the environment it sees, and what others send to it. The
-// importer binds `model`, `params`, `gathered` (irradiance, then mean blocked radiance, six floats a Gaussian; shorter where
-// nothing was gathered) and `indirect_basis` (E_j of Eq. 20).
+// importer binds `model`, `params`, `gathered` (see `measured`; shorter where nothing was measured) and `indirect_basis` (E_j
+// of Eq. 20).
 #import generated/parameters
+#import measured
 
 struct IncidentLight {
     // Irradiance gathered from other surfaces.

@@ -4,6 +4,8 @@
 struct Lambert {
     radiance: vec3f,
     irradiance: vec3f,
+    // With what is gathered and what lights beside the tables send.
+    incoming: vec3f,
     // Before the clamp, and per tap.
     irradiance_raw: vec3f,
     tap_irradiance: array<vec3f, 4>,
@@ -12,8 +14,8 @@ struct Lambert {
     ambient_raw: f32,
 }
 
-// For the unit `normal` of a surface, turned to the camera.
-fn lambert(s: ptr<function, Surface>, normal: vec3f) -> Lambert {
+// For the unit `normal` of a surface, turned to the camera, and the irradiance of lights beside the tables.
+fn lambert(s: ptr<function, Surface>, normal: vec3f, of_lights: vec3f) -> Lambert {
     var f: Lambert;
     // Four tabulated normals around n.
     f.taps = cube_taps(tables.diffuse_n, normal);
@@ -29,6 +31,7 @@ fn lambert(s: ptr<function, Surface>, normal: vec3f) -> Lambert {
         f.ambient = squash(f.ambient_raw);
     }
     f.irradiance = max(f.irradiance_raw, vec3f(0.0)) * f.ambient;
-    f.radiance = (*s).albedo * ((1.0 - (*s).metal) * INV_PI) * (f.irradiance + (*s).gathered);
+    f.incoming = f.irradiance + (*s).gathered + of_lights;
+    f.radiance = (*s).albedo * ((1.0 - (*s).metal) * INV_PI) * f.incoming;
     return f;
 }

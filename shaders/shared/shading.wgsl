@@ -10,6 +10,7 @@
 #import brdf
 #import lobe
 #import lambert
+#import direct
 #import sheen
 #import display
 
@@ -45,6 +46,8 @@ struct Shaded {
     nov_inside: bool,
     reflection: vec3f,
     reflection_length: f32,
+    // Of the lights beside the tables.
+    direct: Direct,
     lambert: Lambert,
     sheen: Sheen,
     position: LevelPosition,
@@ -187,7 +190,8 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     let bent = 2.0 * f.nov * f.normal - (*s).view;
     f.reflection_length = length3(bent);
     f.reflection = bent / f.reflection_length;
-    f.lambert = lambert(s, f.normal);
+    f.direct = direct(s, f.normal, f.nov);
+    f.lambert = lambert(s, f.normal, f.direct.irradiance);
     f.sheen = sheen_of((*s).sheen, f.nov);
     f.diffuse = f.lambert.radiance * f.sheen.gain;
     // Specular: split sum, visibility through the lobe.
@@ -206,6 +210,6 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     f.lut = lut_sample(f.nov, (*s).rough);
     let f0 = DIELECTRIC_F0 * (1.0 - (*s).metal) + (*s).albedo * (*s).metal;
     let light = f.visible * f.prefiltered + (1.0 - f.visible) * (*s).blocked;
-    f.specular = light * (f0 * f.lut.value.x + f.lut.value.y);
+    f.specular = light * (f0 * f.lut.value.x + f.lut.value.y) + f.direct.specular;
     return f;
 }

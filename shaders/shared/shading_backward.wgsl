@@ -1,5 +1,6 @@
 // Chain rule through `shade` (src/engine/cpu/surface_shader.rs). With ALL_CHANNELS it also gives the gradient by visibility.
 #import shading
+#import direct_backward
 
 struct SurfaceGradient {
     normal: vec3f,
@@ -11,6 +12,8 @@ struct SurfaceGradient {
     view: vec3f,
     blocked: vec3f,
     gathered: vec3f,
+    // By the irradiance of the lights beside the tables.
+    lights: array<vec3f, MAX_LIGHTS>,
     // By irradiance before the clamp, for the diffuse table.
     irradiance: vec3f,
     // By the light of the two specular levels, for the specular tables.
@@ -100,7 +103,7 @@ fn lambert_backward(
     out: ptr<function, SurfaceGradient>,
 ) -> vec3f {
     let kd = (1.0 - (*s).metal) * INV_PI;
-    let light = (*f).irradiance + (*s).gathered;
+    let light = (*f).incoming;
     (*out).albedo += g * kd * light;
     (*out).metal -= dot(g, (*s).albedo * light) * INV_PI;
     let by_light = g * (*s).albedo * kd;
@@ -177,9 +180,11 @@ fn shade_backward(s: ptr<function, Surface>, f: ptr<function, Shaded>, g: vec3f)
     by_normal += by_field[0];
     // R = normalize(2 nov n - v), nov = n . v.
     let by_bent = normalised3_backward((*f).reflection, (*f).reflection_length, by.yzw + by_field[1]);
-    let by_nov = by.x + 2.0 * dot(by_bent, (*f).normal) + by_gain * (*f).sheen.by_nov;
+    let by_direct = direct_backward(s, (*f).normal, (*f).nov, out.gathered, g, &out);
+    by_normal += by_direct.xyz;
+    let by_nov = by.x + 2.0 * dot(by_bent, (*f).normal) + by_gain * (*f).sheen.by_nov + by_direct.w;
     by_normal += 2.0 * (*f).nov * by_bent + select(0.0, by_nov, (*f).nov_inside) * (*s).view;
-    out.view = select(0.0, by_nov, (*f).nov_inside) * (*f).normal - by_bent;
+    out.view += select(0.0, by_nov, (*f).nov_inside) * (*f).normal - by_bent;
     let sign = select(1.0, -1.0, (*f).flipped);
     out.normal = normalised3_backward(sign * (*f).normal, (*f).normal_length, sign * by_normal);
     return out;

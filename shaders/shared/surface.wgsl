@@ -17,6 +17,8 @@ struct Surface {
     // Irradiance gathered from other surfaces, and radiance where the environment is blocked.
     gathered: vec3f,
     blocked: vec3f,
+    // Share of each light beside the tables that arrives; 0 where lights are not shaded.
+    arriving: vec4f,
     // Unit direction to the camera.
     view: vec3f,
     // Zero-padded.
@@ -46,6 +48,7 @@ fn surface_of_channels(
     s.sheen = 0.0;
     s.gathered = gathered * scale;
     s.blocked = blocked * scale;
+    s.arriving = vec4f(0.0);
     s.view = towards;
     return s;
 }

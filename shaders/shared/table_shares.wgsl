@@ -29,6 +29,8 @@ struct Shares {
     by: array<vec3f, 3>,
     // 1 / coverage.
     inverse: f32,
+    // Gradient by the irradiance of the lights beside the tables; for the importer to add.
+    lights: array<vec3f, MAX_LIGHTS>,
 }
 
 fn cell_of(level: u32, taps: Taps, by: vec3f) -> u32 {
@@ -133,6 +135,7 @@ fn shares_of(f: ptr<function, Shaded>, by: ptr<function, SurfaceGradient>, inver
     shares.weight = array<vec4f, 3>((*f).lambert.taps.weight, (*f).level_taps[0].weight, (*f).level_taps[1].weight);
     shares.by = array<vec3f, 3>((*by).irradiance, (*by).level[0], (*by).level[1]);
     shares.inverse = inverse;
+    shares.lights = (*by).lights;
     return shares;
 }
 

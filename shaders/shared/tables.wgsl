@@ -1,5 +1,7 @@
 // Where the tables of one light lie in their buffer (src/light/tables.rs): diffuse transfer `[node][rgb][coefficient]`,
-// then prefiltered radiance `[node][rgb]`, level after level. Kept in step with `TablesUniform` of src/engine/gpu/light.rs.
+// then prefiltered radiance `[node][rgb]`, level after level, then the irradiance rgb of MAX_LIGHTS lights. Kept in step with `TablesUniform` of src/engine/gpu/light.rs.
+#import generated/light
+
 struct Tables {
     // Nodes along an edge of the grid of normals.
     diffuse_n: u32,
@@ -13,4 +15,12 @@ struct Tables {
     specular_n: array<vec4u, 2>,
     // First float, per level.
     specular_first: array<vec4u, 2>,
+    // Lights beside the tables.
+    n_lights: u32,
+    // First float of their irradiance.
+    first_light: u32,
+    pad_a: u32,
+    pad_b: u32,
+    // Unit direction towards each, and its angular radius.
+    lights: array<vec4f, MAX_LIGHTS>,
 }

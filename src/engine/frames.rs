@@ -5,8 +5,8 @@ use std::sync::{Arc, OnceLock};
 
 use crate::engine::frame_job::{DeviceFrames, DeviceLight, FrameJob};
 use crate::engine::{DeviceError, Frame, cpu};
-use crate::light::{LightTables, rendering_tables};
-use crate::scene::{EnvMap, Model};
+use crate::light::{LightTables, rendering_tables, split_tables, tables_of_split};
+use crate::scene::{EnvMap, Model, ShadeAt};
 
 /// A model on its device. The CPU engine can render it beside any device, for tiers that only it has.
 pub struct Frames {
@@ -77,7 +77,16 @@ impl Frames {
         }
     }
 
+    /// Tables of `environment`, and beside them the lights that cast a shadow each, where Gaussians are shaded.
     fn tables(&self, environment: &EnvMap) -> LightTables {
-        rendering_tables(environment, self.model().gaussians.visibility_order())
+        let (model, order) = (self.model(), self.model().gaussians.visibility_order());
+        match model.shading.shade_at {
+            ShadeAt::Pixel => rendering_tables(environment, order),
+            ShadeAt::Gaussian if model.lights.is_empty() || *environment != model.environment() => {
+                split_tables(environment, order)
+            }
+            // The light of the photographs is split as it was in training.
+            ShadeAt::Gaussian => tables_of_split(environment, &model.lights, order),
+        }
     }
 }

@@ -44,7 +44,7 @@ pub use light_turn::{LightTurn, LightTurns};
 pub use objective::{
     ImageWeights, LightWeights, ParameterWeights, StepWeights, SurfaceWeights, upward_share,
 };
-pub use probing::{ProbeSettings, fibonacci_sphere};
+pub use probing::{ProbeSettings, fibonacci_sphere, towards_light};
 pub use state::{Moments, TrainState};
 pub use step::{Branches, FieldUpdate, Photo, PhotoId, PhotoSize, ProbeMeasurement, Step, StepSums};
 pub use training::{Training, TrainingLimits};

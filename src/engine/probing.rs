@@ -1,7 +1,9 @@
 //! Transmittance probes as both engines measure them: their directions and how they keep clear of their own surface
 //! (docs/MODEL.md section 6).
 
-use crate::scene::ShadingOptions;
+use glam::Vec3;
+
+use crate::scene::{ShadingOptions, SplitLight};
 
 /// `n` directions spread evenly over the sphere (Fibonacci spiral).
 pub fn fibonacci_sphere(n: usize) -> Vec<[f32; 3]> {
@@ -14,6 +16,29 @@ pub fn fibonacci_sphere(n: usize) -> Vec<[f32; 3]> {
             [(r * phi.cos()) as f32, (r * phi.sin()) as f32, z as f32]
         })
         .collect()
+}
+
+/// Angular radius up to which a light is as small as a point, radians.
+const POINT: f32 = 0.5 * std::f32::consts::PI / 180.0;
+
+/// Directions over which the transmittance towards a light is averaged: its centre, and around it six of its disc where
+/// it is wide enough for a soft edge. Their mean square distance from the centre is that of the disc.
+pub fn towards_light(light: &SplitLight) -> Vec<[f32; 3]> {
+    let centre = light.direction;
+    if !(light.radius > POINT) {
+        return vec![centre];
+    }
+    let [z, x, y] = {
+        let z = Vec3::from(centre);
+        let (x, y) = z.any_orthonormal_pair();
+        [z, x, y]
+    };
+    let ring = light.radius.min(1.0) * (7.0f32 / 12.0).sqrt();
+    let around = (0..6).map(|k| {
+        let (sin, cos) = (k as f32 * std::f32::consts::FRAC_PI_3).sin_cos();
+        (z + ring.tan() * (cos * x + sin * y)).normalize().to_array()
+    });
+    std::iter::once(centre).chain(around).collect()
 }
 
 /// How a query keeps clear of the surface it starts from.

@@ -1,7 +1,7 @@
 //! What a training has learned and measured so far, on the host.
 
 use crate::engine::density::DensityStats;
-use crate::scene::{Gaussians, Model};
+use crate::scene::{Gaussians, MAX_LIGHTS, Model};
 
 /// First and second moments of Adam, shaped like the model.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,6 +52,9 @@ pub struct TrainState {
     /// Gathered light: irradiance and blocked radiance, `[turn of the light][Gaussian][6]`; empty before the first
     /// measurement.
     pub gathered: Vec<[f32; 6]>,
+    /// Share of each of the model's lights that arrives, `[Gaussian][light]`; empty before the first measurement, and then all
+    /// of it does.
+    pub arriving: Vec<[f32; MAX_LIGHTS]>,
 }
 
 impl TrainState {
@@ -67,6 +70,7 @@ impl TrainState {
             density: DensityStats::zeroed(model.gaussians.len()),
             labels: Vec::new(),
             gathered: Vec::new(),
+            arriving: Vec::new(),
             model,
         }
     }

@@ -36,6 +36,10 @@ pub trait Training: Send {
     /// that belong to it, and makes it the snapshot. The state must be finite.
     fn reshape(&mut self, state: TrainState, operators: &Arc<EnvOperators>) -> Result<(), DeviceError>;
 
+    /// Goes on under `operators` of the same environment, visibility and resolution that take other lights out of it. The
+    /// model's lights become theirs; the next measurement finds their shadows, until then all of them arrives.
+    fn light(&mut self, operators: &Arc<EnvOperators>) -> Result<(), DeviceError>;
+
     /// Makes this the state that [`Training::roll_back`] returns to, unless it is known not to be finite; says whether it
     /// was taken.
     fn snapshot(&mut self) -> Result<bool, DeviceError>;

@@ -183,6 +183,7 @@ mod tests {
             env_raw: vec![[0.0; 3]; 2],
             env_width: 2,
             env_height: 1,
+            lights: Default::default(),
             shading: Default::default(),
             world_scale: 1.0,
             world_offset: glam::DVec3::ZERO,

@@ -6,7 +6,9 @@ use std::collections::HashMap;
 use safetensors::tensor::{Dtype, SafeTensors, View};
 use serde::{Deserialize, Serialize};
 
-use crate::scene::{Field, Gaussians, IndirectForm, Model, ShadeAt, ShadingOptions};
+use crate::scene::{
+    Field, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, ShadeAt, ShadingOptions, SplitLight,
+};
 
 /// The header version that is written. Versions 1 to 4 are read.
 const VERSION: u32 = 4;
@@ -17,6 +19,10 @@ const DIFFUSE_AT_GAUSSIANS: u32 = 2;
 /// Models shaded in the pixel, whose header does not name it.
 const ALL_DEFERRED: u32 = 1;
 const HEADER_KEY: &str = "relume";
+/// Tensor of the lights taken out of the environment: direction and angular radius.
+const LIGHTS_KEY: &str = "lights";
+/// Tensor of the share of each texel that belongs to each of them.
+const SHARES_KEY: &str = "light_shares";
 
 /// Why a model file was refused.
 #[derive(Debug, thiserror::Error)]
@@ -43,21 +49,28 @@ struct ModelHeader {
     radiance_order: usize,
     env_width: usize,
     env_height: usize,
+    /// Lights taken out of the environment; absent for none.
+    #[serde(default, skip_serializing_if = "is_none")]
+    lights: usize,
     shading: ShadingOptions,
     world_scale: f64,
     world_offset: [f64; 3],
     card: serde_json::Value,
 }
 
+fn is_none(lights: &usize) -> bool {
+    *lights == 0
+}
+
 /// A view of an f32 tensor that safetensors can serialise.
 pub(crate) struct Tensor<'a> {
     shape: Vec<usize>,
-    data: &'a [f32],
+    data: Cow<'a, [f32]>,
 }
 
 impl<'a> Tensor<'a> {
-    pub(crate) fn new(shape: impl Into<Vec<usize>>, data: &'a [f32]) -> Self {
-        Self { shape: shape.into(), data }
+    pub(crate) fn new(shape: impl Into<Vec<usize>>, data: impl Into<Cow<'a, [f32]>>) -> Self {
+        Self { shape: shape.into(), data: data.into() }
     }
 }
 
@@ -69,10 +82,10 @@ impl View for Tensor<'_> {
         &self.shape
     }
     fn data(&self) -> Cow<'_, [u8]> {
-        Cow::Borrowed(bytemuck::cast_slice(self.data))
+        Cow::Borrowed(bytemuck::cast_slice(&self.data))
     }
     fn data_len(&self) -> usize {
-        std::mem::size_of_val(self.data)
+        std::mem::size_of_val::<[f32]>(&self.data)
     }
 }
 
@@ -81,10 +94,16 @@ pub(crate) fn tensors(model: &Model) -> Vec<(String, Tensor<'_>)> {
     let g = &model.gaussians;
     let gaussians = Field::ALL.map(|f| (f.name().to_owned(), Tensor::new([g.len(), g.width(f)], g.field(f))));
     let mut out = Vec::from(gaussians);
-    let prototypes = bytemuck::cast_slice(&model.prototypes);
+    let prototypes: &[f32] = model.prototypes.as_flattened();
     out.push(("prototypes".to_owned(), Tensor::new([model.prototypes.len(), 3], prototypes)));
-    let env = bytemuck::cast_slice(&model.env_raw);
+    let env: &[f32] = model.env_raw.as_flattened();
     out.push(("env_raw".to_owned(), Tensor::new([model.env_height, model.env_width, 3], env)));
+    let LightSplit { lights, shares } = &model.lights;
+    if !lights.is_empty() {
+        let rows: Vec<f32> = lights.iter().flat_map(|l| [&l.direction[..], &[l.radius]].concat()).collect();
+        out.push((LIGHTS_KEY.to_owned(), Tensor::new([lights.len(), 4], rows)));
+        out.push((SHARES_KEY.to_owned(), Tensor::new([shares.len(), MAX_LIGHTS], shares.as_flattened())));
+    }
     out
 }
 
@@ -99,6 +118,7 @@ pub(crate) fn header(model: &Model) -> String {
         radiance_order: g.radiance_order(),
         env_width: model.env_width,
         env_height: model.env_height,
+        lights: model.lights.lights.len(),
         shading: model.shading,
         world_scale: model.world_scale,
         world_offset: model.world_offset.to_array(),
@@ -188,6 +208,7 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
         gaussians,
         env_width: header.env_width,
         env_height: header.env_height,
+        lights: split(&file, header.lights, header.env_width.saturating_mul(header.env_height))?,
         shading: header.shading,
         world_scale: header.world_scale,
         world_offset: header.world_offset.into(),
@@ -195,6 +216,20 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     };
     model.check().map_err(|e| bad(e.field, e.reason))?;
     Ok(model)
+}
+
+/// The lights of an environment of `texels` texels.
+fn split(file: &SafeTensors<'_>, lights: usize, texels: usize) -> Result<LightSplit, ModelFileError> {
+    if lights == 0 {
+        return Ok(LightSplit::default());
+    }
+    let rows = floats(file, LIGHTS_KEY, lights.saturating_mul(4))?;
+    let shares = floats(file, SHARES_KEY, texels.saturating_mul(MAX_LIGHTS))?;
+    let light = |&[x, y, z, radius]: &[f32; 4]| SplitLight { direction: [x, y, z], radius };
+    Ok(LightSplit {
+        lights: rows.as_chunks::<4>().0.iter().map(light).collect(),
+        shares: shares.as_chunks::<MAX_LIGHTS>().0.to_vec(),
+    })
 }
 
 /// Tensor `name` as `count` floats.
@@ -223,6 +258,7 @@ mod tests {
             env_raw: vec![[0.2; 3]; 8],
             env_width: 4,
             env_height: 2,
+            lights: Default::default(),
             shading: ShadingOptions::default(),
             world_scale: 2.0,
             world_offset: glam::DVec3::X,
@@ -285,6 +321,20 @@ mod tests {
         assert!(without.len() + model.gaussians.len() * 4 <= with.len());
         assert_eq!(floats_a_gaussian(&model), floats - 1);
         assert_eq!(decode(&without).unwrap(), model);
+    }
+
+    #[test]
+    fn lights_are_in_the_file_where_there_are_any() {
+        let mut model = example();
+        model.gaussians.field_mut(Field::Indirect).fill(0.0);
+        let without = encode(&model).unwrap();
+        assert!(!String::from_utf8_lossy(&without).contains("lights"), "files without are as they were");
+        let light = SplitLight { direction: [0.0, 0.6, 0.8], radius: 0.01 };
+        model.lights = LightSplit { lights: vec![light; 2], shares: vec![[0.5, 0.25, 0.0, 0.0]; 8] };
+        assert_eq!(decode(&encode(&model).unwrap()).unwrap(), model);
+        model.lights.shares[3][1] = 0.75;
+        let err = decode(&encode(&model).unwrap()).unwrap_err();
+        assert!(err.to_string().contains("lights"), "{err}");
     }
 
     #[test]

@@ -161,6 +161,7 @@ mod tests {
             env_raw: vec![[0.0; 3]; 2],
             env_width: 2,
             env_height: 1,
+            lights: Default::default(),
             shading: ShadingOptions::default(),
             world_scale: 2.0,
             world_offset: DVec3::new(0.0, 1.0, 0.0),

@@ -14,6 +14,7 @@ mod reflector;
 mod sampler;
 mod sh;
 mod sheen;
+mod split_tables;
 mod tables;
 
 /// Colour of the light under an open sky, linear Rec.709 of mean 1.
@@ -34,4 +35,5 @@ pub use reflector::{Reflected, Reflector};
 pub use sampler::{EnvSampler, Shares, estimate};
 pub use sh::{nrsh, sh_eval, sh_eval_with_gradient};
 pub use sheen::Sheen;
-pub use tables::{LightTables, TABLE_LANES, padded};
+pub use split_tables::{split_tables, tables_of_split};
+pub use tables::{LightTables, TABLE_LANES, TableLight, padded};

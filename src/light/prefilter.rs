@@ -36,6 +36,7 @@ pub fn rendering_tables(map: &EnvMap, order: usize) -> LightTables {
         diffuse: diffuse_transfer(&diffuse_grid, map, order),
         specular_grids,
         specular,
+        lights: Vec::new(),
     }
 }
 

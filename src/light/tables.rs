@@ -1,6 +1,7 @@
 //! What a pixel looks up: the environment after the linear operators.
 
 use crate::light::{CubeGrid, SPECULAR_LEVELS};
+use crate::scene::SplitLight;
 
 /// Visibility coefficients are padded with zeros to a multiple of this, so that dot products are whole vectors.
 pub const TABLE_LANES: usize = 16;
@@ -23,6 +24,25 @@ pub struct LightTables {
     pub specular_grids: [CubeGrid; SPECULAR_LEVELS.len()],
     /// Prefiltered radiance `[node]` per level of [`SPECULAR_LEVELS`].
     pub specular: [Vec<[f32; 3]>; SPECULAR_LEVELS.len()],
+    /// Lights that are not in these tables.
+    pub lights: Vec<TableLight>,
+}
+
+impl From<&TableLight> for SplitLight {
+    fn from(light: &TableLight) -> Self {
+        Self { direction: light.direction, radius: light.radius }
+    }
+}
+
+/// A light far away and small, whose shadow is measured by itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TableLight {
+    /// Unit direction towards it.
+    pub direction: [f32; 3],
+    /// Angular radius, radians.
+    pub radius: f32,
+    /// What it sends through a surface turned to it, RGB, W/m^2; the gradient by it in tables of gradients.
+    pub irradiance: [f32; 3],
 }
 
 impl LightTables {
@@ -32,6 +52,7 @@ impl LightTables {
         Self {
             diffuse: vec![0.0; self.diffuse.len()],
             specular: std::array::from_fn(|k| vec![[0.0; 3]; self.specular[k].len()]),
+            lights: self.lights.iter().map(|l| TableLight { irradiance: [0.0; 3], ..*l }).collect(),
             ..*self
         }
     }
@@ -43,6 +64,9 @@ impl LightTables {
             for (a, b) in mine.iter_mut().zip(theirs) {
                 (0..3).for_each(|k| a[k] += b[k]);
             }
+        }
+        for (mine, theirs) in self.lights.iter_mut().zip(&other.lights) {
+            (0..3).for_each(|k| mine.irradiance[k] += theirs.irradiance[k]);
         }
     }
 

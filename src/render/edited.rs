@@ -21,13 +21,15 @@ impl Renderer {
     ) -> Result<Frame, RenderError> {
         let view = self.view(camera)?;
         let cpu = self.frames.on_cpu();
-        let Some(light) = light.frame.on_cpu() else {
+        let Some(on_cpu) = light.frame.on_cpu() else {
             return Err(DeviceError::Misuse("surfaces are edited on the CPU engine only".to_owned()).into());
         };
         // Deferred whatever the model: what is edited is in the pixel.
         let options = ShadingOptions { shade_at: ShadeAt::Pixel, ..self.model().shading };
-        let source = cpu.lit_source(light);
-        let shader = SurfaceShader { options: &options, ..cpu.shader(&light.tables) };
+        let source = cpu.lit_source(on_cpu);
+        // No light is shaded by itself in the pixel.
+        let tables = light.whole_tables(on_cpu, self.model().gaussians.visibility_order());
+        let shader = SurfaceShader { options: &options, ..cpu.shader(tables) };
         let coefficients = source.gaussians.width(Field::Visibility);
         let pass = Pass::forward(&source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
         let outputs = [Output::Rgb, Output::Alpha];

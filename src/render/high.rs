@@ -8,14 +8,14 @@ use rayon::prelude::*;
 use crate::engine::channel::{self, Channels, OutgoingRadiance};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{
-    AttributeSource, MAX_COEFFICIENTS, Pass, Probes, Surface, SurfaceShader, attribute_rows,
-    blended_radiance, normalise, project_all, reflector, resolve,
+    AttributeSource, MAX_COEFFICIENTS, Pass, Surface, SurfaceShader, attribute_rows, blended_radiance,
+    light_transmittance, normalise, project_all, reflector, resolve,
 };
 use crate::engine::{ProbeSettings, RasterCamera};
-use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, rendering_tables};
+use crate::light::{DominantLight, LightTables, Sheen, SplitEnvironment, TableLight, rendering_tables};
 use crate::render::Frame;
 use crate::render::job::Job;
-use crate::scene::{EnvMap, Field, ShadeAt};
+use crate::scene::{self, EnvMap, Field, ShadeAt};
 
 /// Most lights that get a shadow of their own.
 const MOST_LIGHTS: usize = 8;
@@ -32,13 +32,18 @@ pub(super) struct SplitLight {
 impl SplitLight {
     /// Splits `environment` and asks from every Gaussian of `source` towards every light.
     pub(super) fn new(source: &AttributeSource<'_>, environment: &EnvMap) -> Self {
-        let room = MAX_COEFFICIENTS.saturating_sub(source.gaussians.width(Field::Visibility));
+        // Where Gaussians are shaded, no light needs a channel.
+        let room = match source.options.shade_at {
+            ShadeAt::Gaussian => MOST_LIGHTS,
+            ShadeAt::Pixel => MAX_COEFFICIENTS.saturating_sub(source.gaussians.width(Field::Visibility)),
+        };
         let split = SplitEnvironment::new(environment, MOST_LIGHTS.min(room));
-        let towards = split.lights.iter().map(|l| l.direction.to_array().map(|v| v as f32)).collect();
-        let probes = Probes::measure(source, towards, ProbeSettings::of(source.options));
+        let lights: Vec<_> =
+            split.lights.iter().map(|l| scene::SplitLight::from(&TableLight::from(l))).collect();
+        let arriving = light_transmittance(source, &lights, ProbeSettings::of(source.options));
         let order = source.gaussians.visibility_order();
         let rest = (!split.lights.is_empty()).then(|| rendering_tables(&split.rest, order));
-        Self { lights: split.lights, rest, arriving: probes.transmittance }
+        Self { lights: split.lights, rest, arriving }
     }
 
     /// Share of each light that arrives at Gaussian `i`.

@@ -4,7 +4,7 @@ use std::sync::{Arc, OnceLock};
 
 use crate::engine::cpu::{FrameLight as CpuLight, Occluders};
 use crate::engine::{Device, DeviceError, FrameJob, FrameLight, Frames, RasterCamera, ShadeColour};
-use crate::light::EnvSampler;
+use crate::light::{EnvSampler, LightTables, rendering_tables};
 use crate::render::error::RenderError;
 use crate::render::high::{self, SplitLight};
 use crate::render::job::Job;
@@ -21,6 +21,17 @@ pub struct PreparedLight {
     pub(super) frame: FrameLight,
     split: OnceLock<SplitLight>,
     sampler: OnceLock<EnvSampler>,
+    whole: OnceLock<LightTables>,
+}
+
+impl PreparedLight {
+    /// Tables of the environment with no lights beside them, for visibility fields of degree `order`.
+    pub(super) fn whole_tables<'a>(&'a self, on_cpu: &'a CpuLight, order: usize) -> &'a LightTables {
+        match on_cpu.tables.lights.is_empty() {
+            true => &on_cpu.tables,
+            false => self.whole.get_or_init(|| rendering_tables(&self.environment, order)),
+        }
+    }
 }
 
 /// A model ready to be rendered many times. Shared between threads.
@@ -58,6 +69,7 @@ impl Renderer {
             frame: self.frames.prepare_light(environment)?,
             split: OnceLock::new(),
             sampler: OnceLock::new(),
+            whole: OnceLock::new(),
         })
     }
 

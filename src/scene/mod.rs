@@ -6,6 +6,7 @@ mod field;
 mod gaussians;
 mod image;
 mod model;
+mod split;
 
 pub use camera::{Camera, CameraError};
 pub use environment::{
@@ -18,3 +19,4 @@ pub use model::{
     DiffuseForm, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
     softplus, softplus_inverse,
 };
+pub use split::{LightSplit, MAX_LIGHTS, SplitLight};

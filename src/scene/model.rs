@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use crate::scene::{EnvMap, Field, Gaussians};
+use crate::scene::{EnvMap, Field, Gaussians, LightSplit};
 
 /// How visibility coefficients become a visibility (article Eq. 13).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -128,6 +128,8 @@ pub struct Model {
     pub env_width: usize,
     /// Rows of the environment.
     pub env_height: usize,
+    /// Strong small lights of that environment whose shadows are measured one by one.
+    pub lights: LightSplit,
     /// The forward model these parameters were fitted under.
     pub shading: ShadingOptions,
     /// Capture to model: `x_model = scale * (x_capture + offset)`.
@@ -170,6 +172,9 @@ impl Model {
         }
         if self.env_raw.len() != self.env_width * self.env_height || self.env_raw.is_empty() {
             return err("environment", "its size does not fit its texels");
+        }
+        if let Some(reason) = self.lights.fault(self.env_raw.len()) {
+            return err("lights", reason);
         }
         for field in Field::ALL {
             check_values(field.name(), self.gaussians.field(field))?;

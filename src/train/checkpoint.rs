@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::engine::{DensityStats, Moments, TrainState};
 use crate::formats::model_file::{self, Tensor, floats};
 use crate::light::LightColour;
-use crate::scene::{Field, Gaussians};
+use crate::scene::{Field, Gaussians, MAX_LIGHTS};
 use crate::train::TrainConfig;
 use crate::train::complexity::state::ComplexityState;
 use crate::train::error::TrainError;
@@ -36,6 +36,9 @@ struct Header {
     light_colour: Option<LightColour>,
     labels: usize,
     gathered: usize,
+    /// Absent in checkpoints from before there were lights.
+    #[serde(default)]
+    arriving: usize,
 }
 
 fn bad(field: &str, reason: impl std::fmt::Display) -> TrainError {
@@ -67,6 +70,7 @@ pub fn encode(
         light_colour: schedule.light_colour,
         labels: state.labels.len(),
         gathered: state.gathered.len(),
+        arriving: state.arriving.len(),
     };
     let text = serde_json::to_string(&header).map_err(|e| bad("header", e))?;
     let metadata = HashMap::from([
@@ -88,6 +92,9 @@ pub fn encode(
     flat("density.seen", &state.density.seen);
     flat("labels", &state.labels);
     flat("gathered", bytemuck::cast_slice(&state.gathered));
+    if !state.arriving.is_empty() {
+        flat("arriving", state.arriving.as_flattened());
+    }
     safetensors::serialize(tensors, Some(metadata)).map_err(|e| bad("container", e))
 }
 
@@ -124,6 +131,11 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
     let globals = 3 * (model.prototypes.len() + model.env_raw.len());
     let triples = |name: &str| read(name, globals).map(|values| values.as_chunks::<3>().0.to_vec());
     let gathered = read("gathered", header.gathered.saturating_mul(6))?;
+    // Checkpoints without lights have no shares of them.
+    let arriving = match header.arriving {
+        0 => Vec::new(),
+        rows => read("arriving", rows.saturating_mul(MAX_LIGHTS))?,
+    };
     let state = TrainState {
         moments: Moments {
             first: moments("first")?,
@@ -133,6 +145,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         density: DensityStats { absgrad: read(ABSGRAD_KEY, n)?, seen: read("density.seen", n)? },
         labels: read("labels", header.labels)?,
         gathered: gathered.as_chunks::<6>().0.to_vec(),
+        arriving: arriving.as_chunks::<MAX_LIGHTS>().0.to_vec(),
         model,
     };
     let schedule = ScheduleState {
@@ -146,4 +159,53 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         light_colour: header.light_colour,
     };
     Ok((schedule, state))
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+    use crate::scene::{LightSplit, Model, ShadingOptions, SplitLight};
+    use crate::train::Preset;
+
+    fn state() -> TrainState {
+        TrainState::new(Model {
+            gaussians: Gaussians::zeroed(3, 2, 1, 0),
+            prototypes: vec![[0.5; 3]; 2],
+            env_raw: vec![[0.5; 3]; 8],
+            env_width: 4,
+            env_height: 2,
+            lights: LightSplit::default(),
+            shading: ShadingOptions::default(),
+            world_scale: 1.0,
+            world_offset: glam::DVec3::ZERO,
+            card: serde_json::Value::Null,
+        })
+    }
+
+    #[test]
+    fn lights_and_what_arrives_of_them_survive_and_checkpoints_without_them_have_none() {
+        let config = TrainConfig::new(Preset::Draft, &Default::default()).unwrap();
+        let schedule = ScheduleState {
+            step: 7,
+            order: vec![1, 0],
+            cursor: 1,
+            rng: ChaCha8Rng::seed_from_u64(3),
+            rate_factor: 1.0,
+            seconds: 0.0,
+            complexity: ComplexityState::default(),
+            light_colour: Some(LightColour { blue_over_red: 0.25, green: -0.5 }),
+        };
+        let plain = state();
+        let bytes = encode(&schedule, &plain, &config).unwrap();
+        assert!(!String::from_utf8_lossy(&bytes).contains("light_shares"));
+        assert_eq!(decode(&bytes, &config).unwrap(), (schedule.clone(), plain));
+        let mut lit = state();
+        let light = SplitLight { direction: [0.0, 0.0, 1.0], radius: 0.02 };
+        lit.model.lights = LightSplit { lights: vec![light], shares: vec![[0.5, 0.0, 0.0, 0.0]; 8] };
+        lit.arriving = (0..3).map(|i| [0.25 * i as f32, 1.0, 1.0, 1.0]).collect();
+        let bytes = encode(&schedule, &lit, &config).unwrap();
+        assert_eq!(decode(&bytes, &config).unwrap(), (schedule, lit));
+    }
 }

@@ -57,6 +57,7 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
         env_raw: first_light(capture, config),
         env_width: rows * 2,
         env_height: rows,
+        lights: Default::default(),
         shading,
         world_scale: data.scale,
         world_offset: data.offset,

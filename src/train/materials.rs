@@ -168,6 +168,7 @@ mod tests {
             env_raw: sky.collect(),
             env_width: columns,
             env_height: rows,
+            lights: Default::default(),
             shading,
             world_scale: 1.0,
             world_offset: Default::default(),
@@ -197,6 +198,7 @@ mod tests {
             prototypes,
             options: shading,
             gathered: &[],
+            arriving: &[],
             indirect_basis: &[[0.0; 3]; 16],
             light: None,
         };

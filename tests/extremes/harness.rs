@@ -65,6 +65,7 @@ pub(super) fn model(n: usize, seed: u64) -> Model {
         env_raw: triples(ENV.0 * ENV.1, -0.6),
         env_width: ENV.0,
         env_height: ENV.1,
+        lights: Default::default(),
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: DVec3::ZERO,

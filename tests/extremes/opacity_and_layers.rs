@@ -73,6 +73,7 @@ fn source(model: &Model) -> AttributeSource<'_> {
         prototypes: &model.prototypes,
         options: &model.shading,
         gathered: &[],
+        arriving: &[],
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     }

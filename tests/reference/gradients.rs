@@ -6,13 +6,14 @@
 
 use glam::DVec3;
 use relume::engine::reference::{
-    AlphaLimits, Array, Arrays, ENVIRONMENT, Gathered, Labels, Options, Parameters, Quadrature,
+    AlphaLimits, Array, Arrays, ENVIRONMENT, Gathered, Labels, Light, Options, Parameters, Quadrature,
     ReferenceModel, TableOperators, Tape, Target, Var, forward, objective, occlusion, parameter_names,
     weighted_sum,
 };
 use relume::light::TableResolution;
 use relume::scene::{
-    Camera, DiffuseForm, IndirectForm, NormalForm, ShadeAt, ShadingOptions, VisibilityForm, texel_directions,
+    Camera, DiffuseForm, IndirectForm, LightSplit, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions,
+    SplitLight, VisibilityForm, texel_directions,
 };
 
 const GAUSSIANS: usize = 7;
@@ -201,6 +202,32 @@ fn directional_light_by_quadrature_has_the_gradients_differences_measure() {
     let mut options = listing();
     options.shading = ShadingOptions { indirect: IndirectForm::Learned, ..ShadingOptions::default() };
     gradients_hold("quadrature", &options, &[]);
+}
+
+/// The default form under two lights of their own, a part of which arrives.
+fn with_lights() -> Options {
+    let mut shares = vec![[0.0; MAX_LIGHTS]; ENV.0 * ENV.1];
+    shares[10] = [0.8, 0.0, 0.0, 0.0];
+    shares[11] = [0.3, 0.4, 0.0, 0.0];
+    let light = |direction: DVec3, radius| SplitLight {
+        direction: direction.normalize().to_array().map(|v| v as f32),
+        radius,
+    };
+    let lights = vec![light(DVec3::new(0.3, -1.0, 0.7), 0.3), light(DVec3::new(-0.6, -0.4, 0.9), 0.0)];
+    let mut options = model(ShadingOptions::default());
+    let Light::Tables(tables) = &options.light else { unreachable!() };
+    options.light = Light::Tables(tables.with_lights(&LightSplit { lights, shares }));
+    options.arriving = Some(noise(&[GAUSSIANS, MAX_LIGHTS], 22.0, 0.6, 0.3));
+    options
+}
+
+#[test]
+fn lights_of_their_own_have_the_gradients_differences_measure() {
+    let options = with_lights();
+    gradients_hold("lights", &options, &["ind_sh"]);
+    let dark = Options { arriving: Some(Array::zeros(&[GAUSSIANS, MAX_LIGHTS])), ..options.clone() };
+    let apart = value(&scene(), &options) - value(&scene(), &dark);
+    assert!(apart.abs() > 1e-4, "the control: the lights are seen");
 }
 
 /// A thin, slightly bent wall right before the camera: depths that form a surface.

@@ -9,8 +9,8 @@ use relume::engine::reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES, Probes, 
 use relume::engine::{Gradients, ProbeSettings, fibonacci_sphere};
 use relume::light::TableResolution;
 use relume::scene::{
-    Camera, DiffuseForm, Field, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions,
-    VisibilityForm,
+    Camera, DiffuseForm, Field, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, NormalForm, ShadeAt,
+    ShadingOptions, SplitLight, VisibilityForm, texel_directions,
 };
 
 pub(super) const GAUSSIANS: usize = 40;
@@ -70,6 +70,7 @@ pub(super) fn model(seed: u64, shading: ShadingOptions) -> Model {
         env_raw: triples(512, -0.8, 1.0),
         env_width: 32,
         env_height: 16,
+        lights: Default::default(),
         shading,
         world_scale: 1.0,
         world_offset: DVec3::ZERO,
@@ -92,6 +93,61 @@ fn answers(model: &Model, seed: u64) -> [ParityResult; 2] {
     let question =
         ParityCase { gathered: &gathered, ..ParityCase::new(model, &camera, BACKGROUND, &LIGHT, seed) };
     [by_cpu(&question), by_reference(&question)]
+}
+
+/// Three lights, one at its texels' centre and as wide as they are, one a point, one that is seen from below only.
+pub(super) fn lights() -> LightSplit {
+    let texels = texel_directions(32, 16);
+    let radii = [0.15, 0.0, 0.05];
+    let centres = [(4, 9), (6, 25), (14, 3)];
+    let mut shares = vec![[0.0; MAX_LIGHTS]; 512];
+    let mut lights = Vec::new();
+    for (k, ((row, column), radius)) in centres.into_iter().zip(radii).enumerate() {
+        let at = row * 32 + column;
+        (at..at + 2).for_each(|t| shares[t][k] = 0.9);
+        shares[at + 2][(k + 1) % 3] = 0.5;
+        let direction = texels[at].0.to_array().map(|v| v as f32);
+        lights.push(SplitLight { direction, radius });
+    }
+    LightSplit { lights, shares }
+}
+
+/// The case `seed` with lights of its own, a part of which arrives; both engines' answers.
+fn answers_with_lights(model: &Model, seed: u64, split: &LightSplit) -> [ParityResult; 2] {
+    let (camera, gathered, light) = (camera(seed), gathered_light(seed), LIGHT.with_lights(split));
+    let mut noise = Noise(seed ^ 0xbeef);
+    let share = |k: usize, v: f32| if k == 1 { 1.0 } else { 0.5 + 0.5 * v };
+    let arriving: Vec<[f32; MAX_LIGHTS]> =
+        (0..GAUSSIANS).map(|_| std::array::from_fn(|k| share(k, noise.next()))).collect();
+    let question = ParityCase {
+        gathered: &gathered,
+        arriving: &arriving,
+        ..ParityCase::new(model, &camera, BACKGROUND, &light, seed)
+    };
+    [by_cpu(&question), by_reference(&question)]
+}
+
+#[test]
+fn the_cpu_engine_is_the_reference_under_lights_of_their_own() {
+    let split = lights();
+    for seed in 1..=4 {
+        let mut model = model(seed, ShadingOptions::default());
+        // The texels of the lights are what stands out.
+        let lit = split.shares.iter().zip(&mut model.env_raw).filter(|(m, _)| m.iter().any(|s| *s > 0.0));
+        lit.for_each(|(_, raw)| *raw = raw.map(|v| v + 6.0));
+        let [cpu, reference] = answers_with_lights(&model, seed, &split);
+        let worst = image_error(&cpu.physical, &reference.physical);
+        println!("lights {seed} image {worst:.1e}");
+        assert!(worst < TOLERANCE_VALUE, "{seed}: {worst:e}");
+        for (parameter, theirs) in &reference.gradients {
+            let worst = distance(&cpu.gradients[parameter], theirs);
+            println!("lights {seed} {parameter:14} {worst:.1e}");
+            assert!(worst < TOLERANCE_GRADIENT, "{seed} {parameter}: {worst:e}");
+        }
+        // The control: the same light without lights of its own is another image.
+        let [whole, _] = answers(&model, seed);
+        assert!(image_error(&whole.physical, &cpu.physical) > 10.0 * TOLERANCE_VALUE);
+    }
 }
 
 /// The CPU engine's gradients under the reference's names.
@@ -198,6 +254,7 @@ fn probes_of_the_cpu_engine_are_those_of_the_reference() {
         prototypes: &model.prototypes,
         options: &model.shading,
         gathered: &[],
+        arriving: &[],
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     };

@@ -154,6 +154,7 @@ fn scene(kind: Kind, seed: u64) -> CommandResult<(Model, Camera)> {
         gaussians,
         env_width: ENVIRONMENT.0,
         env_height: ENVIRONMENT.1,
+        lights: Default::default(),
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: DVec3::ZERO,

@@ -112,6 +112,7 @@ fn directional(
         prototypes: &model.prototypes,
         options: &model.shading,
         gathered: &[],
+        arriving: &[],
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     };

@@ -9,7 +9,7 @@ use crate::engine::cpu::project::{
 };
 use crate::engine::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceShader};
 use crate::light::{LightTables, sh_eval, sh_eval_with_gradient};
-use crate::scene::{Field, Gaussians, IndirectForm, NormalForm, ShadeAt, ShadingOptions};
+use crate::scene::{Field, Gaussians, IndirectForm, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions};
 
 /// Most radiance coefficients a Gaussian has (order 4).
 const MAX_RADIANCE: usize = 25;
@@ -25,6 +25,8 @@ pub struct AttributeSource<'a> {
     pub options: &'a ShadingOptions,
     /// Measured indirect light per Gaussian: irradiance RGB, mean blocked radiance RGB. Empty = none.
     pub gathered: &'a [[f32; 6]],
+    /// Measured share of each of the light's own lights that arrives, per Gaussian. Empty = all of it.
+    pub arriving: &'a [[f32; MAX_LIGHTS]],
     /// `E_j` of Eq. 20, for `IndirectForm::Learned`.
     pub indirect_basis: &'a [[f32; 3]; 16],
     /// Shades each Gaussian, whose rows then carry [`OutgoingRadiance`]; none: rows carry [`IncidentLight`].
@@ -121,6 +123,11 @@ impl AttributeSource<'_> {
         out
     }
 
+    /// Share of each light that arrives at Gaussian `i`.
+    pub fn arriving_at(&self, i: usize) -> [f32; MAX_LIGHTS] {
+        self.arriving.get(i).copied().unwrap_or([1.0; MAX_LIGHTS])
+    }
+
     /// Gaussian `i`, whose normal and material are in `row`, as a surface seen along `to_mean` (mean minus camera centre).
     pub fn surface(&self, i: usize, row: &[f32], to_mean: [f32; 3]) -> Surface {
         let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| row[r.start + k]);
@@ -135,6 +142,7 @@ impl AttributeSource<'_> {
             sheen: self.gaussians.row(Field::Sheen, i)[0],
             gathered,
             blocked,
+            arriving: self.arriving_at(i),
             visibility,
             view: normalise(to_mean).0.map(|v| -v),
         }

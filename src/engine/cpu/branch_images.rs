@@ -10,7 +10,7 @@ use crate::engine::cpu::project::normalise;
 use crate::engine::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceShader};
 use crate::engine::zeros;
 use crate::light::LightTables;
-use crate::scene::{ShadeAt, sh_count};
+use crate::scene::{MAX_LIGHTS, ShadeAt, sh_count};
 
 /// Both branches of a view, composited over the background, row-major.
 #[derive(Debug, Clone, Default)]
@@ -69,6 +69,7 @@ pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
         sheen: 0.0,
         gathered: incident.gathered,
         blocked: incident.blocked,
+        arriving: [0.0; MAX_LIGHTS],
         visibility,
         view: ray.map(|v| -v),
     };

@@ -9,13 +9,13 @@ use crate::engine::channel::{self, Channels, OutgoingRadiance, RowLight};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::resolve::resolve;
 use crate::engine::cpu::{
-    AttributeSource, Occluders, Pass, Probes, SurfaceShader, Transport, attribute_rows, outward_normals,
-    project_all,
+    AttributeSource, Occluders, Pass, Probes, SurfaceShader, Transport, arriving, attribute_rows,
+    outward_normals, project_all,
 };
 use crate::engine::{BOUNCES, FrameJob, NO_INDIRECT_BASIS, PROBE_DIRECTIONS, ShadeColour};
 use crate::engine::{Frame, Output, ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
 use crate::light::LightTables;
-use crate::scene::{Field, IndirectForm, Model, ShadeAt};
+use crate::scene::{Field, IndirectForm, MAX_LIGHTS, Model, ShadeAt, SplitLight};
 
 /// A model ready to be rendered. What does not depend on the light is made when first needed.
 pub struct Frames {
@@ -30,6 +30,8 @@ pub struct FrameLight {
     pub tables: LightTables,
     /// Irradiance and mean blocked radiance that the model's surfaces send each other, by Gaussian.
     gathered: Vec<[f32; 6]>,
+    /// Share of each light beside the tables that arrives, by Gaussian.
+    arriving: Vec<[f32; MAX_LIGHTS]>,
     indirect_basis: [[f32; 3]; 16],
 }
 
@@ -46,7 +48,9 @@ impl Frames {
 
     /// The light of `tables`, with what the model's surfaces send each other under it.
     pub fn prepare_light(&self, tables: LightTables) -> FrameLight {
-        let source = self.source(&[], &NO_INDIRECT_BASIS);
+        let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
+        let arriving = arriving(&self.source(&[], &[], &NO_INDIRECT_BASIS), &lights);
+        let source = self.source(&[], &arriving, &NO_INDIRECT_BASIS);
         let mut gathered = Vec::new();
         if source.options.indirect == IndirectForm::Gathered {
             let transport = self.transport.get_or_init(|| {
@@ -57,12 +61,12 @@ impl Frames {
             gathered = transport.gather(&source, &tables, BOUNCES);
         }
         let indirect_basis = indirect_basis(&tables);
-        FrameLight { tables, gathered, indirect_basis }
+        FrameLight { tables, gathered, arriving, indirect_basis }
     }
 
     /// The model under `light`, not yet shaded.
     pub fn lit_source<'a>(&'a self, light: &'a FrameLight) -> AttributeSource<'a> {
-        self.source(&light.gathered, &light.indirect_basis)
+        self.source(&light.gathered, &light.arriving, &light.indirect_basis)
     }
 
     /// The shader of the model under `tables`.
@@ -74,7 +78,7 @@ impl Frames {
     /// The occluder tree of the model.
     pub fn occluders(&self) -> &Occluders {
         self.occluders.get_or_init(|| {
-            let source = self.source(&[], &NO_INDIRECT_BASIS);
+            let source = self.source(&[], &[], &NO_INDIRECT_BASIS);
             Occluders::new(&source, ProbeSettings::of(source.options))
         })
     }
@@ -88,12 +92,18 @@ impl Frames {
         }
     }
 
-    fn source<'a>(&'a self, gathered: &'a [[f32; 6]], basis: &'a [[f32; 3]; 16]) -> AttributeSource<'a> {
+    fn source<'a>(
+        &'a self,
+        gathered: &'a [[f32; 6]],
+        arriving: &'a [[f32; MAX_LIGHTS]],
+        basis: &'a [[f32; 3]; 16],
+    ) -> AttributeSource<'a> {
         AttributeSource {
             gaussians: &self.model.gaussians,
             prototypes: &self.model.prototypes,
             options: &self.model.shading,
             gathered,
+            arriving,
             indirect_basis: basis,
             light: None,
         }

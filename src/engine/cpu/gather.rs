@@ -110,7 +110,8 @@ impl Transport {
     }
 }
 
-/// Irradiance of Gaussian `i`, whose outward unit normal is `normal`, from the sky through its own visibility.
+/// Irradiance of Gaussian `i`, whose outward unit normal is `normal`, from the sky through its own visibility and from the
+/// lights beside the tables as far as they arrive.
 pub fn sky_irradiance(source: &AttributeSource<'_>, tables: &LightTables, normal: Vec3, i: usize) -> Vec3 {
     let taps = tables.diffuse_grid.lookup(normal);
     let c = source.gaussians.row(Field::Visibility, i);
@@ -122,5 +123,12 @@ pub fn sky_irradiance(source: &AttributeSource<'_>, tables: &LightTables, normal
             *o += taps.weight[k] * e;
         }
     }
-    out.map(|e| e.max(0.0))
+    let mut out = out.map(|e| e.max(0.0));
+    for (light, arriving) in tables.lights.iter().zip(source.arriving_at(i)) {
+        let cos: f32 = (0..3).map(|k| normal[k] * light.direction[k]).sum();
+        if cos > 0.0 {
+            (0..3).for_each(|c| out[c] += arriving * cos * light.irradiance[c]);
+        }
+    }
+    out
 }

@@ -181,6 +181,7 @@ mod tests {
             prototypes: &prototypes,
             options: &options,
             gathered: &[],
+            arriving: &[],
             indirect_basis: &[[0.0; 3]; 16],
             light: None,
         };

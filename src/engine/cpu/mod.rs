@@ -10,6 +10,7 @@ mod blend;
 mod blend_backward;
 mod branch_images;
 mod density;
+mod direct;
 mod display;
 pub mod evaluation;
 mod frames;
@@ -44,7 +45,7 @@ pub use lanes::{LANES, Lanes};
 pub use mixture::softmax_lanes;
 pub use pass::{Pass, attribute_rows, project_all};
 pub use point::surface_point;
-pub use probes::{Probes, outward_normals};
+pub use probes::{Probes, arriving, light_transmittance, outward_normals};
 pub use project::{
     Geometry, Splat, normalise, normalise_backward, rotation, rotation_backward, sigmoid, sigmoid_derivative,
 };

@@ -5,13 +5,13 @@
 
 use rayon::prelude::*;
 
-use crate::engine::ProbeSettings;
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::occluder::{Vec3, dot, occluders};
 use crate::engine::cpu::project::rotation;
 use crate::engine::cpu::shadows::{Query, measure_direction};
+use crate::engine::{ProbeSettings, towards_light};
 use crate::light::sh_eval;
-use crate::scene::{Field, sh_count};
+use crate::scene::{Field, MAX_LIGHTS, SplitLight, VisibilityForm, sh_count};
 
 /// Measured visibility of a set of Gaussians.
 #[derive(Debug, Clone)]
@@ -22,6 +22,36 @@ pub struct Probes {
     pub transmittance: Vec<Vec<f32>>,
     /// `[direction][Gaussian]`: the Gaussian that takes most of the rest, or [`NO_HIT`](crate::engine::constants::NO_HIT).
     pub hit: Vec<Vec<u32>>,
+}
+
+/// Transmittance from every Gaussian towards each light, `[light][Gaussian]`: the mean over its disc.
+pub fn light_transmittance(
+    source: &AttributeSource<'_>,
+    lights: &[SplitLight],
+    settings: ProbeSettings,
+) -> Vec<Vec<f32>> {
+    let towards: Vec<Vec<Vec3>> = lights.iter().map(towards_light).collect();
+    let measured = Probes::measure(source, towards.concat(), settings).transmittance;
+    let mut rest = measured.as_slice();
+    let mean = |directions: &Vec<Vec3>| {
+        let (of_light, others) = rest.split_at(directions.len());
+        rest = others;
+        let weight = 1.0 / directions.len() as f32;
+        let at = |i: usize| of_light.iter().map(|t| t[i]).sum::<f32>() * weight;
+        (0..source.gaussians.len()).map(at).collect()
+    };
+    towards.iter().map(mean).collect()
+}
+
+/// Share of each light that arrives at every Gaussian, as [`AttributeSource::arriving`] has it: empty where there are no
+/// lights or nothing is occluded.
+pub fn arriving(source: &AttributeSource<'_>, lights: &[SplitLight]) -> Vec<[f32; MAX_LIGHTS]> {
+    if lights.is_empty() || source.options.visibility == VisibilityForm::Off {
+        return Vec::new();
+    }
+    let measured = light_transmittance(source, lights, ProbeSettings::of(source.options));
+    let share = |k: usize, i: usize| measured.get(k).map_or(1.0, |of_light| of_light[i].clamp(0.0, 1.0));
+    (0..source.gaussians.len()).map(|i| std::array::from_fn(|k| share(k, i))).collect()
 }
 
 /// Unit normal of each Gaussian on its open side: the shortest axis, signed so that visibility is larger there.

@@ -188,6 +188,7 @@ mod tests {
             prototypes: &[[0.5; 3]],
             options,
             gathered: &[],
+            arriving: &[],
             indirect_basis: &NO_INDIRECT_BASIS,
             light: None,
         }

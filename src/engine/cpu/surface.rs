@@ -1,7 +1,7 @@
 //! What is shaded, a pixel's surface or a Gaussian's, and what shades it.
 
 use crate::light::LightTables;
-use crate::scene::{DiffuseForm, ShadingOptions, VisibilityForm};
+use crate::scene::{DiffuseForm, MAX_LIGHTS, ShadingOptions, VisibilityForm};
 
 /// Most visibility coefficients (order 6, padded).
 pub const MAX_COEFFICIENTS: usize = 64;
@@ -23,6 +23,8 @@ pub struct Surface {
     pub gathered: [f32; 3],
     /// Radiance from where the environment is blocked.
     pub blocked: [f32; 3],
+    /// Share of each of the tables' lights that arrives; 0 where lights are not shaded.
+    pub arriving: [f32; MAX_LIGHTS],
     /// Visibility coefficients, zero-padded.
     pub visibility: [f32; MAX_COEFFICIENTS],
     /// Unit direction from the surface to the camera.

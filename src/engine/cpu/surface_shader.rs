@@ -26,6 +26,8 @@ pub struct Shaded {
     nov_inside: bool,
     reflection: [f32; 3],
     reflection_length: f32,
+    /// Irradiance that the lights beside the tables add to what is gathered.
+    direct: Option<[f32; 3]>,
     lambert: Lambert,
     sheen: Sheen,
     position: LevelPosition<f32>,
@@ -35,6 +37,12 @@ pub struct Shaded {
     visible: f32,
     visible_raw: f32,
     lut: LutSample<f32>,
+}
+
+/// `s` with the irradiance of lights added to what is gathered.
+fn lit(s: &Surface, direct: Option<[f32; 3]>) -> Surface {
+    let Some(direct) = direct else { return *s };
+    Surface { gathered: std::array::from_fn(|c| s.gathered[c] + direct[c]), ..*s }
 }
 
 impl Shaded {
@@ -57,7 +65,8 @@ impl SurfaceShader<'_> {
         let nov = nov_raw.clamp(LEAST_NOV, 1.0);
         let bent = std::array::from_fn(|k| 2.0 * nov * normal[k] - s.view[k]);
         let (reflection, reflection_length) = normalise(bent);
-        let lambert = self.lambert(s, normal);
+        let direct = self.direct(s, normal, nov);
+        let lambert = self.lambert(&lit(s, direct.map(|d| d.irradiance)), normal);
         let sheen = Sheen::new(s.sheen, nov);
         // Specular: split sum, visibility through the lobe.
         let position = LevelPosition::of(s.rough);
@@ -76,11 +85,14 @@ impl SurfaceShader<'_> {
             std::array::from_fn(|c| level_value[0][c] * (1.0 - fraction) + level_value[1][c] * fraction);
         let (visible, visible_raw) = self.visible(s, reflection);
         let lut = BrdfLut::shared().sample(nov, s.rough);
-        let specular = std::array::from_fn(|c| {
+        let mut specular = std::array::from_fn(|c| {
             let f0 = DIELECTRIC_F0 * (1.0 - s.metal) + s.albedo[c] * s.metal;
             let light = visible * prefiltered[c] + (1.0 - visible) * s.blocked[c];
             light * (f0 * lut.value[0] + lut.value[1])
         });
+        if let Some(direct) = direct {
+            (0..3).for_each(|c| specular[c] += direct.specular[c]);
+        }
         Shaded {
             diffuse: lambert.radiance.map(|v| v * sheen.gain),
             sheen,
@@ -92,6 +104,7 @@ impl SurfaceShader<'_> {
             nov_inside: nov_raw > LEAST_NOV && nov_raw < 1.0,
             reflection,
             reflection_length,
+            direct: direct.map(|d| d.irradiance),
             lambert,
             position,
             level_taps,
@@ -142,15 +155,24 @@ impl SurfaceShader<'_> {
         let mut out = SurfaceGradient::zero();
         let by_gain = dot3(g, f.lambert.radiance);
         let by_diffuse = g.map(|v| v * f.sheen.gain);
-        let mut by_normal = self.lambert_backward(s, &f.lambert, by_diffuse, tables, &mut out);
+        let mut by_normal =
+            self.lambert_backward(&lit(s, f.direct), &f.lambert, by_diffuse, tables, &mut out);
         out.sheen = by_gain * f.sheen.by_sheen;
-        let (by_nov, by_reflection) = self.specular_backward(s, f, g, tables, &mut out);
+        let (mut by_nov, by_reflection) = self.specular_backward(s, f, g, tables, &mut out);
         // R = normalize(2 nov n - v), nov = n . v.
         let by_bent = normalise_backward(f.reflection, f.reflection_length, by_reflection);
-        let by_nov = by_nov + 2.0 * dot3(by_bent, f.normal) + by_gain * f.sheen.by_nov;
+        by_nov = by_nov + 2.0 * dot3(by_bent, f.normal) + by_gain * f.sheen.by_nov;
         for k in 0..3 {
             by_normal[k] += 2.0 * f.nov * by_bent[k];
             out.view[k] = -by_bent[k];
+        }
+        if f.direct.is_some() {
+            let by_irradiance = out.gathered;
+            let by = self.direct_backward(s, (f.normal, f.nov), (by_irradiance, g), tables, &mut out);
+            (0..3).for_each(|k| by_normal[k] += by.normal[k]);
+            by_nov += by.nov;
+        }
+        for k in 0..3 {
             if f.nov_inside {
                 by_normal[k] += by_nov * s.view[k];
                 out.view[k] += by_nov * f.normal[k];

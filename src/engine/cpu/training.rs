@@ -8,7 +8,7 @@ use crate::engine::cpu::adam::adam_step;
 use crate::engine::cpu::objective::image::Target;
 use crate::engine::cpu::objective::{aggregation, geometry, parameters};
 use crate::engine::cpu::{
-    AttributeSource, BranchImages, BufferGradient, Pass, Probes, SurfaceShader, Transport, density,
+    AttributeSource, BranchImages, BufferGradient, Pass, Probes, SurfaceShader, Transport, arriving, density,
     outward_normals, radiance_image, radiance_image_backward,
 };
 use crate::engine::density::{DensityPlan, DensitySignals};
@@ -21,11 +21,11 @@ use crate::engine::{
 use crate::light::{ColumnTurn, EnvOperators, LightTables};
 use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
 
-/// The state, and the snapshot to return to.
+/// The state with the operators of its light, and the snapshot of both to return to.
 pub struct Training {
     state: TrainState,
-    snapshot: TrainState,
     operators: Arc<EnvOperators>,
+    snapshot: (TrainState, Arc<EnvOperators>),
 }
 
 /// Value and gradients of the objective.
@@ -50,6 +50,7 @@ pub(super) fn source<'a>(
         prototypes,
         options: shading,
         gathered: state.gathered_in(light.block),
+        arriving: &state.arriving,
         indirect_basis: basis,
         light: None,
     }
@@ -63,7 +64,7 @@ pub(super) fn environment_radiance(model: &Model) -> Vec<[f32; 3]> {
 impl Training {
     /// Takes a training over.
     pub fn new(state: TrainState, operators: &Arc<EnvOperators>) -> Self {
-        Self { snapshot: state.clone(), state, operators: operators.clone() }
+        Self { snapshot: (state.clone(), operators.clone()), state, operators: operators.clone() }
     }
 }
 
@@ -100,21 +101,28 @@ impl training::Training for Training {
 
     fn reshape(&mut self, state: TrainState, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
         self.operators = operators.clone();
-        self.snapshot = state.clone();
+        self.snapshot = (state.clone(), operators.clone());
         self.state = state;
+        Ok(())
+    }
+
+    fn light(&mut self, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
+        self.operators = operators.clone();
+        self.state.model.lights = operators.split().clone();
+        self.state.arriving = Vec::new();
         Ok(())
     }
 
     fn snapshot(&mut self) -> Result<bool, DeviceError> {
         let finite = self.state.model.gaussians.is_finite();
         if finite {
-            self.snapshot = self.state.clone();
+            self.snapshot = (self.state.clone(), self.operators.clone());
         }
         Ok(finite)
     }
 
     fn roll_back(&mut self) -> Result<(), DeviceError> {
-        self.state = self.snapshot.clone();
+        (self.state, self.operators) = self.snapshot.clone();
         Ok(())
     }
 
@@ -263,11 +271,14 @@ fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurem
         let directions = fibonacci_sphere(how.directions);
         let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
         let labels = probes.coefficients(order);
+        let arriving = arriving(&source, &operators.split().lights);
+        let source = AttributeSource { arriving: &arriving, ..source };
         if gathers {
             let transport = Transport::new(&probes, outward_normals(&source));
             let gathered = tables.iter().flat_map(|tables| transport.gather(&source, tables, how.bounces));
             state.gathered = gathered.collect();
         }
+        state.arriving = arriving;
         let replaces = match how.field {
             FieldUpdate::Replace => true,
             FieldUpdate::Start => state.labels.is_empty(),

@@ -12,7 +12,8 @@ pub struct AttributeSource {
     pub params: Buffer<f32>,
     /// Prototypes (K x 3), then anything.
     pub globals: Buffer<f32>,
-    /// Measured indirect light, 6 floats a Gaussian; `None` = nothing was gathered.
+    /// Measured light: 6 floats a Gaussian of what is gathered, then, where lights beside the tables were measured, 4 floats a
+    /// Gaussian of what arrives of them. `None` = nothing was measured: nothing is gathered and all of the lights arrives.
     pub gathered: Option<Buffer<f32>>,
     /// `E_j` of Eq. 20, 16 x 3; needed by `IndirectForm::Learned`.
     pub indirect_basis: Option<Buffer<f32>>,

@@ -122,6 +122,7 @@ mod tests {
             env_raw: env.texels().to_vec(),
             env_width: 4,
             env_height: 2,
+            lights: Default::default(),
             shading: ShadingOptions::default(),
             world_scale: 1.0,
             world_offset: glam::DVec3::ZERO,

@@ -19,7 +19,7 @@ pub enum FrameBranches {
     /// The radiance branch alone, over this display-referred background.
     Radiance([f32; 3]),
     /// The radiance branch and the physically based one.
-    Both(Shading),
+    Both(Box<Shading>),
 }
 
 /// What a frame is made of.

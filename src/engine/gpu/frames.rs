@@ -7,7 +7,7 @@ use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
 use crate::engine::gpu::device::locked;
 use crate::engine::gpu::frame::{FrameBranches, FramePass};
-use crate::engine::gpu::gather::gather;
+use crate::engine::gpu::gather::{LightProbes, gather, ungathered};
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::permutations::groups;
@@ -21,7 +21,7 @@ use crate::engine::{
     ProbeSettings, ShadeColour, fibonacci_sphere, indirect_basis,
 };
 use crate::light::LightTables;
-use crate::scene::{IndirectForm, Model, ShadingOptions};
+use crate::scene::{IndirectForm, Model, ShadingOptions, SplitLight};
 
 /// A light in device memory, with what the model's surfaces send back under it.
 pub struct FrameLight {
@@ -139,7 +139,7 @@ impl Frames {
         let pass = FramePass {
             channels: self.full(),
             blending: EarlyStop::WhenSaturated,
-            branches: FrameBranches::Both(shading.clone()),
+            branches: FrameBranches::Both(Box::new(shading.clone())),
         };
         let frame = pass.forward(&mut recorder, projected)?;
         let camera = frame.camera();
@@ -160,16 +160,25 @@ impl Frames {
 impl DeviceFrames for Frames {
     fn prepare_light(&self, tables: &LightTables) -> Result<DeviceLight, DeviceError> {
         let buffers = LightBuffers::upload(&self.gpu, tables, self.order, &indirect_basis(tables))?;
-        if self.options.indirect != IndirectForm::Gathered {
-            return Ok(Box::new(FrameLight { buffers, gathered: None }));
-        }
         let mut scratch = locked(&self.scratch);
+        let AttributeSource { params, layout, .. } = &self.source;
+        let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
+        let lights = LightProbes::measure(&self.gpu, params, layout, &self.options, &lights)?;
+        if self.options.indirect != IndirectForm::Gathered {
+            let mut recorder = self.gpu.record();
+            let arriving = match &lights {
+                Some(_) => Some(ungathered(&mut recorder, layout.n as usize, lights.as_ref())?),
+                None => None,
+            };
+            recorder.submit()?;
+            return Ok(Box::new(FrameLight { buffers, gathered: arriving }));
+        }
         let probes = match &mut scratch.probes {
             Some(probes) => probes,
             none => none.insert(self.measure_probes()?),
         };
         let mut recorder = self.gpu.record();
-        let gathered = gather(&mut recorder, probes, &self.source, &buffers, BOUNCES)?;
+        let gathered = gather(&mut recorder, probes, &self.source, &buffers, BOUNCES, lights.as_ref())?;
         recorder.submit()?;
         Ok(Box::new(FrameLight { buffers, gathered: Some(gathered) }))
     }

@@ -3,7 +3,7 @@
 use crate::engine::cpu::BufferGradient;
 use crate::engine::reference::{Arrays, TableOperators};
 use crate::light::{EnvOperators, TableResolution};
-use crate::scene::{Camera, Model};
+use crate::scene::{Camera, LightSplit, MAX_LIGHTS, Model};
 
 /// Tables of environments of one size, for the reference and for the others.
 pub struct LightShape {
@@ -19,6 +19,12 @@ impl LightShape {
             operators: EnvOperators::new(width, height, order, resolution),
         }
     }
+
+    /// The same with lights taken out, as `split` says.
+    #[must_use]
+    pub fn with_lights(&self, split: &LightSplit) -> Self {
+        Self { tables: self.tables.with_lights(split), operators: self.operators.with_lights(split) }
+    }
 }
 
 /// A view, and the weights of the number whose gradient is asked for: a sum over both images and over the normal, plane,
@@ -32,6 +38,8 @@ pub struct ParityCase<'a> {
     pub background: [f32; 3],
     /// Measured indirect light per Gaussian; empty = none.
     pub gathered: &'a [[f32; 6]],
+    /// Share of each of the light's own lights that arrives per Gaussian; empty = all of it.
+    pub arriving: &'a [[f32; MAX_LIGHTS]],
     /// Fits the model's environment.
     pub light: &'a LightShape,
     /// Weights of the physically based image, row-major.
@@ -101,7 +109,7 @@ impl<'a> ParityCase<'a> {
                 BufferGradient { normal, plane, metal, rough, coverage: metal - rough }
             })
             .collect();
-        Self { model, camera, background, gathered: &[], light, physical, radiance, buffers }
+        Self { model, camera, background, gathered: &[], arriving: &[], light, physical, radiance, buffers }
     }
 
     /// Leaves the pixels out that are false in `counted`.

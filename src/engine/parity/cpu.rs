@@ -19,6 +19,7 @@ pub fn by_cpu(case: &ParityCase<'_>) -> ParityResult {
         prototypes: &model.prototypes,
         options: &model.shading,
         gathered: case.gathered,
+        arriving: case.arriving,
         indirect_basis: &indirect_basis(&tables),
         light: None,
     };

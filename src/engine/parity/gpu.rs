@@ -68,9 +68,14 @@ pub fn by_gpu(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, DeviceEr
     let light = TrainingLight::new(gpu, &case.light.operators)?;
     let channels = Channels::Full(case.model.gaussians.width(Field::Visibility));
     let canvas = Canvas::new(gpu, case, &model)?;
-    let gathered = match case.gathered {
+    let mut measured = case.gathered.as_flattened().to_vec();
+    if !case.arriving.is_empty() {
+        measured.resize(6 * case.arriving.len(), 0.0);
+        measured.extend(case.arriving.as_flattened());
+    }
+    let gathered = match measured.as_slice() {
         [] => None,
-        rows => Some(gpu.upload("gathered light", rows.as_flattened())?),
+        rows => Some(gpu.upload("gathered light", rows)?),
     };
     let source = AttributeSource {
         gathered,
@@ -83,7 +88,8 @@ pub fn by_gpu(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, DeviceEr
         light: light.light.clone(),
         constants: Constants::upload(gpu)?,
     };
-    let pass = FramePass { channels, blending: EarlyStop::Never, branches: FrameBranches::Both(shading) };
+    let pass =
+        FramePass { channels, blending: EarlyStop::Never, branches: FrameBranches::Both(Box::new(shading)) };
     let mut raster = Raster::new(gpu)?;
     let projected = raster.prepare(&camera, &source)?;
     let mut recorder = gpu.record();

@@ -17,6 +17,7 @@ fn options(case: &ParityCase<'_>) -> Options {
     Options {
         background: case.background.map(f64::from),
         gathered,
+        arriving: (!case.arriving.is_empty()).then(|| wide(case.arriving)),
         ..Options::model(case.model.shading, case.light.tables.clone())
     }
 }

@@ -12,7 +12,7 @@ use super::tables::TableOperators;
 use super::tape::{Tape, Var};
 use super::{attributes, compositing, display, gbuffer, losses, projection, shading, spherical};
 use crate::scene::{
-    Camera, DiffuseForm, Field, IndirectForm, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
+    Camera, DiffuseForm, Field, IndirectForm, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
 };
 
 /// Which set of small choices is followed where the article's listing and docs/MODEL.md differ.
@@ -87,6 +87,8 @@ pub struct Options {
     pub environment: Option<Array>,
     /// Gathered light for [`IndirectForm::Gathered`]; none is black.
     pub gathered: Option<Gathered>,
+    /// Share of each light beside the tables that arrives at each Gaussian, (N, K); none is all of it.
+    pub arriving: Option<Array>,
 }
 
 impl Options {
@@ -101,6 +103,7 @@ impl Options {
             light: Light::Tables(tables),
             environment: None,
             gathered: None,
+            arriving: None,
         }
     }
 
@@ -125,6 +128,7 @@ impl Options {
             light: Light::Quadrature(quadrature),
             environment: None,
             gathered: None,
+            arriving: None,
         }
     }
 }
@@ -211,6 +215,8 @@ fn attributes<'t>(
     let blended = match options.shading.shade_at {
         ShadeAt::Pixel => BlendedLight::Incident { gathered, blocked },
         ShadeAt::Gaussian => {
+            let open = || Array::filled(&[outward.value().shape()[0], MAX_LIGHTS], 1.0);
+            let arriving = tape.input(options.arriving.clone().unwrap_or_else(open));
             let surfaces = Surfaces {
                 normal,
                 albedo: p.albedo(),
@@ -220,6 +226,7 @@ fn attributes<'t>(
                 gathered,
                 blocked,
                 visibility: p.get(Field::Visibility),
+                arriving: Some(arriving),
                 view: outward.normalised() * -1.0,
             };
             let shaded = shading::shade(tape, &surfaces, light, &options.shading);

@@ -2,6 +2,17 @@
 
 use super::tape::Var;
 
+/// A light far away and small.
+#[derive(Clone, Copy)]
+pub struct DirectLight<'t> {
+    /// Unit direction towards it.
+    pub direction: [f64; 3],
+    /// Angular radius, radians.
+    pub radius: f64,
+    /// What it sends through a surface turned to it, (1, 3).
+    pub irradiance: Var<'t>,
+}
+
 /// An environment on the tape, with the tables of the BRDF.
 pub trait Lighting<'t> {
     /// Irradiance `int L(w) (n.w)+ dw` (Eq. 7) at unit normals (P, 3): (P, 3).
@@ -15,4 +26,9 @@ pub trait Lighting<'t> {
 
     /// Split-sum scale and offset of F0 at n.v and roughness, each (P, 1): (P, 2).
     fn brdf(&self, n_dot_v: Var<'t>, roughness: Var<'t>) -> Var<'t>;
+
+    /// Lights that none of these contain.
+    fn lights(&self) -> Vec<DirectLight<'t>> {
+        Vec::new()
+    }
 }

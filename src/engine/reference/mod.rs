@@ -7,6 +7,7 @@
 mod array;
 mod attributes;
 mod compositing;
+mod direct;
 mod display;
 mod forward;
 mod gbuffer;
@@ -28,7 +29,7 @@ pub use array::Array;
 pub use compositing::{AlphaLimits, Weights};
 pub use forward::{Conventions, Gathered, Light, Options, Stages, forward, render};
 pub use gbuffer::{Attributes, BlendedLight, GBuffer};
-pub use lighting::Lighting;
+pub use lighting::{DirectLight, Lighting};
 pub use model::{
     Arrays, ENVIRONMENT, PROTOTYPES, Parameters, ReferenceModel, ReferenceModelError, parameter_names,
 };

@@ -4,6 +4,7 @@
 use std::f64::consts::PI;
 
 use super::array::Array;
+use super::direct::direct;
 use super::gbuffer::{BlendedLight, GBuffer};
 use super::lighting::Lighting;
 use super::model::Parameters;
@@ -54,6 +55,8 @@ pub struct Surfaces<'t> {
     pub blocked: Var<'t>,
     /// Visibility SH coefficients, (P, (L + 1)^2).
     pub visibility: Var<'t>,
+    /// Share of each of the light's own lights that arrives, (P, K); none: such lights are not shaded.
+    pub arriving: Option<Var<'t>>,
     /// Unit direction to the camera, (P, 3).
     pub view: Var<'t>,
 }
@@ -77,6 +80,7 @@ impl<'t> Surfaces<'t> {
             gathered,
             blocked,
             visibility: buffer.visibility,
+            arriving: None,
             view: tape.input(view_vectors(camera)),
         }
     }
@@ -116,15 +120,22 @@ pub fn shade<'t>(
         DiffuseForm::AmbientOcclusion => ambient_occlusion * light.irradiance(normal),
         DiffuseForm::Directional => light.transfer(normal, visibility).at_least(0.0),
     };
-    let lambert = s.albedo * (1.0 - s.metal) * (1.0 / PI) * (irradiance + s.gathered);
+    let f0 = 0.04 * (1.0 - s.metal) + s.albedo * s.metal;
+    let lights = s.arriving.map_or_else(Vec::new, |arriving| {
+        let lights = light.lights().into_iter().enumerate();
+        let seen = (normal, s.view, n_dot_v);
+        lights.map(|(k, light)| direct(tape, &light, arriving.column(k), seen, (s.rough, f0))).collect()
+    });
+    let irradiance = lights.iter().fold(irradiance + s.gathered, |sum, light| sum + light.irradiance);
+    let lambert = s.albedo * (1.0 - s.metal) * (1.0 / PI) * irradiance;
     let diffuse = s.sheen.map_or(lambert, |sheen| lambert * sheen_gain(sheen, n_dot_v));
 
     let mirrored = lobe_visibility(visibility, reflection, s.rough, options.visibility);
-    let f0 = 0.04 * (1.0 - s.metal) + s.albedo * s.metal;
     let split = light.brdf(n_dot_v, s.rough);
     let prefiltered = light.prefiltered(reflection, s.rough);
     let incoming = mirrored * prefiltered + (1.0 - mirrored) * s.blocked;
-    let specular = incoming * (f0 * split.column(0) + split.column(1));
+    let tabulated = incoming * (f0 * split.column(0) + split.column(1));
+    let specular = lights.iter().fold(tabulated, |sum, light| sum + light.specular);
     Shaded { normal, ambient_occlusion, diffuse, specular }
 }
 

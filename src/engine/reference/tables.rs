@@ -4,11 +4,11 @@
 use std::f64::consts::PI;
 
 use super::array::Array;
-use super::lighting::Lighting;
+use super::lighting::{DirectLight, Lighting};
 use super::spherical::{order_of, real_sh};
 use super::tape::Var;
 use crate::light::{BrdfLut, CubeGrid, LevelPosition, SPECULAR_LEVELS, TableResolution, ggx_d};
-use crate::scene::texel_directions;
+use crate::scene::{LightSplit, MAX_LIGHTS, SplitLight, texel_directions};
 
 /// Number of prefiltered levels.
 const LEVELS: usize = SPECULAR_LEVELS.len();
@@ -20,6 +20,9 @@ pub struct TableOperators {
     directions: Array,
     diffuse: Operator,
     specular: Vec<Operator>,
+    /// Solid angles of the texels.
+    solid_angles: Vec<f64>,
+    split: LightSplit,
 }
 
 /// One table: its nodes, and the weights (nodes, M) that make it out of radiance.
@@ -55,11 +58,46 @@ impl TableOperators {
             directions: Array::from_rows(&rows),
             diffuse: Operator::new(CubeGrid::new(resolution.diffuse), cosine),
             specular: SPECULAR_LEVELS.iter().enumerate().map(level).collect(),
+            solid_angles: texels.iter().map(|(_, w)| *w).collect(),
+            split: LightSplit::default(),
         }
+    }
+
+    /// The same with lights taken out of the environments, as `split` says.
+    #[must_use]
+    pub fn with_lights(&self, split: &LightSplit) -> Self {
+        Self { split: split.clone(), ..self.clone() }
+    }
+
+    /// The lights of one `radiance`, (M, 3).
+    fn lights<'t>(&self, radiance: Var<'t>) -> Vec<DirectLight<'t>> {
+        let light = |(k, light): (usize, &SplitLight)| {
+            let shares = self.split.shares.iter().zip(&self.solid_angles);
+            let row: Vec<f64> = shares.map(|(m, w)| f64::from(m[k]) * w).collect();
+            let row = radiance.tape.input(Array::new(&[1, row.len()], row));
+            DirectLight {
+                direction: light.direction.map(f64::from),
+                radius: light.radius.into(),
+                irradiance: row.matmul(radiance),
+            }
+        };
+        self.split.lights.iter().enumerate().map(light).collect()
+    }
+
+    /// What is left of `radiance`, (M, 3).
+    fn rest<'t>(&self, radiance: Var<'t>) -> Var<'t> {
+        if self.split.is_empty() {
+            return radiance;
+        }
+        let rest = |m: &[f32; MAX_LIGHTS]| [1.0 - m.iter().map(|v| f64::from(*v)).sum::<f64>()];
+        let shares: Vec<[f64; 1]> = self.split.shares.iter().map(rest).collect();
+        radiance * radiance.tape.input(Array::from_rows(&shares))
     }
 
     /// The tables of one `radiance`, (M, 3), serving visibility up to degree `order`.
     pub fn under<'t>(&self, radiance: Var<'t>, order: usize) -> TableLight<'t> {
+        let lights = self.lights(radiance);
+        let radiance = self.rest(radiance);
         let tape = radiance.tape;
         let basis = real_sh(tape.input(self.directions.clone()), order);
         let [texels, coefficients] = [0, 1].map(|i| basis.value().shape()[i]);
@@ -69,6 +107,7 @@ impl TableOperators {
         TableLight {
             diffuse: self.diffuse.apply(products),
             specular: self.specular.iter().map(|level| level.apply(radiance)).collect(),
+            lights,
         }
     }
 }
@@ -125,9 +164,14 @@ pub struct TableLight<'t> {
     diffuse: Table<'t>,
     /// Prefiltered radiance per level, (nodes, 3).
     specular: Vec<Table<'t>>,
+    lights: Vec<DirectLight<'t>>,
 }
 
 impl<'t> Lighting<'t> for TableLight<'t> {
+    fn lights(&self) -> Vec<DirectLight<'t>> {
+        self.lights.clone()
+    }
+
     /// The first transfer coefficient, rescaled: V = 1 is `c_0 = 2 sqrt(pi)`.
     fn irradiance(&self, normals: Var<'t>) -> Var<'t> {
         let pixels = normals.value().shape()[0];

@@ -39,6 +39,7 @@ pub fn cut_orders(state: &mut TrainState, visibility: RequiredVisibility, radian
         state.model.shading.visibility = VisibilityForm::Off;
         state.model.gaussians.field_mut(Field::Visibility).fill(FULLY_OPEN);
         state.labels = Vec::new();
+        state.arriving = Vec::new();
     } else {
         let rows = state.labels.chunks_exact(sh_count(old));
         state.labels = rows.flat_map(|row| row[..sh_count(order)].iter().copied()).collect();
@@ -150,5 +151,8 @@ pub fn select_gaussians(state: &mut TrainState, indices: &[usize]) {
     if !state.gathered.is_empty() {
         let blocks = state.gathered.chunks_exact(n);
         state.gathered = blocks.flat_map(|block| indices.iter().map(|i| block[*i])).collect();
+    }
+    if !state.arriving.is_empty() {
+        state.arriving = indices.iter().map(|i| state.arriving[*i]).collect();
     }
 }

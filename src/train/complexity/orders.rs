@@ -2,7 +2,7 @@
 
 use crate::engine::TrainState;
 use crate::engine::cpu::evaluation;
-use crate::scene::{Field, IndirectForm, VisibilityForm};
+use crate::scene::{Field, IndirectForm, LightSplit, VisibilityForm};
 use crate::train::ComplexitySetting;
 use crate::train::complexity::decide::{self, Convexity, RequiredVisibility};
 use crate::train::complexity::photographs::DecisionContext;
@@ -114,7 +114,8 @@ fn decide_indirect(
     if !is_gathered || state.gathered.is_empty() {
         return is_gathered;
     }
-    let tables = evaluation::mean_tables(state, context.step.operators, context.step.turns);
+    let whole = context.step.operators.with_lights(&LightSplit::default());
+    let tables = evaluation::mean_tables(state, &whole, context.step.turns);
     let gathered = evaluation::mean_gathered(state, context.step.turns);
     let field = state.model.gaussians.field(Field::Visibility);
     let normals = evaluation::normals(state);

@@ -26,6 +26,7 @@ fn small_state() -> TrainState {
         env_raw: vec![[0.5; 3]; 8],
         env_width: 4,
         env_height: 2,
+        lights: Default::default(),
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,
@@ -44,6 +45,7 @@ fn albedo(state: &TrainState, i: usize) -> [f32; 3] {
         prototypes: &state.model.prototypes,
         options: &options,
         gathered: &[],
+        arriving: &[],
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     };

@@ -28,6 +28,7 @@ fn state(gaussians: Gaussians, density: DensityStats) -> TrainState {
         env_raw: vec![[0.5; 3]; 8],
         env_width: 4,
         env_height: 2,
+        lights: Default::default(),
         shading: Default::default(),
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,

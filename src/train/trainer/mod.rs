@@ -150,7 +150,8 @@ impl Trainer {
             sizes.fields[Field::MetalLogit as usize] = 0.0;
         }
         let light = self.schedule.light_colour.unwrap_or(LightColour::NEUTRAL);
-        let mut weights = schedule::step_weights(&self.config, branches, progress, self.data.has_alpha, light);
+        let mut weights =
+            schedule::step_weights(&self.config, branches, progress, self.data.has_alpha, light);
         if self.data.turns.is_several() {
             weights.light = schedule::turning_light(weights.light);
         }
@@ -409,10 +410,11 @@ fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainErro
     Ok(Dataset::new(capture, config))
 }
 
-/// The operators for a model's environment and visibility.
+/// The operators for a model's environment, its lights and visibility.
 fn operators_of(model: &Model) -> Arc<EnvOperators> {
     let order = model.gaussians.visibility_order();
-    Arc::new(EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING))
+    let whole = EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING);
+    Arc::new(whole.with_lights(&model.lights))
 }
 
 #[cfg(test)]

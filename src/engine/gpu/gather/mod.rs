@@ -7,8 +7,11 @@ use crate::engine::gpu::light::LightBuffers;
 use crate::engine::gpu::probes::{ProbeBuffers, direction_weight};
 use crate::engine::gpu::{AttributeSource, Buffer, Groups, Recorder, shaders, uniform};
 
+mod lights;
 #[cfg(test)]
 mod tests;
+
+pub use lights::{GATHERED, LightProbes, ungathered};
 
 /// `GatherSize` of `shared/gather.wgsl`.
 #[repr(C)]
@@ -20,7 +23,8 @@ struct GatherSize {
     pad: u32,
 }
 
-/// Gathered irradiance and mean blocked radiance after `bounces` rounds: six floats a Gaussian.
+/// Gathered irradiance and mean blocked radiance after `bounces` rounds: six floats a Gaussian, and behind those of all of
+/// them what arrives of the lights of `lights`, where they were measured ([`ungathered`]).
 ///
 /// `probes` are of the same model; what hides what does not depend on the light, so one measurement serves any number
 /// of lights. The environment is seen through the visibility field that the parameters hold now.
@@ -34,13 +38,13 @@ pub fn gather(
     source: &AttributeSource,
     light: &LightBuffers,
     bounces: usize,
+    lights: Option<&LightProbes>,
 ) -> Result<Buffer<f32>, DeviceError> {
     let n = probes.n;
     check(probes, source, light)?;
     rec.stage("gather");
     let gpu = rec.gpu();
-    let gathered: Buffer<f32> = gpu.buffer("gathered light", 6 * n)?;
-    rec.clear(&gathered);
+    let gathered = ungathered(rec, n, lights)?;
     if bounces == 0 {
         return Ok(gathered);
     }
@@ -63,6 +67,7 @@ pub fn gather(
         (&probes.normals).into(),
         (&direct).into(),
         (&diffuse).into(),
+        (&gathered).into(),
     ];
     rec.dispatch(&shaders::GATHER_DIRECT, Groups::Linear(n), &bindings);
     for _ in 0..bounces {

@@ -38,7 +38,7 @@ impl Case {
             indirect_basis: None,
         };
         let mut rec = gpu.record();
-        let gathered = gather(&mut rec, &probes, &source, &light, self.bounces).unwrap();
+        let gathered = gather(&mut rec, &probes, &source, &light, self.bounces, None).unwrap();
         rec.submit().unwrap();
         let got = gpu.read(&gathered, 0..6 * gaussians.len()).unwrap();
         let attributes = self.scene.source();
@@ -132,7 +132,7 @@ fn light_that_does_not_fit_is_refused() {
     let values = gpu.buffer("tables", 6 * 4 * 48).unwrap();
     let light = LightBuffers { layout, values, indirect_basis: short.clone() };
     let attempt = |source: &AttributeSource, light: &LightBuffers| {
-        gather(&mut gpu.record(), &probes, source, light, 1).err()
+        gather(&mut gpu.record(), &probes, source, light, 1, None).err()
     };
     assert_eq!(attempt(&source, &light), None);
     let other = AttributeSource { layout: Scene::random(1, 4, 2).layout(), ..source.clone() };

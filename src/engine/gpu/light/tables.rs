@@ -5,7 +5,7 @@ use bytemuck::{Pod, Zeroable};
 use crate::engine::DeviceError;
 use crate::engine::gpu::{Buffer, Gpu};
 use crate::light::{BrdfLut, CubeGrid, LightTables, LobeAttenuation};
-use crate::scene::sh_count;
+use crate::scene::{MAX_LIGHTS, sh_count};
 
 /// The tables of the reflectance model, uploaded once a device: 32 x 32 pairs `[roughness][n.v][scale, bias]`, then
 /// 33 x 9 attenuations `[roughness][degree]`.
@@ -29,7 +29,7 @@ impl Constants {
 
 /// `Tables` of `shaders/shared/tables.wgsl`.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct TablesUniform {
     /// Nodes along an edge of the grid of normals.
     pub diffuse_n: u32,
@@ -43,6 +43,16 @@ pub struct TablesUniform {
     pub specular_n: [u32; 8],
     /// First float, per level; the last two are unused.
     pub specular_first: [u32; 8],
+    /// Lights beside the tables.
+    pub n_lights: u32,
+    /// First float of their irradiance.
+    pub first_light: u32,
+    /// Unused.
+    pub pad_a: u32,
+    /// Unused.
+    pub pad_b: u32,
+    /// Unit direction and angular radius of each.
+    pub lights: [[f32; 4]; MAX_LIGHTS],
 }
 
 impl TablesUniform {
@@ -62,12 +72,18 @@ impl TablesUniform {
             out.n_specular += level.len() as u32;
             next += 3 * level.len() as u32;
         }
+        out.n_lights = tables.lights.len().min(MAX_LIGHTS) as u32;
+        out.first_light = next;
+        for (row, light) in out.lights.iter_mut().zip(&tables.lights) {
+            let [x, y, z] = light.direction;
+            *row = [x, y, z, light.radius];
+        }
         out
     }
 
     /// Floats of the whole buffer.
     pub fn floats(&self) -> usize {
-        self.specular_first[0] as usize + 3 * self.n_specular as usize
+        self.first_light as usize + 3 * MAX_LIGHTS
     }
 }
 
@@ -82,10 +98,12 @@ pub struct LightBuffers {
     pub indirect_basis: Buffer<f32>,
 }
 
-/// All floats of `tables` in the order of the device's buffer.
+/// All floats of `tables` in the order of the device's buffer: behind the levels the irradiance of [`MAX_LIGHTS`] lights, zero
+/// beyond the last.
 pub fn flat(tables: &LightTables) -> Vec<f32> {
     let levels = tables.specular.iter().flatten().flatten();
-    tables.diffuse.iter().chain(levels).copied().collect()
+    let lights = tables.lights.iter().flat_map(|l| &l.irradiance).chain(std::iter::repeat(&0.0));
+    tables.diffuse.iter().chain(levels).chain(lights.take(3 * MAX_LIGHTS)).copied().collect()
 }
 
 impl LightBuffers {

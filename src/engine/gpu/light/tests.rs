@@ -8,7 +8,10 @@ use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{Buffer, Gpu, shaders};
 use crate::engine::{indirect_basis, indirect_basis_backward};
 use crate::light::{ColumnTurn, EnvOperators, LightColour, TableResolution};
-use crate::scene::{Gaussians, IndirectForm, Model, ShadingOptions, softplus, texel_directions};
+use crate::scene::{
+    Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, ShadingOptions, SplitLight, softplus,
+    texel_directions,
+};
 
 const WEIGHTS: LightWeights = LightWeights {
     neutrality: 0.3,
@@ -29,6 +32,7 @@ fn model() -> Model {
         env_raw,
         env_width: 16,
         env_height: 8,
+        lights: Default::default(),
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,
@@ -44,7 +48,12 @@ struct Run {
 }
 
 fn applied(gpu: &Gpu, model: &Model, turn: f64) -> Run {
-    let operators = EnvOperators::new(16, 8, 2, TableResolution::TRAINING);
+    let mut shares = vec![[0.0; MAX_LIGHTS]; 128];
+    (30..33).for_each(|t| shares[t] = [0.5, 0.25, 0.0, 0.0]);
+    shares[5] = [0.0, 0.0, 0.9, 0.0];
+    let light = SplitLight { direction: [0.0, 0.6, 0.8], radius: 0.1 };
+    let split = LightSplit { lights: vec![light; 3], shares };
+    let operators = EnvOperators::new(16, 8, 2, TableResolution::TRAINING).with_lights(&split);
     let light = TrainingLight::new(gpu, &operators).unwrap();
     let buffers = ModelBuffers::upload(gpu, model).unwrap();
     let losses = gpu.buffer("losses", 16).unwrap();
@@ -96,7 +105,7 @@ fn tables_and_basis_are_those_of_the_host() {
         tables_and_basis_are_those_of_the_host_at(&gpu, &model, turn);
     }
     assert_layout!(TablesUniform as "Tables" in shaders::ENV_TABLES; diffuse_n, coefficients, n_coefficients,
-        n_specular, specular_n, specular_first);
+        n_specular, specular_n, specular_first, n_lights, first_light, pad_a, pad_b, lights);
     assert_layout!(EnvironmentUniform as "Environment" in shaders::ENV_BACKWARD; n_texels, first_texel, neutrality,
         exposure, colour, blue_over_red, green, width, whole, fraction);
 }
@@ -143,6 +152,7 @@ fn the_gradient_is_the_transposed_operator_and_the_terms_at(gpu: &Gpu, turn: f64
             .enumerate()
             .for_each(|(i, v)| *v = [(i % 3) as f32 * 1e-3, -1e-3, (i % 5) as f32 * 1e-3]);
     }
+    by_tables.lights.iter_mut().for_each(|l| l.irradiance = [0.4, -0.3, 0.2]);
     let by_basis: [[f32; 3]; 16] = std::array::from_fn(|j| [0.1 * j as f32, -0.2, 0.05]);
     gpu.write(&run.light.tables_gradient, 0, &flat(&by_tables));
     gpu.write(&run.light.basis_gradient, 0, by_basis.as_flattened());

@@ -61,6 +61,7 @@ impl Scene {
             prototypes: &self.prototypes,
             options: &self.options,
             gathered: &[],
+            arriving: &[],
             indirect_basis: &[[0.0; 3]; 16],
             light: None,
         }

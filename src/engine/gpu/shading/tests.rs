@@ -46,6 +46,7 @@ pub(in crate::engine::gpu) fn empty_pass(
         prototypes: &[[0.5; 3]; 2],
         options,
         gathered: &[],
+        arriving: &[],
         indirect_basis: &[[0.0; 3]; 16],
         light: None,
     };
@@ -118,6 +119,7 @@ pub(in crate::engine::gpu) fn random_tables(noise: &mut Noise, order: usize) -> 
             .collect(),
         specular_grids,
         specular: specular_grids.map(|g| (0..g.len()).map(|_| noise.rgb(0.0, 1.2)).collect()),
+        lights: Vec::new(),
     }
 }
 

@@ -15,7 +15,7 @@ use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
 use crate::engine::gpu::density;
 use crate::engine::gpu::frame::{FrameBranches, FrameGradients, FramePass};
-use crate::engine::gpu::gather::gather;
+use crate::engine::gpu::gather::{LightProbes, gather, ungathered};
 use crate::engine::gpu::light::{Constants, TrainingLight};
 use crate::engine::gpu::objective::{LOSS_SLOTS, LossSlot, objective};
 use crate::engine::gpu::probes;
@@ -43,7 +43,10 @@ pub struct Training {
     /// Shape, options and card of the model; its parameters are those of the last load.
     shape: Model,
     state: DeviceState,
-    snapshot: Option<DeviceState>,
+    /// The operators of the light.
+    operators: Arc<EnvOperators>,
+    /// With the operators of its light.
+    snapshot: Option<(DeviceState, Arc<EnvOperators>)>,
     /// Degree of the measured visibility.
     order: usize,
     raster: Raster,
@@ -66,7 +69,7 @@ impl Training {
     pub fn new(
         gpu: &Gpu,
         state: TrainState,
-        operators: &EnvOperators,
+        operators: &Arc<EnvOperators>,
         limits: &TrainingLimits,
     ) -> Result<Self, DeviceError> {
         limits.check(gpu, &state.model.gaussians)?;
@@ -85,6 +88,7 @@ impl Training {
             gpu: gpu.clone(),
             shape: state.model,
             state: on_device,
+            operators: operators.clone(),
             snapshot: None,
         };
         training.take_snapshot()?;
@@ -94,7 +98,15 @@ impl Training {
     fn take_snapshot(&mut self) -> Result<(), DeviceError> {
         // The old copy goes first: three states at once may not fit.
         self.snapshot = None;
-        self.snapshot = Some(self.state.copied(&self.gpu)?);
+        self.snapshot = Some((self.state.copied(&self.gpu)?, self.operators.clone()));
+        Ok(())
+    }
+
+    /// Takes other operators of the light and the lights that are theirs.
+    fn change_operators(&mut self, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
+        self.light = TrainingLight::new(&self.gpu, operators)?;
+        self.shape.lights = operators.split().clone();
+        self.operators = operators.clone();
         Ok(())
     }
 
@@ -102,12 +114,12 @@ impl Training {
     fn pass(&self, step: &Step<'_>, channels: Channels) -> FramePass {
         let branches = match step.branches.is_physical() {
             false => FrameBranches::Radiance(step.background),
-            true => FrameBranches::Both(Shading {
+            true => FrameBranches::Both(Box::new(Shading {
                 options: self.shape.shading,
                 background: step.background,
                 light: self.light.light.clone(),
                 constants: self.constants.clone(),
-            }),
+            })),
         };
         FramePass { channels, blending: EarlyStop::WhenSaturated, branches }
     }
@@ -122,15 +134,20 @@ impl Training {
         let settings = ProbeSettings::of(&self.shape.shading);
         let directions = fibonacci_sphere(how.directions);
         let probes = probes::measure(gpu, &model.params, &model.layout, settings, &directions, self.order)?;
+        let lights = &self.operators.split().lights;
+        let lights = LightProbes::measure(gpu, &model.params, &model.layout, &self.shape.shading, lights)?;
         let mut recorder = gpu.record();
         if let Some(bounces) = bounces {
             let source = AttributeSource::new(model);
             self.state.measured.gathered.clear();
             for turn in how.turns {
                 self.light.apply(&mut recorder, model, *turn, &LightWeights::default(), &self.losses);
-                let gathered = gather(&mut recorder, &probes, &source, &self.light.light, bounces)?;
+                let gathered =
+                    gather(&mut recorder, &probes, &source, &self.light.light, bounces, lights.as_ref())?;
                 self.state.measured.gathered.push(gathered);
             }
+        } else if lights.is_some() {
+            self.state.measured.gathered = vec![ungathered(&mut recorder, model.len(), lights.as_ref())?];
         }
         let replaces = match how.field {
             FieldUpdate::Keep => false,
@@ -233,10 +250,15 @@ impl training::Training for Training {
         self.snapshot = None;
         self.load(state)?;
         self.order = operators.order();
-        self.light = TrainingLight::new(&self.gpu, operators)?;
+        self.change_operators(operators)?;
         self.globals_gradient =
             self.gpu.buffer("gradient of what is shared", self.state.model.globals.len())?;
         self.take_snapshot()
+    }
+
+    fn light(&mut self, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
+        self.change_operators(operators)?;
+        self.state.forget_arriving(&self.gpu)
     }
 
     fn snapshot(&mut self) -> Result<bool, DeviceError> {
@@ -245,8 +267,10 @@ impl training::Training for Training {
 
     fn roll_back(&mut self) -> Result<(), DeviceError> {
         let missing = || DeviceError::Misuse("there is no snapshot to return to".to_owned());
-        self.state = self.snapshot.as_ref().ok_or_else(missing)?.copied(&self.gpu)?;
-        Ok(())
+        let (state, operators) = self.snapshot.as_ref().ok_or_else(missing)?;
+        let (state, operators) = (state.copied(&self.gpu)?, operators.clone());
+        self.state = state;
+        if Arc::ptr_eq(&operators, &self.operators) { Ok(()) } else { self.change_operators(&operators) }
     }
 
     fn gaussians(&self) -> usize {

@@ -2,18 +2,19 @@
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::density::read_stats;
+use crate::engine::gpu::gather::GATHERED;
 use crate::engine::gpu::light::TrainingLight;
 use crate::engine::gpu::model::{ModelBuffers, planar};
 use crate::engine::gpu::{AttributeSource, Buffer, Gpu};
 use crate::engine::{LightTurn, Moments, TrainState};
-use crate::scene::Model;
+use crate::scene::{IndirectForm, MAX_LIGHTS, Model};
 
 /// What is measured, not learned.
 #[derive(Debug, Clone)]
 pub(super) struct Measured {
     /// Probe labels, `[Gaussian][coefficient]`.
     pub(super) labels: Option<Buffer<f32>>,
-    /// Gathered light by turn of the light, 6 floats a Gaussian.
+    /// Gathered light by turn of the light, each with what arrives of the model's lights, as [`AttributeSource::gathered`].
     pub(super) gathered: Vec<Buffer<f32>>,
     /// True once anything was measured, also for Gaussians that are gone.
     pub(super) ever: bool,
@@ -25,6 +26,20 @@ impl Measured {
         self.labels = None;
         self.gathered.clear();
     }
+}
+
+/// What a host has measured of light by turn of the light, each in the order of the device's buffer.
+fn measured_light(state: &TrainState) -> Vec<Vec<f32>> {
+    let floats = GATHERED * state.model.gaussians.len();
+    let mut blocks: Vec<Vec<f32>> =
+        state.gathered.as_flattened().chunks(floats.max(1)).map(<[f32]>::to_vec).collect();
+    if !state.arriving.is_empty() {
+        if blocks.is_empty() {
+            blocks.push(vec![0.0; floats]);
+        }
+        blocks.iter_mut().for_each(|block| block.extend(state.arriving.as_flattened()));
+    }
+    blocks
 }
 
 /// All that a training has learned and measured.
@@ -56,10 +71,13 @@ impl DeviceState {
         let some = |data: &[f32], label: &str| {
             if data.is_empty() { Ok(None) } else { gpu.upload(label, data).map(Some) }
         };
-        let blocks = state.gathered.as_flattened().chunks((6 * state.model.gaussians.len()).max(1));
+        let measured = measured_light(state);
         let measured = Measured {
             labels: some(&state.labels, "probe labels")?,
-            gathered: blocks.map(|block| gpu.upload("gathered light", block)).collect::<Result<_, _>>()?,
+            gathered: measured
+                .iter()
+                .map(|block| gpu.upload("gathered light", block))
+                .collect::<Result<_, _>>()?,
             ever: !state.labels.is_empty(),
         };
         Ok(Self { model, density: gpu.upload("density statistics", &stats)?, measured })
@@ -76,12 +94,19 @@ impl DeviceState {
             Some(buffer) => gpu.read(buffer, 0..buffer.len()),
             None => Ok(Vec::new()),
         };
-        let gathered = self.measured.gathered.iter().map(|block| gpu.read(block, 0..block.len()));
-        let gathered: Vec<Vec<f32>> = gathered.collect::<Result<_, _>>()?;
         let mut model = shape.clone();
         model.gaussians = gaussians(&buffers.params)?;
         [model.prototypes, model.env_raw] = buffers.read_globals(gpu, &buffers.globals)?;
+        let (mut gathered, mut arriving) = (Vec::new(), Vec::new());
+        for block in &self.measured.gathered {
+            let mut light = gpu.read(block, 0..block.len())?;
+            arriving = light.split_off(light.len().min(GATHERED * buffers.len()));
+            gathered.extend(light);
+        }
+        // Where nothing is gathered, the zeros in front of what arrives are no measurement.
+        let gathers = shape.shading.indirect == IndirectForm::Gathered;
         Ok(TrainState {
+            arriving: arriving.as_chunks::<MAX_LIGHTS>().0.to_vec(),
             model,
             moments: Moments {
                 first: gaussians(&buffers.first)?,
@@ -90,7 +115,7 @@ impl DeviceState {
             },
             density: read_stats(gpu, &self.density)?,
             labels: read(&self.measured.labels)?,
-            gathered: gathered.concat().as_chunks::<6>().0.to_vec(),
+            gathered: if gathers { gathered.as_chunks::<GATHERED>().0.to_vec() } else { Vec::new() },
         })
     }
 
@@ -119,6 +144,18 @@ impl DeviceState {
         };
         recorder.submit()?;
         Ok(Self { model, density, measured })
+    }
+
+    /// Drops what was measured of lights that are the model's no longer.
+    pub(super) fn forget_arriving(&mut self, gpu: &Gpu) -> Result<(), DeviceError> {
+        let floats = GATHERED * self.model.len();
+        let mut recorder = gpu.record();
+        for measured in self.measured.gathered.iter_mut().filter(|g| g.len() > floats) {
+            let gathered = gpu.buffer("gathered light", floats)?;
+            recorder.copy(measured, 0, &gathered, 0, floats);
+            *measured = gathered;
+        }
+        recorder.submit()
     }
 
     /// The model as frames read it, under the light of the training as it stood in a photograph.

@@ -20,13 +20,14 @@ use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{
     AttributeSource, Buffer, CameraUniform, Gpu, Groups, Raster, groups, shaders, uniform,
 };
-use crate::scene::{Camera, Field, Gaussians, IndirectForm, NormalForm, ShadingOptions};
+use crate::scene::{Camera, Field, Gaussians, IndirectForm, MAX_LIGHTS, NormalForm, ShadingOptions};
 
 /// A model, a camera and all that both engines need.
 pub(super) struct Scene {
     pub(super) gaussians: Gaussians,
     pub(super) prototypes: Vec<[f32; 3]>,
     pub(super) gathered: Vec<[f32; 6]>,
+    pub(super) arriving: Vec<[f32; MAX_LIGHTS]>,
     pub(super) basis: [[f32; 3]; 16],
     pub(super) options: ShadingOptions,
     pub(super) view: RasterCamera,
@@ -55,7 +56,15 @@ impl Scene {
         let options = ShadingOptions::default();
         let eye = glam::DVec3::new(0.4, -2.8, 0.9);
         let camera = Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Z, 0.9, size).unwrap();
-        Self { gaussians, prototypes, gathered, basis, options, view: RasterCamera::new(&camera, &options) }
+        Self {
+            gaussians,
+            prototypes,
+            gathered,
+            arriving: Vec::new(),
+            basis,
+            options,
+            view: RasterCamera::new(&camera, &options),
+        }
     }
 
     pub(super) fn with_options(mut self, options: ShadingOptions) -> Self {
@@ -77,6 +86,7 @@ impl Scene {
             prototypes: &self.prototypes,
             options: &self.options,
             gathered: &self.gathered,
+            arriving: &self.arriving,
             indirect_basis: &self.basis,
             light: None,
         }
@@ -88,12 +98,16 @@ impl Scene {
 
     /// The scene in device memory.
     pub(super) fn on_device(&self, gpu: &Gpu) -> AttributeSource {
-        let gathered = || gpu.upload("gathered", self.gathered.as_flattened()).unwrap();
+        let mut measured = self.gathered.as_flattened().to_vec();
+        if !self.arriving.is_empty() {
+            measured.resize(6 * self.gaussians.len(), 0.0);
+            measured.extend(self.arriving.as_flattened());
+        }
         AttributeSource {
             layout: LayoutUniform::new(&self.gaussians, &self.options),
             params: gpu.upload("params", &planar(&self.gaussians)).unwrap(),
             globals: gpu.upload("globals", self.prototypes.as_flattened()).unwrap(),
-            gathered: (!self.gathered.is_empty()).then(gathered),
+            gathered: (!measured.is_empty()).then(|| gpu.upload("gathered", &measured).unwrap()),
             indirect_basis: Some(gpu.upload("basis", self.basis.as_flattened()).unwrap()),
         }
     }

@@ -7,7 +7,7 @@ use crate::engine::cpu::{ROW_HEADER, SurfaceShader};
 use crate::engine::gpu::light::{Constants, LightBuffers, flat};
 use crate::engine::gpu::shading::Shading;
 use crate::engine::gpu::shading::tests::{Noise, error, random_tables};
-use crate::light::LightTables;
+use crate::light::{LightTables, TableLight};
 use crate::scene::{DiffuseForm, IndirectForm, VisibilityForm, sh_count};
 
 /// What both directions give, by Gaussian that is drawn.
@@ -172,6 +172,49 @@ fn every_form_lights_the_gaussians_as_the_cpu_engine_does() {
     for indirect in [IndirectForm::Learned, IndirectForm::Off] {
         let options = ShadingOptions { indirect, ..ShadingOptions::default() };
         assert_small(Case::new(5, 2, options, true).errors(&mut raster), &format!("{indirect:?}"));
+    }
+}
+
+/// Three lights beside the tables, one from behind most of what is seen.
+fn with_lights(mut case: Case) -> Case {
+    let light = |direction: [f32; 3], radius, irradiance| {
+        let direction = glam::Vec3::from(direction).normalize().to_array();
+        TableLight { direction, radius, irradiance }
+    };
+    case.tables.lights = vec![
+        light([0.3, -0.8, 0.6], 0.1, [2.0, 1.5, 1.0]),
+        light([-0.7, 0.2, 0.5], 0.0, [0.5, 0.7, 0.9]),
+        light([0.1, 0.9, -0.4], 0.3, [1.0, 0.2, 0.1]),
+    ];
+    let mut noise = Noise::new(91);
+    let share = |k: usize, v: f32| if k == 1 { 1.0 } else { v };
+    case.scene.arriving = (0..case.scene.gaussians.len())
+        .map(|_| std::array::from_fn(|k| share(k, noise.between(0.0, 1.0))))
+        .collect();
+    case
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn lights_beside_the_tables_light_the_gaussians_as_in_the_cpu_engine() {
+    let gpu = Gpu::for_tests();
+    let mut raster = Raster::new(&gpu).unwrap();
+    let plain = || Case::new(3, 2, ShadingOptions::default(), false);
+    for all in [false, true] {
+        for indirect in [IndirectForm::Gathered, IndirectForm::Off] {
+            let options = ShadingOptions { indirect, ..ShadingOptions::default() };
+            let case = with_lights(Case::new(3, 2, options, all));
+            assert_small(case.errors(&mut raster), &format!("lights {all} {indirect:?}"));
+        }
+    }
+    // All of it arrives where nothing was measured.
+    let mut open = with_lights(plain());
+    open.scene.arriving.clear();
+    assert_small(open.errors(&mut raster), "nothing measured");
+    let (drawn, found) = with_lights(plain()).on_gpu(&mut raster);
+    for (name, other) in [("without lights", plain()), ("unmeasured", open)] {
+        let errors = found.errors(&other.on_cpu(&drawn));
+        assert!(errors[0] > 1e-2 && errors[1] > 1e-2, "the control, {name}: {errors:?}");
     }
 }
 

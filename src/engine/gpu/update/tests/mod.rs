@@ -89,6 +89,7 @@ fn random_model(shape: &Shape, rng: &mut ChaCha8Rng) -> Model {
         env_raw: vec![[0.1; 3]; 8],
         env_width: 4,
         env_height: 2,
+        lights: Default::default(),
         shading: shape.options,
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,
@@ -115,6 +116,7 @@ fn source<'a>(model: &'a Model, basis: &'a [[f32; 3]; 16]) -> CpuSource<'a> {
         prototypes: &model.prototypes,
         options: &model.shading,
         gathered: &[],
+        arriving: &[],
         indirect_basis: basis,
         light: None,
     }

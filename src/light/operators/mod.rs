@@ -1,10 +1,13 @@
 //! Environment operators as explicit linear maps (docs/MODEL.md section 4): tables = M L, and the gradient is M^T g.
+//! Strong small lights may be taken out first: each is one more read-out of the texels.
+
+use std::sync::Arc;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
-use crate::scene::{sh_count, texel_directions};
+use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, TableLight, brdf::ggx_d, padded, sh_eval};
+use crate::scene::{LightSplit, MAX_LIGHTS, SplitLight, sh_count, texel_directions};
 
 /// Where a roughness lies between two prefiltered levels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,7 +71,7 @@ pub struct CompressedRows {
 }
 
 impl CompressedRows {
-    fn new<'a>(rows: impl Iterator<Item = &'a [(u32, f32)]>) -> Self {
+    fn new(rows: impl Iterator<Item = Vec<(u32, f32)>>) -> Self {
         let mut out = Self { start: vec![0], entries: Vec::new() };
         for row in rows {
             out.entries.extend(row.iter().map(|(column, weight)| [*column, weight.to_bits()]));
@@ -78,9 +81,16 @@ impl CompressedRows {
     }
 }
 
-/// The operators of one environment size.
+/// The operators of one environment size, and what of an environment is taken out as lights first.
 #[derive(Debug, Clone)]
 pub struct EnvOperators {
+    maps: Arc<Maps>,
+    split: LightSplit,
+}
+
+/// The linear maps of a whole environment.
+#[derive(Debug)]
+struct Maps {
     width: usize,
     height: usize,
     order: usize,
@@ -93,6 +103,8 @@ pub struct EnvOperators {
     specular_transposed: [SparseRows; SPECULAR_LEVELS.len()],
     /// `Y_j(w)` a texel, padded.
     harmonics: Vec<f32>,
+    /// `dw` a texel.
+    solid_angles: Vec<f32>,
 }
 
 impl EnvOperators {
@@ -115,7 +127,7 @@ impl EnvOperators {
         for ((d, _), row) in texels.iter().zip(harmonics.chunks_mut(coefficients)) {
             sh_eval(order, d.to_array().map(|v| v as f32), row);
         }
-        Self {
+        let maps = Maps {
             width,
             height,
             order,
@@ -126,54 +138,118 @@ impl EnvOperators {
             specular_grids,
             specular,
             harmonics,
-        }
+            solid_angles: texels.iter().map(|(_, w)| *w as f32).collect(),
+        };
+        Self { maps: Arc::new(maps), split: LightSplit::default() }
+    }
+
+    /// The same maps for environments of which `split` takes lights out; it must fit their texels. An empty one gives
+    /// operators of the whole environment.
+    #[must_use]
+    pub fn with_lights(&self, split: &LightSplit) -> Self {
+        Self { maps: self.maps.clone(), split: split.clone() }
+    }
+
+    /// What is taken out.
+    pub fn split(&self) -> &LightSplit {
+        &self.split
     }
 
     /// Columns and rows of the environments these operators take.
     pub fn size(&self) -> (usize, usize) {
-        (self.width, self.height)
+        (self.maps.width, self.maps.height)
     }
 
-    /// Sparse rows of the whole operator: those of the normals' cosine first, then the prefilter levels' one after another.
+    /// Sparse rows of the whole operator: those of the normals' cosine first, then the prefilter levels' one after another,
+    /// then [`MAX_LIGHTS`] of the lights' irradiance, empty beyond the last light.
     pub fn rows(&self) -> CompressedRows {
-        let levels = self.specular.iter().flat_map(|rows| (0..rows.len()).map(|k| rows.row(k)));
-        CompressedRows::new((0..self.cosine.len()).map(|k| self.cosine.row(k)).chain(levels))
+        let maps = &*self.maps;
+        let levels = maps.specular.iter().flat_map(|rows| (0..rows.len()).map(|k| rows.row(k)));
+        let whole = (0..maps.cosine.len()).map(|k| maps.cosine.row(k)).chain(levels);
+        let rest = whole.map(|row| row.iter().map(|&(t, w)| (t, w * self.split.rest(t as usize))).collect());
+        CompressedRows::new(rest.chain((0..MAX_LIGHTS).map(|k| self.light_row(k))))
     }
 
-    /// The transpose, two rows a texel: its normals, then its nodes of all prefilter levels counted through.
+    /// `m_kt dw_t` of the texels that light `k` has a share in.
+    fn light_row(&self, k: usize) -> Vec<(u32, f32)> {
+        let shares = self.split.shares.iter().zip(&self.maps.solid_angles).enumerate();
+        shares.filter(|(_, (m, _))| m[k] > 0.0).map(|(t, (m, w))| (t as u32, m[k] * w)).collect()
+    }
+
+    /// The transpose, two rows a texel: its normals, then its nodes of all prefilter levels counted through and the lights
+    /// behind them.
     pub fn transposed_rows(&self) -> CompressedRows {
+        let maps = &*self.maps;
         let mut first_node = [0u32; SPECULAR_LEVELS.len()];
         for k in 1..first_node.len() {
-            first_node[k] = first_node[k - 1] + self.specular[k - 1].len() as u32;
+            first_node[k] = first_node[k - 1] + maps.specular[k - 1].len() as u32;
         }
-        let mut rows: Vec<Vec<(u32, f32)>> = Vec::with_capacity(2 * self.width * self.height);
-        for texel in 0..self.width * self.height {
-            rows.push(self.cosine_transposed.row(texel).to_vec());
-            let levels = self.specular_transposed.iter().zip(first_node);
-            let shifted =
-                levels.flat_map(|(t, first)| t.row(texel).iter().map(move |&(n, w)| (first + n, w)));
-            rows.push(shifted.collect());
-        }
-        CompressedRows::new(rows.iter().map(Vec::as_slice))
+        let first_light: u32 = maps.specular.iter().map(|rows| rows.len() as u32).sum();
+        CompressedRows::new((0..2 * maps.width * maps.height).map(|row| {
+            let (texel, rest) = (row / 2, self.split.rest(row / 2));
+            if row % 2 == 0 {
+                return maps.cosine_transposed.row(texel).iter().map(|&(n, w)| (n, w * rest)).collect();
+            }
+            let levels = maps.specular_transposed.iter().zip(first_node);
+            let nodes =
+                levels.flat_map(|(t, first)| t.row(texel).iter().map(move |&(n, w)| (first + n, w * rest)));
+            let shares = self.split.shares.get(texel).into_iter().flatten().zip(first_light..);
+            let lights = shares.filter(|(m, _)| **m > 0.0);
+            nodes.chain(lights.map(|(m, node)| (node, m * maps.solid_angles[texel]))).collect()
+        }))
     }
 
     /// `Y_j` of each texel, padded: `[texel][coefficient]`.
     pub fn harmonics(&self) -> &[f32] {
-        &self.harmonics
+        &self.maps.harmonics
     }
 
     /// Empty tables of the shape [`Self::apply`] gives.
     pub fn shape(&self) -> LightTables {
-        self.apply(&vec![[0.0; 3]; self.width * self.height])
+        self.apply(&vec![[0.0; 3]; self.maps.width * self.maps.height])
     }
 
     /// Degree of the visibility field the diffuse table serves.
     pub fn order(&self) -> usize {
-        self.order
+        self.maps.order
     }
 
-    /// `M L`: the tables of an environment given as `width * height` radiances.
+    /// The tables of an environment given as `width * height` radiances: `M L` of what is not a light's, and the lights.
     pub fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
+        if self.split.is_empty() {
+            return self.maps.apply(radiance);
+        }
+        let rest = |(t, l): (usize, &[f32; 3])| l.map(|v| v * self.split.rest(t));
+        let mut tables = self.maps.apply(&radiance.iter().enumerate().map(rest).collect::<Vec<_>>());
+        let light = |(k, light): (usize, &SplitLight)| {
+            let mut irradiance = [0.0f32; 3];
+            for (t, w) in self.light_row(k) {
+                (0..3).for_each(|c| irradiance[c] += w * radiance[t as usize][c]);
+            }
+            TableLight { direction: light.direction, radius: light.radius, irradiance }
+        };
+        tables.lights = self.split.lights.iter().enumerate().map(light).collect();
+        tables
+    }
+
+    /// The transpose of [`Self::apply`]: the gradient of each texel's radiance from the gradient of the tables.
+    pub fn apply_transposed(&self, gradient: &LightTables) -> Vec<[f32; 3]> {
+        let mut out = self.maps.apply_transposed(gradient);
+        for (t, shares) in self.split.shares.iter().enumerate() {
+            let rest = self.split.rest(t);
+            out[t] = out[t].map(|g| g * rest);
+            for (light, share) in gradient.lights.iter().zip(shares) {
+                let weight = share * self.maps.solid_angles[t];
+                (0..3).for_each(|c| out[t][c] += weight * light.irradiance[c]);
+            }
+        }
+        out
+    }
+}
+
+impl Maps {
+    /// `M L`.
+    fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
         let n = padded(sh_count(self.order));
         // F[t] = Y_j(t) L_c(t), the light that a coefficient lets through at texel t.
         let products: Vec<f32> = radiance
@@ -194,11 +270,12 @@ impl EnvOperators {
             diffuse,
             specular_grids: self.specular_grids,
             specular: std::array::from_fn(|k| self.specular[k].times(radiance)),
+            lights: Vec::new(),
         }
     }
 
-    /// `M^T g`: the gradient of each texel's radiance from the gradient of the tables.
-    pub fn apply_transposed(&self, gradient: &LightTables) -> Vec<[f32; 3]> {
+    /// `M^T g`.
+    fn apply_transposed(&self, gradient: &LightTables) -> Vec<[f32; 3]> {
         let n = padded(sh_count(self.order));
         (0..self.width * self.height)
             .into_par_iter()
@@ -295,76 +372,4 @@ impl SparseRows {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn irradiance(tables: &LightTables, visibility: &[f32], n: DVec3) -> [f32; 3] {
-        let taps = tables.diffuse_grid.lookup(n.to_array().map(|v| v as f32));
-        std::array::from_fn(|c| {
-            let dot = |k: usize| -> f32 {
-                let row = tables.diffuse_rows(taps.node[k])[c];
-                row.iter().zip(visibility).map(|(a, b)| a * b).sum()
-            };
-            (0..4).map(|k| taps.weight[k] * dot(k)).sum()
-        })
-    }
-
-    fn open_sky() -> Vec<f32> {
-        let mut c = vec![0.0; 32];
-        c[0] = 2.0 * std::f32::consts::PI.sqrt();
-        c
-    }
-
-    #[test]
-    fn one_bright_texel_lights_the_sphere_from_its_own_side() {
-        let operators = EnvOperators::new(32, 16, 4, TableResolution::TRAINING);
-        for (index, (d, solid_angle)) in texel_directions(32, 16).into_iter().enumerate().step_by(37) {
-            let mut radiance = vec![[0.0; 3]; 512];
-            radiance[index] = [1.0, 2.0, 0.0];
-            let tables = operators.apply(&radiance);
-            let [r, g, b] = irradiance(&tables, &open_sky(), d);
-            let expected = solid_angle as f32;
-            assert!(
-                (r / expected - 1.0).abs() < 0.02 && (g / r - 2.0).abs() < 1e-4 && b == 0.0,
-                "{r} {expected}"
-            );
-            assert!(irradiance(&tables, &open_sky(), -d)[0].abs() < 1e-6, "the far side must stay dark");
-            let level = &tables.specular[1];
-            let brightest = (0..level.len()).max_by(|a, b| level[*a][0].total_cmp(&level[*b][0])).unwrap();
-            assert!(tables.specular_grids[1].directions()[brightest].dot(d) > 0.97);
-        }
-    }
-
-    #[test]
-    fn a_constant_sky_gives_pi_and_one() {
-        let tables = EnvOperators::new(32, 16, 4, TableResolution::TRAINING).apply(&[[1.0; 3]; 512]);
-        for n in CubeGrid::new(5).directions() {
-            let e = irradiance(&tables, &open_sky(), n)[0];
-            assert!((e / std::f32::consts::PI - 1.0).abs() < 0.01, "{n} {e}");
-        }
-        assert!(tables.specular.iter().flatten().all(|v| (v[0] - 1.0).abs() < 1e-4));
-    }
-
-    #[test]
-    fn the_transposed_operator_is_the_transpose() {
-        let operators = EnvOperators::new(16, 8, 2, TableResolution::TRAINING);
-        let radiance: Vec<[f32; 3]> = (0..128).map(|i| [(i % 7) as f32, (i % 5) as f32, 1.0]).collect();
-        let tables = operators.apply(&radiance);
-        let mut probe = tables.zeroed();
-        probe.diffuse.iter_mut().enumerate().for_each(|(i, v)| *v = ((i * 31) % 11) as f32 - 5.0);
-        for level in &mut probe.specular {
-            level.iter_mut().enumerate().for_each(|(i, v)| *v = [(i % 3) as f32, 1.0, -((i % 4) as f32)]);
-        }
-        let dot3 =
-            |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|c| f64::from(a[c]) * f64::from(b[c])).sum::<f64>();
-        let flat = |t: &LightTables, u: &LightTables| {
-            let d: f64 = t.diffuse.iter().zip(&u.diffuse).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
-            let pairs = t.specular.iter().flatten().zip(u.specular.iter().flatten());
-            d + pairs.map(|(a, b)| dot3(a, b)).sum::<f64>()
-        };
-        let forward = flat(&tables, &probe);
-        let back = operators.apply_transposed(&probe);
-        let backward: f64 = back.iter().zip(&radiance).map(|(a, b)| dot3(a, b)).sum();
-        assert!((forward - backward).abs() < 1e-4 * forward.abs().max(1.0), "{forward} {backward}");
-    }
-}
+mod tests;
