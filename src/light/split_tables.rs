@@ -1,7 +1,7 @@
 //! Light tables for rendering with the strong small lights taken out of them.
 
 use crate::light::{DominantLight, LightTables, SplitEnvironment, TableLight, rendering_tables};
-use crate::scene::{EnvMap, LightSplit, MAX_LIGHTS, texel_directions};
+use crate::scene::{EnvMap, LightSplit, MAX_LIGHTS, SplitLight, texel_directions};
 
 /// The tables of `map` for visibility fields of degree `order`, at most [`MAX_LIGHTS`] strong small lights beside them.
 /// Together they have the power of the map.
@@ -36,6 +36,12 @@ pub fn tables_of_split(map: &EnvMap, split: &LightSplit, order: usize) -> LightT
     LightTables { lights, ..rendering_tables(&rest, order) }
 }
 
+impl From<&DominantLight> for SplitLight {
+    fn from(light: &DominantLight) -> Self {
+        Self { direction: light.direction.to_array().map(|v| v as f32), radius: light.radius as f32 }
+    }
+}
+
 impl From<&DominantLight> for TableLight {
     fn from(light: &DominantLight) -> Self {
         Self {
@@ -49,7 +55,6 @@ impl From<&DominantLight> for TableLight {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::SplitLight;
 
     #[test]
     fn a_sun_is_a_light_and_no_longer_in_the_tables() {

@@ -99,6 +99,13 @@ pub struct ShadingOptions {
     pub srgb: bool,
 }
 
+impl ShadingOptions {
+    /// Whether surfaces are shaded with lights that cast shadows of their own.
+    pub fn shades_lights(&self) -> bool {
+        self.shade_at == ShadeAt::Gaussian && self.visibility != VisibilityForm::Off
+    }
+}
+
 impl Default for ShadingOptions {
     fn default() -> Self {
         Self {

@@ -34,6 +34,8 @@ struct Header {
     complexity: ComplexityState,
     #[serde(default)]
     light_colour: Option<LightColour>,
+    #[serde(default)]
+    lights: Vec<f32>,
     labels: usize,
     gathered: usize,
     /// Absent in checkpoints from before there were lights.
@@ -68,6 +70,7 @@ pub fn encode(
         seconds: schedule.seconds,
         complexity: schedule.complexity.clone(),
         light_colour: schedule.light_colour,
+        lights: schedule.lights.clone(),
         labels: state.labels.len(),
         gathered: state.gathered.len(),
         arriving: state.arriving.len(),
@@ -157,6 +160,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         seconds: header.seconds,
         complexity: header.complexity,
         light_colour: header.light_colour,
+        lights: header.lights,
     };
     Ok((schedule, state))
 }
@@ -196,6 +200,7 @@ mod tests {
             seconds: 0.0,
             complexity: ComplexityState::default(),
             light_colour: Some(LightColour { blue_over_red: 0.25, green: -0.5 }),
+            lights: vec![0.25],
         };
         let plain = state();
         let bytes = encode(&schedule, &plain, &config).unwrap();

@@ -5,10 +5,12 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
 use crate::engine::{Photo, upward_share};
-use crate::light::LightColour;
-use crate::scene::{Field, Gaussians, Model, softplus, softplus_inverse, texel_directions};
+use crate::light::{LightColour, SplitEnvironment};
+use crate::scene::{
+    Field, Gaussians, LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse, texel_directions,
+};
 use crate::train::dataset::Dataset;
-use crate::train::{TrainConfig, materials};
+use crate::train::{TrainConfig, lights, materials};
 
 /// Voxels along an edge of the carved cube.
 const HULL_SIDE: usize = 80;
@@ -57,7 +59,7 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
         env_raw: first_light(capture, config),
         env_width: rows * 2,
         env_height: rows,
-        lights: Default::default(),
+        lights: known_lights(capture, data, config),
         shading,
         world_scale: data.scale,
         world_offset: data.offset,
@@ -87,6 +89,18 @@ fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
         return vec![[softplus_inverse(FIRST_LIGHT); 3]; 2 * rows * rows];
     };
     light.applied(map).resampled(2 * rows, rows).texels().iter().map(|t| t.map(softplus_inverse)).collect()
+}
+
+/// The strong small lights of a light that is known.
+fn known_lights(capture: &Capture, data: &Dataset, config: &TrainConfig) -> LightSplit {
+    let (Some(map), Some(light)) = (&capture.lit_by, &config.light) else { return LightSplit::default() };
+    if config.lights == 0 || !config.shading.shades_lights() || data.turns.is_several() {
+        return LightSplit::default();
+    }
+    let rows = config.environment_rows as usize;
+    let found = SplitEnvironment::new(&light.applied(map), MAX_LIGHTS);
+    let lights: Vec<SplitLight> = found.lights.iter().map(SplitLight::from).collect();
+    lights::split(&lights, 2 * rows, rows)
 }
 
 /// Positions with display colours, and each one's standard deviation.

@@ -26,7 +26,7 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
 }
 
 /// Linear view-independent colour of Gaussian `i` in the radiance branch.
-fn colour(g: &Gaussians, i: usize) -> [f32; 3] {
+pub fn colour(g: &Gaussians, i: usize) -> [f32; 3] {
     let s = g.row(Field::Radiance, i);
     std::array::from_fn(|c| linear_from_srgb((0.5 + 0.282_094_8 * s[c]).clamp(0.0, 1.0)))
 }

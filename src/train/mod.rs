@@ -11,6 +11,7 @@ mod import;
 mod initial;
 mod known_light;
 mod light_colour;
+mod lights;
 mod materials;
 mod schedule;
 mod state;

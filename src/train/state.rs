@@ -24,4 +24,6 @@ pub struct ScheduleState {
     pub complexity: ComplexityState,
     /// Colour of the light that materials started from, once they train.
     pub light_colour: Option<LightColour>,
+    /// Of each strong small light: the share by which sharp shadows explain the photographs better than soft ones.
+    pub lights: Vec<f32>,
 }

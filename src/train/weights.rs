@@ -58,7 +58,7 @@ impl Default for LossWeights {
             smoothness: 0.05,
             smooth_roughness: 0.015,
             light: 0.0,
-            exposure: 0.01,
+            exposure: 0.003,
             light_colour: 0.01,
             aggregation: 0.001,
             residual: 0.01,

@@ -11,6 +11,7 @@ use crate::engine::cpu::{
 use crate::engine::step::{Branches, Photo};
 use crate::engine::{LightTurn, LightTurns, NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
 use crate::light::{ColumnTurn, EnvOperators, LightTables};
+use crate::scene::{MAX_LIGHTS, SplitLight};
 
 /// A state as the kernels read it, without learned indirect light and under the light unturned.
 pub fn source(state: &TrainState) -> AttributeSource<'_> {
@@ -71,6 +72,11 @@ pub fn blending_weights(state: &TrainState, photo: &Photo) -> Vec<f32> {
 /// Outward unit normals of all Gaussians, as the last measurement of visibility has them.
 pub fn normals(state: &TrainState) -> Vec<[f32; 3]> {
     outward_normals(&source(state))
+}
+
+/// Share of each of `lights` that arrives at every Gaussian.
+pub fn arriving(state: &TrainState, lights: &[SplitLight]) -> Vec<[f32; MAX_LIGHTS]> {
+    cpu::arriving(&source(state), lights)
 }
 
 /// Exponent of the display curve's middle part: what a mean of displayed colours is a mean of.

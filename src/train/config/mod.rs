@@ -153,6 +153,9 @@ settings! {
     /// Restarts of albedo, metalness and roughness, 0 to 5: the i-th after (2 i - 1) tenths of the steps that train materials.
     #[serde(default)]
     albedo_rounds: u32 = 3, in 0..=5;
+    /// Most strong small lights that are taken out of a recovered light for their sharp shadows, 0 to 4.
+    #[serde(default)]
+    lights: u32 = 1, in 0..=4;
     /// Whether metalness is learned; false holds every surface at dielectric.
     #[serde(default = "learned")]
     metalness: bool = true, decides Metalness;
@@ -292,6 +295,15 @@ impl TrainConfig {
         let until = self.warm_up + ESTIMATE_SHARE * (1.0 - self.warm_up);
         let holds = self.white_balance.known().is_some() || progress < until;
         if holds { self.weights.light_colour } else { 0.0 }
+    }
+
+    /// Where the colour of the light that materials start from comes from: `light`, `white_balance` or `view_dependence`.
+    pub fn colour_source(&self) -> &'static str {
+        match (&self.light, self.white_balance.known()) {
+            (Some(_), _) => "light",
+            (None, Some(_)) => "white_balance",
+            (None, None) => "view_dependence",
+        }
     }
 
     /// Weight of the radiance branch beside the physically based one.

@@ -11,14 +11,14 @@ use crate::capture::Capture;
 use crate::engine::cpu::evaluation;
 use crate::engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
 use crate::light::{EnvOperators, LightColour, TableResolution};
-use crate::scene::{Field, Model};
+use crate::scene::{Field, Model, SplitLight};
 use crate::train::complexity::{self, state::ComplexityState};
 use crate::train::context::StepContext;
 use crate::train::dataset::Dataset;
 use crate::train::error::{MOST_ROLLBACKS, TrainError};
 use crate::train::state::ScheduleState;
 use crate::train::{
-    LabelSource, TrainConfig, checkpoint, density, initial, light_colour, materials, schedule,
+    LabelSource, TrainConfig, checkpoint, density, initial, light_colour, lights, materials, schedule,
 };
 
 /// Fewest photographs worth training on.
@@ -82,6 +82,7 @@ impl Trainer {
             seconds: 0.0,
             complexity: ComplexityState::default(),
             light_colour: None,
+            lights: Vec::new(),
         };
         Self::assemble(config, data, schedule, TrainState::new(model), device)
     }
@@ -206,6 +207,8 @@ impl Trainer {
             return Err(TrainError::Diverged { step: failed });
         }
         self.engine.roll_back()?;
+        let lights = self.engine.state()?.model.lights.clone();
+        self.operators = Arc::new(self.operators.with_lights(&lights));
         self.schedule = self.snapshot.clone();
         self.schedule.rate_factor *= 0.5f32.powi(self.rollbacks as i32);
         let factor = self.schedule.rate_factor;
@@ -262,9 +265,38 @@ impl Trainer {
         materials::initialise(state, colour);
     }
 
+    /// Takes strong small lights that cast sharp shadows out of the environment.
+    fn find_lights(&mut self) -> Result<(), TrainError> {
+        let most = self.config.lights as usize;
+        if most == 0 || self.config.light.is_some() || self.data.turns.is_several() {
+            return Ok(());
+        }
+        let mut state = self.engine.state()?.into_owned();
+        if state.model.check().is_err() || !state.model.shading.shades_lights() {
+            // A state that is not finite: the next step rolls back, and comes past here again.
+            return Ok(());
+        }
+        let seen = lights::seen(&state, &self.data.half);
+        let before = state.model.lights.lights.clone();
+        let found = lights::search(&state, &seen, most, &before);
+        self.schedule.lights = found.iter().map(|f| f.gain).collect();
+        let now: Vec<SplitLight> = found.iter().map(|f| f.light).collect();
+        if now == before {
+            return Ok(());
+        }
+        let split = lights::split(&now, state.model.env_width, state.model.env_height);
+        if now.len() != before.len() {
+            lights::start(&mut state.model, &split, &found);
+            self.engine.load(state)?;
+        }
+        self.operators = Arc::new(self.operators.with_lights(&split));
+        Ok(self.engine.light(&self.operators)?)
+    }
+
     /// Materials anew, from colours with the light divided out.
     fn restart_albedo(&mut self) -> Result<(), TrainError> {
         if self.measures() {
+            self.find_lights()?;
             self.measure(1)?;
         }
         let state = self.engine.state()?;
@@ -382,9 +414,29 @@ impl Trainer {
             "photographs": self.data.full.len(),
             "has_alpha": self.data.has_alpha,
             "complexity": self.schedule.complexity.card(&self.config),
+            "light": self.light_card(&model),
             "config": self.config,
         });
         Ok(model)
+    }
+
+    /// What was found out about the light.
+    fn light_card(&self, model: &Model) -> serde_json::Value {
+        let lights = model.lights.lights.iter().zip(&self.schedule.lights);
+        let lights: Vec<_> = lights
+            .map(|(light, gain)| {
+                serde_json::json!({
+                    "direction": light.direction,
+                    "radius_deg": light.radius.to_degrees(),
+                    "sharp_over_soft_shadows": gain,
+                })
+            })
+            .collect();
+        serde_json::json!({
+            "colour": self.schedule.light_colour.map(LightColour::rgb),
+            "colour_from": self.config.colour_source(),
+            "lights": lights,
+        })
     }
 
     /// Seconds spent in steps so far, over all runs.
