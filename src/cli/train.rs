@@ -14,7 +14,8 @@ use crate::engine::Device;
 use crate::engine::DeviceChoice;
 use crate::formats::model_file;
 use crate::train::{
-    KnownLight, LightExposure, Preset, StepReport, TrainConfig, Trainer, WhiteBalance, import_for_training,
+    KnownLight, LightExposure, Method, Preset, StepReport, TrainConfig, Trainer, WhiteBalance,
+    import_for_training,
 };
 
 /// Options of `relume train`.
@@ -25,6 +26,10 @@ pub(super) struct TrainArgs {
     /// `draft`, `standard` or `high`.
     #[arg(long, default_value = "standard", value_parser = named::<Preset>)]
     preset: Preset,
+    /// Whose model to train: `3dgs`, `gaussian-shader`, `gs-ir`, `r3dg`, `article` (each re-created inside this program, not the
+    /// system's own code) or `relume`. Other options and `--set` win over what it sets.
+    #[arg(long, value_parser = named::<Method>)]
+    method: Option<Method>,
     /// Longest image side, pixels.
     #[arg(long)]
     resolution: Option<u32>,
@@ -68,6 +73,7 @@ pub(super) struct TrainArgs {
 
 pub(super) fn run(args: &TrainArgs) -> CommandResult {
     let flags = [
+        ("method", args.method.map(serde_json::to_value).transpose()?),
         ("resolution", args.resolution.map(Into::into)),
         ("iterations", args.iterations.map(Into::into)),
         ("seed", args.seed.map(Into::into)),

@@ -9,7 +9,7 @@ use crate::engine::Device;
 use crate::engine::DeviceError;
 use crate::eval::layers::albedo_psnr;
 use crate::eval::lpips::Lpips;
-use crate::eval::report::{ImageScores, RelitScores, Report};
+use crate::eval::report::{AlbedoScores, ImageScores, RelitScores, Report};
 use crate::eval::totals::{ImageTotals, LayerTotals, Mean};
 use crate::eval::views::{OwnLight, ViewLayers, photograph, relit, with_scaled_albedo};
 use crate::render::{Output, Quality, RenderError, Renderer, Tier};
@@ -117,7 +117,12 @@ impl Evaluation<'_> {
             ..Report::default()
         };
         self.own_light(&renderer, &mut report)?;
-        report.relit = self.relit(&renderer)?;
+        let has_materials = has_materials(&model);
+        if has_materials {
+            report.relit = self.relit(&renderer)?;
+        } else {
+            forget_materials(&mut report);
+        }
         if let Some(scale) = report.albedo.scale {
             let aligned = Renderer::on(Arc::new(with_scaled_albedo(&model, scale)), self.options.device)?;
             self.aligned_albedo(&aligned, &mut report)?;
@@ -125,6 +130,9 @@ impl Evaluation<'_> {
         }
         self.frame_rates(&renderer, &mut report)?;
         self.explain_absences(&mut report);
+        if !has_materials {
+            explain_no_materials(&mut report);
+        }
         Ok(report)
     }
 
@@ -297,6 +305,33 @@ impl Evaluation<'_> {
         }
         report.notes = notes;
     }
+}
+
+/// Whether the model's training got to materials; without them the physically based branch is as it was at the start.
+fn has_materials(model: &Model) -> bool {
+    let warm_up = model.card.pointer("/config/warm_up").and_then(serde_json::Value::as_f64);
+    warm_up.is_none_or(|share| share < 1.0)
+}
+
+/// Takes back what was measured on materials that were never trained.
+fn forget_materials(report: &mut Report) {
+    report.novel_view = ImageScores::default();
+    report.albedo = AlbedoScores::default();
+    (report.ao_mae, report.roughness_mae, report.metallic_mae) = (None, None, None);
+}
+
+fn explain_no_materials(report: &mut Report) {
+    let figures = [
+        "novel_view",
+        "relit.mean",
+        "relit_aligned.mean",
+        "albedo",
+        "ao_mae",
+        "roughness_mae",
+        "metallic_mae",
+    ];
+    let reason = "the model was trained for colour alone and has no materials";
+    report.notes.extend(figures.map(|figure| (figure.to_owned(), reason.to_owned())));
 }
 
 pub(crate) fn refused(view: &CaptureView, source: RenderError) -> EvalError {

@@ -19,7 +19,7 @@ mod trainer;
 mod weights;
 
 pub use config::{
-    Complexity, ComplexitySetting, ConfigError, LabelSource, NamedBalance, Preset, TrainConfig,
+    Complexity, ComplexitySetting, ConfigError, LabelSource, Method, NamedBalance, Preset, TrainConfig,
     TrainOverrides, WhiteBalance,
 };
 pub use error::TrainError;

@@ -16,7 +16,7 @@ use crate::cli::output;
 use crate::engine::{Device, DeviceChoice};
 use crate::eval::figure;
 use crate::formats::model_file;
-use crate::train::{Preset, TrainConfig, TrainOverrides};
+use crate::train::{Method, Preset, TrainConfig, TrainOverrides};
 
 /// Options of `relume bench matrix`.
 #[derive(Debug, clap::Args)]
@@ -24,8 +24,8 @@ pub(super) struct MatrixArgs {
     /// Captures with held-out views and, for the relit columns, relit truth.
     #[arg(required = true)]
     captures: Vec<PathBuf>,
-    /// `ablation` (the article's rows and additions), `orders` (visibility orders 0 to 6), or a JSON file:
-    /// `[{"name": "...", "overrides": {...}}, ...]`.
+    /// `ablation` (the article's rows and additions), `orders` (visibility orders 0 to 6), `methods` (models of published
+    /// systems, as `train --method`), or a JSON file: `[{"name": "...", "overrides": {...}}, ...]`.
     #[arg(long, default_value = "ablation")]
     variants: String,
     /// Only these variants, by name, with commas.
@@ -147,6 +147,7 @@ fn variants(args: &MatrixArgs) -> CommandResult<Vec<Variant>> {
     let mut all = match args.variants.as_str() {
         "ablation" => ablation(),
         "orders" => orders(),
+        "methods" => methods(),
         file => {
             let text = std::fs::read_to_string(file).map_err(|e| format!("--variants {file}: {e}"))?;
             serde_json::from_str(&text).map_err(|e| format!("--variants {file}: {e}"))?
@@ -210,20 +211,53 @@ fn orders() -> Vec<Variant> {
     [0, 2, 3, 4, 5, 6].map(one).into()
 }
 
+/// Models of published systems beside ours.
+fn methods() -> Vec<Variant> {
+    let one = |method: Method| {
+        let name = json!(method);
+        variant(name.as_str().unwrap_or_default(), json!({"method": name}))
+    };
+    Method::ALL.map(one).into()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::{SyntheticOptions, synthetic};
 
     #[test]
     fn every_built_in_variant_is_a_configuration_of_its_own() {
         let mut seen = Vec::new();
-        for v in ablation().into_iter().chain(orders()) {
+        for v in ablation().into_iter().chain(orders()).chain(methods()) {
             let overrides: TrainOverrides = serde_json::from_value(Value::Object(v.overrides)).unwrap();
             let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-            // Order 4 is the default.
-            assert!(v.name == "order 4" || !seen.contains(&config), "{} repeats another", v.name);
+            // These two are the default.
+            let is_default = ["order 4", "relume"].contains(&v.name.as_str());
+            assert!(is_default || !seen.contains(&config), "{} repeats another", v.name);
             seen.push(config);
         }
         assert!(seen.len() > 10);
+    }
+
+    #[test]
+    fn every_method_trains_and_only_colour_alone_has_no_relit_figures() {
+        let options =
+            SyntheticOptions { size: 24, train_views: 3, test_views: 1, paths: 4, ..Default::default() };
+        let capture = synthetic(&options).unwrap();
+        for v in methods() {
+            let small = json!({"iterations": 24, "initial_gaussians": 64, "max_gaussians": 64, "probe_directions": 8});
+            let fields = variant("", small).overrides.into_iter().chain(v.overrides.clone()).collect();
+            let overrides: TrainOverrides = serde_json::from_value(Value::Object(fields)).unwrap();
+            let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+            let trained = train_and_evaluate(&capture, config, &Device::Cpu, 1).unwrap();
+            let [_, _, novel, radiance, relit, aligned, albedo, normals, ..] =
+                cells(String::new(), &v, &trained);
+            for figure in [radiance, normals] {
+                assert_ne!(figure, "-", "{}", v.name);
+            }
+            for figure in [novel, relit, aligned, albedo] {
+                assert_eq!(figure == "-", v.name == "3dgs", "{}: {figure}", v.name);
+            }
+        }
     }
 }

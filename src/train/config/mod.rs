@@ -2,6 +2,7 @@
 
 mod choices;
 pub(in crate::train) mod error;
+mod method;
 mod white_balance;
 
 use std::collections::BTreeMap;
@@ -12,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset};
 pub use error::ConfigError;
+pub use method::Method;
 pub use white_balance::{NamedBalance, WhiteBalance};
 
 use crate::scene::ShadingOptions;
@@ -168,6 +170,10 @@ settings! {
     /// Colour of the photographs' light: `auto`, `neutral`, `daylight`, a number of kelvin or `[red, green, blue]`.
     #[serde(default = "unknown")]
     white_balance: WhiteBalance = WhiteBalance::AUTO;
+    /// Whose model it is: `3dgs`, `gaussian-shader`, `gs-ir`, `r3dg`, `article` or `relume`. It sets other settings, under those
+    /// that the caller gives.
+    #[serde(default, skip_serializing_if = "Method::is_relume")]
+    method: Method = Method::Relume;
     /// `auto`: leave out what the scene is measured not to require, except what the caller sets; `full`: everything.
     #[serde(default)]
     complexity: Complexity = Complexity::Full;
@@ -258,8 +264,14 @@ impl TrainConfig {
     /// Names the field that is out of range.
     pub fn new(preset: Preset, overrides: &TrainOverrides) -> Result<Self, ConfigError> {
         let mut config = Self::preset(preset);
+        let method: TrainOverrides = serde_json::from_value(overrides.method.unwrap_or_default().overrides())
+            .map_err(|error| ConfigError::new("method", error.to_string()))?;
+        config.apply(&method);
         config.apply(overrides);
-        config.forced = overrides.forced();
+        config.forced = method.forced();
+        config.forced.extend(overrides.forced());
+        config.forced.sort_unstable();
+        config.forced.dedup();
         config.light_rotation_per_photo = overrides.light_rotation_per_photo.clone().unwrap_or_default();
         if let Some(light) = &overrides.light {
             config.hold_light(light);

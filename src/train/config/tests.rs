@@ -1,4 +1,5 @@
 use super::*;
+use crate::scene::IndirectForm;
 
 #[test]
 fn overrides_change_only_what_they_name() {
@@ -99,4 +100,59 @@ fn restarts_come_at_odd_tenths_of_the_material_steps() {
     assert_eq!(steps, [375 + 112, 375 + 337, 375 + 562]);
     let none = TrainConfig { albedo_rounds: 0, ..config };
     assert!(!(0..none.iterations).any(|s| none.is_albedo_round(s)), "the control");
+}
+
+/// The configuration of `method`, with the method's name taken off it.
+fn of_method(method: Method, overrides: TrainOverrides) -> TrainConfig {
+    let overrides = TrainOverrides { method: Some(method), ..overrides };
+    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    assert_eq!(config.method, method);
+    TrainConfig { method: Method::Relume, ..config }
+}
+
+#[test]
+fn every_method_is_a_model_of_its_own_and_ours_changes_nothing() {
+    let ours = TrainConfig::preset(Preset::Draft);
+    assert_eq!(of_method(Method::Relume, TrainOverrides::default()), ours);
+    let mut seen = Vec::new();
+    for method in Method::ALL {
+        let config = of_method(method, TrainOverrides::default());
+        assert!(!seen.contains(&config), "{method:?} repeats another");
+        assert_eq!(config == ours, method == Method::Relume, "{method:?}");
+        assert_eq!(config.warm_up < 1.0, method != Method::Splatting, "{method:?}");
+        let learns_indirect = config.shading.indirect == IndirectForm::Learned;
+        assert!(
+            !learns_indirect || config.labels != LabelSource::Probes,
+            "{method:?}: nothing would train it"
+        );
+        seen.push(config);
+    }
+}
+
+#[test]
+fn a_caller_wins_over_the_method() {
+    let caller = TrainOverrides { prototypes: Some(5), seed: Some(3), ..Default::default() };
+    let config = of_method(Method::GaussianShader, caller);
+    assert_eq!((config.prototypes, config.seed, config.bounces), (5, 3, 0));
+    let alone = of_method(Method::GaussianShader, TrainOverrides::default());
+    assert_eq!(alone.prototypes, 1, "the control");
+    let forced = [
+        ComplexitySetting::Visibility,
+        ComplexitySetting::Indirect,
+        ComplexitySetting::Sheen,
+        ComplexitySetting::Prototypes,
+    ];
+    assert_eq!(alone.forced, forced);
+}
+
+#[test]
+fn files_without_a_method_are_ours_and_ours_writes_none() {
+    let json = serde_json::to_value(TrainConfig::preset(Preset::Draft)).unwrap();
+    assert!(json.get("method").is_none());
+    assert_eq!(serde_json::from_value::<TrainConfig>(json).unwrap().method, Method::Relume);
+    let other = TrainOverrides { method: Some(Method::GsIr), ..Default::default() };
+    let json = serde_json::to_value(TrainConfig::new(Preset::Draft, &other).unwrap()).unwrap();
+    assert_eq!(json["method"], "gs-ir", "the control");
+    let unknown = serde_json::from_str::<TrainOverrides>(r#"{"method": "nerf"}"#).unwrap_err();
+    assert!(unknown.to_string().contains("gaussian-shader"), "{unknown}");
 }
