@@ -8,6 +8,7 @@ mod input;
 mod matrix;
 #[cfg(feature = "gpu")]
 mod precision;
+mod shadow;
 mod table;
 mod tradeoff;
 mod training;
@@ -36,6 +37,8 @@ enum What {
     Precision(precision::PrecisionArgs),
     /// Size, time and accuracy of trainings with all model features and with those that the scene requires.
     Complexity(complexity::ComplexityArgs),
+    /// What is left of the cast shadows of the photographs in the albedo of models.
+    Shadow(shadow::ShadowArgs),
     /// Time of every render tier against its error, by model; a table, a CSV and a plot.
     Tradeoff(tradeoff::TradeoffArgs),
     /// Error of the visibility that models learned, by the source of its labels.
@@ -51,6 +54,7 @@ pub(super) fn run(args: &BenchArgs) -> CommandResult {
         #[cfg(feature = "gpu")]
         What::Precision(args) => precision::run(args),
         What::Complexity(args) => complexity::run(args),
+        What::Shadow(args) => shadow::run(args),
         What::Tradeoff(args) => tradeoff::run(args),
         What::Visibility(args) => visibility::run(args),
     }

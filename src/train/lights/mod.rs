@@ -66,14 +66,10 @@ pub fn search(state: &TrainState, seen: &[f32], most: usize, previous: &[SplitLi
     let mut found: Vec<FoundLight> = Vec::new();
     let mut irradiance = scene.sky();
     while found.len() < most.min(MAX_LIGHTS) {
-        let Some(best) = scene.best(&irradiance, previous.get(found.len())) else { break };
-        let soft = scene.judge(&irradiance, best.light, scene.soft(best.light));
-        let gain = 1.0 - best.variation / soft.variation.max(1e-12);
-        if !(gain > LEAST_GAIN && best.strength.iter().sum::<f32>() >= 3.0 * LEAST_STRENGTH) {
-            break;
-        }
-        found.push(FoundLight { light: best.light, strength: best.strength, gain });
-        irradiance = best.irradiance;
+        let near = previous.get(found.len()).and_then(|previous| scene.accepted(&irradiance, Some(previous)));
+        let Some((light, with)) = near.or_else(|| scene.accepted(&irradiance, None)) else { break };
+        found.push(light);
+        irradiance = with;
     }
     found
 }
@@ -133,6 +129,20 @@ impl<'a> Scene<'a> {
         let mut sky: Vec<[f32; 3]> = (0..g.len()).map(open).collect();
         self.neighbours.smooth(&mut sky);
         sky
+    }
+
+    /// The best light beside `irradiance` and the irradiance with it, if the evidence is enough.
+    fn accepted(
+        &self,
+        irradiance: &[[f32; 3]],
+        previous: Option<&SplitLight>,
+    ) -> Option<(FoundLight, Vec<[f32; 3]>)> {
+        let best = self.best(irradiance, previous)?;
+        let soft = self.judge(irradiance, best.light, self.soft(best.light));
+        let gain = 1.0 - best.variation / soft.variation.max(1e-12);
+        let is_strong = best.strength.iter().sum::<f32>() >= 3.0 * LEAST_STRENGTH;
+        let found = FoundLight { light: best.light, strength: best.strength, gain };
+        (gain > LEAST_GAIN && is_strong).then_some((found, best.irradiance))
     }
 
     /// The best light beside `irradiance`: near the `previous` one, which stays unless another is clearly better, or anywhere.

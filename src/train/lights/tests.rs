@@ -6,7 +6,7 @@ use crate::scene::{LightSplit, Model, ShadingOptions};
 /// Towards the sun of the test scenes.
 const SUN: [f32; 3] = [0.48, 0.36, 0.8];
 
-/// A ground of flat Gaussians with a square plate above it, under a sky and a sun of `strength` times its irradiance whose
+/// A ground of flat Gaussians, closed from below, with a square plate above it, under a sky and a sun of `strength` times its irradiance whose
 /// shadow has a sharp edge; visibility is measured.
 fn plate(strength: f32) -> TrainState {
     const SIDE: i32 = 36;
@@ -18,6 +18,9 @@ fn plate(strength: f32) -> TrainState {
     for i in 0..SIDE * SIDE / 4 {
         let at = |k: i32| 0.3 * (4.0 * k as f32 / (SIDE - 2) as f32 - 1.0);
         points.push(([at(i % (SIDE / 2)), at(i / (SIDE / 2)), 0.35], 0.03));
+    }
+    for i in 0..SIDE * SIDE {
+        points.push(([at(i % SIDE, 1.4), at(i / SIDE, 1.4), -0.1], 0.05));
     }
     let mut g = Gaussians::zeroed(points.len(), 1, 4, 0);
     for (i, (mean, width)) in points.iter().enumerate() {
@@ -46,12 +49,18 @@ fn plate(strength: f32) -> TrainState {
     let field = probes.coefficients(4);
     state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&field);
     let sun = evaluation::arriving(&state, &[SplitLight { direction: SUN, radius: 0.0 }]);
-    let sky = Scene::new(&state, &vec![9.0; state.model.gaussians.len()]).sky();
+    let sky = Scene::new(&state, &from_above(&state)).sky();
     for i in 0..sky.len() {
         let shown = srgb((0.1 * (sky[i][0] + strength * sun[i][0] * SUN[2])).min(0.9));
         state.model.gaussians.row_mut(Field::Radiance, i).fill((shown - 0.5) / 0.282_094_8);
     }
     state
+}
+
+/// Pixels in which each Gaussian is seen: none from below.
+fn from_above(state: &TrainState) -> Vec<f32> {
+    let g = &state.model.gaussians;
+    (0..g.len()).map(|i| if g.row(Field::Mean, i)[2] < 0.0 { 0.0 } else { 9.0 }).collect()
 }
 
 fn angle(a: [f32; 3], b: [f32; 3]) -> f32 {
@@ -61,7 +70,7 @@ fn angle(a: [f32; 3], b: [f32; 3]) -> f32 {
 #[test]
 fn a_sun_is_found_by_its_shadow_and_without_one_there_is_none() {
     let state = plate(2.0);
-    let seen = vec![9.0; state.model.gaussians.len()];
+    let seen = from_above(&state);
     let found = search(&state, &seen, 1, &[]);
     assert_eq!(found.len(), 1);
     assert!(angle(found[0].light.direction, SUN) < 0.05, "{found:?}");
@@ -74,7 +83,7 @@ fn a_sun_is_found_by_its_shadow_and_without_one_there_is_none() {
 #[test]
 fn a_light_stays_unless_it_is_clearly_better_elsewhere() {
     let state = plate(2.0);
-    let seen = vec![9.0; state.model.gaussians.len()];
+    let seen = from_above(&state);
     let near = search(&state, &seen, 1, &[])[0].light;
     assert_eq!(search(&state, &seen, 1, &[near])[0].light, near);
     let far = SplitLight { direction: [0.0, 0.0, 1.0], radius: 0.005 };

@@ -1,0 +1,127 @@
+//! `relume bench shadow`: how much of the cast shadows of the photographs is left in the albedo of models.
+
+use std::path::PathBuf;
+
+use crate::capture::CaptureView;
+use crate::cli::bench::input::{BenchModel, read_capture};
+use crate::cli::bench::table::{head, publish, row};
+use crate::cli::error::CommandResult;
+use crate::engine::cpu::linear_from_srgb;
+use crate::render::{Output, Renderer, Tier};
+use crate::scene::EnvMap;
+
+/// Cosine to +Z of normals that face up: one plane, which only shadows divide.
+const UP: f32 = 0.95;
+/// Darker true albedo has too little light to tell by.
+const LEAST_ALBEDO: f32 = 0.05;
+/// Channels of the photograph from here on may be clipped.
+const CLIPPED: f32 = 0.95;
+/// Light on a lit pixel, and on one in shadow, over that on the brightest tenth.
+const LIT: f32 = 0.8;
+const IN_SHADOW: f32 = 0.5;
+
+/// Options of `relume bench shadow`.
+#[derive(Debug, clap::Args)]
+pub(super) struct ShadowArgs {
+    /// A capture with held-out views, true albedo and true normals, in which something casts a shadow on level ground.
+    capture: PathBuf,
+    /// Models of it.
+    #[arg(required = true)]
+    models: Vec<PathBuf>,
+    /// Longest side of the views, pixels.
+    #[arg(long, default_value_t = 400, value_parser = clap::value_parser!(u32).range(16..=8192))]
+    resolution: u32,
+    /// The Markdown file to write; printed in any case.
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+/// A pixel of the ground: the light on it, and the model's albedo over the true one.
+struct Ground {
+    light: f32,
+    albedo: f32,
+}
+
+pub(super) fn run(args: &ShadowArgs) -> CommandResult {
+    let capture = read_capture(&args.capture, args.resolution)?;
+    let mut text = format!(
+        "CPU engine; {} px, {} held-out views; level ground. Albedo over the true one, medians.\n\n{}",
+        args.resolution,
+        capture.test.len(),
+        head(&["model"], ["lit pixels", "in shadow", "albedo, lit", "in shadow", "shadow left, %"])
+    );
+    for path in &args.models {
+        let subject = BenchModel::read(path)?;
+        let renderer = Renderer::new(subject.model.clone());
+        let mut ground = Vec::new();
+        for view in &capture.test {
+            ground.extend(ground_of(&renderer, view)?);
+        }
+        text += &line(&subject.name, &ground)?;
+    }
+    Ok(publish(&text, args.out.as_deref())?)
+}
+
+/// The level ground that one view shows.
+fn ground_of(renderer: &Renderer, view: &CaptureView) -> CommandResult<Vec<Ground>> {
+    let (Some(albedo), Some(normal)) = (&view.truth.albedo, &view.truth.normal) else {
+        return Err(format!("{}: has no true albedo or no true normals", view.name).into());
+    };
+    let light = renderer.prepare_light(&EnvMap::constant(8, 4, [1.0; 3]))?;
+    let frame = renderer.render(&view.camera, &light, Tier::Standard, &[Output::Albedo])?;
+    let found = frame.planes.get(&Output::Albedo).map_or(&[][..], Vec::as_slice).as_chunks::<3>().0;
+    let mean = |v: [f32; 3]| v.iter().sum::<f32>() / 3.0;
+    let truth = albedo.values.iter().zip(&normal.values).zip(&view.image.pixels);
+    let pixels = truth.zip(found).filter_map(|(((albedo, normal), pixel), found)| {
+        let shown = [pixel[0], pixel[1], pixel[2]];
+        let is_ground = pixel[3] > 0.99 && normal[2] > UP && mean(*albedo) > LEAST_ALBEDO;
+        let light = mean(shown.map(linear_from_srgb)) / mean(*albedo);
+        (is_ground && shown.iter().all(|v| *v < CLIPPED))
+            .then(|| Ground { light, albedo: mean(*found) / mean(*albedo) })
+    });
+    Ok(pixels.collect())
+}
+
+/// The table row of one model.
+fn line(name: &str, ground: &[Ground]) -> CommandResult<String> {
+    let mut light: Vec<f32> = ground.iter().map(|g| g.light).collect();
+    light.sort_by(f32::total_cmp);
+    let bright = light.get(light.len() * 9 / 10).copied().unwrap_or(0.0);
+    let of = |is_one: &dyn Fn(f32) -> bool| -> Vec<f32> {
+        ground.iter().filter(|g| is_one(g.light / bright)).map(|g| g.albedo).collect()
+    };
+    let (lit, dark) = (of(&|share| share > LIT), of(&|share| share < IN_SHADOW));
+    if lit.is_empty() || dark.is_empty() {
+        return Err("the held-out views show no shadow on level ground".into());
+    }
+    let counts = [lit.len(), dark.len()].map(|n| n.to_string());
+    let (lit, dark) = (median(lit), median(dark));
+    let figures = [format!("{lit:.3}"), format!("{dark:.3}"), format!("{:.1}", 100.0 * (1.0 - dark / lit))];
+    Ok(row([name.to_owned()].into_iter().chain(counts).chain(figures)))
+}
+
+fn median(mut values: Vec<f32>) -> f32 {
+    values.sort_by(f32::total_cmp);
+    values[values.len() / 2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_shadow_in_the_albedo_is_told_and_a_clean_albedo_has_none() {
+        let ground = |left: f32| -> Vec<Ground> {
+            (0..100)
+                .map(|i| (if i < 60 { 1.0 } else { 0.2 }, if i < 60 { 1.1 } else { 1.1 * left }))
+                .collect::<Vec<_>>()
+                .into_iter()
+                .map(|(light, albedo)| Ground { light, albedo })
+                .collect()
+        };
+        assert!(line("m", &ground(1.0)).unwrap().ends_with("| 0.0 |\n"));
+        assert!(line("m", &ground(0.7)).unwrap().ends_with("| 30.0 |\n"));
+        assert!(line("m", &ground(1.0)[..50]).is_err(), "no shadow");
+        assert!(line("m", &[]).is_err());
+    }
+}
