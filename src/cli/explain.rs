@@ -56,6 +56,7 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
         Some(seconds) => format!("training took {seconds:.0} s"),
         None => "the training time is not in the card".to_owned(),
     });
+    out.extend(light(card));
     let decisions = findings(card);
     let mode = card.pointer("/complexity/mode").map_or("unknown".to_owned(), plain);
     out.push(format!("\ncomplexity {mode}: {} decisions", decisions.len()));
@@ -63,6 +64,33 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
     out.push("\nconfiguration".to_owned());
     for (key, value) in card.get("config").and_then(Value::as_object).into_iter().flatten() {
         out.push(format!("  {key}: {}", plain(value)));
+    }
+    out
+}
+
+/// What the card says of the light of the photographs.
+fn light(card: &Value) -> Vec<String> {
+    let Some(light) = card.get("light") else { return Vec::new() };
+    let numbers = |value: Option<&Value>| -> String {
+        let numbers = value.and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64);
+        numbers.map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(", ")
+    };
+    let from = match light.get("colour_from").and_then(Value::as_str) {
+        Some("light") => "of the known light",
+        Some("white_balance") => "as was stated",
+        _ => "estimated from how colours change with the view, to about 20 % in blue over red",
+    };
+    let mut out = vec![format!("light of colour {} at the start, {from}", numbers(light.get("colour")))];
+    for found in light.get("lights").and_then(Value::as_array).into_iter().flatten() {
+        let radius = found.get("radius_deg").and_then(Value::as_f64).unwrap_or_default();
+        let evidence = match found.get("sharp_over_soft_shadows").and_then(Value::as_f64) {
+            Some(gain) => {
+                format!("sharp shadows explain colours {:.0} % better than soft ones", 100.0 * gain)
+            }
+            None => "in the map that was given".to_owned(),
+        };
+        let towards = numbers(found.get("direction"));
+        out.push(format!("a light of its own towards {towards}, {radius:.1} degrees in radius; {evidence}"));
     }
     out
 }
@@ -89,6 +117,22 @@ fn sentence(finding: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_light_is_printed_with_its_evidence() {
+        let card = serde_json::json!({"light": {
+            "colour": [1.0, 1.02, 0.98], "colour_from": "view_dependence",
+            "lights": [{"direction": [0.0, 0.6, 0.8], "radius_deg": 0.3, "sharp_over_soft_shadows": 0.35}],
+        }});
+        let printed = light(&card);
+        assert!(printed[0].starts_with("light of colour 1.00, 1.02, 0.98 at the start, estimated"));
+        assert_eq!(
+            printed[1],
+            "a light of its own towards 0.00, 0.60, 0.80, 0.3 degrees in radius; sharp shadows explain colours 35 % better \
+             than soft ones"
+        );
+        assert!(light(&Value::Null).is_empty(), "older cards say nothing");
+    }
 
     #[test]
     fn a_decision_is_printed_with_its_evidence() {

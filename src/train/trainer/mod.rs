@@ -422,16 +422,14 @@ impl Trainer {
 
     /// What was found out about the light.
     fn light_card(&self, model: &Model) -> serde_json::Value {
-        let lights = model.lights.lights.iter().zip(&self.schedule.lights);
-        let lights: Vec<_> = lights
-            .map(|(light, gain)| {
-                serde_json::json!({
-                    "direction": light.direction,
-                    "radius_deg": light.radius.to_degrees(),
-                    "sharp_over_soft_shadows": gain,
-                })
+        let of = |(k, light): (usize, &SplitLight)| {
+            serde_json::json!({
+                "direction": light.direction,
+                "radius_deg": light.radius.to_degrees(),
+                "sharp_over_soft_shadows": self.schedule.lights.get(k),
             })
-            .collect();
+        };
+        let lights: Vec<_> = model.lights.lights.iter().enumerate().map(of).collect();
         serde_json::json!({
             "colour": self.schedule.light_colour.map(LightColour::rgb),
             "colour_from": self.config.colour_source(),
