@@ -169,6 +169,7 @@ fn capture() -> Capture {
         has_alpha: true,
         lights: Default::default(),
         lit_by: None,
+        grey_card: None,
         warnings: Vec::new(),
     }
 }

@@ -108,6 +108,7 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
         has_alpha: true,
         lights: [("lamp".to_owned(), lamp)].into(),
         lit_by: None,
+        grey_card: None,
         warnings: Vec::new(),
     }
 }

@@ -49,7 +49,8 @@ fn read(source: &Source, options: &ImportOptions) -> Result<Capture, CaptureErro
     let has_alpha = train.iter().any(|v| v.image.pixels.iter().any(|p| p[3] < 1.0));
     let bounds = bounds::bounds(&train, &points, has_alpha);
     let lights = truth::lights(source, &test, &mut warnings)?;
-    Ok(Capture { layout, train, test, points, bounds, has_alpha, lights, lit_by: None, warnings })
+    let (lit_by, grey_card) = (None, None);
+    Ok(Capture { layout, train, test, points, bounds, has_alpha, lights, lit_by, grey_card, warnings })
 }
 
 /// The layout's name, its photographs and its points.

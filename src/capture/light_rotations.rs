@@ -6,6 +6,10 @@ use crate::capture::{Capture, CaptureError};
 
 /// What an error calls the table of turns.
 const TABLE: &str = "light rotations";
+/// What is wrong with a name that fits no photograph.
+pub(super) const NO_SUCH_PHOTO: &str = "there is no such photograph in the capture";
+/// What is wrong with a name that fits several.
+pub(super) const SEVERAL_PHOTOS: &str = "several photographs have this name: more of their path is needed";
 
 impl Capture {
     /// Sets the turn of the light of the photographs in `degrees`, counter-clockwise about +Z, by file name: the whole path
@@ -21,9 +25,9 @@ impl Capture {
             }
             let views = self.train.iter_mut().chain(&mut self.test);
             let mut named = views.filter(|view| is_named(&view.name, name));
-            let view = named.next().ok_or_else(|| refused("there is no such photograph in the capture"))?;
+            let view = named.next().ok_or_else(|| refused(NO_SUCH_PHOTO))?;
             if named.next().is_some() {
-                return Err(refused("several photographs have this name: more of their path is needed"));
+                return Err(refused(SEVERAL_PHOTOS));
             }
             view.light_rotation_deg = *turn;
         }
@@ -40,7 +44,7 @@ impl Capture {
 }
 
 /// Whether `name` is `path` or the last parts of it.
-fn is_named(path: &str, name: &str) -> bool {
+pub(super) fn is_named(path: &str, name: &str) -> bool {
     path.strip_suffix(name).is_some_and(|before| before.is_empty() || before.ends_with('/'))
         && !name.is_empty()
 }

@@ -5,6 +5,7 @@ mod blender;
 mod bounds;
 mod colmap;
 mod error;
+mod grey_card;
 mod images;
 mod import;
 mod json;
@@ -23,6 +24,7 @@ mod undistort;
 mod write_archive;
 
 pub use error::CaptureError;
+pub use grey_card::GreyCard;
 pub use import::{CaptureReport, import, inspect};
 pub use lens::{Distortion, Intrinsics, Lens};
 pub use lights::{BUILTIN, builtin};

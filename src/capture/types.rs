@@ -67,6 +67,8 @@ pub struct Capture {
     pub lights: BTreeMap<String, EnvMap>,
     /// The light of the photographs, where it was measured; no importer sets it.
     pub lit_by: Option<EnvMap>,
+    /// Linear Rec.709 colour of a grey card in the photographs, where one was measured; no importer sets it.
+    pub grey_card: Option<[f32; 3]>,
     /// Problems that did not stop the import, e.g. missing images by name.
     pub warnings: Vec<String>,
 }

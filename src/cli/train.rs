@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::capture::Capture;
+use crate::capture::{Capture, GreyCard};
 use crate::cli::args::{named, overrides};
 use crate::cli::error::CommandResult;
 use crate::cli::light::{named_light, read_rotations};
@@ -14,8 +14,8 @@ use crate::engine::Device;
 use crate::engine::DeviceChoice;
 use crate::formats::model_file;
 use crate::train::{
-    KnownLight, LightExposure, Method, Preset, StepReport, TrainConfig, Trainer, WhiteBalance,
-    import_for_training,
+    KnownLight, LightExposure, Method, Preset, StepReport, TrainConfig, TrainOverrides, Trainer,
+    WhiteBalance, import_for_training,
 };
 
 /// Options of `relume train`.
@@ -57,6 +57,10 @@ pub(super) struct TrainArgs {
     /// sky), or its temperature in kelvin in photographs that were balanced for daylight.
     #[arg(long)]
     white_balance: Option<WhiteBalance>,
+    /// A white or grey thing that all of the light falls on, in pixels of a stored photograph: its mean colour is the light's, in
+    /// place of `--white-balance`.
+    #[arg(long, value_name = "PHOTO:X,Y,WIDTH,HEIGHT")]
+    grey_card: Option<GreyCard>,
     /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
@@ -72,24 +76,7 @@ pub(super) struct TrainArgs {
 }
 
 pub(super) fn run(args: &TrainArgs) -> CommandResult {
-    let flags = [
-        ("method", args.method.map(serde_json::to_value).transpose()?),
-        ("resolution", args.resolution.map(Into::into)),
-        ("iterations", args.iterations.map(Into::into)),
-        ("seed", args.seed.map(Into::into)),
-    ];
-    let mut overrides = overrides(&flags, &args.set)?;
-    if let Some(environment) = args.light.clone() {
-        let (rotation_deg, exposure_ev) = (args.light_rotation, args.light_exposure);
-        overrides.light = Some(KnownLight { environment, rotation_deg, exposure_ev });
-    }
-    if let Some(file) = &args.light_rotations {
-        overrides.light_rotation_per_photo = Some(read_rotations(file)?);
-    }
-    if args.white_balance.is_some() {
-        overrides.white_balance = args.white_balance;
-    }
-    let config = TrainConfig::new(args.preset, &overrides)?;
+    let config = TrainConfig::new(args.preset, &all_overrides(args)?)?;
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;
     let mut capture = import_for_training(&args.capture, &config)?;
     if let (Some(known), Some(map)) = (&config.light, light) {
@@ -120,6 +107,31 @@ pub(super) fn run(args: &TrainArgs) -> CommandResult {
     }
     eprintln!("wrote {}", args.out.display());
     Ok(())
+}
+
+/// The overrides that the options make.
+fn all_overrides(args: &TrainArgs) -> CommandResult<TrainOverrides> {
+    let flags = [
+        ("method", args.method.map(serde_json::to_value).transpose()?),
+        ("resolution", args.resolution.map(Into::into)),
+        ("iterations", args.iterations.map(Into::into)),
+        ("seed", args.seed.map(Into::into)),
+    ];
+    let mut overrides = overrides(&flags, &args.set)?;
+    if let Some(environment) = args.light.clone() {
+        let (rotation_deg, exposure_ev) = (args.light_rotation, args.light_exposure);
+        overrides.light = Some(KnownLight { environment, rotation_deg, exposure_ev });
+    }
+    if let Some(file) = &args.light_rotations {
+        overrides.light_rotation_per_photo = Some(read_rotations(file)?);
+    }
+    if args.white_balance.is_some() {
+        overrides.white_balance = args.white_balance;
+    }
+    if args.grey_card.is_some() {
+        overrides.grey_card = args.grey_card.clone();
+    }
+    Ok(overrides)
 }
 
 fn exposure(text: &str) -> Result<LightExposure, String> {

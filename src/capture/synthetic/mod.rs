@@ -109,6 +109,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
         has_alpha: true,
         lights: options.relit.clone(),
         lit_by: None,
+        grey_card: None,
         warnings: Vec::new(),
     })
 }

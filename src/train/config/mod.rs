@@ -16,6 +16,7 @@ pub use error::ConfigError;
 pub use method::Method;
 pub use white_balance::{NamedBalance, WhiteBalance};
 
+use crate::capture::GreyCard;
 use crate::scene::ShadingOptions;
 use crate::train::{KnownLight, LearningRates, LossWeights};
 
@@ -54,6 +55,9 @@ macro_rules! settings {
             /// Turns of the light that a caller gives, degrees by photograph; the capture's own where it gives none.
             #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
             pub light_rotation_per_photo: BTreeMap<String, f64>,
+            /// Where a photograph shows a grey card; its colour becomes `white_balance` when a training starts.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub grey_card: Option<GreyCard>,
         }
 
         /// What a caller may change on top of a preset. Absent means the preset's value.
@@ -68,6 +72,10 @@ macro_rules! settings {
             /// things on a turntable, in captures that cannot state it themselves. A name is a photograph's path in the
             /// capture or the end of it; one that fits no photograph, or several, is an error.
             pub light_rotation_per_photo: Option<BTreeMap<String, f64>>,
+            /// Where a photograph shows a white or grey thing that all of the light falls on: its mean linear colour is the
+            /// `white_balance`, which must not be given beside it. A channel that is clipped (mean above 0.98) or too dark (below
+            /// 0.01) is an error.
+            pub grey_card: Option<GreyCard>,
         }
 
         impl TrainOverrides {
@@ -86,8 +94,8 @@ macro_rules! settings {
         impl TrainConfig {
             fn standard() -> Self {
                 let (preset, forced, light) = (Preset::Standard, Vec::new(), None);
-                let light_rotation_per_photo = BTreeMap::new();
-                Self { preset, $($name: $standard,)+ forced, light, light_rotation_per_photo }
+                let (light_rotation_per_photo, grey_card) = (BTreeMap::new(), None);
+                Self { preset, $($name: $standard,)+ forced, light, light_rotation_per_photo, grey_card }
             }
 
             /// Takes the settings that `overrides` has, other than the light.
@@ -273,6 +281,10 @@ impl TrainConfig {
         config.forced.sort_unstable();
         config.forced.dedup();
         config.light_rotation_per_photo = overrides.light_rotation_per_photo.clone().unwrap_or_default();
+        config.grey_card = overrides.grey_card.clone();
+        if config.grey_card.is_some() && overrides.white_balance.is_some() {
+            return Err(ConfigError::new("grey_card", "cannot be given beside white_balance"));
+        }
         if let Some(light) = &overrides.light {
             config.hold_light(light);
         }
@@ -293,6 +305,11 @@ impl TrainConfig {
             light.check()?;
         }
         self.white_balance.check()?;
+        if let Some(card) = &self.grey_card {
+            for (side, pixels) in [("width", card.width), ("height", card.height)] {
+                check_range(&format!("grey_card.{side}"), pixels, 1..=u32::MAX)?;
+            }
+        }
         if let Some((name, _)) = self.light_rotation_per_photo.iter().find(|(_, turn)| !turn.is_finite()) {
             return Err(ConfigError::new(format!("light_rotation_per_photo.{name}"), "must be finite"));
         }

@@ -18,7 +18,8 @@ use crate::train::dataset::Dataset;
 use crate::train::error::{MOST_ROLLBACKS, TrainError};
 use crate::train::state::ScheduleState;
 use crate::train::{
-    LabelSource, TrainConfig, checkpoint, density, initial, light_colour, lights, materials, schedule,
+    LabelSource, TrainConfig, WhiteBalance, checkpoint, density, initial, light_colour, lights, materials,
+    schedule,
 };
 
 /// Fewest photographs worth training on.
@@ -69,8 +70,8 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainError::Invalid`] names what cannot be trained on, [`TrainError::Device`] what the device lacks.
-    pub fn new(capture: &Capture, config: TrainConfig, device: &Device) -> Result<Self, TrainError> {
-        let data = prepare(capture, &config)?;
+    pub fn new(capture: &Capture, mut config: TrainConfig, device: &Device) -> Result<Self, TrainError> {
+        let data = prepare(capture, &mut config)?;
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let model = initial::model(capture, &data, &config, &mut rng);
         let schedule = ScheduleState {
@@ -93,11 +94,11 @@ impl Trainer {
     /// [`TrainError::Checkpoint`] names what does not fit, [`TrainError::Invalid`] what cannot be trained on.
     pub fn resume(
         capture: &Capture,
-        config: TrainConfig,
+        mut config: TrainConfig,
         bytes: &[u8],
         device: &Device,
     ) -> Result<Self, TrainError> {
-        let data = prepare(capture, &config)?;
+        let data = prepare(capture, &mut config)?;
         let (schedule, state) = checkpoint::decode(bytes, &config)?;
         if schedule.order.len() != data.full.len() {
             return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
@@ -443,7 +444,8 @@ impl Trainer {
     }
 }
 
-fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainError> {
+/// Checks that `capture` can be trained on, gives `config` what was measured in it, and reads its photographs.
+fn prepare(capture: &Capture, config: &mut TrainConfig) -> Result<Dataset, TrainError> {
     if capture.train.len() < LEAST_VIEWS {
         let n = capture.train.len();
         return Err(TrainError::Invalid(format!(
@@ -456,6 +458,11 @@ fn prepare(capture: &Capture, config: &TrainConfig) -> Result<Dataset, TrainErro
     if !capture.has_lights_turned(&config.light_rotation_per_photo) {
         let reason = "the capture came without the turns of the light that are given here";
         return Err(TrainError::Invalid(format!("light_rotation_per_photo: {reason}")));
+    }
+    if config.grey_card.is_some() {
+        let missing = "grey_card: the capture came without the colour of the card";
+        let colour = capture.grey_card.ok_or_else(|| TrainError::Invalid(missing.into()))?;
+        config.white_balance = WhiteBalance::Colour(colour);
     }
     Ok(Dataset::new(capture, config))
 }
