@@ -6,6 +6,7 @@
 //! an even sky through its measured transmittance. It is taken only where it does better than the same light through the
 //! visibility field: a scene whose shadows are soft needs none.
 
+mod found;
 mod neighbours;
 mod split;
 
@@ -16,6 +17,7 @@ use crate::engine::{Photo, TrainState, fibonacci_sphere};
 use crate::light::{FULLY_OPEN, sh_eval};
 use crate::scene::{Field, Gaussians, MAX_LIGHTS, SplitLight};
 use crate::train::materials;
+use found::FoundLight;
 use neighbours::Neighbours;
 pub use split::{split, start};
 
@@ -47,17 +49,6 @@ const TELLING: (f32, f32) = (0.01, 0.95);
 const DARKEST: f32 = 2e-3;
 /// Factor of the components of a direction in Y_1m.
 const LINEAR_BAND: f32 = 0.488_602_5;
-
-/// A light and the evidence for it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FoundLight {
-    /// Where it is and how wide.
-    pub light: SplitLight,
-    /// Irradiance of a surface turned to it over that of an open one under the sky, by channel.
-    pub strength: [f32; 3],
-    /// Share by which it lowers the variation, against the same light with soft shadows.
-    pub gain: f32,
-}
 
 /// Looks for at most `most` lights in a state whose visibility was measured. `seen`: pixels in which each Gaussian is seen;
 /// `previous`: lights that were found before, which stay where they are unless it is clearly better to move.

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::engine::upward_share;
 use crate::scene::{LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse, texel_directions};
-use crate::train::lights::FoundLight;
+use crate::train::lights::found::FoundLight;
 
 /// Texels as near to a light as this, beyond its radius, belong to it, radians: a learned light is a blurred one.
 const REACH: f64 = 0.26;
