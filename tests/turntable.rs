@@ -101,11 +101,12 @@ fn known(rotation_deg: f64) -> TrainOverrides {
     TrainOverrides { warm_up: Some(0.0), light: Some(light), ..overrides() }
 }
 
-/// PSNR of the first steps under the lamp, dB.
+/// PSNR of the first two steps under the lamp, dB; later ones depend on rounding, since Adam divides small gradients by their
+/// size.
 fn first_steps(mut capture: Capture, overrides: &TrainOverrides, device: &Device) -> Vec<f32> {
     capture.lit_by = Some(lamp());
     let mut trainer = trainer(&capture, overrides, device);
-    (0..4).map(|_| trainer.step().unwrap().psnr).collect()
+    (0..2).map(|_| trainer.step().unwrap().psnr).collect()
 }
 
 fn worst(a: &[f32], b: &[f32]) -> f32 {
@@ -119,12 +120,13 @@ fn a_turn_of_every_photograph_is_a_turn_of_the_light(device: &Device) {
         capture.train.iter_mut().for_each(|view| view.light_rotation_deg = degrees);
         first_steps(capture, &known(0.0), device)
     };
-    // Six columns of 32; light gathered by the first measurement is under the turn as well.
-    let expected = first_steps(capture.clone(), &known(67.5), device);
-    let error = worst(&turned(67.5), &expected);
-    assert!(error < 5e-3, "{error} dB");
-    let wrong = worst(&turned(-67.5), &expected);
-    assert!(wrong > 0.03, "the control: the other way round, {wrong} dB");
+    // Eight columns of 32; light gathered by the first measurement is under the turn as well.
+    let expected = first_steps(capture.clone(), &known(90.0), device);
+    let found = turned(90.0);
+    let error = worst(&found, &expected);
+    assert!(error < 1e-3, "{found:?} {expected:?}");
+    let wrong = worst(&turned(-90.0), &expected);
+    assert!(wrong > 0.01, "the control: the other way round, {wrong} dB");
 }
 
 #[test]
@@ -143,10 +145,10 @@ fn a_turn_of_every_photograph_is_a_turn_of_the_light_on_a_gpu() {
 fn a_turning_light_trains_on_a_gpu_as_on_the_cpu() {
     let still = TrainOverrides { light_rotations: Some(false), ..known(0.0) };
     let expected = first_steps(turntable().clone(), &known(0.0), &Device::Cpu);
-    let error = worst(&first_steps(turntable().clone(), &known(0.0), gpu_device()), &expected);
-    assert!(error < 0.015, "{error} dB");
+    let found = first_steps(turntable().clone(), &known(0.0), gpu_device());
+    assert!(worst(&found, &expected) < 1e-3, "{found:?} {expected:?}");
     let wrong = worst(&first_steps(turntable().clone(), &still, gpu_device()), &expected);
-    assert!(wrong > 0.03, "the control: a light that stands still, {wrong} dB");
+    assert!(wrong > 0.01, "the control: a light that stands still, {wrong} dB");
     let mean = |device: &Device| {
         let mut trainer = trainer(turntable(), &overrides(), device);
         let reports = finish(&mut trainer);
