@@ -36,6 +36,11 @@ impl LightTurns {
         self.blocks.len() > 1
     }
 
+    /// True where no photograph's light is turned against the model's.
+    pub fn stand_still(&self) -> bool {
+        self.blocks == [0.0]
+    }
+
     /// The turns of photographs whose light is turned by `degrees`, and each photograph's place among them. Beyond
     /// [`MOST_TURNS`] different ones, gathered light is measured at multiples of a sixteenth of a full turn.
     pub fn of(degrees: &[f64]) -> (Self, Vec<LightTurn>) {
@@ -80,6 +85,8 @@ mod tests {
         assert_eq!(turns.shares, [0.5, 1.0 / 6.0, 1.0 / 3.0]);
         assert_eq!(photos[2].radians, 120f64.to_radians());
         assert_eq!(LightTurns::of(&[0.0; 4]).0, LightTurns::default());
+        assert!(LightTurns::default().stand_still());
+        assert!(!LightTurns::of(&[30.0; 4]).0.stand_still(), "all turned alike are turned");
     }
 
     #[test]

@@ -94,7 +94,7 @@ fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
 /// The strong small lights of a light that is known.
 fn known_lights(capture: &Capture, data: &Dataset, config: &TrainConfig) -> LightSplit {
     let (Some(map), Some(light)) = (&capture.lit_by, &config.light) else { return LightSplit::default() };
-    if config.lights == 0 || !config.shading.shades_lights() || data.turns.is_several() {
+    if config.lights == 0 || !config.shading.shades_lights() || !data.turns.stand_still() {
         return LightSplit::default();
     }
     let rows = config.environment_rows as usize;

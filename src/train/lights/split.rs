@@ -50,7 +50,8 @@ pub fn start(model: &mut Model, split: &LightSplit, found: &[FoundLight]) {
         (0..MAX_LIGHTS).for_each(|k| areas[k] += shares[k] * *solid_angle as f32);
     }
     for (t, raw) in model.env_raw.iter_mut().enumerate() {
-        let lights = split.shares[t].iter().zip(&areas).zip(found);
+        let shares = split.shares.get(t).copied().unwrap_or_default();
+        let lights = shares.iter().zip(&areas).zip(found);
         for c in 0..3 {
             let of_light = lights.clone().map(|((share, area), f)| share * f.strength[c] / area.max(1e-6));
             raw[c] = softplus_inverse(sky[c] * (split.rest(t) + PI * of_light.sum::<f32>()));
@@ -109,5 +110,8 @@ mod tests {
         let sent: f32 = (0..512).map(|t| split.shares[t][0] * texels[t].1 as f32 * light[t][1]).sum();
         let sky = light[511][1];
         assert!((sent / (std::f32::consts::PI * sky) - 4.0).abs() < 0.05, "{sent} {sky}");
+        start(&mut model, &LightSplit::default(), &[]);
+        assert!((up(&model) / before - 1.0).abs() < 0.05, "without a light it is an even sky");
+        assert!(model.env_raw.iter().all(|raw| *raw == model.env_raw[0]));
     }
 }

@@ -269,7 +269,7 @@ impl Trainer {
     /// Takes strong small lights that cast sharp shadows out of the environment.
     fn find_lights(&mut self) -> Result<(), TrainError> {
         let most = self.config.lights as usize;
-        if most == 0 || self.config.light.is_some() || self.data.turns.is_several() {
+        if most == 0 || self.config.light.is_some() || !self.data.turns.stand_still() {
             return Ok(());
         }
         let mut state = self.engine.state()?.into_owned();
@@ -286,7 +286,8 @@ impl Trainer {
             return Ok(());
         }
         let split = lights::split(&now, state.model.env_width, state.model.env_height);
-        if now.len() != before.len() {
+        // A light that is given up leaves its texels as they are.
+        if now.len() > before.len() {
             lights::start(&mut state.model, &split, &found);
             self.engine.load(state)?;
         }
