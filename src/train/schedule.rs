@@ -11,7 +11,7 @@ use crate::train::{LabelSource, TrainConfig};
 /// Progress from which depth-normal consistency acts: before, depth is noise.
 const NORMALS_FROM: f32 = 0.05;
 /// Factor on the weight of exposure where the light turns.
-const TURNING_EXPOSURE: f32 = 1.0 / 30.0;
+const TURNING_EXPOSURE: f32 = 0.01;
 /// Progress from which sheen trains: earlier it explains what normals, roughness and light should.
 const SHEEN_FROM: f32 = 0.7;
 
