@@ -69,10 +69,10 @@ pub fn step_weights(
     }
 }
 
-/// Weights of the terms on a light that turns between photographs: highlights that move tell its colour and its level, so
-/// that these terms need only keep it from drifting.
+/// Weights of the terms on a light that turns between photographs: highlights that move tell its level, so that the term on
+/// it need only keep it from drifting.
 pub fn turning_light(weights: LightWeights) -> LightWeights {
-    LightWeights { exposure: weights.exposure * TURNING_EXPOSURE, colour: 0.0, ..weights }
+    LightWeights { exposure: weights.exposure * TURNING_EXPOSURE, ..weights }
 }
 
 /// Adam's step sizes at `progress` in [0, 1].

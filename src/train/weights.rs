@@ -27,7 +27,7 @@ pub struct LossWeights {
     /// where the light turns between photographs.
     pub exposure: f32,
     /// Colour of the light: holds it where it is known, and at the estimate over the first three tenths of the steps that
-    /// train materials; not where the light turns between photographs.
+    /// train materials.
     #[serde(alias = "daylight")]
     pub light_colour: f32,
     /// Aggregation (Eq. 24).
