@@ -136,13 +136,34 @@ fn the_shadow_of_a_sun_is_closer_to_the_reference_where_it_is_measured_by_itself
         let [standard, high] = [Tier::Standard, Tier::High].map(|tier| frame(&renderer, &map, tier, 64));
         let errors = [&soft, &standard, &high].map(|f| distance(f, &truth, Output::Diffuse));
         println!("{shade_at:?}: diffuse error: from tables alone, standard, high {errors:.4?}");
-        assert!(errors[2] < 0.75 * errors[0], "{shade_at:?}: {errors:?}");
-        // Standard measures the shadow where Gaussians are shaded, and nowhere else.
-        let expected = if shade_at == ShadeAt::Gaussian { errors[2] } else { errors[0] };
-        assert!((errors[1] - expected).abs() < 0.05 * expected, "{shade_at:?}: {errors:?}");
+        assert!(errors[2] < 0.5 * errors[0], "{shade_at:?}: {errors:?}");
+        // Standard measures the shadow where Gaussians are shaded, one a Gaussian, and nowhere else.
+        match shade_at {
+            ShadeAt::Gaussian => assert!(errors[1] < 0.75 * errors[0] && errors[2] < 0.9 * errors[1]),
+            ShadeAt::Pixel => assert!((errors[1] - errors[0]).abs() < 0.05 * errors[0]),
+        }
         // The control: where no light stands out, the two tiers are one.
         let [standard, high] = [Tier::Standard, Tier::High].map(|tier| frame(&renderer, &even, tier, 48));
         assert!(distance(&standard, &high, Output::Rgb) < 1e-6, "{shade_at:?}");
+    }
+}
+
+#[test]
+fn a_shadow_falls_on_part_of_a_gaussian_where_pixels_ask_for_it() {
+    let discs = [(DVec3::ZERO, DVec3::Z, 4.0), (DVec3::new(0.0, 0.0, 0.45), DVec3::Z, 0.15)];
+    for shade_at in [ShadeAt::Gaussian, ShadeAt::Pixel] {
+        let mut model = (*model(&discs, 0.6, 0.0)).clone();
+        model.shading.shade_at = shade_at;
+        let renderer = Renderer::new(Arc::new(model));
+        let dark = |tier: Tier| {
+            let diffuse = frame(&renderer, &sun(), tier, 64).planes[&Output::Diffuse].clone();
+            let brightest = diffuse.iter().copied().fold(0.0, f32::max);
+            diffuse.chunks_exact(3).filter(|p| p[0] < 0.5 * brightest && p[0] > 0.0).count() as f64 / (64.0 * 64.0)
+        };
+        let (standard, high) = (dark(Tier::Standard), dark(Tier::High));
+        // Half of the light is lost within 1.1 standard deviations, in a picture 1.45 wide, seen from 45 degrees.
+        assert!((0.01..0.06).contains(&high), "{shade_at:?}: {high}");
+        assert!(standard < 0.3 * high, "the control, {shade_at:?}: {standard}");
     }
 }
 

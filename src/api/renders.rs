@@ -19,7 +19,7 @@ pub struct RenderRequest {
     pub width: u32,
     /// 1 to 4096 pixels.
     pub height: u32,
-    /// `preview`, `standard` (the default), `high` (shadows of strong small lights) or `reference` (Monte-Carlo, slow).
+    /// `preview`, `standard` (the default), `high` (shadows of strong small lights in every pixel) or `reference` (Monte-Carlo, slow).
     #[serde(default)]
     #[cfg_attr(feature = "server", schema(value_type = String, example = "standard"))]
     pub tier: Tier,

@@ -9,9 +9,10 @@ use crate::train::TrainOverrides;
 /// The tier to render with.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct QualityArgs {
-    /// `preview`, `standard`, `high` or `monte_carlo`; the last two run on the CPU engine, whatever the device.
-    #[arg(long, default_value = "standard", value_parser = named::<Tier>)]
-    pub tier: Tier,
+    /// `preview`, `standard`, `high` or `monte_carlo`; the last two run on the CPU engine, whatever the device. Where none is
+    /// given, `render` takes `standard`, `eval` `high`.
+    #[arg(long, value_parser = named::<Tier>)]
+    pub tier: Option<Tier>,
     /// Directions that the Monte-Carlo tier draws for each pixel.
     #[arg(long, default_value_t = Quality::SAMPLES,
           value_parser = clap::value_parser!(u32).range(1..=i64::from(Quality::MOST_SAMPLES)))]
@@ -23,14 +24,15 @@ pub struct QualityArgs {
 
 impl Default for QualityArgs {
     fn default() -> Self {
-        let Quality { tier, samples, seed } = Quality::default();
-        Self { tier, samples, seed }
+        let Quality { samples, seed, .. } = Quality::default();
+        Self { tier: None, samples, seed }
     }
 }
 
 impl QualityArgs {
-    pub(super) fn quality(self) -> Quality {
-        Quality { tier: self.tier, samples: self.samples, seed: self.seed }
+    /// What was asked for, at tier `otherwise` where none was given.
+    pub(super) fn quality(self, otherwise: Tier) -> Quality {
+        Quality { tier: self.tier.unwrap_or(otherwise), samples: self.samples, seed: self.seed }
     }
 }
 

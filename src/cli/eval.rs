@@ -77,7 +77,7 @@ pub fn run(args: &EvalArgs) -> CommandResult {
         lpips: lpips.as_ref(),
         views: args.views.map(|n| n as usize),
         progress: &progress,
-        quality: args.quality.quality(),
+        quality: args.quality.quality(EvalOptions::TIER),
         ..EvalOptions::default()
     };
     let report = evaluate(model.clone(), &capture, &options)?;
@@ -92,7 +92,8 @@ pub fn run(args: &EvalArgs) -> CommandResult {
         output::write_named(path, markdown.as_bytes())?;
     }
     if let Some(path) = &args.sheet {
-        let sheet = contact_sheet(model, &capture, args.quality.quality(), SHEET_ROWS, &device)?;
+        let sheet =
+            contact_sheet(model, &capture, args.quality.quality(EvalOptions::TIER), SHEET_ROWS, &device)?;
         output::write_named(path, &sheet.to_png(CELL)?)?;
     }
     Ok(())

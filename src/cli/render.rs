@@ -9,7 +9,7 @@ use crate::cli::light::named_light;
 use crate::cli::{input, output};
 use crate::engine::Device;
 use crate::engine::DeviceChoice;
-use crate::render::{FrameFormat, Orbit, Output, Renderer, Viewpoint, encode_frame};
+use crate::render::{FrameFormat, Orbit, Output, Renderer, Tier, Viewpoint, encode_frame};
 
 /// Options of `relume render`.
 #[derive(Debug, clap::Args)]
@@ -61,8 +61,12 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
     let orbit = Orbit { azimuth_deg: args.azimuth, elevation_deg: args.elevation, size: args.size };
     let camera = Viewpoint::Orbit(orbit).camera(&model)?;
     let renderer = Renderer::on(model, &Device::open(args.device)?)?;
-    let frame =
-        renderer.render(&camera, &renderer.prepare_light(&light)?, args.quality.quality(), &args.output)?;
+    let frame = renderer.render(
+        &camera,
+        &renderer.prepare_light(&light)?,
+        args.quality.quality(Tier::default()),
+        &args.output,
+    )?;
     let encoded = encode_frame(&frame, &args.output, format)?;
     output::write_named(&args.out, &encoded.bytes)?;
     eprintln!("wrote {}", args.out.display());

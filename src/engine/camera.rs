@@ -72,8 +72,14 @@ impl RasterCamera {
     /// World direction through pixel centre (`x`, `y`), z_c = 1, not normalised.
     #[inline]
     pub fn ray(&self, x: usize, y: usize) -> [f32; 3] {
-        let u = (x as f32 + 0.5 - self.centre_px[0]) / self.focal[0];
-        let v = (y as f32 + 0.5 - self.centre_px[1]) / self.focal[1];
+        self.ray_through([x as f32 + 0.5, y as f32 + 0.5])
+    }
+
+    /// The same through any place of the image, pixels from its upper left corner.
+    #[inline]
+    pub fn ray_through(&self, [x, y]: [f32; 2]) -> [f32; 3] {
+        let u = (x - self.centre_px[0]) / self.focal[0];
+        let v = (y - self.centre_px[1]) / self.focal[1];
         std::array::from_fn(|c| u * self.rotation[0][c] + v * self.rotation[1][c] + self.rotation[2][c])
     }
 }

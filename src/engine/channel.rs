@@ -26,7 +26,7 @@ pub const VISIBILITY: usize = 20;
 
 /// Radiance that leaves a surface for the camera, W/(m^2 sr), linear: the light in a row of a Gaussian that is shaded before
 /// it is blended (`ShadeAt::Gaussian`).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct OutgoingRadiance {
     /// Diffuse part of what leaves for the camera.
     pub diffuse: [f32; 3],
@@ -45,6 +45,14 @@ impl OutgoingRadiance {
     /// Both parts together.
     pub fn total(&self) -> [f32; 3] {
         std::array::from_fn(|c| self.diffuse[c] + self.specular[c])
+    }
+
+    /// Adds `share` of `other`.
+    pub fn add(&mut self, other: Self, share: f32) {
+        for c in 0..3 {
+            self.diffuse[c] += share * other.diffuse[c];
+            self.specular[c] += share * other.specular[c];
+        }
     }
 }
 

@@ -31,12 +31,17 @@ pub struct EvalOptions<'a> {
     pub progress: &'a dyn Fn(usize, usize),
 }
 
+impl EvalOptions<'_> {
+    /// The tier where none is asked for: shadows of strong small lights are as sharp as those of the photographs.
+    pub const TIER: Tier = Tier::High;
+}
+
 impl Default for EvalOptions<'_> {
     fn default() -> Self {
         Self {
             lpips: None,
             views: None,
-            quality: Quality::default(),
+            quality: Self::TIER.into(),
             frame_rate_time: Duration::from_secs(1),
             device: &Device::Cpu,
             progress: &|_, _| {},

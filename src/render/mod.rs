@@ -1,5 +1,6 @@
 //! A camera and a light in, a frame out.
 
+mod direct;
 mod edited;
 mod encode;
 mod error;

@@ -105,8 +105,9 @@ impl Renderer {
             Tier::Preview | Tier::Standard => self.frames.render(&frame, &light.frame)?,
             Tier::High => {
                 let job = self.job(frame, self.light_on_cpu(light));
-                let split = light.split.get_or_init(|| SplitLight::new(&job.source, &light.environment));
-                high::render(&job, split)
+                let order = self.model().gaussians.visibility_order();
+                let split = light.split.get_or_init(|| SplitLight::new(&light.environment, order));
+                high::render(&job, split, self.occluders())
             }
             Tier::MonteCarlo => {
                 let sampler = light.sampler.get_or_init(|| EnvSampler::new(light.environment.clone()));

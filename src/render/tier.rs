@@ -11,10 +11,10 @@ pub enum Tier {
     /// Shade each Gaussian once, blend three channels: what `standard` shows of models that are shaded there.
     Preview,
     /// From tables of the light, where the model was trained to be shaded: at its Gaussians, where up to four strong small
-    /// lights cast a true shadow each, or in the pixel.
+    /// lights cast a shadow each, one number a Gaussian, or in the pixel.
     #[default]
     Standard,
-    /// As `standard`, with a true shadow for up to eight strong small lights of the environment, in the pixel too.
+    /// As `standard`, with a true shadow for up to eight strong small lights of the environment, asked for in every pixel.
     High,
     /// Monte-Carlo over the environment, with a query through the Gaussians a sample: ground truth of the others' integrals.
     #[serde(alias = "reference")]

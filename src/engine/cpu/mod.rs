@@ -44,7 +44,7 @@ pub use labels::{BackwardLabel, backward_labels};
 pub use lanes::{LANES, Lanes};
 pub use mixture::softmax_lanes;
 pub use pass::{Pass, attribute_rows, project_all};
-pub use point::surface_point;
+pub use point::{surface_point, surface_points};
 pub use probes::{Probes, arriving, light_transmittance, outward_normals};
 pub use project::{
     Geometry, Splat, normalise, normalise_backward, rotation, rotation_backward, sigmoid, sigmoid_derivative,

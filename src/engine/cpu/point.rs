@@ -2,9 +2,15 @@
 
 use crate::engine::channel;
 use crate::engine::constants::{ALPHA_MAX, TILE};
+use crate::engine::cpu::occluder::{Vec3, dot};
 use crate::engine::cpu::pass::Pass;
-use crate::engine::cpu::project::Splat;
+use crate::engine::cpu::project::{Splat, normalise};
 
+/// Largest relative distance of the depth of a pixel's mean plane from that of the Gaussian it sees; beyond, the pixel mixes
+/// surfaces.
+const FARTHEST_MEAN: f32 = 0.02;
+/// Queries towards lights start this far from the surface: the planes of neighbours lie a little before and behind it.
+const LIFT: f32 = 0.005;
 /// Largest relative distance of a depth on a Gaussian's plane from its centre's depth; beyond, the plane is seen edge-on.
 const FARTHEST: f32 = 0.05;
 
@@ -12,6 +18,33 @@ const FARTHEST: f32 = 0.05;
 /// to half of what the pixel has. At an edge the mean depth is between two surfaces and on neither; this is on one of
 /// them. The camera's centre where there is nothing.
 pub fn surface_point(pass: &Pass, x: usize, y: usize) -> [f32; 3] {
+    let (ray, depth) = (pass.view.ray(x, y), surface_depth(pass, x, y));
+    std::array::from_fn(|k| pass.view.centre[k] + depth * ray[k])
+}
+
+/// World points that `places` in pixel (`x`, `y`), pixels from its centre, see: on the pixel's mean plane, a little before
+/// it. The mean is smoother than any Gaussian. Where it is not near [`surface_point`] all are at the depth of that.
+pub fn surface_points<const N: usize>(
+    pass: &Pass,
+    (x, y): (usize, usize),
+    places: [[f32; 2]; N],
+) -> [[f32; 3]; N] {
+    let seen = surface_depth(pass, x, y);
+    let blended: Vec3 = std::array::from_fn(|k| pass.at(x, y, channel::NORMAL.start + k));
+    let distance = pass.at(x, y, channel::PLANE);
+    let (normal, _) = normalise(blended);
+    let to_camera = if dot(normal, pass.view.ray(x, y)) > 0.0 { -LIFT } else { LIFT };
+    places.map(|[dx, dy]| {
+        let ray = pass.view.ray_through([x as f32 + 0.5 + dx, y as f32 + 0.5 + dy]);
+        let mean = distance / dot(blended, ray);
+        // NaN and infinity are not near.
+        let depth = if (mean - seen).abs() <= FARTHEST_MEAN * seen { mean } else { seen };
+        std::array::from_fn(|k| pass.view.centre[k] + depth * ray[k] + to_camera * normal[k])
+    })
+}
+
+/// Camera depth of [`surface_point`].
+fn surface_depth(pass: &Pass, x: usize, y: usize) -> f32 {
     let half = 1.0 - 0.5 * pass.at(x, y, channel::COVERAGE);
     let ray = pass.view.ray(x, y);
     let mut left = 1.0f32;
@@ -27,7 +60,7 @@ pub fn surface_point(pass: &Pass, x: usize, y: usize) -> [f32; 3] {
             break;
         }
     }
-    std::array::from_fn(|k| pass.view.centre[k] + depth * ray[k])
+    depth
 }
 
 /// What `splat` takes from the centre of pixel (`x`, `y`).
