@@ -140,6 +140,19 @@ async fn lists_page_from_the_newest_to_the_oldest() {
     }
     made.reverse();
     assert_eq!(seen, made);
+    let list = async |query: &str| {
+        let request = client.request(Method::GET, &format!("/v1/jobs?{query}")).unwrap();
+        serde_json::from_str::<Value>(&request.send().await.unwrap().text().await.unwrap()).unwrap()
+    };
+    assert!(list("limit=4").await["next"].is_string(), "one more comes");
+    assert!(list("limit=5").await["next"].is_null(), "a page that is exactly full and the last one");
+    for path in ["jobs", "captures", "models", "environments"] {
+        let request = client.request(Method::GET, &format!("/v1/{path}?before=nothing")).unwrap();
+        let answer = request.send().await.unwrap();
+        assert_eq!(answer.status(), 422, "{path}");
+        let problem: Value = serde_json::from_str(&answer.text().await.unwrap()).unwrap();
+        assert_eq!(problem["errors"][0]["pointer"], "query/before", "{path}");
+    }
     for id in &made {
         client.cancel_job(id).await.unwrap();
     }
@@ -446,6 +459,36 @@ async fn a_job_holds_the_light_it_is_told() {
         let worst = apart.map(|(a, b)| (a - b).abs() / (b + 0.01)).fold(0.0, f32::max);
         assert_eq!(worst < 1e-3, light.is_some(), "{light:?}: {worst}");
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_path_that_is_no_text_is_a_problem_and_an_upload_is_named_as_the_caller_knows_it() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let answer = client.request(Method::GET, "/v1/jobs/%F1%83").unwrap().send().await.unwrap();
+    assert_eq!(answer.status(), 400);
+    assert_eq!(answer.headers()["content-type"], "application/problem+json");
+    let request = client.request(Method::POST, "/v1/captures").unwrap();
+    let request = request.header("content-type", "application/zip").body("no archive at all");
+    let problem: Value = serde_json::from_str(&request.send().await.unwrap().text().await.unwrap()).unwrap();
+    assert!(problem["detail"].as_str().unwrap().starts_with("archive: "), "{problem}");
+    assert_eq!(problem["content"]["file"], "archive");
+}
+
+#[test]
+fn every_answer_of_the_description_says_what_it_is() {
+    let description = serde_json::to_value(relume::server::openapi()).unwrap();
+    let mut answers = 0;
+    for (path, item) in description["paths"].as_object().unwrap() {
+        for operation in item.as_object().unwrap().values().filter(|o| o.get("responses").is_some()) {
+            for (status, answer) in operation["responses"].as_object().unwrap() {
+                let words = answer["description"].as_str().unwrap_or_default();
+                assert!(!words.is_empty(), "{path} {status}");
+                answers += 1;
+            }
+        }
+    }
+    assert!(answers > 50);
 }
 
 #[test]

@@ -158,7 +158,8 @@ fn a_shadow_falls_on_part_of_a_gaussian_where_pixels_ask_for_it() {
         let dark = |tier: Tier| {
             let diffuse = frame(&renderer, &sun(), tier, 64).planes[&Output::Diffuse].clone();
             let brightest = diffuse.iter().copied().fold(0.0, f32::max);
-            diffuse.chunks_exact(3).filter(|p| p[0] < 0.5 * brightest && p[0] > 0.0).count() as f64 / (64.0 * 64.0)
+            diffuse.chunks_exact(3).filter(|p| p[0] < 0.5 * brightest && p[0] > 0.0).count() as f64
+                / (64.0 * 64.0)
         };
         let (standard, high) = (dark(Tier::Standard), dark(Tier::High));
         // Half of the light is lost within 1.1 standard deviations, in a picture 1.45 wide, seen from 45 degrees.

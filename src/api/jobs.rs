@@ -24,6 +24,7 @@ pub struct NewJob {
     pub overrides: TrainOverrides,
     /// -100 to 100; higher runs first.
     #[serde(default)]
+    #[cfg_attr(feature = "server", schema(minimum = -100, maximum = 100))]
     pub priority: i64,
     /// `auto`, `cpu` or `gpu`.
     #[serde(default)]
@@ -51,6 +52,7 @@ pub enum JobDevice {
 #[serde(deny_unknown_fields)]
 pub struct JobChange {
     /// -100 to 100; higher runs first.
+    #[cfg_attr(feature = "server", schema(minimum = -100, maximum = 100))]
     pub priority: i64,
 }
 

@@ -16,8 +16,10 @@ pub struct RenderRequest {
     #[serde(default)]
     pub environment: EnvironmentSpec,
     /// 1 to 4096 pixels.
+    #[cfg_attr(feature = "server", schema(minimum = 1, maximum = 4096))]
     pub width: u32,
     /// 1 to 4096 pixels.
+    #[cfg_attr(feature = "server", schema(minimum = 1, maximum = 4096))]
     pub height: u32,
     /// `preview`, `standard` (the default), `high` (shadows of strong small lights in every pixel) or `reference` (Monte-Carlo, slow).
     #[serde(default)]

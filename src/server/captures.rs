@@ -1,7 +1,7 @@
 //! `/v1/captures`: archives of posed photographs.
 
 use axum::Json;
-use axum::extract::{Path, Request, State};
+use axum::extract::{Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
@@ -13,8 +13,8 @@ use crate::api::{CaptureId, List, Problem};
 use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
 use crate::server::app::Shared;
 use crate::server::description::{ArchiveForm, File};
-use crate::server::extract::QueryString;
-use crate::server::listing::{PageQuery, list, rfc3339};
+use crate::server::extract::{QueryString, UrlPath};
+use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::server::upload::{self, Expected};
 use crate::store::{CaptureRecord, Incoming};
 
@@ -92,8 +92,13 @@ async fn list_captures(
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<CaptureSummary>>, Problem> {
     let page = query.page()?;
-    let items = app.store.captures(&page).await?.into_iter().map(view).collect();
-    Ok(Json(list(items, &page, |c: &CaptureSummary| c.id.as_str())))
+    if let Some(before) = page.before()
+        && app.store.capture(&before.into()).await?.is_none()
+    {
+        return Err(unknown_cursor(before));
+    }
+    let items = app.store.captures(&page.of_store()).await?.into_iter().map(view).collect();
+    Ok(Json(page.list(items, |c: &CaptureSummary| c.id.as_str())))
 }
 
 /// Get a capture
@@ -103,7 +108,7 @@ async fn list_captures(
 )]
 async fn get_capture(
     State(app): State<Shared>,
-    Path(id): Path<CaptureId>,
+    UrlPath(id): UrlPath<CaptureId>,
 ) -> Result<Json<CaptureSummary>, Problem> {
     let record = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture", id.as_str()))?;
     Ok(Json(view(record)))
@@ -127,19 +132,25 @@ async fn validate(app: &Shared, incoming: &Incoming) -> Result<CaptureReport, Pr
     let _permit = app.imports.acquire().await.map_err(Problem::internal)?;
     let path = incoming.path.clone();
     let inspect = move || capture::inspect(&path, &ImportOptions::default());
-    tokio::task::spawn_blocking(inspect).await.map_err(Problem::internal)?.map_err(refused)
+    tokio::task::spawn_blocking(inspect)
+        .await
+        .map_err(Problem::internal)?
+        .map_err(|e| refused(&e, &incoming.path))
 }
 
-fn refused(error: CaptureError) -> Problem {
+/// What is wrong with the upload kept at `path`, which the caller knows as the archive.
+fn refused(error: &CaptureError, path: &std::path::Path) -> Problem {
     if !error.is_users_fault() {
         return Problem::internal(error);
     }
+    let kept_as = path.file_name().unwrap_or_default().to_string_lossy();
+    let by_its_name = |text: &str| text.replace(kept_as.as_ref(), "archive");
     let content = ContentError {
         code: error.code().to_owned(),
-        file: error.file().map(str::to_owned),
+        file: error.file().map(by_its_name),
         field: error.field().map(str::to_owned),
     };
-    Problem::invalid_content(content, error.to_string())
+    Problem::invalid_content(content, by_its_name(&error.to_string()))
 }
 
 fn view(record: CaptureRecord) -> CaptureSummary {

@@ -1,5 +1,6 @@
 //! The description of the API: what handlers do not declare themselves because it is the same for all.
 
+use axum::http::StatusCode;
 use utoipa::ToSchema;
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme};
@@ -53,9 +54,10 @@ pub(super) fn preamble() -> OpenApi {
 /// Gives every operation the errors that any of them may answer with, under their own media type.
 pub(super) fn with_problems(mut api: OpenApi) -> OpenApi {
     for operation in api.paths.paths.values_mut().flat_map(operations) {
-        for response in operation.responses.responses.values_mut() {
+        for (status, response) in &mut operation.responses.responses {
             if let RefOr::T(response) = response {
                 rename_problem(response);
+                describe(status, response);
             }
         }
         let any = ResponseBuilder::new()
@@ -100,6 +102,14 @@ fn rename_problem(response: &mut Response) {
     let is_problem = matches!(json, Some(RefOr::T(content)) if content.schema == Some(problem()));
     if is_problem && let Some(content) = response.content.shift_remove("application/json") {
         response.content.insert(PROBLEM.to_owned(), content);
+    }
+}
+
+/// Gives a response without words of its own the meaning of its status.
+fn describe(status: &str, response: &mut Response) {
+    let known = status.parse().ok().and_then(|code: StatusCode| code.canonical_reason());
+    if response.description.is_empty() {
+        response.description = known.unwrap_or("Answer").to_owned();
     }
 }
 

@@ -1,7 +1,7 @@
 //! `/v1/environments`: HDR environment maps.
 
 use axum::Json;
-use axum::extract::{Path, Request, State};
+use axum::extract::{Request, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
@@ -16,8 +16,8 @@ use crate::capture::BUILTIN;
 use crate::formats::environment::{self, LoadedEnvironment};
 use crate::server::app::Shared;
 use crate::server::description::{EnvironmentForm, File};
-use crate::server::extract::QueryString;
-use crate::server::listing::{PageQuery, list, rfc3339};
+use crate::server::extract::{QueryString, UrlPath};
+use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::server::upload::{self, Expected};
 use crate::store::{EnvironmentRecord, Incoming};
 
@@ -33,7 +33,8 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 struct UploadQuery {
-    /// A name for display, at most 128 characters.
+    /// A name for display, 1 to 128 characters.
+    #[param(min_length = 1, max_length = 128)]
     name: Option<String>,
 }
 
@@ -91,10 +92,15 @@ async fn list_environments(
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<EnvironmentList>, Problem> {
     let page = query.page()?;
-    let items = app.store.environments(&page).await?.into_iter().map(view).collect();
+    if let Some(before) = page.before()
+        && app.store.environment(&before.into()).await?.is_none()
+    {
+        return Err(unknown_cursor(before));
+    }
+    let items = app.store.environments(&page.of_store()).await?.into_iter().map(view).collect();
     Ok(Json(EnvironmentList {
         builtin: BUILTIN.iter().map(|&name| name.to_owned()).collect(),
-        uploaded: list(items, &page, |e: &EnvironmentView| e.id.as_str()),
+        uploaded: page.list(items, |e: &EnvironmentView| e.id.as_str()),
     }))
 }
 
@@ -105,7 +111,7 @@ async fn list_environments(
 )]
 async fn get_environment(
     State(app): State<Shared>,
-    Path(id): Path<EnvironmentId>,
+    UrlPath(id): UrlPath<EnvironmentId>,
 ) -> Result<Json<EnvironmentView>, Problem> {
     let record = app.store.environment(&id).await?;
     Ok(Json(view(record.ok_or_else(|| Problem::not_found("environment", id.as_str()))?)))

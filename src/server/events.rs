@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::time::Duration;
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::Sse;
 use axum::response::sse::{Event, KeepAlive};
@@ -17,7 +17,7 @@ use utoipa_axum::routes;
 
 use crate::api::{JobId, Problem};
 use crate::server::app::Shared;
-use crate::server::extract::QueryString;
+use crate::server::extract::{QueryString, UrlPath};
 use crate::store::{EventRecord, StoreError};
 
 /// How long a listener waits for a notification before it queries the database.
@@ -53,7 +53,7 @@ struct EventQuery {
 )]
 async fn job_events(
     State(app): State<Shared>,
-    Path(id): Path<JobId>,
+    UrlPath(id): UrlPath<JobId>,
     QueryString(query): QueryString<EventQuery>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {

@@ -1,7 +1,7 @@
 //! Extractors whose refusals are problems that name the field.
 
 use axum::body::Bytes;
-use axum::extract::{FromRequest, FromRequestParts, Query, Request};
+use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, StatusCode, header};
 use serde::de::DeserializeOwned;
@@ -15,6 +15,25 @@ pub(super) struct JsonBody<T, const LIMIT: usize = 65_536>(pub(super) T);
 
 /// A query string.
 pub(super) struct QueryString<T>(pub(super) T);
+
+/// What the path names.
+pub(super) struct UrlPath<T>(pub(super) T);
+
+impl<S: Send + Sync, T: DeserializeOwned + Send> FromRequestParts<S> for UrlPath<T> {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        match Path::<T>::from_request_parts(parts, state).await {
+            Ok(Path(value)) => Ok(Self(value)),
+            Err(rejection) => Err(Problem::new(
+                StatusCode::BAD_REQUEST,
+                "malformed-path",
+                "The path of the URL cannot be read",
+            )
+            .detail(rejection.body_text())),
+        }
+    }
+}
 
 impl<S: Send + Sync, T: DeserializeOwned, const LIMIT: usize> FromRequest<S> for JsonBody<T, LIMIT> {
     type Rejection = Problem;

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use axum::body::Body;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use base64::Engine as _;
@@ -14,6 +14,7 @@ use utoipa_axum::routes;
 use crate::api::{ModelId, Problem};
 use crate::server::app::Shared;
 use crate::server::description::File;
+use crate::server::extract::UrlPath;
 use crate::store::ModelFile;
 
 const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
@@ -38,7 +39,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 )]
 async fn get_file(
     State(app): State<Shared>,
-    Path((id, name)): Path<(ModelId, String)>,
+    UrlPath((id, name)): UrlPath<(ModelId, String)>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let file = app.store.model_file(&id, &name).await?;

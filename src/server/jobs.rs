@@ -1,7 +1,7 @@
 //! `/v1/jobs`: trainings, queued and run one after another.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
@@ -14,8 +14,8 @@ use crate::api::jobs::{JobChange, JobDevice, JobError, JobState, JobView, NewJob
 use crate::api::{EnvironmentId, JobId, List, Problem};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
-use crate::server::extract::{JsonBody, QueryString};
-use crate::server::listing::{list, page, rfc3339};
+use crate::server::extract::{JsonBody, QueryString, UrlPath};
+use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
 use crate::train::{ConfigError, KnownLight, TrainConfig};
 
@@ -40,8 +40,10 @@ struct JobQuery {
     /// Only jobs in this state.
     state: Option<JobState>,
     /// Most items, 1 to 200; 50 when absent.
+    #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
-    /// Only items older than this identifier.
+    /// Only items older than this identifier: the `next` of the page before.
+    #[param(min_length = 1)]
     before: Option<String>,
 }
 
@@ -86,16 +88,21 @@ async fn list_jobs(
     State(app): State<Shared>,
     QueryString(query): QueryString<JobQuery>,
 ) -> Result<Json<List<JobView>>, Problem> {
-    let page = page(query.limit, query.before)?;
+    let page = PageQuery { limit: query.limit, before: query.before }.page()?;
+    if let Some(before) = page.before()
+        && app.store.job(&before.into()).await?.is_none()
+    {
+        return Err(unknown_cursor(before));
+    }
     let mut items = Vec::new();
-    for job in app.jobs.list(query.state, &page).await? {
+    for job in app.jobs.list(query.state, &page.of_store()).await? {
         let position = match job.state {
             JobState::Queued => app.store.queue_position(&job.id).await?,
             _ => None,
         };
         items.push(view(job, position));
     }
-    Ok(Json(list(items, &page, |j: &JobView| j.id.as_str())))
+    Ok(Json(page.list(items, |j: &JobView| j.id.as_str())))
 }
 
 /// Get a job
@@ -103,7 +110,7 @@ async fn list_jobs(
     get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
     responses((status = 200, body = JobView), (status = 404, body = Problem))
 )]
-async fn get_job(State(app): State<Shared>, Path(id): Path<JobId>) -> Result<Json<JobView>, Problem> {
+async fn get_job(State(app): State<Shared>, UrlPath(id): UrlPath<JobId>) -> Result<Json<JobView>, Problem> {
     current(&app, &id).await.map(Json)
 }
 
@@ -117,7 +124,7 @@ async fn get_job(State(app): State<Shared>, Path(id): Path<JobId>) -> Result<Jso
 )]
 async fn change_job(
     State(app): State<Shared>,
-    Path(id): Path<JobId>,
+    UrlPath(id): UrlPath<JobId>,
     JsonBody(change): JsonBody<JobChange>,
 ) -> Result<Json<JobView>, Problem> {
     check_priority(change.priority)?;
@@ -141,7 +148,10 @@ async fn change_job(
         (status = 409, body = Problem, description = "It succeeded or failed before")
     )
 )]
-async fn cancel_job(State(app): State<Shared>, Path(id): Path<JobId>) -> Result<Json<JobView>, Problem> {
+async fn cancel_job(
+    State(app): State<Shared>,
+    UrlPath(id): UrlPath<JobId>,
+) -> Result<Json<JobView>, Problem> {
     match app.jobs.cancel(&id).await? {
         CancelOutcome::Accepted(job) => Ok(Json(view(job, None))),
         CancelOutcome::AlreadyFinished(job) => {
@@ -162,7 +172,7 @@ async fn cancel_job(State(app): State<Shared>, Path(id): Path<JobId>) -> Result<
         (status = 409, body = Problem, description = "It neither failed nor was cancelled")
     )
 )]
-async fn retry_job(State(app): State<Shared>, Path(id): Path<JobId>) -> Result<Response, Problem> {
+async fn retry_job(State(app): State<Shared>, UrlPath(id): UrlPath<JobId>) -> Result<Response, Problem> {
     let job = app.store.job(&id).await?.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
     if !matches!(job.state, JobState::Failed | JobState::Cancelled) {
         let detail = format!("the job is {}; only a failed or cancelled one runs again", job.state.name());

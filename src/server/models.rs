@@ -1,15 +1,15 @@
 //! `/v1/models`: what trainings produced.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::api::models::{FileView, ModelSummary, ModelView};
 use crate::api::{List, ModelId, Problem};
 use crate::server::app::Shared;
-use crate::server::extract::QueryString;
-use crate::server::listing::{PageQuery, list, rfc3339};
+use crate::server::extract::{QueryString, UrlPath};
+use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::store::{ModelFile, ModelRecord};
 use crate::worker::ModelSource;
 
@@ -31,8 +31,13 @@ async fn list_models(
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<ModelSummary>>, Problem> {
     let page = query.page()?;
-    let items = app.store.models(&page).await?.into_iter().map(summary).collect();
-    Ok(Json(list(items, &page, |m: &ModelSummary| m.id.as_str())))
+    if let Some(before) = page.before()
+        && app.store.model(&before.into()).await?.is_none()
+    {
+        return Err(unknown_cursor(before));
+    }
+    let items = app.store.models(&page.of_store()).await?.into_iter().map(summary).collect();
+    Ok(Json(page.list(items, |m: &ModelSummary| m.id.as_str())))
 }
 
 /// Get a model and its files
@@ -40,7 +45,10 @@ async fn list_models(
     get, path = "/v1/models/{id}", tag = "models", params(("id" = String, Path)),
     responses((status = 200, body = ModelView), (status = 404, body = Problem))
 )]
-async fn get_model(State(app): State<Shared>, Path(id): Path<ModelId>) -> Result<Json<ModelView>, Problem> {
+async fn get_model(
+    State(app): State<Shared>,
+    UrlPath(id): UrlPath<ModelId>,
+) -> Result<Json<ModelView>, Problem> {
     let model = find(&app, &id).await?;
     let files = app.store.model_files(&id).await?;
     let files = files.into_iter().map(|file| file_view(&id, file)).collect();
@@ -55,7 +63,7 @@ async fn get_model(State(app): State<Shared>, Path(id): Path<ModelId>) -> Result
 )]
 async fn get_card(
     State(app): State<Shared>,
-    Path(id): Path<ModelId>,
+    UrlPath(id): UrlPath<ModelId>,
 ) -> Result<Json<serde_json::Value>, Problem> {
     Ok(Json(find(&app, &id).await?.card))
 }

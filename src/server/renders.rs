@@ -1,6 +1,6 @@
 //! `/v1/models/{id}/render`: relit frames and G-buffers for any camera under any light.
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
@@ -11,7 +11,7 @@ use crate::api::{ModelId, Problem};
 use crate::render::{EncodedFrame, FrameFormat, Output, Viewpoint, encode_frame, is_colour};
 use crate::server::app::Shared;
 use crate::server::description::File;
-use crate::server::extract::JsonBody;
+use crate::server::extract::{JsonBody, UrlPath};
 use crate::server::lights::light;
 use crate::server::render_request::{camera, quality};
 use crate::server::{models, negotiate};
@@ -43,7 +43,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 )]
 async fn render(
     State(app): State<Shared>,
-    Path(id): Path<ModelId>,
+    UrlPath(id): UrlPath<ModelId>,
     headers: HeaderMap,
     JsonBody(request): JsonBody<RenderRequest, BODY_LIMIT>,
 ) -> Result<Response, Problem> {

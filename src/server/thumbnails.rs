@@ -1,6 +1,6 @@
 //! `/v1/models/{id}/thumbnail`: small relit pictures for web pages, cacheable without rendering them again.
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
@@ -13,7 +13,7 @@ use crate::api::{EnvironmentId, ModelId, Problem};
 use crate::render::{FrameFormat, Orbit, Output, Tier, Viewpoint};
 use crate::server::app::Shared;
 use crate::server::description::File;
-use crate::server::extract::QueryString;
+use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
 use crate::server::lights::{builtin_light, stored_light};
 use crate::server::{models, renders};
@@ -33,10 +33,12 @@ pub struct ThumbnailQuery {
     /// Name of a built-in map, identifier of an uploaded one, or `recovered` (the default).
     pub env: Option<String>,
     /// Side, 16 to 1024 pixels; 256 when absent.
+    #[param(minimum = 16, maximum = 1024)]
     pub size: Option<u32>,
     /// Degrees counter-clockwise seen from above; 0 stands on the +x side.
     pub azimuth: Option<f64>,
     /// Degrees above the horizon, -90 to 90; 20 when absent.
+    #[param(minimum = -90, maximum = 90)]
     pub elevation: Option<f64>,
     /// `preview` (the default), `standard` or `high`.
     #[param(value_type = Option<String>)]
@@ -59,7 +61,7 @@ pub struct ThumbnailQuery {
 )]
 async fn thumbnail(
     State(app): State<Shared>,
-    Path(id): Path<ModelId>,
+    UrlPath(id): UrlPath<ModelId>,
     QueryString(query): QueryString<ThumbnailQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
