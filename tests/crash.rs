@@ -1,8 +1,6 @@
 //! kill -9 of the real server, at random moments, as often as it takes.
 
-use std::io::{BufRead, BufReader};
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
 
 use futures::TryStreamExt;
@@ -14,47 +12,13 @@ use relume::client::{Client, JobEvent};
 use reqwest::Method;
 use tempfile::TempDir;
 
+use crate::server_process::Server;
 use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, until};
 
 /// Long enough that ten starts, each with a moment of training, do not reach the end.
 const STEPS: u32 = 600;
 const CHECKPOINT_EVERY: u32 = 10;
 const KILLS: usize = 10;
-
-/// A server process; dying with the test.
-struct Server {
-    child: Child,
-    client: Client,
-}
-
-impl Server {
-    fn start(data: &Path) -> Self {
-        Self::start_under(Command::new(env!("CARGO_BIN_EXE_relume")), data)
-    }
-
-    /// `command` runs the server once it gets the server's own arguments.
-    fn start_under(mut command: Command, data: &Path) -> Self {
-        command.args(["serve", "--listen", "127.0.0.1:0", "--data-dir"]).arg(data);
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let base = line.trim().strip_prefix("listening on ").unwrap_or_else(|| panic!("{line:?}"));
-        Self { client: Client::new(base, None).unwrap(), child }
-    }
-
-    /// SIGKILL: nothing is flushed, nothing is handed over.
-    fn kill(mut self) {
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.child.kill().ok();
-        self.child.wait().ok();
-    }
-}
 
 /// Uploads the capture and submits a job on it, always under the same key.
 async fn submit(client: &Client, steps: u32) -> JobId {
@@ -192,7 +156,7 @@ async fn a_full_disk_gives_507_and_no_corruption() {
 }
 
 /// Bytes that do not compress.
-fn noise(count: usize) -> Vec<u8> {
+pub fn noise(count: usize) -> Vec<u8> {
     let mut bytes = vec![0; count];
     rand::Rng::fill_bytes(&mut ChaCha8Rng::seed_from_u64(1), &mut bytes);
     bytes

@@ -6,18 +6,23 @@
 mod architecture;
 mod captures;
 mod crash;
+mod doctor;
 mod eval;
 mod extremes;
+#[cfg(target_os = "linux")]
+mod full_disk;
 mod gpu;
 mod hostile;
 mod lights;
 mod reference;
 mod requirements;
+mod server_process;
 mod service;
 mod service_api;
 mod service_cli;
 mod service_promises;
 mod service_support;
+mod stored_files;
 mod tiers;
 mod training;
 mod turntable;

@@ -119,6 +119,40 @@ async fn a_paused_worker_that_lost_its_lease_publishes_nothing() {
 }
 
 #[tokio::test]
+async fn a_job_that_is_cancelled_while_it_waits_leaves_no_checkpoint() {
+    let bench = Bench::new().await;
+    let id = bench.submit(0).await;
+    let lease = bench.claim().await;
+    lease.checkpoint(10, vec![1; 100]).await.unwrap();
+    lease.release(Release::Shutdown).await.unwrap();
+    assert_eq!(files_under(bench.dir.path()).len(), 1);
+    bench.jobs.cancel(&id).await.unwrap();
+    assert!(files_under(bench.dir.path()).is_empty());
+}
+
+#[tokio::test]
+async fn a_job_that_waits_for_room_says_so_and_spends_no_attempt() {
+    let bench = Bench::new().await;
+    let id = bench.submit(0).await;
+    for _ in 0..10 {
+        let lease = bench.claim().await;
+        lease.progress(&JobProgress { step: 15, total: 100, ..JobProgress::default() }).await.unwrap();
+        assert_eq!(lease.release(Release::NoRoom).await.unwrap(), LeaseStatus::Held);
+    }
+    let job = bench.jobs.store().job(&id).await.unwrap().unwrap();
+    assert_eq!((job.state, job.progress.step, job.idle_attempts), (JobState::Queued, 0, 0));
+    assert_eq!(job.progress.message.as_deref(), Some("waiting for room on the disk"));
+    let lease = bench.claim().await;
+    lease.checkpoint(10, vec![1; 100]).await.unwrap();
+    lease.release(Release::NoRoom).await.unwrap();
+    assert_eq!(bench.jobs.store().job(&id).await.unwrap().unwrap().progress.step, 10);
+    bench.jobs.store().room().note_shortage(1 << 60);
+    assert!(matches!(bench.submit_with(0, None).await, Err(StoreError::NoRoom { .. })));
+    bench.jobs.store().room().forget_shortage();
+    bench.submit(0).await;
+}
+
+#[tokio::test]
 async fn a_job_publishes_exactly_once() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;

@@ -1,11 +1,12 @@
-//! `relume doctor`: this machine's devices, which one will be used and why, and whether the service can run.
+//! `relume doctor`: this machine's devices, which one will be used and why, whether the service can run, and whether what it has
+//! stored is sound.
 
 use std::path::{Path, PathBuf};
 
 use crate::cli::error::CommandResult;
 use crate::engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
 #[cfg(feature = "server")]
-use crate::store::Store;
+use crate::store::{Store, inspect};
 
 /// Options of `relume doctor`.
 #[derive(Debug, clap::Args)]
@@ -31,6 +32,8 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
     #[cfg(feature = "server")]
     println!("sqlite        {}", sqlite_version()?);
     println!("data dir      {}", data_dir(&args.data_dir)?);
+    #[cfg(feature = "server")]
+    let faults = stored(&args.data_dir)?;
     let chosen = choose_adapter(&adapters, args.device)?;
     println!("device        {}", verdict(args.device, chosen, &adapters));
     if let Some(index) = chosen {
@@ -38,7 +41,34 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
         Device::open(DeviceChoice::Gpu(Some(index)))?;
         println!("self-test     passed");
     }
+    #[cfg(feature = "server")]
+    if faults > 0 {
+        return Err(format!("{}: {faults} faults, see above", args.data_dir.display()).into());
+    }
     Ok(())
+}
+
+/// Says what is stored in a data directory and what is wrong with it; the number of faults.
+#[cfg(feature = "server")]
+fn stored(path: &Path) -> CommandResult<usize> {
+    if !path.exists() {
+        return Ok(0);
+    }
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let found = runtime.block_on(inspect(path))?;
+    match found.schema {
+        Some(schema) => println!("database      schema {schema}"),
+        None if found.faults.is_empty() => println!("database      none yet"),
+        None => println!("database      cannot be used"),
+    }
+    println!("artifacts     {} named by the database, {} not", found.artifacts, found.orphans.len());
+    found.orphans.iter().for_each(|key| {
+        println!(
+            "left over     artifacts/{key}: nothing refers to it; the next start of the server takes it away"
+        );
+    });
+    found.faults.iter().for_each(|fault| println!("fault         {fault}"));
+    Ok(found.faults.len())
 }
 
 fn describe(r: &AdapterReport) {

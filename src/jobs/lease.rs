@@ -75,9 +75,13 @@ impl Lease {
     pub async fn checkpoint(&self, step: i64, bytes: Vec<u8>) -> Result<LeaseStatus, StoreError> {
         let store = &self.jobs.store;
         let key = format!("{}/checkpoint-{step:08}.safetensors", self.artifact_prefix());
-        store.artifacts().put(&key, bytes).await?;
-        let (status, replaced) =
-            store.record_checkpoint(&self.job.id, &self.token, &key, step, self.jobs.now_ms()).await?;
+        let sha256 = store.artifacts().put(&key, bytes).await?;
+        let (artifact, now) = ((key.as_str(), sha256.as_str()), self.jobs.now_ms());
+        let recorded = store.record_checkpoint(&self.job.id, &self.token, artifact, step, now).await;
+        if matches!(recorded, Err(StoreError::Full)) {
+            store.artifacts().remove(&key).await;
+        }
+        let (status, replaced) = recorded?;
         match status {
             LeaseStatus::Lost => store.artifacts().remove(&key).await,
             LeaseStatus::Held | LeaseStatus::Cancelling => {

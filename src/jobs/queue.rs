@@ -103,12 +103,23 @@ impl Jobs {
         self.store.jobs(state, page).await
     }
 
+    /// True when some job waits for a worker.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn any_waits(&self) -> Result<bool, StoreError> {
+        Ok(self.store.job_counts().await?.iter().any(|(state, _)| *state == JobState::Queued))
+    }
+
     /// Cancels a queued job at once, asks a running one to stop.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn cancel(&self, id: &JobId) -> Result<CancelOutcome, StoreError> {
         let outcome = self.store.cancel_job(id, self.now_ms()).await?;
+        if let CancelOutcome::Accepted(job) = &outcome {
+            self.drop_checkpoint(job).await;
+        }
         self.announce();
         Ok(outcome)
     }
@@ -150,11 +161,19 @@ impl Jobs {
         let jobs = self.store.reclaim_leases(expired_ms, max_idle, self.now_ms()).await?;
         for job in &jobs {
             tracing::info!(job = %job.id, state = job.state.name(), "took a lease back");
+            self.drop_checkpoint(job).await;
         }
         if !jobs.is_empty() {
             self.announce();
         }
         Ok(jobs)
+    }
+
+    /// Removes the checkpoint of a job that has ended. Should the server die before, the next start sweeps it away.
+    async fn drop_checkpoint(&self, job: &JobRecord) {
+        if let (true, Some(key)) = (job.state.is_terminal(), &job.checkpoint) {
+            self.store.artifacts().remove(key).await;
+        }
     }
 
     pub(super) fn lease_end(&self, now_ms: i64) -> i64 {

@@ -46,6 +46,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 async fn upload_capture(State(app): State<Shared>, request: Request) -> Result<Response, Problem> {
     let incoming = receive(&app, request).await?;
     if let Some(known) = app.store.capture_by_hash(&incoming.sha256).await? {
+        app.store.artifacts().mend(incoming, &known.artifact).await?;
         return Ok(Json(view(known)).into_response());
     }
     let report = validate(&app, &incoming).await?;

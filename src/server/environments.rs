@@ -63,6 +63,7 @@ async fn upload_environment(
     }
     let incoming = receive(&app, request).await?;
     if let Some(known) = app.store.environment_by_hash(&incoming.sha256).await? {
+        app.store.artifacts().mend(incoming, &known.artifact).await?;
         return Ok(Json(view(known)).into_response());
     }
     let (width, height, warnings) = validate(&app, &incoming).await?;

@@ -56,6 +56,7 @@ async fn get_file(
         Requested::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
         Requested::Unsatisfiable => return Ok(unsatisfiable(size)),
     };
+    app.store.artifacts().verify(&file.artifact, &file.sha256).await?;
     let stream = app.store.artifacts().stream(&file.artifact, range.clone()).await?;
     let mut response = (status, Body::from_stream(stream)).into_response();
     let out = response.headers_mut();

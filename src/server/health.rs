@@ -12,6 +12,7 @@ use crate::api::Problem;
 use crate::api::jobs::JobState;
 use crate::server::app::Shared;
 use crate::server::observe;
+use crate::store::StoreError;
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
@@ -31,7 +32,10 @@ async fn healthz() -> &'static str {
 /// Check that the server can work
 #[utoipa::path(
     get, path = "/readyz", tag = "operations",
-    responses((status = 200, body = String), (status = 503, body = Problem))
+    responses(
+        (status = 200, body = String),
+        (status = 503, body = Problem, description = "The detail says why, e.g. a full disk")
+    )
 )]
 async fn readyz(State(app): State<Shared>) -> Result<&'static str, Problem> {
     let not_ready = |why: &str| {
@@ -46,6 +50,16 @@ async fn readyz(State(app): State<Shared>) -> Result<&'static str, Problem> {
     app.store.ping().await.map_err(|error| {
         tracing::error!(%error, "the database does not answer");
         not_ready("the database does not answer")
+    })?;
+    app.store.check_room().await.map_err(|error| {
+        tracing::warn!(%error, "not ready");
+        match error {
+            StoreError::NoRoom { bytes } => {
+                not_ready(&format!("the disk is full: there is no room for {bytes} more bytes"))
+                    .retry_after(10)
+            }
+            error => not_ready(&format!("the data directory cannot be written: {error}")),
+        }
     })?;
     Ok("ready\n")
 }

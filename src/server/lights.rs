@@ -35,11 +35,10 @@ pub(super) async fn light(app: &Shared, spec: &EnvironmentSpec) -> Result<LightS
 
 /// An uploaded map.
 pub(super) async fn stored_light(app: &Shared, id: &EnvironmentId) -> Result<Option<LightSource>, Problem> {
-    let record = app.store.environment(id).await?;
-    Ok(record.map(|record| LightSource::Stored {
-        path: app.store.artifacts().local_path(&record.artifact),
-        sha256: record.sha256,
-    }))
+    let Some(record) = app.store.environment(id).await? else { return Ok(None) };
+    app.store.artifacts().verify(&record.artifact, &record.sha256).await?;
+    let path = app.store.artifacts().local_path(&record.artifact);
+    Ok(Some(LightSource::Stored { path, sha256: record.sha256 }))
 }
 
 /// A map that comes with the program, or the capture's own light.

@@ -112,7 +112,7 @@ impl IntoResponse for Problem {
 impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
         match error {
-            StoreError::Full => {
+            StoreError::Full | StoreError::NoRoom { .. } => {
                 Self::new(StatusCode::INSUFFICIENT_STORAGE, "insufficient-storage", "There is no room left")
                     .detail("nothing was stored")
                     .retry_after(60)
@@ -128,6 +128,17 @@ impl From<StoreError> for Problem {
                 "The idempotency key belongs to another request",
             )
             .detail("use a fresh Idempotency-Key for a different body"),
+            StoreError::Damaged(_) | StoreError::Missing(_) => {
+                tracing::error!(%error, "a stored file cannot be used");
+                Self::new(
+                    StatusCode::INTERNAL_SERVER_ERROR,
+                    "artifact-damaged",
+                    "A stored file is damaged or missing",
+                )
+                .detail(
+                    "its bytes are not those that were stored; `relume doctor` on the server names the file",
+                )
+            }
             error => Self::internal(error),
         }
     }

@@ -4,7 +4,7 @@ use std::future::Future;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use axum::http::HeaderValue;
 use tokio::net::TcpListener;
@@ -137,9 +137,16 @@ pub async fn run(
 /// Takes back what a server that died left. The caller holds the node lock, so no other process works here.
 async fn recover(store: &Store, jobs: &Jobs) -> Result<(), StoreError> {
     store.artifacts().sweep_incoming()?;
-    let recovered = jobs.reclaim_all().await?;
+    let recovered = match jobs.reclaim_all().await {
+        // A crash on a full disk leaves a job that has to be taken back on a full disk.
+        Err(StoreError::Full) if store.room().spend_reserve() => jobs.reclaim_all().await?,
+        recovered => recovered?,
+    };
     if !recovered.is_empty() {
         tracing::info!(jobs = recovered.len(), "recovered jobs of a server that died");
+    }
+    if let Err(error) = store.sweep_orphans(SystemTime::now()).await {
+        tracing::error!(%error, "left-overs cannot be swept");
     }
     Ok(())
 }
@@ -174,6 +181,9 @@ async fn maintain(jobs: Jobs, stop: CancellationToken) {
     while !stop.is_cancelled() {
         if let Err(error) = jobs.reclaim_expired().await {
             tracing::error!(%error, "expired leases cannot be taken back");
+        }
+        if let Err(error) = jobs.store().check_room().await {
+            tracing::error!(%error, "there is no room to work");
         }
         observe::metrics_handle().run_upkeep();
         tokio::time::sleep(MAINTENANCE_INTERVAL).await;

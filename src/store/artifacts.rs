@@ -3,7 +3,6 @@
 //! Nothing is written in place. Bytes are written under `incoming/`, which only the running server uses, and are moved
 //! to their key when they are complete. Files that the server did not write are not touched.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -16,6 +15,8 @@ use sha2::{Digest, Sha256};
 use tokio_util::bytes::Bytes;
 
 use crate::store::StoreError;
+use crate::store::hash::hex;
+use crate::store::verification::Verification;
 
 const INCOMING: &str = "incoming";
 
@@ -24,6 +25,7 @@ const INCOMING: &str = "incoming";
 pub struct Artifacts {
     files: Arc<LocalFileSystem>,
     root: PathBuf,
+    verification: Verification,
 }
 
 /// A complete upload that has no key yet. It is deleted when dropped unless it was published.
@@ -58,7 +60,7 @@ impl Artifacts {
         let root = root.join("artifacts");
         std::fs::create_dir_all(&root)?;
         let files = LocalFileSystem::new_with_prefix(&root)?.with_fsync(true);
-        Ok(Self { files: Arc::new(files), root })
+        Ok(Self { files: Arc::new(files), root, verification: Verification::default() })
     }
 
     /// Removes what uploads of a server that died left under `incoming/`. The caller must hold the node lock.
@@ -108,6 +110,17 @@ impl Artifacts {
         Ok(())
     }
 
+    /// Puts a complete upload in the place of an artifact of the same content that is damaged or missing; drops it otherwise.
+    ///
+    /// # Errors
+    /// When the artifact cannot be read or the move fails.
+    pub async fn mend(&self, incoming: Incoming, key: &str) -> Result<(), StoreError> {
+        match self.verify(key, &incoming.sha256).await {
+            Err(StoreError::Damaged(_) | StoreError::Missing(_)) => self.publish(incoming, key).await,
+            sound => sound,
+        }
+    }
+
     /// Writes a whole artifact and returns its sha256 in hex; durable when it returns.
     ///
     /// # Errors
@@ -116,6 +129,14 @@ impl Artifacts {
         let sha256 = hex(&Sha256::digest(&bytes));
         self.files.put(&Key::from(key), PutPayload::from(bytes)).await?;
         Ok(sha256)
+    }
+
+    /// Compares an artifact with the hash it was stored under. The file is read once a process, and again when it changed.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] when they differ, [`StoreError::Missing`] when there is none.
+    pub async fn verify(&self, key: &str, sha256: &str) -> Result<(), StoreError> {
+        self.verification.check(key, &self.local_path(key), sha256).await
     }
 
     /// Reads a whole artifact.
@@ -145,6 +166,7 @@ impl Artifacts {
 
     /// Removes an artifact that nothing refers to; that it is missing already is no error.
     pub async fn remove(&self, key: &str) {
+        self.verification.forget(key);
         if let Err(error) = self.files.delete(&Key::from(key)).await {
             tracing::debug!(%error, key, "an artifact was not removed");
         }
@@ -175,13 +197,4 @@ async fn copy<E: std::fmt::Display>(
         upload.put(chunk);
     }
     Ok((hex(&hasher.finalize()), bytes))
-}
-
-/// Bytes as lower-case hex.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut out, byte| {
-        // Writing to a String cannot fail.
-        let _ = write!(out, "{byte:02x}");
-        out
-    })
 }

@@ -38,7 +38,7 @@ impl Store {
     /// When the database fails.
     pub async fn capture(&self, id: &CaptureId) -> Result<Option<CaptureRecord>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM captures WHERE id = ?1").bind(id);
-        Ok(query.fetch_optional(&self.pool).await?)
+        Ok(query.fetch_optional(self.pool()).await?)
     }
 
     /// A capture by content.
@@ -47,7 +47,7 @@ impl Store {
     /// When the database fails.
     pub async fn capture_by_hash(&self, sha256: &str) -> Result<Option<CaptureRecord>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM captures WHERE sha256 = ?1").bind(sha256);
-        Ok(query.fetch_optional(&self.pool).await?)
+        Ok(query.fetch_optional(self.pool()).await?)
     }
 
     /// Captures, newest first.
@@ -60,6 +60,6 @@ impl Store {
              WHERE ?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM captures WHERE id = ?1)
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );
-        Ok(query.bind(&page.before).bind(page.limit).fetch_all(&self.pool).await?)
+        Ok(query.bind(&page.before).bind(page.limit).fetch_all(self.pool()).await?)
     }
 }

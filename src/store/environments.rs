@@ -42,7 +42,7 @@ impl Store {
     /// When the database fails.
     pub async fn environment(&self, id: &EnvironmentId) -> Result<Option<EnvironmentRecord>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM environments WHERE id = ?1").bind(id);
-        Ok(query.fetch_optional(&self.pool).await?)
+        Ok(query.fetch_optional(self.pool()).await?)
     }
 
     /// An environment by content.
@@ -51,7 +51,7 @@ impl Store {
     /// When the database fails.
     pub async fn environment_by_hash(&self, sha256: &str) -> Result<Option<EnvironmentRecord>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1").bind(sha256);
-        Ok(query.fetch_optional(&self.pool).await?)
+        Ok(query.fetch_optional(self.pool()).await?)
     }
 
     /// Environments, newest first.
@@ -64,6 +64,6 @@ impl Store {
              WHERE ?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM environments WHERE id = ?1)
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );
-        Ok(query.bind(&page.before).bind(page.limit).fetch_all(&self.pool).await?)
+        Ok(query.bind(&page.before).bind(page.limit).fetch_all(self.pool()).await?)
     }
 }

@@ -9,6 +9,12 @@ pub enum StoreError {
     /// The disk, a quota or a file-size limit is exhausted. Nothing was published.
     #[error("storage is full")]
     Full,
+    /// The disk is too full to work.
+    #[error("the disk has no room for {bytes} more bytes")]
+    NoRoom {
+        /// What is asked for.
+        bytes: u64,
+    },
     /// A body is larger than its limit.
     #[error("the body is larger than {limit} bytes")]
     TooLarge {
@@ -21,12 +27,33 @@ pub enum StoreError {
     /// No artifact has that key.
     #[error("{0} does not exist")]
     Missing(String),
+    /// The bytes of an artifact are not those that were stored.
+    #[error("{0} is damaged: its bytes are not those that were stored")]
+    Damaged(String),
     /// Another process owns the data directory.
     #[error("the data directory {0} is in use by another server")]
     Locked(String),
     /// The same idempotency key came with another request.
     #[error("the idempotency key was used with a different request")]
     KeyReused,
+    /// There are artifacts and no database.
+    #[error(
+        "{0} has stored files but no database: relume.db was moved, removed or not mounted; put it back, restore a backup, or use another data directory"
+    )]
+    DatabaseMissing(String),
+    /// The database was written by a newer version.
+    #[error(
+        "the database was written by a newer version of relume (schema {found}; this version knows {known}): start that version, or restore the backup from before the update"
+    )]
+    NewerDatabase {
+        /// Its schema.
+        found: i64,
+        /// The newest schema that this version knows.
+        known: i64,
+    },
+    /// The database file is not what SQLite wrote.
+    #[error("the database relume.db is damaged ({0}): restore a backup")]
+    DatabaseDamaged(String),
     /// The database failed.
     #[error("database: {0}")]
     Database(sqlx::Error),
@@ -43,9 +70,15 @@ pub enum StoreError {
 
 impl From<sqlx::Error> for StoreError {
     fn from(error: sqlx::Error) -> Self {
-        // 13 is SQLITE_FULL; 778 is SQLITE_IOERR_WRITE, what SQLite makes of EFBIG and EDQUOT.
+        // 13 is SQLITE_FULL; 778 is SQLITE_IOERR_WRITE, what SQLite makes of EFBIG and EDQUOT; 4874 is SQLITE_IOERR_SHMSIZE, a
+        // new connection on a full disk.
         let code = error.as_database_error().and_then(|e| e.code());
-        if matches!(code.as_deref(), Some("13" | "778")) { Self::Full } else { Self::Database(error) }
+        match code.as_deref() {
+            Some("13" | "778" | "4874") => Self::Full,
+            // SQLITE_CORRUPT and SQLITE_NOTADB.
+            Some("11" | "26") => Self::DatabaseDamaged(error.to_string()),
+            _ => Self::Database(error),
+        }
     }
 }
 

@@ -14,7 +14,7 @@ impl Store {
     pub async fn events_after(&self, job: &JobId, after: i64) -> Result<Vec<EventRecord>, StoreError> {
         let query =
             sqlx::query_as("SELECT * FROM events WHERE job_id = ?1 AND seq > ?2 ORDER BY seq LIMIT 1000");
-        Ok(query.bind(job).bind(after).fetch_all(&self.pool).await?)
+        Ok(query.bind(job).bind(after).fetch_all(self.pool()).await?)
     }
 }
 

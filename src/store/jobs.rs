@@ -42,6 +42,7 @@ impl Store {
         key: Option<&IdempotencyKey>,
         answer: impl FnOnce(&JobRecord, Option<i64>) -> String + Send,
     ) -> Result<Submitted, StoreError> {
+        self.admit().await?;
         let (mut tx, now_ms) = (self.write().await?, job.created_ms);
         if let Some(key) = key
             && let Some(response) = replay(&mut tx, key, now_ms).await?
@@ -66,7 +67,7 @@ impl Store {
     /// When the database fails.
     pub async fn job(&self, id: &JobId) -> Result<Option<JobRecord>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM jobs WHERE id = ?1").bind(id);
-        Ok(query.fetch_optional(&self.pool).await?)
+        Ok(query.fetch_optional(self.pool()).await?)
     }
 
     /// Jobs, newest first, of one state or of all.
@@ -80,7 +81,7 @@ impl Store {
                AND (?2 IS NULL OR state = ?2)
              ORDER BY created_ms DESC, id DESC LIMIT ?3",
         );
-        Ok(query.bind(&page.before).bind(state).bind(page.limit).fetch_all(&self.pool).await?)
+        Ok(query.bind(&page.before).bind(state).bind(page.limit).fetch_all(self.pool()).await?)
     }
 
     /// How many queued jobs run before this one; `None` when it is not queued.
@@ -88,7 +89,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn queue_position(&self, id: &JobId) -> Result<Option<i64>, StoreError> {
-        Ok(sqlx::query_scalar(POSITION).bind(id).fetch_optional(&self.pool).await?)
+        Ok(sqlx::query_scalar(POSITION).bind(id).fetch_optional(self.pool()).await?)
     }
 
     /// Number of jobs in each state that has any.
@@ -97,7 +98,7 @@ impl Store {
     /// When the database fails.
     pub async fn job_counts(&self) -> Result<Vec<(JobState, i64)>, StoreError> {
         let query = sqlx::query_as("SELECT state, COUNT(*) FROM jobs GROUP BY state");
-        Ok(query.fetch_all(&self.pool).await?)
+        Ok(query.fetch_all(self.pool()).await?)
     }
 
     /// Cancels a queued job at once, asks a running one to stop.
@@ -137,8 +138,10 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn set_priority(&self, id: &JobId, priority: i64) -> Result<bool, StoreError> {
+        let mut tx = self.write().await?;
         let query = sqlx::query("UPDATE jobs SET priority = ?2 WHERE id = ?1 AND state = 'queued'");
-        let done = query.bind(id).bind(priority).execute(&self.pool).await?;
+        let done = query.bind(id).bind(priority).execute(&mut *tx).await?;
+        tx.commit().await?;
         Ok(done.rows_affected() == 1)
     }
 }

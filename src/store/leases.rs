@@ -35,6 +35,8 @@ impl LeaseStatus {
 pub enum Release {
     /// The server stops; the attempt does not count as one without a checkpoint.
     Shutdown,
+    /// There is no room on the disk; the job waits for some. Does not count either.
+    NoRoom,
     /// The attempt failed and another may succeed.
     AttemptFailed,
 }
@@ -78,7 +80,7 @@ impl Store {
     /// When the database fails.
     pub async fn lease_status(&self, job: &JobId, token: &str) -> Result<LeaseStatus, StoreError> {
         let query = sqlx::query_scalar("SELECT state FROM jobs WHERE id = ?1 AND lease_token = ?2");
-        let state: Option<JobState> = query.bind(job).bind(token).fetch_optional(&self.pool).await?;
+        let state: Option<JobState> = query.bind(job).bind(token).fetch_optional(self.pool()).await?;
         Ok(LeaseStatus::of(state))
     }
 
@@ -137,7 +139,7 @@ impl Store {
         &self,
         job: &JobId,
         token: &str,
-        artifact: &str,
+        (artifact, sha256): (&str, &str),
         step: i64,
         now_ms: i64,
     ) -> Result<(LeaseStatus, Option<String>), StoreError> {
@@ -145,13 +147,14 @@ impl Store {
         let query = sqlx::query_scalar("SELECT checkpoint FROM jobs WHERE id = ?1");
         let previous: Option<Option<String>> = query.bind(job).fetch_optional(&mut *tx).await?;
         let state: Option<JobState> = sqlx::query_scalar(
-            "UPDATE jobs SET checkpoint = ?3, checkpoint_step = ?4, idle_attempts = 0
+            "UPDATE jobs SET checkpoint = ?3, checkpoint_step = ?4, checkpoint_sha256 = ?5, idle_attempts = 0
              WHERE id = ?1 AND lease_token = ?2 AND state IN ('running', 'cancelling') RETURNING state",
         )
         .bind(job)
         .bind(token)
         .bind(artifact)
         .bind(step)
+        .bind(sha256)
         .fetch_optional(&mut *tx)
         .await?;
         if state.is_none() {
@@ -246,19 +249,25 @@ impl Store {
         release: Release,
         now_ms: i64,
     ) -> Result<LeaseStatus, StoreError> {
+        let waits = release == Release::NoRoom;
         let mut tx = self.write().await?;
-        let done = sqlx::query(
+        let step: Option<i64> = sqlx::query_scalar(
             "UPDATE jobs SET state = 'queued', lease_token = NULL, lease_until_ms = NULL,
-                 eta_seconds = NULL, idle_attempts = MAX(0, idle_attempts - ?3)
-             WHERE id = ?1 AND lease_token = ?2 AND state = 'running'",
+                 eta_seconds = NULL, idle_attempts = MAX(0, idle_attempts - ?3),
+                 step = CASE WHEN ?4 THEN COALESCE(checkpoint_step, 0) ELSE step END,
+                 message = CASE WHEN ?4 THEN 'waiting for room on the disk' ELSE message END
+             WHERE id = ?1 AND lease_token = ?2 AND state = 'running' RETURNING step",
         )
         .bind(job)
         .bind(token)
-        .bind(i64::from(release == Release::Shutdown))
-        .execute(&mut *tx)
+        .bind(i64::from(release != Release::AttemptFailed))
+        .bind(waits)
+        .fetch_optional(&mut *tx)
         .await?;
-        if done.rows_affected() == 0 {
-            return Ok(LeaseStatus::Lost);
+        let Some(step) = step else { return Ok(LeaseStatus::Lost) };
+        if waits {
+            let message = format!("the disk is full; the job waits for room and goes on from step {step}");
+            events::append(&mut tx, job, now_ms, "warning", json!({ "message": message })).await?;
         }
         events::append(&mut tx, job, now_ms, "state", json!({ "state": JobState::Queued })).await?;
         tx.commit().await?;

@@ -5,35 +5,47 @@
 
 mod artifacts;
 mod captures;
+mod database;
 mod environments;
 mod error;
 mod events;
+mod hash;
 mod idempotency;
+mod inspection;
 mod jobs;
 mod leases;
 mod models;
 mod node_lock;
 mod records;
+mod references;
+mod room;
+mod sweep;
+mod verification;
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
-use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
 use sqlx::{Sqlite, SqlitePool, Transaction};
 
-pub use artifacts::{Artifacts, Incoming, hex};
+use database::Database;
+
+pub use artifacts::{Artifacts, Incoming};
 pub use error::StoreError;
+pub use hash::hex;
 pub use idempotency::IdempotencyKey;
+pub use inspection::{Inspection, inspect};
 pub use jobs::{CancelOutcome, Submitted};
 pub use leases::{LeaseStatus, Release};
 pub use node_lock::NodeLock;
 pub use records::{CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, ModelFile, ModelRecord, Page};
+pub use room::Room;
+pub use sweep::Swept;
 
 /// The metadata database and the artifact store of one data directory.
 #[derive(Clone)]
 pub struct Store {
-    pool: SqlitePool,
+    database: Database,
     artifacts: Artifacts,
+    room: Room,
     root: PathBuf,
 }
 
@@ -41,24 +53,40 @@ impl Store {
     /// Opens the data directory, creates what is missing and migrates the schema.
     ///
     /// # Errors
-    /// When the directory cannot be created, or the database cannot be opened or migrated.
+    /// When the directory cannot be created, or the database cannot be opened or migrated; [`StoreError::DatabaseMissing`] when
+    /// there are artifacts and no database.
     pub async fn open(root: &Path) -> Result<Self, StoreError> {
         std::fs::create_dir_all(root)?;
-        let options = SqliteConnectOptions::new()
-            .filename(root.join("relume.db"))
-            .create_if_missing(true)
-            .journal_mode(SqliteJournalMode::Wal)
-            .synchronous(SqliteSynchronous::Full)
-            .busy_timeout(Duration::from_secs(10))
-            .foreign_keys(true);
-        let pool = SqlitePoolOptions::new().max_connections(8).connect_with(options).await?;
-        sqlx::migrate!("migrations/sqlite").run(&pool).await?;
-        Ok(Self { pool, artifacts: Artifacts::open(root)?, root: root.to_owned() })
+        if !root.join(database::FILE).exists() && has_artifacts(root)? {
+            return Err(StoreError::DatabaseMissing(root.display().to_string()));
+        }
+        let database = Database::open(root).await?;
+        Ok(Self { database, artifacts: Artifacts::open(root)?, room: Room::new(root), root: root.to_owned() })
     }
 
     /// The artifact side.
     pub fn artifacts(&self) -> &Artifacts {
         &self.artifacts
+    }
+
+    /// Room on the disk.
+    pub fn room(&self) -> &Room {
+        &self.room
+    }
+
+    /// As [`Room::check`], off the async threads.
+    ///
+    /// # Errors
+    /// See [`Room::check`].
+    pub async fn check_room(&self) -> Result<(), StoreError> {
+        let room = self.room.clone();
+        let checked = tokio::task::spawn_blocking(move || room.check()).await;
+        checked.unwrap_or_else(|error| Err(std::io::Error::other(error).into()))
+    }
+
+    /// Refuses new work while there is no room for the work that waits.
+    async fn admit(&self) -> Result<(), StoreError> {
+        if self.room.is_short() { self.check_room().await } else { Ok(()) }
     }
 
     /// The data directory.
@@ -71,7 +99,7 @@ impl Store {
     /// # Errors
     /// When it does not.
     pub async fn ping(&self) -> Result<(), StoreError> {
-        sqlx::query("SELECT 1").execute(&self.pool).await?;
+        sqlx::query("SELECT 1").execute(self.pool()).await?;
         Ok(())
     }
 
@@ -80,16 +108,25 @@ impl Store {
     /// # Errors
     /// When the database does not answer.
     pub async fn sqlite_version(&self) -> Result<String, StoreError> {
-        Ok(sqlx::query_scalar("SELECT sqlite_version()").fetch_one(&self.pool).await?)
+        Ok(sqlx::query_scalar("SELECT sqlite_version()").fetch_one(self.pool()).await?)
     }
 
     /// Closes every connection; the WAL is folded into the database file.
     pub async fn close(&self) {
-        self.pool.close().await;
+        self.database.close().await;
     }
 
-    /// A transaction that takes the write lock at once, so that it cannot fail half way for want of it.
-    async fn write(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
-        Ok(self.pool.begin_with("BEGIN IMMEDIATE").await?)
+    /// Connections for queries.
+    fn pool(&self) -> &SqlitePool {
+        self.database.readers()
     }
+
+    async fn write(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
+        self.database.write().await
+    }
+}
+
+/// True when there are artifacts in a data directory.
+fn has_artifacts(root: &Path) -> Result<bool, StoreError> {
+    Ok(!references::stored(&root.join("artifacts"))?.is_empty())
 }

@@ -10,7 +10,7 @@ impl Store {
     /// When the database fails.
     pub async fn model(&self, id: &ModelId) -> Result<Option<ModelRecord>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM models WHERE id = ?1").bind(id);
-        Ok(query.fetch_optional(&self.pool).await?)
+        Ok(query.fetch_optional(self.pool()).await?)
     }
 
     /// Models, newest first.
@@ -23,7 +23,7 @@ impl Store {
              WHERE ?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM models WHERE id = ?1)
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );
-        Ok(query.bind(&page.before).bind(page.limit).fetch_all(&self.pool).await?)
+        Ok(query.bind(&page.before).bind(page.limit).fetch_all(self.pool()).await?)
     }
 
     /// The files of a model, by name.
@@ -32,7 +32,7 @@ impl Store {
     /// When the database fails.
     pub async fn model_files(&self, id: &ModelId) -> Result<Vec<ModelFile>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM model_files WHERE model_id = ?1 ORDER BY name").bind(id);
-        Ok(query.fetch_all(&self.pool).await?)
+        Ok(query.fetch_all(self.pool()).await?)
     }
 
     /// One file of a model.
@@ -41,6 +41,6 @@ impl Store {
     /// When the database fails.
     pub async fn model_file(&self, id: &ModelId, name: &str) -> Result<Option<ModelFile>, StoreError> {
         let query = sqlx::query_as("SELECT * FROM model_files WHERE model_id = ?1 AND name = ?2");
-        Ok(query.bind(id).bind(name).fetch_optional(&self.pool).await?)
+        Ok(query.bind(id).bind(name).fetch_optional(self.pool()).await?)
     }
 }

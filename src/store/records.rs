@@ -75,6 +75,8 @@ pub struct JobRecord {
     pub progress: JobProgress,
     /// Key of the last checkpoint.
     pub checkpoint: Option<String>,
+    /// Hash of the last checkpoint's bytes, lower-case hex; none of checkpoints from before it was kept.
+    pub checkpoint_sha256: Option<String>,
     /// Step of the last checkpoint.
     pub checkpoint_step: Option<i64>,
     /// The published model.
@@ -100,6 +102,7 @@ impl JobRecord {
             idle_attempts: 0,
             progress: JobProgress { total, ..JobProgress::default() },
             checkpoint: None,
+            checkpoint_sha256: None,
             checkpoint_step: None,
             model_id: None,
             error_code: None,

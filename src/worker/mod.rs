@@ -8,6 +8,7 @@ mod progress;
 mod renders;
 mod thread;
 mod training;
+mod verdict;
 
 pub use device_handle::DeviceHandle;
 pub use renders::{LightSource, ModelSource, RenderFailure, RenderTask};

@@ -13,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 use crate::engine::Device;
 use crate::engine::{DeviceChoice, DeviceError};
 use crate::jobs::{Jobs, Lease};
-use crate::store::Release;
+use crate::store::StoreError;
 use crate::worker::device_handle::{DeviceHandle, QueuedRender};
 use crate::worker::renders::{RenderCache, RenderFailure};
 
@@ -94,11 +94,18 @@ impl Worker {
     async fn run(mut self) {
         while !self.stop.is_cancelled() {
             self.changes.mark_unchanged();
+            if self.lacks_room().await {
+                self.wait().await;
+                continue;
+            }
             match self.jobs.claim().await {
                 Ok(Some(lease)) => self.work(lease).await,
                 Ok(None) => self.wait().await,
                 Err(error) => {
-                    tracing::error!(%error, "the queue cannot be read");
+                    tracing::error!(%error, "no job can be claimed");
+                    if matches!(error, StoreError::Full) {
+                        self.jobs.store().room().note_shortage(1);
+                    }
                     self.wait().await;
                 }
             }
@@ -106,7 +113,7 @@ impl Worker {
     }
 
     /// Serves renders until something else may be due.
-    async fn wait(&mut self) {
+    pub(super) async fn wait(&mut self) {
         tokio::select! {
             () = self.stop.cancelled() => {}
             request = self.renders.recv() => match request {
@@ -165,35 +172,22 @@ impl Worker {
         let span = tracing::info_span!("job", id = %lease.job().id, attempt = lease.job().attempts);
         tracing::info!(parent: &span, "started");
         let outcome = AssertUnwindSafe(self.train(&lease)).catch_unwind().await;
-        let settled = match outcome {
+        match outcome {
             Ok(Ok(ending)) => {
                 tracing::info!(parent: &span, ?ending, "ended");
-                return;
             }
             Ok(Err(failure)) => {
                 tracing::warn!(parent: &span, code = failure.code, detail = failure.detail, "failed");
-                let may_succeed_later = failure.is_device_failure();
-                if may_succeed_later {
+                if failure.is_device_failure() {
                     self.reopen();
                 }
-                if may_succeed_later && !lease.is_last_attempt() {
-                    lease.release(Release::AttemptFailed).await
-                } else {
-                    lease.fail(failure.code, &failure.detail).await
-                }
+                self.record_failure(&lease, failure).await;
             }
             Err(panic) => {
                 let detail = panic_message(panic.as_ref());
                 tracing::error!(parent: &span, detail, "the attempt panicked");
-                if lease.is_last_attempt() {
-                    lease.fail("attempts_exhausted", "every attempt ended in an internal error").await
-                } else {
-                    lease.release(Release::AttemptFailed).await
-                }
+                self.record_panic(&lease).await;
             }
-        };
-        if let Err(error) = settled {
-            tracing::error!(parent: &span, %error, "the outcome could not be recorded; the lease will run out");
         }
     }
 }

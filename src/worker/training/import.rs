@@ -25,7 +25,9 @@ impl Worker {
         announce(lease, "reading the capture").await?;
         let record = self.jobs.store().capture(&job.request.capture).await?;
         let record = record.ok_or_else(|| AttemptError::new("capture_missing", "the capture is gone"))?;
-        let path = self.jobs.store().artifacts().local_path(&record.artifact);
+        let artifacts = self.jobs.store().artifacts();
+        artifacts.verify(&record.artifact, &record.sha256).await?;
+        let path = artifacts.local_path(&record.artifact);
         let light = self.known_light(config).await?;
         let config = config.clone();
         let mut importing = tokio::task::spawn_blocking(move || load(&path, &config, light.as_ref()));
@@ -62,6 +64,7 @@ impl Worker {
         let record = store.environment(&EnvironmentId::from(light.environment.as_str())).await?;
         let record =
             record.ok_or_else(|| AttemptError::new(ENVIRONMENT_MISSING, "the known light is gone"))?;
+        store.artifacts().verify(&record.artifact, &record.sha256).await?;
         let path = store.artifacts().local_path(&record.artifact);
         Ok(Some(LightSource::Stored { sha256: record.sha256, path }))
     }

@@ -1,11 +1,13 @@
 //! One attempt at a job: import, train step by step, checkpoint, publish.
 
 mod import;
-mod outcome;
+pub(super) mod outcome;
 mod publish;
 
 use std::ops::ControlFlow;
 use std::sync::atomic::Ordering;
+
+use tokio_util::bytes::Bytes;
 
 use crate::api::jobs::JobDevice;
 use crate::capture::Capture;
@@ -59,6 +61,15 @@ impl Worker {
         publish::publish(lease, &attempt.trainer).await
     }
 
+    /// The bytes of a checkpoint, if they are those that were stored.
+    async fn checkpoint(&self, key: &str, sha256: Option<&str>) -> Result<Bytes, StoreError> {
+        let artifacts = self.jobs.store().artifacts();
+        if let Some(sha256) = sha256 {
+            artifacts.verify(key, sha256).await?;
+        }
+        artifacts.get(key).await
+    }
+
     /// Continues from the last checkpoint, or starts over when none can be read.
     async fn trainer(
         &self,
@@ -75,7 +86,7 @@ impl Worker {
             (_, device) => device,
         };
         let Some(key) = &lease.job().checkpoint else { return Ok(Trainer::new(capture, config, device)?) };
-        let resumed = match self.jobs.store().artifacts().get(key).await {
+        let resumed = match self.checkpoint(key, lease.job().checkpoint_sha256.as_deref()).await {
             Ok(bytes) => Trainer::resume(capture, config.clone(), &bytes, device),
             Err(error) => Err(TrainError::Checkpoint(error.to_string())),
         };
@@ -110,13 +121,22 @@ impl Attempt<'_> {
         Ok(status)
     }
 
-    /// Stores a checkpoint. When that fails, training goes on and the checkpoint before still counts.
+    /// Stores a checkpoint. When that fails, the checkpoint before still counts: on a full disk the attempt ends there, so that
+    /// nothing more is computed than can be kept; after another failure training goes on.
     async fn checkpoint(&self) -> Result<(), AttemptError> {
         let step = i64::from(self.trainer.progress().step);
         let bytes = self.trainer.checkpoint()?;
-        if let Err(error) = self.lease.checkpoint(step, bytes).await {
-            tracing::error!(%error, step, "a checkpoint could not be stored");
-            self.tell("a checkpoint could not be stored; training goes on").await;
+        let size = bytes.len() as u64;
+        match self.lease.checkpoint(step, bytes).await {
+            Ok(_) => {}
+            Err(error @ StoreError::Full) => {
+                self.lease.jobs().store().room().note_shortage(size);
+                return Err(error.into());
+            }
+            Err(error) => {
+                tracing::error!(%error, step, "a checkpoint could not be stored");
+                self.tell("a checkpoint could not be stored; training goes on").await;
+            }
         }
         Ok(())
     }

@@ -22,8 +22,10 @@ pub(in crate::worker) enum AttemptEnd {
 pub(super) const ENVIRONMENT_MISSING: &str = "environment_missing";
 /// Code of failures after which the device is opened anew.
 const DEVICE_FAILED: &str = "device_failed";
+/// Code of failures that end when there is room on the disk.
+const STORAGE_FULL: &str = "storage_full";
 
-/// A failure that ends the attempt and, unless it is the device's, the job.
+/// A failure that ends the attempt and, unless it is the device's or a full disk, the job.
 pub(in crate::worker) struct AttemptError {
     /// Stable code.
     pub(in crate::worker) code: &'static str,
@@ -40,13 +42,22 @@ impl AttemptError {
     pub(in crate::worker) fn is_device_failure(&self) -> bool {
         self.code == DEVICE_FAILED
     }
+
+    /// True when the disk was full: the job goes on from its checkpoint once there is room.
+    pub(in crate::worker) fn is_shortage(&self) -> bool {
+        self.code == STORAGE_FULL
+    }
 }
 
 impl From<StoreError> for AttemptError {
     fn from(error: StoreError) -> Self {
         tracing::error!(%error, "the store failed under a job");
         match error {
-            StoreError::Full => Self::new("storage_full", "the disk was full when the result was stored"),
+            StoreError::Full => Self::new(STORAGE_FULL, "the disk is full"),
+            StoreError::Damaged(_) | StoreError::Missing(_) => {
+                let detail = "a stored file that the job needs is damaged or missing; upload it again";
+                Self::new("artifact_damaged", detail)
+            }
             _ => Self::new("storage_failed", "the store failed; the server's log says how"),
         }
     }
@@ -66,7 +77,7 @@ impl From<TrainError> for AttemptError {
 }
 
 /// Ends an attempt whose lease is lost or whose job is to be cancelled.
-pub(super) async fn settle(lease: &Lease) -> Result<AttemptEnd, StoreError> {
+pub(in crate::worker) async fn settle(lease: &Lease) -> Result<AttemptEnd, StoreError> {
     match lease.check().await? {
         LeaseStatus::Cancelling => {
             lease.confirm_cancel().await?;

@@ -7,25 +7,43 @@ use crate::store::{LeaseStatus, ModelFile, ModelRecord, StoreError};
 use crate::train::Trainer;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, settle};
 
-/// Writes the model's files, then publishes them and ends the job in one transaction.
+/// Names of a model's files.
+const MODEL: &str = "model.safetensors";
+const POINTS: &str = "model.ply";
+
+/// Writes the model's files, then publishes them and ends the job in one transaction. What was written and is not published is
+/// removed.
 pub(super) async fn publish(lease: &Lease, trainer: &Trainer) -> Result<AttemptEnd, AttemptError> {
-    let (job, model) = (lease.job(), &trainer.model()?);
+    let model = &trainer.model()?;
     let encoded = model_file::encode(model).map_err(|e| AttemptError::new("model_invalid", e.to_string()))?;
-    let files = [
-        store_file(lease, "model.safetensors", "application/octet-stream", encoded).await?,
-        store_file(lease, "model.ply", "application/octet-stream", ply_model::encode(model)).await?,
-    ];
-    let record = ModelRecord {
+    let points = ply_model::encode(model);
+    let size = (encoded.len() + points.len()) as u64;
+    match store_and_publish(lease, record(lease, trainer, model), encoded, points).await {
+        Ok(LeaseStatus::Held) => Ok(AttemptEnd::Published),
+        Ok(LeaseStatus::Cancelling | LeaseStatus::Lost) => {
+            discard(lease).await;
+            Ok(settle(lease).await?)
+        }
+        Err(error) => {
+            // After another failure of the database the model may be published all the same.
+            if matches!(error, StoreError::Full) {
+                discard(lease).await;
+                lease.jobs().store().room().note_shortage(size);
+            }
+            Err(error.into())
+        }
+    }
+}
+
+fn record(lease: &Lease, trainer: &Trainer, model: &Model) -> ModelRecord {
+    let job = lease.job();
+    ModelRecord {
         id: lease.jobs().fresh_id(),
         job_id: job.id.clone(),
         capture_id: job.request.capture.clone(),
         gaussians: i64::try_from(model.gaussians.len()).unwrap_or(i64::MAX),
         card: timed_card(trainer, model),
         created_ms: lease.jobs().now_ms(),
-    };
-    match lease.publish(&record, &files).await? {
-        LeaseStatus::Held => Ok(AttemptEnd::Published),
-        LeaseStatus::Cancelling | LeaseStatus::Lost => Ok(settle(lease).await?),
     }
 }
 
@@ -38,20 +56,36 @@ fn timed_card(trainer: &Trainer, model: &Model) -> serde_json::Value {
     card
 }
 
-async fn store_file(
+async fn store_and_publish(
     lease: &Lease,
-    name: &str,
-    content_type: &str,
-    bytes: Vec<u8>,
-) -> Result<ModelFile, StoreError> {
-    let artifact = format!("{}/{name}", lease.artifact_prefix());
+    record: ModelRecord,
+    model: Vec<u8>,
+    points: Vec<u8>,
+) -> Result<LeaseStatus, StoreError> {
+    let files = [store_file(lease, MODEL, model).await?, store_file(lease, POINTS, points).await?];
+    lease.publish(&record, &files).await
+}
+
+async fn store_file(lease: &Lease, name: &str, bytes: Vec<u8>) -> Result<ModelFile, StoreError> {
+    let artifact = key(lease, name);
     let size = i64::try_from(bytes.len()).unwrap_or(i64::MAX);
     let sha256 = lease.jobs().store().artifacts().put(&artifact, bytes).await?;
     Ok(ModelFile {
         name: name.to_owned(),
-        content_type: content_type.to_owned(),
+        content_type: "application/octet-stream".to_owned(),
         bytes: size,
         sha256,
         artifact,
     })
+}
+
+fn key(lease: &Lease, name: &str) -> String {
+    format!("{}/{name}", lease.artifact_prefix())
+}
+
+/// Removes the files of an attempt that published nothing.
+async fn discard(lease: &Lease) {
+    for name in [MODEL, POINTS] {
+        lease.jobs().store().artifacts().remove(&key(lease, name)).await;
+    }
 }

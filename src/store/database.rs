@@ -1,0 +1,148 @@
+//! The database: one connection that writes and several that read, so that what goes wrong with a write stays with it.
+
+use std::path::Path;
+use std::time::Duration;
+
+use sqlx::migrate::{MigrateError, Migrator};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{Connection, Sqlite, SqlitePool, Transaction};
+
+use crate::store::StoreError;
+
+/// Name of the database in a data directory.
+pub(super) const FILE: &str = "relume.db";
+static MIGRATIONS: Migrator = sqlx::migrate!("migrations/sqlite");
+/// Connections that read.
+const READERS: u32 = 8;
+
+/// Connections to one database file.
+#[derive(Clone)]
+pub(super) struct Database {
+    /// One connection: SQLite has one writer at a time.
+    writer: SqlitePool,
+    /// These keep the WAL open, so that a writer can be replaced on a full disk.
+    readers: SqlitePool,
+}
+
+impl Database {
+    /// Opens `root/relume.db`, creates it when it is missing and migrates the schema.
+    pub(super) async fn open(root: &Path) -> Result<Self, StoreError> {
+        Self::connect(options(root).create_if_missing(true)).await
+    }
+
+    /// One connection to the `root/relume.db` that is there, which changes nothing.
+    pub(super) async fn open_to_look(root: &Path) -> Result<SqlitePool, StoreError> {
+        let options = options(root).pragma("query_only", "ON");
+        Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
+    }
+
+    async fn connect(options: SqliteConnectOptions) -> Result<Self, StoreError> {
+        let writer = lasting_pool(1)
+            .after_release(|connection, _| {
+                Box::pin(async move {
+                    // A rollback is only queued when a transaction is dropped; this waits for it.
+                    connection.ping().await?;
+                    // SQLite itself rolls a transaction back when the disk is full. The rollback that follows then fails and the
+                    // connection counts a transaction as open for ever: it is closed instead of used again.
+                    Ok(!connection.is_in_transaction())
+                })
+            })
+            .connect_with(options.clone())
+            .await?;
+        MIGRATIONS.run(&writer).await.map_err(|error| match error {
+            MigrateError::VersionMissing(found) if found > schema() => {
+                StoreError::NewerDatabase { found, known: schema() }
+            }
+            MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _) => error.into(),
+            error => StoreError::Migration(error),
+        })?;
+        let readers = lasting_pool(READERS).connect_with(options.pragma("query_only", "ON")).await?;
+        Ok(Self { writer, readers })
+    }
+
+    /// Connections for queries; a statement that changes something fails on them.
+    pub(super) fn readers(&self) -> &SqlitePool {
+        &self.readers
+    }
+
+    /// A transaction that takes the write lock at once, so that it cannot fail half way for want of it.
+    pub(super) async fn write(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
+        Ok(self.writer.begin_with("BEGIN IMMEDIATE").await?)
+    }
+
+    /// Closes every connection; the WAL is folded into the database file.
+    pub(super) async fn close(&self) {
+        self.readers.close().await;
+        self.writer.close().await;
+    }
+}
+
+/// Number of the schema of this version.
+pub(super) fn schema() -> i64 {
+    MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
+}
+
+fn options(root: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
+        .filename(root.join(FILE))
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(SqliteSynchronous::Full)
+        .busy_timeout(Duration::from_secs(10))
+        .foreign_keys(true)
+}
+
+/// A pool whose connections stay open.
+fn lasting_pool(size: u32) -> SqlitePoolOptions {
+    SqlitePoolOptions::new().max_connections(size).min_connections(1).idle_timeout(None).max_lifetime(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A database that cannot grow beyond `pages` pages, as on a disk that is full then.
+    async fn with_room_for(pages: u32, file: &Path) -> Database {
+        let options = SqliteConnectOptions::new()
+            .filename(file)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            .pragma("max_page_count", pages.to_string());
+        Database::connect(options).await.unwrap()
+    }
+
+    async fn insert(database: &Database, key: &str, bytes: usize) -> Result<(), StoreError> {
+        let mut tx = database.write().await?;
+        sqlx::query(
+            "INSERT INTO idempotency (key, fingerprint, response, created_ms) VALUES (?1, '', ?2, 0)",
+        )
+        .bind(key)
+        .bind("x".repeat(bytes))
+        .execute(&mut *tx)
+        .await?;
+        Ok(tx.commit().await?)
+    }
+
+    #[tokio::test]
+    async fn a_write_that_met_a_full_disk_spoils_no_later_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let database = with_room_for(100, &folder.path().join(FILE)).await;
+        for round in 0..20 {
+            let refused = insert(&database, &format!("large {round}"), 1 << 20).await;
+            assert!(matches!(refused, Err(StoreError::Full)), "{refused:?}");
+            insert(&database, &format!("small {round}"), 1).await.unwrap();
+        }
+        let count: i64 = sqlx::query_scalar("SELECT COUNT(*) FROM idempotency")
+            .fetch_one(database.readers())
+            .await
+            .unwrap();
+        assert_eq!(count, 20, "what was refused is not there");
+    }
+
+    #[tokio::test]
+    async fn readers_write_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let database = Database::open(folder.path()).await.unwrap();
+        let refused = sqlx::query("DELETE FROM jobs").execute(database.readers()).await.unwrap_err();
+        assert!(refused.to_string().contains("readonly"), "{refused}");
+    }
+}

@@ -1,0 +1,69 @@
+//! What the database says is among the artifacts, and what is there.
+
+use std::path::Path;
+
+use sqlx::{FromRow, SqlitePool};
+
+use crate::store::StoreError;
+
+/// An artifact that the database names.
+#[derive(Debug, FromRow)]
+pub(super) struct Reference {
+    /// Its key.
+    pub(super) artifact: String,
+    /// Its hash, if one was kept.
+    pub(super) sha256: Option<String>,
+    /// Whose it is, for people.
+    pub(super) owner: String,
+}
+
+/// Every artifact that the database names.
+pub(super) async fn references(pool: &SqlitePool) -> Result<Vec<Reference>, StoreError> {
+    let query = sqlx::query_as(
+        "SELECT artifact, sha256, 'capture ' || id AS owner FROM captures
+         UNION ALL SELECT artifact, sha256, 'environment ' || id FROM environments
+         UNION ALL SELECT artifact, sha256, 'model ' || model_id || ', ' || name FROM model_files
+         UNION ALL SELECT checkpoint, checkpoint_sha256, 'checkpoint of job ' || id FROM jobs
+             WHERE checkpoint IS NOT NULL AND state IN ('queued', 'running', 'cancelling')",
+    );
+    Ok(query.fetch_all(pool).await?)
+}
+
+/// The keys of all files under `artifacts` that have a name which only this program gives. Blocks.
+pub(super) fn stored(artifacts: &Path) -> std::io::Result<Vec<String>> {
+    let mut keys = Vec::new();
+    for family in ["captures", "environments"] {
+        files(&artifacts.join(family), family, 0, &mut keys)?;
+    }
+    keys.retain(|key| key.rsplit('/').next().is_some_and(is_hash));
+    // attempts/JOB/NUMBER/FILE
+    files(&artifacts.join("attempts"), "attempts", 2, &mut keys)?;
+    keys.sort();
+    Ok(keys)
+}
+
+/// Adds the files `depth` folders below `folder` to `keys`, which begin with `prefix`.
+fn files(folder: &Path, prefix: &str, depth: usize, keys: &mut Vec<String>) -> std::io::Result<()> {
+    let entries = match std::fs::read_dir(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        let entry = entry?;
+        let (kind, name) = (entry.file_type()?, entry.file_name());
+        let Some(name) = name.to_str() else { continue };
+        let key = format!("{prefix}/{name}");
+        if depth > 0 && kind.is_dir() {
+            files(&entry.path(), &key, depth - 1, keys)?;
+        } else if depth == 0 && kind.is_file() {
+            keys.push(key);
+        }
+    }
+    Ok(())
+}
+
+/// A sha256 in lower-case hex; an unfinished file of that name has `#` and a number behind it.
+fn is_hash(name: &str) -> bool {
+    let name = name.split('#').next().unwrap_or_default();
+    name.len() == 64 && name.bytes().all(|c| c.is_ascii_digit() || (b'a'..=b'f').contains(&c))
+}

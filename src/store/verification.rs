@@ -1,0 +1,114 @@
+//! Whether stored bytes are still those that were stored. A file is hashed once a process, and again when the file system says
+//! that it changed.
+
+use std::collections::HashMap;
+use std::fs::{File, Metadata};
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::store::StoreError;
+use crate::store::hash::hash_file;
+
+/// What tells one content of a file from another without reading it: size, modification time in ns, and inode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Stamp(u64, i64, i64, u64);
+
+impl Stamp {
+    fn of(file: &Metadata) -> Self {
+        Self(file.size(), file.mtime(), file.mtime_nsec(), file.ino())
+    }
+}
+
+/// A file's hash and the stamp it had then. The lock is held while the file is hashed, so that many readers hash it once.
+type Known = Arc<tokio::sync::Mutex<Option<(Stamp, String)>>>;
+
+/// The hashes of files that were read by this process.
+#[derive(Clone, Default)]
+pub(super) struct Verification {
+    files: Arc<Mutex<HashMap<String, Known>>>,
+}
+
+impl Verification {
+    /// Compares the file of an artifact with the hash that it was stored under.
+    pub(super) async fn check(&self, key: &str, path: &Path, sha256: &str) -> Result<(), StoreError> {
+        let known = self.lock().entry(key.to_owned()).or_default().clone();
+        let mut known = known.lock().await;
+        let stamp = Stamp::of(&tokio::fs::metadata(path).await.map_err(|e| absent(e, key))?);
+        if known.as_ref().is_none_or(|(then, _)| *then != stamp) {
+            let path = path.to_owned();
+            let hashed =
+                tokio::task::spawn_blocking(move || hash(&path)).await.map_err(std::io::Error::other)?;
+            *known = Some(hashed.map_err(|e| absent(e, key))?);
+        }
+        match &*known {
+            Some((_, actual)) if actual == sha256 => Ok(()),
+            _ => {
+                tracing::error!(key, sha256, "an artifact is damaged");
+                Err(StoreError::Damaged(key.to_owned()))
+            }
+        }
+    }
+
+    /// Forgets a file that was removed.
+    pub(super) fn forget(&self, key: &str) {
+        self.lock().remove(key);
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<String, Known>> {
+        self.files.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn absent(error: std::io::Error, key: &str) -> StoreError {
+    match error.kind() {
+        std::io::ErrorKind::NotFound => StoreError::Missing(key.to_owned()),
+        _ => error.into(),
+    }
+}
+
+/// The hash of a file, and its stamp from before it was read: a change meanwhile shows at the next check.
+fn hash(path: &Path) -> std::io::Result<(Stamp, String)> {
+    let mut file = File::open(path)?;
+    let stamp = Stamp::of(&file.metadata()?);
+    Ok((stamp, hash_file(&mut file)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::{Duration, SystemTime};
+
+    use sha2::{Digest, Sha256};
+
+    use super::*;
+    use crate::store::hash::hex;
+
+    #[tokio::test]
+    async fn a_file_is_hashed_once_and_again_when_it_changed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        std::fs::write(&path, "as it was").unwrap();
+        let sha256 = hex(&Sha256::digest("as it was"));
+        let verification = Verification::default();
+        verification.check("key", &path, &sha256).await.unwrap();
+
+        // Other bytes under the same stamp are not seen: the file was not read again.
+        let time = std::fs::metadata(&path).unwrap().modified().unwrap();
+        let overwrite = |bytes: &str, time: SystemTime| {
+            std::fs::write(&path, bytes).unwrap();
+            File::options().write(true).open(&path).unwrap().set_modified(time).unwrap();
+        };
+        overwrite("as it wOs", time);
+        verification.check("key", &path, &sha256).await.unwrap();
+        // And under another they are, each time.
+        overwrite("as it wOs", time + Duration::from_secs(1));
+        for _ in 0..2 {
+            let damaged = verification.check("key", &path, &sha256).await;
+            assert!(matches!(damaged, Err(StoreError::Damaged(key)) if key == "key"));
+        }
+        overwrite("as it was", time + Duration::from_secs(2));
+        verification.check("key", &path, &sha256).await.unwrap();
+        std::fs::remove_file(&path).unwrap();
+        assert!(matches!(verification.check("key", &path, &sha256).await, Err(StoreError::Missing(_))));
+    }
+}

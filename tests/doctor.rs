@@ -1,0 +1,107 @@
+//! A data directory that is not sound, as `relume doctor` and `relume serve` see it.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use relume::testing;
+use tempfile::TempDir;
+
+use crate::service_support::{files_under, trained};
+
+fn relume(args: &[&str], data: &Path) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
+    command.args(args).arg("--data-dir").arg(data).output().unwrap()
+}
+
+/// What `relume doctor` says, and whether it found the directory sound.
+fn doctor(data: &Path) -> (bool, String) {
+    let output = relume(&["doctor", "--device", "cpu"], data);
+    (output.status.success(), String::from_utf8(output.stdout).unwrap())
+}
+
+/// Why a server does not start.
+fn refusal(data: &Path) -> String {
+    let output = relume(&["serve", "--listen", "127.0.0.1:0"], data);
+    assert!(!output.status.success(), "it started");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+/// What a server with one model leaves.
+async fn used() -> TempDir {
+    let server = testing::spawn().await.unwrap();
+    trained(server.client()).await;
+    server.stop().await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn damaged_missing_and_unknown_artifacts_are_named() {
+    let data = used().await;
+    let (sound, said) = doctor(data.path());
+    assert!(sound && said.contains("3 named by the database, 0 not"), "{said}");
+
+    let files = files_under(data.path());
+    let [capture, model, points] = ["captures/", "model.safetensors", "model.ply"]
+        .map(|part| files.iter().find(|(name, _)| name.contains(part)).unwrap().0.clone());
+    let unknown = format!("artifacts/captures/{}", "b".repeat(64));
+    std::fs::write(data.path().join(&unknown), "x").unwrap();
+    let (sound, said) = doctor(data.path());
+    assert!(sound && said.contains(&format!("{unknown}: nothing refers to it")), "{said}");
+
+    std::fs::write(data.path().join(&model), "other bytes").unwrap();
+    std::fs::remove_file(data.path().join(&points)).unwrap();
+    let (sound, said) = doctor(data.path());
+    assert!(!sound, "{said}");
+    assert!(said.contains(&format!("{model} is damaged")), "{said}");
+    assert!(said.contains(&format!("{points} is missing")), "{said}");
+    assert!(!said.contains(&capture), "the capture is sound: {said}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_damaged_database_is_named() {
+    let data = used().await;
+    let path = data.path().join("relume.db");
+    let sound = std::fs::read(&path).unwrap();
+    // Not the first page, so that it can still be opened.
+    let mut bytes = sound.clone();
+    bytes[2 * 4096..].chunks_mut(4096).for_each(|page| page[..64].fill(0xa5));
+    std::fs::write(&path, bytes).unwrap();
+    let (healthy, said) = doctor(data.path());
+    assert!(!healthy && said.contains("the database") && said.contains("damaged"), "{said}");
+
+    std::fs::write(&path, [0x77; 8192]).unwrap();
+    let (healthy, said) = doctor(data.path());
+    assert!(!healthy && said.contains("relume.db is damaged"), "{said}");
+    assert!(refusal(data.path()).contains("relume.db is damaged"));
+
+    std::fs::write(&path, sound).unwrap();
+    let (healthy, said) = doctor(data.path());
+    assert!(healthy, "{said}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn artifacts_without_their_database_are_not_served() {
+    let data = used().await;
+    std::fs::rename(data.path().join("relume.db"), data.path().join("elsewhere")).unwrap();
+    let before = files_under(data.path());
+    let why = refusal(data.path());
+    assert!(why.contains("stored files but no database"), "{why}");
+    let (sound, said) = doctor(data.path());
+    assert!(!sound && said.contains("stored files but no database"), "{said}");
+    assert_eq!(files_under(data.path()), before, "nothing was swept, nothing made");
+    assert!(!data.path().join("relume.db").exists());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_database_of_a_newer_version_is_not_touched() {
+    let data = used().await;
+    let path = data.path().join("relume.db");
+    let pool = sqlx::SqlitePool::connect(&format!("sqlite:{}", path.display())).await.unwrap();
+    let newer = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time)
+                 VALUES (9999, 'from the future', 1, x'00', 0)";
+    sqlx::query(newer).execute(&pool).await.unwrap();
+    pool.close().await;
+    let why = refusal(data.path());
+    assert!(why.contains("newer version of relume (schema 9999"), "{why}");
+    let (sound, said) = doctor(data.path());
+    assert!(!sound && said.contains("newer version of relume (schema 9999"), "{said}");
+}

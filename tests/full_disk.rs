@@ -1,0 +1,179 @@
+//! A disk that is full for a while: refusals in plain words, and no restart afterwards.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+
+use relume::api::jobs::JobState;
+use relume::api::{CaptureId, Problem};
+use relume::client::{Client, ClientError};
+use reqwest::Method;
+use tempfile::TempDir;
+
+use crate::server_process::Server;
+use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, until};
+
+/// More steps than any test waits for.
+const ENDLESS: u32 = 1_000_000;
+
+/// What `/readyz` says.
+async fn readiness(client: &Client) -> (u16, String) {
+    let answer = client.request(Method::GET, "/readyz").unwrap().send().await.unwrap();
+    (answer.status().as_u16(), answer.text().await.unwrap())
+}
+
+async fn until_not_ready(client: &Client) -> String {
+    for _ in 0..500 {
+        match readiness(client).await {
+            (503, why) => return why,
+            _ => tokio::time::sleep(Duration::from_millis(20)).await,
+        }
+    }
+    panic!("the server never noticed");
+}
+
+fn is_507<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> bool {
+    let error = answer.expect_err("there is no room for it");
+    let kind = |problem: &Problem| (problem.status, problem.kind.clone());
+    error.problem().map(kind) == Some((507, "urn:relume:problem:insufficient-storage".to_owned()))
+}
+
+async fn start_job(client: &Client, steps: u32) -> relume::api::jobs::JobView {
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    client.create_job(&small_job(&capture.id, steps, 200), None).await.unwrap()
+}
+
+/// Lets the files of a process grow, or not.
+fn let_files_grow(server: &Server, grow: bool) {
+    let limit = if grow { "--fsize=unlimited:" } else { "--fsize=0:" };
+    let done = Command::new("prlimit").args(["--pid", &server.child.id().to_string(), limit]).status();
+    assert!(done.unwrap().success());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn writes_that_failed_spoil_no_later_ones_and_a_training_goes_on() {
+    let data = TempDir::new().unwrap();
+    let mut shell = Command::new("bash");
+    shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
+    let server = Server::start_under(shell, data.path());
+    let client = &server.client;
+    let job = start_job(client, ENDLESS).await;
+    until(client, &job.id, |job| job.state == JobState::Running && job.progress.step > 1000).await;
+
+    let_files_grow(&server, false);
+    // The worker has given up the reserve to write down that the job waits, in vain.
+    let reserve = data.path().join("relume.db.reserve");
+    let mut waited = 0;
+    while reserve.exists() {
+        waited += 1;
+        assert!(waited < 1000, "the training does not notice that its checkpoints fail");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let why = until_not_ready(client).await;
+    assert!(why.contains("the disk is full"), "{why}");
+    for _ in 0..10 {
+        assert!(is_507(client.create_job(&small_job(&job.capture, 5, 5), None).await));
+        assert!(is_507(client.upload_capture_bytes(CaptureZip::new(9, 32).zip()).await));
+        assert_eq!(client.captures().await.unwrap().items.len(), 1, "what is there can be read");
+    }
+
+    let_files_grow(&server, true);
+    let next = client.create_job(&small_job(&job.capture, 5, 5), None).await.unwrap();
+    assert_eq!(readiness(client).await, (200, "ready\n".to_owned()));
+    let resumed = until(client, &job.id, |job| job.state == JobState::Running && job.attempts == 2).await;
+    assert!(resumed.progress.step > 0, "it went on from a checkpoint: {:?}", resumed.progress);
+    client.cancel_job(&job.id).await.unwrap();
+    assert_eq!(ended(client, &job.id).await.state, JobState::Cancelled);
+    assert_eq!(ended(client, &next.id).await.state, JobState::Succeeded);
+    nothing_is_left_of(data.path(), &job.capture, 2);
+}
+
+/// The artifacts are one capture and `files` files of models.
+fn nothing_is_left_of(data: &Path, capture: &CaptureId, files: usize) {
+    let names: Vec<String> = files_under(data).into_iter().map(|(name, _)| name).collect();
+    let models =
+        names.iter().filter(|name| name.starts_with("artifacts/attempts/") && name.contains("/model."));
+    assert_eq!((models.count(), names.len()), (files, files + 1), "of {capture:?}: {names:?}");
+}
+
+/// A server on a file system of 20 MB that only it has.
+struct SmallDisk {
+    server: Server,
+    /// The file system as the test reaches it.
+    disk: PathBuf,
+    _mount_point: TempDir,
+}
+
+impl SmallDisk {
+    fn start() -> Self {
+        let mount_point = TempDir::new().unwrap();
+        let mut shell = Command::new("unshare");
+        let script = "mount -t tmpfs -o size=20m tmpfs \"$0\" && exec \"$@\"";
+        shell.args(["--user", "--map-root-user", "--mount", "sh", "-c", script]);
+        shell.arg(mount_point.path()).arg(env!("CARGO_BIN_EXE_relume"));
+        let server = Server::start_under(shell, &mount_point.path().join("data"));
+        let inside = mount_point.path().strip_prefix("/").unwrap();
+        let disk = PathBuf::from(format!("/proc/{}/root", server.child.id())).join(inside);
+        Self { server, disk, _mount_point: mount_point }
+    }
+
+    fn signal(&self, signal: &str) {
+        let sent = Command::new("kill").args([signal, &self.server.child.id().to_string()]).status();
+        assert!(sent.unwrap().success());
+    }
+
+    /// Fills the disk to the last byte, unless the reserve is given up already. The server stands still meanwhile.
+    fn fill(&self) {
+        self.signal("-STOP");
+        if self.disk.join("data/relume.db.reserve").exists() {
+            let mut filler = std::fs::File::options().create(true).append(true).open(self.filler()).unwrap();
+            while filler.write(&[0; 4096]).is_ok() {}
+        }
+        self.signal("-CONT");
+    }
+
+    fn filler(&self) -> PathBuf {
+        self.disk.join("filler")
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs Linux that lets users mount a tmpfs in a namespace of their own"]
+async fn a_training_pauses_at_its_last_checkpoint_while_the_disk_is_full() {
+    let small = SmallDisk::start();
+    let client = &small.server.client;
+    let job = start_job(client, ENDLESS).await;
+    until(client, &job.id, |job| job.state == JobState::Running && job.progress.step > 1000).await;
+
+    let mut paused = client.job(&job.id).await.unwrap();
+    for _ in 0..100 {
+        if paused.state == JobState::Queued {
+            break;
+        }
+        small.fill();
+        tokio::time::sleep(Duration::from_millis(200)).await;
+        paused = client.job(&job.id).await.unwrap();
+    }
+    assert_eq!(paused.progress.message.as_deref(), Some("waiting for room on the disk"));
+    assert!(paused.progress.step >= 1000 && paused.progress.step % 200 == 0, "{:?}", paused.progress);
+    let (status, why) = readiness(client).await;
+    assert!(status == 503 && why.contains("the disk is full"), "{status} {why}");
+    assert!(is_507(client.create_job(&small_job(&job.capture, 5, 5), None).await));
+    let mut large = CaptureZip::new(8, 32);
+    large.images.push(("unused.bin".to_owned(), crate::crash::noise(4 << 20)));
+    assert!(is_507(client.upload_capture_bytes(large.zip()).await));
+    assert_eq!(client.job(&job.id).await.unwrap().state, JobState::Queued, "it is not tried over and over");
+
+    std::fs::remove_file(small.filler()).unwrap();
+    let next = client.create_job(&small_job(&job.capture, 5, 5), None).await.unwrap();
+    assert_eq!(readiness(client).await.0, 200);
+    let going_on = |view: &relume::api::jobs::JobView| {
+        view.state == JobState::Running && view.progress.step > paused.progress.step
+    };
+    assert_eq!(until(client, &job.id, going_on).await.attempts, 2);
+    client.cancel_job(&job.id).await.unwrap();
+    assert_eq!(ended(client, &job.id).await.state, JobState::Cancelled);
+    assert_eq!(ended(client, &next.id).await.state, JobState::Succeeded);
+    nothing_is_left_of(&small.disk.join("data"), &job.capture, 2);
+}
