@@ -16,6 +16,8 @@ mod requirements;
 mod service;
 mod service_api;
 mod service_cli;
+mod service_network;
+mod service_origins;
 mod service_promises;
 mod service_support;
 mod tiers;

@@ -6,6 +6,7 @@
 mod app;
 mod auth;
 mod captures;
+mod connections;
 mod description;
 mod environments;
 mod events;
@@ -18,15 +19,20 @@ mod listing;
 mod models;
 mod negotiate;
 mod observe;
+mod origins;
 mod problem;
 mod render_request;
 mod renders;
 mod router;
 mod run;
+mod same_site;
+mod stack;
 mod thumbnails;
 mod upload;
 
 pub use app::RequestLimits;
 pub use auth::ApiKeys;
+pub use connections::{ConnectionLimits, raise_file_limit};
+pub use origins::CorsOrigin;
 pub use router::openapi;
 pub use run::{ServeError, ServerConfig, run};
