@@ -68,6 +68,14 @@ async fn a_job_with_a_wrong_field_is_refused_by_pointer() {
         (json!({ "capture": capture, "overrides": { "speed": 11 } }), "/overrides/speed"),
         (json!({ "capture": capture, "overrides": { "seed": -1 } }), "/overrides/seed"),
         (
+            json!({ "capture": capture, "overrides": { "initial_gaussians": 100_000_000 } }),
+            "/overrides/initial_gaussians",
+        ),
+        (
+            json!({ "capture": capture, "device": "cpu", "overrides": { "max_gaussians": 4_000_000 } }),
+            "/overrides/max_gaussians",
+        ),
+        (
             json!({ "capture": capture, "overrides": { "light": { "environment": "nowhere" } } }),
             "/overrides/light/environment",
         ),
@@ -345,6 +353,9 @@ async fn a_render_is_refused_by_the_field_at_fault() {
     }
     let odd = post_json(client, &path, &good).header(header::ACCEPT, "text/html");
     problem(odd, 406, "not-acceptable").await;
+    let twice = post_json(client, &path, &with("/outputs", json!(["albedo", "depth", "albedo"])));
+    let answer = problem(twice.header(header::ACCEPT, "image/x-exr"), 422, "invalid-field").await;
+    assert_eq!(answer["errors"][0]["pointer"], "/outputs/2", "{answer}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

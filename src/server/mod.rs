@@ -13,6 +13,7 @@ mod events;
 mod extract;
 mod files;
 mod health;
+mod job_bounds;
 mod jobs;
 mod lights;
 mod listing;

@@ -44,7 +44,7 @@ impl FromStr for CorsOrigin {
         };
         // The comparison with what a browser sends is byte by byte, so only its own way of writing is right.
         let canonical = format!("{scheme}://{authority}").to_ascii_lowercase();
-        if canonical != text || authority.as_str().contains('@') {
+        if canonical != text || authority.as_str().contains(['@', '*']) {
             return Err(wrong());
         }
         HeaderValue::from_str(text).map(Self::One).map_err(|_| wrong())

@@ -146,7 +146,7 @@ impl From<StoreError> for Problem {
 impl From<RenderFailure> for Problem {
     fn from(failure: RenderFailure) -> Self {
         match failure {
-            RenderFailure::Busy => {
+            RenderFailure::Busy | RenderFailure::Abandoned => {
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "The device is busy").retry_after(1)
             }
             RenderFailure::Refused { field, reason } => Self::invalid_field(format!("/{field}"), reason),

@@ -159,3 +159,34 @@ async fn after_no_socket(error: &std::io::Error, registry: &Registry) {
     registry.make_room();
     tokio::time::sleep(NO_SOCKET_PAUSE).await;
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::routing::get;
+    use tokio::io::AsyncWriteExt;
+
+    #[tokio::test]
+    async fn when_a_client_goes_what_was_done_for_it_is_dropped() {
+        let (begun, dropped, stop) = <(CancellationToken, CancellationToken, CancellationToken)>::default();
+        let (begins, drops) = (begun.clone(), dropped.clone());
+        let handler = move || async move {
+            let _when_dropped = drops.drop_guard();
+            begins.cancel();
+            std::future::pending::<()>().await;
+        };
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let routes = Router::new().route("/", get(handler));
+        let limits = ConnectionLimits::default();
+        let server = tokio::spawn(serve(listener, routes, limits, stop.clone(), Duration::from_secs(60)));
+        let mut client = TcpStream::connect(address).await.unwrap();
+        client.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n").await.unwrap();
+        begun.cancelled().await;
+        assert!(!dropped.is_cancelled());
+        drop(client);
+        tokio::time::timeout(Duration::from_secs(60), dropped.cancelled()).await.unwrap();
+        stop.cancel();
+        assert!(server.await.unwrap());
+    }
+}
