@@ -194,7 +194,7 @@ async fn a_body_of_two_gigabytes_is_refused_before_it_is_sent() {
         ("/v1/jobs", "application/json"),
     ] {
         let head = format!(
-            "POST {path} HTTP/1.1\r\nHost: x\r\nContent-Type: {media}\r\nContent-Length: 2147483648\r\n\r\n"
+            "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: {media}\r\nContent-Length: 2147483648\r\n\r\n"
         );
         assert_eq!(raw(&server, &head, b"").await, "HTTP/1.1 413 Payload Too Large", "{path}");
     }
@@ -206,7 +206,7 @@ async fn a_body_of_two_gigabytes_is_refused_before_it_is_sent() {
 async fn a_body_of_unknown_length_is_cut_off_at_the_limit() {
     let limits = |c: &mut relume::server::ServerConfig| c.limits.capture_bytes = 1 << 20;
     let server = testing::spawn_with(tempfile::tempdir().unwrap(), limits).await.unwrap();
-    let head = "POST /v1/captures HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\n\
+    let head = "POST /v1/captures HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\n\
                 Transfer-Encoding: chunked\r\n\r\n";
     let chunk =
         [format!("{:x}\r\n", (1 << 20) + 1).into_bytes(), vec![7; (1 << 20) + 1], b"\r\n".to_vec()].concat();
@@ -220,7 +220,7 @@ async fn an_upload_that_breaks_off_leaves_nothing_behind() {
     let server = testing::spawn().await.unwrap();
     lives(&server).await;
     let before = files_under(server.data_dir());
-    let head = "POST /v1/captures HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nContent-Length: 99999999\r\n\r\n";
+    let head = "POST /v1/captures HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\nContent-Length: 99999999\r\n\r\n";
     let base = server.client().base();
     let address = format!("{}:{}", base.host_str().unwrap(), base.port().unwrap());
     let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();

@@ -20,6 +20,8 @@ mod server_process;
 mod service;
 mod service_api;
 mod service_cli;
+mod service_network;
+mod service_origins;
 mod service_promises;
 mod service_support;
 mod stored_files;

@@ -151,5 +151,9 @@ fn serve_refuses_to_be_open_to_the_network_and_weak_keys() {
     let folder = TempDir::new().unwrap();
     fails_with(folder.path(), &["serve", "--listen", "0.0.0.0:0"], "API key");
     fails_with(folder.path(), &["serve", "--listen", "0.0.0.0:0", "--api-key", "short"], "16 characters");
+    let serve = ["serve", "--listen", "127.0.0.1:0"];
+    fails_with(folder.path(), &[&serve[..], &["--cors-origin", "*"]].concat(), "API key");
+    fails_with(folder.path(), &[&serve[..], &["--cors-origin", "app.example"]].concat(), "is no origin");
+    fails_with(folder.path(), &[&serve[..], &["--head-timeout", "0"]].concat(), "--head-timeout");
     assert!(!folder.path().join("relume-data").join("relume.db").exists());
 }

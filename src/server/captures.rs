@@ -18,12 +18,14 @@ use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::server::upload::{self, Expected};
 use crate::store::{CaptureRecord, Incoming};
 
-/// The routes of this file.
+/// The routes of this file that take no archives.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
-    OpenApiRouter::new()
-        .routes(routes!(upload_capture, list_captures))
-        .routes(routes!(validate_capture))
-        .routes(routes!(get_capture))
+    OpenApiRouter::new().routes(routes!(list_captures)).routes(routes!(get_capture))
+}
+
+/// The routes of this file that take archives.
+pub(super) fn uploads() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(upload_capture)).routes(routes!(validate_capture))
 }
 
 /// Upload a capture

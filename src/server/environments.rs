@@ -21,11 +21,14 @@ use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::server::upload::{self, Expected};
 use crate::store::{EnvironmentRecord, Incoming};
 
-/// The routes of this file.
+/// The routes of this file that take no maps.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
-    OpenApiRouter::new()
-        .routes(routes!(upload_environment, list_environments))
-        .routes(routes!(get_environment))
+    OpenApiRouter::new().routes(routes!(list_environments)).routes(routes!(get_environment))
+}
+
+/// The route of this file that takes a map.
+pub(super) fn uploads() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(upload_environment))
 }
 
 /// How to name an uploaded map.

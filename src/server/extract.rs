@@ -1,12 +1,16 @@
 //! Extractors whose refusals are problems that name the field.
 
+use std::error::Error;
+
 use axum::body::Bytes;
 use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, StatusCode, header};
+use http_body_util::LengthLimitError;
 use serde::de::DeserializeOwned;
 use serde_json::error::Category;
 use serde_path_to_error::Segment;
+use tower_http::timeout::TimeoutError;
 
 use crate::api::Problem;
 
@@ -78,8 +82,27 @@ async fn json_bytes(request: Request, limit: usize) -> Result<Bytes, Problem> {
     if content_length(request.headers()).is_some_and(|n| n > limit as u64) {
         return Err(Problem::too_large(limit as u64));
     }
-    // Fails for a broken transfer too; but a body that outgrew its limit is by far the likelier.
-    axum::body::to_bytes(request.into_body(), limit).await.map_err(|_| Problem::too_large(limit as u64))
+    axum::body::to_bytes(request.into_body(), limit).await.map_err(|e| body_broken(&e, limit))
+}
+
+/// Why a body did not arrive whole.
+fn body_broken(error: &axum::Error, limit: usize) -> Problem {
+    if caused_by::<LengthLimitError>(error) {
+        return Problem::too_large(limit as u64);
+    }
+    if caused_by::<TimeoutError>(error) {
+        return Problem::timeout(STALLED);
+    }
+    Problem::new(StatusCode::BAD_REQUEST, "incomplete-body", "The body could not be read")
+        .detail(error.to_string())
+}
+
+/// What is said of a body that stopped arriving.
+pub(super) const STALLED: &str = "no more of the body arrived in time";
+
+/// True when an error of type `E` is among the causes.
+pub(super) fn caused_by<E: Error + 'static>(error: &(dyn Error + 'static)) -> bool {
+    std::iter::successors(Some(error), |e| (*e).source()).any(|e| e.is::<E>())
 }
 
 /// Parses JSON; an error says where in the document it is.

@@ -68,6 +68,16 @@ impl Problem {
             .detail(format!("at most {limit} bytes are accepted here"))
     }
 
+    /// 408.
+    pub fn timeout(detail: &str) -> Self {
+        Self::new(StatusCode::REQUEST_TIMEOUT, "timeout", "The request took too long").detail(detail)
+    }
+
+    /// 403.
+    pub fn forbidden(kind: &str, detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::FORBIDDEN, kind, "The request may come from a foreign web page").detail(detail)
+    }
+
     /// 415.
     pub fn unsupported_media_type(expected: &str) -> Self {
         Self::new(
@@ -147,7 +157,7 @@ impl From<StoreError> for Problem {
 impl From<RenderFailure> for Problem {
     fn from(failure: RenderFailure) -> Self {
         match failure {
-            RenderFailure::Busy => {
+            RenderFailure::Busy | RenderFailure::Abandoned => {
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "The device is busy").retry_after(1)
             }
             RenderFailure::Refused { field, reason } => Self::invalid_field(format!("/{field}"), reason),

@@ -109,6 +109,9 @@ pub(super) fn respond(TimedFrame { encoded, timing }: TimedFrame, format: FrameF
 
 fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(), Problem> {
     let refuse = |why: &str| Err(Problem::invalid_field("/outputs", why));
+    if let Some(i) = (1..outputs.len()).find(|&i| outputs[..i].contains(&outputs[i])) {
+        return Err(Problem::invalid_field(format!("/outputs/{i}"), "is named twice"));
+    }
     match (outputs, format) {
         ([], _) => refuse("must name at least one output"),
         ([_], FrameFormat::Png) | (_, FrameFormat::Exr) => Ok(()),

@@ -1,30 +1,31 @@
-//! All routes and the layers around them.
+//! All routes.
 
-use axum::extract::DefaultBodyLimit;
-use axum::http::{HeaderValue, Method, StatusCode, Uri};
-use axum::{Router, middleware};
-use tower_http::catch_panic::CatchPanicLayer;
-use tower_http::cors::{AllowHeaders, AllowMethods, CorsLayer};
+use axum::Router;
+use axum::http::{Method, StatusCode, Uri};
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 
 use crate::api::Problem;
 use crate::server::app::Shared;
-use crate::server::auth::{self, ApiKeys};
+use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLOADS, bounded};
 use crate::server::{
-    captures, description, environments, events, files, health, jobs, models, observe, renders, thumbnails,
+    captures, description, environments, events, files, health, jobs, models, renders, thumbnails,
 };
 
 fn families() -> OpenApiRouter<Shared> {
-    OpenApiRouter::with_openapi(description::preamble())
-        .merge(captures::routes())
+    let uploads = captures::uploads().merge(environments::uploads());
+    let queries = captures::routes()
         .merge(environments::routes())
         .merge(jobs::routes())
         .merge(events::routes())
         .merge(models::routes())
-        .merge(files::routes())
-        .merge(renders::routes())
-        .merge(thumbnails::routes())
+        .merge(files::routes());
+    OpenApiRouter::with_openapi(description::preamble())
+        .merge(bounded(uploads, &UPLOADS))
+        .merge(bounded(queries, &QUERIES))
+        .merge(bounded(renders::routes(), &RENDERS))
+        .merge(bounded(thumbnails::routes(), &THUMBNAILS))
+        // Without bounds: whoever looks after the server is answered whatever it is doing.
         .merge(health::routes())
 }
 
@@ -33,30 +34,11 @@ pub fn openapi() -> OpenApi {
     description::with_short_defaults(description::with_problems(families().split_for_parts().1))
 }
 
-/// The whole service. Layers run from the last to the first.
-pub(super) fn router(app: Shared, keys: ApiKeys, origins: &[HeaderValue]) -> Router {
-    let routes = families()
-        .split_for_parts()
-        .0
-        .method_not_allowed_fallback(method_not_allowed)
-        .fallback(no_such_path)
-        // Every extractor of bodies brings its own limit.
-        .layer(DefaultBodyLimit::disable())
-        .layer(middleware::from_fn_with_state(keys, auth::authenticate));
-    // Outside authentication: a browser's preflight carries no key.
-    let routes = if origins.is_empty() { routes } else { routes.layer(cors(origins)) };
-    routes
-        .layer(CatchPanicLayer::custom(observe::on_panic))
-        .layer(middleware::from_fn(observe::observe))
-        .with_state(app)
-}
-
-/// Lets pages of the listed origins call the API, and no others.
-fn cors(origins: &[HeaderValue]) -> CorsLayer {
-    CorsLayer::new()
-        .allow_origin(origins.to_vec())
-        .allow_methods(AllowMethods::list([Method::GET, Method::POST, Method::PATCH]))
-        .allow_headers(AllowHeaders::mirror_request())
+/// The whole service.
+pub(super) fn router(app: Shared, config: StackConfig) -> Router {
+    let routes = families().split_for_parts().0;
+    let routes = routes.method_not_allowed_fallback(method_not_allowed).fallback(no_such_path);
+    stack::around(routes, config).with_state(app)
 }
 
 async fn no_such_path(uri: Uri) -> Problem {

@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use axum::http::HeaderValue;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
@@ -15,8 +14,11 @@ use crate::engine::DeviceError;
 use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
 use crate::server::app::{App, RequestLimits};
 use crate::server::auth::ApiKeys;
+use crate::server::connections::{self, ConnectionLimits};
 use crate::server::observe;
+use crate::server::origins::CorsOrigin;
 use crate::server::router::{openapi, router};
+use crate::server::stack::StackConfig;
 use crate::store::{NodeLock, Store, StoreError};
 use crate::worker::{self, StartError, WorkerOptions};
 
@@ -35,9 +37,13 @@ pub struct ServerConfig {
     /// Accepted keys; without any, everyone is accepted, on loopback only.
     pub api_keys: ApiKeys,
     /// Origins whose web pages may call the API.
-    pub cors_origins: Vec<HeaderValue>,
+    pub cors_origins: Vec<CorsOrigin>,
+    /// Names beside loopback by which a server without a key may be called.
+    pub allowed_hosts: Vec<String>,
     /// Bounds on requests.
     pub limits: RequestLimits,
+    /// Bounds on connections.
+    pub connections: ConnectionLimits,
     /// How leases behave.
     pub lease: LeasePolicy,
     /// Sizes of the worker.
@@ -55,7 +61,9 @@ impl ServerConfig {
             data_dir: data_dir.into(),
             api_keys: ApiKeys::default(),
             cors_origins: Vec::new(),
+            allowed_hosts: Vec::new(),
             limits: RequestLimits::default(),
+            connections: ConnectionLimits::default(),
             lease: LeasePolicy::default(),
             worker: WorkerOptions::default(),
             clock: Arc::new(SystemClock),
@@ -72,6 +80,11 @@ pub enum ServeError {
         "refusing to listen on {0} without an API key; set --api-key or RELUME_API_KEYS, or bind 127.0.0.1"
     )]
     Exposed(SocketAddr),
+    /// Without a key any web page could use it.
+    #[error(
+        "refusing the CORS origin * without an API key: any web page could use this server; set --api-key"
+    )]
+    OpenToPages,
     /// The data directory cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -97,6 +110,9 @@ pub async fn run(
     if !config.api_keys.may_listen(address) {
         return Err(ServeError::Exposed(address));
     }
+    if config.api_keys.is_open() && config.cors_origins.contains(&CorsOrigin::Any) {
+        return Err(ServeError::OpenToPages);
+    }
     observe::metrics_handle();
     let _lock = NodeLock::acquire(&config.data_dir)?;
     let store = Store::open(&config.data_dir).await?;
@@ -119,9 +135,15 @@ pub async fn run(
         is_open: config.api_keys.is_open(),
         description: openapi(),
     };
-    let service = router(Arc::new(app), config.api_keys, &config.cors_origins);
+    let stack = StackConfig {
+        keys: config.api_keys,
+        origins: config.cors_origins,
+        hosts: config.allowed_hosts.into(),
+        body_stall: config.connections.body,
+    };
+    let service = router(Arc::new(app), stack);
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
-    let served = serve(listener, service, shutdown, stop.clone()).await;
+    serve(listener, service, config.connections, shutdown, stop.clone()).await;
 
     stop.cancel();
     let joined = tokio::task::spawn_blocking(move || thread.join()).await;
@@ -131,7 +153,7 @@ pub async fn run(
     maintenance.abort();
     store.close().await;
     tracing::info!("stopped");
-    served
+    Ok(())
 }
 
 /// Takes back what a server that died left. The caller holds the node lock, so no other process works here.
@@ -154,27 +176,20 @@ async fn recover(store: &Store, jobs: &Jobs) -> Result<(), StoreError> {
 async fn serve(
     listener: TcpListener,
     service: axum::Router,
+    limits: ConnectionLimits,
     shutdown: impl Future<Output = ()> + Send + 'static,
     stop: CancellationToken,
-) -> Result<(), ServeError> {
+) {
     let stopping = stop.clone();
-    let graceful = async move {
+    let waiting = tokio::spawn(async move {
         shutdown.await;
         tracing::info!("shutting down");
         stopping.cancel();
-    };
-    let serving = axum::serve(listener, service).with_graceful_shutdown(graceful);
-    let deadline = async {
-        stop.cancelled().await;
-        tokio::time::sleep(DRAIN).await;
-    };
-    tokio::select! {
-        result = serving => Ok(result?),
-        () = deadline => {
-            tracing::warn!("some connections did not end in time");
-            Ok(())
-        }
+    });
+    if !connections::serve(listener, service, limits, stop, DRAIN).await {
+        tracing::warn!("some connections did not end in time");
     }
+    waiting.abort();
 }
 
 async fn maintain(jobs: Jobs, stop: CancellationToken) {

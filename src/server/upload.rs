@@ -1,12 +1,17 @@
 //! Bodies that are files: raw, or one field of a multipart form. They stream to disk and are hashed on the way.
 
+use std::error::Error;
+
+use axum::body::Bytes;
+use axum::extract::multipart::MultipartError;
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::StatusCode;
-use futures::StreamExt;
+use futures::{Stream, TryStreamExt};
+use tower_http::timeout::TimeoutError;
 
 use crate::api::Problem;
 use crate::server::app::Shared;
-use crate::server::extract::{content_length, media_type};
+use crate::server::extract::{STALLED, caused_by, content_length, media_type};
 use crate::store::Incoming;
 
 /// What a route accepts.
@@ -36,8 +41,7 @@ pub(super) async fn receive(
         Some("multipart/form-data") => from_form(app, request, expected).await,
         Some(raw) if expected.media_types.contains(&raw) => {
             let body = request.into_body().into_data_stream();
-            let name: String = app.jobs.fresh_id();
-            Ok(app.store.artifacts().receive(&name, body, expected.limit).await?)
+            store(app, body, axum::Error::to_string, expected.limit).await
         }
         _ => {
             let types = expected.media_types.join(", ");
@@ -53,16 +57,34 @@ async fn from_form(app: &Shared, request: Request, expected: &Expected) -> Resul
     };
     let mut form = Multipart::from_request(request, app).await.map_err(|e| broken(e.body_text()))?;
     let mut file = None;
-    while let Some(field) = form.next_field().await.map_err(|e| broken(e.body_text()))? {
+    while let Some(field) = form.next_field().await.map_err(|e| match caused_by::<TimeoutError>(&e) {
+        true => Problem::timeout(STALLED),
+        false => broken(e.body_text()),
+    })? {
         let name = field.name().unwrap_or_default().to_owned();
         if name != expected.field || file.is_some() {
             let detail = format!("the form takes one field, {:?}", expected.field);
             return Err(Problem::invalid_field(format!("/{name}"), detail));
         }
-        let body = field.map(|chunk| chunk.map_err(|e| e.body_text()));
-        let id: String = app.jobs.fresh_id();
-        file = Some(app.store.artifacts().receive(&id, body, expected.limit).await?);
+        file = Some(store(app, field, MultipartError::body_text, expected.limit).await?);
     }
     let missing = || Problem::invalid_field(format!("/{}", expected.field), "the form lacks this field");
     file.ok_or_else(missing)
+}
+
+/// Streams a file to disk.
+async fn store<E: Error + 'static>(
+    app: &Shared,
+    body: impl Stream<Item = Result<Bytes, E>>,
+    reason: impl Fn(&E) -> String,
+    limit: u64,
+) -> Result<Incoming, Problem> {
+    let mut stalled = false;
+    let body = body.map_err(|error| {
+        stalled = caused_by::<TimeoutError>(&error);
+        reason(&error)
+    });
+    let name: String = app.jobs.fresh_id();
+    let received = app.store.artifacts().receive(&name, body, limit).await;
+    received.map_err(|error| if stalled { Problem::timeout(STALLED) } else { error.into() })
 }

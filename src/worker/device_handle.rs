@@ -2,77 +2,40 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use tokio::sync::{mpsc, oneshot};
+use tokio_util::sync::DropGuard;
 
-use crate::render::Frame;
+use crate::worker::queued_render::{QueuedRender, Rendered};
+use crate::worker::render_queue::RenderQueue;
 use crate::worker::renders::{RenderFailure, RenderTask};
 
 /// How long a render may wait for the device and run: long enough for a training step and the first preparation of a light.
 const RENDER_TIMEOUT: Duration = Duration::from_secs(120);
 
-/// A frame and what it cost to get it.
-#[derive(Debug, Clone)]
-pub struct Rendered {
-    /// The frame.
-    pub frame: Frame,
-    /// Time in the queue.
-    pub waited: Duration,
-    /// Training steps that ended meanwhile.
-    pub steps_waited: u64,
-    /// Time on the device, preparation of model and light included.
-    pub took: Duration,
-}
-
-/// A task and where its frame goes.
-pub(super) struct QueuedRender {
-    pub(super) task: RenderTask,
-    pub(super) reply: oneshot::Sender<Result<Rendered, RenderFailure>>,
-    queued: Instant,
-    /// Training steps done when it was queued.
-    steps_at_start: u64,
-}
-
-impl QueuedRender {
-    /// Answers with what `render` makes of the task. The frame is dropped when the caller does not wait any more.
-    pub(super) fn answer(
-        self,
-        steps_now: u64,
-        render: impl FnOnce(&RenderTask) -> Result<Frame, RenderFailure>,
-    ) {
-        let waited = self.queued.elapsed();
-        let begin = Instant::now();
-        let steps_waited = steps_now - self.steps_at_start;
-        let rendered =
-            render(&self.task).map(|frame| Rendered { frame, waited, steps_waited, took: begin.elapsed() });
-        let _ = self.reply.send(rendered);
-    }
-}
-
 /// Asks the device thread for frames. Cheap to clone.
 #[derive(Clone)]
 pub struct DeviceHandle {
-    requests: mpsc::Sender<QueuedRender>,
+    requests: RenderQueue,
     /// Training steps the device thread has done.
     steps: Arc<AtomicU64>,
     has_gpu: bool,
+    /// Ends the device thread when the last handle is dropped.
+    _last: Arc<DropGuard>,
 }
 
 impl DeviceHandle {
-    pub(super) fn new(requests: mpsc::Sender<QueuedRender>, steps: Arc<AtomicU64>, has_gpu: bool) -> Self {
-        Self { requests, steps, has_gpu }
+    pub(super) fn new(requests: RenderQueue, steps: Arc<AtomicU64>, has_gpu: bool, last: DropGuard) -> Self {
+        Self { requests, steps, has_gpu, _last: Arc::new(last) }
     }
 
-    /// Renders between training steps.
+    /// Renders between training steps. When the result is not waited for any more, nothing is rendered, or no more of it.
     ///
     /// # Errors
     /// [`RenderFailure::Busy`] when too many wait already, otherwise what the renderer said.
     pub async fn render(&self, task: RenderTask) -> Result<Rendered, RenderFailure> {
-        let (reply, frame) = oneshot::channel();
-        let steps_at_start = self.steps.load(Ordering::SeqCst);
-        let request = QueuedRender { task, reply, queued: Instant::now(), steps_at_start };
-        self.requests.try_send(request).map_err(|_| RenderFailure::Busy)?;
+        let (request, frame) = QueuedRender::new(task, self.steps.load(Ordering::SeqCst));
+        let _place = self.requests.push(request).ok_or(RenderFailure::Busy)?;
         match tokio::time::timeout(RENDER_TIMEOUT, frame).await {
             Ok(Ok(result)) => result,
             Ok(Err(_)) | Err(_) => Err(RenderFailure::Busy),

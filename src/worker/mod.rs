@@ -5,6 +5,8 @@
 
 mod device_handle;
 mod progress;
+mod queued_render;
+mod render_queue;
 mod renders;
 mod thread;
 mod training;

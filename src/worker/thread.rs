@@ -7,14 +7,16 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use futures::FutureExt;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::engine::Device;
 use crate::engine::{DeviceChoice, DeviceError};
 use crate::jobs::{Jobs, Lease};
 use crate::store::StoreError;
-use crate::worker::device_handle::{DeviceHandle, QueuedRender};
+use crate::worker::device_handle::DeviceHandle;
+use crate::worker::queued_render::QueuedRender;
+use crate::worker::render_queue::{WaitingRenders, render_queue};
 use crate::worker::renders::{RenderCache, RenderFailure};
 
 /// How long an idle worker sleeps before it looks at the queue unprompted.
@@ -55,12 +57,14 @@ pub(super) struct Worker {
     pub(super) jobs: Jobs,
     choice: DeviceChoice,
     pub(super) device: Device,
-    pub(super) renders: mpsc::Receiver<QueuedRender>,
+    pub(super) renders: WaitingRenders,
     cache: RenderCache,
     /// Training steps done.
     pub(super) steps: Arc<AtomicU64>,
     pub(super) changes: watch::Receiver<()>,
     pub(super) stop: CancellationToken,
+    /// Cancelled when nobody can ask for frames any more: the server has ended.
+    abandoned: CancellationToken,
 }
 
 /// Starts the device thread. It ends, with its job checkpointed and released, after `stop` is cancelled.
@@ -77,17 +81,28 @@ pub fn start(
     let device = Device::open(options.device)?;
     tracing::info!(device = device.name(), "device ready");
     let has_gpu = device.is_gpu();
-    let (sender, renders) = mpsc::channel(options.render_queue);
+    let (queue, renders) = render_queue(options.render_queue);
+    let last = stop.child_token();
+    let abandoned = last.clone();
     let changes = jobs.subscribe();
     let cache = RenderCache::new(options.models, options.lights);
     let steps = Arc::new(AtomicU64::new(0));
-    let worker =
-        Worker { jobs, choice: options.device, device, renders, cache, steps: steps.clone(), changes, stop };
+    let worker = Worker {
+        jobs,
+        choice: options.device,
+        device,
+        renders,
+        cache,
+        steps: steps.clone(),
+        changes,
+        stop,
+        abandoned,
+    };
     let runtime = tokio::runtime::Handle::current();
     let thread = std::thread::Builder::new()
         .name("relume-device".to_owned())
         .spawn(move || runtime.block_on(worker.run()))?;
-    Ok((DeviceHandle::new(sender, steps, has_gpu), thread))
+    Ok((DeviceHandle::new(queue, steps, has_gpu, last.drop_guard()), thread))
 }
 
 impl Worker {
@@ -116,11 +131,8 @@ impl Worker {
     pub(super) async fn wait(&mut self) {
         tokio::select! {
             () = self.stop.cancelled() => {}
-            request = self.renders.recv() => match request {
-                Some(request) => self.serve(request),
-                // Every handle is dropped, so the server has ended.
-                None => self.stop.cancel(),
-            },
+            () = self.abandoned.cancelled() => self.stop.cancel(),
+            request = self.renders.recv() => self.serve(request),
             _ = self.changes.changed() => {}
             () = tokio::time::sleep(IDLE) => {}
         }
@@ -131,17 +143,17 @@ impl Worker {
         const BATCH: usize = 8;
         for _ in 0..BATCH {
             match self.renders.try_recv() {
-                Ok(request) => self.serve(request),
-                Err(_) => break,
+                Some(request) => self.serve(request),
+                None => break,
             }
         }
     }
 
     pub(super) fn serve(&mut self, request: QueuedRender) {
         let steps = self.steps.load(Ordering::SeqCst);
-        request.answer(steps, |task| {
+        request.answer(steps, |task, is_wanted| {
             let (cache, device) = (&mut self.cache, &self.device);
-            let frame = std::panic::catch_unwind(AssertUnwindSafe(|| cache.render(task, device)));
+            let frame = std::panic::catch_unwind(AssertUnwindSafe(|| cache.render(task, device, is_wanted)));
             let frame = frame.unwrap_or_else(|panic| {
                 self.cache.clear();
                 Err(RenderFailure::Internal(panic_message(panic.as_ref())))

@@ -288,8 +288,8 @@ impl TrainConfig {
         if let Some(light) = &overrides.light {
             config.hold_light(light);
         }
-        config.initial_gaussians = config.initial_gaussians.min(config.max_gaussians);
         config.check()?;
+        config.initial_gaussians = config.initial_gaussians.min(config.max_gaussians);
         Ok(config)
     }
 

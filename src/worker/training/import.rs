@@ -34,7 +34,7 @@ impl Worker {
         let capture = loop {
             tokio::select! {
                 imported = &mut importing => break imported,
-                Some(request) = self.renders.recv() => self.serve(request),
+                request = self.renders.recv() => self.serve(request),
                 _ = self.changes.changed() => if lease.check().await? != LeaseStatus::Held {
                     return Ok(ControlFlow::Break(settle(lease).await?));
                 },

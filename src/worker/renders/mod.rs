@@ -11,7 +11,7 @@ use crate::capture::builtin;
 use crate::engine::Device;
 use crate::engine::DeviceError;
 use crate::formats::{environment, model_file};
-use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer, Viewpoint};
+use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer, Tier, Viewpoint};
 use crate::scene::EnvMap;
 
 /// Why there is no frame.
@@ -20,6 +20,9 @@ pub enum RenderFailure {
     /// The queue is full or the device did not answer in time.
     #[error("the device is busy")]
     Busy,
+    /// The caller does not wait any more.
+    #[error("nobody waits for the frame")]
+    Abandoned,
     /// The request cannot be rendered.
     #[error("{field}: {reason}")]
     Refused {
@@ -126,8 +129,25 @@ pub struct RenderTask {
     pub outputs: Vec<Output>,
 }
 
-/// Model, light, rotation and exposure; floats by their bits.
-type LightKey = (ModelId, String, u64, u64);
+impl RenderTask {
+    /// What the frame costs on the device beside others: its pixels, weighed by the tier.
+    pub(super) fn cost(&self) -> u64 {
+        let pixels = match &self.viewpoint {
+            Viewpoint::Camera(camera) => u64::from(camera.width) * u64::from(camera.height),
+            Viewpoint::Orbit(orbit) => u64::from(orbit.size) * u64::from(orbit.size),
+        };
+        let weight = match self.quality.tier {
+            Tier::Preview => 1,
+            Tier::Standard => 2,
+            Tier::High => 3,
+            Tier::MonteCarlo => u64::from(self.quality.samples).saturating_mul(2).max(3),
+        };
+        pixels.saturating_mul(weight)
+    }
+}
+
+/// Model, light and rotation by its bits. Not the exposure: it is a factor on what the light makes.
+type LightKey = (ModelId, String, u64);
 
 /// The models and lights that were used last.
 pub(super) struct RenderCache {
@@ -146,18 +166,37 @@ impl RenderCache {
         self.lights.clear();
     }
 
-    pub(super) fn render(&mut self, task: &RenderTask, device: &Device) -> Result<Frame, RenderFailure> {
+    /// Renders a task; gives up between loading, preparing and rendering when it is not wanted any more.
+    pub(super) fn render(
+        &mut self,
+        task: &RenderTask,
+        device: &Device,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<Frame, RenderFailure> {
+        let go_on = || if is_wanted() { Ok(()) } else { Err(RenderFailure::Abandoned) };
+        go_on()?;
         let renderer = self.models.try_get_or_insert(task.model.id.clone(), || load(&task.model, device))?;
-        let key = (
-            task.model.id.clone(),
-            task.light.key(),
-            task.rotation_deg.to_bits(),
-            task.exposure_ev.to_bits(),
-        );
-        let light = self.lights.try_get_or_insert(key, || prepare(renderer, task))?;
         let camera = task.viewpoint.camera(renderer.model());
         let camera = camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
-        Ok(renderer.render(&camera, light, task.quality, &task.outputs)?)
+        go_on()?;
+        let key = (task.model.id.clone(), task.light.key(), task.rotation_deg.to_bits());
+        let light = self.lights.try_get_or_insert(key, || prepare(renderer, task))?;
+        go_on()?;
+        let mut frame = renderer.render(&camera, light, task.quality, &task.outputs)?;
+        expose(&mut frame, task.exposure_ev);
+        Ok(frame)
+    }
+}
+
+/// Scales what the light makes in a frame. All of it is linear in the light, so that the exposure of the light is a factor.
+fn expose(frame: &mut Frame, stops: f64) {
+    if stops == 0.0 {
+        return;
+    }
+    let gain = stops.exp2() as f32;
+    for output in [Output::Rgb, Output::Diffuse, Output::Specular] {
+        let plane = frame.planes.get_mut(&output).into_iter().flatten();
+        plane.for_each(|value| *value = (*value * gain).min(f32::MAX));
     }
 }
 
@@ -179,6 +218,12 @@ fn prepare(renderer: &Renderer, task: &RenderTask) -> Result<Arc<PreparedLight>,
     let internal = |e: String| RenderFailure::Internal(format!("environment {}: {e}", task.light.key()));
     let map = task.light.map().map_err(internal)?;
     let map = map.unwrap_or_else(|| Arc::new(renderer.model().environment()));
-    let map = map.rotated_and_scaled(task.rotation_deg, task.exposure_ev.exp2() as f32);
+    let map = match task.rotation_deg {
+        0.0 => map,
+        turn => Arc::new(map.rotated_and_scaled(turn, 1.0)),
+    };
     Ok(Arc::new(renderer.prepare_light(&map)?))
 }
+
+#[cfg(test)]
+mod tests;

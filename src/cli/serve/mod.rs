@@ -3,13 +3,14 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use axum::http::HeaderValue;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 
 use crate::cli::CommandResult;
 use crate::engine::DeviceChoice;
-use crate::server::{self, ApiKeys, ServerConfig};
+use crate::server::{self, ApiKeys, CorsOrigin, ServerConfig};
+
+mod network;
 
 /// Options of `relume serve`.
 #[derive(Debug, clap::Args)]
@@ -29,9 +30,12 @@ pub(super) struct ServeArgs {
         value_parser = api_key
     )]
     api_keys: Vec<String>,
-    /// Origins whose web pages may call the API, e.g. `https://app.example.org`.
+    /// Origins whose web pages may call the API, e.g. `https://app.example.org`, or `*` for all (needs an API key).
     #[arg(long = "cors-origin", env = "RELUME_CORS_ORIGINS", value_delimiter = ',')]
-    cors_origins: Vec<HeaderValue>,
+    cors_origins: Vec<CorsOrigin>,
+    /// Names beside localhost by which a server without an API key may be called, e.g. by a proxy on this machine.
+    #[arg(long = "allow-host", env = "RELUME_ALLOWED_HOSTS", value_delimiter = ',')]
+    allowed_hosts: Vec<String>,
     /// Most bytes of a capture archive.
     #[arg(long, env = "RELUME_MAX_CAPTURE_BYTES", default_value_t = 16 << 30)]
     max_capture_bytes: u64,
@@ -44,6 +48,8 @@ pub(super) struct ServeArgs {
     /// Attempts without a new checkpoint before a job is given up.
     #[arg(long, env = "RELUME_MAX_ATTEMPTS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     max_attempts: u32,
+    #[command(flatten)]
+    network: network::NetworkArgs,
 }
 
 /// A key that is too long to be guessed.
@@ -60,6 +66,9 @@ async fn serve(args: ServeArgs) -> CommandResult {
     let mut config = ServerConfig::new(&args.data_dir);
     config.api_keys = ApiKeys::new(&args.api_keys);
     config.cors_origins = args.cors_origins;
+    config.allowed_hosts = args.allowed_hosts;
+    config.connections = args.network.limits();
+    server::raise_file_limit(config.connections.connections);
     config.limits.capture_bytes = args.max_capture_bytes;
     config.limits.environment_bytes = args.max_environment_bytes;
     config.worker.device = args.device;

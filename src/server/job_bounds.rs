@@ -1,0 +1,62 @@
+//! What a job may ask of this server's device. Preparing and single steps cannot be interrupted, so that one job must not
+//! be able to keep the device from all others for minutes.
+
+use crate::api::Problem;
+use crate::train::TrainConfig;
+
+/// The most a job may ask of an engine.
+struct Most {
+    engine: &'static str,
+    gaussians: u32,
+    resolution: u32,
+    /// Gaussians times probe directions: each pair is a ray of one refresh.
+    rays: u64,
+}
+
+const CPU: Most = Most { engine: "CPU", gaussians: 200_000, resolution: 4096, rays: 32 << 20 };
+const GPU: Most = Most { engine: "GPU", gaussians: 4_000_000, resolution: 8192, rays: 512 << 20 };
+
+/// # Errors
+/// Names the override that asks for too much.
+pub(super) fn check(config: &TrainConfig, on_gpu: bool) -> Result<(), Problem> {
+    let most = if on_gpu { GPU } else { CPU };
+    let rays = most.rays / u64::from(config.max_gaussians.max(1));
+    let asked = [
+        ("max_gaussians", config.max_gaussians, u64::from(most.gaussians)),
+        ("resolution", config.resolution, u64::from(most.resolution)),
+        ("probe_directions", config.probe_directions, rays),
+    ];
+    for (field, value, most_here) in asked {
+        if u64::from(value) > most_here {
+            let detail =
+                format!("at most {most_here} on the {} with these settings, got {value}", most.engine);
+            return Err(Problem::invalid_field(format!("/overrides/{field}"), detail));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::{Preset, TrainOverrides};
+
+    fn refused(overrides: TrainOverrides, on_gpu: bool) -> Option<String> {
+        let config = TrainConfig::new(Preset::Standard, &overrides).unwrap();
+        check(&config, on_gpu).err().map(|problem| problem.errors[0].pointer.clone())
+    }
+
+    #[test]
+    fn every_preset_may_be_trained_and_what_blocks_a_device_may_not() {
+        for preset in [Preset::Draft, Preset::Standard, Preset::High] {
+            assert!(check(&TrainConfig::preset(preset), false).is_ok());
+        }
+        let many = || TrainOverrides { max_gaussians: Some(300_000), ..TrainOverrides::default() };
+        assert_eq!(refused(many(), false).as_deref(), Some("/overrides/max_gaussians"));
+        assert_eq!(refused(many(), true), None);
+        let rays = TrainOverrides { probe_directions: Some(1024), max_gaussians: Some(100_000), ..many() };
+        assert_eq!(refused(rays, false).as_deref(), Some("/overrides/probe_directions"));
+        let fine = TrainOverrides { resolution: Some(8192), ..TrainOverrides::default() };
+        assert_eq!(refused(fine, false).as_deref(), Some("/overrides/resolution"));
+    }
+}

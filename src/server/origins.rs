@@ -1,0 +1,99 @@
+//! Origins whose web pages may call the API.
+
+use std::str::FromStr;
+
+use axum::http::{HeaderName, HeaderValue, Method, Uri, header};
+use tower_http::cors::{AllowHeaders, AllowMethods, AllowOrigin, CorsLayer, ExposeHeaders};
+
+/// Headers of answers that pages may read beside those that they always may.
+const EXPOSED: [HeaderName; 7] = [
+    header::ETAG,
+    header::LOCATION,
+    header::RETRY_AFTER,
+    HeaderName::from_static("idempotent-replayed"),
+    HeaderName::from_static("relume-depth-range"),
+    HeaderName::from_static("server-timing"),
+    HeaderName::from_static("x-request-id"),
+];
+
+/// An origin whose web pages may call the API.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum CorsOrigin {
+    /// Every origin, written `*`; browsers send no cookies or stored credentials then.
+    Any,
+    /// One origin, as a browser sends it.
+    One(HeaderValue),
+}
+
+/// What is wrong with an origin.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no origin: it must be * or like https://app.example.org, in lower case, without a path")]
+pub struct OriginError(String);
+
+impl FromStr for CorsOrigin {
+    type Err = OriginError;
+
+    fn from_str(text: &str) -> Result<Self, OriginError> {
+        if text == "*" {
+            return Ok(Self::Any);
+        }
+        let wrong = || OriginError(text.to_owned());
+        let uri: Uri = text.parse().map_err(|_| wrong())?;
+        let (Some(scheme @ ("http" | "https")), Some(authority)) = (uri.scheme_str(), uri.authority()) else {
+            return Err(wrong());
+        };
+        // The comparison with what a browser sends is byte by byte, so only its own way of writing is right.
+        let canonical = format!("{scheme}://{authority}").to_ascii_lowercase();
+        if canonical != text || authority.as_str().contains(['@', '*']) {
+            return Err(wrong());
+        }
+        HeaderValue::from_str(text).map(Self::One).map_err(|_| wrong())
+    }
+}
+
+/// Lets pages of the listed origins call the API, and no others; `None` when none is listed.
+pub(super) fn cors(origins: &[CorsOrigin]) -> Option<CorsLayer> {
+    let listed = origins.iter().map(|origin| match origin {
+        CorsOrigin::Any => None,
+        CorsOrigin::One(value) => Some(value.clone()),
+    });
+    let allowed = match listed.collect::<Option<Vec<_>>>() {
+        None => AllowOrigin::any(),
+        Some(list) if list.is_empty() => return None,
+        Some(list) => AllowOrigin::list(list),
+    };
+    let layer = CorsLayer::new()
+        .allow_origin(allowed)
+        .allow_methods(AllowMethods::list([Method::GET, Method::POST, Method::PATCH]))
+        .allow_headers(AllowHeaders::mirror_request())
+        .expose_headers(ExposeHeaders::list(EXPOSED));
+    Some(layer)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_origin_is_written_as_browsers_write_it() {
+        for good in ["*", "http://localhost:5173", "https://app.example.org", "https://[::1]:8080"] {
+            assert!(good.parse::<CorsOrigin>().is_ok(), "{good}");
+        }
+        for bad in [
+            "",
+            "app.example.org",
+            "https://",
+            "https://a.example/",
+            "https://a.example/page",
+            "HTTPS://A.example",
+            "ftp://a.example",
+            "https://me@a.example",
+            "null",
+            "https://*",
+            "https://*.a.example",
+        ] {
+            let found = bad.parse::<CorsOrigin>();
+            assert!(found.is_err_and(|e| e.to_string().contains("https://app.example.org")), "{bad:?}");
+        }
+    }
+}

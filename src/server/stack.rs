@@ -1,0 +1,150 @@
+//! What stands before every handler, in one place: the order in which a request meets identifiers, headers, origins, keys
+//! and bounds.
+
+use std::time::Duration;
+
+use axum::error_handling::HandleErrorLayer;
+use axum::extract::DefaultBodyLimit;
+use axum::http::{HeaderName, HeaderValue, StatusCode, header};
+use axum::{BoxError, Router, middleware};
+use tower::ServiceBuilder;
+use tower::limit::GlobalConcurrencyLimitLayer;
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::set_header::SetResponseHeaderLayer;
+use tower_http::timeout::RequestBodyTimeoutLayer;
+use utoipa_axum::router::OpenApiRouter;
+
+use crate::api::Problem;
+use crate::server::app::Shared;
+use crate::server::auth::{self, ApiKeys};
+use crate::server::observe;
+use crate::server::origins::{self, CorsOrigin};
+use crate::server::same_site::{self, TrustedHosts};
+
+/// What a server's stack depends on.
+pub(super) struct StackConfig {
+    pub(super) keys: ApiKeys,
+    pub(super) origins: Vec<CorsOrigin>,
+    pub(super) hosts: TrustedHosts,
+    /// Between two pieces of a request's body.
+    pub(super) body_stall: Duration,
+}
+
+/// How much of one kind of work is taken on.
+pub(super) struct Bounds {
+    /// Requests in progress; one more is turned away.
+    at_once: usize,
+    /// From a request's head to the head of its answer.
+    within: Duration,
+}
+
+/// Uploads: bound by the time between two pieces, so that gigabytes may take hours.
+pub(super) const UPLOADS: Bounds = Bounds { at_once: 64, within: Duration::from_secs(24 * 3600) };
+/// Renders: the body, the device's queue, the frame.
+pub(super) const RENDERS: Bounds = Bounds { at_once: 128, within: Duration::from_secs(300) };
+/// Thumbnails, apart from renders so that neither takes the other's places.
+pub(super) const THUMBNAILS: Bounds = Bounds { at_once: 256, within: Duration::from_secs(300) };
+/// Everything else: small bodies and queries; as many as there are connections by default.
+pub(super) const QUERIES: Bounds = Bounds { at_once: 4096, within: Duration::from_secs(60) };
+
+/// Around the routes of one kind: requests beyond the bounds are turned away at once, none waits for a place.
+pub(super) fn bounded<S>(routes: OpenApiRouter<S>, bounds: &Bounds) -> OpenApiRouter<S>
+where
+    S: Clone + Send + Sync + 'static,
+{
+    routes.layer(
+        ServiceBuilder::new()
+            .layer(HandleErrorLayer::new(out_of_bounds))
+            .load_shed()
+            .layer(GlobalConcurrencyLimitLayer::new(bounds.at_once))
+            .timeout(bounds.within),
+    )
+}
+
+/// Around all routes. Layers run from the first to the last.
+pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shared> {
+    let StackConfig { keys, origins, hosts, body_stall } = config;
+    // A key, which no foreign page knows, protects as well as the checks of host and origin.
+    let csrf = keys.is_open().then(|| same_site::csrf(&origins));
+    let host = keys.is_open().then(|| middleware::from_fn_with_state(hosts, same_site::check_host));
+    routes.layer(
+        ServiceBuilder::new()
+            .layer(middleware::from_fn(observe::observe))
+            .layer(fixed(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
+            .layer(fixed(header::REFERRER_POLICY, "no-referrer"))
+            // Nothing that this server sends is a page: it may load, run and frame nothing.
+            .layer(fixed(header::CONTENT_SECURITY_POLICY, "default-src 'none'; frame-ancestors 'none'"))
+            .layer(CatchPanicLayer::custom(observe::on_panic))
+            .option_layer(host)
+            // Outside authentication: a browser's preflight carries no key.
+            .option_layer(origins::cors(&origins))
+            .option_layer(csrf)
+            .layer(middleware::from_fn_with_state(keys, auth::authenticate))
+            .layer(RequestBodyTimeoutLayer::new(body_stall))
+            // Every extractor of bodies brings its own limit.
+            .layer(DefaultBodyLimit::disable()),
+    )
+}
+
+fn fixed(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<HeaderValue> {
+    SetResponseHeaderLayer::overriding(name, HeaderValue::from_static(value))
+}
+
+async fn out_of_bounds(error: BoxError) -> Problem {
+    if error.is::<tower::load_shed::error::Overloaded>() {
+        let title = "Too many requests of this kind are in progress";
+        return Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", title).retry_after(1);
+    }
+    if error.is::<tower::timeout::error::Elapsed>() {
+        return Problem::timeout("the request did not end in time");
+    }
+    Problem::internal(error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::body::Body;
+    use axum::extract::Request;
+    use axum::response::Response;
+    use axum::routing::get;
+    use std::sync::Arc;
+    use tokio::sync::Notify;
+    use tower::ServiceExt;
+
+    /// Two routes of one kind that answer when they are told to.
+    fn routes(bounds: &Bounds) -> (Router, Arc<Notify>) {
+        let go = Arc::new(Notify::new());
+        let told = go.clone();
+        let handler = get(move || async move { told.notified().await });
+        let routes = OpenApiRouter::new().route("/a", handler.clone()).route("/b", handler);
+        (bounded(routes, bounds).split_for_parts().0, go)
+    }
+
+    fn ask(router: &Router, path: &str) -> impl Future<Output = Response> + use<> {
+        let request = Request::get(path).body(Body::empty()).unwrap();
+        let router = router.clone();
+        async move { router.oneshot(request).await.unwrap() }
+    }
+
+    #[tokio::test]
+    async fn a_request_beyond_the_bound_is_turned_away_at_once_and_a_place_is_given_back() {
+        let (router, go) = routes(&Bounds { at_once: 1, within: Duration::from_secs(600) });
+        let mut first = Box::pin(ask(&router, "/a"));
+        assert!(futures::poll!(&mut first).is_pending());
+        let refused = ask(&router, "/b").await;
+        assert_eq!(refused.status(), StatusCode::SERVICE_UNAVAILABLE);
+        assert_eq!(refused.headers()[header::RETRY_AFTER], "1");
+        assert_eq!(refused.headers()[header::CONTENT_TYPE], "application/problem+json");
+        go.notify_one();
+        assert_eq!(first.await.status(), StatusCode::OK);
+        go.notify_one();
+        assert_eq!(ask(&router, "/b").await.status(), StatusCode::OK);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_request_that_takes_too_long_is_a_408() {
+        let (router, _go) = routes(&Bounds { at_once: 1, within: Duration::from_secs(5) });
+        assert_eq!(ask(&router, "/a").await.status(), StatusCode::REQUEST_TIMEOUT);
+    }
+}

@@ -1,0 +1,197 @@
+//! Frames that wait for the device: cheap ones first, none forever, none whose caller has gone.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::Notify;
+
+use crate::worker::queued_render::QueuedRender;
+
+/// Younger frames that may overtake one because they are cheaper.
+const PATIENCE: u32 = 16;
+
+/// The side of the queue that asks for frames.
+#[derive(Clone)]
+pub(super) struct RenderQueue(Arc<Shared>);
+
+/// The side of the queue that renders. When it is dropped, whoever waits is answered that the device is busy.
+pub(super) struct WaitingRenders(Arc<Shared>);
+
+/// A caller's place in the queue. A frame whose caller drops it is not rendered.
+pub(super) struct Place {
+    queue: Arc<Shared>,
+    id: u64,
+}
+
+struct Shared {
+    capacity: usize,
+    state: Mutex<State>,
+    arrived: Notify,
+}
+
+#[derive(Default)]
+struct State {
+    next: u64,
+    closed: bool,
+    /// In the order in which they came.
+    waiting: Vec<Entry>,
+}
+
+struct Entry {
+    id: u64,
+    cost: u64,
+    /// Younger ones that were rendered before it.
+    overtaken: u32,
+    render: QueuedRender,
+}
+
+/// A queue of at most `capacity` frames.
+pub(super) fn render_queue(capacity: usize) -> (RenderQueue, WaitingRenders) {
+    let shared = Arc::new(Shared { capacity, state: Mutex::default(), arrived: Notify::new() });
+    (RenderQueue(shared.clone()), WaitingRenders(shared))
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl RenderQueue {
+    /// Queues a frame; `None` when too many wait or nobody renders any more.
+    pub(super) fn push(&self, render: QueuedRender) -> Option<Place> {
+        let mut state = self.0.lock();
+        if state.closed || state.waiting.len() >= self.0.capacity {
+            return None;
+        }
+        let id = state.next;
+        state.next += 1;
+        let cost = render.task.cost();
+        state.waiting.push(Entry { id, cost, overtaken: 0, render });
+        self.0.arrived.notify_one();
+        Some(Place { queue: self.0.clone(), id })
+    }
+
+    /// True when nobody renders any more.
+    pub(super) fn is_closed(&self) -> bool {
+        self.0.lock().closed
+    }
+}
+
+impl WaitingRenders {
+    /// The frame to render next, when one comes.
+    pub(super) async fn recv(&mut self) -> QueuedRender {
+        loop {
+            if let Some(render) = self.try_recv() {
+                return render;
+            }
+            self.0.arrived.notified().await;
+        }
+    }
+
+    /// The frame to render next: the oldest that was overtaken too often, else the cheapest.
+    pub(super) fn try_recv(&mut self) -> Option<QueuedRender> {
+        let mut state = self.0.lock();
+        let waiting = &mut state.waiting;
+        let patient = waiting.iter().position(|entry| entry.overtaken >= PATIENCE);
+        let cheapest = || (0..waiting.len()).min_by_key(|&i| waiting[i].cost);
+        let next = patient.or_else(cheapest)?;
+        waiting[..next].iter_mut().for_each(|entry| entry.overtaken += 1);
+        Some(waiting.remove(next).render)
+    }
+}
+
+impl Drop for WaitingRenders {
+    fn drop(&mut self) {
+        let mut state = self.0.lock();
+        state.closed = true;
+        state.waiting.clear();
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.queue.lock().waiting.retain(|entry| entry.id != self.id);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::{Orbit, Output, Tier, Viewpoint};
+    use crate::worker::{LightSource, ModelSource, RenderTask};
+
+    fn task(size: u32, tier: Tier) -> RenderTask {
+        RenderTask {
+            model: ModelSource { id: "model".into(), path: "model".into() },
+            light: LightSource::Recovered,
+            rotation_deg: 0.0,
+            exposure_ev: 0.0,
+            viewpoint: Viewpoint::Orbit(Orbit { azimuth_deg: 0.0, elevation_deg: 0.0, size }),
+            quality: tier.into(),
+            outputs: vec![Output::Rgb],
+        }
+    }
+
+    /// Queues a frame of a size; its caller is the place.
+    fn push(queue: &RenderQueue, size: u32) -> Option<Place> {
+        queue.push(QueuedRender::new(task(size, Tier::Standard), 0).0)
+    }
+
+    fn next_size(waiting: &mut WaitingRenders) -> u32 {
+        let render = waiting.try_recv().unwrap();
+        let Viewpoint::Orbit(orbit) = render.task.viewpoint else { panic!("an orbit was queued") };
+        orbit.size
+    }
+
+    #[test]
+    fn a_frame_costs_by_its_pixels_and_tier() {
+        let costs = Tier::ALL.map(|tier| task(64, tier).cost());
+        assert!(costs.is_sorted() && costs[3] > 10 * costs[2], "{costs:?}");
+        assert!(task(4096, Tier::Preview).cost() > task(256, Tier::High).cost());
+    }
+
+    #[test]
+    fn cheap_frames_come_first_and_equal_ones_in_order() {
+        let (queue, mut waiting) = render_queue(9);
+        let _places = [1024, 64, 256, 64].map(|size| push(&queue, size).unwrap());
+        assert_eq!([(); 4].map(|()| next_size(&mut waiting)), [64, 64, 256, 1024]);
+        assert!(waiting.try_recv().is_none());
+    }
+
+    #[test]
+    fn a_dear_frame_is_overtaken_so_often_and_no_more() {
+        let (queue, mut waiting) = render_queue(9);
+        let _dear = push(&queue, 1024).unwrap();
+        let mut before = 0;
+        loop {
+            let _cheap = push(&queue, 64).unwrap();
+            if next_size(&mut waiting) == 1024 {
+                break;
+            }
+            before += 1;
+        }
+        assert_eq!(before, PATIENCE);
+    }
+
+    #[tokio::test]
+    async fn a_frame_whose_caller_has_gone_is_not_rendered_and_leaves_room_at_once() {
+        let (queue, mut waiting) = render_queue(2);
+        let (gone, _stays) = (push(&queue, 64).unwrap(), push(&queue, 128).unwrap());
+        assert!(push(&queue, 256).is_none(), "the queue is full");
+        drop(gone);
+        let _late = push(&queue, 256).unwrap();
+        assert_eq!([(); 2].map(|()| next_size(&mut waiting)), [128, 256]);
+        let waited = tokio::time::timeout(std::time::Duration::from_millis(1), waiting.recv()).await;
+        assert!(waited.is_err(), "nothing is left");
+    }
+
+    #[tokio::test]
+    async fn when_the_renderer_ends_whoever_waits_is_told() {
+        let (queue, waiting) = render_queue(2);
+        let (render, frame) = QueuedRender::new(task(64, Tier::Standard), 0);
+        let _place = queue.push(render).unwrap();
+        drop(waiting);
+        assert!(frame.await.is_err() && queue.is_closed());
+        assert!(push(&queue, 64).is_none());
+    }
+}

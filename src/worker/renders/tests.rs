@@ -1,0 +1,92 @@
+use super::*;
+use crate::render::{Orbit, Tier};
+use crate::scene::{Field, Gaussians, Model, ShadingOptions};
+
+/// Three opaque balls that see the whole sky, in a file.
+fn model(folder: &tempfile::TempDir) -> ModelSource {
+    let mut gaussians = Gaussians::zeroed(3, 1, 2, 0);
+    for i in 0..3 {
+        gaussians.row_mut(Field::Mean, i).copy_from_slice(&[i as f32 * 0.4 - 0.4, 0.1, 0.0]);
+        gaussians.row_mut(Field::LogScale, i).fill(0.2f32.ln());
+        gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
+        gaussians.row_mut(Field::OpacityLogit, i)[0] = 4.0;
+        gaussians.row_mut(Field::Visibility, i)[0] = crate::light::FULLY_OPEN;
+    }
+    let model = Model {
+        gaussians,
+        prototypes: vec![[0.5; 3]],
+        env_raw: vec![[0.0; 3]; 8],
+        env_width: 4,
+        env_height: 2,
+        lights: Default::default(),
+        shading: ShadingOptions::default(),
+        world_scale: 1.0,
+        world_offset: glam::DVec3::ZERO,
+        card: serde_json::Value::Null,
+    };
+    let path = folder.path().join("model.safetensors");
+    std::fs::write(&path, model_file::encode(&model).unwrap()).unwrap();
+    ModelSource { id: "model".into(), path }
+}
+
+fn task(model: &ModelSource, tier: Tier, exposure_ev: f64) -> RenderTask {
+    RenderTask {
+        model: model.clone(),
+        light: LightSource::Builtin("sunset".to_owned()),
+        rotation_deg: 30.0,
+        exposure_ev,
+        viewpoint: Viewpoint::Orbit(Orbit { azimuth_deg: 10.0, elevation_deg: 20.0, size: 24 }),
+        quality: Quality { samples: 4, ..tier.into() },
+        outputs: vec![Output::Rgb, Output::Diffuse, Output::Specular, Output::Albedo, Output::Depth],
+    }
+}
+
+#[test]
+fn exposure_is_a_factor_on_the_frame_and_prepares_no_light() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let model = model(&folder);
+    let mut cache = RenderCache::new(1, 4);
+    for tier in Tier::ALL {
+        let mut at = |ev| cache.render(&task(&model, tier, ev), &Device::Cpu, &|| true).unwrap();
+        let (plain, bright) = (at(0.0), at(2.0));
+        for (output, plane) in &plain.planes {
+            let lit = matches!(output, Output::Rgb | Output::Diffuse | Output::Specular);
+            assert!(!lit || plane.iter().any(|v| *v > 0.01), "{output:?} shows something");
+            let expected: Vec<f32> = plane.iter().map(|v| if lit { v * 4.0 } else { *v }).collect();
+            assert_eq!(bright.planes[output], expected, "{tier:?} {output:?}");
+        }
+        assert_eq!(cache.lights.len(), 1);
+    }
+}
+
+#[test]
+fn a_scaled_frame_is_that_of_a_scaled_light() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let model = model(&folder);
+    for tier in Tier::ALL {
+        let task = task(&model, tier, 1.5);
+        let frame = RenderCache::new(1, 1).render(&task, &Device::Cpu, &|| true).unwrap();
+        let renderer = load(&model, &Device::Cpu).unwrap();
+        let map = task.light.map().unwrap().unwrap().rotated_and_scaled(30.0, 1.5f32.exp2());
+        let camera = task.viewpoint.camera(renderer.model()).unwrap();
+        let light = renderer.prepare_light(&map).unwrap();
+        let truth = renderer.render(&camera, &light, task.quality, &task.outputs).unwrap();
+        for (a, b) in frame.planes[&Output::Rgb].iter().zip(&truth.planes[&Output::Rgb]) {
+            assert!((a - b).abs() <= 1e-4 + 1e-3 * b.abs(), "{tier:?}: {a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn what_nobody_waits_for_stops_at_the_next_seam() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let task = task(&model(&folder), Tier::Preview, 0.0);
+    for (asked, models, lights) in [(1, 0, 0), (2, 1, 0), (3, 1, 1)] {
+        let mut cache = RenderCache::new(1, 1);
+        let left = std::cell::Cell::new(asked);
+        let is_wanted = || left.replace(left.get() - 1) > 1;
+        let ended = cache.render(&task, &Device::Cpu, &is_wanted);
+        assert_eq!(ended, Err(RenderFailure::Abandoned));
+        assert_eq!((cache.models.len(), cache.lights.len()), (models, lights));
+    }
+}

@@ -1,0 +1,111 @@
+//! Web pages: which may use a server, what they may read, and what a server without a key does about the others.
+
+use relume::server::{ApiKeys, CorsOrigin, ServerConfig};
+use relume::testing::{self, TestServer};
+use reqwest::{Method, RequestBuilder, StatusCode, header};
+use serde_json::Value;
+use tempfile::TempDir;
+
+const KEY: &str = "a-key-for-this-test";
+
+async fn server_with(change: impl FnOnce(&mut ServerConfig)) -> TestServer {
+    testing::spawn_with(TempDir::new().unwrap(), change).await.unwrap()
+}
+
+fn listing(origin: &str) -> impl FnOnce(&mut ServerConfig) {
+    let origin: CorsOrigin = origin.parse().unwrap();
+    |config| config.cors_origins = vec![origin]
+}
+
+fn request(server: &TestServer, method: Method, path: &str) -> RequestBuilder {
+    server.client().request(method, path).unwrap()
+}
+
+/// The status and the kind of problem of an answer.
+async fn outcome(request: RequestBuilder) -> (StatusCode, String) {
+    let answer = request.send().await.unwrap();
+    let status = answer.status();
+    let body: Value = serde_json::from_str(&answer.text().await.unwrap()).unwrap_or_default();
+    (status, body["type"].as_str().unwrap_or_default().replace("urn:relume:problem:", ""))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_listed_origins_get_cors_headers() {
+    let server = server_with(listing("https://app.example")).await;
+    let from = |origin: &str| request(&server, Method::GET, "/healthz").header(header::ORIGIN, origin);
+    let listed = from("https://app.example").send().await.unwrap();
+    assert_eq!(listed.headers()[header::ACCESS_CONTROL_ALLOW_ORIGIN], "https://app.example");
+    let other = from("https://evil.example").send().await.unwrap();
+    assert!(
+        other.headers().get(header::ACCESS_CONTROL_ALLOW_ORIGIN).is_none_or(|o| o != "https://evil.example")
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_star_admits_every_origin_without_credentials_and_pages_may_read_what_they_need() {
+    let server = server_with(|config| {
+        config.cors_origins = vec!["*".parse().unwrap()];
+        config.api_keys = ApiKeys::new([KEY]);
+    })
+    .await;
+    let page = request(&server, Method::GET, "/healthz").header(header::ORIGIN, "https://any.example");
+    let answer = page.send().await.unwrap();
+    assert_eq!(answer.headers()[header::ACCESS_CONTROL_ALLOW_ORIGIN], "*");
+    assert!(!answer.headers().contains_key(header::ACCESS_CONTROL_ALLOW_CREDENTIALS));
+    let exposed = answer.headers()[header::ACCESS_CONTROL_EXPOSE_HEADERS].to_str().unwrap();
+    for name in ["etag", "location", "relume-depth-range", "retry-after"] {
+        assert!(exposed.split(',').any(|e| e.eq_ignore_ascii_case(name)), "{name} in {exposed}");
+    }
+    let preflight = request(&server, Method::OPTIONS, "/v1/jobs")
+        .header(header::ORIGIN, "https://any.example")
+        .header(header::ACCESS_CONTROL_REQUEST_METHOD, "POST")
+        .header(header::ACCESS_CONTROL_REQUEST_HEADERS, "authorization,content-type");
+    let answer = preflight.send().await.unwrap();
+    assert!(answer.status().is_success());
+    let allowed = answer.headers()[header::ACCESS_CONTROL_ALLOW_HEADERS].to_str().unwrap();
+    assert!(allowed.contains("authorization"), "{allowed}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_answer_forbids_what_a_page_could_do_with_it() {
+    let server = testing::spawn().await.unwrap();
+    for path in ["/healthz", "/v1/models/nobody", "/nowhere"] {
+        let answer = request(&server, Method::GET, path).send().await.unwrap();
+        let found = |name| answer.headers().get(name).and_then(|v| v.to_str().ok()).unwrap_or_default();
+        assert_eq!(found("x-content-type-options"), "nosniff", "{path}");
+        assert_eq!(found("referrer-policy"), "no-referrer", "{path}");
+        assert!(found("content-security-policy").contains("default-src 'none'"), "{path}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn without_a_key_a_foreign_name_is_refused() {
+    let server = server_with(|config| config.allowed_hosts = vec!["studio.lan".into()]).await;
+    let called = |host: &str| request(&server, Method::GET, "/v1/models").header(header::HOST, host);
+    for own in ["localhost:7878", "127.0.0.1", "[::1]:80", "studio.lan"] {
+        assert_eq!(outcome(called(own)).await.0, StatusCode::OK, "{own}");
+    }
+    for foreign in ["evil.example", "127.0.0.1.evil.example", "192.0.2.1:7878"] {
+        let expected = (StatusCode::FORBIDDEN, "foreign-host".to_owned());
+        assert_eq!(outcome(called(foreign)).await, expected, "{foreign}");
+    }
+    let locked = server_with(|config| config.api_keys = ApiKeys::new([KEY])).await;
+    let called = request(&locked, Method::GET, "/v1/models").header(header::HOST, "relume.example");
+    assert_eq!(outcome(called.bearer_auth(KEY)).await.0, StatusCode::OK, "the key protects");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn without_a_key_what_a_foreign_page_sends_is_refused() {
+    let server = server_with(listing("https://app.example")).await;
+    let form = || reqwest::multipart::Form::new().text("archive", "not a zip");
+    let upload = || request(&server, Method::POST, "/v1/captures").multipart(form());
+    let refused = (StatusCode::FORBIDDEN, "foreign-origin".to_owned());
+    let from = |origin: &str| upload().header(header::ORIGIN, origin);
+    assert_eq!(outcome(from("https://evil.example")).await, refused);
+    assert_eq!(outcome(from("null")).await, refused);
+    assert_eq!(outcome(upload().header("sec-fetch-site", "cross-site")).await, refused);
+    // The others get as far as the archive itself.
+    let read = (StatusCode::UNPROCESSABLE_ENTITY, "invalid-content".to_owned());
+    assert_eq!(outcome(from("https://app.example")).await, read);
+    assert_eq!(outcome(upload()).await, read);
+}
