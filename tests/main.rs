@@ -20,6 +20,7 @@ mod server_process;
 mod service;
 mod service_api;
 mod service_cli;
+mod service_memory;
 mod service_network;
 mod service_origins;
 mod service_promises;

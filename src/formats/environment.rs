@@ -70,6 +70,31 @@ pub fn decode(bytes: &[u8]) -> Result<LoadedEnvironment, EnvironmentFileError> {
     Ok(LoadedEnvironment { map, warnings })
 }
 
+/// Bytes that [`decode`] takes beside the file itself, from the header.
+///
+/// # Errors
+/// As [`decode`], as far as the header shows it.
+pub fn decoding_bytes(bytes: &[u8]) -> Result<u64, EnvironmentFileError> {
+    let ((width, height), read) = if exr_image::is_exr(bytes) {
+        let size = exr_image::dimensions(bytes)?;
+        // As they are decoded, and gathered as four floats a texel.
+        (size, exr_image::decoded_bytes(bytes)? + texels(size) * 16)
+    } else if bytes.starts_with(b"#?") {
+        let decoder = HdrDecoder::new(Cursor::new(bytes));
+        let size = decoder.map_err(|e| ImageFileError::Damaged(e.to_string()))?.dimensions();
+        (size, texels(size) * 12)
+    } else {
+        return Err(EnvironmentFileError::UnknownKind);
+    };
+    check_size(width, height)?;
+    // And the map.
+    Ok(read + texels((width, height)) * 12)
+}
+
+fn texels((width, height): (u32, u32)) -> u64 {
+    u64::from(width) * u64::from(height)
+}
+
 fn check_size(width: u32, height: u32) -> Result<(), EnvironmentFileError> {
     if width > MAX_WIDTH || height > MAX_HEIGHT {
         return Err(EnvironmentFileError::TooLarge { width, height });
@@ -86,9 +111,9 @@ fn decode_radiance(bytes: &[u8]) -> Result<Texels, EnvironmentFileError> {
     check_size(width, height)?;
     let mut raw = vec![0u8; decoder.total_bytes() as usize];
     decoder.read_image(&mut raw).map_err(damaged)?;
-    let floats = raw.as_chunks::<4>().0.iter().map(|b| f32::from_ne_bytes(*b));
-    let floats: Vec<f32> = floats.collect();
-    Ok((width, height, floats.as_chunks::<3>().0.to_vec()))
+    let channel = |texel: &[u8; 12], c: usize| f32::from_ne_bytes(std::array::from_fn(|k| texel[4 * c + k]));
+    let texels = raw.as_chunks::<12>().0.iter().map(|texel| std::array::from_fn(|c| channel(texel, c)));
+    Ok((width, height, texels.collect()))
 }
 
 /// The map as a Radiance file: 8-bit mantissas under a shared exponent, about 1 % of the brightest channel.

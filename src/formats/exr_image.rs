@@ -2,6 +2,7 @@
 
 use std::io::Cursor;
 
+use exr::meta::header::Header;
 use exr::prelude::{AnyChannels, FlatSamples, Layer, MetaData, ReadChannels, ReadLayers, WritableImage};
 
 use crate::formats::ImageFileError;
@@ -19,6 +20,29 @@ pub fn is_exr(bytes: &[u8]) -> bool {
 /// # Errors
 /// [`ImageFileError::Damaged`] when the header cannot be read or names data that this reader does not support.
 pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
+    let meta = checked_header(bytes)?;
+    let Some(first) = meta.headers.first() else {
+        return Err(ImageFileError::Damaged("it has no part".to_owned()));
+    };
+    let side = |n: usize| u32::try_from(n).map_err(|_| ImageFileError::Damaged("is too large".into()));
+    Ok((side(first.layer_size.x())?, side(first.layer_size.y())?))
+}
+
+/// Bytes of all parts and channels once they are decoded, from the header.
+///
+/// # Errors
+/// As [`dimensions`].
+pub fn decoded_bytes(bytes: &[u8]) -> Result<u64, ImageFileError> {
+    Ok(checked_header(bytes)?.headers.iter().map(part_bytes).sum())
+}
+
+fn part_bytes(header: &Header) -> u64 {
+    let pixels = header.layer_size.x() as u64 * header.layer_size.y() as u64;
+    pixels.saturating_mul(4 * header.channels.list.len() as u64)
+}
+
+/// The header, of what this reader supports and within its bounds.
+fn checked_header(bytes: &[u8]) -> Result<MetaData, ImageFileError> {
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
     let refuse = |reason: &str| Err(ImageFileError::Damaged(reason.to_owned()));
     let mut decoded = 0u64;
@@ -29,15 +53,12 @@ pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
         if header.channels.list.iter().any(|c| (c.sampling.x(), c.sampling.y()) != (1, 1)) {
             return refuse("subsampled EXR channels are not supported");
         }
-        let pixels = header.layer_size.x() as u64 * header.layer_size.y() as u64;
-        decoded = decoded.saturating_add(pixels.saturating_mul(4 * header.channels.list.len() as u64));
+        decoded = decoded.saturating_add(part_bytes(header));
     }
     if decoded > MAX_DECODED_BYTES {
         return refuse("it decodes to more than 4 GiB");
     }
-    let Some(first) = meta.headers.first() else { return refuse("it has no part") };
-    let side = |n: usize| u32::try_from(n).map_err(|_| ImageFileError::Damaged("is too large".into()));
-    Ok((side(first.layer_size.x())?, side(first.layer_size.y())?))
+    Ok(meta)
 }
 
 /// The first part with `R G B` (or luminance `Y`), as `(width, height, pixels)`; absent alpha is 1.

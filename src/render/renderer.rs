@@ -65,7 +65,7 @@ impl Renderer {
     /// When the device failed.
     pub fn prepare_light(&self, environment: &EnvMap) -> Result<PreparedLight, DeviceError> {
         Ok(PreparedLight {
-            environment: at_most(environment, monte_carlo::MOST_ROWS),
+            environment: environment.clone().at_most_rows(monte_carlo::MOST_ROWS),
             frame: self.frames.prepare_light(environment)?,
             split: OnceLock::new(),
             sampler: OnceLock::new(),
@@ -154,13 +154,5 @@ impl Renderer {
         let model = self.model();
         let camera = checked.in_normalised_world(model.world_scale, model.world_offset);
         Ok(RasterCamera::new(&camera, &model.shading))
-    }
-}
-
-/// The map with no more than `rows` rows.
-fn at_most(map: &EnvMap, rows: usize) -> EnvMap {
-    match map.height() > rows {
-        true => map.resampled((map.width() * rows / map.height()).max(1), rows),
-        false => map.clone(),
     }
 }

@@ -133,6 +133,15 @@ impl EnvMap {
         })
     }
 
+    /// The map, reduced to `rows` rows where it has more.
+    #[must_use]
+    pub fn at_most_rows(self, rows: usize) -> Self {
+        match self.height > rows {
+            true => self.resampled((self.width * rows / self.height).max(1), rows),
+            false => self,
+        }
+    }
+
     /// The map at `width` x `height`: each new texel is the mean over the old texels that it covers, weighted by
     /// solid angle, so that total power does not change. A larger size repeats texels.
     #[must_use]

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
-use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 
 use crate::jobs::Jobs;
+use crate::server::decoders::Decoders;
+use crate::server::memory::{MemoryBudget, half_of_the_machine};
 use crate::store::Store;
 use crate::worker::DeviceHandle;
 
@@ -20,11 +21,13 @@ pub struct RequestLimits {
     pub capture_bytes: u64,
     /// Bytes of an environment file.
     pub environment_bytes: u64,
+    /// Bytes of memory that requests take together.
+    pub memory_bytes: u64,
 }
 
 impl Default for RequestLimits {
     fn default() -> Self {
-        Self { capture_bytes: 16 << 30, environment_bytes: 256 << 20 }
+        Self { capture_bytes: 16 << 30, environment_bytes: 256 << 20, memory_bytes: half_of_the_machine() }
     }
 }
 
@@ -34,8 +37,10 @@ pub(super) struct App {
     pub(super) jobs: Jobs,
     pub(super) device: DeviceHandle,
     pub(super) limits: RequestLimits,
-    /// Permits for work that needs much memory.
-    pub(super) imports: Semaphore,
+    /// What requests may borrow.
+    pub(super) memory: MemoryBudget,
+    /// Where uploads are decoded.
+    pub(super) decoders: Decoders,
     /// Cancelled when the server begins to shut down.
     pub(super) stop: CancellationToken,
     /// True when no API key is asked for.

@@ -130,15 +130,11 @@ async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
     upload::receive(app, request, &expected).await
 }
 
-/// Decodes everything to see whether it can be decoded; a few archives at a time, since images take memory.
+/// Decodes everything to see whether it can be decoded.
 async fn validate(app: &Shared, incoming: &Incoming) -> Result<CaptureReport, Problem> {
-    let _permit = app.imports.acquire().await.map_err(Problem::internal)?;
     let path = incoming.path.clone();
     let inspect = move || capture::inspect(&path, &ImportOptions::default());
-    tokio::task::spawn_blocking(inspect)
-        .await
-        .map_err(Problem::internal)?
-        .map_err(|e| refused(&e, &incoming.path))
+    app.decoders.run(inspect).await?.map_err(|e| refused(&e, &incoming.path))
 }
 
 /// What is wrong with the upload kept at `path`, which the caller knows as the archive.

@@ -13,7 +13,7 @@ use crate::api::environments::{EnvironmentList, EnvironmentView};
 use crate::api::problem::ContentError;
 use crate::api::{EnvironmentId, Problem};
 use crate::capture::BUILTIN;
-use crate::formats::environment::{self, LoadedEnvironment};
+use crate::formats::environment::{self, EnvironmentFileError, LoadedEnvironment};
 use crate::server::app::Shared;
 use crate::server::description::{EnvironmentForm, File};
 use crate::server::extract::{QueryString, UrlPath};
@@ -130,19 +130,21 @@ async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
 }
 
 async fn validate(app: &Shared, incoming: &Incoming) -> Result<(i64, i64, Vec<String>), Problem> {
-    let _permit = app.imports.acquire().await.map_err(Problem::internal)?;
+    let _bytes = app.memory.borrow(incoming.bytes).await?;
     let bytes = tokio::fs::read(&incoming.path).await.map_err(Problem::internal)?;
-    let decoded = tokio::task::spawn_blocking(move || decode(&bytes)).await.map_err(Problem::internal)?;
-    let LoadedEnvironment { map, warnings } = decoded?;
+    let LoadedEnvironment { map, warnings } = decode(app, bytes).await?;
     Ok((map.width() as i64, map.height() as i64, warnings))
 }
 
-/// Decodes an uploaded map.
-pub(super) fn decode(bytes: &[u8]) -> Result<LoadedEnvironment, Problem> {
-    environment::decode(bytes).map_err(|error| {
-        let code = "environment_invalid".to_owned();
-        Problem::invalid_content(ContentError { code, file: None, field: None }, error.to_string())
-    })
+/// Decodes a map, with memory for it borrowed meanwhile.
+pub(super) async fn decode(app: &Shared, bytes: Vec<u8>) -> Result<LoadedEnvironment, Problem> {
+    let _texels = app.memory.borrow(environment::decoding_bytes(&bytes).map_err(refused)?).await?;
+    app.decoders.run(move || environment::decode(&bytes)).await?.map_err(refused)
+}
+
+fn refused(error: EnvironmentFileError) -> Problem {
+    let code = "environment_invalid".to_owned();
+    Problem::invalid_content(ContentError { code, file: None, field: None }, error.to_string())
 }
 
 fn view(record: EnvironmentRecord) -> EnvironmentView {

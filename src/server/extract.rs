@@ -13,9 +13,25 @@ use serde_path_to_error::Segment;
 use tower_http::timeout::TimeoutError;
 
 use crate::api::Problem;
+use crate::server::app::Shared;
+use crate::server::memory::{self, Loan};
 
 /// A JSON body of at most `LIMIT` bytes.
 pub(super) struct JsonBody<T, const LIMIT: usize = 65_536>(pub(super) T);
+
+/// A JSON body of at most `LIMIT` bytes, with the memory borrowed that it takes until this is dropped.
+pub(super) struct LargeJson<T, const LIMIT: usize>(pub(super) T, pub(super) Loan);
+
+impl<T: DeserializeOwned, const LIMIT: usize> FromRequest<Shared> for LargeJson<T, LIMIT> {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, app: &Shared) -> Result<Self, Problem> {
+        let length = content_length(request.headers()).unwrap_or(LIMIT as u64).min(LIMIT as u64);
+        let loan = app.memory.borrow(memory::of_body(length)).await?;
+        let bytes = json_bytes(request, LIMIT).await?;
+        Ok(Self(parse(&bytes)?, loan))
+    }
+}
 
 /// A query string.
 pub(super) struct QueryString<T>(pub(super) T);

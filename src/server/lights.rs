@@ -55,10 +55,8 @@ async fn inline_light(app: &Shared, text: &str) -> Result<LightSource, Problem> 
         .decode(text.trim())
         .map_err(|e| Problem::invalid_field("/environment/inline_base64", format!("is not base64: {e}")))?;
     let sha256 = hex(&Sha256::digest(&bytes));
-    let _permit = app.imports.acquire().await.map_err(Problem::internal)?;
-    let decoded = tokio::task::spawn_blocking(move || environments::decode(&bytes));
-    let loaded = decoded.await.map_err(Problem::internal)??;
-    Ok(LightSource::Inline { sha256, map: Arc::new(loaded.map) })
+    let loaded = environments::decode(app, bytes).await?;
+    Ok(LightSource::Inline { sha256, map: Arc::new(LightSource::to_working_size(loaded.map)) })
 }
 
 fn check_exposure(spec: &EnvironmentSpec) -> Result<(), Problem> {

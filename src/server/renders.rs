@@ -11,10 +11,10 @@ use crate::api::{ModelId, Problem};
 use crate::render::{EncodedFrame, FrameFormat, Output, Viewpoint, encode_frame, is_colour};
 use crate::server::app::Shared;
 use crate::server::description::File;
-use crate::server::extract::{JsonBody, UrlPath};
+use crate::server::extract::{LargeJson, UrlPath};
 use crate::server::lights::light;
 use crate::server::render_request::{camera, quality};
-use crate::server::{models, negotiate};
+use crate::server::{memory, models, negotiate};
 use crate::worker::RenderTask;
 
 /// Largest body: a 2k map in base64 and the rest.
@@ -45,7 +45,7 @@ async fn render(
     State(app): State<Shared>,
     UrlPath(id): UrlPath<ModelId>,
     headers: HeaderMap,
-    JsonBody(request): JsonBody<RenderRequest, BODY_LIMIT>,
+    LargeJson(request, _body): LargeJson<RenderRequest, BODY_LIMIT>,
 ) -> Result<Response, Problem> {
     let format = negotiate::frame_format(&headers)?;
     check_outputs(&request.outputs, format)?;
@@ -77,6 +77,8 @@ pub(super) async fn render_frame(
     task: RenderTask,
     format: FrameFormat,
 ) -> Result<TimedFrame, Problem> {
+    // From here to the encoded file; while it waits for the device nothing is taken yet.
+    let _frame = app.memory.borrow(memory::of_frame(task.pixels(), &task.outputs)).await?;
     let outputs = task.outputs.clone();
     let rendered = app.device.render(task).await?;
     let ms = |d: std::time::Duration| d.as_secs_f64() * 1e3;

@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use tokio::net::TcpListener;
-use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use crate::engine::DeviceError;
@@ -15,6 +14,8 @@ use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
 use crate::server::app::{App, RequestLimits};
 use crate::server::auth::ApiKeys;
 use crate::server::connections::{self, ConnectionLimits};
+use crate::server::decoders::Decoders;
+use crate::server::memory::MemoryBudget;
 use crate::server::observe;
 use crate::server::origins::CorsOrigin;
 use crate::server::router::{openapi, router};
@@ -26,8 +27,6 @@ use crate::worker::{self, StartError, WorkerOptions};
 const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(10);
 /// How long open connections may take to end after a shutdown was asked for.
 const DRAIN: Duration = Duration::from_secs(20);
-/// Archives that are validated at the same time; each may take gigabytes of memory.
-const PARALLEL_IMPORTS: usize = 2;
 
 /// How a server runs.
 #[derive(Clone)]
@@ -130,7 +129,8 @@ pub async fn run(
         jobs,
         device,
         limits: config.limits,
-        imports: Semaphore::new(PARALLEL_IMPORTS),
+        memory: MemoryBudget::new(config.limits.memory_bytes),
+        decoders: Decoders::start(config.limits.memory_bytes)?,
         stop: stop.clone(),
         is_open: config.api_keys.is_open(),
         description: openapi(),

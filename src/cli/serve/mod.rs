@@ -48,6 +48,10 @@ pub(super) struct ServeArgs {
     /// Attempts without a new checkpoint before a job is given up.
     #[arg(long, env = "RELUME_MAX_ATTEMPTS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     max_attempts: u32,
+    /// Memory that requests take together at most, MiB; half of the machine's or the container's where absent. A request that
+    /// does not fit waits or gets 503; one that never fits gets 413.
+    #[arg(long = "memory", env = "RELUME_MEMORY", value_name = "MIB", value_parser = clap::value_parser!(u64).range(64..=1 << 24))]
+    memory_mib: Option<u64>,
     #[command(flatten)]
     network: network::NetworkArgs,
 }
@@ -71,6 +75,9 @@ async fn serve(args: ServeArgs) -> CommandResult {
     server::raise_file_limit(config.connections.connections);
     config.limits.capture_bytes = args.max_capture_bytes;
     config.limits.environment_bytes = args.max_environment_bytes;
+    if let Some(mib) = args.memory_mib {
+        config.limits.memory_bytes = mib << 20;
+    }
     config.worker.device = args.device;
     config.lease.max_idle_attempts = args.max_attempts;
     let listener = TcpListener::bind(args.listen).await?;

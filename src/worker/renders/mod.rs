@@ -57,6 +57,9 @@ pub struct ModelSource {
     pub path: PathBuf,
 }
 
+/// Most rows of a map that frames are made of: texels of 0.18 degrees, a third of the sun.
+const WORKING_ROWS: usize = 1024;
+
 /// A light to render under.
 #[derive(Debug, Clone)]
 pub enum LightSource {
@@ -90,6 +93,11 @@ impl LightSource {
         }
     }
 
+    /// A map as small as it makes no difference to any tier.
+    pub fn to_working_size(map: EnvMap) -> EnvMap {
+        map.at_most_rows(WORKING_ROWS)
+    }
+
     /// The map; `None` for the recovered light, which is a model's.
     ///
     /// # Errors
@@ -104,7 +112,7 @@ impl LightSource {
             Self::Stored { path, .. } => {
                 let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
                 let loaded = environment::decode(&bytes).map_err(|e| e.to_string())?;
-                Ok(Some(Arc::new(loaded.map)))
+                Ok(Some(Arc::new(Self::to_working_size(loaded.map))))
             }
         }
     }
@@ -132,17 +140,21 @@ pub struct RenderTask {
 impl RenderTask {
     /// What the frame costs on the device beside others: its pixels, weighed by the tier.
     pub(super) fn cost(&self) -> u64 {
-        let pixels = match &self.viewpoint {
-            Viewpoint::Camera(camera) => u64::from(camera.width) * u64::from(camera.height),
-            Viewpoint::Orbit(orbit) => u64::from(orbit.size) * u64::from(orbit.size),
-        };
         let weight = match self.quality.tier {
             Tier::Preview => 1,
             Tier::Standard => 2,
             Tier::High => 3,
             Tier::MonteCarlo => u64::from(self.quality.samples).saturating_mul(2).max(3),
         };
-        pixels.saturating_mul(weight)
+        self.pixels().saturating_mul(weight)
+    }
+
+    /// Pixels of the frame.
+    pub fn pixels(&self) -> u64 {
+        match &self.viewpoint {
+            Viewpoint::Camera(camera) => u64::from(camera.width) * u64::from(camera.height),
+            Viewpoint::Orbit(orbit) => u64::from(orbit.size) * u64::from(orbit.size),
+        }
     }
 }
 

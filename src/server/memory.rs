@@ -1,0 +1,135 @@
+//! The memory that requests may take together. Decoding, encoding and large bodies borrow from it before they begin.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::http::StatusCode;
+use sysinfo::{MemoryRefreshKind, RefreshKind, System};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+use crate::api::Problem;
+use crate::render::Output;
+
+/// What one permit stands for.
+const UNIT: u64 = 1 << 20;
+/// Least budget, bytes: below it not even a small frame fits.
+const LEAST: u64 = 64 << 20;
+/// Loans of at most this share of the budget never wait for larger ones: they have an eighth to themselves.
+const SMALL: u64 = 64;
+/// How long a loan may wait for others to end.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// Bytes a value of a frame's planes takes, and its copy on the way into a file.
+const FRAME_VALUE: u64 = 8;
+/// Bytes a pixel of a pass that blends colour alone.
+const COLOUR_PIXEL: u64 = 16;
+/// Bytes a pixel of a pass with every channel, and of another for the light of one small light.
+const FULL_PIXEL: u64 = 48 * 4 + 20 * 4;
+
+/// The budget.
+pub(super) struct MemoryBudget {
+    total: u64,
+    small: Arc<Semaphore>,
+    large: Arc<Semaphore>,
+}
+
+/// Memory that is borrowed until this is dropped.
+#[derive(Debug)]
+pub(super) struct Loan(#[allow(dead_code, reason = "given back when dropped")] OwnedSemaphorePermit);
+
+impl MemoryBudget {
+    /// A budget of `total` bytes, at least 64 MiB.
+    pub(super) fn new(total: u64) -> Self {
+        let total = total.max(LEAST);
+        let permits = |bytes: u64| {
+            let units = usize::try_from(bytes / UNIT).unwrap_or(usize::MAX);
+            Arc::new(Semaphore::new(units.min(Semaphore::MAX_PERMITS)))
+        };
+        Self { total, small: permits(total / 8), large: permits(total - total / 8) }
+    }
+
+    /// Borrows `bytes`, after waiting for others to end where they do not fit now.
+    ///
+    /// # Errors
+    /// 413 when they never fit, 503 when they did not fit in time.
+    pub(super) async fn borrow(&self, bytes: u64) -> Result<Loan, Problem> {
+        let most = self.total - self.total / 8;
+        if bytes > most {
+            let detail = format!(
+                "this needs about {} MiB of memory; requests may take {} MiB here",
+                bytes.div_ceil(UNIT),
+                most / UNIT
+            );
+            let title = "The request needs too much memory";
+            return Err(Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "needs-memory", title).detail(detail));
+        }
+        let lane = if bytes <= self.total / SMALL { &self.small } else { &self.large };
+        let units = u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX);
+        match tokio::time::timeout(PATIENCE, lane.clone().acquire_many_owned(units)).await {
+            Ok(permit) => permit.map(Loan).map_err(Problem::internal),
+            Err(_) => {
+                let title = "Other requests take the memory that this one needs";
+                Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", title).retry_after(5))
+            }
+        }
+    }
+}
+
+/// Half of what this machine, or the container that this process runs in, has, bytes.
+pub(super) fn half_of_the_machine() -> u64 {
+    let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
+    let system = System::new_with_specifics(memory);
+    let machine = system.total_memory();
+    let container = system.cgroup_limits().map_or(machine, |limits| limits.total_memory);
+    machine.min(container) / 2
+}
+
+/// Bytes that a frame takes from its G-buffer to its file.
+pub(super) fn of_frame(pixels: u64, outputs: &[Output]) -> u64 {
+    let values: usize = outputs.iter().map(|o| o.channels()).sum();
+    let is_colour = outputs.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
+    pixels * (FRAME_VALUE * (values as u64 + 1) + if is_colour { COLOUR_PIXEL } else { FULL_PIXEL })
+}
+
+/// Bytes that a JSON body of `length` bytes takes: as it came, as text, and what the text encodes.
+pub(super) fn of_body(length: u64) -> u64 {
+    length.saturating_mul(3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn what_never_fits_is_refused_and_what_does_not_fit_now_waits() {
+        let budget = MemoryBudget::new(1 << 30);
+        let never = budget.borrow(1 << 30).await.unwrap_err();
+        assert_eq!((never.status, never.kind.ends_with("needs-memory")), (413, true));
+        let loan = budget.borrow(600 << 20).await.unwrap();
+        let busy = budget.borrow(600 << 20).await.unwrap_err();
+        assert_eq!((busy.status, busy.retry_after), (503, Some(5)));
+        let waiting = budget.borrow(600 << 20);
+        let (second, ()) = tokio::join!(waiting, async {
+            tokio::time::sleep(PATIENCE / 2).await;
+            drop(loan);
+        });
+        second.unwrap();
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn small_loans_do_not_wait_for_large_ones() {
+        let budget = MemoryBudget::new(1 << 30);
+        let _large = budget.borrow(880 << 20).await.unwrap();
+        let small: Vec<_> = futures::future::join_all((0..8).map(|_| budget.borrow(16 << 20))).await;
+        assert!(small.iter().all(Result::is_ok));
+        assert!(budget.borrow(16 << 20).await.is_err(), "the control: they have a bound, too");
+    }
+
+    #[test]
+    fn sizes_are_those_that_were_measured() {
+        let all = [Output::Rgb, Output::Albedo, Output::Normal, Output::Depth, Output::Alpha];
+        let large = of_frame(4096 * 4096, &all);
+        assert!((4 << 30..8u64 << 30).contains(&large), "{large}");
+        assert!(of_frame(256 * 256, &[Output::Rgb]) < 4 << 20, "a thumbnail is small in any budget");
+        assert!(half_of_the_machine() > LEAST);
+    }
+}

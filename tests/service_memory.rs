@@ -1,0 +1,71 @@
+//! Requests that need much memory: refused or made to wait by what the server may take, and nothing of them stays.
+
+use relume::testing;
+use reqwest::Method;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::service_support::{files_under, trained};
+
+/// A Radiance header that names the largest map; its texels are not there.
+const LARGEST_MAP: &str = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8192 +X 16384\n";
+
+async fn problem(answer: reqwest::Response) -> Value {
+    assert_eq!(answer.headers()["content-type"], "application/problem+json");
+    serde_json::from_str(&answer.text().await.unwrap()).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_needs_more_memory_than_the_server_may_take_is_refused_and_the_rest_goes_on() {
+    let server = testing::spawn_with(TempDir::new().unwrap(), |c| c.limits.memory_bytes = 64 << 20);
+    let server = server.await.unwrap();
+    let client = server.client();
+    let model = trained(client).await.model.unwrap();
+    let before = files_under(server.data_dir());
+    let render = format!("/v1/models/{model}/render");
+    let frame = |side: u32, outputs: &[&str]| {
+        let look = json!({ "eye": [0, -3, 1], "target": [0, 0, 0], "fov_y_deg": 40 });
+        let request =
+            json!({ "camera": { "look_at": look }, "width": side, "height": side, "outputs": outputs });
+        client.request(Method::POST, &render).unwrap().header("accept", "image/x-exr").json(&request)
+    };
+    let all = ["rgb", "albedo", "normal", "depth", "diffuse", "specular"];
+    let refused = [
+        ("frame", frame(4096, &all).send().await.unwrap()),
+        (
+            "map",
+            client
+                .request(Method::POST, "/v1/environments")
+                .unwrap()
+                .header("content-type", "image/vnd.radiance")
+                .body(LARGEST_MAP)
+                .send()
+                .await
+                .unwrap(),
+        ),
+        (
+            "body",
+            client
+                .request(Method::POST, &render)
+                .unwrap()
+                .header("content-type", "application/json")
+                .body(" ".repeat(30 << 20))
+                .send()
+                .await
+                .unwrap(),
+        ),
+    ];
+    for (what, answer) in refused {
+        assert_eq!(answer.status(), 413, "{what}");
+        let problem = problem(answer).await;
+        assert_eq!(problem["type"], "urn:relume:problem:needs-memory", "{what}");
+        assert!(problem["detail"].as_str().unwrap().contains("MiB"), "{what}: {problem}");
+    }
+    assert_eq!(frame(64, &all).send().await.unwrap().status(), 200, "the control: a small frame is made");
+    let thumbnail = client.request(Method::GET, &format!("/v1/models/{model}/thumbnail?size=64")).unwrap();
+    assert_eq!(thumbnail.send().await.unwrap().status(), 200);
+    let stored = |files: Vec<(String, u64)>| -> Vec<String> {
+        files.into_iter().map(|(name, _)| name).filter(|name| !name.contains("relume.db")).collect()
+    };
+    assert_eq!(stored(files_under(server.data_dir())), stored(before), "nothing of them is left");
+}
