@@ -18,7 +18,7 @@ const PLACES: [[f32; 2]; 4] = [[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125
 /// What every pixel sends of one light that nothing hides.
 pub(super) enum Unhidden<'a> {
     /// Reflected where Gaussians are, and blended.
-    AtGaussians(Pass),
+    AtGaussians(Box<Pass>),
     /// Reflected by the surface that a pixel sees.
     InPixels(&'a Pass, &'a DominantLight),
 }
@@ -27,14 +27,14 @@ impl<'a> Unhidden<'a> {
     /// Of `light`, where the model of `source` is shaded; `pass` has the G-buffer.
     pub(super) fn new(source: &AttributeSource<'_>, pass: &'a Pass, light: &'a DominantLight) -> Self {
         match source.options.shade_at {
-            ShadeAt::Gaussian => Self::AtGaussians(blend_reflected(source, pass, light)),
+            ShadeAt::Gaussian => Self::AtGaussians(Box::new(blend_reflected(source, pass, light))),
             ShadeAt::Pixel => Self::InPixels(pass, light),
         }
     }
 
     /// Radiance of pixel (`x`, `y`); `None` where there is nothing to shade or the light is behind it.
     pub(super) fn at(&self, (x, y): (usize, usize)) -> Option<OutgoingRadiance> {
-        let pass = match self {
+        let pass: &Pass = match self {
             Self::AtGaussians(pass) => pass,
             Self::InPixels(pass, _) => pass,
         };
