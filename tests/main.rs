@@ -14,6 +14,7 @@ mod full_disk;
 mod gpu;
 mod hostile;
 mod lights;
+mod promises;
 mod reference;
 mod requirements;
 mod server_process;
