@@ -14,7 +14,7 @@ pub(super) struct Decoders(Arc<rayon::ThreadPool>);
 
 impl Decoders {
     /// At most half as many threads as there are processors, and no more than decode the largest photographs in a quarter of
-    /// `memory` bytes, but one.
+    /// `memory` bytes; at least one.
     ///
     /// # Errors
     /// When threads cannot be started.
