@@ -21,6 +21,7 @@ mod server_process;
 mod service;
 mod service_api;
 mod service_cli;
+mod service_description;
 mod service_memory;
 mod service_network;
 mod service_origins;
