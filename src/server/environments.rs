@@ -5,6 +5,7 @@ use axum::extract::{Request, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
+use tokio::io::AsyncReadExt;
 use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -20,6 +21,9 @@ use crate::server::extract::{QueryString, UrlPath};
 use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::server::upload::{self, Expected};
 use crate::store::{EnvironmentRecord, Incoming};
+
+/// Bytes from a file's begin that hold its header.
+const HEAD: u64 = 1 << 20;
 
 /// The routes of this file that take no maps.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
@@ -130,13 +134,18 @@ async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
 }
 
 async fn validate(app: &Shared, incoming: &Incoming) -> Result<(i64, i64, Vec<String>), Problem> {
-    let _bytes = app.memory.borrow(incoming.bytes).await?;
+    let file = tokio::fs::File::open(&incoming.path).await.map_err(Problem::internal)?;
+    let mut head = Vec::new();
+    file.take(HEAD).read_to_end(&mut head).await.map_err(Problem::internal)?;
+    let needed = environment::decoding_bytes(&head).map_err(refused)?;
+    let _memory = app.memory.borrow(needed.saturating_add(incoming.bytes)).await?;
     let bytes = tokio::fs::read(&incoming.path).await.map_err(Problem::internal)?;
-    let LoadedEnvironment { map, warnings } = decode(app, bytes).await?;
+    let decoded = app.decoders.run(move || environment::decode(&bytes)).await?;
+    let LoadedEnvironment { map, warnings } = decoded.map_err(refused)?;
     Ok((map.width() as i64, map.height() as i64, warnings))
 }
 
-/// Decodes a map, with memory for it borrowed meanwhile.
+/// Decodes a map that came with a request, with memory for it borrowed meanwhile.
 pub(super) async fn decode(app: &Shared, bytes: Vec<u8>) -> Result<LoadedEnvironment, Problem> {
     let _texels = app.memory.borrow(environment::decoding_bytes(&bytes).map_err(refused)?).await?;
     app.decoders.run(move || environment::decode(&bytes)).await?.map_err(refused)

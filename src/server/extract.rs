@@ -14,7 +14,7 @@ use tower_http::timeout::TimeoutError;
 
 use crate::api::Problem;
 use crate::server::app::Shared;
-use crate::server::memory::{self, Loan};
+use crate::server::memory::Loan;
 
 /// A JSON body of at most `LIMIT` bytes.
 pub(super) struct JsonBody<T, const LIMIT: usize = 65_536>(pub(super) T);
@@ -27,7 +27,7 @@ impl<T: DeserializeOwned, const LIMIT: usize> FromRequest<Shared> for LargeJson<
 
     async fn from_request(request: Request, app: &Shared) -> Result<Self, Problem> {
         let length = content_length(request.headers()).unwrap_or(LIMIT as u64).min(LIMIT as u64);
-        let loan = app.memory.borrow(memory::of_body(length)).await?;
+        let loan = app.memory.borrow_body(length).await?;
         let bytes = json_bytes(request, LIMIT).await?;
         Ok(Self(parse(&bytes)?, loan))
     }

@@ -1,4 +1,7 @@
 //! The memory that requests may take together. Decoding, encoding and large bodies borrow from it before they begin.
+//!
+//! A request may hold the loan of its body while it waits for that of its frame. Bodies have a share of their own, so that
+//! no request waits for what another one holds that waits as well.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,8 +17,10 @@ use crate::render::Output;
 const UNIT: u64 = 1 << 20;
 /// Least budget, bytes: below it not even a small frame fits.
 const LEAST: u64 = 64 << 20;
-/// Loans of at most this share of the budget never wait for larger ones: they have an eighth to themselves.
-const SMALL: u64 = 64;
+/// Loans of at most one in so many of the bytes kept for small ones are small: they never wait for larger ones.
+const SMALL: u64 = 8;
+/// Bodies of at most this many bytes count nothing.
+const SMALL_BODY: u64 = 65_536;
 /// How long a loan may wait for others to end.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Bytes a value of a frame's planes takes, and its copy on the way into a file.
@@ -27,9 +32,15 @@ const FULL_PIXEL: u64 = 48 * 4 + 20 * 4;
 
 /// The budget.
 pub(super) struct MemoryBudget {
-    total: u64,
-    small: Arc<Semaphore>,
-    large: Arc<Semaphore>,
+    bodies: Share,
+    small: Share,
+    large: Share,
+}
+
+/// A part of the budget.
+struct Share {
+    bytes: u64,
+    free: Arc<Semaphore>,
 }
 
 /// Memory that is borrowed until this is dropped.
@@ -40,31 +51,51 @@ impl MemoryBudget {
     /// A budget of `total` bytes, at least 64 MiB.
     pub(super) fn new(total: u64) -> Self {
         let total = total.max(LEAST);
-        let permits = |bytes: u64| {
-            let units = usize::try_from(bytes / UNIT).unwrap_or(usize::MAX);
-            Arc::new(Semaphore::new(units.min(Semaphore::MAX_PERMITS)))
-        };
-        Self { total, small: permits(total / 8), large: permits(total - total / 8) }
+        let (bodies, small) = (total / 4, total / 8);
+        Self {
+            bodies: Share::new(bodies),
+            small: Share::new(small),
+            large: Share::new(total - bodies - small),
+        }
     }
 
-    /// Borrows `bytes`, after waiting for others to end where they do not fit now.
+    /// Borrows `bytes` for decoding or for a frame, after waiting for others to end where they do not fit now.
     ///
     /// # Errors
     /// 413 when they never fit, 503 when they did not fit in time.
     pub(super) async fn borrow(&self, bytes: u64) -> Result<Loan, Problem> {
-        let most = self.total - self.total / 8;
-        if bytes > most {
+        let share = if bytes <= self.small.bytes / SMALL { &self.small } else { &self.large };
+        share.borrow(bytes).await
+    }
+
+    /// Borrows for a JSON body of `length` bytes: as it came, as text, and what the text encodes. Small ones take nothing.
+    ///
+    /// # Errors
+    /// As [`Self::borrow`].
+    pub(super) async fn borrow_body(&self, length: u64) -> Result<Loan, Problem> {
+        let bytes = if length <= SMALL_BODY { 0 } else { length.saturating_mul(3) };
+        self.bodies.borrow(bytes).await
+    }
+}
+
+impl Share {
+    fn new(bytes: u64) -> Self {
+        let units = usize::try_from(bytes / UNIT).unwrap_or(usize::MAX);
+        Self { bytes, free: Arc::new(Semaphore::new(units.min(Semaphore::MAX_PERMITS))) }
+    }
+
+    async fn borrow(&self, bytes: u64) -> Result<Loan, Problem> {
+        if bytes > self.bytes {
             let detail = format!(
-                "this needs about {} MiB of memory; requests may take {} MiB here",
+                "this needs about {} MiB of memory; such a request may take {} MiB here",
                 bytes.div_ceil(UNIT),
-                most / UNIT
+                self.bytes / UNIT
             );
             let title = "The request needs too much memory";
             return Err(Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "needs-memory", title).detail(detail));
         }
-        let lane = if bytes <= self.total / SMALL { &self.small } else { &self.large };
         let units = u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX);
-        match tokio::time::timeout(PATIENCE, lane.clone().acquire_many_owned(units)).await {
+        match tokio::time::timeout(PATIENCE, self.free.clone().acquire_many_owned(units)).await {
             Ok(permit) => permit.map(Loan).map_err(Problem::internal),
             Err(_) => {
                 let title = "Other requests take the memory that this one needs";
@@ -90,11 +121,6 @@ pub(super) fn of_frame(pixels: u64, outputs: &[Output]) -> u64 {
     pixels * (FRAME_VALUE * (values as u64 + 1) + if is_colour { COLOUR_PIXEL } else { FULL_PIXEL })
 }
 
-/// Bytes that a JSON body of `length` bytes takes: as it came, as text, and what the text encodes.
-pub(super) fn of_body(length: u64) -> u64 {
-    length.saturating_mul(3)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -104,10 +130,10 @@ mod tests {
         let budget = MemoryBudget::new(1 << 30);
         let never = budget.borrow(1 << 30).await.unwrap_err();
         assert_eq!((never.status, never.kind.ends_with("needs-memory")), (413, true));
-        let loan = budget.borrow(600 << 20).await.unwrap();
-        let busy = budget.borrow(600 << 20).await.unwrap_err();
+        let loan = budget.borrow(500 << 20).await.unwrap();
+        let busy = budget.borrow(500 << 20).await.unwrap_err();
         assert_eq!((busy.status, busy.retry_after), (503, Some(5)));
-        let waiting = budget.borrow(600 << 20);
+        let waiting = budget.borrow(500 << 20);
         let (second, ()) = tokio::join!(waiting, async {
             tokio::time::sleep(PATIENCE / 2).await;
             drop(loan);
@@ -118,10 +144,20 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn small_loans_do_not_wait_for_large_ones() {
         let budget = MemoryBudget::new(1 << 30);
-        let _large = budget.borrow(880 << 20).await.unwrap();
+        let _large = budget.borrow(640 << 20).await.unwrap();
         let small: Vec<_> = futures::future::join_all((0..8).map(|_| budget.borrow(16 << 20))).await;
         assert!(small.iter().all(Result::is_ok));
         assert!(budget.borrow(16 << 20).await.is_err(), "the control: they have a bound, too");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn bodies_that_wait_for_frames_take_nothing_from_them() {
+        let budget = MemoryBudget::new(64 << 20);
+        let bodies: Vec<_> = futures::future::join_all((0..5).map(|_| budget.borrow_body(1 << 20))).await;
+        assert!(bodies.iter().all(Result::is_ok));
+        assert!(budget.borrow_body(1 << 20).await.is_err(), "the control: they have a bound");
+        budget.borrow(40 << 20).await.unwrap();
+        budget.borrow_body(SMALL_BODY).await.unwrap();
     }
 
     #[test]

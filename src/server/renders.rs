@@ -77,7 +77,7 @@ pub(super) async fn render_frame(
     task: RenderTask,
     format: FrameFormat,
 ) -> Result<TimedFrame, Problem> {
-    // From here to the encoded file; while it waits for the device nothing is taken yet.
+    // Held from before the queue to the encoded file.
     let _frame = app.memory.borrow(memory::of_frame(task.pixels(), &task.outputs)).await?;
     let outputs = task.outputs.clone();
     let rendered = app.device.render(task).await?;
