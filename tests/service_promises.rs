@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume::api::JobId;
 use relume::api::jobs::{JobProgress, JobState, NewJob};
+use relume::api::{JobId, TenantId};
 use relume::capture::CaptureReport;
 use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, SequentialIds};
 use relume::store::{
@@ -23,6 +23,11 @@ struct Bench {
     dir: TempDir,
 }
 
+/// Whose everything is.
+fn tenant() -> TenantId {
+    TenantId::of_operator()
+}
+
 const LEASE: Duration = Duration::from_secs(60);
 
 impl Bench {
@@ -36,7 +41,7 @@ impl Bench {
             report: CaptureReport::default(),
             created_ms: 0,
         };
-        bench.jobs.store().insert_capture(&capture).await.unwrap();
+        bench.jobs.store().insert_capture(&tenant(), &capture).await.unwrap();
         bench
     }
 
@@ -55,7 +60,7 @@ impl Bench {
     /// Submits and answers with the identifier.
     async fn submit_with(&self, priority: i64, key: Option<&IdempotencyKey>) -> Result<JobId, StoreError> {
         let job = NewJob { capture: "capture".into(), priority, ..NewJob::default() };
-        match self.jobs.submit(job, 100, None, key, |job, _| job.id.to_string()).await? {
+        match self.jobs.submit(&tenant(), job, 100, None, key, |job, _| job.id.to_string()).await? {
             Submitted::Created(id) | Submitted::Replayed(id) => Ok(id.into()),
         }
     }
@@ -65,7 +70,7 @@ impl Bench {
     }
 
     async fn state(&self, id: &JobId) -> JobState {
-        self.jobs.store().job(id).await.unwrap().unwrap().state
+        self.jobs.store().job(&tenant(), id).await.unwrap().unwrap().state
     }
 }
 
@@ -108,8 +113,10 @@ async fn a_paused_worker_that_lost_its_lease_publishes_nothing() {
     assert_eq!(paused.fail("x", "y").await.unwrap(), LeaseStatus::Lost);
     assert_eq!(paused.release(Release::Shutdown).await.unwrap(), LeaseStatus::Lost);
     assert_eq!(publish(&paused, "from-the-paused").await, LeaseStatus::Lost);
-    assert!(bench.jobs.store().models(&Page { limit: 10, before: None }).await.unwrap().is_empty());
-    let job = bench.jobs.store().job(&id).await.unwrap().unwrap();
+    assert!(
+        bench.jobs.store().models(&tenant(), &Page { limit: 10, before: None }).await.unwrap().is_empty()
+    );
+    let job = bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap();
     assert_eq!((job.state, job.progress.step, job.checkpoint), (JobState::Running, 0, None));
 
     // The control: the same calls with a lease that stands do change things.
@@ -126,7 +133,7 @@ async fn a_job_that_is_cancelled_while_it_waits_leaves_no_checkpoint() {
     lease.checkpoint(10, vec![1; 100]).await.unwrap();
     lease.release(Release::Shutdown).await.unwrap();
     assert_eq!(files_under(bench.dir.path()).len(), 1);
-    bench.jobs.cancel(&id).await.unwrap();
+    bench.jobs.cancel(&tenant(), &id).await.unwrap();
     assert!(files_under(bench.dir.path()).is_empty());
 }
 
@@ -139,13 +146,13 @@ async fn a_job_that_waits_for_room_says_so_and_spends_no_attempt() {
         lease.progress(&JobProgress { step: 15, total: 100, ..JobProgress::default() }).await.unwrap();
         assert_eq!(lease.release(Release::NoRoom).await.unwrap(), LeaseStatus::Held);
     }
-    let job = bench.jobs.store().job(&id).await.unwrap().unwrap();
+    let job = bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap();
     assert_eq!((job.state, job.progress.step, job.idle_attempts), (JobState::Queued, 0, 0));
     assert_eq!(job.progress.message.as_deref(), Some("waiting for room on the disk"));
     let lease = bench.claim().await;
     lease.checkpoint(10, vec![1; 100]).await.unwrap();
     lease.release(Release::NoRoom).await.unwrap();
-    assert_eq!(bench.jobs.store().job(&id).await.unwrap().unwrap().progress.step, 10);
+    assert_eq!(bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap().progress.step, 10);
     bench.jobs.store().room().note_shortage(1 << 60);
     assert!(matches!(bench.submit_with(0, None).await, Err(StoreError::NoRoom { .. })));
     bench.jobs.store().room().forget_shortage();
@@ -159,9 +166,9 @@ async fn a_job_publishes_exactly_once() {
     let lease = bench.claim().await;
     assert_eq!(publish(&lease, "first").await, LeaseStatus::Held);
     assert_eq!(publish(&lease, "again").await, LeaseStatus::Lost);
-    let models = bench.jobs.store().models(&Page { limit: 10, before: None }).await.unwrap();
+    let models = bench.jobs.store().models(&tenant(), &Page { limit: 10, before: None }).await.unwrap();
     assert_eq!(models.iter().map(|m| m.id.as_str()).collect::<Vec<_>>(), ["first"]);
-    assert_eq!(bench.jobs.store().job(&id).await.unwrap().unwrap().model_id, Some("first".into()));
+    assert_eq!(bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap().model_id, Some("first".into()));
 }
 
 #[tokio::test]
@@ -174,20 +181,20 @@ async fn terminal_states_never_change() {
             JobState::Succeeded => publish(&lease, id.as_str()).await,
             JobState::Failed => lease.fail("code", "detail").await.unwrap(),
             _ => {
-                bench.jobs.cancel(&id).await.unwrap();
+                bench.jobs.cancel(&tenant(), &id).await.unwrap();
                 lease.confirm_cancel().await.unwrap()
             }
         };
         assert_eq!(bench.state(&id).await, end);
-        let before = bench.jobs.events_after(&id, 0).await.unwrap();
-        let cancelled = bench.jobs.cancel(&id).await.unwrap();
+        let before = bench.jobs.events_after(&tenant(), &id, 0).await.unwrap();
+        let cancelled = bench.jobs.cancel(&tenant(), &id).await.unwrap();
         assert_eq!(matches!(cancelled, CancelOutcome::Accepted(_)), end == JobState::Cancelled);
         assert_eq!(lease.fail("other", "other").await.unwrap(), LeaseStatus::Lost);
         assert_eq!(lease.release(Release::Shutdown).await.unwrap(), LeaseStatus::Lost);
-        assert!(!bench.jobs.set_priority(&id, 5).await.unwrap());
+        assert!(!bench.jobs.set_priority(&tenant(), &id, 5).await.unwrap());
         bench.jobs.reclaim_all().await.unwrap();
         assert_eq!(bench.state(&id).await, end);
-        assert_eq!(bench.jobs.events_after(&id, 0).await.unwrap(), before, "and nothing was told");
+        assert_eq!(bench.jobs.events_after(&tenant(), &id, 0).await.unwrap(), before, "and nothing was told");
     }
 }
 
@@ -195,7 +202,7 @@ async fn terminal_states_never_change() {
 async fn the_database_itself_refuses_to_change_a_terminal_state() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
-    bench.jobs.cancel(&id).await.unwrap();
+    bench.jobs.cancel(&tenant(), &id).await.unwrap();
     let path = format!("sqlite://{}", bench.dir.path().join("relume.db").display());
     let pool = sqlx::SqlitePool::connect(&path).await.unwrap();
     let forced = sqlx::query("UPDATE jobs SET state = 'queued'").execute(&pool).await;
@@ -211,7 +218,7 @@ async fn a_job_that_only_ever_crashes_is_given_up_with_attempts_exhausted() {
         bench.claim().await;
         bench.jobs.reclaim_all().await.unwrap();
     }
-    let job = bench.jobs.store().job(&id).await.unwrap().unwrap();
+    let job = bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap();
     assert_eq!((job.state, job.error_code.as_deref()), (JobState::Failed, Some("attempts_exhausted")));
 }
 
@@ -224,7 +231,7 @@ async fn a_job_that_reaches_checkpoints_may_crash_as_often_as_it_likes() {
         assert_eq!(lease.checkpoint(step, vec![step as u8]).await.unwrap(), LeaseStatus::Held);
         bench.jobs.reclaim_all().await.unwrap();
     }
-    let job = bench.jobs.store().job(&id).await.unwrap().unwrap();
+    let job = bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap();
     assert_eq!((job.state, job.checkpoint_step, job.attempts), (JobState::Queued, Some(10), 10));
     let kept = files_under(&bench.dir.path().join("artifacts"));
     assert_eq!(kept.len(), 1, "a checkpoint replaces the one before: {kept:?}");
@@ -259,9 +266,9 @@ async fn higher_priority_runs_first_and_equals_run_in_order() {
         ids.push(bench.submit(priority).await);
         bench.clock.advance(Duration::from_millis(1));
     }
-    let position = async |id: &JobId| bench.jobs.get(id).await.unwrap().unwrap().1.unwrap();
+    let position = async |id: &JobId| bench.jobs.get(&tenant(), id).await.unwrap().unwrap().1.unwrap();
     assert_eq!([position(&ids[1]).await, position(&ids[3]).await, position(&ids[0]).await], [0, 1, 2]);
-    assert!(bench.jobs.set_priority(&ids[2], 9).await.unwrap());
+    assert!(bench.jobs.set_priority(&tenant(), &ids[2], 9).await.unwrap());
     let mut order = Vec::new();
     for _ in 0..4 {
         order.push(bench.claim().await.job().id.clone());
@@ -279,7 +286,7 @@ async fn a_repeated_key_queues_one_job_and_another_body_is_refused() {
     assert_eq!(first.unwrap(), second.unwrap());
     let refused = bench.submit_with(0, Some(&key("b"))).await;
     assert!(matches!(refused, Err(StoreError::KeyReused)));
-    assert_eq!(bench.jobs.list(None, &Page { limit: 10, before: None }).await.unwrap().len(), 1);
+    assert_eq!(bench.jobs.list(&tenant(), None, &Page { limit: 10, before: None }).await.unwrap().len(), 1);
     bench.clock.advance(Duration::from_secs(25 * 3600));
     bench.submit_with(0, Some(&key("b"))).await.expect("a key is forgotten after a day");
 }
@@ -289,15 +296,15 @@ async fn events_are_numbered_upwards_and_survive_a_restart() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     bench.claim().await.warn("look out").await.unwrap();
-    let before = bench.jobs.events_after(&id, 0).await.unwrap();
+    let before = bench.jobs.events_after(&tenant(), &id, 0).await.unwrap();
     bench.jobs.store().close().await;
     let bench = Bench::open(bench.dir).await;
     bench.jobs.reclaim_all().await.unwrap();
-    let after = bench.jobs.events_after(&id, 0).await.unwrap();
+    let after = bench.jobs.events_after(&tenant(), &id, 0).await.unwrap();
     assert_eq!(after[..before.len()], before);
     assert_eq!(after.len(), before.len() + 1, "and going back to the queue was told");
     assert!(after.windows(2).all(|pair| pair[0].seq < pair[1].seq));
-    let tail = bench.jobs.events_after(&id, before.last().unwrap().seq).await.unwrap();
+    let tail = bench.jobs.events_after(&tenant(), &id, before.last().unwrap().seq).await.unwrap();
     assert_eq!(tail, after[before.len()..], "a listener goes on where it stopped");
 }
 

@@ -4,11 +4,12 @@ pub mod captures;
 pub mod environments;
 mod ids;
 pub mod jobs;
+pub mod keys;
 pub mod models;
 mod page;
 pub mod problem;
 pub mod renders;
 
-pub use ids::{CaptureId, EnvironmentId, JobId, ModelId};
+pub use ids::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId};
 pub use page::List;
 pub use problem::Problem;

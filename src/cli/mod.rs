@@ -10,6 +10,8 @@ pub mod eval;
 mod explain;
 mod export;
 mod input;
+#[cfg(feature = "server")]
+mod keys;
 mod light;
 mod output;
 mod render;
@@ -60,6 +62,9 @@ enum Command {
     /// Show this machine's devices and check that the service can run on it.
     Doctor(doctor::DoctorArgs),
     #[cfg(feature = "server")]
+    /// Make, list and revoke API keys, also while the server runs.
+    Keys(keys::KeysArgs),
+    #[cfg(feature = "server")]
     /// Print the description of the HTTP API.
     Openapi,
 }
@@ -91,6 +96,8 @@ pub fn main() -> ExitCode {
         Command::Explain(args) => explain::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "server")]
+        Command::Keys(args) => keys::run(args),
         #[cfg(feature = "server")]
         Command::Openapi => openapi(),
     };

@@ -130,7 +130,7 @@ impl Lease {
     }
 
     async fn last_checkpoint(&self) -> Result<Option<String>, StoreError> {
-        Ok(self.jobs.store.job(&self.job.id).await?.and_then(|job| job.checkpoint))
+        Ok(self.jobs.store.job(&self.job.tenant, &self.job.id).await?.and_then(|job| job.checkpoint))
     }
 
     /// Removes the checkpoint of a job that has ended, once the end is durable.

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 
-use crate::api::JobId;
 use crate::api::jobs::{JobState, NewJob};
+use crate::api::{JobId, TenantId};
 use crate::jobs::clock::{Clock, Ids};
 use crate::store::{
     CancelOutcome, EventRecord, IdempotencyKey, JobRecord, Page, Store, StoreError, Submitted,
@@ -64,30 +64,37 @@ impl Jobs {
         self.changes.subscribe()
     }
 
-    /// Queues a job of `total` steps, as a repetition of `retry_of` if that is given; see [`Store::submit_job`].
+    /// Queues a job of `total` steps for a tenant, as a repetition of `retry_of` if that is given; see [`Store::submit_job`].
     ///
     /// # Errors
     /// [`StoreError::KeyReused`] when the key came with another request before.
     pub async fn submit(
         &self,
+        tenant: &TenantId,
         request: NewJob,
         total: i64,
         retry_of: Option<JobId>,
         key: Option<&IdempotencyKey>,
         answer: impl FnOnce(&JobRecord, Option<i64>) -> String + Send,
     ) -> Result<Submitted, StoreError> {
-        let job = JobRecord { retry_of, ..JobRecord::queued(self.fresh_id(), request, total, self.now_ms()) };
+        let id = self.fresh_id();
+        let job = JobRecord::queued(tenant.clone(), id, request, total, self.now_ms());
+        let job = JobRecord { retry_of, ..job };
         let submitted = self.store.submit_job(&job, key, answer).await?;
         self.announce();
         Ok(submitted)
     }
 
-    /// A job and, while it waits, how many run before it.
+    /// A job of a tenant and, while it waits, how many run before it.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn get(&self, id: &JobId) -> Result<Option<(JobRecord, Option<i64>)>, StoreError> {
-        let Some(job) = self.store.job(id).await? else { return Ok(None) };
+    pub async fn get(
+        &self,
+        tenant: &TenantId,
+        id: &JobId,
+    ) -> Result<Option<(JobRecord, Option<i64>)>, StoreError> {
+        let Some(job) = self.store.job(tenant, id).await? else { return Ok(None) };
         let position = match job.state {
             JobState::Queued => self.store.queue_position(id).await?,
             _ => None,
@@ -95,12 +102,17 @@ impl Jobs {
         Ok(Some((job, position)))
     }
 
-    /// Jobs, newest first.
+    /// Jobs of a tenant, newest first.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn list(&self, state: Option<JobState>, page: &Page) -> Result<Vec<JobRecord>, StoreError> {
-        self.store.jobs(state, page).await
+    pub async fn list(
+        &self,
+        tenant: &TenantId,
+        state: Option<JobState>,
+        page: &Page,
+    ) -> Result<Vec<JobRecord>, StoreError> {
+        self.store.jobs(tenant, state, page).await
     }
 
     /// True when some job waits for a worker.
@@ -115,8 +127,8 @@ impl Jobs {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn cancel(&self, id: &JobId) -> Result<CancelOutcome, StoreError> {
-        let outcome = self.store.cancel_job(id, self.now_ms()).await?;
+    pub async fn cancel(&self, tenant: &TenantId, id: &JobId) -> Result<CancelOutcome, StoreError> {
+        let outcome = self.store.cancel_job(tenant, id, self.now_ms()).await?;
         if let CancelOutcome::Accepted(job) = &outcome {
             self.drop_checkpoint(job).await;
         }
@@ -128,16 +140,26 @@ impl Jobs {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn set_priority(&self, id: &JobId, priority: i64) -> Result<bool, StoreError> {
-        self.store.set_priority(id, priority).await
+    pub async fn set_priority(
+        &self,
+        tenant: &TenantId,
+        id: &JobId,
+        priority: i64,
+    ) -> Result<bool, StoreError> {
+        self.store.set_priority(tenant, id, priority).await
     }
 
     /// Events of a job after number `after`, oldest first.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn events_after(&self, id: &JobId, after: i64) -> Result<Vec<EventRecord>, StoreError> {
-        self.store.events_after(id, after).await
+    pub async fn events_after(
+        &self,
+        tenant: &TenantId,
+        id: &JobId,
+        after: i64,
+    ) -> Result<Vec<EventRecord>, StoreError> {
+        self.store.events_after(tenant, id, after).await
     }
 
     /// Takes back leases that ran out.

@@ -43,8 +43,6 @@ pub(super) struct App {
     pub(super) decoders: Decoders,
     /// Cancelled when the server begins to shut down.
     pub(super) stop: CancellationToken,
-    /// True when no API key is asked for.
-    pub(super) is_open: bool,
     /// The description of the API.
     pub(super) description: OpenApi,
 }

@@ -12,6 +12,7 @@ use crate::api::problem::ContentError;
 use crate::api::{CaptureId, List, Problem};
 use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
 use crate::server::app::Shared;
+use crate::server::caller::Caller;
 use crate::server::description::{ArchiveForm, File};
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
@@ -45,9 +46,13 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
         (status = 507, body = Problem, description = "The disk is full; nothing was stored")
     )
 )]
-async fn upload_capture(State(app): State<Shared>, request: Request) -> Result<Response, Problem> {
+async fn upload_capture(
+    State(app): State<Shared>,
+    caller: Caller,
+    request: Request,
+) -> Result<Response, Problem> {
     let incoming = receive(&app, request).await?;
-    if let Some(known) = app.store.capture_by_hash(&incoming.sha256).await? {
+    if let Some(known) = app.store.capture_by_hash(&caller.tenant, &incoming.sha256).await? {
         app.store.artifacts().mend(incoming, &known.artifact).await?;
         return Ok(Json(view(known)).into_response());
     }
@@ -61,7 +66,7 @@ async fn upload_capture(State(app): State<Shared>, request: Request) -> Result<R
         created_ms: app.jobs.now_ms(),
     };
     app.store.artifacts().publish(incoming, &record.artifact).await?;
-    let stored = app.store.insert_capture(&record).await?;
+    let stored = app.store.insert_capture(&caller.tenant, &record).await?;
     let location = format!("/v1/captures/{}", stored.id);
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
 }
@@ -92,15 +97,16 @@ async fn validate_capture(
 )]
 async fn list_captures(
     State(app): State<Shared>,
+    caller: Caller,
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<CaptureSummary>>, Problem> {
     let page = query.page()?;
     if let Some(before) = page.before()
-        && app.store.capture(&before.into()).await?.is_none()
+        && app.store.capture(&caller.tenant, &before.into()).await?.is_none()
     {
         return Err(unknown_cursor(before));
     }
-    let items = app.store.captures(&page.of_store()).await?.into_iter().map(view).collect();
+    let items = app.store.captures(&caller.tenant, &page.of_store()).await?.into_iter().map(view).collect();
     Ok(Json(page.list(items, |c: &CaptureSummary| c.id.as_str())))
 }
 
@@ -111,9 +117,14 @@ async fn list_captures(
 )]
 async fn get_capture(
     State(app): State<Shared>,
+    caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
 ) -> Result<Json<CaptureSummary>, Problem> {
-    let record = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture", id.as_str()))?;
+    let record = app
+        .store
+        .capture(&caller.tenant, &id)
+        .await?
+        .ok_or_else(|| Problem::not_found("capture", id.as_str()))?;
     Ok(Json(view(record)))
 }
 

@@ -16,6 +16,7 @@ use crate::api::{EnvironmentId, Problem};
 use crate::capture::BUILTIN;
 use crate::formats::environment::{self, EnvironmentFileError, LoadedEnvironment};
 use crate::server::app::Shared;
+use crate::server::caller::Caller;
 use crate::server::description::{EnvironmentForm, File};
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
@@ -62,6 +63,7 @@ struct UploadQuery {
 )]
 async fn upload_environment(
     State(app): State<Shared>,
+    caller: Caller,
     QueryString(query): QueryString<UploadQuery>,
     request: Request,
 ) -> Result<Response, Problem> {
@@ -69,7 +71,7 @@ async fn upload_environment(
         return Err(Problem::invalid_field("query/name", "must have 1 to 128 characters"));
     }
     let incoming = receive(&app, request).await?;
-    if let Some(known) = app.store.environment_by_hash(&incoming.sha256).await? {
+    if let Some(known) = app.store.environment_by_hash(&caller.tenant, &incoming.sha256).await? {
         app.store.artifacts().mend(incoming, &known.artifact).await?;
         return Ok(Json(view(known)).into_response());
     }
@@ -86,7 +88,7 @@ async fn upload_environment(
         created_ms: app.jobs.now_ms(),
     };
     app.store.artifacts().publish(incoming, &record.artifact).await?;
-    let stored = app.store.insert_environment(&record).await?;
+    let stored = app.store.insert_environment(&caller.tenant, &record).await?;
     Ok((StatusCode::CREATED, Json(view(stored))).into_response())
 }
 
@@ -97,15 +99,17 @@ async fn upload_environment(
 )]
 async fn list_environments(
     State(app): State<Shared>,
+    caller: Caller,
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<EnvironmentList>, Problem> {
     let page = query.page()?;
     if let Some(before) = page.before()
-        && app.store.environment(&before.into()).await?.is_none()
+        && app.store.environment(&caller.tenant, &before.into()).await?.is_none()
     {
         return Err(unknown_cursor(before));
     }
-    let items = app.store.environments(&page.of_store()).await?.into_iter().map(view).collect();
+    let items =
+        app.store.environments(&caller.tenant, &page.of_store()).await?.into_iter().map(view).collect();
     Ok(Json(EnvironmentList {
         builtin: BUILTIN.iter().map(|&name| name.to_owned()).collect(),
         uploaded: page.list(items, |e: &EnvironmentView| e.id.as_str()),
@@ -119,9 +123,10 @@ async fn list_environments(
 )]
 async fn get_environment(
     State(app): State<Shared>,
+    caller: Caller,
     UrlPath(id): UrlPath<EnvironmentId>,
 ) -> Result<Json<EnvironmentView>, Problem> {
-    let record = app.store.environment(&id).await?;
+    let record = app.store.environment(&caller.tenant, &id).await?;
     Ok(Json(view(record.ok_or_else(|| Problem::not_found("environment", id.as_str()))?)))
 }
 

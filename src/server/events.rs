@@ -15,8 +15,9 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{JobId, Problem};
+use crate::api::{JobId, Problem, TenantId};
 use crate::server::app::Shared;
+use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::store::{EventRecord, StoreError};
 
@@ -53,11 +54,12 @@ struct EventQuery {
 )]
 async fn job_events(
     State(app): State<Shared>,
+    caller: Caller,
     UrlPath(id): UrlPath<JobId>,
     QueryString(query): QueryString<EventQuery>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
-    if app.store.job(&id).await?.is_none() {
+    if app.store.job(&caller.tenant, &id).await?.is_none() {
         return Err(Problem::not_found("job", id.as_str()));
     }
     let after = match headers.get("last-event-id") {
@@ -67,7 +69,7 @@ async fn job_events(
         })?,
     };
     let changes = app.jobs.subscribe();
-    let listener = Listener { app, id, after, changes, waiting: VecDeque::new() };
+    let listener = Listener { app, tenant: caller.tenant, id, after, changes, waiting: VecDeque::new() };
     let stream = futures::stream::unfold(listener, |mut listener| async move {
         let event = listener.next().await?;
         Some((Ok(event), listener))
@@ -78,6 +80,7 @@ async fn job_events(
 /// Follows one job. Events come from the database; the channel only says when to query it.
 struct Listener {
     app: Shared,
+    tenant: TenantId,
     id: JobId,
     after: i64,
     changes: watch::Receiver<()>,
@@ -107,8 +110,8 @@ impl Listener {
     async fn fetch(&mut self) -> Result<bool, StoreError> {
         self.changes.mark_unchanged();
         // The state first: a job that is terminal now has written its last event already.
-        let job = self.app.store.job(&self.id).await?;
-        self.waiting = self.app.jobs.events_after(&self.id, self.after).await?.into();
+        let job = self.app.store.job(&self.tenant, &self.id).await?;
+        self.waiting = self.app.jobs.events_after(&self.tenant, &self.id, self.after).await?.into();
         if !self.waiting.is_empty() {
             return Ok(true);
         }

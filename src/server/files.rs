@@ -13,6 +13,7 @@ use utoipa_axum::routes;
 
 use crate::api::{ModelId, Problem};
 use crate::server::app::Shared;
+use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::UrlPath;
 use crate::store::ModelFile;
@@ -39,10 +40,11 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 )]
 async fn get_file(
     State(app): State<Shared>,
+    caller: Caller,
     UrlPath((id, name)): UrlPath<(ModelId, String)>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let file = app.store.model_file(&id, &name).await?;
+    let file = app.store.model_file(&caller.tenant, &id, &name).await?;
     let file = file.ok_or_else(|| Problem::not_found("file", &format!("{id}/{name}")))?;
     let size = u64::try_from(file.bytes).map_err(Problem::internal)?;
     let etag = etag(&file.sha256);

@@ -11,9 +11,10 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::api::jobs::{JobChange, JobDevice, JobError, JobState, JobView, NewJob};
-use crate::api::{EnvironmentId, JobId, List, Problem};
+use crate::api::{EnvironmentId, JobId, List, Problem, TenantId};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
+use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::job_bounds;
 use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
@@ -63,6 +64,7 @@ struct JobQuery {
 )]
 async fn create_job(
     State(app): State<Shared>,
+    caller: Caller,
     headers: HeaderMap,
     JsonBody(job): JsonBody<NewJob>,
 ) -> Result<Response, Problem> {
@@ -72,14 +74,14 @@ async fn create_job(
         return Err(Problem::invalid_field("/device", "this server has no GPU"));
     }
     job_bounds::check(&config, job.device != JobDevice::Cpu && app.device.has_gpu())?;
-    if app.store.capture(&job.capture).await?.is_none() {
+    if app.store.capture(&caller.tenant, &job.capture).await?.is_none() {
         return Err(Problem::invalid_field("/capture", format!("{:?} does not exist", job.capture.as_str())));
     }
     if let Some(light) = &config.light {
-        check_light(&app, light).await?;
+        check_light(&app, &caller.tenant, light).await?;
     }
     let key = idempotency_key(&headers, &job)?;
-    submit(&app, job, i64::from(config.iterations), None, key.as_ref()).await
+    submit(&app, &caller.tenant, job, i64::from(config.iterations), None, key.as_ref()).await
 }
 
 /// List jobs
@@ -89,16 +91,17 @@ async fn create_job(
 )]
 async fn list_jobs(
     State(app): State<Shared>,
+    caller: Caller,
     QueryString(query): QueryString<JobQuery>,
 ) -> Result<Json<List<JobView>>, Problem> {
     let page = PageQuery { limit: query.limit, before: query.before }.page()?;
     if let Some(before) = page.before()
-        && app.store.job(&before.into()).await?.is_none()
+        && app.store.job(&caller.tenant, &before.into()).await?.is_none()
     {
         return Err(unknown_cursor(before));
     }
     let mut items = Vec::new();
-    for job in app.jobs.list(query.state, &page.of_store()).await? {
+    for job in app.jobs.list(&caller.tenant, query.state, &page.of_store()).await? {
         let position = match job.state {
             JobState::Queued => app.store.queue_position(&job.id).await?,
             _ => None,
@@ -113,8 +116,12 @@ async fn list_jobs(
     get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
     responses((status = 200, body = JobView), (status = 404, body = Problem))
 )]
-async fn get_job(State(app): State<Shared>, UrlPath(id): UrlPath<JobId>) -> Result<Json<JobView>, Problem> {
-    current(&app, &id).await.map(Json)
+async fn get_job(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<JobId>,
+) -> Result<Json<JobView>, Problem> {
+    current(&app, &caller.tenant, &id).await.map(Json)
 }
 
 /// Change the priority of a waiting job
@@ -127,12 +134,13 @@ async fn get_job(State(app): State<Shared>, UrlPath(id): UrlPath<JobId>) -> Resu
 )]
 async fn change_job(
     State(app): State<Shared>,
+    caller: Caller,
     UrlPath(id): UrlPath<JobId>,
     JsonBody(change): JsonBody<JobChange>,
 ) -> Result<Json<JobView>, Problem> {
     check_priority(change.priority)?;
-    let changed = app.jobs.set_priority(&id, change.priority).await?;
-    let job = current(&app, &id).await?;
+    let changed = app.jobs.set_priority(&caller.tenant, &id, change.priority).await?;
+    let job = current(&app, &caller.tenant, &id).await?;
     if !changed {
         let detail = format!("the job is {}; only a queued one has a place in the queue", job.state.name());
         return Err(Problem::conflict("job-not-queued", detail));
@@ -153,9 +161,10 @@ async fn change_job(
 )]
 async fn cancel_job(
     State(app): State<Shared>,
+    caller: Caller,
     UrlPath(id): UrlPath<JobId>,
 ) -> Result<Json<JobView>, Problem> {
-    match app.jobs.cancel(&id).await? {
+    match app.jobs.cancel(&caller.tenant, &id).await? {
         CancelOutcome::Accepted(job) => Ok(Json(view(job, None))),
         CancelOutcome::AlreadyFinished(job) => {
             let detail = format!("the job has {}; terminal states never change", job.state.name());
@@ -175,17 +184,23 @@ async fn cancel_job(
         (status = 409, body = Problem, description = "It neither failed nor was cancelled")
     )
 )]
-async fn retry_job(State(app): State<Shared>, UrlPath(id): UrlPath<JobId>) -> Result<Response, Problem> {
-    let job = app.store.job(&id).await?.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
+async fn retry_job(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<JobId>,
+) -> Result<Response, Problem> {
+    let job =
+        app.store.job(&caller.tenant, &id).await?.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
     if !matches!(job.state, JobState::Failed | JobState::Cancelled) {
         let detail = format!("the job is {}; only a failed or cancelled one runs again", job.state.name());
         return Err(Problem::conflict("job-not-retryable", detail));
     }
-    submit(&app, job.request, job.progress.total, Some(job.id), None).await
+    submit(&app, &caller.tenant, job.request, job.progress.total, Some(job.id), None).await
 }
 
 async fn submit(
     app: &Shared,
+    tenant: &TenantId,
     request: NewJob,
     total: i64,
     retry_of: Option<JobId>,
@@ -193,7 +208,7 @@ async fn submit(
 ) -> Result<Response, Problem> {
     let answer =
         |job: &JobRecord, position| serde_json::to_string(&view(job.clone(), position)).unwrap_or_default();
-    let submitted = app.jobs.submit(request, total, retry_of, key, answer).await?;
+    let submitted = app.jobs.submit(tenant, request, total, retry_of, key, answer).await?;
     let (text, replayed) = match submitted {
         Submitted::Created(text) => (text, false),
         Submitted::Replayed(text) => (text, true),
@@ -206,8 +221,8 @@ async fn submit(
     Ok(response)
 }
 
-async fn current(app: &Shared, id: &JobId) -> Result<JobView, Problem> {
-    let found = app.jobs.get(id).await?;
+async fn current(app: &Shared, tenant: &TenantId, id: &JobId) -> Result<JobView, Problem> {
+    let found = app.jobs.get(tenant, id).await?;
     let (job, position) = found.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
     Ok(view(job, position))
 }
@@ -225,9 +240,9 @@ fn idempotency_key(headers: &HeaderMap, job: &NewJob) -> Result<Option<Idempoten
 }
 
 /// A known light must be one that the worker will find.
-async fn check_light(app: &Shared, light: &KnownLight) -> Result<(), Problem> {
+async fn check_light(app: &Shared, tenant: &TenantId, light: &KnownLight) -> Result<(), Problem> {
     let name = light.environment.as_str();
-    if BUILTIN.contains(&name) || app.store.environment(&EnvironmentId::from(name)).await?.is_some() {
+    if BUILTIN.contains(&name) || app.store.environment(tenant, &EnvironmentId::from(name)).await?.is_some() {
         return Ok(());
     }
     let detail = format!("{name:?} is no uploaded environment and none of {}", BUILTIN.join(", "));

@@ -7,7 +7,7 @@ use base64::engine::general_purpose::STANDARD;
 use sha2::{Digest, Sha256};
 
 use crate::api::renders::EnvironmentSpec;
-use crate::api::{EnvironmentId, Problem};
+use crate::api::{EnvironmentId, Problem, TenantId};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
 use crate::server::environments;
@@ -15,12 +15,16 @@ use crate::store::hex;
 use crate::worker::LightSource;
 
 /// The light of a render request; a stored map is not read yet.
-pub(super) async fn light(app: &Shared, spec: &EnvironmentSpec) -> Result<LightSource, Problem> {
+pub(super) async fn light(
+    app: &Shared,
+    tenant: &TenantId,
+    spec: &EnvironmentSpec,
+) -> Result<LightSource, Problem> {
     check_exposure(spec)?;
     match (&spec.id, &spec.builtin, &spec.inline_base64) {
         (None, None, None) => Ok(LightSource::Recovered),
         (Some(id), None, None) => {
-            let found = stored_light(app, id).await?;
+            let found = stored_light(app, tenant, id).await?;
             let missing = || format!("{:?} does not exist", id.as_str());
             found.ok_or_else(|| Problem::invalid_field("/environment/id", missing()))
         }
@@ -33,9 +37,13 @@ pub(super) async fn light(app: &Shared, spec: &EnvironmentSpec) -> Result<LightS
     }
 }
 
-/// An uploaded map.
-pub(super) async fn stored_light(app: &Shared, id: &EnvironmentId) -> Result<Option<LightSource>, Problem> {
-    let Some(record) = app.store.environment(id).await? else { return Ok(None) };
+/// An uploaded map of a tenant.
+pub(super) async fn stored_light(
+    app: &Shared,
+    tenant: &TenantId,
+    id: &EnvironmentId,
+) -> Result<Option<LightSource>, Problem> {
+    let Some(record) = app.store.environment(tenant, id).await? else { return Ok(None) };
     app.store.artifacts().verify(&record.artifact, &record.sha256).await?;
     let path = app.store.artifacts().local_path(&record.artifact);
     Ok(Some(LightSource::Stored { path, sha256: record.sha256 }))

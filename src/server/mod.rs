@@ -3,8 +3,10 @@
 // A refusal is made at most once a request; the cost of moving it does not matter.
 #![allow(clippy::result_large_err)]
 
+mod access;
 mod app;
 mod auth;
+mod caller;
 mod captures;
 mod connections;
 mod decoders;
@@ -16,6 +18,8 @@ mod files;
 mod health;
 mod job_bounds;
 mod jobs;
+mod keyring;
+mod keys;
 mod lights;
 mod listing;
 mod memory;

@@ -6,8 +6,9 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::api::models::{FileView, ModelSummary, ModelView};
-use crate::api::{List, ModelId, Problem};
+use crate::api::{List, ModelId, Problem, TenantId};
 use crate::server::app::Shared;
+use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::store::{ModelFile, ModelRecord};
@@ -28,15 +29,16 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 )]
 async fn list_models(
     State(app): State<Shared>,
+    caller: Caller,
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<ModelSummary>>, Problem> {
     let page = query.page()?;
     if let Some(before) = page.before()
-        && app.store.model(&before.into()).await?.is_none()
+        && app.store.model(&caller.tenant, &before.into()).await?.is_none()
     {
         return Err(unknown_cursor(before));
     }
-    let items = app.store.models(&page.of_store()).await?.into_iter().map(summary).collect();
+    let items = app.store.models(&caller.tenant, &page.of_store()).await?.into_iter().map(summary).collect();
     Ok(Json(page.list(items, |m: &ModelSummary| m.id.as_str())))
 }
 
@@ -47,10 +49,11 @@ async fn list_models(
 )]
 async fn get_model(
     State(app): State<Shared>,
+    caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
 ) -> Result<Json<ModelView>, Problem> {
-    let model = find(&app, &id).await?;
-    let files = app.store.model_files(&id).await?;
+    let model = find(&app, &caller.tenant, &id).await?;
+    let files = app.store.model_files(&caller.tenant, &id).await?;
     let files = files.into_iter().map(|file| file_view(&id, file)).collect();
     let card = model.card.clone();
     Ok(Json(ModelView { summary: summary(model), files, card }))
@@ -63,18 +66,23 @@ async fn get_model(
 )]
 async fn get_card(
     State(app): State<Shared>,
+    caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
 ) -> Result<Json<serde_json::Value>, Problem> {
-    Ok(Json(find(&app, &id).await?.card))
+    Ok(Json(find(&app, &caller.tenant, &id).await?.card))
 }
 
-async fn find(app: &Shared, id: &ModelId) -> Result<ModelRecord, Problem> {
-    app.store.model(id).await?.ok_or_else(|| Problem::not_found("model", id.as_str()))
+async fn find(app: &Shared, tenant: &TenantId, id: &ModelId) -> Result<ModelRecord, Problem> {
+    app.store.model(tenant, id).await?.ok_or_else(|| Problem::not_found("model", id.as_str()))
 }
 
 /// The model as the device thread takes it, and its content hash.
-pub(super) async fn source(app: &Shared, id: &ModelId) -> Result<(ModelSource, String), Problem> {
-    let file = app.store.model_file(id, MODEL_FILE).await?;
+pub(super) async fn source(
+    app: &Shared,
+    tenant: &TenantId,
+    id: &ModelId,
+) -> Result<(ModelSource, String), Problem> {
+    let file = app.store.model_file(tenant, id, MODEL_FILE).await?;
     let file = file.ok_or_else(|| Problem::not_found("model", id.as_str()))?;
     app.store.artifacts().verify(&file.artifact, &file.sha256).await?;
     let path = app.store.artifacts().local_path(&file.artifact);

@@ -31,7 +31,9 @@ pub(super) async fn observe(request: Request, next: Next) -> Response {
     let method = request.method().clone();
     let path = request.extensions().get::<MatchedPath>();
     let route = path.map_or("unmatched", MatchedPath::as_str).to_owned();
-    let span = tracing::info_span!("request", id, %method, route);
+    // Who calls is found out further in.
+    let (key, tenant) = (tracing::field::Empty, tracing::field::Empty);
+    let span = tracing::info_span!("request", id, %method, route, key, tenant);
     let started = Instant::now();
     let id_header = HeaderValue::from_str(&id).ok();
     let mut response = CURRENT.scope(id, next.run(request).instrument(span.clone())).await;

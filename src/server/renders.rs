@@ -10,6 +10,7 @@ use crate::api::renders::RenderRequest;
 use crate::api::{ModelId, Problem};
 use crate::render::{EncodedFrame, FrameFormat, Output, Viewpoint, encode_frame, is_colour};
 use crate::server::app::Shared;
+use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{LargeJson, UrlPath};
 use crate::server::lights::light;
@@ -43,6 +44,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 )]
 async fn render(
     State(app): State<Shared>,
+    caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
     headers: HeaderMap,
     LargeJson(request, _body): LargeJson<RenderRequest, BODY_LIMIT>,
@@ -51,8 +53,8 @@ async fn render(
     check_outputs(&request.outputs, format)?;
     let camera = camera(&request)?;
     let quality = quality(&request)?;
-    let (model, _) = models::source(&app, &id).await?;
-    let light = light(&app, &request.environment).await?;
+    let (model, _) = models::source(&app, &caller.tenant, &id).await?;
+    let light = light(&app, &caller.tenant, &request.environment).await?;
     let task = RenderTask {
         model,
         light,

@@ -9,7 +9,7 @@ use crate::api::Problem;
 use crate::server::app::Shared;
 use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLOADS, bounded};
 use crate::server::{
-    captures, description, environments, events, files, health, jobs, models, renders, thumbnails,
+    captures, description, environments, events, files, health, jobs, keys, models, renders, thumbnails,
 };
 
 fn families() -> OpenApiRouter<Shared> {
@@ -18,6 +18,7 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(environments::routes())
         .merge(jobs::routes())
         .merge(events::routes())
+        .merge(keys::routes())
         .merge(models::routes())
         .merge(files::routes());
     OpenApiRouter::with_openapi(description::preamble())

@@ -12,15 +12,16 @@ use tokio_util::sync::CancellationToken;
 use crate::engine::DeviceError;
 use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
 use crate::server::app::{App, RequestLimits};
-use crate::server::auth::ApiKeys;
+use crate::server::auth::{ApiKeys, may_listen};
 use crate::server::connections::{self, ConnectionLimits};
 use crate::server::decoders::Decoders;
+use crate::server::keyring::Keyring;
 use crate::server::memory::MemoryBudget;
 use crate::server::observe;
 use crate::server::origins::CorsOrigin;
 use crate::server::router::{openapi, router};
 use crate::server::stack::StackConfig;
-use crate::store::{NodeLock, Store, StoreError};
+use crate::store::{NodeLock, Store, StoreError, has_keys};
 use crate::worker::{self, StartError, WorkerOptions};
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
@@ -33,7 +34,7 @@ const DRAIN: Duration = Duration::from_secs(20);
 pub struct ServerConfig {
     /// Where everything is stored. One server for each directory.
     pub data_dir: PathBuf,
-    /// Accepted keys; without any, everyone is accepted, on loopback only.
+    /// Accepted keys beside those in the database; without any at all, everyone is accepted, on loopback only.
     pub api_keys: ApiKeys,
     /// Origins whose web pages may call the API.
     pub cors_origins: Vec<CorsOrigin>,
@@ -76,12 +77,12 @@ impl ServerConfig {
 pub enum ServeError {
     /// Without a key it would be open to the network.
     #[error(
-        "refusing to listen on {0} without an API key; set --api-key or RELUME_API_KEYS, or bind 127.0.0.1"
+        "refusing to listen on {0} without an API key; make one with `relume keys create`, set --api-key-file or RELUME_API_KEYS, or bind 127.0.0.1"
     )]
     Exposed(SocketAddr),
     /// Without a key any web page could use it.
     #[error(
-        "refusing the CORS origin * without an API key: any web page could use this server; set --api-key"
+        "refusing the CORS origin * without an API key: any web page could use this server; make a key with `relume keys create`"
     )]
     OpenToPages,
     /// The data directory cannot be used.
@@ -106,10 +107,11 @@ pub async fn run(
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), ServeError> {
     let address = listener.local_addr()?;
-    if !config.api_keys.may_listen(address) {
+    let is_open = config.api_keys.is_empty() && !has_keys(&config.data_dir).await?;
+    if !may_listen(address, !is_open) {
         return Err(ServeError::Exposed(address));
     }
-    if config.api_keys.is_open() && config.cors_origins.contains(&CorsOrigin::Any) {
+    if is_open && config.cors_origins.contains(&CorsOrigin::Any) {
         return Err(ServeError::OpenToPages);
     }
     observe::metrics_handle();
@@ -132,11 +134,11 @@ pub async fn run(
         memory: MemoryBudget::new(config.limits.memory_bytes),
         decoders: Decoders::start(config.limits.memory_bytes)?,
         stop: stop.clone(),
-        is_open: config.api_keys.is_open(),
         description: openapi(),
     };
     let stack = StackConfig {
-        keys: config.api_keys,
+        keys: Arc::new(Keyring::new(config.api_keys, store.clone(), config.clock)),
+        is_open,
         origins: config.cors_origins,
         hosts: config.allowed_hosts.into(),
         body_stall: config.connections.body,

@@ -1,6 +1,7 @@
 //! What stands before every handler, in one place: the order in which a request meets identifiers, headers, origins, keys
 //! and bounds.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::error_handling::HandleErrorLayer;
@@ -15,15 +16,18 @@ use tower_http::timeout::RequestBodyTimeoutLayer;
 use utoipa_axum::router::OpenApiRouter;
 
 use crate::api::Problem;
+use crate::server::access;
 use crate::server::app::Shared;
-use crate::server::auth::{self, ApiKeys};
+use crate::server::keyring::Keyring;
 use crate::server::observe;
 use crate::server::origins::{self, CorsOrigin};
 use crate::server::same_site::{self, TrustedHosts};
 
 /// What a server's stack depends on.
 pub(super) struct StackConfig {
-    pub(super) keys: ApiKeys,
+    pub(super) keys: Arc<Keyring>,
+    /// Whether the server begins without keys. It may get some while it runs; the checks of host and origin stay.
+    pub(super) is_open: bool,
     pub(super) origins: Vec<CorsOrigin>,
     pub(super) hosts: TrustedHosts,
     /// Between two pieces of a request's body.
@@ -63,10 +67,10 @@ where
 
 /// Around all routes. Layers run from the first to the last.
 pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shared> {
-    let StackConfig { keys, origins, hosts, body_stall } = config;
+    let StackConfig { keys, is_open, origins, hosts, body_stall } = config;
     // A key, which no foreign page knows, protects as well as the checks of host and origin.
-    let csrf = keys.is_open().then(|| same_site::csrf(&origins));
-    let host = keys.is_open().then(|| middleware::from_fn_with_state(hosts, same_site::check_host));
+    let csrf = is_open.then(|| same_site::csrf(&origins));
+    let host = is_open.then(|| middleware::from_fn_with_state(hosts, same_site::check_host));
     routes.layer(
         ServiceBuilder::new()
             .layer(middleware::from_fn(observe::observe))
@@ -79,7 +83,7 @@ pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shar
             // Outside authentication: a browser's preflight carries no key.
             .option_layer(origins::cors(&origins))
             .option_layer(csrf)
-            .layer(middleware::from_fn_with_state(keys, auth::authenticate))
+            .layer(middleware::from_fn_with_state(keys, access::check))
             .layer(RequestBodyTimeoutLayer::new(body_stall))
             // Every extractor of bodies brings its own limit.
             .layer(DefaultBodyLimit::disable()),
@@ -108,7 +112,6 @@ mod tests {
     use axum::extract::Request;
     use axum::response::Response;
     use axum::routing::get;
-    use std::sync::Arc;
     use tokio::sync::Notify;
     use tower::ServiceExt;
 

@@ -9,9 +9,10 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{EnvironmentId, ModelId, Problem};
+use crate::api::{EnvironmentId, ModelId, Problem, TenantId};
 use crate::render::{FrameFormat, Orbit, Output, Tier, Viewpoint};
 use crate::server::app::Shared;
+use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
@@ -61,6 +62,7 @@ pub struct ThumbnailQuery {
 )]
 async fn thumbnail(
     State(app): State<Shared>,
+    caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
     QueryString(query): QueryString<ThumbnailQuery>,
     headers: HeaderMap,
@@ -68,8 +70,8 @@ async fn thumbnail(
     let orbit = orbit(&query)?;
     let format = format(&query)?;
     let tier = tier(&query)?;
-    let (model, model_hash) = models::source(&app, &id).await?;
-    let light = light(&app, query.env.as_deref().unwrap_or("recovered")).await?;
+    let (model, model_hash) = models::source(&app, &caller.tenant, &id).await?;
+    let light = light(&app, &caller.tenant, query.env.as_deref().unwrap_or("recovered")).await?;
     let tag = etag(&identity(&model_hash, &light, &orbit, tier, format));
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
@@ -88,7 +90,7 @@ async fn thumbnail(
     };
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
-    let scope = if app.is_open { "public, max-age=3600" } else { "private, max-age=3600" };
+    let scope = if caller.has_key { "private, max-age=3600" } else { "public, max-age=3600" };
     out.insert(header::CACHE_CONTROL, HeaderValue::from_static(scope));
     Ok(response)
 }
@@ -125,11 +127,11 @@ fn format(query: &ThumbnailQuery) -> Result<FrameFormat, Problem> {
     }
 }
 
-async fn light(app: &Shared, name: &str) -> Result<LightSource, Problem> {
+async fn light(app: &Shared, tenant: &TenantId, name: &str) -> Result<LightSource, Problem> {
     if let Some(light) = builtin_light(name) {
         return Ok(light);
     }
-    let stored = stored_light(app, &EnvironmentId::from(name)).await?;
+    let stored = stored_light(app, tenant, &EnvironmentId::from(name)).await?;
     stored.ok_or_else(|| Problem::invalid_field("query/env", format!("{name:?} does not exist")))
 }
 

@@ -36,6 +36,15 @@ impl Database {
         Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
     }
 
+    /// Number of the schema of the `root/relume.db` that is there.
+    pub(super) async fn schema_of(root: &Path) -> Result<i64, StoreError> {
+        let pool = Self::open_to_look(root).await?;
+        let query = sqlx::query_scalar("SELECT MAX(version) FROM _sqlx_migrations");
+        let found = query.fetch_one(&pool).await;
+        pool.close().await;
+        Ok(found?)
+    }
+
     async fn connect(options: SqliteConnectOptions) -> Result<Self, StoreError> {
         let writer = lasting_pool(1)
             .after_release(|connection, _| {
@@ -113,7 +122,7 @@ mod tests {
     async fn insert(database: &Database, key: &str, bytes: usize) -> Result<(), StoreError> {
         let mut tx = database.write().await?;
         sqlx::query(
-            "INSERT INTO idempotency (key, fingerprint, response, created_ms) VALUES (?1, '', ?2, 0)",
+            "INSERT INTO idempotency (tenant, key, fingerprint, response, created_ms) VALUES ('', ?1, '', ?2, 0)",
         )
         .bind(key)
         .bind("x".repeat(bytes))

@@ -2,20 +2,24 @@
 
 use sqlx::types::Json;
 
-use crate::api::EnvironmentId;
+use crate::api::{EnvironmentId, TenantId};
 use crate::store::{EnvironmentRecord, Page, Store, StoreError};
 
 impl Store {
-    /// Records an environment, or returns the one of the same content that was there first.
+    /// Records an environment, or returns the one of the same tenant and content that was there first.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn insert_environment(&self, env: &EnvironmentRecord) -> Result<EnvironmentRecord, StoreError> {
+    pub async fn insert_environment(
+        &self,
+        tenant: &TenantId,
+        env: &EnvironmentRecord,
+    ) -> Result<EnvironmentRecord, StoreError> {
         let mut tx = self.write().await?;
         sqlx::query(
             "INSERT INTO environments
-                 (id, sha256, name, bytes, artifact, width, height, warnings, created_ms)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT (sha256) DO NOTHING",
+                 (id, sha256, name, bytes, artifact, width, height, warnings, created_ms, tenant)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10) ON CONFLICT (tenant, sha256) DO NOTHING",
         )
         .bind(&env.id)
         .bind(&env.sha256)
@@ -26,44 +30,62 @@ impl Store {
         .bind(env.height)
         .bind(Json(&env.warnings))
         .bind(env.created_ms)
+        .bind(tenant)
         .execute(&mut *tx)
         .await?;
-        let stored = sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1")
+        let stored = sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1 AND tenant = ?2")
             .bind(&env.sha256)
+            .bind(tenant)
             .fetch_one(&mut *tx)
             .await?;
         tx.commit().await?;
         Ok(stored)
     }
 
-    /// An environment by identifier.
+    /// An environment of a tenant by identifier.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn environment(&self, id: &EnvironmentId) -> Result<Option<EnvironmentRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM environments WHERE id = ?1").bind(id);
+    pub async fn environment(
+        &self,
+        tenant: &TenantId,
+        id: &EnvironmentId,
+    ) -> Result<Option<EnvironmentRecord>, StoreError> {
+        let query =
+            sqlx::query_as("SELECT * FROM environments WHERE id = ?1 AND tenant = ?2").bind(id).bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// An environment by content.
+    /// An environment of a tenant by content.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn environment_by_hash(&self, sha256: &str) -> Result<Option<EnvironmentRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1").bind(sha256);
+    pub async fn environment_by_hash(
+        &self,
+        tenant: &TenantId,
+        sha256: &str,
+    ) -> Result<Option<EnvironmentRecord>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1 AND tenant = ?2")
+            .bind(sha256)
+            .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Environments, newest first.
+    /// Environments of a tenant, newest first.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn environments(&self, page: &Page) -> Result<Vec<EnvironmentRecord>, StoreError> {
+    pub async fn environments(
+        &self,
+        tenant: &TenantId,
+        page: &Page,
+    ) -> Result<Vec<EnvironmentRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM environments
-             WHERE ?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM environments WHERE id = ?1)
+             WHERE tenant = ?3
+               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM environments WHERE id = ?1))
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );
-        Ok(query.bind(&page.before).bind(page.limit).fetch_all(self.pool()).await?)
+        Ok(query.bind(&page.before).bind(page.limit).bind(tenant).fetch_all(self.pool()).await?)
     }
 }

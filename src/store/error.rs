@@ -51,6 +51,16 @@ pub enum StoreError {
         /// The newest schema that this version knows.
         known: i64,
     },
+    /// A server of an older version runs on the database.
+    #[error(
+        "the server that runs here is of an older version (schema {found}; this version knows {known}): use its own relume, or stop it first"
+    )]
+    OlderServer {
+        /// The schema of its database.
+        found: i64,
+        /// The newest schema that this version knows.
+        known: i64,
+    },
     /// The database file is not what SQLite wrote.
     #[error("the database relume.db is damaged ({0}): restore a backup")]
     DatabaseDamaged(String),

@@ -3,18 +3,26 @@
 use serde_json::Value;
 use sqlx::{Sqlite, Transaction};
 
-use crate::api::JobId;
+use crate::api::{JobId, TenantId};
 use crate::store::{EventRecord, Store, StoreError};
 
 impl Store {
-    /// Events of a job with a number above `after`, oldest first, 1,000 at most.
+    /// Events of a job of a tenant with a number above `after`, oldest first, 1,000 at most.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn events_after(&self, job: &JobId, after: i64) -> Result<Vec<EventRecord>, StoreError> {
-        let query =
-            sqlx::query_as("SELECT * FROM events WHERE job_id = ?1 AND seq > ?2 ORDER BY seq LIMIT 1000");
-        Ok(query.bind(job).bind(after).fetch_all(self.pool()).await?)
+    pub async fn events_after(
+        &self,
+        tenant: &TenantId,
+        job: &JobId,
+        after: i64,
+    ) -> Result<Vec<EventRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT * FROM events WHERE job_id = ?1 AND seq > ?2
+               AND job_id IN (SELECT id FROM jobs WHERE id = ?1 AND tenant = ?3)
+             ORDER BY seq LIMIT 1000",
+        );
+        Ok(query.bind(job).bind(after).bind(tenant).fetch_all(self.pool()).await?)
     }
 }
 

@@ -3,6 +3,7 @@
 
 use sqlx::{Sqlite, Transaction};
 
+use crate::api::TenantId;
 use crate::store::StoreError;
 
 /// How long a key is remembered.
@@ -17,9 +18,10 @@ pub struct IdempotencyKey {
     pub fingerprint: String,
 }
 
-/// The answer that `key` was given before.
+/// The answer that `key` of a tenant was given before.
 pub(super) async fn replay(
     tx: &mut Transaction<'_, Sqlite>,
+    tenant: &TenantId,
     key: &IdempotencyKey,
     now_ms: i64,
 ) -> Result<Option<String>, StoreError> {
@@ -28,8 +30,9 @@ pub(super) async fn replay(
         .execute(&mut **tx)
         .await?;
     let known: Option<(String, String)> =
-        sqlx::query_as("SELECT fingerprint, response FROM idempotency WHERE key = ?1")
+        sqlx::query_as("SELECT fingerprint, response FROM idempotency WHERE key = ?1 AND tenant = ?2")
             .bind(&key.key)
+            .bind(tenant)
             .fetch_optional(&mut **tx)
             .await?;
     match known {
@@ -42,15 +45,20 @@ pub(super) async fn replay(
 /// Remembers the answer to `key`.
 pub(super) async fn remember(
     tx: &mut Transaction<'_, Sqlite>,
+    tenant: &TenantId,
     key: &IdempotencyKey,
     response: &str,
     now_ms: i64,
 ) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO idempotency (key, fingerprint, response, created_ms) VALUES (?1, ?2, ?3, ?4)")
+    let query = sqlx::query(
+        "INSERT INTO idempotency (key, fingerprint, response, created_ms, tenant) VALUES (?1, ?2, ?3, ?4, ?5)",
+    );
+    query
         .bind(&key.key)
         .bind(&key.fingerprint)
         .bind(response)
         .bind(now_ms)
+        .bind(tenant)
         .execute(&mut **tx)
         .await?;
     Ok(())

@@ -4,8 +4,8 @@ use serde_json::json;
 use sqlx::types::Json;
 use sqlx::{Sqlite, Transaction};
 
-use crate::api::JobId;
 use crate::api::jobs::JobState;
+use crate::api::{JobId, TenantId};
 use crate::store::idempotency::{remember, replay};
 use crate::store::{IdempotencyKey, JobRecord, Page, Store, StoreError, events};
 
@@ -45,7 +45,7 @@ impl Store {
         self.admit().await?;
         let (mut tx, now_ms) = (self.write().await?, job.created_ms);
         if let Some(key) = key
-            && let Some(response) = replay(&mut tx, key, now_ms).await?
+            && let Some(response) = replay(&mut tx, &job.tenant, key, now_ms).await?
         {
             tx.commit().await?;
             return Ok(Submitted::Replayed(response));
@@ -55,36 +55,42 @@ impl Store {
         let position = sqlx::query_scalar(POSITION).bind(&job.id).fetch_optional(&mut *tx).await?;
         let response = answer(job, position);
         if let Some(key) = key {
-            remember(&mut tx, key, &response, now_ms).await?;
+            remember(&mut tx, &job.tenant, key, &response, now_ms).await?;
         }
         tx.commit().await?;
         Ok(Submitted::Created(response))
     }
 
-    /// A job by identifier.
+    /// A job of a tenant by identifier.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn job(&self, id: &JobId) -> Result<Option<JobRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM jobs WHERE id = ?1").bind(id);
+    pub async fn job(&self, tenant: &TenantId, id: &JobId) -> Result<Option<JobRecord>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM jobs WHERE id = ?1 AND tenant = ?2").bind(id).bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Jobs, newest first, of one state or of all.
+    /// Jobs of a tenant, newest first, of one state or of all.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn jobs(&self, state: Option<JobState>, page: &Page) -> Result<Vec<JobRecord>, StoreError> {
+    pub async fn jobs(
+        &self,
+        tenant: &TenantId,
+        state: Option<JobState>,
+        page: &Page,
+    ) -> Result<Vec<JobRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM jobs
-             WHERE (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM jobs WHERE id = ?1))
+             WHERE tenant = ?4
+               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM jobs WHERE id = ?1))
                AND (?2 IS NULL OR state = ?2)
              ORDER BY created_ms DESC, id DESC LIMIT ?3",
         );
-        Ok(query.bind(&page.before).bind(state).bind(page.limit).fetch_all(self.pool()).await?)
+        Ok(query.bind(&page.before).bind(state).bind(page.limit).bind(tenant).fetch_all(self.pool()).await?)
     }
 
-    /// How many queued jobs run before this one; `None` when it is not queued.
+    /// How many queued jobs, of whichever tenant, run before this one; `None` when it is not queued.
     ///
     /// # Errors
     /// When the database fails.
@@ -92,7 +98,7 @@ impl Store {
         Ok(sqlx::query_scalar(POSITION).bind(id).fetch_optional(self.pool()).await?)
     }
 
-    /// Number of jobs in each state that has any.
+    /// Number of jobs of all tenants in each state that has any.
     ///
     /// # Errors
     /// When the database fails.
@@ -105,17 +111,23 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn cancel_job(&self, id: &JobId, now_ms: i64) -> Result<CancelOutcome, StoreError> {
+    pub async fn cancel_job(
+        &self,
+        tenant: &TenantId,
+        id: &JobId,
+        now_ms: i64,
+    ) -> Result<CancelOutcome, StoreError> {
         let mut tx = self.write().await?;
         let changed: Option<JobRecord> = sqlx::query_as(
             "UPDATE jobs SET
                  state = CASE state WHEN 'queued' THEN 'cancelled' ELSE 'cancelling' END,
                  finished_ms = CASE state WHEN 'queued' THEN ?2 END,
                  eta_seconds = NULL
-             WHERE id = ?1 AND state IN ('queued', 'running') RETURNING *",
+             WHERE id = ?1 AND tenant = ?3 AND state IN ('queued', 'running') RETURNING *",
         )
         .bind(id)
         .bind(now_ms)
+        .bind(tenant)
         .fetch_optional(&mut *tx)
         .await?;
         if let Some(job) = changed {
@@ -124,7 +136,7 @@ impl Store {
             return Ok(CancelOutcome::Accepted(job));
         }
         drop(tx);
-        Ok(match self.job(id).await? {
+        Ok(match self.job(tenant, id).await? {
             None => CancelOutcome::NotFound,
             Some(job) if matches!(job.state, JobState::Succeeded | JobState::Failed) => {
                 CancelOutcome::AlreadyFinished(job)
@@ -137,10 +149,16 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn set_priority(&self, id: &JobId, priority: i64) -> Result<bool, StoreError> {
+    pub async fn set_priority(
+        &self,
+        tenant: &TenantId,
+        id: &JobId,
+        priority: i64,
+    ) -> Result<bool, StoreError> {
         let mut tx = self.write().await?;
-        let query = sqlx::query("UPDATE jobs SET priority = ?2 WHERE id = ?1 AND state = 'queued'");
-        let done = query.bind(id).bind(priority).execute(&mut *tx).await?;
+        let query =
+            sqlx::query("UPDATE jobs SET priority = ?2 WHERE id = ?1 AND tenant = ?3 AND state = 'queued'");
+        let done = query.bind(id).bind(priority).bind(tenant).execute(&mut *tx).await?;
         tx.commit().await?;
         Ok(done.rows_affected() == 1)
     }
@@ -153,8 +171,8 @@ const POSITION: &str = "SELECT (SELECT COUNT(*) FROM jobs AS other WHERE other.s
 async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &JobRecord) -> Result<(), StoreError> {
     let query = sqlx::query(
         "INSERT INTO jobs
-             (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
+             (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms, tenant)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
     );
     query
         .bind(&job.id)
@@ -167,6 +185,7 @@ async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &JobRecord) -> Result<(),
         .bind(job.progress.total)
         .bind(job.state)
         .bind(job.created_ms)
+        .bind(&job.tenant)
         .execute(&mut **tx)
         .await?;
     Ok(())

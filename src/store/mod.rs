@@ -13,6 +13,8 @@ mod hash;
 mod idempotency;
 mod inspection;
 mod jobs;
+mod key_token;
+mod keys;
 mod leases;
 mod models;
 mod node_lock;
@@ -34,9 +36,13 @@ pub use hash::hex;
 pub use idempotency::IdempotencyKey;
 pub use inspection::{Inspection, inspect};
 pub use jobs::{CancelOutcome, Submitted};
+pub use key_token::KeyToken;
+pub use keys::{NewKeyRecord, has_keys};
 pub use leases::{LeaseStatus, Release};
 pub use node_lock::NodeLock;
-pub use records::{CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, ModelFile, ModelRecord, Page};
+pub use records::{
+    CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, KeyRecord, ModelFile, ModelRecord, Page,
+};
 pub use room::Room;
 pub use sweep::Swept;
 
@@ -62,6 +68,19 @@ impl Store {
         }
         let database = Database::open(root).await?;
         Ok(Self { database, artifacts: Artifacts::open(root)?, room: Room::new(root), root: root.to_owned() })
+    }
+
+    /// Opens the data directory of a server that runs. Nothing is migrated beneath it.
+    ///
+    /// # Errors
+    /// As [`Store::open`]; [`StoreError::OlderServer`] when the server would not understand this version's schema.
+    pub async fn join(root: &Path) -> Result<Self, StoreError> {
+        match Database::schema_of(root).await? {
+            found if found < database::schema() => {
+                Err(StoreError::OlderServer { found, known: database::schema() })
+            }
+            _ => Self::open(root).await,
+        }
     }
 
     /// The artifact side.

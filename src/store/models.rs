@@ -1,46 +1,59 @@
 //! Published models.
 
-use crate::api::ModelId;
+use crate::api::{ModelId, TenantId};
 use crate::store::{ModelFile, ModelRecord, Page, Store, StoreError};
 
 impl Store {
-    /// A model by identifier.
+    /// A model of a tenant by identifier.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn model(&self, id: &ModelId) -> Result<Option<ModelRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM models WHERE id = ?1").bind(id);
+    pub async fn model(&self, tenant: &TenantId, id: &ModelId) -> Result<Option<ModelRecord>, StoreError> {
+        let query =
+            sqlx::query_as("SELECT * FROM models WHERE id = ?1 AND tenant = ?2").bind(id).bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Models, newest first.
+    /// Models of a tenant, newest first.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn models(&self, page: &Page) -> Result<Vec<ModelRecord>, StoreError> {
+    pub async fn models(&self, tenant: &TenantId, page: &Page) -> Result<Vec<ModelRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM models
-             WHERE ?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM models WHERE id = ?1)
+             WHERE tenant = ?3
+               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM models WHERE id = ?1))
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );
-        Ok(query.bind(&page.before).bind(page.limit).fetch_all(self.pool()).await?)
+        Ok(query.bind(&page.before).bind(page.limit).bind(tenant).fetch_all(self.pool()).await?)
     }
 
     /// The files of a model, by name.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn model_files(&self, id: &ModelId) -> Result<Vec<ModelFile>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM model_files WHERE model_id = ?1 ORDER BY name").bind(id);
-        Ok(query.fetch_all(self.pool()).await?)
+    pub async fn model_files(&self, tenant: &TenantId, id: &ModelId) -> Result<Vec<ModelFile>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT model_files.* FROM model_files JOIN models ON models.id = model_id
+             WHERE model_id = ?1 AND tenant = ?2 ORDER BY name",
+        );
+        Ok(query.bind(id).bind(tenant).fetch_all(self.pool()).await?)
     }
 
     /// One file of a model.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn model_file(&self, id: &ModelId, name: &str) -> Result<Option<ModelFile>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM model_files WHERE model_id = ?1 AND name = ?2");
-        Ok(query.bind(id).bind(name).fetch_optional(self.pool()).await?)
+    pub async fn model_file(
+        &self,
+        tenant: &TenantId,
+        id: &ModelId,
+        name: &str,
+    ) -> Result<Option<ModelFile>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT model_files.* FROM model_files JOIN models ON models.id = model_id
+             WHERE model_id = ?1 AND name = ?2 AND tenant = ?3",
+        );
+        Ok(query.bind(id).bind(name).bind(tenant).fetch_optional(self.pool()).await?)
     }
 }

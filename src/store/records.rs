@@ -3,7 +3,8 @@
 use sqlx::FromRow;
 
 use crate::api::jobs::{JobProgress, JobState, NewJob};
-use crate::api::{CaptureId, EnvironmentId, JobId, ModelId};
+use crate::api::keys::Scope;
+use crate::api::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId};
 use crate::capture::CaptureReport;
 
 /// An uploaded, validated archive.
@@ -53,6 +54,8 @@ pub struct EnvironmentRecord {
 pub struct JobRecord {
     /// Identifier.
     pub id: JobId,
+    /// Whose it is.
+    pub tenant: TenantId,
     /// What was asked for.
     #[sqlx(flatten)]
     pub request: NewJob,
@@ -88,10 +91,11 @@ pub struct JobRecord {
 }
 
 impl JobRecord {
-    /// A job of `total` steps that waits for a worker.
-    pub fn queued(id: JobId, request: NewJob, total: i64, created_ms: i64) -> Self {
+    /// A job of `total` steps of a tenant that waits for a worker.
+    pub fn queued(tenant: TenantId, id: JobId, request: NewJob, total: i64, created_ms: i64) -> Self {
         Self {
             id,
+            tenant,
             request,
             retry_of: None,
             state: JobState::Queued,
@@ -157,6 +161,37 @@ pub struct ModelFile {
     pub sha256: String,
     /// Key in the artifact store.
     pub artifact: String,
+}
+
+/// An API key.
+#[derive(Debug, Clone, FromRow)]
+pub struct KeyRecord {
+    /// Identifier.
+    pub id: KeyId,
+    /// A name for people.
+    pub name: String,
+    /// Whose it is.
+    pub tenant: TenantId,
+    /// What it may do.
+    #[sqlx(json)]
+    pub scopes: Vec<Scope>,
+    /// Hash of the key's text, lower-case hex.
+    pub secret_sha256: String,
+    /// When it was made.
+    pub created_ms: i64,
+    /// When it expires.
+    pub expires_ms: Option<i64>,
+    /// When it was used last, to a minute.
+    pub last_used_ms: Option<i64>,
+    /// When it was revoked.
+    pub revoked_ms: Option<i64>,
+}
+
+impl KeyRecord {
+    /// Whether it can be used.
+    pub fn is_valid(&self, now_ms: i64) -> bool {
+        self.revoked_ms.is_none() && self.expires_ms.is_none_or(|end| now_ms < end)
+    }
 }
 
 /// A part of a list, newest first.

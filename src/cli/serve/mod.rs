@@ -8,8 +8,9 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use crate::cli::CommandResult;
 use crate::engine::DeviceChoice;
-use crate::server::{self, ApiKeys, CorsOrigin, ServerConfig};
+use crate::server::{self, CorsOrigin, ServerConfig};
 
+mod keys;
 mod network;
 
 /// Options of `relume serve`.
@@ -21,15 +22,8 @@ pub(super) struct ServeArgs {
     /// Where everything is stored.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
-    /// Accepted keys, as `Authorization: Bearer KEY`; several with commas.
-    #[arg(
-        long = "api-key",
-        env = "RELUME_API_KEYS",
-        hide_env_values = true,
-        value_delimiter = ',',
-        value_parser = api_key
-    )]
-    api_keys: Vec<String>,
+    #[command(flatten)]
+    keys: keys::KeyArgs,
     /// Origins whose web pages may call the API, e.g. `https://app.example.org`, or `*` for all (needs an API key).
     #[arg(long = "cors-origin", env = "RELUME_CORS_ORIGINS", value_delimiter = ',')]
     cors_origins: Vec<CorsOrigin>,
@@ -56,19 +50,13 @@ pub(super) struct ServeArgs {
     network: network::NetworkArgs,
 }
 
-/// A key that is too long to be guessed.
-fn api_key(text: &str) -> Result<String, String> {
-    let key = text.trim();
-    if key.len() < 16 { Err("a key needs at least 16 characters".to_owned()) } else { Ok(key.to_owned()) }
-}
-
 pub(super) fn run(args: ServeArgs) -> CommandResult {
     tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(serve(args))
 }
 
 async fn serve(args: ServeArgs) -> CommandResult {
     let mut config = ServerConfig::new(&args.data_dir);
-    config.api_keys = ApiKeys::new(&args.api_keys);
+    config.api_keys = args.keys.configured()?;
     config.cors_origins = args.cors_origins;
     config.allowed_hosts = args.allowed_hosts;
     config.connections = args.network.limits();

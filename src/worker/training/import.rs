@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::api::EnvironmentId;
+use crate::api::{EnvironmentId, TenantId};
 use crate::capture::{BUILTIN, Capture};
 use crate::jobs::Lease;
 use crate::store::{LeaseStatus, Release};
@@ -23,12 +23,12 @@ impl Worker {
     ) -> Result<ControlFlow<AttemptEnd, Capture>, AttemptError> {
         let job = lease.job();
         announce(lease, "reading the capture").await?;
-        let record = self.jobs.store().capture(&job.request.capture).await?;
+        let record = self.jobs.store().capture(&job.tenant, &job.request.capture).await?;
         let record = record.ok_or_else(|| AttemptError::new("capture_missing", "the capture is gone"))?;
         let artifacts = self.jobs.store().artifacts();
         artifacts.verify(&record.artifact, &record.sha256).await?;
         let path = artifacts.local_path(&record.artifact);
-        let light = self.known_light(config).await?;
+        let light = self.known_light(&job.tenant, config).await?;
         let config = config.clone();
         let mut importing = tokio::task::spawn_blocking(move || load(&path, &config, light.as_ref()));
         let capture = loop {
@@ -55,13 +55,17 @@ impl Worker {
     }
 
     /// The source of the map of a known light.
-    async fn known_light(&self, config: &TrainConfig) -> Result<Option<LightSource>, AttemptError> {
+    async fn known_light(
+        &self,
+        tenant: &TenantId,
+        config: &TrainConfig,
+    ) -> Result<Option<LightSource>, AttemptError> {
         let Some(light) = &config.light else { return Ok(None) };
         if BUILTIN.contains(&light.environment.as_str()) {
             return Ok(Some(LightSource::Builtin(light.environment.clone())));
         }
         let store = self.jobs.store();
-        let record = store.environment(&EnvironmentId::from(light.environment.as_str())).await?;
+        let record = store.environment(tenant, &EnvironmentId::from(light.environment.as_str())).await?;
         let record =
             record.ok_or_else(|| AttemptError::new(ENVIRONMENT_MISSING, "the known light is gone"))?;
         store.artifacts().verify(&record.artifact, &record.sha256).await?;

@@ -1,0 +1,156 @@
+//! `relume keys`: API keys in a data directory, on which a server may run meanwhile.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+
+use crate::api::keys::{NewKey, Scope};
+use crate::api::{KeyId, TenantId};
+use crate::cli::CommandResult;
+use crate::jobs::{Clock, SystemClock};
+use crate::store::{KeyRecord, NewKeyRecord, NodeLock, Page, Store, StoreError};
+
+/// Options of `relume keys`.
+#[derive(Debug, Args)]
+pub(super) struct KeysArgs {
+    #[command(subcommand)]
+    command: KeysCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum KeysCommand {
+    /// Make a key and print it: this is the only time that it is shown.
+    Create(CreateArgs),
+    /// List keys, revoked and expired ones too.
+    List(Place),
+    /// Refuse a key from now on.
+    Revoke(RevokeArgs),
+}
+
+/// Where the keys are.
+#[derive(Debug, Args)]
+struct Place {
+    /// The server's data directory. Run this as the server's user: what it makes has to be the server's.
+    #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
+    data_dir: PathBuf,
+}
+
+#[derive(Debug, Args)]
+struct CreateArgs {
+    #[command(flatten)]
+    place: Place,
+    /// A name for people.
+    #[arg(long)]
+    name: String,
+    /// Whose it is: tenants share nothing. Administrators of `default` manage the keys of all.
+    #[arg(long, default_value = "default")]
+    tenant: String,
+    /// What it may do: `read`, `render`, `submit`, `admin`; several with commas.
+    #[arg(long, value_delimiter = ',', default_value = "read,render,submit")]
+    scopes: Vec<Scope>,
+    /// Days until it expires; never where absent.
+    #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u64).range(1..=3650))]
+    expires_in_days: Option<u64>,
+}
+
+#[derive(Debug, Args)]
+struct RevokeArgs {
+    #[command(flatten)]
+    place: Place,
+    /// Its identifier, as `relume keys list` shows it.
+    id: String,
+}
+
+pub(super) fn run(args: KeysArgs) -> CommandResult {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        match args.command {
+            KeysCommand::Create(args) => create(args).await,
+            KeysCommand::List(place) => list(&existing(&place.data_dir).await?).await,
+            KeysCommand::Revoke(args) => {
+                let store = existing(&args.place.data_dir).await?;
+                revoke(&store, &args.id.into()).await
+            }
+        }
+    })
+}
+
+async fn create(args: CreateArgs) -> CommandResult {
+    let tenant = TenantId::from(args.tenant);
+    let expires_in = args.expires_in_days.map(|days| days * 24 * 3600);
+    let key = NewKey { name: args.name, tenant: Some(tenant.clone()), scopes: args.scopes, expires_in };
+    if let Some((field, why)) = key.fault() {
+        return Err(format!("--{field}: {why}").into());
+    }
+    let now_ms = SystemClock.now_ms();
+    let expires_ms = expires_in.map(|seconds| now_ms.saturating_add_unsigned(seconds * 1000));
+    let record = NewKeyRecord { name: key.name, tenant, scopes: key.scopes, expires_ms };
+    let store = open(&args.place.data_dir).await?;
+    let (made, secret) = store.create_key(&record, now_ms).await?;
+    store.close().await;
+    eprintln!("key {} of tenant {}, shown this once:", made.id, made.tenant);
+    println!("{secret}");
+    Ok(())
+}
+
+async fn list(store: &Store) -> CommandResult {
+    let now_ms = SystemClock.now_ms();
+    let mut page = Page { limit: 200, before: None };
+    println!(
+        "{:<16}  {:<8}  {:<20}  {:<25}  {:<10}  {:<10}  name",
+        "id", "state", "tenant", "scopes", "made", "used"
+    );
+    loop {
+        let keys = store.keys(None, &page).await?;
+        keys.iter().for_each(|key| print(key, now_ms));
+        match keys.last() {
+            Some(last) if keys.len() == page.limit as usize => page.before = Some(last.id.to_string()),
+            _ => break,
+        }
+    }
+    store.close().await;
+    Ok(())
+}
+
+fn print(key: &KeyRecord, now_ms: i64) {
+    let state = match key {
+        key if key.is_valid(now_ms) => "valid",
+        key if key.revoked_ms.is_some() => "revoked",
+        _ => "expired",
+    };
+    let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
+    let (id, tenant, scopes, made) =
+        (key.id.as_str(), key.tenant.as_str(), scopes.join(","), day(key.created_ms));
+    let used = key.last_used_ms.map_or_else(|| "never".to_owned(), day);
+    println!("{id:<16}  {state:<8}  {tenant:<20}  {scopes:<25}  {made:<10}  {used:<10}  {}", key.name);
+}
+
+fn day(ms: i64) -> String {
+    let time = jiff::Timestamp::from_millisecond(ms).unwrap_or_default();
+    time.strftime("%Y-%m-%d").to_string()
+}
+
+async fn revoke(store: &Store, id: &KeyId) -> CommandResult {
+    let revoked = store.revoke_key(None, id, SystemClock.now_ms()).await?;
+    store.close().await;
+    revoked
+        .map(|key| eprintln!("key {} is revoked", key.id))
+        .ok_or_else(|| format!("no key {id:?}", id = id.as_str()).into())
+}
+
+/// The store of a data directory that is there.
+async fn existing(data_dir: &Path) -> CommandResult<Store> {
+    if !data_dir.join("relume.db").exists() {
+        return Err(format!("{}: no database", data_dir.display()).into());
+    }
+    open(data_dir).await
+}
+
+/// The store of a data directory: brought up to date where no server runs on it, as it is where one does.
+async fn open(data_dir: &Path) -> CommandResult<Store> {
+    match NodeLock::acquire(data_dir) {
+        Ok(_until_it_is_open) => Ok(Store::open(data_dir).await?),
+        Err(StoreError::Locked(_)) => Ok(Store::join(data_dir).await?),
+        Err(error) => Err(error.into()),
+    }
+}

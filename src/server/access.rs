@@ -1,0 +1,123 @@
+//! What each route asks of its caller, in one table, and the check.
+
+use std::sync::Arc;
+
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::{Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use crate::api::Problem;
+use crate::api::keys::Scope::{self, Admin, Read, Render, Submit};
+use crate::server::keyring::Keyring;
+
+/// What a route asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Access {
+    /// Nothing: everybody may call it.
+    Open,
+    /// A key with this scope.
+    Needs(Scope),
+    /// A key with the scope `admin` of the tenant of whoever runs the server.
+    Operator,
+}
+
+use Access::{Needs, Open, Operator};
+
+/// Every operation. Handlers of one that is missing here are given no caller and refuse to work.
+const TABLE: &[(Method, &str, Access)] = &[
+    (Method::GET, "/healthz", Open),
+    (Method::GET, "/readyz", Open),
+    (Method::GET, "/v1/openapi.json", Open),
+    (Method::GET, "/metrics", Operator),
+    (Method::GET, "/v1/captures", Needs(Read)),
+    (Method::POST, "/v1/captures", Needs(Submit)),
+    (Method::POST, "/v1/captures/validate", Needs(Submit)),
+    (Method::GET, "/v1/captures/{id}", Needs(Read)),
+    (Method::GET, "/v1/environments", Needs(Read)),
+    (Method::POST, "/v1/environments", Needs(Submit)),
+    (Method::GET, "/v1/environments/{id}", Needs(Read)),
+    (Method::GET, "/v1/jobs", Needs(Read)),
+    (Method::POST, "/v1/jobs", Needs(Submit)),
+    (Method::GET, "/v1/jobs/{id}", Needs(Read)),
+    (Method::PATCH, "/v1/jobs/{id}", Needs(Submit)),
+    (Method::POST, "/v1/jobs/{id}/cancel", Needs(Submit)),
+    (Method::POST, "/v1/jobs/{id}/retry", Needs(Submit)),
+    (Method::GET, "/v1/jobs/{id}/events", Needs(Read)),
+    (Method::GET, "/v1/keys", Needs(Admin)),
+    (Method::POST, "/v1/keys", Needs(Admin)),
+    (Method::GET, "/v1/keys/{id}", Needs(Admin)),
+    (Method::POST, "/v1/keys/{id}/revoke", Needs(Admin)),
+    (Method::GET, "/v1/models", Needs(Read)),
+    (Method::GET, "/v1/models/{id}", Needs(Read)),
+    (Method::GET, "/v1/models/{id}/card", Needs(Read)),
+    (Method::GET, "/v1/models/{id}/files/{name}", Needs(Read)),
+    (Method::POST, "/v1/models/{id}/render", Needs(Render)),
+    (Method::GET, "/v1/models/{id}/thumbnail", Needs(Read)),
+];
+
+/// The line of the table for a request that a route was found for.
+fn access_of(request: &Request) -> Option<Access> {
+    let route = request.extensions().get::<MatchedPath>()?;
+    let method = if request.method() == Method::HEAD { &Method::GET } else { request.method() };
+    TABLE.iter().find(|(m, path, _)| m == method && *path == route.as_str()).map(|line| line.2)
+}
+
+/// Finds out who makes a request and lets it through if they may.
+pub(super) async fn check(State(keys): State<Arc<Keyring>>, request: Request, next: Next) -> Response {
+    let access = access_of(&request);
+    if access == Some(Open) {
+        return next.run(request).await;
+    }
+    match admit(&keys, access, request).await {
+        Ok(request) => next.run(request).await,
+        Err(problem) => problem.into_response(),
+    }
+}
+
+/// The request with its caller.
+async fn admit(keys: &Keyring, access: Option<Access>, mut request: Request) -> Result<Request, Problem> {
+    let caller = keys.caller(bearer(&request)).await?.ok_or_else(unknown)?;
+    caller.tell_the_log();
+    match access {
+        Some(Needs(scope)) => caller.needs(scope)?,
+        Some(Operator) => caller.needs_operator()?,
+        Some(Open) => {}
+        // No such route, or not with this method: it is refused without asking who calls.
+        None => return Ok(request),
+    }
+    request.extensions_mut().insert(caller);
+    Ok(request)
+}
+
+fn unknown() -> Problem {
+    Problem::new(StatusCode::UNAUTHORIZED, "unauthorized", "An API key is needed")
+        .detail("send Authorization: Bearer <key>, with a key that is neither revoked nor expired")
+}
+
+fn bearer(request: &Request) -> Option<&str> {
+    let value = request.headers().get(header::AUTHORIZATION)?.to_str().ok()?;
+    let (scheme, key) = value.split_once(' ')?;
+    scheme.eq_ignore_ascii_case("bearer").then(|| key.trim())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::server::openapi;
+
+    #[test]
+    fn the_table_has_every_operation_and_no_other() {
+        let description = serde_json::to_value(openapi()).unwrap();
+        let mut described = BTreeSet::new();
+        for (path, item) in description["paths"].as_object().unwrap() {
+            let operations = item.as_object().unwrap().iter().filter(|(_, o)| o.get("responses").is_some());
+            described.extend(operations.map(|(method, _)| (method.to_uppercase(), path.clone())));
+        }
+        let listed: BTreeSet<_> = TABLE.iter().map(|(m, p, _)| (m.to_string(), (*p).to_owned())).collect();
+        assert_eq!(listed, described);
+        assert_eq!(listed.len(), TABLE.len(), "a line stands twice");
+    }
+}

@@ -1,0 +1,74 @@
+//! Who makes a request: the tenant whose things it may touch, and what it may do with them.
+
+use axum::extract::FromRequestParts;
+use axum::http::StatusCode;
+use axum::http::request::Parts;
+
+use crate::api::keys::Scope;
+use crate::api::{KeyId, Problem, TenantId};
+
+/// Whoever makes a request. Handlers take it as an argument; there is one only where the table of `access` lets the
+/// request through.
+#[derive(Debug, Clone)]
+pub(super) struct Caller {
+    /// Whose things it may touch.
+    pub(super) tenant: TenantId,
+    /// What it may do.
+    pub(super) scopes: Vec<Scope>,
+    /// The key that it came with.
+    pub(super) key: KeyId,
+    /// False on a server without keys.
+    pub(super) has_key: bool,
+}
+
+impl Caller {
+    /// Everybody on a server without keys.
+    pub(super) fn without_key() -> Self {
+        Self {
+            tenant: TenantId::of_operator(),
+            scopes: Scope::ALL.to_vec(),
+            key: KeyId::from("none"),
+            has_key: false,
+        }
+    }
+
+    /// Adds the key's identifier and the tenant to every line of the log about this request.
+    pub(super) fn tell_the_log(&self) {
+        let span = tracing::Span::current();
+        span.record("key", self.key.as_str());
+        span.record("tenant", self.tenant.as_str());
+    }
+
+    /// # Errors
+    /// 403 that names the scope that is missing.
+    pub(super) fn needs(&self, scope: Scope) -> Result<(), Problem> {
+        if self.scopes.contains(&scope) {
+            return Ok(());
+        }
+        Err(Self::lacks(format!("this needs a key with the scope {scope:?}", scope = scope.name())))
+    }
+
+    /// # Errors
+    /// 403 unless this is an administrator of the tenant of whoever runs the server.
+    pub(super) fn needs_operator(&self) -> Result<(), Problem> {
+        self.needs(Scope::Admin)?;
+        if self.tenant.is_operator() {
+            return Ok(());
+        }
+        let tenant = TenantId::of_operator();
+        Err(Self::lacks(format!("this needs a key with the scope \"admin\" of the tenant \"{tenant}\"")))
+    }
+
+    fn lacks(what: String) -> Problem {
+        Problem::new(StatusCode::FORBIDDEN, "forbidden", "The key does not permit it").detail(what)
+    }
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for Caller {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
+        let caller = parts.extensions.get::<Self>().cloned();
+        caller.ok_or_else(|| Problem::internal("a route without a line in the table of access"))
+    }
+}

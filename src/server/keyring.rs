@@ -1,0 +1,91 @@
+//! Finds out who a caller is, from the keys that the server was started with and those in the database.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use subtle::ConstantTimeEq;
+
+use crate::api::keys::Scope;
+use crate::api::{KeyId, TenantId};
+use crate::jobs::Clock;
+use crate::server::auth::ApiKeys;
+use crate::server::caller::Caller;
+use crate::store::{KeyRecord, KeyToken, Store, StoreError};
+
+/// The use of a key is written down once in this time.
+const NOTE_EVERY_MS: i64 = 60_000;
+
+/// All keys of a server.
+pub(super) struct Keyring {
+    configured: ApiKeys,
+    store: Store,
+    clock: Arc<dyn Clock>,
+    /// True once a key was seen. Keys are never removed, so that a server does not become open while it runs.
+    has_keys: AtomicBool,
+    /// When the use of a key was last written down.
+    noted: Mutex<HashMap<KeyId, i64>>,
+}
+
+impl Keyring {
+    pub(super) fn new(configured: ApiKeys, store: Store, clock: Arc<dyn Clock>) -> Self {
+        let has_keys = AtomicBool::new(!configured.is_empty());
+        Self { configured, store, clock, has_keys, noted: Mutex::default() }
+    }
+
+    /// True while everybody is let in: until the first key is made.
+    pub(super) async fn is_open(&self) -> Result<bool, StoreError> {
+        if !self.has_keys.load(Ordering::Relaxed) && self.store.any_key().await? {
+            self.has_keys.store(true, Ordering::Relaxed);
+        }
+        Ok(!self.has_keys.load(Ordering::Relaxed))
+    }
+
+    /// Who sends this key, or none.
+    pub(super) async fn caller(&self, key: Option<&str>) -> Result<Option<Caller>, StoreError> {
+        if let Some(place) = key.and_then(|key| self.configured.place(key)) {
+            return Ok(Some(configured(place)));
+        }
+        if let Some(token) = key.and_then(KeyToken::parse)
+            && let Some(record) = self.store.key_of_caller(&token.id).await?
+        {
+            let now_ms = self.clock.now_ms();
+            let same: bool = record.secret_sha256.as_bytes().ct_eq(token.sha256.as_bytes()).into();
+            return Ok((same && record.is_valid(now_ms)).then(|| {
+                self.note_use(&record, now_ms);
+                stored(record)
+            }));
+        }
+        Ok(self.is_open().await?.then(Caller::without_key))
+    }
+
+    /// Writes down that a key is used, at most once a minute and without keeping its caller waiting.
+    fn note_use(&self, record: &KeyRecord, now_ms: i64) {
+        let mut noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = noted.get(&record.id).copied().max(record.last_used_ms);
+        if last.is_some_and(|last| now_ms - last < NOTE_EVERY_MS) {
+            return;
+        }
+        noted.insert(record.id.clone(), now_ms);
+        let (store, id) = (self.store.clone(), record.id.clone());
+        tokio::spawn(async move {
+            if let Err(error) = store.note_key_use(&id, now_ms).await {
+                tracing::warn!(%error, key = %id, "the use of a key cannot be written down");
+            }
+        });
+    }
+}
+
+/// The bearer of a key that the server was started with.
+fn configured(place: usize) -> Caller {
+    Caller {
+        tenant: TenantId::of_operator(),
+        scopes: Scope::ALL.to_vec(),
+        key: format!("configured-{}", place + 1).into(),
+        has_key: true,
+    }
+}
+
+fn stored(record: KeyRecord) -> Caller {
+    Caller { tenant: record.tenant, scopes: record.scopes, key: record.id, has_key: true }
+}

@@ -1,0 +1,141 @@
+//! `/v1/keys`: API keys of a tenant; of all tenants for those who run the server.
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::keys::{CreatedKey, KeyView, NewKey};
+use crate::api::{KeyId, List, Problem, TenantId};
+use crate::server::app::Shared;
+use crate::server::caller::Caller;
+use crate::server::extract::{JsonBody, QueryString, UrlPath};
+use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::store::{KeyRecord, NewKeyRecord};
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new()
+        .routes(routes!(list_keys, create_key))
+        .routes(routes!(get_key))
+        .routes(routes!(revoke_key))
+}
+
+/// Make an API key
+///
+/// The answer has the key itself, which is shown this once. Administrators of the tenant `default` make keys for any
+/// tenant, others for their own.
+#[utoipa::path(
+    post, path = "/v1/keys", tag = "keys", request_body = NewKey,
+    responses(
+        (status = 201, body = CreatedKey), (status = 403, body = Problem), (status = 422, body = Problem)
+    )
+)]
+async fn create_key(
+    State(app): State<Shared>,
+    caller: Caller,
+    JsonBody(key): JsonBody<NewKey>,
+) -> Result<Response, Problem> {
+    if let Some((field, why)) = key.fault() {
+        return Err(Problem::invalid_field(format!("/{field}"), why));
+    }
+    if key.tenant.as_ref().is_some_and(|tenant| *tenant != caller.tenant) {
+        caller.needs_operator()?;
+    }
+    let now_ms = app.jobs.now_ms();
+    let record = NewKeyRecord {
+        name: key.name,
+        tenant: key.tenant.unwrap_or(caller.tenant),
+        scopes: key.scopes,
+        expires_ms: key.expires_in.map(|s| now_ms.saturating_add_unsigned(s.saturating_mul(1000))),
+    };
+    let (record, secret) = app.store.create_key(&record, now_ms).await?;
+    tracing::info!(made = %record.id, of = %record.tenant, "made a key");
+    let headers = [
+        (header::LOCATION, location(&record.id)?),
+        (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+    ];
+    Ok((StatusCode::CREATED, headers, Json(CreatedKey { key: view(record), secret })).into_response())
+}
+
+/// List API keys
+///
+/// Without their secrets; revoked and expired ones too.
+#[utoipa::path(
+    get, path = "/v1/keys", tag = "keys", params(PageQuery),
+    responses((status = 200, body = List<KeyView>), (status = 403, body = Problem))
+)]
+async fn list_keys(
+    State(app): State<Shared>,
+    caller: Caller,
+    QueryString(query): QueryString<PageQuery>,
+) -> Result<Json<List<KeyView>>, Problem> {
+    let page = query.page()?;
+    if let Some(before) = page.before()
+        && app.store.key(visible(&caller), &before.into()).await?.is_none()
+    {
+        return Err(unknown_cursor(before));
+    }
+    let keys = app.store.keys(visible(&caller), &page.of_store()).await?;
+    Ok(Json(page.list(keys.into_iter().map(view).collect(), |k: &KeyView| k.id.as_str())))
+}
+
+/// Get an API key
+#[utoipa::path(
+    get, path = "/v1/keys/{id}", tag = "keys", params(("id" = String, Path)),
+    responses(
+        (status = 200, body = KeyView), (status = 403, body = Problem), (status = 404, body = Problem)
+    )
+)]
+async fn get_key(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<KeyId>,
+) -> Result<Json<KeyView>, Problem> {
+    let key = app.store.key(visible(&caller), &id).await?;
+    key.map(|key| Json(view(key))).ok_or_else(|| Problem::not_found("key", id.as_str()))
+}
+
+/// Revoke an API key
+///
+/// It is refused from the next request on, and stays in lists. Asking again changes nothing.
+#[utoipa::path(
+    post, path = "/v1/keys/{id}/revoke", tag = "keys", params(("id" = String, Path)),
+    responses(
+        (status = 200, body = KeyView), (status = 403, body = Problem), (status = 404, body = Problem)
+    )
+)]
+async fn revoke_key(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<KeyId>,
+) -> Result<Json<KeyView>, Problem> {
+    let revoked = app.store.revoke_key(visible(&caller), &id, app.jobs.now_ms()).await?;
+    let key = revoked.ok_or_else(|| Problem::not_found("key", id.as_str()))?;
+    tracing::info!(revoked = %key.id, of = %key.tenant, "revoked a key");
+    Ok(Json(view(key)))
+}
+
+/// The tenant whose keys a caller may see; `None` when they may see all.
+fn visible(caller: &Caller) -> Option<&TenantId> {
+    (!caller.tenant.is_operator()).then_some(&caller.tenant)
+}
+
+fn location(id: &KeyId) -> Result<HeaderValue, Problem> {
+    HeaderValue::from_str(&format!("/v1/keys/{id}")).map_err(Problem::internal)
+}
+
+fn view(key: KeyRecord) -> KeyView {
+    KeyView {
+        id: key.id,
+        name: key.name,
+        tenant: key.tenant,
+        scopes: key.scopes,
+        created_at: rfc3339(key.created_ms),
+        expires_at: key.expires_ms.map(rfc3339),
+        last_used_at: key.last_used_ms.map(rfc3339),
+        revoked_at: key.revoked_ms.map(rfc3339),
+    }
+}

@@ -1,0 +1,64 @@
+//! What a key looks like: `rlm_`, its identifier, `_`, 256 random bits; all in lower-case hex, so that scanners find keys
+//! that leaked. Only a hash of it is kept: with that many random bits a plain one is enough.
+
+use sha2::{Digest, Sha256};
+
+use crate::api::KeyId;
+use crate::store::StoreError;
+use crate::store::hash::hex;
+
+const PREFIX: &str = "rlm_";
+
+/// A key as its bearer sends it.
+pub struct KeyToken {
+    /// Identifier.
+    pub id: KeyId,
+    /// Hash of the whole text, lower-case hex.
+    pub sha256: String,
+}
+
+impl KeyToken {
+    /// A fresh key and its text, which is not kept anywhere.
+    ///
+    /// # Errors
+    /// When the operating system gives no random bits.
+    pub fn mint() -> Result<(Self, String), StoreError> {
+        let (mut id, mut secret) = ([0u8; 8], [0u8; 32]);
+        for bytes in [&mut id[..], &mut secret[..]] {
+            getrandom::fill(bytes).map_err(std::io::Error::from)?;
+        }
+        let text = format!("{PREFIX}{}_{}", hex(&id), hex(&secret));
+        Ok((Self { id: hex(&id).into(), sha256: hex(&Sha256::digest(&text)) }, text))
+    }
+
+    /// What a bearer sent, if it has the form of a key.
+    pub fn parse(text: &str) -> Option<Self> {
+        let (id, secret) = text.strip_prefix(PREFIX)?.split_once('_')?;
+        let is_hex = |text: &str, digits: usize| {
+            text.len() == digits && text.bytes().all(|c| c.is_ascii_digit() || (b'a'..=b'f').contains(&c))
+        };
+        let good = is_hex(id, 16) && is_hex(secret, 64);
+        good.then(|| Self { id: id.into(), sha256: hex(&Sha256::digest(text)) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_is_read_as_it_was_made_and_no_two_are_alike() {
+        let (made, text) = KeyToken::mint().unwrap();
+        let read = KeyToken::parse(&text).unwrap();
+        assert_eq!((read.id.as_str(), &read.sha256), (made.id.as_str(), &made.sha256));
+        assert!(!text.contains(&made.sha256));
+        let (other, other_text) = KeyToken::mint().unwrap();
+        assert!(other.id != made.id && other_text[21..] != text[21..]);
+        let last = if text.ends_with('0') { "1" } else { "0" };
+        let changed = format!("{}{last}", &text[..text.len() - 1]);
+        assert_ne!(KeyToken::parse(&changed).unwrap().sha256, made.sha256);
+        for odd in ["", "rlm_", "rlm_a_b", &text[1..], &text[..text.len() - 1], &text.to_uppercase()] {
+            assert!(KeyToken::parse(odd).is_none(), "{odd}");
+        }
+    }
+}

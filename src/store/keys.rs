@@ -1,0 +1,145 @@
+//! API keys. Rows are never removed: a revoked key still names who did what, and a server that once had a key does not
+//! become open again.
+
+use std::path::Path;
+
+use sqlx::types::Json;
+
+use crate::api::keys::Scope;
+use crate::api::{KeyId, TenantId};
+use crate::store::database::{self, Database};
+use crate::store::{KeyRecord, KeyToken, Page, Store, StoreError};
+
+/// A key to be made.
+#[derive(Debug, Clone)]
+pub struct NewKeyRecord {
+    /// A name for people.
+    pub name: String,
+    /// Whose it is.
+    pub tenant: TenantId,
+    /// What it may do.
+    pub scopes: Vec<Scope>,
+    /// When it expires.
+    pub expires_ms: Option<i64>,
+}
+
+impl Store {
+    /// Makes a key. The text is what its bearer sends; only a hash of it is kept.
+    ///
+    /// # Errors
+    /// When the database or the operating system's source of random bits fails.
+    pub async fn create_key(
+        &self,
+        key: &NewKeyRecord,
+        now_ms: i64,
+    ) -> Result<(KeyRecord, String), StoreError> {
+        let (token, text) = KeyToken::mint()?;
+        let mut tx = self.write().await?;
+        let stored = sqlx::query_as(
+            "INSERT INTO keys (id, name, tenant, scopes, secret_sha256, created_ms, expires_ms)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7) RETURNING *",
+        )
+        .bind(&token.id)
+        .bind(&key.name)
+        .bind(&key.tenant)
+        .bind(Json(&key.scopes))
+        .bind(&token.sha256)
+        .bind(now_ms)
+        .bind(key.expires_ms)
+        .fetch_one(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        Ok((stored, text))
+    }
+
+    /// A key by identifier, of whichever tenant: to find out who a caller is.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn key_of_caller(&self, id: &KeyId) -> Result<Option<KeyRecord>, StoreError> {
+        self.key(None, id).await
+    }
+
+    /// A key of a tenant, or of any for those who may see all.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn key(&self, of: Option<&TenantId>, id: &KeyId) -> Result<Option<KeyRecord>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM keys WHERE id = ?1 AND (?2 IS NULL OR tenant = ?2)");
+        Ok(query.bind(id).bind(of).fetch_optional(self.pool()).await?)
+    }
+
+    /// Keys of a tenant or of all, newest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn keys(&self, of: Option<&TenantId>, page: &Page) -> Result<Vec<KeyRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT * FROM keys
+             WHERE (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM keys WHERE id = ?1))
+               AND (?2 IS NULL OR tenant = ?2)
+             ORDER BY created_ms DESC, id DESC LIMIT ?3",
+        );
+        Ok(query.bind(&page.before).bind(of).bind(page.limit).fetch_all(self.pool()).await?)
+    }
+
+    /// Revokes a key of a tenant, or of any for those who may; one that was revoked before stays as it is.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn revoke_key(
+        &self,
+        of: Option<&TenantId>,
+        id: &KeyId,
+        now_ms: i64,
+    ) -> Result<Option<KeyRecord>, StoreError> {
+        let mut tx = self.write().await?;
+        let query = sqlx::query_as(
+            "UPDATE keys SET revoked_ms = COALESCE(revoked_ms, ?3)
+             WHERE id = ?1 AND (?2 IS NULL OR tenant = ?2) RETURNING *",
+        );
+        let key = query.bind(id).bind(of).bind(now_ms).fetch_optional(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(key)
+    }
+
+    /// Records that a key was used.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn note_key_use(&self, id: &KeyId, now_ms: i64) -> Result<(), StoreError> {
+        let mut tx = self.write().await?;
+        let query = sqlx::query("UPDATE keys SET last_used_ms = ?2 WHERE id = ?1");
+        query.bind(id).bind(now_ms).execute(&mut *tx).await?;
+        Ok(tx.commit().await?)
+    }
+
+    /// Whether a key was ever made.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn any_key(&self) -> Result<bool, StoreError> {
+        Ok(sqlx::query_scalar(ANY).fetch_one(self.pool()).await?)
+    }
+}
+
+const ANY: &str = "SELECT EXISTS (SELECT 1 FROM keys)";
+
+/// As [`Store::any_key`], of a data directory that is not opened by this and not changed.
+///
+/// # Errors
+/// When there is a database that cannot be read.
+pub async fn has_keys(root: &Path) -> Result<bool, StoreError> {
+    if !root.join(database::FILE).exists() {
+        return Ok(false);
+    }
+    let pool = Database::open_to_look(root).await?;
+    let table = "SELECT EXISTS (SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'keys')";
+    let found = async {
+        let there: bool = sqlx::query_scalar(table).fetch_one(&pool).await?;
+        if there { sqlx::query_scalar(ANY).fetch_one(&pool).await } else { Ok(false) }
+    };
+    let found = found.await;
+    pool.close().await;
+    Ok(found?)
+}

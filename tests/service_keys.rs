@@ -1,0 +1,265 @@
+//! API keys: made, used, listed, revoked; by HTTP and by the command line.
+
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::Arc;
+use std::time::Duration;
+
+use relume::jobs::ManualClock;
+use relume::server::{ApiKeys, ServerConfig};
+use relume::store::has_keys;
+use relume::testing::{self, TestServer};
+use reqwest::Method;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+const OPERATOR: &str = "the-operators-own-key";
+
+/// A server with the operator's key and a clock that stands.
+async fn server() -> (TestServer, Arc<ManualClock>) {
+    let clock = Arc::new(ManualClock::default());
+    let hands = clock.clone();
+    let change = move |config: &mut ServerConfig| {
+        config.api_keys = ApiKeys::new([OPERATOR]);
+        config.clock = hands;
+    };
+    (testing::spawn_with(TempDir::new().unwrap(), change).await.unwrap(), clock)
+}
+
+/// Status and body of an answer.
+async fn ask(
+    server: &TestServer,
+    key: &str,
+    method: Method,
+    path: &str,
+    body: Option<&Value>,
+) -> (u16, Value) {
+    let request = server.client().request(method, path).unwrap();
+    let request = if key.is_empty() { request } else { request.bearer_auth(key) };
+    let request = match body {
+        Some(body) => request.json(body),
+        None => request,
+    };
+    let answer = request.send().await.unwrap();
+    (answer.status().as_u16(), serde_json::from_str(&answer.text().await.unwrap()).unwrap_or_default())
+}
+
+async fn get(server: &TestServer, key: &str, path: &str) -> (u16, Value) {
+    ask(server, key, Method::GET, path, None).await
+}
+
+/// Makes a key; its identifier and the key itself.
+async fn made(server: &TestServer, by: &str, body: Value) -> (String, String) {
+    let (status, made) = ask(server, by, Method::POST, "/v1/keys", Some(&body)).await;
+    assert_eq!(status, 201, "{made}");
+    (made["id"].as_str().unwrap().to_owned(), made["secret"].as_str().unwrap().to_owned())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_key_admits_its_bearer_until_it_is_revoked_or_expires() {
+    let (server, clock) = server().await;
+    let (lasting, secret) = made(&server, OPERATOR, json!({ "name": "a", "scopes": ["read"] })).await;
+    clock.advance(Duration::from_millis(1));
+    let short = json!({ "name": "b", "scopes": ["read"], "expires_in": 60 });
+    let (_, short) = made(&server, OPERATOR, short).await;
+    let mut changed = secret.clone();
+    changed.replace_range(30..31, if &secret[30..31] == "0" { "1" } else { "0" });
+    for (key, status) in [(&*secret, 200), (&*short, 200), (&*changed, 401), ("", 401), ("rlm_x_y", 401)] {
+        assert_eq!(get(&server, key, "/v1/jobs").await.0, status, "{key}");
+    }
+    clock.advance(Duration::from_millis(59_999));
+    assert_eq!(get(&server, &short, "/v1/jobs").await.0, 200);
+    clock.advance(Duration::from_millis(1));
+    assert_eq!(get(&server, &short, "/v1/jobs").await.0, 401, "it has expired");
+    assert_eq!(get(&server, &secret, "/v1/jobs").await.0, 200);
+
+    let revoke = format!("/v1/keys/{lasting}/revoke");
+    let (status, revoked) = ask(&server, OPERATOR, Method::POST, &revoke, None).await;
+    assert_eq!((status, &revoked["revoked_at"]), (200, &json!("1970-01-01T00:01:00.001Z")));
+    assert_eq!(get(&server, &secret, "/v1/jobs").await.0, 401, "it is revoked");
+    clock.advance(Duration::from_secs(60));
+    let again = ask(&server, OPERATOR, Method::POST, &revoke, None).await.1;
+    assert_eq!(again["revoked_at"], revoked["revoked_at"], "asking again changes nothing");
+    let listed = get(&server, OPERATOR, "/v1/keys?limit=1").await.1;
+    assert_eq!((&listed["items"][0]["name"], listed["next"].is_string()), (&json!("b"), true), "{listed}");
+    assert!(!get(&server, OPERATOR, "/v1/keys").await.1.to_string().contains(&secret[21..]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_key_that_is_made_wrong_is_refused_by_field() {
+    let (server, _) = server().await;
+    let good = json!({ "name": "a", "scopes": ["read"] });
+    for (field, value) in [
+        ("name", json!("")),
+        ("name", json!("n".repeat(129))),
+        ("tenant", json!("Studio A")),
+        ("scopes", json!([])),
+        ("scopes", json!(["read", "read"])),
+        ("expires_in", json!(0)),
+        ("expires_in", json!(1u64 << 60)),
+        ("colour", json!(1)),
+    ] {
+        let mut body = good.clone();
+        body[field] = value;
+        let (status, refused) = ask(&server, OPERATOR, Method::POST, "/v1/keys", Some(&body)).await;
+        assert_eq!(
+            (status, &refused["errors"][0]["pointer"]),
+            (422, &json!(format!("/{field}"))),
+            "{refused}"
+        );
+    }
+    assert_eq!(get(&server, OPERATOR, "/v1/keys").await.1["items"], json!([]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn administrators_of_a_tenant_manage_its_keys_and_the_operator_those_of_all() {
+    let (server, _) = server().await;
+    let admin = |tenant: &str| json!({ "name": tenant, "tenant": tenant, "scopes": ["admin"] });
+    let (a, admin_of_a) = made(&server, OPERATOR, admin("a")).await;
+    let (b, admin_of_b) = made(&server, OPERATOR, admin("b")).await;
+    let (own, _) = made(&server, &admin_of_a, json!({ "name": "x", "scopes": ["read"] })).await;
+    let names = |list: &Value| -> Vec<String> {
+        list["items"].as_array().unwrap().iter().map(|k| k["id"].as_str().unwrap().to_owned()).collect()
+    };
+    let sorted = |mut ids: Vec<String>| {
+        ids.sort();
+        ids
+    };
+    assert_eq!(
+        sorted(names(&get(&server, &admin_of_a, "/v1/keys").await.1)),
+        sorted(vec![a.clone(), own.clone()])
+    );
+    assert_eq!(names(&get(&server, &admin_of_b, "/v1/keys").await.1), [b.clone()]);
+    assert_eq!(sorted(names(&get(&server, OPERATOR, "/v1/keys").await.1)), sorted(vec![a, b, own.clone()]));
+    assert_eq!(get(&server, &admin_of_b, &format!("/v1/keys/{own}")).await.0, 404);
+    let revoke = format!("/v1/keys/{own}/revoke");
+    assert_eq!(ask(&server, &admin_of_b, Method::POST, &revoke, None).await.0, 404);
+    assert_eq!(get(&server, &admin_of_a, &format!("/v1/keys/{own}")).await.1["revoked_at"], json!(null));
+    let (status, refused) = ask(&server, &admin_of_a, Method::POST, "/v1/keys", Some(&admin("b"))).await;
+    assert_eq!((status, &refused["type"]), (403, &json!("urn:relume:problem:forbidden")));
+    assert_eq!(get(&server, &admin_of_a, "/metrics").await.0, 403, "these are about all tenants");
+    assert_eq!(ask(&server, OPERATOR, Method::POST, &revoke, None).await.0, 200);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_first_key_closes_an_open_server_for_good() {
+    let server = testing::spawn().await.unwrap();
+    assert_eq!(get(&server, "", "/v1/jobs").await.0, 200);
+    let (id, secret) = made(&server, "", json!({ "name": "a", "scopes": ["read", "admin"] })).await;
+    assert_eq!(get(&server, "", "/v1/jobs").await.0, 401);
+    assert_eq!(get(&server, &secret, "/v1/jobs").await.0, 200);
+    assert_eq!(ask(&server, &secret, Method::POST, &format!("/v1/keys/{id}/revoke"), None).await.0, 200);
+    let data = server.stop().await.unwrap();
+    let server = testing::spawn_with(data, |_| {}).await.unwrap();
+    for key in ["", &*secret] {
+        assert_eq!(get(&server, key, "/v1/jobs").await.0, 401, "the last key gone opens nothing");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_use_of_a_key_is_written_down_once_a_minute() {
+    let (server, clock) = server().await;
+    let (id, secret) = made(&server, OPERATOR, json!({ "name": "a", "scopes": ["read"] })).await;
+    let path = format!("/v1/keys/{id}");
+    let until_used_at = async |time: &str| {
+        for _ in 0..3000 {
+            if get(&server, OPERATOR, &path).await.1["last_used_at"] == json!(time) {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        panic!("never used at {time}");
+    };
+    assert_eq!(get(&server, OPERATOR, &path).await.1["last_used_at"], json!(null));
+    clock.advance(Duration::from_secs(1));
+    get(&server, &secret, "/v1/jobs").await;
+    until_used_at("1970-01-01T00:00:01Z").await;
+    clock.advance(Duration::from_secs(59));
+    get(&server, &secret, "/v1/jobs").await;
+    // Written in order by one connection: had that use been written down, the next one could not come after it.
+    clock.advance(Duration::from_secs(1));
+    get(&server, &secret, "/v1/jobs").await;
+    until_used_at("1970-01-01T00:01:01Z").await;
+}
+
+fn relume(args: &[&str], data: &Path) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
+    command.args(args).arg("--data-dir").arg(data).output().unwrap()
+}
+
+fn said(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout.clone()).unwrap().trim().to_owned()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_command_line_makes_lists_and_revokes_keys_while_the_server_runs() {
+    let server = testing::spawn().await.unwrap();
+    assert_eq!(get(&server, "", "/v1/jobs").await.0, 200, "it is up");
+    let create = ["keys", "create", "--name", "render farm", "--tenant", "studio-a", "--scopes", "read"];
+    let key = said(&relume(&create, server.data_dir()));
+    assert_eq!(get(&server, &key, "/v1/jobs").await.0, 200);
+    assert_eq!(get(&server, "", "/v1/jobs").await.0, 401, "the server is not open any more");
+    let listed = said(&relume(&["keys", "list"], server.data_dir()));
+    let id = &key[4..20];
+    let line = listed.lines().find(|line| line.starts_with(id)).unwrap_or_else(|| panic!("{listed}"));
+    for word in ["valid", "studio-a", "read", "render farm"] {
+        assert!(line.contains(word), "{word} in {line}");
+    }
+    assert!(!listed.contains(&key[21..]), "a list has no secrets");
+    said(&relume(&["keys", "revoke", id], server.data_dir()));
+    assert_eq!(get(&server, &key, "/v1/jobs").await.0, 401);
+    assert!(said(&relume(&["keys", "list"], server.data_dir())).contains("revoked"));
+    let nobody = relume(&["keys", "revoke", "nobody"], server.data_dir());
+    assert!(!nobody.status.success() && String::from_utf8_lossy(&nobody.stderr).contains("nobody"));
+
+    let data = server.stop().await.unwrap();
+    for file in ["relume.db", "relume.db-wal"] {
+        let bytes = std::fs::read(data.path().join(file)).unwrap_or_default();
+        let secret = key[21..].as_bytes();
+        assert!(!bytes.windows(secret.len()).any(|w| w == secret), "{file} has the secret");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_key_in_the_database_lets_a_server_listen_beyond_loopback() {
+    let data = TempDir::new().unwrap();
+    assert!(!has_keys(data.path()).await.unwrap());
+    said(&relume(&["keys", "create", "--name", "first"], data.path()));
+    assert!(has_keys(data.path()).await.unwrap());
+    let listener = tokio::net::TcpListener::bind("0.0.0.0:0").await.unwrap();
+    relume::server::run(ServerConfig::new(data.path()), listener, async {}).await.unwrap();
+    let wrong = relume(&["keys", "create", "--name", "x", "--tenant", "A B"], data.path());
+    assert!(String::from_utf8_lossy(&wrong.stderr).contains("--tenant"), "{wrong:?}");
+    let nothing = TempDir::new().unwrap();
+    assert!(!relume(&["keys", "list"], nothing.path()).status.success());
+    assert!(std::fs::read_dir(nothing.path()).unwrap().next().is_none(), "a look makes nothing");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn keys_come_from_a_file_that_no_command_line_shows() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("keys");
+    std::fs::write(&file, "# for the farm\nfirst-key-of-the-file\n\n  second-key-of-the-file\n").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
+    command.env("RELUME_API_KEY_FILE", &file);
+    let server = crate::server_process::Server::start_under(command, &folder.path().join("data"));
+    let status = async |key: &str| {
+        let request = server.client.request(Method::GET, "/v1/jobs").unwrap();
+        request.bearer_auth(key).send().await.unwrap().status().as_u16()
+    };
+    for (key, expected) in
+        [("first-key-of-the-file", 200), ("second-key-of-the-file", 200), ("# for the farm", 401)]
+    {
+        assert_eq!(status(key).await, expected, "{key}");
+    }
+    let refused = |text: &str, word: &str| {
+        std::fs::write(&file, text).unwrap();
+        let args = ["serve", "--listen", "127.0.0.1:0", "--api-key-file", file.to_str().unwrap()];
+        let output = relume(&args, &folder.path().join("other"));
+        let why = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && why.contains(word), "{why}");
+    };
+    refused("first-key-of-the-file\nshort\n", "line 2");
+    refused("# nothing\n", "holds no key");
+}

@@ -1,0 +1,360 @@
+//! Tenants: the whole description of the API, asked by somebody else.
+
+use std::collections::BTreeSet;
+
+use relume::api::keys::Scope;
+use relume::api::{CaptureId, JobId, ModelId, TenantId};
+use relume::client::Client;
+use relume::server::ApiKeys;
+use relume::store::{Page, Store};
+use relume::testing::{self, TestServer};
+use reqwest::{Method, RequestBuilder, header};
+use serde_json::{Value, json};
+use sqlx::migrate::Migrator;
+use tempfile::TempDir;
+
+use crate::service_support::{capture_zip, ended, files_under, small_job, trained};
+
+const OPERATOR: &str = "the-operators-own-key";
+
+/// What an operation names or answers with.
+#[derive(Clone, Copy, PartialEq)]
+enum About {
+    /// Nothing of a tenant, and everybody may ask.
+    Everybody,
+    /// The whole server, for whoever runs it.
+    Server,
+    /// A list of one kind of thing.
+    List(Kind),
+    /// One thing that the path names.
+    One(Kind),
+    /// What the request brings.
+    Body,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Capture,
+    Environment,
+    Job,
+    Model,
+    Key,
+}
+
+use About::{Body, Everybody, List, One, Server};
+use Kind::{Capture, Environment, Job, Key, Model};
+use Scope::{Admin, Read, Render, Submit};
+
+/// Every operation: what it is about, and the scope that it needs.
+const OPERATIONS: &[(&str, &str, About, Scope)] = &[
+    ("get", "/healthz", Everybody, Read),
+    ("get", "/readyz", Everybody, Read),
+    ("get", "/v1/openapi.json", Everybody, Read),
+    ("get", "/metrics", Server, Admin),
+    ("get", "/v1/captures", List(Capture), Read),
+    ("post", "/v1/captures", Body, Submit),
+    ("post", "/v1/captures/validate", Body, Submit),
+    ("get", "/v1/captures/{id}", One(Capture), Read),
+    ("get", "/v1/environments", List(Environment), Read),
+    ("post", "/v1/environments", Body, Submit),
+    ("get", "/v1/environments/{id}", One(Environment), Read),
+    ("get", "/v1/jobs", List(Job), Read),
+    ("post", "/v1/jobs", Body, Submit),
+    ("get", "/v1/jobs/{id}", One(Job), Read),
+    ("patch", "/v1/jobs/{id}", One(Job), Submit),
+    ("post", "/v1/jobs/{id}/cancel", One(Job), Submit),
+    ("post", "/v1/jobs/{id}/retry", One(Job), Submit),
+    ("get", "/v1/jobs/{id}/events", One(Job), Read),
+    ("get", "/v1/keys", List(Key), Admin),
+    ("post", "/v1/keys", Body, Admin),
+    ("get", "/v1/keys/{id}", One(Key), Admin),
+    ("post", "/v1/keys/{id}/revoke", One(Key), Admin),
+    ("get", "/v1/models", List(Model), Read),
+    ("get", "/v1/models/{id}", One(Model), Read),
+    ("get", "/v1/models/{id}/card", One(Model), Read),
+    ("get", "/v1/models/{id}/files/{name}", One(Model), Read),
+    ("post", "/v1/models/{id}/render", One(Model), Render),
+    ("get", "/v1/models/{id}/thumbnail", One(Model), Read),
+];
+
+/// The operations of the description, each with what is known about it.
+fn operations() -> Vec<&'static (&'static str, &'static str, About, Scope)> {
+    let description = serde_json::to_value(relume::server::openapi()).unwrap();
+    let mut found = Vec::new();
+    for (path, item) in description["paths"].as_object().unwrap() {
+        for (method, _) in item.as_object().unwrap().iter().filter(|(_, o)| o.get("responses").is_some()) {
+            let known = OPERATIONS.iter().find(|(m, p, _, _)| (m, p) == (&&**method, &&**path));
+            found.push(known.unwrap_or_else(|| panic!("this test does not know how to ask {method} {path}")));
+        }
+    }
+    assert_eq!(found.len(), OPERATIONS.len(), "the description has every operation of the table");
+    found
+}
+
+/// A tenant with one thing of each kind.
+struct Tenant {
+    client: Client,
+    capture: CaptureId,
+    environment: String,
+    job: JobId,
+    model: ModelId,
+    key: String,
+}
+
+impl Tenant {
+    async fn new(server: &TestServer, name: &str) -> Self {
+        let client = bearer(server, name, &Scope::ALL).await.0;
+        let job = trained(&client).await;
+        let map = relume::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap();
+        let environment = client.upload_environment(map).await.unwrap().id.to_string();
+        let key = bearer(server, name, &[Scope::Read]).await.1;
+        Self { client, capture: job.capture, environment, job: job.id, model: job.model.unwrap(), key }
+    }
+
+    fn id(&self, kind: Kind) -> &str {
+        match kind {
+            Capture => self.capture.as_str(),
+            Environment => &self.environment,
+            Job => self.job.as_str(),
+            Model => self.model.as_str(),
+            Key => &self.key,
+        }
+    }
+}
+
+async fn server() -> TestServer {
+    let keys = |config: &mut relume::server::ServerConfig| config.api_keys = ApiKeys::new([OPERATOR]);
+    testing::spawn_with(TempDir::new().unwrap(), keys).await.unwrap()
+}
+
+/// A client with a fresh key, and the key's identifier.
+async fn bearer(server: &TestServer, tenant: &str, scopes: &[Scope]) -> (Client, String) {
+    let request = server.client().request(Method::POST, "/v1/keys").unwrap().bearer_auth(OPERATOR);
+    let key = json!({ "name": "test", "tenant": tenant, "scopes": scopes });
+    let made: Value = read(request.json(&key)).await.2;
+    let client = Client::new(server.client().base().as_str(), made["secret"].as_str().map(str::to_owned));
+    (client.unwrap(), made["id"].as_str().unwrap().to_owned())
+}
+
+/// An identifier that never was.
+fn never(kind: Kind) -> &'static str {
+    if kind == Key { "0123456789abcdef" } else { "01890000-0000-7000-8000-000000000000" }
+}
+
+/// Asks for an operation about the thing `id`.
+fn ask(client: &Client, method: &str, path: &str, id: &str) -> RequestBuilder {
+    let filled = path.replace("{id}", id).replace("{name}", "model.safetensors");
+    let method = Method::from_bytes(method.to_uppercase().as_bytes()).unwrap();
+    let request = client.request(method.clone(), &filled).unwrap();
+    let look = json!({ "look_at": { "eye": [3, 0, 1], "target": [0, 0, 0], "fov_y_deg": 40 } });
+    match (method.as_str(), path) {
+        ("PATCH", "/v1/jobs/{id}") => request.json(&json!({ "priority": 1 })),
+        ("POST", "/v1/models/{id}/render") => {
+            request.json(&json!({ "camera": look, "width": 8, "height": 8 }))
+        }
+        _ => request,
+    }
+}
+
+/// Status, text and, where it is that, JSON of an answer.
+async fn read(request: RequestBuilder) -> (u16, String, Value) {
+    let answer = request.send().await.unwrap();
+    let status = answer.status().as_u16();
+    let bytes = answer.bytes().await.unwrap();
+    let text = String::from_utf8_lossy(&bytes).into_owned();
+    let json = serde_json::from_str(&text).unwrap_or_default();
+    (status, text, json)
+}
+
+/// An answer without what differs between any two requests: the request's identifier and the one asked for.
+async fn refusal(request: RequestBuilder, id: &str) -> (u16, Value) {
+    let (status, text, _) = read(request).await;
+    let mut body: Value = serde_json::from_str(&text.replace(id, "ID")).unwrap_or_default();
+    assert!(body["request_id"].is_string(), "{text}");
+    body["request_id"] = json!("");
+    (status, body)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn no_operation_tells_a_tenant_of_anothers_things() {
+    let server = server().await;
+    let (a, b) = tokio::join!(Tenant::new(&server, "a"), bearer(&server, "b", &Scope::ALL));
+    let mut asked = 0;
+    for (method, path, about, _) in operations() {
+        match about {
+            One(kind) => {
+                let (theirs, nobodys) = (a.id(*kind), never(*kind));
+                let found = refusal(ask(&b.0, method, path, theirs), theirs).await;
+                let expected = refusal(ask(&b.0, method, path, nobodys), nobodys).await;
+                assert_eq!(found, expected, "{method} {path}");
+                assert_eq!(found.0, 404, "{method} {path}");
+                let own = read(ask(&a.client, method, path, theirs)).await;
+                assert!(own.0 != 404 && own.0 < 500, "{method} {path} of one's own: {own:?}");
+            }
+            List(kind) => {
+                let listed = read(ask(&b.0, method, path, "")).await;
+                assert_eq!(listed.0, 200, "{method} {path}");
+                assert!(!listed.1.contains(a.id(*kind)), "{method} {path}: {listed:?}");
+                let own = read(ask(&a.client, method, path, "")).await.1;
+                assert!(own.contains(a.id(*kind)), "{method} {path} of one's own: {own}");
+                // A place in another's list is no place.
+                let place = |id: &str| b.0.request(Method::GET, &format!("{path}?before={id}")).unwrap();
+                let (theirs, nobodys) = (a.id(*kind), never(*kind));
+                let found = refusal(place(theirs), theirs).await;
+                assert_eq!(found, refusal(place(nobodys), nobodys).await, "{path}");
+                assert_eq!(found.0, 422, "{path}");
+            }
+            Server => {
+                assert_eq!(read(ask(&b.0, method, path, "")).await.0, 403, "{method} {path}");
+            }
+            Everybody | Body => continue,
+        }
+        asked += 1;
+    }
+    assert!(asked >= 20);
+    assert_eq!(a.client.job(&a.job).await.unwrap().priority, 0, "nothing of it was changed");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_request_names_is_looked_for_among_the_callers_own_things() {
+    let server = server().await;
+    let (a, b) = tokio::join!(Tenant::new(&server, "a"), Tenant::new(&server, "b"));
+    let job = |capture: &str, light: Option<&str>| {
+        let light = light.map_or(json!({}), |id| json!({ "light": { "environment": id } }));
+        let body = json!({ "capture": capture, "overrides": light });
+        b.client.request(Method::POST, "/v1/jobs").unwrap().json(&body)
+    };
+    let look = json!({ "look_at": { "eye": [3, 0, 1], "target": [0, 0, 0], "fov_y_deg": 40 } });
+    let render = |id: &str| {
+        let body = json!({ "camera": look, "width": 8, "height": 8, "environment": { "id": id } });
+        b.client.request(Method::POST, &format!("/v1/models/{}/render", b.model)).unwrap().json(&body)
+    };
+    let thumbnail = |id: &str| {
+        let path = format!("/v1/models/{}/thumbnail?size=16&env={id}", b.model);
+        b.client.request(Method::GET, &path).unwrap()
+    };
+    let own_capture = b.capture.as_str();
+    let cases: [(&str, Kind, &dyn Fn(&str) -> RequestBuilder); 4] = [
+        ("capture of a job", Capture, &|id| job(id, None)),
+        ("light of a job", Environment, &|id| job(own_capture, Some(id))),
+        ("environment of a render", Environment, &render),
+        ("environment of a thumbnail", Environment, &thumbnail),
+    ];
+    for (what, kind, request) in cases {
+        let found = refusal(request(a.id(kind)), a.id(kind)).await;
+        assert_eq!(found, refusal(request(never(kind)), never(kind)).await, "{what}");
+        assert_eq!(found.0, 422, "{what}");
+        let own = read(request(b.id(kind))).await;
+        assert!(own.0 < 300, "{what} of one's own: {own:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_same_content_is_stored_once_and_belongs_to_each_tenant_that_sent_it() {
+    let server = server().await;
+    let (a, b) = (bearer(&server, "a", &Scope::ALL).await.0, bearer(&server, "b", &Scope::ALL).await.0);
+    let first = a.upload_capture_bytes(capture_zip()).await.unwrap();
+    let upload = b.request(Method::POST, "/v1/captures").unwrap();
+    let upload = upload.header(header::CONTENT_TYPE, "application/zip").body(capture_zip());
+    let (status, _, second) = read(upload).await;
+    assert_eq!(status, 201, "that another tenant has it does not show");
+    assert_eq!(second["sha256"], first.sha256);
+    assert_ne!(second["id"], first.id.as_str());
+    let stored = files_under(server.data_dir());
+    assert_eq!(stored.iter().filter(|(name, _)| name.contains(&first.sha256)).count(), 1, "{stored:?}");
+
+    // Whatever one tenant calls its requests, another may call its own so, too.
+    let second = CaptureId::from(second["id"].as_str().unwrap());
+    let mut jobs = BTreeSet::new();
+    for (client, capture) in [(&a, &first.id), (&b, &second)] {
+        let job = client.create_job(&small_job(capture, 3, 5), Some("nightly")).await.unwrap();
+        assert_eq!(client.jobs().await.unwrap().items.len(), 1);
+        jobs.insert(job.id.clone());
+        ended(client, &job.id).await;
+    }
+    assert_eq!(jobs.len(), 2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_operation_refuses_a_key_without_its_scope_by_name() {
+    let server = server().await;
+    let mut few = Vec::new();
+    for scope in Scope::ALL {
+        let others: Vec<Scope> = Scope::ALL.into_iter().filter(|other| *other != scope).collect();
+        let with = bearer(&server, "default", &[scope]).await.0;
+        few.push((scope, with, bearer(&server, "default", &others).await.0));
+    }
+    for (method, path, about, scope) in operations() {
+        let (_, with, without) = few.iter().find(|(s, _, _)| s == scope).unwrap();
+        let id = if let One(kind) = about { never(*kind) } else { "" };
+        let refused = read(ask(without, method, path, id)).await;
+        let admitted = read(ask(with, method, path, id)).await;
+        assert!(![401, 403].contains(&admitted.0), "{method} {path}: {admitted:?}");
+        if *about == Everybody {
+            assert_eq!(refused.0, 200, "{method} {path}");
+            continue;
+        }
+        assert_eq!((refused.0, &refused.2["type"]), (403, &json!("urn:relume:problem:forbidden")), "{path}");
+        let named = format!("\"{scope}\"");
+        assert!(refused.2["detail"].as_str().unwrap().contains(&named), "{method} {path}: {refused:?}");
+    }
+}
+
+/// A database of the version before tenants, with a job that made a model.
+async fn former_database(data: &TempDir) {
+    let former = TempDir::new().unwrap();
+    let migrations = concat!(env!("CARGO_MANIFEST_DIR"), "/migrations/sqlite");
+    for name in ["0001_service.sql", "0002_checkpoint_hash.sql"] {
+        std::fs::copy(format!("{migrations}/{name}"), former.path().join(name)).unwrap();
+    }
+    let url = format!("sqlite:{}?mode=rwc", data.path().join("relume.db").display());
+    let pool = sqlx::SqlitePool::connect(&url).await.unwrap();
+    Migrator::new(former.path()).await.unwrap().run(&pool).await.unwrap();
+    let report = serde_json::to_string(&relume::capture::CaptureReport::default()).unwrap();
+    let insert = "INSERT INTO captures VALUES ('c', 'cc', 1, 'captures/cc', ?1, 5)";
+    sqlx::query(insert).bind(report).execute(&pool).await.unwrap();
+    for statement in [
+        "INSERT INTO environments VALUES ('e', 'ee', NULL, 1, 'environments/ee', 4, 2, '[]', 6)",
+        "INSERT INTO jobs (id, capture_id, preset, overrides, device, priority, state, created_ms, total, model_id)
+         VALUES ('j', 'c', 'draft', '{}', 'auto', 0, 'succeeded', 7, 10, 'm')",
+        "INSERT INTO events (job_id, at_ms, kind, data) VALUES ('j', 7, 'state', '{}')",
+        "INSERT INTO models VALUES ('m', 'j', 'c', 1, '{}', 8)",
+        "INSERT INTO model_files VALUES ('m', 'model.ply', 'x/y', 1, 'ff', 'attempts/j/1/model.ply')",
+        "INSERT INTO idempotency VALUES ('k', 'f', 'r', 9)",
+    ] {
+        sqlx::query(statement).execute(&pool).await.unwrap();
+    }
+    pool.close().await;
+}
+
+#[tokio::test]
+async fn what_was_there_before_tenants_belongs_to_the_default_one() {
+    let data = TempDir::new().unwrap();
+    former_database(&data).await;
+    let store = Store::open(data.path()).await.unwrap();
+    for (tenant, expected) in [(TenantId::of_operator(), true), (TenantId::from("a"), false)] {
+        let page = Page { limit: 9, before: None };
+        assert_eq!(store.capture(&tenant, &"c".into()).await.unwrap().is_some(), expected);
+        assert_eq!(store.capture_by_hash(&tenant, "cc").await.unwrap().is_some(), expected);
+        assert_eq!(store.environment(&tenant, &"e".into()).await.unwrap().is_some(), expected);
+        assert_eq!(store.job(&tenant, &"j".into()).await.unwrap().is_some(), expected);
+        assert_eq!(store.events_after(&tenant, &"j".into(), 0).await.unwrap().len(), usize::from(expected));
+        assert_eq!(store.models(&tenant, &page).await.unwrap().len(), usize::from(expected));
+        let file = store.model_file(&tenant, &"m".into(), "model.ply").await.unwrap();
+        assert_eq!(file.is_some(), expected);
+    }
+    store.close().await;
+    let url = format!("sqlite:{}", data.path().join("relume.db").display());
+    let pool = sqlx::SqlitePool::connect(&url).await.unwrap();
+    let dangling = sqlx::query("PRAGMA foreign_key_check").fetch_all(&pool).await.unwrap();
+    assert!(dangling.is_empty());
+    // References still hold.
+    let capture = sqlx::query("DELETE FROM captures").execute(&pool).await.unwrap_err();
+    assert!(capture.to_string().contains("FOREIGN KEY"), "{capture}");
+    let keys: i64 = sqlx::query_scalar("SELECT COUNT(*) FROM idempotency WHERE tenant = 'default'")
+        .fetch_one(&pool)
+        .await
+        .unwrap();
+    assert_eq!(keys, 1);
+    pool.close().await;
+}
