@@ -75,6 +75,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/v1/models/{id}/files/{name}", One(Model), Read),
     ("post", "/v1/models/{id}/render", One(Model), Render),
     ("get", "/v1/models/{id}/thumbnail", One(Model), Read),
+    ("post", "/v1/signed-urls", Body, Read),
 ];
 
 /// The operations of the description, each with what is known about it.
@@ -234,6 +235,9 @@ async fn what_a_request_names_is_looked_for_among_the_callers_own_things() {
         b.client.request(Method::GET, &path).unwrap()
     };
     let own_capture = b.capture.as_str();
+    let sign = |path: String| {
+        b.client.request(Method::POST, "/v1/signed-urls").unwrap().json(&json!({ "path": path }))
+    };
     let cases: [(&str, Kind, &dyn Fn(&str) -> RequestBuilder); 4] = [
         ("capture of a job", Capture, &|id| job(id, None)),
         ("light of a job", Environment, &|id| job(own_capture, Some(id))),
@@ -246,6 +250,14 @@ async fn what_a_request_names_is_looked_for_among_the_callers_own_things() {
         assert_eq!(found.0, 422, "{what}");
         let own = read(request(b.id(kind))).await;
         assert!(own.0 < 300, "{what} of one's own: {own:?}");
+    }
+    for (kind, rest) in [(Model, "thumbnail"), (Model, "files/model.ply"), (Job, "events")] {
+        let family = if kind == Model { "models" } else { "jobs" };
+        let path = |id: &str| format!("/v1/{family}/{id}/{rest}");
+        let found = refusal(sign(path(a.id(kind))), a.id(kind)).await;
+        assert_eq!(found, refusal(sign(path(never(kind))), never(kind)).await, "{rest}");
+        assert_eq!(found.0, 404, "{rest}");
+        assert_eq!(read(sign(path(b.id(kind)))).await.0, 200, "{rest} of one's own");
     }
 }
 

@@ -9,6 +9,7 @@ pub mod models;
 mod page;
 pub mod problem;
 pub mod renders;
+pub mod signed_urls;
 
 pub use ids::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId};
 pub use page::List;

@@ -8,6 +8,7 @@ use crate::api::keys::{NewKey, Scope};
 use crate::api::{KeyId, TenantId};
 use crate::cli::CommandResult;
 use crate::jobs::{Clock, SystemClock};
+use crate::server::rotate_signing_secret;
 use crate::store::{KeyRecord, NewKeyRecord, NodeLock, Page, Store, StoreError};
 
 /// Options of `relume keys`.
@@ -25,6 +26,8 @@ enum KeysCommand {
     List(Place),
     /// Refuse a key from now on.
     Revoke(RevokeArgs),
+    /// End all signed URLs that were made so far.
+    EndSignedUrls(Place),
 }
 
 /// Where the keys are.
@@ -71,6 +74,7 @@ pub(super) fn run(args: KeysArgs) -> CommandResult {
                 let store = existing(&args.place.data_dir).await?;
                 revoke(&store, &args.id.into()).await
             }
+            KeysCommand::EndSignedUrls(place) => Ok(rotate_signing_secret(&place.data_dir)?),
         }
     })
 }

@@ -19,6 +19,7 @@ mod environments;
 mod error;
 mod events;
 mod jobs;
+mod keys;
 mod models;
 
 pub use connection::Client;

@@ -9,7 +9,11 @@ use axum::response::{IntoResponse, Response};
 
 use crate::api::Problem;
 use crate::api::keys::Scope::{self, Admin, Read, Render, Submit};
+use crate::server::caller::Caller;
 use crate::server::keyring::Keyring;
+use crate::server::rates::{Rates, Standing};
+use crate::server::signing::{Signed, Subject};
+use crate::server::signing_secret::SigningSecret;
 
 /// What a route asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,6 +58,7 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/v1/models/{id}/files/{name}", Needs(Read)),
     (Method::POST, "/v1/models/{id}/render", Needs(Render)),
     (Method::GET, "/v1/models/{id}/thumbnail", Needs(Read)),
+    (Method::POST, "/v1/signed-urls", Needs(Read)),
 ];
 
 /// The line of the table for a request that a route was found for.
@@ -63,31 +68,84 @@ fn access_of(request: &Request) -> Option<Access> {
     TABLE.iter().find(|(m, path, _)| m == method && *path == route.as_str()).map(|line| line.2)
 }
 
+/// Who may make requests.
+pub(super) struct Gate {
+    pub(super) keys: Keyring,
+    /// Under which URLs are signed.
+    pub(super) signing: SigningSecret,
+    /// How many requests they may make.
+    pub(super) rates: Rates,
+}
+
 /// Finds out who makes a request and lets it through if they may.
-pub(super) async fn check(State(keys): State<Arc<Keyring>>, request: Request, next: Next) -> Response {
+pub(super) async fn check(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
     let access = access_of(&request);
     if access == Some(Open) {
         return next.run(request).await;
     }
-    match admit(&keys, access, request).await {
+    let mut standing = None;
+    let mut response = match gate.admit(access, request, &mut standing).await {
         Ok(request) => next.run(request).await,
         Err(problem) => problem.into_response(),
+    };
+    if let Some(standing) = standing {
+        standing.tell(response.headers_mut());
+    }
+    response
+}
+
+impl Gate {
+    /// The request with its caller; how the caller's key stands is in `standing` from then on.
+    async fn admit(
+        &self,
+        access: Option<Access>,
+        mut request: Request,
+        standing: &mut Option<Standing>,
+    ) -> Result<Request, Problem> {
+        let caller = match Signed::is_meant(request.uri().query()) {
+            true => self.signer(&mut request).await?,
+            false => self.keys.caller(bearer(&request)).await?.ok_or_else(unknown)?,
+        };
+        caller.tell_the_log();
+        *standing = self.rates.take(&caller.key, self.keys.now_ms());
+        standing.as_ref().map_or(Ok(()), Standing::check)?;
+        match access {
+            Some(Needs(scope)) => caller.needs(scope)?,
+            Some(Operator) => caller.needs_operator()?,
+            Some(Open) => {}
+            // No such route, or not with this method: it is refused without asking who calls.
+            None => return Ok(request),
+        }
+        request.extensions_mut().insert(caller);
+        Ok(request)
+    }
+
+    /// Whoever signed the URL of a request, with leave to read and nothing else. What signing added is taken off the URL.
+    async fn signer(&self, request: &mut Request) -> Result<Caller, Problem> {
+        let uri = request.uri().clone();
+        let signed = Signed::parse(uri.query()).ok_or_else(badly_signed)?;
+        let reads = matches!(*request.method(), Method::GET | Method::HEAD);
+        if !reads || Subject::of(uri.path()).is_none() {
+            return Err(badly_signed());
+        }
+        let secret = self.signing.read().await.map_err(Problem::internal)?;
+        let caller = self.keys.bearer_of(signed.key).await?;
+        let (Some(secret), Some(caller)) = (secret, caller) else { return Err(badly_signed()) };
+        let is_over = self.keys.now_ms() / 1000 >= signed.expires;
+        if is_over || !signed.is_by(&caller, &secret, uri.path()) {
+            return Err(badly_signed());
+        }
+        caller.needs(Read)?;
+        let query = signed.query.map_or_else(String::new, |query| format!("?{query}"));
+        *request.uri_mut() = format!("{}{query}", uri.path()).parse().map_err(Problem::internal)?;
+        Ok(Caller { scopes: vec![Read], ..caller })
     }
 }
 
-/// The request with its caller.
-async fn admit(keys: &Keyring, access: Option<Access>, mut request: Request) -> Result<Request, Problem> {
-    let caller = keys.caller(bearer(&request)).await?.ok_or_else(unknown)?;
-    caller.tell_the_log();
-    match access {
-        Some(Needs(scope)) => caller.needs(scope)?,
-        Some(Operator) => caller.needs_operator()?,
-        Some(Open) => {}
-        // No such route, or not with this method: it is refused without asking who calls.
-        None => return Ok(request),
-    }
-    request.extensions_mut().insert(caller);
-    Ok(request)
+fn badly_signed() -> Problem {
+    Problem::new(StatusCode::FORBIDDEN, "bad-signature", "The signed URL is not good, or no longer").detail(
+        "it has expired, was changed, is of another secret, or its key was revoked; ask /v1/signed-urls for another",
+    )
 }
 
 fn unknown() -> Problem {

@@ -8,6 +8,7 @@ use utoipa::openapi::OpenApi;
 use crate::jobs::Jobs;
 use crate::server::decoders::Decoders;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
+use crate::server::signing_secret::SigningSecret;
 use crate::store::Store;
 use crate::worker::DeviceHandle;
 
@@ -41,6 +42,8 @@ pub(super) struct App {
     pub(super) memory: MemoryBudget,
     /// Where uploads are decoded.
     pub(super) decoders: Decoders,
+    /// Under which URLs are signed.
+    pub(super) signing: SigningSecret,
     /// Cancelled when the server begins to shut down.
     pub(super) stop: CancellationToken,
     /// The description of the API.

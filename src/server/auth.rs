@@ -24,6 +24,11 @@ impl ApiKeys {
         self.hashes.is_empty()
     }
 
+    /// The hash of a key.
+    pub(super) fn hash(&self, place: usize) -> Option<&[u8; 32]> {
+        self.hashes.get(place)
+    }
+
     /// Which of the keys this is. Compares with every hash, whichever matches, so that the time it takes does not depend on
     /// the key.
     pub(super) fn place(&self, key: &str) -> Option<usize> {

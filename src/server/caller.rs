@@ -7,6 +7,9 @@ use axum::http::request::Parts;
 use crate::api::keys::Scope;
 use crate::api::{KeyId, Problem, TenantId};
 
+/// What stands for a key where there is none.
+pub(super) const NO_KEY: &str = "none";
+
 /// Whoever makes a request. Handlers take it as an argument; there is one only where the table of `access` lets the
 /// request through.
 #[derive(Debug, Clone)]
@@ -17,6 +20,10 @@ pub(super) struct Caller {
     pub(super) scopes: Vec<Scope>,
     /// The key that it came with.
     pub(super) key: KeyId,
+    /// Hash of that key; empty where there is none.
+    pub(super) key_hash: String,
+    /// When that key expires.
+    pub(super) expires_ms: Option<i64>,
     /// False on a server without keys.
     pub(super) has_key: bool,
 }
@@ -27,7 +34,9 @@ impl Caller {
         Self {
             tenant: TenantId::of_operator(),
             scopes: Scope::ALL.to_vec(),
-            key: KeyId::from("none"),
+            key: KeyId::from(NO_KEY),
+            key_hash: String::new(),
+            expires_ms: None,
             has_key: false,
         }
     }

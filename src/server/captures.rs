@@ -56,6 +56,7 @@ async fn upload_capture(
         app.store.artifacts().mend(incoming, &known.artifact).await?;
         return Ok(Json(view(known)).into_response());
     }
+    app.store.admit_bytes_of(&caller.tenant, incoming.bytes).await?;
     let report = validate(&app, &incoming).await?;
     let record = CaptureRecord {
         id: app.jobs.fresh_id(),

@@ -75,6 +75,7 @@ async fn upload_environment(
         app.store.artifacts().mend(incoming, &known.artifact).await?;
         return Ok(Json(view(known)).into_response());
     }
+    app.store.admit_bytes_of(&caller.tenant, incoming.bytes).await?;
     let (width, height, warnings) = validate(&app, &incoming).await?;
     let record = EnvironmentRecord {
         id: app.jobs.fresh_id(),

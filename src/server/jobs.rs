@@ -206,6 +206,8 @@ async fn submit(
     retry_of: Option<JobId>,
     key: Option<&IdempotencyKey>,
 ) -> Result<Response, Problem> {
+    // A training makes a model, of a size that is not known before.
+    app.store.admit_bytes_of(tenant, 0).await?;
     let answer =
         |job: &JobRecord, position| serde_json::to_string(&view(job.clone(), position)).unwrap_or_default();
     let submitted = app.jobs.submit(tenant, request, total, retry_of, key, answer).await?;

@@ -10,11 +10,14 @@ use crate::api::keys::Scope;
 use crate::api::{KeyId, TenantId};
 use crate::jobs::Clock;
 use crate::server::auth::ApiKeys;
-use crate::server::caller::Caller;
-use crate::store::{KeyRecord, KeyToken, Store, StoreError};
+use crate::server::caller::{Caller, NO_KEY};
+use crate::store::{KeyRecord, KeyToken, Store, StoreError, hex};
 
 /// The use of a key is written down once in this time.
 const NOTE_EVERY_MS: i64 = 60_000;
+
+/// Keys that the server was started with are named so, with their number.
+const CONFIGURED: &str = "configured-";
 
 /// All keys of a server.
 pub(super) struct Keyring {
@@ -44,7 +47,7 @@ impl Keyring {
     /// Who sends this key, or none.
     pub(super) async fn caller(&self, key: Option<&str>) -> Result<Option<Caller>, StoreError> {
         if let Some(place) = key.and_then(|key| self.configured.place(key)) {
-            return Ok(Some(configured(place)));
+            return Ok(self.configured(place));
         }
         if let Some(token) = key.and_then(KeyToken::parse)
             && let Some(record) = self.store.key_of_caller(&token.id).await?
@@ -57,6 +60,38 @@ impl Keyring {
             }));
         }
         Ok(self.is_open().await?.then(Caller::without_key))
+    }
+
+    /// Whose key has this identifier, if it can be used.
+    pub(super) async fn bearer_of(&self, id: &str) -> Result<Option<Caller>, StoreError> {
+        if let Some(number) = id.strip_prefix(CONFIGURED) {
+            let place = number.parse().ok().and_then(|number: usize| number.checked_sub(1));
+            return Ok(place.and_then(|place| self.configured(place)));
+        }
+        if id == NO_KEY {
+            return Ok(self.is_open().await?.then(Caller::without_key));
+        }
+        let (found, now_ms) = (self.store.key_of_caller(&id.into()).await?, self.clock.now_ms());
+        Ok(found.filter(|record| record.is_valid(now_ms)).map(|record| {
+            self.note_use(&record, now_ms);
+            stored(record)
+        }))
+    }
+
+    pub(super) fn now_ms(&self) -> i64 {
+        self.clock.now_ms()
+    }
+
+    /// The bearer of a key that the server was started with.
+    fn configured(&self, place: usize) -> Option<Caller> {
+        Some(Caller {
+            tenant: TenantId::of_operator(),
+            scopes: Scope::ALL.to_vec(),
+            key: format!("{CONFIGURED}{}", place + 1).into(),
+            key_hash: hex(self.configured.hash(place)?),
+            expires_ms: None,
+            has_key: true,
+        })
     }
 
     /// Writes down that a key is used, at most once a minute and without keeping its caller waiting.
@@ -76,16 +111,13 @@ impl Keyring {
     }
 }
 
-/// The bearer of a key that the server was started with.
-fn configured(place: usize) -> Caller {
+fn stored(record: KeyRecord) -> Caller {
     Caller {
-        tenant: TenantId::of_operator(),
-        scopes: Scope::ALL.to_vec(),
-        key: format!("configured-{}", place + 1).into(),
+        tenant: record.tenant,
+        scopes: record.scopes,
+        key: record.id,
+        key_hash: record.secret_sha256,
+        expires_ms: record.expires_ms,
         has_key: true,
     }
-}
-
-fn stored(record: KeyRecord) -> Caller {
-    Caller { tenant: record.tenant, scopes: record.scopes, key: record.id, has_key: true }
 }

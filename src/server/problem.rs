@@ -127,6 +127,16 @@ impl From<StoreError> for Problem {
                     .detail("nothing was stored")
                     .retry_after(60)
             }
+            StoreError::QuotaOfJobs { .. } => {
+                let title = "Your tenant may have no more of these";
+                Self::new(StatusCode::TOO_MANY_REQUESTS, "quota-exceeded", title)
+                    .detail(error.to_string())
+                    .retry_after(60)
+            }
+            StoreError::QuotaOfBytes { .. } => {
+                let title = "Your tenant may have no more of these";
+                Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", title).detail(error.to_string())
+            }
             StoreError::TooLarge { limit } => Self::too_large(limit),
             StoreError::Body(reason) => {
                 Self::new(StatusCode::BAD_REQUEST, "incomplete-body", "The body could not be read")

@@ -9,7 +9,8 @@ use crate::api::Problem;
 use crate::server::app::Shared;
 use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLOADS, bounded};
 use crate::server::{
-    captures, description, environments, events, files, health, jobs, keys, models, renders, thumbnails,
+    captures, description, environments, events, files, health, jobs, keys, models, renders, signed_urls,
+    thumbnails,
 };
 
 fn families() -> OpenApiRouter<Shared> {
@@ -19,6 +20,7 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(jobs::routes())
         .merge(events::routes())
         .merge(keys::routes())
+        .merge(signed_urls::routes())
         .merge(models::routes())
         .merge(files::routes());
     OpenApiRouter::with_openapi(description::preamble())

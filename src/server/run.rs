@@ -11,6 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::engine::DeviceError;
 use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
+use crate::server::access::Gate;
 use crate::server::app::{App, RequestLimits};
 use crate::server::auth::{ApiKeys, may_listen};
 use crate::server::connections::{self, ConnectionLimits};
@@ -19,9 +20,11 @@ use crate::server::keyring::Keyring;
 use crate::server::memory::MemoryBudget;
 use crate::server::observe;
 use crate::server::origins::CorsOrigin;
+use crate::server::rates::Rates;
 use crate::server::router::{openapi, router};
+use crate::server::signing_secret::SigningSecret;
 use crate::server::stack::StackConfig;
-use crate::store::{NodeLock, Store, StoreError, has_keys};
+use crate::store::{NodeLock, Quota, Store, StoreError, has_keys};
 use crate::worker::{self, StartError, WorkerOptions};
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
@@ -44,6 +47,10 @@ pub struct ServerConfig {
     pub limits: RequestLimits,
     /// Bounds on connections.
     pub connections: ConnectionLimits,
+    /// Requests that a key may make a minute; any number when absent.
+    pub requests_per_minute: Option<u32>,
+    /// How much a tenant may have.
+    pub quota: Quota,
     /// How leases behave.
     pub lease: LeasePolicy,
     /// Sizes of the worker.
@@ -64,6 +71,8 @@ impl ServerConfig {
             allowed_hosts: Vec::new(),
             limits: RequestLimits::default(),
             connections: ConnectionLimits::default(),
+            requests_per_minute: None,
+            quota: Quota::default(),
             lease: LeasePolicy::default(),
             worker: WorkerOptions::default(),
             clock: Arc::new(SystemClock),
@@ -116,7 +125,7 @@ pub async fn run(
     }
     observe::metrics_handle();
     let _lock = NodeLock::acquire(&config.data_dir)?;
-    let store = Store::open(&config.data_dir).await?;
+    let store = Store::open(&config.data_dir).await?.with_quota(config.quota);
     let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
     recover(&store, &jobs).await?;
 
@@ -126,6 +135,7 @@ pub async fn run(
         StartError::Thread(error) => ServeError::Io(error),
     })?;
     let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
+    let signing = SigningSecret::of(&config.data_dir);
     let app = App {
         store: store.clone(),
         jobs,
@@ -133,11 +143,14 @@ pub async fn run(
         limits: config.limits,
         memory: MemoryBudget::new(config.limits.memory_bytes),
         decoders: Decoders::start(config.limits.memory_bytes)?,
+        signing: signing.clone(),
         stop: stop.clone(),
         description: openapi(),
     };
+    let keys = Keyring::new(config.api_keys, store.clone(), config.clock);
+    let gate = Arc::new(Gate { keys, signing, rates: Rates::new(config.requests_per_minute) });
     let stack = StackConfig {
-        keys: Arc::new(Keyring::new(config.api_keys, store.clone(), config.clock)),
+        gate,
         is_open,
         origins: config.cors_origins,
         hosts: config.allowed_hosts.into(),

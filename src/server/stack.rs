@@ -16,16 +16,15 @@ use tower_http::timeout::RequestBodyTimeoutLayer;
 use utoipa_axum::router::OpenApiRouter;
 
 use crate::api::Problem;
-use crate::server::access;
+use crate::server::access::{self, Gate};
 use crate::server::app::Shared;
-use crate::server::keyring::Keyring;
 use crate::server::observe;
 use crate::server::origins::{self, CorsOrigin};
 use crate::server::same_site::{self, TrustedHosts};
 
 /// What a server's stack depends on.
 pub(super) struct StackConfig {
-    pub(super) keys: Arc<Keyring>,
+    pub(super) gate: Arc<Gate>,
     /// Whether the server begins without keys. It may get some while it runs; the checks of host and origin stay.
     pub(super) is_open: bool,
     pub(super) origins: Vec<CorsOrigin>,
@@ -67,7 +66,7 @@ where
 
 /// Around all routes. Layers run from the first to the last.
 pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shared> {
-    let StackConfig { keys, is_open, origins, hosts, body_stall } = config;
+    let StackConfig { gate, is_open, origins, hosts, body_stall } = config;
     // A key, which no foreign page knows, protects as well as the checks of host and origin.
     let csrf = is_open.then(|| same_site::csrf(&origins));
     let host = is_open.then(|| middleware::from_fn_with_state(hosts, same_site::check_host));
@@ -83,7 +82,7 @@ pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shar
             // Outside authentication: a browser's preflight carries no key.
             .option_layer(origins::cors(&origins))
             .option_layer(csrf)
-            .layer(middleware::from_fn_with_state(keys, access::check))
+            .layer(middleware::from_fn_with_state(gate, access::check))
             .layer(RequestBodyTimeoutLayer::new(body_stall))
             // Every extractor of bodies brings its own limit.
             .layer(DefaultBodyLimit::disable()),

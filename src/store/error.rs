@@ -33,6 +33,22 @@ pub enum StoreError {
     /// Another process owns the data directory.
     #[error("the data directory {0} is in use by another server")]
     Locked(String),
+    /// A tenant has as many jobs as it may.
+    #[error("{most} jobs may wait and run at once")]
+    QuotaOfJobs {
+        /// How many.
+        most: u32,
+    },
+    /// A tenant has as much as it may.
+    #[error("at most {most} bytes may be stored: {taken} are, and {asked} more were asked for")]
+    QuotaOfBytes {
+        /// How much.
+        most: u64,
+        /// What there is.
+        taken: u64,
+        /// What was asked for beside it.
+        asked: u64,
+    },
     /// The same idempotency key came with another request.
     #[error("the idempotency key was used with a different request")]
     KeyReused,

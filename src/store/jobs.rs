@@ -50,6 +50,7 @@ impl Store {
             tx.commit().await?;
             return Ok(Submitted::Replayed(response));
         }
+        self.admit_job_of(&mut tx, &job.tenant).await?;
         insert(&mut tx, job).await?;
         events::append(&mut tx, &job.id, now_ms, "state", json!({ "state": JobState::Queued })).await?;
         let position = sqlx::query_scalar(POSITION).bind(&job.id).fetch_optional(&mut *tx).await?;

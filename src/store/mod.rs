@@ -3,6 +3,7 @@
 //! Every change that a client may have been told of is one transaction on a database in WAL mode
 //! with `synchronous=FULL`. Times come in as milliseconds since 1970 UTC, so that callers can inject a clock.
 
+mod admission;
 mod artifacts;
 mod captures;
 mod database;
@@ -18,6 +19,7 @@ mod keys;
 mod leases;
 mod models;
 mod node_lock;
+mod quota;
 mod records;
 mod references;
 mod room;
@@ -40,6 +42,7 @@ pub use key_token::KeyToken;
 pub use keys::{NewKeyRecord, has_keys};
 pub use leases::{LeaseStatus, Release};
 pub use node_lock::NodeLock;
+pub use quota::Quota;
 pub use records::{
     CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, KeyRecord, ModelFile, ModelRecord, Page,
 };
@@ -52,6 +55,7 @@ pub struct Store {
     database: Database,
     artifacts: Artifacts,
     room: Room,
+    quota: Quota,
     root: PathBuf,
 }
 
@@ -67,7 +71,13 @@ impl Store {
             return Err(StoreError::DatabaseMissing(root.display().to_string()));
         }
         let database = Database::open(root).await?;
-        Ok(Self { database, artifacts: Artifacts::open(root)?, room: Room::new(root), root: root.to_owned() })
+        Ok(Self {
+            database,
+            artifacts: Artifacts::open(root)?,
+            room: Room::new(root),
+            quota: Quota::default(),
+            root: root.to_owned(),
+        })
     }
 
     /// Opens the data directory of a server that runs. Nothing is migrated beneath it.

@@ -10,6 +10,7 @@ use crate::cli::CommandResult;
 use crate::engine::DeviceChoice;
 use crate::server::{self, CorsOrigin, ServerConfig};
 
+mod fairness;
 mod keys;
 mod network;
 
@@ -47,6 +48,8 @@ pub(super) struct ServeArgs {
     #[arg(long = "memory", env = "RELUME_MEMORY", value_name = "MIB", value_parser = clap::value_parser!(u64).range(64..=1 << 24))]
     memory_mib: Option<u64>,
     #[command(flatten)]
+    fairness: fairness::FairnessArgs,
+    #[command(flatten)]
     network: network::NetworkArgs,
 }
 
@@ -66,6 +69,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     if let Some(mib) = args.memory_mib {
         config.limits.memory_bytes = mib << 20;
     }
+    args.fairness.apply(&mut config);
     config.worker.device = args.device;
     config.lease.max_idle_attempts = args.max_attempts;
     let listener = TcpListener::bind(args.listen).await?;

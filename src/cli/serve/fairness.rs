@@ -1,0 +1,25 @@
+//! Options about how much one key or tenant may take.
+
+use crate::server::ServerConfig;
+use crate::store::Quota;
+
+/// Options about how much one key or tenant may take.
+#[derive(Debug, clap::Args)]
+pub(super) struct FairnessArgs {
+    /// Requests that a key may make a minute; one more gets 429. Not bounded where absent.
+    #[arg(long, env = "RELUME_REQUESTS_PER_MINUTE", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    requests_per_minute: Option<u32>,
+    /// Jobs of a tenant that wait or run; one more gets 429. Not bounded where absent.
+    #[arg(long, env = "RELUME_MAX_JOBS_PER_TENANT", value_parser = clap::value_parser!(u32).range(1..))]
+    max_jobs_per_tenant: Option<u32>,
+    /// Bytes of a tenant's captures, environments and models; more uploads and jobs get 507. Not bounded where absent.
+    #[arg(long, env = "RELUME_MAX_BYTES_PER_TENANT", value_parser = clap::value_parser!(u64).range(1..))]
+    max_bytes_per_tenant: Option<u64>,
+}
+
+impl FairnessArgs {
+    pub(super) fn apply(&self, config: &mut ServerConfig) {
+        config.requests_per_minute = self.requests_per_minute;
+        config.quota = Quota { jobs: self.max_jobs_per_tenant, bytes: self.max_bytes_per_tenant };
+    }
+}

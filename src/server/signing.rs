@@ -1,0 +1,169 @@
+//! What is signed, and how: HMAC-SHA-256 over the path and query as they stand, whose key signs, and until when.
+//!
+//! A signed URL ends with `key=ID&expires=SECONDS&signature=HEX`, in this order. What stands before is compared byte by byte.
+
+use hmac::{Hmac, KeyInit, Mac};
+use sha2::Sha256;
+
+use crate::api::{JobId, ModelId};
+use crate::server::caller::Caller;
+use crate::store::hex;
+
+/// Parameters that a signed URL gets.
+const RESERVED: [&str; 3] = ["key", "expires", "signature"];
+
+/// What a URL that may be signed is about. These are all: `GET`s that a page lets the browser make.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Subject {
+    /// A thumbnail of a model.
+    Thumbnail(ModelId),
+    /// A file of a model.
+    File(ModelId, String),
+    /// The events of a job.
+    Events(JobId),
+}
+
+impl Subject {
+    /// What a path is about, if it may be signed.
+    pub(super) fn of(path: &str) -> Option<Self> {
+        let parts: Vec<&str> = path.strip_prefix("/v1/")?.split('/').collect();
+        match *parts.as_slice() {
+            ["models", id, "thumbnail"] => Some(Self::Thumbnail(id.into())),
+            ["models", id, "files", name] => Some(Self::File(id.into(), name.to_owned())),
+            ["jobs", id, "events"] => Some(Self::Events(id.into())),
+            _ => None,
+        }
+    }
+}
+
+/// The query of a signed URL, taken apart.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Signed<'a> {
+    /// The query that was signed.
+    pub(super) query: Option<&'a str>,
+    /// Whose key signed.
+    pub(super) key: &'a str,
+    /// Until when it is good, seconds since 1970 UTC.
+    pub(super) expires: i64,
+    signature: &'a str,
+}
+
+impl<'a> Signed<'a> {
+    /// Whether a query has a signature, good or not.
+    pub(super) fn is_meant(query: Option<&str>) -> bool {
+        names(query).any(|name| name == "signature")
+    }
+
+    pub(super) fn parse(query: Option<&'a str>) -> Option<Self> {
+        let (rest, signature) = query?.rsplit_once("&signature=")?;
+        let (rest, expires) = rest.rsplit_once("&expires=")?;
+        let (query, key) = match rest.rsplit_once("&key=") {
+            Some((query, key)) => (Some(query), key),
+            None => (None, rest.strip_prefix("key=")?),
+        };
+        Some(Self { query, key, expires: expires.parse().ok()?, signature })
+    }
+
+    /// Whether the signature is that of `caller` for this path. Takes as long whatever is wrong with it.
+    pub(super) fn is_by(&self, caller: &Caller, secret: &[u8], path: &str) -> bool {
+        let bytes: Option<Vec<u8>> = (self.signature.len() == 64 && self.signature.is_ascii())
+            .then(|| (0..64).step_by(2).map(|i| u8::from_str_radix(&self.signature[i..i + 2], 16)))
+            .and_then(|digits| digits.collect::<Result<_, _>>().ok());
+        let mac = mac(secret, caller, path, self.query, self.expires);
+        bytes.is_some_and(|bytes| mac.is_some_and(|mac| mac.verify_slice(&bytes).is_ok()))
+    }
+}
+
+/// Path and query with a signature; `None` when the query has a reserved name.
+pub(super) fn sign(
+    caller: &Caller,
+    secret: &[u8],
+    path: &str,
+    query: Option<&str>,
+    expires: i64,
+) -> Option<String> {
+    if names(query).any(|name| RESERVED.contains(&name)) {
+        return None;
+    }
+    let signature = hex(&mac(secret, caller, path, query, expires)?.finalize().into_bytes());
+    let before = query.map_or_else(String::new, |query| format!("{query}&"));
+    Some(format!("{path}?{before}key={}&expires={expires}&signature={signature}", caller.key))
+}
+
+/// The names of a query's parameters.
+fn names(query: Option<&str>) -> impl Iterator<Item = &str> {
+    query.into_iter().flat_map(|q| q.split('&')).map(|pair| pair.split('=').next().unwrap_or_default())
+}
+
+/// A line for each thing that is signed; none of them can have a line break in it. The hash of the key is among them, so that
+/// the signature ends with the key and not only with its name.
+fn mac(
+    secret: &[u8],
+    caller: &Caller,
+    path: &str,
+    query: Option<&str>,
+    expires: i64,
+) -> Option<Hmac<Sha256>> {
+    let query = query.map_or_else(String::new, |query| format!("?{query}"));
+    let text = format!(
+        "relume signed url 1\nGET\n{path}\n{query}\n{}\n{}\n{}\n{expires}",
+        caller.tenant, caller.key, caller.key_hash
+    );
+    let mut mac = Hmac::<Sha256>::new_from_slice(secret).ok()?;
+    mac.update(text.as_bytes());
+    Some(mac)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn caller(tenant: &str, key: &str, hash: &str) -> Caller {
+        Caller { tenant: tenant.into(), key: key.into(), key_hash: hash.into(), ..Caller::without_key() }
+    }
+
+    #[test]
+    fn nothing_that_was_signed_can_be_changed() {
+        let me = caller("t", "k", "h");
+        let path = "/v1/models/m/thumbnail";
+        for query in [None, Some("size=16"), Some("size=16&env=a%20b"), Some("")] {
+            let url = sign(&me, b"secret", path, query, 100).unwrap();
+            let (signed_path, rest) = url.split_once('?').unwrap();
+            let signed = Signed::parse(Some(rest)).unwrap();
+            assert_eq!((signed_path, signed.query, signed.key, signed.expires), (path, query, "k", 100));
+            assert!(signed.is_by(&me, b"secret", path), "{url}");
+            for other in [caller("u", "k", "h"), caller("t", "l", "h"), caller("t", "k", "i")] {
+                assert!(!signed.is_by(&other, b"secret", path), "{other:?}");
+            }
+            assert!(!signed.is_by(&me, b"Secret", path));
+            assert!(!signed.is_by(&me, b"secret", "/v1/models/n/thumbnail"));
+            // Every byte counts.
+            for at in 0..rest.len() {
+                let mut changed = rest.as_bytes().to_vec();
+                changed[at] = if changed[at] == b'1' { b'2' } else { b'1' };
+                let changed = String::from_utf8(changed).unwrap();
+                let good = Signed::parse(Some(&changed)).is_some_and(|s| s.is_by(&me, b"secret", path));
+                assert!(!good, "{changed}");
+            }
+            for changed in [format!("a=1&{rest}"), format!("{rest}&a=1"), format!("&{rest}")] {
+                let good = Signed::parse(Some(&changed)).is_some_and(|s| s.is_by(&me, b"secret", path));
+                assert!(!good, "{changed}");
+            }
+        }
+        for query in ["key=a", "a=1&expires=3", "signature=", "signature"] {
+            assert_eq!(sign(&me, b"secret", path, Some(query), 100), None, "{query}");
+        }
+    }
+
+    #[test]
+    fn only_what_a_browser_loads_by_itself_is_signed() {
+        assert_eq!(Subject::of("/v1/models/m/thumbnail"), Some(Subject::Thumbnail("m".into())));
+        assert_eq!(Subject::of("/v1/models/m/files/a.b"), Some(Subject::File("m".into(), "a.b".into())));
+        assert_eq!(Subject::of("/v1/jobs/j/events"), Some(Subject::Events("j".into())));
+        for other in
+            ["/v1/models/m", "/v1/models/m/render", "/v1/jobs", "/v1/jobs/j/cancel", "/v1/keys/k", "/metrics"]
+        {
+            assert_eq!(Subject::of(other), None, "{other}");
+        }
+    }
+}

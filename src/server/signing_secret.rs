@@ -1,0 +1,89 @@
+//! The secret under which URLs are signed: a file in the data directory that only the server's user may read. It is read each
+//! time, so that another one in its place counts at once.
+
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+/// Name of the file.
+const FILE: &str = "signing.secret";
+const BYTES: usize = 32;
+
+/// Where the secret is.
+#[derive(Debug, Clone)]
+pub(super) struct SigningSecret {
+    folder: PathBuf,
+}
+
+impl SigningSecret {
+    /// The secret of a data directory.
+    pub(super) fn of(data_dir: &Path) -> Self {
+        Self { folder: data_dir.to_owned() }
+    }
+
+    /// The secret; none while nothing was signed.
+    pub(super) async fn read(&self) -> std::io::Result<Option<Vec<u8>>> {
+        match tokio::fs::read(self.folder.join(FILE)).await {
+            Ok(secret) if secret.len() == BYTES => Ok(Some(secret)),
+            Ok(_) => Err(std::io::Error::other(format!("{FILE} does not have {BYTES} bytes: remove it"))),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// The secret, made if there is none.
+    pub(super) async fn read_or_make(&self) -> std::io::Result<Vec<u8>> {
+        if let Some(secret) = self.read().await? {
+            return Ok(secret);
+        }
+        let folder = self.folder.clone();
+        tokio::task::spawn_blocking(move || make(&folder, false)).await.map_err(std::io::Error::other)??;
+        // Of two that were made at once, one counts.
+        self.read().await?.ok_or_else(|| std::io::Error::other(format!("{FILE} is gone")))
+    }
+}
+
+/// Puts a fresh secret into a data directory: URLs that were signed before are good no more.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn rotate_signing_secret(data_dir: &Path) -> std::io::Result<()> {
+    make(data_dir, true)
+}
+
+/// Writes a fresh secret, whole and readable by its owner alone from the first moment. Blocks.
+fn make(folder: &Path, replace: bool) -> std::io::Result<()> {
+    let mut secret = [0u8; BYTES];
+    getrandom::fill(&mut secret)?;
+    let mut file = tempfile::NamedTempFile::new_in(folder)?;
+    file.write_all(&secret)?;
+    file.as_file().sync_all()?;
+    let path = folder.join(FILE);
+    match if replace { file.persist(path) } else { file.persist_noclobber(path) } {
+        Err(refused) if refused.error.kind() != ErrorKind::AlreadyExists => Err(refused.error),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn the_secret_is_made_once_read_by_its_owner_alone_and_replaced_on_demand() {
+        let folder = tempfile::tempdir().unwrap();
+        let secret = SigningSecret::of(folder.path());
+        assert_eq!(secret.read().await.unwrap(), None);
+        let (one, two) = tokio::join!(secret.read_or_make(), secret.read_or_make());
+        let first = one.unwrap();
+        assert_eq!(first, two.unwrap());
+        let mode = std::fs::metadata(folder.path().join(FILE)).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+        rotate_signing_secret(folder.path()).unwrap();
+        assert_ne!(secret.read().await.unwrap(), Some(first));
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside it");
+        std::fs::write(folder.path().join(FILE), "short").unwrap();
+        assert!(secret.read().await.is_err());
+    }
+}

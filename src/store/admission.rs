@@ -1,0 +1,48 @@
+//! Refuses what a tenant would have beyond its quota.
+
+use sqlx::{Sqlite, Transaction};
+
+use crate::api::TenantId;
+use crate::store::{Quota, Store, StoreError};
+
+impl Store {
+    /// Bounds what each tenant may have.
+    #[must_use]
+    pub fn with_quota(mut self, quota: Quota) -> Self {
+        self.quota = quota;
+        self
+    }
+
+    /// Refuses `asked` more bytes of a tenant beyond its quota; any more at all when it is reached.
+    ///
+    /// # Errors
+    /// [`StoreError::QuotaOfBytes`] with the numbers.
+    pub async fn admit_bytes_of(&self, tenant: &TenantId, asked: u64) -> Result<(), StoreError> {
+        let Some(most) = self.quota.bytes else { return Ok(()) };
+        let taken: i64 = sqlx::query_scalar(BYTES).bind(tenant).fetch_one(self.pool()).await?;
+        let taken = u64::try_from(taken).unwrap_or(0);
+        if taken.saturating_add(asked.max(1)) > most {
+            return Err(StoreError::QuotaOfBytes { most, taken, asked });
+        }
+        Ok(())
+    }
+
+    /// Refuses one more job of a tenant beyond its quota, in the transaction that would queue it.
+    pub(super) async fn admit_job_of(
+        &self,
+        tx: &mut Transaction<'_, Sqlite>,
+        tenant: &TenantId,
+    ) -> Result<(), StoreError> {
+        let Some(most) = self.quota.jobs else { return Ok(()) };
+        let active: i64 = sqlx::query_scalar(JOBS).bind(tenant).fetch_one(&mut **tx).await?;
+        if active >= i64::from(most) { Err(StoreError::QuotaOfJobs { most }) } else { Ok(()) }
+    }
+}
+
+const BYTES: &str = "SELECT COALESCE((SELECT SUM(bytes) FROM captures WHERE tenant = ?1), 0)
+      + COALESCE((SELECT SUM(bytes) FROM environments WHERE tenant = ?1), 0)
+      + COALESCE((SELECT SUM(bytes) FROM model_files JOIN models ON models.id = model_id
+                  WHERE tenant = ?1), 0)";
+
+const JOBS: &str =
+    "SELECT COUNT(*) FROM jobs WHERE tenant = ?1 AND state IN ('queued', 'running', 'cancelling')";

@@ -1,0 +1,181 @@
+//! How much one key or tenant may take, and who is named in the log.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::time::Duration;
+
+use relume::api::TenantId;
+use relume::api::keys::Scope;
+use relume::client::Client;
+use relume::jobs::ManualClock;
+use relume::server::{ApiKeys, ServerConfig};
+use relume::store::{NewKeyRecord, Quota, Store};
+use relume::testing::{self, TestServer};
+use reqwest::{Method, Response, header};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job};
+
+const KEYS: [&str; 2] = ["the-first-key-of-two", "the-second-key-of-two"];
+
+async fn server(change: impl FnOnce(&mut ServerConfig)) -> TestServer {
+    let change = |config: &mut ServerConfig| {
+        config.api_keys = ApiKeys::new(KEYS);
+        change(config);
+    };
+    testing::spawn_with(TempDir::new().unwrap(), change).await.unwrap()
+}
+
+fn bearer(server: &TestServer, key: &str) -> Client {
+    Client::new(server.client().base().as_str(), Some(key.to_owned())).unwrap()
+}
+
+/// A client with a fresh key of a tenant.
+async fn of_tenant(server: &TestServer, tenant: &str) -> Client {
+    let body = serde_json::json!({ "name": "x", "tenant": tenant, "scopes": Scope::ALL });
+    let request = bearer(server, KEYS[0]).request(Method::POST, "/v1/keys").unwrap().json(&body);
+    let made: Value = serde_json::from_str(&request.send().await.unwrap().text().await.unwrap()).unwrap();
+    bearer(server, made["secret"].as_str().unwrap())
+}
+
+async fn get(client: &Client, path: &str) -> Response {
+    client.request(Method::GET, path).unwrap().send().await.unwrap()
+}
+
+fn told(answer: &Response, name: &str) -> String {
+    answer.headers().get(name).map(|v| v.to_str().unwrap().to_owned()).unwrap_or_default()
+}
+
+/// The status and kind of a refusal.
+fn refusal<T: std::fmt::Debug>(result: Result<T, relume::client::ClientError>) -> (u16, String) {
+    match result.unwrap_err() {
+        relume::client::ClientError::Problem(problem) => {
+            (problem.status, problem.kind.replace("urn:relume:problem:", ""))
+        }
+        other => panic!("{other}"),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_key_that_asks_too_often_is_told_when_to_ask_again_and_no_other_is() {
+    let clock = Arc::new(ManualClock::default());
+    let hands = clock.clone();
+    let server = server(move |config| {
+        config.requests_per_minute = Some(3);
+        config.clock = hands;
+    })
+    .await;
+    let (one, other) = (bearer(&server, KEYS[0]), bearer(&server, KEYS[1]));
+    for left in [2, 1, 0] {
+        // What does not exist and what is refused counts, too.
+        let answer = get(&one, ["/v1/jobs", "/v1/models/nobody", "/nowhere"][left]).await;
+        assert_ne!(answer.status(), 429);
+        assert_eq!(told(&answer, "ratelimit-policy"), "\"requests\";q=3;w=60");
+        assert_eq!(told(&answer, "ratelimit"), format!("\"requests\";r={left};t={}", (3 - left) * 20));
+    }
+    let refused = get(&one, "/v1/jobs").await;
+    assert_eq!((refused.status().as_u16(), told(&refused, "retry-after")), (429, "20".to_owned()));
+    assert_eq!(told(&refused, "ratelimit"), "\"requests\";r=0;t=60");
+    let body: Value = serde_json::from_str(&refused.text().await.unwrap()).unwrap();
+    assert_eq!(body["type"], "urn:relume:problem:rate-limited");
+    assert_eq!(get(&other, "/v1/jobs").await.status(), 200);
+    for open in ["/healthz", "/readyz"] {
+        let answer = get(&one, open).await;
+        assert_eq!((answer.status().as_u16(), told(&answer, "ratelimit")), (200, String::new()), "{open}");
+    }
+    clock.advance(Duration::from_secs(20));
+    assert_eq!(get(&one, "/v1/jobs").await.status(), 200);
+    assert_eq!(get(&one, "/v1/jobs").await.status(), 429);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_tenant_has_no_more_jobs_waiting_than_it_may_and_takes_no_other_tenants_places() {
+    let server = server(|config| config.quota = Quota { jobs: Some(2), bytes: None }).await;
+    let (a, b) = (of_tenant(&server, "a").await, of_tenant(&server, "b").await);
+    let capture = a.upload_capture_bytes(capture_zip()).await.unwrap().id;
+    let long = a.create_job(&small_job(&capture, 100_000, 50_000), Some("one")).await.unwrap();
+    let waits = a.create_job(&small_job(&capture, 3, 5), None).await.unwrap();
+    let more = small_job(&capture, 3, 5);
+    assert_eq!(refusal(a.create_job(&more, None).await), (429, "quota-exceeded".to_owned()));
+    let again = a.create_job(&small_job(&capture, 100_000, 50_000), Some("one")).await.unwrap();
+    assert_eq!(again.id, long.id, "a repetition asks for nothing more");
+    let capture = b.upload_capture_bytes(capture_zip()).await.unwrap().id;
+    let others = b.create_job(&small_job(&capture, 3, 5), None).await.unwrap();
+    for id in [&long.id, &waits.id] {
+        a.cancel_job(id).await.unwrap();
+        ended(&a, id).await;
+    }
+    a.create_job(&more, None).await.unwrap();
+    ended(&b, &others.id).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_tenant_stores_no_more_than_it_may() {
+    let bytes = capture_zip().len() as u64;
+    let quota = Quota { jobs: None, bytes: Some(bytes + 100) };
+    let server = server(|config| config.quota = quota).await;
+    let (a, b) = (of_tenant(&server, "a").await, of_tenant(&server, "b").await);
+    let first = a.upload_capture_bytes(capture_zip()).await.unwrap();
+    let other = CaptureZip::new(9, 32).zip();
+    let before = files_under(server.data_dir());
+    assert_eq!(refusal(a.upload_capture_bytes(other).await), (507, "quota-exceeded".to_owned()));
+    assert_eq!(files_under(server.data_dir()), before, "nothing is left of it");
+    let map = relume::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap();
+    assert!(map.len() > 100);
+    assert_eq!(refusal(a.upload_environment(map).await).0, 507);
+    assert_eq!(a.upload_capture_bytes(capture_zip()).await.unwrap().id, first.id, "it has that already");
+    let of_b = b.upload_capture_bytes(capture_zip()).await.unwrap();
+    // A model may go beyond, for its size is not known before; then nothing more is begun.
+    let job = b.create_job(&small_job(&of_b.id, 3, 5), None).await.unwrap();
+    ended(&b, &job.id).await;
+    assert_eq!(refusal(b.create_job(&small_job(&of_b.id, 3, 5), None).await).0, 507);
+    assert_eq!(refusal(b.retry_job(&job.id).await).0, 409);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_log_names_the_key_and_its_tenant_and_never_the_secret() {
+    let data = TempDir::new().unwrap();
+    let store = Store::open(data.path()).await.unwrap();
+    let key = NewKeyRecord {
+        name: "logged".into(),
+        tenant: TenantId::from("studio-a"),
+        scopes: vec![Scope::Read],
+        expires_ms: None,
+    };
+    let (key, secret) = store.create_key(&key, 0).await.unwrap();
+    store.close().await;
+    let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
+    command.args(["serve", "--listen", "127.0.0.1:0", "--json-logs", "--data-dir"]).arg(data.path());
+    command.env("RUST_LOG", "relume=info").stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let base = line.trim().strip_prefix("listening on ").unwrap().to_owned();
+    let client = Client::new(&base, None).unwrap();
+    for (bearer, id) in [(&*secret, "with-a-key"), ("wrong", "with-none")] {
+        let request = client.request(Method::GET, "/v1/jobs").unwrap();
+        let request =
+            request.header("x-request-id", id).header(header::AUTHORIZATION, format!("Bearer {bearer}"));
+        request.send().await.unwrap();
+    }
+    terminate(&child);
+    let log: Vec<String> = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap).collect();
+    child.wait().unwrap();
+    let of = |id: &str| -> Value {
+        let line = log.iter().find(|line| line.contains(id) && line.contains("answered"));
+        serde_json::from_str(line.unwrap_or_else(|| panic!("{log:#?}"))).unwrap()
+    };
+    let known = of("with-a-key");
+    assert_eq!(known["span"]["key"], key.id.as_str(), "{known}");
+    assert_eq!(known["span"]["tenant"], "studio-a");
+    assert_eq!(of("with-none")["span"]["key"], Value::Null);
+    assert!(!log.iter().any(|line| line.contains(&secret[21..])));
+}
+
+/// Asks a process to end, so that its log is whole.
+fn terminate(child: &std::process::Child) {
+    let asked = Command::new("kill").arg(child.id().to_string()).status().unwrap();
+    assert!(asked.success());
+}

@@ -1,0 +1,202 @@
+//! Signed URLs: good without a key, for exactly what was signed, until they end.
+
+use std::process::Command;
+use std::sync::Arc;
+use std::time::Duration;
+
+use relume::api::jobs::JobView;
+use relume::client::Client;
+use relume::formats::image_file;
+use relume::jobs::ManualClock;
+use relume::server::{ApiKeys, ServerConfig};
+use relume::testing::{self, TestServer};
+use reqwest::{Method, StatusCode};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::service_support::trained;
+
+const OPERATOR: &str = "the-operators-own-key";
+
+async fn start(data: TempDir, keys: &[&str], clock: &Arc<ManualClock>) -> TestServer {
+    let (keys, clock) = (ApiKeys::new(keys), clock.clone());
+    let change = |config: &mut ServerConfig| (config.api_keys, config.clock) = (keys, clock);
+    testing::spawn_with(data, change).await.unwrap()
+}
+
+fn bearer(server: &TestServer, key: &str) -> Client {
+    Client::new(server.client().base().as_str(), Some(key.to_owned())).unwrap()
+}
+
+async fn post(client: &Client, path: &str, body: Value) -> (u16, Value) {
+    let answer = client.request(Method::POST, path).unwrap().json(&body).send().await.unwrap();
+    (answer.status().as_u16(), serde_json::from_str(&answer.text().await.unwrap()).unwrap_or_default())
+}
+
+/// A signed URL; one that is good for an hour.
+async fn signed(client: &Client, path: &str) -> String {
+    let (status, signed) = post(client, "/v1/signed-urls", json!({ "path": path })).await;
+    assert_eq!(status, 200, "{signed}");
+    signed["url"].as_str().unwrap().to_owned()
+}
+
+/// What a browser gets, which has no key.
+async fn load(server: &TestServer, method: Method, url: &str) -> (u16, Vec<u8>) {
+    let answer = server.client().request(method, url).unwrap().send().await.unwrap();
+    (answer.status().as_u16(), answer.bytes().await.unwrap().to_vec())
+}
+
+async fn status(server: &TestServer, url: &str) -> u16 {
+    load(server, Method::GET, url).await.0
+}
+
+/// A server with the operator's key, and a job that made a model.
+async fn with_model() -> (TestServer, Arc<ManualClock>, Client, JobView) {
+    let clock = Arc::new(ManualClock::default());
+    let server = start(TempDir::new().unwrap(), &[OPERATOR], &clock).await;
+    let client = bearer(&server, OPERATOR);
+    let job = trained(&client).await;
+    (server, clock, client, job)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_signed_url_is_good_without_a_key_until_it_expires() {
+    let (server, clock, client, job) = with_model().await;
+    let model = job.model.unwrap();
+    let thumbnail = signed(&client, &format!("/v1/models/{model}/thumbnail?size=32&env=studio")).await;
+    let file = signed(&client, &format!("/v1/models/{model}/files/model.ply")).await;
+    let events = signed(&client, &format!("/v1/jobs/{}/events?after=0", job.id)).await;
+    assert_eq!(image_file::dimensions(&load(&server, Method::GET, &thumbnail).await.1).unwrap(), (32, 32));
+    let whole = client.file(&model, "model.ply").await.unwrap();
+    assert_eq!(load(&server, Method::GET, &file).await.1, whole);
+    let told = String::from_utf8(load(&server, Method::GET, &events).await.1).unwrap();
+    assert!(told.contains("succeeded"), "{told}");
+    for url in [&thumbnail, &file, &events] {
+        assert_eq!(load(&server, Method::HEAD, url).await.0, 200, "{url}");
+        assert_eq!(status(&server, url.split('?').next().unwrap()).await, 401, "without the signature");
+    }
+    clock.advance(Duration::from_secs(3599));
+    assert_eq!(status(&server, &thumbnail).await, 200);
+    clock.advance(Duration::from_secs(1));
+    for url in [&thumbnail, &file, &events] {
+        assert_eq!(status(&server, url).await, 403, "{url} has expired");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_signed_url_is_good_for_nothing_else() {
+    let (server, _, client, job) = with_model().await;
+    let model = job.model.unwrap();
+    let url = signed(&client, &format!("/v1/models/{model}/thumbnail?size=32&env=studio")).await;
+    assert_eq!(status(&server, &url).await, 200);
+    let more = |url: &str| url.replace("expires=", "expires=9");
+    let last = if url.ends_with('0') { "1" } else { "0" };
+    let changed = [
+        url.replace("size=32", "size=33"),
+        url.replace("env=studio", "env=sunset"),
+        url.replace("size=32&env=studio", "env=studio&size=32"),
+        url.replace("thumbnail", "files/model.ply"),
+        url.replace("thumbnail", "card"),
+        url.replace("key=configured-1", "key=configured-2"),
+        url.replace("key=configured-1", "key=none"),
+        more(&url),
+        format!("{url}&azimuth=3"),
+        url.replace("&key=", "&azimuth=3&key="),
+        format!("{}{last}", &url[..url.len() - 1]),
+        url.split("&key=").next().unwrap().to_owned() + "&signature=",
+    ];
+    for changed in changed {
+        assert_ne!(changed, url);
+        let (status, body) = load(&server, Method::GET, &changed).await;
+        let body: Value = serde_json::from_slice(&body).unwrap();
+        assert_eq!((status, &body["type"]), (403, &json!("urn:relume:problem:bad-signature")), "{changed}");
+    }
+    assert_eq!(load(&server, Method::POST, &url).await.0, 403, "it reads");
+    let query = url.split('?').nth(1).unwrap();
+    for other in ["/v1/jobs", "/v1/keys", "/metrics"] {
+        assert_eq!(status(&server, &format!("{other}?{query}")).await, 403, "{other}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_what_a_browser_loads_is_signed_and_for_a_bounded_time() {
+    let (server, _, client, job) = with_model().await;
+    let model = job.model.unwrap();
+    let good = format!("/v1/models/{model}/thumbnail");
+    for (body, pointer) in [
+        (json!({ "path": format!("/v1/models/{model}") }), "/path"),
+        (json!({ "path": format!("/v1/jobs/{}", job.id) }), "/path"),
+        (json!({ "path": "/v1/keys" }), "/path"),
+        (json!({ "path": format!("https://elsewhere.example{good}") }), "/path"),
+        (json!({ "path": format!("{good}?a b") }), "/path"),
+        (json!({ "path": "" }), "/path"),
+        (json!({ "path": format!("{good}?size=16&expires=1") }), "/path"),
+        (json!({ "path": format!("{good}?{}", "a".repeat(2048)) }), "/path"),
+        (json!({ "path": good, "expires_in": 0 }), "/expires_in"),
+        (json!({ "path": good, "expires_in": 604_801 }), "/expires_in"),
+        (json!({}), "/path"),
+    ] {
+        let (status, refused) = post(&client, "/v1/signed-urls", body).await;
+        assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!(pointer)), "{refused}");
+    }
+    // What may not read may not sign.
+    let key = json!({ "name": "x", "scopes": ["render", "submit", "admin"] });
+    let blind = post(&client, "/v1/keys", key).await.1["secret"].as_str().unwrap().to_owned();
+    assert_eq!(post(&bearer(&server, &blind), "/v1/signed-urls", json!({ "path": good })).await.0, 403);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn signed_urls_end_with_the_key_that_signed_and_with_the_secret() {
+    let (server, clock, client, job) = with_model().await;
+    let path = format!("/v1/models/{}/files/model.ply", job.model.unwrap());
+    let made = async |body: Value| {
+        let made = post(&client, "/v1/keys", body).await.1;
+        (made["id"].as_str().unwrap().to_owned(), bearer(&server, made["secret"].as_str().unwrap()))
+    };
+    let (id, reader) = made(json!({ "name": "reader", "scopes": ["read"] })).await;
+    let url = signed(&reader, &path).await;
+    assert_eq!(status(&server, &url).await, 200);
+    post(&client, &format!("/v1/keys/{id}/revoke"), json!({})).await;
+    assert_eq!(status(&server, &url).await, 403, "its key is revoked");
+
+    let (_, short) = made(json!({ "name": "short", "scopes": ["read"], "expires_in": 60 })).await;
+    let (_, answer) = post(&short, "/v1/signed-urls", json!({ "path": path })).await;
+    assert_eq!(answer["expires_at"], "1970-01-01T00:01:00Z", "not beyond its key");
+    let url = answer["url"].as_str().unwrap();
+    clock.advance(Duration::from_secs(59));
+    assert_eq!(status(&server, url).await, 200);
+    clock.advance(Duration::from_secs(1));
+    assert_eq!(status(&server, url).await, 403);
+
+    let url = signed(&client, &path).await;
+    assert_eq!(status(&server, &url).await, 200);
+    let mut end = Command::new(env!("CARGO_BIN_EXE_relume"));
+    let ended = end.args(["keys", "end-signed-urls", "--data-dir"]).arg(server.data_dir()).status().unwrap();
+    assert!(ended.success());
+    assert_eq!(status(&server, &url).await, 403, "the secret is another");
+    assert_eq!(status(&server, &signed(&client, &path).await).await, 200);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_configured_key_that_is_taken_away_takes_its_signed_urls_along() {
+    let (server, clock, client, job) = with_model().await;
+    let url = signed(&client, &format!("/v1/models/{}/files/model.ply", job.model.unwrap())).await;
+    let data = server.stop().await.unwrap();
+    // Another key has its number now.
+    let server = start(data, &["another-key-of-the-operator"], &clock).await;
+    assert_eq!(status(&server, &url).await, 403);
+    let server = start(server.stop().await.unwrap(), &[OPERATOR], &clock).await;
+    assert_eq!(status(&server, &url).await, 200);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_an_open_server_signed_ends_with_its_first_key() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let job = trained(client).await;
+    let url = signed(client, &format!("/v1/jobs/{}/events", job.id)).await;
+    assert_eq!(status(&server, &url).await, 200);
+    let (made, _) = post(client, "/v1/keys", json!({ "name": "first", "scopes": ["read"] })).await;
+    assert_eq!(made, StatusCode::CREATED.as_u16());
+    assert_eq!(status(&server, &url).await, 403);
+}
