@@ -83,7 +83,7 @@ fn a_light_on_another_scale_is_warned_of() {
         let light = ["--set", "max_gaussians=64", "--light", "studio", "--light-exposure", exposure];
         let output = relume(at, &[&args, &light[..], &["--device", "cpu", "--out", "m"]].concat());
         assert!(output.status.success());
-        String::from_utf8_lossy(&output.stderr).contains("stops from white")
+        String::from_utf8_lossy(&output.stderr).contains("stops from where photographs show it")
     };
     assert_eq!(["auto", "0", "3", "-4"].map(says), [false, false, true, true]);
 }
