@@ -9,7 +9,7 @@ use relume::testing;
 use tempfile::TempDir;
 
 use crate::server_process::Server;
-use crate::service_support::{CaptureZip, ended, files_under, small_job, trained, until};
+use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, trained, until};
 
 /// More steps than any test waits for.
 const ENDLESS: u32 = 1_000_000;
@@ -56,9 +56,9 @@ async fn a_backup_during_training_and_uploads_is_whole_and_the_job_goes_on() {
     let done = trained(client).await;
     let model = done.model.unwrap();
     let bytes = client.file(&model, "model.safetensors").await.unwrap();
-    let job = client.create_job(&small_job(&done.capture, ENDLESS, 200), None).await.unwrap();
+    let job = client.create_job(&small_job(&done.capture, ENDLESS, 1000), None).await.unwrap();
     let uploads = tokio::spawn(upload_for_ever(client.clone()));
-    until(client, &job.id, |job| job.progress.step > 400).await;
+    until(client, &job.id, |job| job.progress.step > 2000).await;
 
     let (out, elsewhere) = (folder.path().join("backup"), folder.path().join("elsewhere"));
     succeeds(&backup(data.path(), &out));
@@ -74,13 +74,34 @@ async fn a_backup_during_training_and_uploads_is_whole_and_the_job_goes_on() {
     let client = &server.client;
     assert_eq!(client.file(&model, "model.safetensors").await.unwrap(), bytes);
     let resumed = until(client, &job.id, |job| job.state == JobState::Running && job.attempts == 2).await;
-    assert!(resumed.progress.step >= 200, "it goes on from its checkpoint: {:?}", resumed.progress);
+    assert!(resumed.progress.step >= 1000, "it goes on from its checkpoint: {:?}", resumed.progress);
     client.cancel_job(&job.id).await.unwrap();
     ended(client, &job.id).await;
     for capture in client.captures().await.unwrap().items {
         let file = elsewhere.join("artifacts/captures").join(&capture.sha256);
         assert_eq!(file.metadata().unwrap().len(), capture.bytes as u64);
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_whose_checkpoint_goes_before_it_is_copied_starts_over() {
+    let server = testing::spawn().await.unwrap();
+    let capture = server.client().upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = server.client().create_job(&small_job(&capture.id, ENDLESS, 100), None).await.unwrap();
+    until(server.client(), &job.id, |job| job.progress.step > 200).await;
+    let (data, out) = (server.stop().await.unwrap(), TempDir::new().unwrap());
+    let files = files_under(data.path());
+    let (checkpoint, _) = files.iter().find(|(name, _)| name.contains("/checkpoint-")).unwrap();
+    std::fs::remove_file(data.path().join(checkpoint)).unwrap();
+    let (backup, elsewhere) = (backup(data.path(), &out.path().join("b")), out.path().join("elsewhere"));
+    succeeds(&backup);
+    assert!(String::from_utf8_lossy(&backup.stdout).contains("1 jobs will start over"));
+    succeeds(&restore(&out.path().join("b"), &elsewhere));
+    let store = relume::store::Store::open(&elsewhere).await.unwrap();
+    let restored = store.job(&job.id).await.unwrap().unwrap();
+    let checkpoint = (restored.checkpoint, restored.checkpoint_step, restored.progress.step);
+    assert_eq!((restored.state, checkpoint), (JobState::Queued, (None, None, 0)));
+    store.close().await;
 }
 
 /// A data directory with one model, and a backup of it.

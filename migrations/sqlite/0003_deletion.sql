@@ -13,3 +13,6 @@ CREATE INDEX jobs_swept ON jobs (swept_ms) WHERE swept_ms IS NOT NULL;
 CREATE INDEX jobs_of_capture ON jobs (capture_id);
 CREATE INDEX jobs_retried ON jobs (retry_of);
 CREATE INDEX models_of_capture ON models (capture_id);
+CREATE INDEX captures_deleted ON captures (id) WHERE deleted_ms IS NOT NULL;
+CREATE INDEX environments_deleted ON environments (id) WHERE deleted_ms IS NOT NULL;
+CREATE INDEX models_deleted ON models (id) WHERE deleted_ms IS NOT NULL;

@@ -101,7 +101,7 @@ impl Problem {
         let detail = match needed_by.as_slice() {
             [it] if it == what => format!("{what} is running; cancel it first, or ask with ?cascade=true"),
             _ => format!(
-                "{what} is needed by {count} jobs that may still run; delete them first, or ask with ?cascade=true"
+                "{what} is needed by jobs that wait, run or may be run again ({count}); delete them first, or ask with ?cascade=true"
             ),
         };
         let mut problem = Self::conflict("in-use", detail);

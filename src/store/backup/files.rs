@@ -4,10 +4,21 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::store::backup::manifest::CopiedFile;
 use crate::store::{StoreError, hex};
+
+/// A file of a backup.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct CopiedFile {
+    /// Its key in the artifact store, or the name of the database.
+    pub(super) key: String,
+    /// Hash of its bytes, lower-case hex.
+    pub(super) sha256: String,
+    /// Its size.
+    pub(super) bytes: u64,
+}
 
 /// Copies a file to a new one and hashes it on the way; durable when it returns. After an error nothing is at `to`.
 pub(super) fn copy(key: &str, from: &Path, to: &Path) -> std::io::Result<CopiedFile> {
@@ -46,6 +57,17 @@ pub(super) fn claim(folder: &Path) -> Result<(), StoreError> {
         None => Ok(()),
         Some(_) => Err(StoreError::NotEmpty(folder.display().to_string())),
     }
+}
+
+/// Makes durable which files are in a folder and the folders below it.
+pub(super) fn sync_folders(folder: &Path) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            sync_folders(&entry.path())?;
+        }
+    }
+    File::open(folder)?.sync_all()
 }
 
 /// Removes all that is in a folder that was claimed.

@@ -8,8 +8,8 @@ use sqlx::SqlitePool;
 
 use crate::store::StoreError;
 use crate::store::backup::Backup;
-use crate::store::backup::files::{claim, clear, copy};
-use crate::store::backup::manifest::{CopiedFile, DATABASE, Manifest, artifact_path};
+use crate::store::backup::files::{CopiedFile, claim, clear, copy};
+use crate::store::backup::manifest::{DATABASE, Manifest, artifact_path};
 use crate::store::database::{self, Database};
 use crate::store::hash::hash_file;
 use crate::store::references::{Reference, references};

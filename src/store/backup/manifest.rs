@@ -6,6 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::store::StoreError;
+use crate::store::backup::files::{CopiedFile, sync_folders};
 
 /// Name of the manifest in a backup.
 const MANIFEST: &str = "backup.json";
@@ -13,17 +14,6 @@ const MANIFEST: &str = "backup.json";
 pub(super) const DATABASE: &str = "backup.db";
 /// Version of the layout.
 const FORMAT: u32 = 1;
-
-/// A file of a backup.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct CopiedFile {
-    /// Its key in the artifact store, or the name of the database.
-    pub(super) key: String,
-    /// Hash of its bytes, lower-case hex.
-    pub(super) sha256: String,
-    /// Its size.
-    pub(super) bytes: u64,
-}
 
 /// The list of a backup's files.
 #[derive(Debug, Serialize, Deserialize)]
@@ -54,6 +44,7 @@ impl Manifest {
 
     /// Makes a folder a backup.
     pub(super) fn write(&self, backup: &Path) -> Result<(), StoreError> {
+        sync_folders(backup)?;
         let text = serde_json::to_vec_pretty(self).map_err(std::io::Error::from)?;
         let mut file = tempfile::NamedTempFile::new_in(backup)?;
         file.write_all(&text)?;

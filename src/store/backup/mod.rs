@@ -5,7 +5,7 @@ mod make;
 mod manifest;
 mod restore;
 
-use manifest::CopiedFile;
+use files::CopiedFile;
 
 pub use make::backup;
 pub use restore::restore;

@@ -4,13 +4,13 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use crate::store::backup::Backup;
-use crate::store::backup::files::{claim, clear, copy};
-use crate::store::backup::manifest::{CopiedFile, DATABASE, Manifest, artifact_path};
+use crate::store::backup::files::{CopiedFile, claim, clear, copy, sync_folders};
+use crate::store::backup::manifest::{DATABASE, Manifest, artifact_path};
 use crate::store::database::{self, Database};
 use crate::store::references::references;
 use crate::store::{NodeLock, RESTORING, StoreError};
 
-/// Makes a data directory from a backup, every file compared with its hash.
+/// Makes a data directory from a backup, every file compared with its hash. Blocks while it copies.
 ///
 /// # Errors
 /// [`StoreError::NoBackup`] for a folder that is none or only half of one, [`StoreError::NotEmpty`] when there is something at `root`,
@@ -38,7 +38,7 @@ async fn fill(manifest: &Manifest, backup: &Path, root: &Path) -> Result<Backup,
         copy_checked(file, &from, &to)?;
     }
     check(manifest, &unfinished).await?;
-    std::fs::File::open(root)?.sync_all()?;
+    sync_folders(root)?;
     std::fs::rename(&unfinished, root.join(database::FILE))?;
     std::fs::File::open(root)?.sync_all()?;
     Ok(Backup::of(&manifest.database, &manifest.artifacts, 0))
