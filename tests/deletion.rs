@@ -160,6 +160,10 @@ async fn a_capture_that_jobs_need_is_in_use_and_cascade_takes_them_along() {
     assert_eq!((problem.status, problem.needed_by), (409, vec![names[0].clone()]));
     assert_eq!(client.job(&running.id).await.unwrap().state, JobState::Running, "a refusal changes nothing");
 
+    let odd = format!("/v1/captures/{}?cascade=maybe", capture.id);
+    let odd = client.request(Method::DELETE, &odd).unwrap().send().await.unwrap();
+    let problem: Problem = serde_json::from_slice(&odd.bytes().await.unwrap()).unwrap();
+    assert_eq!((problem.status, problem.errors[0].pointer.as_str()), (422, "query/cascade"));
     client.delete_capture(&capture.id, true).await.unwrap();
     for id in [&running.id, &queued.id] {
         assert_eq!(refused(client.job(id).await).status, 404);
