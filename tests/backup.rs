@@ -62,6 +62,8 @@ async fn a_backup_during_training_and_uploads_is_whole_and_the_job_goes_on() {
 
     let (out, elsewhere) = (folder.path().join("backup"), folder.path().join("elsewhere"));
     succeeds(&backup(data.path(), &out));
+    let mode = std::os::unix::fs::PermissionsExt::mode(&out.metadata().unwrap().permissions());
+    assert_eq!(mode & 0o777, 0o700, "photographs may be private");
     let seen = client.job(&job.id).await.unwrap();
     assert_eq!(seen.state, JobState::Running, "the server was not disturbed");
     server.kill();

@@ -1,7 +1,8 @@
 //! Files and folders of backups.
 
-use std::fs::File;
+use std::fs::{DirBuilder, File};
 use std::io::{Read, Write};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -47,12 +48,12 @@ fn stream(key: &str, from: &mut File, to: &mut File) -> std::io::Result<CopiedFi
     }
 }
 
-/// Makes sure that a folder is there and empty.
+/// Makes sure that a folder is there and empty. One that is made is its owner's alone: photographs may be private.
 ///
 /// # Errors
 /// [`StoreError::NotEmpty`] when something is in it.
 pub(super) fn claim(folder: &Path) -> Result<(), StoreError> {
-    std::fs::create_dir_all(folder)?;
+    DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
     match std::fs::read_dir(folder)?.next() {
         None => Ok(()),
         Some(_) => Err(StoreError::NotEmpty(folder.display().to_string())),
