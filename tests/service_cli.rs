@@ -155,5 +155,7 @@ fn serve_refuses_to_be_open_to_the_network_and_weak_keys() {
     fails_with(folder.path(), &[&serve[..], &["--cors-origin", "*"]].concat(), "API key");
     fails_with(folder.path(), &[&serve[..], &["--cors-origin", "app.example"]].concat(), "is no origin");
     fails_with(folder.path(), &[&serve[..], &["--head-timeout", "0"]].concat(), "--head-timeout");
+    fails_with(folder.path(), &[&serve[..], &["--max-disk", "5GB"]].concat(), "--max-disk");
+    fails_with(folder.path(), &[&serve[..], &["--keep-jobs", "never"]].concat(), "--keep-jobs");
     assert!(!folder.path().join("relume-data").join("relume.db").exists());
 }

@@ -8,7 +8,10 @@ pub mod models;
 mod page;
 pub mod problem;
 pub mod renders;
+mod resources;
+pub mod usage;
 
 pub use ids::{CaptureId, EnvironmentId, JobId, ModelId};
 pub use page::List;
 pub use problem::Problem;
+pub use resources::{ResourceKind, ResourceName};

@@ -1,6 +1,8 @@
 //! The command line, one file for each command.
 
 mod args;
+#[cfg(feature = "server")]
+mod backup;
 mod bench;
 #[cfg(all(feature = "server", feature = "client"))]
 pub mod demo;
@@ -60,6 +62,12 @@ enum Command {
     /// Show this machine's devices and check that the service can run on it.
     Doctor(doctor::DoctorArgs),
     #[cfg(feature = "server")]
+    /// Copy what a server has stored, also while it runs.
+    Backup(backup::BackupArgs),
+    #[cfg(feature = "server")]
+    /// Make a data directory from a backup.
+    Restore(backup::RestoreArgs),
+    #[cfg(feature = "server")]
     /// Print the description of the HTTP API.
     Openapi,
 }
@@ -91,6 +99,10 @@ pub fn main() -> ExitCode {
         Command::Explain(args) => explain::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "server")]
+        Command::Backup(args) => backup::backup(&args),
+        #[cfg(feature = "server")]
+        Command::Restore(args) => backup::restore(&args),
         #[cfg(feature = "server")]
         Command::Openapi => openapi(),
     };

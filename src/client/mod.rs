@@ -15,11 +15,13 @@
 
 mod captures;
 mod connection;
+mod deletion;
 mod environments;
 mod error;
 mod events;
 mod jobs;
 mod models;
+mod usage;
 
 pub use connection::Client;
 pub use error::ClientError;

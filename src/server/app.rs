@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 
@@ -21,13 +22,20 @@ pub struct RequestLimits {
     pub capture_bytes: u64,
     /// Bytes of an environment file.
     pub environment_bytes: u64,
+    /// Bytes that are stored together; the disk alone is the limit when absent.
+    pub disk_bytes: Option<u64>,
     /// Bytes of memory that requests take together.
     pub memory_bytes: u64,
 }
 
 impl Default for RequestLimits {
     fn default() -> Self {
-        Self { capture_bytes: 16 << 30, environment_bytes: 256 << 20, memory_bytes: half_of_the_machine() }
+        Self {
+            capture_bytes: 16 << 30,
+            environment_bytes: 256 << 20,
+            disk_bytes: None,
+            memory_bytes: half_of_the_machine(),
+        }
     }
 }
 
@@ -41,6 +49,8 @@ pub(super) struct App {
     pub(super) memory: MemoryBudget,
     /// Where uploads are decoded.
     pub(super) decoders: Decoders,
+    /// Wakes whoever removes the files of what was deleted.
+    pub(super) tidy: Arc<Notify>,
     /// Cancelled when the server begins to shut down.
     pub(super) stop: CancellationToken,
     /// True when no API key is asked for.

@@ -46,10 +46,13 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
     )
 )]
 async fn upload_capture(State(app): State<Shared>, request: Request) -> Result<Response, Problem> {
-    let incoming = receive(&app, request).await?;
+    let mut incoming = receive(&app, request).await?;
     if let Some(known) = app.store.capture_by_hash(&incoming.sha256).await? {
-        app.store.artifacts().mend(incoming, &known.artifact).await?;
-        return Ok(Json(view(known)).into_response());
+        match app.store.mend(incoming, &known.artifact).await? {
+            None => return Ok(Json(view(known)).into_response()),
+            // It was deleted meanwhile.
+            Some(given_back) => incoming = given_back,
+        }
     }
     let report = validate(&app, &incoming).await?;
     let record = CaptureRecord {
@@ -60,8 +63,7 @@ async fn upload_capture(State(app): State<Shared>, request: Request) -> Result<R
         report,
         created_ms: app.jobs.now_ms(),
     };
-    app.store.artifacts().publish(incoming, &record.artifact).await?;
-    let stored = app.store.insert_capture(&record).await?;
+    let stored = app.store.keep_capture(incoming, &record).await?;
     let location = format!("/v1/captures/{}", stored.id);
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
 }

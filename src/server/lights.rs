@@ -11,7 +11,7 @@ use crate::api::{EnvironmentId, Problem};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
 use crate::server::environments;
-use crate::store::hex;
+use crate::store::{StoreError, hex};
 use crate::worker::LightSource;
 
 /// The light of a render request; a stored map is not read yet.
@@ -36,7 +36,11 @@ pub(super) async fn light(app: &Shared, spec: &EnvironmentSpec) -> Result<LightS
 /// An uploaded map.
 pub(super) async fn stored_light(app: &Shared, id: &EnvironmentId) -> Result<Option<LightSource>, Problem> {
     let Some(record) = app.store.environment(id).await? else { return Ok(None) };
-    app.store.artifacts().verify(&record.artifact, &record.sha256).await?;
+    match app.store.artifacts().verify(&record.artifact, &record.sha256).await {
+        // It was deleted meanwhile.
+        Err(StoreError::Missing(_)) if app.store.environment(id).await?.is_none() => return Ok(None),
+        sound => sound?,
+    }
     let path = app.store.artifacts().local_path(&record.artifact);
     Ok(Some(LightSource::Stored { path, sha256: record.sha256 }))
 }

@@ -74,9 +74,8 @@ async fn find(app: &Shared, id: &ModelId) -> Result<ModelRecord, Problem> {
 
 /// The model as the device thread takes it, and its content hash.
 pub(super) async fn source(app: &Shared, id: &ModelId) -> Result<(ModelSource, String), Problem> {
-    let file = app.store.model_file(id, MODEL_FILE).await?;
+    let file = app.store.sound_model_file(id, MODEL_FILE).await?;
     let file = file.ok_or_else(|| Problem::not_found("model", id.as_str()))?;
-    app.store.artifacts().verify(&file.artifact, &file.sha256).await?;
     let path = app.store.artifacts().local_path(&file.artifact);
     Ok((ModelSource { id: id.clone(), path }, file.sha256))
 }

@@ -9,7 +9,8 @@ use crate::api::Problem;
 use crate::server::app::Shared;
 use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLOADS, bounded};
 use crate::server::{
-    captures, description, environments, events, files, health, jobs, models, renders, thumbnails,
+    captures, deletion, description, environments, events, files, health, jobs, models, renders, thumbnails,
+    usage,
 };
 
 fn families() -> OpenApiRouter<Shared> {
@@ -19,7 +20,9 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(jobs::routes())
         .merge(events::routes())
         .merge(models::routes())
-        .merge(files::routes());
+        .merge(files::routes())
+        .merge(deletion::routes())
+        .merge(usage::routes());
     OpenApiRouter::with_openapi(description::preamble())
         .merge(bounded(uploads, &UPLOADS))
         .merge(bounded(queries, &QUERIES))

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use tokio::net::TcpListener;
+use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
 use crate::engine::DeviceError;
@@ -15,12 +16,13 @@ use crate::server::app::{App, RequestLimits};
 use crate::server::auth::ApiKeys;
 use crate::server::connections::{self, ConnectionLimits};
 use crate::server::decoders::Decoders;
+use crate::server::keeper;
 use crate::server::memory::MemoryBudget;
 use crate::server::observe;
 use crate::server::origins::CorsOrigin;
 use crate::server::router::{openapi, router};
 use crate::server::stack::StackConfig;
-use crate::store::{NodeLock, Store, StoreError};
+use crate::store::{NodeLock, Retention, Store, StoreError};
 use crate::worker::{self, StartError, WorkerOptions};
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
@@ -45,6 +47,8 @@ pub struct ServerConfig {
     pub connections: ConnectionLimits,
     /// How leases behave.
     pub lease: LeasePolicy,
+    /// How long things are kept.
+    pub retention: Retention,
     /// Sizes of the worker.
     pub worker: WorkerOptions,
     /// Tells the time.
@@ -64,6 +68,7 @@ impl ServerConfig {
             limits: RequestLimits::default(),
             connections: ConnectionLimits::default(),
             lease: LeasePolicy::default(),
+            retention: Retention::default(),
             worker: WorkerOptions::default(),
             clock: Arc::new(SystemClock),
             ids: Arc::new(RandomIds),
@@ -115,6 +120,9 @@ pub async fn run(
     observe::metrics_handle();
     let _lock = NodeLock::acquire(&config.data_dir)?;
     let store = Store::open(&config.data_dir).await?;
+    if let Some(bytes) = config.limits.disk_bytes {
+        store.limit_disk(bytes);
+    }
     let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
     recover(&store, &jobs).await?;
 
@@ -124,6 +132,8 @@ pub async fn run(
         StartError::Thread(error) => ServeError::Io(error),
     })?;
     let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
+    let tidy = Arc::new(Notify::new());
+    let keeper = tokio::spawn(keeper::keep(jobs.clone(), config.retention, tidy.clone(), stop.clone()));
     let app = App {
         store: store.clone(),
         jobs,
@@ -131,6 +141,7 @@ pub async fn run(
         limits: config.limits,
         memory: MemoryBudget::new(config.limits.memory_bytes),
         decoders: Decoders::start(config.limits.memory_bytes)?,
+        tidy,
         stop: stop.clone(),
         is_open: config.api_keys.is_open(),
         description: openapi(),
@@ -151,6 +162,9 @@ pub async fn run(
         tracing::error!("the device thread did not end well");
     }
     maintenance.abort();
+    if keeper.await.is_err() {
+        tracing::error!("what was deleted could not be swept to the end");
+    }
     store.close().await;
     tracing::info!("stopped");
     Ok(())
@@ -166,6 +180,10 @@ async fn recover(store: &Store, jobs: &Jobs) -> Result<(), StoreError> {
     };
     if !recovered.is_empty() {
         tracing::info!(jobs = recovered.len(), "recovered jobs of a server that died");
+    }
+    // What was deleted goes before what nothing refers to, which would be set aside.
+    if let Err(error) = store.finish_deletions(jobs.now_ms()).await {
+        tracing::error!(%error, "what was deleted cannot be swept yet");
     }
     if let Err(error) = store.sweep_orphans(SystemTime::now()).await {
         tracing::error!(%error, "left-overs cannot be swept");

@@ -37,7 +37,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn capture(&self, id: &CaptureId) -> Result<Option<CaptureRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM captures WHERE id = ?1").bind(id);
+        let query = sqlx::query_as("SELECT * FROM captures WHERE id = ?1 AND deleted_ms IS NULL").bind(id);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
@@ -57,7 +57,8 @@ impl Store {
     pub async fn captures(&self, page: &Page) -> Result<Vec<CaptureRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM captures
-             WHERE ?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM captures WHERE id = ?1)
+             WHERE deleted_ms IS NULL
+               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM captures WHERE id = ?1))
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );
         Ok(query.bind(&page.before).bind(page.limit).fetch_all(self.pool()).await?)

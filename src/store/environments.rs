@@ -41,7 +41,8 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn environment(&self, id: &EnvironmentId) -> Result<Option<EnvironmentRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM environments WHERE id = ?1").bind(id);
+        let query =
+            sqlx::query_as("SELECT * FROM environments WHERE id = ?1 AND deleted_ms IS NULL").bind(id);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
@@ -61,7 +62,8 @@ impl Store {
     pub async fn environments(&self, page: &Page) -> Result<Vec<EnvironmentRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM environments
-             WHERE ?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM environments WHERE id = ?1)
+             WHERE deleted_ms IS NULL
+               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM environments WHERE id = ?1))
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );
         Ok(query.bind(&page.before).bind(page.limit).fetch_all(self.pool()).await?)

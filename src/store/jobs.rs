@@ -6,6 +6,7 @@ use sqlx::{Sqlite, Transaction};
 
 use crate::api::JobId;
 use crate::api::jobs::JobState;
+use crate::store::deletion::check_still_there;
 use crate::store::idempotency::{remember, replay};
 use crate::store::{IdempotencyKey, JobRecord, Page, Store, StoreError, events};
 
@@ -50,6 +51,7 @@ impl Store {
             tx.commit().await?;
             return Ok(Submitted::Replayed(response));
         }
+        check_still_there(&mut tx, job).await?;
         insert(&mut tx, job).await?;
         events::append(&mut tx, &job.id, now_ms, "state", json!({ "state": JobState::Queued })).await?;
         let position = sqlx::query_scalar(POSITION).bind(&job.id).fetch_optional(&mut *tx).await?;
@@ -66,7 +68,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn job(&self, id: &JobId) -> Result<Option<JobRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM jobs WHERE id = ?1").bind(id);
+        let query = sqlx::query_as("SELECT * FROM jobs WHERE id = ?1 AND deleted_ms IS NULL").bind(id);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
@@ -78,7 +80,7 @@ impl Store {
         let query = sqlx::query_as(
             "SELECT * FROM jobs
              WHERE (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM jobs WHERE id = ?1))
-               AND (?2 IS NULL OR state = ?2)
+               AND (?2 IS NULL OR state = ?2) AND deleted_ms IS NULL
              ORDER BY created_ms DESC, id DESC LIMIT ?3",
         );
         Ok(query.bind(&page.before).bind(state).bind(page.limit).fetch_all(self.pool()).await?)
@@ -97,7 +99,8 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn job_counts(&self) -> Result<Vec<(JobState, i64)>, StoreError> {
-        let query = sqlx::query_as("SELECT state, COUNT(*) FROM jobs GROUP BY state");
+        let query =
+            sqlx::query_as("SELECT state, COUNT(*) FROM jobs WHERE deleted_ms IS NULL GROUP BY state");
         Ok(query.fetch_all(self.pool()).await?)
     }
 

@@ -4,8 +4,11 @@
 //! with `synchronous=FULL`. Times come in as milliseconds since 1970 UTC, so that callers can inject a clock.
 
 mod artifacts;
+mod backup;
 mod captures;
 mod database;
+mod deletion;
+mod discard;
 mod environments;
 mod error;
 mod events;
@@ -18,17 +21,26 @@ mod models;
 mod node_lock;
 mod records;
 mod references;
+mod retention;
 mod room;
+mod shelf;
 mod sweep;
+mod usage;
 mod verification;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
 use sqlx::{Sqlite, SqlitePool, Transaction};
+use tokio::sync::Mutex;
 
 use database::Database;
 
 pub use artifacts::{Artifacts, Incoming};
+pub use backup::{Backup, backup, restore};
+pub use deletion::Deletion;
+pub use discard::Discarded;
 pub use error::StoreError;
 pub use hash::hex;
 pub use idempotency::IdempotencyKey;
@@ -37,8 +49,10 @@ pub use jobs::{CancelOutcome, Submitted};
 pub use leases::{LeaseStatus, Release};
 pub use node_lock::NodeLock;
 pub use records::{CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, ModelFile, ModelRecord, Page};
+pub use retention::Retention;
 pub use room::Room;
 pub use sweep::Swept;
+pub use usage::Allowance;
 
 /// The metadata database and the artifact store of one data directory.
 #[derive(Clone)]
@@ -47,6 +61,10 @@ pub struct Store {
     artifacts: Artifacts,
     room: Room,
     root: PathBuf,
+    /// Most bytes that are stored; `u64::MAX` when the disk alone is the limit.
+    disk_limit: Arc<AtomicU64>,
+    /// Held while a file and the row that names it are made or removed together.
+    shelf: Arc<Mutex<()>>,
 }
 
 impl Store {
@@ -61,7 +79,14 @@ impl Store {
             return Err(StoreError::DatabaseMissing(root.display().to_string()));
         }
         let database = Database::open(root).await?;
-        Ok(Self { database, artifacts: Artifacts::open(root)?, room: Room::new(root), root: root.to_owned() })
+        Ok(Self {
+            database,
+            artifacts: Artifacts::open(root)?,
+            room: Room::new(root),
+            root: root.to_owned(),
+            disk_limit: Arc::new(AtomicU64::new(u64::MAX)),
+            shelf: Arc::default(),
+        })
     }
 
     /// The artifact side.
@@ -84,8 +109,9 @@ impl Store {
         checked.unwrap_or_else(|error| Err(std::io::Error::other(error).into()))
     }
 
-    /// Refuses new work while there is no room for the work that waits.
+    /// Refuses new work while there is no room for the work that waits, or no more may be stored.
     async fn admit(&self) -> Result<(), StoreError> {
+        self.admit_bytes(0).await?;
         if self.room.is_short() { self.check_room().await } else { Ok(()) }
     }
 
@@ -126,7 +152,10 @@ impl Store {
     }
 }
 
-/// True when there are artifacts in a data directory.
+/// Name of the database while a backup is restored.
+const RESTORING: &str = "relume.db.restoring";
+
+/// True when there are artifacts in a data directory, or a backup was half restored to it.
 fn has_artifacts(root: &Path) -> Result<bool, StoreError> {
-    Ok(!references::stored(&root.join("artifacts"))?.is_empty())
+    Ok(root.join(RESTORING).exists() || !references::stored(&root.join("artifacts"))?.is_empty())
 }

@@ -9,7 +9,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn model(&self, id: &ModelId) -> Result<Option<ModelRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM models WHERE id = ?1").bind(id);
+        let query = sqlx::query_as("SELECT * FROM models WHERE id = ?1 AND deleted_ms IS NULL").bind(id);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
@@ -20,7 +20,8 @@ impl Store {
     pub async fn models(&self, page: &Page) -> Result<Vec<ModelRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM models
-             WHERE ?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM models WHERE id = ?1)
+             WHERE deleted_ms IS NULL
+               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM models WHERE id = ?1))
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );
         Ok(query.bind(&page.before).bind(page.limit).fetch_all(self.pool()).await?)
@@ -35,12 +36,28 @@ impl Store {
         Ok(query.fetch_all(self.pool()).await?)
     }
 
+    /// One file of a model, once its bytes are found to be those that were stored; `None` also when the model is deleted
+    /// meanwhile.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] and [`StoreError::Missing`] when they are not, or when the database fails.
+    pub async fn sound_model_file(&self, id: &ModelId, name: &str) -> Result<Option<ModelFile>, StoreError> {
+        let Some(file) = self.model_file(id, name).await? else { return Ok(None) };
+        match self.artifacts.verify(&file.artifact, &file.sha256).await {
+            Err(StoreError::Missing(_)) if self.model(id).await?.is_none() => Ok(None),
+            sound => sound.map(|()| Some(file)),
+        }
+    }
+
     /// One file of a model.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn model_file(&self, id: &ModelId, name: &str) -> Result<Option<ModelFile>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM model_files WHERE model_id = ?1 AND name = ?2");
+        let query = sqlx::query_as(
+            "SELECT model_files.* FROM model_files JOIN models ON models.id = model_id
+             WHERE model_id = ?1 AND name = ?2 AND deleted_ms IS NULL",
+        );
         Ok(query.bind(id).bind(name).fetch_optional(self.pool()).await?)
     }
 }

@@ -11,6 +11,7 @@ use crate::engine::DeviceChoice;
 use crate::server::{self, ApiKeys, CorsOrigin, ServerConfig};
 
 mod network;
+mod storage;
 
 /// Options of `relume serve`.
 #[derive(Debug, clap::Args)]
@@ -53,6 +54,8 @@ pub(super) struct ServeArgs {
     #[arg(long = "memory", env = "RELUME_MEMORY", value_name = "MIB", value_parser = clap::value_parser!(u64).range(64..=1 << 24))]
     memory_mib: Option<u64>,
     #[command(flatten)]
+    storage: storage::StorageArgs,
+    #[command(flatten)]
     network: network::NetworkArgs,
 }
 
@@ -78,6 +81,8 @@ async fn serve(args: ServeArgs) -> CommandResult {
     if let Some(mib) = args.memory_mib {
         config.limits.memory_bytes = mib << 20;
     }
+    config.limits.disk_bytes = args.storage.max_disk;
+    config.retention = args.storage.retention();
     config.worker.device = args.device;
     config.lease.max_idle_attempts = args.max_attempts;
     let listener = TcpListener::bind(args.listen).await?;
