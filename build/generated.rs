@@ -31,10 +31,11 @@ macro_rules! list {
 }
 
 /// Names of the pieces.
-pub const PIECES: [&str; 9] = [
+pub const PIECES: [&str; 10] = [
     "channels",
     "density",
     "kernels",
+    "level",
     "light",
     "objective",
     "occlusion",
@@ -67,6 +68,7 @@ pub fn piece(name: &str) -> Option<String> {
         "channels" => channels(),
         "density" => list![constants: HALF_SCALE_ALONG, HALF_SCALE_ACROSS, HALF_OPACITY_EXPONENT],
         "kernels" => list![kernel_constants: SCAN_BLOCK, SORT_BLOCK],
+        "level" => level(),
         "light" => light(),
         "objective" => objective(),
         "occlusion" => list![constants: NO_HIT, OPAQUE, WIDEST, LEAST_BLOCKED],
@@ -166,6 +168,12 @@ fn accessor(name: &str, channels: Range<usize>) -> String {
     let swizzle = &"xyzw"[first..first + channels.len()];
     let kind = if channels.len() == 1 { "f32" } else { "vec3f" };
     format!("fn channel_{name}(group: vec4f) -> {kind} {{ return group.{swizzle}; }}\n")
+}
+
+/// The level of an unknown light.
+fn level() -> String {
+    let [red, green, blue] = light::LUMINANCE;
+    format!("const LUMINANCE = vec3f({red:?}, {green:?}, {blue:?});\n") + &list![light: UPWARD_LUMINANCE]
 }
 
 fn light() -> String {

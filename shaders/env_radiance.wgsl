@@ -4,6 +4,7 @@
 // thread owns every 256th texel.
 const WG_SIZE = 256u;
 #import environment
+#import generated/level
 #import generated/slots
 #import reduce
 
@@ -51,14 +52,14 @@ fn main(@builtin(local_invocation_index) local_ix: u32) {
     sums = workgroup_sum(local_ix, sums);
     if local_ix == 0u {
         let above = max(sums.rgb, vec3f(1e-6));
-        let up = max(sums.r + sums.g + sums.b, 1e-6);
-        let level = log(up);
+        let up = max(dot(LUMINANCE, sums.rgb), 1e-6);
+        let level = log(up / UPWARD_LUMINANCE);
         let blue = log(above.b / above.r) - environment.blue_over_red;
         let green = log(above.g * above.g / (above.r * above.b)) - environment.green;
-        let by_level = 2.0 * environment.exposure * level / up;
+        let by_level = (2.0 * environment.exposure * level / up) * LUMINANCE;
         let by_colour = 2.0 * environment.colour * vec3f(-blue - green, 2.0 * green, blue - green) / above;
         for (var c = 0u; c < 3u; c++) {
-            light_derivative[c] = by_level + by_colour[c];
+            light_derivative[c] = by_level[c] + by_colour[c];
         }
         accumulate!(losses[LOSS_NEUTRALITY], environment.neutrality * sums.w);
         let values = environment.exposure * level * level + environment.colour * (blue * blue + green * green);

@@ -4,8 +4,10 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod architecture;
+mod backup;
 mod captures;
 mod crash;
+mod deletion;
 mod doctor;
 mod eval;
 mod extremes;
@@ -35,3 +37,4 @@ mod stored_files;
 mod tiers;
 mod training;
 mod turntable;
+mod usage;

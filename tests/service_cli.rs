@@ -83,7 +83,7 @@ fn a_light_on_another_scale_is_warned_of() {
         let light = ["--set", "max_gaussians=64", "--light", "studio", "--light-exposure", exposure];
         let output = relume(at, &[&args, &light[..], &["--device", "cpu", "--out", "m"]].concat());
         assert!(output.status.success());
-        String::from_utf8_lossy(&output.stderr).contains("stops from white")
+        String::from_utf8_lossy(&output.stderr).contains("stops from where photographs show it")
     };
     assert_eq!(["auto", "0", "3", "-4"].map(says), [false, false, true, true]);
 }
@@ -155,5 +155,7 @@ fn serve_refuses_to_be_open_to_the_network_and_weak_keys() {
     fails_with(folder.path(), &[&serve[..], &["--cors-origin", "*"]].concat(), "API key");
     fails_with(folder.path(), &[&serve[..], &["--cors-origin", "app.example"]].concat(), "is no origin");
     fails_with(folder.path(), &[&serve[..], &["--head-timeout", "0"]].concat(), "--head-timeout");
+    fails_with(folder.path(), &[&serve[..], &["--max-disk", "5GB"]].concat(), "--max-disk");
+    fails_with(folder.path(), &[&serve[..], &["--keep-jobs", "never"]].concat(), "--keep-jobs");
     assert!(!folder.path().join("relume-data").join("relume.db").exists());
 }

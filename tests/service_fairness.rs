@@ -148,7 +148,11 @@ async fn the_log_names_the_key_and_its_tenant_and_never_the_secret() {
     store.close().await;
     let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
     command.args(["serve", "--listen", "127.0.0.1:0", "--json-logs", "--data-dir"]).arg(data.path());
-    command.env("RUST_LOG", "relume=info").stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+        .env("RELUME_REQUESTS_PER_MINUTE", "1000")
+        .env("RUST_LOG", "relume=info")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
     let mut child = command.spawn().unwrap();
     let mut line = String::new();
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
@@ -158,7 +162,9 @@ async fn the_log_names_the_key_and_its_tenant_and_never_the_secret() {
         let request = client.request(Method::GET, "/v1/jobs").unwrap();
         let request =
             request.header("x-request-id", id).header(header::AUTHORIZATION, format!("Bearer {bearer}"));
-        request.send().await.unwrap();
+        let answer = request.send().await.unwrap();
+        let policy = if bearer == secret { "\"requests\";q=1000;w=60" } else { "" };
+        assert_eq!(told(&answer, "ratelimit-policy"), policy, "as the variable says");
     }
     terminate(&child);
     let log: Vec<String> = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap).collect();

@@ -14,7 +14,7 @@ use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::service_support::trained;
+use crate::service_support::{capture_zip, small_job, trained};
 
 const OPERATOR: &str = "the-operators-own-key";
 
@@ -175,6 +175,26 @@ async fn signed_urls_end_with_the_key_that_signed_and_with_the_secret() {
     assert!(ended.success());
     assert_eq!(status(&server, &url).await, 403, "the secret is another");
     assert_eq!(status(&server, &signed(&client, &path).await).await, 200);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_event_stream_ends_with_the_key_that_opened_it() {
+    let clock = Arc::new(ManualClock::default());
+    let server = start(TempDir::new().unwrap(), &[OPERATOR], &clock).await;
+    let client = bearer(&server, OPERATOR);
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
+    let job = client.create_job(&small_job(&capture, 100_000, 50_000), None).await.unwrap();
+    let key = json!({ "name": "reader", "scopes": ["read"] });
+    let made = post(&client, "/v1/keys", key).await.1;
+    let reader = bearer(&server, made["secret"].as_str().unwrap());
+    let url = signed(&reader, &format!("/v1/jobs/{}/events", job.id)).await;
+    let listening = server.client().request(Method::GET, &url).unwrap().send().await.unwrap();
+    assert_eq!(listening.status(), StatusCode::OK);
+    post(&client, &format!("/v1/keys/{}/revoke", made["id"].as_str().unwrap()), json!({})).await;
+    let told = tokio::time::timeout(Duration::from_secs(60), listening.text()).await;
+    assert!(told.expect("the stream ends").unwrap().contains("queued"));
+    assert!(!client.job(&job.id).await.unwrap().state.is_terminal(), "the job goes on");
+    client.cancel_job(&job.id).await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -28,6 +28,8 @@ enum About {
     List(Kind),
     /// One thing that the path names.
     One(Kind),
+    /// How much there is.
+    Counts,
     /// What the request brings.
     Body,
 }
@@ -41,7 +43,7 @@ enum Kind {
     Key,
 }
 
-use About::{Body, Everybody, List, One, Server};
+use About::{Body, Counts, Everybody, List, One, Server};
 use Kind::{Capture, Environment, Job, Key, Model};
 use Scope::{Admin, Read, Render, Submit};
 
@@ -55,12 +57,15 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("post", "/v1/captures", Body, Submit),
     ("post", "/v1/captures/validate", Body, Submit),
     ("get", "/v1/captures/{id}", One(Capture), Read),
+    ("delete", "/v1/captures/{id}", One(Capture), Submit),
     ("get", "/v1/environments", List(Environment), Read),
     ("post", "/v1/environments", Body, Submit),
     ("get", "/v1/environments/{id}", One(Environment), Read),
+    ("delete", "/v1/environments/{id}", One(Environment), Submit),
     ("get", "/v1/jobs", List(Job), Read),
     ("post", "/v1/jobs", Body, Submit),
     ("get", "/v1/jobs/{id}", One(Job), Read),
+    ("delete", "/v1/jobs/{id}", One(Job), Submit),
     ("patch", "/v1/jobs/{id}", One(Job), Submit),
     ("post", "/v1/jobs/{id}/cancel", One(Job), Submit),
     ("post", "/v1/jobs/{id}/retry", One(Job), Submit),
@@ -71,11 +76,13 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("post", "/v1/keys/{id}/revoke", One(Key), Admin),
     ("get", "/v1/models", List(Model), Read),
     ("get", "/v1/models/{id}", One(Model), Read),
+    ("delete", "/v1/models/{id}", One(Model), Submit),
     ("get", "/v1/models/{id}/card", One(Model), Read),
     ("get", "/v1/models/{id}/files/{name}", One(Model), Read),
     ("post", "/v1/models/{id}/render", One(Model), Render),
     ("get", "/v1/models/{id}/thumbnail", One(Model), Read),
     ("post", "/v1/signed-urls", Body, Read),
+    ("get", "/v1/usage", Counts, Read),
 ];
 
 /// The operations of the description, each with what is known about it.
@@ -189,6 +196,9 @@ async fn no_operation_tells_a_tenant_of_anothers_things() {
                 let expected = refusal(ask(&b.0, method, path, nobodys), nobodys).await;
                 assert_eq!(found, expected, "{method} {path}");
                 assert_eq!(found.0, 404, "{method} {path}");
+                if *method == "delete" {
+                    continue;
+                }
                 let own = read(ask(&a.client, method, path, theirs)).await;
                 assert!(own.0 != 404 && own.0 < 500, "{method} {path} of one's own: {own:?}");
             }
@@ -208,12 +218,25 @@ async fn no_operation_tells_a_tenant_of_anothers_things() {
             Server => {
                 assert_eq!(read(ask(&b.0, method, path, "")).await.0, 403, "{method} {path}");
             }
+            Counts => {
+                let count = async |client: &Client| {
+                    let found = read(ask(client, method, path, "")).await.2;
+                    ["captures", "environments", "models"].map(|kind| found[kind]["count"].as_u64().unwrap())
+                };
+                assert_eq!((count(&b.0).await, count(&a.client).await), ([0; 3], [1; 3]), "{path}");
+            }
             Everybody | Body => continue,
         }
         asked += 1;
     }
     assert!(asked >= 20);
     assert_eq!(a.client.job(&a.job).await.unwrap().priority, 0, "nothing of it was changed");
+    for (path, kind) in
+        [("models", Model), ("jobs", Job), ("captures", Capture), ("environments", Environment)]
+    {
+        let path = format!("/v1/{path}/{{id}}");
+        assert_eq!(read(ask(&a.client, "delete", &path, a.id(kind))).await.0, 204, "{path} of one's own");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

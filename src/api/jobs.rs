@@ -142,6 +142,9 @@ pub struct JobView {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(value_type = Option<String>))]
     pub model: Option<ModelId>,
+    /// RFC 3339; when that model was deleted.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub model_deleted_at: Option<String>,
     /// Why it failed.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub error: Option<JobError>,

@@ -12,11 +12,11 @@ use crate::api::{KeyId, TenantId};
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Scope {
-    /// Look at captures, environments, jobs, models, their files and thumbnails.
+    /// Look at captures, environments, jobs, models, their files and thumbnails; count them.
     Read,
     /// Render frames.
     Render,
-    /// Upload, and submit and change jobs.
+    /// Upload, submit and change jobs, delete.
     Submit,
     /// Make, list and revoke keys.
     Admin,

@@ -9,8 +9,11 @@ pub mod models;
 mod page;
 pub mod problem;
 pub mod renders;
+mod resources;
 pub mod signed_urls;
+pub mod usage;
 
 pub use ids::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId};
 pub use page::List;
 pub use problem::Problem;
+pub use resources::{ResourceKind, ResourceName};

@@ -11,10 +11,10 @@ pub struct ModelSummary {
     /// Identifier.
     #[cfg_attr(feature = "server", schema(value_type = String))]
     pub id: ModelId,
-    /// The job that made it.
+    /// The job that made it; it may have been deleted since.
     #[cfg_attr(feature = "server", schema(value_type = String))]
     pub job: JobId,
-    /// The capture it shows.
+    /// The capture it shows; it may have been deleted since.
     #[cfg_attr(feature = "server", schema(value_type = String))]
     pub capture: CaptureId,
     /// Number of Gaussians.

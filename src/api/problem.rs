@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::api::ResourceName;
+
 /// Prefix of every problem type; what follows is stable.
 pub const TYPE_PREFIX: &str = "urn:relume:problem:";
 
@@ -27,6 +29,9 @@ pub struct Problem {
     /// What an importer found wrong with an uploaded file.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub content: Option<ContentError>,
+    /// What needs the thing that was to be deleted, at most 100 names.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub needed_by: Vec<ResourceName>,
     /// Seconds after which to try again. The server sends it as the header `Retry-After`, not in the body.
     #[serde(skip)]
     pub retry_after: Option<u32>,

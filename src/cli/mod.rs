@@ -1,6 +1,8 @@
 //! The command line, one file for each command.
 
 mod args;
+#[cfg(feature = "server")]
+mod backup;
 mod bench;
 #[cfg(all(feature = "server", feature = "client"))]
 pub mod demo;
@@ -65,6 +67,12 @@ enum Command {
     /// Make, list and revoke API keys, also while the server runs.
     Keys(keys::KeysArgs),
     #[cfg(feature = "server")]
+    /// Copy what a server has stored, also while it runs.
+    Backup(backup::BackupArgs),
+    #[cfg(feature = "server")]
+    /// Make a data directory from a backup.
+    Restore(backup::RestoreArgs),
+    #[cfg(feature = "server")]
     /// Print the description of the HTTP API.
     Openapi,
 }
@@ -98,6 +106,10 @@ pub fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         #[cfg(feature = "server")]
         Command::Keys(args) => keys::run(args),
+        #[cfg(feature = "server")]
+        Command::Backup(args) => backup::backup(&args),
+        #[cfg(feature = "server")]
+        Command::Restore(args) => backup::restore(&args),
         #[cfg(feature = "server")]
         Command::Openapi => openapi(),
     };

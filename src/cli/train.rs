@@ -46,7 +46,7 @@ pub(super) struct TrainArgs {
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "light")]
     light_rotation: f64,
     /// Exposure of that light, stops, or `auto`: at 0 a surface that sends a radiance of 1 is white in the photographs;
-    /// `auto` makes a white surface facing up white.
+    /// `auto` gives a white surface facing up 0.9 of the luminance of white.
     #[arg(long, default_value = "0", value_parser = exposure, allow_negative_numbers = true, requires = "light")]
     light_exposure: LightExposure,
     /// Turns of the light in single photographs, for things on a turntable: a JSON file, `{"photo.jpg": degrees}`,

@@ -15,12 +15,14 @@
 
 mod captures;
 mod connection;
+mod deletion;
 mod environments;
 mod error;
 mod events;
 mod jobs;
 mod keys;
 mod models;
+mod usage;
 
 pub use connection::Client;
 pub use error::ClientError;

@@ -27,7 +27,7 @@ pub struct SurfaceWeights {
 pub struct LightWeights {
     /// Light neutrality (Eq. 31).
     pub neutrality: f32,
-    /// Exposure: a white surface facing up shows as white.
+    /// Exposure: the luminance of a white surface facing up.
     pub exposure: f32,
     /// Colour of what falls on a surface facing up.
     pub colour: f32,

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use crate::capture::{Capture, CaptureView};
 use crate::engine::Device;
 use crate::engine::DeviceError;
+use crate::eval::exposure::matched;
 use crate::eval::layers::albedo_psnr;
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{AlbedoScores, ImageScores, RelitScores, Report};
@@ -145,6 +146,7 @@ impl Evaluation<'_> {
     fn own_light(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
         let mut own = OwnLight::default();
         let (mut shaded, mut radiance) = (ImageTotals::default(), ImageTotals::default());
+        let (mut shaded_matched, mut radiance_matched) = (ImageTotals::default(), ImageTotals::default());
         let mut totals = LayerTotals::default();
         for view in &self.views {
             let light = own.of(renderer, view)?;
@@ -153,11 +155,16 @@ impl Evaluation<'_> {
             let truth = photograph(&view.image);
             shaded.add(&layers.shaded, &truth, self.options.lpips);
             radiance.add(&layers.radiance, &truth, self.options.lpips);
+            let at_its_exposure = |picture| matched(picture, &layers.alpha, &truth);
+            shaded_matched.add(&at_its_exposure(&layers.shaded), &truth, self.options.lpips);
+            radiance_matched.add(&at_its_exposure(&layers.radiance), &truth, self.options.lpips);
             totals.add(&layers, view);
             self.step();
         }
         report.novel_view = shaded.scores();
         report.novel_view_radiance = radiance.scores();
+        report.novel_view_matched = shaded_matched.scores();
+        report.novel_view_radiance_matched = radiance_matched.scores();
         totals.write(report);
         Ok(())
     }
@@ -255,7 +262,7 @@ impl Evaluation<'_> {
             "{} of {} held-out views at {sizes} px, tier {tier}; whole image on white, \
              srgb(clamp(rgb/alpha,0,1))*alpha+1-alpha against the stored sRGB pixels, 32-bit predictions, no \
              ground-truth mask, no scaling of pictures; every figure per image, then averaged (relit.mean over \
-             lights); PSNR peak 1; SSIM 11x11 Gaussian window, sigma 1.5, valid region, per channel (TensoIR); \
+             lights); exposure matched: times one gain per channel and picture, least squares in linear light; PSNR peak 1; SSIM 11x11 Gaussian window, sigma 1.5, valid region, per channel (TensoIR); \
              LPIPS v0.1 AlexNet; relit uses the recovered albedo as it is, relit_aligned multiplies prototypes and \
              residuals (the renderer holds albedo at 1) by albedo.scale = per-channel median of truth/prediction (prediction >= 1e-6) over all \
              compared views where ground-truth alpha > 0.5; albedo compared linear, on white over the whole image \
@@ -281,6 +288,8 @@ impl Evaluation<'_> {
         for (group, scores) in [
             ("novel_view", &report.novel_view),
             ("novel_view_radiance", &report.novel_view_radiance),
+            ("novel_view_matched", &report.novel_view_matched),
+            ("novel_view_radiance_matched", &report.novel_view_radiance_matched),
             ("relit.mean", &report.relit.mean),
             ("relit_aligned.mean", &report.relit_aligned.mean),
         ] {
@@ -321,6 +330,7 @@ fn has_materials(model: &Model) -> bool {
 /// Takes back what was measured on materials that were never trained.
 fn forget_materials(report: &mut Report) {
     report.novel_view = ImageScores::default();
+    report.novel_view_matched = ImageScores::default();
     report.albedo = AlbedoScores::default();
     (report.ao_mae, report.roughness_mae, report.metallic_mae) = (None, None, None);
 }
@@ -328,6 +338,7 @@ fn forget_materials(report: &mut Report) {
 fn explain_no_materials(report: &mut Report) {
     let figures = [
         "novel_view",
+        "novel_view_matched",
         "relit.mean",
         "relit_aligned.mean",
         "albedo",

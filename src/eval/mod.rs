@@ -7,6 +7,7 @@ mod attribution;
 mod contact;
 mod conv;
 mod evaluate;
+mod exposure;
 mod image;
 mod layers;
 mod lpips;

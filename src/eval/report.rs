@@ -61,6 +61,12 @@ pub struct Report {
     pub novel_view: ImageScores,
     /// Held-out views, radiance branch.
     pub novel_view_radiance: ImageScores,
+    /// As `novel_view`, each picture brought to the exposure and white balance of its photograph by one gain per channel.
+    #[serde(default)]
+    pub novel_view_matched: ImageScores,
+    /// As `novel_view_radiance`, likewise.
+    #[serde(default)]
+    pub novel_view_radiance_matched: ImageScores,
     /// Held-out views under lights never photographed, albedo as recovered.
     pub relit: RelitScores,
     /// The same after the albedo alignment.
@@ -111,6 +117,8 @@ impl Report {
         };
         row("novel view", &self.novel_view);
         row("novel view, radiance branch", &self.novel_view_radiance);
+        row("novel view, exposure matched", &self.novel_view_matched);
+        row("novel view, radiance branch, exposure matched", &self.novel_view_radiance_matched);
         for (title, scores) in [("relit", &self.relit), ("relit, albedo aligned", &self.relit_aligned)] {
             row(&format!("{title}, mean"), &scores.mean);
             scores.lights.iter().for_each(|(light, s)| row(&format!("{title}, {light}"), s));

@@ -12,6 +12,7 @@
 //! know when to query it.
 
 mod clock;
+mod deletion;
 mod lease;
 mod queue;
 

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::light::constants::LUMINANCE;
+
 /// Chromaticity of a light as two natural logarithms, both 0 for a neutral one.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct LightColour {
@@ -21,12 +23,12 @@ impl LightColour {
         Self { blue_over_red: blue - red, green: 2.0 * green - red - blue }
     }
 
-    /// Linear Rec.709 channels of mean 1.
+    /// Linear Rec.709 channels of luminance 1.
     pub fn rgb(self) -> [f32; 3] {
         let half = self.blue_over_red / 2.0;
         let channels = [(-half).exp(), (self.green / 2.0).exp(), half.exp()];
-        let mean = channels.iter().sum::<f32>() / 3.0;
-        channels.map(|c| c / mean)
+        let level = luminance(channels);
+        channels.map(|c| c / level)
     }
 
     /// A black body of `kelvin`, 1,667 to 25,000, as photographs that were balanced for 6,504 K show it (Kim et al. 2002,
@@ -36,6 +38,11 @@ impl LightColour {
         let (body, balance) = (of(kelvin), of(6_504.0));
         Self { blue_over_red: body.blue_over_red - balance.blue_over_red, green: body.green - balance.green }
     }
+}
+
+/// Luminance of linear Rec.709 channels.
+pub fn luminance(rgb: [f32; 3]) -> f32 {
+    rgb.iter().zip(LUMINANCE).map(|(c, share)| c * share).sum()
 }
 
 /// Linear Rec.709 channels of a black body, up to a factor.
@@ -69,8 +76,9 @@ mod tests {
     fn a_colour_is_its_channels_without_the_level() {
         let colour = LightColour::of([0.8, 0.9, 1.3]);
         let rgb = colour.rgb();
-        assert!((rgb.iter().sum::<f32>() - 3.0).abs() < 1e-5);
-        assert!((0..3).all(|c| (rgb[c] - [0.8, 0.9, 1.3][c]).abs() < 1e-5));
+        assert!((luminance(rgb) - 1.0).abs() < 1e-5);
+        let level = luminance([0.8, 0.9, 1.3]);
+        assert!((0..3).all(|c| (rgb[c] * level - [0.8, 0.9, 1.3][c]).abs() < 1e-5));
         assert_eq!(LightColour::of([2.0; 3]), LightColour::NEUTRAL);
     }
 

@@ -5,6 +5,11 @@ use std::f64::consts::PI;
 
 /// Coefficient `c_00` of a visibility field that is 1 everywhere: `2 sqrt(pi)`.
 pub const FULLY_OPEN: f32 = 3.544_907_7;
+/// Share of each linear channel in luminance (ITU-R BT.709).
+pub const LUMINANCE: [f32; 3] = [0.2126, 0.7152, 0.0722];
+/// Luminance that a white surface facing up is taken to have in photographs whose light is not known: `exp(-0.1)` of white
+/// (docs/decisions/0031).
+pub const UPWARD_LUMINANCE: f32 = 0.904_837_4;
 /// Reflectance of a dielectric at normal incidence.
 pub const DIELECTRIC_F0: f32 = 0.04;
 /// The absolute value of sheen counts to this, a gain of 20 or of a twentieth; what is beyond has no gradient.

@@ -38,12 +38,15 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::POST, "/v1/captures", Needs(Submit)),
     (Method::POST, "/v1/captures/validate", Needs(Submit)),
     (Method::GET, "/v1/captures/{id}", Needs(Read)),
+    (Method::DELETE, "/v1/captures/{id}", Needs(Submit)),
     (Method::GET, "/v1/environments", Needs(Read)),
     (Method::POST, "/v1/environments", Needs(Submit)),
     (Method::GET, "/v1/environments/{id}", Needs(Read)),
+    (Method::DELETE, "/v1/environments/{id}", Needs(Submit)),
     (Method::GET, "/v1/jobs", Needs(Read)),
     (Method::POST, "/v1/jobs", Needs(Submit)),
     (Method::GET, "/v1/jobs/{id}", Needs(Read)),
+    (Method::DELETE, "/v1/jobs/{id}", Needs(Submit)),
     (Method::PATCH, "/v1/jobs/{id}", Needs(Submit)),
     (Method::POST, "/v1/jobs/{id}/cancel", Needs(Submit)),
     (Method::POST, "/v1/jobs/{id}/retry", Needs(Submit)),
@@ -54,11 +57,13 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::POST, "/v1/keys/{id}/revoke", Needs(Admin)),
     (Method::GET, "/v1/models", Needs(Read)),
     (Method::GET, "/v1/models/{id}", Needs(Read)),
+    (Method::DELETE, "/v1/models/{id}", Needs(Submit)),
     (Method::GET, "/v1/models/{id}/card", Needs(Read)),
     (Method::GET, "/v1/models/{id}/files/{name}", Needs(Read)),
     (Method::POST, "/v1/models/{id}/render", Needs(Render)),
     (Method::GET, "/v1/models/{id}/thumbnail", Needs(Read)),
     (Method::POST, "/v1/signed-urls", Needs(Read)),
+    (Method::GET, "/v1/usage", Needs(Read)),
 ];
 
 /// The line of the table for a request that a route was found for.
@@ -70,7 +75,7 @@ fn access_of(request: &Request) -> Option<Access> {
 
 /// Who may make requests.
 pub(super) struct Gate {
-    pub(super) keys: Keyring,
+    pub(super) keys: Arc<Keyring>,
     /// Under which URLs are signed.
     pub(super) signing: SigningSecret,
     /// How many requests they may make.

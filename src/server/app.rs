@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
+use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 
 use crate::jobs::Jobs;
 use crate::server::decoders::Decoders;
+use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
 use crate::server::signing_secret::SigningSecret;
 use crate::store::Store;
@@ -22,13 +24,20 @@ pub struct RequestLimits {
     pub capture_bytes: u64,
     /// Bytes of an environment file.
     pub environment_bytes: u64,
+    /// Bytes that are stored together; the disk alone is the limit when absent.
+    pub disk_bytes: Option<u64>,
     /// Bytes of memory that requests take together.
     pub memory_bytes: u64,
 }
 
 impl Default for RequestLimits {
     fn default() -> Self {
-        Self { capture_bytes: 16 << 30, environment_bytes: 256 << 20, memory_bytes: half_of_the_machine() }
+        Self {
+            capture_bytes: 16 << 30,
+            environment_bytes: 256 << 20,
+            disk_bytes: None,
+            memory_bytes: half_of_the_machine(),
+        }
     }
 }
 
@@ -42,8 +51,12 @@ pub(super) struct App {
     pub(super) memory: MemoryBudget,
     /// Where uploads are decoded.
     pub(super) decoders: Decoders,
+    /// Who may make requests.
+    pub(super) keys: Arc<Keyring>,
     /// Under which URLs are signed.
     pub(super) signing: SigningSecret,
+    /// Wakes whoever removes the files of what was deleted.
+    pub(super) tidy: Arc<Notify>,
     /// Cancelled when the server begins to shut down.
     pub(super) stop: CancellationToken,
     /// The description of the API.

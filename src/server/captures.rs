@@ -51,10 +51,13 @@ async fn upload_capture(
     caller: Caller,
     request: Request,
 ) -> Result<Response, Problem> {
-    let incoming = receive(&app, request).await?;
+    let mut incoming = receive(&app, request).await?;
     if let Some(known) = app.store.capture_by_hash(&caller.tenant, &incoming.sha256).await? {
-        app.store.artifacts().mend(incoming, &known.artifact).await?;
-        return Ok(Json(view(known)).into_response());
+        match app.store.mend(incoming, &known.artifact).await? {
+            None => return Ok(Json(view(known)).into_response()),
+            // It was deleted meanwhile.
+            Some(given_back) => incoming = given_back,
+        }
     }
     app.store.admit_bytes_of(&caller.tenant, incoming.bytes).await?;
     let report = validate(&app, &incoming).await?;
@@ -66,8 +69,7 @@ async fn upload_capture(
         report,
         created_ms: app.jobs.now_ms(),
     };
-    app.store.artifacts().publish(incoming, &record.artifact).await?;
-    let stored = app.store.insert_capture(&caller.tenant, &record).await?;
+    let stored = app.store.keep_capture(incoming, &caller.tenant, &record).await?;
     let location = format!("/v1/captures/{}", stored.id);
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
 }

@@ -70,10 +70,13 @@ async fn upload_environment(
     if query.name.as_ref().is_some_and(|n| n.is_empty() || n.chars().count() > 128) {
         return Err(Problem::invalid_field("query/name", "must have 1 to 128 characters"));
     }
-    let incoming = receive(&app, request).await?;
+    let mut incoming = receive(&app, request).await?;
     if let Some(known) = app.store.environment_by_hash(&caller.tenant, &incoming.sha256).await? {
-        app.store.artifacts().mend(incoming, &known.artifact).await?;
-        return Ok(Json(view(known)).into_response());
+        match app.store.mend(incoming, &known.artifact).await? {
+            None => return Ok(Json(view(known)).into_response()),
+            // It was deleted meanwhile.
+            Some(given_back) => incoming = given_back,
+        }
     }
     app.store.admit_bytes_of(&caller.tenant, incoming.bytes).await?;
     let (width, height, warnings) = validate(&app, &incoming).await?;
@@ -88,8 +91,7 @@ async fn upload_environment(
         warnings,
         created_ms: app.jobs.now_ms(),
     };
-    app.store.artifacts().publish(incoming, &record.artifact).await?;
-    let stored = app.store.insert_environment(&caller.tenant, &record).await?;
+    let stored = app.store.keep_environment(incoming, &caller.tenant, &record).await?;
     Ok((StatusCode::CREATED, Json(view(stored))).into_response())
 }
 

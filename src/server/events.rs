@@ -15,7 +15,7 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{JobId, Problem, TenantId};
+use crate::api::{JobId, KeyId, Problem, TenantId};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
@@ -43,7 +43,7 @@ struct EventQuery {
 /// Stream a job's events
 ///
 /// Every event since `Last-Event-ID` (or since the beginning), then new ones as they happen, until the job is in a
-/// terminal state. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object. Numbers only grow,
+/// terminal state or the caller's key ends. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object. Numbers only grow,
 /// also across restarts of the server.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/events", tag = "jobs",
@@ -69,7 +69,15 @@ async fn job_events(
         })?,
     };
     let changes = app.jobs.subscribe();
-    let listener = Listener { app, tenant: caller.tenant, id, after, changes, waiting: VecDeque::new() };
+    let listener = Listener {
+        app,
+        tenant: caller.tenant,
+        key: caller.key,
+        id,
+        after,
+        changes,
+        waiting: VecDeque::new(),
+    };
     let stream = futures::stream::unfold(listener, |mut listener| async move {
         let event = listener.next().await?;
         Some((Ok(event), listener))
@@ -81,6 +89,7 @@ async fn job_events(
 struct Listener {
     app: Shared,
     tenant: TenantId,
+    key: KeyId,
     id: JobId,
     after: i64,
     changes: watch::Receiver<()>,
@@ -106,9 +115,12 @@ impl Listener {
         }
     }
 
-    /// Fetches what is new, or waits for it; `false` when nothing can follow.
+    /// Fetches what is new, or waits for it; `false` when nothing can follow, or the listener may not hear it any more.
     async fn fetch(&mut self) -> Result<bool, StoreError> {
         self.changes.mark_unchanged();
+        if self.app.keys.bearer_of(self.key.as_str()).await?.is_none() {
+            return Ok(false);
+        }
         // The state first: a job that is terminal now has written its last event already.
         let job = self.app.store.job(&self.tenant, &self.id).await?;
         self.waiting = self.app.jobs.events_after(&self.tenant, &self.id, self.after).await?.into();

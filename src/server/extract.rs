@@ -73,7 +73,9 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for QueryString<T>
             Err(rejection) => {
                 let text = rejection.body_text();
                 let detail = text.rsplit_once("query string: ").map_or(text.as_str(), |(_, d)| d);
-                let name = quoted(detail).or_else(|| detail.split_once(": ").map(|(name, _)| name));
+                // Other words than names of fields are quoted, too, e.g. the values of a boolean.
+                let field = quoted(detail).filter(|_| detail.contains(" field `"));
+                let name = field.or_else(|| detail.split_once(": ").map(|(name, _)| name));
                 Err(Problem::invalid_field(format!("query/{}", name.unwrap_or_default()), detail))
             }
         }

@@ -282,6 +282,7 @@ fn view(job: JobRecord, queue_position: Option<i64>) -> JobView {
         started_at: job.started_ms.map(rfc3339),
         finished_at: job.finished_ms.map(rfc3339),
         model: job.model_id,
+        model_deleted_at: job.model_deleted_ms.map(rfc3339),
         error: job.error_code.map(|code| JobError { code, detail }),
     }
 }

@@ -11,7 +11,7 @@ use crate::api::{EnvironmentId, Problem, TenantId};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
 use crate::server::environments;
-use crate::store::hex;
+use crate::store::{StoreError, hex};
 use crate::worker::LightSource;
 
 /// The light of a render request; a stored map is not read yet.
@@ -44,7 +44,11 @@ pub(super) async fn stored_light(
     id: &EnvironmentId,
 ) -> Result<Option<LightSource>, Problem> {
     let Some(record) = app.store.environment(tenant, id).await? else { return Ok(None) };
-    app.store.artifacts().verify(&record.artifact, &record.sha256).await?;
+    match app.store.artifacts().verify(&record.artifact, &record.sha256).await {
+        // It was deleted meanwhile.
+        Err(StoreError::Missing(_)) if app.store.environment(tenant, id).await?.is_none() => return Ok(None),
+        sound => sound?,
+    }
     let path = app.store.artifacts().local_path(&record.artifact);
     Ok(Some(LightSource::Stored { path, sha256: record.sha256 }))
 }

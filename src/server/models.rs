@@ -82,9 +82,8 @@ pub(super) async fn source(
     tenant: &TenantId,
     id: &ModelId,
 ) -> Result<(ModelSource, String), Problem> {
-    let file = app.store.model_file(tenant, id, MODEL_FILE).await?;
+    let file = app.store.sound_model_file(tenant, id, MODEL_FILE).await?;
     let file = file.ok_or_else(|| Problem::not_found("model", id.as_str()))?;
-    app.store.artifacts().verify(&file.artifact, &file.sha256).await?;
     let path = app.store.artifacts().local_path(&file.artifact);
     Ok((ModelSource { id: id.clone(), path }, file.sha256))
 }

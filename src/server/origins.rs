@@ -66,7 +66,7 @@ pub(super) fn cors(origins: &[CorsOrigin]) -> Option<CorsLayer> {
     };
     let layer = CorsLayer::new()
         .allow_origin(allowed)
-        .allow_methods(AllowMethods::list([Method::GET, Method::POST, Method::PATCH]))
+        .allow_methods(AllowMethods::list([Method::GET, Method::POST, Method::PATCH, Method::DELETE]))
         .allow_headers(AllowHeaders::mirror_request())
         .expose_headers(ExposeHeaders::list(EXPOSED));
     Some(layer)

@@ -3,8 +3,8 @@
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
-use crate::api::Problem;
 use crate::api::problem::{ContentError, FieldError, TYPE_PREFIX};
+use crate::api::{Problem, ResourceKind, ResourceName};
 use crate::server::observe;
 use crate::store::StoreError;
 use crate::worker::RenderFailure;
@@ -20,6 +20,7 @@ impl Problem {
             request_id: observe::request_id(),
             errors: Vec::new(),
             content: None,
+            needed_by: Vec::new(),
             retry_after: None,
         }
     }
@@ -93,6 +94,21 @@ impl Problem {
         Self::new(StatusCode::CONFLICT, kind, "The state of the resource forbids it").detail(detail)
     }
 
+    /// 409 for what was to be deleted and is needed.
+    pub fn in_use(what: &ResourceName, mut needed_by: Vec<ResourceName>) -> Self {
+        let count = needed_by.len();
+        needed_by.truncate(100);
+        let detail = match needed_by.as_slice() {
+            [it] if it == what => format!("{what} is running; cancel it first, or ask with ?cascade=true"),
+            _ => format!(
+                "{what} is needed by jobs that wait, run or may be run again ({count}); delete them first, or ask with ?cascade=true"
+            ),
+        };
+        let mut problem = Self::conflict("in-use", detail);
+        problem.needed_by = needed_by;
+        problem
+    }
+
     /// 500. The cause goes to the log, never to the client.
     pub fn internal(cause: impl std::fmt::Display) -> Self {
         tracing::error!(%cause, "internal error");
@@ -137,11 +153,25 @@ impl From<StoreError> for Problem {
                 let title = "Your tenant may have no more of these";
                 Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", title).detail(error.to_string())
             }
+            StoreError::OverLimit { .. } => {
+                Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-limit", "The server may store no more")
+                    .detail(error.to_string())
+            }
             StoreError::TooLarge { limit } => Self::too_large(limit),
             StoreError::Body(reason) => {
                 Self::new(StatusCode::BAD_REQUEST, "incomplete-body", "The body could not be read")
                     .detail(reason)
             }
+            StoreError::Deleted(what) => match what.kind {
+                ResourceKind::Capture => {
+                    Self::invalid_field("/capture", format!("{:?} does not exist", what.id))
+                }
+                ResourceKind::Environment => Self::invalid_field(
+                    "/overrides/light/environment",
+                    format!("{:?} does not exist", what.id),
+                ),
+                kind => Self::not_found(kind.name(), &what.id),
+            },
             StoreError::KeyReused => Self::new(
                 StatusCode::UNPROCESSABLE_ENTITY,
                 "idempotency-key-reused",
@@ -170,6 +200,7 @@ impl From<RenderFailure> for Problem {
             RenderFailure::Busy | RenderFailure::Abandoned => {
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "The device is busy").retry_after(1)
             }
+            RenderFailure::Gone { what, id } => Self::not_found(what, &id),
             RenderFailure::Refused { field, reason } => Self::invalid_field(format!("/{field}"), reason),
             RenderFailure::Device(error) => {
                 tracing::error!(%error, "the device failed under a render");

@@ -9,8 +9,8 @@ use crate::api::Problem;
 use crate::server::app::Shared;
 use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLOADS, bounded};
 use crate::server::{
-    captures, description, environments, events, files, health, jobs, keys, models, renders, signed_urls,
-    thumbnails,
+    captures, deletion, description, environments, events, files, health, jobs, keys, models, renders,
+    signed_urls, thumbnails, usage,
 };
 
 fn families() -> OpenApiRouter<Shared> {
@@ -22,7 +22,9 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(keys::routes())
         .merge(signed_urls::routes())
         .merge(models::routes())
-        .merge(files::routes());
+        .merge(files::routes())
+        .merge(deletion::routes())
+        .merge(usage::routes());
     OpenApiRouter::with_openapi(description::preamble())
         .merge(bounded(uploads, &UPLOADS))
         .merge(bounded(queries, &QUERIES))

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use tokio::net::TcpListener;
+use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
 use crate::engine::DeviceError;
@@ -16,6 +17,7 @@ use crate::server::app::{App, RequestLimits};
 use crate::server::auth::{ApiKeys, may_listen};
 use crate::server::connections::{self, ConnectionLimits};
 use crate::server::decoders::Decoders;
+use crate::server::keeper;
 use crate::server::keyring::Keyring;
 use crate::server::memory::MemoryBudget;
 use crate::server::observe;
@@ -24,7 +26,7 @@ use crate::server::rates::Rates;
 use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::stack::StackConfig;
-use crate::store::{NodeLock, Quota, Store, StoreError, has_keys};
+use crate::store::{NodeLock, Quota, Retention, Store, StoreError, has_keys};
 use crate::worker::{self, StartError, WorkerOptions};
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
@@ -53,6 +55,8 @@ pub struct ServerConfig {
     pub quota: Quota,
     /// How leases behave.
     pub lease: LeasePolicy,
+    /// How long things are kept.
+    pub retention: Retention,
     /// Sizes of the worker.
     pub worker: WorkerOptions,
     /// Tells the time.
@@ -74,6 +78,7 @@ impl ServerConfig {
             requests_per_minute: None,
             quota: Quota::default(),
             lease: LeasePolicy::default(),
+            retention: Retention::default(),
             worker: WorkerOptions::default(),
             clock: Arc::new(SystemClock),
             ids: Arc::new(RandomIds),
@@ -126,6 +131,9 @@ pub async fn run(
     observe::metrics_handle();
     let _lock = NodeLock::acquire(&config.data_dir)?;
     let store = Store::open(&config.data_dir).await?.with_quota(config.quota);
+    if let Some(bytes) = config.limits.disk_bytes {
+        store.limit_disk(bytes);
+    }
     let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
     recover(&store, &jobs).await?;
 
@@ -136,6 +144,9 @@ pub async fn run(
     })?;
     let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
     let signing = SigningSecret::of(&config.data_dir);
+    let tidy = Arc::new(Notify::new());
+    let keeper = tokio::spawn(keeper::keep(jobs.clone(), config.retention, tidy.clone(), stop.clone()));
+    let keys = Arc::new(Keyring::new(config.api_keys, store.clone(), config.clock));
     let app = App {
         store: store.clone(),
         jobs,
@@ -143,11 +154,12 @@ pub async fn run(
         limits: config.limits,
         memory: MemoryBudget::new(config.limits.memory_bytes),
         decoders: Decoders::start(config.limits.memory_bytes)?,
+        keys: keys.clone(),
         signing: signing.clone(),
+        tidy,
         stop: stop.clone(),
         description: openapi(),
     };
-    let keys = Keyring::new(config.api_keys, store.clone(), config.clock);
     let gate = Arc::new(Gate { keys, signing, rates: Rates::new(config.requests_per_minute) });
     let stack = StackConfig {
         gate,
@@ -166,6 +178,9 @@ pub async fn run(
         tracing::error!("the device thread did not end well");
     }
     maintenance.abort();
+    if keeper.await.is_err() {
+        tracing::error!("what was deleted could not be swept to the end");
+    }
     store.close().await;
     tracing::info!("stopped");
     Ok(())
@@ -181,6 +196,10 @@ async fn recover(store: &Store, jobs: &Jobs) -> Result<(), StoreError> {
     };
     if !recovered.is_empty() {
         tracing::info!(jobs = recovered.len(), "recovered jobs of a server that died");
+    }
+    // What was deleted goes before what nothing refers to, which would be set aside.
+    if let Err(error) = store.finish_deletions(jobs.now_ms()).await {
+        tracing::error!(%error, "what was deleted cannot be swept yet");
     }
     if let Err(error) = store.sweep_orphans(SystemTime::now()).await {
         tracing::error!(%error, "left-overs cannot be swept");

@@ -4,6 +4,7 @@
 
 use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
+use subtle::ConstantTimeEq;
 
 use crate::api::{JobId, ModelId};
 use crate::server::caller::Caller;
@@ -61,16 +62,16 @@ impl<'a> Signed<'a> {
             Some((query, key)) => (Some(query), key),
             None => (None, rest.strip_prefix("key=")?),
         };
-        Some(Self { query, key, expires: expires.parse().ok()?, signature })
+        let seconds: i64 = expires.parse().ok()?;
+        // Written as it was signed, without + or leading zeros.
+        (seconds.to_string() == expires).then_some(Self { query, key, expires: seconds, signature })
     }
 
-    /// Whether the signature is that of `caller` for this path. Takes as long whatever is wrong with it.
+    /// Whether the signature is that of `caller` for this path. Takes as long whichever character is wrong.
     pub(super) fn is_by(&self, caller: &Caller, secret: &[u8], path: &str) -> bool {
-        let bytes: Option<Vec<u8>> = (self.signature.len() == 64 && self.signature.is_ascii())
-            .then(|| (0..64).step_by(2).map(|i| u8::from_str_radix(&self.signature[i..i + 2], 16)))
-            .and_then(|digits| digits.collect::<Result<_, _>>().ok());
-        let mac = mac(secret, caller, path, self.query, self.expires);
-        bytes.is_some_and(|bytes| mac.is_some_and(|mac| mac.verify_slice(&bytes).is_ok()))
+        let expected = signature(secret, caller, path, self.query, self.expires);
+        let same = |good: String| good.as_bytes().ct_eq(self.signature.as_bytes()).into();
+        self.key == caller.key.as_str() && expected.is_some_and(same)
     }
 }
 
@@ -85,7 +86,7 @@ pub(super) fn sign(
     if names(query).any(|name| RESERVED.contains(&name)) {
         return None;
     }
-    let signature = hex(&mac(secret, caller, path, query, expires)?.finalize().into_bytes());
+    let signature = signature(secret, caller, path, query, expires)?;
     let before = query.map_or_else(String::new, |query| format!("{query}&"));
     Some(format!("{path}?{before}key={}&expires={expires}&signature={signature}", caller.key))
 }
@@ -97,13 +98,13 @@ fn names(query: Option<&str>) -> impl Iterator<Item = &str> {
 
 /// A line for each thing that is signed; none of them can have a line break in it. The hash of the key is among them, so that
 /// the signature ends with the key and not only with its name.
-fn mac(
+fn signature(
     secret: &[u8],
     caller: &Caller,
     path: &str,
     query: Option<&str>,
     expires: i64,
-) -> Option<Hmac<Sha256>> {
+) -> Option<String> {
     let query = query.map_or_else(String::new, |query| format!("?{query}"));
     let text = format!(
         "relume signed url 1\nGET\n{path}\n{query}\n{}\n{}\n{}\n{expires}",
@@ -111,7 +112,7 @@ fn mac(
     );
     let mut mac = Hmac::<Sha256>::new_from_slice(secret).ok()?;
     mac.update(text.as_bytes());
-    Some(mac)
+    Some(hex(&mac.finalize().into_bytes()))
 }
 
 #[cfg(test)]
@@ -145,7 +146,13 @@ mod tests {
                 let good = Signed::parse(Some(&changed)).is_some_and(|s| s.is_by(&me, b"secret", path));
                 assert!(!good, "{changed}");
             }
-            for changed in [format!("a=1&{rest}"), format!("{rest}&a=1"), format!("&{rest}")] {
+            for changed in [
+                format!("a=1&{rest}"),
+                format!("{rest}&a=1"),
+                format!("&{rest}"),
+                rest.replace("=100", "=+100"),
+                rest.replace("=100", "=0100"),
+            ] {
                 let good = Signed::parse(Some(&changed)).is_some_and(|s| s.is_by(&me, b"secret", path));
                 assert!(!good, "{changed}");
             }

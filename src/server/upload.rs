@@ -12,7 +12,7 @@ use tower_http::timeout::TimeoutError;
 use crate::api::Problem;
 use crate::server::app::Shared;
 use crate::server::extract::{STALLED, caused_by, content_length, media_type};
-use crate::store::Incoming;
+use crate::store::{Incoming, StoreError};
 
 /// What a route accepts.
 pub(super) struct Expected {
@@ -37,6 +37,7 @@ pub(super) async fn receive(
     if declared.is_some_and(|n| n > expected.limit + FORM_OVERHEAD) {
         return Err(Problem::too_large(expected.limit));
     }
+    app.store.admit_bytes(declared.unwrap_or(0).saturating_sub(FORM_OVERHEAD)).await?;
     match media_type(request.headers()).as_deref() {
         Some("multipart/form-data") => from_form(app, request, expected).await,
         Some(raw) if expected.media_types.contains(&raw) => {
@@ -85,6 +86,13 @@ async fn store<E: Error + 'static>(
         reason(&error)
     });
     let name: String = app.jobs.fresh_id();
-    let received = app.store.artifacts().receive(&name, body, limit).await;
-    received.map_err(|error| if stalled { Problem::timeout(STALLED) } else { error.into() })
+    let allowance = app.store.disk_allowance().await?;
+    let received = app.store.artifacts().receive(&name, body, limit.min(allowance.left())).await;
+    match received {
+        Err(StoreError::TooLarge { limit: met }) if met < limit => {
+            Err(allowance.exceeded(met.saturating_add(1)).into())
+        }
+        Err(_) if stalled => Err(Problem::timeout(STALLED)),
+        received => Ok(received?),
+    }
 }

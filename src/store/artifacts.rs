@@ -68,7 +68,7 @@ impl Artifacts {
     /// # Errors
     /// When a left-over cannot be removed.
     pub fn sweep_incoming(&self) -> Result<(), StoreError> {
-        match std::fs::remove_dir_all(self.root.join(INCOMING)) {
+        match std::fs::remove_dir_all(self.incoming()) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
             _ => Ok(()),
         }
@@ -108,17 +108,6 @@ impl Artifacts {
         self.files.rename(&incoming.key, &Key::from(key)).await?;
         incoming.published = true;
         Ok(())
-    }
-
-    /// Puts a complete upload in the place of an artifact of the same content that is damaged or missing; drops it otherwise.
-    ///
-    /// # Errors
-    /// When the artifact cannot be read or the move fails.
-    pub async fn mend(&self, incoming: Incoming, key: &str) -> Result<(), StoreError> {
-        match self.verify(key, &incoming.sha256).await {
-            Err(StoreError::Damaged(_) | StoreError::Missing(_)) => self.publish(incoming, key).await,
-            sound => sound,
-        }
     }
 
     /// Writes a whole artifact and returns its sha256 in hex; durable when it returns.
@@ -170,6 +159,21 @@ impl Artifacts {
         if let Err(error) = self.files.delete(&Key::from(key)).await {
             tracing::debug!(%error, key, "an artifact was not removed");
         }
+    }
+
+    /// Removes an artifact for good; that it is missing already is no error.
+    pub(super) async fn discard(&self, key: &str) -> Result<(), StoreError> {
+        self.verification.forget(key);
+        // Not through the object store: it has no name for a file that it had not written to the end.
+        match tokio::fs::remove_file(self.local_path(key)).await {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// The folder of uploads in progress.
+    pub(super) fn incoming(&self) -> PathBuf {
+        self.root.join(INCOMING)
     }
 
     /// The path of an artifact on this machine.

@@ -48,7 +48,9 @@ impl Store {
         id: &CaptureId,
     ) -> Result<Option<CaptureRecord>, StoreError> {
         let query =
-            sqlx::query_as("SELECT * FROM captures WHERE id = ?1 AND tenant = ?2").bind(id).bind(tenant);
+            sqlx::query_as("SELECT * FROM captures WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL")
+                .bind(id)
+                .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
@@ -74,7 +76,7 @@ impl Store {
     pub async fn captures(&self, tenant: &TenantId, page: &Page) -> Result<Vec<CaptureRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM captures
-             WHERE tenant = ?3
+             WHERE tenant = ?3 AND deleted_ms IS NULL
                AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM captures WHERE id = ?1))
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );

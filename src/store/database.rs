@@ -45,6 +45,17 @@ impl Database {
         Ok(found?)
     }
 
+    /// One connection to the `root/relume.db` that is there, to copy it.
+    pub(super) async fn open_to_copy(root: &Path) -> Result<SqlitePool, StoreError> {
+        Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options(root)).await?)
+    }
+
+    /// One connection to a copy of a database, which nobody else uses.
+    pub(super) async fn open_copy(file: &Path, to_look: bool) -> Result<SqlitePool, StoreError> {
+        let options = SqliteConnectOptions::new().filename(file).read_only(to_look).immutable(to_look);
+        Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
+    }
+
     async fn connect(options: SqliteConnectOptions) -> Result<Self, StoreError> {
         let writer = lasting_pool(1)
             .after_release(|connection, _| {

@@ -52,7 +52,9 @@ impl Store {
         id: &EnvironmentId,
     ) -> Result<Option<EnvironmentRecord>, StoreError> {
         let query =
-            sqlx::query_as("SELECT * FROM environments WHERE id = ?1 AND tenant = ?2").bind(id).bind(tenant);
+            sqlx::query_as("SELECT * FROM environments WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL")
+                .bind(id)
+                .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
@@ -82,7 +84,7 @@ impl Store {
     ) -> Result<Vec<EnvironmentRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM environments
-             WHERE tenant = ?3
+             WHERE tenant = ?3 AND deleted_ms IS NULL
                AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM environments WHERE id = ?1))
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );

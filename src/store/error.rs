@@ -3,6 +3,8 @@
 use std::error::Error;
 use std::io::ErrorKind;
 
+use crate::api::ResourceName;
+
 /// Why the store refused.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
@@ -14,6 +16,16 @@ pub enum StoreError {
     NoRoom {
         /// What is asked for.
         bytes: u64,
+    },
+    /// No more may be stored.
+    #[error("at most {limit} bytes may be stored: {taken} are, and {asked} more were asked for")]
+    OverLimit {
+        /// What may be stored, bytes.
+        limit: u64,
+        /// What is stored.
+        taken: u64,
+        /// What was asked for beside it.
+        asked: u64,
     },
     /// A body is larger than its limit.
     #[error("the body is larger than {limit} bytes")]
@@ -49,6 +61,9 @@ pub enum StoreError {
         /// What was asked for beside it.
         asked: u64,
     },
+    /// What the request names was deleted meanwhile.
+    #[error("{0} was deleted")]
+    Deleted(ResourceName),
     /// The same idempotency key came with another request.
     #[error("the idempotency key was used with a different request")]
     KeyReused,
@@ -57,6 +72,20 @@ pub enum StoreError {
         "{0} has stored files but no database: relume.db was moved, removed or not mounted; put it back, restore a backup, or use another data directory"
     )]
     DatabaseMissing(String),
+    /// There is no database to back up.
+    #[error("{0} has no database relume.db: it is no data directory")]
+    NoDatabase(String),
+    /// A folder that was to be made has something in it.
+    #[error("{0} is not empty: name a folder that does not exist yet")]
+    NotEmpty(String),
+    /// A folder is no backup.
+    #[error("{path} is no backup: {why}")]
+    NoBackup {
+        /// The folder.
+        path: String,
+        /// What is wrong with it.
+        why: String,
+    },
     /// The database was written by a newer version.
     #[error(
         "the database was written by a newer version of relume (schema {found}; this version knows {known}): start that version, or restore the backup from before the update"

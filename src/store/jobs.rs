@@ -6,6 +6,7 @@ use sqlx::{Sqlite, Transaction};
 
 use crate::api::jobs::JobState;
 use crate::api::{JobId, TenantId};
+use crate::store::deletion::check_still_there;
 use crate::store::idempotency::{remember, replay};
 use crate::store::{IdempotencyKey, JobRecord, Page, Store, StoreError, events};
 
@@ -50,6 +51,7 @@ impl Store {
             tx.commit().await?;
             return Ok(Submitted::Replayed(response));
         }
+        check_still_there(&mut tx, job).await?;
         self.admit_job_of(&mut tx, &job.tenant).await?;
         insert(&mut tx, job).await?;
         events::append(&mut tx, &job.id, now_ms, "state", json!({ "state": JobState::Queued })).await?;
@@ -67,7 +69,9 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn job(&self, tenant: &TenantId, id: &JobId) -> Result<Option<JobRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM jobs WHERE id = ?1 AND tenant = ?2").bind(id).bind(tenant);
+        let query = sqlx::query_as("SELECT * FROM jobs WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL")
+            .bind(id)
+            .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
@@ -83,7 +87,7 @@ impl Store {
     ) -> Result<Vec<JobRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM jobs
-             WHERE tenant = ?4
+             WHERE tenant = ?4 AND deleted_ms IS NULL
                AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM jobs WHERE id = ?1))
                AND (?2 IS NULL OR state = ?2)
              ORDER BY created_ms DESC, id DESC LIMIT ?3",
@@ -104,7 +108,8 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn job_counts(&self) -> Result<Vec<(JobState, i64)>, StoreError> {
-        let query = sqlx::query_as("SELECT state, COUNT(*) FROM jobs GROUP BY state");
+        let query =
+            sqlx::query_as("SELECT state, COUNT(*) FROM jobs WHERE deleted_ms IS NULL GROUP BY state");
         Ok(query.fetch_all(self.pool()).await?)
     }
 

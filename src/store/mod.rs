@@ -5,8 +5,11 @@
 
 mod admission;
 mod artifacts;
+mod backup;
 mod captures;
 mod database;
+mod deletion;
+mod discard;
 mod environments;
 mod error;
 mod events;
@@ -22,17 +25,26 @@ mod node_lock;
 mod quota;
 mod records;
 mod references;
+mod retention;
 mod room;
+mod shelf;
 mod sweep;
+mod usage;
 mod verification;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
 use sqlx::{Sqlite, SqlitePool, Transaction};
+use tokio::sync::Mutex;
 
 use database::Database;
 
 pub use artifacts::{Artifacts, Incoming};
+pub use backup::{Backup, backup, restore};
+pub use deletion::Deletion;
+pub use discard::Discarded;
 pub use error::StoreError;
 pub use hash::hex;
 pub use idempotency::IdempotencyKey;
@@ -46,8 +58,10 @@ pub use quota::Quota;
 pub use records::{
     CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, KeyRecord, ModelFile, ModelRecord, Page,
 };
+pub use retention::Retention;
 pub use room::Room;
 pub use sweep::Swept;
+pub use usage::Allowance;
 
 /// The metadata database and the artifact store of one data directory.
 #[derive(Clone)]
@@ -57,6 +71,10 @@ pub struct Store {
     room: Room,
     quota: Quota,
     root: PathBuf,
+    /// Most bytes that are stored; `u64::MAX` when the disk alone is the limit.
+    disk_limit: Arc<AtomicU64>,
+    /// Held while a file and the row that names it are made or removed together.
+    shelf: Arc<Mutex<()>>,
 }
 
 impl Store {
@@ -77,6 +95,8 @@ impl Store {
             room: Room::new(root),
             quota: Quota::default(),
             root: root.to_owned(),
+            disk_limit: Arc::new(AtomicU64::new(u64::MAX)),
+            shelf: Arc::default(),
         })
     }
 
@@ -113,8 +133,9 @@ impl Store {
         checked.unwrap_or_else(|error| Err(std::io::Error::other(error).into()))
     }
 
-    /// Refuses new work while there is no room for the work that waits.
+    /// Refuses new work while there is no room for the work that waits, or no more may be stored.
     async fn admit(&self) -> Result<(), StoreError> {
+        self.admit_bytes(0).await?;
         if self.room.is_short() { self.check_room().await } else { Ok(()) }
     }
 
@@ -155,7 +176,10 @@ impl Store {
     }
 }
 
-/// True when there are artifacts in a data directory.
+/// Name of the database while a backup is restored.
+const RESTORING: &str = "relume.db.restoring";
+
+/// True when there are artifacts in a data directory, or a backup was half restored to it.
 fn has_artifacts(root: &Path) -> Result<bool, StoreError> {
-    Ok(!references::stored(&root.join("artifacts"))?.is_empty())
+    Ok(root.join(RESTORING).exists() || !references::stored(&root.join("artifacts"))?.is_empty())
 }

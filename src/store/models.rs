@@ -10,7 +10,9 @@ impl Store {
     /// When the database fails.
     pub async fn model(&self, tenant: &TenantId, id: &ModelId) -> Result<Option<ModelRecord>, StoreError> {
         let query =
-            sqlx::query_as("SELECT * FROM models WHERE id = ?1 AND tenant = ?2").bind(id).bind(tenant);
+            sqlx::query_as("SELECT * FROM models WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL")
+                .bind(id)
+                .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
@@ -21,7 +23,7 @@ impl Store {
     pub async fn models(&self, tenant: &TenantId, page: &Page) -> Result<Vec<ModelRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM models
-             WHERE tenant = ?3
+             WHERE tenant = ?3 AND deleted_ms IS NULL
                AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM models WHERE id = ?1))
              ORDER BY created_ms DESC, id DESC LIMIT ?2",
         );
@@ -35,9 +37,27 @@ impl Store {
     pub async fn model_files(&self, tenant: &TenantId, id: &ModelId) -> Result<Vec<ModelFile>, StoreError> {
         let query = sqlx::query_as(
             "SELECT model_files.* FROM model_files JOIN models ON models.id = model_id
-             WHERE model_id = ?1 AND tenant = ?2 ORDER BY name",
+             WHERE model_id = ?1 AND tenant = ?2 AND deleted_ms IS NULL ORDER BY name",
         );
         Ok(query.bind(id).bind(tenant).fetch_all(self.pool()).await?)
+    }
+
+    /// One file of a model, once its bytes are found to be those that were stored; `None` also when the model is deleted
+    /// meanwhile.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] and [`StoreError::Missing`] when they are not, or when the database fails.
+    pub async fn sound_model_file(
+        &self,
+        tenant: &TenantId,
+        id: &ModelId,
+        name: &str,
+    ) -> Result<Option<ModelFile>, StoreError> {
+        let Some(file) = self.model_file(tenant, id, name).await? else { return Ok(None) };
+        match self.artifacts.verify(&file.artifact, &file.sha256).await {
+            Err(StoreError::Missing(_)) if self.model(tenant, id).await?.is_none() => Ok(None),
+            sound => sound.map(|()| Some(file)),
+        }
     }
 
     /// One file of a model.
@@ -52,7 +72,7 @@ impl Store {
     ) -> Result<Option<ModelFile>, StoreError> {
         let query = sqlx::query_as(
             "SELECT model_files.* FROM model_files JOIN models ON models.id = model_id
-             WHERE model_id = ?1 AND name = ?2 AND tenant = ?3",
+             WHERE model_id = ?1 AND name = ?2 AND tenant = ?3 AND deleted_ms IS NULL",
         );
         Ok(query.bind(id).bind(name).bind(tenant).fetch_optional(self.pool()).await?)
     }

@@ -84,6 +84,8 @@ pub struct JobRecord {
     pub checkpoint_step: Option<i64>,
     /// The published model.
     pub model_id: Option<ModelId>,
+    /// When that model was deleted.
+    pub model_deleted_ms: Option<i64>,
     /// Stable code of the failure.
     pub error_code: Option<String>,
     /// What failed, for people.
@@ -109,6 +111,7 @@ impl JobRecord {
             checkpoint_sha256: None,
             checkpoint_step: None,
             model_id: None,
+            model_deleted_ms: None,
             error_code: None,
             error_detail: None,
         }

@@ -20,11 +20,12 @@ pub(super) struct Reference {
 /// Every artifact that the database names.
 pub(super) async fn references(pool: &SqlitePool) -> Result<Vec<Reference>, StoreError> {
     let query = sqlx::query_as(
-        "SELECT artifact, sha256, 'capture ' || id AS owner FROM captures
-         UNION ALL SELECT artifact, sha256, 'environment ' || id FROM environments
+        "SELECT artifact, sha256, 'capture ' || id AS owner FROM captures WHERE deleted_ms IS NULL
+         UNION ALL SELECT artifact, sha256, 'environment ' || id FROM environments WHERE deleted_ms IS NULL
          UNION ALL SELECT artifact, sha256, 'model ' || model_id || ', ' || name FROM model_files
+             JOIN models ON models.id = model_id WHERE deleted_ms IS NULL
          UNION ALL SELECT checkpoint, checkpoint_sha256, 'checkpoint of job ' || id FROM jobs
-             WHERE checkpoint IS NOT NULL AND state IN ('queued', 'running', 'cancelling')",
+             WHERE checkpoint IS NOT NULL AND state IN ('queued', 'running', 'cancelling') AND deleted_ms IS NULL",
     );
     Ok(query.fetch_all(pool).await?)
 }
@@ -39,6 +40,14 @@ pub(super) fn stored(artifacts: &Path) -> std::io::Result<Vec<String>> {
     // attempts/JOB/NUMBER/FILE
     files(&artifacts.join("attempts"), "attempts", 2, &mut keys)?;
     keys.sort();
+    Ok(keys)
+}
+
+/// The keys of all files that attempts of a job wrote. Blocks.
+pub(super) fn of_job(artifacts: &Path, job: &str) -> std::io::Result<Vec<String>> {
+    let prefix = format!("attempts/{job}");
+    let mut keys = Vec::new();
+    files(&artifacts.join(&prefix), &prefix, 1, &mut keys)?;
     Ok(keys)
 }
 

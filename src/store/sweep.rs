@@ -90,7 +90,7 @@ fn expire(folder: &Path, now: SystemTime) -> std::io::Result<usize> {
 }
 
 /// Removes empty folders, innermost first.
-fn prune(folder: &Path) -> std::io::Result<()> {
+pub(super) fn prune(folder: &Path) -> std::io::Result<()> {
     for entry in entries(folder)? {
         let entry = entry?;
         if entry.file_type()?.is_dir() {

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::capture::Capture;
 use crate::engine::upward_share;
+use crate::light::{UPWARD_LUMINANCE, luminance};
 use crate::scene::{EnvMap, texel_directions};
 use crate::train::config::error::ConfigError;
 
@@ -36,7 +37,7 @@ pub struct KnownLight {
 pub enum LightExposure {
     /// The map times two to this, -20 to 20: at 0, a surface of radiance 1 is white in the photographs.
     Stops(f64),
-    /// Not known: the map is scaled so that a white surface facing up is white. A recovered light is held near the same level.
+    /// Not known: the map is scaled so that a white surface facing up has a luminance of 0.9 of white. A recovered light is held near the same level.
     Unknown(Auto),
 }
 
@@ -86,7 +87,7 @@ impl KnownLight {
             let off = level(&map).log2() + ev;
             if off.abs() > MOST_OFFSET {
                 capture.warnings.push(format!(
-                    "light: under it a white surface facing up is {off:+.1} stops from white; a map on another scale \
+                    "light: under it a white surface facing up is {off:+.1} stops from where photographs show it; a map on another scale \
                      than the photographs spoils albedo (exposure \"auto\" assumes 0)"
                 ));
             }
@@ -105,15 +106,11 @@ impl KnownLight {
     }
 }
 
-/// Radiance of a white horizontal surface facing up, mean of the channels; never 0.
+/// Luminance of a white horizontal surface facing up, over that which an unknown light is held to; never 0.
 fn level(map: &EnvMap) -> f64 {
     let texels = map.texels().iter().zip(texel_directions(map.width(), map.height()));
-    let level: f64 = texels.map(|(t, at)| f64::from(upward_share(&at)) * mean(t)).sum();
-    level.max(1e-9)
-}
-
-fn mean(t: &[f32; 3]) -> f64 {
-    t.iter().map(|v| f64::from(*v)).sum::<f64>() / 3.0
+    let level: f64 = texels.map(|(t, at)| f64::from(upward_share(&at) * luminance(*t))).sum();
+    (level / f64::from(UPWARD_LUMINANCE)).max(1e-9)
 }
 
 #[cfg(test)]
@@ -127,7 +124,8 @@ mod tests {
     #[test]
     fn an_unknown_exposure_makes_white_white_and_a_given_one_is_kept() {
         let sky = EnvMap::from_fn(64, 32, |d| [3.0 * (d.z.max(0.0) as f32), 0.5, 0.25]);
-        assert!((level(&sky) - (2.0 + 0.5 + 0.25) / 3.0).abs() < 5e-3);
+        let expected = luminance([2.0, 0.5, 0.25]) / UPWARD_LUMINANCE;
+        assert!((level(&sky) - f64::from(expected)).abs() < 5e-3);
         assert!((level(&light(LightExposure::AUTO).applied(&sky)) - 1.0).abs() < 1e-6);
         let floor = EnvMap::from_fn(8, 4, |d| [if d.z < 0.0 { 1e30 } else { 0.0 }; 3]);
         let lit = light(LightExposure::AUTO).applied(&floor);

@@ -2,7 +2,7 @@
 
 use crate::engine::cpu::{evaluation, linear_from_srgb, sigmoid};
 use crate::engine::{LightTurns, TrainState};
-use crate::light::{EnvOperators, LightColour};
+use crate::light::{EnvOperators, LightColour, UPWARD_LUMINANCE};
 use crate::scene::{Field, Gaussians};
 
 /// Rounds of k-means.
@@ -33,9 +33,11 @@ pub fn colour(g: &Gaussians, i: usize) -> [f32; 3] {
 
 /// The first materials: albedo from the Gaussians' view-independent colours, under a light of this colour.
 ///
-/// Under a light of irradiance pi (see the exposure term) a diffuse surface's colour is its albedo times the light's.
+/// Where the irradiance has the level that the exposure term asks for, a diffuse surface's colour is its albedo times that
+/// level and the light's colour.
 pub fn initialise(state: &mut TrainState, light: LightColour) {
-    let (g, light) = (&state.model.gaussians, light.rgb());
+    let g = &state.model.gaussians;
+    let light = light.rgb().map(|c| UPWARD_LUMINANCE * c);
     let albedo = |i: usize| {
         let colour = colour(g, i);
         std::array::from_fn(|c| colour[c] / light[c])
@@ -234,7 +236,7 @@ mod tests {
         let (mut state, ..) = shaded_ball();
         for radiance in state.model.gaussians.field_mut(Field::Radiance).chunks_mut(3) {
             for (r, light) in radiance.iter_mut().zip(DAYLIGHT_SKY.rgb()) {
-                *r = (srgb(0.5 * light) - 0.5) / 0.282_094_8;
+                *r = (srgb(0.5 * UPWARD_LUMINANCE * light) - 0.5) / 0.282_094_8;
             }
         }
         initialise(&mut state, DAYLIGHT_SKY);

@@ -23,7 +23,7 @@ pub struct LossWeights {
     pub smooth_roughness: f32,
     /// Light neutrality (Eq. 31); 0 by default.
     pub light: f32,
-    /// Exposure: the level of the light under which a white surface is white (docs/MODEL.md section 5); a hundredth of this
+    /// Exposure: the level of the light, by the luminance of a white surface facing up (docs/MODEL.md section 5); a hundredth of this
     /// where the light turns between photographs.
     pub exposure: f32,
     /// Colour of the light: holds it where it is known, and at the estimate over the first three tenths of the steps that

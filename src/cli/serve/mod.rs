@@ -13,6 +13,7 @@ use crate::server::{self, CorsOrigin, ServerConfig};
 mod fairness;
 mod keys;
 mod network;
+mod storage;
 
 /// Options of `relume serve`.
 #[derive(Debug, clap::Args)]
@@ -50,6 +51,8 @@ pub(super) struct ServeArgs {
     #[command(flatten)]
     fairness: fairness::FairnessArgs,
     #[command(flatten)]
+    storage: storage::StorageArgs,
+    #[command(flatten)]
     network: network::NetworkArgs,
 }
 
@@ -70,6 +73,8 @@ async fn serve(args: ServeArgs) -> CommandResult {
         config.limits.memory_bytes = mib << 20;
     }
     args.fairness.apply(&mut config);
+    config.limits.disk_bytes = args.storage.max_disk;
+    config.retention = args.storage.retention();
     config.worker.device = args.device;
     config.lease.max_idle_attempts = args.max_attempts;
     let listener = TcpListener::bind(args.listen).await?;

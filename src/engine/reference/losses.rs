@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::array::Array;
 use super::compositing::Weights;
 use super::tape::Var;
-use crate::light::LightColour;
+use crate::light::{LUMINANCE, LightColour, UPWARD_LUMINANCE};
 
 /// Mean absolute error of two images.
 pub fn mean_absolute_error<'t>(image: Var<'t>, target: Var<'t>) -> Var<'t> {
@@ -51,12 +51,13 @@ pub fn light_neutrality(environment: Var<'_>) -> Var<'_> {
     (environment - environment.mean_last()).abs().mean()
 }
 
-/// `ln(Y / pi)^2` of the rgb-mean irradiance Y that `environment` (texels, 3) gives a surface facing up: a
-/// well-exposed photograph shows white as white. `texels` are directions and solid angles.
+/// `ln(Y / (pi Y'))^2` of the luminance Y of the irradiance that `environment` (texels, 3) gives a surface facing up, and Y'
+/// what a well-exposed photograph shows of a white one. `texels` are directions and solid angles.
 pub fn exposure<'t>(environment: Var<'t>, texels: &[(DVec3, f64)]) -> Var<'t> {
     let shares = texels.iter().map(|(d, w)| d.z.max(0.0) * w / PI).collect();
     let shares = environment.tape.input(Array::new(&[texels.len(), 1], shares));
-    let log = (environment.mean_last() * shares).sum().at_least(1e-6).ln();
+    let channels = environment.tape.input(Array::new(&[1, 3], LUMINANCE.map(f64::from).to_vec()));
+    let log = (environment * channels * shares).sum().at_least(1e-6).ln() - f64::from(UPWARD_LUMINANCE).ln();
     log * log
 }
 

@@ -1,5 +1,6 @@
 //! Renders on the device thread, with a cache of models and prepared lights.
 
+use std::io::ErrorKind;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -23,6 +24,14 @@ pub enum RenderFailure {
     /// The caller does not wait any more.
     #[error("nobody waits for the frame")]
     Abandoned,
+    /// What was asked for has been deleted.
+    #[error("{what} {id} is gone")]
+    Gone {
+        /// A model or an environment.
+        what: &'static str,
+        /// Its identifier, or the hash of its content.
+        id: String,
+    },
     /// The request cannot be rendered.
     #[error("{field}: {reason}")]
     Refused {
@@ -214,7 +223,10 @@ fn expose(frame: &mut Frame, stops: f64) {
 
 fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFailure> {
     let internal = |e: String| RenderFailure::Internal(format!("model {}: {e}", source.id));
-    let bytes = std::fs::read(&source.path).map_err(|e| internal(e.to_string()))?;
+    let bytes = std::fs::read(&source.path).map_err(|e| match e.kind() {
+        ErrorKind::NotFound => RenderFailure::Gone { what: "model", id: source.id.to_string() },
+        _ => internal(e.to_string()),
+    })?;
     let model = model_file::decode(&bytes).map_err(|e| internal(e.to_string()))?;
     let model = Arc::new(model);
     Ok(Arc::new(match Renderer::on(model.clone(), device) {
@@ -228,7 +240,12 @@ fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFa
 
 fn prepare(renderer: &Renderer, task: &RenderTask) -> Result<Arc<PreparedLight>, RenderFailure> {
     let internal = |e: String| RenderFailure::Internal(format!("environment {}: {e}", task.light.key()));
-    let map = task.light.map().map_err(internal)?;
+    let map = task.light.map().map_err(|error| match &task.light {
+        LightSource::Stored { path, sha256 } if !path.exists() => {
+            RenderFailure::Gone { what: "environment", id: sha256.clone() }
+        }
+        _ => internal(error),
+    })?;
     let map = map.unwrap_or_else(|| Arc::new(renderer.model().environment()));
     let map = match task.rotation_deg {
         0.0 => map,

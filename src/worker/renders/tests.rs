@@ -90,3 +90,19 @@ fn what_nobody_waits_for_stops_at_the_next_seam() {
         assert_eq!((cache.models.len(), cache.lights.len()), (models, lights));
     }
 }
+
+#[test]
+fn what_was_deleted_before_its_turn_is_gone_and_not_a_failure_of_the_server() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let model = model(&folder);
+    let render = |task: &RenderTask| RenderCache::new(1, 1).render(task, &Device::Cpu, &|| true).map(drop);
+    let mut lit = task(&model, Tier::Preview, 0.0);
+    lit.light = LightSource::Stored { sha256: "00".to_owned(), path: folder.path().join("no-map") };
+    assert_eq!(render(&lit), Err(RenderFailure::Gone { what: "environment", id: "00".to_owned() }));
+    let task = task(&model, Tier::Preview, 0.0);
+    render(&task).unwrap();
+    std::fs::remove_file(&model.path).unwrap();
+    assert_eq!(render(&task), Err(RenderFailure::Gone { what: "model", id: "model".to_owned() }));
+    std::fs::create_dir(&model.path).unwrap();
+    assert!(matches!(render(&task), Err(RenderFailure::Internal(_))), "a file that cannot be read is one");
+}

@@ -7,7 +7,7 @@ use crate::engine::constants::{LABEL_MARGIN, LEAST_LABEL_WEIGHT, SIGMOID_MARGIN}
 use crate::engine::cpu::objective::{sign, sum};
 use crate::engine::cpu::{self, MAX_COEFFICIENTS, Pass};
 use crate::engine::objective::upward_share;
-use crate::light::{LightColour, sh_eval};
+use crate::light::{LUMINANCE, LightColour, UPWARD_LUMINANCE, luminance, sh_eval};
 use crate::scene::{Field, Gaussians, VisibilityForm};
 
 /// `mean sum |eps|` (Eq. 25); adds its gradient, returns its value.
@@ -127,14 +127,13 @@ pub fn flatness(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
     sum(&values)
 }
 
-/// `weight ln(Y / pi)^2` with Y the irradiance of a white surface facing up: a well-exposed photograph shows such a
-/// surface as white. It fixes the scale that light and albedo could trade. `(value, gradient by radiance)`.
+/// `weight ln(Y / (pi Y'))^2` with Y the luminance of the irradiance of a surface facing up, and Y' what a well-exposed
+/// photograph shows of a white one. It fixes the scale that light and albedo could trade. `(value, gradient by radiance)`.
 pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
-    let up: f32 =
-        radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * (l[0] + l[1] + l[2]) / 3.0).sum();
-    let log = up.max(1e-6).ln();
-    let by_texel = 2.0 * weight * log / (3.0 * up.max(1e-6));
-    (weight * log * log, texels.iter().map(|t| [by_texel * upward_share(t); 3]).collect())
+    let up: f32 = radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * luminance(*l)).sum();
+    let log = (up.max(1e-6) / UPWARD_LUMINANCE).ln();
+    let by_up = LUMINANCE.map(|share| 2.0 * weight * log * share / up.max(1e-6));
+    (weight * log * log, texels.iter().map(|t| by_up.map(|g| g * upward_share(t))).collect())
 }
 
 /// `weight ((b - b')^2 + (g - g')^2)` with (b, g) the [`LightColour`] of the irradiance of a surface facing up and (b', g')

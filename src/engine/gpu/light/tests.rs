@@ -7,7 +7,7 @@ use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{Buffer, Gpu, shaders};
 use crate::engine::{indirect_basis, indirect_basis_backward};
-use crate::light::{ColumnTurn, EnvOperators, LightColour, TableResolution};
+use crate::light::{ColumnTurn, EnvOperators, LUMINANCE, LightColour, TableResolution, UPWARD_LUMINANCE};
 use crate::scene::{
     Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, ShadingOptions, SplitLight, softplus,
     texel_directions,
@@ -76,10 +76,8 @@ fn worst(a: &[f32], b: &[f32]) -> f32 {
 
 /// The terms on the light in f64: value, and gradient by radiance.
 fn terms(radiance: &[[f32; 3]]) -> (f64, f64) {
-    let upward: Vec<f64> = texel_directions(16, 8)
-        .iter()
-        .map(|(d, w)| d.z.max(0.0) * w / (3.0 * std::f64::consts::PI))
-        .collect();
+    let upward: Vec<f64> =
+        texel_directions(16, 8).iter().map(|(d, w)| d.z.max(0.0) * w / std::f64::consts::PI).collect();
     let (mut neutral, mut above) = (0.0, [0.0; 3]);
     for (l, share) in radiance.iter().zip(upward) {
         let l = l.map(f64::from);
@@ -88,7 +86,8 @@ fn terms(radiance: &[[f32; 3]]) -> (f64, f64) {
         (0..3).for_each(|c| above[c] += share * l[c]);
     }
     let n = 3.0 * radiance.len() as f64;
-    let level = above.iter().sum::<f64>().ln();
+    let up: f64 = above.iter().zip(LUMINANCE).map(|(a, share)| a * f64::from(share)).sum();
+    let level = (up / f64::from(UPWARD_LUMINANCE)).ln();
     let blue = (above[2] / above[0]).ln() - f64::from(WEIGHTS.wanted.blue_over_red);
     let green = (above[1] * above[1] / (above[0] * above[2])).ln() - f64::from(WEIGHTS.wanted.green);
     let colour = blue.powi(2) + green.powi(2);

@@ -61,7 +61,7 @@ impl TrainingLight {
         let (width, height) = operators.size();
         let upward: Vec<f32> = texel_directions(width, height)
             .iter()
-            .map(|(d, w)| (d.z.max(0.0) * w / (3.0 * std::f64::consts::PI)) as f32)
+            .map(|(d, w)| (d.z.max(0.0) * w / std::f64::consts::PI) as f32)
             .collect();
         Ok(Self {
             tables_gradient: gpu.buffer("gradient of the light tables", light.values.len())?,

@@ -26,10 +26,12 @@ CREATE TABLE captures (
     artifact    TEXT NOT NULL,
     report      TEXT NOT NULL,
     created_ms  INTEGER NOT NULL,
+    deleted_ms  INTEGER,
+    swept_ms    INTEGER,
     UNIQUE (tenant, sha256)
 ) STRICT;
-INSERT INTO captures (id, tenant, sha256, bytes, artifact, report, created_ms)
-    SELECT id, 'default', sha256, bytes, artifact, report, created_ms FROM former;
+INSERT INTO captures (id, tenant, sha256, bytes, artifact, report, created_ms, deleted_ms, swept_ms)
+    SELECT id, 'default', sha256, bytes, artifact, report, created_ms, deleted_ms, swept_ms FROM former;
 DROP TABLE former;
 
 CREATE TABLE former AS SELECT * FROM environments;
@@ -45,10 +47,12 @@ CREATE TABLE environments (
     height      INTEGER NOT NULL,
     warnings    TEXT NOT NULL,
     created_ms  INTEGER NOT NULL,
+    deleted_ms  INTEGER,
     UNIQUE (tenant, sha256)
 ) STRICT;
-INSERT INTO environments (id, tenant, sha256, name, bytes, artifact, width, height, warnings, created_ms)
-    SELECT id, 'default', sha256, name, bytes, artifact, width, height, warnings, created_ms FROM former;
+INSERT INTO environments
+        (id, tenant, sha256, name, bytes, artifact, width, height, warnings, created_ms, deleted_ms)
+    SELECT id, 'default', sha256, name, bytes, artifact, width, height, warnings, created_ms, deleted_ms FROM former;
 DROP TABLE former;
 
 CREATE TABLE former AS SELECT * FROM idempotency;
@@ -68,6 +72,8 @@ DROP TABLE former;
 ALTER TABLE jobs ADD COLUMN tenant TEXT NOT NULL DEFAULT 'default';
 ALTER TABLE models ADD COLUMN tenant TEXT NOT NULL DEFAULT 'default';
 
+CREATE INDEX captures_deleted ON captures (id) WHERE deleted_ms IS NOT NULL;
+CREATE INDEX environments_deleted ON environments (id) WHERE deleted_ms IS NOT NULL;
 CREATE INDEX captures_of_tenant ON captures (tenant, created_ms DESC, id DESC);
 CREATE INDEX environments_of_tenant ON environments (tenant, created_ms DESC, id DESC);
 CREATE INDEX jobs_of_tenant ON jobs (tenant, created_ms DESC, id DESC);

@@ -1,0 +1,47 @@
+//! `relume backup` and `relume restore`.
+
+use std::path::PathBuf;
+
+use crate::cli::error::CommandResult;
+use crate::jobs::{Clock, SystemClock};
+use crate::store;
+
+/// Options of `relume backup`.
+#[derive(Debug, clap::Args)]
+pub(super) struct BackupArgs {
+    /// The data directory; a server may work on it meanwhile.
+    #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
+    data_dir: PathBuf,
+    /// The folder to make; it must not exist, or be empty.
+    out: PathBuf,
+}
+
+/// Options of `relume restore`.
+#[derive(Debug, clap::Args)]
+pub(super) struct RestoreArgs {
+    /// The backup.
+    backup: PathBuf,
+    /// The data directory to make; it must not exist, or be empty.
+    #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
+    data_dir: PathBuf,
+}
+
+pub(super) fn backup(args: &BackupArgs) -> CommandResult {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let made = runtime.block_on(store::backup(&args.data_dir, &args.out, SystemClock.now_ms()))?;
+    println!("{}: {} artifacts, {} bytes, verified", args.out.display(), made.artifacts, made.bytes);
+    if made.without_checkpoint > 0 {
+        println!(
+            "{} jobs will start over: their checkpoints were replaced while they were copied",
+            made.without_checkpoint
+        );
+    }
+    Ok(())
+}
+
+pub(super) fn restore(args: &RestoreArgs) -> CommandResult {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let made = runtime.block_on(store::restore(&args.backup, &args.data_dir))?;
+    println!("{}: {} artifacts, {} bytes, verified", args.data_dir.display(), made.artifacts, made.bytes);
+    Ok(())
+}

@@ -1,0 +1,66 @@
+//! Options about what is stored and for how long.
+
+use std::time::Duration;
+
+use crate::store::Retention;
+
+/// Options about what is stored and for how long.
+#[derive(Debug, clap::Args)]
+pub(super) struct StorageArgs {
+    /// Most that is stored: bytes, or a number with MiB, GiB or TiB. Uploads and jobs beyond it get 507. The disk alone is the
+    /// limit where absent.
+    #[arg(long, env = "RELUME_MAX_DISK", value_name = "SIZE", value_parser = size)]
+    pub(super) max_disk: Option<u64>,
+    /// Days after which a job that has ended is deleted; its model stays. For ever where absent.
+    #[arg(long, env = "RELUME_KEEP_JOBS", value_name = "DAYS", value_parser = days)]
+    keep_jobs: Option<Duration>,
+    /// Days after its upload and its newest job after which a capture is deleted, unless a job may still need it. For ever where
+    /// absent.
+    #[arg(long, env = "RELUME_KEEP_CAPTURES", value_name = "DAYS", value_parser = days)]
+    keep_captures: Option<Duration>,
+    /// Days after which a model is deleted. For ever where absent.
+    #[arg(long, env = "RELUME_KEEP_MODELS", value_name = "DAYS", value_parser = days)]
+    keep_models: Option<Duration>,
+}
+
+impl StorageArgs {
+    pub(super) fn retention(&self) -> Retention {
+        Retention { jobs: self.keep_jobs, captures: self.keep_captures, models: self.keep_models }
+    }
+}
+
+/// Days, whole or not.
+fn days(text: &str) -> Result<Duration, String> {
+    let wrong = || "must be days, above 0 and at most 36500".to_owned();
+    let days: f64 = text.parse().map_err(|_| wrong())?;
+    if days > 0.0 && days <= 36_500.0 { Ok(Duration::from_secs_f64(days * 86_400.0)) } else { Err(wrong()) }
+}
+
+/// Bytes, or a number of a unit.
+fn size(text: &str) -> Result<u64, String> {
+    let text = text.trim();
+    let units = [("KiB", 10), ("MiB", 20), ("GiB", 30), ("TiB", 40), ("", 0)];
+    let read = units.iter().find_map(|(unit, shift)| {
+        let number: u64 = text.strip_suffix(unit)?.trim().parse().ok()?;
+        number.checked_mul(1 << shift).filter(|bytes| *bytes > 0)
+    });
+    read.ok_or_else(|| "must be bytes, or a whole number with KiB, MiB, GiB or TiB, above 0".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_have_units_and_days_are_bounded() {
+        let read = ["1000", "20GiB", "3 MiB", "2TiB"].map(|text| size(text).unwrap());
+        assert_eq!(read, [1000, 20 << 30, 3 << 20, 2 << 40]);
+        for wrong in ["", "0", "-1", "GiB", "1.5GiB", "20GB", "99999999999TiB"] {
+            assert!(size(wrong).is_err(), "{wrong:?}");
+        }
+        assert_eq!(days("0.5"), Ok(Duration::from_secs(43_200)));
+        for wrong in ["", "0", "-1", "NaN", "inf", "40000", "7d"] {
+            assert!(days(wrong).is_err(), "{wrong:?}");
+        }
+    }
+}

@@ -1,0 +1,38 @@
+//! Deletion, with word of it to workers and listeners.
+
+use crate::api::{ResourceName, TenantId};
+use crate::jobs::queue::Jobs;
+use crate::store::{Deletion, Discarded, Retention, StoreError};
+
+impl Jobs {
+    /// Deletes a capture, an environment, a job or a model of a tenant; see [`crate::store::Store::delete`]. On a full disk the reserve is
+    /// given up for it.
+    ///
+    /// # Errors
+    /// When the database fails; nothing is deleted then.
+    pub async fn delete(
+        &self,
+        tenant: &TenantId,
+        what: &ResourceName,
+        cascade: bool,
+    ) -> Result<Deletion, StoreError> {
+        let deleted = match self.store.delete(tenant, what, cascade, self.now_ms()).await {
+            Err(StoreError::Full) if self.store.room().spend_reserve() => {
+                self.store.delete(tenant, what, cascade, self.now_ms()).await
+            }
+            deleted => deleted,
+        };
+        self.announce();
+        deleted
+    }
+
+    /// Deletes what has been kept for long enough, then removes the files of what was deleted, now or before.
+    ///
+    /// # Errors
+    /// When the database or a file operation fails.
+    pub async fn tidy(&self, retention: &Retention) -> Result<Discarded, StoreError> {
+        let now_ms = self.now_ms();
+        self.store.expire(retention, now_ms).await?;
+        self.store.sweep_deleted(now_ms).await
+    }
+}

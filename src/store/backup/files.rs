@@ -1,0 +1,84 @@
+//! Files and folders of backups.
+
+use std::fs::{DirBuilder, File};
+use std::io::{Read, Write};
+use std::os::unix::fs::DirBuilderExt;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::store::{StoreError, hex};
+
+/// A file of a backup.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct CopiedFile {
+    /// Its key in the artifact store, or the name of the database.
+    pub(super) key: String,
+    /// Hash of its bytes, lower-case hex.
+    pub(super) sha256: String,
+    /// Its size.
+    pub(super) bytes: u64,
+}
+
+/// Copies a file to a new one and hashes it on the way; durable when it returns. After an error nothing is at `to`.
+pub(super) fn copy(key: &str, from: &Path, to: &Path) -> std::io::Result<CopiedFile> {
+    let mut source = File::open(from)?;
+    if let Some(folder) = to.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    let mut target = File::create_new(to)?;
+    let copied = stream(key, &mut source, &mut target).and_then(|file| target.sync_all().map(|()| file));
+    if copied.is_err() {
+        std::fs::remove_file(to)?;
+    }
+    copied
+}
+
+fn stream(key: &str, from: &mut File, to: &mut File) -> std::io::Result<CopiedFile> {
+    let (mut hasher, mut buffer, mut bytes) = (Sha256::new(), vec![0; 1 << 20], 0);
+    loop {
+        let count = from.read(&mut buffer)?;
+        if count == 0 {
+            return Ok(CopiedFile { key: key.to_owned(), sha256: hex(&hasher.finalize()), bytes });
+        }
+        hasher.update(&buffer[..count]);
+        to.write_all(&buffer[..count])?;
+        bytes += count as u64;
+    }
+}
+
+/// Makes sure that a folder is there and empty. One that is made is its owner's alone: photographs may be private.
+///
+/// # Errors
+/// [`StoreError::NotEmpty`] when something is in it.
+pub(super) fn claim(folder: &Path) -> Result<(), StoreError> {
+    DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
+    match std::fs::read_dir(folder)?.next() {
+        None => Ok(()),
+        Some(_) => Err(StoreError::NotEmpty(folder.display().to_string())),
+    }
+}
+
+/// Makes durable which files are in a folder and the folders below it.
+pub(super) fn sync_folders(folder: &Path) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            sync_folders(&entry.path())?;
+        }
+    }
+    File::open(folder)?.sync_all()
+}
+
+/// Removes all that is in a folder that was claimed.
+pub(super) fn clear(folder: &Path) {
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        let removed =
+            if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+        if let Err(error) = removed {
+            tracing::warn!(%error, path = %path.display(), "what was made cannot be removed");
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! A backup while a server works: a copy of the database at one moment, then the artifacts that this copy names. They never
+//! change, but one that is not needed any more may go before it is copied: then another copy of the database is taken.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use sqlx::SqlitePool;
+
+use crate::store::StoreError;
+use crate::store::backup::Backup;
+use crate::store::backup::files::{CopiedFile, claim, clear, copy};
+use crate::store::backup::manifest::{DATABASE, Manifest, artifact_path};
+use crate::store::database::{self, Database};
+use crate::store::hash::hash_file;
+use crate::store::references::{Reference, references};
+
+/// Copies of the database, until one is found whose artifacts are all there.
+const TRIES: usize = 5;
+
+/// Copies a data directory to a new folder, every artifact compared with its hash. A server may work on it meanwhile.
+///
+/// # Errors
+/// [`StoreError::NotEmpty`] when there is something at `out`; [`StoreError::Damaged`] and [`StoreError::Missing`] when an artifact
+/// is. What was made is removed then.
+pub async fn backup(root: &Path, out: &Path, now_ms: i64) -> Result<Backup, StoreError> {
+    if !root.join(database::FILE).exists() {
+        return Err(StoreError::NoDatabase(root.display().to_string()));
+    }
+    claim(out)?;
+    let made = make(root, out, now_ms).await;
+    if made.is_err() {
+        clear(out);
+    }
+    made
+}
+
+async fn make(root: &Path, out: &Path, now_ms: i64) -> Result<Backup, StoreError> {
+    let pool = Database::open_to_copy(root).await?;
+    let made = copy_all(&pool, root, out, now_ms).await;
+    pool.close().await;
+    made
+}
+
+async fn copy_all(pool: &SqlitePool, root: &Path, out: &Path, now_ms: i64) -> Result<Backup, StoreError> {
+    let mut copies = Copies { root: root.to_owned(), out: out.to_owned(), files: HashMap::new() };
+    let file = out.join(DATABASE);
+    for _ in 1..TRIES {
+        let named = copy_database(pool, &file).await?;
+        let (given_back, missing) = copies.add(named).await?;
+        copies = given_back;
+        if missing.is_empty() {
+            return finish(copies, &file, now_ms, 0).await;
+        }
+    }
+    let named = copy_database(pool, &file).await?;
+    let (copies, missing) = copies.add(named).await?;
+    forget_checkpoints(&file, &missing).await?;
+    finish(copies, &file, now_ms, missing.len()).await
+}
+
+/// Copies the database as it is at one moment; what that copy names.
+async fn copy_database(pool: &SqlitePool, to: &Path) -> Result<Vec<Reference>, StoreError> {
+    if to.exists() {
+        std::fs::remove_file(to)?;
+    }
+    let path = to.to_str().ok_or_else(|| std::io::Error::other("the path of a backup must be Unicode"))?;
+    sqlx::query("VACUUM INTO ?1").bind(path).execute(pool).await?;
+    let copy = Database::open_copy(to, true).await?;
+    let named = references(&copy).await;
+    copy.close().await;
+    named
+}
+
+/// Jobs whose checkpoints were replaced too fast to be copied start over.
+async fn forget_checkpoints(database: &Path, missing: &[String]) -> Result<(), StoreError> {
+    let copy = Database::open_copy(database, false).await?;
+    for key in missing {
+        let forget =
+            "UPDATE jobs SET checkpoint = NULL, checkpoint_step = NULL, checkpoint_sha256 = NULL, step = 0
+                      WHERE checkpoint = ?1";
+        if sqlx::query(forget).bind(key).execute(&copy).await?.rows_affected() == 0 {
+            return Err(StoreError::Missing(key.clone()));
+        }
+    }
+    copy.close().await;
+    Ok(())
+}
+
+async fn finish(
+    mut copies: Copies,
+    database: &Path,
+    now_ms: i64,
+    without_checkpoint: usize,
+) -> Result<Backup, StoreError> {
+    let copy = Database::open_copy(database, true).await?;
+    let named = references(&copy).await;
+    copy.close().await;
+    let mut files = Vec::new();
+    for reference in named? {
+        files.extend(copies.files.remove(&reference.artifact));
+    }
+    files.sort_by(|a, b| a.key.cmp(&b.key));
+    let database = database.to_owned();
+    let written = tokio::task::spawn_blocking(move || {
+        // Copied for an earlier copy of the database, and not needed by the last one.
+        for key in copies.files.into_keys() {
+            std::fs::remove_file(artifact_path(&copies.out, &key))?;
+        }
+        let mut file = std::fs::File::open(&database)?;
+        file.sync_all()?;
+        let (bytes, sha256) = (file.metadata()?.len(), hash_file(&mut file)?);
+        let created = jiff::Timestamp::from_millisecond(now_ms).unwrap_or_default().to_string();
+        let database = CopiedFile { key: DATABASE.to_owned(), sha256, bytes };
+        let made = Backup::of(&database, &files, without_checkpoint);
+        Manifest::new(database::schema(), created, database, files).write(&copies.out)?;
+        Ok(made)
+    });
+    written.await.map_err(std::io::Error::other)?
+}
+
+/// The artifacts that were copied, by key.
+struct Copies {
+    root: PathBuf,
+    out: PathBuf,
+    files: HashMap<String, CopiedFile>,
+}
+
+impl Copies {
+    /// Copies what is named and not copied yet; gives the keys of those that are not there.
+    async fn add(mut self, mut named: Vec<Reference>) -> Result<(Self, Vec<String>), StoreError> {
+        // Checkpoints are those that go soonest.
+        named.sort_by_key(|reference| !reference.owner.starts_with("checkpoint"));
+        let added = tokio::task::spawn_blocking(move || {
+            let mut missing = Vec::new();
+            for Reference { artifact, sha256, .. } in named {
+                if self.files.contains_key(&artifact) {
+                    continue;
+                }
+                let [from, to] = [&self.root, &self.out].map(|root| artifact_path(root, &artifact));
+                match copy(&artifact, &from, &to) {
+                    Ok(file) if sha256.is_some_and(|expected| expected != file.sha256) => {
+                        return Err(StoreError::Damaged(format!("artifacts/{artifact}")));
+                    }
+                    Ok(file) => drop(self.files.insert(artifact, file)),
+                    Err(error) if error.kind() == std::io::ErrorKind::NotFound => missing.push(artifact),
+                    Err(error) => return Err(error.into()),
+                }
+            }
+            Ok((self, missing))
+        });
+        added.await.map_err(std::io::Error::other)?
+    }
+}

@@ -1,0 +1,190 @@
+//! How much is stored, and how much may be.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::atomic::Ordering;
+
+use crate::api::TenantId;
+use crate::api::usage::{StoredKind, Usage};
+use crate::store::references::references;
+use crate::store::{Store, StoreError};
+
+/// How much may be stored.
+#[derive(Debug, Clone, Copy)]
+pub struct Allowance {
+    /// What may be stored, bytes; `u64::MAX` when the disk alone is the limit.
+    limit: u64,
+    /// What is stored, as far as there is a limit.
+    taken: u64,
+}
+
+impl Allowance {
+    /// Bytes that may be stored beside what is.
+    pub fn left(&self) -> u64 {
+        self.limit.saturating_sub(self.taken)
+    }
+
+    /// The refusal of `asked` more bytes.
+    pub fn exceeded(&self, asked: u64) -> StoreError {
+        StoreError::OverLimit { limit: self.limit, taken: self.taken, asked }
+    }
+
+    fn admit(&self, asked: u64) -> Result<(), StoreError> {
+        if asked > self.left() { Err(self.exceeded(asked)) } else { Ok(()) }
+    }
+}
+
+impl Store {
+    /// Bounds what is stored from now on, bytes.
+    pub fn limit_disk(&self, bytes: u64) {
+        self.disk_limit.store(bytes, Ordering::SeqCst);
+    }
+
+    /// Counts what is stored of a tenant. Bytes that belong to nothing are counted for whoever runs the server.
+    ///
+    /// # Errors
+    /// When the database or the directory cannot be read.
+    pub async fn usage(&self, tenant: &TenantId) -> Result<Usage, StoreError> {
+        let named = references(self.pool()).await?;
+        let root = self.artifacts.local_path("");
+        let (files, free_bytes) = tokio::task::spawn_blocking(move || {
+            let mut files = HashMap::new();
+            sizes(&root, "", &mut files)?;
+            let disk = rustix::fs::statvfs(&root)?;
+            Ok::<_, std::io::Error>((files, disk.f_bavail.saturating_mul(disk.f_frsize)))
+        })
+        .await
+        .map_err(std::io::Error::other)??;
+        let all: u64 = files.values().sum();
+        // Several rows may name one file.
+        let mut mine: Vec<&str> = named.iter().map(|reference| reference.artifact.as_str()).collect();
+        mine.sort_unstable();
+        mine.dedup();
+        let referenced: u64 = mine.iter().filter_map(|key| files.get(*key)).sum();
+        Ok(Usage {
+            captures: self
+                .kind(
+                    "SELECT COUNT(*), SUM(bytes) FROM captures WHERE tenant = ?1 AND deleted_ms IS NULL",
+                    tenant,
+                )
+                .await?,
+            environments: self
+                .kind(
+                    "SELECT COUNT(*), SUM(bytes) FROM environments WHERE tenant = ?1 AND deleted_ms IS NULL",
+                    tenant,
+                )
+                .await?,
+            models: self
+                .kind(
+                    "SELECT COUNT(DISTINCT models.id), SUM(bytes) FROM models
+                     LEFT JOIN model_files ON model_id = models.id WHERE tenant = ?1 AND deleted_ms IS NULL",
+                    tenant,
+                )
+                .await?,
+            checkpoints: self.checkpoints(Some(tenant)).await?,
+            unreferenced_bytes: if tenant.is_operator() { all.saturating_sub(referenced) } else { 0 },
+            limit_bytes: self.quota.bytes.or(Some(self.disk_limit()).filter(|limit| *limit < u64::MAX)),
+            free_bytes,
+        })
+    }
+
+    /// Refuses `asked` more bytes beyond the limit, uploads in progress included; nothing more at all when it is reached.
+    ///
+    /// # Errors
+    /// [`StoreError::OverLimit`] with the numbers.
+    pub async fn admit_bytes(&self, asked: u64) -> Result<(), StoreError> {
+        self.disk_allowance().await?.admit(asked.max(1))
+    }
+
+    /// What may be stored and what is, uploads in progress included.
+    ///
+    /// # Errors
+    /// When the database or the directory cannot be read.
+    pub async fn disk_allowance(&self) -> Result<Allowance, StoreError> {
+        let limit = self.disk_limit();
+        let taken = match limit {
+            u64::MAX => 0,
+            _ => self.kept_bytes().await? + self.incoming_bytes().await?,
+        };
+        Ok(Allowance { limit, taken })
+    }
+
+    /// Refuses to keep a complete upload beyond the limit. What is still on its way does not count.
+    pub(super) async fn admit_upload(&self, bytes: u64) -> Result<(), StoreError> {
+        if self.disk_limit() == u64::MAX {
+            return Ok(());
+        }
+        Allowance { limit: self.disk_limit(), taken: self.kept_bytes().await? }.admit(bytes)
+    }
+
+    fn disk_limit(&self) -> u64 {
+        self.disk_limit.load(Ordering::SeqCst)
+    }
+
+    /// Bytes of what is stored, with what was deleted and is not removed yet.
+    async fn kept_bytes(&self) -> Result<u64, StoreError> {
+        let bytes: i64 = sqlx::query_scalar(
+            "SELECT COALESCE((SELECT SUM(bytes) FROM
+                        (SELECT DISTINCT artifact, bytes FROM captures WHERE swept_ms IS NULL)), 0)
+                  + COALESCE((SELECT SUM(bytes) FROM (SELECT DISTINCT artifact, bytes FROM environments)), 0)
+                  + COALESCE((SELECT SUM(bytes) FROM model_files), 0)",
+        )
+        .fetch_one(self.pool())
+        .await?;
+        Ok(u64::try_from(bytes).unwrap_or(0) + self.checkpoints(None).await?.bytes)
+    }
+
+    async fn incoming_bytes(&self) -> Result<u64, StoreError> {
+        let folder = self.artifacts.incoming();
+        let counted = tokio::task::spawn_blocking(move || {
+            let mut files = HashMap::new();
+            sizes(&folder, "", &mut files).map(|()| files.values().sum())
+        });
+        Ok(counted.await.map_err(std::io::Error::other)??)
+    }
+
+    async fn checkpoints(&self, of: Option<&TenantId>) -> Result<StoredKind, StoreError> {
+        let keys: Vec<String> = sqlx::query_scalar(
+            "SELECT checkpoint FROM jobs
+             WHERE checkpoint IS NOT NULL AND state IN ('queued', 'running', 'cancelling')
+                 AND (?1 IS NULL OR tenant = ?1)",
+        )
+        .bind(of)
+        .fetch_all(self.pool())
+        .await?;
+        let mut found = StoredKind::default();
+        for key in keys {
+            // One that is replaced meanwhile counts as nothing.
+            let Ok(file) = tokio::fs::metadata(self.artifacts.local_path(&key)).await else { continue };
+            found.count += 1;
+            found.bytes += file.len();
+        }
+        Ok(found)
+    }
+
+    async fn kind(&self, query: &'static str, tenant: &TenantId) -> Result<StoredKind, StoreError> {
+        let (count, bytes): (i64, Option<i64>) =
+            sqlx::query_as(query).bind(tenant).fetch_one(self.pool()).await?;
+        let natural = |number: i64| u64::try_from(number).unwrap_or(0);
+        Ok(StoredKind { count: natural(count), bytes: natural(bytes.unwrap_or(0)) })
+    }
+}
+
+/// The size of every file under a folder, by its path below it. What goes meanwhile is not there.
+fn sizes(folder: &Path, prefix: &str, files: &mut HashMap<String, u64>) -> std::io::Result<()> {
+    let entries = match std::fs::read_dir(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        let entry = entry?;
+        let key = format!("{prefix}{}", entry.file_name().to_string_lossy());
+        let Ok(found) = entry.metadata() else { continue };
+        if found.is_dir() {
+            sizes(&entry.path(), &format!("{key}/"), files)?;
+        } else {
+            files.insert(key, found.len());
+        }
+    }
+    Ok(())
+}
