@@ -261,7 +261,8 @@ async fn what_a_request_names_is_looked_for_among_the_callers_own_things() {
     let sign = |path: String| {
         b.client.request(Method::POST, "/v1/signed-urls").unwrap().json(&json!({ "path": path }))
     };
-    let cases: [(&str, Kind, &dyn Fn(&str) -> RequestBuilder); 4] = [
+    type Ask<'a> = &'a dyn Fn(&str) -> RequestBuilder;
+    let cases: [(&str, Kind, Ask); 4] = [
         ("capture of a job", Capture, &|id| job(id, None)),
         ("light of a job", Environment, &|id| job(own_capture, Some(id))),
         ("environment of a render", Environment, &render),
