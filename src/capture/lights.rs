@@ -2,7 +2,6 @@
 
 use glam::{DVec3, Vec3};
 
-use crate::light::luminance;
 use crate::scene::EnvMap;
 
 /// Names of the built-in environments, for [`builtin`].
@@ -103,7 +102,7 @@ const NIGHT: Sky = Sky {
 /// Mean Rec.709 luminance over the sphere.
 fn mean_luminance(map: &EnvMap) -> f32 {
     let dirs = crate::scene::texel_directions(map.width(), map.height());
-    let luminance = |t: &[f32; 3]| f64::from(luminance(*t));
+    let luminance = |t: &[f32; 3]| f64::from(0.2126 * t[0] + 0.7152 * t[1] + 0.0722 * t[2]);
     let sum: f64 = map.texels().iter().zip(dirs).map(|(t, (_, w))| luminance(t) * w).sum();
     (sum / (4.0 * std::f64::consts::PI)) as f32
 }

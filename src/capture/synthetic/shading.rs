@@ -8,7 +8,6 @@ use std::f64::consts::{PI, TAU};
 use glam::{DVec2, DVec3};
 
 use super::scene::Material;
-use crate::light::luminance;
 use crate::scene::{EnvMap, direction_to_uv, texel_directions};
 
 /// A surface point and the direction it is seen from.
@@ -93,7 +92,7 @@ impl LightSampler {
         let directions = texel_directions(SIZE.0, SIZE.1);
         for map in maps {
             let small = map.resampled(SIZE.0, SIZE.1);
-            let luminance = |t: &[f32; 3]| f64::from(luminance(*t));
+            let luminance = |t: &[f32; 3]| f64::from(0.2126 * t[0] + 0.7152 * t[1] + 0.0722 * t[2]);
             let total: f64 = small.texels().iter().zip(&directions).map(|(t, d)| luminance(t) * d.1).sum();
             // A tenth of the power is uniform: bilinear lookups see light one texel outside a lamp.
             let share = |t: &[f32; 3]| luminance(t) / total.max(1e-12) + 0.1 / (4.0 * PI);
