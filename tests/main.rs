@@ -10,6 +10,7 @@ mod crash;
 mod deletion;
 mod doctor;
 mod eval;
+mod exposures;
 mod extremes;
 #[cfg(target_os = "linux")]
 mod full_disk;

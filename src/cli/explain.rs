@@ -57,6 +57,7 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
         None => "the training time is not in the card".to_owned(),
     });
     out.extend(light(card));
+    out.extend(exposures(card));
     let decisions = findings(card);
     let mode = card.pointer("/complexity/mode").map_or("unknown".to_owned(), plain);
     out.push(format!("\ncomplexity {mode}: {} decisions", decisions.len()));
@@ -93,6 +94,18 @@ fn light(card: &Value) -> Vec<String> {
         out.push(format!("a light of its own towards {towards}, {radius:.1} degrees in radius; {evidence}"));
     }
     out
+}
+
+/// What the card says of the exposures of the photographs.
+fn exposures(card: &Value) -> Option<String> {
+    let spread = card.pointer("/exposures/spread")?;
+    let percent = |key: &str| 100.0 * spread.get(key).and_then(Value::as_f64).unwrap_or_default();
+    Some(format!(
+        "photographs differed by {:.0} % in exposure, {:.0} % in red and {:.0} % in blue over green, and were brought to their mean",
+        percent("green"),
+        percent("red_over_green"),
+        percent("blue_over_green")
+    ))
 }
 
 /// The card's decisions, a sentence each.

@@ -35,6 +35,8 @@ pub struct PhotoId {
     pub index: usize,
     /// Its size.
     pub size: PhotoSize,
+    /// How often its pixels have changed.
+    pub revision: usize,
 }
 
 /// The branches that a step trains.

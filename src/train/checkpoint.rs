@@ -13,6 +13,7 @@ use crate::scene::{Field, Gaussians, MAX_LIGHTS};
 use crate::train::TrainConfig;
 use crate::train::complexity::state::ComplexityState;
 use crate::train::error::TrainError;
+use crate::train::exposure::Gain;
 use crate::train::state::ScheduleState;
 
 const VERSION: u32 = 1;
@@ -34,6 +35,8 @@ struct Header {
     complexity: ComplexityState,
     #[serde(default)]
     light_colour: Option<LightColour>,
+    #[serde(default)]
+    gains: Vec<Vec<Gain>>,
     #[serde(default)]
     lights: Vec<f32>,
     labels: usize,
@@ -70,6 +73,7 @@ pub fn encode(
         seconds: schedule.seconds,
         complexity: schedule.complexity.clone(),
         light_colour: schedule.light_colour,
+        gains: schedule.gains.clone(),
         lights: schedule.lights.clone(),
         labels: state.labels.len(),
         gathered: state.gathered.len(),
@@ -160,6 +164,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         seconds: header.seconds,
         complexity: header.complexity,
         light_colour: header.light_colour,
+        gains: header.gains,
         lights: header.lights,
     };
     Ok((schedule, state))
@@ -200,6 +205,7 @@ mod tests {
             seconds: 0.0,
             complexity: ComplexityState::default(),
             light_colour: Some(LightColour { blue_over_red: 0.25, green: -0.5 }),
+            gains: vec![vec![[1.1, 1.0, 0.9]; 2]],
             lights: vec![0.25],
         };
         let plain = state();

@@ -22,7 +22,6 @@ pub struct StepContext<'a> {
 
 impl StepContext<'_> {
     /// The physically based branch as one photograph would show it, display-referred.
-    #[cfg(test)]
     pub fn physical_image(&self, state: &TrainState, photo: &Photo) -> Vec<[f32; 3]> {
         evaluation::physical_image(state, self.operators, photo, self.branches(), self.background)
     }

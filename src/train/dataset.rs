@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use crate::capture::{Capture, CaptureView};
 use crate::engine::{LightTurn, LightTurns, Photo, PhotoSize};
 use crate::train::TrainConfig;
+use crate::train::exposure::{Gain, divide};
 
 /// All training photographs.
 #[derive(Debug, Clone)]
@@ -23,6 +24,8 @@ pub struct Dataset {
     pub turns: LightTurns,
     /// True when the photographs have masks.
     pub has_alpha: bool,
+    /// Names of the photographs.
+    pub names: Vec<String>,
 }
 
 impl Dataset {
@@ -47,7 +50,15 @@ impl Dataset {
         let views = || capture.train.par_iter().zip(&lights);
         let all = |divisor: u32| views().map(|view| photo(view, divisor)).collect();
         let (full, half, has_alpha) = (all(1), all(2), capture.has_alpha);
-        Self { full, half, scale, offset, background, turns, has_alpha }
+        let names = capture.train.iter().map(|view| view.name.clone()).collect();
+        Self { full, half, scale, offset, background, turns, has_alpha, names }
+    }
+
+    /// Divides each photograph by its gain.
+    pub fn divide(&mut self, gains: &[Gain]) {
+        for photos in [&mut self.full, &mut self.half] {
+            photos.par_iter_mut().zip(gains).for_each(|(photo, gain)| divide(photo, *gain, self.background));
+        }
     }
 
     /// Photograph `index` at `size`.

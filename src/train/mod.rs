@@ -7,6 +7,7 @@ mod context;
 mod dataset;
 mod density;
 mod error;
+mod exposure;
 mod import;
 mod initial;
 mod known_light;

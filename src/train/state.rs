@@ -4,6 +4,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::light::LightColour;
 use crate::train::complexity::state::ComplexityState;
+use crate::train::exposure::Gain;
 
 /// Where a training stands in its schedule; kept on the host whatever device trains.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,6 +25,8 @@ pub struct ScheduleState {
     pub complexity: ComplexityState,
     /// Colour of the light that materials started from, once they train.
     pub light_colour: Option<LightColour>,
+    /// Gains that photographs were divided by, one list a time; empty where they are under one exposure.
+    pub gains: Vec<Vec<Gain>>,
     /// Of each strong small light: the share by which sharp shadows explain the photographs better than soft ones.
     pub lights: Vec<f32>,
 }

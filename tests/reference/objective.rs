@@ -122,7 +122,7 @@ fn outcome(model: &Model, photo: &Photo, probes: &[f32]) -> cpu::Outcome {
     };
     let step = Step {
         photo,
-        photo_id: PhotoId { index: 0, size: PhotoSize::Full },
+        photo_id: PhotoId { index: 0, size: PhotoSize::Full, revision: 0 },
         background: BACKGROUND,
         branches: Branches::BothWithVisibility,
         weights,

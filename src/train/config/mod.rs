@@ -175,6 +175,10 @@ settings! {
     /// Whether the turns of the light that the capture states are used; false trains as if it had stood still.
     #[serde(default = "used")]
     light_rotations: bool = true;
+    /// Whether photographs that differ in exposure or white balance are brought to one, as those of phones; captures whose light
+    /// turns are left as they are.
+    #[serde(default)]
+    match_exposures: bool = true;
     /// Colour of the photographs' light: `auto`, `neutral`, `daylight`, a number of kelvin or `[red, green, blue]`.
     #[serde(default = "unknown")]
     white_balance: WhiteBalance = WhiteBalance::AUTO;
@@ -333,6 +337,16 @@ impl TrainConfig {
             (None, Some(_)) => "white_balance",
             (None, None) => "view_dependence",
         }
+    }
+
+    /// True when the exposures of photographs are compared before this step: four times from a fifth to half of the steps that
+    /// train materials.
+    pub fn is_exposure_round(&self, step: u32) -> bool {
+        let (first, material) = (self.warm_up_steps(), self.iterations - self.warm_up_steps());
+        let after = |tenths: u32| u64::from(material) * u64::from(tenths) / 20;
+        self.match_exposures
+            && step > first
+            && [4, 6, 8, 10].iter().any(|t| after(*t) == u64::from(step - first))
     }
 
     /// Weight of the radiance branch beside the physically based one.

@@ -1,5 +1,7 @@
 //! The trainer: one object that owns everything a step needs.
 
+mod card;
+
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -18,8 +20,8 @@ use crate::train::dataset::Dataset;
 use crate::train::error::{MOST_ROLLBACKS, TrainError};
 use crate::train::state::ScheduleState;
 use crate::train::{
-    LabelSource, TrainConfig, WhiteBalance, checkpoint, density, initial, light_colour, lights, materials,
-    schedule,
+    LabelSource, TrainConfig, WhiteBalance, checkpoint, density, exposure, initial, light_colour, lights,
+    materials, schedule,
 };
 
 /// Fewest photographs worth training on.
@@ -83,6 +85,7 @@ impl Trainer {
             seconds: 0.0,
             complexity: ComplexityState::default(),
             light_colour: None,
+            gains: Vec::new(),
             lights: Vec::new(),
         };
         Self::assemble(config, data, schedule, TrainState::new(model), device)
@@ -98,11 +101,12 @@ impl Trainer {
         bytes: &[u8],
         device: &Device,
     ) -> Result<Self, TrainError> {
-        let data = prepare(capture, &mut config)?;
+        let mut data = prepare(capture, &mut config)?;
         let (schedule, state) = checkpoint::decode(bytes, &config)?;
         if schedule.order.len() != data.full.len() {
             return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
         }
+        schedule.gains.iter().for_each(|gains| data.divide(gains));
         Self::assemble(config, data, schedule, state, device)
     }
 
@@ -161,7 +165,7 @@ impl Trainer {
         let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
         let sums = self.engine.step(&Step {
             photo: self.data.photo(photo, size),
-            photo_id: PhotoId { index: photo, size },
+            photo_id: PhotoId { index: photo, size, revision: self.schedule.gains.len() },
             background: self.data.background,
             branches,
             weights,
@@ -246,6 +250,9 @@ impl Trainer {
             // The first measurement also finds each Gaussian's open side, which the second one starts from.
             self.measure(if step == warm_up { 2 } else { 1 })?;
         }
+        if self.config.is_exposure_round(step) {
+            self.match_exposures()?;
+        }
         if self.config.is_albedo_round(step) {
             self.restart_albedo()?;
         }
@@ -264,6 +271,24 @@ impl Trainer {
         };
         self.schedule.light_colour = Some(colour);
         materials::initialise(state, colour);
+    }
+
+    /// Divides photographs by their gains, where these differ.
+    fn match_exposures(&mut self) -> Result<(), TrainError> {
+        let state = self.engine.state()?;
+        if !self.data.turns.stand_still() || state.model.check().is_err() {
+            return Ok(());
+        }
+        let gains = exposure::gains(&state, &self.context(), &self.data.full);
+        if !self.schedule.gains.is_empty() || exposure::differ(&gains) {
+            self.data.divide(&gains);
+            self.schedule.gains.push(gains);
+            // What was before was learned from other photographs.
+            if self.engine.snapshot()? {
+                self.snapshot = self.schedule.clone();
+            }
+        }
+        Ok(())
     }
 
     /// Takes strong small lights that cast sharp shadows out of the environment.
@@ -400,43 +425,6 @@ impl Trainer {
     /// When the state is not finite (a poisoned checkpoint is never written) or the device failed.
     pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
         checkpoint::encode(&self.schedule, self.engine.state()?.as_ref(), &self.config)
-    }
-
-    /// The model as it is now, with its card.
-    ///
-    /// # Errors
-    /// [`TrainError::Device`] when the device failed.
-    pub fn model(&self) -> Result<Model, TrainError> {
-        let mut model = self.engine.state()?.model.clone();
-        model.card = serde_json::json!({
-            "relume_version": env!("CARGO_PKG_VERSION"),
-            "engine": self.engine.engine(),
-            "steps": self.schedule.step,
-            "gaussians": model.gaussians.len(),
-            "photographs": self.data.full.len(),
-            "has_alpha": self.data.has_alpha,
-            "complexity": self.schedule.complexity.card(&self.config),
-            "light": self.light_card(&model),
-            "config": self.config,
-        });
-        Ok(model)
-    }
-
-    /// What was found out about the light.
-    fn light_card(&self, model: &Model) -> serde_json::Value {
-        let of = |(k, light): (usize, &SplitLight)| {
-            serde_json::json!({
-                "direction": light.direction,
-                "radius_deg": light.radius.to_degrees(),
-                "sharp_over_soft_shadows": self.schedule.lights.get(k),
-            })
-        };
-        let lights: Vec<_> = model.lights.lights.iter().enumerate().map(of).collect();
-        serde_json::json!({
-            "colour": self.schedule.light_colour.map(LightColour::rgb),
-            "colour_from": self.config.colour_source(),
-            "lights": lights,
-        })
     }
 
     /// Seconds spent in steps so far, over all runs.

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::{Buffer, Gpu};
-use crate::engine::{Photo, PhotoId};
+use crate::engine::{Photo, PhotoId, PhotoSize};
 
 /// Device memory that photographs may take, bytes; more of them are sent anew each step.
 const PHOTO_BYTES: usize = 4 << 30;
@@ -12,7 +12,8 @@ const PHOTO_BYTES: usize = 4 << 30;
 /// Photographs that stay in device memory, rgb and mask a pixel.
 #[derive(Debug, Default)]
 pub(super) struct PhotoCache {
-    photos: HashMap<PhotoId, Buffer<[f32; 4]>>,
+    /// By index and size: the revision and its pixels.
+    photos: HashMap<(usize, PhotoSize), (usize, Buffer<[f32; 4]>)>,
     bytes: usize,
 }
 
@@ -24,17 +25,20 @@ impl PhotoCache {
         id: PhotoId,
         photo: &Photo,
     ) -> Result<Buffer<[f32; 4]>, DeviceError> {
-        if let Some(found) = self.photos.get(&id) {
-            return Ok(found.clone());
+        let key = (id.index, id.size);
+        match self.photos.get(&key) {
+            Some((revision, found)) if *revision == id.revision => return Ok(found.clone()),
+            _ => (),
         }
         let alpha = |i: usize| photo.alpha.get(i).copied().unwrap_or(1.0);
         let pixels: Vec<[f32; 4]> =
             photo.pixels.iter().enumerate().map(|(i, [r, g, b])| [*r, *g, *b, alpha(i)]).collect();
         let buffer = gpu.upload("a photograph", &pixels)?;
         let bytes = size_of_val(&pixels[..]);
-        if self.bytes + bytes <= PHOTO_BYTES {
-            self.bytes += bytes;
-            self.photos.insert(id, buffer.clone());
+        // One of another revision has the same size and gives way.
+        if self.photos.contains_key(&key) || self.bytes + bytes <= PHOTO_BYTES {
+            let earlier = self.photos.insert(key, (id.revision, buffer.clone()));
+            self.bytes += if earlier.is_none() { bytes } else { 0 };
         }
         Ok(buffer)
     }
