@@ -17,6 +17,7 @@ mod gpu;
 mod hostile;
 mod lights;
 mod promises;
+mod quality_gate;
 mod reference;
 mod requirements;
 mod server_process;

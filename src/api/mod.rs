@@ -7,6 +7,7 @@ pub mod jobs;
 pub mod models;
 mod page;
 pub mod problem;
+pub mod quality;
 pub mod renders;
 mod resources;
 pub mod usage;

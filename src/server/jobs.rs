@@ -15,8 +15,8 @@ use crate::api::{EnvironmentId, JobId, List, Problem};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
-use crate::server::job_bounds;
 use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::server::{job_bounds, quality_gate};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
 use crate::train::{ConfigError, KnownLight, TrainConfig};
 
@@ -52,7 +52,8 @@ struct JobQuery {
 ///
 /// With an `Idempotency-Key` header, a repetition of the same request within 24 hours is answered with the first
 /// answer (and the header `Idempotent-Replayed: true`) and queues nothing. 202 means that the job is durable. A server trains
-/// at most 200,000 Gaussians at 4,096 pixels on the CPU engine.
+/// at most 200,000 Gaussians at 4,096 pixels on the CPU engine. At the end the model is compared with at most 8 of the capture's
+/// held-out views; a job with a `quality_gate` that it misses ends as `rejected`, with its model.
 #[utoipa::path(
     post, path = "/v1/jobs", tag = "jobs", request_body = NewJob,
     params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible characters")),
@@ -72,9 +73,9 @@ async fn create_job(
         return Err(Problem::invalid_field("/device", "this server has no GPU"));
     }
     job_bounds::check(&config, job.device != JobDevice::Cpu && app.device.has_gpu())?;
-    if app.store.capture(&job.capture).await?.is_none() {
-        return Err(Problem::invalid_field("/capture", format!("{:?} does not exist", job.capture.as_str())));
-    }
+    let missing = || Problem::invalid_field("/capture", format!("{:?} does not exist", job.capture.as_str()));
+    let capture = app.store.capture(&job.capture).await?.ok_or_else(missing)?;
+    quality_gate::check(&job.quality_gate, &capture.report, &config)?;
     if let Some(light) = &config.light {
         check_light(&app, light).await?;
     }
@@ -148,7 +149,7 @@ async fn change_job(
     post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = String, Path)),
     responses(
         (status = 200, body = JobView), (status = 404, body = Problem),
-        (status = 409, body = Problem, description = "It succeeded or failed before")
+        (status = 409, body = Problem, description = "It succeeded, was rejected or failed before")
     )
 )]
 async fn cancel_job(
@@ -266,6 +267,9 @@ fn view(job: JobRecord, queue_position: Option<i64>) -> JobView {
         finished_at: job.finished_ms.map(rfc3339),
         model: job.model_id,
         model_deleted_at: job.model_deleted_ms.map(rfc3339),
+        missed: job.figures.as_ref().map(|f| job.request.quality_gate.misses(f)).unwrap_or_default(),
+        quality_gate: job.request.quality_gate,
+        figures: job.figures,
         error: job.error_code.map(|code| JobError { code, detail }),
     }
 }

@@ -26,6 +26,7 @@ mod negotiate;
 mod observe;
 mod origins;
 mod problem;
+mod quality_gate;
 mod render_request;
 mod renders;
 mod router;
