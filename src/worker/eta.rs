@@ -5,12 +5,14 @@
 
 use crate::train::{LabelSource, TrainConfig};
 
-/// What a pixel costs beside a Gaussian. This and the two below were measured on the CPU engine; only ratios count.
+/// What a pixel costs beside a Gaussian. This and the three below were measured on the CPU engine; only ratios count.
 const PIXEL: f64 = 0.45;
 /// What a step of both branches costs beside one of the radiance branch.
-const SHADED: f64 = 2.0;
+const SHADED: f64 = 2.25;
 /// What measuring one Gaussian along one direction costs.
-const PROBE: f64 = 0.27;
+const PROBE: f64 = 0.4;
+/// What looking for strong small lights costs beside one such measurement.
+const LIGHTS: f64 = 5.0;
 /// Most steps between rounds of density control, and fewest before the first.
 const ROUND_EVERY: u32 = 100;
 const FIRST_ROUND: u32 = 50;
@@ -51,7 +53,7 @@ impl Costs {
         ((total / 50).max(FIRST_ROUND), (self.config.densify_until * total as f32) as u32)
     }
 
-    /// How often visibility is measured in a step.
+    /// How often visibility is measured in a step, or as much is done as that takes.
     fn measurements(&self, step: u32) -> f64 {
         let config = &self.config;
         let measures = config.bounces > 0 || matches!(config.labels, LabelSource::Probes | LabelSource::Both);
@@ -61,7 +63,12 @@ impl Costs {
         let next = step + 1;
         let is_round = next.is_multiple_of(every) && (first..=last).contains(&next);
         let regular = if shaded == 0 { 2 } else { u32::from(shaded.is_multiple_of(config.probe_every)) };
-        f64::from(regular + u32::from(is_round) + u32::from(config.is_albedo_round(step)))
+        let looks = config.lights > 0 && config.light.is_none();
+        let albedo = match config.is_albedo_round(step) {
+            true => 1.0 + if looks { LIGHTS } else { 0.0 },
+            false => 0.0,
+        };
+        f64::from(regular + u32::from(is_round)) + albedo
     }
 
     fn from(&self, step: u32) -> f64 {
@@ -87,7 +94,7 @@ impl Eta {
     /// A training of `config` on photographs of `pixels`, `step` steps of which earlier attempts did.
     pub(super) fn new(config: &TrainConfig, pixels: f64, step: u32, now_ms: i64) -> Self {
         let costs = Costs { config: config.clone(), pixels };
-        let steps = f64::from((config.iterations / 40).clamp(20, 200));
+        let steps = f64::from((config.iterations / 20).clamp(40, 200));
         Self {
             left: costs.from(step),
             costs,
@@ -140,7 +147,9 @@ mod tests {
             // Density control does not reach its budget.
             let gaussians = low + 0.9 * (high - low) * grown.sqrt();
             let shading = if i < warm_up { 1.0 } else { 2.5 };
-            let probes = if i >= warm_up && i.is_multiple_of(100) { 30.0 * gaussians } else { 0.0 };
+            let is_round = i >= warm_up && i.is_multiple_of((config.iterations / 15).min(100));
+            let lights = if config.is_albedo_round(i) { 100.0 } else { 0.0 };
+            let probes = gaussians * (lights + if is_round { 30.0 } else { 0.0 });
             let uneven = 1.0 + 0.3 * f64::from(i * 7919 % 11) / 10.0;
             let busy = if (0.5..0.6).contains(&share) { 1.4 } else { 1.0 };
             (5.0 + 0.002 * (shading * (0.3 * pixels + gaussians) + probes)) * uneven * busy
