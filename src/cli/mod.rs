@@ -15,6 +15,7 @@ mod input;
 mod light;
 mod output;
 mod render;
+mod sample;
 #[cfg(feature = "server")]
 mod serve;
 mod train;
@@ -51,6 +52,8 @@ enum Command {
     Train(train::TrainArgs),
     /// Render a model on this machine.
     Render(render::RenderArgs),
+    /// Write a small synthetic capture, to try the service with.
+    Sample(sample::SampleArgs),
     /// Measure a model against a capture's held-out views and ground truth.
     Eval(eval::EvalArgs),
     /// Measure speed on this machine.
@@ -94,6 +97,7 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         Command::Train(args) => train::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Sample(args) => sample::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Explain(args) => explain::run(&args),
