@@ -22,6 +22,7 @@ mod reference;
 mod requirements;
 mod server_process;
 mod service;
+mod service_answers;
 mod service_api;
 mod service_cli;
 mod service_description;

@@ -200,11 +200,20 @@ async fn submit(
         Submitted::Replayed(text) => (text, true),
     };
     let json = HeaderValue::from_static("application/json");
-    let mut response = (StatusCode::ACCEPTED, [(header::CONTENT_TYPE, json)], text).into_response();
+    let location = location(&text)?;
+    let headers = [(header::CONTENT_TYPE, json), (header::LOCATION, location)];
+    let mut response = (StatusCode::ACCEPTED, headers, text).into_response();
     if replayed {
         response.headers_mut().insert(REPLAYED, HeaderValue::from_static("true"));
     }
     Ok(response)
+}
+
+/// Where the job of an answer is.
+fn location(answer: &str) -> Result<HeaderValue, Problem> {
+    let job: serde_json::Value = serde_json::from_str(answer).map_err(Problem::internal)?;
+    let path = format!("/v1/jobs/{}", job["id"].as_str().unwrap_or_default());
+    HeaderValue::from_str(&path).map_err(Problem::internal)
 }
 
 async fn current(app: &Shared, id: &JobId) -> Result<JobView, Problem> {
