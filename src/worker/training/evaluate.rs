@@ -3,12 +3,11 @@
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::time::Duration;
 
 use crate::api::quality::{Figures, Similarity};
 use crate::capture::{Capture, CaptureView};
 use crate::engine::Device;
-use crate::eval::{EvalError, EvalOptions, Report, evaluate};
+use crate::eval::{EvalError, NovelViews};
 use crate::render::{RenderError, Tier};
 use crate::scene::Model;
 use crate::store::LeaseStatus;
@@ -36,16 +35,17 @@ impl Worker {
         if comparison.count == 0 {
             attempt.tell(NO_VIEWS).await;
         }
-        while let Some(number) = comparison.next() {
+        while let Some(view) = comparison.waiting.next() {
             if self.stop.is_cancelled() {
                 return attempt.suspend().await.map(ControlFlow::Break);
             }
+            let number = comparison.compared + 1;
             let message = format!("comparing held-out view {number} of {}", comparison.count);
             let update = attempt.reporter.after_training(attempt.trainer.progress(), message);
             if held_or_unknown(lease.progress(&update).await) != LeaseStatus::Held {
                 return Ok(ControlFlow::Break(settle(lease).await?));
             }
-            comparison.compare(model, self.device_of(lease)?)?;
+            comparison.compare(&view, model, self.device_of(lease)?).map_err(failed)?;
             self.serve_waiting();
         }
         let mut figures = comparison.figures(held_out_views);
@@ -56,16 +56,16 @@ impl Worker {
 
 /// A comparison in progress.
 struct Comparison {
-    /// The capture, with the view that is compared as its only held-out one.
-    capture: Capture,
     waiting: std::vec::IntoIter<CaptureView>,
     count: usize,
-    reports: Vec<Report>,
+    compared: usize,
+    /// There once a view was compared.
+    views: Option<NovelViews>,
 }
 
 impl Comparison {
-    fn new(mut capture: Capture, with_turns: bool) -> Self {
-        let views = std::mem::take(&mut capture.test);
+    fn new(capture: Capture, with_turns: bool) -> Self {
+        let views = capture.test;
         let (all, count) = (views.len(), views.len().min(MOST_VIEWS));
         let is_chosen = |i: usize| (0..count).any(|k| k * all / count == i);
         let chosen = views.into_iter().enumerate().filter(|(i, _)| is_chosen(*i));
@@ -76,44 +76,34 @@ impl Comparison {
             view
         };
         let waiting: Vec<CaptureView> = chosen.map(as_trained).collect();
-        Self { capture, waiting: waiting.into_iter(), count, reports: Vec::new() }
+        Self { waiting: waiting.into_iter(), count, compared: 0, views: None }
     }
 
-    /// Takes the next view; its number, from 1.
-    fn next(&mut self) -> Option<usize> {
-        self.capture.test = vec![self.waiting.next()?];
-        Some(self.reports.len() + 1)
-    }
-
-    /// Compares the view that was taken.
-    fn compare(&mut self, model: &Arc<Model>, device: &Device) -> Result<(), AttemptError> {
-        let options = EvalOptions {
-            quality: Tier::Standard.into(),
-            frame_rate_time: Duration::ZERO,
-            device,
-            ..EvalOptions::default()
+    fn compare(&mut self, view: &CaptureView, model: &Arc<Model>, device: &Device) -> Result<(), EvalError> {
+        let views = match &mut self.views {
+            Some(views) => views,
+            none => none.insert(NovelViews::new(model.clone(), Tier::Standard.into(), device)?),
         };
-        self.reports.push(evaluate(model.clone(), &self.capture, &options).map_err(failed)?);
+        views.compare(view)?;
+        self.compared += 1;
         Ok(())
     }
 
     /// The means over all views that were compared.
     fn figures(&self, held_out_views: usize) -> Figures {
-        let mean = |pick: fn(&Report) -> Option<f64>| {
-            let values: Vec<f64> = self.reports.iter().filter_map(pick).collect();
-            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-        };
-        let psnr = |pick| Similarity { psnr: mean(pick), ssim: None };
-        let note = self.reports.first().map_or(Some(NO_VIEWS), |report| {
-            let absent = report.novel_view.psnr.is_none();
+        let scores = self.views.as_ref().map(NovelViews::scores);
+        let note = scores.map_or(Some(NO_VIEWS), |scores| {
+            let absent = scores.shaded.psnr.is_none();
             absent.then_some("the model was trained for colour alone: only the radiance branch was compared")
         });
+        let scores = scores.unwrap_or_default();
+        let psnr = |psnr| Similarity { psnr, ssim: None };
         Figures {
-            views: self.reports.len(),
+            views: self.compared,
             held_out_views,
-            novel_view: Similarity { psnr: mean(|r| r.novel_view.psnr), ssim: mean(|r| r.novel_view.ssim) },
-            novel_view_radiance: psnr(|r| r.novel_view_radiance.psnr),
-            novel_view_matched: psnr(|r| r.novel_view_matched.psnr),
+            novel_view: Similarity { psnr: scores.shaded.psnr, ssim: scores.shaded.ssim },
+            novel_view_radiance: psnr(scores.radiance.psnr),
+            novel_view_matched: psnr(scores.matched.psnr),
             note: note.map(str::to_owned),
             warnings: Vec::new(),
         }
@@ -146,22 +136,18 @@ mod tests {
         let mut capture = capture(20);
         capture.test.iter_mut().for_each(|view| view.light_rotation_deg = 30.0);
         let names: Vec<String> = capture.test.iter().map(|view| view.name.clone()).collect();
-        let mut comparison = Comparison::new(capture.clone(), true);
-        let mut taken = Vec::new();
-        while comparison.next().is_some() {
-            assert_eq!(comparison.capture.test[0].light_rotation_deg, 30.0);
-            taken.push(comparison.capture.test[0].name.clone());
-        }
-        assert_eq!(taken, [0, 2, 5, 7, 10, 12, 15, 17].map(|i: usize| names[i].clone()));
-        let mut comparison = Comparison::new(capture, false);
-        comparison.next();
-        assert_eq!(comparison.capture.test[0].light_rotation_deg, 0.0, "as if the light had stood still");
+        let taken: Vec<CaptureView> = Comparison::new(capture.clone(), true).waiting.collect();
+        let expected = [0, 2, 5, 7, 10, 12, 15, 17].map(|i: usize| names[i].clone());
+        assert_eq!(taken.iter().map(|view| view.name.clone()).collect::<Vec<_>>(), expected);
+        assert!(taken.iter().all(|view| view.light_rotation_deg == 30.0));
+        let still = Comparison::new(capture, false).waiting.next().unwrap();
+        assert_eq!(still.light_rotation_deg, 0.0, "as if the light had stood still");
     }
 
     #[test]
     fn without_held_out_views_there_are_no_figures_and_a_note_says_why() {
-        let mut comparison = Comparison::new(capture(0), true);
-        assert_eq!(comparison.next(), None);
+        let comparison = Comparison::new(capture(0), true);
+        assert_eq!(comparison.waiting.len(), 0);
         let figures = comparison.figures(0);
         assert_eq!(figures, Figures { note: Some(NO_VIEWS.to_owned()), ..Figures::default() });
     }
