@@ -20,7 +20,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("api", &["capture", "train", "render"]),
     ("store", &["capture", "api"]),
     ("jobs", &["api", "store"]),
-    ("worker", &["scene", "engine", "capture", "formats", "train", "render", "api", "store", "jobs"]),
+    ("worker", &["scene", "engine", "capture", "formats", "train", "render", "eval", "api", "store", "jobs"]),
     (
         "server",
         &["scene", "engine", "capture", "formats", "train", "render", "api", "store", "jobs", "worker"],

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+use relume::capture::{ImportOptions, inspect};
 use relume::engine::Device;
 use relume::formats::{image_file, model_file};
 use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer, import_for_training};
@@ -71,6 +72,21 @@ fn a_folder_becomes_a_model_a_picture_and_a_ply() {
     fails_with(at, &["train", "scan.zip", "--light-exposure", "1"], "--light");
     let left = ["d.png", "d.gif", "m.obj", "model.ply", "model.safetensors"].map(|f| at.join(f).exists());
     assert_eq!(left, [false; 5], "a refusal leaves nothing behind");
+}
+
+#[test]
+fn the_sample_is_a_small_capture_with_photographs_to_compare_with() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    succeeds(at, &["sample"]);
+    succeeds(at, &["sample", "again.zip"]);
+    succeeds(at, &["sample", "other.zip", "--seed", "1"]);
+    let bytes = |file: &str| std::fs::read(at.join(file)).unwrap();
+    assert!(bytes("capture.zip") == bytes("again.zip"), "the same bytes each time");
+    assert!(bytes("capture.zip") != bytes("other.zip") && bytes("capture.zip").len() < 2 << 20);
+    let report = inspect(&at.join("capture.zip"), &ImportOptions::default()).unwrap();
+    assert_eq!((report.train_images, report.test_images, report.warnings.len()), (20, 4, 0));
+    fails_with(at, &["sample", "capture.zip/inside.zip"], "capture.zip/inside.zip");
 }
 
 #[test]

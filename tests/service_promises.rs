@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use relume::api::jobs::{JobProgress, JobState, NewJob};
+use relume::api::quality::{Figures, QualityGate};
 use relume::api::{JobId, TenantId};
 use relume::capture::CaptureReport;
 use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, SequentialIds};
@@ -57,6 +58,15 @@ impl Bench {
         self.submit_with(priority, None).await.unwrap()
     }
 
+    /// Submits a job that asks for more than is measured.
+    async fn submit_asking(&self, figure: &str, wanted: &str) -> JobId {
+        let quality_gate = QualityGate([(figure.to_owned(), wanted.to_owned())].into());
+        let job = NewJob { capture: "capture".into(), quality_gate, ..NewJob::default() };
+        match self.jobs.submit(&tenant(), job, 100, None, None, |job, _| job.id.to_string()).await.unwrap() {
+            Submitted::Created(id) | Submitted::Replayed(id) => id.into(),
+        }
+    }
+
     /// Submits and answers with the identifier.
     async fn submit_with(&self, priority: i64, key: Option<&IdempotencyKey>) -> Result<JobId, StoreError> {
         let job = NewJob { capture: "capture".into(), priority, ..NewJob::default() };
@@ -95,7 +105,7 @@ fn model_of(lease: &Lease, id: &str) -> (ModelRecord, Vec<ModelFile>) {
 
 async fn publish(lease: &Lease, id: &str) -> LeaseStatus {
     let (model, files) = model_of(lease, id);
-    lease.publish(&model, &files).await.unwrap()
+    lease.publish(&model, &files, Figures::default()).await.unwrap()
 }
 
 #[tokio::test]
@@ -174,11 +184,14 @@ async fn a_job_publishes_exactly_once() {
 #[tokio::test]
 async fn terminal_states_never_change() {
     let bench = Bench::new().await;
-    for end in [JobState::Succeeded, JobState::Failed, JobState::Cancelled] {
-        let id = bench.submit(0).await;
+    for end in [JobState::Succeeded, JobState::Rejected, JobState::Failed, JobState::Cancelled] {
+        let id = match end {
+            JobState::Rejected => bench.submit_asking("novel_view.psnr", ">=28").await,
+            _ => bench.submit(0).await,
+        };
         let lease = bench.claim().await;
         match end {
-            JobState::Succeeded => publish(&lease, id.as_str()).await,
+            JobState::Succeeded | JobState::Rejected => publish(&lease, id.as_str()).await,
             JobState::Failed => lease.fail("code", "detail").await.unwrap(),
             _ => {
                 bench.jobs.cancel(&tenant(), &id).await.unwrap();

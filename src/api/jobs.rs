@@ -4,6 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::api::quality::{Figures, MissedFigure, QualityGate};
 use crate::api::{CaptureId, JobId, ModelId};
 use crate::train::{Preset, TrainOverrides};
 
@@ -29,6 +30,12 @@ pub struct NewJob {
     /// `auto`, `cpu` or `gpu`.
     #[serde(default)]
     pub device: JobDevice,
+    /// What the model must reach on held-out views, e.g. `{"novel_view.psnr": ">=28", "novel_view.ssim": ">=0.9"}`. The figures
+    /// are `novel_view.psnr`, `novel_view.ssim`, `novel_view_radiance.psnr` and `novel_view_matched.psnr`, the operators `>=`, `>`,
+    /// `<=` and `<`. A job whose model misses one ends as `rejected`.
+    #[serde(default, skip_serializing_if = "QualityGate::is_empty")]
+    #[cfg_attr(feature = "server", schema(value_type = BTreeMap<String, String>), sqlx(json))]
+    pub quality_gate: QualityGate,
 }
 
 /// Where to train.
@@ -69,6 +76,8 @@ pub enum JobState {
     Cancelling,
     /// A model was published. Terminal.
     Succeeded,
+    /// A model was published that misses the job's `quality_gate`. Terminal.
+    Rejected,
     /// It cannot be trained; the error says why. Terminal.
     Failed,
     /// Stopped on request. Terminal.
@@ -77,12 +86,19 @@ pub enum JobState {
 
 impl JobState {
     /// Every state, in the order of a job's life.
-    pub const ALL: [Self; 6] =
-        [Self::Queued, Self::Running, Self::Cancelling, Self::Succeeded, Self::Failed, Self::Cancelled];
+    pub const ALL: [Self; 7] = [
+        Self::Queued,
+        Self::Running,
+        Self::Cancelling,
+        Self::Succeeded,
+        Self::Rejected,
+        Self::Failed,
+        Self::Cancelled,
+    ];
 
     /// True when the state never changes again.
     pub fn is_terminal(self) -> bool {
-        matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
+        matches!(self, Self::Succeeded | Self::Rejected | Self::Failed | Self::Cancelled)
     }
 
     /// The state's name in the API and the database.
@@ -92,6 +108,7 @@ impl JobState {
             Self::Running => "running",
             Self::Cancelling => "cancelling",
             Self::Succeeded => "succeeded",
+            Self::Rejected => "rejected",
             Self::Failed => "failed",
             Self::Cancelled => "cancelled",
         }
@@ -138,7 +155,17 @@ pub struct JobView {
     /// RFC 3339; when it ended.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub finished_at: Option<String>,
-    /// Identifier of the model, once it succeeded.
+    /// What the model must reach.
+    #[serde(skip_serializing_if = "QualityGate::is_empty", default)]
+    #[cfg_attr(feature = "server", schema(value_type = BTreeMap<String, String>))]
+    pub quality_gate: QualityGate,
+    /// What was measured on held-out views, once it succeeded or was rejected.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub figures: Option<Figures>,
+    /// The figures that are not what was asked for: why it was rejected.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub missed: Vec<MissedFigure>,
+    /// Identifier of the model, once it succeeded or was rejected.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(value_type = Option<String>))]
     pub model: Option<ModelId>,

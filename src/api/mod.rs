@@ -8,6 +8,7 @@ pub mod keys;
 pub mod models;
 mod page;
 pub mod problem;
+pub mod quality;
 pub mod renders;
 mod resources;
 pub mod signed_urls;

@@ -17,6 +17,7 @@ mod keys;
 mod light;
 mod output;
 mod render;
+mod sample;
 #[cfg(feature = "server")]
 mod serve;
 mod train;
@@ -53,6 +54,8 @@ enum Command {
     Train(train::TrainArgs),
     /// Render a model on this machine.
     Render(render::RenderArgs),
+    /// Write a small synthetic capture, to try the service with.
+    Sample(sample::SampleArgs),
     /// Measure a model against a capture's held-out views and ground truth.
     Eval(eval::EvalArgs),
     /// Measure speed on this machine.
@@ -99,6 +102,7 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         Command::Train(args) => train::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Sample(args) => sample::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Explain(args) => explain::run(&args),

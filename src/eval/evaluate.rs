@@ -322,7 +322,7 @@ impl Evaluation<'_> {
 }
 
 /// Whether the model's training got to materials; without them the physically based branch is as it was at the start.
-fn has_materials(model: &Model) -> bool {
+pub(crate) fn has_materials(model: &Model) -> bool {
     let warm_up = model.card.pointer("/config/warm_up").and_then(serde_json::Value::as_f64);
     warm_up.is_none_or(|share| share < 1.0)
 }

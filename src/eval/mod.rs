@@ -11,6 +11,7 @@ mod exposure;
 mod image;
 mod layers;
 mod lpips;
+mod novel_views;
 mod report;
 pub mod sheet;
 mod totals;
@@ -24,6 +25,7 @@ pub(crate) use evaluate::{evenly_spaced, lights_of};
 pub use image::{DisplayImage, PSNR_CAP, mean_squared_error, psnr, psnr_of, ssim};
 pub use layers::{NormalErrors, RatioMedian, normal_errors};
 pub use lpips::{Lpips, LpipsError};
+pub use novel_views::{NovelViewScores, NovelViews};
 #[cfg(feature = "cli")]
 pub(crate) use report::figure;
 pub use report::{AlbedoScores, ImageScores, NormalScores, RelitScores, Report};

@@ -2,8 +2,9 @@
 //! for too long finds out that it lost the job and publishes nothing.
 
 use crate::api::jobs::{JobProgress, JobState};
+use crate::api::quality::Figures;
 use crate::jobs::queue::Jobs;
-use crate::store::{JobRecord, LeaseStatus, ModelFile, ModelRecord, Release, StoreError};
+use crate::store::{JobRecord, LeaseStatus, Measured, ModelFile, ModelRecord, Release, StoreError};
 
 /// One attempt at one job.
 pub struct Lease {
@@ -93,14 +94,20 @@ impl Lease {
         Ok(status)
     }
 
-    /// Publishes the model and ends the job as succeeded. Anything but [`LeaseStatus::Held`] published nothing.
+    /// Publishes the model and ends the job as succeeded, or as rejected when `figures` are not what it asks for. Anything but [`LeaseStatus::Held`] published nothing.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn publish(&self, model: &ModelRecord, files: &[ModelFile]) -> Result<LeaseStatus, StoreError> {
+    pub async fn publish(
+        &self,
+        model: &ModelRecord,
+        files: &[ModelFile],
+        figures: Figures,
+    ) -> Result<LeaseStatus, StoreError> {
+        let measured = Measured::new(figures, &self.job.request.quality_gate);
         let now = self.jobs.now_ms();
         let checkpoint = self.last_checkpoint().await?;
-        let status = self.jobs.store.publish_model(&self.token, model, files, now).await?;
+        let status = self.jobs.store.publish_model(&self.token, model, files, &measured, now).await?;
         self.ended(status, checkpoint).await;
         Ok(status)
     }

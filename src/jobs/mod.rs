@@ -1,7 +1,7 @@
 //! The job state machine, leases and events.
 //!
 //! ```text
-//! queued ──claim──▶ running ──publish──▶ succeeded
+//! queued ──claim──▶ running ──publish──▶ succeeded or rejected
 //!   │  ▲              │ │ └──fail──────▶ failed
 //!   │  └──release─────┘ └──cancel──▶ cancelling ──▶ cancelled
 //!   └──cancel──────────────────────────────────────▶ cancelled

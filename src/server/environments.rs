@@ -2,7 +2,7 @@
 
 use axum::Json;
 use axum::extract::{Request, State};
-use axum::http::StatusCode;
+use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use tokio::io::AsyncReadExt;
@@ -92,7 +92,8 @@ async fn upload_environment(
         created_ms: app.jobs.now_ms(),
     };
     let stored = app.store.keep_environment(incoming, &caller.tenant, &record).await?;
-    Ok((StatusCode::CREATED, Json(view(stored))).into_response())
+    let location = format!("/v1/environments/{}", stored.id);
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
 }
 
 /// List environment maps

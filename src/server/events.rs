@@ -19,6 +19,7 @@ use crate::api::{JobId, KeyId, Problem, TenantId};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
+use crate::server::listing::rfc3339;
 use crate::store::{EventRecord, StoreError};
 
 /// How long a listener waits for a notification before it queries the database.
@@ -43,8 +44,9 @@ struct EventQuery {
 /// Stream a job's events
 ///
 /// Every event since `Last-Event-ID` (or since the beginning), then new ones as they happen, until the job is in a
-/// terminal state or the caller's key ends. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object. Numbers only grow,
-/// also across restarts of the server.
+/// terminal state or the caller's key ends. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object, in which
+/// `at` says when, RFC 3339. Numbers only grow, also across restarts of the server. The last `state` of a job that made a model
+/// has its `figures`, too.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/events", tag = "jobs",
     params(("id" = String, Path), EventQuery, ("Last-Event-ID" = Option<i64>, Header)),
@@ -85,6 +87,13 @@ async fn job_events(
     Ok(Sse::new(stream).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
 }
 
+/// An event as it is sent: its data with the time of the event.
+fn sse(event: EventRecord) -> Event {
+    let mut data: serde_json::Value = serde_json::from_str(&event.data).unwrap_or_default();
+    data["at"] = rfc3339(event.at_ms).into();
+    Event::default().id(event.seq.to_string()).event(event.kind).data(data.to_string())
+}
+
 /// Follows one job. Events come from the database; the channel only says when to query it.
 struct Listener {
     app: Shared,
@@ -102,7 +111,7 @@ impl Listener {
         loop {
             if let Some(event) = self.waiting.pop_front() {
                 self.after = event.seq;
-                return Some(Event::default().id(event.seq.to_string()).event(event.kind).data(event.data));
+                return Some(sse(event));
             }
             match self.fetch().await {
                 Ok(true) => {}

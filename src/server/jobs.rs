@@ -16,8 +16,8 @@ use crate::capture::BUILTIN;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
-use crate::server::job_bounds;
 use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::server::{job_bounds, quality_gate};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
 use crate::train::{ConfigError, KnownLight, TrainConfig};
 
@@ -53,7 +53,8 @@ struct JobQuery {
 ///
 /// With an `Idempotency-Key` header, a repetition of the same request within 24 hours is answered with the first
 /// answer (and the header `Idempotent-Replayed: true`) and queues nothing. 202 means that the job is durable. A server trains
-/// at most 200,000 Gaussians at 4,096 pixels on the CPU engine.
+/// at most 200,000 Gaussians at 4,096 pixels on the CPU engine. At the end the model is compared with at most 8 of the capture's
+/// held-out views; a job with a `quality_gate` that it misses ends as `rejected`, with its model.
 #[utoipa::path(
     post, path = "/v1/jobs", tag = "jobs", request_body = NewJob,
     params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible characters")),
@@ -74,9 +75,9 @@ async fn create_job(
         return Err(Problem::invalid_field("/device", "this server has no GPU"));
     }
     job_bounds::check(&config, job.device != JobDevice::Cpu && app.device.has_gpu())?;
-    if app.store.capture(&caller.tenant, &job.capture).await?.is_none() {
-        return Err(Problem::invalid_field("/capture", format!("{:?} does not exist", job.capture.as_str())));
-    }
+    let missing = || Problem::invalid_field("/capture", format!("{:?} does not exist", job.capture.as_str()));
+    let capture = app.store.capture(&caller.tenant, &job.capture).await?.ok_or_else(missing)?;
+    quality_gate::check(&job.quality_gate, &capture.report, &config)?;
     if let Some(light) = &config.light {
         check_light(&app, &caller.tenant, light).await?;
     }
@@ -156,7 +157,7 @@ async fn change_job(
     post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = String, Path)),
     responses(
         (status = 200, body = JobView), (status = 404, body = Problem),
-        (status = 409, body = Problem, description = "It succeeded or failed before")
+        (status = 409, body = Problem, description = "It succeeded, was rejected or failed before")
     )
 )]
 async fn cancel_job(
@@ -216,11 +217,20 @@ async fn submit(
         Submitted::Replayed(text) => (text, true),
     };
     let json = HeaderValue::from_static("application/json");
-    let mut response = (StatusCode::ACCEPTED, [(header::CONTENT_TYPE, json)], text).into_response();
+    let location = location(&text)?;
+    let headers = [(header::CONTENT_TYPE, json), (header::LOCATION, location)];
+    let mut response = (StatusCode::ACCEPTED, headers, text).into_response();
     if replayed {
         response.headers_mut().insert(REPLAYED, HeaderValue::from_static("true"));
     }
     Ok(response)
+}
+
+/// Where the job of an answer is.
+fn location(answer: &str) -> Result<HeaderValue, Problem> {
+    let job: serde_json::Value = serde_json::from_str(answer).map_err(Problem::internal)?;
+    let path = format!("/v1/jobs/{}", job["id"].as_str().unwrap_or_default());
+    HeaderValue::from_str(&path).map_err(Problem::internal)
 }
 
 async fn current(app: &Shared, tenant: &TenantId, id: &JobId) -> Result<JobView, Problem> {
@@ -283,6 +293,9 @@ fn view(job: JobRecord, queue_position: Option<i64>) -> JobView {
         finished_at: job.finished_ms.map(rfc3339),
         model: job.model_id,
         model_deleted_at: job.model_deleted_ms.map(rfc3339),
+        missed: job.figures.as_ref().map(|f| job.request.quality_gate.misses(f)).unwrap_or_default(),
+        quality_gate: job.request.quality_gate,
+        figures: job.figures,
         error: job.error_code.map(|code| JobError { code, detail }),
     }
 }

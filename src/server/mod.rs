@@ -30,6 +30,7 @@ mod negotiate;
 mod observe;
 mod origins;
 mod problem;
+mod quality_gate;
 mod rates;
 mod render_request;
 mod renders;

@@ -1,7 +1,7 @@
 //! `/v1/models/{id}/thumbnail`: small relit pictures for web pages, cacheable without rendering them again.
 
 use axum::extract::State;
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
@@ -51,7 +51,8 @@ pub struct ThumbnailQuery {
 
 /// Get a thumbnail
 ///
-/// The same URL always gives the same picture, so it may be cached; the `ETag` is known before rendering.
+/// The same URL always gives the same picture, so it may be cached; the `ETag` is known before rendering. HEAD answers with it and
+/// renders nothing.
 #[utoipa::path(
     get, path = "/v1/models/{id}/thumbnail", tag = "models", params(("id" = String, Path), ThumbnailQuery),
     responses(
@@ -65,6 +66,7 @@ async fn thumbnail(
     caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
     QueryString(query): QueryString<ThumbnailQuery>,
+    method: Method,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let orbit = orbit(&query)?;
@@ -75,6 +77,8 @@ async fn thumbnail(
     let tag = etag(&identity(&model_hash, &light, &orbit, tier, format));
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
+    } else if method == Method::HEAD {
+        [(header::CONTENT_TYPE, format.media_type())].into_response()
     } else {
         let (viewpoint, outputs) = (Viewpoint::Orbit(orbit), vec![Output::Rgb]);
         let task = RenderTask {

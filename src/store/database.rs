@@ -159,6 +159,53 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn a_database_from_before_figures_keeps_its_rows_and_still_refuses_unknown_states() {
+        let pool = SqlitePoolOptions::new().max_connections(1).connect("sqlite::memory:").await.unwrap();
+        let run = async |sql: &str| {
+            let mut tx = pool.begin().await.unwrap();
+            sqlx::raw_sql(sqlx::AssertSqlSafe(sql.to_owned())).execute(&mut *tx).await?;
+            tx.commit().await
+        };
+        for migration in MIGRATIONS.iter().filter(|m| m.version <= 3) {
+            run(migration.sql.as_str()).await.unwrap();
+        }
+        run("INSERT INTO captures VALUES ('c', '00', 1, 'captures/00', '{}', 0, NULL, NULL);
+             INSERT INTO jobs (id, capture_id, preset, overrides, device, priority, state, created_ms, total)
+                 VALUES ('old', 'c', 'draft', '{}', 'auto', 3, 'succeeded', 7, 10),
+                        ('new', 'c', 'draft', '{}', 'auto', 4, 'running', 8, 10);
+             INSERT INTO models VALUES ('m', 'old', 'c', 5, '{}', 9, NULL);
+             INSERT INTO events VALUES (1, 'old', 7, 'state', '{}');")
+        .await
+        .unwrap();
+        let reject = "UPDATE jobs SET state = 'rejected' WHERE id = 'new'";
+        assert!(run(reject).await.is_err(), "the control");
+        let figures = MIGRATIONS.iter().find(|m| m.version == 5).unwrap();
+        run(figures.sql.as_str()).await.unwrap();
+        run(reject).await.unwrap();
+        for refused in [
+            "UPDATE jobs SET state = 'running' WHERE id = 'new'",
+            "INSERT INTO jobs (id, capture_id, preset, overrides, device, priority, state, created_ms, total)
+                 VALUES ('odd', 'c', 'draft', '{}', 'auto', 0, 'odd', 0, 1)",
+            "DELETE FROM captures",
+        ] {
+            assert!(run(refused).await.is_err(), "{refused}");
+        }
+        let jobs: Vec<(String, i64, String, i64, String, Option<String>)> = sqlx::query_as(
+            "SELECT id, priority, state, created_ms, quality_gate, figures FROM jobs ORDER BY created_ms",
+        )
+        .fetch_all(&pool)
+        .await
+        .unwrap();
+        let row = |id: &str, priority, state: &str, at| {
+            (id.to_owned(), priority, state.to_owned(), at, "{}".to_owned(), None)
+        };
+        assert_eq!(jobs, [row("old", 3, "succeeded", 7), row("new", 4, "rejected", 8)]);
+        let sound: String = sqlx::query_scalar("PRAGMA integrity_check").fetch_one(&pool).await.unwrap();
+        let models: i64 = sqlx::query_scalar("SELECT COUNT(*) FROM models").fetch_one(&pool).await.unwrap();
+        assert_eq!((sound.as_str(), models), ("ok", 1));
+    }
+
+    #[tokio::test]
     async fn readers_write_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let database = Database::open(folder.path()).await.unwrap();

@@ -101,12 +101,12 @@ async fn needed_by(
 ) -> Result<Vec<ResourceName>, StoreError> {
     let jobs = match what.kind {
         ResourceKind::Capture => {
-            "SELECT id FROM jobs WHERE capture_id = ?1 AND state <> 'succeeded' AND deleted_ms IS NULL
+            "SELECT id FROM jobs WHERE capture_id = ?1 AND state NOT IN ('succeeded', 'rejected') AND deleted_ms IS NULL
              ORDER BY created_ms, id"
         }
         ResourceKind::Environment => {
             "SELECT id FROM jobs WHERE json_extract(overrides, '$.light.environment') = ?1
-                 AND state <> 'succeeded' AND deleted_ms IS NULL
+                 AND state NOT IN ('succeeded', 'rejected') AND deleted_ms IS NULL
              ORDER BY created_ms, id"
         }
         ResourceKind::Job => "SELECT id FROM jobs WHERE id = ?1 AND state IN ('running', 'cancelling')",

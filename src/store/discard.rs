@@ -93,7 +93,7 @@ impl Store {
     /// Jobs that have ended: everything that their attempts wrote but the files of their model.
     async fn discard_jobs(&self, now_ms: i64) -> Result<usize, StoreError> {
         let query = "SELECT id FROM jobs WHERE deleted_ms IS NOT NULL AND swept_ms IS NULL
-                         AND state IN ('succeeded', 'failed', 'cancelled')";
+                         AND state IN ('succeeded', 'rejected', 'failed', 'cancelled')";
         let jobs: Vec<String> = sqlx::query_scalar(query).fetch_all(self.pool()).await?;
         for job in &jobs {
             let query =

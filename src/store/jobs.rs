@@ -144,7 +144,7 @@ impl Store {
         drop(tx);
         Ok(match self.job(tenant, id).await? {
             None => CancelOutcome::NotFound,
-            Some(job) if matches!(job.state, JobState::Succeeded | JobState::Failed) => {
+            Some(job) if job.state.is_terminal() && job.state != JobState::Cancelled => {
                 CancelOutcome::AlreadyFinished(job)
             }
             Some(job) => CancelOutcome::Accepted(job),
@@ -177,8 +177,9 @@ const POSITION: &str = "SELECT (SELECT COUNT(*) FROM jobs AS other WHERE other.s
 async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &JobRecord) -> Result<(), StoreError> {
     let query = sqlx::query(
         "INSERT INTO jobs
-             (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms, tenant)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
+             (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms, tenant,
+              quality_gate)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)",
     );
     query
         .bind(&job.id)
@@ -192,6 +193,7 @@ async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &JobRecord) -> Result<(),
         .bind(job.state)
         .bind(job.created_ms)
         .bind(&job.tenant)
+        .bind(Json(&job.request.quality_gate))
         .execute(&mut **tx)
         .await?;
     Ok(())

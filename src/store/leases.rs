@@ -6,7 +6,7 @@ use sqlx::{Sqlite, Transaction};
 
 use crate::api::JobId;
 use crate::api::jobs::{JobProgress, JobState};
-use crate::store::{JobRecord, ModelFile, ModelRecord, Store, StoreError, events};
+use crate::store::{JobRecord, Measured, ModelFile, ModelRecord, Store, StoreError, events};
 
 /// What a worker's write found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -165,7 +165,7 @@ impl Store {
         Ok((LeaseStatus::of(state), previous.flatten().filter(|key| key != artifact)))
     }
 
-    /// Publishes the model and ends the job, in one transaction: both happen or neither.
+    /// Publishes the model and ends the job as succeeded or rejected, in one transaction: both happen or neither.
     ///
     /// # Errors
     /// When the database fails.
@@ -174,11 +174,12 @@ impl Store {
         token: &str,
         model: &ModelRecord,
         files: &[ModelFile],
+        measured: &Measured,
         now_ms: i64,
     ) -> Result<LeaseStatus, StoreError> {
         let mut tx = self.write().await?;
         let done = sqlx::query(
-            "UPDATE jobs SET state = 'succeeded', finished_ms = ?3, model_id = ?4, step = total,
+            "UPDATE jobs SET state = ?5, figures = ?6, finished_ms = ?3, model_id = ?4, step = total,
                  eta_seconds = NULL, message = NULL, checkpoint = NULL, lease_token = NULL, lease_until_ms = NULL
              WHERE id = ?1 AND lease_token = ?2 AND state = 'running'",
         )
@@ -186,6 +187,8 @@ impl Store {
         .bind(token)
         .bind(now_ms)
         .bind(&model.id)
+        .bind(measured.state())
+        .bind(Json(&measured.figures))
         .execute(&mut *tx)
         .await?;
         if done.rows_affected() == 0 {
@@ -196,8 +199,7 @@ impl Store {
             };
         }
         insert_model(&mut tx, model, files).await?;
-        let data = json!({ "state": JobState::Succeeded, "model": model.id });
-        events::append(&mut tx, &model.job_id, now_ms, "state", data).await?;
+        events::append(&mut tx, &model.job_id, now_ms, "state", measured.event(&model.id)).await?;
         tx.commit().await?;
         Ok(LeaseStatus::Held)
     }

@@ -4,6 +4,7 @@ use sqlx::FromRow;
 
 use crate::api::jobs::{JobProgress, JobState, NewJob};
 use crate::api::keys::Scope;
+use crate::api::quality::Figures;
 use crate::api::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId};
 use crate::capture::CaptureReport;
 
@@ -82,6 +83,9 @@ pub struct JobRecord {
     pub checkpoint_sha256: Option<String>,
     /// Step of the last checkpoint.
     pub checkpoint_step: Option<i64>,
+    /// What was measured of its model.
+    #[sqlx(json(nullable))]
+    pub figures: Option<Figures>,
     /// The published model.
     pub model_id: Option<ModelId>,
     /// When that model was deleted.
@@ -110,6 +114,7 @@ impl JobRecord {
             checkpoint: None,
             checkpoint_sha256: None,
             checkpoint_step: None,
+            figures: None,
             model_id: None,
             model_deleted_ms: None,
             error_code: None,

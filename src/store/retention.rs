@@ -21,13 +21,13 @@ const EXPIRED: [(ResourceKind, &str); 3] = [
     (
         ResourceKind::Job,
         "SELECT id, tenant FROM jobs WHERE deleted_ms IS NULL AND finished_ms < ?1
-             AND state IN ('succeeded', 'failed', 'cancelled') ORDER BY finished_ms LIMIT 1000",
+             AND state IN ('succeeded', 'rejected', 'failed', 'cancelled') ORDER BY finished_ms LIMIT 1000",
     ),
     (
         ResourceKind::Capture,
         "SELECT id, tenant FROM captures WHERE deleted_ms IS NULL AND created_ms < ?1 AND NOT EXISTS
              (SELECT 1 FROM jobs WHERE capture_id = captures.id AND deleted_ms IS NULL
-                  AND (state <> 'succeeded' OR created_ms >= ?1))
+                  AND (state NOT IN ('succeeded', 'rejected') OR created_ms >= ?1))
          ORDER BY created_ms LIMIT 1000",
     ),
     (

@@ -4,6 +4,7 @@
 //! stalling the server, and nothing else uses the device.
 
 mod device_handle;
+mod eta;
 mod progress;
 mod queued_render;
 mod render_queue;

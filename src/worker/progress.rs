@@ -4,51 +4,56 @@ use crate::api::jobs::JobProgress;
 use crate::jobs::Lease;
 use crate::store::StoreError;
 use crate::train::{Progress, StepReport};
+use crate::worker::eta::Eta;
 
 /// Least time between two progress events.
 const INTERVAL_MS: i64 = 500;
 
 /// Decides when progress is reported.
 pub(super) struct Reporter {
-    started_ms: i64,
-    first_step: u32,
+    eta: Eta,
     reported_ms: i64,
+    last: JobProgress,
 }
 
 impl Reporter {
-    /// `first_step`: steps that earlier attempts did.
-    pub(super) fn new(now_ms: i64, first_step: u32) -> Self {
-        Self { started_ms: now_ms, first_step, reported_ms: i64::MIN }
+    pub(super) fn new(eta: Eta) -> Self {
+        Self { eta, reported_ms: i64::MIN, last: JobProgress::default() }
     }
 
-    /// What to report after a step, or nothing when the last report is fresh. The last step always reports.
+    /// What to report of a step that was done by `now_ms`, or nothing when the last report is fresh. The last step always reports.
     pub(super) fn report(
         &mut self,
         now_ms: i64,
         step: &StepReport,
         progress: Progress,
     ) -> Option<JobProgress> {
+        self.eta.note(progress.step, now_ms);
         if now_ms < self.reported_ms.saturating_add(INTERVAL_MS) && progress.step < progress.total {
             return None;
         }
         self.reported_ms = now_ms;
-        Some(JobProgress {
+        self.last = JobProgress {
             step: i64::from(progress.step),
             total: i64::from(progress.total),
             loss: Some(f64::from(step.loss)),
             psnr: Some(f64::from(step.psnr)),
             gaussians: i64::try_from(step.gaussians).ok(),
-            eta_seconds: self.eta(now_ms, progress),
+            eta_seconds: self.eta.seconds(),
             message: Some("training".to_owned()),
-        })
+        };
+        Some(self.last.clone())
     }
 
-    /// The mean pace of this attempt, carried to the end.
-    fn eta(&self, now_ms: i64, progress: Progress) -> Option<f64> {
-        let done = progress.step.saturating_sub(self.first_step);
-        let seconds = (now_ms - self.started_ms) as f64 / 1e3;
-        (done > 0)
-            .then(|| seconds / f64::from(done) * f64::from(progress.total.saturating_sub(progress.step)))
+    /// What to report of the work after the last step: the figures of that step stay.
+    pub(super) fn after_training(&self, progress: Progress, message: String) -> JobProgress {
+        JobProgress {
+            step: i64::from(progress.step),
+            total: i64::from(progress.total),
+            eta_seconds: None,
+            message: Some(message),
+            ..self.last.clone()
+        }
     }
 }
 
@@ -67,6 +72,7 @@ pub(super) async fn announce(lease: &Lease, message: &str) -> Result<(), StoreEr
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::train::{Preset, TrainConfig};
 
     fn step(step: u32) -> (StepReport, Progress) {
         let report = StepReport { step, loss: 0.5, psnr: 20.0, gaussians: 7, warning: None };
@@ -75,7 +81,8 @@ mod tests {
 
     #[test]
     fn events_are_throttled_but_the_last_step_is_always_told() {
-        let mut reporter = Reporter::new(0, 0);
+        let config = TrainConfig { iterations: 100, ..TrainConfig::preset(Preset::Draft) };
+        let mut reporter = Reporter::new(Eta::new(&config, 1.0, 0, 0));
         let mut at = |ms, n| {
             let (report, progress) = step(n);
             reporter.report(ms, &report, progress).is_some()
@@ -84,13 +91,5 @@ mod tests {
             [at(0, 1), at(499, 2), at(500, 3), at(501, 99), at(502, 100)],
             [true, false, true, false, true]
         );
-    }
-
-    #[test]
-    fn the_eta_counts_only_this_attempts_steps() {
-        let mut reporter = Reporter::new(1000, 50);
-        let (report, progress) = step(60);
-        let update = reporter.report(3000, &report, progress).unwrap();
-        assert_eq!(update.eta_seconds, Some(8.0));
     }
 }

@@ -1,10 +1,12 @@
-//! One attempt at a job: import, train step by step, checkpoint, publish.
+//! One attempt at a job: import, train step by step, checkpoint, compare with held-out views, publish.
 
+mod evaluate;
 mod import;
 pub(super) mod outcome;
 mod publish;
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use tokio_util::bytes::Bytes;
@@ -15,6 +17,7 @@ use crate::engine::Device;
 use crate::jobs::Lease;
 use crate::store::{LeaseStatus, Release, StoreError};
 use crate::train::{TrainConfig, TrainError, Trainer};
+use crate::worker::eta::Eta;
 use crate::worker::progress::{Reporter, announce};
 use crate::worker::thread::Worker;
 use outcome::{AttemptEnd, AttemptError, settle};
@@ -39,7 +42,8 @@ impl Worker {
             ControlFlow::Break(ending) => return Ok(ending),
         };
         let trainer = self.trainer(lease, &capture, config).await?;
-        let reporter = Reporter::new(self.jobs.now_ms(), trainer.progress().step);
+        let (now_ms, step) = (self.jobs.now_ms(), trainer.progress().step);
+        let reporter = Reporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
         let mut attempt = Attempt { lease, trainer, reporter, checkpoint_every };
         while !attempt.trainer.is_done() {
             if self.stop.is_cancelled() {
@@ -51,14 +55,29 @@ impl Worker {
                     return Ok(settle(lease).await?);
                 }
             }
-            let status = attempt.step(self.jobs.now_ms()).await?;
+            let status = attempt.step().await?;
             self.steps.fetch_add(1, Ordering::SeqCst);
             if status != LeaseStatus::Held {
                 return Ok(settle(lease).await?);
             }
             self.serve_waiting();
         }
-        publish::publish(lease, &attempt.trainer).await
+        let model = Arc::new(attempt.trainer.model()?);
+        match self.measure(&attempt, &model, capture).await? {
+            ControlFlow::Continue(figures) => {
+                publish::publish(lease, attempt.trainer.seconds(), &model, figures).await
+            }
+            ControlFlow::Break(ending) => Ok(ending),
+        }
+    }
+
+    /// Where a job trains.
+    fn device_of(&self, lease: &Lease) -> Result<&Device, AttemptError> {
+        match (lease.job().request.device, &self.device) {
+            (JobDevice::Cpu, _) => Ok(&Device::Cpu),
+            (JobDevice::Gpu, Device::Cpu) => Err(AttemptError::new("device_unfit", "this server has no GPU")),
+            (_, device) => Ok(device),
+        }
     }
 
     /// The bytes of a checkpoint, if they are those that were stored.
@@ -78,13 +97,7 @@ impl Worker {
         config: TrainConfig,
     ) -> Result<Trainer, AttemptError> {
         announce(lease, "preparing").await?;
-        let device = match (lease.job().request.device, &self.device) {
-            (JobDevice::Cpu, _) => &Device::Cpu,
-            (JobDevice::Gpu, Device::Cpu) => {
-                return Err(AttemptError::new("device_unfit", "this server has no GPU"));
-            }
-            (_, device) => device,
-        };
+        let device = self.device_of(lease)?;
         let Some(key) = &lease.job().checkpoint else { return Ok(Trainer::new(capture, config, device)?) };
         let resumed = match self.checkpoint(key, lease.job().checkpoint_sha256.as_deref()).await {
             Ok(bytes) => Trainer::resume(capture, config.clone(), &bytes, device),
@@ -104,7 +117,7 @@ impl Worker {
 
 impl Attempt<'_> {
     /// Takes one step and reports it.
-    async fn step(&mut self, now_ms: i64) -> Result<LeaseStatus, AttemptError> {
+    async fn step(&mut self) -> Result<LeaseStatus, AttemptError> {
         let report = self.trainer.step()?;
         metrics::counter!("relume_training_steps_total").increment(1);
         if let Some(warning) = &report.warning {
@@ -112,6 +125,7 @@ impl Attempt<'_> {
         }
         let progress = self.trainer.progress();
         let mut status = LeaseStatus::Held;
+        let now_ms = self.lease.jobs().now_ms();
         if let Some(update) = self.reporter.report(now_ms, &report, progress) {
             status = held_or_unknown(self.lease.progress(&update).await);
         }
@@ -158,6 +172,12 @@ impl Attempt<'_> {
             LeaseStatus::Cancelling | LeaseStatus::Lost => Ok(settle(self.lease).await?),
         }
     }
+}
+
+/// Mean number of pixels of a photograph.
+fn pixels_of(capture: &Capture) -> f64 {
+    let pixels = capture.train.iter().map(|view| view.image.pixels.len() as f64).sum::<f64>();
+    pixels / capture.train.len().max(1) as f64
 }
 
 /// A store that fails for a while, e.g. on a full disk, is no reason to throw hours of training away: whether the

@@ -1,24 +1,29 @@
 //! Publishing the model of a finished training.
 
+use crate::api::quality::Figures;
 use crate::formats::{model_file, ply_model};
 use crate::jobs::Lease;
 use crate::scene::Model;
 use crate::store::{LeaseStatus, ModelFile, ModelRecord, StoreError};
-use crate::train::Trainer;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, settle};
 
 /// Names of a model's files.
 const MODEL: &str = "model.safetensors";
 const POINTS: &str = "model.ply";
 
-/// Writes the model's files, then publishes them and ends the job in one transaction. What was written and is not published is
+/// Writes the files of a model that was trained for `seconds`, then publishes them and ends the job in one transaction. What was written and is not published is
 /// removed.
-pub(super) async fn publish(lease: &Lease, trainer: &Trainer) -> Result<AttemptEnd, AttemptError> {
-    let model = &trainer.model()?;
+pub(super) async fn publish(
+    lease: &Lease,
+    seconds: f64,
+    model: &Model,
+    figures: Figures,
+) -> Result<AttemptEnd, AttemptError> {
     let encoded = model_file::encode(model).map_err(|e| AttemptError::new("model_invalid", e.to_string()))?;
     let points = ply_model::encode(model);
     let size = (encoded.len() + points.len()) as u64;
-    match store_and_publish(lease, record(lease, trainer, model), encoded, points).await {
+    let record = record(lease, seconds, model, &figures);
+    match store_and_publish(lease, record, figures, [encoded, points]).await {
         Ok(LeaseStatus::Held) => Ok(AttemptEnd::Published),
         Ok(LeaseStatus::Cancelling | LeaseStatus::Lost) => {
             discard(lease).await;
@@ -35,23 +40,25 @@ pub(super) async fn publish(lease: &Lease, trainer: &Trainer) -> Result<AttemptE
     }
 }
 
-fn record(lease: &Lease, trainer: &Trainer, model: &Model) -> ModelRecord {
+fn record(lease: &Lease, seconds: f64, model: &Model, figures: &Figures) -> ModelRecord {
     let job = lease.job();
     ModelRecord {
         id: lease.jobs().fresh_id(),
         job_id: job.id.clone(),
         capture_id: job.request.capture.clone(),
         gaussians: i64::try_from(model.gaussians.len()).unwrap_or(i64::MAX),
-        card: timed_card(trainer, model),
+        card: published_card(model, seconds, figures),
         created_ms: lease.jobs().now_ms(),
     }
 }
 
-/// The model's card with the time it took, which the file leaves out so that its bytes depend on the job alone.
-fn timed_card(trainer: &Trainer, model: &Model) -> serde_json::Value {
+/// The model's card with what the file leaves out, so that its bytes depend on the job alone: the time it took, and what was
+/// measured on held-out views.
+fn published_card(model: &Model, seconds: f64, figures: &Figures) -> serde_json::Value {
     let mut card = model.card.clone();
     if let Some(fields) = card.as_object_mut() {
-        fields.insert("training_seconds".to_owned(), trainer.seconds().into());
+        fields.insert("training_seconds".to_owned(), seconds.into());
+        fields.insert("figures".to_owned(), serde_json::json!(figures));
     }
     card
 }
@@ -59,11 +66,11 @@ fn timed_card(trainer: &Trainer, model: &Model) -> serde_json::Value {
 async fn store_and_publish(
     lease: &Lease,
     record: ModelRecord,
-    model: Vec<u8>,
-    points: Vec<u8>,
+    figures: Figures,
+    [model, points]: [Vec<u8>; 2],
 ) -> Result<LeaseStatus, StoreError> {
     let files = [store_file(lease, MODEL, model).await?, store_file(lease, POINTS, points).await?];
-    lease.publish(&record, &files).await
+    lease.publish(&record, &files, figures).await
 }
 
 async fn store_file(lease: &Lease, name: &str, bytes: Vec<u8>) -> Result<ModelFile, StoreError> {

@@ -1,0 +1,36 @@
+//! `relume sample`: a small capture to try the service with.
+
+use std::path::PathBuf;
+
+use crate::capture::{SyntheticOptions, synthetic, write_archive};
+use crate::cli::error::CommandResult;
+use crate::cli::output;
+
+/// Options of `relume sample`.
+#[derive(Debug, clap::Args)]
+pub(super) struct SampleArgs {
+    /// The zip to write.
+    #[arg(default_value = "capture.zip")]
+    out: PathBuf,
+    /// Seed of the noise in the photographs.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+}
+
+/// Draws the scene of the demo with fewer and smaller photographs, some of them held out.
+pub(super) fn run(args: &SampleArgs) -> CommandResult {
+    let options = SyntheticOptions {
+        train_views: 20,
+        test_views: 4,
+        size: 96,
+        relit: [].into(),
+        paths: 32,
+        seed: args.seed,
+        ..SyntheticOptions::default()
+    };
+    let capture = synthetic(&options)?;
+    output::write_named(&args.out, &write_archive(&capture)?)?;
+    let (train, test) = (capture.train.len(), capture.test.len());
+    eprintln!("wrote {}: {train} photographs and {test} to compare with", args.out.display());
+    Ok(())
+}

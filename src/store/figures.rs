@@ -1,0 +1,55 @@
+//! What was found of a model when its job ended.
+
+use serde_json::{Value, json};
+
+use crate::api::jobs::JobState;
+use crate::api::quality::{Figures, MissedFigure, QualityGate};
+use crate::api::{JobId, ModelId};
+use crate::store::{Store, StoreError};
+
+/// Most warnings that are repeated at the end of a job.
+const MOST_WARNINGS: i64 = 100;
+
+/// A model's figures, and those that miss what its job asked for.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Measured {
+    /// All of them.
+    pub figures: Figures,
+    /// Those that are not what was asked for.
+    pub missed: Vec<MissedFigure>,
+}
+
+impl Measured {
+    /// Compares `figures` with what a job asks for.
+    pub fn new(figures: Figures, gate: &QualityGate) -> Self {
+        Self { missed: gate.misses(&figures), figures }
+    }
+
+    /// How the job ends.
+    pub fn state(&self) -> JobState {
+        if self.missed.is_empty() { JobState::Succeeded } else { JobState::Rejected }
+    }
+
+    /// What the job's last event says.
+    pub(super) fn event(&self, model: &ModelId) -> Value {
+        let mut event = json!({ "state": self.state(), "model": model, "figures": self.figures });
+        if !self.missed.is_empty() {
+            event["missed"] = json!(self.missed);
+        }
+        event
+    }
+}
+
+impl Store {
+    /// What was warned of in a job's history, in order, each once.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn warnings(&self, job: &JobId) -> Result<Vec<String>, StoreError> {
+        let query = sqlx::query_scalar(
+            "SELECT json_extract(data, '$.message') AS message FROM events
+             WHERE job_id = ?1 AND kind = 'warning' GROUP BY message ORDER BY MIN(seq) LIMIT ?2",
+        );
+        Ok(query.bind(job).bind(MOST_WARNINGS).fetch_all(self.pool()).await?)
+    }
+}

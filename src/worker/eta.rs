@@ -1,0 +1,209 @@
+//! When a training will end: the time of recent steps, carried on by what the steps that are left cost beside them.
+//!
+//! The first steps are the cheapest ones, at half resolution, without shading and with few Gaussians: their mean pace says
+//! little about the rest.
+
+use crate::train::{LabelSource, TrainConfig};
+
+/// What a pixel costs beside a Gaussian. This and the three below were measured on the CPU engine; only ratios count.
+const PIXEL: f64 = 0.45;
+/// What a step of both branches costs beside one of the radiance branch.
+const SHADED: f64 = 2.25;
+/// What measuring one Gaussian along one direction costs.
+const PROBE: f64 = 0.4;
+/// What looking for strong small lights costs beside one such measurement.
+const LIGHTS: f64 = 5.0;
+/// Most steps between rounds of density control, and fewest before the first.
+const ROUND_EVERY: u32 = 100;
+const FIRST_ROUND: u32 = 50;
+
+/// What each step of a training costs, in no unit.
+struct Costs {
+    config: TrainConfig,
+    /// Pixels of a photograph.
+    pixels: f64,
+}
+
+impl Costs {
+    /// Cost of the step after `step` steps.
+    fn of(&self, step: u32) -> f64 {
+        let config = &self.config;
+        let is_half = (step as f32) < config.half_resolution * config.iterations as f32;
+        let pixels = if is_half { self.pixels / 4.0 } else { self.pixels };
+        let is_shaded = step >= config.warm_up_steps();
+        let gaussians = self.gaussians(step);
+        let branches = if is_shaded { SHADED } else { 1.0 };
+        let measured = PROBE * gaussians * f64::from(config.probe_directions);
+        branches * (PIXEL * pixels + gaussians) + measured * self.measurements(step)
+    }
+
+    /// Gaussians that density control may have by then.
+    fn gaussians(&self, step: u32) -> f64 {
+        let config = &self.config;
+        let (first, last) = self.rounds();
+        let share =
+            f64::from(step.min(last).saturating_sub(first)) / f64::from(last.saturating_sub(first).max(1));
+        let (low, high) = (f64::from(config.initial_gaussians), f64::from(config.max_gaussians));
+        low + (high - low) * share.sqrt()
+    }
+
+    /// Steps of the first and of the last round of density control.
+    fn rounds(&self) -> (u32, u32) {
+        let total = self.config.iterations;
+        ((total / 50).max(FIRST_ROUND), (self.config.densify_until * total as f32) as u32)
+    }
+
+    /// How often visibility is measured in a step, or as much is done as that takes.
+    fn measurements(&self, step: u32) -> f64 {
+        let config = &self.config;
+        let measures = config.bounces > 0 || matches!(config.labels, LabelSource::Probes | LabelSource::Both);
+        let Some(shaded) = step.checked_sub(config.warm_up_steps()).filter(|_| measures) else { return 0.0 };
+        let (first, last) = self.rounds();
+        let every = ROUND_EVERY.min((config.iterations / 15).max(10));
+        let next = step + 1;
+        let is_round = next.is_multiple_of(every) && (first..=last).contains(&next);
+        let regular = if shaded == 0 { 2 } else { u32::from(shaded.is_multiple_of(config.probe_every)) };
+        let looks = config.lights > 0 && config.light.is_none();
+        let albedo = match config.is_albedo_round(step) {
+            true => 1.0 + if looks { LIGHTS } else { 0.0 },
+            false => 0.0,
+        };
+        f64::from(regular + u32::from(is_round)) + albedo
+    }
+
+    fn from(&self, step: u32) -> f64 {
+        (step..self.config.iterations).map(|step| self.of(step)).sum()
+    }
+}
+
+/// The estimate, as steps are done.
+pub(super) struct Eta {
+    costs: Costs,
+    step: u32,
+    /// Cost of the steps that are left.
+    left: f64,
+    seen_ms: i64,
+    /// Time and cost of recent steps; older ones count less and less.
+    recent_ms: f64,
+    recent_cost: f64,
+    /// Share of what was recent that still is after one more step.
+    memory: f64,
+}
+
+impl Eta {
+    /// A training of `config` on photographs of `pixels`, `step` steps of which earlier attempts did.
+    pub(super) fn new(config: &TrainConfig, pixels: f64, step: u32, now_ms: i64) -> Self {
+        let costs = Costs { config: config.clone(), pixels };
+        let steps = f64::from((config.iterations / 20).clamp(40, 200));
+        Self {
+            left: costs.from(step),
+            costs,
+            step,
+            seen_ms: now_ms,
+            recent_ms: 0.0,
+            recent_cost: 0.0,
+            memory: 1.0 - 1.0 / steps,
+        }
+    }
+
+    /// Notes that `step` steps are done.
+    pub(super) fn note(&mut self, step: u32, now_ms: i64) {
+        // After a roll-back there are more steps left than before.
+        let cost = if step > self.step {
+            let done: f64 = (self.step..step).map(|step| self.costs.of(step)).sum();
+            self.left -= done;
+            done
+        } else {
+            self.left = self.costs.from(step);
+            self.costs.of(self.step)
+        };
+        self.step = step;
+        self.recent_ms = self.recent_ms * self.memory + (now_ms - self.seen_ms).max(0) as f64;
+        self.recent_cost = self.recent_cost * self.memory + cost;
+        self.seen_ms = now_ms;
+    }
+
+    /// Seconds to the end of the training; `None` before the first step.
+    pub(super) fn seconds(&self) -> Option<f64> {
+        let pace = self.recent_ms / self.recent_cost;
+        pace.is_finite().then(|| (pace * self.left / 1e3).max(0.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::{Preset, TrainOverrides};
+
+    /// Milliseconds of every step of a training on a machine that is none of ours: pixels cost less beside Gaussians, shading
+    /// and measuring more, each step a little more or less than that, and the machine is busy for a while.
+    fn history(config: &TrainConfig, pixels: f64) -> Vec<f64> {
+        let warm_up = config.warm_up_steps();
+        let step = |i: u32| {
+            let share = f64::from(i) / f64::from(config.iterations);
+            let pixels = if share < f64::from(config.half_resolution) { pixels / 4.0 } else { pixels };
+            let grown = (share / f64::from(config.densify_until)).min(1.0);
+            let (low, high) = (f64::from(config.initial_gaussians), f64::from(config.max_gaussians));
+            // Density control does not reach its budget.
+            let gaussians = low + 0.9 * (high - low) * grown.sqrt();
+            let shading = if i < warm_up { 1.0 } else { 2.5 };
+            let is_round = i >= warm_up && i.is_multiple_of((config.iterations / 15).min(100));
+            let lights = if config.is_albedo_round(i) { 100.0 } else { 0.0 };
+            let probes = gaussians * (lights + if is_round { 30.0 } else { 0.0 });
+            let uneven = 1.0 + 0.3 * f64::from(i * 7919 % 11) / 10.0;
+            let busy = if (0.5..0.6).contains(&share) { 1.4 } else { 1.0 };
+            (5.0 + 0.002 * (shading * (0.3 * pixels + gaussians) + probes)) * uneven * busy
+        };
+        (0..config.iterations).map(step).collect()
+    }
+
+    /// The estimate after `done` steps and that of the mean pace, each over the truth.
+    fn over_the_truth(config: &TrainConfig, pixels: f64, done: u32) -> (f64, f64) {
+        let history = history(config, pixels);
+        let (mut now, mut eta) = (1e6, Eta::new(config, pixels, 0, 1_000_000));
+        for (i, ms) in (1..=done).zip(&history) {
+            now += ms;
+            eta.note(i, now as i64);
+        }
+        let truth: f64 = history[done as usize..].iter().sum::<f64>() / 1e3;
+        let naive = (now - 1e6) / 1e3 / f64::from(done) * f64::from(config.iterations - done);
+        (eta.seconds().unwrap() / truth, naive / truth)
+    }
+
+    #[test]
+    fn after_a_twentieth_of_the_steps_the_end_is_known_within_a_factor_of_two() {
+        let short = TrainOverrides { iterations: Some(400), ..TrainOverrides::default() };
+        for (config, pixels) in [
+            (TrainConfig::preset(Preset::Draft), 160.0 * 120.0),
+            (TrainConfig::preset(Preset::Standard), 400.0 * 400.0),
+            (TrainConfig::preset(Preset::High), 800.0 * 600.0),
+            (TrainConfig::new(Preset::Draft, &short).unwrap(), 100.0 * 100.0),
+        ] {
+            for percent in [5, 10, 14, 16, 20, 26, 30, 40, 50, 55, 60, 70, 80, 90, 98] {
+                let (ours, _) = over_the_truth(&config, pixels, config.iterations * percent / 100);
+                assert!((0.5..2.0).contains(&ours), "{:?} at {percent} %: {ours}", config.preset);
+            }
+            let (ours, naive) = over_the_truth(&config, pixels, config.iterations / 20);
+            assert!(naive < 0.4, "the control: the mean pace says {naive} of the truth, not {ours}");
+        }
+    }
+
+    #[test]
+    fn a_roll_back_adds_to_what_is_left_and_a_resumption_counts_its_own_steps() {
+        let config = TrainConfig::preset(Preset::Draft);
+        let mut eta = Eta::new(&config, 1e4, 1000, 0);
+        assert_eq!(eta.seconds(), None, "nothing was seen yet");
+        for step in 1001..=1100 {
+            eta.note(step, i64::from(step - 1000) * 10);
+        }
+        let before = eta.seconds().unwrap();
+        assert!((2.0..8.0).contains(&before), "400 steps of 10 ms are left: {before}");
+        eta.note(1050, 1010);
+        let after = eta.seconds().unwrap();
+        assert!(after > before * 1.05, "450 are: {after}");
+        for step in 1051..=1500 {
+            eta.note(step, 1010 + i64::from(step - 1050) * 10);
+        }
+        assert!(eta.seconds().unwrap() < 1e-6, "none is");
+    }
+}

@@ -1,0 +1,66 @@
+//! What the headers of answers and the times of events tell.
+
+use relume::formats::environment;
+use relume::scene::EnvMap;
+use relume::testing;
+use reqwest::{Method, RequestBuilder, StatusCode, header};
+use serde_json::Value;
+
+use crate::service_support::{capture_zip, small_job, trained};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn head_on_a_thumbnail_tells_its_tag_and_renders_nothing() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let id = trained(client).await.model.unwrap();
+    let ask = async |method, query: &str| {
+        let path = format!("/v1/models/{id}/thumbnail?{query}");
+        let answer = client.request(method, &path).unwrap().send().await.unwrap();
+        assert_eq!(answer.status(), StatusCode::OK);
+        answer.headers().clone()
+    };
+    let head = ask(Method::HEAD, "size=16&format=jpeg").await;
+    let get = ask(Method::GET, "size=16&format=jpeg").await;
+    for name in [header::ETAG, header::CONTENT_TYPE, header::CACHE_CONTROL] {
+        assert_eq!(head[&name], get[&name]);
+    }
+    // What was rendered says how long that took.
+    assert!(!head.contains_key("server-timing") && get.contains_key("server-timing"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_made_says_where_it_is_and_events_say_when() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let location = async |request: RequestBuilder| {
+        let answer = request.send().await.unwrap();
+        let status = answer.status();
+        let path = answer.headers().get(header::LOCATION).map(|path| path.to_str().unwrap().to_owned());
+        let made: Value = answer.json().await.unwrap();
+        let path = path.unwrap_or_else(|| panic!("{status} without a location: {made}"));
+        let found: Value =
+            client.request(Method::GET, &path).unwrap().send().await.unwrap().json().await.unwrap();
+        assert_eq!(found["id"], made["id"], "{path}");
+        status
+    };
+    let map = EnvMap::constant(2, 1, [1.0; 3]);
+    let map = environment::encode_exr(&map).unwrap();
+    let upload = client.request(Method::POST, "/v1/environments").unwrap();
+    let upload = upload.header(header::CONTENT_TYPE, "image/x-exr").body(map);
+    assert_eq!(location(upload).await, StatusCode::CREATED);
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = small_job(&capture.id, 100_000, 1000);
+    let post = || {
+        let request = client.request(Method::POST, "/v1/jobs").unwrap();
+        request.header("idempotency-key", "once").json(&job)
+    };
+    assert_eq!([location(post()).await, location(post()).await], [StatusCode::ACCEPTED; 2]);
+    let id = client.jobs().await.unwrap().items[0].id.clone();
+    client.cancel_job(&id).await.unwrap();
+    let mut times = Vec::new();
+    let job =
+        client.wait(&id, |event| times.push(event.data["at"].as_str().unwrap().to_owned())).await.unwrap();
+    assert_eq!((times.first(), times.last()), (Some(&job.created_at), job.finished_at.as_ref()));
+    let retry = client.request(Method::POST, &format!("/v1/jobs/{id}/retry")).unwrap();
+    assert_eq!(location(retry).await, StatusCode::ACCEPTED);
+}
