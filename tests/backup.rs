@@ -6,6 +6,8 @@ use std::process::{Command, Output};
 use relume::api::jobs::JobState;
 use relume::client::Client;
 use relume::testing;
+use serde_json::Value;
+use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
 use crate::server_process::Server;
@@ -184,4 +186,50 @@ async fn what_cannot_be_backed_up_is_named_and_nothing_is_left_of_the_backup() {
         &format!("{} does not exist", model.trim_start_matches("artifacts/")),
     );
     assert!(std::fs::read_dir(&other).unwrap().next().is_none());
+}
+
+/// Changes the database of a backup, and its manifest so that it fits.
+async fn tamper(backup: &Path, change: &str) {
+    let database = backup.join("backup.db");
+    let pool = sqlx::SqlitePool::connect(&format!("sqlite:{}", database.display())).await.unwrap();
+    sqlx::raw_sql(sqlx::AssertSqlSafe(change)).execute(&pool).await.unwrap();
+    sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&pool).await.unwrap();
+    pool.close().await;
+    let bytes = std::fs::read(&database).unwrap();
+    let manifest = backup.join("backup.json");
+    let mut text: Value = serde_json::from_slice(&std::fs::read(&manifest).unwrap()).unwrap();
+    text["database"]["sha256"] =
+        Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect::<String>().into();
+    text["database"]["bytes"] = bytes.len().into();
+    std::fs::write(manifest, text.to_string()).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_backup_that_names_files_elsewhere_is_refused() {
+    let (_data, out) = backed_up().await;
+    let folder = TempDir::new().unwrap();
+    let victim = folder.path().join("victim");
+    std::fs::write(&victim, "mine").unwrap();
+    let names = [
+        format!("UPDATE captures SET artifact = '{}', deleted_ms = 1", victim.display()),
+        "UPDATE jobs SET id = '../../victim', retry_of = NULL".to_owned(),
+        "UPDATE _sqlx_migrations SET version = version + 1 WHERE version = (SELECT MAX(version) FROM _sqlx_migrations)"
+            .to_owned(),
+    ];
+    for (i, change) in names.iter().enumerate() {
+        let copy = folder.path().join(format!("backup-{i}"));
+        for (name, _) in files_under(out.path()) {
+            let to = copy.join(&name);
+            std::fs::create_dir_all(to.parent().unwrap()).unwrap();
+            std::fs::copy(out.path().join(name), to).unwrap();
+        }
+        let elsewhere = folder.path().join(format!("data-{i}"));
+        tamper(&copy, "PRAGMA user_version = 0").await;
+        succeeds(&restore(&copy, &elsewhere));
+        std::fs::remove_dir_all(&elsewhere).unwrap();
+        tamper(&copy, &format!("PRAGMA foreign_keys = OFF; {change}")).await;
+        fails_with(&restore(&copy, &elsewhere), "is damaged");
+        assert!(!elsewhere.exists(), "on an empty folder a server would start anew, without keys");
+    }
+    assert_eq!(std::fs::read_to_string(victim).unwrap(), "mine");
 }

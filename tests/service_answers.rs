@@ -63,4 +63,14 @@ async fn what_is_made_says_where_it_is_and_events_say_when() {
     assert_eq!((times.first(), times.last()), (Some(&job.created_at), job.finished_at.as_ref()));
     let retry = client.request(Method::POST, &format!("/v1/jobs/{id}/retry")).unwrap();
     assert_eq!(location(retry).await, StatusCode::ACCEPTED);
+    // A repetition is answered as the first time, whatever has become of the capture since.
+    let delete = format!("/v1/captures/{}?cascade=true", capture.id);
+    let gone = client.request(Method::DELETE, &delete).unwrap().send().await.unwrap();
+    assert_eq!(gone.status(), StatusCode::NO_CONTENT);
+    let again = post().send().await.unwrap();
+    assert_eq!(
+        (again.status(), &again.headers()["idempotent-replayed"]),
+        (StatusCode::ACCEPTED, &"true".parse().unwrap())
+    );
+    assert_eq!(again.json::<Value>().await.unwrap()["id"], id.as_str());
 }

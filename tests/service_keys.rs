@@ -145,7 +145,17 @@ async fn administrators_of_a_tenant_manage_its_keys_and_the_operator_those_of_al
 async fn the_first_key_closes_an_open_server_for_good() {
     let server = testing::spawn().await.unwrap();
     assert_eq!(get(&server, "", "/v1/jobs").await.0, 200);
-    let (id, secret) = made(&server, "", json!({ "name": "a", "scopes": ["read", "admin"] })).await;
+    let body = json!({ "name": "a", "scopes": ["read", "admin"] });
+    let (status, refused) = ask(&server, "", Method::POST, "/v1/keys", Some(&body)).await;
+    assert_eq!(
+        (status, &refused["type"]),
+        (403, &json!("urn:relume:problem:forbidden")),
+        "any caller could lock out all"
+    );
+    assert_eq!(get(&server, "", "/v1/jobs").await.0, 200, "it is open still");
+    let create = ["keys", "create", "--name", "a", "--scopes", "read,admin"];
+    let secret = said(&relume(&create, server.data_dir()));
+    let id = secret[4..20].to_owned();
     assert_eq!(get(&server, "", "/v1/jobs").await.0, 401);
     assert_eq!(get(&server, &secret, "/v1/jobs").await.0, 200);
     assert_eq!(ask(&server, &secret, Method::POST, &format!("/v1/keys/{id}/revoke"), None).await.0, 200);
@@ -171,6 +181,9 @@ async fn the_use_of_a_key_is_written_down_once_a_minute() {
         panic!("never used at {time}");
     };
     assert_eq!(get(&server, OPERATOR, &path).await.1["last_used_at"], json!(null));
+    // Whoever knows the identifier alone has not used the key: written down, this would hide the use a second later.
+    let forged = format!("/v1/models/x/thumbnail?key={id}&expires=9999999999&signature=00");
+    assert_eq!(get(&server, "", &forged).await.0, 403);
     clock.advance(Duration::from_secs(1));
     get(&server, &secret, "/v1/jobs").await;
     until_used_at("1970-01-01T00:00:01Z").await;

@@ -84,6 +84,27 @@ async fn a_signed_url_is_good_without_a_key_until_it_expires() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_stream_of_events_ends_with_its_signed_url() {
+    let clock = Arc::new(ManualClock::default());
+    let server = start(TempDir::new().unwrap(), &[OPERATOR], &clock).await;
+    let client = bearer(&server, OPERATOR);
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = client.create_job(&small_job(&capture.id, 1_000_000, 1_000_000), None).await.unwrap();
+    let path = format!("/v1/jobs/{}/events", job.id);
+    let (status, signed) = post(&client, "/v1/signed-urls", json!({ "path": path, "expires_in": 2 })).await;
+    assert_eq!(status, 200, "{signed}");
+    let url = signed["url"].as_str().unwrap();
+    let mut stream = server.client().request(Method::GET, url).unwrap().send().await.unwrap();
+    assert!(stream.chunk().await.unwrap().is_some(), "the control: it is heard");
+    clock.advance(Duration::from_secs(2));
+    let ends = async { while stream.chunk().await.unwrap().is_some() {} };
+    tokio::time::timeout(Duration::from_secs(60), ends).await.expect("the stream goes on");
+    let running = client.job(&job.id).await.unwrap().state;
+    assert!(!running.is_terminal(), "the job goes on: {running:?}");
+    client.cancel_job(&job.id).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_signed_url_is_good_for_nothing_else() {
     let (server, _, client, job) = with_model().await;
     let model = job.model.unwrap();

@@ -101,7 +101,7 @@ fn exposures(card: &Value) -> Option<String> {
     let spread = card.pointer("/exposures/spread")?;
     let percent = |key: &str| 100.0 * spread.get(key).and_then(Value::as_f64).unwrap_or_default();
     Some(format!(
-        "photographs differed by {:.0} % in exposure, {:.0} % in red and {:.0} % in blue over green, and were brought to their mean",
+        "exposures of the photographs scattered by {:.0} % (standard deviation), red over green by {:.0} %, blue over green by {:.0} %; they were brought to their mean",
         percent("green"),
         percent("red_over_green"),
         percent("blue_over_green")

@@ -89,10 +89,11 @@ async fn create(args: CreateArgs) -> CommandResult {
     let now_ms = SystemClock.now_ms();
     let expires_ms = expires_in.map(|seconds| now_ms.saturating_add_unsigned(seconds * 1000));
     let record = NewKeyRecord { name: key.name, tenant, scopes: key.scopes, expires_ms };
-    let store = open(&args.place.data_dir).await?;
+    let data_dir = std::path::absolute(&args.place.data_dir)?;
+    let store = open(&data_dir).await.map_err(|error| format!("{}: {error}", data_dir.display()))?;
     let (made, secret) = store.create_key(&record, now_ms).await?;
     store.close().await;
-    eprintln!("key {} of tenant {}, shown this once:", made.id, made.tenant);
+    eprintln!("key {} of tenant {} in {}, shown this once:", made.id, made.tenant, data_dir.display());
     println!("{secret}");
     Ok(())
 }
@@ -144,8 +145,11 @@ async fn revoke(store: &Store, id: &KeyId) -> CommandResult {
 
 /// The store of a data directory that is there.
 async fn existing(data_dir: &Path) -> CommandResult<Store> {
-    if !data_dir.join("relume.db").exists() {
-        return Err(format!("{}: no database", data_dir.display()).into());
+    let database = data_dir.join("relume.db");
+    match database.try_exists() {
+        Ok(true) => {}
+        Ok(false) => return Err(format!("{}: no database", data_dir.display()).into()),
+        Err(error) => return Err(format!("{}: {error}", database.display()).into()),
     }
     open(data_dir).await
 }

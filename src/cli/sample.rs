@@ -19,6 +19,9 @@ pub(super) struct SampleArgs {
 
 /// Draws the scene of the demo with fewer and smaller photographs, some of them held out.
 pub(super) fn run(args: &SampleArgs) -> CommandResult {
+    if args.out.exists() {
+        return Err(format!("{}: there is such a file already", args.out.display()).into());
+    }
     let options = SyntheticOptions {
         train_views: 20,
         test_views: 4,

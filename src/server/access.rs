@@ -143,7 +143,10 @@ impl Gate {
         caller.needs(Read)?;
         let query = signed.query.map_or_else(String::new, |query| format!("?{query}"));
         *request.uri_mut() = format!("{}{query}", uri.path()).parse().map_err(Problem::internal)?;
-        Ok(Caller { scopes: vec![Read], ..caller })
+        self.keys.note_signed(&caller);
+        let until = signed.expires.saturating_mul(1000);
+        let expires_ms = Some(caller.expires_ms.map_or(until, |key| key.min(until)));
+        Ok(Caller { scopes: vec![Read], expires_ms, ..caller })
     }
 }
 

@@ -22,7 +22,7 @@ pub(super) struct Caller {
     pub(super) key: KeyId,
     /// Hash of that key; empty where there is none.
     pub(super) key_hash: String,
-    /// When that key expires.
+    /// When that key, or the URL that it signed, expires.
     pub(super) expires_ms: Option<i64>,
     /// False on a server without keys.
     pub(super) has_key: bool,

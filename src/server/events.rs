@@ -44,7 +44,7 @@ struct EventQuery {
 /// Stream a job's events
 ///
 /// Every event since `Last-Event-ID` (or since the beginning), then new ones as they happen, until the job is in a
-/// terminal state or the caller's key ends. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object, in which
+/// terminal state, or the caller's key or signed URL ends. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object, in which
 /// `at` says when, RFC 3339. Numbers only grow, also across restarts of the server. The last `state` of a job that made a model
 /// has its `figures`, too.
 #[utoipa::path(
@@ -75,6 +75,7 @@ async fn job_events(
         app,
         tenant: caller.tenant,
         key: caller.key,
+        expires_ms: caller.expires_ms,
         id,
         after,
         changes,
@@ -99,6 +100,8 @@ struct Listener {
     app: Shared,
     tenant: TenantId,
     key: KeyId,
+    /// When the key or the signed URL expires.
+    expires_ms: Option<i64>,
     id: JobId,
     after: i64,
     changes: watch::Receiver<()>,
@@ -127,7 +130,8 @@ impl Listener {
     /// Fetches what is new, or waits for it; `false` when nothing can follow, or the listener may not hear it any more.
     async fn fetch(&mut self) -> Result<bool, StoreError> {
         self.changes.mark_unchanged();
-        if self.app.keys.bearer_of(self.key.as_str()).await?.is_none() {
+        let is_over = self.expires_ms.is_some_and(|end| self.app.keys.now_ms() >= end);
+        if is_over || self.app.keys.bearer_of(self.key.as_str()).await?.is_none() {
             return Ok(false);
         }
         // The state first: a job that is terminal now has written its last event already.

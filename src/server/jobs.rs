@@ -69,6 +69,13 @@ async fn create_job(
     headers: HeaderMap,
     JsonBody(job): JsonBody<NewJob>,
 ) -> Result<Response, Problem> {
+    // A repetition is answered as the first time, whatever has changed since.
+    let key = idempotency_key(&headers, &job)?;
+    if let Some(key) = &key
+        && let Some(answer) = app.store.replayed(&caller.tenant, key, app.jobs.now_ms()).await?
+    {
+        return accepted(answer, true);
+    }
     let config = TrainConfig::new(job.preset, &job.overrides).map_err(|e| override_refused(&e))?;
     check_priority(job.priority)?;
     if job.device == JobDevice::Gpu && !app.device.has_gpu() {
@@ -81,7 +88,6 @@ async fn create_job(
     if let Some(light) = &config.light {
         check_light(&app, &caller.tenant, light).await?;
     }
-    let key = idempotency_key(&headers, &job)?;
     submit(&app, &caller.tenant, job, i64::from(config.iterations), None, key.as_ref()).await
 }
 
@@ -216,6 +222,11 @@ async fn submit(
         Submitted::Created(text) => (text, false),
         Submitted::Replayed(text) => (text, true),
     };
+    accepted(text, replayed)
+}
+
+/// The answer `text` to a job that was queued, now or by an earlier request with the same key.
+fn accepted(text: String, replayed: bool) -> Result<Response, Problem> {
     let json = HeaderValue::from_static("application/json");
     let location = location(&text)?;
     let headers = [(header::CONTENT_TYPE, json), (header::LOCATION, location)];

@@ -55,7 +55,7 @@ impl Keyring {
             let now_ms = self.clock.now_ms();
             let same: bool = record.secret_sha256.as_bytes().ct_eq(token.sha256.as_bytes()).into();
             return Ok((same && record.is_valid(now_ms)).then(|| {
-                self.note_use(&record, now_ms);
+                self.note_use(&record.id, record.last_used_ms, now_ms);
                 stored(record)
             }));
         }
@@ -72,10 +72,14 @@ impl Keyring {
             return Ok(self.is_open().await?.then(Caller::without_key));
         }
         let (found, now_ms) = (self.store.key_of_caller(&id.into()).await?, self.clock.now_ms());
-        Ok(found.filter(|record| record.is_valid(now_ms)).map(|record| {
-            self.note_use(&record, now_ms);
-            stored(record)
-        }))
+        Ok(found.filter(|record| record.is_valid(now_ms)).map(stored))
+    }
+
+    /// Writes down that a URL is used that a key has signed.
+    pub(super) fn note_signed(&self, caller: &Caller) {
+        if caller.has_key && !caller.key.as_str().starts_with(CONFIGURED) {
+            self.note_use(&caller.key, None, self.clock.now_ms());
+        }
     }
 
     pub(super) fn now_ms(&self) -> i64 {
@@ -95,14 +99,14 @@ impl Keyring {
     }
 
     /// Writes down that a key is used, at most once a minute and without keeping its caller waiting.
-    fn note_use(&self, record: &KeyRecord, now_ms: i64) {
+    fn note_use(&self, id: &KeyId, last_used_ms: Option<i64>, now_ms: i64) {
         let mut noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner);
-        let last = noted.get(&record.id).copied().max(record.last_used_ms);
+        let last = noted.get(id).copied().max(last_used_ms);
         if last.is_some_and(|last| now_ms - last < NOTE_EVERY_MS) {
             return;
         }
-        noted.insert(record.id.clone(), now_ms);
-        let (store, id) = (self.store.clone(), record.id.clone());
+        noted.insert(id.clone(), now_ms);
+        let (store, id) = (self.store.clone(), id.clone());
         tokio::spawn(async move {
             if let Err(error) = store.note_key_use(&id, now_ms).await {
                 tracing::warn!(%error, key = %id, "the use of a key cannot be written down");

@@ -25,7 +25,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 
 /// Make an API key
 ///
-/// The answer has the key itself, which is shown this once. Administrators of the tenant `default` make keys for any
+/// The answer has the key itself, which is shown this once. The first key of a server is made by `relume keys create`. Administrators of the tenant `default` make keys for any
 /// tenant, others for their own.
 #[utoipa::path(
     post, path = "/v1/keys", tag = "keys", request_body = NewKey,
@@ -40,6 +40,13 @@ async fn create_key(
 ) -> Result<Response, Problem> {
     if let Some((field, why)) = key.fault() {
         return Err(Problem::invalid_field(format!("/{field}"), why));
+    }
+    if !caller.has_key {
+        // The first key locks out everybody else, for good.
+        let detail =
+            "the first key of a server is made by whoever may write its data directory: `relume keys create`";
+        return Err(Problem::new(StatusCode::FORBIDDEN, "forbidden", "The first key is not made by HTTP")
+            .detail(detail));
     }
     if key.tenant.as_ref().is_some_and(|tenant| *tenant != caller.tenant) {
         caller.needs_operator()?;

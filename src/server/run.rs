@@ -27,7 +27,7 @@ use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::stack::StackConfig;
 use crate::store::{NodeLock, Quota, Retention, Store, StoreError, has_keys};
-use crate::worker::{self, StartError, WorkerOptions};
+use crate::worker::{self, DeviceHandle, StartError, WorkerOptions};
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
 const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(10);
@@ -121,54 +121,22 @@ pub async fn run(
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), ServeError> {
     let address = listener.local_addr()?;
-    let is_open = config.api_keys.is_empty() && !has_keys(&config.data_dir).await?;
-    if !may_listen(address, !is_open) {
-        return Err(ServeError::Exposed(address));
-    }
-    if is_open && config.cors_origins.contains(&CorsOrigin::Any) {
-        return Err(ServeError::OpenToPages);
-    }
+    let is_open = check_openness(&config, address).await?;
     observe::metrics_handle();
     let _lock = NodeLock::acquire(&config.data_dir)?;
-    let store = Store::open(&config.data_dir).await?.with_quota(config.quota);
-    if let Some(bytes) = config.limits.disk_bytes {
-        store.limit_disk(bytes);
-    }
-    let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
-    recover(&store, &jobs).await?;
-
+    let jobs = open(&config).await?;
     let stop = CancellationToken::new();
-    let (device, thread) = worker::start(jobs.clone(), config.worker, stop.clone()).map_err(|e| match e {
+    let started = worker::start(jobs.clone(), config.worker.clone(), stop.clone());
+    let (device, thread) = started.map_err(|e| match e {
         StartError::Device(error) => ServeError::Device(error),
         StartError::Thread(error) => ServeError::Io(error),
     })?;
     let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
-    let signing = SigningSecret::of(&config.data_dir);
     let tidy = Arc::new(Notify::new());
-    let keeper = tokio::spawn(keeper::keep(jobs.clone(), config.retention, tidy.clone(), stop.clone()));
-    let keys = Arc::new(Keyring::new(config.api_keys, store.clone(), config.clock));
-    let app = App {
-        store: store.clone(),
-        jobs,
-        device,
-        limits: config.limits,
-        memory: MemoryBudget::new(config.limits.memory_bytes),
-        decoders: Decoders::start(config.limits.memory_bytes)?,
-        keys: keys.clone(),
-        signing: signing.clone(),
-        tidy,
-        stop: stop.clone(),
-        description: openapi(),
-    };
-    let gate = Arc::new(Gate { keys, signing, rates: Rates::new(config.requests_per_minute) });
-    let stack = StackConfig {
-        gate,
-        is_open,
-        origins: config.cors_origins,
-        hosts: config.allowed_hosts.into(),
-        body_stall: config.connections.body,
-    };
-    let service = router(Arc::new(app), stack);
+    let keeper =
+        tokio::spawn(keeper::keep(jobs.clone(), config.retention.clone(), tidy.clone(), stop.clone()));
+    let store = jobs.store().clone();
+    let service = service(&config, is_open, jobs, device, tidy, stop.clone())?;
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
     serve(listener, service, config.connections, shutdown, stop.clone()).await;
 
@@ -184,6 +152,68 @@ pub async fn run(
     store.close().await;
     tracing::info!("stopped");
     Ok(())
+}
+
+/// Whether everyone is accepted.
+///
+/// # Errors
+/// When the network or web pages could use such a server.
+async fn check_openness(config: &ServerConfig, address: SocketAddr) -> Result<bool, ServeError> {
+    let is_open = config.api_keys.is_empty() && !has_keys(&config.data_dir).await?;
+    if !may_listen(address, !is_open) {
+        return Err(ServeError::Exposed(address));
+    }
+    if is_open && config.cors_origins.contains(&CorsOrigin::Any) {
+        return Err(ServeError::OpenToPages);
+    }
+    Ok(is_open)
+}
+
+/// Opens what is stored and takes back what a server that died left.
+async fn open(config: &ServerConfig) -> Result<Jobs, ServeError> {
+    let store = Store::open(&config.data_dir).await?.with_quota(config.quota);
+    if let Some(bytes) = config.limits.disk_bytes {
+        store.limit_disk(bytes);
+    }
+    let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
+    recover(&store, &jobs).await?;
+    Ok(jobs)
+}
+
+/// All routes behind all that stands before them.
+fn service(
+    config: &ServerConfig,
+    is_open: bool,
+    jobs: Jobs,
+    device: DeviceHandle,
+    tidy: Arc<Notify>,
+    stop: CancellationToken,
+) -> Result<axum::Router, ServeError> {
+    let store = jobs.store().clone();
+    let signing = SigningSecret::of(&config.data_dir);
+    let keys = Arc::new(Keyring::new(config.api_keys.clone(), store.clone(), config.clock.clone()));
+    let rates = Rates::new(config.requests_per_minute);
+    let app = App {
+        store,
+        jobs,
+        device,
+        limits: config.limits,
+        memory: MemoryBudget::new(config.limits.memory_bytes),
+        decoders: Decoders::start(config.limits.memory_bytes)?,
+        keys: keys.clone(),
+        signing: signing.clone(),
+        tidy,
+        stop,
+        description: openapi(),
+    };
+    let stack = StackConfig {
+        gate: Arc::new(Gate { keys, signing, rates }),
+        is_open,
+        origins: config.cors_origins.clone(),
+        hosts: config.allowed_hosts.clone().into(),
+        body_stall: config.connections.body,
+    };
+    Ok(router(Arc::new(app), stack))
 }
 
 /// Takes back what a server that died left. The caller holds the node lock, so no other process works here.

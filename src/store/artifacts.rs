@@ -3,7 +3,7 @@
 //! Nothing is written in place. Bytes are written under `incoming/`, which only the running server uses, and are moved
 //! to their key when they are complete. Files that the server did not write are not touched.
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use futures::stream::BoxStream;
@@ -162,7 +162,13 @@ impl Artifacts {
     }
 
     /// Removes an artifact for good; that it is missing already is no error.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] for what is no key: such a name may come with a database from elsewhere, and leads out of the store.
     pub(super) async fn discard(&self, key: &str) -> Result<(), StoreError> {
+        if !is_key(key) {
+            return Err(StoreError::Damaged(key.to_owned()));
+        }
         self.verification.forget(key);
         // Not through the object store: it has no name for a file that it had not written to the end.
         match tokio::fs::remove_file(self.local_path(key)).await {
@@ -180,6 +186,11 @@ impl Artifacts {
     pub fn local_path(&self, key: &str) -> PathBuf {
         self.root.join(key)
     }
+}
+
+/// Whether `key` stays within the folder of artifacts.
+pub(super) fn is_key(key: &str) -> bool {
+    !key.is_empty() && Path::new(key).components().all(|part| matches!(part, Component::Normal(_)))
 }
 
 /// Copies `body` into `upload`, hashing and counting.

@@ -3,6 +3,7 @@
 
 use std::collections::HashSet;
 
+use crate::store::artifacts::is_key;
 use crate::store::references::of_job;
 use crate::store::sweep::prune;
 use crate::store::{Store, StoreError};
@@ -96,6 +97,9 @@ impl Store {
                          AND state IN ('succeeded', 'rejected', 'failed', 'cancelled')";
         let jobs: Vec<String> = sqlx::query_scalar(query).fetch_all(self.pool()).await?;
         for job in &jobs {
+            if !is_key(job) {
+                return Err(StoreError::Damaged(format!("attempts/{job}")));
+            }
             let query =
                 "SELECT artifact FROM model_files JOIN models ON models.id = model_id WHERE job_id = ?1";
             let kept: Vec<String> = sqlx::query_scalar(query).bind(job).fetch_all(self.pool()).await?;
@@ -159,10 +163,14 @@ impl Store {
 
     /// Removes files that attempts of a job wrote, and the folders that are empty then.
     async fn remove_of_job(&self, job: &str, files: Vec<String>) -> Result<(), StoreError> {
+        let folder = format!("attempts/{job}");
+        if !is_key(&folder) {
+            return Err(StoreError::Damaged(folder));
+        }
         for file in files {
             self.artifacts.discard(&file).await?;
         }
-        let folder = self.artifacts.local_path(&format!("attempts/{job}"));
+        let folder = self.artifacts.local_path(&folder);
         Ok(tokio::task::spawn_blocking(move || prune(&folder)).await.map_err(std::io::Error::other)??)
     }
 }

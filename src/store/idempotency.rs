@@ -4,7 +4,7 @@
 use sqlx::{Sqlite, Transaction};
 
 use crate::api::TenantId;
-use crate::store::StoreError;
+use crate::store::{Store, StoreError};
 
 /// How long a key is remembered.
 const KEEP_MS: i64 = 24 * 3600 * 1000;
@@ -39,6 +39,32 @@ pub(super) async fn replay(
         Some((fingerprint, _)) if fingerprint != key.fingerprint => Err(StoreError::KeyReused),
         Some((_, response)) => Ok(Some(response)),
         None => Ok(None),
+    }
+}
+
+impl Store {
+    /// The answer that `key` of a tenant was given before.
+    ///
+    /// # Errors
+    /// [`StoreError::KeyReused`] when it came with another request.
+    pub async fn replayed(
+        &self,
+        tenant: &TenantId,
+        key: &IdempotencyKey,
+        now_ms: i64,
+    ) -> Result<Option<String>, StoreError> {
+        let query = "SELECT fingerprint, response FROM idempotency
+                         WHERE key = ?1 AND tenant = ?2 AND created_ms >= ?3";
+        let known: Option<(String, String)> = sqlx::query_as(query)
+            .bind(&key.key)
+            .bind(tenant)
+            .bind(now_ms - KEEP_MS)
+            .fetch_optional(self.pool())
+            .await?;
+        match known {
+            Some((fingerprint, _)) if fingerprint != key.fingerprint => Err(StoreError::KeyReused),
+            known => Ok(known.map(|(_, response)| response)),
+        }
     }
 }
 

@@ -30,6 +30,15 @@ pub(super) async fn references(pool: &SqlitePool) -> Result<Vec<Reference>, Stor
     Ok(query.fetch_all(pool).await?)
 }
 
+/// Every name in the database that becomes a path, of what was deleted too.
+pub(super) async fn names(pool: &SqlitePool) -> Result<Vec<String>, StoreError> {
+    let query = sqlx::query_scalar(
+        "SELECT artifact FROM captures UNION SELECT artifact FROM environments UNION SELECT artifact FROM model_files
+         UNION SELECT checkpoint FROM jobs WHERE checkpoint IS NOT NULL UNION SELECT 'attempts/' || id FROM jobs",
+    );
+    Ok(query.fetch_all(pool).await?)
+}
+
 /// The keys of all files under `artifacts` that have a name which only this program gives. Blocks.
 pub(super) fn stored(artifacts: &Path) -> std::io::Result<Vec<String>> {
     let mut keys = Vec::new();

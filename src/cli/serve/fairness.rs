@@ -1,5 +1,6 @@
 //! Options about how much one key or tenant may take.
 
+use crate::cli::serve::storage::size;
 use crate::server::ServerConfig;
 use crate::store::Quota;
 
@@ -12,8 +13,8 @@ pub(super) struct FairnessArgs {
     /// Jobs of a tenant that wait or run; one more gets 429. Not bounded where absent.
     #[arg(long, env = "RELUME_MAX_JOBS_PER_TENANT", value_parser = clap::value_parser!(u32).range(1..))]
     max_jobs_per_tenant: Option<u32>,
-    /// Bytes of a tenant's captures, environments and models; more uploads and jobs get 507. Not bounded where absent.
-    #[arg(long, env = "RELUME_MAX_BYTES_PER_TENANT", value_parser = clap::value_parser!(u64).range(1..))]
+    /// Most that a tenant's captures, environments and models take: bytes, or a number with MiB, GiB or TiB; more uploads and jobs get 507. Not bounded where absent.
+    #[arg(long, env = "RELUME_MAX_BYTES_PER_TENANT", value_name = "SIZE", value_parser = size)]
     max_bytes_per_tenant: Option<u64>,
 }
 

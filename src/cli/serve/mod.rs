@@ -32,11 +32,11 @@ pub(super) struct ServeArgs {
     /// Names beside localhost by which a server without an API key may be called, e.g. by a proxy on this machine.
     #[arg(long = "allow-host", env = "RELUME_ALLOWED_HOSTS", value_delimiter = ',')]
     allowed_hosts: Vec<String>,
-    /// Most bytes of a capture archive.
-    #[arg(long, env = "RELUME_MAX_CAPTURE_BYTES", default_value_t = 16 << 30)]
+    /// Largest capture archive: bytes, or a number with MiB, GiB or TiB.
+    #[arg(long, env = "RELUME_MAX_CAPTURE_BYTES", value_name = "SIZE", value_parser = storage::size, default_value = "16GiB")]
     max_capture_bytes: u64,
-    /// Most bytes of an environment file.
-    #[arg(long, env = "RELUME_MAX_ENVIRONMENT_BYTES", default_value_t = 256 << 20)]
+    /// Largest environment file: bytes, or a number with MiB, GiB or TiB.
+    #[arg(long, env = "RELUME_MAX_ENVIRONMENT_BYTES", value_name = "SIZE", value_parser = storage::size, default_value = "256MiB")]
     max_environment_bytes: u64,
     /// Where to train and render: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
     #[arg(long, env = "RELUME_DEVICE", default_value_t)]

@@ -37,7 +37,7 @@ fn days(text: &str) -> Result<Duration, String> {
 }
 
 /// Bytes, or a number of a unit.
-fn size(text: &str) -> Result<u64, String> {
+pub(super) fn size(text: &str) -> Result<u64, String> {
     let text = text.trim();
     let units = [("KiB", 10), ("MiB", 20), ("GiB", 30), ("TiB", 40), ("", 0)];
     let read = units.iter().find_map(|(unit, shift)| {

@@ -1,11 +1,12 @@
 //! What a backup consists of. The manifest is written last: a folder without one is no backup, or half of one.
 
 use std::io::Write;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use crate::store::StoreError;
+use crate::store::artifacts::is_key;
 use crate::store::backup::files::{CopiedFile, sync_folders};
 
 /// Name of the manifest in a backup.
@@ -80,11 +81,6 @@ impl Manifest {
 /// Where an artifact lies, in a backup as in a data directory.
 pub(super) fn artifact_path(root: &Path, key: &str) -> PathBuf {
     root.join("artifacts").join(key)
-}
-
-/// True when a key leads to somewhere below the artifacts.
-fn is_key(key: &str) -> bool {
-    !key.is_empty() && Path::new(key).components().all(|part| matches!(part, Component::Normal(_)))
 }
 
 #[cfg(test)]

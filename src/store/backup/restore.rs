@@ -3,11 +3,12 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use crate::store::artifacts::is_key;
 use crate::store::backup::Backup;
 use crate::store::backup::files::{CopiedFile, claim, clear, copy, sync_folders};
 use crate::store::backup::manifest::{DATABASE, Manifest, artifact_path};
 use crate::store::database::{self, Database};
-use crate::store::references::references;
+use crate::store::references::{names, references};
 use crate::store::{NodeLock, RESTORING, StoreError};
 
 /// Makes a data directory from a backup, every file compared with its hash. Blocks while it copies.
@@ -20,12 +21,17 @@ pub async fn restore(backup: &Path, root: &Path) -> Result<Backup, StoreError> {
     if manifest.schema > database::schema() {
         return Err(StoreError::NewerDatabase { found: manifest.schema, known: database::schema() });
     }
+    let was_there = root.exists();
     claim(root)?;
     let lock = NodeLock::acquire(root)?;
     let restored = fill(&manifest, backup, root).await;
     drop(lock);
     if restored.is_err() {
         clear(root);
+        if !was_there {
+            // An empty folder would start as a new server without keys.
+            std::fs::remove_dir(root).ok();
+        }
     }
     restored
 }
@@ -61,6 +67,14 @@ async fn check(manifest: &Manifest, database: &Path) -> Result<(), StoreError> {
     let integrity: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(1)").fetch_all(&copy).await?;
     if let Some(damage) = integrity.into_iter().find(|line| line != "ok") {
         return Err(StoreError::DatabaseDamaged(damage));
+    }
+    let schema: i64 =
+        sqlx::query_scalar("SELECT MAX(version) FROM _sqlx_migrations").fetch_one(&copy).await?;
+    if schema != manifest.schema {
+        return Err(StoreError::Damaged(DATABASE.to_owned()));
+    }
+    if let Some(name) = names(&copy).await?.into_iter().find(|name| !is_key(name)) {
+        return Err(StoreError::Damaged(format!("{DATABASE}, which names {name:?}")));
     }
     // An older database lacks columns that are asked for here; the manifest was made by the version that knew them.
     let named = if manifest.schema == database::schema() { references(&copy).await? } else { Vec::new() };
