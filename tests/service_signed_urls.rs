@@ -237,7 +237,8 @@ async fn what_an_open_server_signed_ends_with_its_first_key() {
     let job = trained(client).await;
     let url = signed(client, &format!("/v1/jobs/{}/events", job.id)).await;
     assert_eq!(status(&server, &url).await, 200);
-    let (made, _) = post(client, "/v1/keys", json!({ "name": "first", "scopes": ["read"] })).await;
-    assert_eq!(made, StatusCode::CREATED.as_u16());
+    let mut create = Command::new(env!("CARGO_BIN_EXE_relume"));
+    create.args(["keys", "create", "--name", "first", "--data-dir"]).arg(server.data_dir());
+    assert!(create.output().unwrap().status.success());
     assert_eq!(status(&server, &url).await, 403);
 }
