@@ -126,15 +126,14 @@ pub async fn run(
     let _lock = NodeLock::acquire(&config.data_dir)?;
     let jobs = open(&config).await?;
     let stop = CancellationToken::new();
-    let started = worker::start(jobs.clone(), config.worker.clone(), stop.clone());
+    let started = worker::start(jobs.clone(), config.worker, stop.clone());
     let (device, thread) = started.map_err(|e| match e {
         StartError::Device(error) => ServeError::Device(error),
         StartError::Thread(error) => ServeError::Io(error),
     })?;
     let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
     let tidy = Arc::new(Notify::new());
-    let keeper =
-        tokio::spawn(keeper::keep(jobs.clone(), config.retention.clone(), tidy.clone(), stop.clone()));
+    let keeper = tokio::spawn(keeper::keep(jobs.clone(), config.retention, tidy.clone(), stop.clone()));
     let store = jobs.store().clone();
     let service = service(&config, is_open, jobs, device, tidy, stop.clone())?;
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");

@@ -163,7 +163,7 @@ mod tests {
     fn gains_count_only_where_they_differ() {
         let of = |step: f32| -> Vec<Gain> { (0..10).map(|i| [(step * (i % 2) as f32).exp(); 3]).collect() };
         assert!(differ(&of(0.1)) && !differ(&of(0.08)) && !differ(&[]));
-        assert!(!differ(&vec![[1.3, 1.3, 1.3]; 5]), "the level of all of them is the light's");
+        assert!(!differ(&[[1.3, 1.3, 1.3]; 5]), "the level of all of them is the light's");
         let warmer: Vec<Gain> = (0..10).map(|i| [1.0 + 0.1 * (i % 2) as f32, 1.0, 1.0]).collect();
         assert!(differ(&warmer));
     }

@@ -9,11 +9,18 @@ use crate::engine::{Photo, PhotoId, PhotoSize};
 /// Device memory that photographs may take, bytes; more of them are sent anew each step.
 const PHOTO_BYTES: usize = 4 << 30;
 
+/// Pixels of one revision of a photograph.
+#[derive(Debug)]
+struct CachedPhoto {
+    revision: usize,
+    pixels: Buffer<[f32; 4]>,
+}
+
 /// Photographs that stay in device memory, rgb and mask a pixel.
 #[derive(Debug, Default)]
 pub(super) struct PhotoCache {
-    /// By index and size: the revision and its pixels.
-    photos: HashMap<(usize, PhotoSize), (usize, Buffer<[f32; 4]>)>,
+    /// By index and size.
+    photos: HashMap<(usize, PhotoSize), CachedPhoto>,
     bytes: usize,
 }
 
@@ -27,7 +34,7 @@ impl PhotoCache {
     ) -> Result<Buffer<[f32; 4]>, DeviceError> {
         let key = (id.index, id.size);
         match self.photos.get(&key) {
-            Some((revision, found)) if *revision == id.revision => return Ok(found.clone()),
+            Some(found) if found.revision == id.revision => return Ok(found.pixels.clone()),
             _ => (),
         }
         let alpha = |i: usize| photo.alpha.get(i).copied().unwrap_or(1.0);
@@ -37,7 +44,8 @@ impl PhotoCache {
         let bytes = size_of_val(&pixels[..]);
         // One of another revision has the same size and gives way.
         if self.photos.contains_key(&key) || self.bytes + bytes <= PHOTO_BYTES {
-            let earlier = self.photos.insert(key, (id.revision, buffer.clone()));
+            let cached = CachedPhoto { revision: id.revision, pixels: buffer.clone() };
+            let earlier = self.photos.insert(key, cached);
             self.bytes += if earlier.is_none() { bytes } else { 0 };
         }
         Ok(buffer)
