@@ -35,10 +35,14 @@ pub(super) async fn replay(
             .bind(tenant)
             .fetch_optional(&mut **tx)
             .await?;
+    answer(known, key)
+}
+
+/// The answer of the `known` fingerprint and response of a key.
+fn answer(known: Option<(String, String)>, key: &IdempotencyKey) -> Result<Option<String>, StoreError> {
     match known {
         Some((fingerprint, _)) if fingerprint != key.fingerprint => Err(StoreError::KeyReused),
-        Some((_, response)) => Ok(Some(response)),
-        None => Ok(None),
+        known => Ok(known.map(|(_, response)| response)),
     }
 }
 
@@ -61,10 +65,7 @@ impl Store {
             .bind(now_ms - KEEP_MS)
             .fetch_optional(self.pool())
             .await?;
-        match known {
-            Some((fingerprint, _)) if fingerprint != key.fingerprint => Err(StoreError::KeyReused),
-            known => Ok(known.map(|(_, response)| response)),
-        }
+        answer(known, key)
     }
 }
 
