@@ -31,6 +31,20 @@ pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_al
     Scene3dBounds { centre, radius: positive(radius) }
 }
 
+/// Where cameras look: the point nearest to all optical axes, and the radius of the ball around it that fills the longer side of
+/// the median camera's picture. What people walk around rarely lies in the middle of every picture, nor is it smaller than that.
+pub(crate) fn looked_at(cameras: &[&Camera]) -> (DVec3, f64) {
+    let centre = nearest_to_axes(cameras);
+    let radius = |camera: &&Camera| {
+        let half_angle = f64::max(
+            (0.5 * f64::from(camera.width) / camera.fx).atan(),
+            (0.5 * f64::from(camera.height) / camera.fy).atan(),
+        );
+        (camera.centre() - centre).length() * half_angle.sin()
+    };
+    (centre, positive(quantile(cameras.iter().map(radius).collect(), 0.5)))
+}
+
 fn from_points(cameras: &[&Camera], points: &[(DVec3, [f32; 3])]) -> Scene3dBounds {
     let median = |axis: usize| quantile(points.iter().map(|(p, _)| p[axis]).collect(), 0.5);
     let centre = DVec3::new(median(0), median(1), median(2));

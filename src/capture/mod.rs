@@ -23,6 +23,7 @@ mod types;
 mod undistort;
 mod write_archive;
 
+pub(crate) use bounds::looked_at;
 pub use error::CaptureError;
 pub use grey_card::GreyCard;
 pub use import::{CaptureReport, import, inspect};

@@ -58,6 +58,7 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
     });
     out.extend(light(card));
     out.extend(exposures(card));
+    out.extend(crop(card));
     let decisions = findings(card);
     let mode = card.pointer("/complexity/mode").map_or("unknown".to_owned(), plain);
     out.push(format!("\ncomplexity {mode}: {} decisions", decisions.len()));
@@ -69,13 +70,15 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
     out
 }
 
+/// The numbers of a list, to two decimals.
+fn numbers(list: Option<&Value>) -> String {
+    let numbers = list.and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64);
+    numbers.map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(", ")
+}
+
 /// What the card says of the light of the photographs.
 fn light(card: &Value) -> Vec<String> {
     let Some(light) = card.get("light") else { return Vec::new() };
-    let numbers = |value: Option<&Value>| -> String {
-        let numbers = value.and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64);
-        numbers.map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(", ")
-    };
     let from = match light.get("colour_from").and_then(Value::as_str) {
         Some("light") => "of the known light",
         Some("white_balance") => "as was stated",
@@ -106,6 +109,14 @@ fn exposures(card: &Value) -> Option<String> {
         percent("red_over_green"),
         percent("blue_over_green")
     ))
+}
+
+/// What the card says of the part of the photographs that became the model.
+fn crop(card: &Value) -> Option<String> {
+    let ball = card.pointer("/crop/ball")?;
+    let ground = card.pointer("/crop/is_on_ground").and_then(Value::as_bool).unwrap_or_default();
+    let part = if ground { "what stands on the ground in " } else { "" };
+    Some(format!("cropped to {part}the ball (x, y, z, radius) {}", numbers(Some(ball))))
 }
 
 /// The card's decisions, a sentence each.

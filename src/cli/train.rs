@@ -14,7 +14,7 @@ use crate::engine::Device;
 use crate::engine::DeviceChoice;
 use crate::formats::model_file;
 use crate::train::{
-    KnownLight, LightExposure, Method, Preset, StepReport, TrainConfig, TrainOverrides, Trainer,
+    Crop, KnownLight, LightExposure, Method, Preset, StepReport, TrainConfig, TrainOverrides, Trainer,
     WhiteBalance, import_for_training,
 };
 
@@ -61,6 +61,10 @@ pub(super) struct TrainArgs {
     /// place of `--white-balance`.
     #[arg(long, value_name = "PHOTO:X,Y,WIDTH,HEIGHT")]
     grey_card: Option<GreyCard>,
+    /// Which part of photographs without masks becomes the model, while the rest only lights it: `none`, `auto` (what stands on the
+    /// ground in the ball around which the cameras stand), or a ball in units of the capture, +Z up.
+    #[arg(long, value_name = "auto|X,Y,Z,RADIUS", allow_hyphen_values = true)]
+    crop: Option<Crop>,
     /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
@@ -127,6 +131,9 @@ fn all_overrides(args: &TrainArgs) -> CommandResult<TrainOverrides> {
     }
     if args.white_balance.is_some() {
         overrides.white_balance = args.white_balance;
+    }
+    if args.crop.is_some() {
+        overrides.crop = args.crop;
     }
     if args.grey_card.is_some() {
         overrides.grey_card = args.grey_card.clone();

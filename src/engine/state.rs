@@ -63,6 +63,29 @@ impl TrainState {
         self.gathered.chunks(self.model.gaussians.len().max(1)).nth(block).unwrap_or(&[])
     }
 
+    /// Keeps the Gaussians of `indices` only, with their moments, statistics and measurements.
+    pub fn select(&mut self, indices: &[usize]) {
+        let n = self.model.gaussians.len().max(1);
+        let width = self.labels.len() / n;
+        self.model.gaussians = self.model.gaussians.gathered(indices);
+        self.moments.gather(&indices.iter().map(|i| Some(*i)).collect::<Vec<_>>());
+        self.density = DensityStats {
+            absgrad: indices.iter().map(|i| self.density.absgrad[*i]).collect(),
+            seen: indices.iter().map(|i| self.density.seen[*i]).collect(),
+        };
+        if width > 0 {
+            let row = |i: &usize| self.labels[i * width..(i + 1) * width].iter().copied();
+            self.labels = indices.iter().flat_map(row).collect();
+        }
+        if !self.gathered.is_empty() {
+            let blocks = self.gathered.chunks_exact(n);
+            self.gathered = blocks.flat_map(|block| indices.iter().map(|i| block[*i])).collect();
+        }
+        if !self.arriving.is_empty() {
+            self.arriving = indices.iter().map(|i| self.arriving[*i]).collect();
+        }
+    }
+
     /// The start from an initial model.
     pub fn new(model: Model) -> Self {
         Self {

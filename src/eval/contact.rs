@@ -7,7 +7,7 @@ use crate::engine::Device;
 use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
 use crate::eval::image::DisplayImage;
 use crate::eval::sheet::{Sheet, error_map, grey};
-use crate::eval::views::{OwnLight, ViewLayers, alpha_of, photograph, relit};
+use crate::eval::views::{OwnLight, ViewLayers, alpha_of, photograph, relit, shown_by};
 use crate::formats::srgb;
 use crate::render::{PreparedLight, Quality, Renderer};
 use crate::scene::{Model, Plane};
@@ -48,7 +48,7 @@ pub fn contact_sheet(
                 relit(&renderer, &view.camera, light, quality).map_err(|source| refused(view, source))?;
             cells.extend([Some(picture), view.truth.relit.get(*name).map(photograph)]);
         }
-        cells.extend(layer_cells(&layers, view));
+        cells.extend(layer_cells(renderer.model(), &layers, view));
         sheet.push(view.name.clone(), cells);
     }
     Ok(sheet)
@@ -63,7 +63,7 @@ fn column_names(lights: &[&str]) -> Vec<String> {
     names
 }
 
-fn layer_cells(layers: &ViewLayers, view: &CaptureView) -> [Option<DisplayImage>; 8] {
+fn layer_cells(model: &Model, layers: &ViewLayers, view: &CaptureView) -> [Option<DisplayImage>; 8] {
     let (width, height) = (view.camera.width, view.camera.height);
     let picture = |values: Vec<[f32; 3]>| on_white(&Plane { width, height, values }, &layers.alpha);
     let one = |values: &[f32]| on_white(&grey(width, height, values.iter().copied()), &layers.alpha);
@@ -76,7 +76,7 @@ fn layer_cells(layers: &ViewLayers, view: &CaptureView) -> [Option<DisplayImage>
         Some(one(&layers.roughness)),
         Some(one(&layers.visibility)),
         visibility,
-        Some(error_map(&layers.shaded, &photograph(&view.image))),
+        Some(error_map(&layers.shaded, &shown_by(model, view, &layers.alpha))),
     ]
 }
 

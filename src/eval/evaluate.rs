@@ -12,7 +12,7 @@ use crate::eval::layers::albedo_psnr;
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{AlbedoScores, ImageScores, RelitScores, Report};
 use crate::eval::totals::{ImageTotals, LayerTotals, Mean};
-use crate::eval::views::{OwnLight, ViewLayers, photograph, relit, with_scaled_albedo};
+use crate::eval::views::{OwnLight, ViewLayers, is_cropped, photograph, relit, shown_by, with_scaled_albedo};
 use crate::render::{Output, Quality, RenderError, Renderer, Tier};
 use crate::scene::{ImageRgba, Model, Plane};
 
@@ -136,6 +136,9 @@ impl Evaluation<'_> {
         }
         self.frame_rates(&renderer, &mut report)?;
         self.explain_absences(&mut report);
+        if is_cropped(&model) {
+            explain_crop(&mut report);
+        }
         if !has_materials {
             explain_no_materials(&mut report);
         }
@@ -152,7 +155,7 @@ impl Evaluation<'_> {
             let light = own.of(renderer, view)?;
             let layers = ViewLayers::render(renderer, &view.camera, light, self.options.quality)
                 .map_err(|source| refused(view, source))?;
-            let truth = photograph(&view.image);
+            let truth = shown_by(renderer.model(), view, &layers.alpha);
             shaded.add(&layers.shaded, &truth, self.options.lpips);
             radiance.add(&layers.radiance, &truth, self.options.lpips);
             let at_its_exposure = |picture| matched(picture, &layers.alpha, &truth);
@@ -347,6 +350,12 @@ fn explain_no_materials(report: &mut Report) {
         "metallic_mae",
     ];
     let reason = "the model was trained for colour alone and has no materials";
+    report.notes.extend(figures.map(|figure| (figure.to_owned(), reason.to_owned())));
+}
+
+fn explain_crop(report: &mut Report) {
+    let reason = "of the cropped subject: photographs are compared where the model covers them";
+    let figures = ["novel_view", "novel_view_radiance", "novel_view_matched", "novel_view_radiance_matched"];
     report.notes.extend(figures.map(|figure| (figure.to_owned(), reason.to_owned())));
 }
 

@@ -9,7 +9,7 @@ use crate::eval::evaluate::{check_sizes, has_materials, refused};
 use crate::eval::exposure::matched;
 use crate::eval::report::ImageScores;
 use crate::eval::totals::ImageTotals;
-use crate::eval::views::{OwnLight, ViewLayers, photograph};
+use crate::eval::views::{OwnLight, ViewLayers, shown_by};
 use crate::render::{Quality, Renderer};
 use crate::scene::Model;
 
@@ -61,7 +61,7 @@ impl NovelViews {
         let light = self.light.of(&self.renderer, view)?;
         let layers = ViewLayers::render(&self.renderer, &view.camera, light, self.quality)
             .map_err(|source| refused(view, source))?;
-        let truth = photograph(&view.image);
+        let truth = shown_by(self.renderer.model(), view, &layers.alpha);
         self.radiance.add(&layers.radiance, &truth, None);
         if self.has_materials {
             self.shaded.add(&layers.shaded, &truth, None);

@@ -126,6 +126,23 @@ pub fn photograph(image: &ImageRgba) -> DisplayImage {
     Plane { width: image.width, height: image.height, values: image.over([1.0; 3]) }
 }
 
+/// A photograph on white as `model` could show it: of a subject that was cropped out of photographs without masks, only what
+/// the model's own `alpha` covers.
+pub(crate) fn shown_by(model: &Model, view: &CaptureView, alpha: &[f32]) -> DisplayImage {
+    let photograph = photograph(&view.image);
+    if !is_cropped(model) {
+        return photograph;
+    }
+    let pixel = |(p, a): (&[f32; 3], &f32)| p.map(|v| v * a + 1.0 - a);
+    let values = photograph.values.iter().zip(alpha).map(pixel).collect();
+    Plane { values, ..photograph }
+}
+
+/// Whether the model's subject was cropped out of photographs without masks.
+pub(crate) fn is_cropped(model: &Model) -> bool {
+    model.card.get("crop").is_some_and(|region| !region.is_null())
+}
+
 /// The image's alpha channel.
 pub(crate) fn alpha_of(image: &ImageRgba) -> Vec<f32> {
     image.pixels.iter().map(|p| p[3]).collect()

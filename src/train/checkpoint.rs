@@ -1,6 +1,7 @@
 //! Checkpoints: the whole state of a training as one safetensors file with a versioned header.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use rand_chacha::ChaCha8Rng;
 use safetensors::SafeTensors;
@@ -12,6 +13,7 @@ use crate::light::LightColour;
 use crate::scene::{Field, Gaussians, MAX_LIGHTS};
 use crate::train::TrainConfig;
 use crate::train::complexity::state::ComplexityState;
+use crate::train::crop::{CutOut, Region, SILHOUETTE};
 use crate::train::error::TrainError;
 use crate::train::exposure::Gain;
 use crate::train::state::ScheduleState;
@@ -39,11 +41,19 @@ struct Header {
     gains: Vec<Vec<Gain>>,
     #[serde(default)]
     lights: Vec<f32>,
+    /// Region of the cut and Gaussians before it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    cut: Option<(Region, usize)>,
     labels: usize,
     gathered: usize,
     /// Absent in checkpoints from before there were lights.
     #[serde(default)]
     arriving: usize,
+}
+
+/// Tensor of a field of the Gaussians before the cut.
+fn cut_key(field: Field) -> String {
+    format!("cut.{}", field.name())
 }
 
 fn bad(field: &str, reason: impl std::fmt::Display) -> TrainError {
@@ -75,6 +85,7 @@ pub fn encode(
         light_colour: schedule.light_colour,
         gains: schedule.gains.clone(),
         lights: schedule.lights.clone(),
+        cut: schedule.cut.as_ref().map(|cut| (cut.region, cut.gaussians.len())),
         labels: state.labels.len(),
         gathered: state.gathered.len(),
         arriving: state.arriving.len(),
@@ -90,6 +101,11 @@ pub fn encode(
             let name = format!("{prefix}.{}", field.name());
             tensors.push((name, Tensor::new([g.len(), g.width(field)], g.field(field))));
         }
+    }
+    if let Some(cut) = &schedule.cut {
+        let g = &cut.gaussians;
+        let tensor = |f: Field| (cut_key(f), Tensor::new([g.len(), g.width(f)], g.field(f)));
+        tensors.extend(SILHOUETTE.map(tensor));
     }
     let mut flat =
         |name: &str, data| tensors.push((name.to_owned(), Tensor::new([<[f32]>::len(data)], data)));
@@ -155,6 +171,18 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         arriving: arriving.as_chunks::<MAX_LIGHTS>().0.to_vec(),
         model,
     };
+    let cut = |(region, gaussians): (Region, usize)| -> Result<Arc<CutOut>, TrainError> {
+        // Sizes are checked against the file's length before memory is allocated for them.
+        if gaussians.saturating_mul(3 * 4) > bytes.len() {
+            return Err(bad("cut", "names more Gaussians than the file holds"));
+        }
+        let mut silhouette = Gaussians::zeroed(gaussians, 1, 0, 0);
+        for field in SILHOUETTE {
+            let data = silhouette.field_mut(field);
+            data.copy_from_slice(&read(&cut_key(field), data.len())?);
+        }
+        Ok(Arc::new(CutOut { region, gaussians: silhouette }))
+    };
     let schedule = ScheduleState {
         step: header.step,
         order: header.order,
@@ -166,6 +194,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         light_colour: header.light_colour,
         gains: header.gains,
         lights: header.lights,
+        cut: header.cut.map(cut).transpose()?,
     };
     Ok((schedule, state))
 }
@@ -207,6 +236,7 @@ mod tests {
             light_colour: Some(LightColour { blue_over_red: 0.25, green: -0.5 }),
             gains: vec![vec![[1.1, 1.0, 0.9]; 2]],
             lights: vec![0.25],
+            cut: None,
         };
         let plain = state();
         let bytes = encode(&schedule, &plain, &config).unwrap();

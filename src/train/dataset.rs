@@ -4,8 +4,13 @@ use rayon::prelude::*;
 
 use crate::capture::{Capture, CaptureView};
 use crate::engine::{LightTurn, LightTurns, Photo, PhotoSize};
+use crate::scene::ShadingOptions;
 use crate::train::TrainConfig;
+use crate::train::crop::CutOut;
 use crate::train::exposure::{Gain, divide};
+
+/// Background of masked photographs: what relighting benchmarks composite over.
+const WHITE: [f32; 3] = [1.0; 3];
 
 /// All training photographs.
 #[derive(Debug, Clone)]
@@ -33,8 +38,8 @@ impl Dataset {
     pub fn new(capture: &Capture, config: &TrainConfig) -> Self {
         let scale = 1.0 / capture.bounds.radius.max(1e-12);
         let offset = -capture.bounds.centre;
-        // White is what relighting benchmarks composite over; without a mask nothing shows through.
-        let background = if capture.has_alpha { [1.0; 3] } else { [0.0; 3] };
+        // Without a mask nothing shows through.
+        let background = if capture.has_alpha { WHITE } else { [0.0; 3] };
         let degrees = |view: &CaptureView| if config.light_rotations { view.light_rotation_deg } else { 0.0 };
         let (turns, lights) = LightTurns::of(&capture.train.iter().map(degrees).collect::<Vec<_>>());
         let photo = |(view, light): (&CaptureView, &LightTurn), divisor: u32| {
@@ -58,6 +63,14 @@ impl Dataset {
     pub fn divide(&mut self, gains: &[Gain]) {
         for photos in [&mut self.full, &mut self.half] {
             photos.par_iter_mut().zip(gains).for_each(|(photo, gain)| divide(photo, *gain, self.background));
+        }
+    }
+
+    /// Makes the photographs those of the subject alone, with masks, in the world after the cut.
+    pub fn cut_out(&mut self, cut: &CutOut, shading: ShadingOptions) {
+        (self.has_alpha, self.background) = (true, WHITE);
+        for photos in [&mut self.full, &mut self.half] {
+            photos.par_iter_mut().for_each(|photo| cut.apply(photo, shading, WHITE));
         }
     }
 

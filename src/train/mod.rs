@@ -4,6 +4,7 @@ mod checkpoint;
 pub mod complexity;
 mod config;
 mod context;
+mod crop;
 mod dataset;
 mod density;
 mod error;
@@ -20,8 +21,8 @@ mod trainer;
 mod weights;
 
 pub use config::{
-    Complexity, ComplexitySetting, ConfigError, LabelSource, Method, NamedBalance, Preset, TrainConfig,
-    TrainOverrides, WhiteBalance,
+    Complexity, ComplexitySetting, ConfigError, Crop, LabelSource, Method, NamedBalance, NamedCrop, Preset,
+    TrainConfig, TrainOverrides, WhiteBalance,
 };
 pub use error::TrainError;
 pub use import::import_for_training;

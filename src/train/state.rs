@@ -1,9 +1,12 @@
 //! Where a training stands in its schedule.
 
+use std::sync::Arc;
+
 use rand_chacha::ChaCha8Rng;
 
 use crate::light::LightColour;
 use crate::train::complexity::state::ComplexityState;
+use crate::train::crop::CutOut;
 use crate::train::exposure::Gain;
 
 /// Where a training stands in its schedule; kept on the host whatever device trains.
@@ -29,4 +32,13 @@ pub struct ScheduleState {
     pub gains: Vec<Vec<Gain>>,
     /// Of each strong small light: the share by which sharp shadows explain the photographs better than soft ones.
     pub lights: Vec<f32>,
+    /// What was cut out of photographs without masks, after the warm-up.
+    pub cut: Option<Arc<CutOut>>,
+}
+
+impl ScheduleState {
+    /// How often the photographs were changed.
+    pub fn revision(&self) -> usize {
+        self.gains.len() + usize::from(self.cut.is_some())
+    }
 }

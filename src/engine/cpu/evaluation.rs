@@ -54,9 +54,14 @@ pub fn physical_error(
     mean_squared_error(&physical_image(state, operators, photo, branches, background), photo)
 }
 
+/// The radiance branch as `photo` would show it, display-referred.
+pub fn radiance(state: &TrainState, photo: &Photo, background: [f32; 3]) -> Vec<[f32; 3]> {
+    radiance_image(&colour_pass(state, photo), background)
+}
+
 /// Mean squared error of the radiance branch on one photograph.
 pub fn radiance_error(state: &TrainState, photo: &Photo, background: [f32; 3]) -> f32 {
-    mean_squared_error(&radiance_image(&colour_pass(state, photo), background), photo)
+    mean_squared_error(&radiance(state, photo, background), photo)
 }
 
 /// Summed blending weight, in pixels, that each Gaussian has in one photograph.

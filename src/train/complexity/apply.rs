@@ -1,7 +1,7 @@
 //! Makes a state smaller as decided, with its moments and statistics.
 
+use crate::engine::TrainState;
 use crate::engine::cpu::{sigmoid, softmax};
-use crate::engine::{DensityStats, TrainState};
 use crate::light::FULLY_OPEN;
 use crate::scene::{Field, Gaussians, IndirectForm, VisibilityForm, sh_count};
 use crate::train::complexity::decide::RequiredVisibility;
@@ -131,28 +131,5 @@ pub fn hold_dielectric(state: &mut TrainState) {
     state.model.gaussians.field_mut(Field::MetalLogit).fill(DIELECTRIC);
     for moments in [&mut state.moments.first, &mut state.moments.second] {
         moments.field_mut(Field::MetalLogit).fill(0.0);
-    }
-}
-
-/// Keeps the Gaussians of `indices` only, with their moments, statistics and measurements.
-pub fn select_gaussians(state: &mut TrainState, indices: &[usize]) {
-    let n = state.model.gaussians.len().max(1);
-    let width = state.labels.len() / n;
-    state.model.gaussians = state.model.gaussians.gathered(indices);
-    state.moments.gather(&indices.iter().map(|i| Some(*i)).collect::<Vec<_>>());
-    state.density = DensityStats {
-        absgrad: indices.iter().map(|i| state.density.absgrad[*i]).collect(),
-        seen: indices.iter().map(|i| state.density.seen[*i]).collect(),
-    };
-    if width > 0 {
-        let row = |i: &usize| state.labels[i * width..(i + 1) * width].iter().copied();
-        state.labels = indices.iter().flat_map(row).collect();
-    }
-    if !state.gathered.is_empty() {
-        let blocks = state.gathered.chunks_exact(n);
-        state.gathered = blocks.flat_map(|block| indices.iter().map(|i| block[*i])).collect();
-    }
-    if !state.arriving.is_empty() {
-        state.arriving = indices.iter().map(|i| state.arriving[*i]).collect();
     }
 }

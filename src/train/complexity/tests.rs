@@ -105,7 +105,7 @@ fn a_dielectric_keeps_its_diffuse_colour() {
 #[test]
 fn what_stays_keeps_its_rows() {
     let (before, mut after) = (small_state(), small_state());
-    apply::select_gaussians(&mut after, &[1, 4]);
+    after.select(&[1, 4]);
     assert_eq!(after.labels[25..], before.labels[100..]);
     assert_eq!(after.gathered, [[1.0; 6], [4.0; 6]]);
     assert_eq!(after.model.gaussians.row(Field::Mean, 1), before.model.gaussians.row(Field::Mean, 4));

@@ -32,7 +32,7 @@ pub fn drop_least(complexity: &mut ComplexityState, context: &DecisionContext<'_
     let mut best = (state.clone(), with);
     for share in decide::DROPPED_SHARES {
         let mut without = state.clone();
-        apply::select_gaussians(&mut without, &decide::heaviest(&weights, share));
+        without.select(&decide::heaviest(&weights, share));
         let psnr = context.radiance_psnr(&without);
         if with - psnr > decide::DROP_TOLERANCE {
             break;

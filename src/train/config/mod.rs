@@ -1,6 +1,7 @@
 //! Everything that decides how a training runs. The presets live here and nowhere else.
 
 mod choices;
+mod crop;
 pub(in crate::train) mod error;
 mod method;
 mod white_balance;
@@ -12,6 +13,7 @@ use std::ops::RangeInclusive;
 use serde::{Deserialize, Serialize};
 
 pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset};
+pub use crop::{Crop, NamedCrop};
 pub use error::ConfigError;
 pub use method::Method;
 pub use white_balance::{NamedBalance, WhiteBalance};
@@ -182,6 +184,11 @@ settings! {
     /// Colour of the photographs' light: `auto`, `neutral`, `daylight`, a number of kelvin or `[red, green, blue]`.
     #[serde(default = "unknown")]
     white_balance: WhiteBalance = WhiteBalance::AUTO;
+    /// Which part of photographs without masks becomes the model: `none` (everything), `auto` (what stands on the ground, if there is
+    /// one, in the ball around which the cameras stand) or a ball `[x, y, z, radius]` in units and axes of the capture after import
+    /// (+Z up). What lies outside only lights it.
+    #[serde(default = "everything", skip_serializing_if = "is_everything")]
+    crop: Crop = Crop::NONE;
     /// Whose model it is: `3dgs`, `gaussian-shader`, `gs-ir`, `r3dg`, `article` or `relume`. It sets other settings, under those
     /// that the caller gives.
     #[serde(default, skip_serializing_if = "Method::is_relume")]
@@ -204,6 +211,15 @@ fn learned() -> bool {
 /// White balance of files that do not say.
 fn unknown() -> WhiteBalance {
     WhiteBalance::AUTO
+}
+
+/// Crop of files that do not say.
+fn everything() -> Crop {
+    Crop::NONE
+}
+
+fn is_everything(crop: &Crop) -> bool {
+    *crop == Crop::NONE
 }
 
 fn check_range<T: PartialOrd + Display>(
@@ -309,6 +325,7 @@ impl TrainConfig {
             light.check()?;
         }
         self.white_balance.check()?;
+        self.crop.check(self.warm_up)?;
         if let Some(card) = &self.grey_card {
             for (side, pixels) in [("width", card.width), ("height", card.height)] {
                 check_range(&format!("grey_card.{side}"), pixels, 1..=u32::MAX)?;

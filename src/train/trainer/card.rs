@@ -25,6 +25,7 @@ impl Trainer {
             "complexity": self.schedule.complexity.card(&self.config),
             "light": self.light_card(&model),
             "exposures": self.exposures_card(),
+            "crop": self.crop_card(),
             "config": self.config,
         });
         Ok(model)
@@ -45,6 +46,13 @@ impl Trainer {
             "colour_from": self.config.colour_source(),
             "lights": lights,
         })
+    }
+
+    /// The region that was cut out, in units and axes of the capture; null where nothing was.
+    fn crop_card(&self) -> serde_json::Value {
+        let Some(cut) = &self.schedule.cut else { return serde_json::Value::Null };
+        let capture = self.capture_region(&cut.region);
+        serde_json::json!({ "ball": capture, "is_on_ground": cut.region.ground.is_some() })
     }
 
     /// What photographs were divided by in all, by name, and how much that differs; null where nothing was.

@@ -1,6 +1,7 @@
 //! The trainer: one object that owns everything a step needs.
 
 mod card;
+mod crop;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -20,8 +21,8 @@ use crate::train::dataset::Dataset;
 use crate::train::error::{MOST_ROLLBACKS, TrainError};
 use crate::train::state::ScheduleState;
 use crate::train::{
-    LabelSource, TrainConfig, WhiteBalance, checkpoint, density, exposure, initial, light_colour, lights,
-    materials, schedule,
+    Crop, LabelSource, TrainConfig, WhiteBalance, checkpoint, density, exposure, initial, light_colour,
+    lights, materials, schedule,
 };
 
 /// Fewest photographs worth training on.
@@ -87,6 +88,7 @@ impl Trainer {
             light_colour: None,
             gains: Vec::new(),
             lights: Vec::new(),
+            cut: None,
         };
         Self::assemble(config, data, schedule, TrainState::new(model), device)
     }
@@ -105,6 +107,9 @@ impl Trainer {
         let (schedule, state) = checkpoint::decode(bytes, &config)?;
         if schedule.order.len() != data.full.len() {
             return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
+        }
+        if let Some(cut) = &schedule.cut {
+            data.cut_out(cut, state.model.shading);
         }
         schedule.gains.iter().for_each(|gains| data.divide(gains));
         Self::assemble(config, data, schedule, state, device)
@@ -165,7 +170,7 @@ impl Trainer {
         let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
         let sums = self.engine.step(&Step {
             photo: self.data.photo(photo, size),
-            photo_id: PhotoId { index: photo, size, revision: self.schedule.gains.len() },
+            photo_id: PhotoId { index: photo, size, revision: self.schedule.revision() },
             background: self.data.background,
             branches,
             weights,
@@ -239,6 +244,7 @@ impl Trainer {
     fn prepare_step(&mut self) -> Result<(), TrainError> {
         let (step, warm_up) = (self.schedule.step, self.config.warm_up_steps());
         if step == warm_up {
+            self.cut_out()?;
             let mut state = self.engine.state()?.into_owned();
             self.start_light(&mut state);
             if self.is_dielectric() {
@@ -447,6 +453,11 @@ fn prepare(capture: &Capture, config: &mut TrainConfig) -> Result<Dataset, Train
     if !capture.has_lights_turned(&config.light_rotation_per_photo) {
         let reason = "the capture came without the turns of the light that are given here";
         return Err(TrainError::Invalid(format!("light_rotation_per_photo: {reason}")));
+    }
+    if config.crop != Crop::NONE && capture.has_alpha {
+        return Err(TrainError::Invalid(
+            "crop: the photographs have masks, which say what the subject is".into(),
+        ));
     }
     if config.grey_card.is_some() {
         let missing = "grey_card: the capture came without the colour of the card";
