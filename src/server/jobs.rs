@@ -11,6 +11,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::api::jobs::{JobChange, JobDevice, JobError, JobState, JobView, NewJob};
+use crate::api::keys::Scope;
 use crate::api::{EnvironmentId, JobId, List, Problem, TenantId};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
@@ -77,7 +78,7 @@ async fn create_job(
         return accepted(answer, true);
     }
     let config = TrainConfig::new(job.preset, &job.overrides).map_err(|e| override_refused(&e))?;
-    check_priority(job.priority)?;
+    check_priority(&caller, job.priority)?;
     if job.device == JobDevice::Gpu && !app.device.has_gpu() {
         return Err(Problem::invalid_field("/device", "this server has no GPU"));
     }
@@ -145,7 +146,7 @@ async fn change_job(
     UrlPath(id): UrlPath<JobId>,
     JsonBody(change): JsonBody<JobChange>,
 ) -> Result<Json<JobView>, Problem> {
-    check_priority(change.priority)?;
+    check_priority(&caller, change.priority)?;
     let changed = app.jobs.set_priority(&caller.tenant, &id, change.priority).await?;
     let job = current(&app, &caller.tenant, &id).await?;
     if !changed {
@@ -183,7 +184,7 @@ async fn cancel_job(
 
 /// Run a failed or cancelled job again
 ///
-/// Queues a new job with the same capture and settings; `retry_of` names the old one, which stays as it is.
+/// Queues a new job with the same capture and settings; `retry_of` names the old one, which stays as it is. A priority above 0 becomes 0 for a key without the scope `priority`.
 #[utoipa::path(
     post, path = "/v1/jobs/{id}/retry", tag = "jobs", params(("id" = String, Path)),
     responses(
@@ -202,7 +203,11 @@ async fn retry_job(
         let detail = format!("the job is {}; only a failed or cancelled one runs again", job.state.name());
         return Err(Problem::conflict("job-not-retryable", detail));
     }
-    submit(&app, &caller.tenant, job.request, job.progress.total, Some(job.id), None).await
+    let mut request = job.request;
+    if caller.needs(Scope::Priority).is_err() {
+        request.priority = request.priority.min(0);
+    }
+    submit(&app, &caller.tenant, request, job.progress.total, Some(job.id), None).await
 }
 
 async fn submit(
@@ -272,11 +277,12 @@ async fn check_light(app: &Shared, tenant: &TenantId, light: &KnownLight) -> Res
     Err(Problem::invalid_field("/overrides/light/environment", detail))
 }
 
-fn check_priority(priority: i64) -> Result<(), Problem> {
-    if PRIORITIES.contains(&priority) {
-        return Ok(());
+/// Whoever may submit may wait longer; to come before others, of whichever tenant, needs a scope.
+fn check_priority(caller: &Caller, priority: i64) -> Result<(), Problem> {
+    if !PRIORITIES.contains(&priority) {
+        return Err(Problem::invalid_field("/priority", format!("must be -100 to 100, got {priority}")));
     }
-    Err(Problem::invalid_field("/priority", format!("must be -100 to 100, got {priority}")))
+    if priority > 0 { caller.needs(Scope::Priority) } else { Ok(()) }
 }
 
 /// The trainer's refusals begin with the name of the field.

@@ -39,6 +39,12 @@ impl Problem {
         self
     }
 
+    /// 401.
+    pub fn unauthorized() -> Self {
+        Self::new(StatusCode::UNAUTHORIZED, "unauthorized", "An API key is needed")
+            .detail("send Authorization: Bearer <key>, with a key that is neither revoked nor expired")
+    }
+
     /// 404.
     pub fn not_found(what: &str, id: &str) -> Self {
         Self::new(StatusCode::NOT_FOUND, "not-found", "There is no such thing")
@@ -172,6 +178,7 @@ impl From<StoreError> for Problem {
                 ),
                 kind => Self::not_found(kind.name(), &what.id),
             },
+            StoreError::KeyEnded => Self::unauthorized(),
             StoreError::KeyReused => Self::new(
                 StatusCode::UNPROCESSABLE_ENTITY,
                 "idempotency-key-reused",

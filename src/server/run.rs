@@ -51,6 +51,8 @@ pub struct ServerConfig {
     pub connections: ConnectionLimits,
     /// Requests that a key may make a minute; any number when absent.
     pub requests_per_minute: Option<u32>,
+    /// Requests that all keys of a tenant may make a minute; ten times that of a key when absent.
+    pub requests_per_minute_of_tenant: Option<u32>,
     /// How much a tenant may have.
     pub quota: Quota,
     /// How leases behave.
@@ -76,6 +78,7 @@ impl ServerConfig {
             limits: RequestLimits::default(),
             connections: ConnectionLimits::default(),
             requests_per_minute: None,
+            requests_per_minute_of_tenant: None,
             quota: Quota::default(),
             lease: LeasePolicy::default(),
             retention: Retention::default(),
@@ -191,7 +194,7 @@ fn service(
     let store = jobs.store().clone();
     let signing = SigningSecret::of(&config.data_dir);
     let keys = Arc::new(Keyring::new(config.api_keys.clone(), store.clone(), config.clock.clone()));
-    let rates = Rates::new(config.requests_per_minute);
+    let rates = Rates::new(config.requests_per_minute, config.requests_per_minute_of_tenant);
     let app = App {
         store,
         jobs,
