@@ -18,7 +18,7 @@ pub enum Scope {
     Render,
     /// Upload, submit and change jobs, delete.
     Submit,
-    /// Make, list and revoke keys.
+    /// Make, list and revoke keys; webhooks.
     Admin,
     /// Submit jobs with a priority above 0. Only administrators of the tenant `default` give it.
     Priority,

@@ -64,6 +64,13 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/v1/models/{id}/thumbnail", Needs(Read)),
     (Method::POST, "/v1/signed-urls", Needs(Read)),
     (Method::GET, "/v1/usage", Needs(Read)),
+    (Method::GET, "/v1/webhooks", Needs(Admin)),
+    (Method::POST, "/v1/webhooks", Needs(Admin)),
+    (Method::GET, "/v1/webhooks/{id}", Needs(Admin)),
+    (Method::PATCH, "/v1/webhooks/{id}", Needs(Admin)),
+    (Method::DELETE, "/v1/webhooks/{id}", Needs(Admin)),
+    (Method::GET, "/v1/webhooks/{id}/deliveries", Needs(Admin)),
+    (Method::POST, "/v1/webhooks/{id}/deliveries/{delivery}/replay", Needs(Admin)),
 ];
 
 /// The line of the table for a request that a route was found for.

@@ -10,14 +10,14 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::jobs::{JobChange, JobDevice, JobError, JobState, JobView, NewJob};
+use crate::api::jobs::{JobChange, JobDevice, JobState, JobView, NewJob};
 use crate::api::keys::Scope;
 use crate::api::{EnvironmentId, JobId, List, Problem, TenantId};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
-use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::server::listing::{PageQuery, unknown_cursor};
 use crate::server::{job_bounds, quality_gate};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
 use crate::train::{ConfigError, KnownLight, TrainConfig};
@@ -114,7 +114,7 @@ async fn list_jobs(
             JobState::Queued => app.store.queue_position(&job.id).await?,
             _ => None,
         };
-        items.push(view(job, position));
+        items.push(job.view(position));
     }
     Ok(Json(page.list(items, |j: &JobView| j.id.as_str())))
 }
@@ -173,7 +173,7 @@ async fn cancel_job(
     UrlPath(id): UrlPath<JobId>,
 ) -> Result<Json<JobView>, Problem> {
     match app.jobs.cancel(&caller.tenant, &id).await? {
-        CancelOutcome::Accepted(job) => Ok(Json(view(job, None))),
+        CancelOutcome::Accepted(job) => Ok(Json(job.view(None))),
         CancelOutcome::AlreadyFinished(job) => {
             let detail = format!("the job has {}; terminal states never change", job.state.name());
             Err(Problem::conflict("job-finished", detail))
@@ -221,7 +221,7 @@ async fn submit(
     // A training makes a model, of a size that is not known before.
     app.store.admit_bytes_of(tenant, 0).await?;
     let answer =
-        |job: &JobRecord, position| serde_json::to_string(&view(job.clone(), position)).unwrap_or_default();
+        |job: &JobRecord, position| serde_json::to_string(&job.clone().view(position)).unwrap_or_default();
     let submitted = app.jobs.submit(tenant, request, total, retry_of, key, answer).await?;
     let (text, replayed) = match submitted {
         Submitted::Created(text) => (text, false),
@@ -252,7 +252,7 @@ fn location(answer: &str) -> Result<HeaderValue, Problem> {
 async fn current(app: &Shared, tenant: &TenantId, id: &JobId) -> Result<JobView, Problem> {
     let found = app.jobs.get(tenant, id).await?;
     let (job, position) = found.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
-    Ok(view(job, position))
+    Ok(job.view(position))
 }
 
 /// The key with a hash of what the request means, so that white space does not make another request of it.
@@ -289,30 +289,4 @@ fn check_priority(caller: &Caller, priority: i64) -> Result<(), Problem> {
 fn override_refused(error: &ConfigError) -> Problem {
     let setting = error.field.split('.').next().unwrap_or_default();
     Problem::invalid_field(format!("/overrides/{setting}"), error.to_string())
-}
-
-fn view(job: JobRecord, queue_position: Option<i64>) -> JobView {
-    let detail = job.error_detail.unwrap_or_default();
-    JobView {
-        id: job.id,
-        capture: job.request.capture,
-        retry_of: job.retry_of,
-        preset: job.request.preset,
-        overrides: job.request.overrides,
-        device: job.request.device,
-        priority: job.request.priority,
-        state: job.state,
-        queue_position,
-        progress: job.progress,
-        attempts: job.attempts,
-        created_at: rfc3339(job.created_ms),
-        started_at: job.started_ms.map(rfc3339),
-        finished_at: job.finished_ms.map(rfc3339),
-        model: job.model_id,
-        model_deleted_at: job.model_deleted_ms.map(rfc3339),
-        missed: job.figures.as_ref().map(|f| job.request.quality_gate.misses(f)).unwrap_or_default(),
-        quality_gate: job.request.quality_gate,
-        figures: job.figures,
-        error: job.error_code.map(|code| JobError { code, detail }),
-    }
 }

@@ -26,6 +26,7 @@ use crate::server::rates::Rates;
 use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::stack::StackConfig;
+use crate::server::webhooks::{Courier, WebhookPolicy};
 use crate::store::{NodeLock, Quota, Retention, Store, StoreError, has_keys};
 use crate::worker::{self, DeviceHandle, StartError, WorkerOptions};
 
@@ -57,6 +58,8 @@ pub struct ServerConfig {
     pub quota: Quota,
     /// How leases behave.
     pub lease: LeasePolicy,
+    /// What webhooks may do.
+    pub webhooks: WebhookPolicy,
     /// How long things are kept.
     pub retention: Retention,
     /// Sizes of the worker.
@@ -81,6 +84,7 @@ impl ServerConfig {
             requests_per_minute_of_tenant: None,
             quota: Quota::default(),
             lease: LeasePolicy::default(),
+            webhooks: WebhookPolicy::default(),
             retention: Retention::default(),
             worker: WorkerOptions::default(),
             clock: Arc::new(SystemClock),
@@ -137,6 +141,7 @@ pub async fn run(
     let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
     let tidy = Arc::new(Notify::new());
     let keeper = tokio::spawn(keeper::keep(jobs.clone(), config.retention, tidy.clone(), stop.clone()));
+    let courier = tokio::spawn(Courier::new(jobs.clone(), config.webhooks).work(stop.clone()));
     let store = jobs.store().clone();
     let service = service(&config, is_open, jobs, device, tidy, stop.clone())?;
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
@@ -148,6 +153,9 @@ pub async fn run(
         tracing::error!("the device thread did not end well");
     }
     maintenance.abort();
+    if courier.await.is_err() {
+        tracing::error!("webhooks could not be sent to the end");
+    }
     if keeper.await.is_err() {
         tracing::error!("what was deleted could not be swept to the end");
     }
@@ -204,6 +212,7 @@ fn service(
         decoders: Decoders::start(config.limits.memory_bytes)?,
         keys: keys.clone(),
         signing: signing.clone(),
+        webhooks: config.webhooks,
         tidy,
         stop,
         description: openapi(),
