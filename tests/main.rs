@@ -41,3 +41,4 @@ mod tiers;
 mod training;
 mod turntable;
 mod usage;
+mod webhooks;

@@ -72,12 +72,14 @@ async fn a_key_that_asks_too_often_is_told_when_to_ask_again_and_no_other_is() {
         // What does not exist and what is refused counts, too.
         let answer = get(&one, ["/v1/jobs", "/v1/models/nobody", "/nowhere"][left]).await;
         assert_ne!(answer.status(), 429);
-        assert_eq!(told(&answer, "ratelimit-policy"), "\"requests\";q=3;w=60");
-        assert_eq!(told(&answer, "ratelimit"), format!("\"requests\";r={left};t={}", (3 - left) * 20));
+        assert_eq!(told(&answer, "ratelimit-policy"), "\"requests\";q=3;w=60, \"tenant\";q=30;w=60");
+        let (full, left_to_all) = ((3 - left) * 20, 27 + left);
+        let expected = format!("\"requests\";r={left};t={full}, \"tenant\";r={left_to_all};t={}", full / 10);
+        assert_eq!(told(&answer, "ratelimit"), expected);
     }
     let refused = get(&one, "/v1/jobs").await;
     assert_eq!((refused.status().as_u16(), told(&refused, "retry-after")), (429, "20".to_owned()));
-    assert_eq!(told(&refused, "ratelimit"), "\"requests\";r=0;t=60");
+    assert!(told(&refused, "ratelimit").starts_with("\"requests\";r=0;t=60,"));
     let body: Value = serde_json::from_str(&refused.text().await.unwrap()).unwrap();
     assert_eq!(body["type"], "urn:relume:problem:rate-limited");
     assert_eq!(get(&other, "/v1/jobs").await.status(), 200);
@@ -88,6 +90,29 @@ async fn a_key_that_asks_too_often_is_told_when_to_ask_again_and_no_other_is() {
     clock.advance(Duration::from_secs(20));
     assert_eq!(get(&one, "/v1/jobs").await.status(), 200);
     assert_eq!(get(&one, "/v1/jobs").await.status(), 429);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn making_keys_does_not_multiply_what_a_tenant_may_ask() {
+    let clock = Arc::new(ManualClock::default());
+    let hands = clock.clone();
+    let server = server(move |config| {
+        config.requests_per_minute = Some(10);
+        config.requests_per_minute_of_tenant = Some(12);
+        config.clock = hands;
+    })
+    .await;
+    let mut answers = Vec::new();
+    for _ in 0..3 {
+        let client = of_tenant(&server, "a").await;
+        for _ in 0..6 {
+            answers.push(get(&client, "/v1/jobs").await.status().as_u16());
+        }
+    }
+    assert_eq!(answers, [[200; 6], [200; 6], [429; 6]].concat());
+    assert_eq!(get(&of_tenant(&server, "b").await, "/v1/jobs").await.status(), 200);
+    clock.advance(Duration::from_secs(5));
+    assert_eq!(get(&of_tenant(&server, "a").await, "/v1/jobs").await.status(), 200, "it fills again");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -143,6 +168,7 @@ async fn the_log_names_the_key_and_its_tenant_and_never_the_secret() {
         tenant: TenantId::from("studio-a"),
         scopes: vec![Scope::Read],
         expires_ms: None,
+        made_by: None,
     };
     let (key, secret) = store.create_key(&key, 0).await.unwrap();
     store.close().await;
@@ -163,7 +189,7 @@ async fn the_log_names_the_key_and_its_tenant_and_never_the_secret() {
         let request =
             request.header("x-request-id", id).header(header::AUTHORIZATION, format!("Bearer {bearer}"));
         let answer = request.send().await.unwrap();
-        let policy = if bearer == secret { "\"requests\";q=1000;w=60" } else { "" };
+        let policy = if bearer == secret { "\"requests\";q=1000;w=60, \"tenant\";q=10000;w=60" } else { "" };
         assert_eq!(told(&answer, "ratelimit-policy"), policy, "as the variable says");
     }
     terminate(&child);

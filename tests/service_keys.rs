@@ -5,9 +5,11 @@ use std::process::{Command, Output};
 use std::sync::Arc;
 use std::time::Duration;
 
+use relume::api::keys::Scope;
+use relume::api::{KeyId, TenantId};
 use relume::jobs::ManualClock;
 use relume::server::{ApiKeys, ServerConfig};
-use relume::store::has_keys;
+use relume::store::{NewKeyRecord, Store, StoreError, has_keys};
 use relume::testing::{self, TestServer};
 use reqwest::Method;
 use serde_json::{Value, json};
@@ -139,6 +141,110 @@ async fn administrators_of_a_tenant_manage_its_keys_and_the_operator_those_of_al
     assert_eq!((status, &refused["type"]), (403, &json!("urn:relume:problem:forbidden")));
     assert_eq!(get(&server, &admin_of_a, "/metrics").await.0, 403, "these are about all tenants");
     assert_eq!(ask(&server, OPERATOR, Method::POST, &revoke, None).await.0, 200);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_key_made_ends_with_it_and_no_later() {
+    let (server, clock) = server().await;
+    let admin = json!({ "name": "admin", "tenant": "a", "scopes": ["admin", "read"], "expires_in": 100 });
+    let (parent, parents) = made(&server, OPERATOR, admin).await;
+    let (child, childs) =
+        made(&server, &parents, json!({ "name": "child", "scopes": ["admin", "read"] })).await;
+    let longer = json!({ "name": "grandchild", "scopes": ["read"], "expires_in": 1000 });
+    let (grandchild, grandchilds) = made(&server, &childs, longer).await;
+    let (_, beside) =
+        made(&server, OPERATOR, json!({ "name": "beside", "tenant": "a", "scopes": ["read"] })).await;
+    let end = json!("1970-01-01T00:01:40Z");
+    for id in [&child, &grandchild] {
+        let shown = get(&server, OPERATOR, &format!("/v1/keys/{id}")).await.1;
+        assert_eq!(shown["expires_at"], end, "not beyond the key that made it: {shown}");
+    }
+    assert_eq!(get(&server, OPERATOR, &format!("/v1/keys/{child}")).await.1["made_by"], json!(parent));
+    assert_eq!(get(&server, OPERATOR, &format!("/v1/keys/{parent}")).await.1["made_by"], json!(null));
+    assert_eq!(get(&server, &grandchilds, "/v1/jobs").await.0, 200, "the control");
+
+    clock.advance(Duration::from_secs(1));
+    let revoke = format!("/v1/keys/{parent}/revoke");
+    let (status, revoked) = ask(&server, &parents, Method::POST, &revoke, None).await;
+    let mut gone = [child.clone(), grandchild];
+    gone.sort();
+    assert_eq!((status, &revoked["took_along"]), (200, &json!(gone)), "{revoked}");
+    for (key, expected) in [(&parents, 401), (&childs, 401), (&grandchilds, 401), (&beside, 200)] {
+        assert_eq!(get(&server, key, "/v1/jobs").await.0, expected);
+    }
+    let shown = get(&server, OPERATOR, &format!("/v1/keys/{child}")).await.1;
+    assert_eq!(shown["revoked_at"], json!("1970-01-01T00:00:01Z"));
+    let listed = said(&relume(&["keys", "list"], server.data_dir()));
+    assert_eq!(listed.matches("revoked").count(), 3, "{listed}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn no_key_is_made_by_one_that_is_revoked_meanwhile() {
+    let data = TempDir::new().unwrap();
+    let store = Store::open(data.path()).await.unwrap();
+    let key = |made_by: Option<KeyId>| NewKeyRecord {
+        name: "a".into(),
+        tenant: TenantId::of_operator(),
+        scopes: vec![Scope::Admin],
+        expires_ms: None,
+        made_by,
+    };
+    let parent = store.create_key(&key(None), 0).await.unwrap().0.id;
+    store.create_key(&key(Some(parent.clone())), 0).await.unwrap();
+    store.revoke_key(None, &parent, 1).await.unwrap();
+    let late = store.create_key(&key(Some(parent)), 2).await;
+    assert!(matches!(late, Err(StoreError::KeyEnded)), "{late:?}");
+    store.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_scraper_needs_no_key_that_makes_keys() {
+    let (server, _) = server().await;
+    let scraper = |tenant: &str| json!({ "name": "scraper", "tenant": tenant, "scopes": ["metrics"] });
+    let (_, key) = made(&server, OPERATOR, scraper("default")).await;
+    assert_eq!(get(&server, &key, "/metrics").await.0, 200);
+    assert_eq!(get(&server, OPERATOR, "/metrics").await.0, 200, "administrators still may");
+    for path in ["/v1/keys", "/v1/jobs", "/v1/usage"] {
+        assert_eq!(get(&server, &key, path).await.0, 403, "{path}");
+    }
+    let (_, others) = made(&server, OPERATOR, scraper("a")).await;
+    assert_eq!(get(&server, &others, "/metrics").await.0, 403, "these are about all tenants");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_a_key_with_the_scope_comes_before_others_and_only_the_operator_gives_it() {
+    let (server, _) = server().await;
+    let key = |scopes: &[&str]| json!({ "name": "a", "tenant": "a", "scopes": scopes });
+    let (_, submits) = made(&server, OPERATOR, key(&["submit", "read", "admin"])).await;
+    let (_, hurries) = made(&server, OPERATOR, key(&["submit", "read", "priority"])).await;
+    let post =
+        async |key: &str, path: &str, body: Value| ask(&server, key, Method::POST, path, Some(&body)).await;
+    let (status, refused) = post(&submits, "/v1/keys", key(&["priority"])).await;
+    assert_eq!(status, 403, "a tenant does not raise itself above others: {refused}");
+
+    let client = relume::client::Client::new(server.client().base().as_str(), Some(submits.clone())).unwrap();
+    let capture = client.upload_capture_bytes(crate::service_support::capture_zip()).await.unwrap().id;
+    let job = |priority: i64| json!({ "capture": capture, "priority": priority, "overrides": { "iterations": 100_000 } });
+    let (status, refused) = post(&submits, "/v1/jobs", job(1)).await;
+    assert_eq!(status, 403);
+    assert!(refused["detail"].as_str().unwrap().contains("\"priority\""), "{refused}");
+    let running = post(&submits, "/v1/jobs", job(0)).await;
+    assert_eq!(running.0, 202);
+    let (status, raised) = post(&hurries, "/v1/jobs", job(1)).await;
+    assert_eq!((status, &raised["priority"]), (202, &json!(1)));
+    let path = format!("/v1/jobs/{}", raised["id"].as_str().unwrap());
+    let change = |priority: i64| json!({ "priority": priority });
+    for (key, priority, expected) in [(&submits, 2, 403), (&submits, -1, 200), (&hurries, 2, 200)] {
+        let (status, told) = ask(&server, key, Method::PATCH, &path, Some(&change(priority))).await;
+        assert_eq!(status, expected, "{told}");
+    }
+    // Repeating what was raised does not raise.
+    assert_eq!(post(&submits, &format!("{path}/cancel"), json!({})).await.0, 200);
+    let (status, again) = post(&submits, &format!("{path}/retry"), json!({})).await;
+    assert_eq!((status, &again["priority"]), (202, &json!(0)), "{again}");
+    for job in [running.1, again] {
+        post(&submits, &format!("/v1/jobs/{}/cancel", job["id"].as_str().unwrap()), json!({})).await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

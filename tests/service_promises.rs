@@ -18,9 +18,9 @@ use tempfile::TempDir;
 use crate::service_support::{capture_zip, ended, files_under, small_job, until};
 
 /// A queue with a clock of its own and one capture in it.
-struct Bench {
-    jobs: Jobs,
-    clock: Arc<ManualClock>,
+pub struct Bench {
+    pub jobs: Jobs,
+    pub clock: Arc<ManualClock>,
     dir: TempDir,
 }
 
@@ -32,7 +32,7 @@ fn tenant() -> TenantId {
 const LEASE: Duration = Duration::from_secs(60);
 
 impl Bench {
-    async fn new() -> Self {
+    pub async fn new() -> Self {
         let bench = Self::open(TempDir::new().unwrap()).await;
         let capture = CaptureRecord {
             id: "capture".into(),
@@ -54,12 +54,12 @@ impl Bench {
         Self { jobs, clock, dir }
     }
 
-    async fn submit(&self, priority: i64) -> JobId {
+    pub async fn submit(&self, priority: i64) -> JobId {
         self.submit_with(priority, None).await.unwrap()
     }
 
     /// Submits a job that asks for more than is measured.
-    async fn submit_asking(&self, figure: &str, wanted: &str) -> JobId {
+    pub async fn submit_asking(&self, figure: &str, wanted: &str) -> JobId {
         let quality_gate = QualityGate([(figure.to_owned(), wanted.to_owned())].into());
         let job = NewJob { capture: "capture".into(), quality_gate, ..NewJob::default() };
         match self.jobs.submit(&tenant(), job, 100, None, None, |job, _| job.id.to_string()).await.unwrap() {
@@ -75,7 +75,7 @@ impl Bench {
         }
     }
 
-    async fn claim(&self) -> Lease {
+    pub async fn claim(&self) -> Lease {
         self.jobs.claim().await.unwrap().expect("a job waits")
     }
 
@@ -103,7 +103,7 @@ fn model_of(lease: &Lease, id: &str) -> (ModelRecord, Vec<ModelFile>) {
     (model, vec![file])
 }
 
-async fn publish(lease: &Lease, id: &str) -> LeaseStatus {
+pub async fn publish(lease: &Lease, id: &str) -> LeaseStatus {
     let (model, files) = model_of(lease, id);
     lease.publish(&model, &files, Figures::default()).await.unwrap()
 }

@@ -105,6 +105,36 @@ async fn a_stream_of_events_ends_with_its_signed_url() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn an_open_stream_of_a_signed_url_ends_when_all_of_them_are_ended_and_one_of_a_key_does_not() {
+    let clock = Arc::new(ManualClock::default());
+    let server = start(TempDir::new().unwrap(), &[OPERATOR], &clock).await;
+    let client = bearer(&server, OPERATOR);
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = client.create_job(&small_job(&capture.id, 1_000_000, 1_000_000), None).await.unwrap();
+    let path = format!("/v1/jobs/{}/events", job.id);
+    let url = signed(&client, &path).await;
+    let mut by_url = server.client().request(Method::GET, &url).unwrap().send().await.unwrap();
+    let mut by_key = client.request(Method::GET, &path).unwrap().send().await.unwrap();
+    assert!(by_url.chunk().await.unwrap().is_some() && by_key.chunk().await.unwrap().is_some());
+    end_signed_urls(&server);
+    let ends = async { while by_url.chunk().await.unwrap().is_some() {} };
+    tokio::time::timeout(Duration::from_secs(60), ends).await.expect("the stream goes on");
+    client.cancel_job(&job.id).await.unwrap();
+    let mut told = String::new();
+    while let Some(chunk) = by_key.chunk().await.unwrap() {
+        told += std::str::from_utf8(&chunk).unwrap();
+    }
+    assert!(told.contains("cancelled"), "the other hears the end: {told}");
+}
+
+/// Ends all signed URLs, as the operator does.
+fn end_signed_urls(server: &TestServer) {
+    let mut end = Command::new(env!("CARGO_BIN_EXE_relume"));
+    let ended = end.args(["keys", "end-signed-urls", "--data-dir"]).arg(server.data_dir()).status().unwrap();
+    assert!(ended.success());
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_signed_url_is_good_for_nothing_else() {
     let (server, _, client, job) = with_model().await;
     let model = job.model.unwrap();
@@ -191,9 +221,7 @@ async fn signed_urls_end_with_the_key_that_signed_and_with_the_secret() {
 
     let url = signed(&client, &path).await;
     assert_eq!(status(&server, &url).await, 200);
-    let mut end = Command::new(env!("CARGO_BIN_EXE_relume"));
-    let ended = end.args(["keys", "end-signed-urls", "--data-dir"]).arg(server.data_dir()).status().unwrap();
-    assert!(ended.success());
+    end_signed_urls(&server);
     assert_eq!(status(&server, &url).await, 403, "the secret is another");
     assert_eq!(status(&server, &signed(&client, &path).await).await, 200);
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use relume::api::keys::Scope;
 use relume::api::{CaptureId, JobId, ModelId, TenantId};
 use relume::client::Client;
-use relume::server::ApiKeys;
+use relume::server::{ApiKeys, ServerConfig};
 use relume::store::{Page, Store};
 use relume::testing::{self, TestServer};
 use reqwest::{Method, RequestBuilder, header};
@@ -14,6 +14,7 @@ use sqlx::migrate::Migrator;
 use tempfile::TempDir;
 
 use crate::service_support::{capture_zip, ended, files_under, small_job, trained};
+use crate::webhooks::for_all;
 
 const OPERATOR: &str = "the-operators-own-key";
 
@@ -41,18 +42,21 @@ enum Kind {
     Job,
     Model,
     Key,
+    Webhook,
+    /// A message to a webhook; its identifier is that of both, as in a path.
+    Delivery,
 }
 
 use About::{Body, Counts, Everybody, List, One, Server};
-use Kind::{Capture, Environment, Job, Key, Model};
-use Scope::{Admin, Read, Render, Submit};
+use Kind::{Capture, Delivery, Environment, Job, Key, Model, Webhook};
+use Scope::{Admin, Metrics, Read, Render, Submit};
 
 /// Every operation: what it is about, and the scope that it needs.
 const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/healthz", Everybody, Read),
     ("get", "/readyz", Everybody, Read),
     ("get", "/v1/openapi.json", Everybody, Read),
-    ("get", "/metrics", Server, Admin),
+    ("get", "/metrics", Server, Metrics),
     ("get", "/v1/captures", List(Capture), Read),
     ("post", "/v1/captures", Body, Submit),
     ("post", "/v1/captures/validate", Body, Submit),
@@ -83,6 +87,13 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/v1/models/{id}/thumbnail", One(Model), Read),
     ("post", "/v1/signed-urls", Body, Read),
     ("get", "/v1/usage", Counts, Read),
+    ("get", "/v1/webhooks", List(Webhook), Admin),
+    ("post", "/v1/webhooks", Body, Admin),
+    ("get", "/v1/webhooks/{id}", One(Webhook), Admin),
+    ("patch", "/v1/webhooks/{id}", One(Webhook), Admin),
+    ("delete", "/v1/webhooks/{id}", One(Webhook), Admin),
+    ("get", "/v1/webhooks/{id}/deliveries", One(Webhook), Admin),
+    ("post", "/v1/webhooks/{id}/deliveries/{delivery}/replay", One(Delivery), Admin),
 ];
 
 /// The operations of the description, each with what is known about it.
@@ -107,16 +118,23 @@ struct Tenant {
     job: JobId,
     model: ModelId,
     key: String,
+    webhook: String,
+    delivery: String,
 }
 
 impl Tenant {
     async fn new(server: &TestServer, name: &str) -> Self {
         let client = bearer(server, name, &Scope::ALL).await.0;
+        // Nobody listens there.
+        let webhook = client.create_webhook(&for_all("http://127.0.0.1:1/")).await.unwrap().webhook.id;
         let job = trained(&client).await;
+        let delivery = client.deliveries(&webhook).await.unwrap().items.remove(0).id;
+        let delivery = format!("{webhook}/deliveries/{delivery}");
         let map = relume::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap();
         let environment = client.upload_environment(map).await.unwrap().id.to_string();
         let key = bearer(server, name, &[Scope::Read]).await.1;
-        Self { client, capture: job.capture, environment, job: job.id, model: job.model.unwrap(), key }
+        let (webhook, model) = (webhook.to_string(), job.model.unwrap());
+        Self { client, capture: job.capture, environment, job: job.id, model, key, webhook, delivery }
     }
 
     fn id(&self, kind: Kind) -> &str {
@@ -126,13 +144,18 @@ impl Tenant {
             Job => self.job.as_str(),
             Model => self.model.as_str(),
             Key => &self.key,
+            Webhook => &self.webhook,
+            Delivery => &self.delivery,
         }
     }
 }
 
 async fn server() -> TestServer {
-    let keys = |config: &mut relume::server::ServerConfig| config.api_keys = ApiKeys::new([OPERATOR]);
-    testing::spawn_with(TempDir::new().unwrap(), keys).await.unwrap()
+    let change = |config: &mut ServerConfig| {
+        config.api_keys = ApiKeys::new([OPERATOR]);
+        (config.webhooks.allow_http, config.webhooks.allow_private) = (true, true);
+    };
+    testing::spawn_with(TempDir::new().unwrap(), change).await.unwrap()
 }
 
 /// A client with a fresh key, and the key's identifier.
@@ -146,17 +169,25 @@ async fn bearer(server: &TestServer, tenant: &str, scopes: &[Scope]) -> (Client,
 
 /// An identifier that never was.
 fn never(kind: Kind) -> &'static str {
-    if kind == Key { "0123456789abcdef" } else { "01890000-0000-7000-8000-000000000000" }
+    match kind {
+        Key => "0123456789abcdef",
+        Delivery => "01890000-0000-7000-8000-000000000000/deliveries/msg_0",
+        _ => "01890000-0000-7000-8000-000000000000",
+    }
 }
 
 /// Asks for an operation about the thing `id`.
 fn ask(client: &Client, method: &str, path: &str, id: &str) -> RequestBuilder {
-    let filled = path.replace("{id}", id).replace("{name}", "model.safetensors");
+    let filled = path
+        .replace("{id}/deliveries/{delivery}", id)
+        .replace("{id}", id)
+        .replace("{name}", "model.safetensors");
     let method = Method::from_bytes(method.to_uppercase().as_bytes()).unwrap();
     let request = client.request(method.clone(), &filled).unwrap();
     let look = json!({ "look_at": { "eye": [3, 0, 1], "target": [0, 0, 0], "fov_y_deg": 40 } });
     match (method.as_str(), path) {
-        ("PATCH", "/v1/jobs/{id}") => request.json(&json!({ "priority": 1 })),
+        ("PATCH", "/v1/jobs/{id}") => request.json(&json!({ "priority": -1 })),
+        ("PATCH", "/v1/webhooks/{id}") => request.json(&json!({ "name": "changed" })),
         ("POST", "/v1/models/{id}/render") => {
             request.json(&json!({ "camera": look, "width": 8, "height": 8 }))
         }
@@ -316,7 +347,10 @@ async fn every_operation_refuses_a_key_without_its_scope_by_name() {
     let server = server().await;
     let mut few = Vec::new();
     for scope in Scope::ALL {
-        let others: Vec<Scope> = Scope::ALL.into_iter().filter(|other| *other != scope).collect();
+        // Administrators of the operator's tenant read metrics, too.
+        let does_more = |other: &Scope| scope == Metrics && *other == Admin;
+        let others: Vec<Scope> =
+            Scope::ALL.into_iter().filter(|other| *other != scope && !does_more(other)).collect();
         let with = bearer(&server, "default", &[scope]).await.0;
         few.push((scope, with, bearer(&server, "default", &others).await.0));
     }

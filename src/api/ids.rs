@@ -40,6 +40,10 @@ identifiers! {
     ModelId;
     /// Identifies an API key.
     KeyId;
+    /// Identifies a webhook.
+    WebhookId;
+    /// Identifies a message to a webhook.
+    DeliveryId;
     /// Names a tenant: those who share captures, environments, jobs and models.
     TenantId;
 }

@@ -23,7 +23,7 @@ pub struct NewJob {
     #[serde(default)]
     #[cfg_attr(feature = "server", sqlx(json))]
     pub overrides: TrainOverrides,
-    /// -100 to 100; higher runs first.
+    /// -100 to 100; higher runs first. Above 0 needs a key with the scope `priority`.
     #[serde(default)]
     #[cfg_attr(feature = "server", schema(minimum = -100, maximum = 100))]
     pub priority: i64,
@@ -58,7 +58,7 @@ pub enum JobDevice {
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JobChange {
-    /// -100 to 100; higher runs first.
+    /// -100 to 100; higher runs first. Above 0 needs a key with the scope `priority`.
     #[cfg_attr(feature = "server", schema(minimum = -100, maximum = 100))]
     pub priority: i64,
 }

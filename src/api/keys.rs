@@ -18,13 +18,18 @@ pub enum Scope {
     Render,
     /// Upload, submit and change jobs, delete.
     Submit,
-    /// Make, list and revoke keys.
+    /// Make, list and revoke keys; webhooks.
     Admin,
+    /// Submit jobs with a priority above 0. Only administrators of the tenant `default` give it.
+    Priority,
+    /// Read `/metrics`; of the tenant `default`.
+    Metrics,
 }
 
 impl Scope {
     /// All scopes.
-    pub const ALL: [Self; 4] = [Self::Read, Self::Render, Self::Submit, Self::Admin];
+    pub const ALL: [Self; 6] =
+        [Self::Read, Self::Render, Self::Submit, Self::Admin, Self::Priority, Self::Metrics];
 
     /// Its name in JSON and on the command line.
     pub fn name(self) -> &'static str {
@@ -33,6 +38,8 @@ impl Scope {
             Self::Render => "render",
             Self::Submit => "submit",
             Self::Admin => "admin",
+            Self::Priority => "priority",
+            Self::Metrics => "metrics",
         }
     }
 }
@@ -89,9 +96,9 @@ pub struct NewKey {
     )]
     pub tenant: Option<TenantId>,
     /// What it may do.
-    #[cfg_attr(feature = "server", schema(min_items = 1, max_items = 4))]
+    #[cfg_attr(feature = "server", schema(min_items = 1, max_items = 6))]
     pub scopes: Vec<Scope>,
-    /// Seconds until it expires, 1 to ten years; never when absent.
+    /// Seconds until it expires, 1 to ten years; never when absent. It expires with the caller's own key at the latest.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(minimum = 1, maximum = 315_360_000))]
     pub expires_in: Option<u64>,
@@ -134,6 +141,10 @@ pub struct KeyView {
     pub tenant: TenantId,
     /// What it may do.
     pub scopes: Vec<Scope>,
+    /// The key that made it, with which it is revoked; absent for those of the command line and of configured keys.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[cfg_attr(feature = "server", schema(value_type = Option<String>))]
+    pub made_by: Option<KeyId>,
     /// RFC 3339.
     pub created_at: String,
     /// RFC 3339; when it expires.
@@ -156,4 +167,16 @@ pub struct CreatedKey {
     pub key: KeyView,
     /// What its bearer sends, `rlm_ID_SECRET`. The server keeps a hash of it and never shows it again.
     pub secret: String,
+}
+
+/// A key that was revoked.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
+pub struct RevokedKey {
+    /// The key as lists show it.
+    #[serde(flatten)]
+    pub key: KeyView,
+    /// Keys that it made, and those that these made: all are revoked with it.
+    #[cfg_attr(feature = "server", schema(value_type = Vec<String>))]
+    pub took_along: Vec<KeyId>,
 }

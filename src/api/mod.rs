@@ -13,8 +13,9 @@ pub mod renders;
 mod resources;
 pub mod signed_urls;
 pub mod usage;
+pub mod webhooks;
 
-pub use ids::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId};
+pub use ids::{CaptureId, DeliveryId, EnvironmentId, JobId, KeyId, ModelId, TenantId, WebhookId};
 pub use page::List;
 pub use problem::Problem;
 pub use resources::{ResourceKind, ResourceName};

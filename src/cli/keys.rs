@@ -24,7 +24,7 @@ enum KeysCommand {
     Create(CreateArgs),
     /// List keys, revoked and expired ones too.
     List(Place),
-    /// Refuse a key from now on.
+    /// Refuse a key, and those that it made, from now on.
     Revoke(RevokeArgs),
     /// End all signed URLs that were made so far.
     EndSignedUrls(Place),
@@ -48,7 +48,7 @@ struct CreateArgs {
     /// Whose it is: tenants share nothing. Administrators of `default` manage the keys of all.
     #[arg(long, default_value = "default")]
     tenant: String,
-    /// What it may do: `read`, `render`, `submit`, `admin`; several with commas.
+    /// What it may do: `read`, `render`, `submit`, `admin`, `priority`, `metrics`; several with commas.
     #[arg(long, value_delimiter = ',', default_value = "read,render,submit")]
     scopes: Vec<Scope>,
     /// Days until it expires; never where absent.
@@ -88,7 +88,7 @@ async fn create(args: CreateArgs) -> CommandResult {
     }
     let now_ms = SystemClock.now_ms();
     let expires_ms = expires_in.map(|seconds| now_ms.saturating_add_unsigned(seconds * 1000));
-    let record = NewKeyRecord { name: key.name, tenant, scopes: key.scopes, expires_ms };
+    let record = NewKeyRecord { name: key.name, tenant, scopes: key.scopes, expires_ms, made_by: None };
     let data_dir = std::path::absolute(&args.place.data_dir)?;
     let store = open(&data_dir).await.map_err(|error| format!("{}: {error}", data_dir.display()))?;
     let (made, secret) = store.create_key(&record, now_ms).await?;
@@ -138,9 +138,12 @@ fn day(ms: i64) -> String {
 async fn revoke(store: &Store, id: &KeyId) -> CommandResult {
     let revoked = store.revoke_key(None, id, SystemClock.now_ms()).await?;
     store.close().await;
-    revoked
-        .map(|key| eprintln!("key {} is revoked", key.id))
-        .ok_or_else(|| format!("no key {id:?}", id = id.as_str()).into())
+    let (key, took_along) = revoked.ok_or_else(|| format!("no key {id:?}", id = id.as_str()))?;
+    eprintln!("key {} is revoked", key.id);
+    for other in took_along {
+        eprintln!("key {other}, which came of it, is revoked");
+    }
+    Ok(())
 }
 
 /// The store of a data directory that is there.

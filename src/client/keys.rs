@@ -2,7 +2,7 @@
 
 use reqwest::Method;
 
-use crate::api::keys::{CreatedKey, KeyView, NewKey};
+use crate::api::keys::{CreatedKey, KeyView, NewKey, RevokedKey};
 use crate::api::signed_urls::{NewSignedUrl, SignedUrl};
 use crate::api::{KeyId, List};
 use crate::client::connection::{Client, json};
@@ -25,11 +25,11 @@ impl Client {
         json(self.request(Method::GET, "/v1/keys")?).await
     }
 
-    /// Revokes an API key.
+    /// Revokes an API key and those that it made.
     ///
     /// # Errors
     /// The server's refusal, or what failed on the way.
-    pub async fn revoke_key(&self, id: &KeyId) -> Result<KeyView> {
+    pub async fn revoke_key(&self, id: &KeyId) -> Result<RevokedKey> {
         json(self.request(Method::POST, &format!("/v1/keys/{id}/revoke"))?).await
     }
 

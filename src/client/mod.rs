@@ -23,6 +23,7 @@ mod jobs;
 mod keys;
 mod models;
 mod usage;
+mod webhooks;
 
 pub use connection::Client;
 pub use error::ClientError;

@@ -8,12 +8,12 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use crate::api::Problem;
-use crate::api::keys::Scope::{self, Admin, Read, Render, Submit};
+use crate::api::keys::Scope::{self, Admin, Metrics, Read, Render, Submit};
 use crate::server::caller::Caller;
 use crate::server::keyring::Keyring;
 use crate::server::rates::{Rates, Standing};
 use crate::server::signing::{Signed, Subject};
-use crate::server::signing_secret::SigningSecret;
+use crate::server::signing_secret::{SigningSecret, digest};
 
 /// What a route asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,8 +22,8 @@ enum Access {
     Open,
     /// A key with this scope.
     Needs(Scope),
-    /// A key with the scope `admin` of the tenant of whoever runs the server.
-    Operator,
+    /// A key with this scope or `admin`, of the tenant of whoever runs the server.
+    Operator(Scope),
 }
 
 use Access::{Needs, Open, Operator};
@@ -33,7 +33,7 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/healthz", Open),
     (Method::GET, "/readyz", Open),
     (Method::GET, "/v1/openapi.json", Open),
-    (Method::GET, "/metrics", Operator),
+    (Method::GET, "/metrics", Operator(Metrics)),
     (Method::GET, "/v1/captures", Needs(Read)),
     (Method::POST, "/v1/captures", Needs(Submit)),
     (Method::POST, "/v1/captures/validate", Needs(Submit)),
@@ -64,6 +64,13 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/v1/models/{id}/thumbnail", Needs(Read)),
     (Method::POST, "/v1/signed-urls", Needs(Read)),
     (Method::GET, "/v1/usage", Needs(Read)),
+    (Method::GET, "/v1/webhooks", Needs(Admin)),
+    (Method::POST, "/v1/webhooks", Needs(Admin)),
+    (Method::GET, "/v1/webhooks/{id}", Needs(Admin)),
+    (Method::PATCH, "/v1/webhooks/{id}", Needs(Admin)),
+    (Method::DELETE, "/v1/webhooks/{id}", Needs(Admin)),
+    (Method::GET, "/v1/webhooks/{id}/deliveries", Needs(Admin)),
+    (Method::POST, "/v1/webhooks/{id}/deliveries/{delivery}/replay", Needs(Admin)),
 ];
 
 /// The line of the table for a request that a route was found for.
@@ -109,14 +116,14 @@ impl Gate {
     ) -> Result<Request, Problem> {
         let caller = match Signed::is_meant(request.uri().query()) {
             true => self.signer(&mut request).await?,
-            false => self.keys.caller(bearer(&request)).await?.ok_or_else(unknown)?,
+            false => self.keys.caller(bearer(&request)).await?.ok_or_else(Problem::unauthorized)?,
         };
         caller.tell_the_log();
-        *standing = self.rates.take(&caller.key, self.keys.now_ms());
+        *standing = self.rates.take(&caller, self.keys.now_ms());
         standing.as_ref().map_or(Ok(()), Standing::check)?;
         match access {
             Some(Needs(scope)) => caller.needs(scope)?,
-            Some(Operator) => caller.needs_operator()?,
+            Some(Operator(scope)) => caller.needs_operator(scope)?,
             Some(Open) => {}
             // No such route, or not with this method: it is refused without asking who calls.
             None => return Ok(request),
@@ -146,7 +153,8 @@ impl Gate {
         self.keys.note_signed(&caller);
         let until = signed.expires.saturating_mul(1000);
         let expires_ms = Some(caller.expires_ms.map_or(until, |key| key.min(until)));
-        Ok(Caller { scopes: vec![Read], expires_ms, ..caller })
+        let signed_under = Some(digest(&secret));
+        Ok(Caller { scopes: vec![Read], expires_ms, signed_under, ..caller })
     }
 }
 
@@ -154,11 +162,6 @@ fn badly_signed() -> Problem {
     Problem::new(StatusCode::FORBIDDEN, "bad-signature", "The signed URL is not good, or no longer").detail(
         "it has expired, was changed, is of another secret, or its key was revoked; ask /v1/signed-urls for another",
     )
-}
-
-fn unknown() -> Problem {
-    Problem::new(StatusCode::UNAUTHORIZED, "unauthorized", "An API key is needed")
-        .detail("send Authorization: Bearer <key>, with a key that is neither revoked nor expired")
 }
 
 fn bearer(request: &Request) -> Option<&str> {

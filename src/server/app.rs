@@ -11,6 +11,7 @@ use crate::server::decoders::Decoders;
 use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
 use crate::server::signing_secret::SigningSecret;
+use crate::server::webhooks::WebhookPolicy;
 use crate::store::Store;
 use crate::worker::DeviceHandle;
 
@@ -55,6 +56,8 @@ pub(super) struct App {
     pub(super) keys: Arc<Keyring>,
     /// Under which URLs are signed.
     pub(super) signing: SigningSecret,
+    /// What webhooks may do.
+    pub(super) webhooks: WebhookPolicy,
     /// Wakes whoever removes the files of what was deleted.
     pub(super) tidy: Arc<Notify>,
     /// Cancelled when the server begins to shut down.

@@ -10,6 +10,9 @@ use crate::api::{KeyId, Problem, TenantId};
 /// What stands for a key where there is none.
 pub(super) const NO_KEY: &str = "none";
 
+/// Keys that the server was started with are named so, with their number.
+pub(super) const CONFIGURED: &str = "configured-";
+
 /// Whoever makes a request. Handlers take it as an argument; there is one only where the table of `access` lets the
 /// request through.
 #[derive(Debug, Clone)]
@@ -26,6 +29,8 @@ pub(super) struct Caller {
     pub(super) expires_ms: Option<i64>,
     /// False on a server without keys.
     pub(super) has_key: bool,
+    /// Hash of the secret under which its URL was signed, if it came by one.
+    pub(super) signed_under: Option<[u8; 32]>,
 }
 
 impl Caller {
@@ -38,7 +43,13 @@ impl Caller {
             key_hash: String::new(),
             expires_ms: None,
             has_key: false,
+            signed_under: None,
         }
+    }
+
+    /// Whether its key is in the database.
+    pub(super) fn has_stored_key(&self) -> bool {
+        self.has_key && !self.key.as_str().starts_with(CONFIGURED)
     }
 
     /// Adds the key's identifier and the tenant to every line of the log about this request.
@@ -58,14 +69,15 @@ impl Caller {
     }
 
     /// # Errors
-    /// 403 unless this is an administrator of the tenant of whoever runs the server.
-    pub(super) fn needs_operator(&self) -> Result<(), Problem> {
-        self.needs(Scope::Admin)?;
-        if self.tenant.is_operator() {
+    /// 403 unless this has the scope, or `admin`, of the tenant of whoever runs the server.
+    pub(super) fn needs_operator(&self, scope: Scope) -> Result<(), Problem> {
+        let permits = self.scopes.iter().any(|own| [scope, Scope::Admin].contains(own));
+        if permits && self.tenant.is_operator() {
             return Ok(());
         }
         let tenant = TenantId::of_operator();
-        Err(Self::lacks(format!("this needs a key with the scope \"admin\" of the tenant \"{tenant}\"")))
+        let scope = scope.name();
+        Err(Self::lacks(format!("this needs a key with the scope {scope:?} of the tenant \"{tenant}\"")))
     }
 
     fn lacks(what: String) -> Problem {

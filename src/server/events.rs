@@ -20,6 +20,7 @@ use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::listing::rfc3339;
+use crate::server::signing_secret::digest;
 use crate::store::{EventRecord, StoreError};
 
 /// How long a listener waits for a notification before it queries the database.
@@ -44,7 +45,7 @@ struct EventQuery {
 /// Stream a job's events
 ///
 /// Every event since `Last-Event-ID` (or since the beginning), then new ones as they happen, until the job is in a
-/// terminal state, or the caller's key or signed URL ends. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object, in which
+/// terminal state, or the caller's key or signed URL ends, also when all signed URLs are ended. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object, in which
 /// `at` says when, RFC 3339. Numbers only grow, also across restarts of the server. The last `state` of a job that made a model
 /// has its `figures`, too.
 #[utoipa::path(
@@ -76,6 +77,7 @@ async fn job_events(
         tenant: caller.tenant,
         key: caller.key,
         expires_ms: caller.expires_ms,
+        signed_under: caller.signed_under,
         id,
         after,
         changes,
@@ -102,6 +104,8 @@ struct Listener {
     key: KeyId,
     /// When the key or the signed URL expires.
     expires_ms: Option<i64>,
+    /// Hash of the secret under which the URL was signed.
+    signed_under: Option<[u8; 32]>,
     id: JobId,
     after: i64,
     changes: watch::Receiver<()>,
@@ -127,11 +131,21 @@ impl Listener {
         }
     }
 
+    /// Whether the key, and the signed URL if it came by one, are still good.
+    async fn may_listen(&self) -> Result<bool, StoreError> {
+        let is_over = self.expires_ms.is_some_and(|end| self.app.keys.now_ms() >= end);
+        if is_over || self.app.keys.bearer_of(self.key.as_str()).await?.is_none() {
+            return Ok(false);
+        }
+        let Some(under) = self.signed_under else { return Ok(true) };
+        let secret = self.app.signing.read().await?;
+        Ok(secret.is_some_and(|secret| digest(&secret) == under))
+    }
+
     /// Fetches what is new, or waits for it; `false` when nothing can follow, or the listener may not hear it any more.
     async fn fetch(&mut self) -> Result<bool, StoreError> {
         self.changes.mark_unchanged();
-        let is_over = self.expires_ms.is_some_and(|end| self.app.keys.now_ms() >= end);
-        if is_over || self.app.keys.bearer_of(self.key.as_str()).await?.is_none() {
+        if !self.may_listen().await? {
             return Ok(false);
         }
         // The state first: a job that is terminal now has written its last event already.

@@ -10,13 +10,14 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::jobs::{JobChange, JobDevice, JobError, JobState, JobView, NewJob};
+use crate::api::jobs::{JobChange, JobDevice, JobState, JobView, NewJob};
+use crate::api::keys::Scope;
 use crate::api::{EnvironmentId, JobId, List, Problem, TenantId};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
-use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::server::listing::{PageQuery, unknown_cursor};
 use crate::server::{job_bounds, quality_gate};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
 use crate::train::{ConfigError, KnownLight, TrainConfig};
@@ -77,7 +78,7 @@ async fn create_job(
         return accepted(answer, true);
     }
     let config = TrainConfig::new(job.preset, &job.overrides).map_err(|e| override_refused(&e))?;
-    check_priority(job.priority)?;
+    check_priority(&caller, job.priority)?;
     if job.device == JobDevice::Gpu && !app.device.has_gpu() {
         return Err(Problem::invalid_field("/device", "this server has no GPU"));
     }
@@ -113,7 +114,7 @@ async fn list_jobs(
             JobState::Queued => app.store.queue_position(&job.id).await?,
             _ => None,
         };
-        items.push(view(job, position));
+        items.push(job.view(position));
     }
     Ok(Json(page.list(items, |j: &JobView| j.id.as_str())))
 }
@@ -145,7 +146,7 @@ async fn change_job(
     UrlPath(id): UrlPath<JobId>,
     JsonBody(change): JsonBody<JobChange>,
 ) -> Result<Json<JobView>, Problem> {
-    check_priority(change.priority)?;
+    check_priority(&caller, change.priority)?;
     let changed = app.jobs.set_priority(&caller.tenant, &id, change.priority).await?;
     let job = current(&app, &caller.tenant, &id).await?;
     if !changed {
@@ -172,7 +173,7 @@ async fn cancel_job(
     UrlPath(id): UrlPath<JobId>,
 ) -> Result<Json<JobView>, Problem> {
     match app.jobs.cancel(&caller.tenant, &id).await? {
-        CancelOutcome::Accepted(job) => Ok(Json(view(job, None))),
+        CancelOutcome::Accepted(job) => Ok(Json(job.view(None))),
         CancelOutcome::AlreadyFinished(job) => {
             let detail = format!("the job has {}; terminal states never change", job.state.name());
             Err(Problem::conflict("job-finished", detail))
@@ -183,7 +184,7 @@ async fn cancel_job(
 
 /// Run a failed or cancelled job again
 ///
-/// Queues a new job with the same capture and settings; `retry_of` names the old one, which stays as it is.
+/// Queues a new job with the same capture and settings; `retry_of` names the old one, which stays as it is. A priority above 0 becomes 0 for a key without the scope `priority`.
 #[utoipa::path(
     post, path = "/v1/jobs/{id}/retry", tag = "jobs", params(("id" = String, Path)),
     responses(
@@ -202,7 +203,11 @@ async fn retry_job(
         let detail = format!("the job is {}; only a failed or cancelled one runs again", job.state.name());
         return Err(Problem::conflict("job-not-retryable", detail));
     }
-    submit(&app, &caller.tenant, job.request, job.progress.total, Some(job.id), None).await
+    let mut request = job.request;
+    if caller.needs(Scope::Priority).is_err() {
+        request.priority = request.priority.min(0);
+    }
+    submit(&app, &caller.tenant, request, job.progress.total, Some(job.id), None).await
 }
 
 async fn submit(
@@ -216,7 +221,7 @@ async fn submit(
     // A training makes a model, of a size that is not known before.
     app.store.admit_bytes_of(tenant, 0).await?;
     let answer =
-        |job: &JobRecord, position| serde_json::to_string(&view(job.clone(), position)).unwrap_or_default();
+        |job: &JobRecord, position| serde_json::to_string(&job.clone().view(position)).unwrap_or_default();
     let submitted = app.jobs.submit(tenant, request, total, retry_of, key, answer).await?;
     let (text, replayed) = match submitted {
         Submitted::Created(text) => (text, false),
@@ -247,7 +252,7 @@ fn location(answer: &str) -> Result<HeaderValue, Problem> {
 async fn current(app: &Shared, tenant: &TenantId, id: &JobId) -> Result<JobView, Problem> {
     let found = app.jobs.get(tenant, id).await?;
     let (job, position) = found.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
-    Ok(view(job, position))
+    Ok(job.view(position))
 }
 
 /// The key with a hash of what the request means, so that white space does not make another request of it.
@@ -272,41 +277,16 @@ async fn check_light(app: &Shared, tenant: &TenantId, light: &KnownLight) -> Res
     Err(Problem::invalid_field("/overrides/light/environment", detail))
 }
 
-fn check_priority(priority: i64) -> Result<(), Problem> {
-    if PRIORITIES.contains(&priority) {
-        return Ok(());
+/// Whoever may submit may wait longer; to come before others, of whichever tenant, needs a scope.
+fn check_priority(caller: &Caller, priority: i64) -> Result<(), Problem> {
+    if !PRIORITIES.contains(&priority) {
+        return Err(Problem::invalid_field("/priority", format!("must be -100 to 100, got {priority}")));
     }
-    Err(Problem::invalid_field("/priority", format!("must be -100 to 100, got {priority}")))
+    if priority > 0 { caller.needs(Scope::Priority) } else { Ok(()) }
 }
 
 /// The trainer's refusals begin with the name of the field.
 fn override_refused(error: &ConfigError) -> Problem {
     let setting = error.field.split('.').next().unwrap_or_default();
     Problem::invalid_field(format!("/overrides/{setting}"), error.to_string())
-}
-
-fn view(job: JobRecord, queue_position: Option<i64>) -> JobView {
-    let detail = job.error_detail.unwrap_or_default();
-    JobView {
-        id: job.id,
-        capture: job.request.capture,
-        retry_of: job.retry_of,
-        preset: job.request.preset,
-        overrides: job.request.overrides,
-        device: job.request.device,
-        priority: job.request.priority,
-        state: job.state,
-        queue_position,
-        progress: job.progress,
-        attempts: job.attempts,
-        created_at: rfc3339(job.created_ms),
-        started_at: job.started_ms.map(rfc3339),
-        finished_at: job.finished_ms.map(rfc3339),
-        model: job.model_id,
-        model_deleted_at: job.model_deleted_ms.map(rfc3339),
-        missed: job.figures.as_ref().map(|f| job.request.quality_gate.misses(f)).unwrap_or_default(),
-        quality_gate: job.request.quality_gate,
-        figures: job.figures,
-        error: job.error_code.map(|code| JobError { code, detail }),
-    }
 }

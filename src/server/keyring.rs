@@ -10,14 +10,11 @@ use crate::api::keys::Scope;
 use crate::api::{KeyId, TenantId};
 use crate::jobs::Clock;
 use crate::server::auth::ApiKeys;
-use crate::server::caller::{Caller, NO_KEY};
+use crate::server::caller::{CONFIGURED, Caller, NO_KEY};
 use crate::store::{KeyRecord, KeyToken, Store, StoreError, hex};
 
 /// The use of a key is written down once in this time.
 const NOTE_EVERY_MS: i64 = 60_000;
-
-/// Keys that the server was started with are named so, with their number.
-const CONFIGURED: &str = "configured-";
 
 /// All keys of a server.
 pub(super) struct Keyring {
@@ -77,7 +74,7 @@ impl Keyring {
 
     /// Writes down that a URL is used that a key has signed.
     pub(super) fn note_signed(&self, caller: &Caller) {
-        if caller.has_key && !caller.key.as_str().starts_with(CONFIGURED) {
+        if caller.has_stored_key() {
             self.note_use(&caller.key, None, self.clock.now_ms());
         }
     }
@@ -95,6 +92,7 @@ impl Keyring {
             key_hash: hex(self.configured.hash(place)?),
             expires_ms: None,
             has_key: true,
+            signed_under: None,
         })
     }
 
@@ -123,5 +121,6 @@ fn stored(record: KeyRecord) -> Caller {
         key_hash: record.secret_sha256,
         expires_ms: record.expires_ms,
         has_key: true,
+        signed_under: None,
     }
 }

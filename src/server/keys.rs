@@ -7,7 +7,7 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::keys::{CreatedKey, KeyView, NewKey};
+use crate::api::keys::{CreatedKey, KeyView, NewKey, RevokedKey, Scope};
 use crate::api::{KeyId, List, Problem, TenantId};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
@@ -26,7 +26,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 /// Make an API key
 ///
 /// The answer has the key itself, which is shown this once. The first key of a server is made by `relume keys create`. Administrators of the tenant `default` make keys for any
-/// tenant, others for their own.
+/// tenant, others for their own, without the scope `priority`. A key that a key made expires with it at the latest, and is revoked with it.
 #[utoipa::path(
     post, path = "/v1/keys", tag = "keys", request_body = NewKey,
     responses(
@@ -49,14 +49,21 @@ async fn create_key(
             .detail(detail));
     }
     if key.tenant.as_ref().is_some_and(|tenant| *tenant != caller.tenant) {
-        caller.needs_operator()?;
+        caller.needs_operator(Scope::Admin)?;
+    }
+    if key.scopes.contains(&Scope::Priority) {
+        // Jobs of all tenants wait for one device.
+        caller.needs_operator(Scope::Admin)?;
     }
     let now_ms = app.jobs.now_ms();
+    let expires_ms = key.expires_in.map(|s| now_ms.saturating_add_unsigned(s.saturating_mul(1000)));
+    let made_by = caller.has_stored_key().then_some(caller.key);
     let record = NewKeyRecord {
         name: key.name,
         tenant: key.tenant.unwrap_or(caller.tenant),
         scopes: key.scopes,
-        expires_ms: key.expires_in.map(|s| now_ms.saturating_add_unsigned(s.saturating_mul(1000))),
+        expires_ms: expires_ms.into_iter().chain(caller.expires_ms).min(),
+        made_by,
     };
     let (record, secret) = app.store.create_key(&record, now_ms).await?;
     tracing::info!(made = %record.id, of = %record.tenant, "made a key");
@@ -107,22 +114,22 @@ async fn get_key(
 
 /// Revoke an API key
 ///
-/// It is refused from the next request on, and stays in lists. Asking again changes nothing.
+/// It is refused from the next request on, and stays in lists; so are the keys that it made, and those that these made. Asking again changes nothing.
 #[utoipa::path(
     post, path = "/v1/keys/{id}/revoke", tag = "keys", params(("id" = String, Path)),
     responses(
-        (status = 200, body = KeyView), (status = 403, body = Problem), (status = 404, body = Problem)
+        (status = 200, body = RevokedKey), (status = 403, body = Problem), (status = 404, body = Problem)
     )
 )]
 async fn revoke_key(
     State(app): State<Shared>,
     caller: Caller,
     UrlPath(id): UrlPath<KeyId>,
-) -> Result<Json<KeyView>, Problem> {
+) -> Result<Json<RevokedKey>, Problem> {
     let revoked = app.store.revoke_key(visible(&caller), &id, app.jobs.now_ms()).await?;
-    let key = revoked.ok_or_else(|| Problem::not_found("key", id.as_str()))?;
-    tracing::info!(revoked = %key.id, of = %key.tenant, "revoked a key");
-    Ok(Json(view(key)))
+    let (key, took_along) = revoked.ok_or_else(|| Problem::not_found("key", id.as_str()))?;
+    tracing::info!(revoked = %key.id, of = %key.tenant, took_along = took_along.len(), "revoked a key");
+    Ok(Json(RevokedKey { key: view(key), took_along }))
 }
 
 /// The tenant whose keys a caller may see; `None` when they may see all.
@@ -140,6 +147,7 @@ fn view(key: KeyRecord) -> KeyView {
         name: key.name,
         tenant: key.tenant,
         scopes: key.scopes,
+        made_by: key.made_by,
         created_at: rfc3339(key.created_ms),
         expires_at: key.expires_ms.map(rfc3339),
         last_used_at: key.last_used_ms.map(rfc3339),

@@ -6,6 +6,8 @@ use utoipa::IntoParams;
 use crate::api::{List, Problem};
 use crate::store::Page;
 
+pub(super) use crate::store::rfc3339;
+
 const MOST: u32 = 200;
 const DEFAULT: u32 = 50;
 
@@ -66,9 +68,4 @@ impl Asked {
 /// 422 for a page that begins nowhere.
 pub(super) fn unknown_cursor(before: &str) -> Problem {
     Problem::invalid_field("query/before", format!("{before:?} is not an item of this list"))
-}
-
-/// Milliseconds since 1970 as RFC 3339.
-pub(super) fn rfc3339(ms: i64) -> String {
-    jiff::Timestamp::from_millisecond(ms).unwrap_or_default().to_string()
 }

@@ -44,6 +44,7 @@ mod stack;
 mod thumbnails;
 mod upload;
 mod usage;
+mod webhooks;
 
 pub use app::RequestLimits;
 pub use auth::ApiKeys;
@@ -52,3 +53,4 @@ pub use origins::CorsOrigin;
 pub use router::openapi;
 pub use run::{ServeError, ServerConfig, run};
 pub use signing_secret::rotate_signing_secret;
+pub use webhooks::WebhookPolicy;

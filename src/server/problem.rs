@@ -39,6 +39,12 @@ impl Problem {
         self
     }
 
+    /// 401.
+    pub fn unauthorized() -> Self {
+        Self::new(StatusCode::UNAUTHORIZED, "unauthorized", "An API key is needed")
+            .detail("send Authorization: Bearer <key>, with a key that is neither revoked nor expired")
+    }
+
     /// 404.
     pub fn not_found(what: &str, id: &str) -> Self {
         Self::new(StatusCode::NOT_FOUND, "not-found", "There is no such thing")
@@ -153,6 +159,7 @@ impl From<StoreError> for Problem {
                 let title = "Your tenant may have no more of these";
                 Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", title).detail(error.to_string())
             }
+            StoreError::TooManyWebhooks { .. } => Self::conflict("quota-exceeded", error.to_string()),
             StoreError::OverLimit { .. } => {
                 Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-limit", "The server may store no more")
                     .detail(error.to_string())
@@ -172,6 +179,7 @@ impl From<StoreError> for Problem {
                 ),
                 kind => Self::not_found(kind.name(), &what.id),
             },
+            StoreError::KeyEnded => Self::unauthorized(),
             StoreError::KeyReused => Self::new(
                 StatusCode::UNPROCESSABLE_ENTITY,
                 "idempotency-key-reused",

@@ -10,7 +10,7 @@ use crate::server::app::Shared;
 use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLOADS, bounded};
 use crate::server::{
     captures, deletion, description, environments, events, files, health, jobs, keys, models, renders,
-    signed_urls, thumbnails, usage,
+    signed_urls, thumbnails, usage, webhooks,
 };
 
 fn families() -> OpenApiRouter<Shared> {
@@ -24,7 +24,8 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(models::routes())
         .merge(files::routes())
         .merge(deletion::routes())
-        .merge(usage::routes());
+        .merge(usage::routes())
+        .merge(webhooks::routes());
     OpenApiRouter::with_openapi(description::preamble())
         .merge(bounded(uploads, &UPLOADS))
         .merge(bounded(queries, &QUERIES))

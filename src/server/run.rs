@@ -26,6 +26,7 @@ use crate::server::rates::Rates;
 use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::stack::StackConfig;
+use crate::server::webhooks::{Courier, WebhookPolicy};
 use crate::store::{NodeLock, Quota, Retention, Store, StoreError, has_keys};
 use crate::worker::{self, DeviceHandle, StartError, WorkerOptions};
 
@@ -51,10 +52,14 @@ pub struct ServerConfig {
     pub connections: ConnectionLimits,
     /// Requests that a key may make a minute; any number when absent.
     pub requests_per_minute: Option<u32>,
+    /// Requests that all keys of a tenant may make a minute; ten times that of a key when absent.
+    pub requests_per_minute_of_tenant: Option<u32>,
     /// How much a tenant may have.
     pub quota: Quota,
     /// How leases behave.
     pub lease: LeasePolicy,
+    /// What webhooks may do.
+    pub webhooks: WebhookPolicy,
     /// How long things are kept.
     pub retention: Retention,
     /// Sizes of the worker.
@@ -76,8 +81,10 @@ impl ServerConfig {
             limits: RequestLimits::default(),
             connections: ConnectionLimits::default(),
             requests_per_minute: None,
+            requests_per_minute_of_tenant: None,
             quota: Quota::default(),
             lease: LeasePolicy::default(),
+            webhooks: WebhookPolicy::default(),
             retention: Retention::default(),
             worker: WorkerOptions::default(),
             clock: Arc::new(SystemClock),
@@ -134,6 +141,7 @@ pub async fn run(
     let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
     let tidy = Arc::new(Notify::new());
     let keeper = tokio::spawn(keeper::keep(jobs.clone(), config.retention, tidy.clone(), stop.clone()));
+    let courier = tokio::spawn(Courier::new(jobs.clone(), config.webhooks).work(stop.clone()));
     let store = jobs.store().clone();
     let service = service(&config, is_open, jobs, device, tidy, stop.clone())?;
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
@@ -145,6 +153,9 @@ pub async fn run(
         tracing::error!("the device thread did not end well");
     }
     maintenance.abort();
+    if courier.await.is_err() {
+        tracing::error!("webhooks could not be sent to the end");
+    }
     if keeper.await.is_err() {
         tracing::error!("what was deleted could not be swept to the end");
     }
@@ -191,7 +202,7 @@ fn service(
     let store = jobs.store().clone();
     let signing = SigningSecret::of(&config.data_dir);
     let keys = Arc::new(Keyring::new(config.api_keys.clone(), store.clone(), config.clock.clone()));
-    let rates = Rates::new(config.requests_per_minute);
+    let rates = Rates::new(config.requests_per_minute, config.requests_per_minute_of_tenant);
     let app = App {
         store,
         jobs,
@@ -201,6 +212,7 @@ fn service(
         decoders: Decoders::start(config.limits.memory_bytes)?,
         keys: keys.clone(),
         signing: signing.clone(),
+        webhooks: config.webhooks,
         tidy,
         stop,
         description: openapi(),

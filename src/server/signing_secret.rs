@@ -4,6 +4,8 @@
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+use sha2::{Digest, Sha256};
+
 /// Name of the file.
 const FILE: &str = "signing.secret";
 const BYTES: usize = 32;
@@ -40,6 +42,11 @@ impl SigningSecret {
         // Of two that were made at once, one counts.
         self.read().await?.ok_or_else(|| std::io::Error::other(format!("{FILE} is gone")))
     }
+}
+
+/// What stands for a secret where it must not be shown.
+pub(super) fn digest(secret: &[u8]) -> [u8; 32] {
+    Sha256::digest(secret).into()
 }
 
 /// Puts a fresh secret into a data directory: URLs that were signed before are good no more.

@@ -153,7 +153,8 @@ async fn mark_job(tx: &mut Transaction<'_, Sqlite>, id: &str, now_ms: i64) -> Re
     if let Some(state) = after
         && before != after
     {
-        events::append(tx, &id.into(), now_ms, "state", json!({ "state": state })).await?;
+        let data = json!({ "state": state });
+        events::append_state(tx, &id.into(), now_ms, state, data).await?;
     }
     Ok(())
 }

@@ -64,6 +64,15 @@ pub enum StoreError {
     /// What the request names was deleted meanwhile.
     #[error("{0} was deleted")]
     Deleted(ResourceName),
+    /// A tenant has as many webhooks as it may.
+    #[error("a tenant has at most {most} webhooks")]
+    TooManyWebhooks {
+        /// How many.
+        most: i64,
+    },
+    /// The key that asks was revoked meanwhile.
+    #[error("the key was revoked")]
+    KeyEnded,
     /// The same idempotency key came with another request.
     #[error("the idempotency key was used with a different request")]
     KeyReused,

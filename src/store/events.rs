@@ -3,8 +3,10 @@
 use serde_json::Value;
 use sqlx::{Sqlite, Transaction};
 
+use crate::api::jobs::JobState;
+use crate::api::webhooks::WebhookEvent;
 use crate::api::{JobId, TenantId};
-use crate::store::{EventRecord, Store, StoreError};
+use crate::store::{EventRecord, Store, StoreError, deliveries};
 
 impl Store {
     /// Events of a job of a tenant with a number above `after`, oldest first, 1,000 at most.
@@ -23,6 +25,22 @@ impl Store {
              ORDER BY seq LIMIT 1000",
         );
         Ok(query.bind(job).bind(after).bind(tenant).fetch_all(self.pool()).await?)
+    }
+}
+
+/// Writes down a job's change of state, in the transaction of the change: its event and, where the job has ended, what webhooks
+/// are told of it.
+pub(super) async fn append_state(
+    tx: &mut Transaction<'_, Sqlite>,
+    job: &JobId,
+    now_ms: i64,
+    state: JobState,
+    data: Value,
+) -> Result<(), StoreError> {
+    append(tx, job, now_ms, "state", data).await?;
+    match WebhookEvent::of(state) {
+        Some(event) => deliveries::enter(tx, job, event, now_ms).await,
+        None => Ok(()),
     }
 }
 

@@ -54,7 +54,8 @@ impl Store {
         check_still_there(&mut tx, job).await?;
         self.admit_job_of(&mut tx, &job.tenant).await?;
         insert(&mut tx, job).await?;
-        events::append(&mut tx, &job.id, now_ms, "state", json!({ "state": JobState::Queued })).await?;
+        let queued = json!({ "state": JobState::Queued });
+        events::append_state(&mut tx, &job.id, now_ms, JobState::Queued, queued).await?;
         let position = sqlx::query_scalar(POSITION).bind(&job.id).fetch_optional(&mut *tx).await?;
         let response = answer(job, position);
         if let Some(key) = key {
@@ -137,7 +138,8 @@ impl Store {
         .fetch_optional(&mut *tx)
         .await?;
         if let Some(job) = changed {
-            events::append(&mut tx, id, now_ms, "state", json!({ "state": job.state })).await?;
+            let data = json!({ "state": job.state });
+            events::append_state(&mut tx, id, now_ms, job.state, data).await?;
             tx.commit().await?;
             return Ok(CancelOutcome::Accepted(job));
         }

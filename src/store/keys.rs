@@ -21,13 +21,15 @@ pub struct NewKeyRecord {
     pub scopes: Vec<Scope>,
     /// When it expires.
     pub expires_ms: Option<i64>,
+    /// The key that makes it, with which it ends.
+    pub made_by: Option<KeyId>,
 }
 
 impl Store {
     /// Makes a key. The text is what its bearer sends; only a hash of it is kept.
     ///
     /// # Errors
-    /// When the database or the operating system's source of random bits fails.
+    /// [`StoreError::KeyEnded`] when the key that makes it is revoked; when the database or the operating system's source of random bits fails.
     pub async fn create_key(
         &self,
         key: &NewKeyRecord,
@@ -36,8 +38,10 @@ impl Store {
         let (token, text) = KeyToken::mint()?;
         let mut tx = self.write().await?;
         let stored = sqlx::query_as(
-            "INSERT INTO keys (id, name, tenant, scopes, secret_sha256, created_ms, expires_ms)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7) RETURNING *",
+            "INSERT INTO keys (id, name, tenant, scopes, secret_sha256, created_ms, expires_ms, made_by)
+             SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8
+             WHERE ?8 IS NULL OR EXISTS (SELECT 1 FROM keys WHERE id = ?8 AND revoked_ms IS NULL)
+             RETURNING *",
         )
         .bind(&token.id)
         .bind(&key.name)
@@ -46,8 +50,10 @@ impl Store {
         .bind(&token.sha256)
         .bind(now_ms)
         .bind(key.expires_ms)
-        .fetch_one(&mut *tx)
-        .await?;
+        .bind(&key.made_by)
+        .fetch_optional(&mut *tx)
+        .await?
+        .ok_or(StoreError::KeyEnded)?;
         tx.commit().await?;
         Ok((stored, text))
     }
@@ -83,7 +89,8 @@ impl Store {
         Ok(query.bind(&page.before).bind(of).bind(page.limit).fetch_all(self.pool()).await?)
     }
 
-    /// Revokes a key of a tenant, or of any for those who may; one that was revoked before stays as it is.
+    /// Revokes a key of a tenant, or of any for those who may, and all keys that came of it, whose identifiers are in the
+    /// answer. What was revoked before stays as it is.
     ///
     /// # Errors
     /// When the database fails.
@@ -92,15 +99,25 @@ impl Store {
         of: Option<&TenantId>,
         id: &KeyId,
         now_ms: i64,
-    ) -> Result<Option<KeyRecord>, StoreError> {
+    ) -> Result<Option<(KeyRecord, Vec<KeyId>)>, StoreError> {
         let mut tx = self.write().await?;
         let query = sqlx::query_as(
             "UPDATE keys SET revoked_ms = COALESCE(revoked_ms, ?3)
              WHERE id = ?1 AND (?2 IS NULL OR tenant = ?2) RETURNING *",
         );
         let key = query.bind(id).bind(of).bind(now_ms).fetch_optional(&mut *tx).await?;
+        let Some(key) = key else { return Ok(None) };
+        let query = sqlx::query_scalar(
+            "WITH RECURSIVE came (id) AS (
+                 SELECT id FROM keys WHERE made_by = ?1
+                 UNION SELECT keys.id FROM keys JOIN came ON keys.made_by = came.id)
+             UPDATE keys SET revoked_ms = COALESCE(revoked_ms, ?2)
+             WHERE id IN (SELECT id FROM came) RETURNING id",
+        );
+        let mut took_along: Vec<KeyId> = query.bind(id).bind(now_ms).fetch_all(&mut *tx).await?;
+        took_along.sort();
         tx.commit().await?;
-        Ok(key)
+        Ok(Some((key, took_along)))
     }
 
     /// Records that a key was used.

@@ -68,7 +68,7 @@ impl Store {
         .await?;
         if let Some(job) = &job {
             let data = json!({ "state": job.state, "attempt": job.attempts });
-            events::append(&mut tx, &job.id, now_ms, "state", data).await?;
+            events::append_state(&mut tx, &job.id, now_ms, job.state, data).await?;
         }
         tx.commit().await?;
         Ok(job)
@@ -199,7 +199,8 @@ impl Store {
             };
         }
         insert_model(&mut tx, model, files).await?;
-        events::append(&mut tx, &model.job_id, now_ms, "state", measured.event(&model.id)).await?;
+        let (state, data) = (measured.state(), measured.event(&model.id));
+        events::append_state(&mut tx, &model.job_id, now_ms, state, data).await?;
         tx.commit().await?;
         Ok(LeaseStatus::Held)
     }
@@ -235,7 +236,7 @@ impl Store {
             return Ok(LeaseStatus::Lost);
         }
         let data = json!({ "state": state, "code": code, "detail": detail });
-        events::append(&mut tx, job, now_ms, "state", data).await?;
+        events::append_state(&mut tx, job, now_ms, state, data).await?;
         tx.commit().await?;
         Ok(LeaseStatus::Held)
     }
@@ -271,7 +272,8 @@ impl Store {
             let message = format!("the disk is full; the job waits for room and goes on from step {step}");
             events::append(&mut tx, job, now_ms, "warning", json!({ "message": message })).await?;
         }
-        events::append(&mut tx, job, now_ms, "state", json!({ "state": JobState::Queued })).await?;
+        let queued = json!({ "state": JobState::Queued });
+        events::append_state(&mut tx, job, now_ms, JobState::Queued, queued).await?;
         tx.commit().await?;
         Ok(LeaseStatus::Held)
     }
@@ -309,7 +311,7 @@ impl Store {
         .await?;
         for job in &jobs {
             let data = json!({ "state": job.state, "code": job.error_code, "detail": job.error_detail });
-            events::append(&mut tx, &job.id, now_ms, "state", data).await?;
+            events::append_state(&mut tx, &job.id, now_ms, job.state, data).await?;
         }
         tx.commit().await?;
         Ok(jobs)

@@ -9,6 +9,7 @@ mod backup;
 mod captures;
 mod database;
 mod deletion;
+mod deliveries;
 mod discard;
 mod environments;
 mod error;
@@ -17,6 +18,7 @@ mod figures;
 mod hash;
 mod idempotency;
 mod inspection;
+mod job_view;
 mod jobs;
 mod key_token;
 mod keys;
@@ -32,6 +34,7 @@ mod shelf;
 mod sweep;
 mod usage;
 mod verification;
+mod webhooks;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -45,12 +48,14 @@ use database::Database;
 pub use artifacts::{Artifacts, Incoming};
 pub use backup::{Backup, backup, restore};
 pub use deletion::Deletion;
+pub use deliveries::{Attempt, DeliveryRecord, Replay};
 pub use discard::Discarded;
 pub use error::StoreError;
 pub use figures::Measured;
 pub use hash::hex;
 pub use idempotency::IdempotencyKey;
 pub use inspection::{Inspection, inspect};
+pub use job_view::rfc3339;
 pub use jobs::{CancelOutcome, Submitted};
 pub use key_token::KeyToken;
 pub use keys::{NewKeyRecord, has_keys};
@@ -64,6 +69,7 @@ pub use retention::Retention;
 pub use room::Room;
 pub use sweep::Swept;
 pub use usage::Allowance;
+pub use webhooks::WebhookRecord;
 
 /// The metadata database and the artifact store of one data directory.
 #[derive(Clone)]

@@ -185,6 +185,8 @@ pub struct KeyRecord {
     pub scopes: Vec<Scope>,
     /// Hash of the key's text, lower-case hex.
     pub secret_sha256: String,
+    /// The key that made it.
+    pub made_by: Option<KeyId>,
     /// When it was made.
     pub created_ms: i64,
     /// When it expires.

@@ -10,6 +10,9 @@ pub(super) struct FairnessArgs {
     /// Requests that a key may make a minute; one more gets 429. Not bounded where absent.
     #[arg(long, env = "RELUME_REQUESTS_PER_MINUTE", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     requests_per_minute: Option<u32>,
+    /// Requests that all keys of a tenant together may make a minute. Ten times those of a key where absent.
+    #[arg(long, env = "RELUME_REQUESTS_PER_MINUTE_PER_TENANT", value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    requests_per_minute_per_tenant: Option<u32>,
     /// Jobs of a tenant that wait or run; one more gets 429. Not bounded where absent.
     #[arg(long, env = "RELUME_MAX_JOBS_PER_TENANT", value_parser = clap::value_parser!(u32).range(1..))]
     max_jobs_per_tenant: Option<u32>,
@@ -21,6 +24,7 @@ pub(super) struct FairnessArgs {
 impl FairnessArgs {
     pub(super) fn apply(&self, config: &mut ServerConfig) {
         config.requests_per_minute = self.requests_per_minute;
+        config.requests_per_minute_of_tenant = self.requests_per_minute_per_tenant;
         config.quota = Quota { jobs: self.max_jobs_per_tenant, bytes: self.max_bytes_per_tenant };
     }
 }

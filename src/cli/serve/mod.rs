@@ -14,6 +14,7 @@ mod fairness;
 mod keys;
 mod network;
 mod storage;
+mod webhooks;
 
 /// Options of `relume serve`.
 #[derive(Debug, clap::Args)]
@@ -54,6 +55,8 @@ pub(super) struct ServeArgs {
     storage: storage::StorageArgs,
     #[command(flatten)]
     network: network::NetworkArgs,
+    #[command(flatten)]
+    webhooks: webhooks::WebhookArgs,
 }
 
 pub(super) fn run(args: ServeArgs) -> CommandResult {
@@ -74,6 +77,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     }
     args.fairness.apply(&mut config);
     config.limits.disk_bytes = args.storage.max_disk;
+    args.webhooks.apply(&mut config);
     config.retention = args.storage.retention();
     config.worker.device = args.device;
     config.lease.max_idle_attempts = args.max_attempts;

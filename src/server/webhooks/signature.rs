@@ -1,0 +1,45 @@
+//! How a message is signed: HMAC-SHA-256 over its identifier, the time of the attempt and its bytes, with dots between.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use hmac::{Hmac, KeyInit, Mac};
+use sha2::Sha256;
+
+/// Random bytes of a secret.
+const BYTES: usize = 32;
+
+/// A fresh secret.
+///
+/// # Errors
+/// When the operating system gives no random bits.
+pub(super) fn fresh_secret() -> std::io::Result<Vec<u8>> {
+    let mut secret = vec![0u8; BYTES];
+    getrandom::fill(&mut secret)?;
+    Ok(secret)
+}
+
+/// A secret as its owner gets it.
+pub(super) fn written(secret: &[u8]) -> String {
+    format!("whsec_{}", STANDARD.encode(secret))
+}
+
+/// The header `webhook-signature`.
+pub(super) fn sign(secret: &[u8], id: &str, seconds: i64, body: &str) -> Option<String> {
+    let mut mac = Hmac::<Sha256>::new_from_slice(secret).ok()?;
+    mac.update(format!("{id}.{seconds}.{body}").as_bytes());
+    Some(format!("v1,{}", STANDARD.encode(mac.finalize().into_bytes())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_is_signed_as_the_standards_example() {
+        let secret = STANDARD.decode("MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw").unwrap();
+        let signed = sign(&secret, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, r#"{"test": 2432232314}"#);
+        assert_eq!(signed.unwrap(), "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE=");
+        assert_eq!(written(&secret), "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw");
+        assert_ne!(fresh_secret().unwrap(), fresh_secret().unwrap());
+    }
+}

@@ -1,0 +1,260 @@
+//! Where a message may go: a URL that is whole, at an address that is public.
+
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::time::Duration;
+
+use axum::http::Uri;
+
+const LONGEST: usize = 2048;
+
+/// What webhooks may do.
+#[derive(Debug, Clone, Copy)]
+pub struct WebhookPolicy {
+    /// Whether `http://` is accepted beside `https://`.
+    pub allow_http: bool,
+    /// Whether addresses that are not public are accepted.
+    pub allow_private: bool,
+    /// From looking up the address to the end of the answer.
+    pub timeout: Duration,
+}
+
+impl Default for WebhookPolicy {
+    fn default() -> Self {
+        Self { allow_http: false, allow_private: false, timeout: Duration::from_secs(20) }
+    }
+}
+
+/// A URL, taken apart.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Target {
+    pub(super) is_https: bool,
+    /// A name or an address, without brackets.
+    pub(super) host: String,
+    pub(super) port: u16,
+    /// Host and port as they stand.
+    pub(super) authority: String,
+    /// Path and query.
+    pub(super) path: String,
+}
+
+impl Target {
+    /// # Errors
+    /// What is wrong with the URL.
+    pub(super) fn parse(url: &str, policy: &WebhookPolicy) -> Result<Self, String> {
+        let is_whole = |url: &&str| url.len() <= LONGEST && !url.contains('#');
+        let uri: Option<Uri> = Some(url).filter(is_whole).and_then(|url| url.parse().ok());
+        let uri = uri.ok_or("is no URL of at most 2048 characters without a fragment")?;
+        let is_https = match uri.scheme_str() {
+            Some("https") => true,
+            Some("http") if policy.allow_http => false,
+            _ => return Err("must begin with https://".to_owned()),
+        };
+        let (authority, host) = uri.authority().map(|a| (a.as_str(), a.host())).ok_or("names no host")?;
+        if authority.contains('@') {
+            return Err("must name no user".to_owned());
+        }
+        let host = host.trim_start_matches('[').trim_end_matches(']');
+        let port = match uri.port() {
+            Some(port) => port.as_u16(),
+            // A port that is no number.
+            None if authority.trim_end_matches(']').rsplit(']').next().is_some_and(|a| a.contains(':')) => {
+                host.parse::<Ipv6Addr>().map_err(|_| "has a port that is no number")?;
+                if is_https { 443 } else { 80 }
+            }
+            None if is_https => 443,
+            None => 80,
+        };
+        if host.is_empty() || port == 0 {
+            return Err("names no host, or a port that nobody has".to_owned());
+        }
+        let path = uri.path_and_query().map_or("/", |path| path.as_str());
+        let path = if path.starts_with('/') { path.to_owned() } else { format!("/{path}") };
+        Ok(Self { is_https, host: host.to_owned(), port, authority: authority.to_owned(), path })
+    }
+
+    /// Where it is now, looked up once: these are the addresses that may be connected to.
+    ///
+    /// # Errors
+    /// When there are none, or one of them is not public. It does not say which: names of the inside are nobody's business.
+    pub(super) async fn addresses(&self, policy: &WebhookPolicy) -> Result<Vec<SocketAddr>, String> {
+        let found: Vec<SocketAddr> = match self.host.parse::<IpAddr>() {
+            Ok(address) => vec![(address, self.port).into()],
+            Err(_) => tokio::net::lookup_host((self.host.as_str(), self.port))
+                .await
+                .map(Iterator::collect)
+                .unwrap_or_default(),
+        };
+        let is_good = |address: &SocketAddr| policy.allow_private || is_public(address.ip());
+        if !found.is_empty() && found.iter().all(is_good) {
+            return Ok(found);
+        }
+        Err("its host has no address, or one that is not public".to_owned())
+    }
+}
+
+/// Whether an address is one of the public internet: IANA's registries of special addresses, turned round.
+fn is_public(address: IpAddr) -> bool {
+    match address {
+        IpAddr::V4(address) => is_public_v4(address),
+        IpAddr::V6(address) => is_public_v6(address),
+    }
+}
+
+fn is_public_v4(address: Ipv4Addr) -> bool {
+    let [a, b, c, _] = address.octets();
+    let special = match a {
+        0 | 10 | 127 | 224.. => true,
+        100 => (64..128).contains(&b),
+        169 => b == 254,
+        172 => (16..32).contains(&b),
+        192 => matches!((b, c), (0, 0 | 2) | (88, 99) | (168, _)),
+        198 => matches!(b, 18 | 19) || (b, c) == (51, 100),
+        203 => (b, c) == (0, 113),
+        _ => false,
+    };
+    !special
+}
+
+/// Of what is given out, 2000::/3, all but tunnels to other addresses and what is for documents. Addresses of IPv4 in
+/// disguise are outside of it.
+fn is_public_v6(address: Ipv6Addr) -> bool {
+    let [a, b, ..] = address.segments();
+    let is_given_out = a & 0xe000 == 0x2000;
+    let special = match a {
+        0x2001 => b < 0x0200 || b == 0x0db8,
+        0x2002 => true,
+        0x3fff => b < 0x1000,
+        _ => false,
+    };
+    is_given_out && !special
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ANY: WebhookPolicy =
+        WebhookPolicy { allow_http: true, allow_private: true, timeout: Duration::from_secs(1) };
+
+    #[test]
+    fn a_url_is_taken_apart_or_refused() {
+        let strict = WebhookPolicy::default();
+        let target = Target::parse("https://example.org/a?b=c", &strict).unwrap();
+        assert_eq!((target.host.as_str(), target.port, target.path.as_str()), ("example.org", 443, "/a?b=c"));
+        let target = Target::parse("https://example.org:8443", &strict).unwrap();
+        assert_eq!(
+            (target.port, target.authority.as_str(), target.path.as_str()),
+            (8443, "example.org:8443", "/")
+        );
+        let target = Target::parse("https://example.org?a=b", &strict).unwrap();
+        assert_eq!(target.path, "/?a=b");
+        for (url, port) in [("https://[2606:4700::1]/", 443), ("https://[2606:4700::1]:8443/", 8443)] {
+            let target = Target::parse(url, &strict).unwrap();
+            assert_eq!((target.host.as_str(), target.port), ("2606:4700::1", port));
+        }
+        for wrong in [
+            "",
+            "example.org",
+            "/path",
+            "http://example.org",
+            "ftp://example.org",
+            "file:///etc/passwd",
+            "https://",
+            "https:///path",
+            "https://user@example.org",
+            "https://user:word@example.org",
+            "https://example.org/#part",
+            "https://example.org:0/",
+            "https://example.org:99999/",
+            "https://example.org:port/",
+            "https://exa mple.org/",
+            "https://example.org/\r\nhost: other",
+            &format!("https://example.org/{}", "a".repeat(2048)),
+        ] {
+            assert!(Target::parse(wrong, &strict).is_err(), "{wrong}");
+        }
+        assert!(!Target::parse("http://example.org", &ANY).unwrap().is_https);
+    }
+
+    #[test]
+    fn only_public_addresses_are_public() {
+        let public = |text: &str| is_public(text.parse().unwrap_or_else(|_| panic!("{text}")));
+        for address in [
+            "0.0.0.0",
+            "0.1.2.3",
+            "10.0.0.1",
+            "100.64.0.1",
+            "100.127.255.255",
+            "127.0.0.1",
+            "127.255.0.1",
+            "169.254.169.254",
+            "172.16.0.1",
+            "172.31.255.255",
+            "192.0.0.8",
+            "192.0.2.1",
+            "192.88.99.1",
+            "192.168.1.1",
+            "198.18.0.1",
+            "198.19.255.255",
+            "198.51.100.1",
+            "203.0.113.1",
+            "224.0.0.1",
+            "239.255.255.255",
+            "240.0.0.1",
+            "255.255.255.255",
+            "::",
+            "::1",
+            "::127.0.0.1",
+            "::ffff:127.0.0.1",
+            "::ffff:8.8.8.8",
+            "64:ff9b::7f00:1",
+            "64:ff9b:1::1",
+            "100::1",
+            "2001::1",
+            "2001:10::1",
+            "2001:db8::1",
+            "2002:7f00:1::1",
+            "3fff::1",
+            "5f00::1",
+            "fc00::1",
+            "fd12:3456::1",
+            "fe80::1",
+            "fec0::1",
+            "ff02::1",
+        ] {
+            assert!(!public(address), "{address}");
+        }
+        for address in [
+            "1.1.1.1",
+            "8.8.8.8",
+            "9.255.255.255",
+            "100.63.255.255",
+            "100.128.0.0",
+            "172.15.255.255",
+            "172.32.0.0",
+            "192.0.1.1",
+            "192.167.255.255",
+            "198.17.255.255",
+            "223.255.255.255",
+            "2606:4700:4700::1111",
+            "2a00:1450::1",
+            "2001:4860:4860::8888",
+        ] {
+            assert!(public(address), "{address}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_host_with_an_address_of_the_inside_is_refused_however_it_is_written() {
+        let strict = WebhookPolicy::default();
+        for host in ["127.0.0.1", "localhost", "[::1]", "[::ffff:127.0.0.1]", "0x7f.1", "2130706433", "0"] {
+            let target = Target::parse(&format!("https://{host}/"), &strict).unwrap();
+            assert!(target.addresses(&strict).await.is_err(), "{host}");
+        }
+        let target = Target::parse("https://localhost:9/", &strict).unwrap();
+        let found = target.addresses(&ANY).await.unwrap();
+        assert!(found.iter().all(|a| a.ip().is_loopback() && a.port() == 9), "the control: {found:?}");
+        let target = Target::parse("https://8.8.8.8/", &strict).unwrap();
+        assert_eq!(target.addresses(&strict).await.unwrap(), ["8.8.8.8:443".parse().unwrap()]);
+    }
+}

@@ -1,0 +1,296 @@
+//! What webhooks are sent. A job's end enters its messages in the transaction that ends the job; a message leaves the queue
+//! once its outcome is written down. A server that dies in between sends it again: at least once.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use sqlx::types::Json;
+use sqlx::{FromRow, Sqlite, Transaction};
+
+use crate::api::webhooks::{DeliveryState, WebhookData, WebhookEvent, WebhookMessage};
+use crate::api::{DeliveryId, JobId, TenantId, WebhookId};
+use crate::store::job_view::rfc3339;
+use crate::store::{JobRecord, Page, Store, StoreError, WebhookRecord};
+
+/// Attempts that are kept of a delivery.
+const LOGGED: usize = 20;
+/// Deliveries that were entered this long ago are forgotten, whatever became of them.
+const KEEP: Duration = Duration::from_secs(30 * 24 * 3600);
+/// A webhook is switched off when nothing could be delivered for this long.
+const PATIENCE: Duration = Duration::from_secs(3 * 24 * 3600);
+
+/// A message to a webhook.
+#[derive(Debug, Clone, FromRow)]
+pub struct DeliveryRecord {
+    /// Identifier.
+    pub id: DeliveryId,
+    /// Whom it is for.
+    pub webhook_id: WebhookId,
+    /// What it tells of.
+    pub event: WebhookEvent,
+    /// The job that it tells of.
+    pub job_id: JobId,
+    /// The bytes that are sent.
+    pub payload: String,
+    /// When it was entered.
+    pub created_ms: i64,
+    /// Where it stands.
+    pub state: DeliveryState,
+    /// When it is tried next, while it is pending.
+    pub due_ms: i64,
+    /// Attempts since it was entered or replayed.
+    pub tries: i64,
+    /// What was tried, oldest first.
+    #[sqlx(json)]
+    pub attempts: Vec<Attempt>,
+}
+
+/// An attempt to deliver.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Attempt {
+    /// When.
+    pub at_ms: i64,
+    /// The status of the answer, if there was one.
+    pub status: Option<u16>,
+    /// Why it failed.
+    pub error: Option<String>,
+}
+
+impl Attempt {
+    /// 410 says that nobody will listen there again.
+    fn is_gone(&self) -> bool {
+        self.status == Some(410)
+    }
+}
+
+/// Outcome of a request to send a message again.
+#[derive(Debug)]
+pub enum Replay {
+    /// It is pending.
+    Accepted(DeliveryRecord),
+    /// Its webhook is switched off.
+    SwitchedOff,
+    /// There is no such message.
+    NotFound,
+}
+
+/// Enters the messages about a job that has just ended, for the webhooks of its tenant that want them.
+pub(super) async fn enter(
+    tx: &mut Transaction<'_, Sqlite>,
+    job: &JobId,
+    event: WebhookEvent,
+    now_ms: i64,
+) -> Result<(), StoreError> {
+    let wanted: Vec<WebhookId> = sqlx::query_scalar(
+        "SELECT webhooks.id FROM webhooks JOIN jobs ON jobs.tenant = webhooks.tenant
+         WHERE jobs.id = ?1 AND enabled AND EXISTS (SELECT 1 FROM json_each(webhooks.events) WHERE value = ?2)
+         ORDER BY webhooks.created_ms, webhooks.id",
+    )
+    .bind(job)
+    .bind(event)
+    .fetch_all(&mut **tx)
+    .await?;
+    if wanted.is_empty() {
+        return Ok(());
+    }
+    let ended: JobRecord =
+        sqlx::query_as("SELECT * FROM jobs WHERE id = ?1").bind(job).fetch_one(&mut **tx).await?;
+    let data = WebhookData { job: ended.view(None) };
+    let message = WebhookMessage { event, timestamp: rfc3339(now_ms), data };
+    let payload = serde_json::to_string(&message).map_err(std::io::Error::other)?;
+    for webhook in wanted {
+        sqlx::query(
+            "INSERT INTO deliveries (id, webhook_id, event, job_id, payload, created_ms, state, due_ms)
+             VALUES ('msg_' || lower(hex(randomblob(16))), ?1, ?2, ?3, ?4, ?5, 'pending', ?5)",
+        )
+        .bind(webhook)
+        .bind(event)
+        .bind(job)
+        .bind(&payload)
+        .bind(now_ms)
+        .execute(&mut **tx)
+        .await?;
+    }
+    Ok(())
+}
+
+impl Store {
+    /// The message that is due first, of each webhook that is on.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn due_deliveries(&self, now_ms: i64) -> Result<Vec<DeliveryRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT deliveries.* FROM webhooks JOIN deliveries ON deliveries.seq =
+                 (SELECT seq FROM deliveries AS mine WHERE mine.webhook_id = webhooks.id AND mine.state = 'pending'
+                      AND mine.due_ms <= ?1 ORDER BY mine.due_ms, mine.seq LIMIT 1)
+             WHERE webhooks.enabled ORDER BY deliveries.due_ms, deliveries.seq",
+        );
+        Ok(query.bind(now_ms).fetch_all(self.pool()).await?)
+    }
+
+    /// A webhook of whichever tenant that is on: to send to it.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn webhook_to_send_to(&self, id: &WebhookId) -> Result<Option<WebhookRecord>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM webhooks WHERE id = ?1 AND enabled");
+        Ok(query.bind(id).fetch_optional(self.pool()).await?)
+    }
+
+    /// Writes down what became of an attempt: delivered, to be tried again at `again_ms`, or given up where that is none.
+    /// A webhook that could not be reached for days, or is gone, is switched off.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn record_attempt(
+        &self,
+        delivery: &DeliveryRecord,
+        attempt: Attempt,
+        again_ms: Option<i64>,
+    ) -> Result<(), StoreError> {
+        let mut tx = self.write().await?;
+        let failed = attempt.error.is_some();
+        let state = match again_ms {
+            _ if !failed => DeliveryState::Delivered,
+            Some(_) if !attempt.is_gone() => DeliveryState::Pending,
+            _ => DeliveryState::Failed,
+        };
+        let mut attempts = delivery.attempts.clone();
+        attempts.push(attempt.clone());
+        attempts.drain(..attempts.len().saturating_sub(LOGGED));
+        sqlx::query(
+            "UPDATE deliveries SET state = ?2, due_ms = ?3, tries = tries + 1, attempts = ?4 WHERE id = ?1",
+        )
+        .bind(&delivery.id)
+        .bind(state)
+        .bind(again_ms.unwrap_or(attempt.at_ms))
+        .bind(Json(&attempts))
+        .execute(&mut *tx)
+        .await?;
+        if failed {
+            failed_at(&mut tx, &delivery.webhook_id, &attempt).await?;
+        } else {
+            let query = sqlx::query("UPDATE webhooks SET failing_since_ms = NULL WHERE id = ?1");
+            query.bind(&delivery.webhook_id).execute(&mut *tx).await?;
+        }
+        Ok(tx.commit().await?)
+    }
+
+    /// A message to a webhook of a tenant.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn delivery(
+        &self,
+        tenant: &TenantId,
+        webhook: &WebhookId,
+        id: &DeliveryId,
+    ) -> Result<Option<DeliveryRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT deliveries.* FROM deliveries JOIN webhooks ON webhooks.id = webhook_id
+             WHERE deliveries.id = ?1 AND webhook_id = ?2 AND tenant = ?3",
+        );
+        Ok(query.bind(id).bind(webhook).bind(tenant).fetch_optional(self.pool()).await?)
+    }
+
+    /// Messages to a webhook of a tenant, newest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn deliveries(
+        &self,
+        tenant: &TenantId,
+        webhook: &WebhookId,
+        page: &Page,
+    ) -> Result<Vec<DeliveryRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT deliveries.* FROM deliveries JOIN webhooks ON webhooks.id = webhook_id
+             WHERE webhook_id = ?2 AND tenant = ?3
+               AND (?1 IS NULL OR seq < (SELECT seq FROM deliveries WHERE id = ?1))
+             ORDER BY seq DESC LIMIT ?4",
+        );
+        let query = query.bind(&page.before).bind(webhook).bind(tenant).bind(page.limit);
+        Ok(query.fetch_all(self.pool()).await?)
+    }
+
+    /// Makes a message to a webhook of a tenant due at once, however often it was tried.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn replay_delivery(
+        &self,
+        tenant: &TenantId,
+        webhook: &WebhookId,
+        id: &DeliveryId,
+        now_ms: i64,
+    ) -> Result<Replay, StoreError> {
+        let mut tx = self.write().await?;
+        let query = sqlx::query_scalar("SELECT enabled FROM webhooks WHERE id = ?1 AND tenant = ?2");
+        let enabled: Option<bool> = query.bind(webhook).bind(tenant).fetch_optional(&mut *tx).await?;
+        let query = sqlx::query_as(
+            "UPDATE deliveries SET state = 'pending', due_ms = ?3, tries = 0
+             WHERE id = ?1 AND webhook_id = ?2 RETURNING *",
+        );
+        let replayed = query.bind(id).bind(webhook).bind(now_ms).fetch_optional(&mut *tx).await?;
+        match (enabled, replayed) {
+            (None, _) | (_, None) => Ok(Replay::NotFound),
+            (Some(false), _) => Ok(Replay::SwitchedOff),
+            (Some(true), Some(replayed)) => {
+                tx.commit().await?;
+                Ok(Replay::Accepted(replayed))
+            }
+        }
+    }
+
+    /// Forgets messages that were entered long ago.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn forget_old_deliveries(&self, now_ms: i64) -> Result<(), StoreError> {
+        let before = now_ms.saturating_sub(ms(KEEP));
+        let old = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM deliveries WHERE created_ms < ?1)");
+        if !old.bind(before).fetch_one(self.pool()).await? {
+            return Ok(());
+        }
+        let mut tx = self.write().await?;
+        let query = sqlx::query("DELETE FROM deliveries WHERE created_ms < ?1");
+        query.bind(before).execute(&mut *tx).await?;
+        Ok(tx.commit().await?)
+    }
+}
+
+/// Counts a failure against a webhook.
+async fn failed_at(
+    tx: &mut Transaction<'_, Sqlite>,
+    webhook: &WebhookId,
+    attempt: &Attempt,
+) -> Result<(), StoreError> {
+    let since: Option<i64> = sqlx::query_scalar(
+        "UPDATE webhooks SET failing_since_ms = COALESCE(failing_since_ms, ?2)
+         WHERE id = ?1 AND enabled RETURNING failing_since_ms",
+    )
+    .bind(webhook)
+    .bind(attempt.at_ms)
+    .fetch_optional(&mut **tx)
+    .await?;
+    let Some(since) = since else { return Ok(()) };
+    let last = attempt.error.as_deref().unwrap_or_default();
+    let why = if attempt.is_gone() {
+        "it answered 410: nobody listens there any more".to_owned()
+    } else if attempt.at_ms.saturating_sub(since) >= ms(PATIENCE) {
+        format!("nothing could be delivered since {}; at last: {last}", rfc3339(since))
+    } else {
+        return Ok(());
+    };
+    tracing::warn!(%webhook, why, "switched a webhook off");
+    let query = sqlx::query(
+        "UPDATE webhooks SET enabled = 0, switched_off_ms = ?2, switched_off_because = ?3 WHERE id = ?1",
+    );
+    query.bind(webhook).bind(attempt.at_ms).bind(why).execute(&mut **tx).await?;
+    Ok(())
+}
+
+fn ms(duration: Duration) -> i64 {
+    i64::try_from(duration.as_millis()).unwrap_or(i64::MAX)
+}

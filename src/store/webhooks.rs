@@ -1,0 +1,156 @@
+//! Webhooks of tenants. Secrets are kept as they are: they sign.
+
+use sqlx::FromRow;
+use sqlx::types::Json;
+
+use crate::api::webhooks::{WebhookChange, WebhookEvent};
+use crate::api::{KeyId, TenantId, WebhookId};
+use crate::store::{Page, Store, StoreError};
+
+/// Most webhooks of a tenant.
+const MOST: i64 = 16;
+
+/// A webhook.
+#[derive(Clone, FromRow)]
+pub struct WebhookRecord {
+    /// Identifier.
+    pub id: WebhookId,
+    /// Whose it is.
+    pub tenant: TenantId,
+    /// Where it is sent to.
+    pub url: String,
+    /// What it is told of.
+    #[sqlx(json)]
+    pub events: Vec<WebhookEvent>,
+    /// A name for people.
+    pub name: Option<String>,
+    /// What signs its deliveries.
+    pub secret: Vec<u8>,
+    /// The key that made it.
+    pub made_by: Option<KeyId>,
+    /// When it was made.
+    pub created_ms: i64,
+    /// Whether anything is sent.
+    pub enabled: bool,
+    /// Since when nothing could be delivered, if the last attempt failed.
+    pub failing_since_ms: Option<i64>,
+    /// When the server switched it off.
+    pub switched_off_ms: Option<i64>,
+    /// Why the server switched it off.
+    pub switched_off_because: Option<String>,
+}
+
+/// Without the secret.
+impl std::fmt::Debug for WebhookRecord {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mut shown = f.debug_struct("WebhookRecord");
+        shown
+            .field("id", &self.id)
+            .field("tenant", &self.tenant)
+            .field("url", &self.url)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Store {
+    /// Makes a webhook.
+    ///
+    /// # Errors
+    /// [`StoreError::TooManyWebhooks`] when the tenant has as many as it may; when the database fails.
+    pub async fn create_webhook(&self, webhook: &WebhookRecord) -> Result<WebhookRecord, StoreError> {
+        let mut tx = self.write().await?;
+        let made = sqlx::query_as(
+            "INSERT INTO webhooks (id, tenant, url, events, name, secret, made_by, created_ms, enabled)
+             SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9
+             WHERE (SELECT COUNT(*) FROM webhooks WHERE tenant = ?2) < ?10 RETURNING *",
+        )
+        .bind(&webhook.id)
+        .bind(&webhook.tenant)
+        .bind(&webhook.url)
+        .bind(Json(&webhook.events))
+        .bind(&webhook.name)
+        .bind(&webhook.secret)
+        .bind(&webhook.made_by)
+        .bind(webhook.created_ms)
+        .bind(webhook.enabled)
+        .bind(MOST)
+        .fetch_optional(&mut *tx)
+        .await?
+        .ok_or(StoreError::TooManyWebhooks { most: MOST })?;
+        tx.commit().await?;
+        Ok(made)
+    }
+
+    /// A webhook of a tenant by identifier.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn webhook(
+        &self,
+        tenant: &TenantId,
+        id: &WebhookId,
+    ) -> Result<Option<WebhookRecord>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM webhooks WHERE id = ?1 AND tenant = ?2");
+        Ok(query.bind(id).bind(tenant).fetch_optional(self.pool()).await?)
+    }
+
+    /// Webhooks of a tenant, newest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn webhooks(&self, tenant: &TenantId, page: &Page) -> Result<Vec<WebhookRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT * FROM webhooks
+             WHERE tenant = ?2
+               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM webhooks WHERE id = ?1))
+             ORDER BY created_ms DESC, id DESC LIMIT ?3",
+        );
+        Ok(query.bind(&page.before).bind(tenant).bind(page.limit).fetch_all(self.pool()).await?)
+    }
+
+    /// Changes a webhook of a tenant. One that is switched on begins anew: what failed before does not count.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn change_webhook(
+        &self,
+        tenant: &TenantId,
+        id: &WebhookId,
+        change: &WebhookChange,
+    ) -> Result<Option<WebhookRecord>, StoreError> {
+        let mut tx = self.write().await?;
+        let changed = sqlx::query_as(
+            "UPDATE webhooks SET url = COALESCE(?3, url), events = COALESCE(?4, events),
+                 name = COALESCE(?5, name), enabled = COALESCE(?6, enabled),
+                 failing_since_ms = CASE WHEN ?6 THEN NULL ELSE failing_since_ms END,
+                 switched_off_ms = CASE WHEN ?6 THEN NULL ELSE switched_off_ms END,
+                 switched_off_because = CASE WHEN ?6 THEN NULL ELSE switched_off_because END
+             WHERE id = ?1 AND tenant = ?2 RETURNING *",
+        )
+        .bind(id)
+        .bind(tenant)
+        .bind(&change.url)
+        .bind(change.events.as_ref().map(Json))
+        .bind(&change.name)
+        .bind(change.enabled)
+        .fetch_optional(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        Ok(changed)
+    }
+
+    /// Deletes a webhook of a tenant with its deliveries; `false` when there is none.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn delete_webhook(&self, tenant: &TenantId, id: &WebhookId) -> Result<bool, StoreError> {
+        let mut tx = self.write().await?;
+        let deliveries = "DELETE FROM deliveries
+             WHERE webhook_id = (SELECT id FROM webhooks WHERE id = ?1 AND tenant = ?2)";
+        sqlx::query(deliveries).bind(id).bind(tenant).execute(&mut *tx).await?;
+        let query = sqlx::query("DELETE FROM webhooks WHERE id = ?1 AND tenant = ?2");
+        let deleted = query.bind(id).bind(tenant).execute(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(deleted.rows_affected() == 1)
+    }
+}

@@ -1,0 +1,215 @@
+//! What a receiver gets, and what becomes of what it does not take.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use relume::api::webhooks::{DeliveryState, DeliveryView, NewWebhook, WebhookChange, WebhookEvent};
+use relume::client::ClientError;
+use relume::jobs::{Clock, ManualClock};
+use relume::server::{ServerConfig, WebhookPolicy};
+use relume::testing::{self, TestServer};
+use serde_json::json;
+use tempfile::TempDir;
+
+use super::receiver::{Answer, Receiver, for_all, is_signed, newest};
+use crate::service_support::{capture_zip, ended, small_job, trained};
+
+/// A server that sends to loopback, with a clock that stands.
+pub async fn start(data: TempDir, timeout: Duration) -> (TestServer, Arc<ManualClock>) {
+    let clock = Arc::new(ManualClock::default());
+    clock.advance(Duration::from_secs(1_700_000_000));
+    let hands = clock.clone();
+    let change = move |config: &mut ServerConfig| {
+        config.clock = hands;
+        config.webhooks = WebhookPolicy { allow_http: true, allow_private: true, timeout };
+    };
+    (testing::spawn_with(data, change).await.unwrap(), clock)
+}
+
+/// Moves the clock to the next attempt.
+fn wait_out(clock: &ManualClock, log: &DeliveryView) -> Duration {
+    let next: jiff::Timestamp = log.next_attempt_at.as_ref().unwrap().parse().unwrap();
+    let gap = Duration::from_millis(u64::try_from(next.as_millisecond() - clock.now_ms()).unwrap());
+    clock.advance(gap);
+    gap
+}
+
+const PATIENT: Duration = Duration::from_secs(60);
+
+/// A job that is cancelled while it waits or runs.
+async fn cancelled(server: &TestServer) -> String {
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = client.create_job(&small_job(&capture.id, 100_000, 50_000), None).await.unwrap();
+    client.cancel_job(&job.id).await.unwrap();
+    ended(client, &job.id).await.id.to_string()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_end_of_a_job_is_delivered_signed_to_those_who_want_it() {
+    let (server, clock) = start(TempDir::new().unwrap(), PATIENT).await;
+    let client = server.client();
+    let (mut one, mut other) = (Receiver::new().await, Receiver::new().await);
+    let made = client.create_webhook(&for_all(&one.url)).await.unwrap();
+    let failures = NewWebhook { events: vec![WebhookEvent::JobFailed], ..for_all(&other.url) };
+    client.create_webhook(&failures).await.unwrap();
+    let job = trained(client).await;
+
+    let mut received = one.next().await;
+    assert_eq!(received.path, "/hook?to=me");
+    assert_eq!(received.header("content-type"), "application/json");
+    assert_eq!(received.header("webhook-timestamp"), (clock.now_ms() / 1000).to_string());
+    assert!(is_signed(&made.secret, &received));
+    let message = received.json();
+    assert_eq!(message["type"], "job.succeeded");
+    assert_eq!(message["timestamp"], "2023-11-14T22:13:20Z");
+    assert_eq!(
+        message["data"]["job"],
+        json!(client.job(&job.id).await.unwrap()),
+        "the job as the API shows it"
+    );
+    received.body += " ";
+    assert!(!is_signed(&made.secret, &received), "the control");
+
+    let logged = newest(client, &made.webhook.id, |d| d.state == DeliveryState::Delivered).await;
+    assert_eq!((logged.id.as_str(), &logged.job), (received.header("webhook-id"), &job.id));
+    assert_eq!((logged.attempts.len(), logged.attempts[0].status), (1, Some(200)));
+    assert!(one.is_silent() && other.is_silent(), "nothing else is sent");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_fails_is_tried_again_after_growing_gaps_with_the_same_identifier() {
+    let (server, clock) = start(TempDir::new().unwrap(), PATIENT).await;
+    let client = server.client();
+    let mut receiver = Receiver::new().await;
+    receiver.answer(&[Answer::Status(500), Answer::Status(503)]);
+    let made = client.create_webhook(&for_all(&receiver.url)).await.unwrap();
+    cancelled(&server).await;
+    let first = receiver.next().await;
+    let after =
+        async |attempts: usize| newest(client, &made.webhook.id, |d| d.attempts.len() == attempts).await;
+    let mut waited = Vec::new();
+    for attempts in [1, 2] {
+        let log = after(attempts).await;
+        assert_eq!(log.state, DeliveryState::Pending);
+        assert!(log.attempts[attempts - 1].error.as_ref().unwrap().contains("it answered 50"), "{log:?}");
+        assert!(client.webhook(&made.webhook.id).await.unwrap().failing_since.is_some());
+        assert!(receiver.is_silent(), "not before its time");
+        waited.push(wait_out(&clock, &log).as_secs());
+        let again = receiver.next().await;
+        assert_eq!(again.header("webhook-id"), first.header("webhook-id"));
+        assert_eq!(again.body, first.body);
+        assert!(is_signed(&made.secret, &again));
+        assert_ne!(again.header("webhook-timestamp"), first.header("webhook-timestamp"));
+    }
+    assert!((5..=6).contains(&waited[0]) && (300..=360).contains(&waited[1]), "{waited:?}");
+    assert_eq!(after(3).await.state, DeliveryState::Delivered);
+    let webhook = client.webhook(&made.webhook.id).await.unwrap();
+    assert_eq!((webhook.enabled, webhook.failing_since), (true, None));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_redirect_is_not_followed_and_a_replay_sends_the_same_again() {
+    let (server, _) = start(TempDir::new().unwrap(), PATIENT).await;
+    let client = server.client();
+    let mut receiver = Receiver::new().await;
+    receiver.answer(&[Answer::Redirect]);
+    let made = client.create_webhook(&for_all(&receiver.url)).await.unwrap();
+    cancelled(&server).await;
+    let first = receiver.next().await;
+    let log = newest(client, &made.webhook.id, |d| d.attempts.len() == 1).await;
+    assert_eq!((log.state, log.attempts[0].status), (DeliveryState::Pending, Some(302)));
+    assert!(log.attempts[0].error.as_ref().unwrap().contains("not followed"), "{log:?}");
+
+    let replayed = client.replay_delivery(&made.webhook.id, &log.id).await.unwrap();
+    assert_eq!(replayed.state, DeliveryState::Pending);
+    let again = receiver.next().await;
+    assert_eq!(again.path, "/hook?to=me", "nobody asked for the other place in between");
+    assert_eq!((again.header("webhook-id"), &again.body), (first.header("webhook-id"), &first.body));
+    newest(client, &made.webhook.id, |d| d.state == DeliveryState::Delivered).await;
+    // What was delivered is sent again, too.
+    client.replay_delivery(&made.webhook.id, &log.id).await.unwrap();
+    assert_eq!(receiver.next().await.body, first.body);
+    let nobody = client.replay_delivery(&made.webhook.id, &"msg_0".into()).await;
+    assert!(matches!(nobody, Err(ClientError::Problem(p)) if p.status == 404));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_that_never_answers_keeps_no_other_waiting_and_an_endless_answer_is_cut_off() {
+    let (server, _) = start(TempDir::new().unwrap(), Duration::from_secs(1)).await;
+    let client = server.client();
+    let (mut slow, mut endless) = (Receiver::new().await, Receiver::new().await);
+    slow.answer(&[Answer::Never]);
+    endless.answer(&[Answer::Endless]);
+    let slow_one = client.create_webhook(&for_all(&slow.url)).await.unwrap().webhook.id;
+    let endless_one = client.create_webhook(&for_all(&endless.url)).await.unwrap().webhook.id;
+    cancelled(&server).await;
+    tokio::join!(slow.next(), endless.next());
+    let log = newest(client, &slow_one, |d| d.attempts.len() == 1).await;
+    assert_eq!(log.attempts[0].error.as_deref(), Some("it did not answer in time"));
+    let log = newest(client, &endless_one, |d| d.attempts.len() == 1).await;
+    assert_eq!(
+        (log.state, log.attempts[0].status),
+        (DeliveryState::Delivered, Some(200)),
+        "its status counts"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_webhook_that_fails_for_days_is_switched_off_and_says_why() {
+    let (server, clock) = start(TempDir::new().unwrap(), PATIENT).await;
+    let client = server.client();
+    let mut receiver = Receiver::new().await;
+    receiver.answer(&[Answer::Status(500); 10]);
+    let id = client.create_webhook(&for_all(&receiver.url)).await.unwrap().webhook.id;
+    let job = cancelled(&server).await;
+    for attempt in 1..=10 {
+        assert!(client.webhook(&id).await.unwrap().enabled, "before attempt {attempt}");
+        assert_eq!(receiver.next().await.job(), job);
+        let log = newest(client, &id, |d| d.attempts.len() == attempt).await;
+        if attempt < 10 {
+            wait_out(&clock, &log);
+        }
+    }
+    let webhook = client.webhook(&id).await.unwrap();
+    assert!(!webhook.enabled && webhook.switched_off_at.is_some(), "{webhook:?}");
+    let why = webhook.switched_off_because.unwrap();
+    assert!(why.contains("2023-11-14T22:13:20Z") && why.contains("it answered 500"), "{why}");
+    let given_up = newest(client, &id, |d| d.state == DeliveryState::Failed).await;
+
+    // Nothing is entered any more, and nothing replayed.
+    cancelled(&server).await;
+    assert_eq!(client.deliveries(&id).await.unwrap().items.len(), 1);
+    let refused = client.replay_delivery(&id, &given_up.id).await;
+    assert!(matches!(&refused, Err(ClientError::Problem(p)) if p.status == 409), "{refused:?}");
+    assert!(receiver.is_silent());
+
+    let on = WebhookChange { enabled: Some(true), ..WebhookChange::default() };
+    let webhook = client.change_webhook(&id, &on).await.unwrap();
+    assert_eq!((webhook.enabled, webhook.switched_off_because, webhook.failing_since), (true, None, None));
+    client.replay_delivery(&id, &given_up.id).await.unwrap();
+    assert_eq!(receiver.next().await.job(), job);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_that_says_it_is_gone_is_switched_off_at_once_and_what_is_off_is_told_nothing() {
+    let (server, _) = start(TempDir::new().unwrap(), PATIENT).await;
+    let client = server.client();
+    let (mut gone, mut off, mut on) = (Receiver::new().await, Receiver::new().await, Receiver::new().await);
+    gone.answer(&[Answer::Status(410)]);
+    let gone_one = client.create_webhook(&for_all(&gone.url)).await.unwrap().webhook.id;
+    let off_one = client.create_webhook(&for_all(&off.url)).await.unwrap().webhook.id;
+    client.create_webhook(&for_all(&on.url)).await.unwrap();
+    let enabled = |enabled| WebhookChange { enabled: Some(enabled), ..WebhookChange::default() };
+    assert!(!client.change_webhook(&off_one, &enabled(false)).await.unwrap().enabled);
+    cancelled(&server).await;
+    tokio::join!(gone.next(), on.next());
+    let log = newest(client, &gone_one, |d| d.attempts.len() == 1).await;
+    assert_eq!(log.state, DeliveryState::Failed);
+    let why = client.webhook(&gone_one).await.unwrap().switched_off_because.unwrap();
+    assert!(why.contains("410"), "{why}");
+    assert!(client.deliveries(&off_one).await.unwrap().items.is_empty());
+    client.change_webhook(&off_one, &enabled(true)).await.unwrap();
+    let job = cancelled(&server).await;
+    assert_eq!(off.next().await.job(), job, "the control");
+}
