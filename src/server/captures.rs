@@ -51,7 +51,7 @@ async fn upload_capture(
     caller: Caller,
     request: Request,
 ) -> Result<Response, Problem> {
-    let mut incoming = receive(&app, request).await?;
+    let mut incoming = receive(&app, &caller, request).await?;
     if let Some(known) = app.store.capture_by_hash(&caller.tenant, &incoming.sha256).await? {
         match app.store.mend(incoming, &known.artifact).await? {
             None => return Ok(Json(view(known)).into_response()),
@@ -59,7 +59,6 @@ async fn upload_capture(
             Some(given_back) => incoming = given_back,
         }
     }
-    app.store.admit_bytes_of(&caller.tenant, incoming.bytes).await?;
     let report = validate(&app, &incoming).await?;
     let record = CaptureRecord {
         id: app.jobs.fresh_id(),
@@ -87,9 +86,10 @@ async fn upload_capture(
 )]
 async fn validate_capture(
     State(app): State<Shared>,
+    caller: Caller,
     request: Request,
 ) -> Result<Json<CaptureReport>, Problem> {
-    let incoming = receive(&app, request).await?;
+    let incoming = receive(&app, &caller, request).await?;
     Ok(Json(validate(&app, &incoming).await?))
 }
 
@@ -131,7 +131,7 @@ async fn get_capture(
     Ok(Json(view(record)))
 }
 
-async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
+async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Incoming, Problem> {
     const MEDIA_TYPES: &[&str] = &[
         "application/zip",
         "application/x-zip-compressed",
@@ -141,7 +141,7 @@ async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
         "application/octet-stream",
     ];
     let expected = Expected { field: "archive", media_types: MEDIA_TYPES, limit: app.limits.capture_bytes };
-    upload::receive(app, request, &expected).await
+    upload::receive(app, caller, request, &expected).await
 }
 
 /// Decodes everything to see whether it can be decoded.

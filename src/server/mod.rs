@@ -29,6 +29,7 @@ mod models;
 mod negotiate;
 mod observe;
 mod origins;
+mod places;
 mod problem;
 mod quality_gate;
 mod rates;

@@ -155,7 +155,7 @@ impl From<StoreError> for Problem {
             }
             StoreError::OverLimit { .. } => {
                 Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-limit", "The server may store no more")
-                    .detail(error.to_string())
+                    .detail("all tenants together store as much as they may; nothing of this was stored")
             }
             StoreError::TooLarge { limit } => Self::too_large(limit),
             StoreError::Body(reason) => {

@@ -14,18 +14,23 @@ mod environments;
 mod error;
 mod events;
 mod figures;
+mod folder;
 mod hash;
 mod idempotency;
+mod incoming;
 mod inspection;
 mod jobs;
 mod key_token;
 mod keys;
 mod leases;
+mod ledger;
 mod models;
 mod node_lock;
 mod quota;
+mod receive;
 mod records;
 mod references;
+mod reservation;
 mod retention;
 mod room;
 mod shelf;
@@ -41,8 +46,9 @@ use sqlx::{Sqlite, SqlitePool, Transaction};
 use tokio::sync::Mutex;
 
 use database::Database;
+use ledger::Ledger;
 
-pub use artifacts::{Artifacts, Incoming};
+pub use artifacts::Artifacts;
 pub use backup::{Backup, backup, restore};
 pub use deletion::Deletion;
 pub use discard::Discarded;
@@ -50,6 +56,7 @@ pub use error::StoreError;
 pub use figures::Measured;
 pub use hash::hex;
 pub use idempotency::IdempotencyKey;
+pub use incoming::Incoming;
 pub use inspection::{Inspection, inspect};
 pub use jobs::{CancelOutcome, Submitted};
 pub use key_token::KeyToken;
@@ -63,7 +70,6 @@ pub use records::{
 pub use retention::Retention;
 pub use room::Room;
 pub use sweep::Swept;
-pub use usage::Allowance;
 
 /// The metadata database and the artifact store of one data directory.
 #[derive(Clone)]
@@ -77,16 +83,18 @@ pub struct Store {
     disk_limit: Arc<AtomicU64>,
     /// Held while a file and the row that names it are made or removed together.
     shelf: Arc<Mutex<()>>,
+    /// What is on its way to it.
+    ledger: Ledger,
 }
 
 impl Store {
-    /// Opens the data directory, creates what is missing and migrates the schema.
+    /// Opens the data directory, creates what is missing and migrates the schema. A directory that is made is its owner's alone.
     ///
     /// # Errors
     /// When the directory cannot be created, or the database cannot be opened or migrated; [`StoreError::DatabaseMissing`] when
     /// there are artifacts and no database.
     pub async fn open(root: &Path) -> Result<Self, StoreError> {
-        std::fs::create_dir_all(root)?;
+        folder::make_private(root)?;
         if !root.join(database::FILE).exists() && has_artifacts(root)? {
             return Err(StoreError::DatabaseMissing(root.display().to_string()));
         }
@@ -99,6 +107,7 @@ impl Store {
             root: root.to_owned(),
             disk_limit: Arc::new(AtomicU64::new(u64::MAX)),
             shelf: Arc::default(),
+            ledger: Ledger::default(),
         })
     }
 

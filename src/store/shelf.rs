@@ -7,7 +7,7 @@ impl Store {
     /// Publishes an upload and records it, or returns the capture of the same tenant and content that was there first.
     ///
     /// # Errors
-    /// [`StoreError::OverLimit`] beyond the limit of the disk, or when the move or the database fails.
+    /// When the move or the database fails.
     pub async fn keep_capture(
         &self,
         incoming: Incoming,
@@ -15,8 +15,6 @@ impl Store {
         capture: &CaptureRecord,
     ) -> Result<CaptureRecord, StoreError> {
         let _shelf = self.shelf.lock().await;
-        self.admit_upload(incoming.bytes).await?;
-        self.admit_bytes_of(tenant, incoming.bytes).await?;
         self.artifacts.publish(incoming, &capture.artifact).await?;
         self.insert_capture(tenant, capture).await
     }
@@ -32,8 +30,6 @@ impl Store {
         environment: &EnvironmentRecord,
     ) -> Result<EnvironmentRecord, StoreError> {
         let _shelf = self.shelf.lock().await;
-        self.admit_upload(incoming.bytes).await?;
-        self.admit_bytes_of(tenant, incoming.bytes).await?;
         self.artifacts.publish(incoming, &environment.artifact).await?;
         self.insert_environment(tenant, environment).await
     }
