@@ -12,9 +12,10 @@ pub mod quality;
 pub mod renders;
 mod resources;
 pub mod signed_urls;
+pub mod uploads;
 pub mod usage;
 
-pub use ids::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId};
+pub use ids::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId, UploadId};
 pub use page::List;
 pub use problem::Problem;
 pub use resources::{ResourceKind, ResourceName};

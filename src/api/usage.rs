@@ -12,6 +12,9 @@ pub struct Usage {
     pub environments: StoredKind,
     /// Models with all their files.
     pub models: StoredKind,
+    /// Uploads that arrive in pieces, with what has arrived of them.
+    #[serde(default)]
+    pub uploads: StoredKind,
     /// Checkpoints of jobs that wait or run.
     pub checkpoints: StoredKind,
     /// Bytes of files that belong to none of these: uploads in progress, what was deleted and is still in use, what was set

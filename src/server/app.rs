@@ -11,7 +11,7 @@ use crate::server::decoders::Decoders;
 use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
 use crate::server::signing_secret::SigningSecret;
-use crate::store::Store;
+use crate::store::{Store, UploadLimits};
 use crate::worker::DeviceHandle;
 
 /// What handlers share.
@@ -47,6 +47,7 @@ pub(super) struct App {
     pub(super) jobs: Jobs,
     pub(super) device: DeviceHandle,
     pub(super) limits: RequestLimits,
+    pub(super) upload_limits: UploadLimits,
     /// What requests may borrow.
     pub(super) memory: MemoryBudget,
     /// Where uploads are decoded.

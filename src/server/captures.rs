@@ -1,7 +1,7 @@
 //! `/v1/captures`: archives of posed photographs.
 
 use axum::Json;
-use axum::extract::{Request, State};
+use axum::extract::{FromRequest, Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
@@ -9,14 +9,16 @@ use utoipa_axum::routes;
 
 use crate::api::captures::CaptureSummary;
 use crate::api::problem::ContentError;
+use crate::api::uploads::FromUpload;
 use crate::api::{CaptureId, List, Problem};
 use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::{ArchiveForm, File};
-use crate::server::extract::{QueryString, UrlPath};
+use crate::server::extract::{JsonBody, QueryString, UrlPath, media_type};
 use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::server::upload::{self, Expected};
+use crate::server::uploads;
 use crate::store::{CaptureRecord, Incoming};
 
 /// The routes of this file that take no archives.
@@ -31,16 +33,18 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
 
 /// Upload a capture
 ///
-/// A zip, tar or tar.gz, as the raw body or as the multipart field `archive`. It is streamed to disk, hashed and
+/// A zip, tar or tar.gz, as the raw body, as the multipart field `archive`, or as the complete upload that JSON names (see
+/// `/v1/uploads`), which is gone then. It is streamed to disk, hashed and
 /// validated; 201 means that every byte is durable. The same content again gives the same capture and 200.
 #[utoipa::path(
     post, path = "/v1/captures", tag = "captures",
     request_body(content(
         (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
-        (ArchiveForm = "multipart/form-data")
+        (ArchiveForm = "multipart/form-data"), (FromUpload = "application/json")
     )),
     responses(
         (status = 201, body = CaptureSummary), (status = 200, body = CaptureSummary, description = "Stored before"),
+        (status = 409, body = Problem, description = "The upload is incomplete, or in use"),
         (status = 413, body = Problem), (status = 415, body = Problem),
         (status = 422, body = Problem, description = "Refused; names the file and field"),
         (status = 507, body = Problem, description = "The disk is full; nothing was stored")
@@ -80,7 +84,7 @@ async fn upload_capture(
     post, path = "/v1/captures/validate", tag = "captures",
     request_body(content(
         (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
-        (ArchiveForm = "multipart/form-data")
+        (ArchiveForm = "multipart/form-data"), (FromUpload = "application/json")
     )),
     responses((status = 200, body = CaptureReport), (status = 422, body = Problem))
 )]
@@ -132,6 +136,10 @@ async fn get_capture(
 }
 
 async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Incoming, Problem> {
+    if media_type(request.headers()).as_deref() == Some("application/json") {
+        let JsonBody::<FromUpload>(named) = JsonBody::from_request(request, app).await?;
+        return uploads::take(app, caller, &named.upload).await;
+    }
     const MEDIA_TYPES: &[&str] = &[
         "application/zip",
         "application/x-zip-compressed",

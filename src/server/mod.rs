@@ -44,6 +44,7 @@ mod signing_secret;
 mod stack;
 mod thumbnails;
 mod upload;
+mod uploads;
 mod usage;
 
 pub use app::RequestLimits;

@@ -22,6 +22,7 @@ use crate::server::observe;
 use crate::server::origins::{self, CorsOrigin};
 use crate::server::places::{self, Places};
 use crate::server::same_site::{self, TrustedHosts};
+use crate::server::uploads;
 
 /// What a server's stack depends on.
 pub(super) struct StackConfig {
@@ -32,6 +33,8 @@ pub(super) struct StackConfig {
     pub(super) hosts: TrustedHosts,
     /// Between two pieces of a request's body.
     pub(super) body_stall: Duration,
+    /// Bytes of the largest upload in pieces.
+    pub(super) most_uploaded: u64,
 }
 
 /// How much of one kind of work is taken on.
@@ -70,7 +73,7 @@ where
 
 /// Around all routes. Layers run from the first to the last.
 pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shared> {
-    let StackConfig { gate, is_open, origins, hosts, body_stall } = config;
+    let StackConfig { gate, is_open, origins, hosts, body_stall, most_uploaded } = config;
     // A key, which no foreign page knows, protects as well as the checks of host and origin.
     let csrf = is_open.then(|| same_site::csrf(&origins));
     let host = is_open.then(|| middleware::from_fn_with_state(hosts, same_site::check_host));
@@ -83,6 +86,8 @@ pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shar
             .layer(fixed(header::CONTENT_SECURITY_POLICY, "default-src 'none'; frame-ancestors 'none'"))
             .layer(CatchPanicLayer::custom(observe::on_panic))
             .option_layer(host)
+            // Outside CORS, which answers every OPTIONS by itself.
+            .layer(middleware::from_fn_with_state(most_uploaded, uploads::advertise))
             // Outside authentication: a browser's preflight carries no key.
             .option_layer(origins::cors(&origins))
             .option_layer(csrf)

@@ -47,6 +47,7 @@ impl Store {
 const BYTES: &str =
     "SELECT COALESCE((SELECT SUM(bytes) FROM captures WHERE tenant = ?1 AND deleted_ms IS NULL), 0)
       + COALESCE((SELECT SUM(bytes) FROM environments WHERE tenant = ?1 AND deleted_ms IS NULL), 0)
+      + COALESCE((SELECT SUM(received) FROM uploads WHERE tenant = ?1), 0)
       + COALESCE((SELECT SUM(bytes) FROM model_files JOIN models ON models.id = model_id
                   WHERE tenant = ?1 AND deleted_ms IS NULL), 0)";
 

@@ -57,7 +57,11 @@ impl Artifacts {
     pub async fn publish(&self, mut incoming: Incoming, key: &str) -> Result<(), StoreError> {
         self.files.rename(&incoming.key, &Key::from(key)).await?;
         incoming.published = true;
-        Ok(())
+        // Where both were names of one file already, a rename leaves both.
+        match tokio::fs::remove_file(&incoming.path).await {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
+            _ => Ok(()),
+        }
     }
 
     /// Writes a whole artifact and returns its sha256 in hex; durable when it returns.

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use object_store::path::Path as Key;
 
 use crate::store::ledger::Reservation;
+use crate::store::uploads::Hold;
 
 /// The folder of uploads on their way.
 pub(super) const INCOMING: &str = "incoming";
@@ -20,6 +21,8 @@ pub struct Incoming {
     pub sha256: String,
     /// Number of bytes.
     pub bytes: u64,
+    /// The upload that these bytes are of, if they came in pieces.
+    pub(super) upload: Option<Hold>,
     /// They count as stored meanwhile.
     pub(super) _reserved: Reservation,
 }

@@ -67,6 +67,11 @@ impl Reservation {
         self.bytes
     }
 
+    /// Gives `bytes` back.
+    pub(super) fn release(&mut self, bytes: u64) {
+        self.set(self.bytes.saturating_sub(bytes));
+    }
+
     /// Gives back what is reserved beyond `bytes`.
     pub(super) fn shrink_to(&mut self, bytes: u64) {
         if bytes < self.bytes {

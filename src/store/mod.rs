@@ -35,6 +35,7 @@ mod retention;
 mod room;
 mod shelf;
 mod sweep;
+mod uploads;
 mod usage;
 mod verification;
 
@@ -47,6 +48,7 @@ use tokio::sync::Mutex;
 
 use database::Database;
 use ledger::Ledger;
+use uploads::Holds;
 
 pub use artifacts::Artifacts;
 pub use backup::{Backup, backup, restore};
@@ -70,6 +72,7 @@ pub use records::{
 pub use retention::Retention;
 pub use room::Room;
 pub use sweep::Swept;
+pub use uploads::{Checksum, Hold, Piece, UploadLimits, UploadRecord};
 
 /// The metadata database and the artifact store of one data directory.
 #[derive(Clone)]
@@ -85,6 +88,8 @@ pub struct Store {
     shelf: Arc<Mutex<()>>,
     /// What is on its way to it.
     ledger: Ledger,
+    /// Which uploads somebody works on.
+    holds: Holds,
 }
 
 impl Store {
@@ -108,6 +113,7 @@ impl Store {
             disk_limit: Arc::new(AtomicU64::new(u64::MAX)),
             shelf: Arc::default(),
             ledger: Ledger::default(),
+            holds: Holds::default(),
         })
     }
 

@@ -86,6 +86,9 @@ impl Store {
                     tenant,
                 )
                 .await?,
+            uploads: self
+                .kind("SELECT COUNT(*), SUM(received) FROM uploads WHERE tenant = ?1", tenant)
+                .await?,
             checkpoints: self.checkpoints(Some(tenant)).await?,
             unreferenced_bytes: if of_server { all.saturating_sub(referenced) } else { 0 },
             limit_bytes: self.quota.bytes.or(disk_limit.filter(|_| of_server)),
@@ -121,6 +124,7 @@ impl Store {
             "SELECT COALESCE((SELECT SUM(bytes) FROM
                         (SELECT DISTINCT artifact, bytes FROM captures WHERE swept_ms IS NULL)), 0)
                   + COALESCE((SELECT SUM(bytes) FROM (SELECT DISTINCT artifact, bytes FROM environments)), 0)
+                  + COALESCE((SELECT SUM(received) FROM uploads), 0)
                   + COALESCE((SELECT SUM(bytes) FROM model_files), 0)",
         )
         .fetch_one(self.pool())
