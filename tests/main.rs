@@ -36,6 +36,7 @@ mod service_promises;
 mod service_signed_urls;
 mod service_support;
 mod service_tenants;
+mod service_uploads;
 mod stored_files;
 mod tiers;
 mod training;

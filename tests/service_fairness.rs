@@ -5,6 +5,7 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
+use futures::channel::mpsc::UnboundedSender;
 use relume::api::TenantId;
 use relume::api::keys::Scope;
 use relume::client::Client;
@@ -15,6 +16,7 @@ use relume::testing::{self, TestServer};
 use reqwest::{Method, Response, header};
 use serde_json::Value;
 use tempfile::TempDir;
+use tokio::task::JoinHandle;
 
 use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job};
 
@@ -150,13 +152,125 @@ async fn a_tenant_stores_no_more_than_it_may() {
     let map = relume::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap();
     assert!(map.len() > 100);
     assert_eq!(refusal(a.upload_environment(map).await).0, 507);
-    assert_eq!(a.upload_capture_bytes(capture_zip()).await.unwrap().id, first.id, "it has that already");
+    assert_eq!(
+        refusal(a.validate_capture_bytes(capture_zip()).await).0,
+        507,
+        "what is only tried takes room, too"
+    );
+    a.delete_capture(&first.id, false).await.unwrap();
+    let first = a.upload_capture_bytes(capture_zip()).await.unwrap();
+    assert_eq!(a.capture(&first.id).await.unwrap().bytes, bytes as i64);
     let of_b = b.upload_capture_bytes(capture_zip()).await.unwrap();
     // A model may go beyond, for its size is not known before; then nothing more is begun.
     let job = b.create_job(&small_job(&of_b.id, 3, 5), None).await.unwrap();
     ended(&b, &job.id).await;
     assert_eq!(refusal(b.create_job(&small_job(&of_b.id, 3, 5), None).await).0, 507);
     assert_eq!(refusal(b.retry_job(&job.id).await).0, 409);
+}
+
+type Pieces = UnboundedSender<Result<Vec<u8>, std::io::Error>>;
+
+/// An upload whose pieces are sent one by one; it ends when the sender is dropped.
+fn streamed(client: &Client, path: &str) -> (Pieces, JoinHandle<Result<Response, reqwest::Error>>) {
+    let (pieces, body) = futures::channel::mpsc::unbounded();
+    let request = client.request(Method::POST, path).unwrap().header("content-type", "application/zip");
+    (pieces, tokio::spawn(request.body(reqwest::Body::wrap_stream(body)).send()))
+}
+
+/// Status and text of an answer.
+async fn answered(upload: JoinHandle<Result<Response, reqwest::Error>>) -> (u16, String) {
+    let answer = upload.await.unwrap().unwrap();
+    (answer.status().as_u16(), answer.text().await.unwrap())
+}
+
+/// Waits until files of so many bytes together are on their way.
+async fn until_on_disk(server: &TestServer, bytes: u64) {
+    let folder = server.data_dir().join("artifacts/incoming");
+    while files_under(&folder).iter().map(|(_, size)| size).sum::<u64>() < bytes {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn uploads_on_their_way_stay_together_within_quota_and_limit() {
+    // Larger than the pieces in which uploads are written.
+    const HALF: usize = 12 << 20;
+    for (quota, limit) in [(Some(HALF as u64 * 3), None), (None, Some(HALF as u64 * 3))] {
+        let server = server(|config| {
+            config.quota = Quota { jobs: None, bytes: quota };
+            config.limits.disk_bytes = limit;
+        })
+        .await;
+        let a = of_tenant(&server, "a").await;
+        let (first, uploading) = streamed(&a, "/v1/captures");
+        first.unbounded_send(Ok(vec![1; HALF * 2])).unwrap();
+        until_on_disk(&server, HALF as u64).await;
+        for path in ["/v1/captures", "/v1/captures/validate"] {
+            let (second, refused) = streamed(&a, path);
+            second.unbounded_send(Ok(vec![2; HALF * 3 / 2])).unwrap();
+            let (status, text) = answered(refused).await;
+            assert_eq!(status, 507, "{path}: {text}");
+        }
+        drop(first);
+        assert_eq!(answered(uploading).await.0, 422, "the first one arrived whole, and is no archive");
+        assert!(files_under(server.data_dir()).is_empty());
+        let (alone, uploading) = streamed(&a, "/v1/captures");
+        alone.unbounded_send(Ok(vec![2; HALF * 3 / 2])).unwrap();
+        drop(alone);
+        assert_eq!(answered(uploading).await.0, 422, "the control: what has ended is given back");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_tenant_takes_half_of_the_places_for_uploads_and_no_more() {
+    let server = server(|_| {}).await;
+    let (a, b) = (of_tenant(&server, "a").await, of_tenant(&server, "b").await);
+    let mut held = Vec::new();
+    for count in 1..=32 {
+        let (pieces, upload) = streamed(&a, "/v1/captures");
+        pieces.unbounded_send(Ok(vec![0])).unwrap();
+        held.push((pieces, upload));
+        let folder = server.data_dir().join("artifacts/incoming");
+        while files_under(&folder).len() < count {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+    let refused = streamed(&a, "/v1/captures").1.await.unwrap().unwrap();
+    assert_eq!((refused.status().as_u16(), told(&refused, "retry-after")), (503, "1".to_owned()));
+    let text = refused.text().await.unwrap();
+    assert!(text.contains("your tenant has 32"), "{text}");
+    b.upload_capture_bytes(capture_zip()).await.unwrap();
+    for (pieces, upload) in held {
+        drop(pieces);
+        assert_eq!(answered(upload).await.0, 422);
+    }
+    a.upload_capture_bytes(capture_zip()).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_all_tenants_store_is_told_to_the_operator_alone() {
+    let size = capture_zip().len() as u64;
+    let server = server(|config| config.limits.disk_bytes = Some(size + 10)).await;
+    let (a, operator) = (of_tenant(&server, "a").await, bearer(&server, KEYS[0]));
+    operator.upload_capture_bytes(capture_zip()).await.unwrap();
+    let said = async |client: &Client| {
+        let refused = client.upload_capture_bytes(CaptureZip::new(9, 32).zip()).await.unwrap_err();
+        let problem = refused.problem().unwrap().clone();
+        assert_eq!(problem.kind, "urn:relume:problem:storage-limit");
+        problem.detail.unwrap()
+    };
+    let (to_a, to_operator) = (said(&a).await, said(&operator).await);
+    assert!(to_operator.contains(&size.to_string()), "{to_operator}");
+    assert!(!to_a.contains(|c: char| c.is_ascii_digit()), "{to_a}");
+    let (of_a, of_operator) = (a.usage().await.unwrap(), operator.usage().await.unwrap());
+    assert_eq!((of_operator.limit_bytes, of_operator.free_bytes.is_some()), (Some(size + 10), true));
+    assert_eq!(of_a, relume::api::usage::Usage::default(), "nothing but what it has");
+    // An administrator of the operator's tenant, not everybody in it.
+    let body = serde_json::json!({ "name": "x", "tenant": "default", "scopes": ["read"] });
+    let request = operator.request(Method::POST, "/v1/keys").unwrap().json(&body).send().await.unwrap();
+    let made: Value = serde_json::from_str(&request.text().await.unwrap()).unwrap();
+    let reader = bearer(&server, made["secret"].as_str().unwrap());
+    assert_eq!(reader.usage().await.unwrap().free_bytes, None);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -42,7 +42,7 @@ impl Bench {
             report: CaptureReport::default(),
             created_ms: 0,
         };
-        bench.jobs.store().insert_capture(&tenant(), &capture).await.unwrap();
+        bench.jobs.store().insert_capture(&tenant(), &capture, None).await.unwrap();
         bench
     }
 

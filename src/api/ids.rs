@@ -38,6 +38,8 @@ identifiers! {
     JobId;
     /// Identifies a model.
     ModelId;
+    /// Identifies an upload that arrives in pieces.
+    UploadId;
     /// Identifies an API key.
     KeyId;
     /// Identifies a webhook.

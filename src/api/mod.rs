@@ -12,10 +12,11 @@ pub mod quality;
 pub mod renders;
 mod resources;
 pub mod signed_urls;
+pub mod uploads;
 pub mod usage;
 pub mod webhooks;
 
-pub use ids::{CaptureId, DeliveryId, EnvironmentId, JobId, KeyId, ModelId, TenantId, WebhookId};
+pub use ids::{CaptureId, DeliveryId, EnvironmentId, JobId, KeyId, ModelId, TenantId, UploadId, WebhookId};
 pub use page::List;
 pub use problem::Problem;
 pub use resources::{ResourceKind, ResourceName};

@@ -12,16 +12,21 @@ pub struct Usage {
     pub environments: StoredKind,
     /// Models with all their files.
     pub models: StoredKind,
+    /// Uploads that arrive in pieces, with what has arrived of them.
+    #[serde(default)]
+    pub uploads: StoredKind,
     /// Checkpoints of jobs that wait or run.
     pub checkpoints: StoredKind,
     /// Bytes of files that belong to none of these: uploads in progress, what was deleted and is still in use, what was set
-    /// aside. Counted for the tenant `default` only.
+    /// aside. 0 for everybody but the administrators of the tenant `default`.
     pub unreferenced_bytes: u64,
-    /// Bytes that the tenant may store, or else the server together; absent when only the disk is the limit.
+    /// Bytes that the tenant may store, or else, for administrators of the tenant `default`, the server together; absent when
+    /// there is no such limit.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub limit_bytes: Option<u64>,
-    /// Bytes that are free on the disk.
-    pub free_bytes: u64,
+    /// Bytes that are free on the disk; for administrators of the tenant `default`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub free_bytes: Option<u64>,
 }
 
 /// How much there is of one kind.

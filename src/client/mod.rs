@@ -22,6 +22,7 @@ mod events;
 mod jobs;
 mod keys;
 mod models;
+mod uploads;
 mod usage;
 mod webhooks;
 

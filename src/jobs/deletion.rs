@@ -26,13 +26,14 @@ impl Jobs {
         deleted
     }
 
-    /// Deletes what has been kept for long enough, then removes the files of what was deleted, now or before.
+    /// Deletes what has been kept for long enough and gives up uploads that have expired, then removes the files of what was deleted, now or before.
     ///
     /// # Errors
     /// When the database or a file operation fails.
     pub async fn tidy(&self, retention: &Retention) -> Result<Discarded, StoreError> {
         let now_ms = self.now_ms();
         self.store.expire(retention, now_ms).await?;
+        self.store.expire_uploads(now_ms).await?;
         self.store.sweep_deleted(now_ms).await
     }
 }

@@ -63,6 +63,13 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::POST, "/v1/models/{id}/render", Needs(Render)),
     (Method::GET, "/v1/models/{id}/thumbnail", Needs(Read)),
     (Method::POST, "/v1/signed-urls", Needs(Read)),
+    (Method::OPTIONS, "/v1/uploads", Open),
+    (Method::POST, "/v1/uploads", Needs(Submit)),
+    (Method::GET, "/v1/uploads/{id}", Needs(Submit)),
+    (Method::HEAD, "/v1/uploads/{id}", Needs(Submit)),
+    (Method::PATCH, "/v1/uploads/{id}", Needs(Submit)),
+    (Method::POST, "/v1/uploads/{id}", Needs(Submit)),
+    (Method::DELETE, "/v1/uploads/{id}", Needs(Submit)),
     (Method::GET, "/v1/usage", Needs(Read)),
     (Method::GET, "/v1/webhooks", Needs(Admin)),
     (Method::POST, "/v1/webhooks", Needs(Admin)),
@@ -76,6 +83,7 @@ const TABLE: &[(Method, &str, Access)] = &[
 /// The line of the table for a request that a route was found for.
 fn access_of(request: &Request) -> Option<Access> {
     let route = request.extensions().get::<MatchedPath>()?;
+    // What answers GET answers HEAD.
     let method = if request.method() == Method::HEAD { &Method::GET } else { request.method() };
     TABLE.iter().find(|(m, path, _)| m == method && *path == route.as_str()).map(|line| line.2)
 }

@@ -12,7 +12,7 @@ use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::webhooks::WebhookPolicy;
-use crate::store::Store;
+use crate::store::{Store, UploadLimits};
 use crate::worker::DeviceHandle;
 
 /// What handlers share.
@@ -48,6 +48,7 @@ pub(super) struct App {
     pub(super) jobs: Jobs,
     pub(super) device: DeviceHandle,
     pub(super) limits: RequestLimits,
+    pub(super) upload_limits: UploadLimits,
     /// What requests may borrow.
     pub(super) memory: MemoryBudget,
     /// Where uploads are decoded.

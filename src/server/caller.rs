@@ -6,6 +6,7 @@ use axum::http::request::Parts;
 
 use crate::api::keys::Scope;
 use crate::api::{KeyId, Problem, TenantId};
+use crate::store::StoreError;
 
 /// What stands for a key where there is none.
 pub(super) const NO_KEY: &str = "none";
@@ -66,6 +67,22 @@ impl Caller {
             return Ok(());
         }
         Err(Self::lacks(format!("this needs a key with the scope {scope:?}", scope = scope.name())))
+    }
+
+    /// Whether this is an administrator of the tenant of whoever runs the server.
+    pub(super) fn is_operator(&self) -> bool {
+        self.tenant.is_operator() && self.scopes.contains(&Scope::Admin)
+    }
+
+    /// What the store's refusal is to this caller: only whoever runs the server is told how much all tenants store.
+    pub(super) fn told(&self, error: StoreError) -> Problem {
+        let numbers = matches!(error, StoreError::OverLimit { .. }) && self.is_operator();
+        let detail = numbers.then(|| error.to_string());
+        let problem = Problem::from(error);
+        match detail {
+            Some(detail) => problem.detail(detail),
+            None => problem,
+        }
     }
 
     /// # Errors

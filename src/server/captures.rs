@@ -1,7 +1,7 @@
 //! `/v1/captures`: archives of posed photographs.
 
 use axum::Json;
-use axum::extract::{Request, State};
+use axum::extract::{FromRequest, Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
@@ -9,14 +9,16 @@ use utoipa_axum::routes;
 
 use crate::api::captures::CaptureSummary;
 use crate::api::problem::ContentError;
+use crate::api::uploads::FromUpload;
 use crate::api::{CaptureId, List, Problem};
 use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::{ArchiveForm, File};
-use crate::server::extract::{QueryString, UrlPath};
+use crate::server::extract::{JsonBody, QueryString, UrlPath, media_type};
 use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::server::upload::{self, Expected};
+use crate::server::uploads;
 use crate::store::{CaptureRecord, Incoming};
 
 /// The routes of this file that take no archives.
@@ -31,16 +33,18 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
 
 /// Upload a capture
 ///
-/// A zip, tar or tar.gz, as the raw body or as the multipart field `archive`. It is streamed to disk, hashed and
+/// A zip, tar or tar.gz, as the raw body, as the multipart field `archive`, or as the complete upload that JSON names (see
+/// `/v1/uploads`), which is gone then. It is streamed to disk, hashed and
 /// validated; 201 means that every byte is durable. The same content again gives the same capture and 200.
 #[utoipa::path(
     post, path = "/v1/captures", tag = "captures",
     request_body(content(
         (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
-        (ArchiveForm = "multipart/form-data")
+        (ArchiveForm = "multipart/form-data"), (FromUpload = "application/json")
     )),
     responses(
         (status = 201, body = CaptureSummary), (status = 200, body = CaptureSummary, description = "Stored before"),
+        (status = 409, body = Problem, description = "The upload is incomplete, or in use"),
         (status = 413, body = Problem), (status = 415, body = Problem),
         (status = 422, body = Problem, description = "Refused; names the file and field"),
         (status = 507, body = Problem, description = "The disk is full; nothing was stored")
@@ -51,7 +55,7 @@ async fn upload_capture(
     caller: Caller,
     request: Request,
 ) -> Result<Response, Problem> {
-    let mut incoming = receive(&app, request).await?;
+    let mut incoming = receive(&app, &caller, request).await?;
     if let Some(known) = app.store.capture_by_hash(&caller.tenant, &incoming.sha256).await? {
         match app.store.mend(incoming, &known.artifact).await? {
             None => return Ok(Json(view(known)).into_response()),
@@ -59,7 +63,6 @@ async fn upload_capture(
             Some(given_back) => incoming = given_back,
         }
     }
-    app.store.admit_bytes_of(&caller.tenant, incoming.bytes).await?;
     let report = validate(&app, &incoming).await?;
     let record = CaptureRecord {
         id: app.jobs.fresh_id(),
@@ -81,15 +84,16 @@ async fn upload_capture(
     post, path = "/v1/captures/validate", tag = "captures",
     request_body(content(
         (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
-        (ArchiveForm = "multipart/form-data")
+        (ArchiveForm = "multipart/form-data"), (FromUpload = "application/json")
     )),
     responses((status = 200, body = CaptureReport), (status = 422, body = Problem))
 )]
 async fn validate_capture(
     State(app): State<Shared>,
+    caller: Caller,
     request: Request,
 ) -> Result<Json<CaptureReport>, Problem> {
-    let incoming = receive(&app, request).await?;
+    let incoming = receive(&app, &caller, request).await?;
     Ok(Json(validate(&app, &incoming).await?))
 }
 
@@ -131,7 +135,11 @@ async fn get_capture(
     Ok(Json(view(record)))
 }
 
-async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
+async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Incoming, Problem> {
+    if media_type(request.headers()).as_deref() == Some("application/json") {
+        let JsonBody::<FromUpload>(named) = JsonBody::from_request(request, app).await?;
+        return uploads::take(app, caller, &named.upload).await;
+    }
     const MEDIA_TYPES: &[&str] = &[
         "application/zip",
         "application/x-zip-compressed",
@@ -141,7 +149,7 @@ async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
         "application/octet-stream",
     ];
     let expected = Expected { field: "archive", media_types: MEDIA_TYPES, limit: app.limits.capture_bytes };
-    upload::receive(app, request, &expected).await
+    upload::receive(app, caller, request, &expected).await
 }
 
 /// Decodes everything to see whether it can be decoded.

@@ -70,7 +70,7 @@ async fn upload_environment(
     if query.name.as_ref().is_some_and(|n| n.is_empty() || n.chars().count() > 128) {
         return Err(Problem::invalid_field("query/name", "must have 1 to 128 characters"));
     }
-    let mut incoming = receive(&app, request).await?;
+    let mut incoming = receive(&app, &caller, request).await?;
     if let Some(known) = app.store.environment_by_hash(&caller.tenant, &incoming.sha256).await? {
         match app.store.mend(incoming, &known.artifact).await? {
             None => return Ok(Json(view(known)).into_response()),
@@ -78,7 +78,6 @@ async fn upload_environment(
             Some(given_back) => incoming = given_back,
         }
     }
-    app.store.admit_bytes_of(&caller.tenant, incoming.bytes).await?;
     let (width, height, warnings) = validate(&app, &incoming).await?;
     let record = EnvironmentRecord {
         id: app.jobs.fresh_id(),
@@ -134,12 +133,12 @@ async fn get_environment(
     Ok(Json(view(record.ok_or_else(|| Problem::not_found("environment", id.as_str()))?)))
 }
 
-async fn receive(app: &Shared, request: Request) -> Result<Incoming, Problem> {
+async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Incoming, Problem> {
     const MEDIA_TYPES: &[&str] =
         &["image/vnd.radiance", "image/x-hdr", "image/x-exr", "image/aces", "application/octet-stream"];
     let limit = app.limits.environment_bytes;
     let expected = Expected { field: "environment", media_types: MEDIA_TYPES, limit };
-    upload::receive(app, request, &expected).await
+    upload::receive(app, caller, request, &expected).await
 }
 
 async fn validate(app: &Shared, incoming: &Incoming) -> Result<(i64, i64, Vec<String>), Problem> {

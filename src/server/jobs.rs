@@ -89,7 +89,7 @@ async fn create_job(
     if let Some(light) = &config.light {
         check_light(&app, &caller.tenant, light).await?;
     }
-    submit(&app, &caller.tenant, job, i64::from(config.iterations), None, key.as_ref()).await
+    submit(&app, &caller, job, i64::from(config.iterations), None, key.as_ref()).await
 }
 
 /// List jobs
@@ -207,23 +207,23 @@ async fn retry_job(
     if caller.needs(Scope::Priority).is_err() {
         request.priority = request.priority.min(0);
     }
-    submit(&app, &caller.tenant, request, job.progress.total, Some(job.id), None).await
+    submit(&app, &caller, request, job.progress.total, Some(job.id), None).await
 }
 
 async fn submit(
     app: &Shared,
-    tenant: &TenantId,
+    caller: &Caller,
     request: NewJob,
     total: i64,
     retry_of: Option<JobId>,
     key: Option<&IdempotencyKey>,
 ) -> Result<Response, Problem> {
     // A training makes a model, of a size that is not known before.
-    app.store.admit_bytes_of(tenant, 0).await?;
+    app.store.admit_bytes_of(&caller.tenant, 0).await?;
     let answer =
         |job: &JobRecord, position| serde_json::to_string(&job.clone().view(position)).unwrap_or_default();
-    let submitted = app.jobs.submit(tenant, request, total, retry_of, key, answer).await?;
-    let (text, replayed) = match submitted {
+    let submitted = app.jobs.submit(&caller.tenant, request, total, retry_of, key, answer).await;
+    let (text, replayed) = match submitted.map_err(|error| caller.told(error))? {
         Submitted::Created(text) => (text, false),
         Submitted::Replayed(text) => (text, true),
     };

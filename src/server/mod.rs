@@ -29,6 +29,7 @@ mod models;
 mod negotiate;
 mod observe;
 mod origins;
+mod places;
 mod problem;
 mod quality_gate;
 mod rates;
@@ -43,6 +44,7 @@ mod signing_secret;
 mod stack;
 mod thumbnails;
 mod upload;
+mod uploads;
 mod usage;
 mod webhooks;
 

@@ -6,7 +6,7 @@ use axum::http::{HeaderName, HeaderValue, Method, Uri, header};
 use tower_http::cors::{AllowHeaders, AllowMethods, AllowOrigin, CorsLayer, ExposeHeaders};
 
 /// Headers of answers that pages may read beside those that they always may.
-const EXPOSED: [HeaderName; 9] = [
+const EXPOSED: [HeaderName; 14] = [
     header::ETAG,
     header::LOCATION,
     header::RETRY_AFTER,
@@ -15,6 +15,11 @@ const EXPOSED: [HeaderName; 9] = [
     HeaderName::from_static("ratelimit-policy"),
     HeaderName::from_static("relume-depth-range"),
     HeaderName::from_static("server-timing"),
+    HeaderName::from_static("tus-resumable"),
+    HeaderName::from_static("upload-expires"),
+    HeaderName::from_static("upload-length"),
+    HeaderName::from_static("upload-metadata"),
+    HeaderName::from_static("upload-offset"),
     HeaderName::from_static("x-request-id"),
 ];
 

@@ -149,7 +149,7 @@ impl From<StoreError> for Problem {
                     .detail("nothing was stored")
                     .retry_after(60)
             }
-            StoreError::QuotaOfJobs { .. } => {
+            StoreError::QuotaOfJobs { .. } | StoreError::QuotaOfUploads { .. } => {
                 let title = "Your tenant may have no more of these";
                 Self::new(StatusCode::TOO_MANY_REQUESTS, "quota-exceeded", title)
                     .detail(error.to_string())
@@ -162,7 +162,7 @@ impl From<StoreError> for Problem {
             StoreError::TooManyWebhooks { .. } => Self::conflict("quota-exceeded", error.to_string()),
             StoreError::OverLimit { .. } => {
                 Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-limit", "The server may store no more")
-                    .detail(error.to_string())
+                    .detail("all tenants together store as much as they may; nothing of this was stored")
             }
             StoreError::TooLarge { limit } => Self::too_large(limit),
             StoreError::Body(reason) => {

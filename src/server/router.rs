@@ -10,11 +10,11 @@ use crate::server::app::Shared;
 use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLOADS, bounded};
 use crate::server::{
     captures, deletion, description, environments, events, files, health, jobs, keys, models, renders,
-    signed_urls, thumbnails, usage, webhooks,
+    signed_urls, thumbnails, uploads, usage, webhooks,
 };
 
 fn families() -> OpenApiRouter<Shared> {
-    let uploads = captures::uploads().merge(environments::uploads());
+    let taking = captures::uploads().merge(environments::uploads()).merge(uploads::uploads());
     let queries = captures::routes()
         .merge(environments::routes())
         .merge(jobs::routes())
@@ -24,10 +24,11 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(models::routes())
         .merge(files::routes())
         .merge(deletion::routes())
+        .merge(uploads::routes())
         .merge(usage::routes())
         .merge(webhooks::routes());
     OpenApiRouter::with_openapi(description::preamble())
-        .merge(bounded(uploads, &UPLOADS))
+        .merge(bounded(taking, &UPLOADS))
         .merge(bounded(queries, &QUERIES))
         .merge(bounded(renders::routes(), &RENDERS))
         .merge(bounded(thumbnails::routes(), &THUMBNAILS))

@@ -27,7 +27,7 @@ use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::stack::StackConfig;
 use crate::server::webhooks::{Courier, WebhookPolicy};
-use crate::store::{NodeLock, Quota, Retention, Store, StoreError, has_keys};
+use crate::store::{NodeLock, Quota, Retention, Store, StoreError, UploadLimits, has_keys};
 use crate::worker::{self, DeviceHandle, StartError, WorkerOptions};
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
@@ -48,6 +48,8 @@ pub struct ServerConfig {
     pub allowed_hosts: Vec<String>,
     /// Bounds on requests.
     pub limits: RequestLimits,
+    /// Bounds on uploads that arrive in pieces.
+    pub uploads: UploadLimits,
     /// Bounds on connections.
     pub connections: ConnectionLimits,
     /// Requests that a key may make a minute; any number when absent.
@@ -79,6 +81,7 @@ impl ServerConfig {
             cors_origins: Vec::new(),
             allowed_hosts: Vec::new(),
             limits: RequestLimits::default(),
+            uploads: UploadLimits::default(),
             connections: ConnectionLimits::default(),
             requests_per_minute: None,
             requests_per_minute_of_tenant: None,
@@ -208,6 +211,7 @@ fn service(
         jobs,
         device,
         limits: config.limits,
+        upload_limits: config.uploads,
         memory: MemoryBudget::new(config.limits.memory_bytes),
         decoders: Decoders::start(config.limits.memory_bytes)?,
         keys: keys.clone(),
@@ -223,6 +227,7 @@ fn service(
         origins: config.cors_origins.clone(),
         hosts: config.allowed_hosts.clone().into(),
         body_stall: config.connections.body,
+        most_uploaded: config.limits.capture_bytes,
     };
     Ok(router(Arc::new(app), stack))
 }
@@ -230,6 +235,7 @@ fn service(
 /// Takes back what a server that died left. The caller holds the node lock, so no other process works here.
 async fn recover(store: &Store, jobs: &Jobs) -> Result<(), StoreError> {
     store.artifacts().sweep_incoming()?;
+    store.recover_uploads().await?;
     let recovered = match jobs.reclaim_all().await {
         // A crash on a full disk leaves a job that has to be taken back on a full disk.
         Err(StoreError::Full) if store.room().spend_reserve() => jobs.reclaim_all().await?,

@@ -20,7 +20,9 @@ use crate::server::access::{self, Gate};
 use crate::server::app::Shared;
 use crate::server::observe;
 use crate::server::origins::{self, CorsOrigin};
+use crate::server::places::{self, Places};
 use crate::server::same_site::{self, TrustedHosts};
+use crate::server::uploads;
 
 /// What a server's stack depends on.
 pub(super) struct StackConfig {
@@ -31,24 +33,28 @@ pub(super) struct StackConfig {
     pub(super) hosts: TrustedHosts,
     /// Between two pieces of a request's body.
     pub(super) body_stall: Duration,
+    /// Bytes of the largest upload in pieces.
+    pub(super) most_uploaded: u64,
 }
 
 /// How much of one kind of work is taken on.
 pub(super) struct Bounds {
     /// Requests in progress; one more is turned away.
     at_once: usize,
+    /// The same of one tenant, where there are keys.
+    each: usize,
     /// From a request's head to the head of its answer.
     within: Duration,
 }
 
 /// Uploads: bound by the time between two pieces, so that gigabytes may take hours.
-pub(super) const UPLOADS: Bounds = Bounds { at_once: 64, within: Duration::from_secs(24 * 3600) };
+pub(super) const UPLOADS: Bounds = Bounds { at_once: 64, each: 32, within: Duration::from_secs(24 * 3600) };
 /// Renders: the body, the device's queue, the frame.
-pub(super) const RENDERS: Bounds = Bounds { at_once: 128, within: Duration::from_secs(300) };
+pub(super) const RENDERS: Bounds = Bounds { at_once: 128, each: 128, within: Duration::from_secs(300) };
 /// Thumbnails, apart from renders so that neither takes the other's places.
-pub(super) const THUMBNAILS: Bounds = Bounds { at_once: 256, within: Duration::from_secs(300) };
+pub(super) const THUMBNAILS: Bounds = Bounds { at_once: 256, each: 256, within: Duration::from_secs(300) };
 /// Everything else: small bodies and queries; as many as there are connections by default.
-pub(super) const QUERIES: Bounds = Bounds { at_once: 4096, within: Duration::from_secs(60) };
+pub(super) const QUERIES: Bounds = Bounds { at_once: 4096, each: 4096, within: Duration::from_secs(60) };
 
 /// Around the routes of one kind: requests beyond the bounds are turned away at once, none waits for a place.
 pub(super) fn bounded<S>(routes: OpenApiRouter<S>, bounds: &Bounds) -> OpenApiRouter<S>
@@ -57,6 +63,7 @@ where
 {
     routes.layer(
         ServiceBuilder::new()
+            .layer(middleware::from_fn_with_state(Places::new(bounds.each), places::share))
             .layer(HandleErrorLayer::new(out_of_bounds))
             .load_shed()
             .layer(GlobalConcurrencyLimitLayer::new(bounds.at_once))
@@ -66,7 +73,7 @@ where
 
 /// Around all routes. Layers run from the first to the last.
 pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shared> {
-    let StackConfig { gate, is_open, origins, hosts, body_stall } = config;
+    let StackConfig { gate, is_open, origins, hosts, body_stall, most_uploaded } = config;
     // A key, which no foreign page knows, protects as well as the checks of host and origin.
     let csrf = is_open.then(|| same_site::csrf(&origins));
     let host = is_open.then(|| middleware::from_fn_with_state(hosts, same_site::check_host));
@@ -79,6 +86,8 @@ pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shar
             .layer(fixed(header::CONTENT_SECURITY_POLICY, "default-src 'none'; frame-ancestors 'none'"))
             .layer(CatchPanicLayer::custom(observe::on_panic))
             .option_layer(host)
+            // Outside CORS, which answers every OPTIONS by itself.
+            .layer(middleware::from_fn_with_state(most_uploaded, uploads::advertise))
             // Outside authentication: a browser's preflight carries no key.
             .option_layer(origins::cors(&origins))
             .option_layer(csrf)
@@ -96,7 +105,8 @@ fn fixed(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<Header
 async fn out_of_bounds(error: BoxError) -> Problem {
     if error.is::<tower::load_shed::error::Overloaded>() {
         let title = "Too many requests of this kind are in progress";
-        return Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", title).retry_after(1);
+        let detail = "they are of all tenants together";
+        return Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", title).detail(detail).retry_after(1);
     }
     if error.is::<tower::timeout::error::Elapsed>() {
         return Problem::timeout("the request did not end in time");
@@ -131,7 +141,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_request_beyond_the_bound_is_turned_away_at_once_and_a_place_is_given_back() {
-        let (router, go) = routes(&Bounds { at_once: 1, within: Duration::from_secs(600) });
+        let (router, go) = routes(&Bounds { at_once: 1, each: 1, within: Duration::from_secs(600) });
         let mut first = Box::pin(ask(&router, "/a"));
         assert!(futures::poll!(&mut first).is_pending());
         let refused = ask(&router, "/b").await;
@@ -146,7 +156,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn a_request_that_takes_too_long_is_a_408() {
-        let (router, _go) = routes(&Bounds { at_once: 1, within: Duration::from_secs(5) });
+        let (router, _go) = routes(&Bounds { at_once: 1, each: 1, within: Duration::from_secs(5) });
         assert_eq!(ask(&router, "/a").await.status(), StatusCode::REQUEST_TIMEOUT);
     }
 }

@@ -11,8 +11,9 @@ use tower_http::timeout::TimeoutError;
 
 use crate::api::Problem;
 use crate::server::app::Shared;
+use crate::server::caller::Caller;
 use crate::server::extract::{STALLED, caused_by, content_length, media_type};
-use crate::store::{Incoming, StoreError};
+use crate::store::Incoming;
 
 /// What a route accepts.
 pub(super) struct Expected {
@@ -30,6 +31,7 @@ const FORM_OVERHEAD: u64 = 65_536;
 /// Receives the request's file. After an error nothing of it is left on disk.
 pub(super) async fn receive(
     app: &Shared,
+    caller: &Caller,
     request: Request,
     expected: &Expected,
 ) -> Result<Incoming, Problem> {
@@ -37,12 +39,15 @@ pub(super) async fn receive(
     if declared.is_some_and(|n| n > expected.limit + FORM_OVERHEAD) {
         return Err(Problem::too_large(expected.limit));
     }
-    app.store.admit_bytes(declared.unwrap_or(0).saturating_sub(FORM_OVERHEAD)).await?;
+    // What is known to be too much is not begun.
+    let least = declared.unwrap_or(0).saturating_sub(FORM_OVERHEAD);
+    app.store.admit_bytes_of(&caller.tenant, least).await?;
+    app.store.admit_bytes(least).await.map_err(|error| caller.told(error))?;
     match media_type(request.headers()).as_deref() {
-        Some("multipart/form-data") => from_form(app, request, expected).await,
+        Some("multipart/form-data") => from_form(app, caller, request, expected).await,
         Some(raw) if expected.media_types.contains(&raw) => {
             let body = request.into_body().into_data_stream();
-            store(app, body, axum::Error::to_string, expected.limit).await
+            store(app, caller, body, axum::Error::to_string, expected.limit).await
         }
         _ => {
             let types = expected.media_types.join(", ");
@@ -51,7 +56,12 @@ pub(super) async fn receive(
     }
 }
 
-async fn from_form(app: &Shared, request: Request, expected: &Expected) -> Result<Incoming, Problem> {
+async fn from_form(
+    app: &Shared,
+    caller: &Caller,
+    request: Request,
+    expected: &Expected,
+) -> Result<Incoming, Problem> {
     let broken = |reason: String| {
         Problem::new(StatusCode::BAD_REQUEST, "malformed-form", "The multipart form cannot be read")
             .detail(reason)
@@ -67,7 +77,7 @@ async fn from_form(app: &Shared, request: Request, expected: &Expected) -> Resul
             let detail = format!("the form takes one field, {:?}", expected.field);
             return Err(Problem::invalid_field(format!("/{name}"), detail));
         }
-        file = Some(store(app, field, MultipartError::body_text, expected.limit).await?);
+        file = Some(store(app, caller, field, MultipartError::body_text, expected.limit).await?);
     }
     let missing = || Problem::invalid_field(format!("/{}", expected.field), "the form lacks this field");
     file.ok_or_else(missing)
@@ -76,6 +86,7 @@ async fn from_form(app: &Shared, request: Request, expected: &Expected) -> Resul
 /// Streams a file to disk.
 async fn store<E: Error + 'static>(
     app: &Shared,
+    caller: &Caller,
     body: impl Stream<Item = Result<Bytes, E>>,
     reason: impl Fn(&E) -> String,
     limit: u64,
@@ -86,13 +97,9 @@ async fn store<E: Error + 'static>(
         reason(&error)
     });
     let name: String = app.jobs.fresh_id();
-    let allowance = app.store.disk_allowance().await?;
-    let received = app.store.artifacts().receive(&name, body, limit.min(allowance.left())).await;
+    let received = app.store.receive(&caller.tenant, &name, body, limit).await;
     match received {
-        Err(StoreError::TooLarge { limit: met }) if met < limit => {
-            Err(allowance.exceeded(met.saturating_add(1)).into())
-        }
         Err(_) if stalled => Err(Problem::timeout(STALLED)),
-        received => Ok(received?),
+        received => received.map_err(|error| caller.told(error)),
     }
 }

@@ -3,6 +3,7 @@
 use sqlx::{Sqlite, Transaction};
 
 use crate::api::TenantId;
+use crate::store::usage::Allowance;
 use crate::store::{Quota, Store, StoreError};
 
 impl Store {
@@ -13,18 +14,22 @@ impl Store {
         self
     }
 
-    /// Refuses `asked` more bytes of a tenant beyond its quota; any more at all when it is reached.
+    /// Refuses `asked` more bytes of a tenant beyond its quota, uploads in progress included; any more at all when it is reached.
     ///
     /// # Errors
     /// [`StoreError::QuotaOfBytes`] with the numbers.
     pub async fn admit_bytes_of(&self, tenant: &TenantId, asked: u64) -> Result<(), StoreError> {
-        let Some(most) = self.quota.bytes else { return Ok(()) };
+        self.quota_allowance(tenant).await?.admit(asked.max(1))
+    }
+
+    /// What a tenant may store and what it does, uploads in progress included.
+    pub(super) async fn quota_allowance(&self, tenant: &TenantId) -> Result<Allowance, StoreError> {
+        let Some(limit) = self.quota.bytes else {
+            return Ok(Allowance { limit: u64::MAX, taken: 0, of_tenant: true });
+        };
         let taken: i64 = sqlx::query_scalar(BYTES).bind(tenant).fetch_one(self.pool()).await?;
-        let taken = u64::try_from(taken).unwrap_or(0);
-        if taken.saturating_add(asked.max(1)) > most {
-            return Err(StoreError::QuotaOfBytes { most, taken, asked });
-        }
-        Ok(())
+        let taken = u64::try_from(taken).unwrap_or(0).saturating_add(self.ledger.of(tenant));
+        Ok(Allowance { limit, taken, of_tenant: true })
     }
 
     /// Refuses one more job of a tenant beyond its quota, in the transaction that would queue it.
@@ -42,6 +47,7 @@ impl Store {
 const BYTES: &str =
     "SELECT COALESCE((SELECT SUM(bytes) FROM captures WHERE tenant = ?1 AND deleted_ms IS NULL), 0)
       + COALESCE((SELECT SUM(bytes) FROM environments WHERE tenant = ?1 AND deleted_ms IS NULL), 0)
+      + COALESCE((SELECT SUM(received) FROM uploads WHERE tenant = ?1), 0)
       + COALESCE((SELECT SUM(bytes) FROM model_files JOIN models ON models.id = model_id
                   WHERE tenant = ?1 AND deleted_ms IS NULL), 0)";
 

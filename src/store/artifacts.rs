@@ -7,18 +7,17 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use futures::stream::BoxStream;
-use futures::{Stream, StreamExt, TryStreamExt};
+use futures::{StreamExt, TryStreamExt};
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
-use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
+use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload};
 use sha2::{Digest, Sha256};
 use tokio_util::bytes::Bytes;
 
 use crate::store::StoreError;
 use crate::store::hash::hex;
+use crate::store::incoming::{INCOMING, Incoming};
 use crate::store::verification::Verification;
-
-const INCOMING: &str = "incoming";
 
 /// The artifact store of one data directory.
 #[derive(Clone)]
@@ -26,29 +25,6 @@ pub struct Artifacts {
     files: Arc<LocalFileSystem>,
     root: PathBuf,
     verification: Verification,
-}
-
-/// A complete upload that has no key yet. It is deleted when dropped unless it was published.
-#[derive(Debug)]
-pub struct Incoming {
-    key: Key,
-    published: bool,
-    /// The file on this machine.
-    pub path: PathBuf,
-    /// Hash of the bytes, lower-case hex.
-    pub sha256: String,
-    /// Number of bytes.
-    pub bytes: u64,
-}
-
-impl Drop for Incoming {
-    fn drop(&mut self) {
-        if !self.published
-            && let Err(error) = std::fs::remove_file(&self.path)
-        {
-            tracing::warn!(%error, key = %self.key, "an upload could not be discarded");
-        }
-    }
 }
 
 impl Artifacts {
@@ -74,32 +50,6 @@ impl Artifacts {
         }
     }
 
-    /// Streams a body to disk, hashing it. After an error nothing of it is left.
-    ///
-    /// # Errors
-    /// [`StoreError::TooLarge`] beyond `limit` bytes, [`StoreError::Body`] when the sender fails,
-    /// [`StoreError::Full`] when the disk is full.
-    pub async fn receive<E: std::fmt::Display>(
-        &self,
-        name: &str,
-        body: impl Stream<Item = Result<Bytes, E>>,
-        limit: u64,
-    ) -> Result<Incoming, StoreError> {
-        let key = Key::from(format!("{INCOMING}/{name}"));
-        let mut upload = WriteMultipart::new(self.files.put_multipart(&key).await?);
-        match copy(&mut upload, body, limit).await {
-            Ok((sha256, bytes)) => {
-                upload.finish().await?;
-                let path = self.local_path(key.as_ref());
-                Ok(Incoming { key, published: false, path, sha256, bytes })
-            }
-            Err(error) => {
-                upload.abort().await.ok();
-                Err(error)
-            }
-        }
-    }
-
     /// Moves a complete upload to its key. Content-addressed keys may exist already: the bytes are the same.
     ///
     /// # Errors
@@ -107,7 +57,11 @@ impl Artifacts {
     pub async fn publish(&self, mut incoming: Incoming, key: &str) -> Result<(), StoreError> {
         self.files.rename(&incoming.key, &Key::from(key)).await?;
         incoming.published = true;
-        Ok(())
+        // Where both were names of one file already, a rename leaves both.
+        match tokio::fs::remove_file(&incoming.path).await {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
+            _ => Ok(()),
+        }
     }
 
     /// Writes a whole artifact and returns its sha256 in hex; durable when it returns.
@@ -177,6 +131,11 @@ impl Artifacts {
         }
     }
 
+    /// The files themselves.
+    pub(super) fn files(&self) -> &LocalFileSystem {
+        &self.files
+    }
+
     /// The folder of uploads in progress.
     pub(super) fn incoming(&self) -> PathBuf {
         self.root.join(INCOMING)
@@ -191,25 +150,4 @@ impl Artifacts {
 /// Whether `key` stays within the folder of artifacts.
 pub(super) fn is_key(key: &str) -> bool {
     !key.is_empty() && Path::new(key).components().all(|part| matches!(part, Component::Normal(_)))
-}
-
-/// Copies `body` into `upload`, hashing and counting.
-async fn copy<E: std::fmt::Display>(
-    upload: &mut WriteMultipart,
-    body: impl Stream<Item = Result<Bytes, E>>,
-    limit: u64,
-) -> Result<(String, u64), StoreError> {
-    let mut body = std::pin::pin!(body);
-    let (mut hasher, mut bytes) = (Sha256::new(), 0u64);
-    while let Some(chunk) = body.next().await {
-        let chunk = chunk.map_err(|e| StoreError::Body(e.to_string()))?;
-        bytes += chunk.len() as u64;
-        if bytes > limit {
-            return Err(StoreError::TooLarge { limit });
-        }
-        hasher.update(&chunk);
-        upload.wait_for_capacity(2).await?;
-        upload.put(chunk);
-    }
-    Ok((hex(&hasher.finalize()), bytes))
 }

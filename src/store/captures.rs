@@ -2,11 +2,12 @@
 
 use sqlx::types::Json;
 
-use crate::api::{CaptureId, TenantId};
+use crate::api::{CaptureId, TenantId, UploadId};
 use crate::store::{CaptureRecord, Page, Store, StoreError};
 
 impl Store {
-    /// Records a capture, or returns the one of the same tenant and content that was there first.
+    /// Records a capture, or returns the one of the same tenant and content that was there first. The upload that it is made of is
+    /// forgotten in the same transaction.
     ///
     /// # Errors
     /// When the database fails.
@@ -14,8 +15,10 @@ impl Store {
         &self,
         tenant: &TenantId,
         capture: &CaptureRecord,
+        made_of: Option<&UploadId>,
     ) -> Result<CaptureRecord, StoreError> {
         let mut tx = self.write().await?;
+        sqlx::query("DELETE FROM uploads WHERE id = ?1").bind(made_of).execute(&mut *tx).await?;
         sqlx::query(
             "INSERT INTO captures (id, sha256, bytes, artifact, report, created_ms, tenant)
              VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7) ON CONFLICT (tenant, sha256) DO NOTHING",

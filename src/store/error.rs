@@ -61,6 +61,15 @@ pub enum StoreError {
         /// What was asked for beside it.
         asked: u64,
     },
+    /// A tenant has as many unfinished uploads as it may.
+    #[error("{most} uploads may be unfinished at once; finish some, make captures of them, or delete them")]
+    QuotaOfUploads {
+        /// How many.
+        most: u32,
+    },
+    /// The bytes of a piece are not those that were promised.
+    #[error("the checksum is not that of the piece")]
+    ChecksumMismatch,
     /// What the request names was deleted meanwhile.
     #[error("{0} was deleted")]
     Deleted(ResourceName),

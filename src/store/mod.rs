@@ -15,23 +15,29 @@ mod environments;
 mod error;
 mod events;
 mod figures;
+mod folder;
 mod hash;
 mod idempotency;
+mod incoming;
 mod inspection;
 mod job_view;
 mod jobs;
 mod key_token;
 mod keys;
 mod leases;
+mod ledger;
 mod models;
 mod node_lock;
 mod quota;
+mod receive;
 mod records;
 mod references;
+mod reservation;
 mod retention;
 mod room;
 mod shelf;
 mod sweep;
+mod uploads;
 mod usage;
 mod verification;
 mod webhooks;
@@ -44,8 +50,10 @@ use sqlx::{Sqlite, SqlitePool, Transaction};
 use tokio::sync::Mutex;
 
 use database::Database;
+use ledger::Ledger;
+use uploads::Holds;
 
-pub use artifacts::{Artifacts, Incoming};
+pub use artifacts::Artifacts;
 pub use backup::{Backup, backup, restore};
 pub use deletion::Deletion;
 pub use deliveries::{Attempt, DeliveryRecord, Replay};
@@ -54,6 +62,7 @@ pub use error::StoreError;
 pub use figures::Measured;
 pub use hash::hex;
 pub use idempotency::IdempotencyKey;
+pub use incoming::Incoming;
 pub use inspection::{Inspection, inspect};
 pub use job_view::rfc3339;
 pub use jobs::{CancelOutcome, Submitted};
@@ -68,7 +77,7 @@ pub use records::{
 pub use retention::Retention;
 pub use room::Room;
 pub use sweep::Swept;
-pub use usage::Allowance;
+pub use uploads::{Checksum, Hold, Piece, UploadLimits, UploadRecord};
 pub use webhooks::WebhookRecord;
 
 /// The metadata database and the artifact store of one data directory.
@@ -83,16 +92,20 @@ pub struct Store {
     disk_limit: Arc<AtomicU64>,
     /// Held while a file and the row that names it are made or removed together.
     shelf: Arc<Mutex<()>>,
+    /// What is on its way to it.
+    ledger: Ledger,
+    /// Which uploads somebody works on.
+    holds: Holds,
 }
 
 impl Store {
-    /// Opens the data directory, creates what is missing and migrates the schema.
+    /// Opens the data directory, creates what is missing and migrates the schema. A directory that is made is its owner's alone.
     ///
     /// # Errors
     /// When the directory cannot be created, or the database cannot be opened or migrated; [`StoreError::DatabaseMissing`] when
     /// there are artifacts and no database.
     pub async fn open(root: &Path) -> Result<Self, StoreError> {
-        std::fs::create_dir_all(root)?;
+        folder::make_private(root)?;
         if !root.join(database::FILE).exists() && has_artifacts(root)? {
             return Err(StoreError::DatabaseMissing(root.display().to_string()));
         }
@@ -105,6 +118,8 @@ impl Store {
             root: root.to_owned(),
             disk_limit: Arc::new(AtomicU64::new(u64::MAX)),
             shelf: Arc::default(),
+            ledger: Ledger::default(),
+            holds: Holds::default(),
         })
     }
 

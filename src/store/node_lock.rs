@@ -4,6 +4,7 @@ use std::fs::{File, TryLockError};
 use std::path::Path;
 
 use crate::store::StoreError;
+use crate::store::folder::make_private;
 
 /// Held as long as the server lives. Whoever holds it knows that every lease in the database belongs to a dead
 /// process and may be taken over at once.
@@ -13,12 +14,12 @@ pub struct NodeLock {
 }
 
 impl NodeLock {
-    /// Takes the data directory, creating it when it is missing.
+    /// Takes the data directory, creating it for its owner alone when it is missing.
     ///
     /// # Errors
     /// [`StoreError::Locked`] while another process holds it.
     pub fn acquire(root: &Path) -> Result<Self, StoreError> {
-        std::fs::create_dir_all(root)?;
+        make_private(root)?;
         let path = root.join("node.lock");
         let file = File::options().create(true).truncate(false).write(true).open(path)?;
         match file.try_lock() {
@@ -31,6 +32,9 @@ impl NodeLock {
 
 #[cfg(test)]
 mod tests {
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
 
     #[test]
@@ -40,5 +44,17 @@ mod tests {
         assert!(matches!(NodeLock::acquire(dir.path()), Err(StoreError::Locked(_))));
         drop(first);
         NodeLock::acquire(dir.path()).unwrap();
+    }
+
+    #[test]
+    fn a_data_directory_that_is_made_is_its_owners_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        let data = dir.path().join("above/data");
+        NodeLock::acquire(&data).unwrap();
+        assert_eq!([mode(&data), mode(&dir.path().join("above"))], [0o700; 2]);
+        std::fs::set_permissions(&data, Permissions::from_mode(0o750)).unwrap();
+        NodeLock::acquire(&data).unwrap();
+        assert_eq!(mode(&data), 0o750, "what its owner decided stays");
     }
 }

@@ -3,8 +3,10 @@
 use std::path::Path;
 
 use sqlx::{FromRow, SqlitePool};
+use uuid::Uuid;
 
 use crate::store::StoreError;
+use crate::store::uploads::UPLOADS;
 
 /// An artifact that the database names.
 #[derive(Debug, FromRow)]
@@ -24,6 +26,7 @@ pub(super) async fn references(pool: &SqlitePool) -> Result<Vec<Reference>, Stor
          UNION ALL SELECT artifact, sha256, 'environment ' || id FROM environments WHERE deleted_ms IS NULL
          UNION ALL SELECT artifact, sha256, 'model ' || model_id || ', ' || name FROM model_files
              JOIN models ON models.id = model_id WHERE deleted_ms IS NULL
+         UNION ALL SELECT 'uploads/' || id, NULL, 'upload ' || id FROM uploads
          UNION ALL SELECT checkpoint, checkpoint_sha256, 'checkpoint of job ' || id FROM jobs
              WHERE checkpoint IS NOT NULL AND state IN ('queued', 'running', 'cancelling') AND deleted_ms IS NULL",
     );
@@ -34,7 +37,8 @@ pub(super) async fn references(pool: &SqlitePool) -> Result<Vec<Reference>, Stor
 pub(super) async fn names(pool: &SqlitePool) -> Result<Vec<String>, StoreError> {
     let query = sqlx::query_scalar(
         "SELECT artifact FROM captures UNION SELECT artifact FROM environments UNION SELECT artifact FROM model_files
-         UNION SELECT checkpoint FROM jobs WHERE checkpoint IS NOT NULL UNION SELECT 'attempts/' || id FROM jobs",
+         UNION SELECT checkpoint FROM jobs WHERE checkpoint IS NOT NULL UNION SELECT 'attempts/' || id FROM jobs
+         UNION SELECT 'uploads/' || id FROM uploads",
     );
     Ok(query.fetch_all(pool).await?)
 }
@@ -46,6 +50,10 @@ pub(super) fn stored(artifacts: &Path) -> std::io::Result<Vec<String>> {
         files(&artifacts.join(family), family, 0, &mut keys)?;
     }
     keys.retain(|key| key.rsplit('/').next().is_some_and(is_hash));
+    let mut uploads = Vec::new();
+    files(&artifacts.join(UPLOADS), UPLOADS, 0, &mut uploads)?;
+    uploads.retain(|key| key.rsplit('/').next().is_some_and(|name| Uuid::parse_str(name).is_ok()));
+    keys.append(&mut uploads);
     // attempts/JOB/NUMBER/FILE
     files(&artifacts.join("attempts"), "attempts", 2, &mut keys)?;
     keys.sort();

@@ -1,24 +1,30 @@
 //! Where uploads get their place: file and row together, one after another, so that no sweep comes in between.
 
 use crate::api::TenantId;
-use crate::store::{CaptureRecord, EnvironmentRecord, Incoming, Store, StoreError};
+use crate::store::{CaptureRecord, EnvironmentRecord, Hold, Incoming, Store, StoreError};
 
 impl Store {
-    /// Publishes an upload and records it, or returns the capture of the same tenant and content that was there first.
+    /// Publishes an upload and records it, or returns the capture of the same tenant and content that was there first. Pieces that
+    /// it came in are gone then.
     ///
     /// # Errors
-    /// [`StoreError::OverLimit`] beyond the limit of the disk, or when the move or the database fails.
+    /// When the move or the database fails.
     pub async fn keep_capture(
         &self,
-        incoming: Incoming,
+        mut incoming: Incoming,
         tenant: &TenantId,
         capture: &CaptureRecord,
     ) -> Result<CaptureRecord, StoreError> {
         let _shelf = self.shelf.lock().await;
-        self.admit_upload(incoming.bytes).await?;
-        self.admit_bytes_of(tenant, incoming.bytes).await?;
+        let pieces = incoming.upload.take();
         self.artifacts.publish(incoming, &capture.artifact).await?;
-        self.insert_capture(tenant, capture).await
+        let stored = self.insert_capture(tenant, capture, pieces.as_ref().map(Hold::id)).await?;
+        if let Some(pieces) = &pieces
+            && let Err(error) = self.drop_upload(pieces).await
+        {
+            tracing::warn!(%error, "the next start removes the bytes of an upload");
+        }
+        Ok(stored)
     }
 
     /// As [`Store::keep_capture`], of an environment.
@@ -32,8 +38,6 @@ impl Store {
         environment: &EnvironmentRecord,
     ) -> Result<EnvironmentRecord, StoreError> {
         let _shelf = self.shelf.lock().await;
-        self.admit_upload(incoming.bytes).await?;
-        self.admit_bytes_of(tenant, incoming.bytes).await?;
         self.artifacts.publish(incoming, &environment.artifact).await?;
         self.insert_environment(tenant, environment).await
     }
@@ -43,18 +47,31 @@ impl Store {
     ///
     /// # Errors
     /// When the artifact cannot be read or the move fails.
-    pub async fn mend(&self, incoming: Incoming, artifact: &str) -> Result<Option<Incoming>, StoreError> {
+    pub async fn mend(&self, mut incoming: Incoming, artifact: &str) -> Result<Option<Incoming>, StoreError> {
         match self.artifacts.verify(artifact, &incoming.sha256).await {
             Err(StoreError::Damaged(_) | StoreError::Missing(_)) => {}
-            sound => return sound.map(|()| None),
+            Ok(()) => return self.forget_pieces(incoming).await.map(|()| None),
+            Err(error) => return Err(error),
         }
         let _shelf = self.shelf.lock().await;
         let named = "SELECT EXISTS (SELECT 1 FROM captures WHERE artifact = ?1 AND deleted_ms IS NULL)
                          OR EXISTS (SELECT 1 FROM environments WHERE artifact = ?1 AND deleted_ms IS NULL)";
         if sqlx::query_scalar(named).bind(artifact).fetch_one(self.pool()).await? {
+            let pieces = incoming.upload.take();
             self.artifacts.publish(incoming, artifact).await?;
+            if let Some(pieces) = pieces {
+                self.drop_upload(&pieces).await?;
+            }
             return Ok(None);
         }
         Ok(Some(incoming))
+    }
+
+    /// Drops an upload whose content is there already, with the pieces that it came in.
+    async fn forget_pieces(&self, mut incoming: Incoming) -> Result<(), StoreError> {
+        match incoming.upload.take() {
+            Some(pieces) => self.drop_upload(&pieces).await,
+            None => Ok(()),
+        }
     }
 }

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use crate::store::references::{references, stored};
+use crate::store::uploads::UPLOADS;
 use crate::store::{Store, StoreError};
 
 /// Where artifacts go that the database knows nothing of.
@@ -23,7 +24,7 @@ pub struct Swept {
 }
 
 impl Store {
-    /// Removes what attempts of known jobs left, and sets aside for a week what the database knows nothing of: it may be an old
+    /// Removes what attempts of known jobs and uploads that ended left, and sets aside for a week what the database knows nothing of: it may be an old
     /// copy. Files with names that this program does not give are not touched. The caller must hold the node lock.
     ///
     /// # Errors
@@ -49,8 +50,8 @@ fn sweep(
     for key in stored(root)?.into_iter().filter(|key| !named.contains(key)) {
         let path = root.join(&key);
         let job = key.strip_prefix("attempts/").and_then(|rest| rest.split('/').next());
-        if job.is_some_and(|job| jobs.contains(job)) {
-            tracing::info!(key, "removed what an attempt left");
+        if key.starts_with(UPLOADS) || job.is_some_and(|job| jobs.contains(job)) {
+            tracing::info!(key, "removed what an attempt or an upload left");
             std::fs::remove_file(&path)?;
             swept.removed += 1;
         } else {
@@ -61,6 +62,7 @@ fn sweep(
     }
     swept.removed += expire(&root.join(ORPHANS), now)?;
     prune(&root.join("attempts"))?;
+    prune(&root.join(UPLOADS))?;
     Ok(swept)
 }
 

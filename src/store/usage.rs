@@ -11,26 +11,29 @@ use crate::store::{Store, StoreError};
 
 /// How much may be stored.
 #[derive(Debug, Clone, Copy)]
-pub struct Allowance {
-    /// What may be stored, bytes; `u64::MAX` when the disk alone is the limit.
-    limit: u64,
-    /// What is stored, as far as there is a limit.
-    taken: u64,
+pub(super) struct Allowance {
+    /// What may be stored, bytes; `u64::MAX` where nothing but the disk is a limit.
+    pub(super) limit: u64,
+    /// What is stored or on its way, as far as there is a limit.
+    pub(super) taken: u64,
+    /// Whether the limit is that of a tenant, or else of the server.
+    pub(super) of_tenant: bool,
 }
 
 impl Allowance {
     /// Bytes that may be stored beside what is.
-    pub fn left(&self) -> u64 {
+    pub(super) fn left(&self) -> u64 {
         self.limit.saturating_sub(self.taken)
     }
 
-    /// The refusal of `asked` more bytes.
-    pub fn exceeded(&self, asked: u64) -> StoreError {
-        StoreError::OverLimit { limit: self.limit, taken: self.taken, asked }
-    }
-
-    fn admit(&self, asked: u64) -> Result<(), StoreError> {
-        if asked > self.left() { Err(self.exceeded(asked)) } else { Ok(()) }
+    /// Refuses `asked` more bytes when they are too many.
+    pub(super) fn admit(&self, asked: u64) -> Result<(), StoreError> {
+        let (limit, taken) = (self.limit, self.taken);
+        match self.of_tenant {
+            _ if asked <= self.left() => Ok(()),
+            true => Err(StoreError::QuotaOfBytes { most: limit, taken, asked }),
+            false => Err(StoreError::OverLimit { limit, taken, asked }),
+        }
     }
 }
 
@@ -40,11 +43,12 @@ impl Store {
         self.disk_limit.store(bytes, Ordering::SeqCst);
     }
 
-    /// Counts what is stored of a tenant. Bytes that belong to nothing are counted for whoever runs the server.
+    /// Counts what is stored of a tenant; with `of_server` also what tells of others: bytes that belong to nothing, the limit of
+    /// all, what is free on the disk.
     ///
     /// # Errors
     /// When the database or the directory cannot be read.
-    pub async fn usage(&self, tenant: &TenantId) -> Result<Usage, StoreError> {
+    pub async fn usage(&self, tenant: &TenantId, of_server: bool) -> Result<Usage, StoreError> {
         let named = references(self.pool()).await?;
         let root = self.artifacts.local_path("");
         let (files, free_bytes) = tokio::task::spawn_blocking(move || {
@@ -61,6 +65,7 @@ impl Store {
         mine.sort_unstable();
         mine.dedup();
         let referenced: u64 = mine.iter().filter_map(|key| files.get(*key)).sum();
+        let disk_limit = Some(self.disk_limit()).filter(|limit| *limit < u64::MAX);
         Ok(Usage {
             captures: self
                 .kind(
@@ -81,10 +86,13 @@ impl Store {
                     tenant,
                 )
                 .await?,
+            uploads: self
+                .kind("SELECT COUNT(*), SUM(received) FROM uploads WHERE tenant = ?1", tenant)
+                .await?,
             checkpoints: self.checkpoints(Some(tenant)).await?,
-            unreferenced_bytes: if tenant.is_operator() { all.saturating_sub(referenced) } else { 0 },
-            limit_bytes: self.quota.bytes.or(Some(self.disk_limit()).filter(|limit| *limit < u64::MAX)),
-            free_bytes,
+            unreferenced_bytes: if of_server { all.saturating_sub(referenced) } else { 0 },
+            limit_bytes: self.quota.bytes.or(disk_limit.filter(|_| of_server)),
+            free_bytes: of_server.then_some(free_bytes),
         })
     }
 
@@ -97,24 +105,13 @@ impl Store {
     }
 
     /// What may be stored and what is, uploads in progress included.
-    ///
-    /// # Errors
-    /// When the database or the directory cannot be read.
-    pub async fn disk_allowance(&self) -> Result<Allowance, StoreError> {
+    pub(super) async fn disk_allowance(&self) -> Result<Allowance, StoreError> {
         let limit = self.disk_limit();
         let taken = match limit {
             u64::MAX => 0,
-            _ => self.kept_bytes().await? + self.incoming_bytes().await?,
+            _ => self.kept_bytes().await?.saturating_add(self.ledger.all()),
         };
-        Ok(Allowance { limit, taken })
-    }
-
-    /// Refuses to keep a complete upload beyond the limit. What is still on its way does not count.
-    pub(super) async fn admit_upload(&self, bytes: u64) -> Result<(), StoreError> {
-        if self.disk_limit() == u64::MAX {
-            return Ok(());
-        }
-        Allowance { limit: self.disk_limit(), taken: self.kept_bytes().await? }.admit(bytes)
+        Ok(Allowance { limit, taken, of_tenant: false })
     }
 
     fn disk_limit(&self) -> u64 {
@@ -127,20 +124,12 @@ impl Store {
             "SELECT COALESCE((SELECT SUM(bytes) FROM
                         (SELECT DISTINCT artifact, bytes FROM captures WHERE swept_ms IS NULL)), 0)
                   + COALESCE((SELECT SUM(bytes) FROM (SELECT DISTINCT artifact, bytes FROM environments)), 0)
+                  + COALESCE((SELECT SUM(received) FROM uploads), 0)
                   + COALESCE((SELECT SUM(bytes) FROM model_files), 0)",
         )
         .fetch_one(self.pool())
         .await?;
         Ok(u64::try_from(bytes).unwrap_or(0) + self.checkpoints(None).await?.bytes)
-    }
-
-    async fn incoming_bytes(&self) -> Result<u64, StoreError> {
-        let folder = self.artifacts.incoming();
-        let counted = tokio::task::spawn_blocking(move || {
-            let mut files = HashMap::new();
-            sizes(&folder, "", &mut files).map(|()| files.values().sum())
-        });
-        Ok(counted.await.map_err(std::io::Error::other)??)
     }
 
     async fn checkpoints(&self, of: Option<&TenantId>) -> Result<StoredKind, StoreError> {

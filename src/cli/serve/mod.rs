@@ -79,6 +79,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     config.limits.disk_bytes = args.storage.max_disk;
     args.webhooks.apply(&mut config);
     config.retention = args.storage.retention();
+    config.uploads.life = args.storage.upload_life();
     config.worker.device = args.device;
     config.lease.max_idle_attempts = args.max_attempts;
     let listener = TcpListener::bind(args.listen).await?;

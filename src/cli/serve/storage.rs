@@ -21,9 +21,17 @@ pub(super) struct StorageArgs {
     /// Days after which a model is deleted. For ever where absent.
     #[arg(long, env = "RELUME_KEEP_MODELS", value_name = "DAYS", value_parser = days)]
     keep_models: Option<Duration>,
+    /// Days after its last piece after which an upload in pieces is given up that no capture was made of.
+    #[arg(long, env = "RELUME_KEEP_UPLOADS", value_name = "DAYS", value_parser = days, default_value = "1")]
+    keep_uploads: Duration,
 }
 
 impl StorageArgs {
+    /// How long unfinished uploads are kept.
+    pub(super) fn upload_life(&self) -> Duration {
+        self.keep_uploads
+    }
+
     pub(super) fn retention(&self) -> Retention {
         Retention { jobs: self.keep_jobs, captures: self.keep_captures, models: self.keep_models }
     }

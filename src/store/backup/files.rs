@@ -1,13 +1,13 @@
 //! Files and folders of backups.
 
-use std::fs::{DirBuilder, File};
+use std::fs::File;
 use std::io::{Read, Write};
-use std::os::unix::fs::DirBuilderExt;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::store::folder::make_private;
 use crate::store::{StoreError, hex};
 
 /// A file of a backup.
@@ -48,12 +48,12 @@ fn stream(key: &str, from: &mut File, to: &mut File) -> std::io::Result<CopiedFi
     }
 }
 
-/// Makes sure that a folder is there and empty. One that is made is its owner's alone: photographs may be private.
+/// Makes sure that a folder is there and empty. One that is made is its owner's alone.
 ///
 /// # Errors
 /// [`StoreError::NotEmpty`] when something is in it.
 pub(super) fn claim(folder: &Path) -> Result<(), StoreError> {
-    DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
+    make_private(folder)?;
     match std::fs::read_dir(folder)?.next() {
         None => Ok(()),
         Some(_) => Err(StoreError::NotEmpty(folder.display().to_string())),

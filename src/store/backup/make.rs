@@ -58,14 +58,16 @@ async fn copy_all(pool: &SqlitePool, root: &Path, out: &Path, now_ms: i64) -> Re
     finish(copies, &file, now_ms, missing.len()).await
 }
 
-/// Copies the database as it is at one moment; what that copy names.
+/// Copies the database as it is at one moment, without unfinished uploads; what that copy names.
 async fn copy_database(pool: &SqlitePool, to: &Path) -> Result<Vec<Reference>, StoreError> {
     if to.exists() {
         std::fs::remove_file(to)?;
     }
     let path = to.to_str().ok_or_else(|| std::io::Error::other("the path of a backup must be Unicode"))?;
     sqlx::query("VACUUM INTO ?1").bind(path).execute(pool).await?;
-    let copy = Database::open_copy(to, true).await?;
+    // What has arrived of unfinished uploads is not copied: their uploaders have it still.
+    let copy = Database::open_copy(to, false).await?;
+    sqlx::query("DELETE FROM uploads").execute(&copy).await?;
     let named = references(&copy).await;
     copy.close().await;
     named

@@ -1,0 +1,35 @@
+//! Uploads that arrive in pieces.
+
+use serde::{Deserialize, Serialize};
+
+use crate::api::UploadId;
+
+/// An upload that arrives in pieces.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
+pub struct UploadView {
+    /// Identifier.
+    #[cfg_attr(feature = "server", schema(value_type = String))]
+    pub id: UploadId,
+    /// The name that came with it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub filename: Option<String>,
+    /// Bytes when it is complete.
+    pub length: u64,
+    /// Bytes that have arrived and are on disk.
+    pub offset: u64,
+    /// When it was begun, RFC 3339.
+    pub created_at: String,
+    /// When it is given up if nothing more comes, RFC 3339.
+    pub expires_at: String,
+}
+
+/// Names a complete upload.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
+pub struct FromUpload {
+    /// The upload.
+    #[cfg_attr(feature = "server", schema(value_type = String))]
+    pub upload: UploadId,
+}

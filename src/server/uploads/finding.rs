@@ -1,0 +1,37 @@
+//! Finds the upload that a request is about.
+
+use axum::http::StatusCode;
+
+use crate::api::{Problem, UploadId};
+use crate::server::app::Shared;
+use crate::server::caller::Caller;
+use crate::store::{Hold, UploadRecord};
+
+/// The media type of a piece.
+pub(super) const PIECE: &str = "application/offset+octet-stream";
+
+/// The upload of the caller's tenant.
+pub(super) async fn find(app: &Shared, caller: &Caller, id: &UploadId) -> Result<UploadRecord, Problem> {
+    let missing = || Problem::not_found("upload", id.as_str());
+    let upload = app.store.upload(&caller.tenant, id).await?.ok_or_else(missing)?;
+    if upload.expires_ms <= app.jobs.now_ms() {
+        let problem = Problem::new(StatusCode::GONE, "upload-expired", "The upload has expired");
+        return Err(problem.detail("nothing came for too long; begin another one"));
+    }
+    Ok(upload)
+}
+
+/// The same for this request alone, as it is now.
+pub(super) async fn held(
+    app: &Shared,
+    caller: &Caller,
+    id: &UploadId,
+) -> Result<(Hold, UploadRecord), Problem> {
+    find(app, caller, id).await?;
+    let Some(hold) = app.store.hold_upload(id) else {
+        let problem =
+            Problem::new(StatusCode::LOCKED, "upload-locked", "Another request works on the upload");
+        return Err(problem.detail("ask where it is when that has ended").retry_after(1));
+    };
+    Ok((hold, find(app, caller, id).await?))
+}

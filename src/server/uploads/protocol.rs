@@ -1,0 +1,53 @@
+//! What every answer about an upload says of the protocol, and the version that every request must speak.
+
+use axum::extract::{Request, State};
+use axum::http::{HeaderValue, Method, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use crate::api::Problem;
+use crate::server::uploads::headers::{ALGORITHMS, EXTENSION, MAX_SIZE, RESUMABLE, VERSION};
+
+const SPOKEN: HeaderValue = HeaderValue::from_static("1.0.0");
+const EXTENSIONS: HeaderValue =
+    HeaderValue::from_static("creation,creation-with-upload,checksum,expiration,termination");
+const CHECKSUMS: HeaderValue = HeaderValue::from_static("sha1,sha256");
+
+/// Refuses requests of another version. `GET` and `OPTIONS` need not name one: the first is not part of the protocol.
+pub(super) async fn speak(request: Request, next: Next) -> Response {
+    let needs_none = matches!(*request.method(), Method::GET | Method::OPTIONS);
+    let mut response = match request.headers().get(RESUMABLE) {
+        Some(version) if version == SPOKEN => next.run(request).await,
+        None if needs_none => next.run(request).await,
+        _ => {
+            let title = "Another version of the tus protocol is spoken here";
+            let problem = Problem::new(StatusCode::PRECONDITION_FAILED, "tus-version", title);
+            let mut response = problem.detail("send the header Tus-Resumable: 1.0.0").into_response();
+            response.headers_mut().insert(VERSION, SPOKEN);
+            response
+        }
+    };
+    response.headers_mut().insert(RESUMABLE, SPOKEN);
+    response
+}
+
+/// Says what of the protocol is spoken in answers to `OPTIONS`, also to those that CORS gives by itself. `most` is the largest
+/// upload.
+pub(in crate::server) async fn advertise(State(most): State<u64>, request: Request, next: Next) -> Response {
+    let is_asked = request.method() == Method::OPTIONS && request.uri().path() == "/v1/uploads";
+    let mut response = next.run(request).await;
+    if is_asked {
+        let headers = response.headers_mut();
+        let most = HeaderValue::from(most);
+        for (name, value) in [
+            (RESUMABLE, SPOKEN),
+            (VERSION, SPOKEN),
+            (EXTENSION, EXTENSIONS),
+            (MAX_SIZE, most),
+            (ALGORITHMS, CHECKSUMS),
+        ] {
+            headers.insert(name, value);
+        }
+    }
+    response
+}

@@ -1,0 +1,98 @@
+//! Pieces of uploads as they come in.
+
+use axum::extract::Request;
+use axum::http::StatusCode;
+use futures::TryStreamExt;
+use tower_http::timeout::TimeoutError;
+
+use crate::api::{Problem, UploadId};
+use crate::server::app::Shared;
+use crate::server::caller::Caller;
+use crate::server::extract::{STALLED, caused_by, content_length, media_type};
+use crate::server::uploads::finding::{PIECE, held};
+use crate::server::uploads::headers;
+use crate::store::{Checksum, Hold, Piece, StoreError, UploadRecord};
+
+/// When an upload expires to which nothing more comes from now on.
+pub(super) fn expiry(app: &Shared) -> i64 {
+    let life = i64::try_from(app.upload_limits.life.as_millis()).unwrap_or(i64::MAX);
+    app.jobs.now_ms().saturating_add(life)
+}
+
+/// Takes the piece that a request brings; the upload as it is then.
+pub(super) async fn piece(
+    app: &Shared,
+    caller: &Caller,
+    id: &UploadId,
+    request: Request,
+) -> Result<UploadRecord, Problem> {
+    if media_type(request.headers()).as_deref() != Some(PIECE) {
+        return Err(Problem::unsupported_media_type(PIECE));
+    }
+    let offset = headers::offset(request.headers())?;
+    let checksum = headers::checksum(request.headers())?;
+    let (hold, upload) = held(app, caller, id).await?;
+    if offset != upload.offset() {
+        let detail = format!("the upload is at {} bytes, the piece begins at {offset}", upload.received);
+        return Err(Problem::conflict("offset-mismatch", detail));
+    }
+    append(app, caller, hold, upload, checksum, request).await
+}
+
+/// Takes the piece that came with an upload's creation. Nothing is left of the upload when that fails: nobody was told its name.
+pub(super) async fn first_piece(
+    app: &Shared,
+    caller: &Caller,
+    upload: UploadRecord,
+    request: Request,
+) -> Result<UploadRecord, Problem> {
+    let id = upload.id.clone();
+    let received = match (headers::checksum(request.headers()), app.store.hold_upload(&id)) {
+        (Ok(checksum), Some(hold)) => append(app, caller, hold, upload, checksum, request).await,
+        (Err(problem), _) => Err(problem),
+        (_, None) => Err(Problem::internal("an upload that nobody knows is in use")),
+    };
+    if received.is_err()
+        && let Some(hold) = app.store.hold_upload(&id)
+    {
+        app.store.drop_upload(&hold).await?;
+    }
+    received
+}
+
+async fn append(
+    app: &Shared,
+    caller: &Caller,
+    hold: Hold,
+    upload: UploadRecord,
+    checksum: Option<Checksum>,
+    request: Request,
+) -> Result<UploadRecord, Problem> {
+    let left = upload.total() - upload.offset();
+    if content_length(request.headers()).is_some_and(|n| n > left) {
+        return Err(Problem::too_large(left));
+    }
+    let (app, body) = (app.clone(), request.into_body().into_data_stream());
+    // On a task of its own: what arrived is kept, also when the caller's connection and this request with it end.
+    let appending = tokio::spawn(async move {
+        let mut stalled = false;
+        let body = body.inspect_err(|error| stalled = caused_by::<TimeoutError>(error));
+        let piece = Piece { upload, hold: &hold, checksum, expires_ms: &|| expiry(&app) };
+        let appended = app.store.append(piece, body).await;
+        (appended, stalled)
+    });
+    let (appended, stalled) = appending.await.map_err(Problem::internal)?;
+    match appended {
+        Ok(upload) => Ok(upload),
+        Err(_) if stalled => Err(Problem::timeout(STALLED)),
+        Err(StoreError::ChecksumMismatch) => Err(mismatch()),
+        Err(error) => Err(caller.told(error)),
+    }
+}
+
+/// 460, a status of the tus protocol.
+fn mismatch() -> Problem {
+    let status = StatusCode::from_u16(460).unwrap_or(StatusCode::BAD_REQUEST);
+    Problem::new(status, "checksum-mismatch", "The checksum is not that of the piece")
+        .detail("nothing of the piece was kept; send it again")
+}

@@ -1,0 +1,38 @@
+//! Complete uploads under `incoming/`, which get a key when something was made of them.
+
+use std::path::PathBuf;
+
+use object_store::path::Path as Key;
+
+use crate::store::ledger::Reservation;
+use crate::store::uploads::Hold;
+
+/// The folder of uploads on their way.
+pub(super) const INCOMING: &str = "incoming";
+
+/// A complete upload that has no key yet. It is deleted when dropped unless it was published.
+#[derive(Debug)]
+pub struct Incoming {
+    pub(super) key: Key,
+    pub(super) published: bool,
+    /// The file on this machine.
+    pub path: PathBuf,
+    /// Hash of the bytes, lower-case hex.
+    pub sha256: String,
+    /// Number of bytes.
+    pub bytes: u64,
+    /// The upload that these bytes are of, if they came in pieces.
+    pub(super) upload: Option<Hold>,
+    /// They count as stored meanwhile.
+    pub(super) _reserved: Reservation,
+}
+
+impl Drop for Incoming {
+    fn drop(&mut self) {
+        if !self.published
+            && let Err(error) = std::fs::remove_file(&self.path)
+        {
+            tracing::warn!(%error, key = %self.key, "an upload could not be discarded");
+        }
+    }
+}

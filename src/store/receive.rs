@@ -1,0 +1,69 @@
+//! Bodies on their way to disk, hashed as they arrive.
+
+use futures::{Stream, StreamExt};
+use object_store::path::Path as Key;
+use object_store::{ObjectStoreExt, WriteMultipart};
+use sha2::{Digest, Sha256};
+use tokio_util::bytes::Bytes;
+
+use crate::api::TenantId;
+use crate::store::hash::hex;
+use crate::store::incoming::{INCOMING, Incoming};
+use crate::store::ledger::Reservation;
+use crate::store::{Store, StoreError};
+
+impl Store {
+    /// Streams a body of a tenant to disk, hashing it. Its bytes count as stored as they arrive. After an error nothing of it is
+    /// left.
+    ///
+    /// # Errors
+    /// [`StoreError::TooLarge`] beyond `limit` bytes, [`StoreError::Body`] when the sender fails, [`StoreError::Full`] when the disk
+    /// is full, [`StoreError::QuotaOfBytes`] and [`StoreError::OverLimit`] as soon as no more may be stored.
+    pub async fn receive<E: std::fmt::Display>(
+        &self,
+        tenant: &TenantId,
+        name: &str,
+        body: impl Stream<Item = Result<Bytes, E>>,
+        limit: u64,
+    ) -> Result<Incoming, StoreError> {
+        let key = Key::from(format!("{INCOMING}/{name}"));
+        let mut upload = WriteMultipart::new(self.artifacts.files().put_multipart(&key).await?);
+        let mut reserved = self.reservation(tenant);
+        match self.copy(&mut upload, &mut reserved, body, limit).await {
+            Ok((sha256, bytes)) => {
+                upload.finish().await?;
+                reserved.shrink_to(bytes);
+                let path = self.artifacts.local_path(key.as_ref());
+                Ok(Incoming { key, published: false, path, sha256, bytes, upload: None, _reserved: reserved })
+            }
+            Err(error) => {
+                upload.abort().await.ok();
+                Err(error)
+            }
+        }
+    }
+
+    /// Copies `body` into `upload`, hashing and counting.
+    async fn copy<E: std::fmt::Display>(
+        &self,
+        upload: &mut WriteMultipart,
+        reserved: &mut Reservation,
+        body: impl Stream<Item = Result<Bytes, E>>,
+        limit: u64,
+    ) -> Result<(String, u64), StoreError> {
+        let mut body = std::pin::pin!(body);
+        let (mut hasher, mut bytes) = (Sha256::new(), 0u64);
+        while let Some(chunk) = body.next().await {
+            let chunk = chunk.map_err(|e| StoreError::Body(e.to_string()))?;
+            bytes += chunk.len() as u64;
+            if bytes > limit {
+                return Err(StoreError::TooLarge { limit });
+            }
+            self.reserve(reserved, bytes).await?;
+            hasher.update(&chunk);
+            upload.wait_for_capacity(2).await?;
+            upload.put(chunk);
+        }
+        Ok((hex(&hasher.finalize()), bytes))
+    }
+}

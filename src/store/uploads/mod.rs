@@ -1,0 +1,148 @@
+//! Uploads that arrive in pieces, over several requests and lives of the server. How much of one has arrived is in the database;
+//! it is written there after the bytes are on disk.
+
+mod holds;
+mod piece;
+mod record;
+mod taking;
+
+use std::path::Path;
+
+use crate::api::{TenantId, UploadId};
+use crate::store::uploads::record::key;
+use crate::store::{Store, StoreError};
+
+pub use holds::{Hold, Holds};
+pub use piece::{Checksum, Piece};
+pub(super) use record::UPLOADS;
+pub use record::{UploadLimits, UploadRecord};
+
+impl Store {
+    /// Begins an upload; a tenant may have `most`.
+    ///
+    /// # Errors
+    /// [`StoreError::QuotaOfUploads`] beyond that, [`StoreError::QuotaOfBytes`] and [`StoreError::OverLimit`] when it could not be
+    /// stored as a whole, or when the database or the file system fails.
+    pub async fn begin_upload(&self, upload: &UploadRecord, most: u32) -> Result<(), StoreError> {
+        self.admit_bytes_of(&upload.tenant, upload.total()).await?;
+        self.admit_bytes(upload.total()).await?;
+        let mut tx = self.write().await?;
+        let counting = "SELECT COUNT(*) FROM uploads WHERE tenant = ?1 AND expires_ms > ?2";
+        let count: i64 = sqlx::query_scalar(counting)
+            .bind(&upload.tenant)
+            .bind(upload.created_ms)
+            .fetch_one(&mut *tx)
+            .await?;
+        if count >= i64::from(most) {
+            return Err(StoreError::QuotaOfUploads { most });
+        }
+        // The file comes first: without its row the next start removes it.
+        let path = self.artifacts.local_path(&upload.key());
+        tokio::task::spawn_blocking(move || make_file(&path)).await.map_err(std::io::Error::other)??;
+        sqlx::query(
+            "INSERT INTO uploads (id, tenant, length, received, metadata, created_ms, expires_ms)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+        )
+        .bind(&upload.id)
+        .bind(&upload.tenant)
+        .bind(upload.length)
+        .bind(upload.received)
+        .bind(&upload.metadata)
+        .bind(upload.created_ms)
+        .bind(upload.expires_ms)
+        .execute(&mut *tx)
+        .await?;
+        Ok(tx.commit().await?)
+    }
+
+    /// An upload of a tenant, expired or not.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn upload(&self, tenant: &TenantId, id: &UploadId) -> Result<Option<UploadRecord>, StoreError> {
+        let query =
+            sqlx::query_as("SELECT * FROM uploads WHERE id = ?1 AND tenant = ?2").bind(id).bind(tenant);
+        Ok(query.fetch_optional(self.pool()).await?)
+    }
+
+    /// Takes hold of an upload; `None` while somebody else has it.
+    pub fn hold_upload(&self, id: &UploadId) -> Option<Hold> {
+        self.holds.take(id)
+    }
+
+    /// Gives an upload up. Should the server die before its file is removed, the next start does that.
+    ///
+    /// # Errors
+    /// When the database or the file system fails.
+    pub async fn drop_upload(&self, hold: &Hold) -> Result<(), StoreError> {
+        let mut tx = self.write().await?;
+        sqlx::query("DELETE FROM uploads WHERE id = ?1").bind(hold.id()).execute(&mut *tx).await?;
+        tx.commit().await?;
+        self.artifacts.discard(&key(hold.id())).await
+    }
+
+    /// Gives up what has expired and is not being written to; how many.
+    ///
+    /// # Errors
+    /// When the database or the file system fails; the next time goes on from there.
+    pub async fn expire_uploads(&self, now_ms: i64) -> Result<usize, StoreError> {
+        let query = "SELECT id FROM uploads WHERE expires_ms <= ?1 ORDER BY expires_ms LIMIT 1000";
+        let ids: Vec<UploadId> = sqlx::query_scalar(query).bind(now_ms).fetch_all(self.pool()).await?;
+        let mut dropped = 0;
+        for id in ids {
+            let Some(hold) = self.hold_upload(&id) else { continue };
+            // A piece may have come since.
+            let query = "SELECT expires_ms FROM uploads WHERE id = ?1";
+            let expires: Option<i64> =
+                sqlx::query_scalar(query).bind(&id).fetch_optional(self.pool()).await?;
+            if expires.is_some_and(|at| at <= now_ms) {
+                self.drop_upload(&hold).await?;
+                tracing::info!(upload = %id, "gave up an upload that has expired");
+                dropped += 1;
+            }
+        }
+        Ok(dropped)
+    }
+
+    /// Brings files and rows together after a server that died: what was not on disk yet is cut off, and an upload whose bytes
+    /// are missing is forgotten. The caller must hold the node lock.
+    ///
+    /// # Errors
+    /// When the database or the file system fails.
+    pub async fn recover_uploads(&self) -> Result<(), StoreError> {
+        let uploads: Vec<UploadRecord> =
+            sqlx::query_as("SELECT * FROM uploads").fetch_all(self.pool()).await?;
+        for upload in uploads {
+            let path = self.artifacts.local_path(&upload.key());
+            let found = match std::fs::metadata(&path) {
+                Ok(file) => Some(file.len()),
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
+                Err(error) => return Err(error.into()),
+            };
+            match found {
+                Some(length) if length == upload.offset() => {}
+                Some(length) if length > upload.offset() => {
+                    std::fs::File::options().write(true).open(&path)?.set_len(upload.offset())?;
+                }
+                _ => {
+                    tracing::warn!(upload = %upload.id, "forgot an upload whose bytes are missing");
+                    if let Some(hold) = self.hold_upload(&upload.id) {
+                        self.drop_upload(&hold).await?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Makes an empty file and the folder it is in; durable when this returns. Blocks.
+fn make_file(path: &Path) -> std::io::Result<()> {
+    let folder = path.parent().unwrap_or(path);
+    std::fs::create_dir_all(folder)?;
+    std::fs::File::create_new(path)?.sync_all()?;
+    for folder in folder.ancestors().take(2) {
+        std::fs::File::open(folder)?.sync_all()?;
+    }
+    Ok(())
+}

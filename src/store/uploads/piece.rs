@@ -1,0 +1,173 @@
+//! A piece of an upload on its way to disk.
+
+use std::fmt::Display;
+
+use futures::{Stream, StreamExt};
+use sha1::Sha1;
+use sha2::{Digest, Sha256};
+use tokio::fs::File;
+use tokio::io::{AsyncSeekExt, AsyncWriteExt};
+use tokio_util::bytes::Bytes;
+
+use crate::store::ledger::Reservation;
+use crate::store::uploads::holds::Hold;
+use crate::store::uploads::record::UploadRecord;
+use crate::store::{Store, StoreError};
+
+/// Bytes after which a piece that goes on is brought to disk and written down: what `kill -9` costs at most.
+const STEP: u64 = 16 << 20;
+
+/// What a piece must hash to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Checksum {
+    /// SHA-1, 20 bytes.
+    Sha1(Vec<u8>),
+    /// SHA-256, 32 bytes.
+    Sha256(Vec<u8>),
+}
+
+/// Where a piece goes.
+pub struct Piece<'a> {
+    /// The upload, as it is in the database now.
+    pub upload: UploadRecord,
+    /// Nobody else writes to it meanwhile.
+    pub hold: &'a Hold,
+    /// With it the whole piece is kept or nothing, without it what arrived.
+    pub checksum: Option<Checksum>,
+    /// When the upload expires if nothing more comes from now on.
+    pub expires_ms: &'a (dyn Fn() -> i64 + Send + Sync),
+}
+
+/// What was promised and what came.
+enum Hashing {
+    Nothing,
+    Sha1(Sha1, Vec<u8>),
+    Sha256(Sha256, Vec<u8>),
+}
+
+impl Hashing {
+    fn update(&mut self, chunk: &[u8]) {
+        match self {
+            Self::Nothing => {}
+            Self::Sha1(hasher, _) => hasher.update(chunk),
+            Self::Sha256(hasher, _) => hasher.update(chunk),
+        }
+    }
+
+    fn holds(self) -> bool {
+        match self {
+            Self::Nothing => true,
+            Self::Sha1(hasher, expected) => hasher.finalize().as_slice() == expected.as_slice(),
+            Self::Sha256(hasher, expected) => hasher.finalize().as_slice() == expected.as_slice(),
+        }
+    }
+}
+
+impl Store {
+    /// Writes a piece behind what is on disk. Answers with the upload as it is then; an error may come after a part was kept.
+    ///
+    /// # Errors
+    /// [`StoreError::TooLarge`] beyond the upload's length, [`StoreError::ChecksumMismatch`], [`StoreError::Body`] when the sender
+    /// fails, [`StoreError::Full`], [`StoreError::QuotaOfBytes`] and [`StoreError::OverLimit`] when no more may be stored.
+    pub async fn append<E: Display>(
+        &self,
+        piece: Piece<'_>,
+        body: impl Stream<Item = Result<Bytes, E>>,
+    ) -> Result<UploadRecord, StoreError> {
+        let path = self.artifacts.local_path(&piece.upload.key());
+        let mut file = File::options().write(true).open(path).await?;
+        // A server or a request that died may have left more than it wrote down.
+        file.set_len(piece.upload.offset()).await?;
+        file.seek(std::io::SeekFrom::End(0)).await?;
+        let kept = piece.upload.offset();
+        let reserved = self.reservation(&piece.upload.tenant);
+        let mut writing = Writing { store: self, piece, file, reserved, written: kept, kept };
+        let appended = writing.append(body).await;
+        if writing.written > writing.kept {
+            // What is not written down is not there.
+            writing.file.set_len(writing.kept).await?;
+        }
+        appended.map(|()| writing.piece.upload)
+    }
+}
+
+struct Writing<'a> {
+    store: &'a Store,
+    piece: Piece<'a>,
+    file: File,
+    reserved: Reservation,
+    /// Bytes in the file.
+    written: u64,
+    /// Bytes that are on disk and written down.
+    kept: u64,
+}
+
+impl Writing<'_> {
+    async fn append<E: Display>(
+        &mut self,
+        body: impl Stream<Item = Result<Bytes, E>>,
+    ) -> Result<(), StoreError> {
+        let mut hashing = match self.piece.checksum.take() {
+            None => Hashing::Nothing,
+            Some(Checksum::Sha1(expected)) => Hashing::Sha1(Sha1::new(), expected),
+            Some(Checksum::Sha256(expected)) => Hashing::Sha256(Sha256::new(), expected),
+        };
+        let in_steps = matches!(hashing, Hashing::Nothing);
+        let copied = self.copy(body, &mut hashing, in_steps).await;
+        match copied {
+            Ok(()) if !hashing.holds() => return Err(StoreError::ChecksumMismatch),
+            Ok(()) => self.keep().await?,
+            Err(_) if in_steps => self.keep().await?,
+            Err(_) => {}
+        }
+        copied
+    }
+
+    async fn copy<E: Display>(
+        &mut self,
+        body: impl Stream<Item = Result<Bytes, E>>,
+        hashing: &mut Hashing,
+        in_steps: bool,
+    ) -> Result<(), StoreError> {
+        let mut body = std::pin::pin!(body);
+        let limit = self.piece.upload.total();
+        while let Some(chunk) = body.next().await {
+            let chunk = chunk.map_err(|error| StoreError::Body(error.to_string()))?;
+            let written = self.written + chunk.len() as u64;
+            if written > limit {
+                return Err(StoreError::TooLarge { limit });
+            }
+            self.store.reserve(&mut self.reserved, written - self.kept).await?;
+            hashing.update(&chunk);
+            self.file.write_all(&chunk).await?;
+            self.written = written;
+            if in_steps && self.written - self.kept >= STEP {
+                self.keep().await?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Brings what was written to disk, then writes that down.
+    async fn keep(&mut self) -> Result<(), StoreError> {
+        self.file.flush().await?;
+        self.file.sync_data().await?;
+        // What arrived counts as stored and no longer as on its way.
+        let _shelf = self.store.shelf.lock().await;
+        let received = i64::try_from(self.written).unwrap_or(i64::MAX);
+        let expires_ms = (self.piece.expires_ms)();
+        let mut tx = self.store.write().await?;
+        sqlx::query("UPDATE uploads SET received = ?2, expires_ms = ?3 WHERE id = ?1")
+            .bind(self.piece.hold.id())
+            .bind(received)
+            .bind(expires_ms)
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        self.reserved.release(self.written - self.kept);
+        self.kept = self.written;
+        self.piece.upload.received = received;
+        self.piece.upload.expires_ms = expires_ms;
+        Ok(())
+    }
+}
