@@ -23,6 +23,7 @@ mod jobs;
 mod key_token;
 mod keys;
 mod leases;
+mod marks;
 mod models;
 mod node_lock;
 mod quota;
@@ -60,6 +61,7 @@ pub use jobs::{CancelOutcome, Submitted};
 pub use key_token::KeyToken;
 pub use keys::{NewKeyRecord, has_keys};
 pub use leases::{LeaseStatus, Release};
+pub use marks::Filter;
 pub use node_lock::NodeLock;
 pub use quota::Quota;
 pub use records::{
