@@ -17,6 +17,7 @@ mod full_disk;
 mod gpu;
 mod hostile;
 mod lights;
+mod marks;
 mod promises;
 mod quality_gate;
 mod reference;

@@ -4,13 +4,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use relume::api::jobs::{JobProgress, JobState, NewJob};
+use relume::api::marks::Marks;
 use relume::api::quality::{Figures, QualityGate};
 use relume::api::{JobId, TenantId};
 use relume::capture::CaptureReport;
 use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, SequentialIds};
 use relume::store::{
-    CancelOutcome, CaptureRecord, IdempotencyKey, LeaseStatus, ModelFile, ModelRecord, Page, Release, Store,
-    StoreError, Submitted,
+    CancelOutcome, CaptureRecord, Filter, IdempotencyKey, LeaseStatus, ModelFile, ModelRecord, Page, Release,
+    Store, StoreError, Submitted,
 };
 use relume::testing;
 use tempfile::TempDir;
@@ -39,6 +40,7 @@ impl Bench {
             sha256: "00".into(),
             bytes: 1,
             artifact: "captures/00".into(),
+            marks: Marks::default(),
             report: CaptureReport::default(),
             created_ms: 0,
         };
@@ -90,6 +92,7 @@ fn model_of(lease: &Lease, id: &str) -> (ModelRecord, Vec<ModelFile>) {
         job_id: lease.job().id.clone(),
         capture_id: "capture".into(),
         gaussians: 1,
+        marks: Marks::default(),
         card: serde_json::json!({}),
         created_ms: 0,
     };
@@ -124,7 +127,13 @@ async fn a_paused_worker_that_lost_its_lease_publishes_nothing() {
     assert_eq!(paused.release(Release::Shutdown).await.unwrap(), LeaseStatus::Lost);
     assert_eq!(publish(&paused, "from-the-paused").await, LeaseStatus::Lost);
     assert!(
-        bench.jobs.store().models(&tenant(), &Page { limit: 10, before: None }).await.unwrap().is_empty()
+        bench
+            .jobs
+            .store()
+            .models(&tenant(), &Filter::default(), &Page { limit: 10, before: None })
+            .await
+            .unwrap()
+            .is_empty()
     );
     let job = bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap();
     assert_eq!((job.state, job.progress.step, job.checkpoint), (JobState::Running, 0, None));
@@ -176,7 +185,12 @@ async fn a_job_publishes_exactly_once() {
     let lease = bench.claim().await;
     assert_eq!(publish(&lease, "first").await, LeaseStatus::Held);
     assert_eq!(publish(&lease, "again").await, LeaseStatus::Lost);
-    let models = bench.jobs.store().models(&tenant(), &Page { limit: 10, before: None }).await.unwrap();
+    let models = bench
+        .jobs
+        .store()
+        .models(&tenant(), &Filter::default(), &Page { limit: 10, before: None })
+        .await
+        .unwrap();
     assert_eq!(models.iter().map(|m| m.id.as_str()).collect::<Vec<_>>(), ["first"]);
     assert_eq!(bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap().model_id, Some("first".into()));
 }
@@ -299,7 +313,15 @@ async fn a_repeated_key_queues_one_job_and_another_body_is_refused() {
     assert_eq!(first.unwrap(), second.unwrap());
     let refused = bench.submit_with(0, Some(&key("b"))).await;
     assert!(matches!(refused, Err(StoreError::KeyReused)));
-    assert_eq!(bench.jobs.list(&tenant(), None, &Page { limit: 10, before: None }).await.unwrap().len(), 1);
+    assert_eq!(
+        bench
+            .jobs
+            .list(&tenant(), None, &Filter::default(), &Page { limit: 10, before: None })
+            .await
+            .unwrap()
+            .len(),
+        1
+    );
     bench.clock.advance(Duration::from_secs(25 * 3600));
     bench.submit_with(0, Some(&key("b"))).await.expect("a key is forgotten after a day");
 }

@@ -6,7 +6,7 @@ use relume::api::keys::Scope;
 use relume::api::{CaptureId, JobId, ModelId, TenantId, UploadId};
 use relume::client::Client;
 use relume::server::{ApiKeys, ServerConfig};
-use relume::store::{Page, Store};
+use relume::store::{Filter, Page, Store};
 use relume::testing::{self, TestServer};
 use reqwest::{Method, RequestBuilder, header};
 use serde_json::{Value, json};
@@ -62,10 +62,12 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("post", "/v1/captures", Body, Submit),
     ("post", "/v1/captures/validate", Body, Submit),
     ("get", "/v1/captures/{id}", One(Capture), Read),
+    ("patch", "/v1/captures/{id}", One(Capture), Submit),
     ("delete", "/v1/captures/{id}", One(Capture), Submit),
     ("get", "/v1/environments", List(Environment), Read),
     ("post", "/v1/environments", Body, Submit),
     ("get", "/v1/environments/{id}", One(Environment), Read),
+    ("patch", "/v1/environments/{id}", One(Environment), Submit),
     ("delete", "/v1/environments/{id}", One(Environment), Submit),
     ("get", "/v1/jobs", List(Job), Read),
     ("post", "/v1/jobs", Body, Submit),
@@ -81,6 +83,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("post", "/v1/keys/{id}/revoke", One(Key), Admin),
     ("get", "/v1/models", List(Model), Read),
     ("get", "/v1/models/{id}", One(Model), Read),
+    ("patch", "/v1/models/{id}", One(Model), Submit),
     ("delete", "/v1/models/{id}", One(Model), Submit),
     ("get", "/v1/models/{id}/card", One(Model), Read),
     ("get", "/v1/models/{id}/files/{name}", One(Model), Read),
@@ -207,7 +210,7 @@ fn ask(client: &Client, method: &str, path: &str, id: &str) -> RequestBuilder {
     let look = json!({ "look_at": { "eye": [3, 0, 1], "target": [0, 0, 0], "fov_y_deg": 40 } });
     match (method.as_str(), path) {
         ("PATCH", "/v1/jobs/{id}") => request.json(&json!({ "priority": -1 })),
-        ("PATCH", "/v1/webhooks/{id}") => request.json(&json!({ "name": "changed" })),
+        ("PATCH", _) => request.json(&json!({ "name": "changed" })),
         ("POST", "/v1/models/{id}/render") => {
             request.json(&json!({ "camera": look, "width": 8, "height": 8 }))
         }
@@ -438,7 +441,10 @@ async fn what_was_there_before_tenants_belongs_to_the_default_one() {
         assert_eq!(store.environment(&tenant, &"e".into()).await.unwrap().is_some(), expected);
         assert_eq!(store.job(&tenant, &"j".into()).await.unwrap().is_some(), expected);
         assert_eq!(store.events_after(&tenant, &"j".into(), 0).await.unwrap().len(), usize::from(expected));
-        assert_eq!(store.models(&tenant, &page).await.unwrap().len(), usize::from(expected));
+        assert_eq!(
+            store.models(&tenant, &Filter::default(), &page).await.unwrap().len(),
+            usize::from(expected)
+        );
         let file = store.model_file(&tenant, &"m".into(), "model.ply").await.unwrap();
         assert_eq!(file.is_some(), expected);
     }

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::api::CaptureId;
+use crate::api::marks::Marks;
 use crate::capture::CaptureReport;
 
 /// An accepted capture.
@@ -16,6 +17,9 @@ pub struct CaptureSummary {
     pub sha256: String,
     /// Size of the archive.
     pub bytes: i64,
+    /// What it is called.
+    #[serde(flatten)]
+    pub marks: Marks,
     /// RFC 3339.
     pub created_at: String,
     /// What validation found.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::api::marks::Marks;
 use crate::api::{EnvironmentId, List};
 
 /// An accepted environment map.
@@ -11,9 +12,9 @@ pub struct EnvironmentView {
     /// Identifier.
     #[cfg_attr(feature = "server", schema(value_type = String))]
     pub id: EnvironmentId,
-    /// The uploader's name for it.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub name: Option<String>,
+    /// What it is called.
+    #[serde(flatten)]
+    pub marks: Marks,
     /// Hash of the file, lower-case hex.
     pub sha256: String,
     /// Size of the file.

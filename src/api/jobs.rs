@@ -2,8 +2,11 @@
 //!
 //! [`NewJob`], [`JobProgress`] and [`JobState`] are also what the database holds of a job.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
+use crate::api::marks::{Marks, MarksChange, given};
 use crate::api::quality::{Figures, MissedFigure, QualityGate};
 use crate::api::{CaptureId, JobId, ModelId};
 use crate::train::{Preset, TrainOverrides};
@@ -36,6 +39,26 @@ pub struct NewJob {
     #[serde(default, skip_serializing_if = "QualityGate::is_empty")]
     #[cfg_attr(feature = "server", schema(value_type = BTreeMap<String, String>), sqlx(json))]
     pub quality_gate: QualityGate,
+    /// A name for people, 1 to 200 characters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "server", schema(min_length = 1, max_length = 200))]
+    pub name: Option<String>,
+    /// What another system calls it, 1 to 200 characters. Several jobs may have the same.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "server", schema(min_length = 1, max_length = 200))]
+    pub external_id: Option<String>,
+    /// At most 16, keys and values of 1 to 63 of A-Z, a-z, 0-9, `.`, `_`, `-` and `/`. The model gets them, and name and external
+    /// identifier, too.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[cfg_attr(feature = "server", sqlx(json))]
+    pub labels: BTreeMap<String, String>,
+}
+
+impl NewJob {
+    /// What it is called.
+    pub fn marks(&self) -> Marks {
+        Marks { name: self.name.clone(), external_id: self.external_id.clone(), labels: self.labels.clone() }
+    }
 }
 
 /// Where to train.
@@ -53,14 +76,34 @@ pub enum JobDevice {
     Gpu,
 }
 
-/// What may be changed about a waiting job.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+/// What may be changed about a job; what is absent stays, what is null goes.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JobChange {
-    /// -100 to 100; higher runs first. Above 0 needs a key with the scope `priority`.
+    /// -100 to 100; higher runs first. Above 0 needs a key with the scope `priority`. Only of a job that waits.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(minimum = -100, maximum = 100))]
-    pub priority: i64,
+    pub priority: Option<i64>,
+    /// A name for people, 1 to 200 characters.
+    #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "given")]
+    #[cfg_attr(feature = "server", schema(value_type = Option<String>, min_length = 1, max_length = 200))]
+    pub name: Option<Option<String>>,
+    /// What another system calls it, 1 to 200 characters.
+    #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "given")]
+    #[cfg_attr(feature = "server", schema(value_type = Option<String>, min_length = 1, max_length = 200))]
+    pub external_id: Option<Option<String>>,
+    /// Those that are named; null takes one away.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub labels: Option<BTreeMap<String, Option<String>>>,
+}
+
+impl JobChange {
+    /// What it shall be called.
+    pub fn marks(&self) -> MarksChange {
+        let (name, external_id) = (self.name.clone(), self.external_id.clone());
+        MarksChange { name, external_id, labels: self.labels.clone() }
+    }
 }
 
 /// Where a job stands.
@@ -125,6 +168,9 @@ pub struct JobView {
     /// Identifier of the capture.
     #[cfg_attr(feature = "server", schema(value_type = String))]
     pub capture: CaptureId,
+    /// What it is called.
+    #[serde(flatten)]
+    pub marks: Marks,
     /// The job that this one repeats.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(value_type = Option<String>))]

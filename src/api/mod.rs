@@ -5,6 +5,7 @@ pub mod environments;
 mod ids;
 pub mod jobs;
 pub mod keys;
+pub mod marks;
 pub mod models;
 mod page;
 pub mod problem;

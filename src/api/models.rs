@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::api::marks::Marks;
 use crate::api::{CaptureId, JobId, ModelId};
 
 /// A model in a list.
@@ -19,6 +20,9 @@ pub struct ModelSummary {
     pub capture: CaptureId,
     /// Number of Gaussians.
     pub gaussians: i64,
+    /// What it is called.
+    #[serde(flatten)]
+    pub marks: Marks,
     /// RFC 3339.
     pub created_at: String,
 }

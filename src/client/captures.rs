@@ -8,6 +8,7 @@ use serde::de::DeserializeOwned;
 use tokio_util::bytes::Bytes;
 
 use crate::api::captures::CaptureSummary;
+use crate::api::marks::MarksChange;
 use crate::api::{CaptureId, List};
 use crate::capture::CaptureReport;
 use crate::client::connection::{Client, json};
@@ -61,6 +62,14 @@ impl Client {
     /// The server's refusal, or what failed on the way.
     pub async fn capture(&self, id: &CaptureId) -> Result<CaptureSummary> {
         json(self.request(Method::GET, &format!("/v1/captures/{id}"))?).await
+    }
+
+    /// Changes what a capture is called.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn change_capture(&self, id: &CaptureId, change: &MarksChange) -> Result<CaptureSummary> {
+        json(self.request(Method::PATCH, &format!("/v1/captures/{id}"))?.json(change)).await
     }
 
     /// The newest captures.

@@ -4,7 +4,9 @@ use reqwest::Method;
 use reqwest::header::CONTENT_TYPE;
 use tokio_util::bytes::Bytes;
 
+use crate::api::EnvironmentId;
 use crate::api::environments::{EnvironmentList, EnvironmentView};
+use crate::api::marks::MarksChange;
 use crate::client::connection::{Client, json};
 use crate::client::error::Result;
 
@@ -16,6 +18,18 @@ impl Client {
     pub async fn upload_environment(&self, file: impl Into<Bytes>) -> Result<EnvironmentView> {
         let request = self.request(Method::POST, "/v1/environments")?;
         json(request.header(CONTENT_TYPE, "application/octet-stream").body(file.into())).await
+    }
+
+    /// Changes what an environment map is called.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn change_environment(
+        &self,
+        id: &EnvironmentId,
+        change: &MarksChange,
+    ) -> Result<EnvironmentView> {
+        json(self.request(Method::PATCH, &format!("/v1/environments/{id}"))?.json(change)).await
     }
 
     /// Built-in and uploaded environment maps.

@@ -66,7 +66,15 @@ impl Client {
     /// The server's refusal, or what failed on the way.
     pub async fn set_priority(&self, id: &JobId, priority: i64) -> Result<JobView> {
         let request = self.request(Method::PATCH, &format!("/v1/jobs/{id}"))?;
-        json(request.json(&JobChange { priority })).await
+        json(request.json(&JobChange { priority: Some(priority), ..JobChange::default() })).await
+    }
+
+    /// Changes what a job is called, or its priority.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn change_job(&self, id: &JobId, change: &JobChange) -> Result<JobView> {
+        json(self.request(Method::PATCH, &format!("/v1/jobs/{id}"))?.json(change)).await
     }
 
     /// A job's events above number `after`, then those that happen, until the job or the connection ends.

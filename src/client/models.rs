@@ -8,6 +8,7 @@ use reqwest::header::ACCEPT;
 use tokio::io::AsyncWriteExt;
 use tokio_util::bytes::Bytes;
 
+use crate::api::marks::MarksChange;
 use crate::api::models::{ModelSummary, ModelView};
 use crate::api::renders::RenderRequest;
 use crate::api::{List, ModelId};
@@ -22,6 +23,14 @@ impl Client {
     /// The server's refusal, or what failed on the way.
     pub async fn model(&self, id: &ModelId) -> Result<ModelView> {
         json(self.request(Method::GET, &format!("/v1/models/{id}"))?).await
+    }
+
+    /// Changes what a model is called.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn change_model(&self, id: &ModelId, change: &MarksChange) -> Result<ModelSummary> {
+        json(self.request(Method::PATCH, &format!("/v1/models/{id}"))?.json(change)).await
     }
 
     /// The newest models.

@@ -9,7 +9,7 @@ use crate::api::jobs::{JobState, NewJob};
 use crate::api::{JobId, TenantId};
 use crate::jobs::clock::{Clock, Ids};
 use crate::store::{
-    CancelOutcome, EventRecord, IdempotencyKey, JobRecord, Page, Store, StoreError, Submitted,
+    CancelOutcome, EventRecord, Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, Submitted,
 };
 
 /// How leases behave.
@@ -110,9 +110,10 @@ impl Jobs {
         &self,
         tenant: &TenantId,
         state: Option<JobState>,
+        filter: &Filter,
         page: &Page,
     ) -> Result<Vec<JobRecord>, StoreError> {
-        self.store.jobs(tenant, state, page).await
+        self.store.jobs(tenant, state, filter, page).await
     }
 
     /// True when some job waits for a worker.

@@ -8,22 +8,24 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::api::captures::CaptureSummary;
+use crate::api::marks::{Marks, MarksChange};
 use crate::api::problem::ContentError;
 use crate::api::uploads::FromUpload;
-use crate::api::{CaptureId, List, Problem};
+use crate::api::{CaptureId, List, Problem, ResourceKind, ResourceName, TenantId};
 use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::{ArchiveForm, File};
 use crate::server::extract::{JsonBody, QueryString, UrlPath, media_type};
-use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::server::listing::{rfc3339, unknown_cursor};
+use crate::server::marks::{self, MarkedPageQuery, MarksQuery};
 use crate::server::upload::{self, Expected};
 use crate::server::uploads;
 use crate::store::{CaptureRecord, Incoming};
 
 /// The routes of this file that take no archives.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
-    OpenApiRouter::new().routes(routes!(list_captures)).routes(routes!(get_capture))
+    OpenApiRouter::new().routes(routes!(list_captures)).routes(routes!(get_capture, change_capture))
 }
 
 /// The routes of this file that take archives.
@@ -35,9 +37,10 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
 ///
 /// A zip, tar or tar.gz, as the raw body, as the multipart field `archive`, or as the complete upload that JSON names (see
 /// `/v1/uploads`), which is gone then. It is streamed to disk, hashed and
-/// validated; 201 means that every byte is durable. The same content again gives the same capture and 200.
+/// validated; 201 means that every byte is durable. The same content again gives the same capture and 200, called as
+/// the last upload calls it.
 #[utoipa::path(
-    post, path = "/v1/captures", tag = "captures",
+    post, path = "/v1/captures", tag = "captures", params(MarksQuery),
     request_body(content(
         (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
         (ArchiveForm = "multipart/form-data"), (FromUpload = "application/json")
@@ -53,12 +56,14 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
 async fn upload_capture(
     State(app): State<Shared>,
     caller: Caller,
+    QueryString(query): QueryString<MarksQuery>,
     request: Request,
 ) -> Result<Response, Problem> {
+    let marks = query.marks()?;
     let mut incoming = receive(&app, &caller, request).await?;
     if let Some(known) = app.store.capture_by_hash(&caller.tenant, &incoming.sha256).await? {
         match app.store.mend(incoming, &known.artifact).await? {
-            None => return Ok(Json(view(known)).into_response()),
+            None => return Ok(Json(marked(&app, &caller.tenant, known, marks).await?).into_response()),
             // It was deleted meanwhile.
             Some(given_back) => incoming = given_back,
         }
@@ -69,12 +74,26 @@ async fn upload_capture(
         sha256: incoming.sha256.clone(),
         bytes: i64::try_from(incoming.bytes).unwrap_or(i64::MAX),
         artifact: format!("captures/{}", incoming.sha256),
+        marks: Marks::default(),
         report,
         created_ms: app.jobs.now_ms(),
     };
     let stored = app.store.keep_capture(incoming, &caller.tenant, &record).await?;
     let location = format!("/v1/captures/{}", stored.id);
-    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
+    let stored = marked(&app, &caller.tenant, stored, marks).await?;
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(stored)).into_response())
+}
+
+/// A capture, called what its sender calls it.
+async fn marked(
+    app: &Shared,
+    tenant: &TenantId,
+    mut capture: CaptureRecord,
+    given: Marks,
+) -> Result<CaptureSummary, Problem> {
+    let what = ResourceName::new(ResourceKind::Capture, capture.id.to_string());
+    capture.marks = marks::mark(app, tenant, what, given, capture.marks).await?;
+    Ok(view(capture))
 }
 
 /// Validate a capture without storing it
@@ -99,21 +118,23 @@ async fn validate_capture(
 
 /// List captures
 #[utoipa::path(
-    get, path = "/v1/captures", tag = "captures", params(PageQuery),
+    get, path = "/v1/captures", tag = "captures", params(MarkedPageQuery),
     responses((status = 200, body = List<CaptureSummary>))
 )]
 async fn list_captures(
     State(app): State<Shared>,
     caller: Caller,
-    QueryString(query): QueryString<PageQuery>,
+    QueryString(query): QueryString<MarkedPageQuery>,
 ) -> Result<Json<List<CaptureSummary>>, Problem> {
-    let page = query.page()?;
+    let (page, filter) = query.parts()?;
+    let page = page.page()?;
     if let Some(before) = page.before()
         && app.store.capture(&caller.tenant, &before.into()).await?.is_none()
     {
         return Err(unknown_cursor(before));
     }
-    let items = app.store.captures(&caller.tenant, &page.of_store()).await?.into_iter().map(view).collect();
+    let items =
+        app.store.captures(&caller.tenant, &filter, &page.of_store()).await?.into_iter().map(view).collect();
     Ok(Json(page.list(items, |c: &CaptureSummary| c.id.as_str())))
 }
 
@@ -127,12 +148,29 @@ async fn get_capture(
     caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
 ) -> Result<Json<CaptureSummary>, Problem> {
-    let record = app
-        .store
-        .capture(&caller.tenant, &id)
-        .await?
-        .ok_or_else(|| Problem::not_found("capture", id.as_str()))?;
-    Ok(Json(view(record)))
+    find(&app, &caller.tenant, &id).await.map(Json)
+}
+
+async fn find(app: &Shared, tenant: &TenantId, id: &CaptureId) -> Result<CaptureSummary, Problem> {
+    let record = app.store.capture(tenant, id).await?;
+    record.map(view).ok_or_else(|| Problem::not_found("capture", id.as_str()))
+}
+
+/// Change what a capture is called
+///
+/// A JSON merge patch: what is absent stays, what is null goes. One with the label `keep:true` is not deleted by age.
+#[utoipa::path(
+    patch, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path)), request_body = MarksChange,
+    responses((status = 200, body = CaptureSummary), (status = 404, body = Problem), (status = 422, body = Problem))
+)]
+async fn change_capture(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<CaptureId>,
+    JsonBody(change): JsonBody<MarksChange>,
+) -> Result<Json<CaptureSummary>, Problem> {
+    marks::change(&app, &caller.tenant, ResourceKind::Capture, id.as_str(), &change).await?;
+    find(&app, &caller.tenant, &id).await.map(Json)
 }
 
 async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Incoming, Problem> {
@@ -179,6 +217,7 @@ fn view(record: CaptureRecord) -> CaptureSummary {
         id: record.id,
         sha256: record.sha256,
         bytes: record.bytes,
+        marks: record.marks,
         created_at: rfc3339(record.created_ms),
         report: record.report,
     }

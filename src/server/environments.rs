@@ -4,22 +4,22 @@ use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use serde::Deserialize;
 use tokio::io::AsyncReadExt;
-use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::api::environments::{EnvironmentList, EnvironmentView};
+use crate::api::marks::{Marks, MarksChange};
 use crate::api::problem::ContentError;
-use crate::api::{EnvironmentId, Problem};
+use crate::api::{EnvironmentId, Problem, ResourceKind, ResourceName, TenantId};
 use crate::capture::BUILTIN;
 use crate::formats::environment::{self, EnvironmentFileError, LoadedEnvironment};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::{EnvironmentForm, File};
-use crate::server::extract::{QueryString, UrlPath};
-use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::server::extract::{JsonBody, QueryString, UrlPath};
+use crate::server::listing::{rfc3339, unknown_cursor};
+use crate::server::marks::{self, MarkedPageQuery, MarksQuery};
 use crate::server::upload::{self, Expected};
 use crate::store::{EnvironmentRecord, Incoming};
 
@@ -28,7 +28,9 @@ const HEAD: u64 = 1 << 20;
 
 /// The routes of this file that take no maps.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
-    OpenApiRouter::new().routes(routes!(list_environments)).routes(routes!(get_environment))
+    OpenApiRouter::new()
+        .routes(routes!(list_environments))
+        .routes(routes!(get_environment, change_environment))
 }
 
 /// The route of this file that takes a map.
@@ -36,22 +38,12 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
     OpenApiRouter::new().routes(routes!(upload_environment))
 }
 
-/// How to name an uploaded map.
-#[derive(Debug, Default, Deserialize, IntoParams)]
-#[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
-struct UploadQuery {
-    /// A name for display, 1 to 128 characters.
-    #[param(min_length = 1, max_length = 128)]
-    name: Option<String>,
-}
-
 /// Upload an environment map
 ///
 /// An equirectangular Radiance `.hdr` or OpenEXR, as the raw body or as the multipart field `environment`. Row 0
 /// looks along world +Z. NaN and infinity are refused; negative values are set to 0 with a warning.
 #[utoipa::path(
-    post, path = "/v1/environments", tag = "environments", params(UploadQuery),
+    post, path = "/v1/environments", tag = "environments", params(MarksQuery),
     request_body(content(
         (File = "image/vnd.radiance"), (File = "image/x-exr"), (EnvironmentForm = "multipart/form-data")
     )),
@@ -64,16 +56,14 @@ struct UploadQuery {
 async fn upload_environment(
     State(app): State<Shared>,
     caller: Caller,
-    QueryString(query): QueryString<UploadQuery>,
+    QueryString(query): QueryString<MarksQuery>,
     request: Request,
 ) -> Result<Response, Problem> {
-    if query.name.as_ref().is_some_and(|n| n.is_empty() || n.chars().count() > 128) {
-        return Err(Problem::invalid_field("query/name", "must have 1 to 128 characters"));
-    }
+    let marks = query.marks()?;
     let mut incoming = receive(&app, &caller, request).await?;
     if let Some(known) = app.store.environment_by_hash(&caller.tenant, &incoming.sha256).await? {
         match app.store.mend(incoming, &known.artifact).await? {
-            None => return Ok(Json(view(known)).into_response()),
+            None => return Ok(Json(marked(&app, &caller.tenant, known, marks).await?).into_response()),
             // It was deleted meanwhile.
             Some(given_back) => incoming = given_back,
         }
@@ -82,7 +72,7 @@ async fn upload_environment(
     let record = EnvironmentRecord {
         id: app.jobs.fresh_id(),
         sha256: incoming.sha256.clone(),
-        name: query.name,
+        marks: Marks::default(),
         bytes: i64::try_from(incoming.bytes).unwrap_or(i64::MAX),
         artifact: format!("environments/{}", incoming.sha256),
         width,
@@ -92,27 +82,46 @@ async fn upload_environment(
     };
     let stored = app.store.keep_environment(incoming, &caller.tenant, &record).await?;
     let location = format!("/v1/environments/{}", stored.id);
-    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
+    let stored = marked(&app, &caller.tenant, stored, marks).await?;
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(stored)).into_response())
+}
+
+/// A map, called what its sender calls it.
+async fn marked(
+    app: &Shared,
+    tenant: &TenantId,
+    mut map: EnvironmentRecord,
+    given: Marks,
+) -> Result<EnvironmentView, Problem> {
+    let what = ResourceName::new(ResourceKind::Environment, map.id.to_string());
+    map.marks = marks::mark(app, tenant, what, given, map.marks).await?;
+    Ok(view(map))
 }
 
 /// List environment maps
 #[utoipa::path(
-    get, path = "/v1/environments", tag = "environments", params(PageQuery),
+    get, path = "/v1/environments", tag = "environments", params(MarkedPageQuery),
     responses((status = 200, body = EnvironmentList))
 )]
 async fn list_environments(
     State(app): State<Shared>,
     caller: Caller,
-    QueryString(query): QueryString<PageQuery>,
+    QueryString(query): QueryString<MarkedPageQuery>,
 ) -> Result<Json<EnvironmentList>, Problem> {
-    let page = query.page()?;
+    let (page, filter) = query.parts()?;
+    let page = page.page()?;
     if let Some(before) = page.before()
         && app.store.environment(&caller.tenant, &before.into()).await?.is_none()
     {
         return Err(unknown_cursor(before));
     }
-    let items =
-        app.store.environments(&caller.tenant, &page.of_store()).await?.into_iter().map(view).collect();
+    let items = app
+        .store
+        .environments(&caller.tenant, &filter, &page.of_store())
+        .await?
+        .into_iter()
+        .map(view)
+        .collect();
     Ok(Json(EnvironmentList {
         builtin: BUILTIN.iter().map(|&name| name.to_owned()).collect(),
         uploaded: page.list(items, |e: &EnvironmentView| e.id.as_str()),
@@ -129,8 +138,29 @@ async fn get_environment(
     caller: Caller,
     UrlPath(id): UrlPath<EnvironmentId>,
 ) -> Result<Json<EnvironmentView>, Problem> {
-    let record = app.store.environment(&caller.tenant, &id).await?;
-    Ok(Json(view(record.ok_or_else(|| Problem::not_found("environment", id.as_str()))?)))
+    find(&app, &caller.tenant, &id).await.map(Json)
+}
+
+async fn find(app: &Shared, tenant: &TenantId, id: &EnvironmentId) -> Result<EnvironmentView, Problem> {
+    let record = app.store.environment(tenant, id).await?;
+    record.map(view).ok_or_else(|| Problem::not_found("environment", id.as_str()))
+}
+
+/// Change what an environment map is called
+///
+/// A JSON merge patch: what is absent stays, what is null goes.
+#[utoipa::path(
+    patch, path = "/v1/environments/{id}", tag = "environments", params(("id" = String, Path)), request_body = MarksChange,
+    responses((status = 200, body = EnvironmentView), (status = 404, body = Problem), (status = 422, body = Problem))
+)]
+async fn change_environment(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<EnvironmentId>,
+    JsonBody(change): JsonBody<MarksChange>,
+) -> Result<Json<EnvironmentView>, Problem> {
+    marks::change(&app, &caller.tenant, ResourceKind::Environment, id.as_str(), &change).await?;
+    find(&app, &caller.tenant, &id).await.map(Json)
 }
 
 async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Incoming, Problem> {
@@ -167,7 +197,7 @@ fn refused(error: EnvironmentFileError) -> Problem {
 fn view(record: EnvironmentRecord) -> EnvironmentView {
     EnvironmentView {
         id: record.id,
-        name: record.name,
+        marks: record.marks,
         sha256: record.sha256,
         bytes: record.bytes,
         width: record.width,

@@ -12,13 +12,13 @@ use utoipa_axum::routes;
 
 use crate::api::jobs::{JobChange, JobDevice, JobState, JobView, NewJob};
 use crate::api::keys::Scope;
-use crate::api::{EnvironmentId, JobId, List, Problem, TenantId};
+use crate::api::{EnvironmentId, JobId, List, Problem, ResourceKind, TenantId};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::{PageQuery, unknown_cursor};
-use crate::server::{job_bounds, quality_gate};
+use crate::server::{job_bounds, marks, quality_gate};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
 use crate::train::{ConfigError, KnownLight, TrainConfig};
 
@@ -42,6 +42,12 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 struct JobQuery {
     /// Only jobs in this state.
     state: Option<JobState>,
+    /// Only those with this name.
+    name: Option<String>,
+    /// Only those that another system calls so.
+    external_id: Option<String>,
+    /// Only those with this label, `key:value`; with several, separated by commas, those that have all.
+    label: Option<String>,
     /// Most items, 1 to 200; 50 when absent.
     #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
@@ -78,6 +84,9 @@ async fn create_job(
         return accepted(answer, true);
     }
     let config = TrainConfig::new(job.preset, &job.overrides).map_err(|e| override_refused(&e))?;
+    if let Some((field, why)) = job.marks().fault() {
+        return Err(Problem::invalid_field(format!("/{field}"), why));
+    }
     check_priority(&caller, job.priority)?;
     if job.device == JobDevice::Gpu && !app.device.has_gpu() {
         return Err(Problem::invalid_field("/device", "this server has no GPU"));
@@ -102,6 +111,7 @@ async fn list_jobs(
     caller: Caller,
     QueryString(query): QueryString<JobQuery>,
 ) -> Result<Json<List<JobView>>, Problem> {
+    let filter = marks::filter(query.name, query.external_id, query.label.as_deref())?;
     let page = PageQuery { limit: query.limit, before: query.before }.page()?;
     if let Some(before) = page.before()
         && app.store.job(&caller.tenant, &before.into()).await?.is_none()
@@ -109,7 +119,7 @@ async fn list_jobs(
         return Err(unknown_cursor(before));
     }
     let mut items = Vec::new();
-    for job in app.jobs.list(&caller.tenant, query.state, &page.of_store()).await? {
+    for job in app.jobs.list(&caller.tenant, query.state, &filter, &page.of_store()).await? {
         let position = match job.state {
             JobState::Queued => app.store.queue_position(&job.id).await?,
             _ => None,
@@ -132,7 +142,10 @@ async fn get_job(
     current(&app, &caller.tenant, &id).await.map(Json)
 }
 
-/// Change the priority of a waiting job
+/// Change a job
+///
+/// What it is called, at any time; its priority while it waits. A JSON merge patch: what is absent stays, what is null goes.
+/// A job with the label `keep:true` is not deleted by age.
 #[utoipa::path(
     patch, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)), request_body = JobChange,
     responses(
@@ -146,14 +159,31 @@ async fn change_job(
     UrlPath(id): UrlPath<JobId>,
     JsonBody(change): JsonBody<JobChange>,
 ) -> Result<Json<JobView>, Problem> {
-    check_priority(&caller, change.priority)?;
-    let changed = app.jobs.set_priority(&caller.tenant, &id, change.priority).await?;
+    if let Some(priority) = change.priority {
+        check_priority(&caller, priority)?;
+        // Before anything is changed.
+        must_wait(&current(&app, &caller.tenant, &id).await?)?;
+    }
+    marks::change(&app, &caller.tenant, ResourceKind::Job, id.as_str(), &change.marks()).await?;
+    let moved = match change.priority {
+        Some(priority) => app.jobs.set_priority(&caller.tenant, &id, priority).await?,
+        None => true,
+    };
     let job = current(&app, &caller.tenant, &id).await?;
-    if !changed {
-        let detail = format!("the job is {}; only a queued one has a place in the queue", job.state.name());
-        return Err(Problem::conflict("job-not-queued", detail));
+    if !moved {
+        must_wait(&job)?;
     }
     Ok(Json(job))
+}
+
+/// # Errors
+/// 409 unless the job is queued.
+fn must_wait(job: &JobView) -> Result<(), Problem> {
+    if job.state == JobState::Queued {
+        return Ok(());
+    }
+    let detail = format!("the job is {}; only a queued one has a place in the queue", job.state.name());
+    Err(Problem::conflict("job-not-queued", detail))
 }
 
 /// Cancel a job

@@ -5,12 +5,14 @@ use axum::extract::State;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use crate::api::marks::MarksChange;
 use crate::api::models::{FileView, ModelSummary, ModelView};
-use crate::api::{List, ModelId, Problem, TenantId};
+use crate::api::{List, ModelId, Problem, ResourceKind, TenantId};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
-use crate::server::extract::{QueryString, UrlPath};
-use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::server::extract::{JsonBody, QueryString, UrlPath};
+use crate::server::listing::{rfc3339, unknown_cursor};
+use crate::server::marks::{self, MarkedPageQuery};
 use crate::store::{ModelFile, ModelRecord};
 use crate::worker::ModelSource;
 
@@ -19,26 +21,31 @@ const MODEL_FILE: &str = "model.safetensors";
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
-    OpenApiRouter::new().routes(routes!(list_models)).routes(routes!(get_model)).routes(routes!(get_card))
+    OpenApiRouter::new()
+        .routes(routes!(list_models))
+        .routes(routes!(get_model, change_model))
+        .routes(routes!(get_card))
 }
 
 /// List models
 #[utoipa::path(
-    get, path = "/v1/models", tag = "models", params(PageQuery),
+    get, path = "/v1/models", tag = "models", params(MarkedPageQuery),
     responses((status = 200, body = List<ModelSummary>))
 )]
 async fn list_models(
     State(app): State<Shared>,
     caller: Caller,
-    QueryString(query): QueryString<PageQuery>,
+    QueryString(query): QueryString<MarkedPageQuery>,
 ) -> Result<Json<List<ModelSummary>>, Problem> {
-    let page = query.page()?;
+    let (page, filter) = query.parts()?;
+    let page = page.page()?;
     if let Some(before) = page.before()
         && app.store.model(&caller.tenant, &before.into()).await?.is_none()
     {
         return Err(unknown_cursor(before));
     }
-    let items = app.store.models(&caller.tenant, &page.of_store()).await?.into_iter().map(summary).collect();
+    let items =
+        app.store.models(&caller.tenant, &filter, &page.of_store()).await?.into_iter().map(summary).collect();
     Ok(Json(page.list(items, |m: &ModelSummary| m.id.as_str())))
 }
 
@@ -57,6 +64,24 @@ async fn get_model(
     let files = files.into_iter().map(|file| file_view(&id, file)).collect();
     let card = model.card.clone();
     Ok(Json(ModelView { summary: summary(model), files, card }))
+}
+
+/// Change what a model is called
+///
+/// A JSON merge patch: what is absent stays, what is null goes. One with the label `keep:true` is not deleted by age.
+/// A model begins with what its job was called when it ended.
+#[utoipa::path(
+    patch, path = "/v1/models/{id}", tag = "models", params(("id" = String, Path)), request_body = MarksChange,
+    responses((status = 200, body = ModelSummary), (status = 404, body = Problem), (status = 422, body = Problem))
+)]
+async fn change_model(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<ModelId>,
+    JsonBody(change): JsonBody<MarksChange>,
+) -> Result<Json<ModelSummary>, Problem> {
+    marks::change(&app, &caller.tenant, ResourceKind::Model, id.as_str(), &change).await?;
+    Ok(Json(summary(find(&app, &caller.tenant, &id).await?)))
 }
 
 /// Get a model's card
@@ -94,6 +119,7 @@ fn summary(model: ModelRecord) -> ModelSummary {
         job: model.job_id,
         capture: model.capture_id,
         gaussians: model.gaussians,
+        marks: model.marks,
         created_at: rfc3339(model.created_ms),
     }
 }

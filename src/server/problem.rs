@@ -159,6 +159,7 @@ impl From<StoreError> for Problem {
                 let title = "Your tenant may have no more of these";
                 Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", title).detail(error.to_string())
             }
+            StoreError::BadMarks { field, why } => Self::invalid_field(format!("/{field}"), why),
             StoreError::TooManyWebhooks { .. } => Self::conflict("quota-exceeded", error.to_string()),
             StoreError::OverLimit { .. } => {
                 Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-limit", "The server may store no more")

@@ -3,7 +3,8 @@
 use sqlx::types::Json;
 
 use crate::api::{CaptureId, TenantId, UploadId};
-use crate::store::{CaptureRecord, Page, Store, StoreError};
+use crate::store::marks::{filtered, wanted};
+use crate::store::{CaptureRecord, Filter, Page, Store, StoreError};
 
 impl Store {
     /// Records a capture, or returns the one of the same tenant and content that was there first. The upload that it is made of is
@@ -72,17 +73,24 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Captures of a tenant, newest first.
+    /// Captures of a tenant that are called so, newest first.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn captures(&self, tenant: &TenantId, page: &Page) -> Result<Vec<CaptureRecord>, StoreError> {
-        let query = sqlx::query_as(
-            "SELECT * FROM captures
-             WHERE tenant = ?3 AND deleted_ms IS NULL
-               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM captures WHERE id = ?1))
-             ORDER BY created_ms DESC, id DESC LIMIT ?2",
+    pub async fn captures(
+        &self,
+        tenant: &TenantId,
+        filter: &Filter,
+        page: &Page,
+    ) -> Result<Vec<CaptureRecord>, StoreError> {
+        let query = concat!(
+            "SELECT * FROM captures WHERE ",
+            wanted!(),
+            " AND tenant = ?6 AND deleted_ms IS NULL
+               AND (?4 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM captures WHERE id = ?4))
+             ORDER BY created_ms DESC, id DESC LIMIT ?5"
         );
-        Ok(query.bind(&page.before).bind(page.limit).bind(tenant).fetch_all(self.pool()).await?)
+        let query = filtered(query, filter).bind(&page.before).bind(page.limit).bind(tenant);
+        Ok(query.fetch_all(self.pool()).await?)
     }
 }

@@ -3,7 +3,8 @@
 use sqlx::types::Json;
 
 use crate::api::{EnvironmentId, TenantId};
-use crate::store::{EnvironmentRecord, Page, Store, StoreError};
+use crate::store::marks::{filtered, wanted};
+use crate::store::{EnvironmentRecord, Filter, Page, Store, StoreError};
 
 impl Store {
     /// Records an environment, or returns the one of the same tenant and content that was there first.
@@ -23,7 +24,7 @@ impl Store {
         )
         .bind(&env.id)
         .bind(&env.sha256)
-        .bind(&env.name)
+        .bind(&env.marks.name)
         .bind(env.bytes)
         .bind(&env.artifact)
         .bind(env.width)
@@ -73,21 +74,24 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Environments of a tenant, newest first.
+    /// Environments of a tenant that are called so, newest first.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn environments(
         &self,
         tenant: &TenantId,
+        filter: &Filter,
         page: &Page,
     ) -> Result<Vec<EnvironmentRecord>, StoreError> {
-        let query = sqlx::query_as(
-            "SELECT * FROM environments
-             WHERE tenant = ?3 AND deleted_ms IS NULL
-               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM environments WHERE id = ?1))
-             ORDER BY created_ms DESC, id DESC LIMIT ?2",
+        let query = concat!(
+            "SELECT * FROM environments WHERE ",
+            wanted!(),
+            " AND tenant = ?6 AND deleted_ms IS NULL
+               AND (?4 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM environments WHERE id = ?4))
+             ORDER BY created_ms DESC, id DESC LIMIT ?5"
         );
-        Ok(query.bind(&page.before).bind(page.limit).bind(tenant).fetch_all(self.pool()).await?)
+        let query = filtered(query, filter).bind(&page.before).bind(page.limit).bind(tenant);
+        Ok(query.fetch_all(self.pool()).await?)
     }
 }

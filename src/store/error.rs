@@ -73,6 +73,14 @@ pub enum StoreError {
     /// What the request names was deleted meanwhile.
     #[error("{0} was deleted")]
     Deleted(ResourceName),
+    /// A thing may not be called so.
+    #[error("{field}: {why}")]
+    BadMarks {
+        /// The field that is wrong.
+        field: &'static str,
+        /// What is wrong with it.
+        why: String,
+    },
     /// A tenant has as many webhooks as it may.
     #[error("a tenant has at most {most} webhooks")]
     TooManyWebhooks {

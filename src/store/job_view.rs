@@ -9,6 +9,7 @@ impl JobRecord {
         let detail = self.error_detail.unwrap_or_default();
         JobView {
             id: self.id,
+            marks: self.request.marks(),
             capture: self.request.capture,
             retry_of: self.retry_of,
             preset: self.request.preset,

@@ -8,7 +8,8 @@ use crate::api::jobs::JobState;
 use crate::api::{JobId, TenantId};
 use crate::store::deletion::check_still_there;
 use crate::store::idempotency::{remember, replay};
-use crate::store::{IdempotencyKey, JobRecord, Page, Store, StoreError, events};
+use crate::store::marks::{filtered, wanted};
+use crate::store::{Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, events};
 
 /// Outcome of a submission.
 #[derive(Debug, Clone)]
@@ -76,7 +77,7 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Jobs of a tenant, newest first, of one state or of all.
+    /// Jobs of a tenant that are called so, newest first, of one state or of all.
     ///
     /// # Errors
     /// When the database fails.
@@ -84,16 +85,19 @@ impl Store {
         &self,
         tenant: &TenantId,
         state: Option<JobState>,
+        filter: &Filter,
         page: &Page,
     ) -> Result<Vec<JobRecord>, StoreError> {
-        let query = sqlx::query_as(
-            "SELECT * FROM jobs
-             WHERE tenant = ?4 AND deleted_ms IS NULL
-               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM jobs WHERE id = ?1))
-               AND (?2 IS NULL OR state = ?2)
-             ORDER BY created_ms DESC, id DESC LIMIT ?3",
+        let query = concat!(
+            "SELECT * FROM jobs WHERE ",
+            wanted!(),
+            " AND tenant = ?7 AND deleted_ms IS NULL
+               AND (?4 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM jobs WHERE id = ?4))
+               AND (?5 IS NULL OR state = ?5)
+             ORDER BY created_ms DESC, id DESC LIMIT ?6"
         );
-        Ok(query.bind(&page.before).bind(state).bind(page.limit).bind(tenant).fetch_all(self.pool()).await?)
+        let query = filtered(query, filter).bind(&page.before).bind(state).bind(page.limit).bind(tenant);
+        Ok(query.fetch_all(self.pool()).await?)
     }
 
     /// How many queued jobs, of whichever tenant, run before this one; `None` when it is not queued.
@@ -180,8 +184,8 @@ async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &JobRecord) -> Result<(),
     let query = sqlx::query(
         "INSERT INTO jobs
              (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms, tenant,
-              quality_gate)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)",
+              quality_gate, name, external_id, labels)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15)",
     );
     query
         .bind(&job.id)
@@ -196,6 +200,9 @@ async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &JobRecord) -> Result<(),
         .bind(job.created_ms)
         .bind(&job.tenant)
         .bind(Json(&job.request.quality_gate))
+        .bind(&job.request.name)
+        .bind(&job.request.external_id)
+        .bind(Json(&job.request.labels))
         .execute(&mut **tx)
         .await?;
     Ok(())

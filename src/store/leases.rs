@@ -324,8 +324,8 @@ async fn insert_model(
     files: &[ModelFile],
 ) -> Result<(), StoreError> {
     sqlx::query(
-        "INSERT INTO models (id, job_id, capture_id, gaussians, card, created_ms, tenant)
-         SELECT ?1, id, ?3, ?4, ?5, ?6, tenant FROM jobs WHERE id = ?2",
+        "INSERT INTO models (id, job_id, capture_id, gaussians, card, created_ms, tenant, name, external_id, labels)
+         SELECT ?1, id, ?3, ?4, ?5, ?6, tenant, name, external_id, labels FROM jobs WHERE id = ?2",
     )
     .bind(&model.id)
     .bind(&model.job_id)

@@ -26,6 +26,7 @@ mod key_token;
 mod keys;
 mod leases;
 mod ledger;
+mod marks;
 mod models;
 mod node_lock;
 mod quota;
@@ -69,6 +70,7 @@ pub use jobs::{CancelOutcome, Submitted};
 pub use key_token::KeyToken;
 pub use keys::{NewKeyRecord, has_keys};
 pub use leases::{LeaseStatus, Release};
+pub use marks::Filter;
 pub use node_lock::NodeLock;
 pub use quota::Quota;
 pub use records::{

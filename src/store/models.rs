@@ -1,7 +1,8 @@
 //! Published models.
 
 use crate::api::{ModelId, TenantId};
-use crate::store::{ModelFile, ModelRecord, Page, Store, StoreError};
+use crate::store::marks::{filtered, wanted};
+use crate::store::{Filter, ModelFile, ModelRecord, Page, Store, StoreError};
 
 impl Store {
     /// A model of a tenant by identifier.
@@ -16,18 +17,25 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Models of a tenant, newest first.
+    /// Models of a tenant that are called so, newest first.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn models(&self, tenant: &TenantId, page: &Page) -> Result<Vec<ModelRecord>, StoreError> {
-        let query = sqlx::query_as(
-            "SELECT * FROM models
-             WHERE tenant = ?3 AND deleted_ms IS NULL
-               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM models WHERE id = ?1))
-             ORDER BY created_ms DESC, id DESC LIMIT ?2",
+    pub async fn models(
+        &self,
+        tenant: &TenantId,
+        filter: &Filter,
+        page: &Page,
+    ) -> Result<Vec<ModelRecord>, StoreError> {
+        let query = concat!(
+            "SELECT * FROM models WHERE ",
+            wanted!(),
+            " AND tenant = ?6 AND deleted_ms IS NULL
+               AND (?4 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM models WHERE id = ?4))
+             ORDER BY created_ms DESC, id DESC LIMIT ?5"
         );
-        Ok(query.bind(&page.before).bind(page.limit).bind(tenant).fetch_all(self.pool()).await?)
+        let query = filtered(query, filter).bind(&page.before).bind(page.limit).bind(tenant);
+        Ok(query.fetch_all(self.pool()).await?)
     }
 
     /// The files of a model, by name.
@@ -37,7 +45,7 @@ impl Store {
     pub async fn model_files(&self, tenant: &TenantId, id: &ModelId) -> Result<Vec<ModelFile>, StoreError> {
         let query = sqlx::query_as(
             "SELECT model_files.* FROM model_files JOIN models ON models.id = model_id
-             WHERE model_id = ?1 AND tenant = ?2 AND deleted_ms IS NULL ORDER BY name",
+             WHERE model_id = ?1 AND tenant = ?2 AND deleted_ms IS NULL ORDER BY model_files.name",
         );
         Ok(query.bind(id).bind(tenant).fetch_all(self.pool()).await?)
     }
@@ -72,7 +80,7 @@ impl Store {
     ) -> Result<Option<ModelFile>, StoreError> {
         let query = sqlx::query_as(
             "SELECT model_files.* FROM model_files JOIN models ON models.id = model_id
-             WHERE model_id = ?1 AND name = ?2 AND tenant = ?3 AND deleted_ms IS NULL",
+             WHERE model_id = ?1 AND model_files.name = ?2 AND tenant = ?3 AND deleted_ms IS NULL",
         );
         Ok(query.bind(id).bind(name).bind(tenant).fetch_optional(self.pool()).await?)
     }

@@ -4,6 +4,7 @@ use sqlx::FromRow;
 
 use crate::api::jobs::{JobProgress, JobState, NewJob};
 use crate::api::keys::Scope;
+use crate::api::marks::Marks;
 use crate::api::quality::Figures;
 use crate::api::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId};
 use crate::capture::CaptureReport;
@@ -19,6 +20,9 @@ pub struct CaptureRecord {
     pub bytes: i64,
     /// Key of the archive in the artifact store.
     pub artifact: String,
+    /// What it is called.
+    #[sqlx(flatten)]
+    pub marks: Marks,
     /// What validation found.
     #[sqlx(json)]
     pub report: CaptureReport,
@@ -33,8 +37,9 @@ pub struct EnvironmentRecord {
     pub id: EnvironmentId,
     /// Hash of the file's bytes, lower-case hex.
     pub sha256: String,
-    /// The uploader's name for it.
-    pub name: Option<String>,
+    /// What it is called.
+    #[sqlx(flatten)]
+    pub marks: Marks,
     /// Size of the file.
     pub bytes: i64,
     /// Key of the file in the artifact store.
@@ -149,6 +154,9 @@ pub struct ModelRecord {
     pub capture_id: CaptureId,
     /// Number of Gaussians.
     pub gaussians: i64,
+    /// What it is called.
+    #[sqlx(flatten)]
+    pub marks: Marks,
     /// The model card.
     #[sqlx(json)]
     pub card: serde_json::Value,

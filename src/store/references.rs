@@ -24,7 +24,7 @@ pub(super) async fn references(pool: &SqlitePool) -> Result<Vec<Reference>, Stor
     let query = sqlx::query_as(
         "SELECT artifact, sha256, 'capture ' || id AS owner FROM captures WHERE deleted_ms IS NULL
          UNION ALL SELECT artifact, sha256, 'environment ' || id FROM environments WHERE deleted_ms IS NULL
-         UNION ALL SELECT artifact, sha256, 'model ' || model_id || ', ' || name FROM model_files
+         UNION ALL SELECT artifact, sha256, 'model ' || model_id || ', ' || model_files.name FROM model_files
              JOIN models ON models.id = model_id WHERE deleted_ms IS NULL
          UNION ALL SELECT 'uploads/' || id, NULL, 'upload ' || id FROM uploads
          UNION ALL SELECT checkpoint, checkpoint_sha256, 'checkpoint of job ' || id FROM jobs

@@ -5,7 +5,7 @@ use std::time::Duration;
 use crate::api::{ResourceKind, ResourceName, TenantId};
 use crate::store::{Deletion, Store, StoreError};
 
-/// How long things are kept; what has no time is kept until it is deleted.
+/// How long things are kept; what has no time, or the label `keep:true`, is kept until it is deleted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Retention {
     /// Jobs, since they ended.
@@ -17,22 +17,27 @@ pub struct Retention {
 }
 
 /// The things of a kind that are older than `?1`, oldest first; few at a time, so that no sweep takes long.
+/// A label `keep:true` keeps them.
 const EXPIRED: [(ResourceKind, &str); 3] = [
     (
         ResourceKind::Job,
         "SELECT id, tenant FROM jobs WHERE deleted_ms IS NULL AND finished_ms < ?1
+             AND NOT EXISTS (SELECT 1 FROM json_each(labels) WHERE key = 'keep' AND value = 'true')
              AND state IN ('succeeded', 'rejected', 'failed', 'cancelled') ORDER BY finished_ms LIMIT 1000",
     ),
     (
         ResourceKind::Capture,
-        "SELECT id, tenant FROM captures WHERE deleted_ms IS NULL AND created_ms < ?1 AND NOT EXISTS
+        "SELECT id, tenant FROM captures WHERE deleted_ms IS NULL AND created_ms < ?1
+             AND NOT EXISTS (SELECT 1 FROM json_each(labels) WHERE key = 'keep' AND value = 'true') AND NOT EXISTS
              (SELECT 1 FROM jobs WHERE capture_id = captures.id AND deleted_ms IS NULL
                   AND (state NOT IN ('succeeded', 'rejected') OR created_ms >= ?1))
          ORDER BY created_ms LIMIT 1000",
     ),
     (
         ResourceKind::Model,
-        "SELECT id, tenant FROM models WHERE deleted_ms IS NULL AND created_ms < ?1 ORDER BY created_ms LIMIT 1000",
+        "SELECT id, tenant FROM models WHERE deleted_ms IS NULL AND created_ms < ?1
+             AND NOT EXISTS (SELECT 1 FROM json_each(labels) WHERE key = 'keep' AND value = 'true')
+         ORDER BY created_ms LIMIT 1000",
     ),
 ];
 

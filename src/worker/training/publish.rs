@@ -47,6 +47,8 @@ fn record(lease: &Lease, seconds: f64, model: &Model, figures: &Figures) -> Mode
         job_id: job.id.clone(),
         capture_id: job.request.capture.clone(),
         gaussians: i64::try_from(model.gaussians.len()).unwrap_or(i64::MAX),
+        // The store gives it those of its job.
+        marks: job.request.marks(),
         card: published_card(model, seconds, figures),
         created_ms: lease.jobs().now_ms(),
     }

@@ -1,0 +1,92 @@
+//! What things are called: changed, and looked for.
+
+use std::collections::BTreeMap;
+
+use sqlx::Sqlite;
+use sqlx::query::QueryAs;
+use sqlx::sqlite::SqliteArguments;
+use sqlx::types::Json;
+
+use crate::api::marks::{Marks, MarksChange};
+use crate::api::{ResourceKind, ResourceName, TenantId};
+use crate::store::{Store, StoreError};
+
+/// Which things of a list are wanted; all where nothing is said.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Filter {
+    /// Only those with this name.
+    pub name: Option<String>,
+    /// Only those that another system calls so.
+    pub external_id: Option<String>,
+    /// Only those with all of these labels.
+    pub labels: BTreeMap<String, String>,
+}
+
+/// A condition for a [`Filter`] that is bound first: `?1` to `?3`.
+macro_rules! wanted {
+    () => {
+        "(?1 IS NULL OR name = ?1) AND (?2 IS NULL OR external_id = ?2)
+           AND NOT EXISTS (SELECT 1 FROM json_each(?3) AS asked WHERE NOT EXISTS
+               (SELECT 1 FROM json_each(labels) AS own WHERE own.key = asked.key AND own.value = asked.value))"
+    };
+}
+pub(super) use wanted;
+
+/// A query with `wanted!()` in it, for this filter; `?4` and further are to be bound.
+pub(super) fn filtered<'q, T>(
+    query: &'static str,
+    filter: &'q Filter,
+) -> QueryAs<'q, Sqlite, T, SqliteArguments>
+where
+    T: for<'r> sqlx::FromRow<'r, sqlx::sqlite::SqliteRow>,
+{
+    sqlx::query_as(query).bind(&filter.name).bind(&filter.external_id).bind(Json(&filter.labels))
+}
+
+impl Store {
+    /// Changes what a thing of a tenant is called; `None` when there is none.
+    ///
+    /// # Errors
+    /// [`StoreError::BadMarks`] when it may not be called so; when the database fails.
+    pub async fn change_marks(
+        &self,
+        tenant: &TenantId,
+        what: &ResourceName,
+        change: &MarksChange,
+    ) -> Result<Option<Marks>, StoreError> {
+        let (select, update) = statements(what.kind);
+        let mut tx = self.write().await?;
+        let found: Option<Marks> =
+            sqlx::query_as(select).bind(&what.id).bind(tenant).fetch_optional(&mut *tx).await?;
+        let Some(marks) = found.map(|marks| marks.changed(change)) else { return Ok(None) };
+        if let Some((field, why)) = marks.fault() {
+            return Err(StoreError::BadMarks { field, why });
+        }
+        let query = sqlx::query(update).bind(&what.id).bind(&marks.name).bind(&marks.external_id);
+        query.bind(Json(&marks.labels)).execute(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(Some(marks))
+    }
+}
+
+/// Reads and writes what the thing `?1` (of the tenant `?2`, where it is read) is called.
+fn statements(kind: ResourceKind) -> (&'static str, &'static str) {
+    macro_rules! of {
+        ($table:literal) => {
+            (
+                concat!(
+                    "SELECT name, external_id, labels FROM ",
+                    $table,
+                    " WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL"
+                ),
+                concat!("UPDATE ", $table, " SET name = ?2, external_id = ?3, labels = ?4 WHERE id = ?1"),
+            )
+        };
+    }
+    match kind {
+        ResourceKind::Capture => of!("captures"),
+        ResourceKind::Environment => of!("environments"),
+        ResourceKind::Job => of!("jobs"),
+        ResourceKind::Model => of!("models"),
+    }
+}

@@ -1,0 +1,238 @@
+//! What things are called: names, identifiers of other systems, labels; and finding and keeping things by them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use relume::api::jobs::{JobChange, NewJob};
+use relume::api::marks::MarksChange;
+use relume::client::Client;
+use relume::jobs::ManualClock;
+use relume::store::Retention;
+use relume::testing;
+use reqwest::Method;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::service_support::{CaptureZip, capture_zip, ended, small_job};
+
+async fn ask(client: &Client, method: Method, path: &str, body: Option<Value>) -> (u16, Value) {
+    let request = client.request(method, path).unwrap();
+    let request = match body {
+        Some(body) => request.json(&body),
+        None => request,
+    };
+    let answer = request.send().await.unwrap();
+    (answer.status().as_u16(), serde_json::from_str(&answer.text().await.unwrap()).unwrap_or_default())
+}
+
+async fn get(client: &Client, path: &str) -> Value {
+    let (status, answer) = ask(client, Method::GET, path, None).await;
+    assert_eq!(status, 200, "{path}: {answer}");
+    answer
+}
+
+/// Uploads a file under a path with a query.
+async fn upload(client: &Client, path: &str, file: Vec<u8>) -> (u16, Value) {
+    let request = client.request(Method::POST, path).unwrap();
+    let request = request.header("content-type", "application/octet-stream").body(file);
+    let answer = request.send().await.unwrap();
+    (answer.status().as_u16(), serde_json::from_str(&answer.text().await.unwrap()).unwrap())
+}
+
+fn map() -> Vec<u8> {
+    relume::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap()
+}
+
+/// What a thing is called.
+fn marks(of: &Value) -> Value {
+    json!([of["name"], of["external_id"], of["labels"]])
+}
+
+fn change(body: Value) -> MarksChange {
+    serde_json::from_value(body).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn things_are_called_what_was_said_when_they_were_made_and_a_model_what_its_job_is() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let query = "name=Lion%20head&external_id=asset-7&labels=show:alpha,shot:sc-010";
+    let called = json!(["Lion head", "asset-7", { "show": "alpha", "shot": "sc-010" }]);
+    let (status, capture) = upload(client, &format!("/v1/captures?{query}"), capture_zip()).await;
+    assert_eq!((status, marks(&capture)), (201, called.clone()));
+    let (status, light) = upload(client, &format!("/v1/environments?{query}"), map()).await;
+    assert_eq!((status, marks(&light)), (201, called.clone()));
+    let id = capture["id"].as_str().unwrap();
+    let job = NewJob {
+        name: Some("Lion head".into()),
+        external_id: Some("asset-7".into()),
+        labels: [("show", "alpha"), ("shot", "sc-010")].map(|(k, v)| (k.into(), v.into())).into(),
+        ..small_job(&id.into(), 5, 5)
+    };
+    let job = client.create_job(&job, None).await.unwrap();
+    // Called otherwise while it waits or trains: the model is called what the job is at its end.
+    let raised = serde_json::from_value::<JobChange>(json!({ "labels": { "shot": null, "take": "2" } }));
+    client.change_job(&job.id, &raised.unwrap()).await.unwrap();
+    let job = ended(client, &job.id).await;
+    let model = job.model.clone().unwrap();
+    let of_job = get(client, &format!("/v1/jobs/{}", job.id)).await;
+    let of_model = get(client, &format!("/v1/models/{model}")).await;
+    assert_eq!(of_job["labels"]["show"], "alpha");
+    assert_eq!(of_job["labels"]["take"], "2");
+    assert_eq!(of_model["name"], "Lion head");
+    assert_eq!(of_model["external_id"], "asset-7");
+    assert_eq!(of_model["labels"]["show"], "alpha");
+    // The same content again is called what the last upload says, where it says something.
+    let (status, again) = upload(client, "/v1/captures?labels=take:2", capture_zip()).await;
+    assert_eq!((status, &again["id"]), (200, &capture["id"]));
+    let labels = json!({ "show": "alpha", "shot": "sc-010", "take": "2" });
+    assert_eq!(marks(&again), json!(["Lion head", "asset-7", labels]));
+    let (_, again) = upload(client, "/v1/captures", capture_zip()).await;
+    assert_eq!(again["labels"], labels);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn lists_have_what_is_called_so_and_nothing_else() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let (_, first) = upload(client, "/v1/captures?name=a&labels=show:x,shot:1", capture_zip()).await;
+    let zip = CaptureZip::new(9, 32).zip();
+    let (_, second) = upload(client, "/v1/captures?external_id=e&labels=show:x,shot:2", zip).await;
+    let found = async |path: &str| -> Vec<Value> {
+        let list = get(client, path).await;
+        list["items"].as_array().unwrap().iter().map(|item| item["id"].clone()).collect()
+    };
+    let (first, second) = (first["id"].clone(), second["id"].clone());
+    for (query, expected) in [
+        ("", vec![&second, &first]),
+        ("?label=show:x", vec![&second, &first]),
+        ("?label=shot:1", vec![&first]),
+        ("?label=show:x,shot:2", vec![&second]),
+        ("?label=shot:1,shot2:2", vec![]),
+        ("?label=shot:3", vec![]),
+        ("?name=a", vec![&first]),
+        ("?external_id=e", vec![&second]),
+        ("?external_id=e&name=a", vec![]),
+    ] {
+        let found = found(&format!("/v1/captures{query}")).await;
+        assert_eq!(found.iter().collect::<Vec<_>>(), expected, "{query}");
+    }
+    // A page of what is left goes on after what is left out.
+    let page = get(client, "/v1/captures?label=show:x&limit=1").await;
+    assert_eq!((&page["items"][0]["id"], &page["next"]), (&second, &second));
+    let next =
+        get(client, &format!("/v1/captures?label=show:x&limit=1&before={}", second.as_str().unwrap())).await;
+    assert_eq!((&next["items"][0]["id"], &next["next"]), (&first, &json!(null)));
+
+    let mut job = small_job(&first.as_str().unwrap().into(), 3, 5);
+    job.external_id = Some("farm-1".into());
+    let with = client.create_job(&job, None).await.unwrap();
+    let without = client.create_job(&small_job(&job.capture, 3, 5), None).await.unwrap();
+    ended(client, &with.id).await;
+    let with_model = ended(client, &without.id).await.model.unwrap();
+    assert_eq!(found("/v1/jobs?external_id=farm-1").await, [json!(with.id)]);
+    assert_eq!(found("/v1/jobs?external_id=farm-1&state=failed").await, [json!(null); 0]);
+    assert_eq!(found("/v1/models?external_id=farm-1").await.len(), 1);
+    client.change_model(&with_model, &change(json!({ "name": "best" }))).await.unwrap();
+    assert_eq!(found("/v1/models?name=best").await, [json!(with_model)]);
+    upload(client, "/v1/environments?labels=sky:clear", map()).await;
+    assert_eq!(found("/v1/environments?label=sky:clear").await.len(), 1);
+    assert_eq!(found("/v1/environments?label=sky:grey").await.len(), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_thing_may_not_be_called_is_refused_by_field_and_changes_nothing() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let long = "n".repeat(201);
+    for (query, pointer) in [
+        ("name=".to_owned(), "query/name"),
+        (format!("name={long}"), "query/name"),
+        (format!("external_id={long}"), "query/external_id"),
+        ("labels=a".to_owned(), "query/labels"),
+        ("labels=a%20b:c".to_owned(), "query/labels"),
+        ("labels=a:1,a:2".to_owned(), "query/labels"),
+        ("label=a:1".to_owned(), "query/label"),
+    ] {
+        for path in ["/v1/captures", "/v1/environments"] {
+            let (status, refused) = upload(client, &format!("{path}?{query}"), b"no".to_vec()).await;
+            assert_eq!(
+                (status, &refused["errors"][0]["pointer"]),
+                (422, &json!(pointer)),
+                "{query}: {refused}"
+            );
+        }
+    }
+    let (_, capture) = upload(client, "/v1/captures?labels=a:1", capture_zip()).await;
+    let path = format!("/v1/captures/{}", capture["id"].as_str().unwrap());
+    let many: serde_json::Map<String, Value> = (0..16).map(|n| (format!("k{n}"), json!("v"))).collect();
+    for (body, pointer) in [
+        (json!({ "name": "" }), "/name"),
+        (json!({ "external_id": long }), "/external_id"),
+        (json!({ "name": "x", "labels": { "a b": "c" } }), "/labels"),
+        (json!({ "name": "x", "labels": many }), "/labels"),
+        (json!({ "colour": 1 }), "/colour"),
+    ] {
+        let (status, refused) = ask(client, Method::PATCH, &path, Some(body)).await;
+        assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!(pointer)), "{refused}");
+    }
+    assert_eq!(marks(&get(client, &path).await), json!([null, null, { "a": "1" }]));
+    let job = json!({ "capture": capture["id"], "labels": { "a": "" } });
+    let (status, refused) = ask(client, Method::POST, "/v1/jobs", Some(job)).await;
+    assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!("/labels")), "{refused}");
+    let wrong = ask(client, Method::GET, "/v1/jobs?label=x", None).await;
+    assert_eq!((wrong.0, &wrong.1["errors"][0]["pointer"]), (422, &json!("query/label")));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_has_ended_changes_its_name_and_not_its_place() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = client.create_job(&small_job(&capture.id, 3, 5), None).await.unwrap();
+    ended(client, &job.id).await;
+    let path = format!("/v1/jobs/{}", job.id);
+    let body = json!({ "priority": 1, "name": "late" });
+    let (status, refused) = ask(client, Method::PATCH, &path, Some(body)).await;
+    assert_eq!((status, &refused["type"]), (409, &json!("urn:relume:problem:job-not-queued")));
+    assert_eq!(get(client, &path).await["name"], json!(null), "nothing of it was changed");
+    let (status, changed) = ask(client, Method::PATCH, &path, Some(json!({ "name": "late" }))).await;
+    assert_eq!((status, &changed["name"]), (200, &json!("late")));
+    let (status, changed) = ask(client, Method::PATCH, &path, Some(json!({ "name": null }))).await;
+    assert_eq!((status, &changed["name"]), (200, &json!(null)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_labelled_to_be_kept_is_not_deleted_by_age() {
+    let clock = Arc::new(ManualClock::default());
+    let day = Duration::from_secs(24 * 3600);
+    let with = |keep: Option<Duration>| {
+        let clock = clock.clone();
+        move |config: &mut relume::server::ServerConfig| {
+            config.retention = Retention { jobs: keep, captures: keep, models: keep };
+            config.clock = clock;
+        }
+    };
+    let server = testing::spawn_with(TempDir::new().unwrap(), with(None)).await.unwrap();
+    let client = server.client();
+    let kept = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    client.change_capture(&kept.id, &change(json!({ "labels": { "keep": "true" } }))).await.unwrap();
+    let other = client.upload_capture_bytes(CaptureZip::new(9, 32).zip()).await.unwrap();
+    client.change_capture(&other.id, &change(json!({ "labels": { "keep": "false" } }))).await.unwrap();
+    let mut job = small_job(&kept.id, 3, 5);
+    let goes = client.create_job(&job, None).await.unwrap();
+    job.labels = [("keep".to_owned(), "true".to_owned())].into();
+    let stays = client.create_job(&job, None).await.unwrap();
+    let goes_model = ended(client, &goes.id).await.model.unwrap();
+    let stays_model = ended(client, &stays.id).await.model.unwrap();
+    clock.advance(20 * day);
+    let data = server.stop().await.unwrap();
+    let server = testing::spawn_with(data, with(Some(10 * day))).await.unwrap();
+    // Stopped, so that its first look is over.
+    let data = server.stop().await.unwrap();
+    let server = testing::spawn_with(data, with(None)).await.unwrap();
+    let client = server.client();
+    assert!(client.capture(&kept.id).await.is_ok() && client.capture(&other.id).await.is_err());
+    assert!(client.job(&stays.id).await.is_ok() && client.job(&goes.id).await.is_err());
+    assert!(client.model(&stays_model).await.is_ok() && client.model(&goes_model).await.is_err());
+}
