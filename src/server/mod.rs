@@ -46,6 +46,7 @@ mod thumbnails;
 mod upload;
 mod uploads;
 mod usage;
+mod validation;
 
 pub use app::RequestLimits;
 pub use auth::ApiKeys;
