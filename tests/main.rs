@@ -38,6 +38,7 @@ mod service_signed_urls;
 mod service_support;
 mod service_tenants;
 mod service_uploads;
+mod service_validation;
 mod stored_files;
 mod tiers;
 mod training;

@@ -7,6 +7,10 @@ CREATE TABLE uploads (
     metadata    TEXT,
     created_ms  INTEGER NOT NULL,
     expires_ms  INTEGER NOT NULL,
+    -- The capture that is being made of it, its hash, and why none could be made (JSON).
+    capture_id  TEXT UNIQUE,
+    sha256      TEXT,
+    problem     TEXT,
     CHECK (received BETWEEN 0 AND length)
 ) STRICT;
 

@@ -2,11 +2,25 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::api::CaptureId;
 use crate::api::marks::Marks;
+use crate::api::{CaptureId, Problem, UploadId};
 use crate::capture::CaptureReport;
 
-/// An accepted capture.
+/// Where a capture stands.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
+pub enum CaptureState {
+    /// Jobs may use it.
+    #[default]
+    Ready,
+    /// It is being made of its upload.
+    Validating,
+    /// It could not be made of its upload, which stays for a while; `problem` says why.
+    Invalid,
+}
+
+/// A capture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema), schema(as = CaptureView))]
 pub struct CaptureSummary {
@@ -22,6 +36,16 @@ pub struct CaptureSummary {
     pub marks: Marks,
     /// RFC 3339.
     pub created_at: String,
-    /// What validation found.
+    /// Where it stands.
+    #[serde(default)]
+    pub state: CaptureState,
+    /// Why it is invalid.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub problem: Option<Problem>,
+    /// The upload that it is being made of, or could not be made of.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[cfg_attr(feature = "server", schema(value_type = Option<String>))]
+    pub upload: Option<UploadId>,
+    /// What validation found; nothing before it is `ready`.
     pub report: CaptureReport,
 }

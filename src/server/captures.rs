@@ -7,12 +7,11 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::captures::CaptureSummary;
+use crate::api::captures::{CaptureState, CaptureSummary};
 use crate::api::marks::{Marks, MarksChange};
-use crate::api::problem::ContentError;
 use crate::api::uploads::FromUpload;
 use crate::api::{CaptureId, List, Problem, ResourceKind, ResourceName, TenantId};
-use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
+use crate::capture::CaptureReport;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::{ArchiveForm, File};
@@ -21,6 +20,7 @@ use crate::server::listing::{rfc3339, unknown_cursor};
 use crate::server::marks::{self, MarkedPageQuery, MarksQuery};
 use crate::server::upload::{self, Expected};
 use crate::server::uploads;
+use crate::server::validation;
 use crate::store::{CaptureRecord, Incoming};
 
 /// The routes of this file that take no archives.
@@ -38,15 +38,22 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
 /// A zip, tar or tar.gz, as the raw body, as the multipart field `archive`, or as the complete upload that JSON names (see
 /// `/v1/uploads`), which is gone then. It is streamed to disk, hashed and
 /// validated; 201 means that every byte is durable. The same content again gives the same capture and 200, called as
-/// the last upload calls it.
+/// the last upload calls it. With `Prefer: respond-async` the answer is 202 once every byte is durable: the capture is
+/// `validating` then, and `Location` tells when it is `ready` or `invalid`. Lists have it once it is `ready`; it gets names and
+/// labels by `PATCH` from then on.
 #[utoipa::path(
-    post, path = "/v1/captures", tag = "captures", params(MarksQuery),
+    post, path = "/v1/captures", tag = "captures",
+    params(
+        MarksQuery,
+        ("Prefer" = Option<String>, Header, description = "`respond-async`: do not wait for the validation")
+    ),
     request_body(content(
         (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
         (ArchiveForm = "multipart/form-data"), (FromUpload = "application/json")
     )),
     responses(
         (status = 201, body = CaptureSummary), (status = 200, body = CaptureSummary, description = "Stored before"),
+        (status = 202, body = CaptureSummary, description = "Stored, and being validated"),
         (status = 409, body = Problem, description = "The upload is incomplete, or in use"),
         (status = 413, body = Problem), (status = 415, body = Problem),
         (status = 422, body = Problem, description = "Refused; names the file and field"),
@@ -60,6 +67,12 @@ async fn upload_capture(
     request: Request,
 ) -> Result<Response, Problem> {
     let marks = query.marks()?;
+    let later = validation::is_preferred(request.headers());
+    if later && marks != Marks::default() {
+        let detail =
+            "cannot be given together with Prefer: respond-async; PATCH the capture once it is ready";
+        return Err(Problem::invalid_field("query", detail));
+    }
     let mut incoming = receive(&app, &caller, request).await?;
     if let Some(known) = app.store.capture_by_hash(&caller.tenant, &incoming.sha256).await? {
         match app.store.mend(incoming, &known.artifact).await? {
@@ -68,17 +81,10 @@ async fn upload_capture(
             Some(given_back) => incoming = given_back,
         }
     }
-    let report = validate(&app, &incoming).await?;
-    let record = CaptureRecord {
-        id: app.jobs.fresh_id(),
-        sha256: incoming.sha256.clone(),
-        bytes: i64::try_from(incoming.bytes).unwrap_or(i64::MAX),
-        artifact: format!("captures/{}", incoming.sha256),
-        marks: Marks::default(),
-        report,
-        created_ms: app.jobs.now_ms(),
-    };
-    let stored = app.store.keep_capture(incoming, &caller.tenant, &record).await?;
+    if later {
+        return validation::begin(&app, &caller, incoming).await;
+    }
+    let stored = validation::make(&app, &caller.tenant, app.jobs.fresh_id(), incoming).await?;
     let location = format!("/v1/captures/{}", stored.id);
     let stored = marked(&app, &caller.tenant, stored, marks).await?;
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(stored)).into_response())
@@ -113,7 +119,7 @@ async fn validate_capture(
     request: Request,
 ) -> Result<Json<CaptureReport>, Problem> {
     let incoming = receive(&app, &caller, request).await?;
-    Ok(Json(validate(&app, &incoming).await?))
+    Ok(Json(validation::validate(&app, &incoming).await?))
 }
 
 /// List captures
@@ -148,7 +154,13 @@ async fn get_capture(
     caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
 ) -> Result<Json<CaptureSummary>, Problem> {
-    find(&app, &caller.tenant, &id).await.map(Json)
+    // What is being made is asked for first: it becomes a capture, never the other way.
+    let upload = app.store.upload_for(&caller.tenant, &id).await?;
+    match (app.store.capture(&caller.tenant, &id).await?, upload) {
+        (Some(record), _) => Ok(Json(view(record))),
+        (None, Some(upload)) => Ok(Json(validation::view(&upload))),
+        (None, None) => Err(Problem::not_found("capture", id.as_str())),
+    }
 }
 
 async fn find(app: &Shared, tenant: &TenantId, id: &CaptureId) -> Result<CaptureSummary, Problem> {
@@ -190,28 +202,6 @@ async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Inco
     upload::receive(app, caller, request, &expected).await
 }
 
-/// Decodes everything to see whether it can be decoded.
-async fn validate(app: &Shared, incoming: &Incoming) -> Result<CaptureReport, Problem> {
-    let path = incoming.path.clone();
-    let inspect = move || capture::inspect(&path, &ImportOptions::default());
-    app.decoders.run(inspect).await?.map_err(|e| refused(&e, &incoming.path))
-}
-
-/// What is wrong with the upload kept at `path`, which the caller knows as the archive.
-fn refused(error: &CaptureError, path: &std::path::Path) -> Problem {
-    if !error.is_users_fault() {
-        return Problem::internal(error);
-    }
-    let kept_as = path.file_name().unwrap_or_default().to_string_lossy();
-    let by_its_name = |text: &str| text.replace(kept_as.as_ref(), "archive");
-    let content = ContentError {
-        code: error.code().to_owned(),
-        file: error.file().map(by_its_name),
-        field: error.field().map(str::to_owned),
-    };
-    Problem::invalid_content(content, by_its_name(&error.to_string()))
-}
-
 fn view(record: CaptureRecord) -> CaptureSummary {
     CaptureSummary {
         id: record.id,
@@ -219,6 +209,9 @@ fn view(record: CaptureRecord) -> CaptureSummary {
         bytes: record.bytes,
         marks: record.marks,
         created_at: rfc3339(record.created_ms),
+        state: CaptureState::Ready,
+        problem: None,
+        upload: None,
         report: record.report,
     }
 }

@@ -7,7 +7,7 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{Problem, ResourceKind, ResourceName};
+use crate::api::{CaptureId, Problem, ResourceKind, ResourceName};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
@@ -121,7 +121,20 @@ async fn delete(
             app.tidy.notify_one();
             Ok(StatusCode::NO_CONTENT)
         }
+        Deletion::NotFound if kind == ResourceKind::Capture => {
+            delete_unmade(&app, caller, what.id.into()).await
+        }
         Deletion::NotFound => Err(Problem::not_found(kind.name(), &what.id)),
         Deletion::InUse(needed_by) => Err(Problem::in_use(&what, needed_by)),
     }
+}
+
+/// Deletes a capture that could not be made, with its upload.
+async fn delete_unmade(app: &Shared, caller: &Caller, id: CaptureId) -> Result<StatusCode, Problem> {
+    let missing = || Problem::not_found("capture", id.as_str());
+    let upload = app.store.upload_for(&caller.tenant, &id).await?.ok_or_else(missing)?;
+    if app.store.drop_invalid(&upload).await? {
+        return Ok(StatusCode::NO_CONTENT);
+    }
+    Err(Problem::conflict("capture-validating", "the capture is being validated").retry_after(5))
 }

@@ -18,7 +18,7 @@ use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::{PageQuery, unknown_cursor};
-use crate::server::{job_bounds, marks, quality_gate};
+use crate::server::{job_bounds, marks, quality_gate, validation};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
 use crate::train::{ConfigError, KnownLight, TrainConfig};
 
@@ -92,8 +92,9 @@ async fn create_job(
         return Err(Problem::invalid_field("/device", "this server has no GPU"));
     }
     job_bounds::check(&config, job.device != JobDevice::Cpu && app.device.has_gpu())?;
-    let missing = || Problem::invalid_field("/capture", format!("{:?} does not exist", job.capture.as_str()));
-    let capture = app.store.capture(&caller.tenant, &job.capture).await?.ok_or_else(missing)?;
+    let Some(capture) = app.store.capture(&caller.tenant, &job.capture).await? else {
+        return Err(validation::why_not(&app, &caller, &job.capture).await?);
+    };
     quality_gate::check(&job.quality_gate, &capture.report, &config)?;
     if let Some(light) = &config.light {
         check_light(&app, &caller.tenant, light).await?;

@@ -47,6 +47,7 @@ mod thumbnails;
 mod upload;
 mod uploads;
 mod usage;
+mod validation;
 mod webhooks;
 
 pub use app::RequestLimits;

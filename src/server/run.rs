@@ -26,6 +26,7 @@ use crate::server::rates::Rates;
 use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::stack::StackConfig;
+use crate::server::validation;
 use crate::server::webhooks::{Courier, WebhookPolicy};
 use crate::store::{NodeLock, Quota, Retention, Store, StoreError, UploadLimits, has_keys};
 use crate::worker::{self, DeviceHandle, StartError, WorkerOptions};
@@ -229,7 +230,14 @@ fn service(
         body_stall: config.connections.body,
         most_uploaded: config.limits.capture_bytes,
     };
-    Ok(router(Arc::new(app), stack))
+    let app = Arc::new(app);
+    let validating = app.clone();
+    tokio::spawn(async move {
+        if let Err(error) = validation::resume(validating).await {
+            tracing::error!(%error, "captures that were being validated stay so until the next start");
+        }
+    });
+    Ok(router(app, stack))
 }
 
 /// Takes back what a server that died left. The caller holds the node lock, so no other process works here.

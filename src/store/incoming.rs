@@ -24,7 +24,14 @@ pub struct Incoming {
     /// The upload that these bytes are of, if they came in pieces.
     pub(super) upload: Option<Hold>,
     /// They count as stored meanwhile.
-    pub(super) _reserved: Reservation,
+    pub(super) reserved: Reservation,
+}
+
+impl Incoming {
+    /// Whether it is an upload that stays when this is dropped.
+    pub fn came_in_pieces(&self) -> bool {
+        self.upload.is_some()
+    }
 }
 
 impl Drop for Incoming {

@@ -34,7 +34,7 @@ impl Store {
                 upload.finish().await?;
                 reserved.shrink_to(bytes);
                 let path = self.artifacts.local_path(key.as_ref());
-                Ok(Incoming { key, published: false, path, sha256, bytes, upload: None, _reserved: reserved })
+                Ok(Incoming { key, published: false, path, sha256, bytes, upload: None, reserved })
             }
             Err(error) => {
                 upload.abort().await.ok();

@@ -10,6 +10,12 @@ use crate::store::{Hold, UploadRecord};
 /// The media type of a piece.
 pub(super) const PIECE: &str = "application/offset+octet-stream";
 
+/// When an upload expires to which nothing more comes from now on.
+pub(in crate::server) fn expiry(app: &Shared) -> i64 {
+    let life = i64::try_from(app.upload_limits.life.as_millis()).unwrap_or(i64::MAX);
+    app.jobs.now_ms().saturating_add(life)
+}
+
 /// The upload of the caller's tenant.
 pub(super) async fn find(app: &Shared, caller: &Caller, id: &UploadId) -> Result<UploadRecord, Problem> {
     let missing = || Problem::not_found("upload", id.as_str());

@@ -24,6 +24,7 @@ use crate::server::listing::rfc3339;
 use crate::server::uploads::finding::{PIECE, find, held};
 use crate::store::UploadRecord;
 
+pub(super) use finding::expiry;
 pub(super) use protocol::advertise;
 pub(super) use taking::take;
 
@@ -99,7 +100,10 @@ async fn create_upload(
         received: 0,
         metadata,
         created_ms: app.jobs.now_ms(),
-        expires_ms: receiving::expiry(&app),
+        expires_ms: expiry(&app),
+        capture_id: None,
+        sha256: None,
+        problem: None,
     };
     app.store.begin_upload(&upload, app.upload_limits.each).await.map_err(|error| caller.told(error))?;
     if brings_piece {

@@ -9,15 +9,9 @@ use crate::api::{Problem, UploadId};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{STALLED, caused_by, content_length, media_type};
-use crate::server::uploads::finding::{PIECE, held};
+use crate::server::uploads::finding::{PIECE, expiry, held};
 use crate::server::uploads::headers;
 use crate::store::{Checksum, Hold, Piece, StoreError, UploadRecord};
-
-/// When an upload expires to which nothing more comes from now on.
-pub(super) fn expiry(app: &Shared) -> i64 {
-    let life = i64::try_from(app.upload_limits.life.as_millis()).unwrap_or(i64::MAX);
-    app.jobs.now_ms().saturating_add(life)
-}
 
 /// Takes the piece that a request brings; the upload as it is then.
 pub(super) async fn piece(

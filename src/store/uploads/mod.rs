@@ -5,8 +5,11 @@ mod holds;
 mod piece;
 mod record;
 mod taking;
+mod validating;
 
 use std::path::Path;
+
+use sqlx::{Sqlite, Transaction};
 
 use crate::api::{TenantId, UploadId};
 use crate::store::uploads::record::key;
@@ -27,21 +30,39 @@ impl Store {
         self.admit_bytes_of(&upload.tenant, upload.total()).await?;
         self.admit_bytes(upload.total()).await?;
         let mut tx = self.write().await?;
+        self.admit_upload_of(&mut tx, upload, most).await?;
+        // The file comes first: without its row the next start removes it.
+        let path = self.artifacts.local_path(&upload.key());
+        tokio::task::spawn_blocking(move || make_file(&path)).await.map_err(std::io::Error::other)??;
+        self.insert_upload(&mut tx, upload).await?;
+        Ok(tx.commit().await?)
+    }
+
+    /// Refuses one more upload of a tenant that has `most`.
+    async fn admit_upload_of(
+        &self,
+        tx: &mut Transaction<'_, Sqlite>,
+        upload: &UploadRecord,
+        most: u32,
+    ) -> Result<(), StoreError> {
         let counting = "SELECT COUNT(*) FROM uploads WHERE tenant = ?1 AND expires_ms > ?2";
         let count: i64 = sqlx::query_scalar(counting)
             .bind(&upload.tenant)
             .bind(upload.created_ms)
-            .fetch_one(&mut *tx)
+            .fetch_one(&mut **tx)
             .await?;
-        if count >= i64::from(most) {
-            return Err(StoreError::QuotaOfUploads { most });
-        }
-        // The file comes first: without its row the next start removes it.
-        let path = self.artifacts.local_path(&upload.key());
-        tokio::task::spawn_blocking(move || make_file(&path)).await.map_err(std::io::Error::other)??;
+        if count >= i64::from(most) { Err(StoreError::QuotaOfUploads { most }) } else { Ok(()) }
+    }
+
+    async fn insert_upload(
+        &self,
+        tx: &mut Transaction<'_, Sqlite>,
+        upload: &UploadRecord,
+    ) -> Result<(), StoreError> {
         sqlx::query(
-            "INSERT INTO uploads (id, tenant, length, received, metadata, created_ms, expires_ms)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+            "INSERT INTO uploads
+                 (id, tenant, length, received, metadata, created_ms, expires_ms, capture_id, sha256)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
         )
         .bind(&upload.id)
         .bind(&upload.tenant)
@@ -50,9 +71,11 @@ impl Store {
         .bind(&upload.metadata)
         .bind(upload.created_ms)
         .bind(upload.expires_ms)
-        .execute(&mut *tx)
+        .bind(&upload.capture_id)
+        .bind(&upload.sha256)
+        .execute(&mut **tx)
         .await?;
-        Ok(tx.commit().await?)
+        Ok(())
     }
 
     /// An upload of a tenant, expired or not.
@@ -86,7 +109,8 @@ impl Store {
     /// # Errors
     /// When the database or the file system fails; the next time goes on from there.
     pub async fn expire_uploads(&self, now_ms: i64) -> Result<usize, StoreError> {
-        let query = "SELECT id FROM uploads WHERE expires_ms <= ?1 ORDER BY expires_ms LIMIT 1000";
+        let query = "SELECT id FROM uploads WHERE expires_ms <= ?1
+                         AND (capture_id IS NULL OR problem IS NOT NULL) ORDER BY expires_ms LIMIT 1000";
         let ids: Vec<UploadId> = sqlx::query_scalar(query).bind(now_ms).fetch_all(self.pool()).await?;
         let mut dropped = 0;
         for id in ids {

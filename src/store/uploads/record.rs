@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use sqlx::FromRow;
 
-use crate::api::{TenantId, UploadId};
+use crate::api::{CaptureId, Problem, TenantId, UploadId};
 
 /// The folder of uploads that arrive in pieces.
 pub(in crate::store) const UPLOADS: &str = "uploads";
@@ -41,6 +41,13 @@ pub struct UploadRecord {
     pub created_ms: i64,
     /// When it is given up.
     pub expires_ms: i64,
+    /// The capture that is being made of it, or could not be made.
+    pub capture_id: Option<CaptureId>,
+    /// Hash of its bytes, lower-case hex, once a capture is being made of it.
+    pub sha256: Option<String>,
+    /// Why no capture could be made of it.
+    #[sqlx(json(nullable))]
+    pub problem: Option<Problem>,
 }
 
 impl UploadRecord {

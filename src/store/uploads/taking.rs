@@ -37,6 +37,6 @@ impl Store {
         // Its bytes are counted with the upload.
         let reserved = self.reservation(&upload.tenant);
         let bytes = upload.total();
-        Ok(Incoming { key, published: false, path, sha256, bytes, upload: Some(hold), _reserved: reserved })
+        Ok(Incoming { key, published: false, path, sha256, bytes, upload: Some(hold), reserved })
     }
 }

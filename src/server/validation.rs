@@ -1,0 +1,208 @@
+//! Makes captures of complete uploads: at once, or after an answer that says where to ask (RFC 7240, `respond-async`).
+
+use axum::Json;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+
+use crate::api::captures::{CaptureState, CaptureSummary};
+use crate::api::marks::Marks;
+use crate::api::problem::ContentError;
+use crate::api::{CaptureId, Problem, TenantId};
+use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
+use crate::server::app::Shared;
+use crate::server::caller::Caller;
+use crate::server::listing::rfc3339;
+use crate::server::uploads;
+use crate::store::{CaptureRecord, Incoming, StoreError, UploadRecord};
+
+const APPLIED: HeaderName = HeaderName::from_static("preference-applied");
+const ASYNC: &str = "respond-async";
+
+/// Whether the caller would rather ask again than wait.
+pub(super) fn is_preferred(headers: &HeaderMap) -> bool {
+    let values = headers.get_all("prefer").iter().filter_map(|value| value.to_str().ok());
+    let mut preferences = values.flat_map(|value| value.split(','));
+    preferences.any(|p| p.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(ASYNC))
+}
+
+/// Decodes everything to see whether it can be decoded.
+pub(super) async fn validate(app: &Shared, incoming: &Incoming) -> Result<CaptureReport, Problem> {
+    let path = incoming.path.clone();
+    let inspect = move || capture::inspect(&path, &ImportOptions::default());
+    app.decoders.run(inspect).await?.map_err(|e| refused(&e, &incoming.path))
+}
+
+/// Makes the capture `id` of a tenant, or finds the one of the same content that was there first.
+pub(super) async fn make(
+    app: &Shared,
+    tenant: &TenantId,
+    id: CaptureId,
+    incoming: Incoming,
+) -> Result<CaptureRecord, Problem> {
+    let report = validate(app, &incoming).await?;
+    let record = CaptureRecord {
+        id,
+        sha256: incoming.sha256.clone(),
+        bytes: i64::try_from(incoming.bytes).unwrap_or(i64::MAX),
+        artifact: format!("captures/{}", incoming.sha256),
+        marks: Marks::default(),
+        report,
+        created_ms: app.jobs.now_ms(),
+    };
+    Ok(app.store.keep_capture(incoming, tenant, &record).await?)
+}
+
+/// Answers where to ask for the capture that is being made from now on; for the one that is being made of the same content
+/// already, if there is one.
+pub(super) async fn begin(
+    app: &Shared,
+    caller: &Caller,
+    mut incoming: Incoming,
+) -> Result<Response, Problem> {
+    if let Some(same) = app.store.validating(&caller.tenant, &incoming.sha256).await? {
+        return Ok(accepted(&same));
+    }
+    let capture: CaptureId = app.jobs.fresh_id();
+    let bytes = i64::try_from(incoming.bytes).map_err(Problem::internal)?;
+    if incoming.came_in_pieces() {
+        app.store.begin_validation(&incoming, &capture).await?;
+    } else {
+        let upload = UploadRecord {
+            id: app.jobs.fresh_id(),
+            tenant: caller.tenant.clone(),
+            length: bytes,
+            received: bytes,
+            metadata: None,
+            created_ms: app.jobs.now_ms(),
+            expires_ms: uploads::expiry(app),
+            capture_id: Some(capture.clone()),
+            sha256: Some(incoming.sha256.clone()),
+            problem: None,
+        };
+        app.store.park(&mut incoming, &upload, app.upload_limits.each).await?;
+    }
+    let missing = || Problem::internal("an upload that was stored is not there");
+    let upload = app.store.upload_for(&caller.tenant, &capture).await?.ok_or_else(missing)?;
+    start(app, caller.tenant.clone(), capture, incoming);
+    Ok(accepted(&upload))
+}
+
+/// Goes on with what a server that ended was making.
+pub(super) async fn resume(app: Shared) -> Result<(), StoreError> {
+    for upload in app.store.unvalidated().await? {
+        let (Some(capture), Some(hold)) = (upload.capture_id.clone(), app.store.hold_upload(&upload.id))
+        else {
+            continue;
+        };
+        let name: String = app.jobs.fresh_id();
+        let incoming = app.store.take_upload(hold, &upload, &name).await?;
+        start(&app, upload.tenant, capture, incoming);
+    }
+    Ok(())
+}
+
+/// Makes a capture while others are served; a shutdown leaves it to the next server.
+fn start(app: &Shared, tenant: TenantId, capture: CaptureId, incoming: Incoming) {
+    let app = app.clone();
+    tokio::spawn(async move {
+        tokio::select! {
+            () = app.stop.cancelled() => {}
+            () = finish(&app, &tenant, capture, incoming) => {}
+        }
+    });
+}
+
+async fn finish(app: &Shared, tenant: &TenantId, capture: CaptureId, incoming: Incoming) {
+    let made = match app.store.capture_by_hash(tenant, &incoming.sha256).await {
+        // Another request made it meanwhile.
+        Ok(Some(same)) => Err(stored_before(&same)),
+        Ok(None) => make(app, tenant, capture.clone(), incoming).await.map(drop),
+        Err(error) => Err(error.into()),
+    };
+    if let Err(problem) = made {
+        tracing::info!(%capture, kind = problem.kind, "no capture could be made of an upload");
+        let until = uploads::expiry(app);
+        if let Err(error) = app.store.end_validation(&capture, &problem, until).await {
+            tracing::error!(%error, %capture, "the next start validates an upload again");
+        }
+    }
+}
+
+fn stored_before(same: &CaptureRecord) -> Problem {
+    Problem::conflict("stored-before", format!("the capture {:?} has the same content", same.id.as_str()))
+}
+
+/// Why there is no capture `id` to work on: a job names it.
+pub(super) async fn why_not(app: &Shared, caller: &Caller, id: &CaptureId) -> Result<Problem, Problem> {
+    Ok(match app.store.upload_for(&caller.tenant, id).await? {
+        Some(UploadRecord { problem: None, .. }) => Problem::conflict(
+            "capture-validating",
+            "the capture is being validated; ask when its state is ready",
+        )
+        .retry_after(5),
+        Some(_) => Problem::invalid_field("/capture", format!("{:?} is invalid; it says why", id.as_str())),
+        None => Problem::invalid_field("/capture", format!("{:?} does not exist", id.as_str())),
+    })
+}
+
+fn accepted(upload: &UploadRecord) -> Response {
+    let view = view(upload);
+    let location = format!("/v1/captures/{}", view.id);
+    let mut response = (StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(view)).into_response();
+    response.headers_mut().insert(APPLIED, HeaderValue::from_static(ASYNC));
+    response
+}
+
+/// A capture that is being made, or could not be.
+pub(super) fn view(upload: &UploadRecord) -> CaptureSummary {
+    CaptureSummary {
+        id: upload.capture_id.clone().unwrap_or_default(),
+        sha256: upload.sha256.clone().unwrap_or_default(),
+        bytes: upload.length,
+        marks: Marks::default(),
+        created_at: rfc3339(upload.created_ms),
+        state: if upload.problem.is_some() { CaptureState::Invalid } else { CaptureState::Validating },
+        problem: upload.problem.clone(),
+        upload: Some(upload.id.clone()),
+        report: CaptureReport::default(),
+    }
+}
+
+/// What is wrong with the upload kept at `path`, which the caller knows as the archive.
+fn refused(error: &CaptureError, path: &std::path::Path) -> Problem {
+    if !error.is_users_fault() {
+        return Problem::internal(error);
+    }
+    let kept_as = path.file_name().unwrap_or_default().to_string_lossy();
+    let by_its_name = |text: &str| text.replace(kept_as.as_ref(), "archive");
+    let content = ContentError {
+        code: error.code().to_owned(),
+        file: error.file().map(by_its_name),
+        field: error.field().map(str::to_owned),
+    };
+    Problem::invalid_content(content, by_its_name(&error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_preference_is_read_as_the_standard_writes_it() {
+        let prefers = |values: &[&str]| {
+            let pair =
+                |value: &&str| (HeaderName::from_static("prefer"), HeaderValue::from_str(value).unwrap());
+            let mut headers = HeaderMap::new();
+            values.iter().map(pair).for_each(|(name, value)| {
+                headers.append(name, value);
+            });
+            is_preferred(&headers)
+        };
+        for yes in [&["respond-async"][..], &["wait=5, Respond-Async"], &["wait=5", "respond-async; x=1"]] {
+            assert!(prefers(yes), "{yes:?}");
+        }
+        for no in [&[][..], &["respond-sync"], &["wait=5"], &["x=respond-async"]] {
+            assert!(!prefers(no), "{no:?}");
+        }
+    }
+}

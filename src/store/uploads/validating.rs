@@ -1,0 +1,125 @@
+//! Uploads that a capture is being made of: what was answered to whoever asked for it outlives the server.
+
+use sqlx::types::Json;
+
+use crate::api::{CaptureId, Problem, TenantId};
+use crate::store::uploads::record::UploadRecord;
+use crate::store::{Incoming, Store, StoreError};
+
+impl Store {
+    /// Makes `upload`, of which a capture is to be made, of a complete body. It is counted with the upload from then on.
+    ///
+    /// # Errors
+    /// [`StoreError::QuotaOfUploads`] when the tenant has `most`, or when the database or the file system fails.
+    pub async fn park(
+        &self,
+        incoming: &mut Incoming,
+        upload: &UploadRecord,
+        most: u32,
+    ) -> Result<(), StoreError> {
+        let in_use = || std::io::Error::other("an upload that nobody knows is in use");
+        let hold = self.hold_upload(&upload.id).ok_or_else(in_use)?;
+        let _shelf = self.shelf.lock().await;
+        let mut tx = self.write().await?;
+        self.admit_upload_of(&mut tx, upload, most).await?;
+        // The file comes first: without its row the next start removes it.
+        let (from, to) = (incoming.path.clone(), self.artifacts.local_path(&upload.key()));
+        let linked = tokio::task::spawn_blocking(move || {
+            let folder = to.parent().unwrap_or(&to);
+            std::fs::create_dir_all(folder)?;
+            std::fs::hard_link(from, &to)?;
+            std::fs::File::open(folder)?.sync_all()
+        });
+        linked.await.map_err(std::io::Error::other)??;
+        self.insert_upload(&mut tx, upload).await?;
+        tx.commit().await?;
+        incoming.reserved.set(0);
+        incoming.upload = Some(hold);
+        Ok(())
+    }
+
+    /// Writes down that `capture` is being made of the upload that these bytes are of.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn begin_validation(&self, incoming: &Incoming, capture: &CaptureId) -> Result<(), StoreError> {
+        let mut tx = self.write().await?;
+        sqlx::query("UPDATE uploads SET capture_id = ?2, sha256 = ?3, problem = NULL WHERE id = ?1")
+            .bind(incoming.upload.as_ref().map(|hold| hold.id()))
+            .bind(capture)
+            .bind(&incoming.sha256)
+            .execute(&mut *tx)
+            .await?;
+        Ok(tx.commit().await?)
+    }
+
+    /// Writes down why `capture` could not be made. Its upload stays until `expires_ms`.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn end_validation(
+        &self,
+        capture: &CaptureId,
+        problem: &Problem,
+        expires_ms: i64,
+    ) -> Result<(), StoreError> {
+        let mut tx = self.write().await?;
+        sqlx::query("UPDATE uploads SET problem = ?2, expires_ms = ?3 WHERE capture_id = ?1")
+            .bind(capture)
+            .bind(Json(problem))
+            .bind(expires_ms)
+            .execute(&mut *tx)
+            .await?;
+        Ok(tx.commit().await?)
+    }
+
+    /// The upload that a capture of a tenant is being made of, or could not be made of.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn upload_for(
+        &self,
+        tenant: &TenantId,
+        capture: &CaptureId,
+    ) -> Result<Option<UploadRecord>, StoreError> {
+        let query = sqlx::query_as("SELECT * FROM uploads WHERE capture_id = ?1 AND tenant = ?2");
+        Ok(query.bind(capture).bind(tenant).fetch_optional(self.pool()).await?)
+    }
+
+    /// The upload of this content that a capture of a tenant is being made of.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn validating(
+        &self,
+        tenant: &TenantId,
+        sha256: &str,
+    ) -> Result<Option<UploadRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT * FROM uploads
+             WHERE tenant = ?1 AND sha256 = ?2 AND capture_id IS NOT NULL AND problem IS NULL LIMIT 1",
+        );
+        Ok(query.bind(tenant).bind(sha256).fetch_optional(self.pool()).await?)
+    }
+
+    /// The uploads of all tenants whose validation has not ended.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn unvalidated(&self) -> Result<Vec<UploadRecord>, StoreError> {
+        let query = "SELECT * FROM uploads WHERE capture_id IS NOT NULL AND problem IS NULL
+                     ORDER BY created_ms, id";
+        Ok(sqlx::query_as(query).fetch_all(self.pool()).await?)
+    }
+
+    /// Forgets an upload of which no capture could be made; `false` while one is being made.
+    ///
+    /// # Errors
+    /// When the database or the file system fails.
+    pub async fn drop_invalid(&self, upload: &UploadRecord) -> Result<bool, StoreError> {
+        match self.hold_upload(&upload.id) {
+            Some(hold) => self.drop_upload(&hold).await.map(|()| true),
+            None => Ok(false),
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Captures that are validated after they were answered (RFC 7240, `Prefer: respond-async`).
+
+use std::io::{Cursor, Write};
+use std::time::Duration;
+
+use relume::api::captures::{CaptureState, CaptureSummary};
+use relume::api::jobs::NewJob;
+use relume::api::uploads::FromUpload;
+use relume::client::Client;
+use relume::formats::image_file::encode_png;
+use relume::store::hex;
+use relume::testing;
+use reqwest::{Method, Response};
+use sha2::{Digest, Sha256};
+use tempfile::TempDir;
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
+
+use crate::server_process::Server;
+use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job};
+
+/// A capture whose photographs take a while to decode.
+fn slow_zip() -> Vec<u8> {
+    let capture = CaptureZip::new(4, 32);
+    let large = encode_png(5000, 5000, &vec![[90, 60, 30, 255]; 25_000_000]).unwrap();
+    // Stored as they are: what shrinks so much is refused as a bomb.
+    let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+    let transforms = serde_json::to_vec(&capture.transforms).unwrap();
+    let photographs = capture.images.iter().map(|(name, _)| (name.as_str(), &large));
+    for (name, bytes) in [("transforms_train.json", &transforms)].into_iter().chain(photographs) {
+        zip.start_file(name, stored).unwrap();
+        zip.write_all(bytes).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+async fn post_later(client: &Client, archive: Vec<u8>) -> Response {
+    let request = client.request(Method::POST, "/v1/captures").unwrap();
+    let request = request.header("content-type", "application/zip").header("prefer", "respond-async");
+    request.body(archive).send().await.unwrap()
+}
+
+/// What a 202 says.
+async fn accepted(answer: Response) -> CaptureSummary {
+    let told = |name: &str| answer.headers()[name].to_str().unwrap().to_owned();
+    assert_eq!((answer.status().as_u16(), told("preference-applied").as_str()), (202, "respond-async"));
+    let location = told("location");
+    let view: CaptureSummary = serde_json::from_str(&answer.text().await.unwrap()).unwrap();
+    assert_eq!(location, format!("/v1/captures/{}", view.id));
+    assert_eq!(view.state, CaptureState::Validating);
+    view
+}
+
+/// The capture once it is validated.
+async fn validated(client: &Client, begun: &CaptureSummary) -> CaptureSummary {
+    for _ in 0..3000 {
+        let view = client.capture(&begun.id).await.unwrap();
+        if view.state != CaptureState::Validating {
+            return view;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    panic!("{begun:?} is never validated");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_capture_that_is_validated_later_tells_its_state() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let archive = slow_zip();
+    let begun = accepted(post_later(client, archive.clone()).await).await;
+    assert_eq!(begun.sha256, hex(&Sha256::digest(&archive)));
+    assert!(client.captures().await.unwrap().items.is_empty(), "it is not listed yet");
+    let job = NewJob { capture: begun.id.clone(), ..NewJob::default() };
+    let refused = client.create_job(&job, None).await.unwrap_err();
+    assert_eq!(refused.problem().unwrap().kind, "urn:relume:problem:capture-validating");
+    let again = accepted(post_later(client, archive.clone()).await).await;
+    assert_eq!(again.id, begun.id, "a repetition makes nothing twice");
+    assert_eq!(client.delete_capture(&begun.id, false).await.unwrap_err().problem().unwrap().status, 409);
+    let ready = validated(client, &begun).await;
+    let photographs = ready.report.train_images + ready.report.test_images;
+    assert_eq!((ready.state, photographs), (CaptureState::Ready, 4), "{:?}", ready.problem);
+    assert_eq!(ready.id, begun.id);
+    assert_eq!(client.captures().await.unwrap().items, std::slice::from_ref(&ready));
+    let stored: Vec<String> = files_under(server.data_dir()).into_iter().map(|(name, _)| name).collect();
+    assert_eq!(stored, [format!("artifacts/captures/{}", ready.sha256)], "and nothing else is left");
+    assert_eq!(post_later(client, archive).await.status(), 200, "it is there");
+    let job = client.create_job(&small_job(&ready.id, 3, 5), None).await.unwrap();
+    ended(client, &job.id).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_no_capture_becomes_invalid_and_its_upload_stays() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let begun = accepted(post_later(client, b"no archive".to_vec()).await).await;
+    let found = validated(client, &begun).await;
+    assert_eq!(found.state, CaptureState::Invalid);
+    assert_eq!(found.problem.unwrap().kind, "urn:relume:problem:invalid-content");
+    let job = NewJob { capture: begun.id.clone(), ..NewJob::default() };
+    assert_eq!(client.create_job(&job, None).await.unwrap_err().problem().unwrap().status, 422);
+    let upload = found.upload.unwrap();
+    assert_eq!(client.upload(&upload).await.unwrap().offset, 10);
+    client.delete_capture(&begun.id, false).await.unwrap();
+    assert_eq!(client.capture(&begun.id).await.unwrap_err().problem().unwrap().status, 404);
+    assert!(files_under(server.data_dir()).is_empty());
+
+    // Of an upload in pieces, too.
+    let archive = capture_zip();
+    let id = client.begin_upload(archive.len() as u64).await.unwrap();
+    client.send_piece(&id, 0, archive).await.unwrap();
+    let request = client.request(Method::POST, "/v1/captures").unwrap().header("prefer", "respond-async");
+    let answer = request.json(&FromUpload { upload: id.clone() }).send().await.unwrap();
+    let begun = accepted(answer).await;
+    assert_eq!(begun.upload.as_ref(), Some(&id));
+    assert_eq!(validated(client, &begun).await.state, CaptureState::Ready);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn kill_9_in_mid_validation_loses_nothing() {
+    let data = TempDir::new().unwrap();
+    let mut server = Server::start(data.path());
+    let begun = accepted(post_later(&server.client, slow_zip()).await).await;
+    for _ in 0..2 {
+        server.kill();
+        server = Server::start(data.path());
+        let found = server.client.capture(&begun.id).await.unwrap();
+        assert_ne!(found.state, CaptureState::Invalid, "{:?}", found.problem);
+    }
+    let ready = validated(&server.client, &begun).await;
+    assert_eq!((ready.state, &ready.sha256), (CaptureState::Ready, &begun.sha256));
+    let stored = files_under(&data.path().join("artifacts"));
+    assert_eq!(stored.len(), 1, "{stored:?}");
+}
