@@ -9,6 +9,7 @@ mod captures;
 mod crash;
 mod deletion;
 mod doctor;
+mod errors;
 mod eval;
 mod exposures;
 mod extremes;

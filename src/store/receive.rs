@@ -1,5 +1,7 @@
 //! Bodies on their way to disk, hashed as they arrive.
 
+use std::pin::Pin;
+
 use futures::{Stream, StreamExt};
 use object_store::path::Path as Key;
 use object_store::{ObjectStoreExt, WriteMultipart};
@@ -11,6 +13,9 @@ use crate::store::hash::hex;
 use crate::store::incoming::{INCOMING, Incoming};
 use crate::store::ledger::Reservation;
 use crate::store::{Store, StoreError};
+
+/// Most bytes that are taken of a body that is refused.
+const MOST_IN_VAIN: usize = 1 << 20;
 
 impl Store {
     /// Streams a body of a tenant to disk, hashing it. Its bytes count as stored as they arrive. After an error nothing of it is
@@ -27,9 +32,10 @@ impl Store {
         limit: u64,
     ) -> Result<Incoming, StoreError> {
         let key = Key::from(format!("{INCOMING}/{name}"));
+        let mut body = std::pin::pin!(body);
         let mut upload = WriteMultipart::new(self.artifacts.files().put_multipart(&key).await?);
         let mut reserved = self.reservation(tenant);
-        match self.copy(&mut upload, &mut reserved, body, limit).await {
+        match self.copy(&mut upload, &mut reserved, body.as_mut(), limit).await {
             Ok((sha256, bytes)) => {
                 upload.finish().await?;
                 reserved.shrink_to(bytes);
@@ -38,6 +44,10 @@ impl Store {
             }
             Err(error) => {
                 upload.abort().await.ok();
+                drop(reserved);
+                if !matches!(error, StoreError::Body(_)) {
+                    take_the_rest(body).await;
+                }
                 Err(error)
             }
         }
@@ -48,10 +58,9 @@ impl Store {
         &self,
         upload: &mut WriteMultipart,
         reserved: &mut Reservation,
-        body: impl Stream<Item = Result<Bytes, E>>,
+        mut body: Pin<&mut impl Stream<Item = Result<Bytes, E>>>,
         limit: u64,
     ) -> Result<(String, u64), StoreError> {
-        let mut body = std::pin::pin!(body);
         let (mut hasher, mut bytes) = (Sha256::new(), 0u64);
         while let Some(chunk) = body.next().await {
             let chunk = chunk.map_err(|e| StoreError::Body(e.to_string()))?;
@@ -65,5 +74,13 @@ impl Store {
             upload.put(chunk);
         }
         Ok((hex(&hasher.finalize()), bytes))
+    }
+}
+
+/// Takes what else arrives of a body that is refused, up to a bound: a client that is cut off while it sends does not read why.
+async fn take_the_rest<E>(mut body: Pin<&mut impl Stream<Item = Result<Bytes, E>>>) {
+    let mut left = MOST_IN_VAIN;
+    while let (1.., Some(Ok(chunk))) = (left, body.next().await) {
+        left = left.saturating_sub(chunk.len());
     }
 }

@@ -4,13 +4,11 @@ use rayon::prelude::*;
 
 use crate::capture::{Capture, CaptureView};
 use crate::engine::{LightTurn, LightTurns, Photo, PhotoSize};
-use crate::scene::ShadingOptions;
 use crate::train::TrainConfig;
-use crate::train::crop::CutOut;
 use crate::train::exposure::{Gain, divide};
 
 /// Background of masked photographs: what relighting benchmarks composite over.
-const WHITE: [f32; 3] = [1.0; 3];
+pub const WHITE: [f32; 3] = [1.0; 3];
 
 /// All training photographs.
 #[derive(Debug, Clone)]
@@ -63,14 +61,6 @@ impl Dataset {
     pub fn divide(&mut self, gains: &[Gain]) {
         for photos in [&mut self.full, &mut self.half] {
             photos.par_iter_mut().zip(gains).for_each(|(photo, gain)| divide(photo, *gain, self.background));
-        }
-    }
-
-    /// Makes the photographs those of the subject alone, with masks, in the world after the cut.
-    pub fn cut_out(&mut self, cut: &CutOut, shading: ShadingOptions) {
-        (self.has_alpha, self.background) = (true, WHITE);
-        for photos in [&mut self.full, &mut self.half] {
-            photos.par_iter_mut().for_each(|photo| cut.apply(photo, shading, WHITE));
         }
     }
 

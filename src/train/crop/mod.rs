@@ -8,10 +8,12 @@ mod ground;
 mod region;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::engine::cpu::evaluation;
 use crate::engine::{Photo, TrainState};
 use crate::scene::{Field, Gaussians, LightSplit, Model, ShadingOptions};
+use crate::train::dataset::{Dataset, WHITE};
 
 pub use region::Region;
 
@@ -58,12 +60,21 @@ impl CutOut {
         Some(Self { region, gaussians: silhouette })
     }
 
-    /// Gives `photo` the mask of the subject, over `background`, and brings its camera to the world of the cut.
-    pub fn apply(&self, photo: &mut Photo, shading: ShadingOptions, background: [f32; 3]) {
-        let covered = evaluation::radiance(&self.state(shading), photo, [0.0; 3]);
-        photo.alpha = covered.iter().map(|share| mask(share[0])).collect();
+    /// Makes the photographs those of the subject alone, with masks, in the world after the cut.
+    pub fn apply(&self, data: &mut Dataset, shading: ShadingOptions) {
+        (data.has_alpha, data.background) = (true, WHITE);
+        let state = self.state(shading);
+        for photos in [&mut data.full, &mut data.half] {
+            photos.par_iter_mut().for_each(|photo| self.mask(photo, &state));
+        }
+    }
+
+    /// Gives `photo` the mask of the subject, and brings its camera to the world after the cut.
+    fn mask(&self, photo: &mut Photo, state: &TrainState) {
+        let covered = evaluation::radiance(state, photo, [0.0; 3]);
+        photo.alpha = covered.iter().map(|share| opacity(share[0])).collect();
         for (pixel, a) in photo.pixels.iter_mut().zip(&photo.alpha) {
-            (0..3).for_each(|c| pixel[c] = pixel[c] * a + background[c] * (1.0 - a));
+            (0..3).for_each(|c| pixel[c] = pixel[c] * a + WHITE[c] * (1.0 - a));
         }
         let (scale, offset) = self.region.world();
         photo.camera = photo.camera.in_normalised_world(scale, offset);
@@ -86,7 +97,7 @@ impl CutOut {
 }
 
 /// The mask of a pixel that the subject covers by `share`.
-fn mask(share: f32) -> f32 {
+fn opacity(share: f32) -> f32 {
     let t = ((share - EDGE[0]) / (EDGE[1] - EDGE[0])).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

@@ -26,7 +26,7 @@ impl Trainer {
             ));
         };
         state.model.shading.occluder_reach = self.config.shading.occluder_reach;
-        self.data.cut_out(&cut, state.model.shading);
+        cut.apply(&mut self.data, state.model.shading);
         self.schedule.cut = Some(cut.into());
         self.engine.reshape(state, &self.operators)?;
         self.snapshot = self.schedule.clone();

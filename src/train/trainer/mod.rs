@@ -109,7 +109,7 @@ impl Trainer {
             return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
         }
         if let Some(cut) = &schedule.cut {
-            data.cut_out(cut, state.model.shading);
+            cut.apply(&mut data, state.model.shading);
         }
         schedule.gains.iter().for_each(|gains| data.divide(gains));
         Self::assemble(config, data, schedule, state, device)
