@@ -91,6 +91,27 @@ async fn a_capture_that_is_validated_later_tells_its_state() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_was_promised_is_answered_for_however_many_bring_the_same_at_once() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let archive = slow_zip();
+    let later = || async { accepted(post_later(client, archive.clone()).await).await };
+    let at_once = async { client.upload_capture_bytes(archive.clone()).await.unwrap() };
+    let (a, b, c, made) = tokio::join!(later(), later(), later(), at_once);
+    assert!(a.id == b.id && b.id == c.id, "{a:?} {b:?} {c:?}");
+    let found = validated(client, &a).await;
+    match found.state {
+        CaptureState::Ready => assert_eq!(found.id, made.id),
+        _ => {
+            let problem = found.problem.unwrap();
+            assert_eq!(problem.kind, "urn:relume:problem:stored-before");
+            assert!(problem.detail.unwrap().contains(made.id.as_str()));
+        }
+    }
+    assert_eq!(client.captures().await.unwrap().items.len(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn what_is_no_capture_becomes_invalid_and_its_upload_stays() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();

@@ -93,9 +93,10 @@ pub struct JobChange {
     #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "given")]
     #[cfg_attr(feature = "server", schema(value_type = Option<String>, min_length = 1, max_length = 200))]
     pub external_id: Option<Option<String>>,
-    /// Those that are named; null takes one away.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub labels: Option<BTreeMap<String, Option<String>>>,
+    /// Those that are named; null takes one away, or all of them in place of the object.
+    #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "given")]
+    #[cfg_attr(feature = "server", schema(value_type = Option<BTreeMap<String, Option<String>>>))]
+    pub labels: Option<Option<BTreeMap<String, Option<String>>>>,
 }
 
 impl JobChange {

@@ -55,7 +55,10 @@ impl Marks {
         if let Some(external_id) = &change.external_id {
             self.external_id.clone_from(external_id);
         }
-        for (key, value) in change.labels.iter().flatten() {
+        if change.labels == Some(None) {
+            self.labels.clear();
+        }
+        for (key, value) in change.labels.iter().flatten().flatten() {
             match value {
                 Some(value) => self.labels.insert(key.clone(), value.clone()),
                 None => self.labels.remove(key),
@@ -98,16 +101,21 @@ pub struct MarksChange {
     #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "given")]
     #[cfg_attr(feature = "server", schema(value_type = Option<String>, min_length = 1, max_length = 200))]
     pub external_id: Option<Option<String>>,
-    /// Those that are named; null takes one away.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub labels: Option<BTreeMap<String, Option<String>>>,
+    /// Those that are named; null takes one away, or all of them in place of the object.
+    #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "given")]
+    #[cfg_attr(feature = "server", schema(value_type = Option<BTreeMap<String, Option<String>>>))]
+    pub labels: Option<Option<BTreeMap<String, Option<String>>>>,
 }
 
 impl From<Marks> for MarksChange {
     /// Sets what is there and leaves the rest.
     fn from(marks: Marks) -> Self {
         let labels = marks.labels.into_iter().map(|(key, value)| (key, Some(value))).collect();
-        Self { name: marks.name.map(Some), external_id: marks.external_id.map(Some), labels: Some(labels) }
+        Self {
+            name: marks.name.map(Some),
+            external_id: marks.external_id.map(Some),
+            labels: Some(Some(labels)),
+        }
     }
 }
 
@@ -134,6 +142,7 @@ mod tests {
         let third = second
             .changed(&change(r#"{"name": null, "external_id": null, "labels": {"y": null, "z": null}}"#));
         assert_eq!(third, Marks::default());
+        assert!(first.clone().changed(&change(r#"{"labels": null}"#)).labels.is_empty(), "all of them");
         assert_eq!(Marks::default().changed(&first.clone().into()), first);
     }
 

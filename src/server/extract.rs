@@ -125,6 +125,10 @@ pub(super) fn caused_by<E: Error + 'static>(error: &(dyn Error + 'static)) -> bo
 
 /// Parses JSON; an error says where in the document it is.
 pub(super) fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
+    // Or a list would be read as the fields of an object in their order.
+    if bytes.trim_ascii_start().first() == Some(&b'[') {
+        return Err(Problem::invalid_field("", "must be an object"));
+    }
     let mut json = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut json).map_err(|error| {
         let mut pointer = pointer(error.path());
@@ -193,6 +197,7 @@ mod tests {
         assert_eq!(refusal(r#"{"inner":[{"size":1},{"size":-1}]}"#), (422, "/inner/1/size".into()));
         assert_eq!(refusal(r#"{"inner":[{"size":1,"a/b":2}]}"#), (422, "/inner/0/a~1b".into()));
         assert_eq!(refusal(r#"{"inner":[{}]}"#), (422, "/inner/0/size".into()));
+        assert_eq!(refusal(r#" [[{"size":1}]]"#), (422, String::new()), "a list is no object");
         assert_eq!(refusal(r"{}"), (422, "/inner".into()));
     }
 

@@ -3,6 +3,7 @@
 use axum::Json;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use tokio::sync::Mutex;
 
 use crate::api::captures::{CaptureState, CaptureSummary};
 use crate::api::marks::Marks;
@@ -17,6 +18,8 @@ use crate::store::{CaptureRecord, Incoming, StoreError, UploadRecord};
 
 const APPLIED: HeaderName = HeaderName::from_static("preference-applied");
 const ASYNC: &str = "respond-async";
+/// Requests that bring the same content find each other.
+static ENTERING: Mutex<()> = Mutex::const_new(());
 
 /// Whether the caller would rather ask again than wait.
 pub(super) fn is_preferred(headers: &HeaderMap) -> bool {
@@ -54,13 +57,18 @@ pub(super) async fn make(
 
 /// Answers where to ask for the capture that is being made from now on; for the one that is being made of the same content
 /// already, if there is one.
-pub(super) async fn begin(
-    app: &Shared,
-    caller: &Caller,
-    mut incoming: Incoming,
-) -> Result<Response, Problem> {
-    if let Some(same) = app.store.validating(&caller.tenant, &incoming.sha256).await? {
-        return Ok(accepted(&same));
+pub(super) async fn begin(app: &Shared, caller: &Caller, incoming: Incoming) -> Result<Response, Problem> {
+    let (app, tenant) = (app.clone(), caller.tenant.clone());
+    // On a task of its own: what was written down is worked on, also when the caller has gone meanwhile.
+    let entered = tokio::spawn(async move { enter(&app, tenant, incoming).await });
+    Ok(accepted(&entered.await.map_err(Problem::internal)??))
+}
+
+/// Writes down that a capture is to be made and starts to make it.
+async fn enter(app: &Shared, tenant: TenantId, mut incoming: Incoming) -> Result<UploadRecord, Problem> {
+    let _one_by_one = ENTERING.lock().await;
+    if let Some(same) = app.store.validating(&tenant, &incoming.sha256).await? {
+        return Ok(same);
     }
     let capture: CaptureId = app.jobs.fresh_id();
     let bytes = i64::try_from(incoming.bytes).map_err(Problem::internal)?;
@@ -69,7 +77,7 @@ pub(super) async fn begin(
     } else {
         let upload = UploadRecord {
             id: app.jobs.fresh_id(),
-            tenant: caller.tenant.clone(),
+            tenant: tenant.clone(),
             length: bytes,
             received: bytes,
             metadata: None,
@@ -82,9 +90,9 @@ pub(super) async fn begin(
         app.store.park(&mut incoming, &upload, app.upload_limits.each).await?;
     }
     let missing = || Problem::internal("an upload that was stored is not there");
-    let upload = app.store.upload_for(&caller.tenant, &capture).await?.ok_or_else(missing)?;
-    start(app, caller.tenant.clone(), capture, incoming);
-    Ok(accepted(&upload))
+    let upload = app.store.upload_for(&tenant, &capture).await?.ok_or_else(missing)?;
+    start(app, tenant, capture, incoming);
+    Ok(upload)
 }
 
 /// Goes on with what a server that ended was making.
@@ -116,7 +124,10 @@ async fn finish(app: &Shared, tenant: &TenantId, capture: CaptureId, incoming: I
     let made = match app.store.capture_by_hash(tenant, &incoming.sha256).await {
         // Another request made it meanwhile.
         Ok(Some(same)) => Err(stored_before(&same)),
-        Ok(None) => make(app, tenant, capture.clone(), incoming).await.map(drop),
+        Ok(None) => match make(app, tenant, capture.clone(), incoming).await {
+            Ok(made) if made.id != capture => Err(stored_before(&made)),
+            made => made.map(drop),
+        },
         Err(error) => Err(error.into()),
     };
     if let Err(problem) = made {

@@ -8,7 +8,7 @@ use crate::store::{CaptureRecord, Filter, Page, Store, StoreError};
 
 impl Store {
     /// Records a capture, or returns the one of the same tenant and content that was there first. The upload that it is made of is
-    /// forgotten in the same transaction.
+    /// forgotten in the same transaction, unless it was to become another capture than the one returned.
     ///
     /// # Errors
     /// When the database fails.
@@ -19,7 +19,6 @@ impl Store {
         made_of: Option<&UploadId>,
     ) -> Result<CaptureRecord, StoreError> {
         let mut tx = self.write().await?;
-        sqlx::query("DELETE FROM uploads WHERE id = ?1").bind(made_of).execute(&mut *tx).await?;
         sqlx::query(
             "INSERT INTO captures (id, sha256, bytes, artifact, report, created_ms, tenant)
              VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7) ON CONFLICT (tenant, sha256) DO NOTHING",
@@ -33,10 +32,17 @@ impl Store {
         .bind(tenant)
         .execute(&mut *tx)
         .await?;
-        let stored = sqlx::query_as("SELECT * FROM captures WHERE sha256 = ?1 AND tenant = ?2")
-            .bind(&capture.sha256)
-            .bind(tenant)
-            .fetch_one(&mut *tx)
+        let stored: CaptureRecord =
+            sqlx::query_as("SELECT * FROM captures WHERE sha256 = ?1 AND tenant = ?2")
+                .bind(&capture.sha256)
+                .bind(tenant)
+                .fetch_one(&mut *tx)
+                .await?;
+        // One that another capture was promised of stays, to say what came of that.
+        sqlx::query("DELETE FROM uploads WHERE id = ?1 AND (capture_id IS NULL OR capture_id = ?2)")
+            .bind(made_of)
+            .bind(&stored.id)
+            .execute(&mut *tx)
             .await?;
         tx.commit().await?;
         Ok(stored)

@@ -1,6 +1,7 @@
 //! Bodies on their way to disk, hashed as they arrive.
 
 use std::pin::Pin;
+use std::time::Duration;
 
 use futures::{Stream, StreamExt};
 use object_store::path::Path as Key;
@@ -16,6 +17,8 @@ use crate::store::{Store, StoreError};
 
 /// Most bytes that are taken of a body that is refused.
 const MOST_IN_VAIN: usize = 1 << 20;
+/// Longest time for which that is done.
+const LONGEST_IN_VAIN: Duration = Duration::from_millis(500);
 
 impl Store {
     /// Streams a body of a tenant to disk, hashing it. Its bytes count as stored as they arrive. After an error nothing of it is
@@ -77,10 +80,15 @@ impl Store {
     }
 }
 
-/// Takes what else arrives of a body that is refused, up to a bound: a client that is cut off while it sends does not read why.
+/// Takes what else arrives of a body that is refused, for a while: a client that is cut off while it sends does not read why.
 async fn take_the_rest<E>(mut body: Pin<&mut impl Stream<Item = Result<Bytes, E>>>) {
     let mut left = MOST_IN_VAIN;
-    while let (1.., Some(Ok(chunk))) = (left, body.next().await) {
-        left = left.saturating_sub(chunk.len());
-    }
+    let rest = async {
+        while left > 0
+            && let Some(Ok(chunk)) = body.next().await
+        {
+            left = left.saturating_sub(chunk.len());
+        }
+    };
+    tokio::time::timeout(LONGEST_IN_VAIN, rest).await.ok();
 }

@@ -20,6 +20,7 @@ impl Store {
         self.artifacts.publish(incoming, &capture.artifact).await?;
         let stored = self.insert_capture(tenant, capture, pieces.as_ref().map(Hold::id)).await?;
         if let Some(pieces) = &pieces
+            && !self.has_upload(pieces.id()).await?
             && let Err(error) = self.drop_upload(pieces).await
         {
             tracing::warn!(%error, "the next start removes the bytes of an upload");

@@ -88,6 +88,12 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
+    /// Whether an upload is known.
+    pub(super) async fn has_upload(&self, id: &UploadId) -> Result<bool, StoreError> {
+        let query = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM uploads WHERE id = ?1)").bind(id);
+        Ok(query.fetch_one(self.pool()).await?)
+    }
+
     /// Takes hold of an upload; `None` while somebody else has it.
     pub fn hold_upload(&self, id: &UploadId) -> Option<Hold> {
         self.holds.take(id)
