@@ -159,6 +159,17 @@ mod tests {
     }
 
     #[test]
+    fn a_crop_is_printed_with_its_ball() {
+        let printed = |ground: bool| {
+            crop(&serde_json::json!({"crop": {"ball": [1.0, -2.0, 0.5, 3.25], "is_on_ground": ground}}))
+                .unwrap()
+        };
+        assert_eq!(printed(false), "cropped to the ball (x, y, z, radius) 1.00, -2.00, 0.50, 3.25");
+        assert!(printed(true).contains("what stands on the ground in the ball"));
+        assert_eq!(crop(&serde_json::json!({"crop": null})), None);
+    }
+
+    #[test]
     fn a_decision_is_printed_with_its_evidence() {
         let card = serde_json::json!({"complexity": {"mode": "auto", "findings": [
             {"setting": "visibility", "step": 9, "was": "degree 4", "is": "off", "forced": false,

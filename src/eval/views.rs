@@ -130,12 +130,14 @@ pub fn photograph(image: &ImageRgba) -> DisplayImage {
 /// the model's own `alpha` covers.
 pub(crate) fn shown_by(model: &Model, view: &CaptureView, alpha: &[f32]) -> DisplayImage {
     let photograph = photograph(&view.image);
-    if !is_cropped(model) {
-        return photograph;
-    }
+    if is_cropped(model) { covered(photograph, alpha) } else { photograph }
+}
+
+/// What `alpha` covers of a picture, on white.
+fn covered(picture: DisplayImage, alpha: &[f32]) -> DisplayImage {
     let pixel = |(p, a): (&[f32; 3], &f32)| p.map(|v| v * a + 1.0 - a);
-    let values = photograph.values.iter().zip(alpha).map(pixel).collect();
-    Plane { values, ..photograph }
+    let values = picture.values.iter().zip(alpha).map(pixel).collect();
+    Plane { values, ..picture }
 }
 
 /// Whether the model's subject was cropped out of photographs without masks.
@@ -188,6 +190,15 @@ mod tests {
     fn an_empty_pixel_is_white_and_an_overexposed_one_is_clamped() {
         assert_eq!(on_white(&one_pixel([0.0; 3], 0.0), Output::Rgb).values[0], [1.0; 3]);
         assert_eq!(on_white(&one_pixel([7.0; 3], 1.0), Output::Rgb).values[0], [1.0; 3]);
+    }
+
+    #[test]
+    fn what_is_not_covered_of_a_photograph_is_white() {
+        let picture = Plane { width: 3, height: 1, values: vec![[0.2, 0.4, 0.6]; 3] };
+        let shown = covered(picture, &[0.0, 0.5, 1.0]).values;
+        for (found, expected) in shown.iter().flatten().zip([1.0, 1.0, 1.0, 0.6, 0.7, 0.8, 0.2, 0.4, 0.6]) {
+            assert!((found - expected).abs() < 1e-6, "{shown:?}");
+        }
     }
 
     #[test]
