@@ -55,6 +55,40 @@ async fn is_healthy(client: &Client) -> bool {
     request.send().await.is_ok_and(|answer| answer.status().is_success())
 }
 
+/// A server that refuses every upload before it reads it.
+async fn refusing_server() -> TestServer {
+    testing::spawn_with(TempDir::new().unwrap(), |c| c.limits.disk_bytes = Some(1)).await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_reads_nothing_before_it_has_sent_all_reads_why_it_was_refused() {
+    const BYTES: usize = 24 << 20;
+    let server = refusing_server().await;
+    let head = format!(
+        "POST /v1/captures HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/zip\r\nContent-Length: {BYTES}\r\n\r\n"
+    );
+    for _ in 0..5 {
+        let mut stream = half_sent(address(server.client()), &head).await;
+        stream.write_all(&vec![0; BYTES]).await.unwrap();
+        let answer = until_closed(&mut stream).await;
+        assert!(answer.starts_with("HTTP/1.1 507"), "{answer}");
+        assert!(answer.contains("connection: close\r\n") && answer.contains("storage-limit"), "{answer}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn after_a_refusal_a_client_sends_its_next_request_where_it_arrives() {
+    let server = refusing_server().await;
+    for bytes in [1000, 300_000, 3_000_000].repeat(10) {
+        let pieces = futures::stream::iter([Ok::<_, std::io::Error>(vec![0; bytes])]);
+        let request = server.client().request(reqwest::Method::POST, "/v1/captures").unwrap();
+        let request = request.header("content-type", "application/zip");
+        // A body in pieces cannot be sent twice: no client would repair what this server breaks.
+        let answer = request.body(reqwest::Body::wrap_stream(pieces)).send().await.unwrap();
+        assert_eq!(answer.status(), 507);
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn two_thousand_half_sent_requests_keep_nobody_from_being_answered() {
     raise_file_limit(5000);

@@ -1,7 +1,6 @@
 //! Bodies on their way to disk, hashed as they arrive.
 
 use std::pin::Pin;
-use std::time::Duration;
 
 use futures::{Stream, StreamExt};
 use object_store::path::Path as Key;
@@ -14,11 +13,6 @@ use crate::store::hash::hex;
 use crate::store::incoming::{INCOMING, Incoming};
 use crate::store::ledger::Reservation;
 use crate::store::{Store, StoreError};
-
-/// Most bytes that are taken of a body that is refused.
-const MOST_IN_VAIN: usize = 1 << 20;
-/// Longest time for which that is done.
-const LONGEST_IN_VAIN: Duration = Duration::from_millis(500);
 
 impl Store {
     /// Streams a body of a tenant to disk, hashing it. Its bytes count as stored as they arrive. After an error nothing of it is
@@ -35,10 +29,10 @@ impl Store {
         limit: u64,
     ) -> Result<Incoming, StoreError> {
         let key = Key::from(format!("{INCOMING}/{name}"));
-        let mut body = std::pin::pin!(body);
+        let body = std::pin::pin!(body);
         let mut upload = WriteMultipart::new(self.artifacts.files().put_multipart(&key).await?);
         let mut reserved = self.reservation(tenant);
-        match self.copy(&mut upload, &mut reserved, body.as_mut(), limit).await {
+        match self.copy(&mut upload, &mut reserved, body, limit).await {
             Ok((sha256, bytes)) => {
                 upload.finish().await?;
                 reserved.shrink_to(bytes);
@@ -47,10 +41,6 @@ impl Store {
             }
             Err(error) => {
                 upload.abort().await.ok();
-                drop(reserved);
-                if !matches!(error, StoreError::Body(_)) {
-                    take_the_rest(body).await;
-                }
                 Err(error)
             }
         }
@@ -78,17 +68,4 @@ impl Store {
         }
         Ok((hex(&hasher.finalize()), bytes))
     }
-}
-
-/// Takes what else arrives of a body that is refused, for a while: a client that is cut off while it sends does not read why.
-async fn take_the_rest<E>(mut body: Pin<&mut impl Stream<Item = Result<Bytes, E>>>) {
-    let mut left = MOST_IN_VAIN;
-    let rest = async {
-        while left > 0
-            && let Some(Ok(chunk)) = body.next().await
-        {
-            left = left.saturating_sub(chunk.len());
-        }
-    };
-    tokio::time::timeout(LONGEST_IN_VAIN, rest).await.ok();
 }

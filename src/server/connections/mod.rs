@@ -1,29 +1,32 @@
 //! Connections: how many there may be and how long a client may keep one waiting.
 //!
 //! hyper speaks HTTP/1.1 on each. Its own header timeout also runs while a connection idles between two requests, so it
-//! cannot tell a slow request from a quiet client; [`Activity`] can.
+//! cannot tell a slow request from a quiet client; [`Activity`] can. [`Unread`] tells
+//! what a request leaves behind.
 
 mod activity;
 mod limits;
 mod registry;
+mod unread;
 
 use std::convert::Infallible;
+use std::future::poll_fn;
 use std::net::SocketAddr;
-use std::pin::pin;
+use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
-use axum::extract::Request;
-use axum::http::StatusCode;
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::Response;
 use http_body_util::BodyExt;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::TokioIo;
-use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_io_timeout::TimeoutStream;
 use tokio_util::io::InspectReader;
@@ -35,9 +38,13 @@ use crate::api::Problem;
 use activity::Activity;
 pub use limits::{ConnectionLimits, raise_file_limit};
 use registry::{Registry, Ticket};
+use unread::Unread;
 
 /// Pause after the operating system gave no socket, e.g. because this process may open no more files.
 const NO_SOCKET_PAUSE: Duration = Duration::from_millis(50);
+
+/// Longest time for which a client that was answered before it had sent its request is read from.
+const LINGER: Duration = Duration::from_secs(5);
 
 /// Serves connections until `stop` is cancelled, then closes the waiting ones and lets requests end for at most `drain`.
 /// Returns whether all ended in time.
@@ -82,10 +89,11 @@ async fn connection(
 ) {
     let activity = ticket.activity.clone();
     let io = TokioIo::new(watched(stream, limits, activity.clone()));
-    let service = service_fn(|request| answer(routes.clone(), request, activity.clone()));
-    let mut serving = pin!(http1::Builder::new().serve_connection(io, service));
+    let is_cut = AtomicBool::new(false);
+    let service = service_fn(|request| Box::pin(answer(routes.clone(), request, activity.clone(), &is_cut)));
+    let mut serving = http1::Builder::new().serve_connection(io, service);
     let ended = tokio::select! {
-        result = serving.as_mut() => Some(result),
+        result = poll_fn(|context| serving.poll_without_shutdown(context)) => Some(result),
         () = ticket.activity.overdue(&limits) => return tracing::debug!(%peer, "sent no request in time"),
         () = ticket.close.cancelled() => return tracing::debug!(%peer, "closed to make room"),
         () = stop.cancelled() => None,
@@ -94,12 +102,27 @@ async fn connection(
         Some(result) => result,
         None if ticket.activity.waiting_since().is_some() => return,
         None => {
-            serving.as_mut().graceful_shutdown();
-            serving.await
+            Pin::new(&mut serving).graceful_shutdown();
+            poll_fn(|context| serving.poll_without_shutdown(context)).await
         }
     };
     if let Err(error) = result {
-        tracing::debug!(%peer, %error, "the connection broke off");
+        return tracing::debug!(%peer, %error, "the connection broke off");
+    }
+    let stream = serving.into_parts().io.into_inner();
+    tokio::select! {
+        () = close(stream, is_cut.into_inner()) => {}
+        () = ticket.close.cancelled() => tracing::debug!(%peer, "closed to make room"),
+    }
+}
+
+/// Ends a connection whose last answer is sent. A client that is still sending then (`is_cut`) is read from for a while: to a
+/// client that sends to a closed socket, the operating system may refuse the answer that waits for it.
+async fn close(mut stream: impl AsyncRead + AsyncWrite + Unpin, is_cut: bool) {
+    if stream.shutdown().await.is_ok() && is_cut {
+        let mut nowhere = tokio::io::sink();
+        // Whichever way this ends, nobody is told more.
+        let _ = tokio::time::timeout(LINGER, tokio::io::copy(&mut stream, &mut nowhere)).await;
     }
 }
 
@@ -119,14 +142,22 @@ fn watched(
     Box::pin(InspectReader::new(stream, arrived))
 }
 
-/// Answers a request; the connection counts as busy until the last byte of the answer was handed over.
+/// Answers a request; the connection counts as busy until the last byte of the answer was handed over. Sets `is_cut` where the
+/// client has not sent all of it.
 async fn answer(
     routes: Router,
     request: hyper::Request<Incoming>,
     activity: Arc<Activity>,
+    is_cut: &AtomicBool,
 ) -> Result<Response, Infallible> {
     let busy = activity.begin();
-    let response = routes.oneshot(request.map(Body::new) as Request).await?;
+    let (head, body) = request.into_parts();
+    let (unread, body) = Unread::lend(&head.headers, body);
+    let mut response = routes.oneshot(hyper::Request::from_parts(head, body)).await?;
+    if !unread.settle().await {
+        response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
+        is_cut.store(true, Ordering::Relaxed);
+    }
     Ok(response.map(|body| {
         Body::new(body.map_frame(move |frame| {
             let _until_dropped = &busy;
@@ -164,7 +195,6 @@ async fn after_no_socket(error: &std::io::Error, registry: &Registry) {
 mod tests {
     use super::*;
     use axum::routing::get;
-    use tokio::io::AsyncWriteExt;
 
     #[tokio::test]
     async fn when_a_client_goes_what_was_done_for_it_is_dropped() {
