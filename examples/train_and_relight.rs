@@ -11,7 +11,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use relume::capture::{SyntheticOptions, builtin, synthetic};
-use relume::formats::exr_frame::{self, ColourDepth, FrameLayer, FrameLayers};
+use relume::formats::exr_frame::{self, ColourDepth, FrameAttributes, FrameLayer, FrameLayers};
 use relume::formats::image_file::encode_png;
 use relume::{
     Capture, Device, Frame, ImportOptions, Model, Output, Preset, Renderer, Tier, TrainConfig,
@@ -95,6 +95,7 @@ fn linear_exr(frame: &Frame) -> Result<Vec<u8>, AnyError> {
         height: frame.height,
         colour: &[FrameLayer { name: "", suffixes: "RGBA", values: &rgba }],
         data: &[FrameLayer { name: "N", suffixes: "XYZ", values: plane(Output::Normal)? }],
+        attributes: &FrameAttributes::default(),
     };
     Ok(exr_frame::encode(&layers, ColourDepth::Full)?)
 }

@@ -5,8 +5,7 @@ use relume::api::renders::{CameraSpec, LookAtSpec, RenderRequest};
 use relume::engine::Device;
 use relume::engine::DeviceChoice;
 use relume::formats::image_file;
-use relume::render::FrameFormat;
-use relume::render::Output;
+use relume::render::{Background, ColourDepth, FrameFormat, Output, ToneCurve};
 use relume::server::ServerConfig;
 use relume::testing;
 
@@ -113,4 +112,62 @@ async fn a_server_without_a_gpu_refuses_jobs_that_ask_for_one_and_one_that_has_n
         testing::spawn_with(folder, |c| c.worker.device = DeviceChoice::Gpu(Some(99))).await.unwrap();
     let Err(error) = missing.stop().await else { panic!("it started") };
     assert!(error.to_string().contains("gpu:99"), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_picture_is_finished_as_it_was_asked_for() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let model = trained(client).await.model.unwrap();
+    let asked = RenderRequest {
+        camera: look_at(),
+        width: 24,
+        height: 16,
+        outputs: vec![Output::Rgb],
+        ..RenderRequest::default()
+    };
+    let render = |change: fn(&mut RenderRequest), format| {
+        let mut request = asked.clone();
+        change(&mut request);
+        let (client, model) = (client.clone(), model.clone());
+        async move { client.render(&model, &request, format).await }
+    };
+    let alpha = |png: &[u8]| {
+        let image = image_file::decode(png, 1 << 20).unwrap();
+        image.pixels.iter().map(|p| p[3]).fold(1.0, f32::min)
+    };
+    let plain = render(|_| {}, FrameFormat::Png).await.unwrap();
+    assert!(alpha(&plain) < 0.5, "the control: around the model there is nothing");
+    let lit = render(|r| r.background = Background::Environment, FrameFormat::Png).await.unwrap();
+    let coloured =
+        render(|r| r.background = Background::Colour([10, 20, 30]), FrameFormat::Png).await.unwrap();
+    assert!(alpha(&lit) == 1.0 && alpha(&coloured) == 1.0 && lit != coloured);
+    assert_ne!(render(|r| r.tone_curve = ToneCurve::Agx, FrameFormat::Png).await.unwrap(), plain);
+    let exr = render(|r| r.colour_depth = Some(ColourDepth::Half), FrameFormat::Exr).await.unwrap();
+    let text = String::from_utf8_lossy(&exr);
+    for said in ["worldToCamera", model.as_str(), "relume:light", "recovered", "fx "] {
+        assert!(text.contains(said), "{said}");
+    }
+    let refused = render(|r| r.tone_curve = ToneCurve::Agx, FrameFormat::Exr).await.unwrap_err();
+    let problem = refused.problem().unwrap();
+    assert_eq!((problem.status, problem.errors[0].pointer.as_str()), (422, "/tone_curve"));
+    let mut wrong = serde_json::to_value(&asked).unwrap();
+    wrong["background"] = "white".into();
+    let path = format!("/v1/models/{model}/render");
+    let answer = client.request(reqwest::Method::POST, &path).unwrap().json(&wrong).send().await.unwrap();
+    assert_eq!(answer.status(), 422);
+    let text = answer.text().await.unwrap();
+    assert!(text.contains("/background") && text.contains("#f4f4f4"), "{text}");
+    let thumbnail = |query: &str| {
+        let path = format!("/v1/models/{model}/thumbnail?size=16{query}");
+        let request = client.request(reqwest::Method::GET, &path).unwrap();
+        async move {
+            let answer = request.send().await.unwrap();
+            let tag = answer.headers().get("etag").map(|v| v.to_str().unwrap().to_owned());
+            (answer.status().as_u16(), tag)
+        }
+    };
+    let (plain, white) = (thumbnail("").await, thumbnail("&background=ffffff&tone_curve=neutral").await);
+    assert!(plain.0 == 200 && white.0 == 200 && plain.1 != white.1, "{plain:?} {white:?}");
+    assert_eq!(thumbnail("&tone_curve=linear").await.0, 422);
 }

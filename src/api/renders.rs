@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::api::EnvironmentId;
-use crate::render::{Output, Tier};
+use crate::render::{Background, ColourDepth, Output, Tier, ToneCurve};
 
 /// A frame to render.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -37,6 +37,20 @@ pub struct RenderRequest {
     #[serde(default = "rgb_only")]
     #[cfg_attr(feature = "server", schema(value_type = Vec<String>, example = json!(["rgb"])))]
     pub outputs: Vec<Output>,
+    /// What stands behind the model: `transparent` (the default; JPEG shows white), `environment` (the light, in `rgb`), or a display
+    /// colour like `#f4f4f4`, which an EXR does not take.
+    #[serde(default)]
+    #[cfg_attr(feature = "server", schema(value_type = String, example = "transparent"))]
+    pub background: Background,
+    /// How colours come to a display: `srgb` (the default; clamped), `neutral` (Khronos PBR Neutral), `agx` or `linear` (16-bit PNG).
+    /// Albedo is not tone-mapped, and an EXR never.
+    #[serde(default)]
+    #[cfg_attr(feature = "server", schema(inline))]
+    pub tone_curve: ToneCurve,
+    /// How an EXR stores colours: `float` (the default) or `half`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[cfg_attr(feature = "server", schema(inline))]
+    pub colour_depth: Option<ColourDepth>,
 }
 
 /// A camera: either `look_at`, or `camera_to_world` with `fov_y_deg` or `intrinsics`.

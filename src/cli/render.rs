@@ -9,7 +9,10 @@ use crate::cli::light::named_light;
 use crate::cli::{input, output};
 use crate::engine::Device;
 use crate::engine::DeviceChoice;
-use crate::render::{FrameFormat, Orbit, Output, Renderer, Tier, Viewpoint, encode_frame};
+use crate::render::{
+    Background, Finish, FrameFormat, FrameNotes, Orbit, Output, Renderer, Tier, ToneCurve, Viewpoint,
+    encode_frame,
+};
 
 /// Options of `relume render`.
 #[derive(Debug, clap::Args)]
@@ -39,6 +42,12 @@ pub(super) struct RenderArgs {
     /// Outputs to render, separated by commas; a PNG or JPEG holds one, an EXR all.
     #[arg(long, default_value = "rgb", value_delimiter = ',', value_parser = named::<Output>)]
     output: Vec<Output>,
+    /// Behind the model: `transparent` (JPEG shows white), `environment` or a colour like `f4f4f4`.
+    #[arg(long, default_value_t)]
+    background: Background,
+    /// How colours come to a display: `srgb`, `neutral`, `agx` or, in a 16-bit PNG, `linear`.
+    #[arg(long, default_value = "srgb", value_parser = named::<ToneCurve>)]
+    tone_curve: ToneCurve,
     /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
@@ -52,6 +61,8 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
     if format != FrameFormat::Exr && args.output.len() > 1 {
         return Err("only an .exr holds several outputs".into());
     }
+    let finish = Finish { background: args.background, tone_curve: args.tone_curve, ..Finish::default() };
+    finish.check(&args.output, format)?;
     let model = Arc::new(input::read_model(&args.model)?);
     let light = match args.env.as_str() {
         "recovered" => model.environment(),
@@ -61,16 +72,28 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
     let orbit = Orbit { azimuth_deg: args.azimuth, elevation_deg: args.elevation, size: args.size };
     let camera = Viewpoint::Orbit(orbit).camera(&model)?;
     let renderer = Renderer::on(model, &Device::open(args.device)?)?;
-    let frame = renderer.render(
-        &camera,
-        &renderer.prepare_light(&light)?,
-        args.quality.quality(Tier::default()),
-        &args.output,
-    )?;
-    let encoded = encode_frame(&frame, &args.output, format)?;
+    let light = renderer.prepare_light(&light)?;
+    let quality = args.quality.quality(Tier::default());
+    let mut frame = renderer.render(&camera, &light, quality, &args.output)?;
+    if args.background == Background::Environment {
+        renderer.show_environment(&mut frame, &camera, &light);
+    }
+    let notes = FrameNotes {
+        model: file_name(&args.model),
+        light: args.env.clone(),
+        rotation_deg: args.rotation,
+        exposure_ev: args.exposure,
+        tier: quality.tier,
+        camera: Some(camera),
+    };
+    let encoded = encode_frame(&frame, &args.output, format, &Finish { notes, ..finish })?;
     output::write_named(&args.out, &encoded.bytes)?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 fn format(path: &Path) -> Result<FrameFormat, String> {

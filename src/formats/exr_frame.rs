@@ -11,6 +11,8 @@ use exr::prelude::{
     ImageAttributes, IntegerBounds, Layer, LayerAttributes, LineOrder, Text, Vec2, WritableImage, f16,
 };
 
+use serde::{Deserialize, Serialize};
+
 use crate::formats::ImageFileError;
 
 /// Interleaved values that become channels `name.SUFFIX`, or bare suffixes when the name is empty.
@@ -35,15 +37,29 @@ pub struct FrameLayers<'a> {
     pub colour: &'a [FrameLayer<'a>],
     /// Measurements: part `data`, `colorInteropID = data`, always f32.
     pub data: &'a [FrameLayer<'a>],
+    /// How it was made.
+    pub attributes: &'a FrameAttributes,
+}
+
+/// What every part of the file says beside its pixels.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct FrameAttributes {
+    /// Text attributes by name.
+    pub texts: Vec<(&'static str, String)>,
+    /// The standard attribute `worldToCamera`: row vectors, as OpenEXR has them.
+    pub world_to_camera: Option<[f32; 16]>,
 }
 
 /// How colour is stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
 pub enum ColourDepth {
     /// 16-bit floats; values beyond 65,504 are clamped to it.
     #[default]
     Half,
     /// 32-bit floats.
+    #[serde(rename = "float")]
     Full,
 }
 
@@ -98,6 +114,11 @@ fn part(
     }
     let mut attributes = LayerAttributes::named(text(name)?);
     attributes.other.insert(text("colorInteropID")?, AttributeValue::Text(text(interop)?));
+    for (name, value) in &frame.attributes.texts {
+        attributes.other.insert(text(name)?, AttributeValue::Text(text(value)?));
+    }
+    attributes.world_to_camera = frame.attributes.world_to_camera;
+    attributes.software_name = Some(text(concat!("relume ", env!("CARGO_PKG_VERSION")))?);
     let encoding = Encoding {
         compression: Compression::ZIP16,
         blocks: Blocks::ScanLines,
@@ -151,6 +172,10 @@ mod tests {
                 FrameLayer { name: "N", suffixes: "XYZ", values: &normal },
                 FrameLayer { name: "roughness", suffixes: "Y", values: &[0.25; 6] },
             ],
+            attributes: &FrameAttributes {
+                texts: vec![("relume:model", "m".to_owned())],
+                world_to_camera: Some(std::array::from_fn(|i| i as f32)),
+            },
         };
         encode(&frame, depth).unwrap()
     }
@@ -172,6 +197,11 @@ mod tests {
             assert_eq!(layer.attributes.layer_name.as_ref().unwrap().to_string(), name);
             let key = Text::new_or_none("colorInteropID").unwrap();
             assert_eq!(layer.attributes.other[&key], AttributeValue::Text(Text::new_or_none(tag).unwrap()));
+            let model = &layer.attributes.other[&Text::new_or_none("relume:model").unwrap()];
+            assert_eq!(*model, AttributeValue::Text(Text::new_or_none("m").unwrap()));
+            assert_eq!(layer.attributes.world_to_camera, Some(std::array::from_fn(|i| i as f32)));
+            let software = layer.attributes.software_name.as_ref().unwrap().to_string();
+            assert!(software.starts_with("relume "), "{software}");
         }
         assert!(image.attributes.chromaticities.is_none());
     }
@@ -193,7 +223,13 @@ mod tests {
     #[test]
     fn layers_that_do_not_fill_the_frame_are_named() {
         let colour = [FrameLayer { name: "albedo", suffixes: "RGB", values: &[0.0; 5] }];
-        let frame = FrameLayers { width: 2, height: 1, colour: &colour, data: &[] };
+        let frame = FrameLayers {
+            width: 2,
+            height: 1,
+            colour: &colour,
+            data: &[],
+            attributes: &FrameAttributes::default(),
+        };
         assert!(encode(&frame, ColourDepth::Half).unwrap_err().to_string().contains("albedo"));
         assert!(encode(&FrameLayers { colour: &[], ..frame }, ColourDepth::Half).is_err());
     }

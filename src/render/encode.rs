@@ -1,40 +1,12 @@
 //! Frames as image files.
 
-use serde::{Deserialize, Serialize};
-
 use crate::formats::ImageFileError;
-use crate::formats::exr_frame::{self, ColourDepth, FrameLayer, FrameLayers};
+use crate::formats::exr_frame::{self, FrameLayer, FrameLayers};
 use crate::formats::image_file::{encode_jpeg, encode_png, encode_png16};
-use crate::render::{Frame, Output};
+use crate::formats::srgb;
+use crate::render::{Background, Finish, Frame, FrameFormat, Output, ToneCurve, is_colour};
 
 const JPEG_QUALITY: u8 = 90;
-
-/// A kind of image file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
-#[serde(rename_all = "snake_case")]
-pub enum FrameFormat {
-    /// One output, display-referred or mapped to integers.
-    Png,
-    /// One output over white.
-    Jpeg,
-    /// Every output, linear, 32-bit float.
-    Exr,
-}
-
-impl FrameFormat {
-    /// Every kind.
-    pub const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::Exr];
-
-    /// Media type.
-    pub fn media_type(self) -> &'static str {
-        match self {
-            Self::Png => "image/png",
-            Self::Jpeg => "image/jpeg",
-            Self::Exr => "image/x-exr",
-        }
-    }
-}
 
 /// An encoded frame.
 #[derive(Debug)]
@@ -47,11 +19,12 @@ pub struct EncodedFrame {
 
 /// Encodes a frame.
 ///
-/// - Colours (`rgb`, `albedo`, `diffuse`, `specular`, `radiance`): clamped, sRGB curve, 8 bit, straight alpha.
+/// - Colours (`rgb`, `albedo`, `diffuse`, `specular`, `radiance`): tone curve (albedo: sRGB), 8 bit, straight alpha; 16 bit
+///   with [`ToneCurve::Linear`]. A background colour is blended on the display.
 /// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`: 8-bit grey, linear.
 /// - `depth`: 16-bit grey, linear between the nearest and farthest depth of the frame.
-/// - EXR: linear 32-bit floats, colours premultiplied as rendered in part `beauty` (`rgb` with alpha as `RGBA`),
-///   everything else in part `data`.
+/// - EXR: linear, colours premultiplied as rendered in part `beauty` (`rgb` with alpha as `RGBA`),
+///   everything else in part `data`, 32-bit floats.
 ///
 /// # Errors
 /// When the frame lacks an output, or the encoder fails.
@@ -59,29 +32,28 @@ pub fn encode_frame(
     frame: &Frame,
     outputs: &[Output],
     format: FrameFormat,
+    finish: &Finish,
 ) -> Result<EncodedFrame, ImageFileError> {
     let bare = |bytes| EncodedFrame { bytes, depth_range: None };
+    let first = outputs.first().copied().unwrap_or(Output::Rgb);
     match format {
-        FrameFormat::Exr => exr(frame, outputs).map(bare),
-        FrameFormat::Png => png(frame, outputs.first().copied().unwrap_or(Output::Rgb)),
+        FrameFormat::Exr => exr(frame, outputs, finish).map(bare),
+        FrameFormat::Png => png(frame, first, finish),
         FrameFormat::Jpeg => {
-            let pixels = over_white(&colour(frame, outputs.first().copied().unwrap_or(Output::Rgb))?);
+            let pixels = over_white(&colour::<u8>(frame, first, finish)?);
             encode_jpeg(frame.width, frame.height, &pixels, JPEG_QUALITY).map(bare)
         }
     }
 }
 
-/// True when the output is a colour, which JPEG can hold.
-pub fn is_colour(output: Output) -> bool {
-    use Output::{Albedo, Diffuse, Radiance, Rgb, Specular};
-    matches!(output, Rgb | Albedo | Diffuse | Specular | Radiance)
-}
-
-fn png(frame: &Frame, output: Output) -> Result<EncodedFrame, ImageFileError> {
+fn png(frame: &Frame, output: Output, finish: &Finish) -> Result<EncodedFrame, ImageFileError> {
     let (w, h) = (frame.width, frame.height);
     let bare = |bytes| EncodedFrame { bytes, depth_range: None };
     if is_colour(output) {
-        return encode_png(w, h, &colour(frame, output)?).map(bare);
+        return match finish.tone_curve {
+            ToneCurve::Linear => encode_png16(w, h, &colour::<u16>(frame, output, finish)?).map(bare),
+            _ => encode_png(w, h, &colour::<u8>(frame, output, finish)?).map(bare),
+        };
     }
     let values = plane(frame, output)?;
     if output == Output::Depth {
@@ -103,22 +75,65 @@ fn plane(frame: &Frame, output: Output) -> Result<&[f32], ImageFileError> {
     plane.ok_or_else(|| ImageFileError::Encode(format!("the frame lacks {output:?}")))
 }
 
-/// A colour output as display-referred RGBA: it takes the place of `rgb` in a frame of its own.
-fn colour(frame: &Frame, output: Output) -> Result<Vec<[u8; 4]>, ImageFileError> {
-    let alpha = plane(frame, Output::Alpha)?.to_vec();
-    let mut values = plane(frame, output)?.to_vec();
-    if output == Output::Albedo {
-        // The one colour that is not premultiplied.
-        values.iter_mut().enumerate().for_each(|(i, v)| *v *= alpha[i / 3]);
+/// A number of levels that a channel has.
+trait Level: Copy {
+    /// The level nearest to a value in [0, 1].
+    fn nearest(value: f32) -> Self;
+}
+
+impl Level for u8 {
+    fn nearest(value: f32) -> Self {
+        srgb::to_u8(value)
     }
-    let planes = [(Output::Rgb, values), (Output::Alpha, alpha)].into();
-    Ok(Frame { width: frame.width, height: frame.height, planes }.to_srgb8())
+}
+
+impl Level for u16 {
+    fn nearest(value: f32) -> Self {
+        (value * 65535.0 + 0.5) as u16
+    }
+}
+
+/// A colour output as display-referred RGBA, straight alpha.
+fn colour<L: Level>(frame: &Frame, output: Output, finish: &Finish) -> Result<Vec<[L; 4]>, ImageFileError> {
+    let alpha = plane(frame, Output::Alpha)?;
+    let pixels = plane(frame, output)?.as_chunks::<3>().0;
+    // Albedo is the one colour that is not premultiplied, and the one that no light makes brighter than 1.
+    let curve = match (output, finish.tone_curve) {
+        (Output::Albedo, ToneCurve::Neutral | ToneCurve::Agx) => ToneCurve::Srgb,
+        (_, curve) => curve,
+    };
+    let pixel = |(&rgb, &alpha): (&[f32; 3], &f32)| {
+        let alpha = coverage(alpha, output, finish);
+        let divisor = if output == Output::Albedo { 1.0 } else { alpha.max(1e-6) };
+        let shown = curve.apply(rgb.map(|v| v / divisor));
+        let (shown, alpha) = match finish.background {
+            Background::Colour(behind) => (over(shown, alpha, behind), 1.0),
+            _ => (shown, alpha),
+        };
+        let [r, g, b] = shown.map(L::nearest);
+        [r, g, b, L::nearest(alpha)]
+    };
+    Ok(pixels.iter().zip(alpha).map(pixel).collect())
+}
+
+/// How much of a pixel a colour covers.
+fn coverage(alpha: f32, output: Output, finish: &Finish) -> f32 {
+    match (output, finish.background) {
+        (Output::Rgb, Background::Environment) => 1.0,
+        _ => alpha.clamp(0.0, 1.0),
+    }
+}
+
+/// A display colour over another, as browsers blend.
+fn over(shown: [f32; 3], alpha: f32, behind: [u8; 3]) -> [f32; 3] {
+    std::array::from_fn(|k| shown[k] * alpha + f32::from(behind[k]) / 255.0 * (1.0 - alpha))
 }
 
 /// Colours and measurements in parts of their own.
-fn exr(frame: &Frame, outputs: &[Output]) -> Result<Vec<u8>, ImageFileError> {
+fn exr(frame: &Frame, outputs: &[Output], finish: &Finish) -> Result<Vec<u8>, ImageFileError> {
     let alpha = plane(frame, Output::Alpha)?;
     let with_rgb = outputs.contains(&Output::Rgb);
+    let alpha = alpha.iter().map(|a| coverage(*a, Output::Rgb, finish));
     let rgba = if with_rgb { interleaved(plane(frame, Output::Rgb)?, alpha) } else { Vec::new() };
     let (mut colour, mut data) = (Vec::new(), Vec::new());
     if with_rgb {
@@ -129,8 +144,10 @@ fn exr(frame: &Frame, outputs: &[Output]) -> Result<Vec<u8>, ImageFileError> {
         let layer = FrameLayer { name, suffixes, values: plane(frame, *output)? };
         if is_colour(*output) { colour.push(layer) } else { data.push(layer) }
     }
-    let layers = FrameLayers { width: frame.width, height: frame.height, colour: &colour, data: &data };
-    exr_frame::encode(&layers, ColourDepth::Full)
+    let (width, height) = (frame.width, frame.height);
+    let attributes = &finish.notes.attributes();
+    let layers = FrameLayers { width, height, colour: &colour, data: &data, attributes };
+    exr_frame::encode(&layers, finish.colour_depth.unwrap_or(exr_frame::ColourDepth::Full))
 }
 
 /// The names compositing tools expect.
@@ -150,8 +167,8 @@ fn layer_name(output: Output) -> (&'static str, &'static str) {
     }
 }
 
-fn interleaved(rgb: &[f32], alpha: &[f32]) -> Vec<f32> {
-    rgb.as_chunks::<3>().0.iter().zip(alpha).flat_map(|(&[r, g, b], &a)| [r, g, b, a]).collect()
+fn interleaved(rgb: &[f32], alpha: impl Iterator<Item = f32>) -> Vec<f32> {
+    rgb.as_chunks::<3>().0.iter().zip(alpha).flat_map(|(&[r, g, b], a)| [r, g, b, a]).collect()
 }
 
 fn over_white(pixels: &[[u8; 4]]) -> Vec<[u8; 3]> {
@@ -180,7 +197,8 @@ mod tests {
     fn a_half_covered_pixel_keeps_its_albedo() {
         let planes = [(Output::Albedo, vec![0.5; 3]), (Output::Alpha, vec![0.5])].into();
         let frame = Frame { width: 1, height: 1, planes };
-        assert_eq!(colour(&frame, Output::Albedo).unwrap(), [[188, 188, 188, 128]]);
+        let finish = Finish { tone_curve: ToneCurve::Agx, ..Finish::default() };
+        assert_eq!(colour::<u8>(&frame, Output::Albedo, &finish).unwrap(), [[188, 188, 188, 128]]);
         assert_eq!(over_white(&[[188, 188, 188, 128]]), [[221; 3]]);
     }
 
@@ -191,16 +209,34 @@ mod tests {
         let mut frame = Frame { width: 1, height: 1, planes };
         frame.planes.insert(Output::Rgb, vec![0.25, 0.5, 2.0]);
         frame.planes.insert(Output::Alpha, vec![1.0]);
-        let bytes = encode_frame(&frame, &outputs, FrameFormat::Exr).unwrap().bytes;
+        let bytes = encode_frame(&frame, &outputs, FrameFormat::Exr, &Finish::default()).unwrap().bytes;
         let (_, _, pixels) = crate::formats::exr_image::decode_rgba(&bytes).unwrap();
         assert_eq!(pixels, [[0.25, 0.5, 2.0, 1.0]], "linear and unclamped");
         let names = ["N.X", "Z", "visibility.Y", "alpha.Y"];
         let text = String::from_utf8_lossy(&bytes);
         assert!(names.iter().all(|name| text.contains(name)) && !text.contains("albedo"));
         assert!(
-            encode_frame(&frame, &[Output::Albedo], FrameFormat::Exr).is_err(),
+            encode_frame(&frame, &[Output::Albedo], FrameFormat::Exr, &Finish::default()).is_err(),
             "what is not there is not made up"
         );
+    }
+
+    #[test]
+    fn a_background_takes_the_place_of_alpha_and_coverage_stays_what_it_was() {
+        let planes = [(Output::Rgb, vec![0.25; 3]), (Output::Alpha, vec![0.5])].into();
+        let frame = Frame { width: 1, height: 1, planes };
+        let with = |background, tone_curve| Finish { background, tone_curve, ..Finish::default() };
+        let shown =
+            |background| colour::<u8>(&frame, Output::Rgb, &with(background, ToneCurve::Srgb)).unwrap()[0];
+        assert_eq!(shown(Background::Transparent), [188, 188, 188, 128]);
+        assert_eq!(shown(Background::Colour([0, 100, 255])), [94, 144, 221, 255]);
+        // The light behind is in the frame already.
+        assert_eq!(shown(Background::Environment), [137, 137, 137, 255]);
+        let linear = with(Background::Environment, ToneCurve::Linear);
+        assert_eq!(colour::<u16>(&frame, Output::Rgb, &linear).unwrap(), [[16384, 16384, 16384, 65535]]);
+        let bytes =
+            encode_frame(&frame, &[Output::Rgb, Output::Alpha], FrameFormat::Exr, &linear).unwrap().bytes;
+        assert_eq!(crate::formats::exr_image::decode_rgba(&bytes).unwrap().2, [[0.25, 0.25, 0.25, 1.0]]);
     }
 
     #[test]

@@ -1,19 +1,30 @@
 //! A camera and a light in, a frame out.
 
+mod background;
 mod direct;
 mod edited;
 mod encode;
 mod error;
+mod finish;
+mod format;
 mod high;
 mod job;
 mod monte_carlo;
+mod notes;
 mod renderer;
 mod tier;
+mod tone_curve;
 mod viewpoint;
 
 pub use crate::engine::{Frame, Output};
-pub use encode::{EncodedFrame, FrameFormat, encode_frame, is_colour};
+pub use crate::formats::exr_frame::ColourDepth;
+pub use background::Background;
+pub use encode::{EncodedFrame, encode_frame};
 pub use error::RenderError;
+pub use finish::Finish;
+pub use format::{FrameFormat, is_colour};
+pub use notes::FrameNotes;
 pub use renderer::{PreparedLight, Renderer};
 pub use tier::{Quality, Tier};
+pub use tone_curve::ToneCurve;
 pub use viewpoint::{Orbit, Viewpoint};

@@ -5,6 +5,7 @@ use std::sync::{Arc, OnceLock};
 use crate::engine::cpu::{FrameLight as CpuLight, Occluders};
 use crate::engine::{Device, DeviceError, FrameJob, FrameLight, Frames, RasterCamera, ShadeColour};
 use crate::light::{EnvSampler, LightTables, rendering_tables};
+use crate::render::background;
 use crate::render::error::RenderError;
 use crate::render::high::{self, SplitLight};
 use crate::render::job::Job;
@@ -119,6 +120,11 @@ impl Renderer {
                 )
             }
         })
+    }
+
+    /// Puts the light behind what `rgb` shows of a frame of `camera`.
+    pub fn show_environment(&self, frame: &mut Frame, camera: &Camera, light: &PreparedLight) {
+        background::show_environment(frame, camera, &light.environment);
     }
 
     /// Where Gaussians are shaded, colour alone needs no G-buffer; anything else does, in every tier.

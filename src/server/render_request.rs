@@ -4,7 +4,7 @@ use glam::{DMat4, DVec3};
 
 use crate::api::Problem;
 use crate::api::renders::{CameraSpec, RenderRequest};
-use crate::render::{Quality, Tier};
+use crate::render::{Finish, FrameFormat, Output, Quality, RenderError, Tier, is_colour};
 use crate::scene::{Camera, CameraError};
 
 /// Longest side of a frame, pixels.
@@ -32,6 +32,39 @@ pub(super) fn quality(request: &RenderRequest) -> Result<Quality, Problem> {
         return Err(Problem::invalid_field("/samples", detail));
     }
     Ok(quality)
+}
+
+/// Refuses outputs that no file of the format holds.
+pub(super) fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(), Problem> {
+    let refuse = |why: &str| Err(Problem::invalid_field("/outputs", why));
+    if let Some(i) = (1..outputs.len()).find(|&i| outputs[..i].contains(&outputs[i])) {
+        return Err(Problem::invalid_field(format!("/outputs/{i}"), "is named twice"));
+    }
+    match (outputs, format) {
+        ([], _) => refuse("must name at least one output"),
+        ([_], FrameFormat::Png) | (_, FrameFormat::Exr) => Ok(()),
+        ([one], FrameFormat::Jpeg) if is_colour(*one) => Ok(()),
+        ([_], FrameFormat::Jpeg) => {
+            refuse("is data, which JPEG would spoil; accept image/png or image/x-exr")
+        }
+        _ => refuse("only image/x-exr holds several outputs"),
+    }
+}
+
+/// How the picture is finished; refuses what the format cannot show.
+pub(super) fn finish(request: &RenderRequest, format: FrameFormat) -> Result<Finish, Problem> {
+    let finish = Finish {
+        background: request.background,
+        tone_curve: request.tone_curve,
+        colour_depth: request.colour_depth,
+        ..Finish::default()
+    };
+    match finish.check(&request.outputs, format) {
+        Err(RenderError::Refused { field, reason }) => {
+            Err(Problem::invalid_field(format!("/{field}"), reason))
+        }
+        other => other.map(|()| finish).map_err(Problem::internal),
+    }
 }
 
 /// The camera asked for.

@@ -8,14 +8,15 @@ use utoipa_axum::routes;
 
 use crate::api::renders::RenderRequest;
 use crate::api::{ModelId, Problem};
-use crate::render::{EncodedFrame, FrameFormat, Output, Viewpoint, encode_frame, is_colour};
+use crate::render::{Background, EncodedFrame, Finish, FrameFormat, FrameNotes, Viewpoint, encode_frame};
+use crate::scene::Camera;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{LargeJson, UrlPath};
 use crate::server::lights::light;
 use crate::server::render_request::{camera, quality};
-use crate::server::{memory, models, negotiate};
+use crate::server::{memory, models, negotiate, render_request};
 use crate::worker::RenderTask;
 
 /// Largest body: a 2k map in base64 and the rest.
@@ -30,9 +31,10 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 /// Render a frame
 ///
 /// `Accept` chooses between `image/png` (the default), `image/jpeg` and `image/x-exr`. A PNG of a colour is
-/// display-referred (clamp, sRGB curve, straight alpha); of `normal` it is 16-bit `(n + 1) / 2`; of `depth` 16-bit
+/// display-referred (`tone_curve`, straight alpha); of `normal` it is 16-bit `(n + 1) / 2`; of `depth` 16-bit
 /// grey between the two depths in the header `relume-depth-range`, 65535 where nothing is; of anything else 8-bit
-/// linear grey. An EXR is multi-part and linear, with every output asked for.
+/// linear grey. An EXR is multi-part and linear, with every output asked for; colours are
+/// premultiplied, and attributes name camera (`worldToCamera`), model and light.
 #[utoipa::path(
     post, path = "/v1/models/{id}/render", tag = "models", params(("id" = String, Path)),
     request_body = RenderRequest,
@@ -50,7 +52,8 @@ async fn render(
     LargeJson(request, _body): LargeJson<RenderRequest, BODY_LIMIT>,
 ) -> Result<Response, Problem> {
     let format = negotiate::frame_format(&headers)?;
-    check_outputs(&request.outputs, format)?;
+    render_request::check_outputs(&request.outputs, format)?;
+    let finish = render_request::finish(&request, format)?;
     let camera = camera(&request)?;
     let quality = quality(&request)?;
     let (model, _) = models::source(&app, &caller.tenant, &id).await?;
@@ -61,10 +64,24 @@ async fn render(
         rotation_deg: request.environment.rotation_deg,
         exposure_ev: request.environment.exposure_ev,
         viewpoint: Viewpoint::Camera(camera),
+        shows_environment: request.background == Background::Environment,
         quality,
         outputs: request.outputs,
     };
-    Ok(respond(render_frame(&app, task, format).await?, format))
+    let finish = Finish { notes: notes(&task, Some(camera)), ..finish };
+    Ok(respond(render_frame(&app, task, format, finish).await?, format))
+}
+
+/// What a file says of how it was made.
+fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameNotes {
+    FrameNotes {
+        model: task.model.id.to_string(),
+        light: task.light.key(),
+        rotation_deg: task.rotation_deg,
+        exposure_ev: task.exposure_ev,
+        tier: task.quality.tier,
+        camera,
+    }
 }
 
 /// An encoded frame and the value of the header `Server-Timing`: how long the request waited and took.
@@ -78,6 +95,7 @@ pub(super) async fn render_frame(
     app: &Shared,
     task: RenderTask,
     format: FrameFormat,
+    finish: Finish,
 ) -> Result<TimedFrame, Problem> {
     // Held from before the queue to the encoded file.
     let _frame = app.memory.borrow(memory::of_frame(task.pixels(), &task.outputs)).await?;
@@ -90,8 +108,9 @@ pub(super) async fn render_frame(
         rendered.steps_waited,
         ms(rendered.took)
     );
-    let encoded = tokio::task::spawn_blocking(move || encode_frame(&rendered.frame, &outputs, format));
-    let encoded = encoded.await.map_err(Problem::internal)?.map_err(Problem::internal)?;
+    let encode = move || encode_frame(&rendered.frame, &outputs, format, &finish);
+    let encoded =
+        tokio::task::spawn_blocking(encode).await.map_err(Problem::internal)?.map_err(Problem::internal)?;
     Ok(TimedFrame { encoded, timing })
 }
 
@@ -109,20 +128,4 @@ pub(super) fn respond(TimedFrame { encoded, timing }: TimedFrame, format: FrameF
         headers.insert(DEPTH_RANGE, value);
     }
     response
-}
-
-fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(), Problem> {
-    let refuse = |why: &str| Err(Problem::invalid_field("/outputs", why));
-    if let Some(i) = (1..outputs.len()).find(|&i| outputs[..i].contains(&outputs[i])) {
-        return Err(Problem::invalid_field(format!("/outputs/{i}"), "is named twice"));
-    }
-    match (outputs, format) {
-        ([], _) => refuse("must name at least one output"),
-        ([_], FrameFormat::Png) | (_, FrameFormat::Exr) => Ok(()),
-        ([one], FrameFormat::Jpeg) if is_colour(*one) => Ok(()),
-        ([_], FrameFormat::Jpeg) => {
-            refuse("is data, which JPEG would spoil; accept image/png or image/x-exr")
-        }
-        _ => refuse("only image/x-exr holds several outputs"),
-    }
 }

@@ -10,7 +10,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::api::{EnvironmentId, ModelId, Problem, TenantId};
-use crate::render::{FrameFormat, Orbit, Output, Tier, Viewpoint};
+use crate::render::{Background, Finish, FrameFormat, Orbit, Output, Tier, ToneCurve, Viewpoint};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::File;
@@ -47,6 +47,12 @@ pub struct ThumbnailQuery {
     /// `png` (the default, with alpha) or `jpeg` (over white).
     #[param(inline)]
     pub format: Option<FrameFormat>,
+    /// `transparent` (the default; JPEG shows white), `environment` (the light) or a colour like `f4f4f4`.
+    #[param(value_type = Option<String>)]
+    pub background: Option<Background>,
+    /// `srgb` (the default), `neutral` or `agx`.
+    #[param(inline)]
+    pub tone_curve: Option<ToneCurve>,
 }
 
 /// Get a thumbnail
@@ -74,7 +80,8 @@ async fn thumbnail(
     let tier = tier(&query)?;
     let (model, model_hash) = models::source(&app, &caller.tenant, &id).await?;
     let light = light(&app, &caller.tenant, query.env.as_deref().unwrap_or("recovered")).await?;
-    let tag = etag(&identity(&model_hash, &light, &orbit, tier, format));
+    let finish = finish(&query)?;
+    let tag = etag(&identity(&model_hash, &light, &orbit, tier, format, &finish));
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else if method == Method::HEAD {
@@ -87,10 +94,11 @@ async fn thumbnail(
             rotation_deg: 0.0,
             exposure_ev: 0.0,
             viewpoint,
+            shows_environment: finish.background == Background::Environment,
             quality: tier.into(),
             outputs,
         };
-        renders::respond(renders::render_frame(&app, task, format).await?, format)
+        renders::respond(renders::render_frame(&app, task, format, finish).await?, format)
     };
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
@@ -131,6 +139,14 @@ fn format(query: &ThumbnailQuery) -> Result<FrameFormat, Problem> {
     }
 }
 
+fn finish(query: &ThumbnailQuery) -> Result<Finish, Problem> {
+    let tone_curve = query.tone_curve.unwrap_or_default();
+    if tone_curve == ToneCurve::Linear {
+        return Err(Problem::invalid_field("query/tone_curve", "must be srgb, neutral or agx"));
+    }
+    Ok(Finish { background: query.background.unwrap_or_default(), tone_curve, ..Finish::default() })
+}
+
 async fn light(app: &Shared, tenant: &TenantId, name: &str) -> Result<LightSource, Problem> {
     if let Some(light) = builtin_light(name) {
         return Ok(light);
@@ -140,8 +156,16 @@ async fn light(app: &Shared, tenant: &TenantId, name: &str) -> Result<LightSourc
 }
 
 /// A hash of everything the picture depends on, the program's version included.
-fn identity(model: &str, light: &LightSource, orbit: &Orbit, tier: Tier, format: FrameFormat) -> String {
-    let light = light.key();
-    let text = format!("{}|{model}|{light}|{orbit:?}|{tier:?}|{format:?}", env!("CARGO_PKG_VERSION"));
+fn identity(
+    model: &str,
+    light: &LightSource,
+    orbit: &Orbit,
+    tier: Tier,
+    format: FrameFormat,
+    finish: &Finish,
+) -> String {
+    let (light, version) = (light.key(), env!("CARGO_PKG_VERSION"));
+    let Finish { background, tone_curve, .. } = finish;
+    let text = format!("{version}|{model}|{light}|{orbit:?}|{tier:?}|{format:?}|{background}|{tone_curve:?}");
     hex(&Sha256::digest(text.as_bytes()))
 }

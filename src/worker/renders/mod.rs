@@ -140,6 +140,8 @@ pub struct RenderTask {
     pub exposure_ev: f64,
     /// From where.
     pub viewpoint: Viewpoint,
+    /// Whether the light shows behind the model.
+    pub shows_environment: bool,
     /// How.
     pub quality: Quality,
     /// What.
@@ -204,6 +206,9 @@ impl RenderCache {
         let light = self.lights.try_get_or_insert(key, || prepare(renderer, task))?;
         go_on()?;
         let mut frame = renderer.render(&camera, light, task.quality, &task.outputs)?;
+        if task.shows_environment {
+            renderer.show_environment(&mut frame, &camera, light);
+        }
         expose(&mut frame, task.exposure_ev);
         Ok(frame)
     }

@@ -35,6 +35,7 @@ fn task(model: &ModelSource, tier: Tier, exposure_ev: f64) -> RenderTask {
         light: LightSource::Builtin("sunset".to_owned()),
         rotation_deg: 30.0,
         exposure_ev,
+        shows_environment: false,
         viewpoint: Viewpoint::Orbit(Orbit { azimuth_deg: 10.0, elevation_deg: 20.0, size: 24 }),
         quality: Quality { samples: 4, ..tier.into() },
         outputs: vec![Output::Rgb, Output::Diffuse, Output::Specular, Output::Albedo, Output::Depth],
@@ -75,6 +76,28 @@ fn a_scaled_frame_is_that_of_a_scaled_light() {
             assert!((a - b).abs() <= 1e-4 + 1e-3 * b.abs(), "{tier:?}: {a} and {b}");
         }
     }
+}
+
+#[test]
+fn the_light_behind_a_model_is_turned_and_exposed_as_the_light_on_it() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let model = model(&folder);
+    let at = |shows_environment, exposure_ev| {
+        let task = RenderTask { shows_environment, ..task(&model, Tier::Preview, exposure_ev) };
+        RenderCache::new(1, 1).render(&task, &Device::Cpu, &|| true).unwrap()
+    };
+    let (without, with, bright) = (at(false, 0.0), at(true, 0.0), at(true, 1.0));
+    let task = task(&model, Tier::Preview, 0.0);
+    let camera = task.viewpoint.camera(load(&model, &Device::Cpu).unwrap().model()).unwrap();
+    let map = task.light.map().unwrap().unwrap().rotated_and_scaled(30.0, 1.0);
+    // A corner, where no ball is.
+    assert_eq!(without.planes[&Output::Rgb][..3], [0.0; 3]);
+    for (k, expected) in map.sample(camera.ray(0, 0)).into_iter().enumerate() {
+        let (seen, brighter) = (with.planes[&Output::Rgb][k], bright.planes[&Output::Rgb][k]);
+        assert!((seen - expected).abs() < 0.05 * expected, "{seen}, not {expected}");
+        assert_eq!(brighter, seen * 2.0);
+    }
+    assert_eq!(with.planes[&Output::Alpha], without.planes[&Output::Alpha]);
 }
 
 #[test]

@@ -1,0 +1,124 @@
+//! What stands behind a model in a picture.
+
+use std::fmt;
+use std::str::FromStr;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::render::{Frame, Output};
+use crate::scene::{Camera, EnvMap};
+
+/// What stands behind a model in a picture. As text: `transparent`, `environment` or six hexadecimal digits, e.g. `#f4f4f4`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
+#[serde(try_from = "String", into = "String")]
+pub enum Background {
+    /// Nothing: alpha says how much of the model there is. JPEG, which has none, shows white.
+    #[default]
+    Transparent,
+    /// The light itself, in `rgb`.
+    Environment,
+    /// A display colour, sRGB.
+    Colour([u8; 3]),
+}
+
+impl FromStr for Background {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "transparent" => return Ok(Self::Transparent),
+            "environment" => return Ok(Self::Environment),
+            _ => {}
+        }
+        let digits = text.strip_prefix('#').unwrap_or(text);
+        let is_colour = digits.len() == 6 && digits.bytes().all(|b| b.is_ascii_hexdigit());
+        match u32::from_str_radix(digits, 16) {
+            Ok(value) if is_colour => {
+                let [_, r, g, b] = value.to_be_bytes();
+                Ok(Self::Colour([r, g, b]))
+            }
+            _ => Err("must be transparent, environment or a colour like #f4f4f4".to_owned()),
+        }
+    }
+}
+
+impl TryFrom<String> for Background {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl fmt::Display for Background {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Transparent => f.write_str("transparent"),
+            Self::Environment => f.write_str("environment"),
+            Self::Colour([r, g, b]) => write!(f, "#{r:02x}{g:02x}{b:02x}"),
+        }
+    }
+}
+
+impl From<Background> for String {
+    fn from(background: Background) -> Self {
+        background.to_string()
+    }
+}
+
+/// Puts `environment` behind what `rgb` shows of a frame of `camera`, where the frame has that. Alpha stays what it was.
+pub(super) fn show_environment(frame: &mut Frame, camera: &Camera, environment: &EnvMap) {
+    let width = frame.width as usize;
+    let Some(mut rgb) = frame.planes.remove(&Output::Rgb) else { return };
+    if let Some(alpha) = frame.planes.get(&Output::Alpha).filter(|_| width > 0) {
+        let rows = rgb.par_chunks_exact_mut(width * 3).zip(alpha.par_chunks_exact(width)).enumerate();
+        rows.for_each(|(y, (row, alpha))| {
+            for (x, (pixel, alpha)) in row.as_chunks_mut::<3>().0.iter_mut().zip(alpha).enumerate() {
+                let open = (1.0 - alpha).clamp(0.0, 1.0);
+                if open > 0.0 {
+                    let behind = environment.sample(camera.ray(x as u32, y as u32));
+                    (0..3).for_each(|k| pixel[k] += open * behind[k]);
+                }
+            }
+        });
+    }
+    frame.planes.insert(Output::Rgb, rgb);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn a_background_reads_back_from_its_text_and_nothing_else_does() {
+        for background in
+            [Background::Transparent, Background::Environment, Background::Colour([1, 171, 255])]
+        {
+            assert_eq!(background.to_string().parse(), Ok(background));
+        }
+        assert_eq!("01ABff".parse(), Ok(Background::Colour([1, 171, 255])));
+        for wrong in ["", "white", "#12345", "#1234567", "+12345", "#12 456", "#äöü"] {
+            assert!(wrong.parse::<Background>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn each_pixel_shows_the_light_of_its_direction_where_the_model_is_not() {
+        let camera = Camera::look_at(DVec3::X * 3.0, DVec3::ZERO, DVec3::Z, 1.2, (9, 7)).unwrap();
+        let sky = EnvMap::from_fn(64, 32, |d| [d.x as f32 + 1.0, d.y as f32 + 1.0, d.z as f32 + 1.0]);
+        let alpha: Vec<f32> = (0..63).map(|i| [0.0, 0.25, 1.0][i % 3]).collect();
+        let planes = [(Output::Rgb, vec![0.125; 63 * 3]), (Output::Alpha, alpha.clone())].into();
+        let mut frame = Frame { width: 9, height: 7, planes };
+        show_environment(&mut frame, &camera, &sky);
+        for (i, pixel) in frame.planes[&Output::Rgb].as_chunks::<3>().0.iter().enumerate() {
+            let d = camera.ray(i as u32 % 9, i as u32 / 9);
+            for (value, d) in pixel.iter().zip([d.x, d.y, d.z]) {
+                let expected = 0.125 + (1.0 - alpha[i]) * (d as f32 + 1.0);
+                assert!((value - expected).abs() < 0.02, "{i}: {value}, not {expected}");
+            }
+        }
+        assert_eq!(frame.planes[&Output::Alpha], alpha);
+    }
+}

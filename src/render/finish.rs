@@ -1,0 +1,82 @@
+//! How a frame becomes a file.
+
+use crate::render::error::RenderError;
+use crate::render::{Background, ColourDepth, FrameFormat, FrameNotes, Output, ToneCurve};
+
+/// How a frame becomes a file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Finish {
+    /// What stands behind the model. For [`Background::Environment`] the frame brings it
+    /// ([`Renderer::show_environment`](crate::render::Renderer::show_environment)).
+    pub background: Background,
+    /// How colours other than albedo come to a display; an EXR is scene-referred.
+    pub tone_curve: ToneCurve,
+    /// How an EXR stores colours; 32-bit floats when absent.
+    pub colour_depth: Option<ColourDepth>,
+    /// What an EXR says of how it was made.
+    pub notes: FrameNotes,
+}
+
+impl Finish {
+    /// Refuses what a file of `format` cannot show.
+    ///
+    /// # Errors
+    /// Names the field of this type.
+    pub fn check(&self, outputs: &[Output], format: FrameFormat) -> Result<(), RenderError> {
+        use FrameFormat::{Exr, Jpeg, Png};
+        let refuse = |field, reason: &str| Err(RenderError::Refused { field, reason: reason.to_owned() });
+        match (self.background, format) {
+            (Background::Colour(_), Exr) => {
+                return refuse("background", "is a display colour; an EXR is scene-referred");
+            }
+            (Background::Environment, _) if !outputs.contains(&Output::Rgb) => {
+                return refuse("background", "shows in rgb alone, which is not among the outputs");
+            }
+            _ => {}
+        }
+        match (self.tone_curve, format) {
+            (ToneCurve::Neutral | ToneCurve::Agx, Exr) => {
+                return refuse("tone_curve", "is for displays; an EXR is scene-referred");
+            }
+            (ToneCurve::Linear, Jpeg) => {
+                return refuse("tone_curve", "linear needs 16 bit, which a JPEG has not");
+            }
+            _ => {}
+        }
+        match (self.colour_depth, format) {
+            (Some(_), Png | Jpeg) => refuse("colour_depth", "is of an EXR alone"),
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_format_cannot_show_is_refused_by_its_field() {
+        let colour = Finish { background: Background::Colour([9; 3]), ..Finish::default() };
+        let environment = Finish { background: Background::Environment, ..Finish::default() };
+        let curve = |tone_curve| Finish { tone_curve, ..Finish::default() };
+        let half = Finish { colour_depth: Some(ColourDepth::Half), ..Finish::default() };
+        let refused = |finish: &Finish, output, format| match finish.check(&[output], format) {
+            Err(RenderError::Refused { field, .. }) => Some(field),
+            _ => None,
+        };
+        let (rgb, albedo) = (Output::Rgb, Output::Albedo);
+        for (finish, output, png, jpeg, exr) in [
+            (&Finish::default(), albedo, None, None, None),
+            (&colour, albedo, None, None, Some("background")),
+            (&environment, rgb, None, None, None),
+            (&environment, albedo, Some("background"), Some("background"), Some("background")),
+            (&curve(ToneCurve::Agx), rgb, None, None, Some("tone_curve")),
+            (&curve(ToneCurve::Linear), rgb, None, Some("tone_curve"), None),
+            (&half, rgb, Some("colour_depth"), Some("colour_depth"), None),
+        ] {
+            let found =
+                [FrameFormat::Png, FrameFormat::Jpeg, FrameFormat::Exr].map(|f| refused(finish, output, f));
+            assert_eq!(found, [png, jpeg, exr], "{finish:?} {output:?}");
+        }
+    }
+}
