@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import socket
 import struct
 import subprocess
@@ -64,16 +65,23 @@ def cutting_proxy():
     return f"http://127.0.0.1:{listener.getsockname()[1]}", cuts
 
 
-def run(url, *options, key=KEY, capture="capture.zip"):
-    """The example's exit status, what it said, and the frames it wrote."""
+def run(url, *options, key=KEY, capture="capture.zip", stop_at=None):
+    """The example's exit status, what it said, and the frames it wrote. It is stopped when it says `stop_at`."""
     out = FOLDER / f"frames{len(list(FOLDER.glob('frames*')))}"
     out.mkdir()
-    command = [sys.executable, str(EXAMPLE / "relight.py"), str(FOLDER / capture), str(out), "--url", url, *TINY, *options]
-    environment = {**os.environ, "RELUME_KEY": key}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240)
-    said = done.stdout + done.stderr
-    print(said, end="")
-    return done.returncode, said, sorted(out.iterdir())
+    command = [sys.executable, "-u", str(EXAMPLE / "relight.py"), str(FOLDER / capture), str(out), "--url", url, *TINY, *options]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    said = ""
+    with subprocess.Popen(command, env={**os.environ, "RELUME_KEY": key}, **pipes) as process:
+        late = threading.Timer(240, process.kill)
+        late.start()
+        for line in process.stdout:
+            print(line, end="")
+            said += line
+            if stop_at and line.startswith(stop_at):
+                process.send_signal(signal.SIGTERM)
+        late.cancel()
+    return process.returncode, said, sorted(out.iterdir())
 
 
 def channels_of_parts(exr):
@@ -162,12 +170,19 @@ def main():
     assert "a webhook says job.rejected" in said and "rejected: novel_view.psnr is" in said
     assert_nothing_is_left()
     status, said, _ = run(url, key="a-key-that-nobody-has")
-    assert status == 1 and "401" in said, f"ended with {status}"
+    assert status == 1 and "failed: POST /v1/webhooks: 401" in said, f"ended with {status}"
     status, said, _ = run(url, "--gate", "nonsense>=1")
     assert status == 1 and "quality_gate" in said, f"ended with {status}"
     (FOLDER / "none.zip").write_bytes(b"PK\5\6" + bytes(18))
     status, said, _ = run(url, capture="none.zip")
     assert status == 1 and "is no capture" in said, f"ended with {status}"
+    assert_nothing_is_left()
+    # Stopped in mid-training, and before there is a job.
+    status, said, _ = run(url, "--set", "iterations=100000", stop_at="job ")
+    assert status == 1 and "stopped" in said and "not deleted" not in said, f"ended with {status}"
+    assert_nothing_is_left()
+    status, said, _ = run(url, stop_at="capture ")
+    assert status == 1 and "stopped" in said and "not deleted" not in said, f"ended with {status}"
     assert_nothing_is_left()
     print("the pipeline went its round, said no where it had to, and left nothing behind")
 

@@ -5,7 +5,7 @@
     RELUME_KEY=... python3 relight.py capture.zip frames/ --env sunset --gate 'novel_view.psnr>=20'
 
 Python 3.9 and its standard library. Ends with 0 when the frames are there, 2 when the model missed the quality gate, and 1
-when something failed; what it made on the server is deleted in each case.
+when something failed or it was stopped; what it made on the server is deleted in each case.
 """
 
 import argparse
@@ -17,7 +17,8 @@ import sys
 import uuid
 from pathlib import Path
 
-from relume_http import Server, Trouble, begin_upload, send_pieces, sha256_of
+from made import Made
+from relume_http import BROKEN, Server, Trouble, begin_upload, send_pieces, sha256_of
 from webhook import Receiver
 
 ENDS = ["job.succeeded", "job.rejected", "job.failed", "job.cancelled"]
@@ -50,12 +51,14 @@ def arguments():
 
 def make_capture(server, made, path, piece_bytes):
     """The capture of the archive at `path`, when it is validated."""
-    where = begin_upload(server, path)
-    made.append(where)
+    with made.noting() as note:
+        where = begin_upload(server, path)
+        note(where)
     send_pieces(server, where, path, piece_bytes)
     sent = {"upload": where.rsplit("/", 1)[1]}
-    capture = server.json("POST", "/v1/captures", sent, headers={"Prefer": "respond-async"})
-    made.append(f"/v1/captures/{capture['id']}")
+    with made.noting() as note:
+        capture = server.json("POST", "/v1/captures", sent, headers={"Prefer": "respond-async"})
+        note(f"/v1/captures/{capture['id']}")
     capture = server.poll(f"/v1/captures/{capture['id']}", lambda c: c["state"] != "validating")
     if capture["state"] == "invalid":
         raise Trouble(f"{path} is no capture: {capture['problem']['detail']}")
@@ -106,9 +109,10 @@ def light(server, made, name):
     if not name.lower().endswith((".hdr", ".exr")):
         return {"builtin": name}
     media_type = "image/vnd.radiance" if name.lower().endswith(".hdr") else "image/x-exr"
-    answer = server.ask("POST", "/v1/environments", Path(name).read_bytes(), {"Content-Type": media_type})
-    environment = json.loads(answer.body)
-    made.append(f"/v1/environments/{environment['id']}")
+    with made.noting() as note:
+        answer = server.ask("POST", "/v1/environments", Path(name).read_bytes(), {"Content-Type": media_type})
+        environment = json.loads(answer.body)
+        note(f"/v1/environments/{environment['id']}")
     return {"id": environment["id"]}
 
 
@@ -139,37 +143,49 @@ def render_turn(server, model, environment, options):
         print(f"wrote {path}")
 
 
+def go_round(server, made, run, options):
+    """Everything but the deletion. Job and model are called `run` for other systems, by which they are found again."""
+    with Receiver(options.listen) as receiver:
+        with made.noting() as note:
+            hook = server.json("POST", "/v1/webhooks", {"url": options.hook_url or receiver.url, "events": ENDS})
+            note(f"/v1/webhooks/{hook['id']}")
+        receiver.secret = hook["secret"]
+        capture = make_capture(server, made, options.capture, int(options.piece_mib * 2**20))
+        # Should the answer be lost, the same request again makes no second job.
+        once = {"Idempotency-Key": run}
+        with made.noting() as note:
+            job = server.json("POST", "/v1/jobs", {**new_job(options, capture), "external_id": run}, headers=once)
+            note(f"/v1/jobs/{job['id']}?cascade=true")
+        print(f"job {job['id']}")
+        ended = wait_for_end(server, receiver, job, options.patience)
+    render_turn(server, ended["model"], light(server, made, options.env), options)
+
+
+def delete_all(server, made, run):
+    made.delete(server)
+    # After its job, which makes no other from here on.
+    try:
+        for model in server.json("GET", f"/v1/models?external_id={run}")["items"]:
+            server.delete(f"/v1/models/{model['id']}")
+    except (Trouble, *BROKEN) as trouble:
+        print(f"not deleted: models called {run}: {trouble}")
+
+
 def main():
     options = arguments()
     server = Server(options.url, os.environ.get("RELUME_KEY"))
-    made = []
+    made, run = Made(), str(uuid.uuid4())
     try:
-        with Receiver(options.listen) as receiver:
-            hook = server.json("POST", "/v1/webhooks", {"url": options.hook_url or receiver.url, "events": ENDS})
-            made.append(f"/v1/webhooks/{hook['id']}")
-            receiver.secret = hook["secret"]
-            capture = make_capture(server, made, options.capture, int(options.piece_mib * 2**20))
-            # Should the answer be lost, the same request again makes no second job.
-            once = {"Idempotency-Key": str(uuid.uuid4())}
-            job = server.json("POST", "/v1/jobs", new_job(options, capture), headers=once)
-            made.append(f"/v1/jobs/{job['id']}?cascade=true")
-            try:
-                ended = wait_for_end(server, receiver, job, options.patience)
-            finally:
-                model = server.json("GET", f"/v1/jobs/{job['id']}").get("model")
-                if model:
-                    made.append(f"/v1/models/{model}")
-            render_turn(server, ended["model"], light(server, made, options.env), options)
+        try:
+            go_round(server, made, run, options)
+        finally:
+            delete_all(server, made, run)
     except Rejected as missed:
         print(f"rejected: {missed}", file=sys.stderr)
         return 2
-    except (Trouble, OSError, ValueError) as trouble:
+    except (Trouble, *BROKEN, ValueError) as trouble:
         print(f"failed: {trouble}", file=sys.stderr)
         return 1
-    finally:
-        # The newest first: what needs a thing goes before it. What a job of somebody else needs stays, and is named.
-        for path in reversed(made):
-            server.delete(path)
     return 0
 
 

@@ -40,6 +40,9 @@ class Receiver:
         receiver = self
 
         class Handler(BaseHTTPRequestHandler):
+            # Seconds that a sender may be silent.
+            timeout = 30
+
             def do_POST(self):
                 length = int(self.headers.get("Content-Length") or 0)
                 body = self.rfile.read(length) if length <= LONGEST_MESSAGE else b""
