@@ -21,10 +21,10 @@ lint:
     cargo clippy --release --all-targets -- -D warnings
     RUSTDOCFLAGS='-D warnings' cargo doc --release --no-deps
 
-# Spelling, licences and sources of dependencies (pip install typos, cargo install cargo-deny)
+# Spelling, licences and sources of dependencies (pip install typos)
 audit:
     typos
-    cargo deny check licenses bans sources
+    .ci/dependencies
 
 # Milliseconds of each stage of the CPU engine
 bench:

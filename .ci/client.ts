@@ -1,0 +1,40 @@
+// Never run: it has to pass `tsc --strict` against the types that are generated from openapi/openapi.json.
+import createClient from 'openapi-fetch';
+import type { components, paths } from './relume.js';
+
+const client = createClient<paths>({ baseUrl: 'http://localhost:7878', headers: { Authorization: 'Bearer KEY' } });
+
+export async function relit(upload: string): Promise<ArrayBuffer | string> {
+    const capture = await client.POST('/v1/captures', { body: { upload } });
+    const id: string | undefined = capture.data?.id;
+    if (!id) return capture.error?.title ?? 'no capture';
+    const body: components['schemas']['NewJob'] = { capture: id, preset: 'draft', quality_gate: { 'novel_view.psnr': '>=28' } };
+    const { data: job, error } = await client.POST('/v1/jobs', { body, params: { header: { 'Idempotency-Key': 'one' } } });
+    if (!job) return error.detail ?? error.title;
+    const state: 'succeeded' | 'rejected' | 'failed' | 'cancelled' | 'queued' | 'running' | 'cancelling' = job.state;
+    const model: string | null | undefined = job.model;
+    if (state !== 'succeeded' || !model) return (job.missed ?? []).map((m) => `${m.figure}: ${m.found ?? 'unknown'}`).join();
+    const camera = { look_at: { eye: [3, 0, 1.5], target: [0, 0, 0], fov_y_deg: 40 } };
+    const frame = { camera, environment: { builtin: 'sunset' }, width: 512, height: 512, outputs: ['rgb', 'normal'] };
+    const exr = await client.POST('/v1/models/{id}/render', {
+        params: { path: { id: model } }, headers: { Accept: 'image/x-exr' }, body: frame, parseAs: 'arrayBuffer',
+    });
+    await client.DELETE('/v1/captures/{id}', { params: { path: { id }, query: { cascade: true } } });
+    return exr.data ?? 'no frame';
+}
+
+// What is wrong must not compile: an error that is missing here is an error of its own.
+export const wrong = [
+    // @ts-expect-error a field that no job has
+    { capture: 'ID', itterations: 3 } satisfies components['schemas']['NewJob'],
+    // @ts-expect-error a field that no answer has
+    client.GET('/v1/jobs/{id}', { params: { path: { id: 'ID' } } }).then(({ data }) => data?.models),
+    // @ts-expect-error a preset that there is not
+    client.POST('/v1/jobs', { body: { capture: 'ID', preset: 'best' } }),
+    // @ts-expect-error a field that is needed
+    client.POST('/v1/jobs', { body: { preset: 'draft' } }),
+    // @ts-expect-error a path that there is not
+    client.GET('/v1/photographs', {}),
+    // @ts-expect-error a path without its identifier
+    client.GET('/v1/jobs/{id}', {}),
+];

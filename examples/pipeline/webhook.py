@@ -1,0 +1,78 @@
+"""Receives webhooks and believes those alone that are signed, as Standard Webhooks has it."""
+
+import base64
+import hashlib
+import hmac
+import json
+import queue
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+# Seconds by which the clocks of server and receiver may differ; an older message is somebody's repetition.
+TOLERANCE = 300
+LONGEST_MESSAGE = 2**20
+
+
+def is_genuine(secret, headers, body, now):
+    """Whether `body` was signed with `secret` (`whsec_...`), not long before `now`."""
+    identifier, sent_at = headers.get("webhook-id", ""), headers.get("webhook-timestamp", "")
+    if not sent_at.isdigit() or abs(now - int(sent_at)) > TOLERANCE:
+        return False
+    signed = f"{identifier}.{sent_at}.".encode() + body
+    secret_bytes = base64.b64decode(secret[len("whsec_") :])
+    wanted = "v1," + base64.b64encode(hmac.new(secret_bytes, signed, hashlib.sha256).digest()).decode()
+    # Several while a secret is being replaced.
+    return any(hmac.compare_digest(wanted.encode(), one.encode()) for one in headers.get("webhook-signature", "").split())
+
+
+class Receiver:
+    """Listens at `HOST:PORT` (port 0: any that is free) until it is left."""
+
+    def __init__(self, listen):
+        host, _, port = listen.rpartition(":")
+        self.secret = None
+        self.messages = queue.Queue()
+        self.http = ThreadingHTTPServer((host, int(port)), self.handler())
+        self.url = f"http://{host}:{self.http.server_port}/"
+
+    def handler(self):
+        receiver = self
+
+        class Handler(BaseHTTPRequestHandler):
+            # Seconds that a sender may be silent.
+            timeout = 30
+
+            def do_POST(self):
+                length = int(self.headers.get("Content-Length") or 0)
+                body = self.rfile.read(length) if length <= LONGEST_MESSAGE else b""
+                secret = receiver.secret
+                believed = secret is not None and is_genuine(secret, self.headers, body, time.time())
+                if believed:
+                    receiver.messages.put(json.loads(body))
+                self.send_response(204 if believed else 401)
+                self.end_headers()
+
+            def log_message(self, *_):
+                pass
+
+        return Handler
+
+    def wait_for(self, job, patience):
+        """The message of the end of `job`, or None after `patience` seconds. A message can come twice, and be of other jobs."""
+        end = time.monotonic() + patience
+        while True:
+            try:
+                message = self.messages.get(timeout=max(0.0, end - time.monotonic()))
+            except queue.Empty:
+                return None
+            if message["data"]["job"]["id"] == job:
+                return message
+
+    def __enter__(self):
+        threading.Thread(target=self.http.serve_forever, daemon=True).start()
+        return self
+
+    def __exit__(self, *_):
+        self.http.shutdown()
+        self.http.server_close()
