@@ -3,11 +3,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use relume::api::TenantId;
 use relume::api::jobs::{JobChange, NewJob};
-use relume::api::marks::MarksChange;
+use relume::api::marks::{Marks, MarksChange};
+use relume::capture::CaptureReport;
 use relume::client::Client;
 use relume::jobs::ManualClock;
-use relume::store::Retention;
+use relume::store::{CaptureRecord, EnvironmentRecord, Retention, Store, StoreError};
 use relume::testing;
 use reqwest::Method;
 use serde_json::{Value, json};
@@ -91,6 +93,59 @@ async fn things_are_called_what_was_said_when_they_were_made_and_a_model_what_it
     assert_eq!(again["labels"], labels);
 }
 
+#[tokio::test]
+async fn a_capture_and_a_map_are_written_down_together_with_what_they_are_called() {
+    let folder = TempDir::new().unwrap();
+    let store = Store::open(folder.path()).await.unwrap();
+    let tenant = TenantId::of_operator();
+    let called = |count: usize, prefix: &str| Marks {
+        name: Some(prefix.to_owned()),
+        external_id: Some(format!("asset-{prefix}")),
+        labels: (0..count).map(|n| (format!("{prefix}{n}"), "x".to_owned())).collect(),
+    };
+    let capture = |id: &str, marks: Marks| CaptureRecord {
+        id: id.into(),
+        sha256: "00".into(),
+        bytes: 1,
+        artifact: "captures/00".into(),
+        marks,
+        report: CaptureReport::default(),
+        created_ms: 0,
+    };
+    let map = |id: &str, marks: Marks| EnvironmentRecord {
+        id: id.into(),
+        sha256: "00".into(),
+        marks,
+        bytes: 1,
+        artifact: "environments/00".into(),
+        width: 4,
+        height: 2,
+        warnings: Vec::new(),
+        created_ms: 0,
+    };
+    store.insert_capture(&tenant, &capture("c", called(10, "a")), None).await.unwrap();
+    store.insert_environment(&tenant, &map("e", called(10, "a"))).await.unwrap();
+    let stored = async || {
+        let capture = store.capture(&tenant, &"c".into()).await.unwrap().unwrap();
+        let map = store.environment(&tenant, &"e".into()).await.unwrap().unwrap();
+        [capture.marks, map.marks]
+    };
+    assert_eq!(stored().await, [called(10, "a"), called(10, "a")]);
+    // Who comes second with the same content, at the same moment, calls the first one so, or nothing is changed.
+    let refused = store.insert_capture(&tenant, &capture("d", called(7, "b")), None).await;
+    assert!(matches!(refused, Err(StoreError::BadMarks { field: "labels", .. })), "{refused:?}");
+    let refused = store.insert_environment(&tenant, &map("f", called(7, "b"))).await;
+    assert!(matches!(refused, Err(StoreError::BadMarks { field: "labels", .. })), "{refused:?}");
+    assert_eq!(stored().await, [called(10, "a"), called(10, "a")]);
+    let second = store.insert_capture(&tenant, &capture("d", called(6, "b")), None).await.unwrap();
+    assert_eq!((second.id.as_str(), second.marks.name.as_deref()), ("c", Some("b")));
+    let second = store.insert_environment(&tenant, &map("f", called(6, "b"))).await.unwrap();
+    assert_eq!((second.id.as_str(), second.marks.labels.len()), ("e", 16));
+    let [capture, map] = stored().await;
+    assert_eq!((capture.labels.len(), capture), (16, map));
+    store.close().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn lists_have_what_is_called_so_and_nothing_else() {
     let server = testing::spawn().await.unwrap();
@@ -152,6 +207,8 @@ async fn what_a_thing_may_not_be_called_is_refused_by_field_and_changes_nothing(
         ("labels=a".to_owned(), "query/labels"),
         ("labels=a%20b:c".to_owned(), "query/labels"),
         ("labels=a:1,a:2".to_owned(), "query/labels"),
+        ("name=a%0Ab".to_owned(), "query/name"),
+        ("external_id=%1B%5B2J".to_owned(), "query/external_id"),
         ("label=a:1".to_owned(), "query/label"),
     ] {
         for path in ["/v1/captures", "/v1/environments"] {
@@ -169,6 +226,8 @@ async fn what_a_thing_may_not_be_called_is_refused_by_field_and_changes_nothing(
     for (body, pointer) in [
         (json!({ "name": "" }), "/name"),
         (json!({ "external_id": long }), "/external_id"),
+        (json!({ "name": "two\nlines" }), "/name"),
+        (json!({ "name": "x", "external_id": "\0" }), "/external_id"),
         (json!({ "name": "x", "labels": { "a b": "c" } }), "/labels"),
         (json!({ "name": "x", "labels": many }), "/labels"),
         (json!({ "colour": 1 }), "/colour"),
@@ -180,8 +239,45 @@ async fn what_a_thing_may_not_be_called_is_refused_by_field_and_changes_nothing(
     let job = json!({ "capture": capture["id"], "labels": { "a": "" } });
     let (status, refused) = ask(client, Method::POST, "/v1/jobs", Some(job)).await;
     assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!("/labels")), "{refused}");
-    let wrong = ask(client, Method::GET, "/v1/jobs?label=x", None).await;
-    assert_eq!((wrong.0, &wrong.1["errors"][0]["pointer"]), (422, &json!("query/label")));
+    for (body, pointer) in [
+        (json!({ "capture": capture["id"], "name": "\u{7}" }), "/name"),
+        (json!({ "capture": capture["id"], "external_id": "a\tb" }), "/external_id"),
+    ] {
+        let (status, refused) = ask(client, Method::POST, "/v1/jobs", Some(body)).await;
+        assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!(pointer)), "{refused}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_nothing_can_be_called_is_not_looked_for() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let many: Vec<String> = (0..17).map(|n| format!("k{n}:v")).collect();
+    let long = "a".repeat(64);
+    for label in ["", "=x", "a", ":", "a:", ":b", "a:b,", "a%20b:c", "a:%C3%A4", "a:b%0A", "a:b:c", "a:1,a:2"]
+        .map(str::to_owned)
+        .into_iter()
+        .chain([many.join(","), format!("{long}:b"), format!("a:{long}")])
+    {
+        for list in ["captures", "environments", "jobs", "models"] {
+            let path = format!("/v1/{list}?label={label}");
+            let (status, refused) = ask(client, Method::GET, &path, None).await;
+            assert_eq!(
+                (status, &refused["errors"][0]["pointer"]),
+                (422, &json!("query/label")),
+                "{path}: {refused}"
+            );
+        }
+    }
+    for (query, pointer) in [
+        ("name=".to_owned(), "query/name"),
+        (format!("name={}", "n".repeat(201)), "query/name"),
+        ("external_id=a%0Ab".to_owned(), "query/external_id"),
+    ] {
+        let (status, refused) = ask(client, Method::GET, &format!("/v1/captures?{query}"), None).await;
+        assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!(pointer)), "{refused}");
+    }
+    assert_eq!(get(client, "/v1/captures?label=show/shot:sc-010_v2.1").await["items"], json!([]));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -18,7 +18,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 use tokio::task::JoinHandle;
 
-use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job};
+use crate::service_support::{ALL_OF_A_TENANT, CaptureZip, capture_zip, ended, files_under, small_job};
 
 const KEYS: [&str; 2] = ["the-first-key-of-two", "the-second-key-of-two"];
 
@@ -36,7 +36,7 @@ fn bearer(server: &TestServer, key: &str) -> Client {
 
 /// A client with a fresh key of a tenant.
 async fn of_tenant(server: &TestServer, tenant: &str) -> Client {
-    let body = serde_json::json!({ "name": "x", "tenant": tenant, "scopes": Scope::ALL });
+    let body = serde_json::json!({ "name": "x", "tenant": tenant, "scopes": ALL_OF_A_TENANT });
     let request = bearer(server, KEYS[0]).request(Method::POST, "/v1/keys").unwrap().json(&body);
     let made: Value = serde_json::from_str(&request.send().await.unwrap().text().await.unwrap()).unwrap();
     bearer(server, made["secret"].as_str().unwrap())

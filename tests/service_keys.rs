@@ -94,6 +94,7 @@ async fn a_key_that_is_made_wrong_is_refused_by_field() {
     for (field, value) in [
         ("name", json!("")),
         ("name", json!("n".repeat(129))),
+        ("name", json!("a\nb")),
         ("tenant", json!("Studio A")),
         ("scopes", json!([])),
         ("scopes", json!(["read", "read"])),
@@ -207,8 +208,13 @@ async fn a_scraper_needs_no_key_that_makes_keys() {
     for path in ["/v1/keys", "/v1/jobs", "/v1/usage"] {
         assert_eq!(get(&server, &key, path).await.0, 403, "{path}");
     }
-    let (_, others) = made(&server, OPERATOR, scraper("a")).await;
-    assert_eq!(get(&server, &others, "/metrics").await.0, 403, "these are about all tenants");
+    // Of no use to another tenant, to whose keys it was given before; its administrators do not give it to themselves.
+    let (_, of_a) = made(&server, OPERATOR, json!({ "name": "a", "tenant": "a", "scopes": ["admin"] })).await;
+    let unnamed = json!({ "name": "scraper", "scopes": ["read", "metrics"] });
+    for (key, body) in [(OPERATOR, scraper("a")), (&of_a, scraper("a")), (&of_a, unnamed)] {
+        let (status, refused) = ask(&server, key, Method::POST, "/v1/keys", Some(&body)).await;
+        assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!("/scopes")), "{refused}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

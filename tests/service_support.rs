@@ -5,12 +5,17 @@ use std::time::Duration;
 
 use glam::DVec3;
 use relume::api::jobs::{JobState, JobView, NewJob};
+use relume::api::keys::Scope;
 use relume::api::{CaptureId, JobId};
 use relume::client::Client;
 use relume::formats::image_file::encode_png;
 use relume::scene::Camera;
 use relume::train::Preset;
 use serde_json::{Value, json};
+
+/// Every scope that a key of a tenant other than the operator's may have.
+pub const ALL_OF_A_TENANT: [Scope; 5] =
+    [Scope::Read, Scope::Render, Scope::Submit, Scope::Admin, Scope::Priority];
 
 /// A capture archive under construction: NeRF-synthetic, a ball before nothing.
 pub struct CaptureZip {

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use sqlx::migrate::Migrator;
 use tempfile::TempDir;
 
-use crate::service_support::{capture_zip, ended, files_under, small_job, trained};
+use crate::service_support::{ALL_OF_A_TENANT, capture_zip, ended, files_under, small_job, trained};
 use crate::webhooks::for_all;
 
 const OPERATOR: &str = "the-operators-own-key";
@@ -91,6 +91,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/v1/models/{id}/thumbnail", One(Model), Read),
     ("post", "/v1/signed-urls", Body, Read),
     ("options", "/v1/uploads", Everybody, Read),
+    ("get", "/v1/uploads", List(Upload), Read),
     ("post", "/v1/uploads", Body, Submit),
     ("get", "/v1/uploads/{id}", One(Upload), Submit),
     ("head", "/v1/uploads/{id}", One(Upload), Submit),
@@ -136,7 +137,7 @@ struct Tenant {
 
 impl Tenant {
     async fn new(server: &TestServer, name: &str) -> Self {
-        let client = bearer(server, name, &Scope::ALL).await.0;
+        let client = bearer(server, name, &ALL_OF_A_TENANT).await.0;
         // Nobody listens there.
         let webhook = client.create_webhook(&for_all("http://127.0.0.1:1/")).await.unwrap().webhook.id;
         let job = trained(&client).await;
@@ -241,7 +242,7 @@ async fn refusal(request: RequestBuilder, id: &str) -> (u16, Value) {
 #[tokio::test(flavor = "multi_thread")]
 async fn no_operation_tells_a_tenant_of_anothers_things() {
     let server = server().await;
-    let (a, b) = tokio::join!(Tenant::new(&server, "a"), bearer(&server, "b", &Scope::ALL));
+    let (a, b) = tokio::join!(Tenant::new(&server, "a"), bearer(&server, "b", &ALL_OF_A_TENANT));
     let mut asked = 0;
     for (method, path, about, _) in operations() {
         match about {
@@ -347,7 +348,8 @@ async fn what_a_request_names_is_looked_for_among_the_callers_own_things() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_same_content_is_stored_once_and_belongs_to_each_tenant_that_sent_it() {
     let server = server().await;
-    let (a, b) = (bearer(&server, "a", &Scope::ALL).await.0, bearer(&server, "b", &Scope::ALL).await.0);
+    let (a, b) =
+        (bearer(&server, "a", &ALL_OF_A_TENANT).await.0, bearer(&server, "b", &ALL_OF_A_TENANT).await.0);
     let first = a.upload_capture_bytes(capture_zip()).await.unwrap();
     let upload = b.request(Method::POST, "/v1/captures").unwrap();
     let upload = upload.header(header::CONTENT_TYPE, "application/zip").body(capture_zip());

@@ -8,7 +8,6 @@ use base64::engine::general_purpose::STANDARD;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use relume::api::UploadId;
-use relume::api::keys::Scope;
 use relume::client::{Client, ClientError};
 use relume::jobs::ManualClock;
 use relume::server::{ApiKeys, ServerConfig};
@@ -21,7 +20,7 @@ use tempfile::TempDir;
 
 use crate::crash::noise;
 use crate::server_process::Server;
-use crate::service_support::{CaptureZip, capture_zip, files_under};
+use crate::service_support::{ALL_OF_A_TENANT, CaptureZip, capture_zip, files_under};
 
 /// A capture of some size.
 fn large_zip(noise_bytes: usize) -> Vec<u8> {
@@ -30,7 +29,7 @@ fn large_zip(noise_bytes: usize) -> Vec<u8> {
     capture.zip()
 }
 
-fn tus(client: &Client, method: Method, path: &str) -> RequestBuilder {
+pub fn tus(client: &Client, method: Method, path: &str) -> RequestBuilder {
     client.request(method, path).unwrap().header("tus-resumable", "1.0.0")
 }
 
@@ -39,7 +38,7 @@ fn patch(client: &Client, id: &UploadId, offset: u64) -> RequestBuilder {
     request.header("content-type", "application/offset+octet-stream").header("upload-offset", offset)
 }
 
-async fn send(request: RequestBuilder) -> Response {
+pub async fn send(request: RequestBuilder) -> Response {
     request.send().await.unwrap()
 }
 
@@ -48,13 +47,13 @@ fn told(answer: &Response, name: &str) -> String {
 }
 
 /// The status and kind of a refusal.
-fn refusal<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> (u16, String) {
+pub fn refusal<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> (u16, String) {
     let error = answer.expect_err("it is refused");
     let problem = error.problem().unwrap_or_else(|| panic!("{error}"));
     (problem.status, problem.kind.rsplit(':').next().unwrap().to_owned())
 }
 
-async fn offset(client: &Client, id: &UploadId) -> u64 {
+pub async fn offset(client: &Client, id: &UploadId) -> u64 {
     loop {
         match client.upload(id).await {
             // The client took a connection that the server had closed after a refusal.
@@ -73,7 +72,7 @@ async fn cut(client: &Client, id: &UploadId, offset: u64, piece: &[u8]) {
 }
 
 /// Every file below the artifacts.
-fn artifacts(server: &TestServer) -> Vec<String> {
+pub fn artifacts(server: &TestServer) -> Vec<String> {
     files_under(&server.data_dir().join("artifacts")).into_iter().map(|(name, _)| name).collect()
 }
 
@@ -291,7 +290,7 @@ const OPERATOR: &str = "the-operators-own-key";
 async fn of_tenant(server: &TestServer, tenant: &str) -> Client {
     let base = server.client().base().as_str();
     let operator = Client::new(base, Some(OPERATOR.to_owned())).unwrap();
-    let body = json!({ "name": "x", "tenant": tenant, "scopes": Scope::ALL });
+    let body = json!({ "name": "x", "tenant": tenant, "scopes": ALL_OF_A_TENANT });
     let made = send(operator.request(Method::POST, "/v1/keys").unwrap().json(&body)).await;
     let made: Value = serde_json::from_str(&made.text().await.unwrap()).unwrap();
     Client::new(base, made["secret"].as_str().map(str::to_owned)).unwrap()

@@ -1,16 +1,19 @@
 //! Captures that are validated after they were answered (RFC 7240, `Prefer: respond-async`).
 
+use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
 use std::time::Duration;
 
 use relume::api::captures::{CaptureState, CaptureSummary};
 use relume::api::jobs::NewJob;
+use relume::api::marks::{Marks, MarksChange};
 use relume::api::uploads::FromUpload;
 use relume::client::Client;
 use relume::formats::image_file::encode_png;
 use relume::store::hex;
 use relume::testing;
 use reqwest::{Method, Response};
+use serde_json::json;
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 use zip::write::SimpleFileOptions;
@@ -36,7 +39,12 @@ fn slow_zip() -> Vec<u8> {
 }
 
 async fn post_later(client: &Client, archive: Vec<u8>) -> Response {
-    let request = client.request(Method::POST, "/v1/captures").unwrap();
+    post_called(client, "", archive).await
+}
+
+/// As [`post_later`], with a query that says what the capture is called.
+async fn post_called(client: &Client, query: &str, archive: Vec<u8>) -> Response {
+    let request = client.request(Method::POST, &format!("/v1/captures{query}")).unwrap();
     let request = request.header("content-type", "application/zip").header("prefer", "respond-async");
     request.body(archive).send().await.unwrap()
 }
@@ -153,4 +161,59 @@ async fn kill_9_in_mid_validation_loses_nothing() {
     assert_eq!((ready.state, &ready.sha256), (CaptureState::Ready, &begun.sha256));
     let stored = files_under(&data.path().join("artifacts"));
     assert_eq!(stored.len(), 1, "{stored:?}");
+}
+
+fn change(body: serde_json::Value) -> MarksChange {
+    serde_json::from_value(body).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_capture_that_is_validated_later_is_called_what_was_said_by_then() {
+    let data = TempDir::new().unwrap();
+    let mut server = Server::start(data.path());
+    let archive = slow_zip();
+    let query = "?name=Lion&external_id=asset-7&labels=show:alpha,take:1";
+    let begun = accepted(post_called(&server.client, query, archive.clone()).await).await;
+    assert_eq!((begun.marks.name.as_deref(), begun.marks.labels.len()), (Some("Lion"), 2));
+    // While it is validating; what is not said stays, also with the server's death.
+    let called = change(json!({ "name": "Lion head", "labels": { "take": null, "keep": "true" } }));
+    let changed = server.client.change_capture(&begun.id, &called).await.unwrap();
+    let labels = [("keep", "true"), ("show", "alpha")].map(|(k, v)| (k.to_owned(), v.to_owned()));
+    let expected = Marks {
+        name: Some("Lion head".to_owned()),
+        external_id: Some("asset-7".to_owned()),
+        labels: labels.into(),
+    };
+    assert_eq!((changed.state, &changed.marks), (CaptureState::Validating, &expected));
+    server.kill();
+    server = Server::start(data.path());
+    let again = accepted(post_called(&server.client, "?external_id=asset-8", archive).await).await;
+    let expected = Marks { external_id: Some("asset-8".to_owned()), ..expected };
+    assert_eq!((&again.id, &again.marks), (&begun.id, &expected), "a repetition says it anew");
+    let many: BTreeMap<String, &str> = (0..15).map(|n| (n.to_string(), "x")).collect();
+    let refused = server.client.change_capture(&begun.id, &change(json!({ "labels": many }))).await;
+    assert_eq!(refused.unwrap_err().problem().unwrap().status, 422);
+    let ready = validated(&server.client, &begun).await;
+    assert_eq!((ready.state, &ready.marks), (CaptureState::Ready, &expected));
+    let listed = server.client.captures().await.unwrap().items;
+    assert_eq!(listed, [ready], "and so it is in the list");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn of_an_upload_in_pieces_a_capture_is_made_later_and_called_so() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let archive = capture_zip();
+    let id = client.begin_upload(archive.len() as u64).await.unwrap();
+    client.send_piece(&id, 0, archive).await.unwrap();
+    let request = client.request(Method::POST, "/v1/captures?name=Lion").unwrap();
+    let answer =
+        request.header("prefer", "respond-async").json(&FromUpload { upload: id }).send().await.unwrap();
+    let begun = accepted(answer).await;
+    let ready = validated(client, &begun).await;
+    assert_eq!((ready.state, ready.marks.name.as_deref()), (CaptureState::Ready, Some("Lion")));
+    // What is invalid is called something, too, for as long as it is known.
+    let begun = accepted(post_called(client, "?name=broken", b"no archive".to_vec()).await).await;
+    let found = validated(client, &begun).await;
+    assert_eq!((found.state, found.marks.name.as_deref()), (CaptureState::Invalid, Some("broken")));
 }

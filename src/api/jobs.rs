@@ -39,11 +39,11 @@ pub struct NewJob {
     #[serde(default, skip_serializing_if = "QualityGate::is_empty")]
     #[cfg_attr(feature = "server", schema(value_type = BTreeMap<String, String>), sqlx(json))]
     pub quality_gate: QualityGate,
-    /// A name for people, 1 to 200 characters.
+    /// A name for people, 1 to 200 characters, none of them control characters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "server", schema(min_length = 1, max_length = 200))]
     pub name: Option<String>,
-    /// What another system calls it, 1 to 200 characters. Several jobs may have the same.
+    /// What another system calls it, 1 to 200 characters, none of them control characters. Several jobs may have the same.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "server", schema(min_length = 1, max_length = 200))]
     pub external_id: Option<String>,
@@ -85,11 +85,11 @@ pub struct JobChange {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(minimum = -100, maximum = 100))]
     pub priority: Option<i64>,
-    /// A name for people, 1 to 200 characters.
+    /// A name for people, 1 to 200 characters, none of them control characters.
     #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "given")]
     #[cfg_attr(feature = "server", schema(value_type = Option<String>, min_length = 1, max_length = 200))]
     pub name: Option<Option<String>>,
-    /// What another system calls it, 1 to 200 characters.
+    /// What another system calls it, 1 to 200 characters, none of them control characters.
     #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "given")]
     #[cfg_attr(feature = "server", schema(value_type = Option<String>, min_length = 1, max_length = 200))]
     pub external_id: Option<Option<String>>,

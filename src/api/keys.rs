@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::api::marks::{NO_CONTROL, has_control};
 use crate::api::{KeyId, TenantId};
 
 /// What a key lets its bearer do. No scope contains another.
@@ -30,6 +31,11 @@ impl Scope {
     /// All scopes.
     pub const ALL: [Self; 6] =
         [Self::Read, Self::Render, Self::Submit, Self::Admin, Self::Priority, Self::Metrics];
+
+    /// Whether keys of a tenant can make use of it.
+    pub fn is_of(self, tenant: &TenantId) -> bool {
+        self != Self::Metrics || tenant.is_operator()
+    }
 
     /// Its name in JSON and on the command line.
     pub fn name(self) -> &'static str {
@@ -85,7 +91,7 @@ impl TenantId {
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct NewKey {
-    /// A name for people, 1 to 128 characters.
+    /// A name for people, 1 to 128 characters, none of them control characters.
     #[cfg_attr(feature = "server", schema(min_length = 1, max_length = 128))]
     pub name: String,
     /// Whose it is; the caller's tenant when absent. Only administrators of the tenant `default` may name another.
@@ -95,7 +101,7 @@ pub struct NewKey {
         schema(value_type = Option<String>, min_length = 1, max_length = 64, pattern = "^[a-z0-9.-]+$")
     )]
     pub tenant: Option<TenantId>,
-    /// What it may do.
+    /// What it may do; `metrics` is for keys of the tenant `default`.
     #[cfg_attr(feature = "server", schema(min_items = 1, max_items = 6))]
     pub scopes: Vec<Scope>,
     /// Seconds until it expires, 1 to ten years; never when absent. It expires with the caller's own key at the latest.
@@ -108,10 +114,13 @@ impl NewKey {
     /// Longest life of a key that expires, seconds.
     pub const LONGEST_LIFE: u64 = 10 * 365 * 24 * 3600;
 
-    /// The field that is wrong and what is wrong with it.
-    pub fn fault(&self) -> Option<(&'static str, String)> {
+    /// The field that is wrong and what is wrong with it; `caller` is the tenant where none is named.
+    pub fn fault(&self, caller: &TenantId) -> Option<(&'static str, String)> {
         if !(1..=128).contains(&self.name.chars().count()) {
             return Some(("name", "must have 1 to 128 characters".to_owned()));
+        }
+        if has_control(&self.name) {
+            return Some(("name", NO_CONTROL.to_owned()));
         }
         if let Some(fault) = self.tenant.as_ref().and_then(TenantId::fault) {
             return Some(("tenant", fault.to_owned()));
@@ -119,6 +128,11 @@ impl NewKey {
         let twice = (1..self.scopes.len()).any(|i| self.scopes[..i].contains(&self.scopes[i]));
         if self.scopes.is_empty() || twice {
             return Some(("scopes", "must name at least one scope, and each once".to_owned()));
+        }
+        let tenant = self.tenant.as_ref().unwrap_or(caller);
+        if let Some(scope) = self.scopes.iter().find(|scope| !scope.is_of(tenant)) {
+            let operator = TenantId::of_operator();
+            return Some(("scopes", format!("{scope} is for keys of the tenant {operator} alone")));
         }
         if self.expires_in.is_some_and(|s| !(1..=Self::LONGEST_LIFE).contains(&s)) {
             return Some(("expires_in", format!("must be 1 to {} seconds", Self::LONGEST_LIFE)));

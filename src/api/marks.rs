@@ -8,16 +8,18 @@ use serde::{Deserialize, Deserializer, Serialize};
 pub const MOST_LABELS: usize = 16;
 const LONGEST_TEXT: usize = 200;
 const LONGEST_LABEL: usize = 63;
+/// What is said of a text that [`has_control`].
+pub(super) const NO_CONTROL: &str = "must have no control characters, such as line breaks";
 
 /// What a thing is called.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema, sqlx::FromRow))]
 pub struct Marks {
-    /// A name for people, 1 to 200 characters.
+    /// A name for people, 1 to 200 characters, none of them control characters.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(min_length = 1, max_length = 200))]
     pub name: Option<String>,
-    /// What another system calls it, 1 to 200 characters. Several things may have the same.
+    /// What another system calls it, 1 to 200 characters, none of them control characters. Several things may have the same.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(min_length = 1, max_length = 200))]
     pub external_id: Option<String>,
@@ -33,6 +35,9 @@ impl Marks {
         for (field, text) in [("name", &self.name), ("external_id", &self.external_id)] {
             if text.as_ref().is_some_and(|text| !(1..=LONGEST_TEXT).contains(&text.chars().count())) {
                 return Some((field, format!("must have 1 to {LONGEST_TEXT} characters")));
+            }
+            if text.as_deref().is_some_and(has_control) {
+                return Some((field, NO_CONTROL.to_owned()));
             }
         }
         if self.labels.len() > MOST_LABELS {
@@ -83,6 +88,11 @@ pub fn parse_labels(text: &str) -> Result<BTreeMap<String, String>, String> {
     Ok(labels)
 }
 
+/// Whether a text has characters that move a cursor, ring a bell or end a line where it is shown.
+pub(super) fn has_control(text: &str) -> bool {
+    text.chars().any(char::is_control)
+}
+
 fn is_label(text: &str) -> bool {
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-' | '/');
     (1..=LONGEST_LABEL).contains(&text.len()) && text.chars().all(plain)
@@ -93,11 +103,11 @@ fn is_label(text: &str) -> bool {
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct MarksChange {
-    /// A name for people, 1 to 200 characters.
+    /// A name for people, 1 to 200 characters, none of them control characters.
     #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "given")]
     #[cfg_attr(feature = "server", schema(value_type = Option<String>, min_length = 1, max_length = 200))]
     pub name: Option<Option<String>>,
-    /// What another system calls it, 1 to 200 characters.
+    /// What another system calls it, 1 to 200 characters, none of them control characters.
     #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "given")]
     #[cfg_attr(feature = "server", schema(value_type = Option<String>, min_length = 1, max_length = 200))]
     pub external_id: Option<Option<String>>,
@@ -144,6 +154,19 @@ mod tests {
         assert_eq!(third, Marks::default());
         assert!(first.clone().changed(&change(r#"{"labels": null}"#)).labels.is_empty(), "all of them");
         assert_eq!(Marks::default().changed(&first.clone().into()), first);
+    }
+
+    #[test]
+    fn names_are_of_one_line() {
+        let called = |name: &str| Marks { name: Some(name.to_owned()), ..Marks::default() };
+        for good in ["Löwe, 2. Aufnahme", "頭", "🦁 \u{fe0f}", "a\u{a0}b"] {
+            assert_eq!(called(good).fault(), None, "{good:?}");
+        }
+        for odd in ["a\nb", "\0", "tab\t", "\u{1b}[2J", "\u{85}", "\u{7f}"] {
+            assert_eq!(called(odd).fault().unwrap().0, "name", "{odd:?}");
+            let with = Marks { external_id: Some(odd.to_owned()), ..Marks::default() };
+            assert_eq!(with.fault().unwrap().0, "external_id", "{odd:?}");
+        }
     }
 
     #[test]

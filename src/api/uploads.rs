@@ -2,7 +2,23 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::api::UploadId;
+use crate::api::{CaptureId, UploadId};
+
+/// Where an upload stands.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
+pub enum UploadState {
+    /// Not all of its bytes have arrived.
+    #[default]
+    Receiving,
+    /// All of its bytes have arrived.
+    Complete,
+    /// A capture is being made of it.
+    Validating,
+    /// No capture could be made of it; the capture says why.
+    Invalid,
+}
 
 /// An upload that arrives in pieces.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,6 +38,13 @@ pub struct UploadView {
     pub created_at: String,
     /// When it is given up if nothing more comes, RFC 3339.
     pub expires_at: String,
+    /// Where it stands.
+    #[serde(default)]
+    pub state: UploadState,
+    /// The capture that is being made of it, or could not be made.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[cfg_attr(feature = "server", schema(value_type = Option<String>))]
+    pub capture: Option<CaptureId>,
 }
 
 /// Names a complete upload.

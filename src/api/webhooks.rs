@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::api::jobs::{JobState, JobView};
+use crate::api::marks::{NO_CONTROL, has_control};
 use crate::api::{DeliveryId, JobId, KeyId, WebhookId};
 
 /// What a webhook is told of.
@@ -61,7 +62,7 @@ pub struct NewWebhook {
     /// What it is told of.
     #[cfg_attr(feature = "server", schema(min_items = 1, max_items = 4))]
     pub events: Vec<WebhookEvent>,
-    /// A name for people, at most 128 characters.
+    /// A name for people, at most 128 characters, none of them control characters.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(max_length = 128))]
     pub name: Option<String>,
@@ -80,7 +81,7 @@ pub struct WebhookChange {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(min_items = 1, max_items = 4))]
     pub events: Option<Vec<WebhookEvent>>,
-    /// A name for people, at most 128 characters.
+    /// A name for people, at most 128 characters, none of them control characters.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(max_length = 128))]
     pub name: Option<String>,
@@ -95,8 +96,11 @@ pub fn fault_of(events: Option<&[WebhookEvent]>, name: Option<&str>) -> Option<(
     if events.is_some_and(|events| events.is_empty() || twice(events)) {
         return Some(("events", "must name at least one event, and each once"));
     }
-    (name.is_some_and(|name| name.chars().count() > 128))
-        .then_some(("name", "must have at most 128 characters"))
+    match name {
+        Some(name) if name.chars().count() > 128 => Some(("name", "must have at most 128 characters")),
+        Some(name) if has_control(name) => Some(("name", NO_CONTROL)),
+        _ => None,
+    }
 }
 
 /// A webhook, without its secret.

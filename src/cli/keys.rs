@@ -48,7 +48,7 @@ struct CreateArgs {
     /// Whose it is: tenants share nothing. Administrators of `default` manage the keys of all.
     #[arg(long, default_value = "default")]
     tenant: String,
-    /// What it may do: `read`, `render`, `submit`, `admin`, `priority`, `metrics`; several with commas.
+    /// What it may do: `read`, `render`, `submit`, `admin`, `priority`, and for `default` `metrics`; several with commas.
     #[arg(long, value_delimiter = ',', default_value = "read,render,submit")]
     scopes: Vec<Scope>,
     /// Days until it expires; never where absent.
@@ -83,7 +83,7 @@ async fn create(args: CreateArgs) -> CommandResult {
     let tenant = TenantId::from(args.tenant);
     let expires_in = args.expires_in_days.map(|days| days * 24 * 3600);
     let key = NewKey { name: args.name, tenant: Some(tenant.clone()), scopes: args.scopes, expires_in };
-    if let Some((field, why)) = key.fault() {
+    if let Some((field, why)) = key.fault(&tenant) {
         return Err(format!("--{field}: {why}").into());
     }
     let now_ms = SystemClock.now_ms();

@@ -3,9 +3,9 @@
 use reqwest::header::{CONTENT_TYPE, LOCATION};
 use reqwest::{Method, RequestBuilder, Response};
 
-use crate::api::UploadId;
 use crate::api::captures::CaptureSummary;
 use crate::api::uploads::{FromUpload, UploadView};
+use crate::api::{List, UploadId};
 use crate::client::connection::{Client, checked, json};
 use crate::client::error::{ClientError, Result};
 
@@ -28,6 +28,14 @@ impl Client {
     /// The server's refusal, or what failed on the way.
     pub async fn upload(&self, id: &UploadId) -> Result<UploadView> {
         json(self.request(Method::GET, &format!("/v1/uploads/{id}"))?).await
+    }
+
+    /// The newest uploads that no capture was made of.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn uploads(&self) -> Result<List<UploadView>> {
+        json(self.request(Method::GET, "/v1/uploads")?).await
     }
 
     /// Sends a piece that begins at `offset`; where the upload is then.

@@ -67,6 +67,7 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/v1/models/{id}/thumbnail", Needs(Read)),
     (Method::POST, "/v1/signed-urls", Needs(Read)),
     (Method::OPTIONS, "/v1/uploads", Open),
+    (Method::GET, "/v1/uploads", Needs(Read)),
     (Method::POST, "/v1/uploads", Needs(Submit)),
     (Method::GET, "/v1/uploads/{id}", Needs(Submit)),
     (Method::HEAD, "/v1/uploads/{id}", Needs(Submit)),

@@ -38,9 +38,9 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
 /// A zip, tar or tar.gz, as the raw body, as the multipart field `archive`, or as the complete upload that JSON names (see
 /// `/v1/uploads`), which is gone then. It is streamed to disk, hashed and
 /// validated; 201 means that every byte is durable. The same content again gives the same capture and 200, called as
-/// the last upload calls it. With `Prefer: respond-async` the answer is 202 once every byte is durable: the capture is
-/// `validating` then, and `Location` tells when it is `ready` or `invalid`. Lists have it once it is `ready`; it gets names and
-/// labels by `PATCH` from then on.
+/// the last upload calls it. A request that is refused leaves the upload that JSON names as it is. With `Prefer: respond-async`
+/// the answer is 202 once every byte is durable: the capture is `validating` then, and `Location` tells when it is `ready` or
+/// `invalid`. It is called what the query says from the 202 on; lists have it once it is `ready`.
 #[utoipa::path(
     post, path = "/v1/captures", tag = "captures",
     params(
@@ -68,38 +68,34 @@ async fn upload_capture(
 ) -> Result<Response, Problem> {
     let marks = query.marks()?;
     let later = validation::is_preferred(request.headers());
-    if later && marks != Marks::default() {
-        let detail =
-            "cannot be given together with Prefer: respond-async; PATCH the capture once it is ready";
-        return Err(Problem::invalid_field("query", detail));
-    }
     let mut incoming = receive(&app, &caller, request).await?;
     if let Some(known) = app.store.capture_by_hash(&caller.tenant, &incoming.sha256).await? {
+        // Before the upload is taken: it stays when the capture may not be called so.
+        let known = marked(&app, &caller.tenant, known, marks.clone()).await?;
         match app.store.mend(incoming, &known.artifact).await? {
-            None => return Ok(Json(marked(&app, &caller.tenant, known, marks).await?).into_response()),
+            None => return Ok(Json(view(known)).into_response()),
             // It was deleted meanwhile.
             Some(given_back) => incoming = given_back,
         }
     }
     if later {
-        return validation::begin(&app, &caller, incoming).await;
+        return validation::begin(&app, &caller, incoming, marks).await;
     }
-    let stored = validation::make(&app, &caller.tenant, app.jobs.fresh_id(), incoming).await?;
+    let stored = validation::make(&app, &caller.tenant, app.jobs.fresh_id(), incoming, marks).await?;
     let location = format!("/v1/captures/{}", stored.id);
-    let stored = marked(&app, &caller.tenant, stored, marks).await?;
-    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(stored)).into_response())
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
 }
 
-/// A capture, called what its sender calls it.
+/// A capture that is known, called what its sender calls it.
 async fn marked(
     app: &Shared,
     tenant: &TenantId,
     mut capture: CaptureRecord,
     given: Marks,
-) -> Result<CaptureSummary, Problem> {
+) -> Result<CaptureRecord, Problem> {
     let what = ResourceName::new(ResourceKind::Capture, capture.id.to_string());
     capture.marks = marks::mark(app, tenant, what, given, capture.marks).await?;
-    Ok(view(capture))
+    Ok(capture)
 }
 
 /// Validate a capture without storing it
@@ -154,23 +150,24 @@ async fn get_capture(
     caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
 ) -> Result<Json<CaptureSummary>, Problem> {
+    find(&app, &caller.tenant, &id).await.map(Json)
+}
+
+/// A capture, also one that is being made or could not be.
+async fn find(app: &Shared, tenant: &TenantId, id: &CaptureId) -> Result<CaptureSummary, Problem> {
     // What is being made is asked for first: it becomes a capture, never the other way.
-    let upload = app.store.upload_for(&caller.tenant, &id).await?;
-    match (app.store.capture(&caller.tenant, &id).await?, upload) {
-        (Some(record), _) => Ok(Json(view(record))),
-        (None, Some(upload)) => Ok(Json(validation::view(&upload))),
+    let upload = app.store.upload_for(tenant, id).await?;
+    match (app.store.capture(tenant, id).await?, upload) {
+        (Some(record), _) => Ok(view(record)),
+        (None, Some(upload)) => Ok(validation::view(&upload)),
         (None, None) => Err(Problem::not_found("capture", id.as_str())),
     }
 }
 
-async fn find(app: &Shared, tenant: &TenantId, id: &CaptureId) -> Result<CaptureSummary, Problem> {
-    let record = app.store.capture(tenant, id).await?;
-    record.map(view).ok_or_else(|| Problem::not_found("capture", id.as_str()))
-}
-
 /// Change what a capture is called
 ///
-/// A JSON merge patch: what is absent stays, what is null goes. One with the label `keep:true` is not deleted by age.
+/// A JSON merge patch: what is absent stays, what is null goes. One that is `validating` is called so when it is `ready`. One with
+/// the label `keep:true` is not deleted by age.
 #[utoipa::path(
     patch, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path)), request_body = MarksChange,
     responses((status = 200, body = CaptureSummary), (status = 404, body = Problem), (status = 422, body = Problem))

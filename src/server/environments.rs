@@ -62,8 +62,9 @@ async fn upload_environment(
     let marks = query.marks()?;
     let mut incoming = receive(&app, &caller, request).await?;
     if let Some(known) = app.store.environment_by_hash(&caller.tenant, &incoming.sha256).await? {
+        let known = marked(&app, &caller.tenant, known, marks.clone()).await?;
         match app.store.mend(incoming, &known.artifact).await? {
-            None => return Ok(Json(marked(&app, &caller.tenant, known, marks).await?).into_response()),
+            None => return Ok(Json(view(known)).into_response()),
             // It was deleted meanwhile.
             Some(given_back) => incoming = given_back,
         }
@@ -72,7 +73,7 @@ async fn upload_environment(
     let record = EnvironmentRecord {
         id: app.jobs.fresh_id(),
         sha256: incoming.sha256.clone(),
-        marks: Marks::default(),
+        marks,
         bytes: i64::try_from(incoming.bytes).unwrap_or(i64::MAX),
         artifact: format!("environments/{}", incoming.sha256),
         width,
@@ -80,22 +81,22 @@ async fn upload_environment(
         warnings,
         created_ms: app.jobs.now_ms(),
     };
-    let stored = app.store.keep_environment(incoming, &caller.tenant, &record).await?;
+    let stored =
+        app.store.keep_environment(incoming, &caller.tenant, &record).await.map_err(marks::refused)?;
     let location = format!("/v1/environments/{}", stored.id);
-    let stored = marked(&app, &caller.tenant, stored, marks).await?;
-    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(stored)).into_response())
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
 }
 
-/// A map, called what its sender calls it.
+/// A map that is known, called what its sender calls it.
 async fn marked(
     app: &Shared,
     tenant: &TenantId,
     mut map: EnvironmentRecord,
     given: Marks,
-) -> Result<EnvironmentView, Problem> {
+) -> Result<EnvironmentRecord, Problem> {
     let what = ResourceName::new(ResourceKind::Environment, map.id.to_string());
     map.marks = marks::mark(app, tenant, what, given, map.marks).await?;
-    Ok(view(map))
+    Ok(map)
 }
 
 /// List environment maps

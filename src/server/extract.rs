@@ -36,6 +36,11 @@ impl<T: DeserializeOwned, const LIMIT: usize> FromRequest<Shared> for LargeJson<
 /// A query string.
 pub(super) struct QueryString<T>(pub(super) T);
 
+/// The query string of a route that takes none.
+#[derive(Debug, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct NoQuery {}
+
 /// What the path names.
 pub(super) struct UrlPath<T>(pub(super) T);
 

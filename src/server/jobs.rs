@@ -43,10 +43,13 @@ struct JobQuery {
     /// Only jobs in this state.
     state: Option<JobState>,
     /// Only those with this name.
+    #[param(min_length = 1, max_length = 200)]
     name: Option<String>,
     /// Only those that another system calls so.
+    #[param(min_length = 1, max_length = 200)]
     external_id: Option<String>,
     /// Only those with this label, `key:value`; with several, separated by commas, those that have all.
+    #[param(min_length = 3)]
     label: Option<String>,
     /// Most items, 1 to 200; 50 when absent.
     #[param(minimum = 1, maximum = 200)]

@@ -26,7 +26,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 /// Make an API key
 ///
 /// The answer has the key itself, which is shown this once. The first key of a server is made by `relume keys create`. Administrators of the tenant `default` make keys for any
-/// tenant, others for their own, without the scope `priority`. A key that a key made expires with it at the latest, and is revoked with it.
+/// tenant, others for their own, without the scope `priority`. Only keys of `default` have the scope `metrics`. A key that a key made expires with it at the latest, and is revoked with it.
 #[utoipa::path(
     post, path = "/v1/keys", tag = "keys", request_body = NewKey,
     responses(
@@ -38,7 +38,7 @@ async fn create_key(
     caller: Caller,
     JsonBody(key): JsonBody<NewKey>,
 ) -> Result<Response, Problem> {
-    if let Some((field, why)) = key.fault() {
+    if let Some((field, why)) = key.fault(&caller.tenant) {
         return Err(Problem::invalid_field(format!("/{field}"), why));
     }
     if !caller.has_key {

@@ -9,17 +9,17 @@ use crate::api::marks::{Marks, MarksChange, parse_labels};
 use crate::api::{Problem, ResourceKind, ResourceName, TenantId};
 use crate::server::app::Shared;
 use crate::server::listing::PageQuery;
-use crate::store::Filter;
+use crate::store::{Filter, StoreError};
 
 /// What an upload is called.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct MarksQuery {
-    /// A name for people, 1 to 200 characters.
+    /// A name for people, 1 to 200 characters, none of them control characters.
     #[param(min_length = 1, max_length = 200)]
     name: Option<String>,
-    /// What another system calls it, 1 to 200 characters.
+    /// What another system calls it, 1 to 200 characters, none of them control characters.
     #[param(min_length = 1, max_length = 200)]
     external_id: Option<String>,
     /// Labels: `key:value`, several with commas.
@@ -45,10 +45,13 @@ impl MarksQuery {
 #[into_params(parameter_in = Query)]
 pub(super) struct MarkedPageQuery {
     /// Only those with this name.
+    #[param(min_length = 1, max_length = 200)]
     name: Option<String>,
     /// Only those that another system calls so.
+    #[param(min_length = 1, max_length = 200)]
     external_id: Option<String>,
     /// Only those with this label, `key:value`; with several, separated by commas, those that have all.
+    #[param(min_length = 3)]
     label: Option<String>,
     /// Most items, 1 to 200; 50 when absent.
     #[param(minimum = 1, maximum = 200)]
@@ -78,7 +81,13 @@ pub(super) fn filter(
     external_id: Option<String>,
     label: Option<&str>,
 ) -> Result<Filter, Problem> {
-    Ok(Filter { name, external_id, labels: labels("label", label)? })
+    let wanted = Marks { name, external_id, labels: labels("label", label)? };
+    // Nothing is called what nothing may be called.
+    if let Some((field, why)) = wanted.fault() {
+        let parameter = if field == "labels" { "label" } else { field };
+        return Err(Problem::invalid_field(format!("query/{parameter}"), why));
+    }
+    Ok(Filter { name: wanted.name, external_id: wanted.external_id, labels: wanted.labels })
 }
 
 fn labels(parameter: &str, text: Option<&str>) -> Result<BTreeMap<String, String>, Problem> {
@@ -89,7 +98,7 @@ fn labels(parameter: &str, text: Option<&str>) -> Result<BTreeMap<String, String
 /// Calls an upload what its sender calls it, also one that was there before.
 ///
 /// # Errors
-/// When the database fails, or it has too many labels then.
+/// 422 that names the parameter when it has too many labels then; when the database fails.
 pub(super) async fn mark(
     app: &Shared,
     tenant: &TenantId,
@@ -100,7 +109,16 @@ pub(super) async fn mark(
     if given == Marks::default() {
         return Ok(before);
     }
-    Ok(app.store.change_marks(tenant, &what, &given.into()).await?.unwrap_or(before))
+    let changed = app.store.change_marks(tenant, &what, &given.into()).await.map_err(refused)?;
+    Ok(changed.unwrap_or(before))
+}
+
+/// The store's refusal to whoever said in the query what a thing is called.
+pub(super) fn refused(error: StoreError) -> Problem {
+    match error {
+        StoreError::BadMarks { field, why } => Problem::invalid_field(format!("query/{field}"), why),
+        error => error.into(),
+    }
 }
 
 /// Changes what a thing is called.

@@ -8,11 +8,12 @@ use tokio::sync::Mutex;
 use crate::api::captures::{CaptureState, CaptureSummary};
 use crate::api::marks::Marks;
 use crate::api::problem::ContentError;
-use crate::api::{CaptureId, Problem, TenantId};
+use crate::api::{CaptureId, Problem, ResourceKind, ResourceName, TenantId};
 use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::listing::rfc3339;
+use crate::server::marks;
 use crate::server::uploads;
 use crate::store::{CaptureRecord, Incoming, StoreError, UploadRecord};
 
@@ -35,12 +36,13 @@ pub(super) async fn validate(app: &Shared, incoming: &Incoming) -> Result<Captur
     app.decoders.run(inspect).await?.map_err(|e| refused(&e, &incoming.path))
 }
 
-/// Makes the capture `id` of a tenant, or finds the one of the same content that was there first.
+/// Makes the capture `id` of a tenant, called so, or finds the one of the same content that was there first.
 pub(super) async fn make(
     app: &Shared,
     tenant: &TenantId,
     id: CaptureId,
     incoming: Incoming,
+    marks: Marks,
 ) -> Result<CaptureRecord, Problem> {
     let report = validate(app, &incoming).await?;
     let record = CaptureRecord {
@@ -48,32 +50,45 @@ pub(super) async fn make(
         sha256: incoming.sha256.clone(),
         bytes: i64::try_from(incoming.bytes).unwrap_or(i64::MAX),
         artifact: format!("captures/{}", incoming.sha256),
-        marks: Marks::default(),
+        marks,
         report,
         created_ms: app.jobs.now_ms(),
     };
-    Ok(app.store.keep_capture(incoming, tenant, &record).await?)
+    app.store.keep_capture(incoming, tenant, &record).await.map_err(marks::refused)
 }
 
 /// Answers where to ask for the capture that is being made from now on; for the one that is being made of the same content
 /// already, if there is one.
-pub(super) async fn begin(app: &Shared, caller: &Caller, incoming: Incoming) -> Result<Response, Problem> {
+pub(super) async fn begin(
+    app: &Shared,
+    caller: &Caller,
+    incoming: Incoming,
+    marks: Marks,
+) -> Result<Response, Problem> {
     let (app, tenant) = (app.clone(), caller.tenant.clone());
     // On a task of its own: what was written down is worked on, also when the caller has gone meanwhile.
-    let entered = tokio::spawn(async move { enter(&app, tenant, incoming).await });
+    let entered = tokio::spawn(async move { enter(&app, tenant, incoming, marks).await });
     Ok(accepted(&entered.await.map_err(Problem::internal)??))
 }
 
 /// Writes down that a capture is to be made and starts to make it.
-async fn enter(app: &Shared, tenant: TenantId, mut incoming: Incoming) -> Result<UploadRecord, Problem> {
+async fn enter(
+    app: &Shared,
+    tenant: TenantId,
+    mut incoming: Incoming,
+    marks: Marks,
+) -> Result<UploadRecord, Problem> {
     let _one_by_one = ENTERING.lock().await;
-    if let Some(same) = app.store.validating(&tenant, &incoming.sha256).await? {
+    if let Some(mut same) = app.store.validating(&tenant, &incoming.sha256).await? {
+        let id = same.capture_id.clone().unwrap_or_default().to_string();
+        let what = ResourceName::new(ResourceKind::Capture, id);
+        same.marks = marks::mark(app, &tenant, what, marks, same.marks).await?;
         return Ok(same);
     }
     let capture: CaptureId = app.jobs.fresh_id();
     let bytes = i64::try_from(incoming.bytes).map_err(Problem::internal)?;
     if incoming.came_in_pieces() {
-        app.store.begin_validation(&incoming, &capture).await?;
+        app.store.begin_validation(&incoming, &capture, &marks).await?;
     } else {
         let upload = UploadRecord {
             id: app.jobs.fresh_id(),
@@ -84,6 +99,7 @@ async fn enter(app: &Shared, tenant: TenantId, mut incoming: Incoming) -> Result
             created_ms: app.jobs.now_ms(),
             expires_ms: uploads::expiry(app),
             capture_id: Some(capture.clone()),
+            marks,
             sha256: Some(incoming.sha256.clone()),
             problem: None,
         };
@@ -124,7 +140,8 @@ async fn finish(app: &Shared, tenant: &TenantId, capture: CaptureId, incoming: I
     let made = match app.store.capture_by_hash(tenant, &incoming.sha256).await {
         // Another request made it meanwhile.
         Ok(Some(same)) => Err(stored_before(&same)),
-        Ok(None) => match make(app, tenant, capture.clone(), incoming).await {
+        // What it is called by then is written down with its upload.
+        Ok(None) => match make(app, tenant, capture.clone(), incoming, Marks::default()).await {
             Ok(made) if made.id != capture => Err(stored_before(&made)),
             made => made.map(drop),
         },
@@ -170,7 +187,7 @@ pub(super) fn view(upload: &UploadRecord) -> CaptureSummary {
         id: upload.capture_id.clone().unwrap_or_default(),
         sha256: upload.sha256.clone().unwrap_or_default(),
         bytes: upload.length,
-        marks: Marks::default(),
+        marks: upload.marks.clone(),
         created_at: rfc3339(upload.created_ms),
         state: if upload.problem.is_some() { CaptureState::Invalid } else { CaptureState::Validating },
         problem: upload.problem.clone(),

@@ -2,16 +2,18 @@
 
 use sqlx::types::Json;
 
-use crate::api::{CaptureId, TenantId, UploadId};
-use crate::store::marks::{filtered, wanted};
+use crate::api::marks::Marks;
+use crate::api::{CaptureId, ResourceKind, ResourceName, TenantId, UploadId};
+use crate::store::marks::{change_within, filtered, wanted};
 use crate::store::{CaptureRecord, Filter, Page, Store, StoreError};
 
 impl Store {
-    /// Records a capture, or returns the one of the same tenant and content that was there first. The upload that it is made of is
-    /// forgotten in the same transaction, unless it was to become another capture than the one returned.
+    /// Records a capture, or returns the one of the same tenant and content that was there first, called what this one is called.
+    /// The upload that it is made of is forgotten in the same transaction, unless it was to become another capture than the one
+    /// returned. A capture that was promised before is called what its upload says by now.
     ///
     /// # Errors
-    /// When the database fails.
+    /// [`StoreError::BadMarks`] when the one that was there may not be called so, or when the database fails.
     pub async fn insert_capture(
         &self,
         tenant: &TenantId,
@@ -19,9 +21,17 @@ impl Store {
         made_of: Option<&UploadId>,
     ) -> Result<CaptureRecord, StoreError> {
         let mut tx = self.write().await?;
+        let promised: Option<Marks> =
+            sqlx::query_as("SELECT name, external_id, labels FROM uploads WHERE id = ?1 AND capture_id = ?2")
+                .bind(made_of)
+                .bind(&capture.id)
+                .fetch_optional(&mut *tx)
+                .await?;
+        let marks = promised.as_ref().unwrap_or(&capture.marks);
         sqlx::query(
-            "INSERT INTO captures (id, sha256, bytes, artifact, report, created_ms, tenant)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7) ON CONFLICT (tenant, sha256) DO NOTHING",
+            "INSERT INTO captures
+                 (id, sha256, bytes, artifact, report, created_ms, tenant, name, external_id, labels)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10) ON CONFLICT (tenant, sha256) DO NOTHING",
         )
         .bind(&capture.id)
         .bind(&capture.sha256)
@@ -30,14 +40,22 @@ impl Store {
         .bind(Json(&capture.report))
         .bind(capture.created_ms)
         .bind(tenant)
+        .bind(&marks.name)
+        .bind(&marks.external_id)
+        .bind(Json(&marks.labels))
         .execute(&mut *tx)
         .await?;
-        let stored: CaptureRecord =
+        let mut stored: CaptureRecord =
             sqlx::query_as("SELECT * FROM captures WHERE sha256 = ?1 AND tenant = ?2")
                 .bind(&capture.sha256)
                 .bind(tenant)
                 .fetch_one(&mut *tx)
                 .await?;
+        if stored.id != capture.id {
+            let what = ResourceName::new(ResourceKind::Capture, stored.id.to_string());
+            let change = capture.marks.clone().into();
+            stored.marks = change_within(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.marks);
+        }
         // One that another capture was promised of stays, to say what came of that.
         sqlx::query("DELETE FROM uploads WHERE id = ?1 AND (capture_id IS NULL OR capture_id = ?2)")
             .bind(made_of)

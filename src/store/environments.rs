@@ -2,15 +2,16 @@
 
 use sqlx::types::Json;
 
-use crate::api::{EnvironmentId, TenantId};
-use crate::store::marks::{filtered, wanted};
+use crate::api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
+use crate::store::marks::{change_within, filtered, wanted};
 use crate::store::{EnvironmentRecord, Filter, Page, Store, StoreError};
 
 impl Store {
-    /// Records an environment, or returns the one of the same tenant and content that was there first.
+    /// Records an environment, or returns the one of the same tenant and content that was there first, called what this one is
+    /// called.
     ///
     /// # Errors
-    /// When the database fails.
+    /// [`StoreError::BadMarks`] when the one that was there may not be called so, or when the database fails.
     pub async fn insert_environment(
         &self,
         tenant: &TenantId,
@@ -19,8 +20,8 @@ impl Store {
         let mut tx = self.write().await?;
         sqlx::query(
             "INSERT INTO environments
-                 (id, sha256, name, bytes, artifact, width, height, warnings, created_ms, tenant)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10) ON CONFLICT (tenant, sha256) DO NOTHING",
+                 (id, sha256, name, bytes, artifact, width, height, warnings, created_ms, tenant, external_id, labels)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12) ON CONFLICT (tenant, sha256) DO NOTHING",
         )
         .bind(&env.id)
         .bind(&env.sha256)
@@ -32,13 +33,21 @@ impl Store {
         .bind(Json(&env.warnings))
         .bind(env.created_ms)
         .bind(tenant)
+        .bind(&env.marks.external_id)
+        .bind(Json(&env.marks.labels))
         .execute(&mut *tx)
         .await?;
-        let stored = sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1 AND tenant = ?2")
-            .bind(&env.sha256)
-            .bind(tenant)
-            .fetch_one(&mut *tx)
-            .await?;
+        let mut stored: EnvironmentRecord =
+            sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1 AND tenant = ?2")
+                .bind(&env.sha256)
+                .bind(tenant)
+                .fetch_one(&mut *tx)
+                .await?;
+        if stored.id != env.id {
+            let what = ResourceName::new(ResourceKind::Environment, stored.id.to_string());
+            let change = env.marks.clone().into();
+            stored.marks = change_within(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.marks);
+        }
         tx.commit().await?;
         Ok(stored)
     }

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use sqlx::Sqlite;
 use sqlx::query::QueryAs;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::types::Json;
+use sqlx::{Sqlite, Transaction};
 
 use crate::api::marks::{Marks, MarksChange};
 use crate::api::{ResourceKind, ResourceName, TenantId};
@@ -54,39 +54,67 @@ impl Store {
         what: &ResourceName,
         change: &MarksChange,
     ) -> Result<Option<Marks>, StoreError> {
-        let (select, update) = statements(what.kind);
         let mut tx = self.write().await?;
+        let changed = change_within(&mut tx, tenant, what, change).await?;
+        tx.commit().await?;
+        Ok(changed)
+    }
+}
+
+/// As [`Store::change_marks`], as part of a transaction.
+pub(super) async fn change_within(
+    tx: &mut Transaction<'_, Sqlite>,
+    tenant: &TenantId,
+    what: &ResourceName,
+    change: &MarksChange,
+) -> Result<Option<Marks>, StoreError> {
+    for &(select, update) in statements(what.kind) {
         let found: Option<Marks> =
-            sqlx::query_as(select).bind(&what.id).bind(tenant).fetch_optional(&mut *tx).await?;
-        let Some(marks) = found.map(|marks| marks.changed(change)) else { return Ok(None) };
+            sqlx::query_as(select).bind(&what.id).bind(tenant).fetch_optional(&mut **tx).await?;
+        let Some(marks) = found.map(|marks| marks.changed(change)) else { continue };
         if let Some((field, why)) = marks.fault() {
             return Err(StoreError::BadMarks { field, why });
         }
         let query = sqlx::query(update).bind(&what.id).bind(&marks.name).bind(&marks.external_id);
-        query.bind(Json(&marks.labels)).execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(Some(marks))
+        query.bind(Json(&marks.labels)).execute(&mut **tx).await?;
+        return Ok(Some(marks));
     }
+    Ok(None)
 }
 
-/// Reads and writes what the thing `?1` (of the tenant `?2`, where it is read) is called.
-fn statements(kind: ResourceKind) -> (&'static str, &'static str) {
+type Statements = &'static [(&'static str, &'static str)];
+
+/// Reads and writes what the thing `?1` (of the tenant `?2`, where it is read) is called, in each place where it may be.
+fn statements(kind: ResourceKind) -> Statements {
     macro_rules! of {
-        ($table:literal) => {
+        ($table:literal, $id:literal, $condition:literal) => {
             (
                 concat!(
                     "SELECT name, external_id, labels FROM ",
                     $table,
-                    " WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL"
+                    " WHERE ",
+                    $id,
+                    " = ?1 AND tenant = ?2",
+                    $condition
                 ),
-                concat!("UPDATE ", $table, " SET name = ?2, external_id = ?3, labels = ?4 WHERE id = ?1"),
+                concat!(
+                    "UPDATE ",
+                    $table,
+                    " SET name = ?2, external_id = ?3, labels = ?4 WHERE ",
+                    $id,
+                    " = ?1"
+                ),
             )
+        };
+        ($table:literal) => {
+            of!($table, "id", " AND deleted_ms IS NULL")
         };
     }
     match kind {
-        ResourceKind::Capture => of!("captures"),
-        ResourceKind::Environment => of!("environments"),
-        ResourceKind::Job => of!("jobs"),
-        ResourceKind::Model => of!("models"),
+        // One that is being made is an upload still.
+        ResourceKind::Capture => &[of!("captures"), of!("uploads", "capture_id", "")],
+        ResourceKind::Environment => &[of!("environments")],
+        ResourceKind::Job => &[of!("jobs")],
+        ResourceKind::Model => &[of!("models")],
     }
 }

@@ -14,13 +14,14 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::uploads::UploadView;
-use crate::api::{Problem, UploadId};
+use crate::api::marks::Marks;
+use crate::api::uploads::{UploadState, UploadView};
+use crate::api::{List, Problem, UploadId};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::File;
-use crate::server::extract::{UrlPath, content_length, media_type};
-use crate::server::listing::rfc3339;
+use crate::server::extract::{NoQuery, QueryString, UrlPath, content_length, media_type};
+use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
 use crate::server::uploads::finding::{PIECE, find, held};
 use crate::store::UploadRecord;
 
@@ -31,7 +32,7 @@ pub(super) use taking::take;
 /// The routes of this file that take no pieces.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new()
-        .routes(routes!(describe_protocol))
+        .routes(routes!(describe_protocol, list_uploads))
         .routes(routes!(head_upload, get_upload, delete_upload))
         .layer(middleware::from_fn(protocol::speak))
 }
@@ -55,11 +56,34 @@ async fn describe_protocol() -> StatusCode {
     StatusCode::NO_CONTENT
 }
 
+/// List uploads
+///
+/// Those that no capture was made of and that have not expired, also those of captures that are being validated or were found
+/// invalid. This is not part of tus: no version need be named.
+#[utoipa::path(
+    get, path = "/v1/uploads", tag = "uploads", params(PageQuery),
+    responses((status = 200, body = List<UploadView>))
+)]
+async fn list_uploads(
+    State(app): State<Shared>,
+    caller: Caller,
+    QueryString(query): QueryString<PageQuery>,
+) -> Result<Json<List<UploadView>>, Problem> {
+    let page = query.page()?;
+    if let Some(before) = page.before()
+        && app.store.upload(&caller.tenant, &before.into()).await?.is_none()
+    {
+        return Err(unknown_cursor(before));
+    }
+    let uploads = app.store.uploads(&caller.tenant, app.jobs.now_ms(), &page.of_store()).await?;
+    Ok(Json(page.list(uploads.iter().map(view).collect(), |u: &UploadView| u.id.as_str())))
+}
+
 /// Begin an upload
 ///
-/// As tus 1.0.0 says: `Upload-Length` is the length of the whole file, `Upload-Metadata` may name it. The answer's `Location` is where
+/// As tus 1.0.0 says, without a query: `Upload-Length` is the length of the whole file, `Upload-Metadata` may name it. The answer's `Location` is where
 /// its pieces go. The first piece may come as the body. When it is complete, `POST /v1/captures` with `{"upload": "ID"}` makes a
-/// capture of it.
+/// capture of it; what that is called is said there.
 #[utoipa::path(
     post, path = "/v1/uploads", tag = "uploads",
     params(
@@ -74,6 +98,7 @@ async fn describe_protocol() -> StatusCode {
         (status = 400, body = Problem, description = "A header is wrong"),
         (status = 412, body = Problem, description = "Another version of tus"),
         (status = 413, body = Problem, description = "Longer than Tus-Max-Size"),
+        (status = 422, body = Problem, description = "There is a query"),
         (status = 429, body = Problem, description = "Too many unfinished uploads"),
         (status = 460, body = Problem, description = "The checksum is not that of the body; nothing was begun"),
         (status = 507, body = Problem, description = "There is no room for all of it")
@@ -82,6 +107,7 @@ async fn describe_protocol() -> StatusCode {
 async fn create_upload(
     State(app): State<Shared>,
     caller: Caller,
+    _: QueryString<NoQuery>,
     request: Request,
 ) -> Result<Response, Problem> {
     let length = headers::length(request.headers())?;
@@ -102,6 +128,7 @@ async fn create_upload(
         created_ms: app.jobs.now_ms(),
         expires_ms: expiry(&app),
         capture_id: None,
+        marks: Marks::default(),
         sha256: None,
         problem: None,
     };
@@ -248,6 +275,15 @@ async fn delete_upload(
     Ok(StatusCode::NO_CONTENT)
 }
 
+fn state(upload: &UploadRecord) -> UploadState {
+    match (&upload.capture_id, &upload.problem) {
+        (Some(_), None) => UploadState::Validating,
+        (_, Some(_)) => UploadState::Invalid,
+        (None, None) if upload.offset() < upload.total() => UploadState::Receiving,
+        (None, None) => UploadState::Complete,
+    }
+}
+
 fn view(upload: &UploadRecord) -> UploadView {
     UploadView {
         id: upload.id.clone(),
@@ -256,5 +292,7 @@ fn view(upload: &UploadRecord) -> UploadView {
         offset: upload.offset(),
         created_at: rfc3339(upload.created_ms),
         expires_at: rfc3339(upload.expires_ms),
+        state: state(upload),
+        capture: upload.capture_id.clone(),
     }
 }

@@ -9,11 +9,12 @@ mod validating;
 
 use std::path::Path;
 
+use sqlx::types::Json;
 use sqlx::{Sqlite, Transaction};
 
 use crate::api::{TenantId, UploadId};
 use crate::store::uploads::record::key;
-use crate::store::{Store, StoreError};
+use crate::store::{Page, Store, StoreError};
 
 pub use holds::{Hold, Holds};
 pub use piece::{Checksum, Piece};
@@ -61,8 +62,9 @@ impl Store {
     ) -> Result<(), StoreError> {
         sqlx::query(
             "INSERT INTO uploads
-                 (id, tenant, length, received, metadata, created_ms, expires_ms, capture_id, sha256)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
+                 (id, tenant, length, received, metadata, created_ms, expires_ms, capture_id, sha256, name, external_id,
+                  labels)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)",
         )
         .bind(&upload.id)
         .bind(&upload.tenant)
@@ -73,6 +75,9 @@ impl Store {
         .bind(upload.expires_ms)
         .bind(&upload.capture_id)
         .bind(&upload.sha256)
+        .bind(&upload.marks.name)
+        .bind(&upload.marks.external_id)
+        .bind(Json(&upload.marks.labels))
         .execute(&mut **tx)
         .await?;
         Ok(())
@@ -86,6 +91,25 @@ impl Store {
         let query =
             sqlx::query_as("SELECT * FROM uploads WHERE id = ?1 AND tenant = ?2").bind(id).bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
+    }
+
+    /// Uploads of a tenant that have not expired, newest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn uploads(
+        &self,
+        tenant: &TenantId,
+        now_ms: i64,
+        page: &Page,
+    ) -> Result<Vec<UploadRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT * FROM uploads WHERE tenant = ?1 AND expires_ms > ?2
+               AND (?3 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM uploads WHERE id = ?3))
+             ORDER BY created_ms DESC, id DESC LIMIT ?4",
+        );
+        let query = query.bind(tenant).bind(now_ms).bind(&page.before).bind(page.limit);
+        Ok(query.fetch_all(self.pool()).await?)
     }
 
     /// Whether an upload is known.

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use sqlx::FromRow;
 
+use crate::api::marks::Marks;
 use crate::api::{CaptureId, Problem, TenantId, UploadId};
 
 /// The folder of uploads that arrive in pieces.
@@ -43,6 +44,9 @@ pub struct UploadRecord {
     pub expires_ms: i64,
     /// The capture that is being made of it, or could not be made.
     pub capture_id: Option<CaptureId>,
+    /// What that capture is called.
+    #[sqlx(flatten)]
+    pub marks: Marks,
     /// Hash of its bytes, lower-case hex, once a capture is being made of it.
     pub sha256: Option<String>,
     /// Why no capture could be made of it.

@@ -2,6 +2,7 @@
 
 use sqlx::types::Json;
 
+use crate::api::marks::Marks;
 use crate::api::{CaptureId, Problem, TenantId};
 use crate::store::uploads::record::UploadRecord;
 use crate::store::{Incoming, Store, StoreError};
@@ -38,16 +39,26 @@ impl Store {
         Ok(())
     }
 
-    /// Writes down that `capture` is being made of the upload that these bytes are of.
+    /// Writes down that `capture`, called so, is being made of the upload that these bytes are of.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn begin_validation(&self, incoming: &Incoming, capture: &CaptureId) -> Result<(), StoreError> {
+    pub async fn begin_validation(
+        &self,
+        incoming: &Incoming,
+        capture: &CaptureId,
+        marks: &Marks,
+    ) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
-        sqlx::query("UPDATE uploads SET capture_id = ?2, sha256 = ?3, problem = NULL WHERE id = ?1")
+        let query = "UPDATE uploads SET capture_id = ?2, sha256 = ?3, problem = NULL,
+                         name = ?4, external_id = ?5, labels = ?6 WHERE id = ?1";
+        sqlx::query(query)
             .bind(incoming.upload.as_ref().map(|hold| hold.id()))
             .bind(capture)
             .bind(&incoming.sha256)
+            .bind(&marks.name)
+            .bind(&marks.external_id)
+            .bind(Json(&marks.labels))
             .execute(&mut *tx)
             .await?;
         Ok(tx.commit().await?)
