@@ -170,9 +170,18 @@ def main():
     assert "a webhook says job.rejected" in said and "rejected: novel_view.psnr is" in said
     assert_nothing_is_left()
     status, said, _ = run(url, key="a-key-that-nobody-has")
-    assert status == 1 and "failed: POST /v1/webhooks: 401" in said, f"ended with {status}"
+    assert status == 1 and "not deleted" not in said and "failed: POST /v1/webhooks: 401" in said, f"ended with {status}"
     status, said, _ = run(url, "--gate", "nonsense>=1")
     assert status == 1 and "quality_gate" in said, f"ended with {status}"
+    (FOLDER / "bad.hdr").write_bytes(b"junk")
+    # Refused before anything is uploaded.
+    refused = [("--env", "nope", "--env nope: neither"), ("--env", "missing.hdr", "missing.hdr"), ("--env", str(FOLDER / "bad.hdr"), "does not begin")]
+    refused += [("--piece-mib", "0", "--piece-mib"), ("--frames", "0", "--frames"), ("--set", "foo", "--set: foo"), ("--gate", "foo", "--gate: foo")]
+    for option, value, sentence in refused:
+        status, said, _ = run(url, option, value)
+        assert status == 1 and sentence in said and "\ncapture " not in "\n" + said, f"{option} {value} ended with {status}"
+        assert "not deleted" not in said
+    assert_nothing_is_left()
     (FOLDER / "none.zip").write_bytes(b"PK\5\6" + bytes(18))
     status, said, _ = run(url, capture="none.zip")
     assert status == 1 and "is no capture" in said, f"ended with {status}"

@@ -145,7 +145,15 @@ async fn a_picture_is_finished_as_it_was_asked_for() {
     assert_ne!(render(|r| r.tone_curve = ToneCurve::Agx, FrameFormat::Png).await.unwrap(), plain);
     let exr = render(|r| r.colour_depth = Some(ColourDepth::Half), FrameFormat::Exr).await.unwrap();
     let text = String::from_utf8_lossy(&exr);
-    for said in ["worldToCamera", model.as_str(), "relume:light", "recovered", "fx "] {
+    for said in [
+        "worldToCamera",
+        model.as_str(),
+        "relume:light",
+        "recovered",
+        "fx ",
+        "screenWindowWidth",
+        "relume:background",
+    ] {
         assert!(text.contains(said), "{said}");
     }
     let refused = render(|r| r.tone_curve = ToneCurve::Agx, FrameFormat::Exr).await.unwrap_err();

@@ -63,6 +63,10 @@ async fn what_would_be_said_of_an_upload_in_vain_is_refused_by_name() {
         let refused: Value = serde_json::from_str(&text).unwrap();
         assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!(pointer)), "{refused}");
     }
+    let validate = client.request(Method::POST, "/v1/captures/validate?labels=a:1").unwrap().body("PK");
+    let answer = send(validate.header("content-type", "application/zip")).await;
+    assert_eq!(answer.status(), 422);
+    assert!(answer.text().await.unwrap().contains("query/labels"), "what is only tried is called nothing");
     assert!(artifacts(&server).is_empty(), "nothing was begun");
     assert_eq!(
         send(tus(client, Method::POST, "/v1/uploads?").header("upload-length", 9)).await.status(),

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 class Made:
     def __init__(self):
         self.paths = []
+        self.asked_for_job = False
         self.busy = False
         self.stopped = False
         # SIGTERM is how a farm's manager stops a script, SIGINT is Ctrl-C.

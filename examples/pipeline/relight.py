@@ -14,6 +14,7 @@ import math
 import os
 import re
 import sys
+import tempfile
 import uuid
 from pathlib import Path
 
@@ -23,14 +24,58 @@ from webhook import Receiver
 
 ENDS = ["job.succeeded", "job.rejected", "job.failed", "job.cancelled"]
 EXR_MAGIC = bytes([0x76, 0x2F, 0x31, 0x01])
+# How the light files begin that can be uploaded.
+LIGHT_FILES = {".hdr": b"#?", ".exr": EXR_MAGIC}
 
 
 class Rejected(Exception):
     """The model is not as good as the quality gate asks for."""
 
 
+class Parser(argparse.ArgumentParser):
+    def error(self, message):
+        """Ends with 1: argparse's 2 is the missed gate here."""
+        self.print_usage(sys.stderr)
+        self.exit(1, f"failed: {message}\n")
+
+
+def count(text):
+    """A whole number from 1."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text} is less than 1")
+    return number
+
+
+def mib(text):
+    """Bytes, from a number of MiB; at least one byte."""
+    size = float(text) * 2**20
+    if not math.isfinite(size) or size < 1:
+        raise argparse.ArgumentTypeError(f"{text} MiB is no size of a piece")
+    return int(size)
+
+
+def setting(text):
+    """Name and value of NAME=VALUE; a value that is no JSON is a string."""
+    name, equals, value = text.partition("=")
+    if not name or not equals:
+        raise argparse.ArgumentTypeError(f"{text}: NAME=VALUE is needed, as iterations=300")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
+
+
+def bound(text):
+    """Figure and bound, as novel_view.psnr and >=28."""
+    figure = re.fullmatch(r"([a-z_.]+)\s*([<>]=?.+)", text)
+    if not figure:
+        raise argparse.ArgumentTypeError(f"{text}: a figure and a bound are needed, as novel_view.psnr>=28")
+    return figure[1], figure[2]
+
+
 def arguments():
-    parse = argparse.ArgumentParser(description="Relight a capture with a Relume server.")
+    parse = Parser(description="Relight a capture with a Relume server.")
     parse.add_argument("capture", type=Path, help="the archive of photographs and cameras")
     parse.add_argument("out", type=Path, help="folder for the frames")
     parse.add_argument("--url", default=os.environ.get("RELUME_URL", "http://127.0.0.1:7878"), help="the server")
@@ -38,15 +83,39 @@ def arguments():
     parse.add_argument("--hook-url", help="by which URL the server reaches that; http://HOST:PORT/ where absent")
     parse.add_argument("--name", default="pipeline-example", help="what the job is called")
     parse.add_argument("--preset", default="draft", choices=["draft", "standard", "high"])
-    parse.add_argument("--set", action="append", default=[], metavar="NAME=JSON", help="a training setting, as iterations=300")
-    parse.add_argument("--gate", action="append", default=[], metavar="BOUND", help="as novel_view.psnr>=28")
+    settings = {"type": setting, "action": "append", "default": [], "metavar": "NAME=VALUE"}
+    parse.add_argument("--set", **settings, help="a training setting, as iterations=300; a value that is no JSON is a string")
+    parse.add_argument("--gate", type=bound, action="append", default=[], metavar="BOUND", help="as novel_view.psnr>=28")
     parse.add_argument("--env", default="sunset", help="a built-in light, or a .hdr or .exr file")
-    parse.add_argument("--frames", type=int, default=8, help="frames of one turn around the thing")
-    parse.add_argument("--size", type=int, default=512, help="pixels a side")
+    parse.add_argument("--frames", type=count, default=8, help="frames of one turn around the thing")
+    parse.add_argument("--size", type=count, default=512, help="pixels a side")
     parse.add_argument("--eye", type=float, nargs=3, default=[3.0, 0.0, 1.5], help="where the first camera stands")
-    parse.add_argument("--piece-mib", type=float, default=16, help="MiB that are sent at once")
+    parse.add_argument("--piece-mib", type=mib, default="16", dest="piece_bytes", metavar="MIB", help="MiB that are sent at once")
     parse.add_argument("--patience", type=float, default=24 * 3600, help="seconds to wait for the end of the job")
     return parse.parse_args()
+
+
+def check_files(options):
+    """Fails now where the round would after the training: a file that cannot be read, a folder that cannot be written to."""
+    with options.capture.open("rb"):
+        pass
+    begin = LIGHT_FILES.get(Path(options.env).suffix.lower())
+    if begin:
+        with open(options.env, "rb") as file:
+            if file.read(len(begin)) != begin:
+                raise Trouble(f"--env {options.env}: the file does not begin as its name says")
+    options.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=options.out):
+        pass
+
+
+def check_builtin(server, name):
+    """That the server has the light, unless it is a file."""
+    if Path(name).suffix.lower() in LIGHT_FILES:
+        return
+    builtin = server.json("GET", "/v1/environments")["builtin"]
+    if name not in builtin:
+        raise Trouble(f"--env {name}: neither a .hdr or .exr file nor one of {', '.join(builtin)}")
 
 
 def make_capture(server, made, path, piece_bytes):
@@ -70,23 +139,13 @@ def make_capture(server, made, path, piece_bytes):
 
 def new_job(options, capture):
     """What to train, and what the model has to reach."""
-    gate = {}
-    for bound in options.gate:
-        figure = re.fullmatch(r"([a-z_.]+)\s*([<>]=?.+)", bound)
-        if not figure:
-            raise Trouble(f"--gate {bound}: a figure and a bound are needed, as novel_view.psnr>=28")
-        gate[figure[1]] = figure[2]
-    overrides = {}
-    for setting in options.set:
-        name, _, value = setting.partition("=")
-        overrides[name] = json.loads(value)
     return {
         "capture": capture["id"],
         "name": options.name,
         "labels": {"made-by": "pipeline-example"},
         "preset": options.preset,
-        "overrides": overrides,
-        "quality_gate": gate,
+        "overrides": dict(options.set),
+        "quality_gate": dict(options.gate),
     }
 
 
@@ -106,9 +165,10 @@ def wait_for_end(server, receiver, job, patience):
 
 def light(server, made, name):
     """What a frame is lit by: a map of the server's own, or a file that is uploaded for it."""
-    if not name.lower().endswith((".hdr", ".exr")):
+    suffix = Path(name).suffix.lower()
+    if suffix not in LIGHT_FILES:
         return {"builtin": name}
-    media_type = "image/vnd.radiance" if name.lower().endswith(".hdr") else "image/x-exr"
+    media_type = "image/vnd.radiance" if suffix == ".hdr" else "image/x-exr"
     with made.noting() as note:
         answer = server.ask("POST", "/v1/environments", Path(name).read_bytes(), {"Content-Type": media_type})
         environment = json.loads(answer.body)
@@ -118,7 +178,6 @@ def light(server, made, name):
 
 def render_turn(server, model, environment, options):
     """One EXR a frame, with the relit picture, normals and depth; the camera goes around the thing."""
-    options.out.mkdir(parents=True, exist_ok=True)
     x, y, z = options.eye
     for frame in range(options.frames):
         turn = 2 * math.pi * frame / options.frames
@@ -150,10 +209,13 @@ def go_round(server, made, run, options):
             hook = server.json("POST", "/v1/webhooks", {"url": options.hook_url or receiver.url, "events": ENDS})
             note(f"/v1/webhooks/{hook['id']}")
         receiver.secret = hook["secret"]
-        capture = make_capture(server, made, options.capture, int(options.piece_mib * 2**20))
+        check_builtin(server, options.env)
+        capture = make_capture(server, made, options.capture, options.piece_bytes)
         # Should the answer be lost, the same request again makes no second job.
         once = {"Idempotency-Key": run}
         with made.noting() as note:
+            # Before the answer, which may be lost.
+            made.asked_for_job = True
             job = server.json("POST", "/v1/jobs", {**new_job(options, capture), "external_id": run}, headers=once)
             note(f"/v1/jobs/{job['id']}?cascade=true")
         print(f"job {job['id']}")
@@ -163,6 +225,8 @@ def go_round(server, made, run, options):
 
 def delete_all(server, made, run):
     made.delete(server)
+    if not made.asked_for_job:
+        return
     # After its job, which makes no other from here on.
     try:
         for model in server.json("GET", f"/v1/models?external_id={run}")["items"]:
@@ -176,6 +240,7 @@ def main():
     server = Server(options.url, os.environ.get("RELUME_KEY"))
     made, run = Made(), str(uuid.uuid4())
     try:
+        check_files(options)
         try:
             go_round(server, made, run, options)
         finally:

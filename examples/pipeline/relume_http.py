@@ -14,7 +14,11 @@ Answer = namedtuple("Answer", "status headers body")
 # What a broken connection raises, at whatever moment it breaks.
 BROKEN = (OSError, http.client.HTTPException)
 BUSY = (429, 503)
+# As well: the piece of a broken connection is still being written.
+WAITING = (423, *BUSY)
 TRIES = 20
+# How often in a row a piece may be sent in vain to a server that answers.
+IN_VAIN = 3
 TUS = {"Tus-Resumable": "1.0.0"}
 
 
@@ -90,11 +94,11 @@ def begin_upload(server, path):
 
 def send_pieces(server, where, path, piece_bytes):
     """Sends a file to `where` and goes on after a break. Each piece is kept whole or not at all."""
-    size, offset, troubles = path.stat().st_size, 0, 0
+    size, offset, troubles, in_vain = path.stat().st_size, 0, 0, 0
     with path.open("rb") as file:
         while offset < size:
             file.seek(offset)
-            piece = file.read(piece_bytes)
+            piece = file.read(min(piece_bytes, size - offset))
             checksum = base64.b64encode(hashlib.sha256(piece).digest()).decode()
             headers = {
                 **TUS,
@@ -104,17 +108,23 @@ def send_pieces(server, where, path, piece_bytes):
             }
             try:
                 offset = int(server.once("PATCH", where, piece, headers).headers["Upload-Offset"])
-                troubles = 0
+                troubles = in_vain = 0
             except (Trouble, *BROKEN) as trouble:
                 troubles += 1
-                offset = where_to_go_on(server, where, trouble, troubles)
+                before, offset = offset, where_to_go_on(server, where, trouble, troubles)
+                if offset != before:
+                    troubles = in_vain = 0
+                elif getattr(trouble, "status", None) not in WAITING:
+                    in_vain += 1
+                    if in_vain == IN_VAIN:
+                        raise
                 print(f"the upload broke off and goes on at byte {offset} of {size}")
 
 
 def where_to_go_on(server, where, trouble, troubles):
     """How much of an upload the server has, after `troubles` troubles in a row."""
-    # Busy, the piece of the broken connection is still being written, or a piece that was changed on its way.
-    passing = getattr(trouble, "status", None) in (None, 409, 423, 460, *BUSY)
+    # Busy, an offset that moved on, or a piece that was changed on its way.
+    passing = getattr(trouble, "status", None) in (None, 409, 460, *WAITING)
     if not passing or troubles > TRIES:
         raise trouble
     time.sleep(min(0.1 * 2**troubles, 30))

@@ -45,7 +45,7 @@ pub struct RenderRequest {
     /// How colours come to a display: `srgb` (the default; clamped), `neutral` (Khronos PBR Neutral), `agx` or `linear` (16-bit PNG).
     /// Albedo is not tone-mapped, and an EXR never.
     #[serde(default)]
-    #[cfg_attr(feature = "server", schema(inline))]
+    #[cfg_attr(feature = "server", schema(value_type = String, pattern = "^(srgb|neutral|agx|linear)$", example = "srgb"))]
     pub tone_curve: ToneCurve,
     /// How an EXR stores colours: `float` (the default) or `half`.
     #[serde(skip_serializing_if = "Option::is_none", default)]

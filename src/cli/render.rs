@@ -23,16 +23,16 @@ pub(super) struct RenderArgs {
     #[arg(long, default_value = "recovered")]
     env: String,
     /// Turn of the light about +Z, degrees counter-clockwise.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
     rotation: f64,
-    /// Exposure of the light, stops.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    /// Exposure of the light, stops, -20 to 20.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>)]
     exposure: f64,
     /// Degrees around the model, counter-clockwise seen from above; 0 is on the +x side.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
     azimuth: f64,
-    /// Degrees above the horizon.
-    #[arg(long, default_value_t = 20.0, allow_negative_numbers = true)]
+    /// Degrees above the horizon, -90 to 90.
+    #[arg(long, default_value_t = 20.0, allow_negative_numbers = true, value_parser = up_to::<90>)]
     elevation: f64,
     /// Side of the image, pixels.
     #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..=8192))]
@@ -83,13 +83,24 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
         light: args.env.clone(),
         rotation_deg: args.rotation,
         exposure_ev: args.exposure,
-        tier: quality.tier,
+        quality,
         camera: Some(camera),
     };
     let encoded = encode_frame(&frame, &args.output, format, &Finish { notes, ..finish })?;
     output::write_named(&args.out, &encoded.bytes)?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
+}
+
+fn finite(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "must be a number")?;
+    if value.is_finite() { Ok(value) } else { Err("must be finite".to_owned()) }
+}
+
+/// A number of at most `MOST` either way.
+fn up_to<const MOST: i32>(text: &str) -> Result<f64, String> {
+    let value = finite(text)?;
+    if value.abs() <= f64::from(MOST) { Ok(value) } else { Err(format!("must be -{MOST} to {MOST}")) }
 }
 
 fn file_name(path: &Path) -> String {
@@ -103,5 +114,22 @@ fn format(path: &Path) -> Result<FrameFormat, String> {
         "jpg" | "jpeg" => Ok(FrameFormat::Jpeg),
         "exr" => Ok(FrameFormat::Exr),
         _ => Err(format!("{}: must end in .png, .jpg or .exr", path.display())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_that_make_no_picture_are_refused() {
+        assert_eq!(
+            (finite("-1e3"), up_to::<20>("-20"), up_to::<90>("89.5")),
+            (Ok(-1e3), Ok(-20.0), Ok(89.5))
+        );
+        for wrong in ["nan", "inf", "", "ten"] {
+            assert!(finite(wrong).is_err() && up_to::<20>(wrong).is_err(), "{wrong}");
+        }
+        assert!(up_to::<20>("20.5").is_err() && up_to::<90>("-91").is_err());
     }
 }

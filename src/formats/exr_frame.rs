@@ -46,8 +46,21 @@ pub struct FrameLayers<'a> {
 pub struct FrameAttributes {
     /// Text attributes by name.
     pub texts: Vec<(&'static str, String)>,
-    /// The standard attribute `worldToCamera`: row vectors, as OpenEXR has them.
-    pub world_to_camera: Option<[f32; 16]>,
+    /// The camera.
+    pub lens: Option<ExrLens>,
+}
+
+/// A camera, as the standard attributes of OpenEXR have it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExrLens {
+    /// `worldToCamera`: row vectors are multiplied with it.
+    pub world_to_camera: [f32; 16],
+    /// `screenWindowWidth`: of the picture on a screen at distance 1.
+    pub window_width: f32,
+    /// `screenWindowCenter`, y up.
+    pub window_centre: [f32; 2],
+    /// `pixelAspectRatio`: width of a pixel over its height.
+    pub pixel_aspect: f32,
 }
 
 /// How colour is stored.
@@ -83,7 +96,9 @@ pub fn encode(frame: &FrameLayers<'_>, depth: ColourDepth) -> Result<Vec<u8>, Im
         return Err(ImageFileError::Encode("the frame has no layers".to_owned()));
     }
     let window = IntegerBounds::from_dimensions(size(frame));
-    let image = Image::from_layers(ImageAttributes::new(window), layers);
+    let mut shared = ImageAttributes::new(window);
+    shared.pixel_aspect = frame.attributes.lens.map_or(1.0, |lens| lens.pixel_aspect);
+    let image = Image::from_layers(shared, layers);
     let mut out = Cursor::new(Vec::new());
     image.write().to_buffered(&mut out).map_err(|e| ImageFileError::Encode(e.to_string()))?;
     Ok(out.into_inner())
@@ -117,7 +132,11 @@ fn part(
     for (name, value) in &frame.attributes.texts {
         attributes.other.insert(text(name)?, AttributeValue::Text(text(value)?));
     }
-    attributes.world_to_camera = frame.attributes.world_to_camera;
+    if let Some(lens) = &frame.attributes.lens {
+        attributes.world_to_camera = Some(lens.world_to_camera);
+        attributes.screen_window_width = lens.window_width;
+        attributes.screen_window_center = Vec2(lens.window_centre[0], lens.window_centre[1]);
+    }
     attributes.software_name = Some(text(concat!("relume ", env!("CARGO_PKG_VERSION")))?);
     let encoding = Encoding {
         compression: Compression::ZIP16,
@@ -174,7 +193,12 @@ mod tests {
             ],
             attributes: &FrameAttributes {
                 texts: vec![("relume:model", "m".to_owned())],
-                world_to_camera: Some(std::array::from_fn(|i| i as f32)),
+                lens: Some(ExrLens {
+                    world_to_camera: std::array::from_fn(|i| i as f32),
+                    window_width: 2.5,
+                    window_centre: [0.25, -0.5],
+                    pixel_aspect: 1.5,
+                }),
             },
         };
         encode(&frame, depth).unwrap()
@@ -200,10 +224,13 @@ mod tests {
             let model = &layer.attributes.other[&Text::new_or_none("relume:model").unwrap()];
             assert_eq!(*model, AttributeValue::Text(Text::new_or_none("m").unwrap()));
             assert_eq!(layer.attributes.world_to_camera, Some(std::array::from_fn(|i| i as f32)));
+            assert_eq!(layer.attributes.screen_window_width, 2.5);
+            assert_eq!(layer.attributes.screen_window_center, Vec2(0.25, -0.5));
             let software = layer.attributes.software_name.as_ref().unwrap().to_string();
             assert!(software.starts_with("relume "), "{software}");
         }
         assert!(image.attributes.chromaticities.is_none());
+        assert_eq!(image.attributes.pixel_aspect, 1.5);
     }
 
     #[test]

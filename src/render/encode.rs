@@ -107,7 +107,7 @@ fn colour<L: Level>(frame: &Frame, output: Output, finish: &Finish) -> Result<Ve
         let divisor = if output == Output::Albedo { 1.0 } else { alpha.max(1e-6) };
         let shown = curve.apply(rgb.map(|v| v / divisor));
         let (shown, alpha) = match finish.background {
-            Background::Colour(behind) => (over(shown, alpha, behind), 1.0),
+            Background::Colour(behind) => (over(shown, alpha, shown_as(behind, curve)), 1.0),
             _ => (shown, alpha),
         };
         let [r, g, b] = shown.map(L::nearest);
@@ -124,9 +124,15 @@ fn coverage(alpha: f32, output: Output, finish: &Finish) -> f32 {
     }
 }
 
-/// A display colour over another, as browsers blend.
-fn over(shown: [f32; 3], alpha: f32, behind: [u8; 3]) -> [f32; 3] {
-    std::array::from_fn(|k| shown[k] * alpha + f32::from(behind[k]) / 255.0 * (1.0 - alpha))
+/// A colour over another: of display values, as browsers blend.
+fn over(shown: [f32; 3], alpha: f32, behind: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|k| shown[k] * alpha + behind[k] * (1.0 - alpha))
+}
+
+/// A display colour among the values of a curve.
+fn shown_as(colour: [u8; 3], curve: ToneCurve) -> [f32; 3] {
+    let display = colour.map(|v| f32::from(v) / 255.0);
+    if curve == ToneCurve::Linear { display.map(srgb::decode) } else { display }
 }
 
 /// Colours and measurements in parts of their own.
@@ -145,7 +151,7 @@ fn exr(frame: &Frame, outputs: &[Output], finish: &Finish) -> Result<Vec<u8>, Im
         if is_colour(*output) { colour.push(layer) } else { data.push(layer) }
     }
     let (width, height) = (frame.width, frame.height);
-    let attributes = &finish.notes.attributes();
+    let attributes = &finish.notes.attributes(finish.background);
     let layers = FrameLayers { width, height, colour: &colour, data: &data, attributes };
     exr_frame::encode(&layers, finish.colour_depth.unwrap_or(exr_frame::ColourDepth::Full))
 }
@@ -232,6 +238,10 @@ mod tests {
         assert_eq!(shown(Background::Colour([0, 100, 255])), [94, 144, 221, 255]);
         // The light behind is in the frame already.
         assert_eq!(shown(Background::Environment), [137, 137, 137, 255]);
+        let linear = with(Background::Colour([128; 3]), ToneCurve::Linear);
+        let half_of_both = (0.5 * 0.5 + 0.5 * srgb::decode(128.0 / 255.0)) * 65535.0;
+        let pixel = colour::<u16>(&frame, Output::Rgb, &linear).unwrap()[0];
+        assert!((f32::from(pixel[0]) - half_of_both).abs() < 1.0, "{pixel:?}");
         let linear = with(Background::Environment, ToneCurve::Linear);
         assert_eq!(colour::<u16>(&frame, Output::Rgb, &linear).unwrap(), [[16384, 16384, 16384, 65535]]);
         let bytes =

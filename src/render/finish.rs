@@ -1,7 +1,7 @@
 //! How a frame becomes a file.
 
 use crate::render::error::RenderError;
-use crate::render::{Background, ColourDepth, FrameFormat, FrameNotes, Output, ToneCurve};
+use crate::render::{Background, ColourDepth, FrameFormat, FrameNotes, Output, ToneCurve, is_colour};
 
 /// How a frame becomes a file.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -29,6 +29,9 @@ impl Finish {
             (Background::Colour(_), Exr) => {
                 return refuse("background", "is a display colour; an EXR is scene-referred");
             }
+            (Background::Colour(_), _) if !outputs.iter().any(|o| is_colour(*o)) => {
+                return refuse("background", "shows behind colours alone, and the output is none");
+            }
             (Background::Environment, _) if !outputs.contains(&Output::Rgb) => {
                 return refuse("background", "shows in rgb alone, which is not among the outputs");
             }
@@ -37,6 +40,9 @@ impl Finish {
         match (self.tone_curve, format) {
             (ToneCurve::Neutral | ToneCurve::Agx, Exr) => {
                 return refuse("tone_curve", "is for displays; an EXR is scene-referred");
+            }
+            (curve, Png) if curve != ToneCurve::Srgb && !outputs.iter().any(|o| is_colour(*o)) => {
+                return refuse("tone_curve", "is for colours alone, and the output is none");
             }
             (ToneCurve::Linear, Jpeg) => {
                 return refuse("tone_curve", "linear needs 16 bit, which a JPEG has not");
@@ -64,10 +70,13 @@ mod tests {
             Err(RenderError::Refused { field, .. }) => Some(field),
             _ => None,
         };
-        let (rgb, albedo) = (Output::Rgb, Output::Albedo);
+        let (rgb, albedo, depth) = (Output::Rgb, Output::Albedo, Output::Depth);
         for (finish, output, png, jpeg, exr) in [
             (&Finish::default(), albedo, None, None, None),
             (&colour, albedo, None, None, Some("background")),
+            (&Finish::default(), depth, None, None, None),
+            (&colour, depth, Some("background"), Some("background"), Some("background")),
+            (&curve(ToneCurve::Linear), depth, Some("tone_curve"), Some("tone_curve"), None),
             (&environment, rgb, None, None, None),
             (&environment, albedo, Some("background"), Some("background"), Some("background")),
             (&curve(ToneCurve::Agx), rgb, None, None, Some("tone_curve")),

@@ -15,7 +15,7 @@ use crate::capture::CaptureReport;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::{ArchiveForm, File};
-use crate::server::extract::{JsonBody, QueryString, UrlPath, media_type};
+use crate::server::extract::{JsonBody, NoQuery, QueryString, UrlPath, media_type};
 use crate::server::listing::{rfc3339, unknown_cursor};
 use crate::server::marks::{self, MarkedPageQuery, MarksQuery};
 use crate::server::upload::{self, Expected};
@@ -112,6 +112,7 @@ async fn marked(
 async fn validate_capture(
     State(app): State<Shared>,
     caller: Caller,
+    _: QueryString<NoQuery>,
     request: Request,
 ) -> Result<Json<CaptureReport>, Problem> {
     let incoming = receive(&app, &caller, request).await?;

@@ -7,11 +7,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::http::StatusCode;
-use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use crate::api::Problem;
 use crate::render::Output;
+use crate::server::machine;
 
 /// What one permit stands for.
 const UNIT: u64 = 1 << 20;
@@ -105,13 +105,9 @@ impl Share {
     }
 }
 
-/// Half of what this machine, or the container that this process runs in, has, bytes.
+/// Half of what this process may take, bytes.
 pub(super) fn half_of_the_machine() -> u64 {
-    let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
-    let system = System::new_with_specifics(memory);
-    let machine = system.total_memory();
-    let container = system.cgroup_limits().map_or(machine, |limits| limits.total_memory);
-    machine.min(container) / 2
+    machine::memory() / 2
 }
 
 /// Bytes that a frame takes from its G-buffer to its file.

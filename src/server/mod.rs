@@ -24,6 +24,7 @@ mod keyring;
 mod keys;
 mod lights;
 mod listing;
+mod machine;
 mod marks;
 mod memory;
 mod models;

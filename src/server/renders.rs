@@ -79,7 +79,7 @@ fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameNotes {
         light: task.light.key(),
         rotation_deg: task.rotation_deg,
         exposure_ev: task.exposure_ev,
-        tier: task.quality.tier,
+        quality: task.quality,
         camera,
     }
 }

@@ -51,7 +51,7 @@ pub struct ThumbnailQuery {
     #[param(value_type = Option<String>)]
     pub background: Option<Background>,
     /// `srgb` (the default), `neutral` or `agx`.
-    #[param(inline)]
+    #[param(value_type = Option<String>, pattern = "^(srgb|neutral|agx)$")]
     pub tone_curve: Option<ToneCurve>,
 }
 

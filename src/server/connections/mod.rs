@@ -26,7 +26,7 @@ use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::TokioIo;
-use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_io_timeout::TimeoutStream;
 use tokio_util::io::InspectReader;
@@ -44,7 +44,9 @@ use unread::Unread;
 const NO_SOCKET_PAUSE: Duration = Duration::from_millis(50);
 
 /// Longest time for which a client that was answered before it had sent its request is read from.
-const LINGER: Duration = Duration::from_secs(5);
+const LINGER: Duration = Duration::from_secs(60);
+/// Longest time for which it may send nothing meanwhile.
+const SILENCE: Duration = Duration::from_secs(5);
 
 /// Serves connections until `stop` is cancelled, then closes the waiting ones and lets requests end for at most `drain`.
 /// Returns whether all ended in time.
@@ -113,17 +115,22 @@ async fn connection(
     tokio::select! {
         () = close(stream, is_cut.into_inner()) => {}
         () = ticket.close.cancelled() => tracing::debug!(%peer, "closed to make room"),
+        () = stop.cancelled() => {}
     }
 }
 
 /// Ends a connection whose last answer is sent. A client that is still sending then (`is_cut`) is read from for a while: to a
 /// client that sends to a closed socket, the operating system may refuse the answer that waits for it.
 async fn close(mut stream: impl AsyncRead + AsyncWrite + Unpin, is_cut: bool) {
-    if stream.shutdown().await.is_ok() && is_cut {
-        let mut nowhere = tokio::io::sink();
-        // Whichever way this ends, nobody is told more.
-        let _ = tokio::time::timeout(LINGER, tokio::io::copy(&mut stream, &mut nowhere)).await;
+    if stream.shutdown().await.is_err() || !is_cut {
+        return;
     }
+    let flows = async {
+        let mut piece = vec![0; 16 << 10];
+        // Whichever way this ends, nobody is told more.
+        while let Ok(Ok(1..)) = tokio::time::timeout(SILENCE, stream.read(&mut piece)).await {}
+    };
+    let _ = tokio::time::timeout(LINGER, flows).await;
 }
 
 /// A stream that tells of bytes that arrive and fails when nothing can be written for too long.
