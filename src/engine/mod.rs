@@ -32,6 +32,7 @@ mod zeros;
 pub use adam::{StepCounts, StepSizes};
 pub use adapter::{AdapterReport, DeviceChoice, choose_adapter};
 pub use camera::RasterCamera;
+pub use constants::TILE;
 pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin};
 pub use device::{Device, adapters};
 pub use error::DeviceError;

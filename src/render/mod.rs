@@ -1,6 +1,7 @@
 //! A camera and a light in, a frame out.
 
 mod background;
+mod bands;
 mod direct;
 mod edited;
 mod encode;
@@ -19,6 +20,7 @@ mod viewpoint;
 pub use crate::engine::{Frame, Output};
 pub use crate::formats::exr_frame::ColourDepth;
 pub use background::Background;
+pub use bands::Bands;
 pub use encode::{EncodedFrame, encode_frame};
 pub use error::RenderError;
 pub use finish::Finish;

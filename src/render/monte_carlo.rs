@@ -18,12 +18,13 @@ pub(super) const MOST_ROWS: usize = 512;
 const BRIGHTEST: f64 = 1e36;
 
 /// Renders every pixel with `quality.samples` directions; the bytes depend on `quality.seed` and on nothing else that is
-/// random.
+/// random. `pixels_before` is the number of the frame's pixels above the job's.
 pub(super) fn render(
     job: &Job<'_>,
     environment: &EnvSampler,
     occluders: &Occluders,
     quality: Quality,
+    pixels_before: u64,
 ) -> Frame {
     let view = job.frame.view;
     let coefficients = job.source.gaussians.width(Field::Visibility);
@@ -33,7 +34,7 @@ pub(super) fn render(
     let light = |(x, y): (usize, usize), surface: &Surface| {
         // A stream a pixel: no pixel's samples depend on who rendered the one before.
         let mut random = random.clone();
-        random.set_stream((y * view.width + x) as u64);
+        random.set_stream(pixels_before + (y * view.width + x) as u64);
         let point = surface_point(&pass, x, y);
         let sum = estimate(
             &reflector(surface),

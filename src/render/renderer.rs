@@ -3,12 +3,12 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::engine::cpu::{FrameLight as CpuLight, Occluders};
-use crate::engine::{Device, DeviceError, FrameJob, FrameLight, Frames, RasterCamera, ShadeColour};
+use crate::engine::{Device, DeviceError, FrameLight, Frames, RasterCamera, ShadeColour};
 use crate::light::{EnvSampler, LightTables, rendering_tables};
 use crate::render::background;
+use crate::render::bands::Bands;
 use crate::render::error::RenderError;
-use crate::render::high::{self, SplitLight};
-use crate::render::job::Job;
+use crate::render::high::SplitLight;
 use crate::render::{Frame, Output, Quality, Tier, monte_carlo};
 use crate::scene::{Camera, EnvMap, Model, ShadeAt};
 
@@ -18,7 +18,7 @@ const MOST_PIXELS: u64 = 64 << 20;
 /// An environment turned into what a model is shaded with; costs a second at most, keep it. Belongs to the renderer
 /// that prepared it. What only some tiers need is made when the first of them asks.
 pub struct PreparedLight {
-    environment: EnvMap,
+    pub(super) environment: EnvMap,
     pub(super) frame: FrameLight,
     split: OnceLock<SplitLight>,
     sampler: OnceLock<EnvSampler>,
@@ -26,6 +26,16 @@ pub struct PreparedLight {
 }
 
 impl PreparedLight {
+    /// The environment with its dominant lights taken out, for visibility fields of degree `order`.
+    pub(super) fn split(&self, order: usize) -> &SplitLight {
+        self.split.get_or_init(|| SplitLight::new(&self.environment, order))
+    }
+
+    /// What draws directions by the environment's radiance.
+    pub(super) fn sampler(&self) -> &EnvSampler {
+        self.sampler.get_or_init(|| EnvSampler::new(self.environment.clone()))
+    }
+
     /// Tables of the environment with no lights beside them, for visibility fields of degree `order`.
     pub(super) fn whole_tables<'a>(&'a self, on_cpu: &'a CpuLight, order: usize) -> &'a LightTables {
         match on_cpu.tables.lights.is_empty() {
@@ -90,36 +100,24 @@ impl Renderer {
         quality: impl Into<Quality>,
         outputs: &[Output],
     ) -> Result<Frame, RenderError> {
-        let quality = quality.into();
+        let mut bands = self.bands(camera, light, quality.into(), outputs)?;
+        while bands.render_next()? {}
+        Ok(bands.into_frame())
+    }
+
+    /// The same band by band, for a caller with something else to do in between. The frame is the same.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    pub fn bands<'a>(
+        &'a self,
+        camera: &Camera,
+        light: &'a PreparedLight,
+        quality: Quality,
+        outputs: &[Output],
+    ) -> Result<Bands<'a>, RenderError> {
         quality.check()?;
-        let mut wanted: Vec<Output> = outputs.to_vec();
-        wanted.push(Output::Alpha);
-        wanted.sort_unstable();
-        wanted.dedup();
-        let frame = FrameJob {
-            view: self.view(camera)?,
-            outputs: &wanted,
-            colour: self.colour(quality.tier, &wanted),
-            depth_scale: (1.0 / self.model().world_scale) as f32,
-        };
-        Ok(match quality.tier {
-            Tier::Preview | Tier::Standard => self.frames.render(&frame, &light.frame)?,
-            Tier::High => {
-                let job = self.job(frame, self.light_on_cpu(light));
-                let order = self.model().gaussians.visibility_order();
-                let split = light.split.get_or_init(|| SplitLight::new(&light.environment, order));
-                high::render(&job, split, self.occluders())
-            }
-            Tier::MonteCarlo => {
-                let sampler = light.sampler.get_or_init(|| EnvSampler::new(light.environment.clone()));
-                monte_carlo::render(
-                    &self.job(frame, self.light_on_cpu(light)),
-                    sampler,
-                    self.occluders(),
-                    quality,
-                )
-            }
-        })
+        Ok(Bands::new(self, light, self.view(camera)?, quality, outputs))
     }
 
     /// Puts the light behind what `rgb` shows of a frame of `camera`.
@@ -128,7 +126,7 @@ impl Renderer {
     }
 
     /// Where Gaussians are shaded, colour alone needs no G-buffer; anything else does, in every tier.
-    fn colour(&self, tier: Tier, outputs: &[Output]) -> ShadeColour {
+    pub(super) fn colour(&self, tier: Tier, outputs: &[Output]) -> ShadeColour {
         let at_gaussians = match tier {
             Tier::Preview => true,
             Tier::Standard => self.model().shading.shade_at == ShadeAt::Gaussian,
@@ -140,13 +138,8 @@ impl Renderer {
         }
     }
 
-    fn light_on_cpu<'a>(&self, light: &'a PreparedLight) -> &'a CpuLight {
+    pub(super) fn light_on_cpu<'a>(&self, light: &'a PreparedLight) -> &'a CpuLight {
         self.frames.light_on_cpu(&light.frame, &light.environment)
-    }
-
-    fn job<'a>(&'a self, frame: FrameJob<'a>, light: &'a CpuLight) -> Job<'a> {
-        let cpu = self.frames.on_cpu();
-        Job { source: cpu.lit_source(light), shader: cpu.shader(&light.tables), frame }
     }
 
     /// `camera` as the engines want it.

@@ -58,6 +58,19 @@ impl Quality {
         Self { samples, ..Tier::MonteCarlo.into() }
     }
 
+    /// Most that a band of a frame costs, in pixels times [`Self::pixel_cost`].
+    pub const BAND_COST: u64 = 1 << 20;
+
+    /// What a pixel costs beside one of [`Tier::Preview`], roughly.
+    pub fn pixel_cost(self) -> u64 {
+        match self.tier {
+            Tier::Preview => 1,
+            Tier::Standard => 2,
+            Tier::High => 3,
+            Tier::MonteCarlo => u64::from(self.samples).saturating_mul(2).max(3),
+        }
+    }
+
     /// # Errors
     /// Names `samples` when there are none or too many.
     pub(super) fn check(self) -> Result<(), RenderError> {

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::Notify;
 
+use crate::render::Quality;
 use crate::worker::queued_render::QueuedRender;
 
 /// Younger frames that may overtake one because they are cheaper.
@@ -98,6 +99,14 @@ impl WaitingRenders {
         waiting[..next].iter_mut().for_each(|entry| entry.overtaken += 1);
         Some(waiting.remove(next).render)
     }
+
+    /// The cheapest frame, if it is one of a single band: it may come between the bands of another.
+    pub(super) fn try_recv_cheap(&mut self) -> Option<QueuedRender> {
+        let mut state = self.0.lock();
+        let waiting = &mut state.waiting;
+        let cheapest = (0..waiting.len()).min_by_key(|&i| waiting[i].cost)?;
+        (waiting[cheapest].cost <= Quality::BAND_COST).then(|| waiting.remove(cheapest).render)
+    }
 }
 
 impl Drop for WaitingRenders {
@@ -157,6 +166,15 @@ mod tests {
         let _places = [1024, 64, 256, 64].map(|size| push(&queue, size).unwrap());
         assert_eq!([(); 4].map(|()| next_size(&mut waiting)), [64, 64, 256, 1024]);
         assert!(waiting.try_recv().is_none());
+    }
+
+    #[test]
+    fn between_the_bands_of_a_frame_come_cheap_ones_alone() {
+        let (queue, mut waiting) = render_queue(9);
+        let _places = [2048, 128, 64].map(|size| push(&queue, size).unwrap());
+        let mut next = || waiting.try_recv_cheap().map(|render| render.task.pixels());
+        assert_eq!([(); 3].map(|()| next()), [Some(64 * 64), Some(128 * 128), None]);
+        assert_eq!(next_size(&mut waiting), 2048, "it waits for its turn");
     }
 
     #[test]

@@ -13,14 +13,17 @@ use tokio_util::sync::CancellationToken;
 use crate::engine::Device;
 use crate::engine::{DeviceChoice, DeviceError};
 use crate::jobs::{Jobs, Lease};
+use crate::render::Frame;
 use crate::store::StoreError;
 use crate::worker::device_handle::DeviceHandle;
 use crate::worker::queued_render::QueuedRender;
 use crate::worker::render_queue::{WaitingRenders, render_queue};
-use crate::worker::renders::{RenderCache, RenderFailure};
+use crate::worker::renders::{RenderCache, RenderFailure, RenderTask};
 
 /// How long an idle worker sleeps before it looks at the queue unprompted.
 const IDLE: Duration = Duration::from_secs(1);
+/// Most frames that come before what they interrupt goes on.
+const BATCH: usize = 8;
 
 /// Sizes of the worker's queue and caches.
 #[derive(Debug, Clone, Copy)]
@@ -140,7 +143,6 @@ impl Worker {
 
     /// Renders what was asked for meanwhile; a few frames at a time, so that training continues under any load.
     pub(super) fn serve_waiting(&mut self) {
-        const BATCH: usize = 8;
         for _ in 0..BATCH {
             match self.renders.try_recv() {
                 Some(request) => self.serve(request),
@@ -152,8 +154,7 @@ impl Worker {
     pub(super) fn serve(&mut self, request: QueuedRender) {
         let steps = self.steps.load(Ordering::SeqCst);
         request.answer(steps, |task, is_wanted| {
-            let (cache, device) = (&mut self.cache, &self.device);
-            let frame = std::panic::catch_unwind(AssertUnwindSafe(|| cache.render(task, device, is_wanted)));
+            let frame = std::panic::catch_unwind(AssertUnwindSafe(|| self.render(task, is_wanted)));
             let frame = frame.unwrap_or_else(|panic| {
                 self.cache.clear();
                 Err(RenderFailure::Internal(panic_message(panic.as_ref())))
@@ -166,6 +167,20 @@ impl Worker {
             .increment(1);
             frame
         });
+    }
+
+    /// Renders a task, and between the bands of a dear one those that wait and have a single band.
+    fn render(&mut self, task: &RenderTask, is_wanted: &dyn Fn() -> bool) -> Result<Frame, RenderFailure> {
+        let scene = self.cache.scene(task, &self.device, is_wanted)?;
+        scene.render(task, || {
+            for _ in 0..BATCH {
+                match self.renders.try_recv_cheap() {
+                    Some(request) => self.serve(request),
+                    None => break,
+                }
+            }
+            if is_wanted() { Ok(()) } else { Err(RenderFailure::Abandoned) }
+        })
     }
 
     /// Opens the device again after it failed; nothing on a failed device can be used. If it cannot be opened, the CPU

@@ -12,8 +12,8 @@ use crate::capture::builtin;
 use crate::engine::Device;
 use crate::engine::DeviceError;
 use crate::formats::{environment, model_file};
-use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer, Tier, Viewpoint};
-use crate::scene::EnvMap;
+use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer, Viewpoint};
+use crate::scene::{Camera, EnvMap};
 
 /// Why there is no frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -151,13 +151,7 @@ pub struct RenderTask {
 impl RenderTask {
     /// What the frame costs on the device beside others: its pixels, weighed by the tier.
     pub(super) fn cost(&self) -> u64 {
-        let weight = match self.quality.tier {
-            Tier::Preview => 1,
-            Tier::Standard => 2,
-            Tier::High => 3,
-            Tier::MonteCarlo => u64::from(self.quality.samples).saturating_mul(2).max(3),
-        };
-        self.pixels().saturating_mul(weight)
+        self.pixels().saturating_mul(self.quality.pixel_cost())
     }
 
     /// Pixels of the frame.
@@ -189,13 +183,13 @@ impl RenderCache {
         self.lights.clear();
     }
 
-    /// Renders a task; gives up between loading, preparing and rendering when it is not wanted any more.
-    pub(super) fn render(
+    /// What a task shows; gives up between loading and preparing when it is not wanted any more.
+    pub(super) fn scene(
         &mut self,
         task: &RenderTask,
         device: &Device,
         is_wanted: &dyn Fn() -> bool,
-    ) -> Result<Frame, RenderFailure> {
+    ) -> Result<Scene, RenderFailure> {
         let go_on = || if is_wanted() { Ok(()) } else { Err(RenderFailure::Abandoned) };
         go_on()?;
         let renderer = self.models.try_get_or_insert(task.model.id.clone(), || load(&task.model, device))?;
@@ -205,9 +199,31 @@ impl RenderCache {
         let key = (task.model.id.clone(), task.light.key(), task.rotation_deg.to_bits());
         let light = self.lights.try_get_or_insert(key, || prepare(renderer, task))?;
         go_on()?;
-        let mut frame = renderer.render(&camera, light, task.quality, &task.outputs)?;
+        Ok(Scene { renderer: renderer.clone(), light: light.clone(), camera })
+    }
+}
+
+/// A model under a light before a camera. Holds nothing of the cache.
+pub(super) struct Scene {
+    renderer: Arc<Renderer>,
+    light: Arc<PreparedLight>,
+    camera: Camera,
+}
+
+impl Scene {
+    /// The frame of `task`. `between` is called between the bands of a dear one, and may end it.
+    pub(super) fn render(
+        &self,
+        task: &RenderTask,
+        mut between: impl FnMut() -> Result<(), RenderFailure>,
+    ) -> Result<Frame, RenderFailure> {
+        let mut bands = self.renderer.bands(&self.camera, &self.light, task.quality, &task.outputs)?;
+        while bands.render_next()? {
+            between()?;
+        }
+        let mut frame = bands.into_frame();
         if task.shows_environment {
-            renderer.show_environment(&mut frame, &camera, light);
+            self.renderer.show_environment(&mut frame, &self.camera, &self.light);
         }
         expose(&mut frame, task.exposure_ev);
         Ok(frame)

@@ -2,6 +2,10 @@ use super::*;
 use crate::render::{Orbit, Tier};
 use crate::scene::{Field, Gaussians, Model, ShadingOptions};
 
+fn render(cache: &mut RenderCache, task: &RenderTask) -> Result<Frame, RenderFailure> {
+    cache.scene(task, &Device::Cpu, &|| true)?.render(task, || Ok(()))
+}
+
 /// Three opaque balls that see the whole sky, in a file.
 fn model(folder: &tempfile::TempDir) -> ModelSource {
     let mut gaussians = Gaussians::zeroed(3, 1, 2, 0);
@@ -48,7 +52,7 @@ fn exposure_is_a_factor_on_the_frame_and_prepares_no_light() {
     let model = model(&folder);
     let mut cache = RenderCache::new(1, 4);
     for tier in Tier::ALL {
-        let mut at = |ev| cache.render(&task(&model, tier, ev), &Device::Cpu, &|| true).unwrap();
+        let mut at = |ev| render(&mut cache, &task(&model, tier, ev)).unwrap();
         let (plain, bright) = (at(0.0), at(2.0));
         for (output, plane) in &plain.planes {
             let lit = matches!(output, Output::Rgb | Output::Diffuse | Output::Specular);
@@ -66,7 +70,7 @@ fn a_scaled_frame_is_that_of_a_scaled_light() {
     let model = model(&folder);
     for tier in Tier::ALL {
         let task = task(&model, tier, 1.5);
-        let frame = RenderCache::new(1, 1).render(&task, &Device::Cpu, &|| true).unwrap();
+        let frame = render(&mut RenderCache::new(1, 1), &task).unwrap();
         let renderer = load(&model, &Device::Cpu).unwrap();
         let map = task.light.map().unwrap().unwrap().rotated_and_scaled(30.0, 1.5f32.exp2());
         let camera = task.viewpoint.camera(renderer.model()).unwrap();
@@ -84,7 +88,7 @@ fn the_light_behind_a_model_is_turned_and_exposed_as_the_light_on_it() {
     let model = model(&folder);
     let at = |shows_environment, exposure_ev| {
         let task = RenderTask { shows_environment, ..task(&model, Tier::Preview, exposure_ev) };
-        RenderCache::new(1, 1).render(&task, &Device::Cpu, &|| true).unwrap()
+        render(&mut RenderCache::new(1, 1), &task).unwrap()
     };
     let (without, with, bright) = (at(false, 0.0), at(true, 0.0), at(true, 1.0));
     let task = task(&model, Tier::Preview, 0.0);
@@ -108,17 +112,43 @@ fn what_nobody_waits_for_stops_at_the_next_seam() {
         let mut cache = RenderCache::new(1, 1);
         let left = std::cell::Cell::new(asked);
         let is_wanted = || left.replace(left.get() - 1) > 1;
-        let ended = cache.render(&task, &Device::Cpu, &is_wanted);
-        assert_eq!(ended, Err(RenderFailure::Abandoned));
+        let ended = cache.scene(&task, &Device::Cpu, &is_wanted);
+        assert!(matches!(ended, Err(RenderFailure::Abandoned)));
         assert_eq!((cache.models.len(), cache.lights.len()), (models, lights));
     }
+}
+
+#[test]
+fn a_dear_frame_ends_between_two_bands_when_its_caller_has_gone() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let orbit = Orbit { azimuth_deg: 10.0, elevation_deg: 20.0, size: 40 };
+    let quality = Quality::monte_carlo(Quality::MOST_SAMPLES);
+    let task = RenderTask {
+        viewpoint: Viewpoint::Orbit(orbit),
+        quality,
+        ..task(&model(&folder), Tier::MonteCarlo, 0.0)
+    };
+    let scene = RenderCache::new(1, 1).scene(&task, &Device::Cpu, &|| true).unwrap();
+    let mut seams = 0;
+    let ended = scene.render(&task, || {
+        seams += 1;
+        Err(RenderFailure::Abandoned)
+    });
+    assert_eq!((ended, seams), (Err(RenderFailure::Abandoned), 1));
+    let mut seams = 0;
+    let cheap = RenderTask { quality: Tier::High.into(), ..task };
+    let whole = scene.render(&cheap, || {
+        seams += 1;
+        Ok(())
+    });
+    assert_eq!((whole.unwrap().height, seams), (40, 0), "a cheap frame has one band");
 }
 
 #[test]
 fn what_was_deleted_before_its_turn_is_gone_and_not_a_failure_of_the_server() {
     let folder = tempfile::TempDir::new().unwrap();
     let model = model(&folder);
-    let render = |task: &RenderTask| RenderCache::new(1, 1).render(task, &Device::Cpu, &|| true).map(drop);
+    let render = |task: &RenderTask| render(&mut RenderCache::new(1, 1), task).map(drop);
     let mut lit = task(&model, Tier::Preview, 0.0);
     lit.light = LightSource::Stored { sha256: "00".to_owned(), path: folder.path().join("no-map") };
     assert_eq!(render(&lit), Err(RenderFailure::Gone { what: "environment", id: "00".to_owned() }));
