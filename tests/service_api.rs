@@ -128,6 +128,44 @@ async fn validating_keeps_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn whoever_deletes_what_is_listed_meets_every_item_once() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
+    for _ in 0..5 {
+        let id = client.create_job(&small_job(&capture, 100_000, 1000), None).await.unwrap().id;
+        client.cancel_job(&id).await.unwrap();
+    }
+    for _ in 0..5 {
+        let begin = client.request(Method::POST, "/v1/uploads").unwrap();
+        let begin = begin.header("tus-resumable", "1.0.0").header("upload-length", "9");
+        assert_eq!(begin.send().await.unwrap().status(), 201);
+    }
+    for path in ["/v1/jobs", "/v1/uploads"] {
+        let (mut met, mut before) = (Vec::new(), String::new());
+        loop {
+            let page = client.request(Method::GET, &format!("{path}?limit=2{before}")).unwrap();
+            let page: Value =
+                serde_json::from_str(&page.send().await.unwrap().text().await.unwrap()).unwrap();
+            for item in page["items"].as_array().unwrap_or_else(|| panic!("{page}")) {
+                let id = item["id"].as_str().unwrap().to_owned();
+                let delete = client.request(Method::DELETE, &format!("{path}/{id}")).unwrap();
+                let delete = delete.header("tus-resumable", "1.0.0").send().await.unwrap();
+                assert_eq!(delete.status(), 204, "{}", delete.text().await.unwrap());
+                met.push(id);
+            }
+            match page["next"].as_str() {
+                Some(next) => before = format!("&before={next}"),
+                None => break,
+            }
+        }
+        met.sort_unstable();
+        met.dedup();
+        assert_eq!(met.len(), 5, "{path}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn lists_page_from_the_newest_to_the_oldest() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();

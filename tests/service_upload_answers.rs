@@ -118,9 +118,11 @@ async fn uploads_are_listed_until_they_are_captures_given_up_or_expired() {
         page["items"].as_array().unwrap().iter().map(|item| item["id"].clone()).collect()
     };
     let first = page("limit=3").await;
-    assert_eq!((ids(&first).len(), &first["next"]), (3, &json!(begun[1])));
-    let rest = page(&format!("limit=3&before={}", begun[1])).await;
-    assert_eq!((ids(&rest), &rest["next"]), (vec![json!(begun[0])], &json!(null)));
+    assert_eq!(ids(&first).len(), 3);
+    for before in [first["next"].as_str().unwrap(), begun[1].as_str()] {
+        let rest = page(&format!("limit=3&before={before}")).await;
+        assert_eq!((ids(&rest), &rest["next"]), (vec![json!(begun[0])], &json!(null)));
+    }
     for (query, pointer) in
         [("limit=0", "query/limit"), ("before=x", "query/before"), ("state=complete", "query/state")]
     {

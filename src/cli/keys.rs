@@ -9,7 +9,7 @@ use crate::api::{KeyId, TenantId};
 use crate::cli::CommandResult;
 use crate::jobs::{Clock, SystemClock};
 use crate::server::rotate_signing_secret;
-use crate::store::{KeyRecord, NewKeyRecord, NodeLock, Page, Store, StoreError};
+use crate::store::{KeyRecord, NewKeyRecord, NodeLock, Page, Placed, Store, StoreError};
 
 /// Options of `relume keys`.
 #[derive(Debug, Args)]
@@ -109,7 +109,7 @@ async fn list(store: &Store) -> CommandResult {
         let keys = store.keys(None, &page).await?;
         keys.iter().for_each(|key| print(key, now_ms));
         match keys.last() {
-            Some(last) if keys.len() == page.limit as usize => page.before = Some(last.id.to_string()),
+            Some(last) if keys.len() == page.limit as usize => page.before = Some(last.place()),
             _ => break,
         }
     }

@@ -8,6 +8,7 @@ use crate::render::error::RenderError;
 use crate::render::job::Job;
 use crate::render::renderer::{PreparedLight, Renderer};
 use crate::render::{Frame, Output, Quality, Tier, high, monte_carlo};
+use crate::scene::Camera;
 
 /// A frame in the making, see [`Renderer::bands`].
 pub struct Bands<'a> {
@@ -24,22 +25,48 @@ pub struct Bands<'a> {
     frame: Frame,
 }
 
-impl<'a> Bands<'a> {
-    pub(super) fn new(
-        renderer: &'a Renderer,
+impl Renderer {
+    /// Renders `outputs` for a camera in capture coordinates, at a [`Tier`] or, with its samples and seed, a [`Quality`].
+    ///
+    /// # Errors
+    /// Names the field (of the camera, or `samples`) that cannot be rendered.
+    pub fn render(
+        &self,
+        camera: &Camera,
+        light: &PreparedLight,
+        quality: impl Into<Quality>,
+        outputs: &[Output],
+    ) -> Result<Frame, RenderError> {
+        let mut bands = self.bands(camera, light, quality.into(), outputs)?;
+        while bands.render_next()? {}
+        Ok(bands.into_frame())
+    }
+
+    /// The same band by band, for a caller with something else to do in between. The frame is the same.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    pub fn bands<'a>(
+        &'a self,
+        camera: &Camera,
         light: &'a PreparedLight,
-        view: RasterCamera,
         quality: Quality,
         outputs: &[Output],
-    ) -> Self {
+    ) -> Result<Bands<'a>, RenderError> {
+        quality.check()?;
         let mut outputs = outputs.to_vec();
         outputs.push(Output::Alpha);
         outputs.sort_unstable();
         outputs.dedup();
-        let frame = Frame { width: view.width as u32, height: view.height as u32, planes: BTreeMap::new() };
-        Self { renderer, light, view, quality, outputs, rows: rows(view.width, quality), done: 0, frame }
+        let view = self.view(camera)?;
+        let (width, height) = (camera.width, camera.height);
+        let frame = Frame { width, height, planes: BTreeMap::new() };
+        let rows = rows(view.width, quality);
+        Ok(Bands { renderer: self, light, view, quality, outputs, rows, done: 0, frame })
     }
+}
 
+impl Bands<'_> {
     /// Renders the next band. False when the frame is complete.
     ///
     /// # Errors
@@ -109,7 +136,7 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::scene::{Camera, EnvMap, Field, Gaussians, Model, ShadingOptions};
+    use crate::scene::{EnvMap, Field, Gaussians, Model, ShadingOptions};
 
     /// A slanted row of balls, which goes through every band.
     fn balls() -> Renderer {

@@ -6,10 +6,9 @@ use crate::engine::cpu::{FrameLight as CpuLight, Occluders};
 use crate::engine::{Device, DeviceError, FrameLight, Frames, RasterCamera, ShadeColour};
 use crate::light::{EnvSampler, LightTables, rendering_tables};
 use crate::render::background;
-use crate::render::bands::Bands;
 use crate::render::error::RenderError;
 use crate::render::high::SplitLight;
-use crate::render::{Frame, Output, Quality, Tier, monte_carlo};
+use crate::render::{Frame, Output, Tier, monte_carlo};
 use crate::scene::{Camera, EnvMap, Model, ShadeAt};
 
 /// Most pixels of a frame.
@@ -87,37 +86,6 @@ impl Renderer {
     /// What hides what, as the Monte-Carlo tier asks it.
     pub fn occluders(&self) -> &Occluders {
         self.frames.on_cpu().occluders()
-    }
-
-    /// Renders `outputs` for a camera in capture coordinates, at a [`Tier`] or, with its samples and seed, a [`Quality`].
-    ///
-    /// # Errors
-    /// Names the field (of the camera, or `samples`) that cannot be rendered.
-    pub fn render(
-        &self,
-        camera: &Camera,
-        light: &PreparedLight,
-        quality: impl Into<Quality>,
-        outputs: &[Output],
-    ) -> Result<Frame, RenderError> {
-        let mut bands = self.bands(camera, light, quality.into(), outputs)?;
-        while bands.render_next()? {}
-        Ok(bands.into_frame())
-    }
-
-    /// The same band by band, for a caller with something else to do in between. The frame is the same.
-    ///
-    /// # Errors
-    /// As [`Self::render`].
-    pub fn bands<'a>(
-        &'a self,
-        camera: &Camera,
-        light: &'a PreparedLight,
-        quality: Quality,
-        outputs: &[Output],
-    ) -> Result<Bands<'a>, RenderError> {
-        quality.check()?;
-        Ok(Bands::new(self, light, self.view(camera)?, quality, outputs))
     }
 
     /// Puts the light behind what `rgb` shows of a frame of `camera`.

@@ -16,7 +16,7 @@ use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::{ArchiveForm, File};
 use crate::server::extract::{JsonBody, NoQuery, QueryString, UrlPath, media_type};
-use crate::server::listing::{rfc3339, unknown_cursor};
+use crate::server::listing::rfc3339;
 use crate::server::marks::{self, MarkedPageQuery, MarksQuery};
 use crate::server::upload::{self, Expected};
 use crate::server::uploads;
@@ -130,15 +130,8 @@ async fn list_captures(
     QueryString(query): QueryString<MarkedPageQuery>,
 ) -> Result<Json<List<CaptureSummary>>, Problem> {
     let (page, filter) = query.parts()?;
-    let page = page.page()?;
-    if let Some(before) = page.before()
-        && app.store.capture(&caller.tenant, &before.into()).await?.is_none()
-    {
-        return Err(unknown_cursor(before));
-    }
-    let items =
-        app.store.captures(&caller.tenant, &filter, &page.of_store()).await?.into_iter().map(view).collect();
-    Ok(Json(page.list(items, |c: &CaptureSummary| c.id.as_str())))
+    let page = page.page(async |id| app.store.capture(&caller.tenant, &id.into()).await).await?;
+    Ok(Json(page.list(app.store.captures(&caller.tenant, &filter, &page.of_store()).await?, view)))
 }
 
 /// Get a capture

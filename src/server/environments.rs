@@ -18,7 +18,7 @@ use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::{EnvironmentForm, File};
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
-use crate::server::listing::{rfc3339, unknown_cursor};
+use crate::server::listing::rfc3339;
 use crate::server::marks::{self, MarkedPageQuery, MarksQuery};
 use crate::server::upload::{self, Expected};
 use crate::store::{EnvironmentRecord, Incoming};
@@ -110,22 +110,11 @@ async fn list_environments(
     QueryString(query): QueryString<MarkedPageQuery>,
 ) -> Result<Json<EnvironmentList>, Problem> {
     let (page, filter) = query.parts()?;
-    let page = page.page()?;
-    if let Some(before) = page.before()
-        && app.store.environment(&caller.tenant, &before.into()).await?.is_none()
-    {
-        return Err(unknown_cursor(before));
-    }
-    let items = app
-        .store
-        .environments(&caller.tenant, &filter, &page.of_store())
-        .await?
-        .into_iter()
-        .map(view)
-        .collect();
+    let page = page.page(async |id| app.store.environment(&caller.tenant, &id.into()).await).await?;
+    let maps = app.store.environments(&caller.tenant, &filter, &page.of_store()).await?;
     Ok(Json(EnvironmentList {
         builtin: BUILTIN.iter().map(|&name| name.to_owned()).collect(),
-        uploaded: page.list(items, |e: &EnvironmentView| e.id.as_str()),
+        uploaded: page.list(maps, view),
     }))
 }
 

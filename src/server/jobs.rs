@@ -17,7 +17,7 @@ use crate::capture::BUILTIN;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
-use crate::server::listing::{PageQuery, unknown_cursor};
+use crate::server::listing::PageQuery;
 use crate::server::{job_bounds, marks, quality_gate, validation};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
 use crate::train::{ConfigError, KnownLight, TrainConfig};
@@ -54,7 +54,7 @@ struct JobQuery {
     /// Most items, 1 to 200; 50 when absent.
     #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
-    /// Only items older than this identifier: the `next` of the page before.
+    /// Only what comes after: the `next` of the page before, or the identifier of an item.
     #[param(min_length = 1)]
     before: Option<String>,
 }
@@ -116,21 +116,20 @@ async fn list_jobs(
     QueryString(query): QueryString<JobQuery>,
 ) -> Result<Json<List<JobView>>, Problem> {
     let filter = marks::filter(query.name, query.external_id, query.label.as_deref())?;
-    let page = PageQuery { limit: query.limit, before: query.before }.page()?;
-    if let Some(before) = page.before()
-        && app.store.job(&caller.tenant, &before.into()).await?.is_none()
-    {
-        return Err(unknown_cursor(before));
-    }
-    let mut items = Vec::new();
-    for job in app.jobs.list(&caller.tenant, query.state, &filter, &page.of_store()).await? {
+    let page = PageQuery { limit: query.limit, before: query.before }
+        .page(async |id| app.store.job(&caller.tenant, &id.into()).await)
+        .await?;
+    let jobs = app.jobs.list(&caller.tenant, query.state, &filter, &page.of_store()).await?;
+    let (jobs, next) = page.cut(jobs);
+    let mut items = Vec::with_capacity(jobs.len());
+    for job in jobs {
         let position = match job.state {
             JobState::Queued => app.store.queue_position(&job.id).await?,
             _ => None,
         };
         items.push(job.view(position));
     }
-    Ok(Json(page.list(items, |j: &JobView| j.id.as_str())))
+    Ok(Json(List { items, next }))
 }
 
 /// Get a job

@@ -12,7 +12,7 @@ use crate::api::{KeyId, List, Problem, TenantId};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
-use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::server::listing::{PageQuery, rfc3339};
 use crate::store::{KeyRecord, NewKeyRecord};
 
 /// The routes of this file.
@@ -86,14 +86,9 @@ async fn list_keys(
     caller: Caller,
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<KeyView>>, Problem> {
-    let page = query.page()?;
-    if let Some(before) = page.before()
-        && app.store.key(visible(&caller), &before.into()).await?.is_none()
-    {
-        return Err(unknown_cursor(before));
-    }
+    let page = query.page(async |id| app.store.key(visible(&caller), &id.into()).await).await?;
     let keys = app.store.keys(visible(&caller), &page.of_store()).await?;
-    Ok(Json(page.list(keys.into_iter().map(view).collect(), |k: &KeyView| k.id.as_str())))
+    Ok(Json(page.list(keys, view)))
 }
 
 /// Get an API key

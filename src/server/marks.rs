@@ -56,7 +56,7 @@ pub(super) struct MarkedPageQuery {
     /// Most items, 1 to 200; 50 when absent.
     #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
-    /// Only items older than this identifier: the `next` of the page before.
+    /// Only what comes after: the `next` of the page before, or the identifier of an item.
     #[param(min_length = 1)]
     before: Option<String>,
 }

@@ -11,7 +11,7 @@ use crate::api::{List, ModelId, Problem, ResourceKind, TenantId};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
-use crate::server::listing::{rfc3339, unknown_cursor};
+use crate::server::listing::rfc3339;
 use crate::server::marks::{self, MarkedPageQuery};
 use crate::store::{ModelFile, ModelRecord};
 use crate::worker::ModelSource;
@@ -38,15 +38,8 @@ async fn list_models(
     QueryString(query): QueryString<MarkedPageQuery>,
 ) -> Result<Json<List<ModelSummary>>, Problem> {
     let (page, filter) = query.parts()?;
-    let page = page.page()?;
-    if let Some(before) = page.before()
-        && app.store.model(&caller.tenant, &before.into()).await?.is_none()
-    {
-        return Err(unknown_cursor(before));
-    }
-    let items =
-        app.store.models(&caller.tenant, &filter, &page.of_store()).await?.into_iter().map(summary).collect();
-    Ok(Json(page.list(items, |m: &ModelSummary| m.id.as_str())))
+    let page = page.page(async |id| app.store.model(&caller.tenant, &id.into()).await).await?;
+    Ok(Json(page.list(app.store.models(&caller.tenant, &filter, &page.of_store()).await?, summary)))
 }
 
 /// Get a model and its files

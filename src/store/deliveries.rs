@@ -10,6 +10,7 @@ use sqlx::{FromRow, Sqlite, Transaction};
 use crate::api::webhooks::{DeliveryState, WebhookData, WebhookEvent, WebhookMessage};
 use crate::api::{DeliveryId, JobId, TenantId, WebhookId};
 use crate::store::job_view::rfc3339;
+use crate::store::page::placed;
 use crate::store::{JobRecord, Page, Store, StoreError, WebhookRecord};
 
 /// Attempts that are kept of a delivery.
@@ -24,6 +25,8 @@ const PATIENCE: Duration = Duration::from_secs(3 * 24 * 3600);
 pub struct DeliveryRecord {
     /// Identifier.
     pub id: DeliveryId,
+    /// Grows with every message of the server.
+    pub seq: i64,
     /// Whom it is for.
     pub webhook_id: WebhookId,
     /// What it tells of.
@@ -44,6 +47,8 @@ pub struct DeliveryRecord {
     #[sqlx(json)]
     pub attempts: Vec<Attempt>,
 }
+
+placed!(DeliveryRecord: seq);
 
 /// An attempt to deliver.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -207,10 +212,10 @@ impl Store {
         let query = sqlx::query_as(
             "SELECT deliveries.* FROM deliveries JOIN webhooks ON webhooks.id = webhook_id
              WHERE webhook_id = ?2 AND tenant = ?3
-               AND (?1 IS NULL OR seq < (SELECT seq FROM deliveries WHERE id = ?1))
+               AND (?1 IS NULL OR seq < ?1)
              ORDER BY seq DESC LIMIT ?4",
         );
-        let query = query.bind(&page.before).bind(webhook).bind(tenant).bind(page.limit);
+        let query = query.bind(page.at()).bind(webhook).bind(tenant).bind(page.limit);
         Ok(query.fetch_all(self.pool()).await?)
     }
 

@@ -92,12 +92,12 @@ impl Store {
             "SELECT * FROM jobs WHERE ",
             wanted!(),
             " AND tenant = ?7 AND deleted_ms IS NULL
-               AND (?4 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM jobs WHERE id = ?4))
+               AND (?4 IS NULL OR (created_ms, id) < (?8, ?4))
                AND (?5 IS NULL OR state = ?5)
              ORDER BY created_ms DESC, id DESC LIMIT ?6"
         );
-        let query = filtered(query, filter).bind(&page.before).bind(state).bind(page.limit).bind(tenant);
-        Ok(query.fetch_all(self.pool()).await?)
+        let query = filtered(query, filter).bind(page.id()).bind(state).bind(page.limit).bind(tenant);
+        Ok(query.bind(page.at()).fetch_all(self.pool()).await?)
     }
 
     /// How many queued jobs, of whichever tenant, run before this one; `None` when it is not queued.

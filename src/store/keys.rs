@@ -82,11 +82,12 @@ impl Store {
     pub async fn keys(&self, of: Option<&TenantId>, page: &Page) -> Result<Vec<KeyRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM keys
-             WHERE (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM keys WHERE id = ?1))
+             WHERE (?1 IS NULL OR (created_ms, id) < (?4, ?1))
                AND (?2 IS NULL OR tenant = ?2)
              ORDER BY created_ms DESC, id DESC LIMIT ?3",
         );
-        Ok(query.bind(&page.before).bind(of).bind(page.limit).fetch_all(self.pool()).await?)
+        let query = query.bind(page.id()).bind(of).bind(page.limit).bind(page.at());
+        Ok(query.fetch_all(self.pool()).await?)
     }
 
     /// Revokes a key of a tenant, or of any for those who may, and all keys that came of it, whose identifiers are in the

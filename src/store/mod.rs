@@ -29,6 +29,7 @@ mod ledger;
 mod marks;
 mod models;
 mod node_lock;
+mod page;
 mod quota;
 mod receive;
 mod records;
@@ -72,9 +73,10 @@ pub use keys::{NewKeyRecord, has_keys};
 pub use leases::{LeaseStatus, Release};
 pub use marks::Filter;
 pub use node_lock::NodeLock;
+pub use page::{NoPlace, Page, Place, Placed};
 pub use quota::Quota;
 pub use records::{
-    CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, KeyRecord, ModelFile, ModelRecord, Page,
+    CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, KeyRecord, ModelFile, ModelRecord,
 };
 pub use retention::Retention;
 pub use room::Room;

@@ -31,10 +31,10 @@ impl Store {
             "SELECT * FROM models WHERE ",
             wanted!(),
             " AND tenant = ?6 AND deleted_ms IS NULL
-               AND (?4 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM models WHERE id = ?4))
+               AND (?4 IS NULL OR (created_ms, id) < (?7, ?4))
              ORDER BY created_ms DESC, id DESC LIMIT ?5"
         );
-        let query = filtered(query, filter).bind(&page.before).bind(page.limit).bind(tenant);
+        let query = filtered(query, filter).bind(page.id()).bind(page.limit).bind(tenant).bind(page.at());
         Ok(query.fetch_all(self.pool()).await?)
     }
 

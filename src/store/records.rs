@@ -8,6 +8,7 @@ use crate::api::marks::Marks;
 use crate::api::quality::Figures;
 use crate::api::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId};
 use crate::capture::CaptureReport;
+use crate::store::page::placed;
 
 /// An uploaded, validated archive.
 #[derive(Debug, Clone, FromRow)]
@@ -212,11 +213,5 @@ impl KeyRecord {
     }
 }
 
-/// A part of a list, newest first.
-#[derive(Debug, Clone, Default)]
-pub struct Page {
-    /// Most items to return.
-    pub limit: u32,
-    /// Only items older than this identifier.
-    pub before: Option<String>,
-}
+placed!(CaptureRecord: created_ms, EnvironmentRecord: created_ms, JobRecord: created_ms);
+placed!(ModelRecord: created_ms, KeyRecord: created_ms);

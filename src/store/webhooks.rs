@@ -5,6 +5,7 @@ use sqlx::types::Json;
 
 use crate::api::webhooks::{WebhookChange, WebhookEvent};
 use crate::api::{KeyId, TenantId, WebhookId};
+use crate::store::page::placed;
 use crate::store::{Page, Store, StoreError};
 
 /// Most webhooks of a tenant.
@@ -39,6 +40,8 @@ pub struct WebhookRecord {
     /// Why the server switched it off.
     pub switched_off_because: Option<String>,
 }
+
+placed!(WebhookRecord: created_ms);
 
 /// Without the secret.
 impl std::fmt::Debug for WebhookRecord {
@@ -102,10 +105,11 @@ impl Store {
         let query = sqlx::query_as(
             "SELECT * FROM webhooks
              WHERE tenant = ?2
-               AND (?1 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM webhooks WHERE id = ?1))
+               AND (?1 IS NULL OR (created_ms, id) < (?4, ?1))
              ORDER BY created_ms DESC, id DESC LIMIT ?3",
         );
-        Ok(query.bind(&page.before).bind(tenant).bind(page.limit).fetch_all(self.pool()).await?)
+        let query = query.bind(page.id()).bind(tenant).bind(page.limit).bind(page.at());
+        Ok(query.fetch_all(self.pool()).await?)
     }
 
     /// Changes a webhook of a tenant. One that is switched on begins anew: what failed before does not count.

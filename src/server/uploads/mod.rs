@@ -21,7 +21,7 @@ use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{NoQuery, QueryString, UrlPath, content_length, media_type};
-use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::server::listing::{PageQuery, rfc3339};
 use crate::server::uploads::finding::{PIECE, find, held};
 use crate::store::UploadRecord;
 
@@ -69,14 +69,9 @@ async fn list_uploads(
     caller: Caller,
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<UploadView>>, Problem> {
-    let page = query.page()?;
-    if let Some(before) = page.before()
-        && app.store.upload(&caller.tenant, &before.into()).await?.is_none()
-    {
-        return Err(unknown_cursor(before));
-    }
+    let page = query.page(async |id| app.store.upload(&caller.tenant, &id.into()).await).await?;
     let uploads = app.store.uploads(&caller.tenant, app.jobs.now_ms(), &page.of_store()).await?;
-    Ok(Json(page.list(uploads.iter().map(view).collect(), |u: &UploadView| u.id.as_str())))
+    Ok(Json(page.list(uploads, |upload| view(&upload))))
 }
 
 /// Begin an upload

@@ -17,7 +17,7 @@ use crate::api::{DeliveryId, List, Problem, WebhookId};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
-use crate::server::listing::{PageQuery, rfc3339, unknown_cursor};
+use crate::server::listing::{PageQuery, rfc3339};
 use crate::server::webhooks::signature::{fresh_secret, written};
 use crate::server::webhooks::target::{Target, WebhookPolicy};
 use crate::store::{DeliveryRecord, Replay, WebhookRecord};
@@ -92,14 +92,9 @@ async fn list_webhooks(
     caller: Caller,
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<WebhookView>>, Problem> {
-    let page = query.page()?;
-    if let Some(before) = page.before()
-        && app.store.webhook(&caller.tenant, &before.into()).await?.is_none()
-    {
-        return Err(unknown_cursor(before));
-    }
+    let page = query.page(async |id| app.store.webhook(&caller.tenant, &id.into()).await).await?;
     let found = app.store.webhooks(&caller.tenant, &page.of_store()).await?;
-    Ok(Json(page.list(found.into_iter().map(view).collect(), |w: &WebhookView| w.id.as_str())))
+    Ok(Json(page.list(found, view)))
 }
 
 /// Get a webhook
@@ -165,15 +160,10 @@ async fn list_deliveries(
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<DeliveryView>>, Problem> {
     found(app.store.webhook(&caller.tenant, &id).await?, &id)?;
-    let page = query.page()?;
-    if let Some(before) = page.before()
-        && app.store.delivery(&caller.tenant, &id, &before.into()).await?.is_none()
-    {
-        return Err(unknown_cursor(before));
-    }
+    let page =
+        query.page(async |before| app.store.delivery(&caller.tenant, &id, &before.into()).await).await?;
     let deliveries = app.store.deliveries(&caller.tenant, &id, &page.of_store()).await?;
-    let deliveries = deliveries.into_iter().map(delivery_view).collect();
-    Ok(Json(page.list(deliveries, |d: &DeliveryView| d.id.as_str())))
+    Ok(Json(page.list(deliveries, delivery_view)))
 }
 
 /// Send a message again

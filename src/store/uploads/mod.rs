@@ -105,10 +105,10 @@ impl Store {
     ) -> Result<Vec<UploadRecord>, StoreError> {
         let query = sqlx::query_as(
             "SELECT * FROM uploads WHERE tenant = ?1 AND expires_ms > ?2
-               AND (?3 IS NULL OR (created_ms, id) < (SELECT created_ms, id FROM uploads WHERE id = ?3))
+               AND (?3 IS NULL OR (created_ms, id) < (?5, ?3))
              ORDER BY created_ms DESC, id DESC LIMIT ?4",
         );
-        let query = query.bind(tenant).bind(now_ms).bind(&page.before).bind(page.limit);
+        let query = query.bind(tenant).bind(now_ms).bind(page.id()).bind(page.limit).bind(page.at());
         Ok(query.fetch_all(self.pool()).await?)
     }
 

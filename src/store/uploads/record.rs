@@ -6,6 +6,7 @@ use sqlx::FromRow;
 
 use crate::api::marks::Marks;
 use crate::api::{CaptureId, Problem, TenantId, UploadId};
+use crate::store::page::placed;
 
 /// The folder of uploads that arrive in pieces.
 pub(in crate::store) const UPLOADS: &str = "uploads";
@@ -53,6 +54,8 @@ pub struct UploadRecord {
     #[sqlx(json(nullable))]
     pub problem: Option<Problem>,
 }
+
+placed!(UploadRecord: created_ms);
 
 impl UploadRecord {
     /// Bytes that are on disk.
