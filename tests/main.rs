@@ -14,6 +14,7 @@ mod eval;
 mod exposures;
 mod extremes;
 #[cfg(target_os = "linux")]
+mod fetching;
 mod full_disk;
 mod gpu;
 mod hostile;

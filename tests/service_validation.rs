@@ -7,7 +7,7 @@ use std::time::Duration;
 use relume::api::captures::{CaptureState, CaptureSummary};
 use relume::api::jobs::NewJob;
 use relume::api::marks::{Marks, MarksChange};
-use relume::api::uploads::FromUpload;
+use relume::api::uploads::CaptureSource;
 use relume::client::Client;
 use relume::formats::image_file::encode_png;
 use relume::store::hex;
@@ -140,7 +140,7 @@ async fn what_is_no_capture_becomes_invalid_and_its_upload_stays() {
     let id = client.begin_upload(archive.len() as u64).await.unwrap();
     client.send_piece(&id, 0, archive).await.unwrap();
     let request = client.request(Method::POST, "/v1/captures").unwrap().header("prefer", "respond-async");
-    let answer = request.json(&FromUpload { upload: id.clone() }).send().await.unwrap();
+    let answer = request.json(&CaptureSource::upload(id.clone())).send().await.unwrap();
     let begun = accepted(answer).await;
     assert_eq!(begun.upload.as_ref(), Some(&id));
     assert_eq!(validated(client, &begun).await.state, CaptureState::Ready);
@@ -208,7 +208,7 @@ async fn of_an_upload_in_pieces_a_capture_is_made_later_and_called_so() {
     client.send_piece(&id, 0, archive).await.unwrap();
     let request = client.request(Method::POST, "/v1/captures?name=Lion").unwrap();
     let answer =
-        request.header("prefer", "respond-async").json(&FromUpload { upload: id }).send().await.unwrap();
+        request.header("prefer", "respond-async").json(&CaptureSource::upload(id)).send().await.unwrap();
     let begun = accepted(answer).await;
     let ready = validated(client, &begun).await;
     assert_eq!((ready.state, ready.marks.name.as_deref()), (CaptureState::Ready, Some("Lion")));

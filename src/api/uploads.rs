@@ -47,12 +47,33 @@ pub struct UploadView {
     pub capture: Option<CaptureId>,
 }
 
-/// Names a complete upload.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// Names what a capture is to be made of: a complete upload, or a file to fetch.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
-pub struct FromUpload {
+pub struct CaptureSource {
     /// The upload.
-    #[cfg_attr(feature = "server", schema(value_type = String))]
-    pub upload: UploadId,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[cfg_attr(feature = "server", schema(value_type = Option<String>))]
+    pub upload: Option<UploadId>,
+    /// Where the file is. The server's operator says from where it fetches; redirects are not followed.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[cfg_attr(feature = "server", schema(max_length = 2048))]
+    pub url: Option<String>,
+    /// SHA-256 of the file, hex: nothing else is accepted.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[cfg_attr(feature = "server", schema(pattern = "^[0-9A-Fa-f]{64}$"))]
+    pub sha256: Option<String>,
+}
+
+impl CaptureSource {
+    /// An upload.
+    pub fn upload(id: UploadId) -> Self {
+        Self { upload: Some(id), ..Self::default() }
+    }
+
+    /// A file to fetch.
+    pub fn url(url: impl Into<String>) -> Self {
+        Self { url: Some(url.into()), ..Self::default() }
+    }
 }

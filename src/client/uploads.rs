@@ -4,7 +4,7 @@ use reqwest::header::{CONTENT_TYPE, LOCATION};
 use reqwest::{Method, RequestBuilder, Response};
 
 use crate::api::captures::CaptureSummary;
-use crate::api::uploads::{FromUpload, UploadView};
+use crate::api::uploads::{CaptureSource, UploadView};
 use crate::api::{List, UploadId};
 use crate::client::connection::{Client, checked, json};
 use crate::client::error::{ClientError, Result};
@@ -59,7 +59,7 @@ impl Client {
     /// # Errors
     /// The server's refusal, or what failed on the way.
     pub async fn capture_of_upload(&self, id: &UploadId) -> Result<CaptureSummary> {
-        let named = FromUpload { upload: id.clone() };
+        let named = CaptureSource::upload(id.clone());
         json(self.request(Method::POST, "/v1/captures")?.json(&named)).await
     }
 

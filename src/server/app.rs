@@ -8,6 +8,7 @@ use utoipa::openapi::OpenApi;
 
 use crate::jobs::Jobs;
 use crate::server::decoders::Decoders;
+use crate::server::fetching::Fetcher;
 use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
 use crate::server::signing_secret::SigningSecret;
@@ -57,6 +58,8 @@ pub(super) struct App {
     pub(super) keys: Arc<Keyring>,
     /// Under which URLs are signed.
     pub(super) signing: SigningSecret,
+    /// Fetches captures.
+    pub(super) fetcher: Fetcher,
     /// What webhooks may do.
     pub(super) webhooks: WebhookPolicy,
     /// Wakes whoever removes the files of what was deleted.

@@ -9,13 +9,14 @@ use utoipa_axum::routes;
 
 use crate::api::captures::{CaptureState, CaptureSummary};
 use crate::api::marks::{Marks, MarksChange};
-use crate::api::uploads::FromUpload;
+use crate::api::uploads::CaptureSource;
 use crate::api::{CaptureId, List, Problem, ResourceKind, ResourceName, TenantId};
 use crate::capture::CaptureReport;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::{ArchiveForm, File};
 use crate::server::extract::{JsonBody, NoQuery, QueryString, UrlPath, media_type};
+use crate::server::fetching;
 use crate::server::listing::rfc3339;
 use crate::server::marks::{self, MarkedPageQuery, MarksQuery};
 use crate::server::upload::{self, Expected};
@@ -35,8 +36,8 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
 
 /// Upload a capture
 ///
-/// A zip, tar or tar.gz, as the raw body, as the multipart field `archive`, or as the complete upload that JSON names (see
-/// `/v1/uploads`), which is gone then. It is streamed to disk, hashed and
+/// A zip, tar or tar.gz, as the raw body, as the multipart field `archive`, as the complete upload that JSON names (see
+/// `/v1/uploads`), which is gone then, or as the file at the URL that JSON names. It is streamed to disk, hashed and
 /// validated; 201 means that every byte is durable. The same content again gives the same capture and 200, called as
 /// the last upload calls it. A request that is refused leaves the upload that JSON names as it is. With `Prefer: respond-async`
 /// the answer is 202 once every byte is durable: the capture is `validating` then, and `Location` tells when it is `ready` or
@@ -49,7 +50,7 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
     ),
     request_body(content(
         (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
-        (ArchiveForm = "multipart/form-data"), (FromUpload = "application/json")
+        (ArchiveForm = "multipart/form-data"), (CaptureSource = "application/json")
     )),
     responses(
         (status = 201, body = CaptureSummary), (status = 200, body = CaptureSummary, description = "Stored before"),
@@ -57,6 +58,7 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
         (status = 409, body = Problem, description = "The upload is incomplete, or in use"),
         (status = 413, body = Problem), (status = 415, body = Problem),
         (status = 422, body = Problem, description = "Refused; names the file and field"),
+        (status = 502, body = Problem, description = "The file could not be fetched"),
         (status = 507, body = Problem, description = "The disk is full; nothing was stored")
     )
 )]
@@ -105,7 +107,7 @@ async fn marked(
     post, path = "/v1/captures/validate", tag = "captures",
     request_body(content(
         (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
-        (ArchiveForm = "multipart/form-data"), (FromUpload = "application/json")
+        (ArchiveForm = "multipart/form-data"), (CaptureSource = "application/json")
     )),
     responses((status = 200, body = CaptureReport), (status = 422, body = Problem))
 )]
@@ -178,8 +180,8 @@ async fn change_capture(
 
 async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Incoming, Problem> {
     if media_type(request.headers()).as_deref() == Some("application/json") {
-        let JsonBody::<FromUpload>(named) = JsonBody::from_request(request, app).await?;
-        return uploads::take(app, caller, &named.upload).await;
+        let JsonBody::<CaptureSource>(source) = JsonBody::from_request(request, app).await?;
+        return from_source(app, caller, &source).await;
     }
     const MEDIA_TYPES: &[&str] = &[
         "application/zip",
@@ -191,6 +193,25 @@ async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Inco
     ];
     let expected = Expected { field: "archive", media_types: MEDIA_TYPES, limit: app.limits.capture_bytes };
     upload::receive(app, caller, request, &expected).await
+}
+
+/// The bytes that a body names.
+async fn from_source(app: &Shared, caller: &Caller, source: &CaptureSource) -> Result<Incoming, Problem> {
+    let incoming = match (&source.upload, &source.url) {
+        (Some(upload), None) => uploads::take(app, caller, upload).await?,
+        (None, Some(url)) => fetching::receive(app, caller, url, app.limits.capture_bytes).await?,
+        (None, None) => return Err(Problem::invalid_field("/upload", "name an upload or a url")),
+        (Some(_), Some(_)) => {
+            return Err(Problem::invalid_field("/url", "name an upload or a url, not both"));
+        }
+    };
+    match &source.sha256 {
+        Some(sha256) if !sha256.eq_ignore_ascii_case(&incoming.sha256) => {
+            let found = format!("that of the file is {}", incoming.sha256);
+            Err(Problem::invalid_field("/sha256", found))
+        }
+        _ => Ok(incoming),
+    }
 }
 
 fn view(record: CaptureRecord) -> CaptureSummary {

@@ -17,6 +17,7 @@ use crate::server::app::{App, RequestLimits};
 use crate::server::auth::{ApiKeys, may_listen};
 use crate::server::connections::{self, ConnectionLimits};
 use crate::server::decoders::Decoders;
+use crate::server::fetching::{FetchPolicy, Fetcher};
 use crate::server::keeper;
 use crate::server::keyring::Keyring;
 use crate::server::memory::MemoryBudget;
@@ -61,6 +62,8 @@ pub struct ServerConfig {
     pub quota: Quota,
     /// How leases behave.
     pub lease: LeasePolicy,
+    /// From where captures may be fetched.
+    pub fetching: FetchPolicy,
     /// What webhooks may do.
     pub webhooks: WebhookPolicy,
     /// How long things are kept.
@@ -88,6 +91,7 @@ impl ServerConfig {
             requests_per_minute_of_tenant: None,
             quota: Quota::default(),
             lease: LeasePolicy::default(),
+            fetching: FetchPolicy::default(),
             webhooks: WebhookPolicy::default(),
             retention: Retention::default(),
             worker: WorkerOptions::default(),
@@ -217,6 +221,7 @@ fn service(
         decoders: Decoders::start(config.limits.memory_bytes)?,
         keys: keys.clone(),
         signing: signing.clone(),
+        fetcher: Fetcher::new(config.fetching.clone()),
         webhooks: config.webhooks,
         tidy,
         stop,

@@ -11,6 +11,7 @@ use crate::engine::DeviceChoice;
 use crate::server::{self, CorsOrigin, ServerConfig};
 
 mod fairness;
+mod fetching;
 mod keys;
 mod network;
 mod storage;
@@ -56,6 +57,8 @@ pub(super) struct ServeArgs {
     #[command(flatten)]
     network: network::NetworkArgs,
     #[command(flatten)]
+    fetching: fetching::FetchArgs,
+    #[command(flatten)]
     webhooks: webhooks::WebhookArgs,
 }
 
@@ -77,6 +80,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     }
     args.fairness.apply(&mut config);
     config.limits.disk_bytes = args.storage.max_disk;
+    args.fetching.apply(&mut config);
     args.webhooks.apply(&mut config);
     config.retention = args.storage.retention();
     config.uploads.life = args.storage.upload_life();

@@ -9,11 +9,11 @@ use tokio_util::sync::CancellationToken;
 
 use crate::api::WebhookId;
 use crate::jobs::Jobs;
+use crate::server::outbound::Tls;
+use crate::server::webhooks::policy::WebhookPolicy;
 use crate::server::webhooks::schedule::gap;
 use crate::server::webhooks::sending::{Message, Outcome, send};
 use crate::server::webhooks::signature::sign;
-use crate::server::webhooks::target::WebhookPolicy;
-use crate::server::webhooks::tls::Tls;
 use crate::store::{Attempt, DeliveryRecord, StoreError};
 
 /// Time between two looks at what is due.

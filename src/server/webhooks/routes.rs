@@ -18,8 +18,9 @@ use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::{PageQuery, rfc3339};
+use crate::server::outbound::Target;
+use crate::server::webhooks::policy::WebhookPolicy;
 use crate::server::webhooks::signature::{fresh_secret, written};
-use crate::server::webhooks::target::{Target, WebhookPolicy};
 use crate::store::{DeliveryRecord, Replay, WebhookRecord};
 
 /// How long the address of a new webhook may take to be found.
@@ -204,8 +205,8 @@ async fn check(
     }
     let Some(url) = url else { return Ok(()) };
     let wrong = |why: String| Problem::invalid_field("/url", why);
-    let target = Target::parse(url, policy).map_err(wrong)?;
-    let looked_up = tokio::time::timeout(LOOK_UP, target.addresses(policy)).await;
+    let target = Target::parse(url, policy.allow_http).map_err(wrong)?;
+    let looked_up = tokio::time::timeout(LOOK_UP, target.addresses(policy.allow_private)).await;
     looked_up.unwrap_or_else(|_| Err("its host was not found in time".to_owned())).map_err(wrong)?;
     Ok(())
 }

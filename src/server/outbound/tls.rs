@@ -1,4 +1,4 @@
-//! TLS to receivers, with the certificate authorities of this machine.
+//! TLS to other servers, with the certificate authorities of this machine.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 
 /// What TLS needs; read from the machine when it is needed first.
 #[derive(Default)]
-pub(super) struct Tls {
+pub(in crate::server) struct Tls {
     config: OnceCell<Arc<ClientConfig>>,
 }
 
@@ -19,8 +19,8 @@ impl Tls {
     /// TLS on a connection to `host`.
     ///
     /// # Errors
-    /// Why there is none, for the delivery log.
-    pub(super) async fn over<S>(&self, stream: S, host: &str) -> Result<TlsStream<S>, String>
+    /// Why there is none.
+    pub(in crate::server) async fn over<S>(&self, stream: S, host: &str) -> Result<TlsStream<S>, String>
     where
         S: AsyncRead + AsyncWrite + Unpin,
     {

@@ -1,52 +1,34 @@
-//! Where a message may go: a URL that is whole, at an address that is public.
+//! Where a request may go: a URL that is whole, at an address that is public.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
-use std::time::Duration;
 
 use axum::http::Uri;
 
 const LONGEST: usize = 2048;
 
-/// What webhooks may do.
-#[derive(Debug, Clone, Copy)]
-pub struct WebhookPolicy {
-    /// Whether `http://` is accepted beside `https://`.
-    pub allow_http: bool,
-    /// Whether addresses that are not public are accepted.
-    pub allow_private: bool,
-    /// From looking up the address to the end of the answer.
-    pub timeout: Duration,
-}
-
-impl Default for WebhookPolicy {
-    fn default() -> Self {
-        Self { allow_http: false, allow_private: false, timeout: Duration::from_secs(20) }
-    }
-}
-
 /// A URL, taken apart.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Target {
-    pub(super) is_https: bool,
+pub(in crate::server) struct Target {
+    pub(in crate::server) is_https: bool,
     /// A name or an address, without brackets.
-    pub(super) host: String,
-    pub(super) port: u16,
+    pub(in crate::server) host: String,
+    pub(in crate::server) port: u16,
     /// Host and port as they stand.
-    pub(super) authority: String,
+    pub(in crate::server) authority: String,
     /// Path and query.
-    pub(super) path: String,
+    pub(in crate::server) path: String,
 }
 
 impl Target {
     /// # Errors
     /// What is wrong with the URL.
-    pub(super) fn parse(url: &str, policy: &WebhookPolicy) -> Result<Self, String> {
+    pub(in crate::server) fn parse(url: &str, allow_http: bool) -> Result<Self, String> {
         let is_whole = |url: &&str| url.len() <= LONGEST && !url.contains('#');
         let uri: Option<Uri> = Some(url).filter(is_whole).and_then(|url| url.parse().ok());
         let uri = uri.ok_or("is no URL of at most 2048 characters without a fragment")?;
         let is_https = match uri.scheme_str() {
             Some("https") => true,
-            Some("http") if policy.allow_http => false,
+            Some("http") if allow_http => false,
             _ => return Err("must begin with https://".to_owned()),
         };
         let (authority, host) = uri.authority().map(|a| (a.as_str(), a.host())).ok_or("names no host")?;
@@ -76,7 +58,7 @@ impl Target {
     ///
     /// # Errors
     /// When there are none, or one of them is not public. It does not say which: names of the inside are nobody's business.
-    pub(super) async fn addresses(&self, policy: &WebhookPolicy) -> Result<Vec<SocketAddr>, String> {
+    pub(in crate::server) async fn addresses(&self, allow_private: bool) -> Result<Vec<SocketAddr>, String> {
         let found: Vec<SocketAddr> = match self.host.parse::<IpAddr>() {
             Ok(address) => vec![(address, self.port).into()],
             Err(_) => tokio::net::lookup_host((self.host.as_str(), self.port))
@@ -84,7 +66,7 @@ impl Target {
                 .map(Iterator::collect)
                 .unwrap_or_default(),
         };
-        let is_good = |address: &SocketAddr| policy.allow_private || is_public(address.ip());
+        let is_good = |address: &SocketAddr| allow_private || is_public(address.ip());
         if !found.is_empty() && found.iter().all(is_good) {
             return Ok(found);
         }
@@ -133,23 +115,19 @@ fn is_public_v6(address: Ipv6Addr) -> bool {
 mod tests {
     use super::*;
 
-    const ANY: WebhookPolicy =
-        WebhookPolicy { allow_http: true, allow_private: true, timeout: Duration::from_secs(1) };
-
     #[test]
     fn a_url_is_taken_apart_or_refused() {
-        let strict = WebhookPolicy::default();
-        let target = Target::parse("https://example.org/a?b=c", &strict).unwrap();
+        let target = Target::parse("https://example.org/a?b=c", false).unwrap();
         assert_eq!((target.host.as_str(), target.port, target.path.as_str()), ("example.org", 443, "/a?b=c"));
-        let target = Target::parse("https://example.org:8443", &strict).unwrap();
+        let target = Target::parse("https://example.org:8443", false).unwrap();
         assert_eq!(
             (target.port, target.authority.as_str(), target.path.as_str()),
             (8443, "example.org:8443", "/")
         );
-        let target = Target::parse("https://example.org?a=b", &strict).unwrap();
+        let target = Target::parse("https://example.org?a=b", false).unwrap();
         assert_eq!(target.path, "/?a=b");
         for (url, port) in [("https://[2606:4700::1]/", 443), ("https://[2606:4700::1]:8443/", 8443)] {
-            let target = Target::parse(url, &strict).unwrap();
+            let target = Target::parse(url, false).unwrap();
             assert_eq!((target.host.as_str(), target.port), ("2606:4700::1", port));
         }
         for wrong in [
@@ -171,9 +149,9 @@ mod tests {
             "https://example.org/\r\nhost: other",
             &format!("https://example.org/{}", "a".repeat(2048)),
         ] {
-            assert!(Target::parse(wrong, &strict).is_err(), "{wrong}");
+            assert!(Target::parse(wrong, false).is_err(), "{wrong}");
         }
-        assert!(!Target::parse("http://example.org", &ANY).unwrap().is_https);
+        assert!(!Target::parse("http://example.org", true).unwrap().is_https);
     }
 
     #[test]
@@ -246,15 +224,14 @@ mod tests {
 
     #[tokio::test]
     async fn a_host_with_an_address_of_the_inside_is_refused_however_it_is_written() {
-        let strict = WebhookPolicy::default();
         for host in ["127.0.0.1", "localhost", "[::1]", "[::ffff:127.0.0.1]", "0x7f.1", "2130706433", "0"] {
-            let target = Target::parse(&format!("https://{host}/"), &strict).unwrap();
-            assert!(target.addresses(&strict).await.is_err(), "{host}");
+            let target = Target::parse(&format!("https://{host}/"), false).unwrap();
+            assert!(target.addresses(false).await.is_err(), "{host}");
         }
-        let target = Target::parse("https://localhost:9/", &strict).unwrap();
-        let found = target.addresses(&ANY).await.unwrap();
+        let target = Target::parse("https://localhost:9/", false).unwrap();
+        let found = target.addresses(true).await.unwrap();
         assert!(found.iter().all(|a| a.ip().is_loopback() && a.port() == 9), "the control: {found:?}");
-        let target = Target::parse("https://8.8.8.8/", &strict).unwrap();
-        assert_eq!(target.addresses(&strict).await.unwrap(), ["8.8.8.8:443".parse().unwrap()]);
+        let target = Target::parse("https://8.8.8.8/", false).unwrap();
+        assert_eq!(target.addresses(false).await.unwrap(), ["8.8.8.8:443".parse().unwrap()]);
     }
 }

@@ -1,0 +1,73 @@
+//! Asks for a file and reads it, within the bounds of a policy.
+
+use axum::body::Bytes;
+use axum::http::{Request, StatusCode};
+use futures::{Stream, StreamExt};
+use http_body_util::{BodyStream, Empty};
+use tokio::time::{Instant, timeout, timeout_at};
+
+use crate::api::Problem;
+use crate::server::fetching::policy::{FetchOrigin, FetchPolicy};
+use crate::server::outbound::{self, Answer, Target, Tls};
+
+/// From where captures are fetched, and over which TLS.
+pub(in crate::server) struct Fetcher {
+    policy: FetchPolicy,
+    tls: Tls,
+}
+
+impl Fetcher {
+    pub(in crate::server) fn new(policy: FetchPolicy) -> Self {
+        Self { policy, tls: Tls::default() }
+    }
+
+    /// Where a URL leads, if it may be fetched.
+    pub(super) fn target(&self, url: &str) -> Result<Target, Problem> {
+        let refused = |why: &str| Problem::invalid_field("/url", why);
+        let target = Target::parse(url, true).map_err(|why| refused(&why))?;
+        match self.policy.origins.contains(&FetchOrigin::of(&target)) {
+            true => Ok(target),
+            false if self.policy.origins.is_empty() => Err(refused("this server fetches nothing")),
+            false => Err(refused("its scheme, host and port are none from which this server fetches")),
+        }
+    }
+
+    /// The answer with the file.
+    pub(super) async fn ask(&self, target: &Target) -> Result<Answer, Problem> {
+        let request = Request::builder().body(Empty::<Bytes>::new()).map_err(Problem::internal)?;
+        let asked = outbound::ask(target, self.policy.allow_private, &self.tls, request);
+        let answer = timeout(self.policy.stall, asked).await;
+        let answer = answer.map_err(|_| failed("it did not answer in time"))?.map_err(|why| failed(&why))?;
+        match answer.response.status() {
+            StatusCode::OK => Ok(answer),
+            status if status.is_redirection() => {
+                Err(failed(&format!("it answered {}; redirects are not followed", status.as_u16())))
+            }
+            status => Err(failed(&format!("it answered {}", status.as_u16()))),
+        }
+    }
+
+    /// The bytes of the file, or why there are no more; for as long as the policy allows since `begun`.
+    pub(super) fn bytes(
+        &self,
+        answer: Answer,
+        begun: Instant,
+    ) -> impl Stream<Item = Result<Bytes, String>> + use<> {
+        let (until, stall) = (begun + self.policy.timeout, self.policy.stall);
+        futures::stream::try_unfold(answer, move |mut answer| async move {
+            let mut body = BodyStream::new(answer.response.body_mut());
+            let late = || "nothing more came in time".to_owned();
+            let next = timeout_at(until.min(Instant::now() + stall), body.next());
+            match next.await.map_err(|_| late())? {
+                None => Ok(None),
+                Some(Err(error)) => Err(format!("it broke off: {error}")),
+                Some(Ok(frame)) => Ok(Some((frame.into_data().unwrap_or_default(), answer))),
+            }
+        })
+    }
+}
+
+/// A file that could not be fetched.
+pub(super) fn failed(why: &str) -> Problem {
+    Problem::new(StatusCode::BAD_GATEWAY, "fetch-failed", "The file could not be fetched").detail(why)
+}

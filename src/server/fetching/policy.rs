@@ -1,0 +1,82 @@
+//! From where captures may be fetched.
+
+use std::str::FromStr;
+use std::time::Duration;
+
+use crate::server::outbound::Target;
+
+/// From where captures may be fetched.
+#[derive(Debug, Clone)]
+pub struct FetchPolicy {
+    /// From these origins, and from nowhere else.
+    pub origins: Vec<FetchOrigin>,
+    /// Whether their addresses may be other than public.
+    pub allow_private: bool,
+    /// From the request to the last byte.
+    pub timeout: Duration,
+    /// Longest time without a byte.
+    pub stall: Duration,
+}
+
+impl Default for FetchPolicy {
+    fn default() -> Self {
+        let (timeout, stall) = (Duration::from_secs(3600), Duration::from_secs(30));
+        Self { origins: Vec::new(), allow_private: false, timeout, stall }
+    }
+}
+
+/// A scheme, a host and a port, e.g. `https://scans.example.org`. With `http://` anybody on the way may read and change what is
+/// fetched.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FetchOrigin {
+    is_https: bool,
+    host: String,
+    port: u16,
+}
+
+impl FetchOrigin {
+    /// The origin of a URL.
+    pub(super) fn of(target: &Target) -> Self {
+        Self { is_https: target.is_https, host: target.host.to_ascii_lowercase(), port: target.port }
+    }
+}
+
+impl FromStr for FetchOrigin {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let target = Target::parse(text, true).map_err(|why| format!("{text:?} {why}"))?;
+        match text.trim_end_matches('/').matches('/').count() {
+            2 if !text.contains('?') => Ok(Self::of(&target)),
+            _ => Err(format!("{text:?} must be an origin like https://scans.example.org, without a path")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_origin_is_scheme_host_and_port_and_nothing_else() {
+        let origin = |text: &str| text.parse::<FetchOrigin>();
+        let of = |url: &str| FetchOrigin::of(&Target::parse(url, true).unwrap());
+        assert_eq!(origin("https://a.example"), Ok(of("https://A.example:443/x/y.zip?z=1")));
+        assert_eq!(origin("http://127.0.0.1:9000/"), Ok(of("http://127.0.0.1:9000/x")));
+        for other in
+            ["http://a.example/", "https://b.a.example/", "https://a.example:8443/", "https://a.example.org/"]
+        {
+            assert_ne!(origin("https://a.example"), Ok(of(other)), "{other}");
+        }
+        for wrong in [
+            "a.example",
+            "https://a.example/path",
+            "https://a.example?x",
+            "ftp://a.example",
+            "https://u@a.example",
+            "",
+        ] {
+            assert!(origin(wrong).is_err(), "{wrong}");
+        }
+    }
+}
