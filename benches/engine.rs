@@ -56,6 +56,7 @@ fn model() -> &'static Model {
             shading: ShadingOptions::default(),
             world_scale: 1.0,
             world_offset: DVec3::ZERO,
+            framing: None,
             card: serde_json::Value::Null,
         }
     })

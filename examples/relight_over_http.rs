@@ -7,8 +7,9 @@
 
 use std::path::Path;
 
+use relume::api::cameras::{CameraSpec, LookAtSpec};
 use relume::api::jobs::NewJob;
-use relume::api::renders::{CameraSpec, EnvironmentSpec, LookAtSpec, RenderRequest};
+use relume::api::renders::{EnvironmentSpec, RenderRequest};
 use relume::capture::{SyntheticOptions, synthetic, write_archive};
 use relume::render::FrameFormat;
 use relume::render::Output;

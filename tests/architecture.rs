@@ -17,7 +17,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("train", &["scene", "light", "engine", "capture", "formats"]),
     ("render", &["scene", "light", "engine", "capture", "formats"]),
     ("eval", &["scene", "engine", "capture", "formats", "train", "render"]),
-    ("api", &["capture", "train", "render"]),
+    ("api", &["scene", "capture", "train", "render"]),
     ("store", &["capture", "api"]),
     ("jobs", &["api", "store"]),
     ("worker", &["scene", "engine", "capture", "formats", "train", "render", "eval", "api", "store", "jobs"]),

@@ -45,6 +45,7 @@ fn model() -> Model {
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: DVec3::ZERO,
+        framing: None,
         card: serde_json::json!({"training_seconds": 12.5}),
     }
 }

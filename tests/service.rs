@@ -1,7 +1,8 @@
 //! The service from outside: upload, train, look, download, render.
 
+use relume::api::cameras::{CameraSpec, LookAtSpec};
 use relume::api::jobs::JobState;
-use relume::api::renders::{CameraSpec, LookAtSpec, RenderRequest};
+use relume::api::renders::RenderRequest;
 use relume::engine::Device;
 use relume::engine::DeviceChoice;
 use relume::formats::image_file;

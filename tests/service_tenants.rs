@@ -62,6 +62,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("post", "/v1/captures", Body, Submit),
     ("post", "/v1/captures/validate", Body, Submit),
     ("get", "/v1/captures/{id}", One(Capture), Read),
+    ("get", "/v1/captures/{id}/cameras", One(Capture), Read),
     ("patch", "/v1/captures/{id}", One(Capture), Submit),
     ("delete", "/v1/captures/{id}", One(Capture), Submit),
     ("get", "/v1/environments", List(Environment), Read),

@@ -54,6 +54,7 @@ fn model(discs: &[Disc], albedo: f32, rough_logit: f32) -> Arc<Model> {
         shading: options,
         world_scale: 1.0,
         world_offset: DVec3::ZERO,
+        framing: None,
         card: serde_json::Value::Null,
     })
 }

@@ -1,5 +1,6 @@
 //! The types of the HTTP API as server and client exchange them: plain data, no HTTP.
 
+pub mod cameras;
 pub mod captures;
 pub mod environments;
 mod ids;

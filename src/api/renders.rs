@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::api::EnvironmentId;
+use crate::api::cameras::CameraSpec;
 use crate::render::{Background, ColourDepth, Output, Tier, ToneCurve};
 
 /// A frame to render.
@@ -53,56 +54,6 @@ pub struct RenderRequest {
     pub colour_depth: Option<ColourDepth>,
 }
 
-/// A camera: either `look_at`, or `camera_to_world` with `fov_y_deg` or `intrinsics`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
-#[serde(deny_unknown_fields)]
-pub struct CameraSpec {
-    /// Rows of the camera-to-world matrix, OpenGL axes (x right, y up, looking along -z), capture units.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub camera_to_world: Option<[[f64; 4]; 4]>,
-    /// Vertical field of view, degrees, with `camera_to_world`.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub fov_y_deg: Option<f64>,
-    /// Pixels of the requested size, with `camera_to_world`.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub intrinsics: Option<IntrinsicsSpec>,
-    /// A camera by what it looks at.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub look_at: Option<LookAtSpec>,
-}
-
-/// A pinhole in pixels; pixel centres lie at +0.5.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
-#[serde(deny_unknown_fields)]
-pub struct IntrinsicsSpec {
-    /// Focal length along x.
-    pub fx: f64,
-    /// Focal length along y.
-    pub fy: f64,
-    /// Principal point x.
-    pub cx: f64,
-    /// Principal point y.
-    pub cy: f64,
-}
-
-/// A camera by what it looks at, capture units.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
-#[serde(deny_unknown_fields)]
-pub struct LookAtSpec {
-    /// Where it stands.
-    pub eye: [f64; 3],
-    /// What it looks at.
-    pub target: [f64; 3],
-    /// What is up; world +Z when absent.
-    #[serde(default = "world_up")]
-    pub up: [f64; 3],
-    /// Vertical field of view, degrees.
-    pub fov_y_deg: f64,
-}
-
 /// A light: at most one of `id`, `builtin` and `inline_base64`; none of them means the capture's own.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
@@ -128,8 +79,4 @@ pub struct EnvironmentSpec {
 
 fn rgb_only() -> Vec<Output> {
     vec![Output::Rgb]
-}
-
-fn world_up() -> [f64; 3] {
-    [0.0, 0.0, 1.0]
 }

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use crate::capture::{CaptureView, Scene3dBounds};
-use crate::scene::Camera;
+use crate::scene::{Camera, Framing};
 
 /// Radius of the subject relative to the ball that a camera sees completely.
 const CORNER_MARGIN: f64 = 1.15;
@@ -43,6 +43,21 @@ pub(crate) fn looked_at(cameras: &[&Camera]) -> (DVec3, f64) {
         (camera.centre() - centre).length() * half_angle.sin()
     };
     (centre, positive(quantile(cameras.iter().map(radius).collect(), 0.5)))
+}
+
+/// The photograph nearest to the middle of all, turned to what they look at: its shorter side is the field of view. `None` where
+/// that camera stands in what it looks at.
+pub(crate) fn framing(cameras: &[&Camera]) -> Option<Framing> {
+    let target = nearest_to_axes(cameras);
+    let direction = |camera: &Camera| (camera.centre() - target).normalize_or_zero();
+    let middle = cameras.iter().map(|camera| direction(camera)).sum::<DVec3>();
+    let nearness = |camera: &Camera| direction(camera).dot(middle);
+    let camera = cameras.iter().max_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
+    let half_angle = f64::min(
+        (0.5 * f64::from(camera.width) / camera.fx).atan(),
+        (0.5 * f64::from(camera.height) / camera.fy).atan(),
+    );
+    Framing { eye: camera.centre(), target, fov_deg: 2.0 * half_angle.to_degrees() }.checked()
 }
 
 fn from_points(cameras: &[&Camera], points: &[(DVec3, [f32; 3])]) -> Scene3dBounds {
@@ -142,6 +157,19 @@ mod tests {
         );
         points.extend([(DVec3::splat(1e6), [0.0; 3]); 60]);
         assert!(bounds(&ring(DVec3::ZERO, 3.0), &points, false).radius <= 6.0 + 2.0);
+    }
+
+    #[test]
+    fn a_scene_is_framed_from_the_middle_of_its_photographs() {
+        let centre = DVec3::new(1.0, -2.0, 0.5);
+        let views = ring(centre, 3.0);
+        // Five photographs of a fan; the third is in its middle.
+        let fan: Vec<&Camera> = views[..5].iter().map(|view| &view.camera).collect();
+        let framing = framing(&fan).unwrap();
+        assert!((framing.eye - fan[2].centre()).length() < 1e-9);
+        assert!((framing.target - centre).length() < 1e-9);
+        assert!((framing.fov_deg - 0.691_111_2f64.to_degrees()).abs() < 1e-9);
+        assert_eq!(super::framing(&[]), None);
     }
 
     #[test]

@@ -54,9 +54,9 @@ fn read(source: &Source, options: &ImportOptions) -> Result<Capture, CaptureErro
 }
 
 /// The layout's name, its photographs and its points.
-type Layout = (String, Vec<PhotoEntry>, Vec<Point>);
+pub(super) type Layout = (String, Vec<PhotoEntry>, Vec<Point>);
 
-fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
+pub(super) fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
     if source.contains(blender::MARKER) {
         let photos = blender::read(source, warnings)?;
         let in_own_folders = photos.iter().all(|p| p.image.contains("/rgba"));
@@ -80,16 +80,21 @@ fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, Ca
     Err(CaptureError::UnknownLayout { reason })
 }
 
-/// Training and held-out views: as the set says, else every [`HOLD_OUT_EVERY`]th by sorted name is held out.
-fn split(photos: &[PhotoEntry], views: Vec<CaptureView>) -> (Vec<CaptureView>, Vec<CaptureView>) {
+/// What each photograph is used for: as the set says, else every [`HOLD_OUT_EVERY`]th by sorted name is held out.
+pub(super) fn splits(photos: &[PhotoEntry]) -> Vec<Split> {
     let mut splits: Vec<Split> = photos.iter().map(|p| p.split).collect();
     if !splits.contains(&Split::Test) {
-        let mut by_name: Vec<usize> = (0..views.len()).collect();
-        by_name.sort_by(|&a, &b| views[a].name.cmp(&views[b].name));
+        let mut by_name: Vec<usize> = (0..photos.len()).collect();
+        by_name.sort_by(|&a, &b| photos[a].image.cmp(&photos[b].image));
         by_name.iter().step_by(HOLD_OUT_EVERY).for_each(|&i| splits[i] = Split::Test);
     }
+    splits
+}
+
+/// Training and held-out views.
+fn split(photos: &[PhotoEntry], views: Vec<CaptureView>) -> (Vec<CaptureView>, Vec<CaptureView>) {
     let (mut train, mut test) = (Vec::new(), Vec::new());
-    for (view, split) in views.into_iter().zip(splits) {
+    for (view, split) in views.into_iter().zip(splits(photos)) {
         match split {
             Split::Train => train.push(view),
             Split::Test => test.push(view),

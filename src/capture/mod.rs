@@ -3,6 +3,7 @@
 mod archive;
 mod blender;
 mod bounds;
+mod cameras;
 mod colmap;
 mod error;
 mod grey_card;
@@ -23,7 +24,8 @@ mod types;
 mod undistort;
 mod write_archive;
 
-pub(crate) use bounds::looked_at;
+pub(crate) use bounds::{framing, looked_at};
+pub use cameras::{PhotoCamera, cameras};
 pub use error::CaptureError;
 pub use grey_card::GreyCard;
 pub use import::{CaptureReport, import, inspect};

@@ -133,9 +133,9 @@ fn load_one(
     let camera = camera(photo, intrinsics, stored)?.resized(image.width, image.height);
     let (camera, image) = match photo.lens.distortion {
         Distortion::None => (camera, image),
-        distortion => undistort::undistort(&camera, &distortion, &image).map_err(|reason| {
-            CaptureError::at_field(&photo.stated_in, format!("{}.k1", photo.field), reason)
-        })?,
+        distortion => {
+            undistort::undistort(&camera, &distortion, &image).map_err(|reason| bent(photo, reason))?
+        }
     };
     let truth = if options.load_truth {
         photo.truth.load(source, (image.width, image.height), options)?
@@ -144,6 +144,25 @@ fn load_one(
     };
     let light_rotation_deg = photo.light_rotation_deg;
     Ok(CaptureView { name: photo.image.clone(), camera, image, light_rotation_deg, truth })
+}
+
+/// The camera of a photograph at its stored size, distortion removed; of the image only the header is read.
+///
+/// # Errors
+/// Names the image, or the file and field of an unusable pose or lens.
+pub(super) fn stored_camera(source: &Source, photo: &PhotoEntry) -> Result<Camera, CaptureError> {
+    let stored = image_file::dimensions(&source.read(&photo.image)?);
+    let stored = stored.map_err(|error| CaptureError::image(&photo.image, error))?;
+    let camera = camera(photo, photo.lens.resolve(&photo.stated_in, stored)?, stored)?;
+    match photo.lens.distortion {
+        Distortion::None => Ok(camera),
+        distortion => undistort::pinhole(&camera, &distortion).map_err(|reason| bent(photo, reason)),
+    }
+}
+
+/// A lens that cannot be made a pinhole.
+fn bent(photo: &PhotoEntry, reason: String) -> CaptureError {
+    CaptureError::at_field(&photo.stated_in, format!("{}.k1", photo.field), reason)
 }
 
 fn camera(photo: &PhotoEntry, intrinsics: Intrinsics, stored: (u32, u32)) -> Result<Camera, CaptureError> {

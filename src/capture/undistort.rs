@@ -97,14 +97,10 @@ pub(super) fn undistort(
     lens: &Distortion,
     image: &ImageRgba,
 ) -> Result<(Camera, ImageRgba), String> {
-    let window = inner_window(camera, lens)?;
-    let (low, size) = (window.0, window.1 - window.0);
-    let (fx, fy) = (f64::from(camera.width) / size.x, f64::from(camera.height) / size.y);
-    let undistorted = Camera { fx, fy, cx: -low.x * fx, cy: -low.y * fy, ..*camera };
-    check_window(camera, lens, window)?;
+    let undistorted = pinhole(camera, lens)?;
     let source = |x: u32, y: u32| {
-        let u = (f64::from(x) + 0.5 - undistorted.cx) / fx;
-        let v = (f64::from(y) + 0.5 - undistorted.cy) / fy;
+        let u = (f64::from(x) + 0.5 - undistorted.cx) / undistorted.fx;
+        let v = (f64::from(y) + 0.5 - undistorted.cy) / undistorted.fy;
         to_pixel(camera, lens.distort(DVec2::new(u, v)))
     };
     let mut pixels = Vec::with_capacity(image.pixels.len());
@@ -112,6 +108,18 @@ pub(super) fn undistort(
         pixels.extend((0..image.width).map(|x| bilinear(image, source(x, y))));
     }
     Ok((undistorted, ImageRgba { width: image.width, height: image.height, pixels }))
+}
+
+/// The pinhole camera for a distorted one.
+///
+/// # Errors
+/// As [`undistort`].
+pub(super) fn pinhole(camera: &Camera, lens: &Distortion) -> Result<Camera, String> {
+    let window = inner_window(camera, lens)?;
+    let (low, size) = (window.0, window.1 - window.0);
+    let (fx, fy) = (f64::from(camera.width) / size.x, f64::from(camera.height) / size.y);
+    check_window(camera, lens, window)?;
+    Ok(Camera { fx, fy, cx: -low.x * fx, cy: -low.y * fy, ..*camera })
 }
 
 fn to_pixel(camera: &Camera, p: DVec2) -> DVec2 {

@@ -9,8 +9,9 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::api::cameras::{CameraConvention, CameraSpec};
 use crate::api::jobs::NewJob;
-use crate::api::renders::{CameraSpec, EnvironmentSpec, IntrinsicsSpec, RenderRequest};
+use crate::api::renders::{EnvironmentSpec, RenderRequest};
 use crate::api::{CaptureId, EnvironmentId, ModelId};
 use crate::capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
 use crate::cli::output;
@@ -247,14 +248,8 @@ async fn frame(
     light: Option<&EnvironmentId>,
 ) -> Result<DisplayImage, DemoError> {
     let camera = &view.camera;
-    let matrix = camera.to_opengl().transpose().to_cols_array_2d();
-    let intrinsics = IntrinsicsSpec { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
     let request = RenderRequest {
-        camera: CameraSpec {
-            camera_to_world: Some(matrix),
-            intrinsics: Some(intrinsics),
-            ..CameraSpec::default()
-        },
+        camera: CameraSpec::of(camera, CameraConvention::Opengl),
         environment: EnvironmentSpec { id: light.cloned(), ..EnvironmentSpec::default() },
         width: camera.width,
         height: camera.height,

@@ -28,12 +28,13 @@ pub(super) struct RenderArgs {
     /// Exposure of the light, stops, -20 to 20.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>)]
     exposure: f64,
-    /// Degrees around the model, counter-clockwise seen from above; 0 is on the +x side.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
-    azimuth: f64,
-    /// Degrees above the horizon, -90 to 90.
-    #[arg(long, default_value_t = 20.0, allow_negative_numbers = true, value_parser = up_to::<90>)]
-    elevation: f64,
+    /// Degrees around the model, counter-clockwise seen from above. 0, on the +x side, when absent, but of a capture without masks that
+    /// in the middle of its photographs.
+    #[arg(long, allow_negative_numbers = true, value_parser = finite)]
+    azimuth: Option<f64>,
+    /// Degrees above the horizon, -90 to 90. 20 when absent, but of a capture without masks as `--azimuth`.
+    #[arg(long, allow_negative_numbers = true, value_parser = up_to::<90>)]
+    elevation: Option<f64>,
     /// Side of the image, pixels.
     #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..=8192))]
     size: u32,

@@ -7,6 +7,7 @@ use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use serde::de::DeserializeOwned;
 use tokio_util::bytes::Bytes;
 
+use crate::api::cameras::{CameraConvention, CaptureCameras};
 use crate::api::captures::CaptureSummary;
 use crate::api::marks::MarksChange;
 use crate::api::{CaptureId, List};
@@ -62,6 +63,19 @@ impl Client {
     /// The server's refusal, or what failed on the way.
     pub async fn capture(&self, id: &CaptureId) -> Result<CaptureSummary> {
         json(self.request(Method::GET, &format!("/v1/captures/{id}"))?).await
+    }
+
+    /// From where a capture's photographs were taken.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn capture_cameras(
+        &self,
+        id: &CaptureId,
+        convention: CameraConvention,
+    ) -> Result<CaptureCameras> {
+        let path = format!("/v1/captures/{id}/cameras?convention={}", convention.name());
+        json(self.request(Method::GET, &path)?).await
     }
 
     /// Changes what a capture is called.

@@ -215,6 +215,7 @@ mod tests {
             shading: Default::default(),
             world_scale: 1.0,
             world_offset: glam::DVec3::ZERO,
+            framing: None,
             card: serde_json::Value::Null,
         };
         let mut scaled = with_scaled_albedo(&model, [2.0, 3.0, 4.0]);

@@ -7,7 +7,8 @@ use safetensors::tensor::{Dtype, SafeTensors, View};
 use serde::{Deserialize, Serialize};
 
 use crate::scene::{
-    Field, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, ShadeAt, ShadingOptions, SplitLight,
+    Field, Framing, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, ShadeAt, ShadingOptions,
+    SplitLight,
 };
 
 /// The header version that is written. Versions 1 to 4 are read.
@@ -55,6 +56,9 @@ struct ModelHeader {
     shading: ShadingOptions,
     world_scale: f64,
     world_offset: [f64; 3],
+    /// Absent where masks cut the subject out, and in files from before it was written.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    framing: Option<Framing>,
     card: serde_json::Value,
 }
 
@@ -122,6 +126,7 @@ pub(crate) fn header(model: &Model) -> String {
         shading: model.shading,
         world_scale: model.world_scale,
         world_offset: model.world_offset.to_array(),
+        framing: model.framing,
         card: model.card.clone(),
     };
     serde_json::to_string(&header).unwrap_or_default()
@@ -212,6 +217,7 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
         shading: header.shading,
         world_scale: header.world_scale,
         world_offset: header.world_offset.into(),
+        framing: header.framing,
         card: header.card,
     };
     model.check().map_err(|e| bad(e.field, e.reason))?;
@@ -262,6 +268,7 @@ mod tests {
             shading: ShadingOptions::default(),
             world_scale: 2.0,
             world_offset: glam::DVec3::X,
+            framing: None,
             card: serde_json::json!({"seed": 3}),
         }
     }
@@ -271,6 +278,12 @@ mod tests {
         let mut model = example();
         model.shading.indirect = IndirectForm::Learned;
         assert_eq!(decode(&encode(&model).unwrap()).unwrap(), model);
+        let framing = Framing { eye: glam::DVec3::X, target: glam::DVec3::ZERO, fov_deg: 40.0 };
+        model.framing = Some(framing);
+        assert_eq!(decode(&encode(&model).unwrap()).unwrap(), model);
+        model.framing = Some(Framing { eye: framing.target, ..framing });
+        let refused = decode(&encode(&model).unwrap()).map(|_| ()).unwrap_err();
+        assert!(refused.to_string().contains("framing"), "{refused}");
     }
 
     #[test]

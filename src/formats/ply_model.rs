@@ -165,6 +165,7 @@ mod tests {
             shading: ShadingOptions::default(),
             world_scale: 2.0,
             world_offset: DVec3::new(0.0, 1.0, 0.0),
+            framing: None,
             card: serde_json::Value::Null,
         }
     }

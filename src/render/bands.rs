@@ -159,6 +159,7 @@ mod tests {
             shading: ShadingOptions::default(),
             world_scale: 1.0,
             world_offset: DVec3::ZERO,
+            framing: None,
             card: serde_json::Value::Null,
         }))
     }

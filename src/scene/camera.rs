@@ -1,7 +1,7 @@
 //! Pinhole cameras. Inside Relume every camera uses OpenCV axes (x right, y down, z forward) and stores
 //! world-to-camera; interfaces (API, nerfstudio, Blender) use camera-to-world in OpenGL axes.
 
-use glam::{DMat3, DMat4, DVec3};
+use glam::{DMat3, DMat4, DQuat, DVec3};
 
 /// A posed pinhole camera without distortion.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -82,6 +82,43 @@ impl Camera {
         let rotation = DMat3::from_cols(right, -up, -back).transpose();
         let centre = c2w.w_axis.truncate();
         Self { width, height, fx, fy, cx, cy, rotation, translation: -(rotation * centre) }.validated()
+    }
+
+    /// From a camera-to-world matrix in OpenCV axes (x right, y down, looking along +z).
+    ///
+    /// # Errors
+    /// As [`Camera::from_opengl`].
+    pub fn from_opencv(
+        c2w: &DMat4,
+        size: (u32, u32),
+        focal: (f64, f64),
+        centre: (f64, f64),
+    ) -> Result<Self, CameraError> {
+        Self::from_opengl(&between_axes(c2w), size, focal, centre)
+    }
+
+    /// From a pose as COLMAP writes it in `images.txt`: `x_cam = R(q) x_world + t`, the quaternion as w, x, y, z of any length.
+    ///
+    /// # Errors
+    /// Names `qvec` or `tvec` when they are no pose, or an intrinsic out of range.
+    pub fn from_colmap(
+        [w, x, y, z]: [f64; 4],
+        tvec: [f64; 3],
+        (width, height): (u32, u32),
+        (fx, fy): (f64, f64),
+        (cx, cy): (f64, f64),
+    ) -> Result<Self, CameraError> {
+        let largest = [w, x, y, z].into_iter().map(f64::abs).fold(0.0, f64::max);
+        if !([w, x, y, z].iter().all(|v| v.is_finite()) && largest > 1e-12) {
+            return Err(CameraError::new("qvec", "is no rotation"));
+        }
+        if !tvec.iter().all(|v| v.is_finite()) {
+            return Err(CameraError::new("tvec", "has a value that is not finite"));
+        }
+        // Divided by the largest first: the square of what is very long would overflow.
+        let q = (DQuat::from_xyzw(x, y, z, w) * (1.0 / largest)).normalize();
+        let (rotation, translation) = (DMat3::from_quat(q), DVec3::from(tvec));
+        Self { width, height, fx, fy, cx, cy, rotation, translation }.validated()
     }
 
     /// A camera with centre `eye` that looks at `target` with world up `up`; `fov_y` in radians, square pixels,
@@ -202,6 +239,23 @@ impl Camera {
         m.w_axis = self.centre().extend(1.0);
         m
     }
+
+    /// Camera-to-world matrix in OpenCV axes, the inverse of [`Camera::from_opencv`].
+    pub fn to_opencv(&self) -> DMat4 {
+        between_axes(&self.to_opengl())
+    }
+
+    /// World-to-camera quaternion (w, x, y, z; w not negative) and translation, the inverse of [`Camera::from_colmap`].
+    pub fn to_colmap(&self) -> ([f64; 4], [f64; 3]) {
+        let q = DQuat::from_mat3(&self.rotation).normalize();
+        let q = if q.w < 0.0 { -q } else { q };
+        ([q.w, q.x, q.y, q.z], self.translation.to_array())
+    }
+}
+
+/// A camera-to-world matrix in OpenGL axes from one in OpenCV axes, and the other way: y and z change sign.
+fn between_axes(c2w: &DMat4) -> DMat4 {
+    DMat4::from_cols(c2w.x_axis, -c2w.y_axis, -c2w.z_axis, c2w.w_axis)
 }
 
 #[cfg(test)]
@@ -220,6 +274,31 @@ mod tests {
             Camera::from_opengl(&cam.to_opengl(), (64, 48), (cam.fx, cam.fy), (cam.cx, cam.cy)).unwrap();
         assert!((back.translation - cam.translation).length() < 1e-12);
         assert!((back.rotation - cam.rotation).to_cols_array().iter().all(|v| v.abs() < 1e-12));
+    }
+
+    #[test]
+    fn one_camera_is_the_same_in_every_convention() {
+        let cam = example();
+        let (size, focal, centre) = ((64, 48), (cam.fx, cam.fy), (cam.cx, cam.cy));
+        let opengl = Camera::from_opengl(&cam.to_opengl(), size, focal, centre).unwrap();
+        assert_eq!(Camera::from_opencv(&cam.to_opencv(), size, focal, centre).unwrap(), opengl);
+        assert_ne!(Camera::from_opencv(&cam.to_opengl(), size, focal, centre), Ok(opengl), "the control");
+        let forward = cam.to_opencv().z_axis.truncate();
+        assert!((forward - cam.forward()).length() < 1e-12, "OpenCV looks along +z");
+        let (qvec, tvec) = cam.to_colmap();
+        for length in [1.0, 1e-9, 1e200] {
+            let back = Camera::from_colmap(qvec.map(|v| v * length), tvec, size, focal, centre).unwrap();
+            assert!((back.translation - cam.translation).length() < 1e-12);
+            let off = (back.rotation - cam.rotation).to_cols_array();
+            assert!(off.iter().all(|v| v.abs() < 1e-12), "{length}: {off:?}");
+        }
+        for (qvec, tvec, field) in [
+            ([0.0; 4], tvec, "qvec"),
+            ([f64::NAN, 0.0, 0.0, 1.0], tvec, "qvec"),
+            (qvec, [f64::INFINITY, 0.0, 0.0], "tvec"),
+        ] {
+            assert_eq!(Camera::from_colmap(qvec, tvec, size, focal, centre).unwrap_err().field, field);
+        }
     }
 
     #[test]

@@ -16,7 +16,7 @@ pub use field::{Field, FieldWidth};
 pub use gaussians::{Gaussians, sh_count};
 pub use image::{ImageRgba, Plane};
 pub use model::{
-    DiffuseForm, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
-    softplus, softplus_inverse,
+    DiffuseForm, Framing, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions,
+    VisibilityForm, softplus, softplus_inverse,
 };
 pub use split::{LightSplit, MAX_LIGHTS, SplitLight};

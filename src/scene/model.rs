@@ -122,6 +122,26 @@ impl Default for ShadingOptions {
     }
 }
 
+/// A view that is near to photographs: elsewhere, what was not photographed may hide the scene. Capture units.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Framing {
+    /// Where the camera stands.
+    pub eye: DVec3,
+    /// What it looks at.
+    pub target: DVec3,
+    /// Field of view of a square picture, degrees.
+    pub fov_deg: f64,
+}
+
+impl Framing {
+    /// The same if it is a view.
+    pub fn checked(self) -> Option<Self> {
+        let distance = (self.eye - self.target).length();
+        let is_view = distance.is_finite() && distance > 0.0 && self.fov_deg > 0.0 && self.fov_deg < 180.0;
+        is_view.then_some(self)
+    }
+}
+
 /// A relightable model in a normalised world: the scene fills about the unit ball around the origin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
@@ -143,6 +163,8 @@ pub struct Model {
     pub world_scale: f64,
     /// See `world_scale`; capture units.
     pub world_offset: DVec3,
+    /// How photographs without masks show the scene; absent where masks cut the subject out, which lies in the unit ball then.
+    pub framing: Option<Framing>,
     /// What was trained, how, and what was decided on what evidence (the model card).
     pub card: serde_json::Value,
 }
@@ -190,6 +212,9 @@ impl Model {
         check_values("environment", self.env_raw.as_flattened())?;
         if !(self.world_scale.is_finite() && self.world_scale > 0.0 && self.world_offset.is_finite()) {
             return err("world_scale,world_offset", "must be finite and the scale positive");
+        }
+        if self.framing.is_some_and(|framing| framing.checked().is_none()) {
+            return err("framing", "must look from one point at another, with 0 to 180 degrees");
         }
         Ok(())
     }

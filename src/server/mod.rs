@@ -7,6 +7,7 @@ mod access;
 mod app;
 mod auth;
 mod caller;
+mod cameras;
 mod captures;
 mod connections;
 mod decoders;

@@ -3,7 +3,8 @@
 use glam::{DMat4, DVec3};
 
 use crate::api::Problem;
-use crate::api::renders::{CameraSpec, RenderRequest};
+use crate::api::cameras::{CameraAxes, CameraSpec};
+use crate::api::renders::RenderRequest;
 use crate::render::{Finish, FrameFormat, Output, Quality, RenderError, Tier, is_colour};
 use crate::scene::{Camera, CameraError};
 
@@ -76,22 +77,37 @@ pub(super) fn camera(request: &RenderRequest) -> Result<Camera, Problem> {
     }
     let size = (request.width, request.height);
     let spec = &request.camera;
-    match (&spec.look_at, &spec.camera_to_world) {
-        (Some(look), None) => {
+    if spec.axes.is_some() && spec.camera_to_world.is_none() {
+        return Err(Problem::invalid_field("/camera/axes", "goes with camera_to_world"));
+    }
+    let refused = |error: CameraError| camera_refused("/camera", &error);
+    match (&spec.look_at, &spec.camera_to_world, &spec.colmap) {
+        (Some(look), None, None) => {
             if spec.fov_y_deg.is_some() || spec.intrinsics.is_some() {
-                let detail = "look_at brings its own fov_y_deg; intrinsics go with camera_to_world";
+                let detail = "look_at brings its own fov_y_deg; intrinsics go with camera_to_world or colmap";
                 return Err(Problem::invalid_field("/camera", detail));
             }
             let [eye, target, up] = [look.eye, look.target, look.up].map(DVec3::from_array);
             Camera::look_at(eye, target, up, look.fov_y_deg.to_radians(), size)
                 .map_err(|e| camera_refused("/camera/look_at", &e))
         }
-        (None, Some(rows)) => {
+        (None, Some(rows), None) => {
             let (focal, centre) = intrinsics(spec, size)?;
             let matrix = DMat4::from_cols_array_2d(rows).transpose();
-            Camera::from_opengl(&matrix, size, focal, centre).map_err(|e| camera_refused("/camera", &e))
+            let made = match spec.axes.unwrap_or_default() {
+                CameraAxes::Opengl => Camera::from_opengl(&matrix, size, focal, centre),
+                CameraAxes::Opencv => Camera::from_opencv(&matrix, size, focal, centre),
+            };
+            made.map_err(refused)
         }
-        _ => Err(Problem::invalid_field("/camera", "must have either look_at or camera_to_world")),
+        (None, None, Some(pose)) => {
+            let (focal, centre) = intrinsics(spec, size)?;
+            Camera::from_colmap(pose.qvec, pose.tvec, size, focal, centre).map_err(refused)
+        }
+        _ => {
+            let detail = "must have one of look_at, camera_to_world and colmap";
+            Err(Problem::invalid_field("/camera", detail))
+        }
     }
 }
 
@@ -116,6 +132,7 @@ fn intrinsics(spec: &CameraSpec, (width, height): (u32, u32)) -> Result<(Pair, P
 fn camera_refused(base: &str, error: &CameraError) -> Problem {
     let pointer = match error.field {
         "transform_matrix" => format!("{base}/camera_to_world"),
+        field @ ("qvec" | "tvec") => format!("{base}/colmap/{field}"),
         "fov_y" => format!("{base}/fov_y_deg"),
         field @ ("fx" | "fy" | "cx" | "cy") => format!("{base}/intrinsics/{field}"),
         field => format!("{base}/{field}"),

@@ -9,12 +9,14 @@ use crate::api::Problem;
 use crate::server::app::Shared;
 use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLOADS, bounded};
 use crate::server::{
-    captures, deletion, description, environments, events, files, health, jobs, keys, models, renders,
-    signed_urls, thumbnails, uploads, usage, webhooks,
+    cameras, captures, deletion, description, environments, events, files, health, jobs, keys, models,
+    renders, signed_urls, thumbnails, uploads, usage, webhooks,
 };
 
 fn families() -> OpenApiRouter<Shared> {
-    let taking = captures::uploads().merge(environments::uploads()).merge(uploads::uploads());
+    // What takes or reads archives, which may be large.
+    let taking =
+        captures::uploads().merge(cameras::routes()).merge(environments::uploads()).merge(uploads::uploads());
     let queries = captures::routes()
         .merge(environments::routes())
         .merge(jobs::routes())

@@ -36,9 +36,10 @@ pub struct ThumbnailQuery {
     /// Side, 16 to 1024 pixels; 256 when absent.
     #[param(minimum = 16, maximum = 1024)]
     pub size: Option<u32>,
-    /// Degrees counter-clockwise seen from above; 0 stands on the +x side.
+    /// Degrees counter-clockwise seen from above; 0, on the +x side, when absent, but of a capture without masks that in the middle of
+    /// its photographs: elsewhere, what was not photographed may hide it.
     pub azimuth: Option<f64>,
-    /// Degrees above the horizon, -90 to 90; 20 when absent.
+    /// Degrees above the horizon, -90 to 90; 20 when absent, but of a capture without masks as `azimuth`.
     #[param(minimum = -90, maximum = 90)]
     pub elevation: Option<f64>,
     /// `preview` (the default), `standard` or `high`.
@@ -108,18 +109,15 @@ async fn thumbnail(
 }
 
 fn orbit(query: &ThumbnailQuery) -> Result<Orbit, Problem> {
-    let orbit = Orbit {
-        azimuth_deg: query.azimuth.unwrap_or(0.0),
-        elevation_deg: query.elevation.unwrap_or(20.0),
-        size: query.size.unwrap_or(256),
-    };
+    let orbit =
+        Orbit { azimuth_deg: query.azimuth, elevation_deg: query.elevation, size: query.size.unwrap_or(256) };
     if !(16..=1024).contains(&orbit.size) {
         return Err(Problem::invalid_field("query/size", "must be 16 to 1024"));
     }
-    if !orbit.azimuth_deg.is_finite() {
+    if !orbit.azimuth_deg.is_none_or(f64::is_finite) {
         return Err(Problem::invalid_field("query/azimuth", "must be finite"));
     }
-    if !(-90.0..=90.0).contains(&orbit.elevation_deg) {
+    if !orbit.elevation_deg.is_none_or(|degrees| (-90.0..=90.0).contains(&degrees)) {
         return Err(Problem::invalid_field("query/elevation", "must be -90 to 90"));
     }
     Ok(orbit)

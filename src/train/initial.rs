@@ -7,7 +7,8 @@ use crate::capture::Capture;
 use crate::engine::{Photo, upward_share};
 use crate::light::{LightColour, SplitEnvironment};
 use crate::scene::{
-    Field, Gaussians, LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse, texel_directions,
+    Camera, Field, Framing, Gaussians, LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse,
+    texel_directions,
 };
 use crate::train::dataset::Dataset;
 use crate::train::{TrainConfig, lights, materials};
@@ -63,8 +64,15 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
         shading,
         world_scale: data.scale,
         world_offset: data.offset,
+        framing: framing(capture),
         card: serde_json::Value::Null,
     }
+}
+
+/// How photographs without masks show the scene.
+fn framing(capture: &Capture) -> Option<Framing> {
+    let cameras: Vec<&Camera> = capture.train.iter().map(|view| &view.camera).collect();
+    if capture.has_alpha { None } else { crate::capture::framing(&cameras) }
 }
 
 /// Makes the environment the same from everywhere, of this colour.

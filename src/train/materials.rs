@@ -174,6 +174,7 @@ mod tests {
             shading,
             world_scale: 1.0,
             world_offset: Default::default(),
+            framing: None,
             card: serde_json::Value::Null,
         };
         for (i, n) in normals.iter().enumerate() {

@@ -136,7 +136,7 @@ mod tests {
             rotation_deg: 0.0,
             exposure_ev: 0.0,
             shows_environment: false,
-            viewpoint: Viewpoint::Orbit(Orbit { azimuth_deg: 0.0, elevation_deg: 0.0, size }),
+            viewpoint: Viewpoint::Orbit(Orbit { azimuth_deg: Some(0.0), elevation_deg: Some(0.0), size }),
             quality: tier.into(),
             outputs: vec![Output::Rgb],
         }

@@ -6,7 +6,7 @@ use serde_json::json;
 use super::small_set::{
     Files, blender, camera, colmap, import_bytes, import_folder, nerfstudio, pose_error, transforms, zip,
 };
-use relume::capture::{Capture, CaptureView, ImportOptions, import, inspect};
+use relume::capture::{Capture, CaptureView, ImportLimits, ImportOptions, cameras, import, inspect};
 use relume::formats::image_file;
 
 fn view<'a>(capture: &'a Capture, name: &str) -> &'a CaptureView {
@@ -119,6 +119,23 @@ fn distortion_is_gone_after_the_import() {
     let fisheye = |set: &mut serde_json::Value| set["camera_model"] = json!("OPENCV_FISHEYE");
     let fisheye = import_folder(&nerfstudio(fisheye)).unwrap();
     assert_ne!(view(&fisheye, "images/1.png").camera.fx, b.camera.fx);
+}
+
+#[test]
+fn the_cameras_alone_are_those_of_the_import() {
+    let bent = nerfstudio(|set| set["k1"] = json!(-0.2));
+    for (files, held_out) in [(blender(), 1), (bent, 1), (colmap(), 1)] {
+        let archive = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(archive.path(), zip(&files)).unwrap();
+        let capture = import(archive.path(), &ImportOptions::default()).unwrap();
+        let alone = cameras(archive.path(), &ImportLimits::default()).unwrap();
+        assert_eq!(alone.len(), capture.train.len() + capture.test.len());
+        assert_eq!(alone.iter().filter(|camera| camera.is_held_out).count(), held_out);
+        for camera in &alone {
+            assert_eq!(camera.camera, view(&capture, &camera.name).camera, "{}", camera.name);
+            assert_eq!(camera.is_held_out, capture.test.iter().any(|view| view.name == camera.name));
+        }
+    }
 }
 
 #[test]

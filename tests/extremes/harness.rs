@@ -69,6 +69,7 @@ pub(super) fn model(n: usize, seed: u64) -> Model {
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: DVec3::ZERO,
+        framing: None,
         card: serde_json::Value::Null,
     }
 }

@@ -74,6 +74,7 @@ pub(super) fn model(seed: u64, shading: ShadingOptions) -> Model {
         shading,
         world_scale: 1.0,
         world_offset: DVec3::ZERO,
+        framing: None,
         card: serde_json::Value::Null,
     }
 }

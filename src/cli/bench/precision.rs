@@ -158,6 +158,7 @@ fn scene(kind: Kind, seed: u64) -> CommandResult<(Model, Camera)> {
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: DVec3::ZERO,
+        framing: None,
         card: serde_json::Value::Null,
     };
     let distance = if kind == Kind::FarCamera { 1e5 } else { 3.0 };

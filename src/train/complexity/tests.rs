@@ -30,6 +30,7 @@ fn small_state() -> TrainState {
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,
+        framing: None,
         card: Value::Null,
     });
     state.labels = state.model.gaussians.field(Field::Visibility).to_vec();

@@ -57,6 +57,8 @@ impl CutOut {
         }
         state.select(&kept);
         region.normalise(state);
+        // The subject lies in the unit ball now, and nothing hides it.
+        state.model.framing = None;
         Some(Self { region, gaussians: silhouette })
     }
 
@@ -91,6 +93,7 @@ impl CutOut {
             shading,
             world_scale: 1.0,
             world_offset: DVec3::ZERO,
+            framing: None,
             card: serde_json::Value::Null,
         })
     }

@@ -32,6 +32,7 @@ fn state(gaussians: Gaussians, density: DensityStats) -> TrainState {
         shading: Default::default(),
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,
+        framing: None,
         card: serde_json::Value::Null,
     };
     TrainState { density, ..TrainState::new(model) }

@@ -94,6 +94,7 @@ mod tests {
             shading: ShadingOptions::default(),
             world_scale: 1.0,
             world_offset: glam::DVec3::ZERO,
+            framing: None,
             card: serde_json::Value::Null,
         };
         let texels = texel_directions(32, 16);

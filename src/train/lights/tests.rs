@@ -41,6 +41,7 @@ fn plate(strength: f32) -> TrainState {
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,
+        framing: None,
         card: serde_json::Value::Null,
     };
     let mut state = TrainState::new(model);

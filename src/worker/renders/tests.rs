@@ -26,6 +26,7 @@ fn model(folder: &tempfile::TempDir) -> ModelSource {
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,
+        framing: None,
         card: serde_json::Value::Null,
     };
     let path = folder.path().join("model.safetensors");
@@ -40,7 +41,7 @@ fn task(model: &ModelSource, tier: Tier, exposure_ev: f64) -> RenderTask {
         rotation_deg: 30.0,
         exposure_ev,
         shows_environment: false,
-        viewpoint: Viewpoint::Orbit(Orbit { azimuth_deg: 10.0, elevation_deg: 20.0, size: 24 }),
+        viewpoint: Viewpoint::Orbit(Orbit { azimuth_deg: Some(10.0), elevation_deg: Some(20.0), size: 24 }),
         quality: Quality { samples: 4, ..tier.into() },
         outputs: vec![Output::Rgb, Output::Diffuse, Output::Specular, Output::Albedo, Output::Depth],
     }
@@ -121,7 +122,7 @@ fn what_nobody_waits_for_stops_at_the_next_seam() {
 #[test]
 fn a_dear_frame_ends_between_two_bands_when_its_caller_has_gone() {
     let folder = tempfile::TempDir::new().unwrap();
-    let orbit = Orbit { azimuth_deg: 10.0, elevation_deg: 20.0, size: 40 };
+    let orbit = Orbit { azimuth_deg: Some(10.0), elevation_deg: Some(20.0), size: 40 };
     let quality = Quality::monte_carlo(Quality::MOST_SAMPLES);
     let task = RenderTask {
         viewpoint: Viewpoint::Orbit(orbit),

@@ -36,6 +36,7 @@ fn model() -> Model {
         shading: ShadingOptions::default(),
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,
+        framing: None,
         card: serde_json::Value::Null,
     }
 }

@@ -93,6 +93,7 @@ fn random_model(shape: &Shape, rng: &mut ChaCha8Rng) -> Model {
         shading: shape.options,
         world_scale: 1.0,
         world_offset: glam::DVec3::ZERO,
+        framing: None,
         card: serde_json::Value::Null,
     }
 }

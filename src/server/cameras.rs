@@ -1,0 +1,85 @@
+//! `/v1/captures/{id}/cameras`: from where the photographs of a capture were taken.
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::cameras::{CameraConvention, CameraSpec, CaptureCameras, CapturedCamera};
+use crate::api::{CaptureId, Problem};
+use crate::capture::{self, ImportLimits, PhotoCamera};
+use crate::server::app::Shared;
+use crate::server::caller::Caller;
+use crate::server::extract::{QueryString, UrlPath};
+use crate::server::files::{etag, matches_etag};
+use crate::store::hex;
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(get_cameras))
+}
+
+/// How cameras are written.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct CamerasQuery {
+    /// `opengl` (the default), `opencv` or `colmap`.
+    #[serde(default)]
+    #[param(value_type = Option<String>, pattern = "^(opengl|opencv|colmap)$")]
+    pub convention: CameraConvention,
+}
+
+/// Get a capture's cameras
+///
+/// One for each photograph, distortion removed, at its stored size. `camera`, `width` and `height` are fields of a render
+/// request: the frame shows what the photograph shows. The convention says how poses are written; it changes no frame.
+#[utoipa::path(
+    get, path = "/v1/captures/{id}/cameras", tag = "captures", params(("id" = String, Path), CamerasQuery),
+    responses(
+        (status = 200, body = CaptureCameras), (status = 304, description = "The caller has it already"),
+        (status = 404, body = Problem, description = "There is no such capture, or it is not ready yet"),
+        (status = 422, body = Problem)
+    )
+)]
+async fn get_cameras(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<CaptureId>,
+    QueryString(CamerasQuery { convention }): QueryString<CamerasQuery>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let missing = || Problem::not_found("capture", id.as_str());
+    let record = app.store.capture(&caller.tenant, &id).await?.ok_or_else(missing)?;
+    let identity = format!("{}|{}|{convention:?}", env!("CARGO_PKG_VERSION"), record.sha256);
+    let tag = etag(&hex(&Sha256::digest(identity)));
+    let mut response = if matches_etag(&headers, &tag) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        app.store.artifacts().verify(&record.artifact, &record.sha256).await?;
+        let path = app.store.artifacts().local_path(&record.artifact);
+        let read = move || capture::cameras(&path, &ImportLimits::default());
+        let cameras = app.decoders.run(read).await?.map_err(Problem::internal)?;
+        let cameras = cameras.into_iter().map(|camera| view(camera, convention)).collect();
+        Json(CaptureCameras { convention, cameras }).into_response()
+    };
+    response.headers_mut().insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
+    Ok(response)
+}
+
+fn view(photo: PhotoCamera, convention: CameraConvention) -> CapturedCamera {
+    let camera = &photo.camera;
+    CapturedCamera {
+        width: camera.width,
+        height: camera.height,
+        camera: CameraSpec::of(camera, convention),
+        name: photo.name,
+        held_out: photo.is_held_out,
+        light_rotation_deg: photo.light_rotation_deg,
+    }
+}
