@@ -10,6 +10,7 @@ use axum::extract::State;
 use axum::http::{StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
+use relume::api::uploads::CaptureSource;
 use relume::server::ServerConfig;
 use relume::testing::{self, TestServer};
 use reqwest::Method;
@@ -93,13 +94,19 @@ async fn a_capture_is_fetched_once_and_is_what_was_asked_for() {
     assert_eq!((wrong.0, &wrong.1["errors"][0]["pointer"]), (422, &json!("/sha256")), "{wrong:?}");
     assert!(files_under(server.data_dir()).is_empty());
 
+    let no_hash = make(&server, json!({"url": url, "sha256": "abc"})).await;
+    assert_eq!((no_hash.0, &no_hash.1["errors"][0]["pointer"]), (422, &json!("/sha256")), "{no_hash:?}");
+    assert_eq!(source.asked(), 1, "what cannot be asked for is not fetched");
+
     let made = make(&server, json!({"url": url})).await;
     assert_eq!(made.0, 201, "{made:?}");
     let again = make(&server, json!({"url": url, "sha256": made.1["sha256"]})).await;
     assert_eq!((again.0, &again.1["id"]), (200, &made.1["id"]));
     let sent = server.client().upload_capture_bytes(capture_zip()).await.unwrap();
     assert_eq!(json!(sent.id), made.1["id"], "the same bytes");
-    assert_eq!(source.asked(), 3);
+    let fetched = server.client().capture_of(&CaptureSource::url(&url)).await.unwrap();
+    assert_eq!(fetched.id, sent.id);
+    assert_eq!(source.asked(), 4);
 
     let later = server.client().request(Method::POST, "/v1/captures?name=later").unwrap();
     let later =
@@ -108,6 +115,19 @@ async fn a_capture_is_fetched_once_and_is_what_was_asked_for() {
     let validated = server.client().request(Method::POST, "/v1/captures/validate").unwrap();
     let validated = validated.json(&json!({"url": url})).send().await.unwrap();
     assert_eq!(validated.status(), 200);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_upload_of_another_hash_is_refused_and_stays() {
+    let server = testing::spawn().await.unwrap();
+    let (client, archive) = (server.client(), capture_zip());
+    let id = client.begin_upload(archive.len() as u64).await.unwrap();
+    client.send_piece(&id, 0, archive).await.unwrap();
+    let wrong = make(&server, json!({"upload": id, "sha256": "0".repeat(64)})).await;
+    assert_eq!((wrong.0, &wrong.1["errors"][0]["pointer"]), (422, &json!("/sha256")), "{wrong:?}");
+    let found = wrong.1["errors"][0]["detail"].as_str().unwrap().rsplit(' ').next().unwrap();
+    let made = make(&server, json!({"upload": id, "sha256": found})).await;
+    assert_eq!((made.0, &made.1["sha256"]), (201, &json!(found)), "{made:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -13,8 +13,8 @@ mod errors;
 mod eval;
 mod exposures;
 mod extremes;
-#[cfg(target_os = "linux")]
 mod fetching;
+#[cfg(target_os = "linux")]
 mod full_disk;
 mod gpu;
 mod hostile;
@@ -33,6 +33,7 @@ mod service_cli;
 mod service_description;
 mod service_fairness;
 mod service_keys;
+mod service_lists;
 mod service_memory;
 mod service_network;
 mod service_origins;

@@ -59,8 +59,15 @@ impl Client {
     /// # Errors
     /// The server's refusal, or what failed on the way.
     pub async fn capture_of_upload(&self, id: &UploadId) -> Result<CaptureSummary> {
-        let named = CaptureSource::upload(id.clone());
-        json(self.request(Method::POST, "/v1/captures")?.json(&named)).await
+        self.capture_of(&CaptureSource::upload(id.clone())).await
+    }
+
+    /// Makes a capture of a complete upload, or of a file that the server fetches.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn capture_of(&self, source: &CaptureSource) -> Result<CaptureSummary> {
+        json(self.request(Method::POST, "/v1/captures")?.json(source)).await
     }
 
     /// Gives an upload up.

@@ -1,5 +1,5 @@
 //! Pinhole cameras. Inside Relume every camera uses OpenCV axes (x right, y down, z forward) and stores
-//! world-to-camera; interfaces (API, nerfstudio, Blender) use camera-to-world in OpenGL axes.
+//! world-to-camera; nerfstudio, Blender and, where nothing else is said, the API use camera-to-world in OpenGL axes.
 
 use glam::{DMat3, DMat4, DQuat, DVec3};
 

@@ -17,7 +17,7 @@ use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
-use crate::store::hex;
+use crate::store::{StoreError, hex};
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
@@ -61,7 +61,13 @@ async fn get_cameras(
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
-        app.store.artifacts().verify(&record.artifact, &record.sha256).await?;
+        match app.store.artifacts().verify(&record.artifact, &record.sha256).await {
+            // It was deleted meanwhile.
+            Err(StoreError::Missing(_)) if app.store.capture(&caller.tenant, &id).await?.is_none() => {
+                return Err(missing());
+            }
+            sound => sound?,
+        }
         let path = app.store.artifacts().local_path(&record.artifact);
         let read = move || capture::cameras(&path, &ImportLimits::default());
         let cameras = app.decoders.run(read).await?.map_err(Problem::internal)?;

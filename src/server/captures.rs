@@ -109,7 +109,10 @@ async fn marked(
         (File = "application/zip"), (File = "application/x-tar"), (File = "application/gzip"),
         (ArchiveForm = "multipart/form-data"), (CaptureSource = "application/json")
     )),
-    responses((status = 200, body = CaptureReport), (status = 422, body = Problem))
+    responses(
+        (status = 200, body = CaptureReport), (status = 422, body = Problem),
+        (status = 502, body = Problem, description = "The file could not be fetched")
+    )
 )]
 async fn validate_capture(
     State(app): State<Shared>,
@@ -197,6 +200,10 @@ async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Inco
 
 /// The bytes that a body names.
 async fn from_source(app: &Shared, caller: &Caller, source: &CaptureSource) -> Result<Incoming, Problem> {
+    let is_hash = |text: &str| text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+    if source.sha256.as_deref().is_some_and(|text| !is_hash(text)) {
+        return Err(Problem::invalid_field("/sha256", "must be 64 hexadecimal digits"));
+    }
     let incoming = match (&source.upload, &source.url) {
         (Some(upload), None) => uploads::take(app, caller, upload).await?,
         (None, Some(url)) => fetching::receive(app, caller, url, app.limits.capture_bytes).await?,

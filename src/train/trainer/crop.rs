@@ -113,6 +113,7 @@ mod tests {
             trainer.step().unwrap();
         }
         assert!(trainer.data.full.iter().all(|photo| photo.alpha.is_empty()), "the control: no masks yet");
+        assert!(trainer.model().unwrap().framing.is_some(), "the surroundings may hide it");
         let (before, seen) = (trainer.engine.gaussians(), trainer.data.full[0].camera.centre().length());
         trainer.step().unwrap();
         let found: Vec<f32> = trainer.data.full.iter().flat_map(|photo| photo.alpha.clone()).collect();
@@ -130,6 +131,7 @@ mod tests {
             assert_eq!(trainer.step().unwrap().warning, None);
         }
         let model = trainer.model().unwrap();
+        assert_eq!(model.framing, None, "nothing hides it");
         let ball = model.card.pointer("/crop/ball").unwrap().as_array().unwrap();
         assert!((ball[3].as_f64().unwrap() - 0.9 * capture.bounds.radius).abs() < 1e-9);
         assert!((model.world_scale * 0.9 * capture.bounds.radius - 1.0).abs() < 1e-9);
@@ -162,6 +164,8 @@ mod tests {
             |capture: &Capture| Trainer::new(capture, config(around(capture, 1.0)), &Device::Cpu).err();
         assert!(refused(&capture).is_none(), "the control");
         capture.has_alpha = true;
+        let whole = Trainer::new(&capture, config(Crop::NONE), &Device::Cpu).unwrap();
+        assert_eq!(whole.model().unwrap().framing, None, "they are seen whole");
         let error = refused(&capture).unwrap();
         assert!(matches!(&error, TrainError::Invalid(m) if m.starts_with("crop")), "{error}");
     }
