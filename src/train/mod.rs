@@ -27,5 +27,5 @@ pub use config::{
 pub use error::TrainError;
 pub use import::import_for_training;
 pub use known_light::{Auto, KnownLight, LightExposure};
-pub use trainer::{Progress, StepReport, Trainer};
+pub use trainer::{Preparation, Progress, StepReport, Trainer};
 pub use weights::{LearningRates, LossWeights};

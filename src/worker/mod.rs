@@ -1,10 +1,14 @@
-//! The in-process worker: one OS thread that owns the device, trains what is queued and renders between steps.
+//! The in-process worker: one OS thread that trains what is queued, and frames beside it.
 //!
 //! The thread drives one future with `block_on`, so that a training step may take as long as it needs without
-//! stalling the server, and nothing else uses the device.
+//! stalling the server. A GPU belongs to it alone: frames are served between steps. The CPU engine keeps nothing on a device:
+//! its frames are rendered by a thread of their own while another trains.
 
 mod device_handle;
 mod eta;
+mod frame_server;
+mod frame_thread;
+mod panics;
 mod progress;
 mod queued_render;
 mod render_queue;

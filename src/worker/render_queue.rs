@@ -79,12 +79,9 @@ impl RenderQueue {
 }
 
 impl WaitingRenders {
-    /// The frame to render next, when one comes.
-    pub(super) async fn recv(&mut self) -> QueuedRender {
-        loop {
-            if let Some(render) = self.try_recv() {
-                return render;
-            }
+    /// Ends when a frame waits.
+    pub(super) async fn arrival(&mut self) {
+        while self.0.lock().waiting.is_empty() {
             self.0.arrived.notified().await;
         }
     }
@@ -200,7 +197,7 @@ mod tests {
         drop(gone);
         let _late = push(&queue, 256).unwrap();
         assert_eq!([(); 2].map(|()| next_size(&mut waiting)), [128, 256]);
-        let waited = tokio::time::timeout(std::time::Duration::from_millis(1), waiting.recv()).await;
+        let waited = tokio::time::timeout(std::time::Duration::from_millis(1), waiting.arrival()).await;
         assert!(waited.is_err(), "nothing is left");
     }
 

@@ -1,8 +1,8 @@
-//! The device thread: takes jobs from the queue and renders what is asked for meanwhile.
+//! The device thread: takes jobs from the queue, and renders on a GPU what is asked for meanwhile.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -10,20 +10,18 @@ use futures::FutureExt;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use crate::engine::Device;
-use crate::engine::{DeviceChoice, DeviceError};
+use crate::engine::{Device, DeviceChoice, DeviceError};
 use crate::jobs::{Jobs, Lease};
-use crate::render::Frame;
 use crate::store::StoreError;
 use crate::worker::device_handle::DeviceHandle;
-use crate::worker::queued_render::QueuedRender;
-use crate::worker::render_queue::{WaitingRenders, render_queue};
-use crate::worker::renders::{RenderCache, RenderFailure, RenderTask};
+use crate::worker::frame_server::FrameServer;
+use crate::worker::frame_thread;
+use crate::worker::panics::panic_message;
+use crate::worker::render_queue::render_queue;
+use crate::worker::renders::RenderCache;
 
 /// How long an idle worker sleeps before it looks at the queue unprompted.
 const IDLE: Duration = Duration::from_secs(1);
-/// Most frames that come before what they interrupt goes on.
-const BATCH: usize = 8;
 
 /// Sizes of the worker's queue and caches.
 #[derive(Debug, Clone, Copy)]
@@ -58,19 +56,19 @@ pub enum StartError {
 /// The device thread.
 pub(super) struct Worker {
     pub(super) jobs: Jobs,
-    choice: DeviceChoice,
-    pub(super) device: Device,
-    pub(super) renders: WaitingRenders,
-    cache: RenderCache,
+    /// The GPU and the frames that are served between what else it does. `None` without one: frames of the CPU engine have a
+    /// thread of their own.
+    pub(super) frames: Option<FrameServer>,
     /// Training steps done.
     pub(super) steps: Arc<AtomicU64>,
     pub(super) changes: watch::Receiver<()>,
     pub(super) stop: CancellationToken,
     /// Cancelled when nobody can ask for frames any more: the server has ended.
-    abandoned: CancellationToken,
+    pub(super) abandoned: CancellationToken,
 }
 
-/// Starts the device thread. It ends, with its job checkpointed and released, after `stop` is cancelled.
+/// Starts the device thread, and one for frames when they are rendered on the CPU. They end, with the job checkpointed and
+/// released, after `stop` is cancelled.
 ///
 /// Must be called inside a tokio runtime.
 ///
@@ -84,28 +82,41 @@ pub fn start(
     let device = Device::open(options.device)?;
     tracing::info!(device = device.name(), "device ready");
     let has_gpu = device.is_gpu();
-    let (queue, renders) = render_queue(options.render_queue);
+    let (queue, waiting) = render_queue(options.render_queue);
     let last = stop.child_token();
-    let abandoned = last.clone();
-    let changes = jobs.subscribe();
-    let cache = RenderCache::new(options.models, options.lights);
     let steps = Arc::new(AtomicU64::new(0));
-    let worker = Worker {
-        jobs,
-        choice: options.device,
-        device,
-        renders,
-        cache,
-        steps: steps.clone(),
-        changes,
-        stop,
-        abandoned,
+    let cache = RenderCache::new(options.models, options.lights);
+    let frames = FrameServer::new((options.device, device), waiting, cache, steps.clone());
+    let ended = CancellationToken::new();
+    let (frames, frame_thread) = if has_gpu {
+        (Some(frames), None)
+    } else {
+        (None, Some(frame_thread::start(frames, ended.clone())?))
     };
+    let (changes, abandoned) = (jobs.subscribe(), last.clone());
+    let worker = Worker { jobs, frames, steps: steps.clone(), changes, stop, abandoned };
     let runtime = tokio::runtime::Handle::current();
-    let thread = std::thread::Builder::new()
-        .name("relume-device".to_owned())
-        .spawn(move || runtime.block_on(worker.run()))?;
+    let ended = ended.drop_guard();
+    let work = move || {
+        runtime.block_on(worker.run());
+        drop(ended);
+        if frame_thread.is_some_and(|thread| thread.join().is_err()) {
+            tracing::error!("the frame thread did not end well");
+        }
+    };
+    let thread = std::thread::Builder::new().name("relume-device".to_owned()).spawn(work)?;
     Ok((DeviceHandle::new(queue, steps, has_gpu, last.drop_guard()), thread))
+}
+
+/// Serves what waits for the GPU, once something does; never ends without one.
+pub(super) async fn serve_next(frames: &mut Option<FrameServer>) {
+    match frames {
+        Some(frames) => {
+            frames.arrival().await;
+            frames.serve_waiting();
+        }
+        None => std::future::pending().await,
+    }
 }
 
 impl Worker {
@@ -135,63 +146,22 @@ impl Worker {
         tokio::select! {
             () = self.stop.cancelled() => {}
             () = self.abandoned.cancelled() => self.stop.cancel(),
-            request = self.renders.recv() => self.serve(request),
+            () = serve_next(&mut self.frames) => {}
             _ = self.changes.changed() => {}
             () = tokio::time::sleep(IDLE) => {}
         }
     }
 
-    /// Renders what was asked for meanwhile; a few frames at a time, so that training continues under any load.
+    /// Renders what the GPU was asked for meanwhile.
     pub(super) fn serve_waiting(&mut self) {
-        for _ in 0..BATCH {
-            match self.renders.try_recv() {
-                Some(request) => self.serve(request),
-                None => break,
-            }
+        if let Some(frames) = &mut self.frames {
+            frames.serve_waiting();
         }
     }
 
-    pub(super) fn serve(&mut self, request: QueuedRender) {
-        let steps = self.steps.load(Ordering::SeqCst);
-        request.answer(steps, |task, is_wanted| {
-            let frame = std::panic::catch_unwind(AssertUnwindSafe(|| self.render(task, is_wanted)));
-            let frame = frame.unwrap_or_else(|panic| {
-                self.cache.clear();
-                Err(RenderFailure::Internal(panic_message(panic.as_ref())))
-            });
-            if matches!(frame, Err(RenderFailure::Device(_))) {
-                self.reopen();
-            }
-            metrics::counter!("relume_renders_total", "tier" => task.quality.tier.name(),
-                "ok" => if frame.is_ok() { "true" } else { "false" })
-            .increment(1);
-            frame
-        });
-    }
-
-    /// Renders a task, and between the bands of a dear one those that wait and have a single band.
-    fn render(&mut self, task: &RenderTask, is_wanted: &dyn Fn() -> bool) -> Result<Frame, RenderFailure> {
-        let scene = self.cache.scene(task, &self.device, is_wanted)?;
-        scene.render(task, || {
-            for _ in 0..BATCH {
-                match self.renders.try_recv_cheap() {
-                    Some(request) => self.serve(request),
-                    None => break,
-                }
-            }
-            if is_wanted() { Ok(()) } else { Err(RenderFailure::Abandoned) }
-        })
-    }
-
-    /// Opens the device again after it failed; nothing on a failed device can be used. If it cannot be opened, the CPU
-    /// engine replaces it.
-    fn reopen(&mut self) {
-        self.cache.clear();
-        self.device = Device::open(self.choice).unwrap_or_else(|error| {
-            tracing::error!(%error, "the device cannot be opened again; the CPU engine takes over");
-            Device::Cpu
-        });
-        tracing::warn!(device = self.device.name(), "device opened again");
+    /// What trains where a job does not say.
+    pub(super) fn device(&self) -> &Device {
+        self.frames.as_ref().map_or(&Device::Cpu, FrameServer::device)
     }
 
     /// Makes one attempt at a job and records how it ended, also when it panics.
@@ -205,8 +175,8 @@ impl Worker {
             }
             Ok(Err(failure)) => {
                 tracing::warn!(parent: &span, code = failure.code, detail = failure.detail, "failed");
-                if failure.is_device_failure() {
-                    self.reopen();
+                if let (true, Some(frames)) = (failure.is_device_failure(), &mut self.frames) {
+                    frames.reopen();
                 }
                 self.record_failure(&lease, failure).await;
             }
@@ -217,10 +187,4 @@ impl Worker {
             }
         }
     }
-}
-
-/// The message of a panic.
-fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {
-    let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
-    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "panic".to_owned())
 }

@@ -2,31 +2,31 @@
 
 mod card;
 mod crop;
+mod preparation;
+
+pub use preparation::Preparation;
+use preparation::operators_of;
 
 use std::sync::Arc;
 use std::time::Instant;
 
-use rand::SeedableRng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
 use crate::engine::cpu::evaluation;
-use crate::engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
-use crate::light::{EnvOperators, LightColour, TableResolution};
-use crate::scene::{Field, Model, SplitLight};
-use crate::train::complexity::{self, state::ComplexityState};
+use crate::engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training};
+use crate::light::{EnvOperators, LightColour};
+use crate::scene::{Field, SplitLight};
+use crate::train::complexity;
 use crate::train::context::StepContext;
 use crate::train::dataset::Dataset;
 use crate::train::error::{MOST_ROLLBACKS, TrainError};
 use crate::train::state::ScheduleState;
 use crate::train::{
-    Crop, LabelSource, TrainConfig, WhiteBalance, checkpoint, density, exposure, initial, light_colour,
-    lights, materials, schedule,
+    LabelSource, TrainConfig, checkpoint, density, exposure, initial, light_colour, lights, materials,
+    schedule,
 };
 
-/// Fewest photographs worth training on.
-const LEAST_VIEWS: usize = 3;
 /// Steps between the states a roll-back can return to.
 const SNAPSHOT_EVERY: u32 = 50;
 /// Steps between density rounds.
@@ -73,24 +73,8 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainError::Invalid`] names what cannot be trained on, [`TrainError::Device`] what the device lacks.
-    pub fn new(capture: &Capture, mut config: TrainConfig, device: &Device) -> Result<Self, TrainError> {
-        let data = prepare(capture, &mut config)?;
-        let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-        let model = initial::model(capture, &data, &config, &mut rng);
-        let schedule = ScheduleState {
-            step: 0,
-            order: (0..data.full.len() as u32).collect(),
-            cursor: data.full.len() as u32,
-            rng,
-            rate_factor: 1.0,
-            seconds: 0.0,
-            complexity: ComplexityState::default(),
-            light_colour: None,
-            gains: Vec::new(),
-            lights: Vec::new(),
-            cut: None,
-        };
-        Self::assemble(config, data, schedule, TrainState::new(model), device)
+    pub fn new(capture: &Capture, config: TrainConfig, device: &Device) -> Result<Self, TrainError> {
+        Preparation::new(capture, config)?.on(device)
     }
 
     /// Goes on from [`Trainer::checkpoint`] bytes, on whatever device; on the CPU engine bit for bit.
@@ -99,38 +83,11 @@ impl Trainer {
     /// [`TrainError::Checkpoint`] names what does not fit, [`TrainError::Invalid`] what cannot be trained on.
     pub fn resume(
         capture: &Capture,
-        mut config: TrainConfig,
+        config: TrainConfig,
         bytes: &[u8],
         device: &Device,
     ) -> Result<Self, TrainError> {
-        let mut data = prepare(capture, &mut config)?;
-        let (schedule, state) = checkpoint::decode(bytes, &config)?;
-        if schedule.order.len() != data.full.len() {
-            return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
-        }
-        if let Some(cut) = &schedule.cut {
-            cut.apply(&mut data, state.model.shading);
-        }
-        schedule.gains.iter().for_each(|gains| data.divide(gains));
-        Self::assemble(config, data, schedule, state, device)
-    }
-
-    fn assemble(
-        config: TrainConfig,
-        data: Dataset,
-        schedule: ScheduleState,
-        state: TrainState,
-        device: &Device,
-    ) -> Result<Self, TrainError> {
-        let operators = operators_of(&state.model);
-        let limits = TrainingLimits {
-            resolution: config.resolution,
-            pixels: data.full.iter().map(|photo| photo.pixels.len()).max().unwrap_or(0),
-            max_gaussians: config.max_gaussians.max(config.initial_gaussians),
-            probe_directions: config.probe_directions,
-        };
-        let engine = device.training(state, &operators, &limits)?;
-        Ok(Self { snapshot: schedule.clone(), config, data, operators, schedule, engine, rollbacks: 0 })
+        Preparation::resume(capture, config, bytes)?.on(device)
     }
 
     fn context(&self) -> StepContext<'_> {
@@ -437,41 +394,6 @@ impl Trainer {
     pub fn seconds(&self) -> f64 {
         self.schedule.seconds
     }
-}
-
-/// Checks that `capture` can be trained on, gives `config` what was measured in it, and reads its photographs.
-fn prepare(capture: &Capture, config: &mut TrainConfig) -> Result<Dataset, TrainError> {
-    if capture.train.len() < LEAST_VIEWS {
-        let n = capture.train.len();
-        return Err(TrainError::Invalid(format!(
-            "capture: {n} usable training photographs, at least {LEAST_VIEWS} are needed"
-        )));
-    }
-    if config.light.is_some() && capture.lit_by.is_none() {
-        return Err(TrainError::Invalid("light: the capture came without the map it names".into()));
-    }
-    if !capture.has_lights_turned(&config.light_rotation_per_photo) {
-        let reason = "the capture came without the turns of the light that are given here";
-        return Err(TrainError::Invalid(format!("light_rotation_per_photo: {reason}")));
-    }
-    if config.crop != Crop::NONE && capture.has_alpha {
-        return Err(TrainError::Invalid(
-            "crop: the photographs have masks, which say what the subject is".into(),
-        ));
-    }
-    if config.grey_card.is_some() {
-        let missing = "grey_card: the capture came without the colour of the card";
-        let colour = capture.grey_card.ok_or_else(|| TrainError::Invalid(missing.into()))?;
-        config.white_balance = WhiteBalance::Colour(colour);
-    }
-    Ok(Dataset::new(capture, config))
-}
-
-/// The operators for a model's environment, its lights and visibility.
-fn operators_of(model: &Model) -> Arc<EnvOperators> {
-    let order = model.gaussians.visibility_order();
-    let whole = EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING);
-    Arc::new(whole.with_lights(&model.lights))
 }
 
 #[cfg(test)]

@@ -7,12 +7,11 @@ use std::sync::Arc;
 use crate::api::{EnvironmentId, TenantId};
 use crate::capture::{BUILTIN, Capture};
 use crate::jobs::Lease;
-use crate::store::{LeaseStatus, Release};
 use crate::train::{TrainConfig, import_for_training};
 use crate::worker::progress::announce;
 use crate::worker::renders::LightSource;
 use crate::worker::thread::Worker;
-use crate::worker::training::outcome::{AttemptEnd, AttemptError, ENVIRONMENT_MISSING, settle};
+use crate::worker::training::outcome::{AttemptEnd, AttemptError, ENVIRONMENT_MISSING};
 
 impl Worker {
     /// Reads the capture on another thread while this one renders; stops early when the job is to stop.
@@ -30,22 +29,10 @@ impl Worker {
         let path = artifacts.local_path(&record.artifact);
         let light = self.known_light(&job.tenant, config).await?;
         let config = config.clone();
-        let mut importing = tokio::task::spawn_blocking(move || load(&path, &config, light.as_ref()));
-        let capture = loop {
-            tokio::select! {
-                imported = &mut importing => break imported,
-                request = self.renders.recv() => self.serve(request),
-                _ = self.changes.changed() => if lease.check().await? != LeaseStatus::Held {
-                    return Ok(ControlFlow::Break(settle(lease).await?));
-                },
-                () = self.stop.cancelled() => {
-                    lease.release(Release::Shutdown).await?;
-                    return Ok(ControlFlow::Break(AttemptEnd::Stopped));
-                }
-            }
+        let capture = match self.aside(lease, move || load(&path, &config, light.as_ref())).await? {
+            ControlFlow::Continue(capture) => capture?,
+            ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
         };
-        let capture = capture.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic()));
-        let capture = capture?;
         if job.attempts == 1 {
             for warning in &capture.warnings {
                 lease.warn(warning).await?;

@@ -1,24 +1,24 @@
 //! One attempt at a job: import, train step by step, checkpoint, compare with held-out views, publish.
 
+mod aside;
 mod evaluate;
 mod import;
 pub(super) mod outcome;
+mod preparation;
 mod publish;
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use tokio_util::bytes::Bytes;
-
 use crate::api::jobs::JobDevice;
 use crate::capture::Capture;
 use crate::engine::Device;
 use crate::jobs::Lease;
 use crate::store::{LeaseStatus, Release, StoreError};
-use crate::train::{TrainConfig, TrainError, Trainer};
+use crate::train::{TrainConfig, Trainer};
 use crate::worker::eta::Eta;
-use crate::worker::progress::{Reporter, announce};
+use crate::worker::progress::Reporter;
 use crate::worker::thread::Worker;
 use outcome::{AttemptEnd, AttemptError, settle};
 
@@ -41,7 +41,11 @@ impl Worker {
             ControlFlow::Continue(capture) => capture,
             ControlFlow::Break(ending) => return Ok(ending),
         };
-        let trainer = self.trainer(lease, &capture, config).await?;
+        let capture = Arc::new(capture);
+        let trainer = match self.trainer(lease, &capture, config).await? {
+            ControlFlow::Continue(trainer) => trainer,
+            ControlFlow::Break(ending) => return Ok(ending),
+        };
         let (now_ms, step) = (self.jobs.now_ms(), trainer.progress().step);
         let reporter = Reporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
         let mut attempt = Attempt { lease, trainer, reporter, checkpoint_every };
@@ -63,7 +67,7 @@ impl Worker {
             self.serve_waiting();
         }
         let model = Arc::new(attempt.trainer.model()?);
-        match self.measure(&attempt, &model, capture).await? {
+        match self.measure(&attempt, &model, Arc::unwrap_or_clone(capture)).await? {
             ControlFlow::Continue(figures) => {
                 publish::publish(lease, attempt.trainer.seconds(), &model, figures).await
             }
@@ -73,44 +77,10 @@ impl Worker {
 
     /// Where a job trains.
     fn device_of(&self, lease: &Lease) -> Result<&Device, AttemptError> {
-        match (lease.job().request.device, &self.device) {
+        match (lease.job().request.device, self.device()) {
             (JobDevice::Cpu, _) => Ok(&Device::Cpu),
             (JobDevice::Gpu, Device::Cpu) => Err(AttemptError::new("device_unfit", "this server has no GPU")),
             (_, device) => Ok(device),
-        }
-    }
-
-    /// The bytes of a checkpoint, if they are those that were stored.
-    async fn checkpoint(&self, key: &str, sha256: Option<&str>) -> Result<Bytes, StoreError> {
-        let artifacts = self.jobs.store().artifacts();
-        if let Some(sha256) = sha256 {
-            artifacts.verify(key, sha256).await?;
-        }
-        artifacts.get(key).await
-    }
-
-    /// Continues from the last checkpoint, or starts over when none can be read.
-    async fn trainer(
-        &self,
-        lease: &Lease,
-        capture: &Capture,
-        config: TrainConfig,
-    ) -> Result<Trainer, AttemptError> {
-        announce(lease, "preparing").await?;
-        let device = self.device_of(lease)?;
-        let Some(key) = &lease.job().checkpoint else { return Ok(Trainer::new(capture, config, device)?) };
-        let resumed = match self.checkpoint(key, lease.job().checkpoint_sha256.as_deref()).await {
-            Ok(bytes) => Trainer::resume(capture, config.clone(), &bytes, device),
-            Err(error) => Err(TrainError::Checkpoint(error.to_string())),
-        };
-        match resumed {
-            Ok(trainer) => Ok(trainer),
-            Err(error @ TrainError::Device(_)) => Err(error.into()),
-            Err(error) => {
-                tracing::warn!(%error, key, "a checkpoint cannot be used");
-                lease.warn("the last checkpoint cannot be read; training starts over").await?;
-                Ok(Trainer::new(capture, config, device)?)
-            }
         }
     }
 }

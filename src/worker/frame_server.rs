@@ -1,0 +1,99 @@
+//! Rendering what waits in the queue, on one device, on the thread that calls.
+
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::engine::{Device, DeviceChoice};
+use crate::render::Frame;
+use crate::worker::panics::panic_message;
+use crate::worker::queued_render::QueuedRender;
+use crate::worker::render_queue::WaitingRenders;
+use crate::worker::renders::{RenderCache, RenderFailure, RenderTask};
+
+/// Most frames that come before what they interrupt goes on.
+const BATCH: usize = 8;
+
+/// A device with the frames that wait for it, and the models and lights they use.
+pub(super) struct FrameServer {
+    choice: DeviceChoice,
+    device: Device,
+    waiting: WaitingRenders,
+    cache: RenderCache,
+    /// Training steps done.
+    steps: Arc<AtomicU64>,
+}
+
+impl FrameServer {
+    /// `device` is what `choice` was opened as.
+    pub(super) fn new(
+        (choice, device): (DeviceChoice, Device),
+        waiting: WaitingRenders,
+        cache: RenderCache,
+        steps: Arc<AtomicU64>,
+    ) -> Self {
+        Self { choice, device, waiting, cache, steps }
+    }
+
+    pub(super) fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Ends when a frame waits.
+    pub(super) async fn arrival(&mut self) {
+        self.waiting.arrival().await;
+    }
+
+    /// Serves what waits already; a few frames at a time, so that what they interrupt continues under any load.
+    pub(super) fn serve_waiting(&mut self) {
+        for _ in 0..BATCH {
+            match self.waiting.try_recv() {
+                Some(request) => self.serve(request),
+                None => break,
+            }
+        }
+    }
+
+    /// Opens the device again after it failed; nothing on a failed device can be used. If it cannot be opened, the CPU
+    /// engine replaces it.
+    pub(super) fn reopen(&mut self) {
+        self.cache.clear();
+        self.device = Device::open(self.choice).unwrap_or_else(|error| {
+            tracing::error!(%error, "the device cannot be opened again; the CPU engine takes over");
+            Device::Cpu
+        });
+        tracing::warn!(device = self.device.name(), "device opened again");
+    }
+
+    fn serve(&mut self, request: QueuedRender) {
+        let steps = self.steps.load(Ordering::SeqCst);
+        request.answer(steps, |task, is_wanted| {
+            let frame = std::panic::catch_unwind(AssertUnwindSafe(|| self.render(task, is_wanted)));
+            let frame = frame.unwrap_or_else(|panic| {
+                self.cache.clear();
+                Err(RenderFailure::Internal(panic_message(panic.as_ref())))
+            });
+            if matches!(frame, Err(RenderFailure::Device(_))) {
+                self.reopen();
+            }
+            metrics::counter!("relume_renders_total", "tier" => task.quality.tier.name(),
+                "ok" => if frame.is_ok() { "true" } else { "false" })
+            .increment(1);
+            frame
+        });
+    }
+
+    /// Renders a task, and between the bands of a dear one those that wait and have a single band.
+    fn render(&mut self, task: &RenderTask, is_wanted: &dyn Fn() -> bool) -> Result<Frame, RenderFailure> {
+        let scene = self.cache.scene(task, &self.device, is_wanted)?;
+        scene.render(task, || {
+            for _ in 0..BATCH {
+                match self.waiting.try_recv_cheap() {
+                    Some(request) => self.serve(request),
+                    None => break,
+                }
+            }
+            if is_wanted() { Ok(()) } else { Err(RenderFailure::Abandoned) }
+        })
+    }
+}

@@ -1,0 +1,64 @@
+//! From a capture to a trainer that stands where the job's last checkpoint left it.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use tokio_util::bytes::Bytes;
+
+use crate::capture::Capture;
+use crate::jobs::Lease;
+use crate::store::StoreError;
+use crate::train::{Preparation, TrainConfig, TrainError, Trainer};
+use crate::worker::progress::announce;
+use crate::worker::thread::Worker;
+use crate::worker::training::outcome::{AttemptEnd, AttemptError};
+
+impl Worker {
+    /// Continues from the last checkpoint, or starts over when none can be read.
+    pub(super) async fn trainer(
+        &mut self,
+        lease: &Lease,
+        capture: &Arc<Capture>,
+        config: TrainConfig,
+    ) -> Result<ControlFlow<AttemptEnd, Trainer>, AttemptError> {
+        announce(lease, "preparing").await?;
+        let checkpoint = match &lease.job().checkpoint {
+            Some(key) => Some(self.checkpoint(key, lease.job().checkpoint_sha256.as_deref()).await),
+            None => None,
+        };
+        let capture = capture.clone();
+        let (preparation, lost) =
+            match self.aside(lease, move || prepare(&capture, config, checkpoint)).await? {
+                ControlFlow::Continue(prepared) => prepared?,
+                ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
+            };
+        if let Some(error) = lost {
+            tracing::warn!(%error, "a checkpoint cannot be used");
+            lease.warn("the last checkpoint cannot be read; training starts over").await?;
+        }
+        Ok(ControlFlow::Continue(preparation.on(self.device_of(lease)?)?))
+    }
+
+    /// The bytes of a checkpoint, if they are those that were stored.
+    async fn checkpoint(&self, key: &str, sha256: Option<&str>) -> Result<Bytes, StoreError> {
+        let artifacts = self.jobs.store().artifacts();
+        if let Some(sha256) = sha256 {
+            artifacts.verify(key, sha256).await?;
+        }
+        artifacts.get(key).await
+    }
+}
+
+/// What training goes on from, and why that is not the checkpoint if there is one.
+fn prepare(
+    capture: &Capture,
+    config: TrainConfig,
+    checkpoint: Option<Result<Bytes, StoreError>>,
+) -> Result<(Preparation, Option<TrainError>), TrainError> {
+    let Some(checkpoint) = checkpoint else { return Ok((Preparation::new(capture, config)?, None)) };
+    let bytes = checkpoint.map_err(|error| TrainError::Checkpoint(error.to_string()));
+    match bytes.and_then(|bytes| Preparation::resume(capture, config.clone(), &bytes)) {
+        Ok(preparation) => Ok((preparation, None)),
+        Err(error) => Ok((Preparation::new(capture, config)?, Some(error))),
+    }
+}
