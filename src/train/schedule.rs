@@ -15,6 +15,10 @@ const TURNING_EXPOSURE: f32 = 0.01;
 /// Progress from which sheen trains: earlier it explains what normals, roughness and light should.
 const SHEEN_FROM: f32 = 0.7;
 
+/// Steps in all beyond which materials, normals and light take smaller steps instead of travelling farther: what they would find on a
+/// longer way is noise of the photographs.
+const FARTHEST: f32 = 6000.0;
+
 /// What trains after `step` steps.
 pub fn branches(config: &TrainConfig, step: u32) -> Branches {
     let progress = step as f32 / config.iterations as f32;
@@ -77,14 +81,16 @@ pub fn turning_light(weights: LightWeights) -> LightWeights {
 
 /// Adam's step sizes at `progress` in [0, 1].
 ///
-/// Over the second half shapes and radiance fall to a thirtieth; materials and light over the last quarter to a tenth.
+/// Over the second half shapes and radiance fall to a thirtieth; materials, normals and light over the last quarter to a tenth, and where
+/// there are more steps than `FARTHEST`, theirs are smaller in proportion.
 pub fn step_sizes(config: &TrainConfig, branches: Branches, progress: f32) -> StepSizes {
     let rates = &config.rates;
     let mean = rates.mean * (rates.mean_final / rates.mean.max(1e-20)).powf(progress);
     let second_half = (2.0 * progress - 1.0).max(0.0);
     let late = (1.0f32 / 30.0).powf(second_half);
     let last_quarter = (4.0 * progress - 3.0).max(0.0);
-    let on = if branches.is_physical() { 0.1f32.powf(last_quarter) } else { 0.0 };
+    let share = (FARTHEST / config.iterations as f32).min(1.0);
+    let on = if branches.is_physical() { share * 0.1f32.powf(last_quarter) } else { 0.0 };
     let visibility = if branches == Branches::BothWithVisibility { rates.visibility * on } else { 0.0 };
     let table = [
         (Field::Mean, mean),
@@ -140,6 +146,26 @@ mod tests {
         assert_eq!(size(Field::Sheen, 0.69), 0.0);
         assert_eq!(size(Field::Sheen, 0.71), rates.sheen);
         assert!(size(Field::LogScale, 0.75) < 0.2 * rates.scale, "the control: shapes fall before");
+    }
+
+    #[test]
+    fn longer_trainings_take_materials_no_farther() {
+        let sizes = |iterations| {
+            let config = TrainConfig { iterations, ..TrainConfig::preset(Preset::High) };
+            step_sizes(&config, Branches::Both, 0.5)
+        };
+        let (short, usual, long) = (sizes(600), sizes(6000), sizes(30_000));
+        assert_eq!(short, usual);
+        for field in
+            [Field::Normal, Field::RoughLogit, Field::MetalLogit, Field::ProtoLogits, Field::Residual]
+        {
+            let [usual, long] = [&usual, &long].map(|sizes| sizes.fields[field as usize]);
+            assert!((5.0 * long / usual - 1.0).abs() < 1e-5, "{field:?}: {usual} {long}");
+        }
+        assert!((5.0 * long.environment / usual.environment - 1.0).abs() < 1e-5);
+        for field in [Field::Mean, Field::LogScale, Field::Radiance] {
+            assert_eq!(long.fields[field as usize], usual.fields[field as usize], "{field:?}");
+        }
     }
 
     #[test]
