@@ -32,6 +32,7 @@ mod service_cameras;
 mod service_cli;
 mod service_description;
 mod service_fairness;
+mod service_file_forms;
 mod service_keys;
 mod service_lists;
 mod service_memory;

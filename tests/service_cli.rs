@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+use relume::capture::ImportLimits;
 use relume::capture::{ImportOptions, inspect};
 use relume::engine::Device;
 use relume::formats::{image_file, model_file};
@@ -125,7 +126,7 @@ fn a_training_goes_on_from_its_checkpoint_and_leaves_none() {
         ..TrainOverrides::default()
     };
     let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-    let capture = import_for_training(&at.join("scan.zip"), &config).unwrap();
+    let capture = import_for_training(&at.join("scan.zip"), &config, &ImportLimits::default()).unwrap();
     let mut trainer = Trainer::new(&capture, config, &Device::Cpu).unwrap();
     (0..7).for_each(|_| {
         trainer.step().unwrap();

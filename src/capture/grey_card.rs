@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::capture::images::load_image;
 use crate::capture::light_rotations::{NO_SUCH_PHOTO, SEVERAL_PHOTOS, is_named};
-use crate::capture::{Capture, CaptureError, ImportOptions, Source};
+use crate::capture::{Capture, CaptureError, ImportLimits, ImportOptions, Source};
 use crate::formats::srgb;
 use crate::scene::ImageRgba;
 
@@ -105,14 +105,19 @@ impl Capture {
     /// # Errors
     /// [`CaptureError::Field`] with a name that fits no photograph or several, a rectangle that does not lie within it, or a
     /// mean colour that is clipped or too dark; otherwise as [`crate::capture::import`].
-    pub fn measure_grey_card(&mut self, path: &Path, card: &GreyCard) -> Result<(), CaptureError> {
+    pub fn measure_grey_card(
+        &mut self,
+        path: &Path,
+        card: &GreyCard,
+        limits: &ImportLimits,
+    ) -> Result<(), CaptureError> {
         let views = self.train.iter().chain(&self.test);
         let mut named = views.map(|view| &view.name).filter(|name| is_named(name, &card.photo));
         let photo = named.next().ok_or_else(|| card.refused("grey_card.photo", NO_SUCH_PHOTO))?;
         if named.next().is_some() {
             return Err(card.refused("grey_card.photo", SEVERAL_PHOTOS));
         }
-        let options = ImportOptions::default();
+        let options = ImportOptions { limits: *limits, ..ImportOptions::default() };
         let (photograph, _) = load_image(&Source::open(path, &options.limits)?, photo, &options)?;
         self.grey_card = Some(card.colour(&photograph)?);
         Ok(())

@@ -14,14 +14,11 @@ pub(super) fn load_image(
     options: &ImportOptions,
 ) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
     let bytes = source.read(path)?;
-    let image = image_file::decode(&bytes, options.limits.max_image_pixels);
-    let image = image.map_err(|error| match error {
+    let reduce = |stored| options.reduced_size(stored);
+    image_file::decode_reduced(&bytes, options.limits.max_image_pixels, reduce).map_err(|error| match error {
         ImageFileError::TooManyPixels { .. } => {
             CaptureError::over_limit(path, "max_image_pixels", error.to_string())
         }
         other => CaptureError::image(path, other),
-    })?;
-    let stored = (image.width, image.height);
-    let (width, height) = options.reduced_size(stored);
-    Ok((image.resized(width, height), stored))
+    })
 }

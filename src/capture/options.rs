@@ -1,5 +1,7 @@
 //! Limits and options of an import.
 
+use crate::formats::image_file;
+
 /// Bounds on what an import accepts, since archives are untrusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ImportLimits {
@@ -31,7 +33,7 @@ impl Default for ImportLimits {
             max_total_bytes: 64 << 30,
             max_gzip_bytes: 4 << 30,
             max_ratio: 200,
-            max_image_pixels: 64 << 20,
+            max_image_pixels: image_file::DEFAULT_MAX_PIXELS,
             max_images: 10_000,
             max_total_pixels: 512 << 20,
             max_points: 20_000_000,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::capture::{Capture, GreyCard};
+use crate::capture::{Capture, GreyCard, ImportLimits};
 use crate::cli::args::{named, overrides};
 use crate::cli::error::CommandResult;
 use crate::cli::light::{named_light, read_rotations};
@@ -82,7 +82,7 @@ pub(super) struct TrainArgs {
 pub(super) fn run(args: &TrainArgs) -> CommandResult {
     let config = TrainConfig::new(args.preset, &all_overrides(args)?)?;
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;
-    let mut capture = import_for_training(&args.capture, &config)?;
+    let mut capture = import_for_training(&args.capture, &config, &ImportLimits::default())?;
     if let (Some(known), Some(map)) = (&config.light, light) {
         known.illuminate(&mut capture, map);
     }

@@ -6,8 +6,8 @@ pub enum ImageFileError {
     /// The file has no bytes.
     #[error("the file is empty")]
     Empty,
-    /// Not a PNG, JPEG, WebP or EXR file.
-    #[error("not a PNG, JPEG, WebP or EXR image (it begins with {0})")]
+    /// Not a PNG, JPEG, WebP, TIFF or EXR file.
+    #[error("not a PNG, JPEG, WebP, TIFF or EXR image (it begins with {0})")]
     UnknownKind(String),
     /// More pixels than allowed, according to the header.
     #[error("{width}x{height} pixels are more than the {limit} allowed")]

@@ -1,4 +1,4 @@
-//! Photographs: PNG, JPEG, WebP and EXR bytes to pixels, and pixels to PNG and JPEG.
+//! Photographs: PNG, JPEG, WebP, TIFF and EXR bytes to pixels, and pixels to PNG and JPEG.
 //!
 //! The format is detected from the content, never from a file's name.
 
@@ -10,7 +10,7 @@ use crate::formats::{ImageFileError, exr_image, srgb};
 use crate::scene::ImageRgba;
 
 /// Most pixels of one image unless a caller says otherwise.
-pub const DEFAULT_MAX_PIXELS: u64 = 64 << 20;
+pub const DEFAULT_MAX_PIXELS: u64 = 134_000_000;
 
 /// Width and height from the header, nothing decoded.
 ///
@@ -28,31 +28,79 @@ pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
     reader.into_dimensions().map_err(damaged)
 }
 
-/// A photograph as display-referred RGBA with straight alpha. EXR holds linear light, which is encoded with
-/// the sRGB curve and clamped; every other kind is taken as sRGB. Images without alpha are opaque.
+/// A photograph as display-referred RGBA with straight alpha. EXR and TIFF of floats hold linear light, which is encoded with
+/// the sRGB curve and clamped; everything else is taken as sRGB. Images without alpha are opaque.
 ///
 /// # Errors
 /// [`ImageFileError`]; more than `max_pixels` is refused before anything is decoded.
 pub fn decode(bytes: &[u8], max_pixels: u64) -> Result<ImageRgba, ImageFileError> {
+    Ok(decode_reduced(bytes, max_pixels, |stored| stored)?.0)
+}
+
+/// [`decode`], reduced to the size that `reduce` gives for the stored one, which is returned as well. Beside the file's own
+/// pixels, as it has them, it needs memory for the reduced ones only.
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_reduced(
+    bytes: &[u8],
+    max_pixels: u64,
+    reduce: impl Fn((u32, u32)) -> (u32, u32),
+) -> Result<(ImageRgba, (u32, u32)), ImageFileError> {
     check_size(bytes, max_pixels)?;
     if exr_image::is_exr(bytes) {
         let (width, height, linear) = exr_image::decode_rgba(bytes)?;
-        let display = |p: [f32; 4]| [srgb::encode(p[0]), srgb::encode(p[1]), srgb::encode(p[2]), p[3]];
-        let pixels = linear.into_iter().map(|p| display(straightened(p))).collect();
-        return Ok(ImageRgba { width, height, pixels });
+        let stored = (width, height);
+        let pixel = |i: usize| displayed(straightened(linear[i]));
+        return Ok((ImageRgba::reduced(stored, reduce(stored), pixel), stored));
     }
     let image = decode_dynamic(bytes)?;
-    let (width, height) = (image.width(), image.height());
-    let pixels = match image {
-        DynamicImage::ImageRgb8(i) => i.pixels().map(|p| rgba8([p[0], p[1], p[2], 255])).collect(),
-        DynamicImage::ImageRgba8(i) => i.pixels().map(|p| rgba8(p.0)).collect(),
-        other => other.into_rgba32f().pixels().map(|p| p.0).collect(),
-    };
-    Ok(ImageRgba { width, height, pixels })
+    let stored = (image.width(), image.height());
+    Ok((reduced(&image, stored, reduce(stored)), stored))
 }
 
-fn rgba8(p: [u8; 4]) -> [f32; 4] {
-    p.map(|v| f32::from(v) / 255.0)
+/// `image` at another size.
+fn reduced(image: &DynamicImage, stored: (u32, u32), size: (u32, u32)) -> ImageRgba {
+    use DynamicImage as D;
+    fn unit8(v: u8) -> f32 {
+        f32::from(v) / 255.0
+    }
+    fn unit16(v: u16) -> f32 {
+        f32::from(v) / 65535.0
+    }
+    /// Row-major samples, `C` a pixel: grey, grey and alpha, RGB or RGBA.
+    fn pixel<T: Copy, const C: usize>(samples: &[T], i: usize, unit: impl Fn(T) -> f32) -> [f32; 4] {
+        let at = |k: usize| unit(samples[C * i + k]);
+        match C {
+            1 => [at(0), at(0), at(0), 1.0],
+            2 => [at(0), at(0), at(0), at(1)],
+            3 => [at(0), at(1), at(2), 1.0],
+            _ => [at(0), at(1), at(2), at(3)],
+        }
+    }
+    let of = |pixel: &dyn Fn(usize) -> [f32; 4]| ImageRgba::reduced(stored, size, pixel);
+    match image {
+        D::ImageRgb8(image) => ImageRgba::reduced(stored, size, |i| pixel::<_, 3>(image, i, unit8)),
+        D::ImageRgba8(image) => ImageRgba::reduced(stored, size, |i| pixel::<_, 4>(image, i, unit8)),
+        D::ImageLuma8(image) => of(&|i| pixel::<_, 1>(image, i, unit8)),
+        D::ImageLumaA8(image) => of(&|i| pixel::<_, 2>(image, i, unit8)),
+        D::ImageLuma16(image) => of(&|i| pixel::<_, 1>(image, i, unit16)),
+        D::ImageLumaA16(image) => of(&|i| pixel::<_, 2>(image, i, unit16)),
+        D::ImageRgb16(image) => of(&|i| pixel::<_, 3>(image, i, unit16)),
+        D::ImageRgba16(image) => of(&|i| pixel::<_, 4>(image, i, unit16)),
+        D::ImageRgb32F(image) => of(&|i| displayed(pixel::<_, 3>(image, i, |v| v))),
+        D::ImageRgba32F(image) => of(&|i| displayed(pixel::<_, 4>(image, i, |v| v))),
+        other => {
+            let image = other.to_rgba32f();
+            of(&|i| pixel::<_, 4>(&image, i, |v| v))
+        }
+    }
+}
+
+/// Linear light as it is displayed; NaN becomes 0.
+fn displayed([r, g, b, a]: [f32; 4]) -> [f32; 4] {
+    let alpha = if a > 0.0 { a.min(1.0) } else { 0.0 };
+    [srgb::encode(r), srgb::encode(g), srgb::encode(b), alpha]
 }
 
 /// EXR colour is premultiplied by convention. Alpha above 1 becomes 1; negative alpha and NaN become 0.
@@ -86,7 +134,9 @@ fn kind(bytes: &[u8]) -> Result<ImageFormat, ImageFileError> {
         return Err(ImageFileError::Empty);
     }
     match image::guess_format(bytes) {
-        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => Ok(format),
+        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP | ImageFormat::Tiff)) => {
+            Ok(format)
+        }
         _ => Err(ImageFileError::UnknownKind(format!("{:?}", String::from_utf8_lossy(first(bytes))))),
     }
 }
@@ -219,7 +269,55 @@ mod tests {
         image::codecs::webp::WebPEncoder::new_lossless(&mut webp)
             .write_image(&[10, 20, 30, 40], 1, 1, ExtendedColorType::Rgba8)
             .unwrap();
-        assert_eq!(decode(&webp, 1).unwrap().pixels[0], rgba8([10, 20, 30, 40]));
+        assert_eq!(decode(&webp, 1).unwrap().pixels[0], [10u8, 20, 30, 40].map(|v| f32::from(v) / 255.0));
+    }
+
+    fn tiff(width: u32, height: u32, samples: &[u8], kind: ExtendedColorType) -> Vec<u8> {
+        let mut file = Cursor::new(Vec::new());
+        let encoder = image::codecs::tiff::TiffEncoder::new(&mut file);
+        encoder.write_image(samples, width, height, kind).unwrap();
+        file.into_inner()
+    }
+
+    #[test]
+    fn tiff_of_integers_is_displayed_and_of_floats_is_light() {
+        let eight = tiff(2, 1, &[0, 51, 255, 102, 0, 204], ExtendedColorType::Rgb8);
+        assert_eq!(dimensions(&eight).unwrap(), (2, 1));
+        assert_eq!(decode(&eight, 2).unwrap().pixels, [[0.0, 0.2, 1.0, 1.0], [0.4, 0.0, 0.8, 1.0]]);
+        let sixteen: Vec<u8> = [65_535u16, 1, 0, 32_768].iter().flat_map(|v| v.to_ne_bytes()).collect();
+        let back = decode(&tiff(1, 1, &sixteen, ExtendedColorType::Rgba16), 1).unwrap().pixels[0];
+        assert_eq!(back, [1.0, 1.0 / 65_535.0, 0.0, 32_768.0 / 65_535.0]);
+        let light: Vec<u8> = [0.5f32, 7.0, f32::NAN].iter().flat_map(|v| v.to_ne_bytes()).collect();
+        let back = decode(&tiff(1, 1, &light, ExtendedColorType::Rgb32F), 1).unwrap().pixels[0];
+        assert_eq!([back[0], back[2], back[3]], [srgb::encode(0.5), 0.0, 1.0], "linear light, encoded");
+        assert!(back[1] <= 1.0 && back[1] > 0.999_999, "and clamped: {}", back[1]);
+    }
+
+    #[test]
+    fn a_tiff_that_is_cut_or_bent_is_refused_or_read() {
+        let whole = tiff(5, 4, &[77; 60], ExtendedColorType::Rgb8);
+        assert!(decode(&whole, 19).is_err(), "more pixels than are allowed");
+        for n in 0..whole.len() {
+            assert!(decode(&whole[..n], 20).is_err(), "{n} bytes");
+            for value in [0, 1, 0x7f, 0xff] {
+                let mut bent = whole.clone();
+                bent[n] = value;
+                if let Ok(image) = decode(&bent, 20) {
+                    assert_eq!(image.pixels.len(), image.width as usize * image.height as usize);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_reduced_while_it_is_decoded_is_what_is_reduced_afterwards() {
+        let image = gradient();
+        let half = |(width, height): (u32, u32)| (width / 2, height.div_ceil(2));
+        let (reduced, stored) = decode_reduced(&encode_rgba(&image).unwrap(), 12, half).unwrap();
+        assert_eq!((stored, (reduced.width, reduced.height)), ((4, 3), (2, 2)));
+        let whole = decode(&encode_rgba(&image).unwrap(), 12).unwrap();
+        assert_eq!(reduced, whole.resized(2, 2));
+        assert_ne!(reduced.pixels, whole.pixels[..4], "the control: not the pixels as they are");
     }
 
     #[test]

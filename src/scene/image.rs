@@ -32,18 +32,31 @@ impl ImageRgba {
     /// The image reduced to `width` x `height` by area averaging with premultiplied alpha.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
-        if (width, height) == (self.width, self.height) {
-            return self.clone();
+        Self::reduced((self.width, self.height), (width, height), |i| self.pixels[i])
+    }
+
+    /// The image of `stored` size whose `i`-th pixel, row-major and with straight alpha, is `pixel(i)`, reduced to `size` by
+    /// area averaging with premultiplied alpha. It needs no memory but for what it returns.
+    #[must_use]
+    pub fn reduced(
+        stored: (u32, u32),
+        size @ (width, height): (u32, u32),
+        pixel: impl Fn(usize) -> [f32; 4],
+    ) -> Self {
+        if size == stored {
+            let pixels = (0..width as usize * height as usize).map(pixel).collect();
+            return Self { width, height, pixels };
         }
-        let premultiplied =
-            self.pixels.iter().map(|p| [p[0] * p[3], p[1] * p[3], p[2] * p[3], p[3]]).collect();
-        let plane = Plane { width: self.width, height: self.height, values: premultiplied };
-        let small = plane.resized(width, height);
+        let premultiplied = |i: usize| {
+            let [r, g, b, a] = pixel(i);
+            [r * a, g * a, b * a, a]
+        };
         let straight = |p: [f32; 4]| {
             let a = p[3].max(1e-8);
             [(p[0] / a).min(1.0), (p[1] / a).min(1.0), (p[2] / a).min(1.0), p[3].min(1.0)]
         };
-        Self { width, height, pixels: small.values.into_iter().map(straight).collect() }
+        let pixels = averaged(stored, size, premultiplied).map(straight).collect();
+        Self { width, height, pixels }
     }
 }
 
@@ -51,23 +64,30 @@ impl<const C: usize> Plane<C> {
     /// The image reduced to `width` x `height` by exact area averaging.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
-        let rows = spans(self.height, height);
-        let columns = spans(self.width, width);
-        let mut values = Vec::with_capacity(rows.len() * columns.len());
-        for row in &rows {
-            for column in &columns {
-                let mut sum = [0.0f64; C];
-                for &(y, wy) in row {
-                    for &(x, wx) in column {
-                        let v = &self.values[y * self.width as usize + x];
-                        (0..C).for_each(|k| sum[k] += f64::from(v[k]) * wx * wy);
-                    }
-                }
-                values.push(sum.map(|s| s as f32));
-            }
-        }
+        let values = averaged((self.width, self.height), (width, height), |i| self.values[i]).collect();
         Self { width, height, values }
     }
+}
+
+/// Means of `value(i)` of an image of size `from` over the cells of one of size `to`, row-major.
+fn averaged<const C: usize>(
+    from: (u32, u32),
+    to: (u32, u32),
+    value: impl Fn(usize) -> [f32; C],
+) -> impl Iterator<Item = [f32; C]> {
+    let stride = from.0 as usize;
+    let (rows, columns) = (spans(from.1, to.1), spans(from.0, to.0));
+    let cells = rows.len() * columns.len();
+    (0..cells).map(move |cell| {
+        let mut sum = [0.0f64; C];
+        for &(y, wy) in &rows[cell / columns.len()] {
+            for &(x, wx) in &columns[cell % columns.len()] {
+                let v = value(y * stride + x);
+                (0..C).for_each(|k| sum[k] += f64::from(v[k]) * wx * wy);
+            }
+        }
+        sum.map(|s| s as f32)
+    })
 }
 
 /// For each new cell, the old cells under it and their shares, summing to 1.

@@ -6,6 +6,7 @@ use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 
+use crate::capture::ImportLimits;
 use crate::jobs::Jobs;
 use crate::server::decoders::Decoders;
 use crate::server::fetching::Fetcher;
@@ -50,6 +51,8 @@ pub(super) struct App {
     pub(super) device: DeviceHandle,
     pub(super) limits: RequestLimits,
     pub(super) upload_limits: UploadLimits,
+    /// Bounds on captures.
+    pub(super) import_limits: ImportLimits,
     /// What requests may borrow.
     pub(super) memory: MemoryBudget,
     /// Where uploads are decoded.

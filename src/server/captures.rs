@@ -36,7 +36,8 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
 
 /// Upload a capture
 ///
-/// A zip, tar or tar.gz, as the raw body, as the multipart field `archive`, as the complete upload that JSON names (see
+/// A zip, tar or tar.gz, as the raw body, as the multipart field `archive`, as multipart fields `files` of which each is a file of
+/// the capture with its path there as its file name, as the complete upload that JSON names (see
 /// `/v1/uploads`), which is gone then, or as the file at the URL that JSON names. It is streamed to disk, hashed and
 /// validated; 201 means that every byte is durable. The same content again gives the same capture and 200, called as
 /// the last upload calls it. A request that is refused leaves the upload that JSON names as it is. With `Prefer: respond-async`
@@ -194,7 +195,12 @@ async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Inco
         "application/x-gzip",
         "application/octet-stream",
     ];
-    let expected = Expected { field: "archive", media_types: MEDIA_TYPES, limit: app.limits.capture_bytes };
+    let expected = Expected {
+        field: "archive",
+        media_types: MEDIA_TYPES,
+        takes_files: true,
+        limit: app.limits.capture_bytes,
+    };
     upload::receive(app, caller, request, &expected).await
 }
 

@@ -15,13 +15,17 @@ use utoipa::openapi::{
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct File(Vec<u8>);
 
-/// A capture as a form.
+/// A capture as a form: one archive, or its files one by one.
 #[derive(ToSchema)]
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct ArchiveForm {
     /// A zip, tar or tar.gz.
-    #[schema(value_type = String, format = Binary)]
-    archive: Vec<u8>,
+    #[schema(value_type = Option<String>, format = Binary, nullable = false)]
+    archive: Option<Vec<u8>>,
+    /// Photographs and what says where they were taken from, each with its path in the capture as its file name, e.g.
+    /// `images/1.jpg` and `transforms.json`.
+    #[schema(value_type = Option<Vec<String>>, nullable = false)]
+    files: Option<Vec<Vec<u8>>>,
 }
 
 /// An environment map as a form.

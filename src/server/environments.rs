@@ -157,7 +157,7 @@ async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Inco
     const MEDIA_TYPES: &[&str] =
         &["image/vnd.radiance", "image/x-hdr", "image/x-exr", "image/aces", "application/octet-stream"];
     let limit = app.limits.environment_bytes;
-    let expected = Expected { field: "environment", media_types: MEDIA_TYPES, limit };
+    let expected = Expected { field: "environment", media_types: MEDIA_TYPES, takes_files: false, limit };
     upload::receive(app, caller, request, &expected).await
 }
 

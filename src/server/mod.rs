@@ -17,6 +17,7 @@ mod environments;
 mod events;
 mod extract;
 mod fetching;
+mod file_form;
 mod files;
 mod health;
 mod job_bounds;

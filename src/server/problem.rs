@@ -25,6 +25,12 @@ impl Problem {
         }
     }
 
+    /// A form that cannot be read.
+    pub(super) fn malformed_form(reason: String) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, "malformed-form", "The multipart form cannot be read")
+            .detail(reason)
+    }
+
     /// With a description of this occurrence.
     #[must_use]
     pub fn detail(mut self, detail: impl Into<String>) -> Self {

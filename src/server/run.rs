@@ -217,6 +217,7 @@ fn service(
         device,
         limits: config.limits,
         upload_limits: config.uploads,
+        import_limits: config.worker.import_limits,
         memory: MemoryBudget::new(config.limits.memory_bytes),
         decoders: Decoders::start(config.limits.memory_bytes)?,
         keys: keys.clone(),

@@ -5,7 +5,6 @@ use std::error::Error;
 use axum::body::Bytes;
 use axum::extract::multipart::MultipartError;
 use axum::extract::{FromRequest, Multipart, Request};
-use axum::http::StatusCode;
 use futures::{Stream, TryStreamExt};
 use tower_http::timeout::TimeoutError;
 
@@ -13,6 +12,7 @@ use crate::api::Problem;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{STALLED, caused_by, content_length, media_type};
+use crate::server::file_form;
 use crate::store::Incoming;
 
 /// What a route accepts.
@@ -21,6 +21,8 @@ pub(super) struct Expected {
     pub(super) field: &'static str,
     /// Media types of a raw body.
     pub(super) media_types: &'static [&'static str],
+    /// Whether a form may have single files instead.
+    pub(super) takes_files: bool,
     /// Most bytes.
     pub(super) limit: u64,
 }
@@ -62,17 +64,18 @@ async fn from_form(
     request: Request,
     expected: &Expected,
 ) -> Result<Incoming, Problem> {
-    let broken = |reason: String| {
-        Problem::new(StatusCode::BAD_REQUEST, "malformed-form", "The multipart form cannot be read")
-            .detail(reason)
-    };
-    let mut form = Multipart::from_request(request, app).await.map_err(|e| broken(e.body_text()))?;
+    let form = Multipart::from_request(request, app).await;
+    let mut form = form.map_err(|e| Problem::malformed_form(e.body_text()))?;
     let mut file = None;
     while let Some(field) = form.next_field().await.map_err(|e| match caused_by::<TimeoutError>(&e) {
         true => Problem::timeout(STALLED),
-        false => broken(e.body_text()),
+        false => Problem::malformed_form(e.body_text()),
     })? {
         let name = field.name().unwrap_or_default().to_owned();
+        if name == file_form::FIELD && expected.takes_files && file.is_none() {
+            let first = file_form::first(app, caller, field).await?;
+            return file_form::receive(app, caller, first, form, expected.limit).await;
+        }
         if name != expected.field || file.is_some() {
             let detail = format!("the form takes one field, {:?}", expected.field);
             return Err(Problem::invalid_field(format!("/{name}"), detail));

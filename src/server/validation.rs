@@ -32,7 +32,8 @@ pub(super) fn is_preferred(headers: &HeaderMap) -> bool {
 /// Decodes everything to see whether it can be decoded.
 pub(super) async fn validate(app: &Shared, incoming: &Incoming) -> Result<CaptureReport, Problem> {
     let path = incoming.path.clone();
-    let inspect = move || capture::inspect(&path, &ImportOptions::default());
+    let options = ImportOptions { limits: app.import_limits, ..ImportOptions::default() };
+    let inspect = move || capture::inspect(&path, &options);
     app.decoders.run(inspect).await?.map_err(|e| refused(&e, &incoming.path))
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::capture::{self, Capture, CaptureError, ImportOptions};
+use crate::capture::{self, Capture, CaptureError, ImportLimits, ImportOptions};
 use crate::train::TrainConfig;
 
 /// A capture at the resolution it will be trained at, without ground truth, so that memory holds no pixel in vain; with
@@ -11,13 +11,16 @@ use crate::train::TrainConfig;
 /// # Errors
 /// What the importer refuses, by file and field; a turn of the light of no photograph; a grey card that cannot be
 /// measured.
-pub fn import_for_training(path: &Path, config: &TrainConfig) -> Result<Capture, CaptureError> {
-    let options =
-        ImportOptions { max_side: Some(config.resolution), load_truth: false, ..ImportOptions::default() };
+pub fn import_for_training(
+    path: &Path,
+    config: &TrainConfig,
+    limits: &ImportLimits,
+) -> Result<Capture, CaptureError> {
+    let options = ImportOptions { max_side: Some(config.resolution), limits: *limits, load_truth: false };
     let mut capture = capture::import(path, &options)?;
     capture.turn_lights(&config.light_rotation_per_photo)?;
     if let Some(card) = &config.grey_card {
-        capture.measure_grey_card(path, card)?;
+        capture.measure_grey_card(path, card, limits)?;
     }
     Ok(capture)
 }
@@ -64,7 +67,7 @@ mod tests {
     #[test]
     fn a_grey_card_is_measured_at_import_and_is_the_white_balance_of_the_training() {
         let (file, config) = (capture_with_a_card(), config("train_001/rgba.png", 20));
-        let mut capture = import_for_training(file.path(), &config).unwrap();
+        let mut capture = import_for_training(file.path(), &config, &ImportLimits::default()).unwrap();
         let colour = capture.grey_card.unwrap();
         assert!((0..3).all(|c| (colour[c] - CARD[c]).abs() < 5e-3), "{colour:?}");
         let trained = |config: &TrainConfig, capture: &Capture| {
@@ -98,7 +101,8 @@ mod tests {
             ("rgba.png", 20, "grey_card.photo"),
             ("train_001/rgba.png", 25, "grey_card.width"),
         ] {
-            let error = import_for_training(file.path(), &config(photo, x)).unwrap_err();
+            let error =
+                import_for_training(file.path(), &config(photo, x), &ImportLimits::default()).unwrap_err();
             assert_eq!((error.file(), error.field()), (Some(photo), Some(field)), "{error}");
         }
     }

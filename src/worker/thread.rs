@@ -10,6 +10,7 @@ use futures::FutureExt;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use crate::capture::ImportLimits;
 use crate::engine::{Device, DeviceChoice, DeviceError};
 use crate::jobs::{Jobs, Lease};
 use crate::store::StoreError;
@@ -34,11 +35,19 @@ pub struct WorkerOptions {
     pub lights: usize,
     /// Where to train and render.
     pub device: DeviceChoice,
+    /// Bounds on captures, as they were when these were uploaded.
+    pub import_limits: ImportLimits,
 }
 
 impl Default for WorkerOptions {
     fn default() -> Self {
-        Self { render_queue: 64, models: 4, lights: 32, device: DeviceChoice::Auto }
+        Self {
+            render_queue: 64,
+            models: 4,
+            lights: 32,
+            device: DeviceChoice::Auto,
+            import_limits: ImportLimits::default(),
+        }
     }
 }
 
@@ -61,6 +70,8 @@ pub(super) struct Worker {
     pub(super) frames: Option<FrameServer>,
     /// Training steps done.
     pub(super) steps: Arc<AtomicU64>,
+    /// Bounds on captures.
+    pub(super) import_limits: ImportLimits,
     pub(super) changes: watch::Receiver<()>,
     pub(super) stop: CancellationToken,
     /// Cancelled when nobody can ask for frames any more: the server has ended.
@@ -94,7 +105,15 @@ pub fn start(
         (None, Some(frame_thread::start(frames, ended.clone())?))
     };
     let (changes, abandoned) = (jobs.subscribe(), last.clone());
-    let worker = Worker { jobs, frames, steps: steps.clone(), changes, stop, abandoned };
+    let worker = Worker {
+        jobs,
+        frames,
+        steps: steps.clone(),
+        import_limits: options.import_limits,
+        changes,
+        stop,
+        abandoned,
+    };
     let runtime = tokio::runtime::Handle::current();
     let ended = ended.drop_guard();
     let work = move || {

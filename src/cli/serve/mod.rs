@@ -37,6 +37,9 @@ pub(super) struct ServeArgs {
     /// Largest capture archive: bytes, or a number with MiB, GiB or TiB.
     #[arg(long, env = "RELUME_MAX_CAPTURE_BYTES", value_name = "SIZE", value_parser = storage::size, default_value = "16GiB")]
     max_capture_bytes: u64,
+    /// Largest photograph, megapixels.
+    #[arg(long, env = "RELUME_MAX_PHOTO_MEGAPIXELS", value_parser = clap::value_parser!(u64).range(1..=1000), default_value = "134")]
+    max_photo_megapixels: u64,
     /// Largest environment file: bytes, or a number with MiB, GiB or TiB.
     #[arg(long, env = "RELUME_MAX_ENVIRONMENT_BYTES", value_name = "SIZE", value_parser = storage::size, default_value = "256MiB")]
     max_environment_bytes: u64,
@@ -85,6 +88,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     config.retention = args.storage.retention();
     config.uploads.life = args.storage.upload_life();
     config.worker.device = args.device;
+    config.worker.import_limits.max_image_pixels = args.max_photo_megapixels * 1_000_000;
     config.lease.max_idle_attempts = args.max_attempts;
     let listener = TcpListener::bind(args.listen).await?;
     // With port 0 this line is how users and scripts learn the address.

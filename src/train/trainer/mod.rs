@@ -14,7 +14,7 @@ use rand::seq::SliceRandom;
 
 use crate::capture::Capture;
 use crate::engine::cpu::evaluation;
-use crate::engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training};
+use crate::engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
 use crate::light::{EnvOperators, LightColour};
 use crate::scene::{Field, SplitLight};
 use crate::train::complexity;
@@ -66,6 +66,24 @@ pub struct Trainer {
     snapshot: ScheduleState,
     engine: Box<dyn Training>,
     rollbacks: u32,
+}
+
+impl Preparation {
+    /// The trainer, with its state on `device`.
+    ///
+    /// # Errors
+    /// [`TrainError::Device`] says what the device lacks.
+    pub fn on(self, device: &Device) -> Result<Trainer, TrainError> {
+        let Self { config, data, operators, schedule, state } = self;
+        let limits = TrainingLimits {
+            resolution: config.resolution,
+            pixels: data.full.iter().map(|photo| photo.pixels.len()).max().unwrap_or(0),
+            max_gaussians: config.max_gaussians.max(config.initial_gaussians),
+            probe_directions: config.probe_directions,
+        };
+        let engine = device.training(state, &operators, &limits)?;
+        Ok(Trainer { snapshot: schedule.clone(), config, data, operators, schedule, engine, rollbacks: 0 })
+    }
 }
 
 impl Trainer {

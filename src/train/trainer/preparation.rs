@@ -6,14 +6,13 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
-use crate::engine::{Device, TrainState, TrainingLimits};
+use crate::engine::TrainState;
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::Model;
 use crate::train::complexity::state::ComplexityState;
 use crate::train::dataset::Dataset;
 use crate::train::error::TrainError;
 use crate::train::state::ScheduleState;
-use crate::train::trainer::Trainer;
 use crate::train::{Crop, TrainConfig, WhiteBalance, checkpoint, initial};
 
 /// Fewest photographs worth training on.
@@ -21,11 +20,11 @@ const LEAST_VIEWS: usize = 3;
 
 /// A training that is ready to begin, or to go on, on a device.
 pub struct Preparation {
-    config: TrainConfig,
-    data: Dataset,
-    operators: Arc<EnvOperators>,
-    schedule: ScheduleState,
-    state: TrainState,
+    pub(super) config: TrainConfig,
+    pub(super) data: Dataset,
+    pub(super) operators: Arc<EnvOperators>,
+    pub(super) schedule: ScheduleState,
+    pub(super) state: TrainState,
 }
 
 impl Preparation {
@@ -53,7 +52,7 @@ impl Preparation {
         Ok(Self::of(config, data, schedule, TrainState::new(model)))
     }
 
-    /// Goes on from [`Trainer::checkpoint`] bytes.
+    /// Goes on from the bytes of a checkpoint.
     ///
     /// # Errors
     /// [`TrainError::Checkpoint`] names what does not fit, [`TrainError::Invalid`] what cannot be trained on.
@@ -73,22 +72,6 @@ impl Preparation {
     fn of(config: TrainConfig, data: Dataset, schedule: ScheduleState, state: TrainState) -> Self {
         let operators = operators_of(&state.model);
         Self { config, data, operators, schedule, state }
-    }
-
-    /// The trainer, with its state on `device`.
-    ///
-    /// # Errors
-    /// [`TrainError::Device`] says what the device lacks.
-    pub fn on(self, device: &Device) -> Result<Trainer, TrainError> {
-        let Self { config, data, operators, schedule, state } = self;
-        let limits = TrainingLimits {
-            resolution: config.resolution,
-            pixels: data.full.iter().map(|photo| photo.pixels.len()).max().unwrap_or(0),
-            max_gaussians: config.max_gaussians.max(config.initial_gaussians),
-            probe_directions: config.probe_directions,
-        };
-        let engine = device.training(state, &operators, &limits)?;
-        Ok(Trainer { snapshot: schedule.clone(), config, data, operators, schedule, engine, rollbacks: 0 })
     }
 }
 

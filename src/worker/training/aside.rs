@@ -51,7 +51,7 @@ mod tests {
     use crate::api::jobs::NewJob;
     use crate::api::marks::Marks;
     use crate::api::{JobId, TenantId};
-    use crate::capture::CaptureReport;
+    use crate::capture::{CaptureReport, ImportLimits};
     use crate::jobs::{Jobs, LeasePolicy, ManualClock, SequentialIds};
     use crate::store::{CaptureRecord, Store, Submitted};
 
@@ -78,7 +78,16 @@ mod tests {
         let (Submitted::Created(id) | Submitted::Replayed(id)) = submitted;
         let changes = jobs.subscribe();
         let (stop, abandoned) = (CancellationToken::new(), CancellationToken::new());
-        (Worker { jobs, frames: None, steps: Arc::default(), changes, stop, abandoned }, id.into())
+        let worker = Worker {
+            jobs,
+            frames: None,
+            steps: Arc::default(),
+            import_limits: ImportLimits::default(),
+            changes,
+            stop,
+            abandoned,
+        };
+        (worker, id.into())
     }
 
     #[tokio::test(flavor = "multi_thread")]

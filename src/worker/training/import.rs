@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::api::{EnvironmentId, TenantId};
-use crate::capture::{BUILTIN, Capture};
+use crate::capture::{BUILTIN, Capture, ImportLimits};
 use crate::jobs::Lease;
 use crate::train::{TrainConfig, import_for_training};
 use crate::worker::progress::announce;
@@ -28,8 +28,9 @@ impl Worker {
         artifacts.verify(&record.artifact, &record.sha256).await?;
         let path = artifacts.local_path(&record.artifact);
         let light = self.known_light(&job.tenant, config).await?;
-        let config = config.clone();
-        let capture = match self.aside(lease, move || load(&path, &config, light.as_ref())).await? {
+        let (config, limits) = (config.clone(), self.import_limits);
+        let read = move || load(&path, &config, &limits, light.as_ref());
+        let capture = match self.aside(lease, read).await? {
             ControlFlow::Continue(capture) => capture?,
             ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
         };
@@ -62,8 +63,13 @@ impl Worker {
 }
 
 /// A capture with the light it is known to have been taken in.
-fn load(path: &Path, config: &TrainConfig, light: Option<&LightSource>) -> Result<Capture, AttemptError> {
-    let capture = import_for_training(path, config);
+fn load(
+    path: &Path,
+    config: &TrainConfig,
+    limits: &ImportLimits,
+    light: Option<&LightSource>,
+) -> Result<Capture, AttemptError> {
+    let capture = import_for_training(path, config, limits);
     let mut capture = capture.map_err(|e| AttemptError::new(e.code(), e.to_string()))?;
     if let (Some(known), Some(source)) = (&config.light, light) {
         let map = source

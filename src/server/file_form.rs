@@ -1,0 +1,191 @@
+//! Forms of single files, e.g. photographs and their `transforms.json`: they become a tar on their way to the disk.
+
+use std::io::{self, SeekFrom};
+use std::path::PathBuf;
+
+use axum::body::Bytes;
+use axum::extract::Multipart;
+use axum::extract::multipart::{Field, MultipartError};
+use futures::{Stream, TryStreamExt, stream};
+use tokio::io::{AsyncReadExt, AsyncSeekExt, AsyncWriteExt};
+use tower_http::timeout::TimeoutError;
+
+use crate::api::Problem;
+use crate::server::app::Shared;
+use crate::server::caller::Caller;
+use crate::server::extract::{STALLED, caused_by};
+use crate::store::{Incoming, StoreError};
+
+/// Name of the form's fields.
+pub(super) const FIELD: &str = "files";
+/// Size of a tar's records, bytes.
+const RECORD: usize = 512;
+/// Bytes that are taken from a file at once.
+const CHUNK: usize = 1 << 18;
+
+/// Why no tar could be made.
+#[derive(Debug, thiserror::Error)]
+enum Fault {
+    #[error("{}", .0.body_text())]
+    Form(#[from] MultipartError),
+    #[error(transparent)]
+    Disk(#[from] io::Error),
+    #[error("{detail}")]
+    File { pointer: String, detail: String },
+    #[error("a file has more than {0} bytes")]
+    TooLarge(u64),
+}
+
+impl Fault {
+    fn problem(self, caller: &Caller) -> Problem {
+        match self {
+            Self::Form(error) if caused_by::<TimeoutError>(&error) => Problem::timeout(STALLED),
+            Self::Form(error) => Problem::malformed_form(error.body_text()),
+            Self::Disk(error) if error.kind() == io::ErrorKind::StorageFull => caller.told(StoreError::Full),
+            Self::Disk(error) => caller.told(StoreError::Body(error.to_string())),
+            Self::File { pointer, detail } => Problem::invalid_field(pointer, detail),
+            Self::TooLarge(limit) => Problem::too_large(limit),
+        }
+    }
+}
+
+/// A file of the form, on disk without a name: it is gone when this is, also when the server is killed.
+pub(super) struct Spooled {
+    /// Path within the tar.
+    name: String,
+    file: tokio::fs::File,
+    bytes: u64,
+    /// Bytes that are not read yet.
+    left: u64,
+}
+
+/// What comes next of the tar.
+enum Next {
+    Header(Spooled),
+    Content(Spooled),
+    File,
+    Trailer,
+    End,
+}
+
+/// Where files wait until their size is known, and how large one may be.
+struct Spool {
+    folder: PathBuf,
+    limit: u64,
+}
+
+/// Receives the files of a form as a tar of them in their order: `first`, and what `form` has beside it. After an error nothing
+/// of it is left on disk.
+pub(super) async fn receive(
+    app: &Shared,
+    caller: &Caller,
+    first: Spooled,
+    form: Multipart,
+    limit: u64,
+) -> Result<Incoming, Problem> {
+    let mut fault = None;
+    let body = tar(first, form, Spool::of(app)).map_err(|found| {
+        let text = found.to_string();
+        fault = Some(found);
+        text
+    });
+    let name: String = app.jobs.fresh_id();
+    let received = app.store.receive(&caller.tenant, &name, body, limit).await;
+    received.map_err(|error| match fault {
+        Some(fault) => fault.problem(caller),
+        None => caller.told(error),
+    })
+}
+
+/// Takes the first file of a form in.
+pub(super) async fn first(app: &Shared, caller: &Caller, field: Field<'_>) -> Result<Spooled, Problem> {
+    Spool::of(app).take(field).await.map_err(|fault| fault.problem(caller))
+}
+
+/// The files of a form as the bytes of a tar. The same files in the same order give the same bytes.
+fn tar(first: Spooled, form: Multipart, spool: Spool) -> impl Stream<Item = Result<Bytes, Fault>> {
+    stream::try_unfold((Next::Header(first), form, spool), async |(next, mut form, spool)| {
+        let next = match (next, &mut form) {
+            (Next::File, form) => match form.next_field().await? {
+                Some(field) => Next::Header(spool.take(field).await?),
+                None => Next::Trailer,
+            },
+            (next, _) => next,
+        };
+        let (bytes, next) = match next {
+            Next::Header(spooled) => (header(&spooled)?, Next::Content(spooled)),
+            Next::Content(mut spooled) => {
+                let bytes = spooled.chunk().await?;
+                (bytes, if spooled.left > 0 { Next::Content(spooled) } else { Next::File })
+            }
+            // Two empty records end a tar.
+            Next::Trailer | Next::File => (vec![0; 2 * RECORD], Next::End),
+            Next::End => return Ok(None),
+        };
+        Ok(Some((Bytes::from(bytes), (next, form, spool))))
+    })
+}
+
+impl Spool {
+    fn of(app: &Shared) -> Self {
+        let folder = app.store.artifacts().local_path("incoming");
+        Self { folder, limit: app.import_limits.max_entry_bytes }
+    }
+
+    /// Takes a file in, to its end.
+    async fn take(&self, mut field: Field<'_>) -> Result<Spooled, Fault> {
+        let name = field.name().unwrap_or_default();
+        let wrong = |detail: &str| Fault::File { pointer: format!("/{name}"), detail: detail.to_owned() };
+        if name != FIELD {
+            return Err(wrong(&format!("a form of files has no field but {FIELD:?}")));
+        }
+        let path = field.file_name().unwrap_or_default().to_owned();
+        if path.is_empty() {
+            return Err(wrong("the file has no name; it says which photograph this is"));
+        }
+        tokio::fs::create_dir_all(&self.folder).await?;
+        let mut file = tokio::fs::File::from_std(tempfile::tempfile_in(&self.folder)?);
+        let mut bytes = 0;
+        while let Some(chunk) = field.chunk().await? {
+            bytes += chunk.len() as u64;
+            if bytes > self.limit {
+                return Err(Fault::TooLarge(self.limit));
+            }
+            file.write_all(&chunk).await?;
+        }
+        file.flush().await?;
+        file.seek(SeekFrom::Start(0)).await?;
+        Ok(Spooled { name: path, file, bytes, left: bytes })
+    }
+}
+
+impl Spooled {
+    /// The next of its bytes, after the last of which its last record is filled with zeros.
+    async fn chunk(&mut self) -> Result<Vec<u8>, Fault> {
+        let take = self.left.min(CHUNK as u64) as usize;
+        let mut bytes = vec![0; take];
+        self.file.read_exact(&mut bytes).await?;
+        self.left -= take as u64;
+        if self.left == 0 {
+            bytes.resize(bytes.len().next_multiple_of(RECORD), 0);
+        }
+        Ok(bytes)
+    }
+}
+
+/// The header of a file in a tar, and what comes before it where its name is long.
+fn header(spooled: &Spooled) -> Result<Vec<u8>, Fault> {
+    let mut header = tar::Header::new_gnu();
+    header.set_size(spooled.bytes);
+    header.set_mode(0o644);
+    header.set_mtime(0);
+    let mut tar = tar::Builder::new(Vec::new());
+    tar.append_data(&mut header, &spooled.name, io::empty()).map_err(|error| Fault::File {
+        pointer: format!("/{FIELD}"),
+        detail: format!("{:?} names no file of a capture: {error}", spooled.name),
+    })?;
+    // `into_inner` ends the tar with two empty records.
+    let mut bytes = tar.into_inner()?;
+    bytes.truncate(bytes.len() - 2 * RECORD);
+    Ok(bytes)
+}
