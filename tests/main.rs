@@ -18,6 +18,7 @@ mod fetching;
 mod full_disk;
 mod gpu;
 mod hostile;
+mod job_machine;
 mod lights;
 mod marks;
 mod promises;
