@@ -19,6 +19,7 @@ mod full_disk;
 mod gpu;
 mod hostile;
 mod job_machine;
+mod kills;
 mod lights;
 mod marks;
 mod promises;
