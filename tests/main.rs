@@ -13,6 +13,8 @@ mod errors;
 mod eval;
 mod exposures;
 mod extremes;
+#[cfg(target_os = "linux")]
+mod faults;
 mod fetching;
 #[cfg(target_os = "linux")]
 mod full_disk;
