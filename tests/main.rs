@@ -18,6 +18,7 @@ mod faults;
 mod fetching;
 #[cfg(target_os = "linux")]
 mod full_disk;
+mod fuzz;
 mod gpu;
 mod hostile;
 mod job_machine;
