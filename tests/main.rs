@@ -13,11 +13,16 @@ mod errors;
 mod eval;
 mod exposures;
 mod extremes;
+#[cfg(target_os = "linux")]
+mod faults;
 mod fetching;
 #[cfg(target_os = "linux")]
 mod full_disk;
+mod fuzz;
 mod gpu;
 mod hostile;
+mod job_machine;
+mod kills;
 mod lights;
 mod marks;
 mod promises;

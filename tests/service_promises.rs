@@ -123,6 +123,7 @@ async fn a_paused_worker_that_lost_its_lease_publishes_nothing() {
     let progress = JobProgress { step: 99, total: 100, ..JobProgress::default() };
     assert_eq!(paused.progress(&progress).await.unwrap(), LeaseStatus::Lost);
     assert_eq!(paused.checkpoint(99, vec![1]).await.unwrap(), LeaseStatus::Lost);
+    assert_eq!(paused.warn("of the paused").await.unwrap(), LeaseStatus::Lost);
     assert_eq!(paused.fail("x", "y").await.unwrap(), LeaseStatus::Lost);
     assert_eq!(paused.release(Release::Shutdown).await.unwrap(), LeaseStatus::Lost);
     assert_eq!(publish(&paused, "from-the-paused").await, LeaseStatus::Lost);
@@ -137,6 +138,8 @@ async fn a_paused_worker_that_lost_its_lease_publishes_nothing() {
     );
     let job = bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap();
     assert_eq!((job.state, job.progress.step, job.checkpoint), (JobState::Running, 0, None));
+    let events = bench.jobs.events_after(&tenant(), &id, 0).await.unwrap();
+    assert!(events.iter().all(|event| event.kind == "state"), "nor does it tell anything: {events:?}");
 
     // The control: the same calls with a lease that stands do change things.
     assert_eq!(second.progress(&progress).await.unwrap(), LeaseStatus::Held);
@@ -262,6 +265,21 @@ async fn a_job_that_reaches_checkpoints_may_crash_as_often_as_it_likes() {
     assert_eq!((job.state, job.checkpoint_step, job.attempts), (JobState::Queued, Some(10), 10));
     let kept = files_under(&bench.dir.path().join("artifacts"));
     assert_eq!(kept.len(), 1, "a checkpoint replaces the one before: {kept:?}");
+}
+
+#[tokio::test]
+async fn a_second_checkpoint_of_a_step_does_not_harm_the_first() {
+    let bench = Bench::new().await;
+    let id = bench.submit(0).await;
+    let lease = bench.claim().await;
+    lease.checkpoint(5, vec![1]).await.unwrap();
+    bench.jobs.reclaim_all().await.unwrap();
+    // As a shutdown right behind it does, of a worker that was paused in between.
+    assert_eq!(lease.checkpoint(5, vec![2]).await.unwrap(), LeaseStatus::Lost);
+    let job = bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap();
+    let (key, sha256) = (job.checkpoint.unwrap(), job.checkpoint_sha256.unwrap());
+    bench.jobs.store().artifacts().verify(&key, &sha256).await.unwrap();
+    assert_eq!(files_under(&bench.dir.path().join("artifacts")).len(), 1, "the other one is gone");
 }
 
 #[tokio::test]

@@ -153,6 +153,11 @@ async fn a_start_sweeps_what_nothing_refers_to_and_nothing_else() {
     let (unknown, other) = (format!("captures/{}", "a".repeat(64)), "attempts/some-job/1/model.ply");
     write(&unknown);
     write(other);
+    // Of nothing that is known, and set aside before as another name of the same file.
+    let twice = format!("captures/{}", "c".repeat(64));
+    write(&twice);
+    std::fs::create_dir_all(root.join("orphans/captures")).unwrap();
+    std::fs::hard_link(root.join(&twice), root.join("orphans").join(&twice)).unwrap();
     // Not named by this program.
     write("captures/notes.txt");
     write("readme");
@@ -166,7 +171,8 @@ async fn a_start_sweeps_what_nothing_refers_to_and_nothing_else() {
     server.client().models().await.unwrap();
     let mut expected: Vec<String> = before.into_iter().map(|(name, _)| name).collect();
     let kept = ["captures/notes.txt".to_owned(), "readme".to_owned()];
-    expected.extend(kept.into_iter().chain([format!("orphans/{unknown}"), format!("orphans/{other}")]));
+    expected
+        .extend(kept.into_iter().chain([&unknown[..], other, &twice].map(|name| format!("orphans/{name}"))));
     expected.sort();
     let after: Vec<String> = files_under(&root).into_iter().map(|(name, _)| name).collect();
     assert_eq!(after, expected);

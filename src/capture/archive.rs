@@ -4,6 +4,7 @@
 //! same, since their only use is an attack.
 
 use std::collections::BTreeSet;
+use std::error::Error;
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -20,6 +21,28 @@ const MAX_NAME_BYTES: usize = 1024;
 
 fn damaged(file: &str, reason: impl std::fmt::Display) -> CaptureError {
     CaptureError::ArchiveDamaged { file: file.to_owned(), reason: reason.to_string() }
+}
+
+/// What the operating system says of the disk below an error. A seek to nowhere is the archive's own fault.
+fn of_disk(error: &(dyn Error + 'static)) -> Option<std::io::Error> {
+    let mut next = Some(error);
+    while let Some(error) = next {
+        let told = error.downcast_ref::<std::io::Error>().and_then(std::io::Error::raw_os_error);
+        if let Some(code) = told {
+            let found = std::io::Error::from_raw_os_error(code);
+            return (found.kind() != std::io::ErrorKind::InvalidInput).then_some(found);
+        }
+        next = error.source();
+    }
+    None
+}
+
+/// Why an archive cannot be read: the disk failed, or it is damaged.
+fn unreadable(file: &str, says: &str, error: &(dyn Error + 'static)) -> CaptureError {
+    match of_disk(error) {
+        Some(source) => CaptureError::Io { file: file.to_owned(), source },
+        None => damaged(file, format!("{says}{error}")),
+    }
 }
 
 fn unsafe_entry(file: &str, reason: &str) -> CaptureError {
@@ -139,14 +162,15 @@ impl ZipEntries {
         let io = |source| CaptureError::Io { file: label.to_owned(), source };
         let file = File::open(path).map_err(io)?;
         let packed = file.metadata().map_err(io)?.len();
-        let mut archive = zip::ZipArchive::new(BufReader::new(file)).map_err(|e| damaged(label, e))?;
+        let mut archive =
+            zip::ZipArchive::new(BufReader::new(file)).map_err(|e| unreadable(label, "", &e))?;
         if archive.has_duplicate_names() {
             return Err(unsafe_entry(label, "the archive has a name twice"));
         }
         let mut check = EntryCheck::new(label, limits);
         let (mut indices, mut names) = (Vec::new(), Vec::new());
         for index in 0..archive.len() {
-            let entry = archive.by_index_raw(index).map_err(|e| damaged(label, e))?;
+            let entry = archive.by_index_raw(index).map_err(|e| unreadable(label, "", &e))?;
             check.count()?;
             if let Some(name) = check_zip_entry(&entry, &mut check)? {
                 indices.push(index);
@@ -165,10 +189,10 @@ impl ZipEntries {
         limits: &ImportLimits,
     ) -> Result<Vec<u8>, CaptureError> {
         let mut archive = locked(&self.archive);
-        let entry = archive.by_index(self.indices[key]).map_err(|e| damaged(name, e))?;
+        let entry = archive.by_index(self.indices[key]).map_err(|e| unreadable(name, "", &e))?;
         let stated = entry.size();
         let bytes = read_bounded(entry, stated.min(limits.max_entry_bytes), name);
-        let bytes = bytes.map_err(|e| damaged(name, format!("does not unpack: {e}")))?;
+        let bytes = bytes.map_err(|e| unreadable(name, "does not unpack: ", &e))?;
         if bytes.len() as u64 != stated {
             return Err(damaged(name, format!("is cut short: {} of {stated} bytes", bytes.len())));
         }
@@ -270,7 +294,7 @@ fn gunzip(file: File, packed: u64, label: &str, limits: &ImportLimits) -> Result
     };
     let mut bytes = Vec::new();
     let decoder = MultiGzDecoder::new(BufReader::new(file));
-    decoder.take(limit + 1).read_to_end(&mut bytes).map_err(|e| damaged(label, e))?;
+    decoder.take(limit + 1).read_to_end(&mut bytes).map_err(|e| unreadable(label, "", &e))?;
     if bytes.len() as u64 > limit {
         return Err(CaptureError::over_limit(
             label,
@@ -293,7 +317,7 @@ fn index_tar(
     let (mut spans, mut names) = (Vec::new(), Vec::new());
     let mut end = 0;
     let mut archive = tar::Archive::new(reader);
-    let not_tar = |e: std::io::Error| damaged(label, format!("not a readable zip, tar or tar.gz: {e}"));
+    let not_tar = |e: std::io::Error| unreadable(label, "not a readable zip, tar or tar.gz: ", &e);
     for entry in archive.entries_with_seek().map_err(not_tar)? {
         let entry = entry.map_err(not_tar)?;
         check.count()?;

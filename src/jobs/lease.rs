@@ -63,19 +63,22 @@ impl Lease {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn warn(&self, message: &str) -> Result<(), StoreError> {
-        self.jobs.store.record_warning(&self.job.id, message, self.jobs.now_ms()).await?;
+    pub async fn warn(&self, message: &str) -> Result<LeaseStatus, StoreError> {
+        let now = self.jobs.now_ms();
+        let status = self.jobs.store.record_warning(&self.job.id, &self.token, message, now).await?;
         self.jobs.announce();
-        Ok(())
+        Ok(status)
     }
 
-    /// Stores a checkpoint, then points the job at it, then drops the one it replaces.
+    /// Stores a checkpoint, then points the job at it, then drops the one it replaces. Each has a key of its own, also a second
+    /// one of the same step: the one that counts is not written over, and not taken away with one that came to nothing.
     ///
     /// # Errors
     /// When the bytes cannot be stored or the database fails; the previous checkpoint then still counts.
     pub async fn checkpoint(&self, step: i64, bytes: Vec<u8>) -> Result<LeaseStatus, StoreError> {
         let store = &self.jobs.store;
-        let key = format!("{}/checkpoint-{step:08}.safetensors", self.artifact_prefix());
+        let unique: String = self.jobs.fresh_id();
+        let key = format!("{}/checkpoint-{step:08}-{unique}.safetensors", self.artifact_prefix());
         let sha256 = store.artifacts().put(&key, bytes).await?;
         let (artifact, now) = ((key.as_str(), sha256.as_str()), self.jobs.now_ms());
         let recorded = store.record_checkpoint(&self.job.id, &self.token, artifact, step, now).await;

@@ -12,7 +12,7 @@ use utoipa_axum::routes;
 
 use crate::api::cameras::{CameraConvention, CameraSpec, CaptureCameras, CapturedCamera};
 use crate::api::{CaptureId, Problem};
-use crate::capture::{self, ImportLimits, PhotoCamera};
+use crate::capture::{self, CaptureError, ImportLimits, PhotoCamera};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
@@ -70,7 +70,11 @@ async fn get_cameras(
         }
         let path = app.store.artifacts().local_path(&record.artifact);
         let read = move || capture::cameras(&path, &ImportLimits::default());
-        let cameras = app.decoders.run(read).await?.map_err(Problem::internal)?;
+        let failed = |error: CaptureError| match error.is_users_fault() {
+            true => Problem::internal(error),
+            false => Problem::storage_failed(error),
+        };
+        let cameras = app.decoders.run(read).await?.map_err(failed)?;
         let cameras = cameras.into_iter().map(|camera| view(camera, convention)).collect();
         Json(CaptureCameras { convention, cameras }).into_response()
     };

@@ -162,12 +162,12 @@ async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Inco
 }
 
 async fn validate(app: &Shared, incoming: &Incoming) -> Result<(i64, i64, Vec<String>), Problem> {
-    let file = tokio::fs::File::open(&incoming.path).await.map_err(Problem::internal)?;
+    let file = tokio::fs::File::open(&incoming.path).await.map_err(Problem::storage_failed)?;
     let mut head = Vec::new();
-    file.take(HEAD).read_to_end(&mut head).await.map_err(Problem::internal)?;
+    file.take(HEAD).read_to_end(&mut head).await.map_err(Problem::storage_failed)?;
     let needed = environment::decoding_bytes(&head).map_err(refused)?;
     let _memory = app.memory.borrow(needed.saturating_add(incoming.bytes)).await?;
-    let bytes = tokio::fs::read(&incoming.path).await.map_err(Problem::internal)?;
+    let bytes = tokio::fs::read(&incoming.path).await.map_err(Problem::storage_failed)?;
     let decoded = app.decoders.run(move || environment::decode(&bytes)).await?;
     let LoadedEnvironment { map, warnings } = decoded.map_err(refused)?;
     Ok((map.width() as i64, map.height() as i64, warnings))

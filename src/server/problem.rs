@@ -127,6 +127,13 @@ impl Problem {
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed")
             .detail("the server's log has the cause under this request_id")
     }
+
+    /// 500 for a disk that fails. The cause goes to the log, never to the client.
+    pub fn storage_failed(cause: impl std::fmt::Display) -> Self {
+        tracing::error!(%cause, "the disk failed");
+        Self::new(StatusCode::INTERNAL_SERVER_ERROR, "storage-failed", "The storage failed")
+            .detail("the server's log has the cause under this request_id; once it is mended, ask again")
+    }
 }
 
 impl IntoResponse for Problem {
@@ -204,6 +211,7 @@ impl From<StoreError> for Problem {
                     "its bytes are not those that were stored; `relume doctor` on the server names the file",
                 )
             }
+            StoreError::Artifacts(_) | StoreError::File(_) => Self::storage_failed(error),
             error => Self::internal(error),
         }
     }

@@ -200,7 +200,7 @@ pub(super) fn view(upload: &UploadRecord) -> CaptureSummary {
 /// What is wrong with the upload kept at `path`, which the caller knows as the archive.
 fn refused(error: &CaptureError, path: &std::path::Path) -> Problem {
     if !error.is_users_fault() {
-        return Problem::internal(error);
+        return Problem::storage_failed(error);
     }
     let kept_as = path.file_name().unwrap_or_default().to_string_lossy();
     let by_its_name = |text: &str| text.replace(kept_as.as_ref(), "archive");

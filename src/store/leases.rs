@@ -121,14 +121,26 @@ impl Store {
         Ok(LeaseStatus::of(state))
     }
 
-    /// Records a warning for the user.
+    /// Records a warning for the user, unless the lease is lost.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn record_warning(&self, job: &JobId, message: &str, now_ms: i64) -> Result<(), StoreError> {
+    pub async fn record_warning(
+        &self,
+        job: &JobId,
+        token: &str,
+        message: &str,
+        now_ms: i64,
+    ) -> Result<LeaseStatus, StoreError> {
         let mut tx = self.write().await?;
-        events::append(&mut tx, job, now_ms, "warning", json!({ "message": message })).await?;
-        Ok(tx.commit().await?)
+        let query = sqlx::query_scalar("SELECT state FROM jobs WHERE id = ?1 AND lease_token = ?2");
+        let state: Option<JobState> = query.bind(job).bind(token).fetch_optional(&mut *tx).await?;
+        let status = LeaseStatus::of(state);
+        if status != LeaseStatus::Lost {
+            events::append(&mut tx, job, now_ms, "warning", json!({ "message": message })).await?;
+            tx.commit().await?;
+        }
+        Ok(status)
     }
 
     /// Points the job at a checkpoint that is in the artifact store already. Returns the one it replaces.

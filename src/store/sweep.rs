@@ -72,7 +72,12 @@ fn set_aside(from: &Path, to: &Path, now: SystemTime) -> std::io::Result<()> {
         std::fs::create_dir_all(folder)?;
     }
     File::options().write(true).open(from)?.set_modified(now)?;
-    std::fs::rename(from, to)
+    std::fs::rename(from, to)?;
+    // Where both were names of one file already, a rename leaves both: a capture of an upload that was set aside before.
+    match std::fs::remove_file(from) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
 }
 
 /// Removes the files that were set aside long ago.

@@ -5,6 +5,7 @@ use std::io::{Cursor, Write};
 use proptest::prelude::*;
 
 use super::small_set::{Files, blender, colmap, gzip, import_bytes, import_folder, nerfstudio, tar, zip};
+use crate::fuzz::cases_or;
 use relume::capture::{CaptureError, ImportLimits, ImportOptions, import};
 
 fn refusal(bytes: &[u8]) -> CaptureError {
@@ -187,7 +188,7 @@ fn flipped(mut bytes: Vec<u8>, flips: &[(usize, u8)]) -> Vec<u8> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases_or(300), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn no_flipped_bytes_in_an_archive_make_the_importer_panic(

@@ -6,5 +6,5 @@
 mod archives;
 mod bad_input;
 mod layouts;
-mod small_set;
+pub mod small_set;
 mod with_data;

@@ -8,6 +8,7 @@ use relume::engine::parity::{ParityCase, ParityResult, by_cpu};
 use relume::scene::{Camera, Field, Model};
 
 use super::harness::{BACKGROUND, LIGHT, answer, in_front, looking_from, model, on_each_engine};
+use crate::fuzz::cases_or;
 
 on_each_engine! {
     extreme_parameters_give_finite_images,
@@ -120,7 +121,8 @@ fn check(model: &Model, camera: &Camera, device: &Device) -> Result<(), TestCase
 }
 
 fn extreme_parameters_give_finite_images(device: &Device) {
-    let config = ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() };
+    let config =
+        ProptestConfig { cases: cases_or(200), failure_persistence: None, ..ProptestConfig::default() };
     let injections = prop::collection::vec(injection(), 1..5);
     let cases = (injections, 0..4usize, 0..1000u64, any::<bool>());
     let run = TestRunner::new(config).run(&cases, |(injections, camera, seed, compensation)| {

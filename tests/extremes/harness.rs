@@ -34,7 +34,7 @@ impl Noise {
 }
 
 /// `n` ordinary Gaussians around the origin under an ordinary light.
-pub(super) fn model(n: usize, seed: u64) -> Model {
+pub fn model(n: usize, seed: u64) -> Model {
     let mut noise = Noise(seed);
     let mut gaussians = Gaussians::zeroed(n, 3, ORDER, 2);
     for (field, centre, spread) in [

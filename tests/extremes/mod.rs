@@ -2,7 +2,7 @@
 
 mod cameras;
 mod fuzz;
-mod harness;
+pub mod harness;
 mod lights_and_materials;
 mod opacity_and_layers;
 mod shapes;

@@ -1,0 +1,209 @@
+//! Bytes of users, made wrong in every way: no reader panics. `RELUME_FUZZ_CASES` says how many cases each reader gets.
+
+mod mutate;
+mod seeds;
+
+use std::panic::AssertUnwindSafe;
+use std::time::{Duration, Instant};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use relume::api::jobs::{JobChange, NewJob};
+use relume::api::keys::NewKey;
+use relume::api::marks::{MarksChange, parse_labels};
+use relume::api::renders::RenderRequest;
+use relume::api::uploads::CaptureSource;
+use relume::api::webhooks::{NewWebhook, WebhookChange};
+use relume::api::{Problem, TenantId};
+use relume::capture::{self, ImportLimits, ImportOptions};
+use relume::formats::{environment, exr_image, image_file, model_file, ply_points};
+use relume::train::TrainConfig;
+use reqwest::{Method, header};
+use tempfile::NamedTempFile;
+
+use crate::captures::small_set::{Files, gzip, tar, zip};
+use mutate::mutated;
+
+/// Cases of each reader in a usual run.
+const CASES: u32 = 500;
+const SEED: u64 = 4;
+
+/// The cases that are asked for, or the usual ones.
+pub fn cases_or(usual: u32) -> u32 {
+    std::env::var("RELUME_FUZZ_CASES").map_or(usual, |count| count.parse().unwrap())
+}
+
+fn cases() -> u64 {
+    cases_or(CASES).into()
+}
+
+/// Gives `read` cases made of `seeds`; where it panics, says which case and where its bytes are.
+fn fuzz(name: &str, seeds: &[Vec<u8>], read: impl Fn(&[u8])) {
+    for seed in seeds {
+        read(seed);
+    }
+    let make = |random: &mut ChaCha8Rng| mutated(&seeds[random.random_range(0..seeds.len())], seeds, random);
+    run(name, make, read);
+}
+
+fn run(name: &str, make: impl Fn(&mut ChaCha8Rng) -> Vec<u8>, read: impl Fn(&[u8])) {
+    let mut slowest = Duration::ZERO;
+    for case in 0..cases() {
+        let mut random = ChaCha8Rng::seed_from_u64(SEED);
+        random.set_stream(case);
+        let bytes = make(&mut random);
+        let began = Instant::now();
+        if std::panic::catch_unwind(AssertUnwindSafe(|| read(&bytes))).is_err() {
+            let path = std::env::temp_dir().join(format!("relume-fuzz-{name}-{case}"));
+            std::fs::write(&path, &bytes).unwrap();
+            panic!("{name} panicked at case {case}: {}", path.display());
+        }
+        slowest = slowest.max(began.elapsed());
+    }
+    println!("{name}: {} cases, the slowest in {} ms", cases(), slowest.as_millis());
+}
+
+#[test]
+fn a_reader_that_panics_is_found_out() {
+    let seeds = seeds::clouds();
+    let careless = |bytes: &[u8]| assert!(seeds.iter().any(|seed| seed == bytes), "these are changed");
+    let found = std::panic::catch_unwind(|| fuzz("the-control", &seeds, careless)).unwrap_err();
+    let said = found.downcast_ref::<String>().unwrap();
+    let path = said.rsplit(": ").next().unwrap();
+    assert!(!seeds.contains(&std::fs::read(path).unwrap()), "{said}");
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn changed_pictures_make_no_reader_panic() {
+    fuzz("pictures", &seeds::images(), |bytes| {
+        let _ = image_file::dimensions(bytes);
+        let _ = image_file::decode(bytes, 1 << 16);
+    });
+}
+
+#[test]
+fn changed_environments_make_no_reader_panic() {
+    fuzz("environments", &seeds::environments(), |bytes| {
+        let _ = exr_image::dimensions(bytes);
+        let _ = exr_image::decoded_bytes(bytes);
+        // As the server does: what would take too much memory is not decoded.
+        if environment::decoding_bytes(bytes).is_ok_and(|count| count < 1 << 24) {
+            let _ = environment::decode(bytes);
+        }
+    });
+}
+
+#[test]
+fn changed_models_make_no_reader_panic() {
+    fuzz("models", &seeds::models(), |bytes| {
+        if let Ok(model) = model_file::decode(bytes) {
+            let _ = model.check();
+        }
+    });
+}
+
+#[test]
+fn changed_point_clouds_make_no_reader_panic() {
+    fuzz("point-clouds", &seeds::clouds(), |bytes| drop(ply_points::read_points(bytes, 1000)));
+}
+
+#[test]
+fn changed_bodies_make_no_reader_panic() {
+    fuzz("bodies", &seeds::bodies(), |bytes| {
+        if let Ok(job) = serde_json::from_slice::<NewJob>(bytes) {
+            let _ = TrainConfig::new(job.preset, &job.overrides);
+            let _ = (job.marks().fault(), serde_json::to_vec(&job).unwrap());
+        }
+        if let Ok(change) = serde_json::from_slice::<MarksChange>(bytes) {
+            let _ = relume::api::marks::Marks::default().changed(&change).fault();
+        }
+        if let Ok(key) = serde_json::from_slice::<NewKey>(bytes) {
+            let _ = key.fault(&TenantId::of_operator());
+        }
+        let _ = serde_json::from_slice::<JobChange>(bytes);
+        let _ = serde_json::from_slice::<RenderRequest>(bytes);
+        let _ = serde_json::from_slice::<NewWebhook>(bytes);
+        let _ = serde_json::from_slice::<WebhookChange>(bytes);
+        let _ = serde_json::from_slice::<CaptureSource>(bytes);
+        let _ = parse_labels(&String::from_utf8_lossy(bytes));
+    });
+}
+
+/// Reads an archive in every way in which the server reads one.
+fn read_archive(bytes: &[u8]) {
+    let file = NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), bytes).unwrap();
+    let mut limits = ImportLimits::default();
+    (limits.max_total_bytes, limits.max_image_pixels) = (1 << 22, 1 << 16);
+    let options = ImportOptions { limits, ..ImportOptions::default() };
+    let _ = capture::import(file.path(), &options);
+    let _ = capture::cameras(file.path(), &limits);
+}
+
+fn pack(files: &Files, random: &mut ChaCha8Rng) -> Vec<u8> {
+    match random.random_range(0..6) {
+        0 => zip(files),
+        1 => gzip(&tar(files)),
+        _ => tar(files),
+    }
+}
+
+#[test]
+fn changed_archives_make_no_reader_panic() {
+    let mut random = ChaCha8Rng::seed_from_u64(SEED);
+    let archives: Vec<Vec<u8>> = seeds::captures()
+        .iter()
+        .flat_map(|files| [zip(files), tar(files), pack(files, &mut random)])
+        .collect();
+    fuzz("archives", &archives, read_archive);
+}
+
+#[test]
+fn changed_files_in_sound_archives_make_no_reader_panic() {
+    let captures = seeds::captures();
+    let make = |random: &mut ChaCha8Rng| {
+        let mut files = captures[random.random_range(0..captures.len())].clone();
+        let all: Vec<Vec<u8>> = files.values().cloned().collect();
+        for _ in 0..random.random_range(1..=2) {
+            // Pictures have a test of their own: mostly what says where cameras are.
+            let pictures = random.random_bool(0.2);
+            let names: Vec<String> =
+                files.keys().filter(|name| name.ends_with(".png") == pictures).cloned().collect();
+            let name = names[random.random_range(0..names.len())].clone();
+            let changed = mutated(&files[&name], &all, random);
+            files.insert(name, changed);
+        }
+        pack(&files, random)
+    };
+    run("files-in-archives", make, read_archive);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn changed_bodies_are_problems_and_never_failures_of_the_server() {
+    let server = relume::testing::spawn().await.unwrap();
+    let seeds = seeds::bodies();
+    // Each of these costs a request.
+    for case in 0..cases().div_ceil(5) {
+        let mut random = ChaCha8Rng::seed_from_u64(SEED);
+        random.set_stream(case);
+        let (method, path, seed) = [
+            (Method::POST, "/v1/jobs", 0),
+            (Method::POST, "/v1/models/none/render", 1),
+            (Method::PATCH, "/v1/jobs/none", 2),
+            (Method::POST, "/v1/captures", 5),
+        ][random.random_range(0..4)]
+        .clone();
+        let body = mutated(&seeds[seed], &seeds, &mut random);
+        let request =
+            server.client().request(method, path).unwrap().header(header::CONTENT_TYPE, "application/json");
+        let answer = request.body(body.clone()).send().await.unwrap();
+        let status = answer.status().as_u16();
+        let text = answer.text().await.unwrap();
+        let problem: Problem =
+            serde_json::from_str(&text).unwrap_or_else(|_| panic!("case {case}: {status} {text}"));
+        let sent = String::from_utf8_lossy(&body);
+        assert!((400..500).contains(&status), "case {case}, {path}: {problem:?} to {sent}");
+    }
+    println!("bodies over HTTP: {} cases", cases().div_ceil(5));
+}

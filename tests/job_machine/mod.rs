@@ -1,0 +1,61 @@
+//! The job machine against a model of it: random histories of all that clients and workers do, and after every step the same
+//! jobs, leases, events and files as the model has.
+
+mod history;
+mod model;
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use history::Bench;
+use model::Wrong;
+
+/// Histories of a usual run; `RELUME_JOB_HISTORIES` asks for another number.
+const HISTORIES: u64 = 10_000;
+/// Histories within which each wrong model is found out.
+const CONTROLS: u64 = 2_000;
+
+fn histories() -> u64 {
+    std::env::var("RELUME_JOB_HISTORIES").map_or(HISTORIES, |count| count.parse().unwrap())
+}
+
+/// Runs histories `0..count`, each from its own number as seed, until one disagrees with the model. Says how many agreed, or how
+/// one did not.
+fn run(count: u64, wrong: Option<Wrong>) -> Result<u64, String> {
+    let next = AtomicU64::new(0);
+    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(8);
+    let worker = || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            let mut bench = Bench::new().await;
+            loop {
+                let seed = next.fetch_add(1, Ordering::SeqCst);
+                if seed >= count {
+                    return Ok(());
+                }
+                if let Err(difference) = bench.history(seed, wrong).await {
+                    next.store(count, Ordering::SeqCst);
+                    return Err(format!("history {seed}: {difference}"));
+                }
+            }
+        })
+    };
+    std::thread::scope(|scope| {
+        let running: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
+        running.into_iter().try_for_each(|thread| thread.join().unwrap())
+    })?;
+    Ok(count)
+}
+
+#[test]
+fn ten_thousand_histories_of_the_queue_go_as_its_model_says() {
+    let count = histories();
+    assert_eq!(run(count, None), Ok(count));
+}
+
+#[test]
+fn a_wrong_model_of_the_queue_is_found_out() {
+    for wrong in Wrong::ALL {
+        let found = run(CONTROLS, Some(wrong));
+        assert!(found.is_err(), "{wrong:?} agrees with {CONTROLS} histories");
+    }
+}

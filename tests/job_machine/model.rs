@@ -1,0 +1,330 @@
+//! What the job machine should do: plain data and rules, no database.
+
+use std::collections::BTreeMap;
+
+use relume::api::jobs::JobState;
+use relume::store::{LeaseStatus, Release};
+
+/// Steps of every job.
+pub const TOTAL: i64 = 100;
+/// Attempts without a new checkpoint after which a job is given up.
+pub const MOST_IDLE: i64 = 3;
+/// How long a claim lasts without a heartbeat.
+pub const LEASE_MS: i64 = 60_000;
+/// How long an idempotency key is remembered.
+const KEY_MS: i64 = 24 * 3600 * 1000;
+/// PSNR that a job with a gate asks for.
+pub const WANTED_PSNR: f64 = 28.0;
+
+/// A mistake that the model makes on purpose, to see that the comparison finds it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wrong {
+    /// A job that was asked to stop may still publish.
+    CancelledPublishes,
+    /// Whoever held the job once may still write.
+    StaleLeaseWrites,
+    /// The oldest job runs first, whatever its priority.
+    OldestFirst,
+    /// A shutdown counts as an attempt without a checkpoint.
+    ShutdownCounts,
+    /// A key is remembered for ever.
+    KeysLast,
+    /// A job that has ended may be cancelled.
+    EndedIsCancelled,
+}
+
+impl Wrong {
+    pub const ALL: [Self; 6] = [
+        Self::CancelledPublishes,
+        Self::StaleLeaseWrites,
+        Self::OldestFirst,
+        Self::ShutdownCounts,
+        Self::KeysLast,
+        Self::EndedIsCancelled,
+    ];
+}
+
+/// A worker's claim: the job's number and which attempt at it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Claim {
+    pub job: usize,
+    pub attempt: i64,
+}
+
+/// A job as the database should have it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Job {
+    pub state: JobState,
+    pub priority: i64,
+    pub attempts: i64,
+    pub idle: i64,
+    pub step: i64,
+    pub checkpoint: Option<i64>,
+    pub error: Option<String>,
+    pub deleted: bool,
+    pub leased: bool,
+    pub models: i64,
+}
+
+/// What the database does not show of a job.
+#[derive(Debug, Clone)]
+struct Hidden {
+    gated: bool,
+    created_ms: i64,
+    lease_until_ms: i64,
+}
+
+/// An entry of a history: the job, what kind, and the state it tells.
+pub type Event = (usize, String, Option<String>);
+
+/// What a submission comes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Submission {
+    Created,
+    Replayed(usize),
+    KeyReused,
+    PredecessorDeleted,
+}
+
+/// What a cancellation or deletion comes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Answer {
+    Done,
+    TooLate,
+    NotFound,
+}
+
+#[derive(Default)]
+pub struct Model {
+    wrong: Option<Wrong>,
+    pub now_ms: i64,
+    pub jobs: Vec<Job>,
+    /// What happened since this was last emptied.
+    pub events: Vec<Event>,
+    hidden: Vec<Hidden>,
+    /// By key: with which request it came, which job it made, when.
+    keys: BTreeMap<&'static str, (&'static str, usize, i64)>,
+}
+
+impl Model {
+    /// An empty queue at a time.
+    pub fn new(wrong: Option<Wrong>, now_ms: i64) -> Self {
+        Self { wrong, now_ms, ..Self::default() }
+    }
+
+    fn is(&self, wrong: Wrong) -> bool {
+        self.wrong == Some(wrong)
+    }
+
+    fn tell(&mut self, job: usize, kind: &str, state: Option<JobState>) {
+        self.events.push((job, kind.to_owned(), state.map(|state| state.name().to_owned())));
+    }
+
+    /// Changes a job's state and tells of it. Without a worker it has no lease.
+    fn turn(&mut self, job: usize, state: JobState) {
+        let it = &mut self.jobs[job];
+        it.state = state;
+        it.leased = matches!(state, JobState::Running | JobState::Cancelling);
+        self.tell(job, "state", Some(state));
+    }
+
+    pub fn submit(
+        &mut self,
+        priority: i64,
+        gated: bool,
+        key: Option<(&'static str, &'static str)>,
+        retry_of: Option<usize>,
+    ) -> Submission {
+        let (now, last) = (self.now_ms, self.is(Wrong::KeysLast));
+        self.keys.retain(|_, (_, _, at)| last || *at >= now - KEY_MS);
+        if let Some((key, request)) = key
+            && let Some((known, job, _)) = self.keys.get(key)
+        {
+            return if *known == request { Submission::Replayed(*job) } else { Submission::KeyReused };
+        }
+        if retry_of.is_some_and(|job| self.jobs[job].deleted) {
+            return Submission::PredecessorDeleted;
+        }
+        let job = self.jobs.len();
+        self.jobs.push(Job {
+            state: JobState::Queued,
+            priority,
+            attempts: 0,
+            idle: 0,
+            step: 0,
+            checkpoint: None,
+            error: None,
+            deleted: false,
+            leased: false,
+            models: 0,
+        });
+        self.hidden.push(Hidden { gated, created_ms: now, lease_until_ms: 0 });
+        self.turn(job, JobState::Queued);
+        if let Some((key, request)) = key {
+            self.keys.insert(key, (request, job, now));
+        }
+        Submission::Created
+    }
+
+    pub fn claim(&mut self) -> Option<Claim> {
+        let by_age = self.is(Wrong::OldestFirst);
+        let place = |job: &usize| {
+            let priority = if by_age { 0 } else { -self.jobs[*job].priority };
+            (priority, self.hidden[*job].created_ms, *job)
+        };
+        let waiting = (0..self.jobs.len()).filter(|job| self.jobs[*job].state == JobState::Queued);
+        let job = waiting.min_by_key(place)?;
+        self.jobs[job].attempts += 1;
+        self.jobs[job].idle += 1;
+        self.hidden[job].lease_until_ms = self.now_ms + LEASE_MS;
+        self.turn(job, JobState::Running);
+        Some(Claim { job, attempt: self.jobs[job].attempts })
+    }
+
+    /// Whether a claim still stands.
+    pub fn status(&self, claim: Claim) -> LeaseStatus {
+        let job = &self.jobs[claim.job];
+        let stands = job.attempts == claim.attempt || self.is(Wrong::StaleLeaseWrites);
+        match job.state {
+            JobState::Running if stands => LeaseStatus::Held,
+            JobState::Cancelling if stands => LeaseStatus::Cancelling,
+            _ => LeaseStatus::Lost,
+        }
+    }
+
+    pub fn progress(&mut self, claim: Claim, step: i64) -> LeaseStatus {
+        let status = self.status(claim);
+        if status != LeaseStatus::Lost {
+            self.jobs[claim.job].step = step;
+            self.hidden[claim.job].lease_until_ms = self.now_ms + LEASE_MS;
+            self.tell(claim.job, "progress", None);
+        }
+        status
+    }
+
+    pub fn checkpoint(&mut self, claim: Claim, step: i64) -> LeaseStatus {
+        let status = self.status(claim);
+        if status != LeaseStatus::Lost {
+            let job = &mut self.jobs[claim.job];
+            (job.checkpoint, job.idle) = (Some(step), 0);
+            self.tell(claim.job, "checkpoint", None);
+        }
+        status
+    }
+
+    pub fn warn(&mut self, claim: Claim) -> LeaseStatus {
+        let status = self.status(claim);
+        if status != LeaseStatus::Lost {
+            self.tell(claim.job, "warning", None);
+        }
+        status
+    }
+
+    pub fn release(&mut self, claim: Claim, release: Release) -> LeaseStatus {
+        if self.status(claim) != LeaseStatus::Held {
+            return LeaseStatus::Lost;
+        }
+        let given_back = match release {
+            Release::AttemptFailed => 0,
+            Release::Shutdown if self.is(Wrong::ShutdownCounts) => 0,
+            Release::Shutdown | Release::NoRoom => 1,
+        };
+        let job = &mut self.jobs[claim.job];
+        job.idle = (job.idle - given_back).max(0);
+        if release == Release::NoRoom {
+            job.step = job.checkpoint.unwrap_or(0);
+            self.tell(claim.job, "warning", None);
+        }
+        self.turn(claim.job, JobState::Queued);
+        LeaseStatus::Held
+    }
+
+    pub fn publish(&mut self, claim: Claim, psnr: f64) -> LeaseStatus {
+        match self.status(claim) {
+            LeaseStatus::Cancelling if self.is(Wrong::CancelledPublishes) => {}
+            LeaseStatus::Held => {}
+            refused => return refused,
+        }
+        let misses = self.hidden[claim.job].gated && psnr < WANTED_PSNR;
+        self.jobs[claim.job].step = TOTAL;
+        self.jobs[claim.job].models += 1;
+        self.turn(claim.job, if misses { JobState::Rejected } else { JobState::Succeeded });
+        LeaseStatus::Held
+    }
+
+    /// The worker ends a job as failed (with a code) or as cancelled.
+    pub fn end(&mut self, claim: Claim, code: Option<&str>) -> LeaseStatus {
+        if self.status(claim) == LeaseStatus::Lost {
+            return LeaseStatus::Lost;
+        }
+        self.jobs[claim.job].error = code.map(str::to_owned);
+        self.turn(claim.job, if code.is_some() { JobState::Failed } else { JobState::Cancelled });
+        LeaseStatus::Held
+    }
+
+    pub fn cancel(&mut self, job: usize) -> Answer {
+        if self.jobs[job].deleted {
+            return Answer::NotFound;
+        }
+        match self.jobs[job].state {
+            JobState::Queued => self.turn(job, JobState::Cancelled),
+            JobState::Running => self.turn(job, JobState::Cancelling),
+            JobState::Cancelling | JobState::Cancelled => {}
+            _ if self.is(Wrong::EndedIsCancelled) => self.turn(job, JobState::Cancelled),
+            _ => return Answer::TooLate,
+        }
+        Answer::Done
+    }
+
+    pub fn delete(&mut self, job: usize, cascade: bool) -> Answer {
+        let state = self.jobs[job].state;
+        let runs = matches!(state, JobState::Running | JobState::Cancelling);
+        if self.jobs[job].deleted {
+            return Answer::NotFound;
+        }
+        if runs && !cascade {
+            return Answer::TooLate;
+        }
+        self.jobs[job].deleted = true;
+        match state {
+            JobState::Queued => self.turn(job, JobState::Cancelled),
+            JobState::Running => self.turn(job, JobState::Cancelling),
+            _ => {}
+        }
+        Answer::Done
+    }
+
+    pub fn set_priority(&mut self, job: usize, priority: i64) -> bool {
+        let waits = self.jobs[job].state == JobState::Queued;
+        if waits {
+            self.jobs[job].priority = priority;
+        }
+        waits
+    }
+
+    /// Takes back the leases that have run out, or all of them; how many.
+    pub fn reclaim(&mut self, all: bool) -> usize {
+        let mut taken = 0;
+        for job in 0..self.jobs.len() {
+            if !self.jobs[job].leased || (!all && self.hidden[job].lease_until_ms >= self.now_ms) {
+                continue;
+            }
+            taken += 1;
+            if self.jobs[job].state == JobState::Cancelling {
+                self.turn(job, JobState::Cancelled);
+            } else if self.jobs[job].idle >= MOST_IDLE {
+                self.jobs[job].error = Some("attempts_exhausted".to_owned());
+                self.turn(job, JobState::Failed);
+            } else {
+                self.turn(job, JobState::Queued);
+            }
+        }
+        taken
+    }
+
+    /// Whether a checkpoint of a job is on disk; not said of one that is deleted.
+    pub fn keeps_file(&self, job: usize) -> Option<bool> {
+        let it = &self.jobs[job];
+        (!it.deleted).then(|| it.checkpoint.is_some() && !it.state.is_terminal())
+    }
+}
