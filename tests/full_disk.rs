@@ -12,7 +12,7 @@ use reqwest::Method;
 use tempfile::TempDir;
 
 use crate::server_process::Server;
-use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, until};
+use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, trained, until};
 
 /// More steps than any test waits for.
 const ENDLESS: u32 = 1_000_000;
@@ -87,6 +87,30 @@ async fn writes_that_failed_spoil_no_later_ones_and_a_training_goes_on() {
     assert_eq!(ended(client, &job.id).await.state, JobState::Cancelled);
     assert_eq!(ended(client, &next.id).await.state, JobState::Succeeded);
     nothing_is_left_of(data.path(), &job.capture, 2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_thumbnail_is_sent_while_the_disk_is_full_and_cached_once_it_is_not() {
+    let data = TempDir::new().unwrap();
+    let mut shell = Command::new("bash");
+    shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
+    let server = Server::start_under(shell, data.path());
+    let model = trained(&server.client).await.model.unwrap();
+    let was_rendered = async || {
+        let path = format!("/v1/models/{model}/thumbnail?size=16");
+        let answer = server.client.request(Method::GET, &path).unwrap().send().await.unwrap();
+        assert_eq!(answer.status(), 200);
+        answer.headers().contains_key("server-timing")
+    };
+    let_files_grow(&server, false);
+    assert!(was_rendered().await && was_rendered().await, "nothing could be kept");
+    let left = files_under(data.path());
+    assert!(!left.iter().any(|(name, _)| name.starts_with("cache/")), "{left:?}");
+    let_files_grow(&server, true);
+    // A check may have found the disk full meanwhile.
+    assert_eq!(readiness(&server.client).await.0, 200);
+    assert!(was_rendered().await);
+    assert!(!was_rendered().await, "the control");
 }
 
 /// The artifacts are one capture and `files` files of models.

@@ -47,6 +47,7 @@ mod service_promises;
 mod service_signed_urls;
 mod service_support;
 mod service_tenants;
+mod service_thumbnails;
 mod service_upload_answers;
 mod service_uploads;
 mod service_validation;

@@ -13,6 +13,7 @@ use crate::server::fetching::Fetcher;
 use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
 use crate::server::signing_secret::SigningSecret;
+use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::server::webhooks::WebhookPolicy;
 use crate::store::{Store, UploadLimits};
 use crate::worker::DeviceHandle;
@@ -55,6 +56,8 @@ pub(super) struct App {
     pub(super) import_limits: ImportLimits,
     /// What requests may borrow.
     pub(super) memory: MemoryBudget,
+    /// Thumbnails that were rendered.
+    pub(super) thumbnails: ThumbnailCache,
     /// Where uploads are decoded.
     pub(super) decoders: Decoders,
     /// Who may make requests.

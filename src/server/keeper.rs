@@ -7,6 +7,7 @@ use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
 use crate::jobs::Jobs;
+use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::store::Retention;
 
 /// Time between two looks when nobody asks for one.
@@ -14,21 +15,52 @@ const INTERVAL: Duration = Duration::from_secs(10);
 /// The same while something deleted is still in use.
 const WHILE_WAITING: Duration = Duration::from_millis(500);
 
-/// Works until `stop` is cancelled; `wake` asks for a look at once.
-pub(super) async fn keep(jobs: Jobs, retention: Retention, wake: Arc<Notify>, stop: CancellationToken) {
-    loop {
-        let pause = match jobs.tidy(&retention).await {
-            Ok(swept) if swept.waiting > 0 => WHILE_WAITING,
-            Ok(_) => INTERVAL,
+/// Who looks after it.
+pub(super) struct Keeper {
+    pub(super) jobs: Jobs,
+    pub(super) retention: Retention,
+    pub(super) thumbnails: ThumbnailCache,
+}
+
+impl Keeper {
+    /// Works until `stop` is cancelled; `wake` asks for a look at once.
+    pub(super) async fn keep(self, wake: Arc<Notify>, stop: CancellationToken) {
+        // A server that died may have left thumbnails of models that it had swept.
+        self.clear_thumbnails().await;
+        loop {
+            let pause = self.look().await;
+            tokio::select! {
+                () = stop.cancelled() => return,
+                () = wake.notified() => {}
+                () = tokio::time::sleep(pause) => {}
+            }
+        }
+    }
+
+    /// One look; how long to wait for the next.
+    async fn look(&self) -> Duration {
+        match self.jobs.tidy(&self.retention).await {
+            Ok(swept) => {
+                if swept.things > 0 {
+                    self.clear_thumbnails().await;
+                }
+                if swept.waiting > 0 { WHILE_WAITING } else { INTERVAL }
+            }
             Err(error) => {
                 tracing::error!(%error, "what was deleted cannot be swept yet");
                 INTERVAL
             }
-        };
-        tokio::select! {
-            () = stop.cancelled() => return,
-            () = wake.notified() => {}
-            () = tokio::time::sleep(pause) => {}
+        }
+    }
+
+    /// Removes thumbnails of models that there are no longer.
+    async fn clear_thumbnails(&self) {
+        if self.thumbnails.is_empty() {
+            return;
+        }
+        match self.jobs.store().model_ids().await {
+            Ok(models) => self.thumbnails.keep_only(models).await,
+            Err(error) => tracing::error!(%error, "thumbnails of what was deleted cannot be removed yet"),
         }
     }
 }

@@ -48,6 +48,7 @@ mod signed_urls;
 mod signing;
 mod signing_secret;
 mod stack;
+mod thumbnail_cache;
 mod thumbnails;
 mod upload;
 mod uploads;

@@ -90,6 +90,13 @@ pub(super) struct TimedFrame {
     timing: String,
 }
 
+impl TimedFrame {
+    /// The image file.
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.encoded.bytes
+    }
+}
+
 /// Renders on the device thread and encodes off it.
 pub(super) async fn render_frame(
     app: &Shared,

@@ -18,7 +18,7 @@ use crate::server::auth::{ApiKeys, may_listen};
 use crate::server::connections::{self, ConnectionLimits};
 use crate::server::decoders::Decoders;
 use crate::server::fetching::{FetchPolicy, Fetcher};
-use crate::server::keeper;
+use crate::server::keeper::Keeper;
 use crate::server::keyring::Keyring;
 use crate::server::memory::MemoryBudget;
 use crate::server::observe;
@@ -27,6 +27,7 @@ use crate::server::rates::Rates;
 use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::stack::StackConfig;
+use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::server::validation;
 use crate::server::webhooks::{Courier, WebhookPolicy};
 use crate::store::{NodeLock, Quota, Retention, Store, StoreError, UploadLimits, has_keys};
@@ -34,6 +35,8 @@ use crate::worker::{self, DeviceHandle, StartError, WorkerOptions};
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
 const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(10);
+/// Bytes of rendered thumbnails that are kept unless another bound is given.
+const THUMBNAIL_CACHE: u64 = 256 << 20;
 /// How long open connections may take to end after a shutdown was asked for.
 const DRAIN: Duration = Duration::from_secs(20);
 
@@ -58,6 +61,8 @@ pub struct ServerConfig {
     pub requests_per_minute: Option<u32>,
     /// Requests that all keys of a tenant may make a minute; ten times that of a key when absent.
     pub requests_per_minute_of_tenant: Option<u32>,
+    /// Bytes of rendered thumbnails that are kept in the data directory; 0 for none. No tenant's quota counts them.
+    pub thumbnail_cache: u64,
     /// How much a tenant may have.
     pub quota: Quota,
     /// How leases behave.
@@ -89,6 +94,7 @@ impl ServerConfig {
             connections: ConnectionLimits::default(),
             requests_per_minute: None,
             requests_per_minute_of_tenant: None,
+            thumbnail_cache: THUMBNAIL_CACHE,
             quota: Quota::default(),
             lease: LeasePolicy::default(),
             fetching: FetchPolicy::default(),
@@ -148,10 +154,12 @@ pub async fn run(
     })?;
     let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
     let tidy = Arc::new(Notify::new());
-    let keeper = tokio::spawn(keeper::keep(jobs.clone(), config.retention, tidy.clone(), stop.clone()));
+    let thumbnails = open_thumbnails(&config).await?;
+    let keeper = Keeper { jobs: jobs.clone(), retention: config.retention, thumbnails: thumbnails.clone() };
+    let keeper = tokio::spawn(keeper.keep(tidy.clone(), stop.clone()));
     let courier = tokio::spawn(Courier::new(jobs.clone(), config.webhooks).work(stop.clone()));
     let store = jobs.store().clone();
-    let service = service(&config, is_open, jobs, device, tidy, stop.clone())?;
+    let service = service(&config, is_open, jobs, device, thumbnails, tidy, stop.clone())?;
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
     serve(listener, service, config.connections, shutdown, stop.clone()).await;
 
@@ -198,12 +206,20 @@ async fn open(config: &ServerConfig) -> Result<Jobs, ServeError> {
     Ok(jobs)
 }
 
+/// Opens what was rendered before.
+async fn open_thumbnails(config: &ServerConfig) -> std::io::Result<ThumbnailCache> {
+    let (data_dir, most) = (config.data_dir.clone(), config.thumbnail_cache);
+    let opened = tokio::task::spawn_blocking(move || ThumbnailCache::open(&data_dir, most)).await;
+    opened.map_err(std::io::Error::other)
+}
+
 /// All routes behind all that stands before them.
 fn service(
     config: &ServerConfig,
     is_open: bool,
     jobs: Jobs,
     device: DeviceHandle,
+    thumbnails: ThumbnailCache,
     tidy: Arc<Notify>,
     stop: CancellationToken,
 ) -> Result<axum::Router, ServeError> {
@@ -215,6 +231,7 @@ fn service(
         store,
         jobs,
         device,
+        thumbnails,
         limits: config.limits,
         upload_limits: config.uploads,
         import_limits: config.worker.import_limits,

@@ -46,7 +46,7 @@ pub struct ThumbnailQuery {
     #[param(value_type = Option<String>)]
     pub tier: Option<Tier>,
     /// `png` (the default, with alpha) or `jpeg` (over white).
-    #[param(inline)]
+    #[param(value_type = Option<String>, pattern = "^(png|jpeg)$")]
     pub format: Option<FrameFormat>,
     /// `transparent` (the default; JPEG shows white), `environment` (the light) or a colour like `f4f4f4`.
     #[param(value_type = Option<String>)]
@@ -59,7 +59,7 @@ pub struct ThumbnailQuery {
 /// Get a thumbnail
 ///
 /// The same URL always gives the same picture, so it may be cached; the `ETag` is known before rendering. HEAD answers with it and
-/// renders nothing.
+/// renders nothing. A picture that was rendered before may be answered from the server's disk.
 #[utoipa::path(
     get, path = "/v1/models/{id}/thumbnail", tag = "models", params(("id" = String, Path), ThumbnailQuery),
     responses(
@@ -82,7 +82,8 @@ async fn thumbnail(
     let (model, model_hash) = models::source(&app, &caller.tenant, &id).await?;
     let light = light(&app, &caller.tenant, query.env.as_deref().unwrap_or("recovered")).await?;
     let finish = finish(&query)?;
-    let tag = etag(&identity(&model_hash, &light, &orbit, tier, format, &finish));
+    let digest = identity(&model_hash, &light, &orbit, tier, format, &finish);
+    let tag = etag(&digest);
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else if method == Method::HEAD {
@@ -99,13 +100,44 @@ async fn thumbnail(
             quality: tier.into(),
             outputs,
         };
-        renders::respond(renders::render_frame(&app, task, format, finish).await?, format)
+        let picture = Picture { tenant: &caller.tenant, digest: &digest, format };
+        found_or_rendered(&app, task, finish, &picture).await?
     };
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
     let scope = if caller.has_key { "private, max-age=3600" } else { "public, max-age=3600" };
     out.insert(header::CACHE_CONTROL, HeaderValue::from_static(scope));
     Ok(response)
+}
+
+/// What a thumbnail is kept as.
+struct Picture<'a> {
+    tenant: &'a TenantId,
+    digest: &'a str,
+    format: FrameFormat,
+}
+
+/// The picture as it is cached, or rendered and cached. Whoever asks may see the model.
+async fn found_or_rendered(
+    app: &Shared,
+    task: RenderTask,
+    finish: Finish,
+    &Picture { tenant, digest, format }: &Picture<'_>,
+) -> Result<Response, Problem> {
+    let model = task.model.id.clone();
+    if let Some(bytes) = app.thumbnails.get(model.as_str(), digest).await {
+        return Ok(([(header::CONTENT_TYPE, format.media_type())], bytes).into_response());
+    }
+    let frame = renders::render_frame(app, task, format, finish).await?;
+    // What is needed for work comes before what spares some.
+    if !app.store.room().is_short() {
+        app.thumbnails.put(model.as_str(), digest, frame.bytes().to_vec()).await;
+        // It may have been deleted meanwhile, and its pictures swept before this one was there.
+        if !matches!(app.store.model(tenant, &model).await, Ok(Some(_))) {
+            app.thumbnails.forget_model(model.as_str()).await;
+        }
+    }
+    Ok(renders::respond(frame, format))
 }
 
 fn orbit(query: &ThumbnailQuery) -> Result<Orbit, Problem> {

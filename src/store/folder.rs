@@ -5,6 +5,6 @@ use std::os::unix::fs::DirBuilderExt;
 use std::path::Path;
 
 /// Makes a folder, and those above it, for its owner alone: photographs may be private. One that is there stays as it is.
-pub(super) fn make_private(folder: &Path) -> std::io::Result<()> {
+pub fn make_private(folder: &Path) -> std::io::Result<()> {
     DirBuilder::new().recursive(true).mode(0o700).create(folder)
 }

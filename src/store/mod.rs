@@ -62,6 +62,7 @@ pub use deliveries::{Attempt, DeliveryRecord, Replay};
 pub use discard::Discarded;
 pub use error::StoreError;
 pub use figures::Measured;
+pub use folder::make_private;
 pub use hash::hex;
 pub use idempotency::IdempotencyKey;
 pub use incoming::Incoming;

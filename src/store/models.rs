@@ -1,5 +1,7 @@
 //! Published models.
 
+use std::collections::HashSet;
+
 use crate::api::{ModelId, TenantId};
 use crate::store::marks::{filtered, wanted};
 use crate::store::{Filter, ModelFile, ModelRecord, Page, Store, StoreError};
@@ -36,6 +38,16 @@ impl Store {
         );
         let query = filtered(query, filter).bind(page.id()).bind(page.limit).bind(tenant).bind(page.at());
         Ok(query.fetch_all(self.pool()).await?)
+    }
+
+    /// The identifiers of all models of all tenants.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn model_ids(&self) -> Result<HashSet<String>, StoreError> {
+        let query = sqlx::query_scalar("SELECT id FROM models WHERE deleted_ms IS NULL");
+        let ids: Vec<String> = query.fetch_all(self.pool()).await?;
+        Ok(ids.into_iter().collect())
     }
 
     /// The files of a model, by name.

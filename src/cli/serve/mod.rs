@@ -83,6 +83,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     }
     args.fairness.apply(&mut config);
     config.limits.disk_bytes = args.storage.max_disk;
+    config.thumbnail_cache = args.storage.thumbnail_cache;
     args.fetching.apply(&mut config);
     args.webhooks.apply(&mut config);
     config.retention = args.storage.retention();

@@ -11,6 +11,10 @@ pub(super) struct StorageArgs {
     /// limit where absent.
     #[arg(long, env = "RELUME_MAX_DISK", value_name = "SIZE", value_parser = size)]
     pub(super) max_disk: Option<u64>,
+    /// Most that rendered thumbnails take in the data directory, beside `--max-disk`: bytes, or a number with MiB, GiB or TiB; 0 keeps
+    /// none. Those asked for longest ago go first. Backups leave them out.
+    #[arg(long, env = "RELUME_THUMBNAIL_CACHE", value_name = "SIZE", value_parser = size_or_none, default_value = "256MiB")]
+    pub(super) thumbnail_cache: u64,
     /// Days after which a job that has ended is deleted; its model stays. For ever where absent.
     #[arg(long, env = "RELUME_KEEP_JOBS", value_name = "DAYS", value_parser = days)]
     keep_jobs: Option<Duration>,
@@ -55,6 +59,11 @@ pub(super) fn size(text: &str) -> Result<u64, String> {
     read.ok_or_else(|| "must be bytes, or a whole number with KiB, MiB, GiB or TiB, above 0".to_owned())
 }
 
+/// As [`size`], or 0.
+fn size_or_none(text: &str) -> Result<u64, String> {
+    if text.trim() == "0" { Ok(0) } else { size(text) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -66,6 +75,8 @@ mod tests {
         for wrong in ["", "0", "-1", "GiB", "1.5GiB", "20GB", "99999999999TiB"] {
             assert!(size(wrong).is_err(), "{wrong:?}");
         }
+        assert_eq!([size_or_none("0"), size_or_none("3MiB")], [Ok(0), Ok(3 << 20)]);
+        assert!(size_or_none("-1").is_err() && size_or_none("0GiB").is_err());
         assert_eq!(days("0.5"), Ok(Duration::from_secs(43_200)));
         for wrong in ["", "0", "-1", "NaN", "inf", "40000", "7d"] {
             assert!(days(wrong).is_err(), "{wrong:?}");
