@@ -40,6 +40,7 @@ mod service_fairness;
 mod service_file_forms;
 mod service_keys;
 mod service_lists;
+mod service_load;
 mod service_memory;
 mod service_network;
 mod service_origins;

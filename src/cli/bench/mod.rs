@@ -8,6 +8,8 @@ mod input;
 mod matrix;
 #[cfg(feature = "gpu")]
 mod precision;
+#[cfg(all(feature = "server", feature = "client"))]
+mod service;
 mod shadow;
 mod table;
 mod tradeoff;
@@ -37,6 +39,9 @@ enum What {
     Precision(precision::PrecisionArgs),
     /// Size, time and accuracy of trainings with all model features and with those that the scene requires.
     Complexity(complexity::ComplexityArgs),
+    #[cfg(all(feature = "server", feature = "client"))]
+    /// How long thumbnails take beside a training, uploads, renders and half-sent requests, and the memory of each.
+    Service(service::ServiceArgs),
     /// What is left of the cast shadows of the photographs in the albedo of models.
     Shadow(shadow::ShadowArgs),
     /// Time of every render tier against its error, by model; a table, a CSV and a plot.
@@ -54,6 +59,8 @@ pub(super) fn run(args: &BenchArgs) -> CommandResult {
         #[cfg(feature = "gpu")]
         What::Precision(args) => precision::run(args),
         What::Complexity(args) => complexity::run(args),
+        #[cfg(all(feature = "server", feature = "client"))]
+        What::Service(args) => service::run(args),
         What::Shadow(args) => shadow::run(args),
         What::Tradeoff(args) => tradeoff::run(args),
         What::Visibility(args) => visibility::run(args),

@@ -1,0 +1,90 @@
+//! `relume bench service`: how long thumbnails take while the service does something else.
+//!
+//! Server and clients are this process, on loopback and in a temporary directory.
+
+mod args;
+mod memory;
+mod pressed;
+mod subject;
+mod timing;
+
+use std::time::Duration;
+
+use tempfile::TempDir;
+
+use crate::cli::bench::table::{head, machine, publish, row};
+use crate::cli::error::CommandResult;
+use crate::engine::Device;
+use crate::server::raise_file_limit;
+use crate::testing;
+use args::Load;
+use memory::PeakMemory;
+use pressed::{OTHER_FILES, Pressed};
+use subject::Subject;
+use timing::{Thumbnails, Times};
+
+pub(super) use args::ServiceArgs;
+
+/// The columns after the load.
+const COLUMNS: [&str; 7] =
+    ["thumbnails", "refused", "p50, ms", "p95, ms", "p99, ms", "worst, ms", "peak resident memory, MiB"];
+
+pub(super) fn run(args: &ServiceArgs) -> CommandResult {
+    let name = machine(&Device::open(args.device)?);
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let rows = runtime.block_on(measure(args))?;
+    let text = format!(
+        "{name}; server and clients in one process.\nThumbnails of {0} x {0} px, one after the other, at most {1} and {2} s under each load.\n\n{3}{rows}",
+        args.size,
+        args.thumbnails,
+        args.seconds,
+        head(&["load"], COLUMNS)
+    );
+    Ok(publish(&text, args.out.as_deref())?)
+}
+
+/// The rows of the table.
+async fn measure(args: &ServiceArgs) -> CommandResult<String> {
+    // Both ends of each connection are files of this process.
+    raise_file_limit(2 * args.sockets as usize + OTHER_FILES);
+    let change = |config: &mut crate::server::ServerConfig| config.worker.device = args.device;
+    let server = testing::spawn_with(TempDir::new()?, change).await?;
+    let rows = measure_on(server.client().clone(), args).await;
+    // The server is stopped in any case; the first failure is the one to report.
+    let stopped = server.stop().await;
+    let rows = rows?;
+    stopped?;
+    Ok(rows)
+}
+
+async fn measure_on(client: crate::client::Client, args: &ServiceArgs) -> CommandResult<String> {
+    eprintln!("training a model to render");
+    let subject = Subject::train(client, args).await?;
+    let mut thumbnails = Thumbnails::new(&subject, args.size);
+    // Model and light are read by the first.
+    thumbnails.next().await.ok_or("the first thumbnail was refused")?;
+    let mut text = String::new();
+    for load in Load::ALL {
+        if !args.only.is_empty() && !args.only.contains(&load) {
+            continue;
+        }
+        eprintln!("{}", load.name());
+        let memory = PeakMemory::begin();
+        let pressed = Pressed::begin(load, &subject, args).await?;
+        let times = thumbnails.during(args.thumbnails, Duration::from_secs(args.seconds)).await;
+        let title = pressed.end().await?;
+        let line = row(cells(&title, &times, memory.mebibytes()));
+        eprint!("{line}");
+        text += &line;
+    }
+    Ok(text)
+}
+
+/// The cells of one load.
+fn cells(title: &str, times: &Times, memory: Option<u64>) -> Vec<String> {
+    let ms = |share: f64| times.quantile(share).map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1}"));
+    let mut cells = vec![title.to_owned(), times.answered().to_string(), times.refused.to_string()];
+    cells.extend([0.5, 0.95, 0.99, 1.0].map(ms));
+    cells.push(memory.map_or_else(|| "-".to_owned(), |mebibytes| mebibytes.to_string()));
+    cells
+}

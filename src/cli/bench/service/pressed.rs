@@ -1,0 +1,188 @@
+//! The loads: what the service does beside thumbnails.
+
+use std::time::Duration;
+
+use reqwest::Method;
+use reqwest::header::ACCEPT;
+use tokio::io::AsyncWriteExt;
+use tokio::net::TcpStream;
+use tokio::task::JoinSet;
+
+use crate::api::cameras::{CameraSpec, LookAtSpec};
+use crate::api::renders::RenderRequest;
+use crate::api::{JobId, ModelId};
+use crate::cli::bench::service::args::{Load, ServiceArgs};
+use crate::cli::bench::service::subject::{Subject, photographs};
+use crate::cli::error::CommandResult;
+use crate::client::Client;
+use crate::render::{FrameFormat, Output};
+
+/// More steps than are waited for.
+const ENDLESS: u32 = 1_000_000;
+/// How long a training may take to begin.
+const BEGINS_WITHIN: Duration = Duration::from_secs(60);
+/// How long clients wait for a render before they go away.
+const GOES_AWAY_AFTER: Duration = Duration::from_millis(200);
+/// Files of this process beside the two ends of each connection.
+pub(super) const OTHER_FILES: usize = 600;
+
+/// Every output.
+const ALL_OUTPUTS: [Output; 11] = [
+    Output::Rgb,
+    Output::Albedo,
+    Output::Normal,
+    Output::Metallic,
+    Output::Roughness,
+    Output::Visibility,
+    Output::Depth,
+    Output::Alpha,
+    Output::Diffuse,
+    Output::Specular,
+    Output::Radiance,
+];
+
+/// What a slow client has sent when it stops.
+const HALF_SENT: [&str; 3] = [
+    "",
+    "GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: ",
+    "POST /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{",
+];
+
+/// A load that lasts until its end is asked for.
+pub(super) struct Pressed {
+    /// What it is, with its numbers.
+    title: String,
+    /// Clients that go on for ever.
+    clients: JoinSet<()>,
+    sockets: Vec<TcpStream>,
+    training: Option<(Client, JobId)>,
+}
+
+impl Pressed {
+    /// Begins a load; it is there when this returns.
+    pub(super) async fn begin(load: Load, subject: &Subject, args: &ServiceArgs) -> CommandResult<Self> {
+        let mut pressed = Self {
+            title: load.name().to_owned(),
+            clients: JoinSet::new(),
+            sockets: Vec::new(),
+            training: None,
+        };
+        match load {
+            Load::Idle => {}
+            Load::Training => pressed.training = Some(begin_training(subject).await?),
+            Load::Uploads => pressed.begin_uploads(subject, args).await?,
+            Load::Renders => pressed.begin_renders(subject, args),
+            Load::Sockets => pressed.begin_sockets(subject, args).await?,
+        }
+        Ok(pressed)
+    }
+
+    /// Ends it, and says what it was.
+    pub(super) async fn end(mut self) -> CommandResult<String> {
+        self.clients.shutdown().await;
+        if let Some((client, job)) = &self.training {
+            client.cancel_job(job).await?;
+            client.wait(job, |_| {}).await?;
+        }
+        Ok(self.title)
+    }
+
+    /// A client that has the same upload validated again and again.
+    async fn begin_uploads(&mut self, subject: &Subject, args: &ServiceArgs) -> CommandResult {
+        let (count, megapixels) = (args.photographs, args.megapixels);
+        let archive = tokio::task::spawn_blocking(move || photographs(count, megapixels)).await??;
+        let mebibytes = archive.len() >> 20;
+        self.title = format!(
+            "beside an upload of {count} JPEGs of {megapixels} megapixels, {mebibytes} MiB, being validated"
+        );
+        let client = subject.client.clone();
+        self.clients.spawn(async move {
+            loop {
+                if let Err(error) = client.validate_capture_bytes(archive.clone()).await {
+                    eprintln!("an upload was refused: {error}");
+                    tokio::time::sleep(Duration::from_secs(1)).await;
+                }
+            }
+        });
+        Ok(())
+    }
+
+    /// Clients that ask for large frames, all at once, and go away before they have them.
+    fn begin_renders(&mut self, subject: &Subject, args: &ServiceArgs) {
+        let (count, size) = (args.renders, args.render_size);
+        self.title = format!(
+            "beside bursts of {count} renders of {size} x {size} px, all outputs as EXR, whose clients go away after {} ms",
+            GOES_AWAY_AFTER.as_millis()
+        );
+        for _ in 0..count {
+            let (client, model) = (subject.client.clone(), subject.model.clone());
+            self.clients.spawn(async move {
+                loop {
+                    let render = render(&client, &model, size);
+                    // The future is dropped with its connection.
+                    let answer = tokio::time::timeout(GOES_AWAY_AFTER, render).await;
+                    if matches!(answer, Ok(Err(_))) {
+                        tokio::time::sleep(GOES_AWAY_AFTER).await;
+                    }
+                }
+            });
+        }
+    }
+
+    /// Connections that have sent half a request and wait.
+    async fn begin_sockets(&mut self, subject: &Subject, args: &ServiceArgs) -> CommandResult {
+        let (files, _) = rlimit::getrlimit(rlimit::Resource::NOFILE)?;
+        let most = usize::try_from(files).unwrap_or(usize::MAX).saturating_sub(OTHER_FILES) / 2;
+        let wanted = args.sockets as usize;
+        let base = subject.client.base();
+        let address = base.socket_addrs(|| None)?.into_iter().next().ok_or("the server has no address")?;
+        for i in 0..wanted.min(most) {
+            let mut stream = TcpStream::connect(address).await?;
+            stream.write_all(HALF_SENT[i % HALF_SENT.len()].as_bytes()).await?;
+            self.sockets.push(stream);
+        }
+        let fewer = if most < wanted {
+            format!(" ({wanted} were asked for; the limit of open files allows fewer)")
+        } else {
+            String::new()
+        };
+        self.title = format!("beside {} half-sent requests{fewer}", self.sockets.len());
+        Ok(())
+    }
+}
+
+/// Queues a training without an end and waits until it takes steps.
+async fn begin_training(subject: &Subject) -> CommandResult<(Client, JobId)> {
+    let client = subject.client.clone();
+    let job = client.create_job(&subject.job(ENDLESS), None).await?.id;
+    let begins = async {
+        loop {
+            let view = client.job(&job).await?;
+            if view.state.is_terminal() {
+                return Err(format!("the training ended {}", view.state.name()).into());
+            }
+            if view.progress.step > 0 {
+                return CommandResult::Ok(());
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    tokio::time::timeout(BEGINS_WITHIN, begins).await??;
+    Ok((client, job))
+}
+
+/// A frame with every output, as EXR. Its bytes are dropped as they come.
+async fn render(client: &Client, model: &ModelId, size: u32) -> CommandResult {
+    let look = LookAtSpec { eye: [2.5, -2.5, 1.5], target: [0.0; 3], up: [0.0, 0.0, 1.0], fov_y_deg: 40.0 };
+    let request = RenderRequest {
+        camera: CameraSpec { look_at: Some(look), ..CameraSpec::default() },
+        width: size,
+        height: size,
+        outputs: ALL_OUTPUTS.to_vec(),
+        ..RenderRequest::default()
+    };
+    let post = client.request(Method::POST, &format!("/v1/models/{model}/render"))?;
+    let answer = post.header(ACCEPT, FrameFormat::Exr.media_type()).json(&request).send().await?;
+    answer.error_for_status()?.bytes().await?;
+    Ok(())
+}
