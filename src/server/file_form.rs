@@ -42,7 +42,7 @@ impl Fault {
             Self::Form(error) if caused_by::<TimeoutError>(&error) => Problem::timeout(STALLED),
             Self::Form(error) => Problem::malformed_form(error.body_text()),
             Self::Disk(error) if error.kind() == io::ErrorKind::StorageFull => caller.told(StoreError::Full),
-            Self::Disk(error) => caller.told(StoreError::Body(error.to_string())),
+            Self::Disk(error) => Problem::storage_failed(error),
             Self::File { pointer, detail } => Problem::invalid_field(pointer, detail),
             Self::TooLarge(limit) => Problem::too_large(limit),
         }
