@@ -32,8 +32,8 @@ enum Fault {
     Disk(#[from] io::Error),
     #[error("{detail}")]
     File { pointer: String, detail: String },
-    #[error("a file has more than {0} bytes")]
-    TooLarge(u64),
+    #[error("{name}: more than the {limit} bytes that a file may have")]
+    TooLarge { name: String, limit: u64 },
 }
 
 impl Fault {
@@ -44,7 +44,7 @@ impl Fault {
             Self::Disk(error) if error.kind() == io::ErrorKind::StorageFull => caller.told(StoreError::Full),
             Self::Disk(error) => Problem::storage_failed(error),
             Self::File { pointer, detail } => Problem::invalid_field(pointer, detail),
-            Self::TooLarge(limit) => Problem::too_large(limit),
+            Self::TooLarge { limit, .. } => Problem::too_large(limit).detail(self.to_string()),
         }
     }
 }
@@ -149,7 +149,7 @@ impl Spool {
         while let Some(chunk) = field.chunk().await? {
             bytes += chunk.len() as u64;
             if bytes > self.limit {
-                return Err(Fault::TooLarge(self.limit));
+                return Err(Fault::TooLarge { name: path, limit: self.limit });
             }
             file.write_all(&chunk).await?;
         }

@@ -35,7 +35,7 @@ pub struct WorkerOptions {
     pub lights: usize,
     /// Where to train and render.
     pub device: DeviceChoice,
-    /// Bounds on captures, as they were when these were uploaded.
+    /// Bounds on captures, when they are uploaded and when a job reads them.
     pub import_limits: ImportLimits,
 }
 
