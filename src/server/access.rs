@@ -14,6 +14,8 @@ use crate::server::keyring::Keyring;
 use crate::server::rates::{Rates, Standing};
 use crate::server::signing::{Signed, Subject};
 use crate::server::signing_secret::{SigningSecret, digest};
+#[cfg(feature = "web")]
+use crate::server::web;
 
 /// What a route asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -88,6 +90,10 @@ const TABLE: &[(Method, &str, Access)] = &[
 /// The line of the table for a request that a route was found for.
 fn access_of(request: &Request) -> Option<Access> {
     let route = request.extensions().get::<MatchedPath>()?;
+    #[cfg(feature = "web")]
+    if web::ROUTES.contains(&route.as_str()) {
+        return Some(Open);
+    }
     // What answers GET answers HEAD.
     let method = if request.method() == Method::HEAD { &Method::GET } else { request.method() };
     TABLE.iter().find(|(m, path, _)| m == method && *path == route.as_str()).map(|line| line.2)

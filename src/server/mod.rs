@@ -54,6 +54,8 @@ mod upload;
 mod uploads;
 mod usage;
 mod validation;
+#[cfg(feature = "web")]
+mod web;
 mod webhooks;
 
 pub use app::RequestLimits;

@@ -8,6 +8,8 @@ use utoipa_axum::router::OpenApiRouter;
 use crate::api::Problem;
 use crate::server::app::Shared;
 use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLOADS, bounded};
+#[cfg(feature = "web")]
+use crate::server::web;
 use crate::server::{
     cameras, captures, deletion, description, environments, events, files, health, jobs, keys, models,
     renders, signed_urls, thumbnails, uploads, usage, webhooks,
@@ -46,6 +48,8 @@ pub fn openapi() -> OpenApi {
 /// The whole service.
 pub(super) fn router(app: Shared, config: StackConfig) -> Router {
     let routes = families().split_for_parts().0;
+    #[cfg(feature = "web")]
+    let routes = routes.merge(web::routes());
     let routes = routes.method_not_allowed_fallback(method_not_allowed).fallback(no_such_path);
     stack::around(routes, config).with_state(app)
 }

@@ -24,6 +24,9 @@ use crate::server::places::{self, Places};
 use crate::server::same_site::{self, TrustedHosts};
 use crate::server::uploads;
 
+/// What the API sends is no page: it may load, run and frame nothing. Pages bring a policy of their own.
+const NOT_A_PAGE: &str = "default-src 'none'; frame-ancestors 'none'";
+
 /// What a server's stack depends on.
 pub(super) struct StackConfig {
     pub(super) gate: Arc<Gate>,
@@ -82,8 +85,7 @@ pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shar
             .layer(middleware::from_fn(observe::observe))
             .layer(fixed(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
             .layer(fixed(header::REFERRER_POLICY, "no-referrer"))
-            // Nothing that this server sends is a page: it may load, run and frame nothing.
-            .layer(fixed(header::CONTENT_SECURITY_POLICY, "default-src 'none'; frame-ancestors 'none'"))
+            .layer(unless_set(header::CONTENT_SECURITY_POLICY, NOT_A_PAGE))
             .layer(CatchPanicLayer::custom(observe::on_panic))
             .option_layer(host)
             // Outside CORS, which answers every OPTIONS by itself.
@@ -96,6 +98,10 @@ pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shar
             // Every extractor of bodies brings its own limit.
             .layer(DefaultBodyLimit::disable()),
     )
+}
+
+fn unless_set(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<HeaderValue> {
+    SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
 }
 
 fn fixed(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<HeaderValue> {

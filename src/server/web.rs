@@ -1,0 +1,166 @@
+//! The web app: pages that are part of the program. They are built from `web/`; the API serves them like any other client.
+
+use std::borrow::Cow;
+use std::io::Write;
+use std::sync::LazyLock;
+
+use axum::Router;
+use axum::extract::Path;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use rust_embed::RustEmbed;
+
+use crate::api::Problem;
+use crate::server::files::{etag, matches_etag};
+use crate::store::hex;
+
+/// What `npm run build` in `web/` made.
+#[derive(RustEmbed)]
+#[folder = "web/dist"]
+struct Built;
+
+/// Routes of pages. Everybody may load them: what they show comes from the API, which asks for a key.
+pub(super) const ROUTES: [&str; 4] = ["/", "/favicon.svg", "/relume-viewer.js", "/assets/{name}"];
+
+/// What a page may load and do: its own files and the API it came with, and pictures that it made itself.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
+                      connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// A file of the web app, ready to be sent.
+struct File {
+    /// Its path below the root.
+    path: Cow<'static, str>,
+    bytes: Cow<'static, [u8]>,
+    /// The same with gzip, where that is smaller.
+    gzip: Option<Vec<u8>>,
+    sha256: String,
+}
+
+/// Every file; compressed when the first is asked for.
+static FILES: LazyLock<Vec<File>> = LazyLock::new(|| Built::iter().filter_map(File::read).collect());
+
+impl File {
+    fn read(path: Cow<'static, str>) -> Option<Self> {
+        let file = Built::get(&path)?;
+        let gzip = gzip(&file.data).filter(|packed| packed.len() < file.data.len());
+        Some(Self { path, gzip, sha256: hex(&file.metadata.sha256_hash()), bytes: file.data })
+    }
+
+    fn find(path: &str) -> Option<&'static Self> {
+        FILES.iter().find(|file| file.path == path)
+    }
+
+    fn media_type(&self) -> &'static str {
+        match self.path.rsplit_once('.').map(|(_, extension)| extension) {
+            Some("html") => "text/html; charset=utf-8",
+            Some("js") => "text/javascript; charset=utf-8",
+            Some("css") => "text/css; charset=utf-8",
+            Some("svg") => "image/svg+xml",
+            Some("png") => "image/png",
+            _ => "application/octet-stream",
+        }
+    }
+
+    /// What is named by its content never changes; the rest is asked for again each time, and answered with 304.
+    fn cache_control(&self) -> &'static str {
+        match self.path.starts_with("assets/") {
+            true => "public, max-age=31536000, immutable",
+            false => "no-cache",
+        }
+    }
+
+    fn respond(&'static self, headers: &HeaderMap) -> Response {
+        let gzip = self.gzip.as_ref().filter(|_| accepts_gzip(headers));
+        // Each encoding is a representation of its own.
+        let tag = etag(&match gzip {
+            Some(_) => format!("{}-gzip", self.sha256),
+            None => self.sha256.clone(),
+        });
+        let mut response = if matches_etag(headers, &tag) {
+            StatusCode::NOT_MODIFIED.into_response()
+        } else {
+            let content = [(header::CONTENT_TYPE, self.media_type())];
+            match gzip {
+                Some(packed) => {
+                    ([(header::CONTENT_ENCODING, "gzip")], content, packed.as_slice()).into_response()
+                }
+                None => (content, self.bytes.clone()).into_response(),
+            }
+        };
+        let out = response.headers_mut();
+        let mut set =
+            |name: HeaderName, value: &'static str| out.insert(name, HeaderValue::from_static(value));
+        set(header::CACHE_CONTROL, self.cache_control());
+        set(header::VARY, "accept-encoding");
+        set(header::CONTENT_SECURITY_POLICY, POLICY);
+        if let Ok(value) = HeaderValue::from_str(&tag) {
+            out.insert(header::ETAG, value);
+        }
+        response
+    }
+}
+
+/// The pages and what they load.
+pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
+    let [index, icon, viewer, assets] = ROUTES;
+    Router::new()
+        .route(index, get(|headers| async { send("index.html", headers) }))
+        .route(icon, get(|headers| async { send("favicon.svg", headers) }))
+        .route(viewer, get(|headers| async { send("relume-viewer.js", headers) }))
+        .route(
+            assets,
+            get(|Path(name): Path<String>, headers| async move { send(&format!("assets/{name}"), headers) }),
+        )
+}
+
+fn send(path: &str, headers: HeaderMap) -> Response {
+    match File::find(path) {
+        Some(file) => file.respond(&headers),
+        None => Problem::not_found("path", &format!("/{path}")).into_response(),
+    }
+}
+
+fn gzip(bytes: &[u8]) -> Option<Vec<u8>> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+    encoder.write_all(bytes).ok()?;
+    encoder.finish().ok()
+}
+
+/// Whether `Accept-Encoding` names gzip, and not with a weight of 0.
+fn accepts_gzip(headers: &HeaderMap) -> bool {
+    let values = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+    values.flat_map(|value| value.split(',')).any(|entry| {
+        let (name, weight) = entry.split_once(';').unwrap_or((entry, ""));
+        let refused = weight.trim().strip_prefix("q=").is_some_and(|q| q.parse() == Ok(0.0));
+        name.trim().eq_ignore_ascii_case("gzip") && !refused
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gzip_is_sent_to_those_who_take_it() {
+        let accepts = |value: &str| {
+            accepts_gzip(&HeaderMap::from_iter([(header::ACCEPT_ENCODING, value.parse().unwrap())]))
+        };
+        assert!(accepts("gzip") && accepts("br, GZIP;q=0.5") && accepts("deflate,gzip, zstd"));
+        assert!(!accepts("br") && !accepts("gzip;q=0, br") && !accepts("gzip;q=0.0") && !accepts("xgzip"));
+        assert!(!accepts_gzip(&HeaderMap::new()));
+    }
+
+    #[test]
+    fn every_file_is_served_under_a_route() {
+        assert!(File::find("index.html").is_some() && File::find("relume-viewer.js").is_some());
+        let known = |path: &str| {
+            path == "index.html" || path.starts_with("assets/") || ROUTES.contains(&&*format!("/{path}"))
+        };
+        let lost: Vec<_> = FILES.iter().map(|file| &*file.path).filter(|path| !known(path)).collect();
+        assert!(lost.is_empty(), "{lost:?}");
+        assert!(FILES.iter().all(|file| file.media_type() != "application/octet-stream"));
+    }
+}

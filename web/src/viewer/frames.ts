@@ -1,0 +1,96 @@
+import type { components } from '../api/schema'
+import type { OrbitView } from './orbit'
+
+type RenderRequest = components['schemas']['RenderRequest']
+
+/** Everything about a frame but the camera. */
+export interface Look {
+  environment: string
+  /** Degrees. */
+  rotation: number
+  /** Stops. */
+  exposure: number
+  background: string
+  output: string
+}
+
+/** Outputs whose names differ in the API. */
+const OUTPUTS: Record<string, string> = { metalness: 'metallic', ao: 'visibility' }
+
+const BUILTIN = ['recovered', 'studio', 'sunset', 'overcast', 'dawn', 'night', 'white']
+
+/** Where an orbiting camera stands. */
+export function eye({ azimuth, elevation, distance, target }: OrbitView): [number, number, number] {
+  const [a, e] = [(azimuth * Math.PI) / 180, (elevation * Math.PI) / 180]
+  const [x, y, z] = target
+  return [
+    x + distance * Math.cos(e) * Math.cos(a),
+    y + distance * Math.cos(e) * Math.sin(a),
+    z + distance * Math.sin(e),
+  ]
+}
+
+/** The body of a request for a frame. */
+export function renderRequest(look: Look, view: OrbitView, [width, height]: [number, number], fast = false): RenderRequest {
+  const light = BUILTIN.includes(look.environment) ? { builtin: look.environment } : { id: look.environment }
+  return {
+    camera: { look_at: { eye: eye(view), target: view.target, up: [0, 0, 1], fov_y_deg: view.fov } },
+    environment: { ...light, rotation_deg: look.rotation, exposure_ev: look.exposure },
+    width,
+    height,
+    outputs: [OUTPUTS[look.output] ?? look.output],
+    background: look.background,
+    // `preview` has colour alone.
+    tier: fast && look.output === 'rgb' ? 'preview' : 'standard',
+  }
+}
+
+/** A model of a server: what is asked of it. */
+export class Frames {
+  readonly #server: string
+  readonly #model: string
+  readonly #headers: Record<string, string>
+  readonly #closed = new AbortController()
+
+  /** `server` ends with a slash. */
+  constructor(server: string, model: string, apiKey?: string) {
+    this.#server = server
+    this.#model = encodeURIComponent(model)
+    this.#headers = apiKey ? { Authorization: `Bearer ${apiKey}` } : {}
+  }
+
+  close(): void {
+    this.#closed.abort()
+  }
+
+  /** The ball that holds the model, capture units. */
+  async framing(): Promise<{ centre: [number, number, number]; radius: number }> {
+    const model = (await (await this.#ask(`models/${this.#model}`)).json()) as components['schemas']['ModelView']
+    try {
+      const answer = await this.#ask(`captures/${encodeURIComponent(model.capture)}`)
+      const { report } = (await answer.json()) as components['schemas']['CaptureView']
+      const [x = 0, y = 0, z = 0] = report.centre
+      return { centre: [x, y, z], radius: report.radius }
+    } catch (error) {
+      // The capture may have been deleted.
+      if (error instanceof DOMException) throw error
+      return { centre: [0, 0, 0], radius: 1.3 }
+    }
+  }
+
+  /** A frame as a PNG; `fast` trades detail for time. */
+  async frame(look: Look, view: OrbitView, size: [number, number], fast = false): Promise<Blob> {
+    const body = JSON.stringify(renderRequest(look, view, size, fast))
+    const headers = { 'Content-Type': 'application/json', Accept: 'image/png' }
+    const answer = await this.#ask(`models/${this.#model}/render`, { method: 'POST', body, headers })
+    return answer.blob()
+  }
+
+  async #ask(path: string, init: RequestInit = {}): Promise<Response> {
+    const headers = { ...this.#headers, ...init.headers }
+    const answer = await fetch(`${this.#server}v1/${path}`, { ...init, headers, signal: this.#closed.signal })
+    if (answer.ok) return answer
+    const problem = (await answer.json().catch(() => null)) as components['schemas']['Problem'] | null
+    throw new Error(problem?.detail ?? problem?.title ?? `the server answered ${answer.status}`)
+  }
+}
