@@ -31,6 +31,8 @@ await new Promise((resolve) => receiver.listen(0, '127.0.0.1', resolve));
 const url = `http://127.0.0.1:${receiver.address().port}/hook`;
 const events = ['job.succeeded', 'job.rejected', 'job.failed', 'job.cancelled'];
 const webhook = await ask('/v1/webhooks', JSON.stringify({ url, events }));
+const rotated = await ask(`/v1/webhooks/${webhook.id}/rotate-secret`);
+assert.notEqual(rotated.secret, webhook.secret);
 const { id } = await ask('/v1/captures', await readFile(capture), 'application/zip');
 const overrides = { iterations: 20, resolution: 32, max_gaussians: 64 };
 const job = await ask('/v1/jobs', JSON.stringify({ capture: id, preset: 'draft', overrides }));
@@ -38,9 +40,11 @@ const late = setTimeout(() => { console.error('no webhook came'); process.exit(1
 await both;
 clearTimeout(late);
 
-const verifier = new Webhook(webhook.secret);
+const former = new Webhook(webhook.secret);
+const verifier = new Webhook(rotated.secret);
 for (const { body, headers } of received) {
     const message = verifier.verify(body, headers);
+    assert.deepEqual(former.verify(body, headers), message, 'a receiver that has not taken the new secret over yet');
     assert.equal(message.type, 'job.succeeded');
     assert.equal(message.data.job.id, job.id);
     assert.equal(message.data.job.state, 'succeeded');

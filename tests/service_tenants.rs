@@ -105,6 +105,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/v1/webhooks/{id}", One(Webhook), Admin),
     ("patch", "/v1/webhooks/{id}", One(Webhook), Admin),
     ("delete", "/v1/webhooks/{id}", One(Webhook), Admin),
+    ("post", "/v1/webhooks/{id}/rotate-secret", One(Webhook), Admin),
     ("get", "/v1/webhooks/{id}/deliveries", One(Webhook), Admin),
     ("post", "/v1/webhooks/{id}/deliveries/{delivery}/replay", One(Delivery), Admin),
 ];

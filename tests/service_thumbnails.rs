@@ -41,6 +41,21 @@ async fn get(client: &Client, model: &ModelId, query: &str) -> Answer {
     }
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn equal_thumbnails_that_are_asked_for_together_are_rendered_once() {
+    let server = testing::spawn().await.unwrap();
+    let model = trained(server.client()).await.model.unwrap();
+    let rendered = |answers: &[Answer]| answers.iter().filter(|answer| answer.was_rendered).count();
+    let asked = (0..8).map(|_| get(server.client(), &model, "&azimuth=1"));
+    let equal = futures::future::join_all(asked).await;
+    assert_eq!(rendered(&equal), 1);
+    assert!(equal.iter().all(|answer| answer.bytes == equal[0].bytes));
+    let without = server_with(0).await;
+    let model = trained(without.client()).await.model.unwrap();
+    let asked = (0..8).map(|_| get(without.client(), &model, "&azimuth=1"));
+    assert_eq!(rendered(&futures::future::join_all(asked).await), 8, "the control: nothing is kept there");
+}
+
 /// The cached files, by path.
 fn cached(data: &Path) -> Vec<PathBuf> {
     let folder = data.join("cache/thumbnails");

@@ -40,6 +40,14 @@ impl Client {
         json(self.request(Method::PATCH, &format!("/v1/webhooks/{id}"))?.json(change)).await
     }
 
+    /// Gives a webhook a new secret; the answer is the only one that has it. The one before signs beside it for 24 hours.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn rotate_webhook_secret(&self, id: &WebhookId) -> Result<CreatedWebhook> {
+        json(self.request(Method::POST, &format!("/v1/webhooks/{id}/rotate-secret"))?).await
+    }
+
     /// Deletes a webhook with its deliveries.
     ///
     /// # Errors

@@ -43,6 +43,11 @@ impl Frames {
         self.cpu.model()
     }
 
+    /// Whether a device other than the CPU engine holds the model.
+    pub fn has_device(&self) -> bool {
+        self.device.is_some()
+    }
+
     /// The same model on the CPU engine.
     pub fn on_cpu(&self) -> &cpu::Frames {
         &self.cpu

@@ -6,9 +6,11 @@
 
 use std::io::Cursor;
 
+use exr::block::{BlockIndex, UncompressedBlock, writer::ChunksWriter};
+use exr::meta::{BlockDescription, header::Header};
 use exr::prelude::{
-    AnyChannel, AnyChannels, AttributeValue, Blocks, Compression, Encoding, FlatSamples, Image,
-    ImageAttributes, IntegerBounds, Layer, LayerAttributes, LineOrder, Text, Vec2, WritableImage, f16,
+    AttributeValue, ChannelDescription, Compression, ImageAttributes, IntegerBounds, LayerAttributes,
+    LineOrder, SampleType, Text, Vec2, f16,
 };
 
 use serde::{Deserialize, Serialize};
@@ -78,55 +80,133 @@ pub enum ColourDepth {
 
 const HALF_MAX: f32 = 65_504.0;
 
-/// The bytes of a ZIP-compressed multi-part file; a part without layers is left out.
+/// The bytes of a ZIP-compressed multi-part file; a part without layers is left out. Beside them memory is taken for a few lines
+/// at a time.
 ///
 /// # Errors
 /// [`ImageFileError::Encode`] names the layer that does not fill the frame, or says that there is nothing to
 /// write.
 pub fn encode(frame: &FrameLayers<'_>, depth: ColourDepth) -> Result<Vec<u8>, ImageFileError> {
+    encode_while(frame, depth, &|| true)
+}
+
+/// The same; ends early once `is_wanted` says no.
+///
+/// # Errors
+/// As [`encode`], and when the file is not wanted any more.
+pub fn encode_while(
+    frame: &FrameLayers<'_>,
+    depth: ColourDepth,
+    is_wanted: &dyn Fn() -> bool,
+) -> Result<Vec<u8>, ImageFileError> {
     let parts = [
         ("beauty", "lin_rec709_scene", frame.colour, depth),
         ("data", "data", frame.data, ColourDepth::Full),
     ];
-    let mut layers = Vec::new();
-    for (name, interop, content, depth) in parts.into_iter().filter(|p| !p.2.is_empty()) {
-        layers.push(part(frame, name, interop, content, depth)?);
-    }
-    if layers.is_empty() {
+    let parts = parts.into_iter().filter(|p| !p.2.is_empty());
+    let parts = parts.map(|(name, interop, content, depth)| part(frame, name, interop, content, depth));
+    let parts: Vec<Part<'_>> = parts.collect::<Result<_, _>>()?;
+    if parts.is_empty() {
         return Err(ImageFileError::Encode("the frame has no layers".to_owned()));
     }
-    let window = IntegerBounds::from_dimensions(size(frame));
-    let mut shared = ImageAttributes::new(window);
-    shared.pixel_aspect = frame.attributes.lens.map_or(1.0, |lens| lens.pixel_aspect);
-    let image = Image::from_layers(shared, layers);
     let mut out = Cursor::new(Vec::new());
-    image.write().to_buffered(&mut out).map_err(|e| ImageFileError::Encode(e.to_string()))?;
+    let headers = parts.iter().map(|part| part.header.clone()).collect();
+    let written = exr::block::write(&mut out, headers, true, |meta, writer| {
+        let blocks = meta.collect_ordered_blocks(|index| parts[index.layer].block(index));
+        writer.on_progress(|_| ()).compress_all_blocks_parallel(&meta, blocks.take_while(|_| is_wanted()))
+    });
+    if !is_wanted() {
+        return Err(ImageFileError::Encode("the file is not wanted any more".to_owned()));
+    }
+    written.map_err(|e| ImageFileError::Encode(e.to_string()))?;
     Ok(out.into_inner())
+}
+
+/// A part of the file, and where its pixels are.
+struct Part<'a> {
+    header: Header,
+    /// In the order of the header's channels.
+    channels: Vec<Channel<'a>>,
+}
+
+/// One channel: every `step`th of `values`.
+struct Channel<'a> {
+    name: Text,
+    values: &'a [f32],
+    first: usize,
+    step: usize,
+    depth: ColourDepth,
+}
+
+impl Channel<'_> {
+    fn description(&self) -> ChannelDescription {
+        let sample = match self.depth {
+            ColourDepth::Half => SampleType::F16,
+            ColourDepth::Full => SampleType::F32,
+        };
+        ChannelDescription::named(self.name.clone(), sample)
+    }
+}
+
+impl Part<'_> {
+    /// The lines of a block.
+    fn block(&self, index: BlockIndex) -> UncompressedBlock {
+        let width = self.header.layer_size.width();
+        UncompressedBlock::from_lines(&self.header.channels, index, |line| {
+            let Channel { values, first, step, depth, .. } = self.channels[line.location.channel];
+            let start = line.location.position.y() * width + line.location.position.x();
+            let value = |x: usize| values[first + (start + x) * step];
+            // A line in memory has room for what is written to it.
+            let _ = match depth {
+                ColourDepth::Half => {
+                    line.write_samples(|x| f16::from_f32(value(x).clamp(-HALF_MAX, HALF_MAX)))
+                }
+                ColourDepth::Full => line.write_samples(value),
+            };
+        })
+    }
 }
 
 fn size(frame: &FrameLayers<'_>) -> Vec2<usize> {
     Vec2(frame.width as usize, frame.height as usize)
 }
 
-fn part(
-    frame: &FrameLayers<'_>,
+fn part<'a>(
+    frame: &FrameLayers<'a>,
     name: &str,
     interop: &str,
-    content: &[FrameLayer<'_>],
+    content: &[FrameLayer<'a>],
     depth: ColourDepth,
-) -> Result<Layer<AnyChannels<FlatSamples>>, ImageFileError> {
+) -> Result<Part<'a>, ImageFileError> {
     let mut channels = Vec::new();
     for layer in content {
-        let width = layer.suffixes.len();
-        if width == 0 || layer.values.len() != size(frame).area() * width || layer.values.is_empty() {
+        let step = layer.suffixes.len();
+        if step == 0 || layer.values.len() != size(frame).area() * step || layer.values.is_empty() {
             let reason = format!("layer {:?} does not fill {}x{}", layer.name, frame.width, frame.height);
             return Err(ImageFileError::Encode(reason));
         }
-        for (k, suffix) in layer.suffixes.chars().enumerate() {
-            let values = layer.values.iter().skip(k).step_by(width).copied();
-            channels.push(AnyChannel::new(text(&channel_name(layer.name, suffix))?, samples(values, depth)));
+        for (first, suffix) in layer.suffixes.chars().enumerate() {
+            let name = text(&channel_name(layer.name, suffix))?;
+            channels.push(Channel { name, values: layer.values, first, step, depth });
         }
     }
+    // The order that the format asks for.
+    channels.sort_by(|a, b| a.name.cmp(&b.name));
+    let descriptions = channels.iter().map(Channel::description).collect();
+    let header = Header::new(text(name)?, size(frame), descriptions)
+        .with_encoding(Compression::ZIP16, BlockDescription::ScanLines, LineOrder::Increasing)
+        .with_shared_attributes(shared_attributes(frame))
+        .with_attributes(attributes(frame, name, interop)?);
+    Ok(Part { header, channels })
+}
+
+fn shared_attributes(frame: &FrameLayers<'_>) -> ImageAttributes {
+    let mut shared = ImageAttributes::new(IntegerBounds::from_dimensions(size(frame)));
+    shared.pixel_aspect = frame.attributes.lens.map_or(1.0, |lens| lens.pixel_aspect);
+    shared
+}
+
+fn attributes(frame: &FrameLayers<'_>, name: &str, interop: &str) -> Result<LayerAttributes, ImageFileError> {
     let mut attributes = LayerAttributes::named(text(name)?);
     attributes.other.insert(text("colorInteropID")?, AttributeValue::Text(text(interop)?));
     for (name, value) in &frame.attributes.texts {
@@ -138,25 +218,11 @@ fn part(
         attributes.screen_window_center = Vec2(lens.window_centre[0], lens.window_centre[1]);
     }
     attributes.software_name = Some(text(concat!("relume ", env!("CARGO_PKG_VERSION")))?);
-    let encoding = Encoding {
-        compression: Compression::ZIP16,
-        blocks: Blocks::ScanLines,
-        line_order: LineOrder::Increasing,
-    };
-    Ok(Layer::new(size(frame), attributes, encoding, AnyChannels::sort(channels.into())))
+    Ok(attributes)
 }
 
 fn channel_name(layer: &str, suffix: char) -> String {
     if layer.is_empty() { suffix.to_string() } else { format!("{layer}.{suffix}") }
-}
-
-fn samples(values: impl Iterator<Item = f32>, depth: ColourDepth) -> FlatSamples {
-    match depth {
-        ColourDepth::Half => {
-            FlatSamples::F16(values.map(|v| f16::from_f32(v.clamp(-HALF_MAX, HALF_MAX))).collect())
-        }
-        ColourDepth::Full => FlatSamples::F32(values.collect()),
-    }
 }
 
 fn text(s: &str) -> Result<Text, ImageFileError> {
@@ -165,7 +231,7 @@ fn text(s: &str) -> Result<Text, ImageFileError> {
 
 #[cfg(test)]
 mod tests {
-    use exr::prelude::{ReadChannels, ReadLayers};
+    use exr::prelude::{AnyChannels, FlatSamples, Image, ReadChannels, ReadLayers};
 
     use super::*;
 
@@ -259,5 +325,27 @@ mod tests {
         };
         assert!(encode(&frame, ColourDepth::Half).unwrap_err().to_string().contains("albedo"));
         assert!(encode(&FrameLayers { colour: &[], ..frame }, ColourDepth::Half).is_err());
+    }
+
+    #[test]
+    fn a_file_that_is_not_wanted_any_more_is_not_finished() {
+        let values = vec![0.5; 64 * 64];
+        let colour = [FrameLayer { name: "", suffixes: "Y", values: &values }];
+        let attributes = &FrameAttributes::default();
+        let frame = FrameLayers { width: 64, height: 64, colour: &colour, data: &[], attributes };
+        let asked = std::cell::Cell::new(0);
+        let twice = || {
+            asked.set(asked.get() + 1);
+            asked.get() <= 2
+        };
+        assert!(
+            encode_while(&frame, ColourDepth::Full, &twice).unwrap_err().to_string().contains("not wanted")
+        );
+        assert_eq!(
+            asked.get(),
+            4,
+            "two blocks of four, the third that was not made, and what is said in the end"
+        );
+        assert!(encode(&frame, ColourDepth::Full).is_ok(), "the control");
     }
 }

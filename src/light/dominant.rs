@@ -1,6 +1,7 @@
 //! An environment as a few strong small lights and the rest, so that each light can cast a shadow of its own.
 
 use std::f64::consts::PI;
+use std::ops::Range;
 
 use glam::DVec3;
 
@@ -113,8 +114,9 @@ impl Search {
         let (inner, outer) = (self.radius.cos(), (2.0 * self.radius).cos());
         let (mut disc, mut disc_area) = (Vec::new(), 0.0);
         let (mut ring, mut ring_area) = ([0.0f64; 3], 0.0);
-        for (i, (d, w)) in self.directions.iter().enumerate() {
-            let cos = towards.dot(*d);
+        for i in self.rows_around(centre, 2.0 * self.radius) {
+            let (d, w) = self.directions[i];
+            let cos = towards.dot(d);
             if cos >= inner {
                 disc.push(i);
                 disc_area += w;
@@ -149,6 +151,13 @@ impl Search {
         }
         // A disc's mean square distance from its centre is half its radius squared.
         Some(DominantLight { direction, irradiance: light, radius: (2.0 * spread / sum).sqrt() })
+    }
+
+    /// The texels of all rows that have one within `radius` radians of texel `centre`.
+    fn rows_around(&self, centre: usize, radius: f64) -> Range<usize> {
+        let (row, reach) = (centre / self.width, (radius / PI * self.height as f64).ceil() as usize);
+        let (first, last) = (row.saturating_sub(reach), (row + reach).min(self.height - 1));
+        first * self.width..(last + 1) * self.width
     }
 
     fn rest(self) -> EnvMap {

@@ -3,7 +3,6 @@
 
 mod brdf;
 mod colour;
-mod column_turn;
 mod constants;
 mod dominant;
 mod grid;
@@ -22,7 +21,6 @@ pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
 
 pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
 pub use colour::{LightColour, luminance};
-pub use column_turn::ColumnTurn;
 pub use constants::{
     CLAMPED_COSINE, DIELECTRIC_F0, FULLY_OPEN, LOBE_ORDERS, LUMINANCE, MOST_SHEEN, SPECULAR_LEVELS,
     UPWARD_LUMINANCE, nrsh_factor,

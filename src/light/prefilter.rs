@@ -4,9 +4,10 @@
 //! same kernels are evaluated on the fly: the diffuse transfer by quadrature over a reduced map, the specular levels by
 //! importance sampling of the lobe with each sample read from the map's pyramid at the sample's own solid angle.
 
+use std::f32::consts::TAU;
 use std::f64::consts::PI;
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
@@ -27,7 +28,7 @@ pub fn rendering_tables(map: &EnvMap, order: usize) -> LightTables {
     let specular_grids = SPECULAR_NODES.map(CubeGrid::new);
     let specular = std::array::from_fn(|k| {
         let alpha = f64::from(SPECULAR_LEVELS[k]).powi(2);
-        let lobe = lobe_samples(alpha);
+        let lobe = pyramid.taps(&lobe_samples(alpha));
         specular_grids[k].directions().into_par_iter().map(|r| pyramid.filtered(r, &lobe)).collect()
     });
     LightTables {
@@ -109,6 +110,14 @@ struct Pyramid {
     levels: Vec<EnvMap>,
 }
 
+/// A sample of a lobe, read between level `low` of a pyramid and the next coarser one.
+struct Tap {
+    direction: Vec3,
+    weight: f32,
+    low: usize,
+    fraction: f32,
+}
+
 impl Pyramid {
     fn new(map: &EnvMap) -> Self {
         let mut levels = vec![map.clone()];
@@ -122,25 +131,52 @@ impl Pyramid {
         Self { levels }
     }
 
-    /// Mean radiance of the lobe turned to `r`.
-    fn filtered(&self, r: DVec3, lobe: &[LobeDirection]) -> [f32; 3] {
-        let (u, v) = r.any_orthonormal_pair();
+    /// Where each sample of `lobe` is read.
+    fn taps(&self, lobe: &[LobeDirection]) -> Vec<Tap> {
         let texel = 4.0 * PI / (self.levels[0].width() * self.levels[0].height()) as f64;
-        let mut sum = [0.0f64; 3];
-        for s in lobe {
-            let d = s.direction.x * u + s.direction.y * v + s.direction.z * r;
+        let tap = |s: &LobeDirection| {
             // One level coarser than the sample's own footprint, so that neighbours overlap.
             let level =
                 (0.5 * (s.solid_angle / texel).log2() + 1.0).clamp(0.0, (self.levels.len() - 1) as f64);
-            let (low, fraction) = (level as usize, level.fract());
-            let a = self.levels[low].sample(d);
-            let b = self.levels[(low + 1).min(self.levels.len() - 1)].sample(d);
-            for c in 0..3 {
-                sum[c] += s.weight * (f64::from(a[c]) * (1.0 - fraction) + f64::from(b[c]) * fraction);
-            }
-        }
-        sum.map(|v| v as f32)
+            let (low, fraction) = (level as usize, level.fract() as f32);
+            Tap { direction: s.direction.as_vec3(), weight: s.weight as f32, low, fraction }
+        };
+        lobe.iter().map(tap).collect()
     }
+
+    /// Mean radiance of the lobe turned to `r`.
+    fn filtered(&self, r: DVec3, lobe: &[Tap]) -> [f32; 3] {
+        let r = r.as_vec3();
+        let (u, v) = r.any_orthonormal_pair();
+        let mut sum = Vec3::ZERO;
+        for tap in lobe {
+            let uv = to_uv(tap.direction.x * u + tap.direction.y * v + tap.direction.z * r);
+            let fine = bilinear(&self.levels[tap.low], uv);
+            let coarse = bilinear(&self.levels[(tap.low + 1).min(self.levels.len() - 1)], uv);
+            sum += tap.weight * fine.lerp(coarse, tap.fraction);
+        }
+        sum.to_array()
+    }
+}
+
+/// [`direction_to_uv`](crate::scene::direction_to_uv) in single precision: a ten-thousandth of a texel of the largest maps.
+fn to_uv(d: Vec3) -> [f32; 2] {
+    [0.5 - d.y.atan2(d.x) / TAU, d.z.clamp(-1.0, 1.0).acos() / (0.5 * TAU)]
+}
+
+/// [`EnvMap::sample`] in single precision, at `u` in [0, 1] and `v` in [0, 1].
+fn bilinear(map: &EnvMap, [u, v]: [f32; 2]) -> Vec3 {
+    let (width, height) = (map.width(), map.height());
+    let x = u * width as f32 + (width as f32 - 0.5);
+    let y = (v * height as f32 - 0.5).clamp(0.0, (height - 1) as f32);
+    let (left, top) = (x as usize, y as usize);
+    let (fx, fy) = (x - left as f32, y - top as f32);
+    let around = |x: usize| if x >= width { x - width } else { x };
+    let left = around(left);
+    let (right, bottom) = (around(left + 1), (top + 1).min(height - 1));
+    let at = |x: usize, y: usize| Vec3::from(map.texels()[y * width + x]);
+    let upper = at(left, top).lerp(at(right, top), fx);
+    upper.lerp(at(left, bottom).lerp(at(right, bottom), fx), fy)
 }
 
 #[cfg(test)]
@@ -179,6 +215,22 @@ mod tests {
                 assert!((got - want).abs() < 0.01 * want, "{d} {got} {want}");
             }
         }
+    }
+
+    #[test]
+    fn a_pyramid_is_read_as_a_map_is() {
+        let map =
+            EnvMap::from_fn(61, 31, |d| [(9.0 * d.x).sin() as f32 + 1.5, d.y as f32 + 1.5, d.z as f32 + 1.5]);
+        let worst = |turn: f64| {
+            let directions = crate::scene::texel_directions(80, 40).into_iter();
+            let differences = directions.map(|(d, _)| {
+                let expected = map.sample(glam::DQuat::from_rotation_z(turn) * d);
+                (bilinear(&map, to_uv(d.as_vec3())) - Vec3::from(expected)).abs().max_element()
+            });
+            differences.fold(0.0, f32::max)
+        };
+        assert!(worst(0.0) < 1e-3, "{}", worst(0.0));
+        assert!(worst(0.01) > 1e-2, "the control: half a degree shows");
     }
 
     #[test]

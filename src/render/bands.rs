@@ -61,7 +61,9 @@ impl Renderer {
         let view = self.view(camera)?;
         let (width, height) = (camera.width, camera.height);
         let frame = Frame { width, height, planes: BTreeMap::new() };
-        let rows = rows(view.width, quality);
+        let is_on_device = self.frames.has_device() && matches!(quality.tier, Tier::Preview | Tier::Standard);
+        let most = if is_on_device { Quality::BAND_COST } else { Quality::CPU_BAND_COST };
+        let rows = rows(view.width, quality, most);
         Ok(Bands { renderer: self, light, view, quality, outputs, rows, done: 0, frame })
     }
 }
@@ -122,9 +124,9 @@ impl Bands<'_> {
     }
 }
 
-/// Rows of a band of a frame: as many as [`Quality::BAND_COST`] allows, a row of tiles at least.
-fn rows(width: usize, quality: Quality) -> usize {
-    let pixels = Quality::BAND_COST / quality.pixel_cost();
+/// Rows of a band of a frame: as many as cost at most `most`, a row of tiles at least.
+fn rows(width: usize, quality: Quality, most: u64) -> usize {
+    let pixels = most / quality.pixel_cost();
     let rows = usize::try_from(pixels).unwrap_or(usize::MAX) / width.max(1);
     (rows / TILE).max(1) * TILE
 }
@@ -209,12 +211,15 @@ mod tests {
         for (width, quality) in
             [(4096, Quality::from(Tier::Standard)), (700, Tier::High.into()), (512, Quality::monte_carlo(64))]
         {
-            let rows = rows(width, quality);
+            let rows = rows(width, quality, Quality::BAND_COST);
             assert!(rows.is_multiple_of(TILE) && rows > 0);
             let cost = (rows * width) as u64 * quality.pixel_cost();
             assert!(cost <= Quality::BAND_COST || rows == TILE, "{width} {quality:?}: {rows} rows");
         }
-        assert_eq!(rows(1 << 16, Quality::monte_carlo(Quality::MOST_SAMPLES)), TILE);
-        assert!(rows(1, Tier::Preview.into()) >= 1 << 16, "a narrow frame is one band");
+        assert_eq!(rows(1 << 16, Quality::monte_carlo(Quality::MOST_SAMPLES), Quality::BAND_COST), TILE);
+        assert!(
+            rows(1, Tier::Preview.into(), Quality::CPU_BAND_COST) >= 1 << 16,
+            "a narrow frame is one band"
+        );
     }
 }

@@ -34,10 +34,24 @@ pub fn encode_frame(
     format: FrameFormat,
     finish: &Finish,
 ) -> Result<EncodedFrame, ImageFileError> {
+    encode_wanted_frame(frame, outputs, format, finish, &|| true)
+}
+
+/// The same, for a caller who may go away: an EXR, the one format that takes long, ends early once `is_wanted` says no.
+///
+/// # Errors
+/// As [`encode_frame`], and when the file is not wanted any more.
+pub fn encode_wanted_frame(
+    frame: &Frame,
+    outputs: &[Output],
+    format: FrameFormat,
+    finish: &Finish,
+    is_wanted: &dyn Fn() -> bool,
+) -> Result<EncodedFrame, ImageFileError> {
     let bare = |bytes| EncodedFrame { bytes, depth_range: None };
     let first = outputs.first().copied().unwrap_or(Output::Rgb);
     match format {
-        FrameFormat::Exr => exr(frame, outputs, finish).map(bare),
+        FrameFormat::Exr => exr(frame, outputs, finish, is_wanted).map(bare),
         FrameFormat::Png => png(frame, first, finish),
         FrameFormat::Jpeg => {
             let pixels = over_white(&colour::<u8>(frame, first, finish)?);
@@ -136,14 +150,18 @@ fn shown_as(colour: [u8; 3], curve: ToneCurve) -> [f32; 3] {
 }
 
 /// Colours and measurements in parts of their own.
-fn exr(frame: &Frame, outputs: &[Output], finish: &Finish) -> Result<Vec<u8>, ImageFileError> {
-    let alpha = plane(frame, Output::Alpha)?;
-    let with_rgb = outputs.contains(&Output::Rgb);
-    let alpha = alpha.iter().map(|a| coverage(*a, Output::Rgb, finish));
-    let rgba = if with_rgb { interleaved(plane(frame, Output::Rgb)?, alpha) } else { Vec::new() };
+fn exr(
+    frame: &Frame,
+    outputs: &[Output],
+    finish: &Finish,
+    is_wanted: &dyn Fn() -> bool,
+) -> Result<Vec<u8>, ImageFileError> {
+    let alpha = plane(frame, Output::Alpha)?.iter();
+    let alpha: Vec<f32> = alpha.map(|a| coverage(*a, Output::Rgb, finish)).collect();
     let (mut colour, mut data) = (Vec::new(), Vec::new());
-    if with_rgb {
-        colour.push(FrameLayer { name: "", suffixes: "RGBA", values: &rgba });
+    if outputs.contains(&Output::Rgb) {
+        colour.push(FrameLayer { name: "", suffixes: "RGB", values: plane(frame, Output::Rgb)? });
+        colour.push(FrameLayer { name: "", suffixes: "A", values: &alpha });
     }
     for output in outputs.iter().filter(|o| **o != Output::Rgb) {
         let (name, suffixes) = layer_name(*output);
@@ -153,7 +171,7 @@ fn exr(frame: &Frame, outputs: &[Output], finish: &Finish) -> Result<Vec<u8>, Im
     let (width, height) = (frame.width, frame.height);
     let attributes = &finish.notes.attributes(finish.background);
     let layers = FrameLayers { width, height, colour: &colour, data: &data, attributes };
-    exr_frame::encode(&layers, finish.colour_depth.unwrap_or(exr_frame::ColourDepth::Full))
+    exr_frame::encode_while(&layers, finish.colour_depth.unwrap_or(exr_frame::ColourDepth::Full), is_wanted)
 }
 
 /// The names compositing tools expect.
@@ -171,10 +189,6 @@ fn layer_name(output: Output) -> (&'static str, &'static str) {
         Output::Visibility => ("visibility", "Y"),
         Output::Alpha => ("alpha", "Y"),
     }
-}
-
-fn interleaved(rgb: &[f32], alpha: impl Iterator<Item = f32>) -> Vec<f32> {
-    rgb.as_chunks::<3>().0.iter().zip(alpha).flat_map(|(&[r, g, b], a)| [r, g, b, a]).collect()
 }
 
 fn over_white(pixels: &[[u8; 4]]) -> Vec<[u8; 3]> {

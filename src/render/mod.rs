@@ -21,7 +21,7 @@ pub use crate::engine::{Frame, Output};
 pub use crate::formats::exr_frame::ColourDepth;
 pub use background::Background;
 pub use bands::Bands;
-pub use encode::{EncodedFrame, encode_frame};
+pub use encode::{EncodedFrame, encode_frame, encode_wanted_frame};
 pub use error::RenderError;
 pub use finish::Finish;
 pub use format::{FrameFormat, is_colour};

@@ -60,6 +60,9 @@ impl Quality {
 
     /// Most that a band of a frame costs, in pixels times [`Self::pixel_cost`].
     pub const BAND_COST: u64 = 1 << 20;
+    /// The same of a frame that the CPU engine renders: other frames wait for one band, which takes it as long as a GPU's whole frame.
+    /// A frame of this cost is one band everywhere.
+    pub const CPU_BAND_COST: u64 = 1 << 18;
 
     /// What a pixel costs beside one of [`Tier::Preview`], roughly.
     pub fn pixel_cost(self) -> u64 {

@@ -7,6 +7,8 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
+use crate::scene::ColumnTurn;
+
 /// An equirectangular map of linear Rec.709 radiance, row-major, row 0 at world +Z.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EnvMap {
@@ -170,14 +172,8 @@ impl EnvMap {
     /// The map rotated about world +Z by `degrees` (counter-clockwise seen from above) and scaled.
     #[must_use]
     pub fn rotated_and_scaled(&self, degrees: f64, gain: f32) -> Self {
-        let turn = glam::DQuat::from_rotation_z(-degrees.to_radians());
-        let unrotated = degrees.rem_euclid(360.0) == 0.0;
-        let mut texels = if unrotated {
-            self.texels.clone()
-        } else {
-            let dirs = texel_directions(self.width, self.height);
-            dirs.into_iter().map(|(d, _)| self.sample(turn * d)).collect()
-        };
+        let turn = ColumnTurn::new(degrees.to_radians(), self.width);
+        let mut texels = turn.apply(&self.texels).into_owned();
         texels.iter_mut().flatten().for_each(|v| *v *= gain);
         Self { width: self.width, height: self.height, texels }
     }
@@ -216,15 +212,16 @@ pub fn uv_to_direction(u: f64, v: f64) -> DVec3 {
 
 /// Direction and solid angle (steradian, summing to 4 pi) of each texel centre, row-major.
 pub fn texel_directions(width: usize, height: usize) -> Vec<(DVec3, f64)> {
+    let column = |x: usize| ((0.5 - (x as f64 + 0.5) / width as f64) * TAU).sin_cos();
+    let columns: Vec<(f64, f64)> = (0..width).map(column).collect();
     let mut out = Vec::with_capacity(width * height);
     for y in 0..height {
         let top = (PI * y as f64 / height as f64).cos();
         let bottom = (PI * (y + 1) as f64 / height as f64).cos();
         let solid_angle = (top - bottom) * TAU / width as f64;
-        for x in 0..width {
-            let (u, v) = ((x as f64 + 0.5) / width as f64, (y as f64 + 0.5) / height as f64);
-            out.push((uv_to_direction(u, v), solid_angle));
-        }
+        let (sin_theta, cos_theta) = ((y as f64 + 0.5) / height as f64 * PI).sin_cos();
+        let around = columns.iter().map(|(sin, cos)| DVec3::new(sin_theta * cos, sin_theta * sin, cos_theta));
+        out.extend(around.map(|d| (d, solid_angle)));
     }
     out
 }

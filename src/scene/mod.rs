@@ -1,6 +1,7 @@
 //! The data of a relightable model: Gaussians, materials, environment, camera, images. No GPU, no input or output.
 
 mod camera;
+mod column_turn;
 mod environment;
 mod field;
 mod gaussians;
@@ -9,6 +10,7 @@ mod model;
 mod split;
 
 pub use camera::{Camera, CameraError};
+pub use column_turn::ColumnTurn;
 pub use environment::{
     BRIGHTEST, EnvMap, EnvMapError, EnvMapStats, direction_to_uv, texel_directions, uv_to_direction,
 };

@@ -83,6 +83,7 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/v1/webhooks/{id}", Needs(Admin)),
     (Method::PATCH, "/v1/webhooks/{id}", Needs(Admin)),
     (Method::DELETE, "/v1/webhooks/{id}", Needs(Admin)),
+    (Method::POST, "/v1/webhooks/{id}/rotate-secret", Needs(Admin)),
     (Method::GET, "/v1/webhooks/{id}/deliveries", Needs(Admin)),
     (Method::POST, "/v1/webhooks/{id}/deliveries/{delivery}/replay", Needs(Admin)),
 ];

@@ -9,11 +9,13 @@ use utoipa::openapi::OpenApi;
 use crate::capture::ImportLimits;
 use crate::jobs::Jobs;
 use crate::server::decoders::Decoders;
+use crate::server::encoders::Encoders;
 use crate::server::fetching::Fetcher;
 use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::thumbnail_cache::ThumbnailCache;
+use crate::server::turns::Turns;
 use crate::server::webhooks::WebhookPolicy;
 use crate::store::{Store, UploadLimits};
 use crate::worker::DeviceHandle;
@@ -58,6 +60,10 @@ pub(super) struct App {
     pub(super) memory: MemoryBudget,
     /// Thumbnails that were rendered.
     pub(super) thumbnails: ThumbnailCache,
+    /// Thumbnails that are being rendered, by digest.
+    pub(super) thumbnail_turns: Turns,
+    /// Where frames are encoded.
+    pub(super) encoders: Encoders,
     /// Where uploads are decoded.
     pub(super) decoders: Decoders,
     /// Who may make requests.

@@ -23,7 +23,7 @@ const SMALL: u64 = 8;
 const SMALL_BODY: u64 = 65_536;
 /// How long a loan may wait for others to end.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Bytes a value of a frame's planes takes, and its copy on the way into a file.
+/// Bytes a value of a frame's planes takes, and of the file that grows beside it.
 const FRAME_VALUE: u64 = 9;
 /// Bytes a pixel, in a band, of a pass that blends colour alone.
 const COLOUR_PIXEL: u64 = 16;

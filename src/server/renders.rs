@@ -8,15 +8,16 @@ use utoipa_axum::routes;
 
 use crate::api::renders::RenderRequest;
 use crate::api::{ModelId, Problem};
-use crate::render::{Background, EncodedFrame, Finish, FrameFormat, FrameNotes, Viewpoint, encode_frame};
+use crate::render::{Background, EncodedFrame, Finish, FrameFormat, FrameNotes, Viewpoint};
 use crate::scene::Camera;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{LargeJson, UrlPath};
 use crate::server::lights::light;
+use crate::server::memory::of_frame;
 use crate::server::render_request::{camera, quality};
-use crate::server::{memory, models, negotiate, render_request};
+use crate::server::{models, negotiate, render_request};
 use crate::worker::RenderTask;
 
 /// Largest body: a 2k map in base64 and the rest.
@@ -105,7 +106,7 @@ pub(super) async fn render_frame(
     finish: Finish,
 ) -> Result<TimedFrame, Problem> {
     // Held from before the queue to the encoded file.
-    let _frame = app.memory.borrow(memory::of_frame(task.pixels(), &task.outputs)).await?;
+    let memory = app.memory.borrow(of_frame(task.pixels(), &task.outputs)).await?;
     let outputs = task.outputs.clone();
     let rendered = app.device.render(task).await?;
     let ms = |d: std::time::Duration| d.as_secs_f64() * 1e3;
@@ -115,9 +116,7 @@ pub(super) async fn render_frame(
         rendered.steps_waited,
         ms(rendered.took)
     );
-    let encode = move || encode_frame(&rendered.frame, &outputs, format, &finish);
-    let encoded =
-        tokio::task::spawn_blocking(encode).await.map_err(Problem::internal)?.map_err(Problem::internal)?;
+    let encoded = app.encoders.encode(rendered.frame, outputs, format, finish, memory).await?;
     Ok(TimedFrame { encoded, timing })
 }
 

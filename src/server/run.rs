@@ -17,6 +17,7 @@ use crate::server::app::{App, RequestLimits};
 use crate::server::auth::{ApiKeys, may_listen};
 use crate::server::connections::{self, ConnectionLimits};
 use crate::server::decoders::Decoders;
+use crate::server::encoders::Encoders;
 use crate::server::fetching::{FetchPolicy, Fetcher};
 use crate::server::keeper::Keeper;
 use crate::server::keyring::Keyring;
@@ -28,6 +29,7 @@ use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::stack::StackConfig;
 use crate::server::thumbnail_cache::ThumbnailCache;
+use crate::server::turns::Turns;
 use crate::server::validation;
 use crate::server::webhooks::{Courier, WebhookPolicy};
 use crate::store::{NodeLock, Quota, Retention, Store, StoreError, UploadLimits, has_keys};
@@ -236,6 +238,8 @@ fn service(
         upload_limits: config.uploads,
         import_limits: config.worker.import_limits,
         memory: MemoryBudget::new(config.limits.memory_bytes),
+        thumbnail_turns: Turns::default(),
+        encoders: Encoders::new(),
         decoders: Decoders::start(config.limits.memory_bytes)?,
         keys: keys.clone(),
         signing: signing.clone(),

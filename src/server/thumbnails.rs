@@ -125,6 +125,8 @@ async fn found_or_rendered(
     &Picture { tenant, digest, format }: &Picture<'_>,
 ) -> Result<Response, Problem> {
     let model = task.model.id.clone();
+    // Equal pictures that are asked for together are rendered once.
+    let _turn = app.thumbnail_turns.take(digest).await;
     if let Some(bytes) = app.thumbnails.get(model.as_str(), digest).await {
         return Ok(([(header::CONTENT_TYPE, format.media_type())], bytes).into_response());
     }

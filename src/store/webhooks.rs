@@ -27,6 +27,10 @@ pub struct WebhookRecord {
     pub name: Option<String>,
     /// What signs its deliveries.
     pub secret: Vec<u8>,
+    /// What signed them before, and still does beside it until `former_until_ms`.
+    pub former_secret: Option<Vec<u8>>,
+    /// Until when the former secret signs.
+    pub former_until_ms: Option<i64>,
     /// The key that made it.
     pub made_by: Option<KeyId>,
     /// When it was made.
@@ -43,7 +47,16 @@ pub struct WebhookRecord {
 
 placed!(WebhookRecord: created_ms);
 
-/// Without the secret.
+impl WebhookRecord {
+    /// What signs at a time: the secret, and the one before for as long as it does.
+    pub fn secrets(&self, now_ms: i64) -> impl Iterator<Item = &[u8]> {
+        let former = self.former_until_ms.is_some_and(|until| now_ms < until);
+        let former = self.former_secret.as_deref().filter(|_| former);
+        std::iter::once(self.secret.as_slice()).chain(former)
+    }
+}
+
+/// Without the secrets.
 impl std::fmt::Debug for WebhookRecord {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut shown = f.debug_struct("WebhookRecord");
@@ -141,6 +154,28 @@ impl Store {
         .await?;
         tx.commit().await?;
         Ok(changed)
+    }
+
+    /// Gives a webhook of a tenant a new secret. The one that it has signs beside it until `former_until_ms`.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn rotate_webhook_secret(
+        &self,
+        tenant: &TenantId,
+        id: &WebhookId,
+        secret: &[u8],
+        former_until_ms: i64,
+    ) -> Result<Option<WebhookRecord>, StoreError> {
+        let mut tx = self.write().await?;
+        let rotated = sqlx::query_as(
+            "UPDATE webhooks SET former_secret = secret, former_until_ms = ?4, secret = ?3
+             WHERE id = ?1 AND tenant = ?2 RETURNING *",
+        );
+        let rotated = rotated.bind(id).bind(tenant).bind(secret).bind(former_until_ms);
+        let rotated = rotated.fetch_optional(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(rotated)
     }
 
     /// Deletes a webhook of a tenant with its deliveries; `false` when there is none.

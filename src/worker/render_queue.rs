@@ -102,7 +102,7 @@ impl WaitingRenders {
         let mut state = self.0.lock();
         let waiting = &mut state.waiting;
         let cheapest = (0..waiting.len()).min_by_key(|&i| waiting[i].cost)?;
-        (waiting[cheapest].cost <= Quality::BAND_COST).then(|| waiting.remove(cheapest).render)
+        (waiting[cheapest].cost <= Quality::CPU_BAND_COST).then(|| waiting.remove(cheapest).render)
     }
 }
 

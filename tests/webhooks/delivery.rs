@@ -11,7 +11,7 @@ use relume::testing::{self, TestServer};
 use serde_json::json;
 use tempfile::TempDir;
 
-use super::receiver::{Answer, Receiver, for_all, is_signed, newest};
+use super::receiver::{Answer, Received, Receiver, for_all, is_signed, newest};
 use crate::service_support::{capture_zip, ended, small_job, trained};
 
 /// A server that sends to loopback, with a clock that stands.
@@ -75,6 +75,30 @@ async fn the_end_of_a_job_is_delivered_signed_to_those_who_want_it() {
     assert_eq!((logged.id.as_str(), &logged.job), (received.header("webhook-id"), &job.id));
     assert_eq!((logged.attempts.len(), logged.attempts[0].status), (1, Some(200)));
     assert!(one.is_silent() && other.is_silent(), "nothing else is sent");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_secret_that_was_replaced_signs_for_a_day_beside_the_new_one() {
+    let (server, clock) = start(TempDir::new().unwrap(), PATIENT).await;
+    let client = server.client();
+    let mut receiver = Receiver::new().await;
+    let made = client.create_webhook(&for_all(&receiver.url)).await.unwrap();
+    let rotated = client.rotate_webhook_secret(&made.webhook.id).await.unwrap();
+    assert_eq!(rotated.webhook, made.webhook);
+    assert_ne!(rotated.secret, made.secret);
+    let signed_by =
+        |received: &Received| [&made, &rotated].map(|webhook| is_signed(&webhook.secret, received));
+    cancelled(&server).await;
+    assert_eq!(signed_by(&receiver.next().await), [true, true]);
+    clock.advance(Duration::from_secs(24 * 3600));
+    cancelled(&server).await;
+    assert_eq!(signed_by(&receiver.next().await), [false, true]);
+    let third = client.rotate_webhook_secret(&made.webhook.id).await.unwrap();
+    let last = client.rotate_webhook_secret(&made.webhook.id).await.unwrap();
+    cancelled(&server).await;
+    let received = receiver.next().await;
+    assert_eq!([&third, &last].map(|webhook| is_signed(&webhook.secret, &received)), [true, true]);
+    assert_eq!(signed_by(&received), [false, false], "of secrets that were replaced the last alone signs");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -17,6 +17,8 @@ fn webhook(id: &str, tenant: &str, events: &[WebhookEvent]) -> WebhookRecord {
         events: events.to_vec(),
         name: None,
         secret: vec![7; 32],
+        former_secret: None,
+        former_until_ms: None,
         made_by: None,
         created_ms: 0,
         enabled: true,

@@ -10,8 +10,8 @@ use crate::engine::cpu::{
 };
 use crate::engine::step::{Branches, Photo};
 use crate::engine::{LightTurn, LightTurns, NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
-use crate::light::{ColumnTurn, EnvOperators, LightTables};
-use crate::scene::{MAX_LIGHTS, SplitLight};
+use crate::light::{EnvOperators, LightTables};
+use crate::scene::{ColumnTurn, MAX_LIGHTS, SplitLight};
 
 /// A state as the kernels read it, without learned indirect light and under the light unturned.
 pub fn source(state: &TrainState) -> AttributeSource<'_> {

@@ -18,8 +18,8 @@ use crate::engine::{
     DeviceError, Gradients, LightTurn, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights,
     TrainState, fibonacci_sphere, indirect_basis,
 };
-use crate::light::{ColumnTurn, EnvOperators, LightTables};
-use crate::scene::{Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
+use crate::light::{EnvOperators, LightTables};
+use crate::scene::{ColumnTurn, Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
 
 /// The state with the operators of its light, and the snapshot of both to return to.
 pub struct Training {

@@ -104,8 +104,9 @@ impl Courier {
                 return None;
             }
         };
-        let (id, seconds) = (delivery.id.to_string(), self.jobs.now_ms() / 1000);
-        let signature = sign(&webhook.secret, &id, seconds, &delivery.payload)?;
+        let (id, now_ms) = (delivery.id.to_string(), self.jobs.now_ms());
+        let seconds = now_ms / 1000;
+        let signature = sign(webhook.secrets(now_ms), &id, seconds, &delivery.payload)?;
         let message = Message { id, seconds, signature, body: delivery.payload.clone() };
         Some(send(&webhook.url, message, &self.policy, &self.tls).await)
     }

@@ -26,11 +26,15 @@ use crate::store::{DeliveryRecord, Replay, WebhookRecord};
 /// How long the address of a new webhook may take to be found.
 const LOOK_UP: Duration = Duration::from_secs(5);
 
+/// How long a secret signs after it was replaced.
+const FORMER_SIGNS_MS: i64 = 24 * 3600 * 1000;
+
 /// The routes of this file.
 pub(in crate::server) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new()
         .routes(routes!(create_webhook, list_webhooks))
         .routes(routes!(get_webhook, change_webhook, delete_webhook))
+        .routes(routes!(rotate_webhook_secret))
         .routes(routes!(list_deliveries))
         .routes(routes!(replay_delivery))
 }
@@ -65,6 +69,8 @@ async fn create_webhook(
         events: webhook.events,
         name: webhook.name,
         secret,
+        former_secret: None,
+        former_until_ms: None,
         created_ms: app.jobs.now_ms(),
         enabled: true,
         failing_since_ms: None,
@@ -129,6 +135,27 @@ async fn change_webhook(
     check(change.url.as_deref(), fault, &app.webhooks).await?;
     let changed = app.store.change_webhook(&caller.tenant, &id, &change).await?;
     found(changed, &id).map(|webhook| Json(view(webhook)))
+}
+
+/// Give a webhook a new secret
+///
+/// The answer has it; it is shown this once. For 24 hours messages have two signatures, by the new secret and by the one before, so
+/// that the receiver can take the new one over without missing a message. A secret that was replaced before ends at once.
+#[utoipa::path(
+    post, path = "/v1/webhooks/{id}/rotate-secret", tag = "webhooks", params(("id" = String, Path)),
+    responses((status = 200, body = CreatedWebhook), (status = 404, body = Problem))
+)]
+async fn rotate_webhook_secret(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<WebhookId>,
+) -> Result<Response, Problem> {
+    let secret = fresh_secret().map_err(Problem::internal)?;
+    let former_until_ms = app.jobs.now_ms().saturating_add(FORMER_SIGNS_MS);
+    let rotated = app.store.rotate_webhook_secret(&caller.tenant, &id, &secret, former_until_ms).await?;
+    let rotated = found(rotated, &id)?;
+    let shown = CreatedWebhook { secret: written(&rotated.secret), webhook: view(rotated) };
+    Ok(([(header::CACHE_CONTROL, HeaderValue::from_static("no-store"))], Json(shown)).into_response())
 }
 
 /// Delete a webhook

@@ -23,8 +23,19 @@ pub(super) fn written(secret: &[u8]) -> String {
     format!("whsec_{}", STANDARD.encode(secret))
 }
 
-/// The header `webhook-signature`.
-pub(super) fn sign(secret: &[u8], id: &str, seconds: i64, body: &str) -> Option<String> {
+/// The header `webhook-signature`: a signature by each secret, with spaces between.
+pub(super) fn sign<'a>(
+    secrets: impl Iterator<Item = &'a [u8]>,
+    id: &str,
+    seconds: i64,
+    body: &str,
+) -> Option<String> {
+    let signatures: Option<Vec<String>> =
+        secrets.map(|secret| signature(secret, id, seconds, body)).collect();
+    signatures.map(|signatures| signatures.join(" "))
+}
+
+fn signature(secret: &[u8], id: &str, seconds: i64, body: &str) -> Option<String> {
     let mut mac = Hmac::<Sha256>::new_from_slice(secret).ok()?;
     mac.update(format!("{id}.{seconds}.{body}").as_bytes());
     Some(format!("v1,{}", STANDARD.encode(mac.finalize().into_bytes())))
@@ -35,9 +46,17 @@ mod tests {
     use super::*;
 
     #[test]
+    fn each_secret_signs() {
+        let both = sign([b"new".as_slice(), b"old"].into_iter(), "id", 1, "{}").unwrap();
+        let alone = |secret: &'static [u8]| sign(std::iter::once(secret), "id", 1, "{}").unwrap();
+        assert_eq!(both, format!("{} {}", alone(b"new"), alone(b"old")));
+    }
+
+    #[test]
     fn a_message_is_signed_as_the_standards_example() {
         let secret = STANDARD.decode("MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw").unwrap();
-        let signed = sign(&secret, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, r#"{"test": 2432232314}"#);
+        let signed =
+            signature(&secret, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, r#"{"test": 2432232314}"#);
         assert_eq!(signed.unwrap(), "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE=");
         assert_eq!(written(&secret), "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw");
         assert_ne!(fresh_secret().unwrap(), fresh_secret().unwrap());

@@ -7,9 +7,9 @@ use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{Buffer, Gpu, shaders};
 use crate::engine::{indirect_basis, indirect_basis_backward};
-use crate::light::{ColumnTurn, EnvOperators, LUMINANCE, LightColour, TableResolution, UPWARD_LUMINANCE};
+use crate::light::{EnvOperators, LUMINANCE, LightColour, TableResolution, UPWARD_LUMINANCE};
 use crate::scene::{
-    Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, ShadingOptions, SplitLight, softplus,
+    ColumnTurn, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, ShadingOptions, SplitLight, softplus,
     texel_directions,
 };
 

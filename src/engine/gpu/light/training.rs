@@ -8,8 +8,8 @@ use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
 use crate::engine::indirect::INDIRECT_DIRECTIONS;
 use crate::engine::{LightWeights, fibonacci_sphere};
-use crate::light::{ColumnTurn, EnvOperators, LightTables, sh_eval};
-use crate::scene::{IndirectForm, texel_directions};
+use crate::light::{EnvOperators, LightTables, sh_eval};
+use crate::scene::{ColumnTurn, IndirectForm, texel_directions};
 
 /// `Environment` of `shaders/shared/environment.wgsl`.
 #[repr(C)]

@@ -61,7 +61,7 @@ impl ColumnTurn {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::EnvMap;
+    use crate::scene::{EnvMap, texel_directions};
 
     fn map() -> EnvMap {
         EnvMap::from_fn(16, 8, |d| [d.x as f32 + 1.5, (3.0 * d.y).sin() as f32 + 1.5, d.z.abs() as f32])
@@ -77,10 +77,12 @@ mod tests {
         let map = map();
         for degrees in [0.0, 22.5, 90.0, 120.0, -75.0, 360.0, 1000.0f64] {
             let turned = ColumnTurn::new(degrees.to_radians(), 16).apply(map.texels()).into_owned();
-            let expected = map.rotated_and_scaled(degrees, 1.0);
-            assert!(worst(&turned, expected.texels()) < 1e-5, "{degrees}");
-            let other = map.rotated_and_scaled(degrees + 10.0, 1.0);
-            assert!(worst(&turned, other.texels()) > 0.1, "the control: ten degrees show");
+            let sampled = |degrees: f64| -> Vec<[f32; 3]> {
+                let back = glam::DQuat::from_rotation_z(-degrees.to_radians());
+                texel_directions(16, 8).into_iter().map(|(d, _)| map.sample(back * d)).collect()
+            };
+            assert!(worst(&turned, &sampled(degrees)) < 1e-5, "{degrees}");
+            assert!(worst(&turned, &sampled(degrees + 10.0)) > 0.1, "the control: ten degrees show");
         }
     }
 

@@ -1,0 +1,94 @@
+//! Turns of large frames on their way into files: a few at a time, so that small ones find a processor.
+
+use std::sync::Arc;
+
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+
+use crate::api::Problem;
+use crate::render::{EncodedFrame, Finish, Frame, FrameFormat, Output, encode_wanted_frame};
+use crate::server::memory::Loan;
+
+/// Most values of a frame that is encoded at once, whatever else is: 512 x 512 pixels of colour and alpha.
+const AT_ONCE: u64 = 1 << 20;
+
+/// What turns are taken of.
+#[derive(Clone)]
+pub(super) struct Encoders(Arc<Semaphore>);
+
+impl Encoders {
+    /// Half as many large frames at a time as there are processors, at least one.
+    pub(super) fn new() -> Self {
+        let processors = std::thread::available_parallelism().map_or(1, usize::from);
+        Self(Arc::new(Semaphore::new((processors / 2).max(1))))
+    }
+
+    /// The file of a frame; `memory` is what was borrowed for both. When the future is dropped, the work ends soon.
+    ///
+    /// # Errors
+    /// 500 when the encoder fails.
+    pub(super) async fn encode(
+        &self,
+        frame: Frame,
+        outputs: Vec<Output>,
+        format: FrameFormat,
+        finish: Finish,
+        memory: Loan,
+    ) -> Result<EncodedFrame, Problem> {
+        let turn = match values(&frame, &outputs) > AT_ONCE {
+            true => Some(self.0.clone().acquire_owned().await.map_err(Problem::internal)?),
+            false => None,
+        };
+        let gone = CancellationToken::new();
+        let _until_dropped = gone.clone().drop_guard();
+        let work = move || {
+            // Both are held until the work has ended, not only while somebody waits for it.
+            let _held = (memory, turn);
+            encode_wanted_frame(&frame, &outputs, format, &finish, &|| !gone.is_cancelled())
+        };
+        tokio::task::spawn_blocking(work).await.map_err(Problem::internal)?.map_err(Problem::internal)
+    }
+}
+
+fn values(frame: &Frame, outputs: &[Output]) -> u64 {
+    let channels: usize = outputs.iter().map(|output| output.channels()).sum();
+    u64::from(frame.width) * u64::from(frame.height) * (channels as u64 + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::server::memory::MemoryBudget;
+
+    fn frame(side: u32) -> Frame {
+        let pixels = (side * side) as usize;
+        let planes = [(Output::Rgb, vec![0.5; 3 * pixels]), (Output::Alpha, vec![1.0; pixels])];
+        Frame { width: side, height: side, planes: planes.into() }
+    }
+
+    async fn encode(encoders: &Encoders, side: u32) -> Result<EncodedFrame, Problem> {
+        let memory = MemoryBudget::new(1 << 30).borrow(1).await.unwrap();
+        encoders.encode(frame(side), vec![Output::Rgb], FrameFormat::Exr, Finish::default(), memory).await
+    }
+
+    #[tokio::test]
+    async fn a_large_frame_waits_for_its_turn_and_a_small_one_does_not() {
+        let encoders = Encoders(Arc::new(Semaphore::new(1)));
+        let taken = encoders.0.clone().acquire_owned().await.unwrap();
+        assert!(encode(&encoders, 64).await.is_ok());
+        let large = tokio::time::timeout(Duration::from_millis(50), encode(&encoders, 1024)).await;
+        assert!(large.is_err(), "it waits");
+        drop(taken);
+        assert!(encode(&encoders, 1024).await.is_ok());
+    }
+
+    #[tokio::test]
+    async fn the_turn_of_a_client_who_has_gone_comes_back() {
+        let encoders = Encoders(Arc::new(Semaphore::new(1)));
+        let begun = tokio::time::timeout(Duration::from_millis(5), encode(&encoders, 2048)).await;
+        assert!(begun.is_err(), "nobody encodes four million pixels in five milliseconds");
+        assert!(encode(&encoders, 1024).await.is_ok());
+    }
+}
