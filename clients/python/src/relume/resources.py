@@ -1,0 +1,246 @@
+"""What a server keeps: captures, jobs, models, environment maps."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from tqdm import tqdm
+
+from relume.cameras import Camera
+from relume.errors import JobFailed
+from relume.frames import Frame
+from relume.http import Connection
+
+Preset = Literal["draft", "standard", "high"]
+Tier = Literal["preview", "standard", "high", "monte_carlo"]
+_ENDED = ("succeeded", "rejected", "failed", "cancelled")
+
+
+class Resource:
+    """Something that the server keeps. `data` is its JSON as it was last asked for."""
+
+    _path = ""
+
+    def __init__(self, connection: Connection, data: dict[str, Any]) -> None:
+        self._connection = connection
+        self.data = data
+
+    @property
+    def id(self) -> str:
+        """Its identifier."""
+        return str(self.data["id"])
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.id})"
+
+    def refresh(self) -> None:
+        """Asks for it again."""
+        self.data = self._connection.json("GET", self._at())
+
+    def delete(self, *, cascade: bool = False) -> None:
+        """Deletes it; with `cascade` also what needs it, otherwise that is a RelumeError of kind `in-use`."""
+        self._connection.send("DELETE", self._at(), params={"cascade": "true"} if cascade else {})
+
+    def _at(self, more: str = "") -> str:
+        return f"/v1/{self._path}/{self.id}{more}"
+
+
+class Capture(Resource):
+    """Photographs with their cameras."""
+
+    _path = "captures"
+
+    def cameras(self) -> list[dict[str, Any]]:
+        """Each photograph's `name`, `width`, `height`, `held_out` and `camera`, which is one that `Model.render` takes."""
+        cameras: list[dict[str, Any]] = self._connection.json("GET", self._at("/cameras"))["cameras"]
+        return cameras
+
+    def train(
+        self,
+        preset: Preset = "standard",
+        *,
+        overrides: dict[str, Any] | None = None,
+        quality_gate: dict[str, str] | None = None,
+        name: str | None = None,
+        labels: dict[str, str] | None = None,
+        priority: int = 0,
+    ) -> Job:
+        """Queues a training; once, also when the answer is lost on the way.
+
+        `overrides` are settings of the training (docs/MODEL.md, openapi.json: TrainOverrides); a `quality_gate` such as
+        `{"novel_view.psnr": ">=28"}` has the job end as rejected where the model misses it.
+        """
+        wanted: dict[str, Any] = {"capture": self.id, "preset": preset, "priority": priority}
+        named = {"overrides": overrides, "quality_gate": quality_gate, "name": name, "labels": labels}
+        wanted.update({key: value for key, value in named.items() if value is not None})
+        headers = {"Idempotency-Key": str(uuid.uuid4())}
+        return Job(self._connection, self._connection.json("POST", "/v1/jobs", json=wanted, headers=headers))
+
+
+class Job(Resource):
+    """A training."""
+
+    _path = "jobs"
+
+    @property
+    def state(self) -> str:
+        """`queued`, `running`, `cancelling`, `succeeded`, `rejected`, `failed` or `cancelled`, when it was last asked for."""
+        return str(self.data["state"])
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it will not change any more."""
+        return self.state in _ENDED
+
+    @property
+    def figures(self) -> dict[str, Any] | None:
+        """What was measured on held-out photographs."""
+        figures: dict[str, Any] | None = self.data.get("figures")
+        return figures
+
+    def cancel(self) -> None:
+        """Asks for its end."""
+        self.data = self._connection.json("POST", self._at("/cancel"))
+
+    def model(self) -> Model:
+        """The model of a job that succeeded, or was rejected. Raises JobFailed where there is none."""
+        if not self.data.get("model"):
+            raise JobFailed(self.data)
+        return Model(self._connection, self._connection.json("GET", f"/v1/models/{self.data['model']}"))
+
+    def wait(
+        self,
+        *,
+        progress: bool = True,
+        timeout: float | None = None,
+        on_progress: Callable[[dict[str, Any]], None] | None = None,
+    ) -> Model:
+        """Waits for the end and gives the model.
+
+        `progress` shows a bar, `on_progress` is told each new state of the job's JSON. Raises JobFailed when the job failed, was cancelled or
+        rejected, and TimeoutError after `timeout` seconds; the job goes on then.
+        """
+        until = None if timeout is None else time.monotonic() + timeout
+        total = int(self.data["progress"]["total"])
+        with tqdm(total=total, unit="step", desc=self.data.get("name") or "training", disable=not progress) as bar:
+            while True:
+                self.refresh()
+                if on_progress is not None:
+                    on_progress(self.data)
+                told = self.data["progress"]
+                bar.total = int(told["total"])
+                shown = {"psnr": told.get("psnr"), "gaussians": told.get("gaussians")}
+                bar.set_postfix({key: f"{value:.4g}" for key, value in shown.items() if value is not None}, refresh=False)
+                bar.update(int(told["step"]) - bar.n)
+                if self.has_ended:
+                    break
+                if until is not None and time.monotonic() > until:
+                    raise TimeoutError(f"job {self.id} is {self.state} after {timeout} s")
+                time.sleep(1.0)
+        if self.state != "succeeded":
+            raise JobFailed(self.data)
+        return self.model()
+
+
+class Environment(Resource):
+    """An environment map that was uploaded."""
+
+    _path = "environments"
+
+
+Light = str | Environment
+"""The name of a built-in map, `recovered`, or a map that was uploaded."""
+
+
+class Model(Resource):
+    """A relightable model."""
+
+    _path = "models"
+
+    @property
+    def card(self) -> dict[str, Any]:
+        """What was trained, how, and what was decided on what evidence."""
+        card: dict[str, Any] = self._connection.json("GET", self._at("/card"))
+        return card
+
+    def render(
+        self,
+        camera: Camera,
+        environment: Light = "recovered",
+        *,
+        size: int | tuple[int, int] = 512,
+        outputs: Sequence[str] = ("rgb",),
+        tier: Tier = "standard",
+        rotation_deg: float = 0.0,
+        exposure_ev: float = 0.0,
+        samples: int | None = None,
+        seed: int | None = None,
+    ) -> Frame:
+        """A frame as linear arrays, its `alpha` among them. `size` is width and height, or both."""
+        asked = self._request(camera, environment, size, [*dict.fromkeys([*outputs, "alpha"])], tier, rotation_deg, exposure_ev)
+        drawn = {"samples": samples, "seed": seed}
+        asked.update({key: value for key, value in drawn.items() if value is not None})
+        answer = self._connection.send("POST", self._at("/render"), json=asked, headers={"Accept": "image/x-exr"})
+        return Frame.from_exr(answer.content)
+
+    def picture(
+        self,
+        camera: Camera,
+        environment: Light = "recovered",
+        *,
+        size: int | tuple[int, int] = 512,
+        output: str = "rgb",
+        tier: Tier = "standard",
+        rotation_deg: float = 0.0,
+        exposure_ev: float = 0.0,
+        background: str = "transparent",
+        tone_curve: str = "srgb",
+        media_type: Literal["image/png", "image/jpeg"] = "image/png",
+    ) -> bytes:
+        """A frame as the bytes of a PNG or JPEG, for people to look at."""
+        asked = self._request(camera, environment, size, [output], tier, rotation_deg, exposure_ev)
+        asked.update({"background": background, "tone_curve": tone_curve})
+        return self._connection.send("POST", self._at("/render"), json=asked, headers={"Accept": media_type}).content
+
+    def download(self, name: str, path: str | os.PathLike[str]) -> Path:
+        """Writes one of the model's files, e.g. `model.safetensors`, to `path`; whole or not at all."""
+        target = Path(path)
+        handle, unfinished = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                self._connection.save(self._at(f"/files/{name}"), file)
+            os.replace(unfinished, target)
+        finally:
+            Path(unfinished).unlink(missing_ok=True)
+        return target
+
+    def _request(
+        self,
+        camera: Camera,
+        environment: Light,
+        size: int | tuple[int, int],
+        outputs: list[str],
+        tier: Tier,
+        rotation_deg: float,
+        exposure_ev: float,
+    ) -> dict[str, Any]:
+        width, height = (size, size) if isinstance(size, int) else size
+        light: dict[str, Any] = {"rotation_deg": rotation_deg, "exposure_ev": exposure_ev}
+        if isinstance(environment, Environment):
+            light["id"] = environment.id
+        elif environment != "recovered":
+            light["builtin"] = environment
+        return {
+            "camera": camera,
+            "environment": light,
+            "width": width,
+            "height": height,
+            "outputs": outputs,
+            "tier": tier,
+        }

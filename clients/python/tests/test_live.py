@@ -1,0 +1,99 @@
+"""Against a real server: RELUME_SERVER is its address, RELUME_KEY its key, RELUME_CAPTURE a capture to train on."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import relume
+
+pytestmark = pytest.mark.skipif("RELUME_SERVER" not in os.environ, reason="needs a server: .ci/python starts one")
+
+SHORT = {"iterations": 40, "resolution": 48, "max_gaussians": 300}
+
+
+@pytest.fixture(scope="module")
+def client() -> relume.Client:
+    return relume.Client(os.environ["RELUME_SERVER"])
+
+
+@pytest.fixture(scope="module")
+def trained(client: relume.Client) -> tuple[relume.Capture, relume.Model]:
+    capture = client.upload_capture(os.environ["RELUME_CAPTURE"], name="sample")
+    job = capture.train("draft", overrides=SHORT, name="short", labels={"of": "tests"})
+    return capture, job.wait(progress=False)
+
+
+def test_a_round(client: relume.Client, trained: tuple[relume.Capture, relume.Model], tmp_path: Path) -> None:
+    capture, model = trained
+    assert capture.data["name"] == "sample"
+    assert {job.data["name"] for job in client.jobs(label="of:tests")} == {"short"}
+    assert not list(client.jobs(label="of:nothing"))
+    outputs = ["rgb", "albedo", "normal", "depth", "roughness", "metallic", "visibility"]
+    frame = model.render(relume.orbit(30, 20), "sunset", size=(64, 48), outputs=outputs)
+    assert set(frame) == {*outputs, "alpha"}
+    assert all(plane.shape[:2] == (48, 64) and plane.dtype == np.float32 for plane in frame.values())
+    assert frame["rgb"].shape == (48, 64, 3) and frame["depth"].shape == (48, 64)
+    assert frame["alpha"].max() > 0.5 and frame["alpha"].min() < 0.5, "there is a thing, and something around it"
+    brighter = model.render(relume.orbit(30, 20), "sunset", size=(64, 48), exposure_ev=1.0)
+    np.testing.assert_allclose(brighter["rgb"], 2 * frame["rgb"], rtol=1e-4, atol=1e-6)
+    other = model.render(relume.orbit(30, 20), "night", size=(64, 48))
+    assert np.abs(other["rgb"] - frame["rgb"]).max() > 0.01, "the control: another light shows"
+    assert model.download("model.safetensors", tmp_path / "m").stat().st_size > 1000
+    assert model.card
+
+
+def test_a_linear_frame_is_the_picture_that_the_server_shows(trained: tuple[relume.Capture, relume.Model]) -> None:
+    image = pytest.importorskip("matplotlib.image")
+    capture, model = trained
+    photograph = capture.cameras()[0]
+    size = (photograph["width"], photograph["height"])
+    (Path(os.environ["RELUME_CAPTURE"]).parent / "shown.png").write_bytes(
+        model.picture(photograph["camera"], size=size, background="#ffffff")
+    )
+    shown = image.imread(Path(os.environ["RELUME_CAPTURE"]).parent / "shown.png")[..., :3]
+    frame = model.render(photograph["camera"], size=size)
+    assert np.abs(frame.srgb(background=1.0) - shown).max() < 0.01
+    assert np.abs(frame.srgb(exposure_ev=0.5, background=1.0) - shown).max() > 0.02, "the control"
+
+
+def test_a_map_is_uploaded_and_deleted(client: relume.Client, trained: tuple[relume.Capture, relume.Model], tmp_path: Path) -> None:
+    header = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 2\n"
+    (tmp_path / "light.hdr").write_bytes(header + bytes([128, 128, 128, 129, 64, 96, 160, 130]))
+    light = client.upload_environment(tmp_path / "light.hdr", name="two texels")
+    frame = trained[1].render(relume.orbit(0), light, size=32)
+    assert frame["rgb"].max() > 0
+    light.delete()
+    with pytest.raises(relume.RelumeError) as caught:
+        trained[1].render(relume.orbit(0), light, size=32)
+    assert caught.value.status in (404, 422)
+
+
+def test_what_is_refused_names_the_field(trained: tuple[relume.Capture, relume.Model]) -> None:
+    with pytest.raises(relume.RelumeError) as caught:
+        trained[1].render(relume.orbit(0), "nowhere", size=32)
+    assert caught.value.status == 422 and "environment" in str(caught.value)
+    with pytest.raises(relume.RelumeError) as caught:
+        trained[0].train("draft", overrides={"iterations": -1})
+    assert caught.value.status in (400, 422)
+
+
+def test_what_is_needed_stays_and_what_is_deleted_is_gone(
+    client: relume.Client, trained: tuple[relume.Capture, relume.Model]
+) -> None:
+    capture, model = trained
+    job = capture.train("draft", overrides={**SHORT, "iterations": 100_000})
+    with pytest.raises(relume.RelumeError) as caught:
+        capture.delete()
+    assert (caught.value.status, caught.value.kind) == (409, "in-use")
+    job.cancel()
+    with pytest.raises(relume.JobFailed, match="cancelled"):
+        job.wait(progress=False, timeout=60)
+    capture.delete(cascade=True)
+    model.delete()
+    with pytest.raises(relume.RelumeError) as caught:
+        client.capture(capture.id)
+    assert caught.value.status == 404
