@@ -78,6 +78,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("post", "/v1/jobs/{id}/cancel", One(Job), Submit),
     ("post", "/v1/jobs/{id}/retry", One(Job), Submit),
     ("get", "/v1/jobs/{id}/events", One(Job), Read),
+    ("get", "/v1/jobs/{id}/preview", One(Job), Read),
     ("get", "/v1/keys", List(Key), Admin),
     ("post", "/v1/keys", Body, Admin),
     ("get", "/v1/keys/{id}", One(Key), Admin),

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use futures::{Stream, TryStreamExt};
 use reqwest::Method;
+use tokio_util::bytes::Bytes;
 
 use crate::api::jobs::{JobChange, JobView, NewJob};
 use crate::api::{JobId, List};
@@ -42,6 +43,15 @@ impl Client {
     /// The server's refusal, or what failed on the way.
     pub async fn jobs(&self) -> Result<List<JobView>> {
         json(self.request(Method::GET, "/v1/jobs")?).await
+    }
+
+    /// How a training looks now, a PNG of `size` pixels a side, 16 to 1024; of a job with a model, that model's thumbnail.
+    ///
+    /// # Errors
+    /// The server's refusal, e.g. as long as there is no picture, or what failed on the way.
+    pub async fn job_preview(&self, id: &JobId, size: u32) -> Result<Bytes> {
+        let request = self.request(Method::GET, &format!("/v1/jobs/{id}/preview?size={size}"))?;
+        Ok(checked(request).await?.bytes().await?)
     }
 
     /// Cancels a job.

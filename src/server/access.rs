@@ -56,6 +56,7 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::POST, "/v1/jobs/{id}/cancel", Needs(Submit)),
     (Method::POST, "/v1/jobs/{id}/retry", Needs(Submit)),
     (Method::GET, "/v1/jobs/{id}/events", Needs(Read)),
+    (Method::GET, "/v1/jobs/{id}/preview", Needs(Read)),
     (Method::GET, "/v1/keys", Needs(Admin)),
     (Method::POST, "/v1/keys", Needs(Admin)),
     (Method::GET, "/v1/keys/{id}", Needs(Admin)),

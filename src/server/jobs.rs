@@ -282,7 +282,7 @@ fn location(answer: &str) -> Result<HeaderValue, Problem> {
     HeaderValue::from_str(&path).map_err(Problem::internal)
 }
 
-async fn current(app: &Shared, tenant: &TenantId, id: &JobId) -> Result<JobView, Problem> {
+pub(super) async fn current(app: &Shared, tenant: &TenantId, id: &JobId) -> Result<JobView, Problem> {
     let found = app.jobs.get(tenant, id).await?;
     let (job, position) = found.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
     Ok(job.view(position))

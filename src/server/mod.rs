@@ -37,6 +37,7 @@ mod observe;
 mod origins;
 mod outbound;
 mod places;
+mod previews;
 mod problem;
 mod quality_gate;
 mod rates;

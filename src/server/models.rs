@@ -14,7 +14,7 @@ use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::rfc3339;
 use crate::server::marks::{self, MarkedPageQuery};
 use crate::store::{ModelFile, ModelRecord};
-use crate::worker::ModelSource;
+use crate::worker::{ModelContent, ModelSource};
 
 /// Name of the file that holds the model itself.
 const MODEL_FILE: &str = "model.safetensors";
@@ -103,7 +103,7 @@ pub(super) async fn source(
     let file = app.store.sound_model_file(tenant, id, MODEL_FILE).await?;
     let file = file.ok_or_else(|| Problem::not_found("model", id.as_str()))?;
     let path = app.store.artifacts().local_path(&file.artifact);
-    Ok((ModelSource { id: id.clone(), path }, file.sha256))
+    Ok((ModelSource { id: id.clone(), content: ModelContent::File(path) }, file.sha256))
 }
 
 fn summary(model: ModelRecord) -> ModelSummary {

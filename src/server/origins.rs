@@ -6,7 +6,7 @@ use axum::http::{HeaderName, HeaderValue, Method, Uri, header};
 use tower_http::cors::{AllowHeaders, AllowMethods, AllowOrigin, CorsLayer, ExposeHeaders};
 
 /// Headers of answers that pages may read beside those that they always may.
-const EXPOSED: [HeaderName; 14] = [
+const EXPOSED: [HeaderName; 15] = [
     header::ETAG,
     header::LOCATION,
     header::RETRY_AFTER,
@@ -14,6 +14,7 @@ const EXPOSED: [HeaderName; 14] = [
     HeaderName::from_static("ratelimit"),
     HeaderName::from_static("ratelimit-policy"),
     HeaderName::from_static("relume-depth-range"),
+    HeaderName::from_static("relume-step"),
     HeaderName::from_static("server-timing"),
     HeaderName::from_static("tus-resumable"),
     HeaderName::from_static("upload-expires"),

@@ -6,6 +6,8 @@ use std::time::Duration;
 
 use tokio_util::sync::DropGuard;
 
+use crate::api::JobId;
+use crate::worker::previews::{Preview, Previews};
 use crate::worker::queued_render::{QueuedRender, Rendered};
 use crate::worker::render_queue::RenderQueue;
 use crate::worker::renders::{RenderFailure, RenderTask};
@@ -20,13 +22,26 @@ pub struct DeviceHandle {
     /// Training steps the device thread has done.
     steps: Arc<AtomicU64>,
     has_gpu: bool,
+    previews: Arc<Previews>,
     /// Ends the device thread when the last handle is dropped.
     _last: Arc<DropGuard>,
 }
 
 impl DeviceHandle {
-    pub(super) fn new(requests: RenderQueue, steps: Arc<AtomicU64>, has_gpu: bool, last: DropGuard) -> Self {
-        Self { requests, steps, has_gpu, _last: Arc::new(last) }
+    pub(super) fn new(
+        requests: RenderQueue,
+        steps: Arc<AtomicU64>,
+        has_gpu: bool,
+        previews: Arc<Previews>,
+        last: DropGuard,
+    ) -> Self {
+        Self { requests, steps, has_gpu, previews, _last: Arc::new(last) }
+    }
+
+    /// How the training of a job looked when it was last looked at, if it runs. It is looked at every few seconds for a minute
+    /// after somebody asked, so that the first answer is nothing.
+    pub fn preview(&self, job: &JobId) -> Option<Preview> {
+        self.previews.latest(job)
     }
 
     /// Renders between training steps. When the result is not waited for any more, nothing is rendered, or no more of it.

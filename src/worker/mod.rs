@@ -9,6 +9,7 @@ mod eta;
 mod frame_server;
 mod frame_thread;
 mod panics;
+mod previews;
 mod progress;
 mod queued_render;
 mod render_queue;
@@ -18,5 +19,6 @@ mod training;
 mod verdict;
 
 pub use device_handle::DeviceHandle;
-pub use renders::{LightSource, ModelSource, RenderFailure, RenderTask};
+pub use previews::Preview;
+pub use renders::{LightSource, ModelContent, ModelSource, RenderFailure, RenderTask};
 pub use thread::{StartError, WorkerOptions, start};

@@ -124,11 +124,11 @@ impl Drop for Place {
 mod tests {
     use super::*;
     use crate::render::{Orbit, Output, Tier, Viewpoint};
-    use crate::worker::{LightSource, ModelSource, RenderTask};
+    use crate::worker::{LightSource, ModelContent, ModelSource, RenderTask};
 
     fn task(size: u32, tier: Tier) -> RenderTask {
         RenderTask {
-            model: ModelSource { id: "model".into(), path: "model".into() },
+            model: ModelSource { id: "model".into(), content: ModelContent::File("model".into()) },
             light: LightSource::Recovered,
             rotation_deg: 0.0,
             exposure_ev: 0.0,

@@ -18,6 +18,7 @@ use crate::worker::device_handle::DeviceHandle;
 use crate::worker::frame_server::FrameServer;
 use crate::worker::frame_thread;
 use crate::worker::panics::panic_message;
+use crate::worker::previews::Previews;
 use crate::worker::render_queue::render_queue;
 use crate::worker::renders::RenderCache;
 
@@ -70,6 +71,8 @@ pub(super) struct Worker {
     pub(super) frames: Option<FrameServer>,
     /// Training steps done.
     pub(super) steps: Arc<AtomicU64>,
+    /// How what trains looks.
+    pub(super) previews: Arc<Previews>,
     /// Bounds on captures.
     pub(super) import_limits: ImportLimits,
     pub(super) changes: watch::Receiver<()>,
@@ -104,11 +107,13 @@ pub fn start(
     } else {
         (None, Some(frame_thread::start(frames, ended.clone())?))
     };
+    let previews = Arc::new(Previews::default());
     let (changes, abandoned) = (jobs.subscribe(), last.clone());
     let worker = Worker {
         jobs,
         frames,
         steps: steps.clone(),
+        previews: previews.clone(),
         import_limits: options.import_limits,
         changes,
         stop,
@@ -124,7 +129,7 @@ pub fn start(
         }
     };
     let thread = std::thread::Builder::new().name("relume-device".to_owned()).spawn(work)?;
-    Ok((DeviceHandle::new(queue, steps, has_gpu, last.drop_guard()), thread))
+    Ok((DeviceHandle::new(queue, steps, has_gpu, previews, last.drop_guard()), thread))
 }
 
 /// Serves what waits for the GPU, once something does; never ends without one.

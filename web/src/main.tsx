@@ -1,4 +1,9 @@
 import { render } from 'preact'
+import { App } from './app'
+import './viewer/element'
+import './styles/base.css'
+import './styles/controls.css'
+import './styles/pages.css'
 
 const root = document.getElementById('app')
-if (root) render(<main>Relume</main>, root)
+if (root) render(<App />, root)

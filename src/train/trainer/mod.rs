@@ -395,6 +395,12 @@ impl Trainer {
         self.schedule.step >= self.config.iterations
     }
 
+    /// Whether materials are being trained or were: before that, and with a method of colour alone, a model cannot be relit.
+    pub fn is_relightable(&self) -> bool {
+        let step = self.schedule.step.min(self.config.iterations.saturating_sub(1));
+        schedule::branches(&self.config, step).is_physical()
+    }
+
     /// The configuration in force.
     pub fn config(&self) -> &TrainConfig {
         &self.config

@@ -1,8 +1,9 @@
 //! Renders on the device thread, with a cache of models and prepared lights.
 
+use std::fmt;
 use std::io::ErrorKind;
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use lru::LruCache;
@@ -13,7 +14,7 @@ use crate::engine::Device;
 use crate::engine::DeviceError;
 use crate::formats::{environment, model_file};
 use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer, Viewpoint};
-use crate::scene::{Camera, EnvMap};
+use crate::scene::{Camera, EnvMap, Model};
 
 /// Why there is no frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -57,13 +58,31 @@ impl From<RenderError> for RenderFailure {
     }
 }
 
-/// A model to render: its identifier and its file.
-#[derive(Debug, Clone, PartialEq)]
+/// A model to render.
+#[derive(Debug, Clone)]
 pub struct ModelSource {
-    /// Identifier, the cache key: a published model never changes.
+    /// Identifier; of a file also the cache key: a published model never changes.
     pub id: ModelId,
-    /// The model file on this machine.
-    pub path: PathBuf,
+    /// Where it is.
+    pub content: ModelContent,
+}
+
+/// Where a model is.
+#[derive(Clone)]
+pub enum ModelContent {
+    /// In a model file on this machine; it stays ready after a frame.
+    File(PathBuf),
+    /// In memory, for a frame or two.
+    Memory(Arc<Model>),
+}
+
+impl fmt::Debug for ModelContent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(path) => write!(f, "{}", path.display()),
+            Self::Memory(model) => write!(f, "{} Gaussians in memory", model.gaussians.len()),
+        }
+    }
 }
 
 /// Most rows of a map that frames are made of: texels of 0.18 degrees, a third of the sun.
@@ -192,6 +211,10 @@ impl RenderCache {
     ) -> Result<Scene, RenderFailure> {
         let go_on = || if is_wanted() { Ok(()) } else { Err(RenderFailure::Abandoned) };
         go_on()?;
+        // One in memory would drive out those that are asked for again.
+        if let ModelContent::Memory(_) = task.model.content {
+            return Scene::of(task, load(&task.model, device)?);
+        }
         let renderer = self.models.try_get_or_insert(task.model.id.clone(), || load(&task.model, device))?;
         let camera = task.viewpoint.camera(renderer.model());
         let camera = camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
@@ -211,6 +234,14 @@ pub(super) struct Scene {
 }
 
 impl Scene {
+    /// What a task shows of a model that no cache holds.
+    fn of(task: &RenderTask, renderer: Arc<Renderer>) -> Result<Self, RenderFailure> {
+        let camera = task.viewpoint.camera(renderer.model());
+        let camera = camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
+        let light = prepare(&renderer, task)?;
+        Ok(Self { renderer, light, camera })
+    }
+
     /// The frame of `task`. `between` is called between the bands of a dear one, and may end it.
     pub(super) fn render(
         &self,
@@ -243,13 +274,10 @@ fn expose(frame: &mut Frame, stops: f64) {
 }
 
 fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFailure> {
-    let internal = |e: String| RenderFailure::Internal(format!("model {}: {e}", source.id));
-    let bytes = std::fs::read(&source.path).map_err(|e| match e.kind() {
-        ErrorKind::NotFound => RenderFailure::Gone { what: "model", id: source.id.to_string() },
-        _ => internal(e.to_string()),
-    })?;
-    let model = model_file::decode(&bytes).map_err(|e| internal(e.to_string()))?;
-    let model = Arc::new(model);
+    let model = match &source.content {
+        ModelContent::File(path) => Arc::new(read(path, &source.id)?),
+        ModelContent::Memory(model) => model.clone(),
+    };
     Ok(Arc::new(match Renderer::on(model.clone(), device) {
         Err(error @ DeviceError::TooLarge { .. }) => {
             tracing::warn!(%error, model = %source.id, "the CPU engine renders this model");
@@ -257,6 +285,15 @@ fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFa
         }
         other => other?,
     }))
+}
+
+fn read(path: &Path, id: &ModelId) -> Result<Model, RenderFailure> {
+    let internal = |e: String| RenderFailure::Internal(format!("model {id}: {e}"));
+    let bytes = std::fs::read(path).map_err(|e| match e.kind() {
+        ErrorKind::NotFound => RenderFailure::Gone { what: "model", id: id.to_string() },
+        _ => internal(e.to_string()),
+    })?;
+    model_file::decode(&bytes).map_err(|e| internal(e.to_string()))
 }
 
 fn prepare(renderer: &Renderer, task: &RenderTask) -> Result<Arc<PreparedLight>, RenderFailure> {

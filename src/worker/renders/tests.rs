@@ -31,7 +31,7 @@ fn model(folder: &tempfile::TempDir) -> ModelSource {
     };
     let path = folder.path().join("model.safetensors");
     std::fs::write(&path, model_file::encode(&model).unwrap()).unwrap();
-    ModelSource { id: "model".into(), path }
+    ModelSource { id: "model".into(), content: ModelContent::File(path) }
 }
 
 fn task(model: &ModelSource, tier: Tier, exposure_ev: f64) -> RenderTask {
@@ -155,8 +155,9 @@ fn what_was_deleted_before_its_turn_is_gone_and_not_a_failure_of_the_server() {
     assert_eq!(render(&lit), Err(RenderFailure::Gone { what: "environment", id: "00".to_owned() }));
     let task = task(&model, Tier::Preview, 0.0);
     render(&task).unwrap();
-    std::fs::remove_file(&model.path).unwrap();
+    let ModelContent::File(path) = &model.content else { panic!("the model is a file") };
+    std::fs::remove_file(path).unwrap();
     assert_eq!(render(&task), Err(RenderFailure::Gone { what: "model", id: "model".to_owned() }));
-    std::fs::create_dir(&model.path).unwrap();
+    std::fs::create_dir(path).unwrap();
     assert!(matches!(render(&task), Err(RenderFailure::Internal(_))), "a file that cannot be read is one");
 }

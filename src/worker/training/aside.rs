@@ -82,6 +82,7 @@ mod tests {
             jobs,
             frames: None,
             steps: Arc::default(),
+            previews: Arc::default(),
             import_limits: ImportLimits::default(),
             changes,
             stop,

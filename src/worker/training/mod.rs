@@ -15,9 +15,11 @@ use crate::api::jobs::JobDevice;
 use crate::capture::Capture;
 use crate::engine::Device;
 use crate::jobs::Lease;
+use crate::scene::Model;
 use crate::store::{LeaseStatus, Release, StoreError};
 use crate::train::{TrainConfig, Trainer};
 use crate::worker::eta::Eta;
+use crate::worker::previews::{Preview, Shown};
 use crate::worker::progress::Reporter;
 use crate::worker::thread::Worker;
 use outcome::{AttemptEnd, AttemptError, settle};
@@ -49,6 +51,7 @@ impl Worker {
         let (now_ms, step) = (self.jobs.now_ms(), trainer.progress().step);
         let reporter = Reporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
         let mut attempt = Attempt { lease, trainer, reporter, checkpoint_every };
+        let shown = self.previews.of(&lease.job().id);
         while !attempt.trainer.is_done() {
             if self.stop.is_cancelled() {
                 return attempt.suspend().await;
@@ -64,9 +67,13 @@ impl Worker {
             if status != LeaseStatus::Held {
                 return Ok(settle(lease).await?);
             }
+            if shown.is_due() {
+                attempt.show(&shown, Arc::new(attempt.trainer.model()?));
+            }
             self.serve_waiting();
         }
         let model = Arc::new(attempt.trainer.model()?);
+        attempt.show(&shown, model.clone());
         match self.measure(&attempt, &model, Arc::unwrap_or_clone(capture)).await? {
             ControlFlow::Continue(figures) => {
                 publish::publish(lease, attempt.trainer.seconds(), &model, figures).await
@@ -123,6 +130,12 @@ impl Attempt<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Shows whoever watches the model as it is now.
+    fn show(&self, shown: &Shown, model: Arc<Model>) {
+        let (step, is_relightable) = (self.trainer.progress().step, self.trainer.is_relightable());
+        shown.show(Preview { step, model, is_relightable });
     }
 
     async fn tell(&self, warning: &str) {

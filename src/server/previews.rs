@@ -1,0 +1,153 @@
+//! `/v1/jobs/{id}/preview`: how a training looks while it runs.
+
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::jobs::{JobState, JobView};
+use crate::api::{JobId, ModelId, Problem};
+use crate::render::{Finish, FrameFormat, Orbit, Output, Tier, Viewpoint};
+use crate::server::app::Shared;
+use crate::server::caller::Caller;
+use crate::server::description::File;
+use crate::server::extract::{QueryString, UrlPath};
+use crate::server::files::{etag, matches_etag};
+use crate::server::{jobs, renders};
+use crate::store::hex;
+use crate::worker::{LightSource, ModelContent, ModelSource, Preview, RenderTask};
+
+/// After how many seconds to ask again for a picture that will come.
+const SOON: u32 = 2;
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(preview))
+}
+
+/// Which picture.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+struct PreviewQuery {
+    /// Side, 16 to 1024 pixels; 256 when absent.
+    #[param(minimum = 16, maximum = 1024)]
+    size: Option<u32>,
+    /// Degrees counter-clockwise seen from above, as of a thumbnail.
+    azimuth: Option<f64>,
+    /// Degrees above the horizon, -90 to 90, as of a thumbnail.
+    #[param(minimum = -90, maximum = 90)]
+    elevation: Option<f64>,
+}
+
+/// Watch a training
+///
+/// A PNG of the model as it stood a few seconds ago, under its own light; before its materials are trained, in the colours of the
+/// photographs. A training is looked at while somebody asks, so the first answer is 404 with `Retry-After`. The `ETag` changes with the
+/// step that is shown, which the header `Relume-Step` names. Once the job has a model the answer is 303 to that model's thumbnail.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/preview", tag = "jobs", params(("id" = String, Path), PreviewQuery),
+    responses(
+        (status = 200, content_type = "image/png", body = File),
+        (status = 303, description = "The job has a model: its thumbnail"),
+        (status = 304, description = "The caller has it already"),
+        (status = 404, body = Problem, description = "No such job, or no picture of it; the detail says why"),
+        (status = 422, body = Problem), (status = 503, body = Problem)
+    )
+)]
+async fn preview(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<JobId>,
+    QueryString(query): QueryString<PreviewQuery>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let orbit = query.orbit()?;
+    let job = jobs::current(&app, &caller.tenant, &id).await?;
+    if let Some(model) = &job.model {
+        let to = [(header::LOCATION, query.thumbnail(model)), (header::CACHE_CONTROL, "no-cache".to_owned())];
+        return Ok((StatusCode::SEE_OTHER, to).into_response());
+    }
+    let Some(preview) = app.device.preview(&id) else { return Err(no_preview(&job)) };
+    let seen = format!("{id}|{}|{orbit:?}", preview.step);
+    let tag = etag(&hex(&Sha256::digest(seen.as_bytes())));
+    let mut response = if matches_etag(&headers, &tag) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        let format = FrameFormat::Png;
+        renders::respond(
+            renders::render_frame(&app, task(&id, &preview, orbit), format, Finish::default()).await?,
+            format,
+        )
+    };
+    let out = response.headers_mut();
+    out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
+    out.insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
+    out.insert("relume-step", HeaderValue::from(preview.step));
+    Ok(response)
+}
+
+impl PreviewQuery {
+    fn orbit(&self) -> Result<Orbit, Problem> {
+        let size = self.size.unwrap_or(256);
+        if !(16..=1024).contains(&size) {
+            return Err(Problem::invalid_field("query/size", "must be 16 to 1024"));
+        }
+        if !self.azimuth.is_none_or(f64::is_finite) {
+            return Err(Problem::invalid_field("query/azimuth", "must be finite"));
+        }
+        if !self.elevation.is_none_or(|degrees| (-90.0..=90.0).contains(&degrees)) {
+            return Err(Problem::invalid_field("query/elevation", "must be -90 to 90"));
+        }
+        Ok(Orbit { azimuth_deg: self.azimuth, elevation_deg: self.elevation, size })
+    }
+
+    /// The same picture of a model; relative to the path of the job's.
+    fn thumbnail(&self, model: &ModelId) -> String {
+        let size = self.size.unwrap_or(256);
+        let angle = |name: &str, degrees: Option<f64>| {
+            degrees.map_or_else(String::new, |degrees| format!("&{name}={degrees}"))
+        };
+        let (azimuth, elevation) = (angle("azimuth", self.azimuth), angle("elevation", self.elevation));
+        format!("../../models/{model}/thumbnail?size={size}{azimuth}{elevation}")
+    }
+}
+
+fn task(id: &JobId, preview: &Preview, orbit: Orbit) -> RenderTask {
+    // A preview shades each Gaussian; colour alone is blended from what is stored with them.
+    let (output, tier) = match preview.is_relightable {
+        true => (Output::Rgb, Tier::Preview),
+        false => (Output::Radiance, Tier::Standard),
+    };
+    RenderTask {
+        model: ModelSource { id: id.as_str().into(), content: ModelContent::Memory(preview.model.clone()) },
+        light: LightSource::Recovered,
+        rotation_deg: 0.0,
+        exposure_ev: 0.0,
+        viewpoint: Viewpoint::Orbit(orbit),
+        shows_environment: false,
+        quality: tier.into(),
+        outputs: vec![output],
+    }
+}
+
+/// Why there is no picture of a job without a model.
+fn no_preview(job: &JobView) -> Problem {
+    let problem = |why: &str| {
+        Problem::new(StatusCode::NOT_FOUND, "no-preview", "There is no picture of this training").detail(why)
+    };
+    match job.state {
+        JobState::Queued => problem("the job waits in the queue").retry_after(SOON),
+        JobState::Running => {
+            problem("the training was not looked at yet; the first picture comes after its next step")
+                .retry_after(SOON)
+        }
+        JobState::Cancelling => problem("the job is being cancelled"),
+        JobState::Failed | JobState::Cancelled => problem("the job has ended without a model"),
+        JobState::Succeeded | JobState::Rejected => problem("the job's model was deleted"),
+    }
+}

@@ -1,0 +1,24 @@
+import type { components } from './schema'
+
+type Schemas = components['schemas']
+
+export type Capture = Schemas['CaptureView']
+export type Report = Schemas['CaptureReport']
+export type Cameras = Schemas['CaptureCameras']
+export type Camera = Schemas['CapturedCamera']
+export type Job = Schemas['JobView']
+export type JobState = Schemas['JobState']
+export type NewJob = Schemas['NewJob']
+export type Progress = Schemas['JobProgress']
+export type Model = Schemas['ModelView']
+export type ModelSummary = Schemas['ModelSummary']
+export type Environments = Schemas['EnvironmentList']
+export type Environment = Schemas['EnvironmentView']
+export type Problem = Schemas['Problem']
+export type RenderRequest = Schemas['RenderRequest']
+
+/** One page of a list. */
+export interface Listed<T> {
+  items: T[]
+  next?: string | null
+}

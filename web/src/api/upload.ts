@@ -1,0 +1,106 @@
+import { type HttpRequest, Upload } from 'tus-js-client'
+import { address, authorization, ask, keyNeeded, post, Refused } from './client'
+import type { Capture, Problem } from './types'
+
+/** A file with its path in the capture. */
+export interface Dropped {
+  path: string
+  file: File
+}
+
+/** What was dropped: one archive, or the files of a capture. */
+export type Selection = { archive: File } | { files: Dropped[] }
+
+/** Told of bytes that have arrived, of all. */
+export type OnProgress = (sent: number, total: number) => void
+
+/** Bytes of a piece of an archive: what is sent again at most after a break. */
+const PIECE = 8 << 20
+const ARCHIVE = /\.(zip|tar|tgz|tar\.gz)$/i
+const PHOTOGRAPH = /\.(png|jpe?g|webp|tiff?|exr)$/i
+
+export function isPhotograph(path: string): boolean {
+  return PHOTOGRAPH.test(path)
+}
+
+/** @throws {Error} that says what to drop instead. */
+export function selection(dropped: Dropped[]): Selection {
+  const files = dropped.filter(({ path }) => !path.split('/').some((part) => part.startsWith('.')))
+  const only = files[0]
+  if (!only) throw new Error('there are no files in it')
+  if (files.length === 1 && ARCHIVE.test(only.path)) return { archive: only.file }
+  if (files.some(({ path }) => ARCHIVE.test(path))) throw new Error('drop one archive by itself, or the files of one capture')
+  return { files: withoutCommonFolder(files) }
+}
+
+/** Paths below the folder that holds them all. */
+function withoutCommonFolder(files: Dropped[]): Dropped[] {
+  const first = files[0]?.path.split('/')[0]
+  const isCommon = first !== undefined && files.every(({ path }) => path.startsWith(`${first}/`))
+  if (!isCommon || /^(images|sparse|train)$/.test(first)) return files
+  return withoutCommonFolder(files.map(({ path, file }) => ({ path: path.slice(first.length + 1), file })))
+}
+
+/** Makes a capture of what was dropped. */
+export async function upload(what: Selection, name: string, onProgress: OnProgress, signal: AbortSignal): Promise<Capture> {
+  if ('files' in what) return sendForm(what.files, name, onProgress, signal)
+  const id = await sendArchive(what.archive, onProgress, signal)
+  return post<Capture>(`v1/captures${query(name)}`, { upload: id }, { Prefer: 'respond-async' })
+}
+
+function query(name: string): string {
+  return name ? `?name=${encodeURIComponent(name)}` : ''
+}
+
+/** Sends an archive in pieces and gives its identifier. The same file goes on where it broke, also after the page was closed. */
+async function sendArchive(file: File, onProgress: OnProgress, signal: AbortSignal): Promise<string> {
+  // Asks for a key before anything is sent, where one is needed.
+  await ask('v1/usage')
+  return new Promise((done, failed) => {
+    const upload = new Upload(file, {
+      endpoint: address('v1/uploads'),
+      chunkSize: PIECE,
+      retryDelays: [0, 1000, 3000, 5000, 10_000, 20_000],
+      removeFingerprintOnSuccess: true,
+      metadata: { filename: file.name },
+      onBeforeRequest: (request: HttpRequest) => {
+        for (const [header, value] of Object.entries(authorization())) request.setHeader(header, value)
+      },
+      onProgress: (sent, total) => onProgress(sent, total ?? file.size),
+      onError: failed,
+      onSuccess: () => done(upload.url?.split('/').pop() ?? ''),
+    })
+    signal.addEventListener('abort', () => {
+      void upload.abort()
+      failed(new DOMException('the upload was stopped', 'AbortError'))
+    })
+    void upload.findPreviousUploads().then(([previous]) => {
+      if (previous) upload.resumeFromPreviousUpload(previous)
+      upload.start()
+    }, failed)
+  })
+}
+
+/** Sends files as one form. `fetch` tells nothing of what was sent, hence the older request. */
+async function sendForm(files: Dropped[], name: string, onProgress: OnProgress, signal: AbortSignal): Promise<Capture> {
+  await ask('v1/usage')
+  const form = new FormData()
+  for (const { path, file } of files) form.append('files', file, path)
+  const answer = await new Promise<XMLHttpRequest>((done, failed) => {
+    const request = new XMLHttpRequest()
+    request.open('POST', address(`v1/captures${query(name)}`))
+    for (const [header, value] of Object.entries(authorization())) request.setRequestHeader(header, value)
+    request.upload.onprogress = ({ loaded, total }) => onProgress(loaded, total)
+    request.onload = () => done(request)
+    request.onerror = () => failed(new TypeError('the connection broke'))
+    signal.addEventListener('abort', () => {
+      request.abort()
+      failed(new DOMException('the upload was stopped', 'AbortError'))
+    })
+    request.send(form)
+  })
+  const body: unknown = JSON.parse(answer.responseText || 'null')
+  if (answer.status === 401) await keyNeeded()
+  if (answer.status >= 300) throw new Refused(answer.status, body as Problem | null)
+  return body as Capture
+}

@@ -1,0 +1,128 @@
+import { useEffect, useRef, useState } from 'preact/hooks'
+import { get, message } from '../api/client'
+import type { Capture } from '../api/types'
+import { selection, upload, type Dropped, type Selection } from '../api/upload'
+import { filesIn, filesOf } from '../dropped'
+import { bytes } from '../format'
+import { photographsOf, remember } from '../photos'
+import { Failure } from './common'
+
+/** Thumbnails of dropped photographs that are shown. */
+const SHOWN = 24
+/** Between two looks at a capture that is being validated, milliseconds. */
+const POLL = 700
+
+interface Sending {
+  what: string
+  sent: number
+  total: number
+}
+
+/** Takes a capture: an archive, a folder or photographs with their poses. */
+export function DropZone({ onDone }: { onDone: (capture: Capture) => void }) {
+  const [over, setOver] = useState(false)
+  const [sending, setSending] = useState<Sending>()
+  const [photographs, setPhotographs] = useState<Dropped[]>([])
+  const [error, setError] = useState<string>()
+  const stop = useRef<AbortController | undefined>(undefined)
+  const archive = useRef<HTMLInputElement>(null)
+  const folder = useRef<HTMLInputElement>(null)
+
+  const take = async (dropped: Dropped[] | Promise<Dropped[]>) => {
+    setError(undefined)
+    stop.current = new AbortController()
+    try {
+      const what = selection(await dropped)
+      setPhotographs(photographsOf(what))
+      onDone(await send(what, stop.current.signal, setSending))
+    } catch (failure) {
+      if (!stop.current.signal.aborted) setError(message(failure))
+    } finally {
+      setSending(undefined)
+      setPhotographs([])
+    }
+  }
+
+  return (
+    <section
+      class={over ? 'drop over' : 'drop'}
+      aria-label="New capture"
+      onDragOver={(event) => {
+        event.preventDefault()
+        setOver(true)
+      }}
+      onDragLeave={() => setOver(false)}
+      onDrop={(event) => {
+        event.preventDefault()
+        setOver(false)
+        if (event.dataTransfer && !sending) void take(filesOf(event.dataTransfer))
+      }}
+    >
+      {sending ? <Progress of={sending} onStop={() => stop.current?.abort()} /> : (
+        <>
+          <h2>Drop a capture here</h2>
+          <p class="muted">A folder or a zip, or photographs with their poses: COLMAP files or a <code>transforms.json</code>.</p>
+          <div class="row">
+            <button class="primary" type="button" onClick={() => archive.current?.click()}>Choose files or a zip</button>
+            <button type="button" onClick={() => folder.current?.click()}>Choose a folder</button>
+          </div>
+        </>
+      )}
+      <input ref={archive} type="file" multiple hidden aria-label="Files of a capture" onChange={(event) => void take(filesIn(event.currentTarget.files))} />
+      <input ref={folder} type="file" {...{ webkitdirectory: true }} hidden aria-label="Folder of a capture" onChange={(event) => void take(filesIn(event.currentTarget.files))} />
+      {photographs.length ? <Photographs of={photographs} /> : null}
+      <Failure error={error} />
+    </section>
+  )
+}
+
+/** Uploads, then waits until it is known whether the capture is good. */
+async function send(what: Selection, signal: AbortSignal, tell: (sending: Sending) => void): Promise<Capture> {
+  const name = 'archive' in what ? what.archive.name.replace(/\.(zip|tar|tgz|tar\.gz)$/i, '') : ''
+  const label = 'archive' in what ? what.archive.name : `${what.files.length} files`
+  tell({ what: `Uploading ${label}`, sent: 0, total: 1 })
+  let capture = await upload(what, name, (sent, total) => tell({ what: sent < total ? `Uploading ${label}` : 'Validating', sent, total }), signal)
+  remember(capture.id, photographsOf(what))
+  while (capture.state === 'validating') {
+    tell({ what: 'Validating', sent: 1, total: 1 })
+    await new Promise((done) => setTimeout(done, POLL))
+    signal.throwIfAborted()
+    capture = await get<Capture>(`v1/captures/${capture.id}`)
+  }
+  return capture
+}
+
+function Progress({ of: { what, sent, total }, onStop }: { of: Sending; onStop: () => void }) {
+  const percent = Math.floor((100 * sent) / Math.max(total, 1))
+  // Read out every tenth, not every piece.
+  const spoken = `${what}, ${Math.floor(percent / 10) * 10} %`
+  return (
+    <div class="stack">
+      <h2>{what}</h2>
+      <progress value={sent} max={total} aria-label={what} />
+      <div class="row">
+        <span class="muted small">{total > 1 ? `${bytes(sent)} of ${bytes(total)}` : 'the server reads the capture'}</span>
+        <button type="button" onClick={onStop}>Stop</button>
+      </div>
+      <p class="hint">A zip that breaks off goes on where it was: drop the same file again.</p>
+      <span aria-live="polite" class="skip">{spoken}</span>
+    </div>
+  )
+}
+
+/** Some of the photographs, small. */
+export function Photographs({ of: photographs }: { of: Dropped[] }) {
+  const [urls, setUrls] = useState<{ path: string; url: string }[]>([])
+  useEffect(() => {
+    const every = Math.max(1, Math.ceil(photographs.length / SHOWN))
+    const readable = photographs.filter(({ path }, i) => i % every === 0 && !/\.(exr|tiff?)$/i.test(path))
+    const made = readable.map(({ path, file }) => ({ path, url: URL.createObjectURL(file) }))
+    setUrls(made)
+    return () => made.forEach(({ url }) => URL.revokeObjectURL(url))
+  }, [photographs])
+  return (
+    <ul class="photos" aria-label={`${photographs.length} photographs`}>
+      {urls.map(({ path, url }) => <li key={path}><img src={url} alt={path} loading="lazy" /></li>)}
+    </ul>
+  )
+}

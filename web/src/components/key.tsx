@@ -1,0 +1,39 @@
+import { useEffect, useRef, useState } from 'preact/hooks'
+import { onKeyNeeded, setApiKey } from '../api/client'
+
+/** Asks for an API key, once the server wants one. It is kept until the tab is closed. */
+export function KeyDialog() {
+  const dialog = useRef<HTMLDialogElement>(null)
+  const done = useRef<(() => void) | undefined>(undefined)
+  const [again, setAgain] = useState(false)
+  useEffect(() => {
+    onKeyNeeded(() => new Promise((resolve) => {
+      done.current = resolve
+      dialog.current?.showModal()
+    }))
+  }, [])
+  const enter = (event: SubmitEvent) => {
+    event.preventDefault()
+    const form = event.currentTarget as HTMLFormElement
+    setApiKey(String(new FormData(form).get('key') ?? '').trim())
+    form.reset()
+    setAgain(true)
+    dialog.current?.close()
+    done.current?.()
+  }
+  return (
+    // Without a key there is nothing behind it to go back to.
+    <dialog ref={dialog} aria-labelledby="key-title" onCancel={(event) => event.preventDefault()}>
+      <form onSubmit={enter}>
+        <h2 id="key-title">This server asks for a key</h2>
+        {again ? <p class="notice bad" role="alert">The key was not accepted. It may be mistyped, revoked or expired.</p> : null}
+        <div>
+          <label for="key">API key</label>
+          <input id="key" name="key" type="password" required autocomplete="off" placeholder="rlm_…" />
+        </div>
+        <p class="hint"><code>relume keys create --name me</code> makes one. It is kept in this tab and sent to this server alone.</p>
+        <div class="row"><button class="primary" type="submit">Continue</button></div>
+      </form>
+    </dialog>
+  )
+}

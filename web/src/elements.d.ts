@@ -1,0 +1,23 @@
+import type { RelumeViewer } from './viewer/element'
+
+declare module 'preact' {
+  namespace JSX {
+    interface IntrinsicElements {
+      /** The viewer: see its class. */
+      'relume-viewer': HTMLAttributes<RelumeViewer> & {
+        model: string
+        environment?: string
+        rotation?: string
+        exposure?: string
+        background?: string
+        output?: string
+        'auto-rotate'?: string | undefined
+        azimuth?: number
+        elevation?: number
+        distance?: number
+        fov?: number
+        apiKey?: string | undefined
+      }
+    }
+  }
+}

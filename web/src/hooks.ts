@@ -1,0 +1,98 @@
+import { useCallback, useEffect, useRef, useState } from 'preact/hooks'
+import { ask, get, message, send } from './api/client'
+
+/** What is loaded from the API: at first nothing, then data or why there is none. */
+export interface Loaded<T> {
+  data: T | undefined
+  error: string | undefined
+  /** Asks again and keeps what is shown meanwhile. */
+  reload: () => void
+}
+
+/** Loads a path, and again every `every` milliseconds where that is given. */
+export function useLoaded<T>(path: string | undefined, every?: number): Loaded<T> {
+  const [state, setState] = useState<{ path?: string | undefined; data?: T; error?: string }>({})
+  const [round, setRound] = useState(0)
+  useEffect(() => {
+    if (!path) return
+    const stop = new AbortController()
+    get<T>(path, stop.signal).then(
+      (data) => setState({ path, data }),
+      (error: unknown) => {
+        if (!stop.signal.aborted) setState((before) => ({ ...before, path, error: message(error) }))
+      },
+    )
+    const timer = every ? setTimeout(() => setRound((n) => n + 1), every) : undefined
+    return () => {
+      stop.abort()
+      clearTimeout(timer)
+    }
+  }, [path, round, every])
+  const reload = useCallback(() => setRound((n) => n + 1), [])
+  const isOfPath = state.path === path
+  return { data: isOfPath ? state.data : undefined, error: isOfPath ? state.error : undefined, reload }
+}
+
+/** An address for a picture that only a key may see; nothing before it has arrived. */
+export function usePicture(path: string | undefined): string | undefined {
+  const [shown, setShown] = useState<{ path: string; url: string }>()
+  useEffect(() => {
+    if (!path) return
+    const stop = new AbortController()
+    ask(path, { signal: stop.signal })
+      .then((answer) => answer.blob())
+      .then((blob) => {
+        if (!stop.signal.aborted) setShown({ path, url: URL.createObjectURL(blob) })
+      })
+      .catch(() => {})
+    return () => stop.abort()
+  }, [path])
+  useEffect(() => () => {
+    if (shown) URL.revokeObjectURL(shown.url)
+  }, [shown])
+  return shown && shown.path === path ? shown.url : undefined
+}
+
+/** A picture that is asked for again and again, each time only if it has changed. `step` is what the server says of it. */
+export function useWatched(path: string | undefined, every: number): { url?: string; step?: string; why?: string } {
+  const [shown, setShown] = useState<{ url?: string; step?: string; why?: string }>({})
+  const url = useRef<string | undefined>(undefined)
+  useEffect(() => {
+    if (!path) return
+    let tag = ''
+    let timer = 0
+    const stop = new AbortController()
+    const look = async () => {
+      const answer = await send(path, { signal: stop.signal, cache: 'no-store', headers: tag ? { 'If-None-Match': tag } : {} })
+      if (answer.ok) {
+        tag = answer.headers.get('etag') ?? ''
+        const step = answer.headers.get('relume-step')
+        if (url.current) URL.revokeObjectURL(url.current)
+        url.current = URL.createObjectURL(await answer.blob())
+        setShown({ url: url.current, ...(step ? { step } : {}) })
+      } else if (answer.status !== 304) {
+        const problem = (await answer.json().catch(() => null)) as { detail?: string } | null
+        setShown((before) => ({ ...before, why: problem?.detail ?? '' }))
+      }
+    }
+    const again = () => void look().catch(() => {}).finally(() => {
+      if (!stop.signal.aborted) timer = window.setTimeout(again, every)
+    })
+    again()
+    return () => {
+      stop.abort()
+      clearTimeout(timer)
+    }
+  }, [path, every])
+  useEffect(() => () => {
+    if (url.current) URL.revokeObjectURL(url.current)
+  }, [])
+  return shown
+}
+
+/** The title of the page. */
+export function useTitle(title: string): void {
+  useEffect(() => {
+    document.title = `${title} · Relume`
+  }, [title])
+}

@@ -1,0 +1,93 @@
+import type { Camera, RenderRequest } from './api/types'
+
+/** How a model is shown: what the address of its page says. */
+export interface Look {
+  /** A built-in map, `recovered`, or the identifier of an uploaded one. */
+  light: string
+  /** Degrees. */
+  rotation: number
+  /** Stops. */
+  exposure: number
+  background: string
+  output: string
+}
+
+/** Where a viewer's camera stands. */
+export interface View {
+  azimuth: number
+  elevation: number
+  distance: number
+  target: [number, number, number]
+  fov: number
+}
+
+export const PLAIN: Look = { light: 'studio', rotation: 0, exposure: 0, background: 'transparent', output: 'rgb' }
+
+export const OUTPUTS = ['rgb', 'albedo', 'normal', 'roughness', 'metalness', 'ao', 'depth'] as const
+
+/** Outputs whose names differ in the API. */
+const API_OUTPUTS: Record<string, string> = { metalness: 'metallic', ao: 'visibility' }
+
+/** Names of the camera in an address. */
+const VIEW = ['azimuth', 'elevation', 'distance', 'fov'] as const
+export type ViewAttributes = Partial<Record<(typeof VIEW)[number], number>>
+
+export function readLook(query: URLSearchParams): Look {
+  const number = (name: string) => Number(query.get(name)) || 0
+  return {
+    light: query.get('light') ?? PLAIN.light,
+    rotation: number('rotation'),
+    exposure: number('exposure'),
+    background: query.get('background') ?? PLAIN.background,
+    output: query.get('output') ?? PLAIN.output,
+  }
+}
+
+export function readView(query: URLSearchParams): ViewAttributes {
+  const given = VIEW.filter((name) => query.has(name) && Number.isFinite(Number(query.get(name))))
+  return Object.fromEntries(given.map((name) => [name, Number(query.get(name))]))
+}
+
+/** What of a look and a view an address needs to show them again. */
+export function written(look: Look, view: View | undefined): Record<string, string> {
+  const query: Record<string, string> = {}
+  for (const [name, value] of Object.entries(look)) if (value !== PLAIN[name as keyof Look]) query[name] = String(value)
+  if (view) for (const name of VIEW) query[name] = String(Number(view[name].toPrecision(5)))
+  return query
+}
+
+/** What stands behind a layer: the light shows in a picture alone. */
+export function backgroundOf({ background, output }: Look): string {
+  return background === 'environment' && output !== 'rgb' ? 'transparent' : background
+}
+
+function environment(look: Look, builtin: string[]): NonNullable<RenderRequest['environment']> {
+  const light = look.light === 'recovered' || builtin.includes(look.light) ? { builtin: look.light } : { id: look.light }
+  return { ...light, rotation_deg: look.rotation, exposure_ev: look.exposure }
+}
+
+/** The request for what a viewer shows. */
+export function requestOf(look: Look, view: View, builtin: string[], [width, height]: [number, number]): RenderRequest {
+  const [a, e] = [(view.azimuth * Math.PI) / 180, (view.elevation * Math.PI) / 180]
+  const [x, y, z] = view.target
+  const away = [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)] as const
+  const eye = [x + view.distance * away[0], y + view.distance * away[1], z + view.distance * away[2]].map((value) => Number(value.toPrecision(6)))
+  const camera = { look_at: { eye, target: view.target, up: [0, 0, 1], fov_y_deg: view.fov } }
+  return { camera, environment: environment(look, builtin), width, height, outputs: [API_OUTPUTS[look.output] ?? look.output], background: backgroundOf(look) }
+}
+
+/** The request for a photograph's own view. */
+export function requestAt(look: Look, { camera, width, height }: Camera, builtin: string[], longest: number): RenderRequest {
+  const scale = Math.min(1, longest / Math.max(width, height))
+  const size = { width: Math.round(width * scale), height: Math.round(height * scale) }
+  const [sx, sy] = [size.width / width, size.height / height]
+  const pinhole = camera.intrinsics
+  const intrinsics = pinhole ? { fx: pinhole.fx * sx, fy: pinhole.fy * sy, cx: pinhole.cx * sx, cy: pinhole.cy * sy } : null
+  return { camera: { camera_to_world: camera.camera_to_world ?? null, ...(intrinsics ? { intrinsics } : {}) }, environment: environment(look, builtin), ...size, outputs: ['rgb'], background: 'transparent' }
+}
+
+/** The same request for a shell. */
+export function curl(url: string, request: RenderRequest, hasKey: boolean): string {
+  const key = hasKey ? " \\\n  -H \"Authorization: Bearer $RELUME_API_KEY\"" : ''
+  return `curl -o frame.png -H 'Content-Type: application/json' -H 'Accept: image/png'${key} \\\n  -d '${JSON.stringify(request)}' \\\n  ${url}`
+}

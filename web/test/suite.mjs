@@ -1,0 +1,203 @@
+// node test/suite.mjs BASE KEY CAPTURE.zip LIGHT.hdr SITE [SHOTS]: walks through the web app in a real browser, from an upload to a download.
+// Fails on an error in the console, on a violation of the Content-Security-Policy and on what axe-core finds. SITE is an origin
+// that the server lists. Pictures go to SHOTS.
+import assert from 'node:assert/strict'
+import { readFileSync, statSync } from 'node:fs'
+import { createServer } from 'node:http'
+import { createRequire } from 'node:module'
+import { chromium } from 'playwright-core'
+
+const [base, key, capture, light, site, shots] = process.argv.slice(2)
+const axe = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8')
+// WebGPU in software: of the flags that are usually named, only these give an adapter and a canvas.
+const FLAGS = ['--no-sandbox', '--enable-unsafe-webgpu', '--use-angle=swiftshader', '--enable-features=Vulkan', '--use-vulkan=swiftshader']
+/** Refusals that the walk provokes: a browser tells them to its console. */
+const PROVOKED = [401, 404]
+
+const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: FLAGS })
+const faults = []
+
+/** A page that remembers what went wrong on it. */
+async function open(options) {
+  // Without motion: a colour on its way from one scheme to the other is no colour.
+  const context = await browser.newContext({ acceptDownloads: true, reducedMotion: 'reduce', ...options })
+  await context.grantPermissions(['clipboard-read', 'clipboard-write'])
+  const page = await context.newPage()
+  page.setDefaultTimeout(60_000)
+  page.on('pageerror', (error) => faults.push(`page: ${error.message}`))
+  page.on('console', (message) => {
+    const isProvoked = PROVOKED.some((status) => message.text().includes(`status of ${status}`))
+    if (message.type() === 'error' && !isProvoked) faults.push(`console: ${message.text()}`)
+  })
+  await page.addInitScript(() => {
+    addEventListener('securitypolicyviolation', (event) => console.error(`policy: ${event.violatedDirective} ${event.blockedURI}`))
+  })
+  return page
+}
+
+/** What axe-core has against the page, in both schemes. */
+async function audit(page, name) {
+  for (const colorScheme of ['light', 'dark']) {
+    await page.emulateMedia({ colorScheme })
+    // By the debugger, which the page's policy does not bind.
+    await page.evaluate(`${axe}; 0`)
+    const found = await page.evaluate(async () => {
+      const { violations } = await globalThis.axe.run(document, { runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'] })
+      return violations.map(({ id, help, nodes }) => `${id}: ${help}: ${nodes.slice(0, 3).map((node) => node.html.slice(0, 160)).join(' | ')}`)
+    })
+    assert.deepEqual(found, [], `${name}, ${colorScheme}`)
+    const wide = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth)
+    assert.ok(wide <= 0, `${name}: ${wide} pixels wider than the window`)
+    if (shots) await page.screenshot({ path: `${shots}/${name}-${colorScheme}.png` })
+  }
+  console.log(`${name}: accessible, light and dark`)
+}
+
+const page = await open({ viewport: { width: 1280, height: 900 } })
+const go = (hash) => page.evaluate((to) => (location.hash = to), hash)
+const heading = (name) => page.getByRole('heading', { level: 1, name })
+
+// The control: a page that runs an inline script is noticed.
+await page.goto(base)
+await page.evaluate(() => document.body.appendChild(Object.assign(document.createElement('script'), { textContent: '1' })))
+await page.waitForFunction(() => true)
+await new Promise((done) => setTimeout(done, 200))
+assert.ok(faults.some((fault) => fault.includes('policy')), 'a violation of the policy is noticed')
+faults.length = 0
+
+// A key is asked for once, and a wrong one again.
+await page.reload()
+const dialog = page.getByRole('dialog')
+await dialog.waitFor()
+await audit(page, 'key')
+await dialog.getByLabel('API key').fill('not-this-one-but-long-enough')
+await dialog.getByRole('button', { name: 'Continue' }).click()
+await dialog.getByRole('alert').waitFor()
+await dialog.getByLabel('API key').fill(key)
+await dialog.getByRole('button', { name: 'Continue' }).click()
+await dialog.waitFor({ state: 'hidden' })
+await heading('Captures').waitFor()
+await audit(page, 'captures')
+
+// Upload: a zip in pieces, through an upload that breaks off once.
+let broken = 0
+await page.route('**/v1/uploads/*', (route) => {
+  if (route.request().method() === 'PATCH' && broken++ === 0) return route.abort('connectionreset')
+  return route.continue()
+})
+await page.getByLabel('Files of a capture').setInputFiles(capture)
+await page.getByRole('link', { name: 'Train a model' }).waitFor()
+assert.ok(broken >= 2, 'the upload went on after it broke')
+faults.splice(0, faults.length, ...faults.filter((fault) => !fault.includes('ERR_CONNECTION_RESET')))
+await page.getByRole('img', { name: /cameras around the subject/ }).waitFor()
+await page.getByRole('img', { name: /cameras around the subject/ }).press('ArrowLeft')
+await audit(page, 'capture')
+
+// Job: a very short training, watched.
+await page.getByRole('link', { name: 'Train a model' }).click()
+await heading('Jobs').waitFor()
+await page.getByLabel('Name (optional)').fill('Walk')
+await page.getByText('Settings', { exact: true }).click()
+for (const [label, value] of [['Steps', '400'], ['Longest side, px', '64'], ['Gaussians at most', '2000']]) await page.getByLabel(label).fill(value)
+await audit(page, 'jobs')
+await page.getByRole('button', { name: 'Start training' }).click()
+await heading('Walk').waitFor()
+await page.getByRole('img', { name: /^The model at step/ }).waitFor()
+await page.getByRole('img', { name: /^PSNR/ }).waitFor()
+await audit(page, 'training')
+await page.getByRole('link', { name: 'Open the model' }).waitFor({ timeout: 120_000 })
+await page.getByRole('img', { name: 'The finished model' }).waitFor()
+
+// Two trainings, side by side.
+await go('/jobs')
+await page.getByRole('button', { name: 'Start training' }).waitFor()
+await page.getByLabel('Compare Walk').check()
+await page.getByLabel('Name (optional)').fill('Refused')
+await page.getByText('Settings', { exact: true }).click()
+for (const [label, value] of [['Steps', '40'], ['Longest side, px', '32'], ['Gaussians at most', '500']]) await page.getByLabel(label).fill(value)
+await page.getByLabel('Quality gate, dB').fill('59')
+await page.getByRole('button', { name: 'Start training' }).click()
+await page.getByText('missed').waitFor({ timeout: 120_000 })
+await page.getByText('rejected', { exact: true }).first().waitFor()
+await go('/jobs')
+await page.getByLabel('Compare Walk').check()
+await page.getByLabel('Compare Refused').check()
+await page.getByRole('link', { name: 'Compare the two' }).click()
+await page.getByRole('row', { name: /iterations/ }).waitFor()
+assert.equal(await page.getByRole('row', { name: /iterations/ }).getAttribute('class'), 'differs')
+assert.equal(await page.getByRole('row', { name: /^seed/ }).count(), 0)
+await page.getByLabel('Also what is the same').check()
+assert.notEqual(await page.getByRole('row', { name: /^seed/ }).getAttribute('class'), 'differs')
+await audit(page, 'compare')
+
+// Model: found in the list, relit, turned, its view restored by its address.
+await go('/models')
+await page.getByRole('link', { name: 'Walk' }).waitFor()
+await audit(page, 'models')
+await page.getByRole('link', { name: 'Walk' }).click()
+await page.locator('.theatre .mode').waitFor()
+await page.waitForFunction(() => location.hash.includes('azimuth'))
+await page.getByRole('radio', { name: 'sunset' }).check()
+await page.waitForFunction(() => location.hash.includes('light=sunset'))
+const before = await page.evaluate(() => document.querySelector('relume-viewer').camera().azimuth)
+await page.locator('relume-viewer').press('ArrowRight')
+await page.waitForFunction((from) => document.querySelector('relume-viewer').camera().azimuth !== from, before)
+await page.getByLabel('HDR environment map').setInputFiles(light)
+await page.waitForFunction(() => /light=[0-9a-f-]{36}/.test(location.hash))
+await page.waitForTimeout(600)
+const turned = await page.evaluate(() => document.querySelector('relume-viewer').camera().azimuth)
+const second = await page.context().newPage()
+await second.addInitScript((secret) => sessionStorage.setItem('relume-api-key', secret), key)
+await second.goto(page.url())
+await second.waitForFunction((at) => {
+  const viewer = document.querySelector('relume-viewer')
+  return viewer?.camera && Math.abs(viewer.camera().azimuth - at) < 0.01
+}, turned)
+await second.close()
+await page.getByRole('radio', { name: 'studio' }).check()
+await page.getByRole('img', { name: /under the chosen light/ }).waitFor()
+await page.getByText('As a command').click()
+await page.getByRole('button', { name: 'Copy the command' }).click()
+assert.match(await page.evaluate(() => navigator.clipboard.readText()), /curl .*\/v1\/models\//s)
+await audit(page, 'model')
+
+// Downloads: the frame that is seen, and the model itself.
+for (const [button, name, least] of [['Save the frame', /\.png$/, 500], ['↓ model.safetensors', /^model\.safetensors$/, 10_000]]) {
+  const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('button', { name: button }).click()])
+  assert.match(download.suggestedFilename(), name)
+  assert.ok(statSync(await download.path()).size >= least, button)
+}
+
+// A phone: nothing is wider than the screen.
+await page.setViewportSize({ width: 390, height: 844 })
+await audit(page, 'phone-model')
+
+// Another site: the example's page, whose origin the server lists.
+const [, model] = page.url().match(/models\/([0-9a-f-]{36})/) ?? []
+const embed = await open({ viewport: { width: 900, height: 700 } })
+const example = (name) => readFileSync(new URL(`../../examples/embed/${name}`, import.meta.url), 'utf8')
+const elsewhere = createServer((request, response) => {
+  const name = new URL(request.url, site).pathname.slice(1)
+  const known = { 'index.html': 'text/html', 'embed.css': 'text/css' }[name]
+  response.writeHead(known ? 200 : 204, { 'Content-Type': known ?? 'text/plain' })
+  response.end(known && example(name).replaceAll('http://localhost:7878', base).replace('MODEL', model))
+})
+await new Promise((listening) => elsewhere.listen(Number(new URL(site).port), '127.0.0.1', listening))
+await embed.addInitScript((secret) => {
+  globalThis.ready = new Promise((done) => addEventListener('relume-ready', done))
+  addEventListener('DOMContentLoaded', () => (document.querySelector('relume-viewer').apiKey = secret))
+}, key)
+await embed.goto(`${site}/index.html`)
+await embed.evaluate(() => globalThis.ready)
+const size = await embed.evaluate(async () => (await document.querySelector('relume-viewer').snapshot()).size)
+assert.ok(size > 500, `the frame on another site has ${size} bytes`)
+if (shots) await embed.screenshot({ path: `${shots}/embed.png` })
+
+await go('/jobs')
+await heading('Jobs').waitFor()
+await audit(page, 'phone-jobs')
+
+assert.deepEqual(faults, [], 'nothing was told to the console')
+elsewhere.close()
+await browser.close()
+console.log('from upload to download: no error, no violation')
