@@ -12,7 +12,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("scene", &[]),
     ("light", &["scene"]),
     ("engine", &["scene", "light"]),
-    ("formats", &["scene"]),
+    ("formats", &["scene", "light"]),
     ("capture", &["scene", "formats"]),
     ("train", &["scene", "light", "engine", "capture", "formats"]),
     ("render", &["scene", "light", "engine", "capture", "formats"]),

@@ -1,27 +1,189 @@
-//! `relume export`: a model file in, a PLY of Gaussians out.
+//! `relume export`: a model file in, a file for other programs out.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use serde::Deserialize;
+
+use crate::cli::args::named;
 use crate::cli::error::CommandResult;
+use crate::cli::light::named_light;
+use crate::cli::render::{finite, up_to};
 use crate::cli::{input, output};
-use crate::formats::ply_model;
+use crate::formats::ply_model::{self, Columns};
+use crate::formats::splats::{Layer, Splats};
+use crate::formats::{environment, gltf, usd};
+use crate::render::{MOST_BAKED_DEGREE, Renderer};
+use crate::scene::Model;
 
 /// Options of `relume export`.
 #[derive(Debug, clap::Args)]
 pub(super) struct ExportArgs {
     /// The model file.
     model: PathBuf,
-    /// The file to write, ending in `.ply`.
+    /// The file to write: `.ply`, `.glb` (glTF with KHR_gaussian_splatting), `.usda` or `.usdz` (OpenUSD); or `.hdr`, the light of
+    /// the photographs.
     #[arg(long, default_value = "model.ply")]
     out: PathBuf,
+    /// What the colour of the Gaussians shows: `radiance` (the photographs), `relit` (see `--env`), `albedo`, `normal`,
+    /// `roughness` or `metallic`. With it a `.ply` is an ordinary file of splats; without, it has the materials as well.
+    #[arg(long, value_parser = named::<Shown>)]
+    layer: Option<Shown>,
+    /// The light of `relit`: a `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
+    #[arg(long)]
+    env: Option<String>,
+    /// Turn of that light about +Z, degrees counter-clockwise.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite, requires = "env")]
+    rotation: f64,
+    /// Exposure of that light, stops, -20 to 20.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>, requires = "env")]
+    exposure: f64,
+    /// SH degree of `relit`, 0 to 3: how much of the highlights follows the camera.
+    #[arg(long, default_value_t = MOST_BAKED_DEGREE as u32, value_parser = clap::value_parser!(u32).range(0..=MOST_BAKED_DEGREE as i64))]
+    relit_degree: u32,
+    /// Turn each Gaussian until its shortest axis is its shading normal, for programs that take that axis for the normal.
+    #[arg(long)]
+    flatten: bool,
+}
+
+/// What the colour of exported Gaussians shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Shown {
+    Radiance,
+    Relit,
+    Albedo,
+    Normal,
+    Roughness,
+    Metallic,
+}
+
+impl Shown {
+    /// The layer of the surface that it is, if it is one.
+    fn layer(self) -> Option<Layer> {
+        match self {
+            Self::Radiance | Self::Relit => None,
+            Self::Albedo => Some(Layer::Albedo),
+            Self::Normal => Some(Layer::Normal),
+            Self::Roughness => Some(Layer::Roughness),
+            Self::Metallic => Some(Layer::Metallic),
+        }
+    }
+}
+
+/// A kind of file, by its extension.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Ply,
+    Glb,
+    Usda,
+    Usdz,
+    Hdr,
 }
 
 pub(super) fn run(args: &ExportArgs) -> CommandResult {
-    if args.out.extension().is_none_or(|e| !e.eq_ignore_ascii_case("ply")) {
-        return Err(format!("{}: only .ply can be written", args.out.display()).into());
+    let (kind, shown) = (kind(&args.out)?, args.shown()?);
+    let mut model = input::read_model(&args.model)?;
+    if !model.has_materials() && shown != Shown::Radiance {
+        return Err(format!("{}: has no materials, only `--layer radiance`", args.model.display()).into());
     }
-    let model = input::read_model(&args.model)?;
-    output::write_named(&args.out, &ply_model::encode(&model))?;
+    if shown == Shown::Relit {
+        model = args.relit(model)?;
+    }
+    let bytes = args.encode(kind, shown, &model)?;
+    output::write_named(&args.out, &bytes)?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
+}
+
+impl ExportArgs {
+    fn shown(&self) -> Result<Shown, String> {
+        match (self.layer, &self.env) {
+            (Some(shown), None) => Ok(shown),
+            (Some(Shown::Relit) | None, Some(_)) => Ok(Shown::Relit),
+            (None, None) => Ok(Shown::Radiance),
+            (Some(_), Some(_)) => Err("--env: only `--layer relit` has a light".to_owned()),
+        }
+    }
+
+    /// The model with the colours it has under the light that is asked for.
+    fn relit(&self, model: Model) -> CommandResult<Model> {
+        let light = match self.env.as_deref() {
+            None | Some("recovered") => model.environment(),
+            Some(name) => named_light(name, "recovered ")?,
+        };
+        let light = light.rotated_and_scaled(self.rotation, self.exposure.exp2() as f32);
+        let renderer = Renderer::new(Arc::new(model));
+        let light = renderer.prepare_light(&light)?;
+        Ok(renderer.baked(&light, self.relit_degree as usize))
+    }
+
+    fn encode(&self, kind: Kind, shown: Shown, model: &Model) -> CommandResult<Vec<u8>> {
+        let mut splats = Splats::of(model);
+        if self.flatten {
+            splats = splats.flattened();
+        }
+        if kind != Kind::Ply {
+            splats = splats.with_y_up();
+        }
+        if let Some(layer) = shown.layer() {
+            splats = splats.painted(layer);
+        }
+        let ordinary = self.layer.is_some() || self.env.is_some() || !model.has_materials();
+        let columns = if ordinary { Columns::Ordinary } else { Columns::Relightable };
+        Ok(match kind {
+            Kind::Ply => ply_model::encode_splats(model, &splats, columns),
+            Kind::Glb => gltf::encode_splats(&splats)?,
+            Kind::Usda => usd::encode_splats(&splats).into_bytes(),
+            Kind::Usdz => usd::encode_splats_package(&splats)?,
+            Kind::Hdr => environment::encode_hdr(&model.environment())?,
+        })
+    }
+}
+
+fn kind(path: &Path) -> Result<Kind, String> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    match extension.as_str() {
+        "ply" => Ok(Kind::Ply),
+        "glb" => Ok(Kind::Glb),
+        "usda" => Ok(Kind::Usda),
+        "usdz" => Ok(Kind::Usdz),
+        "hdr" => Ok(Kind::Hdr),
+        _ => Err(format!("{}: must end in .ply, .glb, .usda, .usdz or .hdr", path.display())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn args(layer: Option<Shown>, env: Option<&str>) -> ExportArgs {
+        ExportArgs {
+            model: PathBuf::new(),
+            out: PathBuf::new(),
+            layer,
+            env: env.map(str::to_owned),
+            rotation: 0.0,
+            exposure: 0.0,
+            relit_degree: 3,
+            flatten: false,
+        }
+    }
+
+    #[test]
+    fn a_light_is_for_what_is_relit() {
+        assert_eq!(args(None, None).shown(), Ok(Shown::Radiance));
+        assert_eq!(args(None, Some("sunset")).shown(), Ok(Shown::Relit));
+        assert_eq!(args(Some(Shown::Relit), None).shown(), Ok(Shown::Relit));
+        assert!(args(Some(Shown::Albedo), Some("sunset")).shown().is_err());
+        assert_eq!(args(Some(Shown::Albedo), None).shown(), Ok(Shown::Albedo));
+    }
+
+    #[test]
+    fn kinds_are_told_by_their_extension() {
+        assert_eq!(kind(Path::new("a/b.GLB")), Ok(Kind::Glb));
+        assert_eq!(kind(Path::new("b.usdz")), Ok(Kind::Usdz));
+        assert!(kind(Path::new("b.spz")).unwrap_err().starts_with("b.spz: "));
+        assert!(kind(Path::new("ply")).is_err());
+    }
 }

@@ -11,6 +11,7 @@ mod error;
 pub mod eval;
 mod explain;
 mod export;
+mod import;
 mod input;
 #[cfg(feature = "server")]
 mod keys;
@@ -64,6 +65,8 @@ enum Command {
     Explain(explain::ExplainArgs),
     /// Write a model in another format.
     Export(export::ExportArgs),
+    /// Make a model file of a PLY of Gaussians.
+    Import(import::ImportArgs),
     /// Show this machine's devices and check that the service can run on it.
     Doctor(doctor::DoctorArgs),
     #[cfg(feature = "server")]
@@ -107,6 +110,7 @@ pub fn main() -> ExitCode {
         Command::Bench(args) => bench::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Export(args) => export::run(&args),
+        Command::Import(args) => import::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         #[cfg(feature = "server")]
         Command::Keys(args) => keys::run(args),

@@ -13,6 +13,7 @@ use crate::render::{
     Background, Finish, FrameFormat, FrameNotes, Orbit, Output, Renderer, Tier, ToneCurve, Viewpoint,
     encode_frame,
 };
+use crate::scene::Model;
 
 /// Options of `relume render`.
 #[derive(Debug, clap::Args)]
@@ -40,8 +41,9 @@ pub(super) struct RenderArgs {
     size: u32,
     #[command(flatten)]
     quality: QualityArgs,
-    /// Outputs to render, separated by commas; a PNG or JPEG holds one, an EXR all.
-    #[arg(long, default_value = "rgb", value_delimiter = ',', value_parser = named::<Output>)]
+    /// Outputs to render, separated by commas; a PNG or JPEG holds one, an EXR all. When absent `rgb`, of a model without
+    /// materials `radiance`.
+    #[arg(long, value_delimiter = ',', value_parser = named::<Output>)]
     output: Vec<Output>,
     /// Behind the model: `transparent` (JPEG shows white), `environment` or a colour like `f4f4f4`.
     #[arg(long, default_value_t)]
@@ -63,8 +65,9 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
         return Err("only an .exr holds several outputs".into());
     }
     let finish = Finish { background: args.background, tone_curve: args.tone_curve, ..Finish::default() };
-    finish.check(&args.output, format)?;
     let model = Arc::new(input::read_model(&args.model)?);
+    let outputs = args.outputs(&model)?;
+    finish.check(&outputs, format)?;
     let light = match args.env.as_str() {
         "recovered" => model.environment(),
         name => named_light(name, "recovered ")?,
@@ -75,7 +78,7 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
     let renderer = Renderer::on(model, &Device::open(args.device)?)?;
     let light = renderer.prepare_light(&light)?;
     let quality = args.quality.quality(Tier::default());
-    let mut frame = renderer.render(&camera, &light, quality, &args.output)?;
+    let mut frame = renderer.render(&camera, &light, quality, &outputs)?;
     if args.background == Background::Environment {
         renderer.show_environment(&mut frame, &camera, &light);
     }
@@ -87,19 +90,38 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
         quality,
         camera: Some(camera),
     };
-    let encoded = encode_frame(&frame, &args.output, format, &Finish { notes, ..finish })?;
+    let encoded = encode_frame(&frame, &outputs, format, &Finish { notes, ..finish })?;
     output::write_named(&args.out, &encoded.bytes)?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
 }
 
-fn finite(text: &str) -> Result<f64, String> {
+impl RenderArgs {
+    /// What was asked for, as far as `model` has it.
+    fn outputs(&self, model: &Model) -> Result<Vec<Output>, String> {
+        use Output::{Alpha, Depth, Normal, Radiance, Rgb};
+        let relightable = model.has_materials();
+        if self.output.is_empty() {
+            return Ok(vec![if relightable { Rgb } else { Radiance }]);
+        }
+        let of_any = |o: &Output| matches!(o, Radiance | Alpha | Depth | Normal);
+        match relightable || self.output.iter().all(of_any) {
+            true => Ok(self.output.clone()),
+            false => {
+                Err("--output: the model has no materials: only radiance, normal, depth and alpha".to_owned())
+            }
+        }
+    }
+}
+
+/// A number that is neither infinite nor no number.
+pub(super) fn finite(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "must be a number")?;
     if value.is_finite() { Ok(value) } else { Err("must be finite".to_owned()) }
 }
 
 /// A number of at most `MOST` either way.
-fn up_to<const MOST: i32>(text: &str) -> Result<f64, String> {
+pub(super) fn up_to<const MOST: i32>(text: &str) -> Result<f64, String> {
     let value = finite(text)?;
     if value.abs() <= f64::from(MOST) { Ok(value) } else { Err(format!("must be -{MOST} to {MOST}")) }
 }

@@ -123,7 +123,7 @@ impl Evaluation<'_> {
             ..Report::default()
         };
         self.own_light(&renderer, &mut report)?;
-        let has_materials = has_materials(&model);
+        let has_materials = model.has_materials();
         if has_materials {
             report.relit = self.relit(&renderer)?;
         } else {
@@ -322,12 +322,6 @@ impl Evaluation<'_> {
         }
         report.notes = notes;
     }
-}
-
-/// Whether the model's training got to materials; without them the physically based branch is as it was at the start.
-pub(crate) fn has_materials(model: &Model) -> bool {
-    let warm_up = model.card.pointer("/config/warm_up").and_then(serde_json::Value::as_f64);
-    warm_up.is_none_or(|share| share < 1.0)
 }
 
 /// Takes back what was measured on materials that were never trained.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::capture::CaptureView;
 use crate::engine::Device;
 use crate::eval::EvalError;
-use crate::eval::evaluate::{check_sizes, has_materials, refused};
+use crate::eval::evaluate::{check_sizes, refused};
 use crate::eval::exposure::matched;
 use crate::eval::report::ImageScores;
 use crate::eval::totals::ImageTotals;
@@ -42,7 +42,7 @@ impl NovelViews {
     /// The device's.
     pub fn new(model: Arc<Model>, quality: Quality, device: &Device) -> Result<Self, EvalError> {
         Ok(Self {
-            has_materials: has_materials(&model),
+            has_materials: model.has_materials(),
             renderer: Renderer::on(model, device)?,
             light: OwnLight::default(),
             quality,

@@ -4,10 +4,15 @@ pub mod environment;
 mod error;
 pub mod exr_frame;
 pub mod exr_image;
+pub mod gltf;
 pub mod image_file;
 pub mod model_file;
+pub mod ply_import;
 pub mod ply_model;
 pub mod ply_points;
+mod ply_table;
+pub mod splats;
 pub mod srgb;
+pub mod usd;
 
 pub use error::ImageFileError;

@@ -3,172 +3,142 @@
 //! The first properties are those of the 3D Gaussian Splatting authors' own files: position, normal, radiance SH
 //! (`f_dc_*`, then `f_rest_*` channel by channel), opacity logit, log-scales, quaternion `w x y z`. After them,
 //! marked by `comment relight_schema 1`: `albedo_0..2` (linear Rec.709), `metallic`, `roughness`, all
-//! activated, and `visibility_*` (SH coefficients, `l * l + l + m`). Sheen is left out, since the
-//! materials of other tools define it differently. All values are in capture coordinates.
+//! activated, `visibility_*` (SH coefficients, `l * l + l + m`) and, where the model has any, `sheen` (logarithm of
+//! the diffuse term's gain at grazing view; our own, other tools define theirs differently). All values are in capture coordinates.
 //! `comment SplatRenderMode: mip` or `default`, a convention of Brush and gsplat, tells a viewer whether the opacities
-//! need low-pass compensation.
+//! need low-pass compensation. `comment relume {...}` says in JSON how the Gaussians are shaded (`Notes`).
 
-use glam::{DQuat, DVec3, Vec3};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
-use crate::scene::{Field, Model, NormalForm, sh_count};
+use crate::formats::splats::{MOST_DEGREE, Splats};
+use crate::scene::{Field, Framing, Model, ShadingOptions, sh_count};
 
-/// SH degree of `f_rest_*` that viewers expect; coefficients that a model lacks are written as 0.
-const VIEWER_DEGREE: usize = 3;
+/// Begins the comment that holds [`Notes`].
+pub(super) const NOTES_COMMENT: &str = "comment relume ";
 
-/// The bytes of a binary little-endian PLY file.
+/// What a model is beside its Gaussians and its light.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Notes {
+    /// Capture to model: `x_model = scale * (x_capture + offset)`.
+    pub world_scale: f64,
+    /// See `world_scale`; capture units.
+    pub world_offset: DVec3,
+    /// The forward model.
+    pub shading: ShadingOptions,
+    /// How photographs without masks show the scene.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub framing: Option<Framing>,
+}
+
+/// Which properties a file has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Columns {
+    /// Those that viewers read.
+    Ordinary,
+    /// The materials as well.
+    Relightable,
+}
+
+/// The bytes of a binary little-endian PLY file with all that it can have of a model.
 pub fn encode(model: &Model) -> Vec<u8> {
-    let g = &model.gaussians;
-    let names = property_names(sh_count(g.visibility_order()));
-    let mut out = header(g.len(), &names, model.shading.low_pass_compensation).into_bytes();
-    out.reserve(g.len() * names.len() * 4);
+    encode_splats(model, &Splats::of(model), Columns::Relightable)
+}
+
+/// The same of `splats`, which were made of `model`, with the properties of `columns`.
+pub fn encode_splats(model: &Model, splats: &Splats, columns: Columns) -> Vec<u8> {
+    let fields = match columns {
+        Columns::Ordinary => &[][..],
+        Columns::Relightable if model.gaussians.field(Field::Sheen).iter().all(|s| *s == 0.0) => {
+            &[Field::Visibility]
+        }
+        Columns::Relightable => &[Field::Visibility, Field::Sheen],
+    };
+    let names = property_names(model, columns, fields);
+    let mut out = header(model, splats.len(), &names, columns).into_bytes();
+    out.reserve(splats.len() * names.len() * 4);
     let mut row = Vec::with_capacity(names.len());
-    for i in 0..g.len() {
+    for i in 0..splats.len() {
         row.clear();
-        splat(model, i, &mut row);
-        material(model, i, &mut row);
+        splat(splats, i, &mut row);
+        if columns == Columns::Relightable {
+            let material = &splats.materials[i];
+            row.extend(material.albedo);
+            row.extend([material.metallic, material.roughness]);
+        }
+        fields.iter().for_each(|field| row.extend(model.gaussians.row(*field, i)));
         debug_assert_eq!(row.len(), names.len());
         row.iter().for_each(|v| out.extend(v.to_le_bytes()));
     }
     out
 }
 
-fn header(count: usize, names: &[String], compensated: bool) -> String {
+fn header(model: &Model, count: usize, names: &[String], columns: Columns) -> String {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
-    text += "comment relight_schema 1\n";
-    text += "comment albedo is linear Rec.709; visibility is real SH, index l*l+l+m\n";
-    text += &format!("comment SplatRenderMode: {}\n", if compensated { "mip" } else { "default" });
+    if columns == Columns::Relightable {
+        text += "comment relight_schema 1\n";
+        text += "comment albedo is linear Rec.709; visibility is real SH, index l*l+l+m\n";
+    }
+    let mode = if model.shading.low_pass_compensation { "mip" } else { "default" };
+    text += &format!("comment SplatRenderMode: {mode}\n");
+    let notes = Notes {
+        world_scale: model.world_scale,
+        world_offset: model.world_offset,
+        shading: model.shading,
+        framing: model.framing,
+    };
+    text += &format!("{NOTES_COMMENT}{}\n", serde_json::to_string(&notes).unwrap_or_default());
     text += &format!("element vertex {count}\n");
     names.iter().for_each(|name| text += &format!("property float {name}\n"));
     text + "end_header\n"
 }
 
-fn property_names(visibility: usize) -> Vec<String> {
+/// Properties of a file; after those of its columns come those of `fields`.
+fn property_names(model: &Model, columns: Columns, fields: &[Field]) -> Vec<String> {
     let numbered = |stem: &str, n: usize| (0..n).map(|i| format!("{stem}_{i}")).collect::<Vec<_>>();
     let plain = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
-    [
+    let mut out = [
         plain(&["x", "y", "z", "nx", "ny", "nz"]),
         numbered("f_dc", 3),
-        numbered("f_rest", 3 * (sh_count(VIEWER_DEGREE) - 1)),
+        numbered("f_rest", 3 * (sh_count(MOST_DEGREE) - 1)),
         plain(&["opacity"]),
         numbered("scale", 3),
         numbered("rot", 4),
-        numbered("albedo", 3),
-        plain(&["metallic", "roughness"]),
-        numbered("visibility", visibility),
     ]
-    .concat()
-}
-
-/// The properties every viewer reads.
-fn splat(model: &Model, i: usize, row: &mut Vec<f32>) {
-    let g = &model.gaussians;
-    let mean = DVec3::from(g.get::<3>(Field::Mean, i).map(f64::from));
-    let position = mean / model.world_scale - model.world_offset;
-    row.extend(position.as_vec3().to_array());
-    row.extend(normal(model, i).to_array());
-    let radiance = g.row(Field::Radiance, i);
-    row.extend(&radiance[..3]);
-    for channel in 0..3 {
-        let rest = radiance[3..].iter().skip(channel).step_by(3).copied().chain(std::iter::repeat(0.0));
-        row.extend(rest.take(sh_count(VIEWER_DEGREE) - 1));
+    .concat();
+    if columns == Columns::Relightable {
+        out.extend(numbered("albedo", 3));
+        out.extend(plain(&["metallic", "roughness"]));
     }
-    row.push(g.row(Field::OpacityLogit, i)[0]);
-    let shrink = model.world_scale.ln() as f32;
-    row.extend(g.row(Field::LogScale, i).iter().map(|s| s - shrink));
-    let q = orientation(model, i);
-    row.extend([q.w, q.x, q.y, q.z].map(|v| v as f32));
-}
-
-/// The relighting extension.
-fn material(model: &Model, i: usize, row: &mut Vec<f32>) {
-    let g = &model.gaussians;
-    let sigmoid = |x: f32| 1.0 / (1.0 + (-x).exp());
-    row.extend(albedo(model, i));
-    row.push(sigmoid(g.row(Field::MetalLogit, i)[0]));
-    row.push(sigmoid(g.row(Field::RoughLogit, i)[0]));
-    row.extend(g.row(Field::Visibility, i));
-}
-
-/// The mixture of prototypes plus the residual, in [0, 1].
-fn albedo(model: &Model, i: usize) -> [f32; 3] {
-    let logits = model.gaussians.row(Field::ProtoLogits, i);
-    let largest = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    let weights: Vec<f32> = logits.iter().map(|l| (l - largest).exp()).collect();
-    let total: f32 = weights.iter().sum::<f32>().max(f32::MIN_POSITIVE);
-    let residual = model.gaussians.row(Field::Residual, i);
-    std::array::from_fn(|c| {
-        let mixed = weights.iter().zip(&model.prototypes).map(|(w, p)| w * p[c].clamp(0.0, 1.0));
-        (mixed.sum::<f32>() / total + residual[c]).clamp(0.0, 1.0)
-    })
-}
-
-/// Unit orientation; the identity for a quaternion of length 0.
-fn orientation(model: &Model, i: usize) -> DQuat {
-    let [w, x, y, z] = model.gaussians.get::<4>(Field::Quaternion, i).map(f64::from);
-    let q = DQuat::from_xyzw(x, y, z, w);
-    if q.length() > 1e-12 { q.normalize() } else { DQuat::IDENTITY }
-}
-
-/// The shading normal. A renderer turns the shortest axis to its camera. A file has no camera, so the axis is turned
-/// to the side where visibility is larger, which the degree-1 part of the visibility field gives.
-fn normal(model: &Model, i: usize) -> Vec3 {
-    let g = &model.gaussians;
-    let own = Vec3::from(g.get::<3>(Field::Normal, i));
-    let sum = match model.shading.normal {
-        NormalForm::Free => own,
-        NormalForm::ShortestAxis => {
-            let axis = shortest_axis(model, i);
-            let c = g.row(Field::Visibility, i);
-            let open = if c.len() >= 4 { Vec3::new(-c[3], -c[1], c[2]) } else { Vec3::ZERO };
-            if open.dot(axis) < 0.0 { own - axis } else { own + axis }
+    for field in fields {
+        match model.gaussians.width(*field) {
+            1 if *field == Field::Sheen => out.push("sheen".to_owned()),
+            width => out.extend(numbered("visibility", width)),
         }
-    };
-    sum.normalize_or_zero()
+    }
+    out
 }
 
-fn shortest_axis(model: &Model, i: usize) -> Vec3 {
-    let s = model.gaussians.get::<3>(Field::LogScale, i);
-    let shortest = if s[0] <= s[1] && s[0] <= s[2] {
-        DVec3::X
-    } else if s[1] <= s[2] {
-        DVec3::Y
-    } else {
-        DVec3::Z
-    };
-    (orientation(model, i) * shortest).as_vec3()
+/// The properties every viewer reads; coefficients that the colour lacks are written as 0.
+fn splat(splats: &Splats, i: usize, row: &mut Vec<f32>) {
+    row.extend(splats.positions[i].to_array());
+    row.extend(splats.normals[i].to_array());
+    let [first, rest @ ..] = splats.harmonics(i) else { return };
+    row.extend(first);
+    for channel in 0..3 {
+        let rest = rest.iter().map(|c| c[channel]).chain(std::iter::repeat(0.0));
+        row.extend(rest.take(sh_count(MOST_DEGREE) - 1));
+    }
+    row.push(splats.opacity_logits[i]);
+    row.extend(splats.log_scales[i]);
+    let q = splats.rotations[i];
+    row.extend([q.w, q.x, q.y, q.z].map(|v| v as f32));
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Gaussians, ShadingOptions};
-
-    fn example() -> Model {
-        let mut g = Gaussians::zeroed(2, 2, 1, 1);
-        g.row_mut(Field::Mean, 1).copy_from_slice(&[1.0, -0.5, 0.25]);
-        g.row_mut(Field::LogScale, 1).copy_from_slice(&[-1.0, -2.0, -3.0]);
-        g.row_mut(Field::Quaternion, 1).copy_from_slice(&[2.0, 0.0, 0.0, 0.0]);
-        g.row_mut(Field::OpacityLogit, 1)[0] = 1.5;
-        g.row_mut(Field::ProtoLogits, 1).copy_from_slice(&[0.0, 3f32.ln()]);
-        g.row_mut(Field::Residual, 1).copy_from_slice(&[0.1, 0.0, -1.0]);
-        g.row_mut(Field::RoughLogit, 1)[0] = 3f32.ln();
-        g.row_mut(Field::Visibility, 1).copy_from_slice(&[3.0, 0.0, -1.0, 0.0]);
-        let radiance: Vec<f32> = (0..12).map(|k| k as f32).collect();
-        g.row_mut(Field::Radiance, 1).copy_from_slice(&radiance);
-        Model {
-            gaussians: g,
-            prototypes: vec![[0.2, 0.4, 0.6], [0.6, 0.4, 0.2]],
-            env_raw: vec![[0.0; 3]; 2],
-            env_width: 2,
-            env_height: 1,
-            lights: Default::default(),
-            shading: ShadingOptions::default(),
-            world_scale: 2.0,
-            world_offset: DVec3::new(0.0, 1.0, 0.0),
-            framing: None,
-            card: serde_json::Value::Null,
-        }
-    }
+    use crate::formats::splats::tests::example;
 
     /// Property `name` of the second Gaussian.
     fn property(bytes: &[u8], name: &str) -> f32 {
@@ -182,7 +152,7 @@ mod tests {
 
     #[test]
     fn the_first_columns_are_those_of_the_3dgs_authors() {
-        let names = property_names(4);
+        let names = property_names(&example(), Columns::Relightable, &[Field::Visibility]);
         assert_eq!(names[..9], ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]);
         assert_eq!(
             (names[9].as_str(), names[53].as_str(), names[54].as_str()),
@@ -191,6 +161,15 @@ mod tests {
         assert_eq!(names[55..62], ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]);
         assert_eq!(names[62..67], ["albedo_0", "albedo_1", "albedo_2", "metallic", "roughness"]);
         assert_eq!(names.len(), 67 + 4);
+        assert_eq!(
+            property_names(&example(), Columns::Ordinary, &[]),
+            names[..62],
+            "an ordinary file ends there"
+        );
+        assert!(!encode(&example()).windows(6).any(|w| w == b"sheen\n"), "there is none");
+        let mut cloth = example();
+        cloth.gaussians.row_mut(Field::Sheen, 1)[0] = 0.5;
+        assert_eq!(property(&encode(&cloth), "sheen"), 0.5);
     }
 
     #[test]

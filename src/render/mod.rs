@@ -1,6 +1,7 @@
 //! A camera and a light in, a frame out.
 
 mod background;
+mod baked;
 mod bands;
 mod direct;
 mod edited;
@@ -20,6 +21,7 @@ mod viewpoint;
 pub use crate::engine::{Frame, Output};
 pub use crate::formats::exr_frame::ColourDepth;
 pub use background::Background;
+pub use baked::MOST_BAKED_DEGREE;
 pub use bands::Bands;
 pub use encode::{EncodedFrame, encode_frame, encode_wanted_frame};
 pub use error::RenderError;

@@ -109,6 +109,16 @@ impl Gaussians {
         out
     }
 
+    /// The same with other coefficients of radiance, of degree `order`: `3 (order + 1)^2` a Gaussian, zeros where
+    /// `coefficients` has fewer.
+    #[must_use]
+    pub fn with_radiance(mut self, order: usize, mut coefficients: Vec<f32>) -> Self {
+        self.radiance_order = order;
+        coefficients.resize(self.len * self.width(Field::Radiance), 0.0);
+        self.data[Field::Radiance as usize] = coefficients;
+        self
+    }
+
     /// True when every float is finite.
     pub fn is_finite(&self) -> bool {
         self.data.iter().flatten().all(|v| v.is_finite())

@@ -190,6 +190,14 @@ impl Model {
         }
     }
 
+    /// False for a model of colour alone, by its card: trained as one, or imported from a file without materials. It
+    /// cannot be relit.
+    pub fn has_materials(&self) -> bool {
+        let warm_up = self.card.pointer("/config/warm_up").and_then(serde_json::Value::as_f64);
+        let imported = self.card.pointer("/imported/materials").and_then(serde_json::Value::as_bool);
+        warm_up.is_none_or(|share| share < 1.0) && imported != Some(false)
+    }
+
     /// Checks lengths and finiteness, for models that come from a file.
     ///
     /// # Errors

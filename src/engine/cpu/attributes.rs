@@ -148,6 +148,16 @@ impl AttributeSource<'_> {
         }
     }
 
+    /// Radiance that Gaussian `i` sends under `light` to a camera that looks along unit direction `along`.
+    pub fn outgoing(&self, i: usize, along: [f32; 3], light: &SurfaceShader<'_>) -> OutgoingRadiance {
+        let mut row = [0.0f32; OutgoingRadiance::TOTAL.start];
+        row[channel::NORMAL].copy_from_slice(&self.normal(i, &self.geometry(i), along).unit);
+        row[channel::ALBEDO].copy_from_slice(&self.albedo(i).map(|a| a.clamp(0.0, 1.0)));
+        row[channel::METAL] = sigmoid(self.gaussians.row(Field::MetalLogit, i)[0]);
+        row[channel::ROUGH] = sigmoid(self.gaussians.row(Field::RoughLogit, i)[0]);
+        light.shade(&self.surface(i, &row, along)).outgoing()
+    }
+
     /// Chain rule through the light of a Gaussian whose attributes are `row`: what `by_row` has for it is added to the
     /// channels it is made of, to `by_mean`, the gradient by the projected mean, and to that of the light tables.
     pub fn light_backward(

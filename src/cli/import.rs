@@ -1,0 +1,41 @@
+//! `relume import`: a PLY of Gaussians in, a model file out.
+
+use std::path::PathBuf;
+
+use crate::cli::error::CommandResult;
+use crate::cli::light::named_light;
+use crate::cli::{input, output};
+use crate::formats::{model_file, ply_import};
+use crate::scene::softplus_inverse;
+
+/// Columns and rows of the light that a model gets.
+const LIGHT_SIZE: (usize, usize) = (64, 32);
+
+/// Options of `relume import`.
+#[derive(Debug, clap::Args)]
+pub(super) struct ImportArgs {
+    /// A `.ply` of Gaussians: one that `relume export` wrote, or an ordinary one of any program.
+    file: PathBuf,
+    /// The light that the model shall have for its own: a `.hdr` or `.exr` file or the name of a built-in map. White from
+    /// everywhere when absent, for a PLY holds none.
+    #[arg(long)]
+    env: Option<String>,
+    /// The model file to write.
+    #[arg(long, default_value = "model.safetensors")]
+    out: PathBuf,
+}
+
+pub(super) fn run(args: &ImportArgs) -> CommandResult {
+    let bytes = input::read(&args.file)?;
+    let mut model =
+        ply_import::decode(&bytes).map_err(|error| format!("{}: {error}", args.file.display()))?;
+    if let Some(name) = &args.env {
+        let map = named_light(name, "")?.resampled(LIGHT_SIZE.0, LIGHT_SIZE.1);
+        model.env_raw = map.texels().iter().map(|t| t.map(softplus_inverse)).collect();
+        (model.env_width, model.env_height) = LIGHT_SIZE;
+    }
+    output::write_named(&args.out, &model_file::encode(&model)?)?;
+    let what = if model.has_materials() { "materials" } else { "colour alone, which cannot be relit" };
+    eprintln!("wrote {}: {} Gaussians with {what}", args.out.display(), model.gaussians.len());
+    Ok(())
+}

@@ -1,0 +1,185 @@
+//! Splats as binary glTF with the extension `KHR_gaussian_splatting`. Materials go along as attributes of our own
+//! (`_BASE_COLOR`, `_ROUGHNESS`, `_METALLIC`, `_NORMAL`), which readers that do not know them pass over.
+
+use serde_json::{Map, Value, json};
+
+use crate::formats::splats::Splats;
+
+const EXTENSION: &str = "KHR_gaussian_splatting";
+/// `ARRAY_BUFFER`.
+const VERTICES: u32 = 34962;
+/// `FLOAT`.
+const FLOAT: u32 = 5126;
+
+/// More than the 4 GiB that a `.glb` file can have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("a .glb file has at most 4 GiB")]
+pub struct GltfTooLarge;
+
+/// The bytes of a `.glb` file of `splats`, which have +Y up. A reader without the extension shows points in their mean colours.
+///
+/// # Errors
+/// When there are more than fit.
+pub fn encode_splats(splats: &Splats) -> Result<Vec<u8>, GltfTooLarge> {
+    let mut file = Buffer::default();
+    let every = 0..splats.len();
+    let positions = splats.positions.iter().map(|p| p.to_array());
+    let mut attributes = Map::new();
+    attributes.insert("POSITION".to_owned(), file.positions(positions));
+    let mut add = |name: String, accessor: Value| attributes.insert(name, accessor);
+    let own = |name: &str| format!("{EXTENSION}:{name}");
+    let fallback = every.clone().map(|i| {
+        let [r, g, b] = splats.mean_colour(i);
+        [r, g, b, splats.opacity(i)]
+    });
+    add("COLOR_0".to_owned(), file.rows(fallback));
+    add(own("ROTATION"), file.rows(splats.rotations.iter().map(|q| q.as_quat().normalize().to_array())));
+    add(own("SCALE"), file.rows(every.clone().map(|i| splats.scale(i))));
+    add(own("OPACITY"), file.rows(every.clone().map(|i| [splats.opacity(i)])));
+    for l in 0..=splats.degree {
+        for n in 0..=2 * l {
+            let coefficients = every.clone().map(|i| splats.harmonics(i)[l * l + n]);
+            add(own(&format!("SH_DEGREE_{l}_COEF_{n}")), file.rows(coefficients));
+        }
+    }
+    let materials = &splats.materials;
+    add("_BASE_COLOR".to_owned(), file.rows(materials.iter().map(|m| m.albedo)));
+    add("_ROUGHNESS".to_owned(), file.rows(materials.iter().map(|m| [m.roughness])));
+    add("_METALLIC".to_owned(), file.rows(materials.iter().map(|m| [m.metallic])));
+    add("_NORMAL".to_owned(), file.rows(splats.normals.iter().map(|n| n.to_array())));
+    let kind = json!({
+        "kernel": "ellipse", "colorSpace": "srgb_rec709_display",
+        "projection": "perspective", "sortingMethod": "cameraDistance",
+    });
+    let primitive = json!({ "mode": 0, "attributes": attributes, "extensions": { EXTENSION: kind } });
+    file.finish(json!({
+        "asset": asset(),
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": [primitive] }],
+    }))
+}
+
+/// What wrote a file.
+fn asset() -> Value {
+    json!({ "version": "2.0", "generator": concat!("Relume ", env!("CARGO_PKG_VERSION")) })
+}
+
+/// The binary part of a file and the accessors of what is in it.
+#[derive(Default)]
+struct Buffer {
+    bytes: Vec<u8>,
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+}
+
+impl Buffer {
+    /// Adds rows of floats; the value is the index of their accessor.
+    fn rows<const N: usize>(&mut self, rows: impl ExactSizeIterator<Item = [f32; N]>) -> Value {
+        let (start, count) = (self.bytes.len(), rows.len());
+        rows.flatten().for_each(|v| self.bytes.extend(v.to_le_bytes()));
+        let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"][N - 1];
+        self.views.push(json!({
+            "buffer": 0, "byteOffset": start, "byteLength": self.bytes.len() - start, "target": VERTICES,
+        }));
+        self.accessors.push(json!({
+            "bufferView": self.views.len() - 1, "componentType": FLOAT, "count": count, "type": kind,
+        }));
+        json!(self.accessors.len() - 1)
+    }
+
+    /// The same of positions, whose bounds a file has to state.
+    fn positions(&mut self, rows: impl ExactSizeIterator<Item = [f32; 3]> + Clone) -> Value {
+        let bound = |pick: fn(f32, f32) -> f32| {
+            rows.clone().reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k]))).unwrap_or_default()
+        };
+        let (least, most) = (bound(f32::min), bound(f32::max));
+        let index = self.rows(rows);
+        if let Some(accessor) = self.accessors.last_mut() {
+            (accessor["min"], accessor["max"]) = (json!(least), json!(most));
+        }
+        index
+    }
+
+    /// The container with `document`, to which buffers are added, and the binary part.
+    fn finish(mut self, mut document: Value) -> Result<Vec<u8>, GltfTooLarge> {
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        document["buffers"] = json!([{ "byteLength": self.bytes.len() }]);
+        (document["bufferViews"], document["accessors"]) = (json!(self.views), json!(self.accessors));
+        let mut text = document.to_string().into_bytes();
+        text.resize(text.len().next_multiple_of(4), b' ');
+        let whole = 28 + text.len() + self.bytes.len();
+        let mut out = Vec::with_capacity(whole);
+        out.extend(b"glTF");
+        let whole = u32::try_from(whole).map_err(|_| GltfTooLarge)?;
+        [2, whole].iter().for_each(|word| out.extend(word.to_le_bytes()));
+        for (name, chunk) in [(b"JSON", &text), (b"BIN\0", &self.bytes)] {
+            out.extend((chunk.len() as u32).to_le_bytes());
+            out.extend(name);
+            out.extend(chunk);
+        }
+        Ok(out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::splats::tests::example;
+
+    /// The document of a file and the floats of an attribute.
+    fn read(bytes: &[u8], attribute: &str) -> (Value, Option<Vec<f32>>) {
+        let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+        assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
+        let text = word(12);
+        assert_eq!((&bytes[16..20], text % 4), (&b"JSON"[..], 0));
+        let document: Value = serde_json::from_slice(&bytes[20..20 + text]).unwrap();
+        let start = 20 + text + 8;
+        assert_eq!((&bytes[start - 4..start], word(start - 8)), (&b"BIN\0"[..], bytes.len() - start));
+        let index = &document["meshes"][0]["primitives"][0]["attributes"][attribute];
+        let Some(index) = index.as_u64() else { return (document, None) };
+        let accessor = &document["accessors"][index as usize];
+        let view = &document["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
+        let at = start + view["byteOffset"].as_u64().unwrap() as usize;
+        let end = at + view["byteLength"].as_u64().unwrap() as usize;
+        let floats = bytes[at..end].as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+        (document.clone(), Some(floats))
+    }
+
+    #[test]
+    fn a_file_says_what_the_model_has() {
+        let splats = Splats::of(&example()).with_y_up();
+        let bytes = encode_splats(&splats).unwrap();
+        let floats = |name: &str| read(&bytes, name).1.unwrap_or_else(|| panic!("{name} is missing"));
+        assert_eq!(floats("POSITION")[3..], [0.5, 0.125, 1.25], "capture units, +Y up");
+        let scale = &floats("KHR_gaussian_splatting:SCALE")[3..];
+        assert!((scale[0] - 0.5 * (-1f32).exp()).abs() < 1e-6, "linear: {scale:?}");
+        assert!((floats("KHR_gaussian_splatting:OPACITY")[1] - 0.817_574_5).abs() < 1e-6);
+        assert_eq!(floats("KHR_gaussian_splatting:SH_DEGREE_0_COEF_0")[3..], [0.0, 1.0, 2.0]);
+        // The coefficient of z becomes that of y, of -y that of z.
+        let first = floats("KHR_gaussian_splatting:SH_DEGREE_1_COEF_0");
+        assert!((first[3] + 6.0).abs() < 1e-5, "{first:?}");
+        assert_eq!(floats("KHR_gaussian_splatting:ROTATION").len(), 8);
+        assert_eq!(floats("COLOR_0").len(), 8);
+        assert!((floats("_ROUGHNESS")[1] - 0.75).abs() < 1e-6 && floats("_METALLIC")[1] == 0.5);
+        assert_eq!(floats("_NORMAL")[3..], [0.0, -1.0, 0.0]);
+        assert!((floats("_BASE_COLOR")[3] - 0.6).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_file_has_the_degree_of_its_colour_and_no_more() {
+        let bytes = encode_splats(&Splats::of(&example())).unwrap();
+        let (document, none) = read(&bytes, "KHR_gaussian_splatting:SH_DEGREE_2_COEF_0");
+        assert_eq!(none, None);
+        assert!(read(&bytes, "KHR_gaussian_splatting:SH_DEGREE_1_COEF_2").1.is_some(), "the control");
+        let kind = &document["meshes"][0]["primitives"][0]["extensions"][EXTENSION];
+        assert_eq!(
+            (&kind["kernel"], &kind["colorSpace"]),
+            (&json!("ellipse"), &json!("srgb_rec709_display"))
+        );
+        assert_eq!(document["accessors"][0]["max"], json!([0.5, -1.0, 0.125]));
+        assert_eq!(document["accessors"][0]["min"], json!([0.0, -1.25, 0.0]));
+    }
+}
