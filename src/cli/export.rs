@@ -13,7 +13,7 @@ use crate::cli::{input, output};
 use crate::formats::ply_model::{self, Columns};
 use crate::formats::splats::{Layer, Splats};
 use crate::formats::{environment, gltf, usd};
-use crate::render::{MOST_BAKED_DEGREE, Renderer};
+use crate::render::{MOST_BAKED_DEGREE, MeshOptions, Renderer};
 use crate::scene::Model;
 
 /// Options of `relume export`.
@@ -25,6 +25,12 @@ pub(super) struct ExportArgs {
     /// the photographs.
     #[arg(long, default_value = "model.ply")]
     out: PathBuf,
+    /// The surface as triangles with textures of base colour, metalness and roughness instead of Gaussians; a `.glb`.
+    #[arg(long, conflicts_with_all = ["layer", "env", "flatten"])]
+    mesh: bool,
+    /// Cells of the grid behind that mesh along the model's world, 16 to 512.
+    #[arg(long, default_value_t = MeshOptions::default().cells as u32, value_parser = clap::value_parser!(u32).range(16..=512))]
+    mesh_cells: u32,
     /// What the colour of the Gaussians shows: `radiance` (the photographs), `relit` (see `--env`), `albedo`, `normal`,
     /// `roughness` or `metallic`. With it a `.ply` is an ordinary file of splats; without, it has the materials as well.
     #[arg(long, value_parser = named::<Shown>)]
@@ -90,7 +96,7 @@ pub(super) fn run(args: &ExportArgs) -> CommandResult {
     if shown == Shown::Relit {
         model = args.relit(model)?;
     }
-    let bytes = args.encode(kind, shown, &model)?;
+    let bytes = if args.mesh { args.encode_mesh(kind, model)? } else { args.encode(kind, shown, &model)? };
     output::write_named(&args.out, &bytes)?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
@@ -116,6 +122,18 @@ impl ExportArgs {
         let renderer = Renderer::new(Arc::new(model));
         let light = renderer.prepare_light(&light)?;
         Ok(renderer.baked(&light, self.relit_degree as usize))
+    }
+
+    fn encode_mesh(&self, kind: Kind, model: Model) -> CommandResult<Vec<u8>> {
+        if kind != Kind::Glb {
+            return Err("--mesh: only a .glb holds a mesh".into());
+        }
+        if !model.has_materials() {
+            return Err("--mesh: the model has no materials".into());
+        }
+        let options = MeshOptions { cells: self.mesh_cells as usize, ..MeshOptions::default() };
+        let mesh = Renderer::new(Arc::new(model)).mesh(options)?;
+        Ok(gltf::encode_mesh(&mesh)?)
     }
 
     fn encode(&self, kind: Kind, shown: Shown, model: &Model) -> CommandResult<Vec<u8>> {
@@ -161,6 +179,8 @@ mod tests {
         ExportArgs {
             model: PathBuf::new(),
             out: PathBuf::new(),
+            mesh: false,
+            mesh_cells: 192,
             layer,
             env: env.map(str::to_owned),
             rotation: 0.0,

@@ -3,18 +3,10 @@
 
 use serde_json::{Map, Value, json};
 
+use crate::formats::gltf::container::{Buffer, GltfTooLarge, asset};
 use crate::formats::splats::Splats;
 
 const EXTENSION: &str = "KHR_gaussian_splatting";
-/// `ARRAY_BUFFER`.
-const VERTICES: u32 = 34962;
-/// `FLOAT`.
-const FLOAT: u32 = 5126;
-
-/// More than the 4 GiB that a `.glb` file can have.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("a .glb file has at most 4 GiB")]
-pub struct GltfTooLarge;
 
 /// The bytes of a `.glb` file of `splats`, which have +Y up. A reader without the extension shows points in their mean colours.
 ///
@@ -60,68 +52,6 @@ pub fn encode_splats(splats: &Splats) -> Result<Vec<u8>, GltfTooLarge> {
         "nodes": [{ "mesh": 0 }],
         "meshes": [{ "primitives": [primitive] }],
     }))
-}
-
-/// What wrote a file.
-fn asset() -> Value {
-    json!({ "version": "2.0", "generator": concat!("Relume ", env!("CARGO_PKG_VERSION")) })
-}
-
-/// The binary part of a file and the accessors of what is in it.
-#[derive(Default)]
-struct Buffer {
-    bytes: Vec<u8>,
-    views: Vec<Value>,
-    accessors: Vec<Value>,
-}
-
-impl Buffer {
-    /// Adds rows of floats; the value is the index of their accessor.
-    fn rows<const N: usize>(&mut self, rows: impl ExactSizeIterator<Item = [f32; N]>) -> Value {
-        let (start, count) = (self.bytes.len(), rows.len());
-        rows.flatten().for_each(|v| self.bytes.extend(v.to_le_bytes()));
-        let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"][N - 1];
-        self.views.push(json!({
-            "buffer": 0, "byteOffset": start, "byteLength": self.bytes.len() - start, "target": VERTICES,
-        }));
-        self.accessors.push(json!({
-            "bufferView": self.views.len() - 1, "componentType": FLOAT, "count": count, "type": kind,
-        }));
-        json!(self.accessors.len() - 1)
-    }
-
-    /// The same of positions, whose bounds a file has to state.
-    fn positions(&mut self, rows: impl ExactSizeIterator<Item = [f32; 3]> + Clone) -> Value {
-        let bound = |pick: fn(f32, f32) -> f32| {
-            rows.clone().reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k]))).unwrap_or_default()
-        };
-        let (least, most) = (bound(f32::min), bound(f32::max));
-        let index = self.rows(rows);
-        if let Some(accessor) = self.accessors.last_mut() {
-            (accessor["min"], accessor["max"]) = (json!(least), json!(most));
-        }
-        index
-    }
-
-    /// The container with `document`, to which buffers are added, and the binary part.
-    fn finish(mut self, mut document: Value) -> Result<Vec<u8>, GltfTooLarge> {
-        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
-        document["buffers"] = json!([{ "byteLength": self.bytes.len() }]);
-        (document["bufferViews"], document["accessors"]) = (json!(self.views), json!(self.accessors));
-        let mut text = document.to_string().into_bytes();
-        text.resize(text.len().next_multiple_of(4), b' ');
-        let whole = 28 + text.len() + self.bytes.len();
-        let mut out = Vec::with_capacity(whole);
-        out.extend(b"glTF");
-        let whole = u32::try_from(whole).map_err(|_| GltfTooLarge)?;
-        [2, whole].iter().for_each(|word| out.extend(word.to_le_bytes()));
-        for (name, chunk) in [(b"JSON", &text), (b"BIN\0", &self.bytes)] {
-            out.extend((chunk.len() as u32).to_le_bytes());
-            out.extend(name);
-            out.extend(chunk);
-        }
-        Ok(out)
-    }
 }
 
 #[cfg(test)]
