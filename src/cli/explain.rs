@@ -44,6 +44,13 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
             model.shading.indirect
         ),
         format!("environment of {} x {} texels", model.env_width, model.env_height),
+    ];
+    if let Some(from) = card.pointer("/imported/from") {
+        let what = if model.has_materials() { "materials" } else { "colour alone" };
+        out.push(format!("imported from {}: {what}", plain(from)));
+        return out;
+    }
+    out.extend([
         format!(
             "trained by relume {} on engine {} for {} steps on {} photographs",
             text("relume_version"),
@@ -51,11 +58,11 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
             text("steps"),
             text("photographs")
         ),
-    ];
-    out.push(match card.get("training_seconds").and_then(Value::as_f64) {
-        Some(seconds) => format!("training took {seconds:.0} s"),
-        None => "the training time is not in the card".to_owned(),
-    });
+        match card.get("training_seconds").and_then(Value::as_f64) {
+            Some(seconds) => format!("training took {seconds:.0} s"),
+            None => "the training time is not in the card".to_owned(),
+        },
+    ]);
     out.extend(light(card));
     out.extend(exposures(card));
     out.extend(crop(card));
