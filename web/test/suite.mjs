@@ -184,11 +184,11 @@ const elsewhere = createServer((request, response) => {
 })
 await new Promise((listening) => elsewhere.listen(Number(new URL(site).port), '127.0.0.1', listening))
 await embed.addInitScript((secret) => {
-  globalThis.ready = new Promise((done) => addEventListener('relume-ready', done))
+  addEventListener('relume-ready', () => (globalThis.isReady = true))
   addEventListener('DOMContentLoaded', () => (document.querySelector('relume-viewer').apiKey = secret))
 }, key)
 await embed.goto(`${site}/index.html`)
-await embed.evaluate(() => globalThis.ready)
+await embed.waitForFunction(() => globalThis.isReady)
 const size = await embed.evaluate(async () => (await document.querySelector('relume-viewer').snapshot()).size)
 assert.ok(size > 500, `the frame on another site has ${size} bytes`)
 if (shots) await embed.screenshot({ path: `${shots}/embed.png` })
