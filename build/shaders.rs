@@ -5,10 +5,10 @@ use std::path::Path;
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
-use crate::generated;
 use crate::preprocess::{Accumulation, Permutation, expand, parse_permutations};
+use crate::{generated, viewer};
 
-type Failure = Box<dyn std::error::Error>;
+pub type Failure = Box<dyn std::error::Error>;
 
 /// Writes the checked text of every permutation to `OUT_DIR/shaders.rs`.
 pub fn compile_all() -> Result<(), Failure> {
@@ -28,20 +28,13 @@ pub fn compile_all() -> Result<(), Failure> {
     let out_dir = std::env::var("OUT_DIR")?;
     std::fs::write(Path::new(&out_dir).join("shaders.rs"), out)?;
     std::fs::write(Path::new(&out_dir).join("generated.wgsl"), generated::all())?;
-    Ok(())
+    viewer::compile_all(&folder)
 }
 
 /// The Rust text of one permutation's `Kernel`.
 fn compile(folder: &Path, permutation: &Permutation) -> Result<String, Failure> {
-    let read =
-        |path: &str| std::fs::read_to_string(folder.join(path)).map_err(|e| format!("shaders/{path}: {e}"));
-    let entry = read(&format!("{}.wgsl", permutation.file))?;
-    let import = |name: &str| match name.strip_prefix("generated/") {
-        Some(piece) => generated::piece(piece).ok_or_else(|| format!("{name}: no such piece")),
-        None => read(&format!("shared/{name}.wgsl")),
-    };
-    let native = expand(&entry, &permutation.defines, Accumulation::Native, &import)?;
-    let exchange = expand(&entry, &permutation.defines, Accumulation::CompareExchange, &import)?;
+    let native = expanded(folder, permutation, Accumulation::Native)?;
+    let exchange = expanded(folder, permutation, Accumulation::CompareExchange)?;
     let module = check(&native)?;
     let fallback = if exchange == native {
         "None".to_owned()
@@ -64,8 +57,20 @@ fn compile(folder: &Path, permutation: &Permutation) -> Result<String, Failure> 
     ))
 }
 
+/// The text of one permutation.
+pub fn expanded(folder: &Path, permutation: &Permutation, sums: Accumulation) -> Result<String, String> {
+    let read =
+        |path: &str| std::fs::read_to_string(folder.join(path)).map_err(|e| format!("shaders/{path}: {e}"));
+    let entry = read(&format!("{}.wgsl", permutation.file))?;
+    let import = |name: &str| match name.strip_prefix("generated/") {
+        Some(piece) => generated::piece(piece).ok_or_else(|| format!("{name}: no such piece")),
+        None => read(&format!("shared/{name}.wgsl")),
+    };
+    expand(&entry, &permutation.defines, sums, &import)
+}
+
 /// Parses and validates.
-fn check(source: &str) -> Result<naga::Module, Failure> {
+pub fn check(source: &str) -> Result<naga::Module, Failure> {
     let module = naga::front::wgsl::parse_str(source).map_err(|e| e.emit_to_string(source))?;
     let capabilities = Capabilities::SHADER_FLOAT32_ATOMIC;
     Validator::new(ValidationFlags::all(), capabilities)

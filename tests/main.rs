@@ -53,6 +53,7 @@ mod service_thumbnails;
 mod service_upload_answers;
 mod service_uploads;
 mod service_validation;
+mod service_viewer;
 mod service_web;
 mod stored_files;
 mod tiers;

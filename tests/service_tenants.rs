@@ -91,6 +91,8 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/v1/models/{id}/files/{name}", One(Model), Read),
     ("post", "/v1/models/{id}/render", One(Model), Render),
     ("get", "/v1/models/{id}/thumbnail", One(Model), Read),
+    ("get", "/v1/models/{id}/stream", One(Model), Read),
+    ("get", "/v1/models/{id}/light", One(Model), Read),
     ("post", "/v1/signed-urls", Body, Read),
     ("options", "/v1/uploads", Everybody, Read),
     ("get", "/v1/uploads", List(Upload), Read),
@@ -324,12 +326,17 @@ async fn what_a_request_names_is_looked_for_among_the_callers_own_things() {
     let sign = |path: String| {
         b.client.request(Method::POST, "/v1/signed-urls").unwrap().json(&json!({ "path": path }))
     };
+    let viewer_light = |id: &str| {
+        let path = format!("/v1/models/{}/light?environment={id}", b.model);
+        b.client.request(Method::GET, &path).unwrap()
+    };
     type Ask<'a> = &'a dyn Fn(&str) -> RequestBuilder;
-    let cases: [(&str, Kind, Ask); 4] = [
+    let cases: [(&str, Kind, Ask); 5] = [
         ("capture of a job", Capture, &|id| job(id, None)),
         ("light of a job", Environment, &|id| job(own_capture, Some(id))),
         ("environment of a render", Environment, &render),
         ("environment of a thumbnail", Environment, &thumbnail),
+        ("environment of a light", Environment, &viewer_light),
     ];
     for (what, kind, request) in cases {
         let found = refusal(request(a.id(kind)), a.id(kind)).await;

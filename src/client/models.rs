@@ -79,6 +79,24 @@ impl Client {
         Ok(response.bytes().await?)
     }
 
+    /// A model's stream for viewers (docs/viewer-stream.md).
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn viewer_stream(&self, model: &ModelId) -> Result<Bytes> {
+        let request = self.request(Method::GET, &format!("/v1/models/{model}/stream"))?;
+        Ok(checked(request).await?.bytes().await?)
+    }
+
+    /// A light's stream for viewers of a model; `query` as in the API, e.g. `environment=studio&rotation=30`.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn viewer_light(&self, model: &ModelId, query: &str) -> Result<Bytes> {
+        let request = self.request(Method::GET, &format!("/v1/models/{model}/light?{query}"))?;
+        Ok(checked(request).await?.bytes().await?)
+    }
+
     /// A thumbnail; `query` as in the API, e.g. `env=studio&size=128`.
     ///
     /// # Errors

@@ -14,5 +14,6 @@ mod ply_table;
 pub mod splats;
 pub mod srgb;
 pub mod usd;
+pub mod viewer_stream;
 
 pub use error::ImageFileError;

@@ -1,7 +1,7 @@
 //! What a pixel looks up: the environment after the linear operators.
 
 use crate::light::{CubeGrid, SPECULAR_LEVELS};
-use crate::scene::SplitLight;
+use crate::scene::{MAX_LIGHTS, SplitLight};
 
 /// Visibility coefficients are padded with zeros to a multiple of this, so that dot products are whole vectors.
 pub const TABLE_LANES: usize = 16;
@@ -68,6 +68,14 @@ impl LightTables {
         for (mine, theirs) in self.lights.iter_mut().zip(&other.lights) {
             (0..3).for_each(|k| mine.irradiance[k] += theirs.irradiance[k]);
         }
+    }
+
+    /// All values in the order in which shaders read them: diffuse transfer, the specular levels, then the irradiance RGB of
+    /// [`MAX_LIGHTS`] lights, zero beyond the last.
+    pub fn flat(&self) -> Vec<f32> {
+        let levels = self.specular.iter().flatten().flatten();
+        let lights = self.lights.iter().flat_map(|l| &l.irradiance).chain(std::iter::repeat(&0.0));
+        self.diffuse.iter().chain(levels).chain(lights.take(3 * MAX_LIGHTS)).copied().collect()
     }
 
     /// The three padded coefficient rows of `node`: red, green, blue.

@@ -17,6 +17,7 @@ mod notes;
 mod renderer;
 mod tier;
 mod tone_curve;
+mod viewer;
 mod viewpoint;
 
 pub use crate::engine::{Frame, Output};
@@ -33,4 +34,5 @@ pub use notes::FrameNotes;
 pub use renderer::{PreparedLight, Renderer};
 pub use tier::{Quality, Tier};
 pub use tone_curve::ToneCurve;
+pub use viewer::stream_gaussians;
 pub use viewpoint::{Orbit, Viewpoint};

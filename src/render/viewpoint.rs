@@ -46,7 +46,7 @@ impl Viewpoint {
 
 impl Orbit {
     fn camera(&self, model: &Model) -> Result<Camera, CameraError> {
-        let framing = model.framing.unwrap_or_else(|| around(model));
+        let framing = framing(model);
         let away = framing.eye - framing.target;
         let azimuth = self.azimuth_deg.map_or(away.y.atan2(away.x), f64::to_radians);
         let elevation = self.elevation_deg.map_or(away.z.atan2(away.truncate().length()), f64::to_radians);
@@ -55,6 +55,11 @@ impl Orbit {
         let eye = framing.target + DVec3::new(cos_a * cos_e, sin_a * cos_e, sin_e) * away.length();
         Camera::look_at(eye, framing.target, DVec3::Z, framing.fov_deg.to_radians(), (self.size, self.size))
     }
+}
+
+/// The view that shows `model` when nobody says from where.
+pub(super) fn framing(model: &Model) -> Framing {
+    model.framing.unwrap_or_else(|| around(model))
 }
 
 /// A view of the whole unit ball.

@@ -69,6 +69,8 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/v1/models/{id}/files/{name}", Needs(Read)),
     (Method::POST, "/v1/models/{id}/render", Needs(Render)),
     (Method::GET, "/v1/models/{id}/thumbnail", Needs(Read)),
+    (Method::GET, "/v1/models/{id}/stream", Needs(Read)),
+    (Method::GET, "/v1/models/{id}/light", Needs(Read)),
     (Method::POST, "/v1/signed-urls", Needs(Read)),
     (Method::OPTIONS, "/v1/uploads", Open),
     (Method::GET, "/v1/uploads", Needs(Read)),

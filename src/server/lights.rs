@@ -37,8 +37,25 @@ pub(super) async fn light(
     }
 }
 
+/// The light that a query names: a built-in map, the capture's own, or an uploaded one.
+///
+/// # Errors
+/// 422 that names `parameter` when there is none of that name.
+pub(super) async fn named_light(
+    app: &Shared,
+    tenant: &TenantId,
+    name: &str,
+    parameter: &str,
+) -> Result<LightSource, Problem> {
+    if let Some(light) = builtin_light(name) {
+        return Ok(light);
+    }
+    let stored = stored_light(app, tenant, &EnvironmentId::from(name)).await?;
+    stored.ok_or_else(|| Problem::invalid_field(parameter, format!("{name:?} does not exist")))
+}
+
 /// An uploaded map of a tenant.
-pub(super) async fn stored_light(
+async fn stored_light(
     app: &Shared,
     tenant: &TenantId,
     id: &EnvironmentId,
@@ -54,7 +71,7 @@ pub(super) async fn stored_light(
 }
 
 /// A map that comes with the program, or the capture's own light.
-pub(super) fn builtin_light(name: &str) -> Option<LightSource> {
+fn builtin_light(name: &str) -> Option<LightSource> {
     match name {
         "recovered" => Some(LightSource::Recovered),
         name if BUILTIN.contains(&name) => Some(LightSource::Builtin(name.to_owned())),

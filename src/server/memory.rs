@@ -118,6 +118,16 @@ pub(super) fn of_frame(pixels: u64, outputs: &[Output]) -> u64 {
     pixels * FRAME_VALUE * (values as u64 + 1) + pixels.min(Quality::BAND_COST) * of_pass
 }
 
+/// Bytes that the stream of a model takes from its file of `size` bytes on: the file, the model, its columns, the stream.
+pub(super) fn of_stream(size: u64) -> u64 {
+    4 * size
+}
+
+/// Bytes that the stream of a light takes: tables and a map in their columns and their bytes, and so for each Gaussian.
+pub(super) fn of_light(gaussians: i64) -> u64 {
+    (8 << 20) + 100 * gaussians.max(0).unsigned_abs()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -165,5 +175,8 @@ mod tests {
         assert!((1900 << 20..2200u64 << 20).contains(&large), "{large}");
         assert!(of_frame(256 * 256, &[Output::Rgb]) < 4 << 20, "a thumbnail is small in any budget");
         assert!(half_of_the_machine() > LEAST);
+        // 62 bytes a Gaussian of a stream and as many floats, of a file of 140 floats a Gaussian; 16 and ten floats of a light.
+        assert!(of_stream(560_000) > 560_000 + 560_000 + 1000 * (62 + 40 * 4));
+        assert!(of_light(1000) - of_light(0) >= 1000 * (16 + 2 * 40) && of_light(-1) == of_light(0));
     }
 }

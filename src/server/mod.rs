@@ -57,6 +57,7 @@ mod upload;
 mod uploads;
 mod usage;
 mod validation;
+mod viewer;
 #[cfg(feature = "web")]
 mod web;
 mod webhooks;

@@ -17,7 +17,7 @@ use crate::store::{ModelFile, ModelRecord};
 use crate::worker::{ModelContent, ModelSource};
 
 /// Name of the file that holds the model itself.
-const MODEL_FILE: &str = "model.safetensors";
+pub(super) const MODEL_FILE: &str = "model.safetensors";
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {

@@ -116,7 +116,7 @@ pub(super) async fn render_frame(
         rendered.steps_waited,
         ms(rendered.took)
     );
-    let encoded = app.encoders.encode(rendered.frame, outputs, format, finish, memory).await?;
+    let encoded = app.encoders.encode(rendered.answer, outputs, format, finish, memory).await?;
     Ok(TimedFrame { encoded, timing })
 }
 

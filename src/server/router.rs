@@ -12,7 +12,7 @@ use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLO
 use crate::server::web;
 use crate::server::{
     cameras, captures, deletion, description, environments, events, files, health, jobs, keys, models,
-    previews, renders, signed_urls, thumbnails, uploads, usage, webhooks,
+    previews, renders, signed_urls, thumbnails, uploads, usage, viewer, webhooks,
 };
 
 fn families() -> OpenApiRouter<Shared> {
@@ -35,7 +35,7 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(bounded(taking, &UPLOADS))
         .merge(bounded(queries, &QUERIES))
         .merge(bounded(renders::routes(), &RENDERS))
-        .merge(bounded(thumbnails::routes().merge(previews::routes()), &THUMBNAILS))
+        .merge(bounded(thumbnails::routes().merge(previews::routes()).merge(viewer::routes()), &THUMBNAILS))
         // Without bounds: whoever looks after the server is answered whatever it is doing.
         .merge(health::routes())
 }

@@ -23,8 +23,8 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 
 /// Sign a URL
 ///
-/// For what cannot send a key, such as `<img>` and `EventSource`: a `GET` of a thumbnail, of a model's file or of a job's
-/// events. It may read what the caller may, until it expires or the caller's key does or is revoked.
+/// For what cannot send a key, such as `<img>` and `EventSource`: a `GET` of a thumbnail, of a model's or a light's stream for
+/// viewers, of a model's file or of a job's events. It may read what the caller may, until it expires or the caller's key does or is revoked.
 #[utoipa::path(
     post, path = "/v1/signed-urls", tag = "signed-urls", request_body = NewSignedUrl,
     responses(
@@ -46,7 +46,7 @@ async fn sign_url(
         target.ok_or_else(|| wrong("is no path with a query, as in a URL, of at most 2048 characters"))?;
     let subject = Subject::of(target.path());
     let subject = subject.ok_or_else(|| {
-        wrong("must be that of a thumbnail, of a file of a model or of the events of a job; others are not signed")
+        wrong("must be that of a thumbnail, a stream, a light or a file of a model, or of the events of a job; others are not signed")
     })?;
     must_exist(&app, &caller, &subject).await?;
 
@@ -63,7 +63,7 @@ async fn sign_url(
 /// 404 when what is to be signed is nothing of the caller's.
 async fn must_exist(app: &Shared, caller: &Caller, subject: &Subject) -> Result<(), Problem> {
     let (there, what, id) = match subject {
-        Subject::Thumbnail(id) => {
+        Subject::Picture(id) => {
             (app.store.model(&caller.tenant, id).await?.is_some(), "model", id.to_string())
         }
         Subject::File(id, name) => {

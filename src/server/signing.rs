@@ -16,8 +16,8 @@ const RESERVED: [&str; 3] = ["key", "expires", "signature"];
 /// What a URL that may be signed is about. These are all: `GET`s that a page lets the browser make.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Subject {
-    /// A thumbnail of a model.
-    Thumbnail(ModelId),
+    /// A thumbnail of a model, its stream for viewers, or a light of that.
+    Picture(ModelId),
     /// A file of a model.
     File(ModelId, String),
     /// The events of a job.
@@ -29,7 +29,7 @@ impl Subject {
     pub(super) fn of(path: &str) -> Option<Self> {
         let parts: Vec<&str> = path.strip_prefix("/v1/")?.split('/').collect();
         match *parts.as_slice() {
-            ["models", id, "thumbnail"] => Some(Self::Thumbnail(id.into())),
+            ["models", id, "thumbnail" | "stream" | "light"] => Some(Self::Picture(id.into())),
             ["models", id, "files", name] => Some(Self::File(id.into(), name.to_owned())),
             ["jobs", id, "events"] => Some(Self::Events(id.into())),
             _ => None,
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn only_what_a_browser_loads_by_itself_is_signed() {
-        assert_eq!(Subject::of("/v1/models/m/thumbnail"), Some(Subject::Thumbnail("m".into())));
+        assert_eq!(Subject::of("/v1/models/m/thumbnail"), Some(Subject::Picture("m".into())));
         assert_eq!(Subject::of("/v1/models/m/files/a.b"), Some(Subject::File("m".into(), "a.b".into())));
         assert_eq!(Subject::of("/v1/jobs/j/events"), Some(Subject::Events("j".into())));
         for other in

@@ -9,14 +9,14 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{EnvironmentId, ModelId, Problem, TenantId};
+use crate::api::{ModelId, Problem, TenantId};
 use crate::render::{Background, Finish, FrameFormat, Orbit, Output, Tier, ToneCurve, Viewpoint};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
-use crate::server::lights::{builtin_light, stored_light};
+use crate::server::lights::named_light;
 use crate::server::{models, renders};
 use crate::store::hex;
 use crate::worker::{LightSource, RenderTask};
@@ -80,7 +80,8 @@ async fn thumbnail(
     let format = format(&query)?;
     let tier = tier(&query)?;
     let (model, model_hash) = models::source(&app, &caller.tenant, &id).await?;
-    let light = light(&app, &caller.tenant, query.env.as_deref().unwrap_or("recovered")).await?;
+    let light =
+        named_light(&app, &caller.tenant, query.env.as_deref().unwrap_or("recovered"), "query/env").await?;
     let finish = finish(&query)?;
     let digest = identity(&model_hash, &light, &orbit, tier, format, &finish);
     let tag = etag(&digest);
@@ -177,14 +178,6 @@ fn finish(query: &ThumbnailQuery) -> Result<Finish, Problem> {
         return Err(Problem::invalid_field("query/tone_curve", "must be srgb, neutral or agx"));
     }
     Ok(Finish { background: query.background.unwrap_or_default(), tone_curve, ..Finish::default() })
-}
-
-async fn light(app: &Shared, tenant: &TenantId, name: &str) -> Result<LightSource, Problem> {
-    if let Some(light) = builtin_light(name) {
-        return Ok(light);
-    }
-    let stored = stored_light(app, tenant, &EnvironmentId::from(name)).await?;
-    stored.ok_or_else(|| Problem::invalid_field("query/env", format!("{name:?} does not exist")))
 }
 
 /// A hash of everything the picture depends on, the program's version included.

@@ -7,10 +7,11 @@ use std::time::Duration;
 use tokio_util::sync::DropGuard;
 
 use crate::api::JobId;
+use crate::render::Frame;
 use crate::worker::previews::{Preview, Previews};
-use crate::worker::queued_render::{QueuedRender, Rendered};
+use crate::worker::queued::{Queued, Request, Served};
 use crate::worker::render_queue::RenderQueue;
-use crate::worker::renders::{RenderFailure, RenderTask};
+use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
 
 /// How long a render may wait for the device and run: long enough for a training step and the first preparation of a light.
 const RENDER_TIMEOUT: Duration = Duration::from_secs(120);
@@ -48,10 +49,26 @@ impl DeviceHandle {
     ///
     /// # Errors
     /// [`RenderFailure::Busy`] when too many wait already, otherwise what the renderer said.
-    pub async fn render(&self, task: RenderTask) -> Result<Rendered, RenderFailure> {
-        let (request, frame) = QueuedRender::new(task, self.steps.load(Ordering::SeqCst));
-        let _place = self.requests.push(request).ok_or(RenderFailure::Busy)?;
-        match tokio::time::timeout(RENDER_TIMEOUT, frame).await {
+    pub async fn render(&self, task: RenderTask) -> Result<Served<Frame>, RenderFailure> {
+        self.ask(task, Request::Frame).await
+    }
+
+    /// The stream of a light, made between frames. When it is not waited for any more, nothing is prepared.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    pub async fn light(&self, task: LightTask) -> Result<Served<Vec<u8>>, RenderFailure> {
+        self.ask(task, Request::Light).await
+    }
+
+    async fn ask<Task, Answer>(
+        &self,
+        task: Task,
+        request: impl FnOnce(Queued<Task, Answer>) -> Request,
+    ) -> Result<Served<Answer>, RenderFailure> {
+        let (queued, answer) = Queued::new(task, self.steps.load(Ordering::SeqCst));
+        let _place = self.requests.push(request(queued)).ok_or(RenderFailure::Busy)?;
+        match tokio::time::timeout(RENDER_TIMEOUT, answer).await {
             Ok(Ok(result)) => result,
             Ok(Err(_)) | Err(_) => Err(RenderFailure::Busy),
         }

@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use crate::engine::{Device, DeviceChoice};
 use crate::render::Frame;
 use crate::worker::panics::panic_message;
-use crate::worker::queued_render::QueuedRender;
+use crate::worker::queued::Request;
 use crate::worker::render_queue::WaitingRenders;
-use crate::worker::renders::{RenderCache, RenderFailure, RenderTask};
+use crate::worker::renders::{LightTask, RenderCache, RenderFailure, RenderTask};
 
 /// Most frames that come before what they interrupt goes on.
 const BATCH: usize = 8;
@@ -65,22 +65,40 @@ impl FrameServer {
         tracing::warn!(device = self.device.name(), "device opened again");
     }
 
-    fn serve(&mut self, request: QueuedRender) {
+    fn serve(&mut self, request: Request) {
         let steps = self.steps.load(Ordering::SeqCst);
-        request.answer(steps, |task, is_wanted| {
-            let frame = std::panic::catch_unwind(AssertUnwindSafe(|| self.render(task, is_wanted)));
-            let frame = frame.unwrap_or_else(|panic| {
-                self.cache.clear();
-                Err(RenderFailure::Internal(panic_message(panic.as_ref())))
-            });
-            if matches!(frame, Err(RenderFailure::Device(_))) {
-                self.reopen();
+        match request {
+            Request::Frame(request) => request.answer(steps, |task, is_wanted| {
+                let frame = self.guarded(|this| this.render(task, is_wanted));
+                metrics::counter!("relume_renders_total", "tier" => task.quality.tier.name(),
+                    "ok" => if frame.is_ok() { "true" } else { "false" })
+                .increment(1);
+                frame
+            }),
+            Request::Light(request) => {
+                request.answer(steps, |task, is_wanted| self.guarded(|this| this.light(task, is_wanted)))
             }
-            metrics::counter!("relume_renders_total", "tier" => task.quality.tier.name(),
-                "ok" => if frame.is_ok() { "true" } else { "false" })
-            .increment(1);
-            frame
+        }
+    }
+
+    /// Serves so that neither a panic nor a failed device is left behind.
+    fn guarded<T>(
+        &mut self,
+        serve: impl FnOnce(&mut Self) -> Result<T, RenderFailure>,
+    ) -> Result<T, RenderFailure> {
+        let answer = std::panic::catch_unwind(AssertUnwindSafe(|| serve(self)));
+        let answer = answer.unwrap_or_else(|panic| {
+            self.cache.clear();
+            Err(RenderFailure::Internal(panic_message(panic.as_ref())))
         });
+        if matches!(answer, Err(RenderFailure::Device(_))) {
+            self.reopen();
+        }
+        answer
+    }
+
+    fn light(&mut self, task: &LightTask, is_wanted: &dyn Fn() -> bool) -> Result<Vec<u8>, RenderFailure> {
+        self.cache.lit_model(task, &self.device, is_wanted).map(|lit| lit.stream(task.with_map))
     }
 
     /// Renders a task, and between the bands of a dear one those that wait and have a single band.

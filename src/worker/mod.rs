@@ -11,7 +11,7 @@ mod frame_thread;
 mod panics;
 mod previews;
 mod progress;
-mod queued_render;
+mod queued;
 mod render_queue;
 mod renders;
 mod thread;
@@ -20,5 +20,5 @@ mod verdict;
 
 pub use device_handle::DeviceHandle;
 pub use previews::Preview;
-pub use renders::{LightSource, ModelContent, ModelSource, RenderFailure, RenderTask};
+pub use renders::{LightSource, LightTask, ModelContent, ModelSource, RenderFailure, RenderTask};
 pub use thread::{StartError, WorkerOptions, start};

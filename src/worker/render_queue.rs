@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
 use crate::render::Quality;
-use crate::worker::queued_render::QueuedRender;
+use crate::worker::queued::Request;
 
 /// Younger frames that may overtake one because they are cheaper.
 const PATIENCE: u32 = 16;
@@ -42,7 +42,7 @@ struct Entry {
     cost: u64,
     /// Younger ones that were rendered before it.
     overtaken: u32,
-    render: QueuedRender,
+    request: Request,
 }
 
 /// A queue of at most `capacity` frames.
@@ -58,16 +58,16 @@ impl Shared {
 }
 
 impl RenderQueue {
-    /// Queues a frame; `None` when too many wait or nobody renders any more.
-    pub(super) fn push(&self, render: QueuedRender) -> Option<Place> {
+    /// Queues a request; `None` when too many wait or nobody renders any more.
+    pub(super) fn push(&self, request: Request) -> Option<Place> {
         let mut state = self.0.lock();
         if state.closed || state.waiting.len() >= self.0.capacity {
             return None;
         }
         let id = state.next;
         state.next += 1;
-        let cost = render.task.cost();
-        state.waiting.push(Entry { id, cost, overtaken: 0, render });
+        let cost = request.cost();
+        state.waiting.push(Entry { id, cost, overtaken: 0, request });
         self.0.arrived.notify_one();
         Some(Place { queue: self.0.clone(), id })
     }
@@ -87,22 +87,22 @@ impl WaitingRenders {
     }
 
     /// The frame to render next: the oldest that was overtaken too often, else the cheapest.
-    pub(super) fn try_recv(&mut self) -> Option<QueuedRender> {
+    pub(super) fn try_recv(&mut self) -> Option<Request> {
         let mut state = self.0.lock();
         let waiting = &mut state.waiting;
         let patient = waiting.iter().position(|entry| entry.overtaken >= PATIENCE);
         let cheapest = || (0..waiting.len()).min_by_key(|&i| waiting[i].cost);
         let next = patient.or_else(cheapest)?;
         waiting[..next].iter_mut().for_each(|entry| entry.overtaken += 1);
-        Some(waiting.remove(next).render)
+        Some(waiting.remove(next).request)
     }
 
     /// The cheapest frame, if it is one of a single band: it may come between the bands of another.
-    pub(super) fn try_recv_cheap(&mut self) -> Option<QueuedRender> {
+    pub(super) fn try_recv_cheap(&mut self) -> Option<Request> {
         let mut state = self.0.lock();
         let waiting = &mut state.waiting;
         let cheapest = (0..waiting.len()).min_by_key(|&i| waiting[i].cost)?;
-        (waiting[cheapest].cost <= Quality::CPU_BAND_COST).then(|| waiting.remove(cheapest).render)
+        (waiting[cheapest].cost <= Quality::CPU_BAND_COST).then(|| waiting.remove(cheapest).request)
     }
 }
 
@@ -124,7 +124,8 @@ impl Drop for Place {
 mod tests {
     use super::*;
     use crate::render::{Orbit, Output, Tier, Viewpoint};
-    use crate::worker::{LightSource, ModelContent, ModelSource, RenderTask};
+    use crate::worker::queued::Queued;
+    use crate::worker::{LightSource, LightTask, ModelContent, ModelSource, RenderTask};
 
     fn task(size: u32, tier: Tier) -> RenderTask {
         RenderTask {
@@ -139,15 +140,26 @@ mod tests {
         }
     }
 
+    fn light() -> LightTask {
+        let model = ModelSource { id: "model".into(), content: ModelContent::File("model".into()) };
+        LightTask { model, light: LightSource::Recovered, rotation_deg: 0.0, with_map: false }
+    }
+
     /// Queues a frame of a size; its caller is the place.
     fn push(queue: &RenderQueue, size: u32) -> Option<Place> {
-        queue.push(QueuedRender::new(task(size, Tier::Standard), 0).0)
+        queue.push(Request::Frame(Queued::new(task(size, Tier::Standard), 0).0))
+    }
+
+    /// Side of a frame; none of a light.
+    fn size_of(request: &Request) -> Option<u32> {
+        match request {
+            Request::Frame(frame) => Some(frame.task.pixels().isqrt() as u32),
+            Request::Light(_) => None,
+        }
     }
 
     fn next_size(waiting: &mut WaitingRenders) -> u32 {
-        let render = waiting.try_recv().unwrap();
-        let Viewpoint::Orbit(orbit) = render.task.viewpoint else { panic!("an orbit was queued") };
-        orbit.size
+        size_of(&waiting.try_recv().unwrap()).unwrap()
     }
 
     #[test]
@@ -169,9 +181,12 @@ mod tests {
     fn between_the_bands_of_a_frame_come_cheap_ones_alone() {
         let (queue, mut waiting) = render_queue(9);
         let _places = [2048, 128, 64].map(|size| push(&queue, size).unwrap());
-        let mut next = || waiting.try_recv_cheap().map(|render| render.task.pixels());
-        assert_eq!([(); 3].map(|()| next()), [Some(64 * 64), Some(128 * 128), None]);
-        assert_eq!(next_size(&mut waiting), 2048, "it waits for its turn");
+        let (light, _answer) = Queued::new(light(), 0);
+        let _light = queue.push(Request::Light(light)).unwrap();
+        let mut next = || waiting.try_recv_cheap().as_ref().map(size_of);
+        assert_eq!([(); 3].map(|()| next()), [Some(Some(64)), Some(Some(128)), None]);
+        assert_eq!(size_of(&waiting.try_recv().unwrap()), None, "a light waits for its turn");
+        assert_eq!(next_size(&mut waiting), 2048, "and so does the frame");
     }
 
     #[test]
@@ -204,8 +219,8 @@ mod tests {
     #[tokio::test]
     async fn when_the_renderer_ends_whoever_waits_is_told() {
         let (queue, waiting) = render_queue(2);
-        let (render, frame) = QueuedRender::new(task(64, Tier::Standard), 0);
-        let _place = queue.push(render).unwrap();
+        let (render, frame) = Queued::new(task(64, Tier::Standard), 0);
+        let _place = queue.push(Request::Frame(render)).unwrap();
         drop(waiting);
         assert!(frame.await.is_err() && queue.is_closed());
         assert!(push(&queue, 64).is_none());

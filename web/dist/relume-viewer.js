@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-DQNTaeQC.js";
+export{t as RelumeViewer}from"./assets/element-CeATKNJ6.js";

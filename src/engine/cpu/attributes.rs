@@ -105,7 +105,7 @@ impl AttributeSource<'_> {
     }
 
     /// Light that Gaussian `i` gets from other surfaces.
-    fn incident(&self, i: usize) -> IncidentLight {
+    pub fn incident(&self, i: usize) -> IncidentLight {
         let mut out = IncidentLight::default();
         match self.options.indirect {
             IndirectForm::Off => {}

@@ -173,7 +173,7 @@ fn material(model: &Model, i: usize) -> Material {
 }
 
 /// The mixture of prototypes plus the residual, in [0, 1].
-fn albedo(model: &Model, i: usize) -> [f32; 3] {
+pub(super) fn albedo(model: &Model, i: usize) -> [f32; 3] {
     let logits = model.gaussians.row(Field::ProtoLogits, i);
     let largest = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let weights: Vec<f32> = logits.iter().map(|l| (l - largest).exp()).collect();

@@ -167,6 +167,19 @@ pub struct RenderTask {
     pub outputs: Vec<Output>,
 }
 
+/// A light to make ready for a model, to be shaded with elsewhere.
+#[derive(Debug, Clone)]
+pub struct LightTask {
+    /// The model.
+    pub model: ModelSource,
+    /// The light.
+    pub light: LightSource,
+    /// Turn of the light about +Z, degrees counter-clockwise.
+    pub rotation_deg: f64,
+    /// Whether a picture of the light comes with it.
+    pub with_map: bool,
+}
+
 impl RenderTask {
     /// What the frame costs on the device beside others: its pixels, weighed by the tier.
     pub(super) fn cost(&self) -> u64 {
@@ -209,52 +222,95 @@ impl RenderCache {
         device: &Device,
         is_wanted: &dyn Fn() -> bool,
     ) -> Result<Scene, RenderFailure> {
-        let go_on = || if is_wanted() { Ok(()) } else { Err(RenderFailure::Abandoned) };
-        go_on()?;
-        // One in memory would drive out those that are asked for again.
-        if let ModelContent::Memory(_) = task.model.content {
-            return Scene::of(task, load(&task.model, device)?);
-        }
-        let renderer = self.models.try_get_or_insert(task.model.id.clone(), || load(&task.model, device))?;
+        let renderer = self.model(&task.model, device, is_wanted)?;
         let camera = task.viewpoint.camera(renderer.model());
         let camera = camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
-        go_on()?;
-        let key = (task.model.id.clone(), task.light.key(), task.rotation_deg.to_bits());
-        let light = self.lights.try_get_or_insert(key, || prepare(renderer, task))?;
-        go_on()?;
-        Ok(Scene { renderer: renderer.clone(), light: light.clone(), camera })
+        let light = self.light(&renderer, &task.model, (&task.light, task.rotation_deg), is_wanted)?;
+        Ok(Scene { lit: LitModel { renderer, light }, camera })
+    }
+
+    /// The model and the light of a task; gives up likewise.
+    pub(super) fn lit_model(
+        &mut self,
+        task: &LightTask,
+        device: &Device,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<LitModel, RenderFailure> {
+        let renderer = self.model(&task.model, device, is_wanted)?;
+        let light = self.light(&renderer, &task.model, (&task.light, task.rotation_deg), is_wanted)?;
+        Ok(LitModel { renderer, light })
+    }
+
+    fn model(
+        &mut self,
+        source: &ModelSource,
+        device: &Device,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<Arc<Renderer>, RenderFailure> {
+        go_on(is_wanted)?;
+        // One in memory would drive out those that are asked for again.
+        if let ModelContent::Memory(_) = source.content {
+            return load(source, device);
+        }
+        self.models.try_get_or_insert(source.id.clone(), || load(source, device)).cloned()
+    }
+
+    fn light(
+        &mut self,
+        renderer: &Renderer,
+        model: &ModelSource,
+        (light, rotation_deg): (&LightSource, f64),
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<Arc<PreparedLight>, RenderFailure> {
+        go_on(is_wanted)?;
+        if let ModelContent::Memory(_) = model.content {
+            return prepare(renderer, light, rotation_deg);
+        }
+        let key = (model.id.clone(), light.key(), rotation_deg.to_bits());
+        let light = self.lights.try_get_or_insert(key, || prepare(renderer, light, rotation_deg)).cloned()?;
+        go_on(is_wanted)?;
+        Ok(light)
     }
 }
 
-/// A model under a light before a camera. Holds nothing of the cache.
-pub(super) struct Scene {
+fn go_on(is_wanted: &dyn Fn() -> bool) -> Result<(), RenderFailure> {
+    if is_wanted() { Ok(()) } else { Err(RenderFailure::Abandoned) }
+}
+
+/// A model under a light. Holds nothing of the cache.
+pub(super) struct LitModel {
     renderer: Arc<Renderer>,
     light: Arc<PreparedLight>,
+}
+
+impl LitModel {
+    /// The stream of the light for viewers.
+    pub(super) fn stream(&self, with_map: bool) -> Vec<u8> {
+        self.renderer.stream_light(&self.light, with_map)
+    }
+}
+
+/// The same before a camera.
+pub(super) struct Scene {
+    lit: LitModel,
     camera: Camera,
 }
 
 impl Scene {
-    /// What a task shows of a model that no cache holds.
-    fn of(task: &RenderTask, renderer: Arc<Renderer>) -> Result<Self, RenderFailure> {
-        let camera = task.viewpoint.camera(renderer.model());
-        let camera = camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
-        let light = prepare(&renderer, task)?;
-        Ok(Self { renderer, light, camera })
-    }
-
     /// The frame of `task`. `between` is called between the bands of a dear one, and may end it.
     pub(super) fn render(
         &self,
         task: &RenderTask,
         mut between: impl FnMut() -> Result<(), RenderFailure>,
     ) -> Result<Frame, RenderFailure> {
-        let mut bands = self.renderer.bands(&self.camera, &self.light, task.quality, &task.outputs)?;
+        let LitModel { renderer, light } = &self.lit;
+        let mut bands = renderer.bands(&self.camera, light, task.quality, &task.outputs)?;
         while bands.render_next()? {
             between()?;
         }
         let mut frame = bands.into_frame();
         if task.shows_environment {
-            self.renderer.show_environment(&mut frame, &self.camera, &self.light);
+            renderer.show_environment(&mut frame, &self.camera, light);
         }
         expose(&mut frame, task.exposure_ev);
         Ok(frame)
@@ -296,16 +352,20 @@ fn read(path: &Path, id: &ModelId) -> Result<Model, RenderFailure> {
     model_file::decode(&bytes).map_err(|e| internal(e.to_string()))
 }
 
-fn prepare(renderer: &Renderer, task: &RenderTask) -> Result<Arc<PreparedLight>, RenderFailure> {
-    let internal = |e: String| RenderFailure::Internal(format!("environment {}: {e}", task.light.key()));
-    let map = task.light.map().map_err(|error| match &task.light {
+fn prepare(
+    renderer: &Renderer,
+    light: &LightSource,
+    rotation_deg: f64,
+) -> Result<Arc<PreparedLight>, RenderFailure> {
+    let internal = |e: String| RenderFailure::Internal(format!("environment {}: {e}", light.key()));
+    let map = light.map().map_err(|error| match light {
         LightSource::Stored { path, sha256 } if !path.exists() => {
             RenderFailure::Gone { what: "environment", id: sha256.clone() }
         }
         _ => internal(error),
     })?;
     let map = map.unwrap_or_else(|| Arc::new(renderer.model().environment()));
-    let map = match task.rotation_deg {
+    let map = match rotation_deg {
         0.0 => map,
         turn => Arc::new(map.rotated_and_scaled(turn, 1.0)),
     };

@@ -161,3 +161,21 @@ fn what_was_deleted_before_its_turn_is_gone_and_not_a_failure_of_the_server() {
     std::fs::create_dir(path).unwrap();
     assert!(matches!(render(&task), Err(RenderFailure::Internal(_))), "a file that cannot be read is one");
 }
+
+#[test]
+fn the_light_of_a_viewer_is_that_of_frames_and_is_not_made_for_nobody() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let task = task(&model(&folder), Tier::Standard, 0.0);
+    let RenderTask { model, light, rotation_deg, .. } = task.clone();
+    let mut cache = RenderCache::new(1, 2);
+    let frame = cache.scene(&task, &Device::Cpu, &|| true).unwrap();
+    let asked = LightTask { model, light, rotation_deg, with_map: false };
+    let lit = cache.lit_model(&asked, &Device::Cpu, &|| true).unwrap();
+    assert!(Arc::ptr_eq(&lit.light, &frame.lit.light) && cache.lights.len() == 1);
+    assert!(lit.stream(true).len() > lit.stream(false).len() + 6 * 2 * 64 * 32);
+    let other = LightTask { rotation_deg: 31.0, ..asked };
+    let nobody = cache.lit_model(&other, &Device::Cpu, &|| false);
+    assert!(matches!(nobody, Err(RenderFailure::Abandoned)) && cache.lights.len() == 1);
+    cache.lit_model(&other, &Device::Cpu, &|| true).unwrap();
+    assert_eq!(cache.lights.len(), 2, "the control: somebody waits for it");
+}

@@ -1,27 +1,24 @@
-import { Orbit, type OrbitView } from './orbit'
+import type { Engine, EngineListener } from './engine'
 import { Frames, type Look } from './frames'
+import { LiveView } from './live'
+import { Orbit, type OrbitView } from './orbit'
+import { ServedView } from './served'
+
+export type { ViewerMode } from './engine'
 
 /** What is fired as `relume-view`: where the camera stands, degrees and capture units. */
 export type ViewDetail = OrbitView
-
-/** Which engine draws. */
-export type ViewerMode = 'webgpu' | 'server'
 
 const SHEET = new CSSStyleSheet()
 SHEET.replaceSync(`
   :host { display: block; position: relative; min-height: 8rem; touch-action: none; }
   :host(:focus-visible) { outline: 2px solid currentColor; outline-offset: 2px; }
-  img { display: block; width: 100%; height: 100%; object-fit: contain; user-select: none; }
+  img, canvas { display: block; width: 100%; height: 100%; object-fit: contain; user-select: none; }
 `)
 
-/** Longest side of frames while the camera moves, pixels. */
-const MOVING = 256
-/** Longest side of frames when it rests, pixels. */
-const RESTING = 1024
-/** Rest before a sharp frame is asked for, milliseconds. */
-const SETTLE = 180
-/** Turn of `auto-rotate`, degrees per frame that arrives. */
-const TURN = 3
+/** Turn of `auto-rotate`, degrees a second, and at most in one picture. */
+const SPIN = 30
+const MOST_TURN = 3
 
 const NUMBERS = ['azimuth', 'elevation', 'distance', 'fov'] as const
 
@@ -38,22 +35,18 @@ export class RelumeViewer extends HTMLElement {
     'server', 'model', 'environment', 'rotation', 'exposure', 'background', 'output', 'auto-rotate', ...NUMBERS,
   ]
 
-  readonly #image = document.createElement('img')
+  readonly #root = this.attachShadow({ mode: 'open' })
   readonly #orbit = new Orbit(this, () => this.#moved())
+  readonly #resized = new ResizeObserver(() => this.#draw(false))
   #frames: Frames | undefined
+  #engine: Engine | undefined
   #apiKey: string | undefined
-  #timer = 0
-  #busy = false
-  #stale = false
-  #shown: Blob | undefined
+  /** When the last turn of `auto-rotate` was, milliseconds. */
+  #turned = 0
 
   constructor() {
     super()
-    const root = this.attachShadow({ mode: 'open' })
-    root.adoptedStyleSheets = [SHEET]
-    this.#image.draggable = false
-    this.#image.alt = ''
-    root.append(this.#image)
+    this.#root.adoptedStyleSheets = [SHEET]
   }
 
   /** A key of the server; sent with every request. */
@@ -71,22 +64,22 @@ export class RelumeViewer extends HTMLElement {
     if (!this.hasAttribute('role')) this.setAttribute('role', 'application')
     if (!this.hasAttribute('aria-label')) this.setAttribute('aria-label', '3D view: turn with the arrow keys, approach with + and -')
     this.#orbit.listen()
+    this.#resized.observe(this)
     void this.#open()
   }
 
   disconnectedCallback(): void {
     this.#orbit.unlisten()
-    clearTimeout(this.#timer)
-    this.#frames?.close()
-    this.#frames = undefined
+    this.#resized.disconnect()
+    this.#close()
   }
 
   attributeChangedCallback(name: string, before: string | null, after: string | null): void {
     if (before === after || !this.isConnected) return
     if (name === 'model' || name === 'server') void this.#open()
     else {
-      this.#readView()
-      this.#moved(false)
+      if (NUMBERS.some((number) => number === name)) this.#readView()
+      this.#draw(false)
     }
   }
 
@@ -95,11 +88,10 @@ export class RelumeViewer extends HTMLElement {
     return this.#orbit.view()
   }
 
-  /** The frame that is shown, as a PNG. Rejects when there is none yet. */
+  /** What is shown, whole and sharp, as a PNG. Rejects when no model is shown. */
   async snapshot(): Promise<Blob> {
-    if (!this.#frames) throw new Error('no model is shown')
-    if (!this.#shown) this.#shown = await this.#frames.frame(this.#look(), this.camera(), this.#size(RESTING))
-    return this.#shown
+    if (!this.#engine) throw new Error('no model is shown')
+    return this.#engine.snapshot(this.#look(), this.camera())
   }
 
   #server(): string {
@@ -111,22 +103,51 @@ export class RelumeViewer extends HTMLElement {
   }
 
   async #open(): Promise<void> {
-    this.#frames?.close()
-    this.#frames = undefined
+    this.#close()
     const model = this.getAttribute('model')
     if (!model) return
     const frames = new Frames(this.#server(), model, this.#apiKey)
     this.#frames = frames
     try {
-      this.#orbit.frame(await frames.framing())
-      if (this.#frames !== frames) return
-      this.#readView()
-      this.#fire('relume-mode', 'server' satisfies ViewerMode)
-      await this.#draw(RESTING)
-      this.#fire('relume-ready', undefined)
-      if (this.hasAttribute('auto-rotate')) this.#moved()
+      const live = await LiveView.open(frames, this.#listener(frames))
+      if (this.#frames === frames) await this.#begin(frames, live)
+      else live?.close()
     } catch (error) {
       if (this.#frames === frames) this.#fail(error)
+    }
+  }
+
+  /** Draws with `live`, or with frames of the server where there is none. */
+  async #begin(frames: Frames, live?: Engine): Promise<void> {
+    const engine = live ?? (await ServedView.open(frames, this.#listener(frames), this.camera().fov))
+    if (this.#frames !== frames) return engine.close()
+    const before = this.#engine
+    this.#engine = engine
+    // What takes over from another engine goes on where that was.
+    if (!before) this.#orbit.set(engine.begin)
+    before?.close()
+    this.#root.replaceChildren(engine.node)
+    this.#readView()
+    this.#fire('relume-mode', engine.mode)
+    this.#draw(false)
+  }
+
+  #close(): void {
+    this.#frames?.close()
+    this.#frames = undefined
+    this.#engine?.close()
+    this.#engine = undefined
+  }
+
+  #listener(frames: Frames): EngineListener {
+    return {
+      size: () => [this.clientWidth, this.clientHeight],
+      ready: () => this.#fire('relume-ready', undefined),
+      shown: () => this.#spin(),
+      failed: (error) => this.#fail(error),
+      lost: () => {
+        if (this.#frames === frames) this.#begin(frames).catch((error: unknown) => this.#fail(error))
+      },
     }
   }
 
@@ -150,50 +171,22 @@ export class RelumeViewer extends HTMLElement {
     }
   }
 
-  /** The frame's size with a longest side of `most`, never more than the screen has. */
-  #size(most: number): [number, number] {
-    const { clientWidth, clientHeight } = this
-    const pixels = Math.max(clientWidth, clientHeight, 1)
-    const scale = Math.min(most / pixels, window.devicePixelRatio || 1)
-    return [Math.max(1, Math.round(clientWidth * scale)), Math.max(1, Math.round(clientHeight * scale))]
+  #moved(): void {
+    this.#fire('relume-view', this.camera())
+    this.#draw(true)
   }
 
-  #moved(byHand = true): void {
-    if (!this.#frames) return
-    if (byHand) this.#fire('relume-view', this.camera())
-    clearTimeout(this.#timer)
-    void this.#draw(MOVING).catch((error: unknown) => this.#fail(error))
-    if (!this.hasAttribute('auto-rotate')) {
-      this.#timer = window.setTimeout(() => void this.#draw(RESTING).catch((error: unknown) => this.#fail(error)), SETTLE)
-    }
+  #draw(moving: boolean): void {
+    this.#engine?.draw(this.#look(), this.camera(), moving && this.hasAttribute('auto-rotate'))
   }
 
-  /** Shows a frame. While one is on its way, the newest wish waits for it. */
-  async #draw(most: number): Promise<void> {
-    const frames = this.#frames
-    if (!frames) return
-    if (this.#busy) {
-      this.#stale = true
-      return
-    }
-    this.#busy = true
-    try {
-      const blob = await frames.frame(this.#look(), this.camera(), this.#size(most), most < RESTING)
-      if (this.#frames !== frames) return
-      this.#shown = most === RESTING ? blob : undefined
-      const before = this.#image.src
-      this.#image.src = URL.createObjectURL(blob)
-      await this.#image.decode()
-      if (before) URL.revokeObjectURL(before)
-    } finally {
-      this.#busy = false
-    }
-    if (this.#stale) {
-      this.#stale = false
-      this.#moved(false)
-    } else if (this.hasAttribute('auto-rotate') && this.#frames === frames) {
-      this.#orbit.turn(TURN)
-    }
+  /** The next turn of `auto-rotate`. */
+  #spin(): void {
+    if (!this.hasAttribute('auto-rotate')) return
+    const now = performance.now()
+    const turn = Math.min(MOST_TURN, ((now - this.#turned) / 1000) * SPIN)
+    this.#turned = now
+    this.#orbit.turn(turn)
   }
 
   #fail(error: unknown): void {

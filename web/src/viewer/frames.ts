@@ -1,5 +1,5 @@
 import type { components } from '../api/schema'
-import type { OrbitView } from './orbit'
+import { eye, type OrbitView } from './orbit'
 
 type RenderRequest = components['schemas']['RenderRequest']
 
@@ -18,17 +18,6 @@ export interface Look {
 const OUTPUTS: Record<string, string> = { metalness: 'metallic', ao: 'visibility' }
 
 const BUILTIN = ['recovered', 'studio', 'sunset', 'overcast', 'dawn', 'night', 'white']
-
-/** Where an orbiting camera stands. */
-export function eye({ azimuth, elevation, distance, target }: OrbitView): [number, number, number] {
-  const [a, e] = [(azimuth * Math.PI) / 180, (elevation * Math.PI) / 180]
-  const [x, y, z] = target
-  return [
-    x + distance * Math.cos(e) * Math.cos(a),
-    y + distance * Math.cos(e) * Math.sin(a),
-    z + distance * Math.sin(e),
-  ]
-}
 
 /** The body of a request for a frame. */
 export function renderRequest(look: Look, view: OrbitView, [width, height]: [number, number], fast = false): RenderRequest {
@@ -78,6 +67,17 @@ export class Frames {
     }
   }
 
+  /** What a viewer draws the model with. */
+  stream(): Promise<Response> {
+    return this.#ask(`models/${this.#model}/stream`)
+  }
+
+  /** What a viewer shades the model with under a light; `map`: also to show the light behind it. */
+  light({ environment, rotation }: Look, map: boolean, signal: AbortSignal): Promise<Response> {
+    const query = new URLSearchParams({ environment, rotation: String(rotation), map: String(map) })
+    return this.#ask(`models/${this.#model}/light?${query}`, { signal })
+  }
+
   /** A frame as a PNG; `fast` trades detail for time. */
   async frame(look: Look, view: OrbitView, size: [number, number], fast = false): Promise<Blob> {
     const body = JSON.stringify(renderRequest(look, view, size, fast))
@@ -88,7 +88,8 @@ export class Frames {
 
   async #ask(path: string, init: RequestInit = {}): Promise<Response> {
     const headers = { ...this.#headers, ...init.headers }
-    const answer = await fetch(`${this.#server}v1/${path}`, { ...init, headers, signal: this.#closed.signal })
+    const signal = init.signal ? AbortSignal.any([init.signal, this.#closed.signal]) : this.#closed.signal
+    const answer = await fetch(`${this.#server}v1/${path}`, { ...init, headers, signal })
     if (answer.ok) return answer
     const problem = (await answer.json().catch(() => null)) as components['schemas']['Problem'] | null
     throw new Error(problem?.detail ?? problem?.title ?? `the server answered ${answer.status}`)

@@ -12,6 +12,17 @@ export interface OrbitView {
   fov: number
 }
 
+/** Where an orbiting camera stands. */
+export function eye({ azimuth, elevation, distance, target }: OrbitView): [number, number, number] {
+  const [a, e] = [(azimuth * Math.PI) / 180, (elevation * Math.PI) / 180]
+  const [x, y, z] = target
+  return [
+    x + distance * Math.cos(e) * Math.cos(a),
+    y + distance * Math.cos(e) * Math.sin(a),
+    z + distance * Math.sin(e),
+  ]
+}
+
 /** Degrees a key turns by. */
 const STEP = 5
 /** Degrees a pixel of a drag turns by. */

@@ -5,5 +5,5 @@ mod tables;
 mod tests;
 mod training;
 
-pub use tables::{Constants, LightBuffers, TablesUniform, flat};
+pub use tables::{Constants, LightBuffers, TablesUniform};
 pub use training::TrainingLight;

@@ -4,11 +4,10 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::{Buffer, Gpu};
-use crate::light::{BrdfLut, CubeGrid, LightTables, LobeAttenuation};
+use crate::light::{CubeGrid, LightTables, reflectance_tables};
 use crate::scene::{MAX_LIGHTS, sh_count};
 
-/// The tables of the reflectance model, uploaded once a device: 32 x 32 pairs `[roughness][n.v][scale, bias]`, then
-/// 33 x 9 attenuations `[roughness][degree]`.
+/// The tables of the reflectance model ([`reflectance_tables`]), uploaded once a device.
 #[derive(Debug, Clone)]
 pub struct Constants {
     pub(in crate::engine::gpu) buffer: Buffer<f32>,
@@ -20,10 +19,7 @@ impl Constants {
     /// # Errors
     /// When the device has no memory left.
     pub fn upload(gpu: &Gpu) -> Result<Self, DeviceError> {
-        let lut = BrdfLut::shared().values().iter().flatten();
-        let lobe = LobeAttenuation::shared().rows().iter().flatten();
-        let values: Vec<f32> = lut.chain(lobe).copied().collect();
-        Ok(Self { buffer: gpu.upload("reflectance tables", &values)? })
+        Ok(Self { buffer: gpu.upload("reflectance tables", &reflectance_tables())? })
     }
 }
 
@@ -98,14 +94,6 @@ pub struct LightBuffers {
     pub indirect_basis: Buffer<f32>,
 }
 
-/// All floats of `tables` in the order of the device's buffer: behind the levels the irradiance of [`MAX_LIGHTS`] lights, zero
-/// beyond the last.
-pub fn flat(tables: &LightTables) -> Vec<f32> {
-    let levels = tables.specular.iter().flatten().flatten();
-    let lights = tables.lights.iter().flat_map(|l| &l.irradiance).chain(std::iter::repeat(&0.0));
-    tables.diffuse.iter().chain(levels).chain(lights.take(3 * MAX_LIGHTS)).copied().collect()
-}
-
 impl LightBuffers {
     /// Uploads finished tables.
     ///
@@ -119,7 +107,7 @@ impl LightBuffers {
     ) -> Result<Self, DeviceError> {
         Ok(Self {
             layout: TablesUniform::new(tables, order),
-            values: gpu.upload("light tables", &flat(tables))?,
+            values: gpu.upload("light tables", &tables.flat())?,
             indirect_basis: gpu.upload("indirect basis", indirect_basis.as_flattened())?,
         })
     }

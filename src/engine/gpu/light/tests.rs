@@ -2,7 +2,7 @@
 
 use crate::engine::LightWeights;
 use crate::engine::gpu::light::training::EnvironmentUniform;
-use crate::engine::gpu::light::{TablesUniform, TrainingLight, flat};
+use crate::engine::gpu::light::{TablesUniform, TrainingLight};
 use crate::engine::gpu::model::ModelBuffers;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::{Buffer, Gpu, shaders};
@@ -118,13 +118,13 @@ fn tables_and_basis_are_those_of_the_host_at(gpu: &Gpu, model: &Model, turn: f64
     let expected = host(&radiance(model), turn);
     let light = &run.light.light;
     let values = gpu.read(&light.values, 0..light.values.len()).unwrap();
-    assert!(worst(&values, &flat(&expected)) < 2e-6);
+    assert!(worst(&values, &expected.flat()) < 2e-6);
     let basis = gpu.read(&light.indirect_basis, 0..48).unwrap();
     assert!(worst(&basis, indirect_basis(&expected).as_flattened()) < 3e-6);
     let mut other = radiance(model);
     other[5][1] += 0.05;
-    assert!(worst(&values, &flat(&host(&other, turn))) > 1e-4, "the control: one texel shows");
-    assert!(worst(&values, &flat(&host(&radiance(model), turn + 0.1))) > 1e-2, "the control: a turn shows");
+    assert!(worst(&values, &host(&other, turn).flat()) > 1e-4, "the control: one texel shows");
+    assert!(worst(&values, &host(&radiance(model), turn + 0.1).flat()) > 1e-2, "the control: a turn shows");
 }
 
 #[test]
@@ -154,7 +154,7 @@ fn the_gradient_is_the_transposed_operator_and_the_terms_at(gpu: &Gpu, turn: f64
     }
     by_tables.lights.iter_mut().for_each(|l| l.irradiance = [0.4, -0.3, 0.2]);
     let by_basis: [[f32; 3]; 16] = std::array::from_fn(|j| [0.1 * j as f32, -0.2, 0.05]);
-    gpu.write(&run.light.tables_gradient, 0, &flat(&by_tables));
+    gpu.write(&run.light.tables_gradient, 0, &by_tables.flat());
     gpu.write(&run.light.basis_gradient, 0, by_basis.as_flattened());
     let out: Buffer<f32> = gpu.buffer("gradient", run.buffers.globals.len()).unwrap();
     let mut recorder = gpu.record();

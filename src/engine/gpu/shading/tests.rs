@@ -8,7 +8,6 @@ use crate::engine::RasterCamera;
 use crate::engine::channel;
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader};
-use crate::engine::gpu::light::flat;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::light::{CubeGrid, LightTables};
 use crate::scene::{Camera, DiffuseForm, Gaussians, ShadeAt, VisibilityForm, sh_count};
@@ -272,7 +271,7 @@ fn errors(case: &Case, all: bool) -> [f32; 4] {
         rgb_error(&results.images[0], &images.physical),
         rgb_error(&results.images[1], &images.radiance),
         error(results.by_gbuffer.as_flattened(), expected.as_flattened()),
-        error(&results.by_tables, &flat(&by_tables)),
+        error(&results.by_tables, &by_tables.flat()),
     ]
 }
 
@@ -340,7 +339,7 @@ fn the_comparison_sees_a_small_change_of_any_input() {
         let results = changed.run(&by, &by_buffers, true);
         let seen = rgb_error(&results.images[0], &images.physical)
             .max(rgb_error(&results.images[1], &images.radiance))
-            .max(error(&results.by_tables, &flat(&by_tables)));
+            .max(error(&results.by_tables, &by_tables.flat()));
         assert!(seen > 2e-4, "channel {channel}: {seen}");
     }
     let mut options = case.options;

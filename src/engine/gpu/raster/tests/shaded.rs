@@ -4,7 +4,7 @@ use super::*;
 use crate::engine::channel::OutgoingRadiance;
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{ROW_HEADER, SurfaceShader};
-use crate::engine::gpu::light::{Constants, LightBuffers, flat};
+use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::shading::Shading;
 use crate::engine::gpu::shading::tests::{Noise, error, random_tables};
 use crate::light::{LightTables, TableLight};
@@ -80,7 +80,7 @@ impl Case {
         Found {
             radiance: ranks.iter().flat_map(light).collect(),
             rows: ranks.iter().flat_map(row).collect(),
-            by_tables: flat(&by_tables),
+            by_tables: by_tables.flat(),
         }
     }
 
@@ -97,7 +97,7 @@ impl Case {
     /// Gaussians that reach a tile, and what the device finds for them.
     fn on_gpu(&self, raster: &mut Raster) -> (Vec<usize>, Found) {
         let (gpu, n, groups) = (raster.gpu.clone(), self.scene.gaussians.len(), groups(self.channels));
-        let floats = flat(&self.tables).len();
+        let floats = self.tables.flat().len();
         let by_tables = gpu.buffer("by tables", floats).unwrap();
         let by = gpu.upload("by", &backward::planes(&self.by_gbuffer())).unwrap();
         let (shading, camera) = (self.shading(&gpu), CameraUniform::new(&self.scene.view));

@@ -1,0 +1,49 @@
+//! What a viewer draws a model with, as bytes that are of use before all of them have come (docs/viewer-stream.md): a header in
+//! JSON, arrays, then one record a Gaussian, the most important Gaussian first.
+
+mod gaussians;
+mod light;
+mod quantity;
+
+pub use gaussians::{encode_gaussians, importance_order};
+pub use light::{StreamedLight, StreamedSurface, encode_light};
+
+use serde_json::{Map, Value, json};
+
+use quantity::Quantity;
+
+/// Version of both streams. A viewer refuses one that it does not know.
+pub const VERSION: u32 = 1;
+
+/// Header, arrays and records; all quantities of `records` have as many rows.
+fn encode(
+    magic: [u8; 4],
+    mut facts: Map<String, Value>,
+    arrays: &[Quantity],
+    records: &[Quantity],
+) -> Vec<u8> {
+    let count = records.first().map_or(0, Quantity::rows);
+    let stride: usize = records.iter().map(Quantity::row_bytes).sum();
+    facts.insert("arrays".to_owned(), arrays.iter().map(Quantity::described).collect());
+    let fields: Value = records.iter().map(Quantity::described).collect();
+    facts.insert("records".to_owned(), json!({ "count": count, "stride": stride, "fields": fields }));
+    let mut header = Value::Object(facts).to_string().into_bytes();
+    header.resize(header.len().next_multiple_of(4), b' ');
+
+    let mut out = Vec::with_capacity(12 + header.len() + count * stride);
+    out.extend(magic);
+    out.extend(VERSION.to_le_bytes());
+    out.extend((header.len() as u32).to_le_bytes());
+    out.extend(header);
+    for array in arrays {
+        (0..array.rows()).for_each(|row| array.write_row(row, &mut out));
+        out.resize(out.len().next_multiple_of(4), 0);
+    }
+    for row in 0..count {
+        records.iter().for_each(|quantity| quantity.write_row(row, &mut out));
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests;

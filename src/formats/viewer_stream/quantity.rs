@@ -1,0 +1,119 @@
+//! A quantity of a stream: a name, rows of values, and how a value is stored.
+
+use half::f16;
+use serde_json::{Value, json};
+
+/// How a value is stored, little-endian.
+#[derive(Debug, Clone, PartialEq)]
+enum Encoding {
+    /// As it is.
+    F32,
+    /// Divided by a scale.
+    F16 { scale: f32 },
+    /// As a part of the way from the least to the greatest value of its column.
+    U16 { low: Vec<f32>, high: Vec<f32> },
+    /// Likewise, in 256 steps.
+    U8 { low: Vec<f32>, high: Vec<f32> },
+}
+
+/// A quantity: `components` values a row.
+#[derive(Debug, Clone)]
+pub(super) struct Quantity {
+    name: &'static str,
+    components: usize,
+    encoding: Encoding,
+    values: Vec<f32>,
+}
+
+impl Quantity {
+    /// In full.
+    pub(super) fn full(name: &'static str, components: usize, values: Vec<f32>) -> Self {
+        Self { name, components, encoding: Encoding::F32, values }
+    }
+
+    /// As half floats, scaled so that the largest is in their range.
+    pub(super) fn half(name: &'static str, components: usize, values: Vec<f32>) -> Self {
+        let most = values.iter().fold(0.0f32, |most, v| most.max(v.abs()));
+        let scale = if most > 0.0 { (most / 32768.0).max(f32::MIN_POSITIVE) } else { 1.0 };
+        Self { name, components, encoding: Encoding::F16 { scale }, values }
+    }
+
+    /// In 65,536 steps between the bounds of each column.
+    pub(super) fn fine(name: &'static str, components: usize, values: Vec<f32>) -> Self {
+        let (low, high) = bounds(components, &values);
+        Self { name, components, encoding: Encoding::U16 { low, high }, values }
+    }
+
+    /// In 65,536 steps between bounds that all columns share.
+    pub(super) fn fine_within(
+        name: &'static str,
+        components: usize,
+        [low, high]: [f32; 2],
+        values: Vec<f32>,
+    ) -> Self {
+        let encoding = Encoding::U16 { low: vec![low; components], high: vec![high; components] };
+        Self { name, components, encoding, values }
+    }
+
+    /// In 256 steps between the bounds of each column.
+    pub(super) fn coarse(name: &'static str, components: usize, values: Vec<f32>) -> Self {
+        let (low, high) = bounds(components, &values);
+        Self { name, components, encoding: Encoding::U8 { low, high }, values }
+    }
+
+    pub(super) fn rows(&self) -> usize {
+        self.values.len() / self.components.max(1)
+    }
+
+    pub(super) fn row_bytes(&self) -> usize {
+        self.components
+            * match self.encoding {
+                Encoding::F32 => 4,
+                Encoding::F16 { .. } | Encoding::U16 { .. } => 2,
+                Encoding::U8 { .. } => 1,
+            }
+    }
+
+    /// What a reader has to know of it. The count is that of an array; records say theirs once.
+    pub(super) fn described(&self) -> Value {
+        let how = match &self.encoding {
+            Encoding::F32 => json!({ "type": "f32" }),
+            Encoding::F16 { scale } => json!({ "type": "f16", "scale": scale }),
+            Encoding::U16 { low, high } => json!({ "type": "u16", "low": low, "high": high }),
+            Encoding::U8 { low, high } => json!({ "type": "u8", "low": low, "high": high }),
+        };
+        let mut out = json!({ "name": self.name, "components": self.components, "count": self.rows() });
+        if let (Value::Object(out), Value::Object(how)) = (&mut out, how) {
+            out.extend(how);
+        }
+        out
+    }
+
+    pub(super) fn write_row(&self, row: usize, out: &mut Vec<u8>) {
+        let values = &self.values[row * self.components..(row + 1) * self.components];
+        for (k, &value) in values.iter().enumerate() {
+            match &self.encoding {
+                Encoding::F32 => out.extend(value.to_le_bytes()),
+                Encoding::F16 { scale } => out.extend(f16::from_f32(value / scale).to_le_bytes()),
+                Encoding::U16 { low, high } => {
+                    out.extend((share(value, low[k], high[k], 65535.0) as u16).to_le_bytes());
+                }
+                Encoding::U8 { low, high } => out.push(share(value, low[k], high[k], 255.0) as u8),
+            }
+        }
+    }
+}
+
+/// How many of `steps` lie between `low` and `value`, of those to `high`, rounded.
+fn share(value: f32, low: f32, high: f32, steps: f32) -> f32 {
+    let span = high - low;
+    if span > 0.0 { ((value - low) / span).clamp(0.0, 1.0).mul_add(steps, 0.5).floor() } else { 0.0 }
+}
+
+/// Least and greatest value of each column.
+fn bounds(components: usize, values: &[f32]) -> (Vec<f32>, Vec<f32>) {
+    let column = |k: usize| values.iter().skip(k).step_by(components.max(1)).copied();
+    let of =
+        |pick: fn(f32, f32) -> f32| (0..components).map(|k| column(k).reduce(pick).unwrap_or(0.0)).collect();
+    (of(f32::min), of(f32::max))
+}

@@ -1,0 +1,156 @@
+//! `/v1/models/{id}/stream` and `/light`: what a viewer in a browser draws a model with (docs/viewer-stream.md).
+
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::{ModelId, Problem};
+use crate::formats::{model_file, viewer_stream};
+use crate::render::stream_gaussians;
+use crate::server::app::Shared;
+use crate::server::caller::Caller;
+use crate::server::description::File;
+use crate::server::extract::{QueryString, UrlPath};
+use crate::server::files::{etag, matches_etag};
+use crate::server::lights::named_light;
+use crate::server::memory;
+use crate::server::models::{self, MODEL_FILE};
+use crate::store::{ModelFile, hex};
+use crate::worker::LightTask;
+
+const MEDIA_TYPE: HeaderValue = HeaderValue::from_static("application/octet-stream");
+/// A model never changes.
+const FOR_EVER: &str = "max-age=31536000, immutable";
+const AN_HOUR: &str = "max-age=3600";
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(stream)).routes(routes!(light))
+}
+
+/// Get a model for a viewer
+///
+/// What the shaders of a viewer read of each Gaussian, quantised, the most important Gaussians first: a picture of the first tenth
+/// of the bytes shows the thing already. The layout is in docs/viewer-stream.md.
+#[utoipa::path(
+    get, path = "/v1/models/{id}/stream", tag = "models", params(("id" = String, Path)),
+    responses(
+        (status = 200, content_type = "application/octet-stream", body = File),
+        (status = 304, description = "The caller has it already"),
+        (status = 404, body = Problem), (status = 503, body = Problem)
+    )
+)]
+async fn stream(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<ModelId>,
+    method: Method,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let missing = || Problem::not_found("model", id.as_str());
+    let file = app.store.model_file(&caller.tenant, &id, MODEL_FILE).await?.ok_or_else(missing)?;
+    let tag = etag(&identity(&file.sha256, ""));
+    let bytes = match answer_without_bytes(&method, &headers, &tag) {
+        Some(response) => return described(response, &tag, &caller, FOR_EVER),
+        None => {
+            app.store.sound_model_file(&caller.tenant, &id, MODEL_FILE).await?.ok_or_else(missing)?;
+            encoded(&app, &file).await?
+        }
+    };
+    described(bytes.into_response(), &tag, &caller, FOR_EVER)
+}
+
+/// Which light.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct LightQuery {
+    /// Name of a built-in map, identifier of an uploaded one, or `recovered` (the default).
+    environment: Option<String>,
+    /// Turn about world +Z, degrees counter-clockwise seen from above; 0 when absent.
+    rotation: Option<f64>,
+    /// Whether a picture of the light comes with it, to stand behind the model.
+    map: Option<bool>,
+}
+
+/// Get a light for a viewer
+///
+/// What the standard tier prepares to shade a model under a light: tables of the light, strong small lights beside them, and what
+/// reaches each Gaussian, in the order of the model's stream. Exposure is a factor on all of it. The layout is in
+/// docs/viewer-stream.md.
+#[utoipa::path(
+    get, path = "/v1/models/{id}/light", tag = "models", params(("id" = String, Path), LightQuery),
+    responses(
+        (status = 200, content_type = "application/octet-stream", body = File),
+        (status = 304, description = "The caller has it already"),
+        (status = 404, body = Problem), (status = 422, body = Problem), (status = 503, body = Problem)
+    )
+)]
+async fn light(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<ModelId>,
+    QueryString(query): QueryString<LightQuery>,
+    method: Method,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let rotation_deg = query.rotation.unwrap_or(0.0);
+    if !rotation_deg.is_finite() {
+        return Err(Problem::invalid_field("query/rotation", "must be finite"));
+    }
+    let with_map = query.map.unwrap_or(false);
+    let (model, model_hash) = models::source(&app, &caller.tenant, &id).await?;
+    let name = query.environment.as_deref().unwrap_or("recovered");
+    let light = named_light(&app, &caller.tenant, name, "query/environment").await?;
+    let tag = etag(&identity(&model_hash, &format!("{}|{rotation_deg}|{with_map}", light.key())));
+    if let Some(response) = answer_without_bytes(&method, &headers, &tag) {
+        return described(response, &tag, &caller, AN_HOUR);
+    }
+    let found = app.store.model(&caller.tenant, &id).await?;
+    let gaussians = found.ok_or_else(|| Problem::not_found("model", id.as_str()))?.gaussians;
+    // Held from before the queue until the bytes are on their way.
+    let _loan = app.memory.borrow(memory::of_light(gaussians)).await?;
+    let served = app.device.light(LightTask { model, light, rotation_deg, with_map }).await?;
+    described(served.answer.into_response(), &tag, &caller, AN_HOUR)
+}
+
+/// A hash of everything that a stream depends on.
+fn identity(model: &str, light: &str) -> String {
+    let (program, format) = (env!("CARGO_PKG_VERSION"), viewer_stream::VERSION);
+    hex(&Sha256::digest(format!("{program}|{format}|{model}|{light}").as_bytes()))
+}
+
+/// The answer to who has the bytes already, or asks for the head alone.
+fn answer_without_bytes(method: &Method, headers: &HeaderMap, tag: &str) -> Option<Response> {
+    match matches_etag(headers, tag) {
+        true => Some(StatusCode::NOT_MODIFIED.into_response()),
+        false => (method == Method::HEAD).then(|| ().into_response()),
+    }
+}
+
+fn described(mut response: Response, tag: &str, caller: &Caller, age: &str) -> Result<Response, Problem> {
+    let scope = if caller.has_key { "private" } else { "public" };
+    let cache = HeaderValue::from_str(&format!("{scope}, {age}")).map_err(Problem::internal)?;
+    let out = response.headers_mut();
+    out.insert(header::ETAG, HeaderValue::from_str(tag).map_err(Problem::internal)?);
+    out.insert(header::CACHE_CONTROL, cache);
+    out.insert(header::CONTENT_TYPE, MEDIA_TYPE);
+    Ok(response)
+}
+
+/// Reads a model and encodes it, off the threads that answer requests.
+async fn encoded(app: &Shared, file: &ModelFile) -> Result<Vec<u8>, Problem> {
+    let size = u64::try_from(file.bytes).map_err(Problem::internal)?;
+    let _loan = app.memory.borrow(memory::of_stream(size)).await?;
+    let path = app.store.artifacts().local_path(&file.artifact);
+    let encode = move || -> Result<Vec<u8>, String> {
+        let bytes = std::fs::read(&path).map_err(|e| e.to_string())?;
+        Ok(stream_gaussians(&model_file::decode(&bytes).map_err(|e| e.to_string())?))
+    };
+    tokio::task::spawn_blocking(encode).await.map_err(Problem::internal)?.map_err(Problem::internal)
+}

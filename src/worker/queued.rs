@@ -1,0 +1,74 @@
+//! What was asked for, on its way to the device thread and back.
+
+use std::time::{Duration, Instant};
+
+use tokio::sync::oneshot;
+
+use crate::render::{Frame, Quality};
+use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
+
+/// An answer and what it cost to get it.
+#[derive(Debug, Clone)]
+pub struct Served<T> {
+    /// What was asked for.
+    pub answer: T,
+    /// Time in the queue.
+    pub waited: Duration,
+    /// Training steps that ended meanwhile.
+    pub steps_waited: u64,
+    /// Time on the device, preparation of model and light included.
+    pub took: Duration,
+}
+
+/// A task and where its answer goes.
+pub(super) struct Queued<Task, Answer> {
+    pub(super) task: Task,
+    reply: oneshot::Sender<Result<Served<Answer>, RenderFailure>>,
+    queued: Instant,
+    /// Training steps done when it was queued.
+    steps_at_start: u64,
+}
+
+/// Where the answer to a task arrives; it fails when nobody serves it.
+type Reply<Answer> = oneshot::Receiver<Result<Served<Answer>, RenderFailure>>;
+
+impl<Task, Answer> Queued<Task, Answer> {
+    /// A task that is queued now, and where its answer arrives.
+    pub(super) fn new(task: Task, steps_at_start: u64) -> (Self, Reply<Answer>) {
+        let (reply, answer) = oneshot::channel();
+        (Self { task, reply, queued: Instant::now(), steps_at_start }, answer)
+    }
+
+    /// Answers with what `serve` makes of the task. It is told whether the caller still waits, so that it can stop.
+    pub(super) fn answer(
+        self,
+        steps_now: u64,
+        serve: impl FnOnce(&Task, &dyn Fn() -> bool) -> Result<Answer, RenderFailure>,
+    ) {
+        let waited = self.queued.elapsed();
+        let begin = Instant::now();
+        let steps_waited = steps_now - self.steps_at_start;
+        let answer = serve(&self.task, &|| !self.reply.is_closed());
+        let served = answer.map(|answer| Served { answer, waited, steps_waited, took: begin.elapsed() });
+        let _ = self.reply.send(served);
+    }
+}
+
+/// What the device thread is asked for.
+pub(super) enum Request {
+    /// A frame.
+    Frame(Queued<RenderTask, Frame>),
+    /// The stream of a light.
+    Light(Queued<LightTask, Vec<u8>>),
+}
+
+impl Request {
+    /// What it costs on the device beside others, as [`RenderTask::cost`]. A light may have to be prepared, which nothing
+    /// interrupts: it does not come between the bands of a frame.
+    pub(super) fn cost(&self) -> u64 {
+        match self {
+            Self::Frame(frame) => frame.task.cost(),
+            Self::Light(_) => Quality::BAND_COST + 1,
+        }
+    }
+}

@@ -1,0 +1,100 @@
+import type { Engine, EngineListener } from './engine'
+import type { Frames, Look } from './frames'
+import type { OrbitView } from './orbit'
+
+/** Longest side of frames while the camera moves, pixels. */
+const MOVING = 256
+/** Longest side of frames when it rests, pixels. */
+const RESTING = 1024
+/** Rest before a sharp frame is asked for, milliseconds. */
+const SETTLE = 180
+
+interface Wish {
+  look: Look
+  view: OrbitView
+  most: number
+}
+
+/** Shows frames that the server renders. */
+export class ServedView implements Engine {
+  readonly mode = 'server'
+  readonly node = document.createElement('img')
+  readonly begin: Partial<OrbitView>
+  readonly #frames: Frames
+  readonly #listener: EngineListener
+  #timer = 0
+  #closed = false
+  #busy = false
+  #ready = false
+  /** The newest wish, while a frame is on its way. */
+  #next: Wish | undefined
+
+  private constructor(frames: Frames, listener: EngineListener, begin: Partial<OrbitView>) {
+    this.#frames = frames
+    this.#listener = listener
+    this.begin = begin
+    this.node.draggable = false
+    this.node.alt = ''
+  }
+
+  static async open(frames: Frames, listener: EngineListener, fov: number): Promise<ServedView> {
+    const { centre, radius } = await frames.framing()
+    const distance = (1.1 * radius) / Math.sin((fov * Math.PI) / 360)
+    return new ServedView(frames, listener, { target: centre, distance })
+  }
+
+  draw(look: Look, view: OrbitView, moving: boolean): void {
+    clearTimeout(this.#timer)
+    this.#ask({ look, view, most: this.#ready ? MOVING : RESTING })
+    if (!moving && this.#ready) this.#timer = window.setTimeout(() => this.#ask({ look, view, most: RESTING }), SETTLE)
+  }
+
+  snapshot(look: Look, view: OrbitView): Promise<Blob> {
+    return this.#frames.frame(look, view, this.#size(RESTING))
+  }
+
+  close(): void {
+    this.#closed = true
+    clearTimeout(this.#timer)
+    if (this.node.src) URL.revokeObjectURL(this.node.src)
+  }
+
+  #ask(wish: Wish): void {
+    this.#next = wish
+    if (!this.#busy) void this.#work()
+  }
+
+  async #work(): Promise<void> {
+    this.#busy = true
+    try {
+      while (this.#next && !this.#closed) {
+        const wish = this.#next
+        this.#next = undefined
+        await this.#show(wish)
+      }
+    } catch (error) {
+      if (!this.#closed) this.#listener.failed(error)
+    } finally {
+      this.#busy = false
+    }
+  }
+
+  async #show({ look, view, most }: Wish): Promise<void> {
+    const blob = await this.#frames.frame(look, view, this.#size(most), most < RESTING)
+    if (this.#closed) return
+    const before = this.node.src
+    this.node.src = URL.createObjectURL(blob)
+    await this.node.decode()
+    if (before) URL.revokeObjectURL(before)
+    if (!this.#ready) this.#listener.ready()
+    this.#ready = true
+    this.#listener.shown()
+  }
+
+  /** The frame's size with a longest side of `most`, never more than the screen has. */
+  #size(most: number): [number, number] {
+    const [width, height] = this.#listener.size()
+    const scale = Math.min(most / Math.max(width, height, 1), window.devicePixelRatio || 1)
+    return [Math.max(1, Math.round(width * scale)), Math.max(1, Math.round(height * scale))]
+  }
+}
