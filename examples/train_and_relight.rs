@@ -13,6 +13,7 @@ use std::sync::Arc;
 use relume::capture::{SyntheticOptions, builtin, synthetic};
 use relume::formats::exr_frame::{self, ColourDepth, FrameAttributes, FrameLayer, FrameLayers};
 use relume::formats::image_file::encode_png;
+use relume::formats::primaries::Primaries;
 use relume::{
     Capture, Device, Frame, ImportOptions, Model, Output, Preset, Renderer, Tier, TrainConfig,
     TrainOverrides, Trainer, import,
@@ -94,6 +95,7 @@ fn linear_exr(frame: &Frame) -> Result<Vec<u8>, AnyError> {
         width: frame.width,
         height: frame.height,
         colour: &[FrameLayer { name: "", suffixes: "RGBA", values: &rgba }],
+        primaries: Primaries::Rec709,
         data: &[FrameLayer { name: "N", suffixes: "XYZ", values: plane(Output::Normal)? }],
         attributes: &FrameAttributes::default(),
     };

@@ -10,7 +10,7 @@
 //! - [`train`]: objective, optimiser, density control, schedule, checkpoints, the trainer.
 //! - [`render`]: a camera and a light in, a frame or a G-buffer out.
 //! - [`eval`]: metrics against ground truth, reports and contact sheets.
-//! - `api`: the types of the HTTP API (feature `server` or `client`).
+//! - `api`: the types of the HTTP API (feature `server`, `client` or `cli`).
 //! - `store`: metadata in SQLite and artifacts in an object store (feature `server`).
 //! - `jobs`: the job state machine, leases and events (feature `server`).
 //! - `worker`: takes jobs from the queue, owns the device thread, stores checkpoints (feature `server`).
@@ -26,7 +26,7 @@
 //! Every feature is on by default. Without any, the crate trains and renders on the CPU and has no HTTP stack; the
 //! feature `gpu` adds the GPU engine.
 
-#[cfg(any(feature = "server", feature = "client"))]
+#[cfg(any(feature = "server", feature = "client", feature = "cli"))]
 pub mod api;
 pub mod capture;
 #[cfg(feature = "cli")]

@@ -1,8 +1,10 @@
 //! Cameras: those of a capture's photographs, and those that frames are rendered for.
 
+use glam::{DMat4, DVec3};
 use serde::{Deserialize, Serialize};
 
-use crate::scene::Camera;
+use crate::api::problem::FieldError;
+use crate::scene::{Camera, CameraError};
 
 /// How a camera's pose is written.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -84,6 +86,56 @@ pub struct CameraSpec {
 }
 
 impl CameraSpec {
+    /// The camera of a picture of `size`, width and height in pixels.
+    ///
+    /// # Errors
+    /// The pointer leads from this object to the field at fault; it is empty where fields do not go together.
+    pub fn camera(&self, size: (u32, u32)) -> Result<Camera, FieldError> {
+        if self.axes.is_some() && self.camera_to_world.is_none() {
+            return Err(refused("/axes", "goes with camera_to_world"));
+        }
+        match (&self.look_at, &self.camera_to_world, &self.colmap) {
+            (Some(look), None, None) => {
+                if self.fov_y_deg.is_some() || self.intrinsics.is_some() {
+                    let detail =
+                        "look_at brings its own fov_y_deg; intrinsics go with camera_to_world or colmap";
+                    return Err(refused("", detail));
+                }
+                let [eye, target, up] = [look.eye, look.target, look.up].map(DVec3::from_array);
+                Camera::look_at(eye, target, up, look.fov_y_deg.to_radians(), size)
+                    .map_err(|error| named_as_here("/look_at", error))
+            }
+            (None, Some(rows), None) => {
+                let (focal, centre) = self.lens(size)?;
+                let matrix = DMat4::from_cols_array_2d(rows).transpose();
+                let made = match self.axes.unwrap_or_default() {
+                    CameraAxes::Opengl => Camera::from_opengl(&matrix, size, focal, centre),
+                    CameraAxes::Opencv => Camera::from_opencv(&matrix, size, focal, centre),
+                };
+                made.map_err(|error| named_as_here("", error))
+            }
+            (None, None, Some(pose)) => {
+                let (focal, centre) = self.lens(size)?;
+                Camera::from_colmap(pose.qvec, pose.tvec, size, focal, centre)
+                    .map_err(|error| named_as_here("", error))
+            }
+            _ => Err(refused("", "must have one of look_at, camera_to_world and colmap")),
+        }
+    }
+
+    /// Focal lengths and principal point in pixels.
+    fn lens(&self, (width, height): (u32, u32)) -> Result<(Pair, Pair), FieldError> {
+        match (&self.intrinsics, self.fov_y_deg) {
+            (Some(i), None) => Ok(((i.fx, i.fy), (i.cx, i.cy))),
+            (None, Some(fov)) if fov > 0.0 && fov < 180.0 => {
+                let focal = 0.5 * f64::from(height) / (0.5 * fov.to_radians()).tan();
+                Ok(((focal, focal), (0.5 * f64::from(width), 0.5 * f64::from(height))))
+            }
+            (None, Some(_)) => Err(refused("/fov_y_deg", "must lie strictly between 0 and 180")),
+            _ => Err(refused("", "must have either fov_y_deg or intrinsics")),
+        }
+    }
+
     /// A camera, written so.
     pub fn of(camera: &Camera, convention: CameraConvention) -> Self {
         let Camera { fx, fy, cx, cy, .. } = *camera;
@@ -100,6 +152,24 @@ impl CameraSpec {
             }
         }
     }
+}
+
+type Pair = (f64, f64);
+
+fn refused(pointer: &str, detail: &str) -> FieldError {
+    FieldError { pointer: pointer.to_owned(), detail: detail.to_owned() }
+}
+
+/// Translates the field names of [`Camera`] to those of [`CameraSpec`].
+fn named_as_here(base: &str, error: CameraError) -> FieldError {
+    let pointer = match error.field {
+        "transform_matrix" => format!("{base}/camera_to_world"),
+        field @ ("qvec" | "tvec") => format!("{base}/colmap/{field}"),
+        "fov_y" => format!("{base}/fov_y_deg"),
+        field @ ("fx" | "fy" | "cx" | "cy") => format!("{base}/intrinsics/{field}"),
+        field => format!("{base}/{field}"),
+    };
+    FieldError { pointer, detail: error.reason }
 }
 
 /// The axes of a camera.

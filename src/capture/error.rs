@@ -39,7 +39,8 @@ pub enum CaptureError {
     },
     /// No importer recognises what is there.
     #[error(
-        "no known layout: {reason}; expected transforms_train.json (NeRF-synthetic, TensoIR), transforms.json (nerfstudio) or sparse/0 (COLMAP)"
+        "no known layout: {reason}; expected transforms_train.json (NeRF-synthetic, TensoIR), transforms.json (nerfstudio), sparse/0 (COLMAP) or poses_bounds.npy (LLFF); \
+         photographs without poses get them by `relume capture poses` or `relume train`"
     )]
     UnknownLayout {
         /// What was found instead.

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::capture::photos::{self, PhotoEntry, Split};
 use crate::capture::{
-    Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, nerfstudio, truth,
+    Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, llff, nerfstudio,
+    truth,
 };
 use crate::formats::image_file;
 use crate::formats::ply_points::Point;
@@ -71,6 +72,9 @@ pub(super) fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result
         let (photos, points) = colmap::read(source, files, warnings)?;
         return Ok(("colmap".to_owned(), photos, points));
     }
+    if source.contains(llff::MARKER) {
+        return Ok(("llff".to_owned(), llff::read(source, warnings)?, Vec::new()));
+    }
     let first: Vec<&str> = source.paths().take(5).collect();
     let reason = if first.is_empty() {
         "there are no files".to_owned()
@@ -78,6 +82,12 @@ pub(super) fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result
         format!("the files begin with {}", first.join(", "))
     };
     Err(CaptureError::UnknownLayout { reason })
+}
+
+/// Whether some layout is there, sound or not.
+pub(super) fn has_layout(source: &Source) -> bool {
+    let markers = [blender::MARKER, nerfstudio::MARKER, llff::MARKER];
+    markers.iter().any(|marker| source.contains(marker)) || colmap::find(source).is_some()
 }
 
 /// What each photograph is used for: as the set says, else every [`HOLD_OUT_EVERY`]th by sorted name is held out.
@@ -107,7 +117,7 @@ fn split(photos: &[PhotoEntry], views: Vec<CaptureView>) -> (Vec<CaptureView>, V
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 pub struct CaptureReport {
-    /// The layout that was recognised, e.g. `nerf-synthetic`, `nerfstudio`, `colmap`.
+    /// The layout that was recognised, e.g. `nerf-synthetic`, `nerfstudio`, `colmap`, `llff`.
     pub layout: String,
     /// Photographs to train on.
     pub train_images: usize,

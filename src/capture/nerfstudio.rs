@@ -3,7 +3,7 @@
 use crate::capture::photos::{PhotoEntry, Split, check_missing, locate};
 use crate::capture::transforms;
 use crate::capture::truth::TruthFiles;
-use crate::capture::{CaptureError, Source};
+use crate::capture::{CaptureError, Source, masks};
 use crate::formats::ply_points::{self, Point};
 
 /// The file that marks this layout.
@@ -25,8 +25,8 @@ pub(super) fn read(
             continue;
         };
         photos.push(PhotoEntry {
+            mask: frame.mask.or_else(|| masks::beside(source, &image)),
             image,
-            mask: frame.mask,
             pose: frame.pose,
             lens: frame.lens,
             light_rotation_deg: frame.light_rotation_deg,

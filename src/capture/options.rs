@@ -60,6 +60,11 @@ impl Default for ImportOptions {
 }
 
 impl ImportOptions {
+    /// No image longer than `side` pixels, otherwise the defaults.
+    pub(super) fn at_most(side: u32) -> Self {
+        Self { max_side: Some(side), ..Self::default() }
+    }
+
     /// The size an image of `width` x `height` pixels is reduced to; never enlarged, at least 1 x 1.
     pub fn reduced_size(&self, (width, height): (u32, u32)) -> (u32, u32) {
         let longest = width.max(height);

@@ -4,7 +4,7 @@ use glam::DMat4;
 use rayon::prelude::*;
 
 use crate::capture::error::name_list;
-use crate::capture::images::load_image;
+use crate::capture::images::{load_image, load_photo, photo_size};
 use crate::capture::lens::{Distortion, Intrinsics, Lens};
 use crate::capture::truth::TruthFiles;
 use crate::capture::{CaptureError, CaptureView, GroundTruthView, ImportOptions, Source, undistort};
@@ -125,7 +125,7 @@ fn load_one(
     photo: &PhotoEntry,
     options: &ImportOptions,
 ) -> Result<CaptureView, CaptureError> {
-    let (mut image, stored) = load_image(source, &photo.image, options)?;
+    let (mut image, stored) = load_photo(source, &photo.image, photo.lens.size, options)?;
     if let Some(mask) = &photo.mask {
         apply_mask(source, mask, &mut image, options)?;
     }
@@ -151,8 +151,14 @@ fn load_one(
 /// # Errors
 /// Names the image, or the file and field of an unusable pose or lens.
 pub(super) fn stored_camera(source: &Source, photo: &PhotoEntry) -> Result<Camera, CaptureError> {
-    let stored = image_file::dimensions(&source.read(&photo.image)?);
-    let stored = stored.map_err(|error| CaptureError::image(&photo.image, error))?;
+    camera_at(photo, photo_size(source, &photo.image, photo.lens.size)?)
+}
+
+/// The camera of a photograph of `stored` pixels, distortion removed.
+///
+/// # Errors
+/// Names the file and field of an unusable pose or lens.
+pub(super) fn camera_at(photo: &PhotoEntry, stored: (u32, u32)) -> Result<Camera, CaptureError> {
     let camera = camera(photo, photo.lens.resolve(&photo.stated_in, stored)?, stored)?;
     match photo.lens.distortion {
         Distortion::None => Ok(camera),

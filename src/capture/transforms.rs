@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use crate::capture::json::parse_json;
 use crate::capture::lens::{Distortion, Lens};
-use crate::capture::{CaptureError, Source};
+use crate::capture::{CaptureError, ImportLimits, Source};
 
 /// A parsed `transforms*.json`.
 #[derive(Debug)]
@@ -85,14 +85,21 @@ struct RawTransforms {
 /// # Errors
 /// Names the file, and the field where a value is missing or unusable.
 pub(super) fn read(source: &Source, file: &str) -> Result<Transforms, CaptureError> {
-    let bytes = source.read(file)?;
-    let raw: RawTransforms = parse_json(file, &bytes)?;
+    parse(file, &source.read(file)?, source.limits())
+}
+
+/// Reads and checks the text of `file`.
+///
+/// # Errors
+/// As [`read`].
+pub(super) fn parse(file: &str, bytes: &[u8], limits: &ImportLimits) -> Result<Transforms, CaptureError> {
+    let raw: RawTransforms = parse_json(file, bytes)?;
     let bad = |field: String, reason: &str| CaptureError::at_field(file, field, reason);
     let inside =
         |field: String, path: &str| relative(path).ok_or_else(|| bad(field, "leads out of the capture"));
     let frames = raw.frames.ok_or_else(|| bad("frames".into(), "is missing"))?;
-    if frames.len() > source.limits().max_images {
-        let reason = format!("{} frames, {} allowed", frames.len(), source.limits().max_images);
+    if frames.len() > limits.max_images {
+        let reason = format!("{} frames, {} allowed", frames.len(), limits.max_images);
         return Err(CaptureError::over_limit(file, "max_images", reason));
     }
     let check = |(i, frame): (usize, RawFrame)| {

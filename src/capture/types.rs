@@ -51,7 +51,7 @@ pub struct Scene3dBounds {
 /// A capture ready to train on: +Z up, OpenCV cameras, no distortion left.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Capture {
-    /// What was recognised: `nerf-synthetic`, `tensoir`, `nerfstudio`, `colmap`, `synthetic`.
+    /// What was recognised: `nerf-synthetic`, `tensoir`, `nerfstudio`, `colmap`, `llff`, `synthetic`.
     pub layout: String,
     /// Views to train on.
     pub train: Vec<CaptureView>,

@@ -2,6 +2,9 @@
 
 use std::path::Path;
 
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
 use crate::formats::model_file;
 use crate::scene::Model;
 
@@ -13,4 +16,9 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, String> {
 /// The model in a model file.
 pub(super) fn read_model(path: &Path) -> Result<Model, String> {
     model_file::decode(&read(path)?).map_err(|error| format!("{}: {error}", path.display()))
+}
+
+/// A value of a JSON file; an error names the field.
+pub(super) fn from_json<T: DeserializeOwned>(json: Value) -> Result<T, String> {
+    serde_path_to_error::deserialize(json).map_err(|e| format!("{}: {}", e.path(), e.inner()))
 }

@@ -4,6 +4,7 @@ mod args;
 #[cfg(feature = "server")]
 mod backup;
 mod bench;
+mod capture;
 #[cfg(all(feature = "server", feature = "client"))]
 pub mod demo;
 mod doctor;
@@ -51,6 +52,8 @@ enum Command {
     #[cfg(feature = "server")]
     /// Run the HTTP service.
     Serve(serve::ServeArgs),
+    /// Look at photographs before a training, or find their poses.
+    Capture(capture::CaptureArgs),
     /// Train a model from a capture on this machine.
     Train(train::TrainArgs),
     /// Render a model on this machine.
@@ -103,6 +106,10 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => demo::run(&args).map_err(Into::into),
         #[cfg(feature = "server")]
         Command::Serve(args) => serve::run(args),
+        Command::Capture(args) => match capture::run(&args) {
+            Ok(code) => return code,
+            Err(error) => Err(error),
+        },
         Command::Train(args) => train::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Sample(args) => sample::run(&args),

@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::capture::{Capture, GreyCard, ImportLimits};
 use crate::cli::args::{named, overrides};
+use crate::cli::capture::{PoseArgs, posed};
 use crate::cli::error::CommandResult;
 use crate::cli::light::{named_light, read_rotations};
 use crate::cli::output;
@@ -21,8 +22,11 @@ use crate::train::{
 /// Options of `relume train`.
 #[derive(Debug, clap::Args)]
 pub(super) struct TrainArgs {
-    /// A folder, zip, tar or tar.gz of posed photographs.
+    /// A folder, zip, tar or tar.gz of photographs, or a clip (.mp4, .mov, .mkv, .webm). Where no poses are stated, COLMAP looks for
+    /// them, and a capture with poses is made beside it.
     capture: PathBuf,
+    #[command(flatten)]
+    poses: PoseArgs,
     /// `draft`, `standard` or `high`.
     #[arg(long, default_value = "standard", value_parser = named::<Preset>)]
     preset: Preset,
@@ -82,7 +86,8 @@ pub(super) struct TrainArgs {
 pub(super) fn run(args: &TrainArgs) -> CommandResult {
     let config = TrainConfig::new(args.preset, &all_overrides(args)?)?;
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;
-    let mut capture = import_for_training(&args.capture, &config, &ImportLimits::default())?;
+    let path = posed(&args.capture, &args.poses)?;
+    let mut capture = import_for_training(&path, &config, &ImportLimits::default())?;
     if let (Some(known), Some(map)) = (&config.light, light) {
         known.illuminate(&mut capture, map);
     }

@@ -12,6 +12,7 @@ mod image;
 mod layers;
 mod lpips;
 mod novel_views;
+mod pose_error;
 mod report;
 pub mod sheet;
 mod totals;
@@ -26,6 +27,7 @@ pub use image::{DisplayImage, PSNR_CAP, mean_squared_error, psnr, psnr_of, ssim}
 pub use layers::{NormalErrors, RatioMedian, normal_errors};
 pub use lpips::{Lpips, LpipsError};
 pub use novel_views::{NovelViewScores, NovelViews};
+pub use pose_error::PoseErrors;
 #[cfg(feature = "cli")]
 pub(crate) use report::figure;
 pub use report::{AlbedoScores, ImageScores, NormalScores, RelitScores, Report};

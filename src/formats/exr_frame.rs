@@ -1,13 +1,13 @@
 //! Rendered frames as multi-part OpenEXR: colours in one part, measurements in another.
 //!
-//! Colour parts name their colour space by the string attribute `colorInteropID` and carry no chromaticities;
-//! measurements live in a part tagged `data`, so that no tool applies colour management to a normal (ASWF Color Interop
+//! Colour parts name their colour space by the string attribute `colorInteropID`. Chromaticities are written where they are not those
+//! of Rec.709, which a reader takes a file without them for. Measurements live in a part tagged `data`, so that no tool applies colour management to a normal (ASWF Color Interop
 //! Forum, July 2026).
 
 use std::io::Cursor;
 
 use exr::block::{BlockIndex, UncompressedBlock, writer::ChunksWriter};
-use exr::meta::{BlockDescription, header::Header};
+use exr::meta::{BlockDescription, attribute::Chromaticities, header::Header};
 use exr::prelude::{
     AttributeValue, ChannelDescription, Compression, ImageAttributes, IntegerBounds, LayerAttributes,
     LineOrder, SampleType, Text, Vec2, f16,
@@ -15,7 +15,8 @@ use exr::prelude::{
 
 use serde::{Deserialize, Serialize};
 
-use crate::formats::ImageFileError;
+use crate::formats::primaries::Primaries;
+use crate::formats::{ImageFileError, exr_header};
 
 /// Interleaved values that become channels `name.SUFFIX`, or bare suffixes when the name is empty.
 #[derive(Debug, Clone, Copy)]
@@ -35,8 +36,10 @@ pub struct FrameLayers<'a> {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Linear Rec.709, scene-referred: part `beauty`, `colorInteropID = lin_rec709_scene`.
+    /// Linear, scene-referred, in `primaries`: part `beauty`.
     pub colour: &'a [FrameLayer<'a>],
+    /// Those of `colour`, named by its `colorInteropID`.
+    pub primaries: Primaries,
     /// Measurements: part `data`, `colorInteropID = data`, always f32.
     pub data: &'a [FrameLayer<'a>],
     /// How it was made.
@@ -50,6 +53,8 @@ pub struct FrameAttributes {
     pub texts: Vec<(&'static str, String)>,
     /// The camera.
     pub lens: Option<ExrLens>,
+    /// Frames a second of the sequence that the frame belongs to: `framesPerSecond`.
+    pub frames_per_second: Option<u32>,
 }
 
 /// A camera, as the standard attributes of OpenEXR have it.
@@ -100,7 +105,7 @@ pub fn encode_while(
     is_wanted: &dyn Fn() -> bool,
 ) -> Result<Vec<u8>, ImageFileError> {
     let parts = [
-        ("beauty", "lin_rec709_scene", frame.colour, depth),
+        ("beauty", frame.primaries.interop_id(), frame.colour, depth),
         ("data", "data", frame.data, ColourDepth::Full),
     ];
     let parts = parts.into_iter().filter(|p| !p.2.is_empty());
@@ -119,7 +124,9 @@ pub fn encode_while(
         return Err(ImageFileError::Encode("the file is not wanted any more".to_owned()));
     }
     written.map_err(|e| ImageFileError::Encode(e.to_string()))?;
-    Ok(out.into_inner())
+    let mut file = out.into_inner();
+    exr_header::sort_attributes(&mut file);
+    Ok(file)
 }
 
 /// A part of the file, and where its pixels are.
@@ -203,6 +210,10 @@ fn part<'a>(
 fn shared_attributes(frame: &FrameLayers<'_>) -> ImageAttributes {
     let mut shared = ImageAttributes::new(IntegerBounds::from_dimensions(size(frame)));
     shared.pixel_aspect = frame.attributes.lens.map_or(1.0, |lens| lens.pixel_aspect);
+    if frame.primaries != Primaries::default() {
+        let [red, green, blue, white] = frame.primaries.chromaticities().map(|[x, y]| Vec2(x, y));
+        shared.chromaticities = Some(Chromaticities { red, green, blue, white });
+    }
     shared
 }
 
@@ -217,6 +228,8 @@ fn attributes(frame: &FrameLayers<'_>, name: &str, interop: &str) -> Result<Laye
         attributes.screen_window_width = lens.window_width;
         attributes.screen_window_center = Vec2(lens.window_centre[0], lens.window_centre[1]);
     }
+    attributes.frames_per_second =
+        frame.attributes.frames_per_second.and_then(|fps| Some((i32::try_from(fps).ok()?, 1)));
     attributes.software_name = Some(text(concat!("relume ", env!("CARGO_PKG_VERSION")))?);
     Ok(attributes)
 }
@@ -241,6 +254,10 @@ mod tests {
     }
 
     fn example(depth: ColourDepth) -> Vec<u8> {
+        example_in(depth, Primaries::Rec709)
+    }
+
+    fn example_in(depth: ColourDepth, primaries: Primaries) -> Vec<u8> {
         let rgba: Vec<f32> = (0..24).map(|i| i as f32 * 0.25).collect();
         let albedo = [0.5f32; 18];
         let z = [1.5, 2.5, f32::INFINITY, 0.1, 7.0, 1e6];
@@ -252,6 +269,7 @@ mod tests {
                 FrameLayer { name: "", suffixes: "RGBA", values: &rgba },
                 FrameLayer { name: "albedo", suffixes: "RGB", values: &albedo },
             ],
+            primaries,
             data: &[
                 FrameLayer { name: "", suffixes: "Z", values: &z },
                 FrameLayer { name: "N", suffixes: "XYZ", values: &normal },
@@ -265,6 +283,7 @@ mod tests {
                     window_centre: [0.25, -0.5],
                     pixel_aspect: 1.5,
                 }),
+                frames_per_second: Some(24),
             },
         };
         encode(&frame, depth).unwrap()
@@ -294,9 +313,29 @@ mod tests {
             assert_eq!(layer.attributes.screen_window_center, Vec2(0.25, -0.5));
             let software = layer.attributes.software_name.as_ref().unwrap().to_string();
             assert!(software.starts_with("relume "), "{software}");
+            assert_eq!(layer.attributes.frames_per_second, Some((24, 1)));
         }
         assert!(image.attributes.chromaticities.is_none());
         assert_eq!(image.attributes.pixel_aspect, 1.5);
+    }
+
+    #[test]
+    fn primaries_other_than_those_of_rec_709_are_named_twice() {
+        let image = read(&example_in(ColourDepth::Half, Primaries::Acescg));
+        let tag = |part: usize| {
+            let key = Text::new_or_none("colorInteropID").unwrap();
+            image.layer_data[part].attributes.other[&key].clone()
+        };
+        assert_eq!(tag(0), AttributeValue::Text(Text::new_or_none("lin_ap1_scene").unwrap()));
+        assert_eq!(tag(1), AttributeValue::Text(Text::new_or_none("data").unwrap()));
+        assert_eq!(image.attributes.chromaticities.unwrap().green, Vec2(0.165, 0.83));
+    }
+
+    #[test]
+    fn equal_frames_are_equal_files() {
+        // The order of a hash map would differ between two of them.
+        assert_eq!(example(ColourDepth::Half), example(ColourDepth::Half));
+        assert_ne!(example(ColourDepth::Half), example(ColourDepth::Full), "the control");
     }
 
     #[test]
@@ -320,6 +359,7 @@ mod tests {
             width: 2,
             height: 1,
             colour: &colour,
+            primaries: Primaries::Rec709,
             data: &[],
             attributes: &FrameAttributes::default(),
         };
@@ -332,7 +372,14 @@ mod tests {
         let values = vec![0.5; 64 * 64];
         let colour = [FrameLayer { name: "", suffixes: "Y", values: &values }];
         let attributes = &FrameAttributes::default();
-        let frame = FrameLayers { width: 64, height: 64, colour: &colour, data: &[], attributes };
+        let frame = FrameLayers {
+            width: 64,
+            height: 64,
+            colour: &colour,
+            primaries: Primaries::Rec709,
+            data: &[],
+            attributes,
+        };
         let asked = std::cell::Cell::new(0);
         let twice = || {
             asked.set(asked.get() + 1);

@@ -2,7 +2,9 @@
 
 pub mod environment;
 mod error;
+pub mod exif_facts;
 pub mod exr_frame;
+mod exr_header;
 pub mod exr_image;
 pub mod gltf;
 pub mod image_file;
@@ -11,6 +13,7 @@ pub mod ply_import;
 pub mod ply_model;
 pub mod ply_points;
 mod ply_table;
+pub mod primaries;
 pub mod splats;
 pub mod srgb;
 pub mod usd;

@@ -1,10 +1,14 @@
 //! Frames as image files.
 
+use std::borrow::Cow;
+
 use crate::formats::ImageFileError;
 use crate::formats::exr_frame::{self, FrameLayer, FrameLayers};
 use crate::formats::image_file::{encode_jpeg, encode_png, encode_png16};
 use crate::formats::srgb;
-use crate::render::{Background, Finish, Frame, FrameFormat, Output, ToneCurve, is_colour};
+use crate::render::{
+    AlphaMode, Background, Finish, Frame, FrameFormat, Output, Primaries, ToneCurve, is_colour,
+};
 
 const JPEG_QUALITY: u8 = 90;
 
@@ -23,7 +27,7 @@ pub struct EncodedFrame {
 ///   with [`ToneCurve::Linear`]. A background colour is blended on the display.
 /// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`: 8-bit grey, linear.
 /// - `depth`: 16-bit grey, linear between the nearest and farthest depth of the frame.
-/// - EXR: linear, colours premultiplied as rendered in part `beauty` (`rgb` with alpha as `RGBA`),
+/// - EXR: linear, colours in part `beauty` (`rgb` with alpha as `RGBA`), premultiplied unless [`Finish::alpha`] says otherwise,
 ///   everything else in part `data`, 32-bit floats.
 ///
 /// # Errors
@@ -156,21 +160,28 @@ fn exr(
     finish: &Finish,
     is_wanted: &dyn Fn() -> bool,
 ) -> Result<Vec<u8>, ImageFileError> {
-    let alpha = plane(frame, Output::Alpha)?.iter();
-    let alpha: Vec<f32> = alpha.map(|a| coverage(*a, Output::Rgb, finish)).collect();
-    let (mut colour, mut data) = (Vec::new(), Vec::new());
-    if outputs.contains(&Output::Rgb) {
-        colour.push(FrameLayer { name: "", suffixes: "RGB", values: plane(frame, Output::Rgb)? });
-        colour.push(FrameLayer { name: "", suffixes: "A", values: &alpha });
+    let alpha = plane(frame, Output::Alpha)?;
+    let covered: Vec<f32> = alpha.iter().map(|a| coverage(*a, Output::Rgb, finish)).collect();
+    let mut colours = Vec::new();
+    for output in outputs.iter().filter(|output| is_colour(**output)) {
+        colours.push((*output, scene_referred(plane(frame, *output)?, alpha, *output, finish)));
     }
-    for output in outputs.iter().filter(|o| **o != Output::Rgb) {
-        let (name, suffixes) = layer_name(*output);
-        let layer = FrameLayer { name, suffixes, values: plane(frame, *output)? };
-        if is_colour(*output) { colour.push(layer) } else { data.push(layer) }
+    let layer = |output: Output, values| {
+        let (name, suffixes) = layer_name(output);
+        FrameLayer { name, suffixes, values }
+    };
+    let mut colour: Vec<_> = colours.iter().map(|(output, values)| layer(*output, values)).collect();
+    if outputs.contains(&Output::Rgb) {
+        colour.push(FrameLayer { name: "", suffixes: "A", values: &covered });
+    }
+    let mut data = Vec::new();
+    for output in outputs.iter().filter(|output| !is_colour(**output)) {
+        data.push(layer(*output, plane(frame, *output)?));
     }
     let (width, height) = (frame.width, frame.height);
-    let attributes = &finish.notes.attributes(finish.background);
-    let layers = FrameLayers { width, height, colour: &colour, data: &data, attributes };
+    let attributes = &finish.notes.attributes(finish.background, finish.alpha.unwrap_or_default());
+    let primaries = finish.primaries.unwrap_or_default();
+    let layers = FrameLayers { width, height, colour: &colour, primaries, data: &data, attributes };
     exr_frame::encode_while(&layers, finish.colour_depth.unwrap_or(exr_frame::ColourDepth::Full), is_wanted)
 }
 
@@ -189,6 +200,23 @@ fn layer_name(output: Output) -> (&'static str, &'static str) {
         Output::Visibility => ("visibility", "Y"),
         Output::Alpha => ("alpha", "Y"),
     }
+}
+
+/// A colour output in the primaries and the alpha mode of `finish`.
+fn scene_referred<'a>(rgb: &'a [f32], alpha: &[f32], output: Output, finish: &Finish) -> Cow<'a, [f32]> {
+    let (mode, primaries) = (finish.alpha.unwrap_or_default(), finish.primaries.unwrap_or_default());
+    let as_rendered = (AlphaMode::Premultiplied, Primaries::Rec709) == (mode, primaries);
+    if as_rendered {
+        return Cow::Borrowed(rgb);
+    }
+    let mut values = Vec::with_capacity(rgb.len());
+    for (&colour, &alpha) in rgb.as_chunks::<3>().0.iter().zip(alpha) {
+        let alpha = coverage(alpha, output, finish);
+        // Base colour is the one that is not premultiplied as rendered.
+        let colour = if output == Output::Albedo { colour } else { mode.of_premultiplied(colour, alpha) };
+        values.extend(primaries.from_rec709(colour));
+    }
+    Cow::Owned(values)
 }
 
 fn over_white(pixels: &[[u8; 4]]) -> Vec<[u8; 3]> {
@@ -239,6 +267,26 @@ mod tests {
             encode_frame(&frame, &[Output::Albedo], FrameFormat::Exr, &Finish::default()).is_err(),
             "what is not there is not made up"
         );
+    }
+
+    #[test]
+    fn an_exr_has_the_alpha_and_the_primaries_that_were_asked_for() {
+        let planes =
+            [(Output::Rgb, vec![0.25, 0.0, 0.0, 0.5, 0.5, 0.5]), (Output::Alpha, vec![0.5, 0.0])].into();
+        let frame = Frame { width: 2, height: 1, planes };
+        let pixels = |alpha, primaries| {
+            let finish = Finish { alpha, primaries, ..Finish::default() };
+            let file = encode_frame(&frame, &[Output::Rgb], FrameFormat::Exr, &finish).unwrap();
+            crate::formats::exr_image::decode_rgba(&file.bytes).unwrap().2
+        };
+        let premultiplied = pixels(None, None);
+        assert_eq!(premultiplied, [[0.25, 0.0, 0.0, 0.5], [0.5, 0.5, 0.5, 0.0]]);
+        assert_eq!(pixels(Some(AlphaMode::Premultiplied), Some(Primaries::Rec709)), premultiplied);
+        let straight = pixels(Some(AlphaMode::Straight), None);
+        assert_eq!(straight, [[0.5, 0.0, 0.0, 0.5], [0.0; 4]]);
+        let [r, g, b] = Primaries::Acescg.from_rec709([0.5, 0.0, 0.0]);
+        assert_eq!(pixels(Some(AlphaMode::Straight), Some(Primaries::Acescg))[0], [r, g, b, 0.5]);
+        assert_ne!([r, g, b], [0.5, 0.0, 0.0], "the control");
     }
 
     #[test]

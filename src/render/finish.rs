@@ -1,7 +1,9 @@
 //! How a frame becomes a file.
 
 use crate::render::error::RenderError;
-use crate::render::{Background, ColourDepth, FrameFormat, FrameNotes, Output, ToneCurve, is_colour};
+use crate::render::{
+    AlphaMode, Background, ColourDepth, FrameFormat, FrameNotes, Output, Primaries, ToneCurve, is_colour,
+};
 
 /// How a frame becomes a file.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -13,6 +15,10 @@ pub struct Finish {
     pub tone_curve: ToneCurve,
     /// How an EXR stores colours; 32-bit floats when absent.
     pub colour_depth: Option<ColourDepth>,
+    /// Whether the colours of an EXR are multiplied with alpha; those of a PNG are not.
+    pub alpha: Option<AlphaMode>,
+    /// The primaries of an EXR's colours; other files are sRGB.
+    pub primaries: Option<Primaries>,
     /// What an EXR says of how it was made.
     pub notes: FrameNotes,
 }
@@ -50,7 +56,12 @@ impl Finish {
             _ => {}
         }
         match (self.colour_depth, format) {
-            (Some(_), Png | Jpeg) => refuse("colour_depth", "is of an EXR alone"),
+            (Some(_), Png | Jpeg) => return refuse("colour_depth", "is of an EXR alone"),
+            _ => {}
+        }
+        match (self.alpha, self.primaries, format) {
+            (Some(_), _, Png | Jpeg) => refuse("alpha", "is of an EXR alone; a PNG has straight alpha"),
+            (_, Some(_), Png | Jpeg) => refuse("primaries", "are of an EXR alone; other files are sRGB"),
             _ => Ok(()),
         }
     }
@@ -65,6 +76,8 @@ mod tests {
         let colour = Finish { background: Background::Colour([9; 3]), ..Finish::default() };
         let environment = Finish { background: Background::Environment, ..Finish::default() };
         let curve = |tone_curve| Finish { tone_curve, ..Finish::default() };
+        let straight = Finish { alpha: Some(AlphaMode::Straight), ..Finish::default() };
+        let acescg = Finish { primaries: Some(Primaries::Acescg), ..Finish::default() };
         let half = Finish { colour_depth: Some(ColourDepth::Half), ..Finish::default() };
         let refused = |finish: &Finish, output, format| match finish.check(&[output], format) {
             Err(RenderError::Refused { field, .. }) => Some(field),
@@ -82,6 +95,8 @@ mod tests {
             (&curve(ToneCurve::Agx), rgb, None, None, Some("tone_curve")),
             (&curve(ToneCurve::Linear), rgb, None, Some("tone_curve"), None),
             (&half, rgb, Some("colour_depth"), Some("colour_depth"), None),
+            (&straight, rgb, Some("alpha"), Some("alpha"), None),
+            (&acescg, albedo, Some("primaries"), Some("primaries"), None),
         ] {
             let found =
                 [FrameFormat::Png, FrameFormat::Jpeg, FrameFormat::Exr].map(|f| refused(finish, output, f));

@@ -1,5 +1,6 @@
 //! A camera and a light in, a frame out.
 
+mod alpha;
 mod background;
 mod baked;
 mod bands;
@@ -22,6 +23,8 @@ mod viewpoint;
 
 pub use crate::engine::{Frame, Output};
 pub use crate::formats::exr_frame::ColourDepth;
+pub use crate::formats::primaries::Primaries;
+pub use alpha::AlphaMode;
 pub use background::Background;
 pub use baked::MOST_BAKED_DEGREE;
 pub use bands::Bands;

@@ -1,7 +1,7 @@
 //! What a picture file says of how it was made.
 
 use crate::formats::exr_frame::{ExrLens, FrameAttributes};
-use crate::render::{Background, Quality, Tier};
+use crate::render::{AlphaMode, Background, Quality, Tier};
 use crate::scene::Camera;
 
 /// What a picture file says of how it was made.
@@ -19,11 +19,13 @@ pub struct FrameNotes {
     pub quality: Quality,
     /// From where, capture units.
     pub camera: Option<Camera>,
+    /// Frames a second of the sequence that it belongs to.
+    pub frames_per_second: Option<u32>,
 }
 
 impl FrameNotes {
     /// As attributes of an EXR.
-    pub(super) fn attributes(&self, background: Background) -> FrameAttributes {
+    pub(super) fn attributes(&self, background: Background, alpha: AlphaMode) -> FrameAttributes {
         let Quality { tier, samples, seed } = self.quality;
         let mut texts = vec![
             ("relume:model", self.model.clone()),
@@ -32,17 +34,20 @@ impl FrameNotes {
             ("relume:exposure_ev", self.exposure_ev.to_string()),
             ("relume:tier", tier.name().to_owned()),
             ("relume:background", background.to_string()),
-            ("relume:alpha", "colours are premultiplied, base colour is not".to_owned()),
+            ("relume:alpha", alpha.note().to_owned()),
         ];
         if tier == Tier::MonteCarlo {
             texts.push(("relume:samples", format!("{samples} of seed {seed}")));
         }
         texts.retain(|(_, text)| !text.is_empty());
-        let Some(camera) = &self.camera else { return FrameAttributes { texts, lens: None } };
+        let frames_per_second = self.frames_per_second;
+        let Some(camera) = &self.camera else {
+            return FrameAttributes { texts, lens: None, frames_per_second };
+        };
         let Camera { fx, fy, cx, cy, .. } = camera;
         texts.push(("relume:intrinsics", format!("fx {fx} fy {fy} cx {cx} cy {cy}")));
         texts.push(("relume:camera_axes", "x right, y up, looking along -z (OpenGL)".to_owned()));
-        FrameAttributes { texts, lens: lens(camera) }
+        FrameAttributes { texts, lens: lens(camera), frames_per_second }
     }
 }
 

@@ -45,10 +45,17 @@ impl Viewpoint {
 }
 
 impl Orbit {
+    /// The stated azimuth, else that from which `model` is shown, degrees.
+    pub fn azimuth_of(&self, model: &Model) -> f64 {
+        let framing = model.framing.unwrap_or_else(|| around(model));
+        let away = framing.eye - framing.target;
+        self.azimuth_deg.unwrap_or_else(|| away.y.atan2(away.x).to_degrees())
+    }
+
     fn camera(&self, model: &Model) -> Result<Camera, CameraError> {
         let framing = framing(model);
         let away = framing.eye - framing.target;
-        let azimuth = self.azimuth_deg.map_or(away.y.atan2(away.x), f64::to_radians);
+        let azimuth = self.azimuth_of(model).to_radians();
         let elevation = self.elevation_deg.map_or(away.z.atan2(away.truncate().length()), f64::to_radians);
         let (sin_a, cos_a) = azimuth.sin_cos();
         let (sin_e, cos_e) = elevation.sin_cos();

@@ -82,6 +82,7 @@ fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameNotes {
         exposure_ev: task.exposure_ev,
         quality: task.quality,
         camera,
+        frames_per_second: None,
     }
 }
 

@@ -99,6 +99,54 @@ fn a_mask_becomes_alpha() {
 }
 
 #[test]
+fn a_mask_that_lies_beside_its_photograph_needs_no_mention() {
+    let half: Vec<[u8; 1]> = (0..48u8).map(|i| [if i % 8 < 4 { 0 } else { 255 }]).collect();
+    let half = image_file::encode_png(8, 6, &half).unwrap();
+    let is_masked = |view: &CaptureView| view.image.pixels[2][3] == 0.0 && view.image.pixels[6][3] == 1.0;
+    for (files, mask) in [
+        (nerfstudio(|_| {}), "images/1_mask.png"),
+        (nerfstudio(|_| {}), "masks/1.png"),
+        (colmap(), "images/1_mask.png"),
+        (colmap(), "masks/1.png.png"),
+        (colmap(), "mask/1.png"),
+    ] {
+        let mut files = files;
+        files.insert(mask.to_owned(), half.clone());
+        let capture = import_folder(&files).unwrap();
+        assert!(is_masked(view(&capture, "images/1.png")), "{mask}");
+        assert!(!is_masked(view(&capture, "images/2.png")), "{mask}: the control");
+    }
+}
+
+#[test]
+fn a_photograph_is_turned_where_its_poses_are_for_the_turned_one() {
+    // Bright on the left as stored, 6 x 8 pixels; orientation 6 turns that to the top.
+    let pixels: Vec<[u8; 3]> = (0..48).map(|i| [if i % 6 < 3 { 250 } else { 5 }; 3]).collect();
+    let jpeg = image_file::encode_jpeg(6, 8, &pixels, 95).unwrap();
+    let exif = b"\xff\xe1\0\x22Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+    let turned = [&jpeg[..2], exif, &jpeg[2..]].concat();
+    let mut files = nerfstudio(|set| set["frames"][1]["file_path"] = json!("images/1.jpg"));
+    files.insert("images/1.jpg".into(), turned);
+    let capture = import_folder(&files).unwrap();
+    let seen = view(&capture, "images/1.jpg");
+    assert_eq!((seen.image.width, seen.image.height, seen.camera.width), (8, 6, 8));
+    assert!(seen.image.pixels[3][0] > 0.8 && seen.image.pixels[44][0] < 0.2, "bright above");
+    files.insert("images/1.jpg".into(), jpeg);
+    let refused = import_folder(&files).unwrap_err();
+    assert_eq!(refused.field(), Some("w,h"), "the control: nothing says that it is turned");
+}
+
+#[test]
+fn a_colmap_model_may_lie_in_sparse_itself() {
+    let moved = |(name, bytes): (String, Vec<u8>)| (name.replace("sparse/0/", "sparse/"), bytes);
+    let here: Files = colmap().into_iter().map(moved).collect();
+    let there = import_folder(&colmap()).unwrap();
+    assert_eq!(import_folder(&here).unwrap(), there);
+    let lost: Files = colmap().into_iter().map(|(n, b)| (n.replace("sparse/0/", "model/"), b)).collect();
+    assert!(import_folder(&lost).is_err(), "the control");
+}
+
+#[test]
 fn a_named_point_cloud_is_read_and_a_missing_one_is_a_warning() {
     let mut files = nerfstudio(|set| set["ply_file_path"] = json!("points.ply"));
     let missing = import_folder(&files).unwrap();

@@ -13,7 +13,8 @@ use self::model::{PosedImage, SparseModel};
 use self::text::TextFile;
 use crate::capture::photos::{PhotoEntry, Split, check_missing};
 use crate::capture::truth::TruthFiles;
-use crate::capture::{CaptureError, Source};
+use crate::capture::upright::upright;
+use crate::capture::{CaptureError, Source, masks};
 use crate::formats::ply_points::Point;
 
 /// Folders that may hold a sparse model; the first that does is used.
@@ -63,7 +64,7 @@ pub(super) fn read(
     warnings: &mut Vec<String>,
 ) -> Result<(Vec<PhotoEntry>, Vec<Point>), CaptureError> {
     let model = read_model(source, files)?;
-    let turn = upright(&model.images, warnings);
+    let turn = upright(model.images.iter().map(up), "COLMAP", warnings);
     let images_file = files.path("images");
     let (mut photos, mut missing) = (Vec::new(), Vec::new());
     for image in &model.images {
@@ -75,6 +76,22 @@ pub(super) fn read(
     check_missing(&images_file, photos.len(), missing, warnings)?;
     let points = model.points.into_iter().map(|(p, colour)| (turn * p, colour)).collect();
     Ok((photos, points))
+}
+
+/// The photographs that a model names, whether or not they are there, in the world of [`read`].
+///
+/// # Errors
+/// Names the model file and the field at fault.
+pub(super) fn stated(
+    source: &Source,
+    files: ModelFiles,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<PhotoEntry>, CaptureError> {
+    let model = read_model(source, files)?;
+    let turn = upright(model.images.iter().map(up), "COLMAP", warnings);
+    let images_file = files.path("images");
+    let of = |image: &PosedImage| photo(source, &model, image, image.name.clone(), turn, &images_file);
+    model.images.iter().map(of).collect()
 }
 
 /// Reads `cameras`, `images` and, if it exists, `points3D`.
@@ -121,11 +138,9 @@ fn photo(
         let reason = format!("there is no camera {}", image.camera);
         CaptureError::at_field(stated_in, format!("{field}.camera_id"), reason)
     })?;
-    let stem = image.name.rsplit_once('.').map_or(image.name.as_str(), |(stem, _)| stem);
-    let masks = [format!("masks/{}.png", image.name), format!("masks/{stem}.png")];
     Ok(PhotoEntry {
+        mask: masks::beside(source, &path),
         image: path,
-        mask: masks.into_iter().find(|m| source.contains(m)),
         pose: pose(image, turn),
         lens: *lens,
         light_rotation_deg: 0.0,
@@ -136,6 +151,11 @@ fn photo(
     })
 }
 
+/// The up direction of a camera.
+fn up(image: &PosedImage) -> DVec3 {
+    image.rotation.inverse() * -DVec3::Y
+}
+
 /// Camera-to-world with OpenGL axes, in the turned world.
 fn pose(image: &PosedImage, turn: DQuat) -> DMat4 {
     let to_world = DMat3::from_quat(turn * image.rotation.inverse());
@@ -144,16 +164,4 @@ fn pose(image: &PosedImage, turn: DQuat) -> DMat4 {
     let mut pose = DMat4::from_mat3(axes);
     pose.w_axis = centre.extend(1.0);
     pose
-}
-
-/// The rotation that takes the cameras' mean up direction to +Z.
-fn upright(images: &[PosedImage], warnings: &mut Vec<String>) -> DQuat {
-    let up = |image: &PosedImage| image.rotation.inverse() * -DVec3::Y;
-    let mean = images.iter().map(up).sum::<DVec3>() / images.len().max(1) as f64;
-    if mean.length() < 0.2 {
-        warnings
-            .push("the cameras agree on no up direction; the world is left as COLMAP turned it".to_owned());
-        return DQuat::IDENTITY;
-    }
-    DQuat::from_rotation_arc(mean.normalize(), DVec3::Z)
 }

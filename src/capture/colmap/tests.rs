@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3};
 use super::binary::{self, ByteReader};
 use super::model::{PosedImage, SparseModel};
 use super::text::{self, TextFile};
-use super::{pose, upright};
+use super::{pose, up, upright};
 use crate::capture::CaptureError;
 use crate::scene::Camera;
 
@@ -129,7 +129,7 @@ fn a_point_ahead_lands_where_colmap_projects_it_and_up_becomes_z() {
     let rotation = DQuat::from_euler(glam::EulerRot::XYZ, 1.4, 0.2, -0.3);
     let image =
         PosedImage { name: "a.jpg".into(), camera: 1, rotation, translation: DVec3::new(0.3, -0.2, 2.0) };
-    let turn = upright(std::slice::from_ref(&image), &mut Vec::new());
+    let turn = upright([up(&image)].into_iter(), "COLMAP", &mut Vec::new());
     let camera = Camera::from_opengl(&pose(&image, turn), (100, 80), (90.0, 95.0), (50.0, 40.0)).unwrap();
     let world = DVec3::new(0.2, 0.1, 0.4);
     let expected = rotation * world + image.translation;
@@ -143,6 +143,10 @@ fn a_point_ahead_lands_where_colmap_projects_it_and_up_becomes_z() {
 fn cameras_without_a_common_up_leave_the_world_alone() {
     let image = |rotation| PosedImage { name: "a".into(), camera: 1, rotation, translation: DVec3::ZERO };
     let mut warnings = Vec::new();
-    let turn = upright(&[image(DQuat::IDENTITY), image(DQuat::from_rotation_z(3.1))], &mut warnings);
+    let turn = upright(
+        [image(DQuat::IDENTITY), image(DQuat::from_rotation_z(3.1))].iter().map(up),
+        "COLMAP",
+        &mut warnings,
+    );
     assert_eq!((turn, warnings.len()), (DQuat::IDENTITY, 1));
 }

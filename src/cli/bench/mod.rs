@@ -6,6 +6,7 @@ mod complexity;
 mod device;
 mod input;
 mod matrix;
+mod poses;
 #[cfg(feature = "gpu")]
 mod precision;
 #[cfg(all(feature = "server", feature = "client"))]
@@ -34,6 +35,8 @@ enum What {
     Matrix(matrix::MatrixArgs),
     /// What each layer of a model costs its relit pictures, in dB: ground truth replaces one layer after the other.
     Attribution(attribution::AttributionArgs),
+    /// Poses that COLMAP finds for photographs, against those that their capture states.
+    Poses(poses::PosesArgs),
     #[cfg(feature = "gpu")]
     /// Error of a device's engine against f64, stage by stage.
     Precision(precision::PrecisionArgs),
@@ -56,6 +59,7 @@ pub(super) fn run(args: &BenchArgs) -> CommandResult {
         What::Device(args) => device::run(args),
         What::Matrix(args) => matrix::run(args),
         What::Attribution(args) => attribution::run(args),
+        What::Poses(args) => poses::run(args),
         #[cfg(feature = "gpu")]
         What::Precision(args) => precision::run(args),
         What::Complexity(args) => complexity::run(args),

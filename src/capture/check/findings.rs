@@ -1,0 +1,192 @@
+//! What a photographer should know of a set of photographs.
+
+use super::photo::PhotoFacts;
+
+/// Fewer photographs than these are too few, or few.
+const TOO_FEW: usize = 12;
+const FEW: usize = 40;
+/// Sharpness over the median of the set, below which a photograph is blurred.
+const BLURRED: f64 = 0.35;
+/// Resemblance to the nearest photograph, below which one stands alone.
+const ALONE: f64 = 0.5;
+/// Share of clipped pixels that is worth a word.
+const CLIPPED: f64 = 0.1;
+/// Mean luma as displayed below which a photograph is dark.
+const DARK: f64 = 0.08;
+/// Longest side below which a photograph is small, pixels.
+const SMALL: u32 = 640;
+/// Stops by which the camera's settings may differ.
+const SETTINGS_EV: f64 = 0.34;
+/// Share of the photographs from which on a fault is one of the set.
+const MANY: f64 = 0.25;
+
+/// Something that a photographer should know.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Finding {
+    /// True where a training would be in vain; else it may be worse than it could be.
+    pub is_problem: bool,
+    /// What it is, and what to do.
+    pub text: String,
+    /// The photographs that it is about; none for all.
+    pub photos: Vec<String>,
+}
+
+/// Everything there is to say, problems first.
+pub(super) fn findings(photos: &[PhotoFacts], unreadable: &[String]) -> Vec<Finding> {
+    let mut all = Vec::new();
+    all.extend(number(photos.len()));
+    if !unreadable.is_empty() {
+        let text = format!("{} photographs cannot be read", unreadable.len());
+        all.push(Finding { is_problem: true, text, photos: unreadable.to_vec() });
+    }
+    let median = median(photos.iter().map(|photo| photo.sharpness).collect());
+    all.extend(about(
+        photos,
+        "are blurred beside the others: hold still, more light, a shorter exposure",
+        |photo| photo.sharpness < BLURRED * median,
+    ));
+    all.extend(about(
+        photos,
+        "resemble no other: at least two thirds of each should be seen in the next",
+        |photo| photos.len() > 1 && photo.overlap < ALONE,
+    ));
+    all.extend(about(photos, "are dark: more light, or a longer exposure on a tripod", |photo| {
+        photo.brightness < DARK
+    }));
+    let clipped = "have more than a tenth of their pixels at white: less exposure, unless what is white is the background";
+    all.extend(about(photos, clipped, |photo| photo.clipped > CLIPPED).map(hint));
+    all.extend(
+        about(photos, "are small: below 640 pixels little detail is left", |photo| {
+            photo.size.0.max(photo.size.1) < SMALL
+        })
+        .map(hint),
+    );
+    all.extend(camera(photos));
+    all.sort_by_key(|finding| !finding.is_problem);
+    all
+}
+
+fn number(photos: usize) -> Option<Finding> {
+    let (is_problem, text) = match photos {
+        0..TOO_FEW => (true, format!("{photos} photographs are too few: take 40 to 200, from all sides")),
+        TOO_FEW..FEW => (false, format!("{photos} photographs are few: 40 to 200 from all sides are better")),
+        _ => return None,
+    };
+    Some(Finding { is_problem, text, photos: Vec::new() })
+}
+
+/// A finding of the photographs for which `is_so`; a problem where they are many.
+fn about(photos: &[PhotoFacts], what: &str, is_so: impl Fn(&PhotoFacts) -> bool) -> Option<Finding> {
+    let names: Vec<String> =
+        photos.iter().filter(|photo| is_so(photo)).map(|photo| photo.name.clone()).collect();
+    let is_problem = names.len() as f64 > MANY * photos.len() as f64;
+    let text = format!("{} of {} photographs {what}", names.len(), photos.len());
+    (!names.is_empty()).then_some(Finding { is_problem, text, photos: names })
+}
+
+fn hint(finding: Finding) -> Finding {
+    Finding { is_problem: false, ..finding }
+}
+
+/// What the camera chose from one photograph to the next.
+fn camera(photos: &[PhotoFacts]) -> Vec<Finding> {
+    let mut found = Vec::new();
+    let mut say = |text: String| found.push(Finding { is_problem: false, text, photos: Vec::new() });
+    let exposures: Vec<f64> = photos.iter().filter_map(|photo| photo.camera.exposure_ev()).collect();
+    let low = exposures.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = exposures.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    if high - low > SETTINGS_EV {
+        say(format!(
+            "the camera's exposure differs by {:.1} stops between photographs: fix time, aperture and ISO",
+            high - low
+        ));
+    }
+    let auto = photos.iter().filter(|photo| photo.camera.auto_white_balance == Some(true)).count();
+    if auto > 0 {
+        say(format!("the camera chose the white balance of {auto} photographs: fix it"));
+    }
+    let differ = |of: &dyn Fn(&PhotoFacts) -> Option<String>| {
+        let mut values: Vec<String> = photos.iter().filter_map(of).collect();
+        values.sort();
+        values.dedup();
+        values.len() > 1
+    };
+    if differ(&|photo| photo.camera.focal_mm.map(|mm| format!("{mm:.2}"))) {
+        say("the focal length differs between photographs: do not zoom".to_owned());
+    }
+    if differ(&|photo| Some(format!("{:?}", photo.size))) {
+        say("the photographs have several sizes: one camera, held one way, is placed more surely".to_owned());
+    }
+    found
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::exif_facts::ExifFacts;
+
+    /// Fifty photographs without a fault.
+    fn sound() -> Vec<PhotoFacts> {
+        let camera = ExifFacts {
+            exposure_s: Some(0.01),
+            f_number: Some(2.0),
+            iso: Some(100.0),
+            focal_mm: Some(5.0),
+            auto_white_balance: Some(false),
+            ..ExifFacts::default()
+        };
+        let photo = |i: usize| PhotoFacts {
+            name: format!("{i}.jpg"),
+            size: (4000, 3000),
+            sharpness: 100.0 + i as f64,
+            brightness: 0.4,
+            clipped: 0.01,
+            overlap: 0.9,
+            camera: camera.clone(),
+        };
+        (0..50).map(photo).collect()
+    }
+
+    #[test]
+    fn sound_photographs_are_not_found_fault_with() {
+        assert_eq!(findings(&sound(), &[]), []);
+    }
+
+    #[test]
+    fn each_fault_is_found_and_many_of_a_kind_are_a_problem() {
+        type Fault = fn(&mut PhotoFacts);
+        let faults: [(Fault, &str, bool); 7] = [
+            (|p| p.sharpness = 10.0, "blurred", true),
+            (|p| p.overlap = 0.1, "resemble no other", true),
+            (|p| p.brightness = 0.01, "dark", true),
+            (|p| p.clipped = 0.5, "at white", false),
+            (|p| p.size = (400, 300), "small", false),
+            (|p| p.camera.exposure_s = Some(0.02), "1.0 stops", false),
+            (|p| p.camera.auto_white_balance = Some(true), "white balance", false),
+        ];
+        for (fault, word, is_problem) in faults {
+            for (count, many) in [(2, false), (20, true)] {
+                let mut photos = sound();
+                photos.iter_mut().take(count).for_each(fault);
+                let found = findings(&photos, &[]);
+                let finding = found.iter().find(|finding| finding.text.contains(word));
+                let finding = finding.unwrap_or_else(|| panic!("{word}: {found:?}"));
+                assert_eq!(finding.is_problem, is_problem && many, "{word} {count}");
+                assert!(finding.photos.is_empty() || finding.photos.len() == count);
+            }
+        }
+    }
+
+    #[test]
+    fn too_few_and_unreadable_photographs_are_problems() {
+        let told = |count: usize| findings(&sound()[..count], &[]).first().map(|finding| finding.is_problem);
+        assert_eq!([3, 11, 12, 39, 40].map(told), [Some(true), Some(true), Some(false), Some(false), None]);
+        let found = findings(&sound(), &["x.jpg: is empty".to_owned()]);
+        assert!(found[0].is_problem && found[0].photos[0].contains("x.jpg"));
+    }
+}

@@ -1,0 +1,48 @@
+//! What one photograph tells by itself.
+
+use super::overlap::Thumbnail;
+use crate::capture::sharpness::{SIDE, luma, sharpness};
+use crate::capture::{CaptureError, ImportOptions};
+use crate::formats::exif_facts::{self, ExifFacts};
+use crate::formats::image_file;
+
+/// A channel from here on is clipped.
+const WHITE: f32 = 253.5 / 255.0;
+
+/// What one photograph tells.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PhotoFacts {
+    /// Its name.
+    pub name: String,
+    /// Width and height, pixels.
+    pub size: (u32, u32),
+    /// Variance of the Laplacian, see `sharpness.rs`; to be compared with that of other photographs of the thing.
+    pub sharpness: f64,
+    /// Mean luma as displayed, 0 to 1.
+    pub brightness: f64,
+    /// Share of pixels with a channel at white, 0 to 1.
+    pub clipped: f64,
+    /// How much it resembles the photograph that it resembles most, -1 to 1; 0 where there is no other.
+    pub overlap: f64,
+    /// What the camera noted.
+    pub camera: ExifFacts,
+}
+
+/// Looks at a photograph, reduced.
+pub(super) fn look_at(name: &str, bytes: &[u8]) -> Result<(PhotoFacts, Thumbnail), CaptureError> {
+    let reduce = |size| ImportOptions::at_most(SIDE).reduced_size(size);
+    let decoded = image_file::decode_reduced(bytes, image_file::DEFAULT_MAX_PIXELS, reduce);
+    let (image, size) = decoded.map_err(|error| CaptureError::image(name, error))?;
+    let count = image.pixels.len().max(1) as f64;
+    let is_clipped = |pixel: &&[f32; 4]| pixel[..3].iter().any(|v| *v >= WHITE);
+    let facts = PhotoFacts {
+        name: name.to_owned(),
+        size,
+        sharpness: sharpness(&image),
+        brightness: image.pixels.iter().map(luma).sum::<f64>() / count,
+        clipped: image.pixels.iter().filter(is_clipped).count() as f64 / count,
+        overlap: 0.0,
+        camera: exif_facts::read(bytes),
+    };
+    Ok((facts, Thumbnail::of(&image)))
+}

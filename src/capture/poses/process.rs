@@ -1,0 +1,212 @@
+//! Runs a program of others: no shell, its output in a log file, an end that does not depend on its good will.
+
+use std::ffi::OsStr;
+use std::fs::{File, OpenOptions};
+use std::io::{ErrorKind, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use super::error::PoseError;
+use super::watch::Watch;
+
+/// How often a program is looked after.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Lines of the log that an error shows.
+const SHOWN_LINES: usize = 8;
+/// Bytes of a line that are kept.
+const LONGEST_LINE: usize = 4096;
+
+/// A program, how to get it, and where it logs.
+pub(super) struct Program<'a> {
+    /// Name to be looked for on PATH, or a path.
+    pub name: &'a OsStr,
+    /// How to get it.
+    pub install: &'static str,
+    /// Its output is added to the end of this file.
+    pub log: &'a Path,
+    /// Where it runs, if not where this program does.
+    pub folder: Option<&'a Path>,
+}
+
+impl Program<'_> {
+    /// Runs it to its end; `line` is called with each line that it writes, a short while after.
+    ///
+    /// # Errors
+    /// [`PoseError`] when it is not installed, fails, takes too long or is not wanted any more. It does not run any longer then.
+    pub(super) fn run(
+        &self,
+        arguments: &[&OsStr],
+        watch: &mut Watch<'_>,
+        line: &mut dyn FnMut(&str, &mut Watch<'_>),
+    ) -> Result<(), PoseError> {
+        let io = PoseError::io;
+        let log = OpenOptions::new().create(true).append(true).open(self.log).map_err(io(self.log))?;
+        let mut output = NewLines::after_the_end(self.log).map_err(io(self.log))?;
+        let (for_out, for_errors) = (log.try_clone().map_err(io(self.log))?, log);
+        let mut command = Command::new(self.name);
+        command.args(arguments).stdin(Stdio::null()).stdout(for_out).stderr(for_errors);
+        if let Some(folder) = self.folder {
+            command.current_dir(folder);
+        }
+        // Builds of COLMAP with a window want a display for any command but for this.
+        command.env("QT_QPA_PLATFORM", "offscreen");
+        let spawned = command.spawn().map_err(|error| match error.kind() {
+            ErrorKind::NotFound => {
+                PoseError::NotInstalled { program: self.name.display().to_string(), install: self.install }
+            }
+            _ => PoseError::Io { file: PathBuf::from(self.name), source: error },
+        })?;
+        let mut running = Running(spawned);
+        let status = loop {
+            let status = running.0.try_wait().map_err(io(Path::new(self.name)))?;
+            output.read(&mut |text| line(text, watch)).map_err(io(self.log))?;
+            if let Some(status) = status {
+                break status;
+            }
+            if (watch.is_cancelled)() {
+                return Err(PoseError::Cancelled);
+            }
+            if watch.is_over() {
+                let (program, log) = (self.doing(arguments), self.log.to_owned());
+                return Err(PoseError::TimedOut { program, minutes: watch.minutes(), log });
+            }
+            std::thread::sleep(LOOK_EVERY);
+        };
+        match status.success() {
+            true => Ok(()),
+            false => Err(PoseError::Failed {
+                program: self.doing(arguments),
+                status: status.to_string(),
+                end: output.last_lines.join("\n"),
+                log: self.log.to_owned(),
+            }),
+        }
+    }
+
+    /// Its name, and the command that it was given.
+    fn doing(&self, arguments: &[&OsStr]) -> String {
+        let command = arguments.first().filter(|a| !a.to_string_lossy().starts_with('-'));
+        let command = command.map_or(String::new(), |c| format!(" {}", c.display()));
+        format!("{}{command}", self.name.display())
+    }
+}
+
+/// A program that ends when this goes.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Both fail only where it has ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The lines that are added to a file.
+struct NewLines {
+    file: File,
+    unfinished: Vec<u8>,
+    last_lines: Vec<String>,
+}
+
+impl NewLines {
+    /// Lines after what the file holds now.
+    fn after_the_end(path: &Path) -> std::io::Result<Self> {
+        let mut file = File::open(path)?;
+        std::io::Seek::seek(&mut file, std::io::SeekFrom::End(0))?;
+        Ok(Self { file, unfinished: Vec::new(), last_lines: Vec::new() })
+    }
+
+    /// Calls `line` for each line that was completed since, and keeps the last few.
+    fn read(&mut self, line: &mut dyn FnMut(&str)) -> std::io::Result<()> {
+        let mut buffer = [0; 8192];
+        loop {
+            let bytes = self.file.read(&mut buffer)?;
+            if bytes == 0 {
+                return Ok(());
+            }
+            // Progress bars end lines with a carriage return.
+            for &byte in &buffer[..bytes] {
+                if !matches!(byte, b'\n' | b'\r') {
+                    if self.unfinished.len() < LONGEST_LINE {
+                        self.unfinished.push(byte);
+                    }
+                    continue;
+                }
+                let text = String::from_utf8_lossy(&self.unfinished).trim().to_owned();
+                self.unfinished.clear();
+                if !text.is_empty() {
+                    line(&text);
+                    if self.last_lines.len() == SHOWN_LINES {
+                        self.last_lines.remove(0);
+                    }
+                    self.last_lines.push(text);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    /// What `sh -c script` comes to, the lines it wrote, and its log.
+    fn run(script: &str, limit: Duration, cancelled: bool) -> (Result<(), PoseError>, Vec<String>, String) {
+        let folder = tempfile::TempDir::new().unwrap();
+        let log = folder.path().join("x.log");
+        std::fs::write(&log, "earlier\n").unwrap();
+        let program = Program { name: "sh".as_ref(), install: "get it", log: &log, folder: None };
+        let (mut ignored, mut lines) = (|_| {}, Vec::new());
+        let is_cancelled = || cancelled;
+        let mut watch = Watch::new(limit, &mut ignored, &is_cancelled);
+        let ended = program.run(&["-c".as_ref(), script.as_ref()], &mut watch, &mut |line, _| {
+            lines.push(line.to_owned());
+        });
+        (ended, lines, std::fs::read_to_string(&log).unwrap())
+    }
+
+    const LONG: Duration = Duration::from_secs(600);
+
+    #[test]
+    fn what_a_program_says_is_heard_and_kept() {
+        let (ended, lines, log) = run("echo one; echo two >&2; printf 'three\\rfour\\n'", LONG, false);
+        ended.unwrap();
+        assert_eq!(lines, ["one", "two", "three", "four"]);
+        assert_eq!(log, "earlier\none\ntwo\nthree\rfour\n");
+    }
+
+    #[test]
+    fn a_program_that_fails_or_dies_says_so_with_its_last_words() {
+        let (ended, ..) = run("seq 20; echo no memory; exit 3", LONG, false);
+        let Err(PoseError::Failed { end, status, .. }) = ended else { panic!("{ended:?}") };
+        assert!(end.ends_with("20\nno memory") && !end.contains("\n12\n") && status.contains('3'), "{end}");
+        assert!(matches!(run("kill -9 $$", LONG, false).0, Err(PoseError::Failed { .. })));
+    }
+
+    #[test]
+    fn a_program_is_ended_when_time_is_over_or_nobody_wants_it() {
+        let runs = |pid: &str| {
+            Command::new("sh").args(["-c", &format!("kill -0 {pid}")]).status().unwrap().success()
+        };
+        let (ended, _, log) = run("echo $$; exec sleep 300", Duration::from_millis(500), false);
+        assert!(matches!(ended, Err(PoseError::TimedOut { minutes: 1, .. })), "{ended:?}");
+        let pid = log.lines().nth(1).unwrap();
+        assert!(!runs(pid), "{pid} runs on");
+        assert!(matches!(run("exec sleep 300", LONG, true).0, Err(PoseError::Cancelled)));
+        assert!(runs("$$"), "the control: who asks runs");
+    }
+
+    #[test]
+    fn a_program_that_is_not_there_says_how_to_get_it() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let log = folder.path().join("x.log");
+        let program =
+            Program { name: "no-such-program".as_ref(), install: "get it", log: &log, folder: None };
+        let mut ignored = |_| {};
+        let mut watch = Watch::new(LONG, &mut ignored, &|| false);
+        let error = program.run(&[], &mut watch, &mut |_, _| {}).unwrap_err().to_string();
+        assert!(error.contains("no-such-program") && error.contains("get it"), "{error}");
+    }
+}

@@ -1,0 +1,71 @@
+//! `relume bench poses`: poses that COLMAP finds for the photographs of a capture, against those that it states.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use crate::capture::poses::{PoseOptions, Watch, find_poses};
+use crate::capture::{ImportLimits, PhotoCamera, Unposed, cameras};
+use crate::cli::bench::input::file_name;
+use crate::cli::bench::table::{head, publish, row};
+use crate::cli::error::CommandResult;
+use crate::eval::PoseErrors;
+use crate::scene::Camera;
+
+/// Options of `relume bench poses`.
+#[derive(Debug, clap::Args)]
+pub(super) struct PosesArgs {
+    /// Captures with poses that are taken to be true.
+    #[arg(required = true)]
+    captures: Vec<PathBuf>,
+    /// Minutes for each.
+    #[arg(long, default_value_t = 240)]
+    time_limit: u64,
+    /// The Markdown file to write; printed in any case.
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &PosesArgs) -> CommandResult {
+    let columns = ["photographs", "placed", "agree within 5°", "rotation, median °", "position, median", "s"];
+    let mut text = format!(
+        "Poses found from the photographs alone, against those of the capture, after a rotation, a scale and a shift. Positions over \
+         the median distance of the cameras from their mean.\n\n{}",
+        head(&["capture"], columns)
+    );
+    for path in &args.captures {
+        let stated: BTreeMap<String, Camera> =
+            cameras(path, &ImportLimits::default())?.into_iter().map(named).collect();
+        let none = || format!("{}: there are no photographs", path.display());
+        let photographs = Unposed::ignoring_poses(path, &ImportLimits::default())?.ok_or_else(none)?;
+        let folder = tempfile::tempdir()?;
+        let mut report = |_| {};
+        let started = Instant::now();
+        let mut watch = Watch::new(Duration::from_secs(60 * args.time_limit), &mut report, &|| false);
+        let into = folder.path().join("capture");
+        find_poses(&photographs, &into, &PoseOptions::default(), &mut watch)?;
+        let seconds = started.elapsed().as_secs();
+        let found = cameras(&into, &ImportLimits::default())?.into_iter().map(named);
+        let (found, truth): (Vec<Camera>, Vec<Camera>) =
+            found.filter_map(|(name, camera)| Some((camera, *stated.get(&name)?))).unzip();
+        let few = || format!("{}: fewer than three poses to compare", path.display());
+        let errors = PoseErrors::of(&found, &truth).ok_or_else(few)?;
+        let (rotation, position) = errors.medians();
+        text += &row([
+            file_name(path),
+            photographs.photos().len().to_string(),
+            found.len().to_string(),
+            errors.agreeing().to_string(),
+            format!("{rotation:.3}"),
+            format!("{position:.4}"),
+            seconds.to_string(),
+        ]);
+    }
+    Ok(publish(&text, args.out.as_deref())?)
+}
+
+/// A camera by the name of its file: the folders of photographs are called differently.
+fn named(photo: PhotoCamera) -> (String, Camera) {
+    let name = photo.name.rsplit('/').next().unwrap_or_default().to_owned();
+    (name, photo.camera)
+}

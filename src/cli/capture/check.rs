@@ -1,0 +1,93 @@
+//! `relume capture check`: a report on photographs.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use crate::capture::check::{PhotoFacts, PhotographsReport, check_photographs};
+use crate::capture::{ImportLimits, Unposed};
+use crate::cli::error::CommandResult;
+
+/// Names of photographs that a line shows.
+const SHOWN: usize = 12;
+
+/// Options of `relume capture check`.
+#[derive(Debug, clap::Args)]
+pub(super) struct CheckArgs {
+    /// A folder, zip, tar or tar.gz of photographs, with or without poses.
+    photographs: PathBuf,
+    /// Show a line for each photograph.
+    #[arg(long)]
+    each: bool,
+}
+
+pub(super) fn run(args: &CheckArgs) -> CommandResult<ExitCode> {
+    let none = || format!("{}: there are no photographs", args.photographs.display());
+    let photographs =
+        Unposed::ignoring_poses(&args.photographs, &ImportLimits::default())?.ok_or_else(none)?;
+    let report = check_photographs(&photographs);
+    for line in lines(&report, args.each) {
+        println!("{line}");
+    }
+    Ok(if report.has_problems() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+}
+
+fn lines(report: &PhotographsReport, each: bool) -> Vec<String> {
+    let mut lines = Vec::new();
+    if each {
+        lines.push("photograph  size  sharpness  brightness  clipped  resembles the nearest".to_owned());
+        lines.extend(report.photos.iter().map(line));
+    }
+    let range = |of: fn(&PhotoFacts) -> f64| {
+        let values = || report.photos.iter().map(of);
+        (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
+    };
+    lines.push(format!("{} photographs", report.photos.len()));
+    if !report.photos.is_empty() {
+        let (sharpness, brightness, overlap) =
+            (range(|p| p.sharpness), range(|p| p.brightness), range(|p| p.overlap));
+        lines.push(format!(
+            "sharpness {:.0} to {:.0}; brightness {:.2} to {:.2}",
+            sharpness.0, sharpness.1, brightness.0, brightness.1
+        ));
+        lines.push(format!(
+            "each resembles its nearest by {:.2} to {:.2} (1 is the same picture)",
+            overlap.0, overlap.1
+        ));
+        lines.extend(camera(&report.photos));
+    }
+    for finding in &report.findings {
+        let kind = if finding.is_problem { "problem" } else { "hint" };
+        lines.push(format!("{kind}: {}", finding.text));
+        if !finding.photos.is_empty() {
+            let shown = finding.photos.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+            let more = finding.photos.len().saturating_sub(SHOWN);
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            lines.push(format!("    {shown}{more}"));
+        }
+    }
+    let verdict = if report.has_problems() { "not fit to be trained on" } else { "fit to be trained on" };
+    lines.push(verdict.to_owned());
+    lines
+}
+
+fn line(photo: &PhotoFacts) -> String {
+    let PhotoFacts { name, size: (width, height), sharpness, brightness, clipped, overlap, .. } = photo;
+    format!(
+        "{name}  {width}x{height}  {sharpness:.0}  {brightness:.2}  {:.1}%  {overlap:.2}",
+        clipped * 100.0
+    )
+}
+
+/// What the camera noted of the first photograph, if anything.
+fn camera(photos: &[PhotoFacts]) -> Option<String> {
+    let facts = &photos.first()?.camera;
+    let parts = [
+        facts.camera.clone(),
+        facts.focal_mm.map(|mm| format!("{mm:.1} mm")),
+        facts.f_number.map(|f| format!("f/{f:.1}")),
+        facts.exposure_s.map(|s| format!("{s:.4} s")),
+        facts.iso.map(|iso| format!("ISO {iso:.0}")),
+    ];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    (!parts.is_empty()).then(|| format!("the camera noted, of the first: {}", parts.join(", ")))
+}

@@ -1,0 +1,33 @@
+//! `relume capture`: what can be done with photographs before a training.
+
+mod check;
+mod poses;
+
+use std::process::ExitCode;
+
+use crate::cli::error::CommandResult;
+
+pub(super) use poses::{PoseArgs, posed};
+
+/// Options of `relume capture`.
+#[derive(Debug, clap::Args)]
+pub(super) struct CaptureArgs {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// Look at photographs before hours are spent: their number, blur, exposure, overlap and what the camera noted. Fails when they
+    /// are not fit to be trained on.
+    Check(check::CheckArgs),
+    /// Find the poses of photographs or of a clip, with COLMAP and ffmpeg, and make a capture of them.
+    Poses(poses::PosesArgs),
+}
+
+pub(super) fn run(args: &CaptureArgs) -> CommandResult<ExitCode> {
+    match &args.what {
+        What::Check(args) => check::run(args),
+        What::Poses(args) => poses::run(args).map(|()| ExitCode::SUCCESS),
+    }
+}

@@ -1,0 +1,163 @@
+//! Options of `relume render`.
+
+use std::path::PathBuf;
+
+use crate::cli::args::{QualityArgs, named};
+use crate::engine::DeviceChoice;
+use crate::render::{AlphaMode, Background, ColourDepth, Output, Primaries, ToneCurve};
+use crate::scene::Model;
+
+/// Options of `relume render`.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct RenderArgs {
+    /// The model file.
+    pub(super) model: PathBuf,
+    /// A `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
+    #[arg(long, default_value = "recovered")]
+    pub(super) env: String,
+    /// Turn of the light about +Z, degrees counter-clockwise.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
+    pub(super) rotation: f64,
+    /// Exposure of the light, and so of the picture, stops, -20 to 20.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>)]
+    pub(super) exposure: f64,
+    #[command(flatten)]
+    pub(super) cameras: CameraArgs,
+    #[command(flatten)]
+    pub(super) quality: QualityArgs,
+    /// Outputs to render, separated by commas; a PNG or JPEG holds one, an EXR all. When absent `rgb`, of a model without
+    /// materials `radiance`.
+    #[arg(long, value_delimiter = ',', value_parser = named::<Output>)]
+    pub(super) output: Vec<Output>,
+    /// Behind the model: `transparent` (JPEG shows white), `environment` or a colour like `f4f4f4`.
+    #[arg(long, default_value_t)]
+    pub(super) background: Background,
+    /// How colours come to a display: `srgb`, `neutral`, `agx` or, in a 16-bit PNG, `linear`.
+    #[arg(long, default_value = "srgb", value_parser = named::<ToneCurve>)]
+    pub(super) tone_curve: ToneCurve,
+    /// How an EXR stores colours: `float` (the default) or `half`.
+    #[arg(long, value_parser = named::<ColourDepth>)]
+    pub(super) colour_depth: Option<ColourDepth>,
+    /// Colours of an EXR: `premultiplied` (the default) or `straight`.
+    #[arg(long, value_parser = named::<AlphaMode>)]
+    pub(super) alpha: Option<AlphaMode>,
+    /// Primaries of an EXR's colours: `rec709` (the default) or `acescg`.
+    #[arg(long, value_parser = named::<Primaries>)]
+    pub(super) primaries: Option<Primaries>,
+    /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
+    #[arg(long, default_value_t)]
+    pub(super) device: DeviceChoice,
+    /// The image file to write: `.png`, `.jpg` or `.exr`. Of a sequence, with the place of the frame's number, e.g. `frames/%04d.exr`.
+    #[arg(long, default_value = "frame.png")]
+    pub(super) out: PathBuf,
+    #[command(flatten)]
+    pub(super) sequence: SequenceArgs,
+}
+
+impl RenderArgs {
+    /// What was asked for, as far as `model` has it.
+    pub(super) fn outputs(&self, model: &Model) -> Result<Vec<Output>, String> {
+        use Output::{Alpha, Depth, Normal, Radiance, Rgb};
+        let relightable = model.has_materials();
+        if self.output.is_empty() {
+            return Ok(vec![if relightable { Rgb } else { Radiance }]);
+        }
+        let of_any = |o: &Output| matches!(o, Radiance | Alpha | Depth | Normal);
+        match relightable || self.output.iter().all(of_any) {
+            true => Ok(self.output.clone()),
+            false => {
+                Err("--output: the model has no materials: only radiance, normal, depth and alpha".to_owned())
+            }
+        }
+    }
+}
+
+/// From where a model is seen.
+#[derive(Debug, clap::Args)]
+pub(super) struct CameraArgs {
+    /// Degrees around the model, counter-clockwise seen from above. 0, on the +x side, when absent, but of a capture without masks that
+    /// in the middle of its photographs.
+    #[arg(long, allow_negative_numbers = true, value_parser = finite)]
+    pub(super) azimuth: Option<f64>,
+    /// Degrees above the horizon, -90 to 90. 20 when absent, but of a capture without masks as `--azimuth`.
+    #[arg(long, allow_negative_numbers = true, value_parser = up_to::<90>)]
+    pub(super) elevation: Option<f64>,
+    /// Side of the image, pixels.
+    #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..=8192))]
+    pub(super) size: u32,
+    /// Width and height of the image, pixels, in place of `--size`; cameras of a file that have another size are scaled.
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = resolution)]
+    pub(super) resolution: Option<(u32, u32)>,
+    /// Cameras, one for each frame: a JSON file with `cameras` (as the API has them), nerfstudio's `camera_path` or the `frames` of a
+    /// transforms.json, or a folder with a COLMAP model.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["turntable", "azimuth", "elevation"])]
+    pub(super) path: Option<PathBuf>,
+    /// nerfstudio's dataparser_transforms.json of the training that a `camera_path` was made in: brings its cameras back to the
+    /// world of the capture.
+    #[arg(long, value_name = "FILE", requires = "path")]
+    pub(super) path_world: Option<PathBuf>,
+    /// So many frames around the model, from `--azimuth` on.
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(super) turntable: Option<u32>,
+    /// Degrees that the camera of a turntable turns from the first frame to after the last, counter-clockwise; 0 for a camera that
+    /// stands still.
+    #[arg(long, default_value_t = 360.0, allow_negative_numbers = true, value_parser = finite, requires = "turntable")]
+    pub(super) camera_turn: f64,
+    /// Degrees that the light turns from the first frame to after the last, counter-clockwise, beside `--rotation`.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
+    pub(super) env_turn: f64,
+}
+
+/// How the frames of a sequence are numbered and written.
+#[derive(Debug, clap::Args)]
+pub(super) struct SequenceArgs {
+    /// Number of the first frame.
+    #[arg(long, default_value_t = 1)]
+    pub(super) start_number: u32,
+    /// Leave out frames whose file is there already: those of an earlier run with the same options.
+    #[arg(long)]
+    pub(super) resume: bool,
+    /// Frames a second, which an EXR notes.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(super) fps: Option<u32>,
+}
+
+/// A number that is neither infinite nor no number.
+pub(in crate::cli) fn finite(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "must be a number")?;
+    if value.is_finite() { Ok(value) } else { Err("must be finite".to_owned()) }
+}
+
+/// A number of at most `MOST` either way.
+pub(in crate::cli) fn up_to<const MOST: i32>(text: &str) -> Result<f64, String> {
+    let value = finite(text)?;
+    if value.abs() <= f64::from(MOST) { Ok(value) } else { Err(format!("must be -{MOST} to {MOST}")) }
+}
+
+/// A size in pixels, e.g. `1920x1080`.
+fn resolution(text: &str) -> Result<(u32, u32), String> {
+    let side = |text: &str| text.parse().ok().filter(|side| (1..=8192).contains(side));
+    let sides = text.split_once('x').and_then(|(width, height)| side(width).zip(side(height)));
+    sides.ok_or_else(|| "must be WIDTHxHEIGHT, e.g. 1920x1080, of 1 to 8192 pixels each".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_that_make_no_picture_are_refused() {
+        assert_eq!(
+            (finite("-1e3"), up_to::<20>("-20"), up_to::<90>("89.5")),
+            (Ok(-1e3), Ok(-20.0), Ok(89.5))
+        );
+        for wrong in ["nan", "inf", "", "ten"] {
+            assert!(finite(wrong).is_err() && up_to::<20>(wrong).is_err(), "{wrong}");
+        }
+        assert!(up_to::<20>("20.5").is_err() && up_to::<90>("-91").is_err());
+        assert_eq!(resolution("1920x1080"), Ok((1920, 1080)));
+        for wrong in ["1920", "x", "0x10", "10x9000", "-1x2", "1920X1080", "1x2x3"] {
+            assert!(resolution(wrong).is_err(), "{wrong}");
+        }
+    }
+}

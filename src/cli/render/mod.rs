@@ -1,0 +1,61 @@
+//! `relume render`: a model file and a light in, an image file or a sequence of them out.
+
+mod args;
+mod camera_file;
+mod nerfstudio_path;
+mod numbering;
+mod sequence;
+mod studio;
+mod views;
+
+use std::path::Path;
+
+use crate::cli::error::CommandResult;
+use crate::render::FrameFormat;
+
+pub(super) use args::{RenderArgs, finite, up_to};
+use numbering::Numbering;
+use studio::Studio;
+
+pub(super) fn run(args: &RenderArgs) -> CommandResult {
+    let format = format(&args.out)?;
+    if format != FrameFormat::Exr && args.output.len() > 1 {
+        return Err("only an .exr holds several outputs".into());
+    }
+    let numbering = numbering(args)?;
+    let file_cameras = args.cameras.path.as_deref().map(|file| camera_file::read(file, &args.cameras));
+    let file_cameras = file_cameras.transpose()?;
+    let studio = Studio::open(args, format)?;
+    let views = views::views(&args.cameras, file_cameras, studio.model())?;
+    match (numbering, views.as_slice()) {
+        (None, [view]) => sequence::single(&studio, view, &args.out),
+        (None, _) => Err(format!("{}: {}", args.out.display(), Numbering::WANTED).into()),
+        (Some(numbering), views) => sequence::sequence(&studio, views, &numbering, &args.sequence),
+    }
+}
+
+/// How files are numbered; `None` where there is one picture.
+fn numbering(args: &RenderArgs) -> Result<Option<Numbering>, String> {
+    let is_sequence = args.cameras.path.is_some() || args.cameras.turntable.is_some();
+    let alone = [
+        ("--env-turn", args.cameras.env_turn != 0.0),
+        ("--resume", args.sequence.resume),
+        ("--start-number", args.sequence.start_number != 1),
+        ("--path-world", args.cameras.path_world.is_some()),
+    ];
+    match alone.into_iter().find(|(_, is_given)| *is_given && !is_sequence) {
+        Some((option, _)) => Err(format!("{option} is of a sequence: it goes with --path or --turntable")),
+        None if is_sequence => Numbering::of(&args.out, args.sequence.start_number).map(Some),
+        None => Ok(None),
+    }
+}
+
+fn format(path: &Path) -> Result<FrameFormat, String> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    match extension.as_str() {
+        "png" => Ok(FrameFormat::Png),
+        "jpg" | "jpeg" => Ok(FrameFormat::Jpeg),
+        "exr" => Ok(FrameFormat::Exr),
+        _ => Err(format!("{}: must end in .png, .jpg or .exr", path.display())),
+    }
+}

@@ -1,0 +1,62 @@
+//! Names of the files of a sequence.
+
+use std::path::{Path, PathBuf};
+
+/// A file name with the place of a frame's number.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Numbering {
+    before: String,
+    after: String,
+    /// Digits at least.
+    width: usize,
+    first: u32,
+}
+
+impl Numbering {
+    /// What is asked of the name of a sequence.
+    pub(super) const WANTED: &str = "the name of a sequence has the place of the frame's number, once: %d, or %04d for at least four digits";
+
+    /// The numbering of `out`, which has one `%d` or `%0Nd`; `first` is the number of the first frame.
+    ///
+    /// # Errors
+    /// Names the path.
+    pub(super) fn of(out: &Path, first: u32) -> Result<Self, String> {
+        let refused = || format!("{}: {}", out.display(), Self::WANTED);
+        let text = out.to_str().ok_or_else(|| format!("{}: is not Unicode", out.display()))?;
+        let (before, rest) = text.split_once('%').ok_or_else(refused)?;
+        let (width, after) = rest.split_once('d').ok_or_else(refused)?;
+        let width = match width {
+            "" => Some(1),
+            digits if digits.starts_with('0') => digits.parse().ok().filter(|n| (1..=9).contains(n)),
+            _ => None,
+        };
+        let width = width.filter(|_| !after.contains('%')).ok_or_else(refused)?;
+        Ok(Self { before: before.to_owned(), after: after.to_owned(), width, first })
+    }
+
+    /// The file of the `index`-th frame, from 0.
+    pub(super) fn file(&self, index: usize) -> PathBuf {
+        let Self { before, after, width, first } = self;
+        let number = u64::from(*first) + index as u64;
+        PathBuf::from(format!("{before}{number:0width$}{after}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_numbered_as_compositing_programs_write_it() {
+        let file = |pattern: &str, first, index| {
+            Numbering::of(Path::new(pattern), first).map(|n| n.file(index).display().to_string())
+        };
+        assert_eq!(file("out/%04d.exr", 1001, 0).unwrap(), "out/1001.exr");
+        assert_eq!(file("a.%04d.png", 1, 9).unwrap(), "a.0010.png");
+        assert_eq!(file("%02d.png", 99, 1).unwrap(), "100.png", "more digits than asked for");
+        assert_eq!(file("%d.jpg", 0, 7).unwrap(), "7.jpg");
+        for wrong in ["frame.png", "%s.png", "%04.png", "%4d.png", "%0d.png", "%04d_%04d.png", "%010d.png"] {
+            assert!(file(wrong, 1, 0).unwrap_err().contains("%04d"), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! The order of attributes in the headers of an OpenEXR file.
+
+/// Puts the attributes of each header in the order of their names: the `exr` crate writes them in the order of a hash map, which
+/// differs from run to run. Nothing moves but attributes within their header. Bytes that are no OpenEXR file are left as they are.
+pub(super) fn sort_attributes(file: &mut [u8]) {
+    /// Magic number and version.
+    const START: usize = 8;
+    /// The bit of the version that stands for several parts, each with a header.
+    const MULTI_PART: u8 = 0x10;
+    let Some(&flags) = file.get(5) else { return };
+    let mut at = START;
+    loop {
+        let Some(attributes) = attributes(file, at) else { return };
+        let end = attributes.last().map_or(at, |last| last.1);
+        let mut sorted: Vec<&[u8]> = attributes.iter().map(|&(start, end)| &file[start..end]).collect();
+        sorted.sort_unstable();
+        let sorted = sorted.concat();
+        file[at..end].copy_from_slice(&sorted);
+        // A header ends with an empty name, and the list of headers with another.
+        at = end + 1;
+        if flags & MULTI_PART == 0 || file.get(at).is_none_or(|byte| *byte == 0) {
+            return;
+        }
+    }
+}
+
+/// Start and end of each attribute of the header at `at`; `None` where it is cut short.
+fn attributes(file: &[u8], mut at: usize) -> Option<Vec<(usize, usize)>> {
+    let mut found = Vec::new();
+    while *file.get(at)? != 0 {
+        let after_name = after_text(file, at)?;
+        let size_at = after_text(file, after_name)?;
+        let size = u32::from_le_bytes(*file.get(size_at..)?.first_chunk()?);
+        let end = size_at.checked_add(4)?.checked_add(usize::try_from(size).ok()?)?;
+        file.get(..end)?;
+        found.push((at, end));
+        at = end;
+    }
+    Some(found)
+}
+
+/// The position after the text with a zero at its end.
+fn after_text(file: &[u8], at: usize) -> Option<usize> {
+    Some(at + file.get(at..)?.iter().position(|byte| *byte == 0)? + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn attribute(name: &str, value: &[u8]) -> Vec<u8> {
+        [name.as_bytes(), b"\0string\0", &(value.len() as u32).to_le_bytes(), value].concat()
+    }
+
+    fn file(version: u8, headers: &[&[&str]]) -> Vec<u8> {
+        let mut out = vec![0x76, 0x2f, 0x31, 0x01, 2, version, 0, 0];
+        for header in headers {
+            header.iter().for_each(|name| out.extend(attribute(name, &[0, 7])));
+            out.push(0);
+        }
+        out.extend(b"\0pixels");
+        out
+    }
+
+    #[test]
+    fn attributes_are_sorted_within_their_header() {
+        let mut two = file(0x10, &[&["b", "a", "c"], &["z", "y"]]);
+        sort_attributes(&mut two);
+        assert_eq!(two, file(0x10, &[&["a", "b", "c"], &["y", "z"]]));
+        let mut one = file(0, &[&["b", "a"]]);
+        sort_attributes(&mut one);
+        assert_eq!(one, file(0, &[&["a", "b"]]));
+    }
+
+    #[test]
+    fn what_is_no_file_is_left_as_it_is() {
+        let whole = file(0x10, &[&["b", "a"], &["d", "c"]]);
+        for length in 0..20 {
+            let mut cut = whole[..length].to_vec();
+            sort_attributes(&mut cut);
+            assert_eq!(cut, whole[..length], "{length}");
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! Sequences of frames on the command line.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::json;
+use tempfile::TempDir;
+
+use crate::service_support::capture_zip;
+
+fn relume(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_relume")).args(args).current_dir(folder).output().unwrap()
+}
+
+fn succeeds(folder: &Path, args: &[&str]) -> String {
+    let output = relume(folder, args);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{args:?}: {said}");
+    said
+}
+
+fn fails_with(folder: &Path, args: &[&str], word: &str) {
+    let output = relume(folder, args);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && message.contains(word), "{args:?}: {message}");
+}
+
+/// A folder with `m.safetensors`, a model of a few steps.
+fn with_model() -> TempDir {
+    let folder = TempDir::new().unwrap();
+    fs::write(folder.path().join("scan.zip"), capture_zip()).unwrap();
+    let train = ["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--device", "cpu"];
+    let more = ["--set", "iterations=12", "--set", "max_gaussians=64", "--out", "m.safetensors"];
+    succeeds(folder.path(), &[&train[..], &more].concat());
+    folder
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<_> = fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name()).collect();
+    names.sort();
+    names.into_iter().map(|name| name.into_string().unwrap()).collect()
+}
+
+#[test]
+fn a_turntable_is_the_pictures_one_by_one_and_goes_on_where_it_was_stopped() {
+    let folder = with_model();
+    let at = folder.path();
+    let light = ["render", "m.safetensors", "--env", "studio", "--device", "cpu", "--size", "24"];
+    let turn = ["--turntable", "4", "--env-turn", "360", "--azimuth", "10", "--rotation", "5"];
+    let turntable = [&light[..], &turn, &["--start-number", "1001", "--out", "f/%05d.exr"]].concat();
+    succeeds(at, &turntable);
+    let frames = at.join("f");
+    let files = ["01001.exr", "01002.exr", "01003.exr", "01004.exr"];
+    assert_eq!(names(&frames), files, "and nothing else");
+    let read = |name: &str| fs::read(frames.join(name)).unwrap();
+    let whole = files.map(read);
+
+    for (i, azimuth, rotation) in [(0, "10", "5"), (1, "100", "95"), (3, "280", "275")] {
+        let one = ["--azimuth", azimuth, "--rotation", rotation, "--out", "one.exr"];
+        succeeds(at, &[&light[..], &one].concat());
+        assert!(fs::read(at.join("one.exr")).unwrap() == whole[i], "frame {i}");
+    }
+    assert!(whole[0] != whole[1], "the control");
+
+    fs::remove_file(frames.join(files[2])).unwrap();
+    fs::write(frames.join(files[1]), "made earlier").unwrap();
+    let said = succeeds(at, &[&turntable[..], &["--resume"]].concat());
+    assert!(said.contains("wrote 1 frames, 3 were there already"), "{said}");
+    assert!(read(files[2]) == whole[2], "the missing frame is made");
+    assert_eq!(read(files[1]), b"made earlier", "what was there stays");
+    succeeds(at, &turntable);
+    assert!(files.map(read) == whole, "without --resume all are made");
+}
+
+#[test]
+fn cameras_of_files_make_frames_and_what_makes_none_is_refused_before() {
+    let folder = with_model();
+    let at = folder.path();
+    let look = |x: f64| json!({ "camera": { "look_at": { "eye": [x, 1, 1], "target": [0, 0, 0], "fov_y_deg": 40 } } });
+    let file = json!({ "width": 32, "height": 16, "cameras": [look(3.0), look(-3.0)] });
+    fs::write(at.join("cameras.json"), file.to_string()).unwrap();
+    fs::write(at.join("none.json"), "{\"cameras\": [{\"camera\": {}}]}").unwrap();
+    let render = ["render", "m.safetensors", "--device", "cpu"];
+    let path = [&render[..], &["--path", "cameras.json"]].concat();
+    succeeds(at, &[&path[..], &["--resolution", "64x32", "--out", "g/%d.png"]].concat());
+    assert_eq!(names(&at.join("g")), ["1.png", "2.png"]);
+    let picture = |name: &str| {
+        relume::formats::image_file::decode(&fs::read(at.join("g").join(name)).unwrap(), 1 << 20).unwrap()
+    };
+    assert_eq!((picture("1.png").width, picture("1.png").height), (64, 32));
+    assert_ne!(picture("1.png"), picture("2.png"));
+
+    let out = ["--out", "n/%d.png"];
+    for (more, word) in [
+        (&["--out", "n.png"][..], "%04d"),
+        (&["--turntable", "3", "--out", "n/%d.png"], "--turntable"),
+        (&["--resolution", "64x64", "--out", "n/%d.png"], "stretch"),
+        (&["--alpha", "straight", "--out", "n/%d.png"], "alpha"),
+        (&["--primaries", "acescg", "--out", "n/%d.jpg"], "primaries"),
+    ] {
+        fails_with(at, &[&path[..], more].concat(), word);
+    }
+    fails_with(at, &[&render[..], &["--path", "none.json"], &out].concat(), "none.json: cameras[0].camera");
+    fails_with(at, &[&render[..], &["--path", "absent.json"], &out].concat(), "absent.json");
+    fails_with(at, &[&render[..], &["--path", "."], &out].concat(), "COLMAP model");
+    fails_with(at, &[&render[..], &["--env-turn", "90", "--out", "n.png"]].concat(), "--env-turn");
+    fails_with(at, &[&render[..], &["--resume", "--out", "n.png"]].concat(), "--resume");
+    assert!(!at.join("n").exists() && !at.join("n.png").exists(), "a refusal leaves nothing behind");
+}
