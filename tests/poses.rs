@@ -266,7 +266,7 @@ fn colmap_finds_the_poses_of_photographs_by_a_phone() {
     let pairs: Vec<_> = found.iter().map(|(name, camera)| (*camera, stated[name])).collect();
     let (found, mut truth): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
     let (rotation, position) = PoseErrors::of(&found, &truth).unwrap().medians();
-    assert!(rotation < 0.5 && position < 0.02, "{rotation} degrees, {position}");
+    assert!(rotation < 1.0 && position < 0.05, "{rotation} degrees, {position}");
     truth.rotate_left(5);
     assert!(
         PoseErrors::of(&found, &truth).unwrap().medians().1 > 0.1,
