@@ -268,8 +268,7 @@ fn colmap_finds_the_poses_of_photographs_by_a_phone() {
     let (rotation, position) = PoseErrors::of(&found, &truth).unwrap().medians();
     assert!(rotation < 1.0 && position < 0.05, "{rotation} degrees, {position}");
     truth.rotate_left(5);
-    assert!(
-        PoseErrors::of(&found, &truth).unwrap().medians().1 > 0.1,
-        "the control: cameras of other photographs"
-    );
+    // Where no two agree, nothing can be compared.
+    let control = PoseErrors::of(&found, &truth);
+    assert!(control.is_none_or(|e| e.medians().1 > 0.1), "the control: cameras of other photographs");
 }
