@@ -100,7 +100,10 @@ fn is_mask(source: &Source, path: &str) -> bool {
 mod tests {
     use super::*;
 
-    fn names(files: &[&str]) -> Option<(Vec<String>, Vec<(String, String)>)> {
+    /// Names of photographs, and masks with what they are of.
+    type Names = (Vec<String>, Vec<(String, String)>);
+
+    fn names(files: &[&str]) -> Option<Names> {
         let folder = tempfile::TempDir::new().unwrap();
         for file in files {
             let path = folder.path().join(file);

@@ -55,9 +55,8 @@ impl Finish {
             }
             _ => {}
         }
-        match (self.colour_depth, format) {
-            (Some(_), Png | Jpeg) => return refuse("colour_depth", "is of an EXR alone"),
-            _ => {}
+        if let (Some(_), Png | Jpeg) = (self.colour_depth, format) {
+            return refuse("colour_depth", "is of an EXR alone");
         }
         match (self.alpha, self.primaries, format) {
             (Some(_), _, Png | Jpeg) => refuse("alpha", "is of an EXR alone; a PNG has straight alpha"),
