@@ -50,7 +50,7 @@ impl PoseErrors {
         })
     }
 
-    /// How many orientations agree within [`AGREE_DEG`].
+    /// How many orientations agree within 5 degrees.
     pub fn agreeing(&self) -> usize {
         self.rotations_deg.iter().filter(|angle| **angle < AGREE_DEG).count()
     }
