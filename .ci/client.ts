@@ -1,6 +1,7 @@
-// Never run: it has to pass `tsc --strict` against the types that are generated from openapi/openapi.json.
+// Never run: it has to pass `tsc --strict` against the types of the package in web/.
 import createClient from 'openapi-fetch';
-import type { components, paths } from './relume.js';
+import type { components, paths } from 'relume-web/api';
+import type { RelumeViewer } from 'relume-web/viewer';
 
 const client = createClient<paths>({ baseUrl: 'http://localhost:7878', headers: { Authorization: 'Bearer KEY' } });
 
@@ -23,6 +24,13 @@ export async function relit(upload: string): Promise<ArrayBuffer | string> {
     return exr.data ?? 'no frame';
 }
 
+export async function shown(): Promise<Blob> {
+    const viewer: RelumeViewer = document.createElement('relume-viewer');
+    viewer.apiKey = 'KEY';
+    viewer.addEventListener('relume-view', (event) => console.log(event.detail.azimuth + event.detail.distance));
+    return viewer.snapshot();
+}
+
 // What is wrong must not compile: an error that is missing here is an error of its own.
 export const wrong = [
     // @ts-expect-error a field that no job has
@@ -37,4 +45,6 @@ export const wrong = [
     client.GET('/v1/photographs', {}),
     // @ts-expect-error a path without its identifier
     client.GET('/v1/jobs/{id}', {}),
+    // @ts-expect-error a property that the viewer lacks
+    document.createElement('relume-viewer').apikey,
 ];

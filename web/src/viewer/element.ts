@@ -1,4 +1,4 @@
-import type { Engine, EngineListener } from './engine'
+import type { Engine, EngineListener, ViewerMode } from './engine'
 import { Frames, type Look } from './frames'
 import { LiveView } from './live'
 import { Orbit, type OrbitView } from './orbit'
@@ -196,6 +196,18 @@ export class RelumeViewer extends HTMLElement {
 
   #fire(name: string, detail: unknown): void {
     this.dispatchEvent(new CustomEvent(name, { detail, bubbles: true, composed: true }))
+  }
+}
+
+declare global {
+  interface HTMLElementTagNameMap {
+    'relume-viewer': RelumeViewer
+  }
+  interface HTMLElementEventMap {
+    'relume-mode': CustomEvent<ViewerMode>
+    'relume-ready': CustomEvent<unknown>
+    'relume-view': CustomEvent<ViewDetail>
+    'relume-error': CustomEvent<{ message: string }>
   }
 }
 
