@@ -46,6 +46,7 @@ mod service_load;
 mod service_memory;
 mod service_network;
 mod service_origins;
+mod service_photographs;
 mod service_previews;
 mod service_promises;
 mod service_signed_urls;

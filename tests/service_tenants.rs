@@ -63,6 +63,8 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("post", "/v1/captures/validate", Body, Submit),
     ("get", "/v1/captures/{id}", One(Capture), Read),
     ("get", "/v1/captures/{id}/cameras", One(Capture), Read),
+    ("get", "/v1/captures/{id}/photographs", One(Capture), Read),
+    ("get", "/v1/captures/{id}/photographs/{name}", One(Capture), Read),
     ("patch", "/v1/captures/{id}", One(Capture), Submit),
     ("delete", "/v1/captures/{id}", One(Capture), Submit),
     ("get", "/v1/environments", List(Environment), Read),
@@ -202,6 +204,7 @@ fn ask(client: &Client, method: &str, path: &str, id: &str) -> RequestBuilder {
     let filled = path
         .replace("{id}/deliveries/{delivery}", id)
         .replace("{id}", id)
+        .replace("photographs/{name}", "photographs/train%2Fr_0.png")
         .replace("{name}", "model.safetensors");
     let method = Method::from_bytes(method.to_uppercase().as_bytes()).unwrap();
     let mut request = client.request(method.clone(), &filled).unwrap();

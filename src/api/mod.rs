@@ -9,6 +9,7 @@ pub mod keys;
 pub mod marks;
 pub mod models;
 mod page;
+pub mod photographs;
 pub mod problem;
 pub mod quality;
 pub mod renders;

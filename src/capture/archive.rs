@@ -267,6 +267,14 @@ impl TarEntries {
         Ok((Self { backing: Backing::File(Mutex::new(file)), spans }, names))
     }
 
+    /// Bytes of memory that it takes while it is open, but for its index.
+    pub(super) fn held_bytes(&self) -> u64 {
+        match &self.backing {
+            Backing::Memory(bytes) => bytes.len() as u64,
+            Backing::File(_) => 0,
+        }
+    }
+
     /// The bytes of a file.
     pub(super) fn read(&self, key: usize, name: &str) -> Result<Vec<u8>, CaptureError> {
         let (start, length) = self.spans[key];

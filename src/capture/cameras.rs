@@ -30,12 +30,19 @@ pub struct PhotoCamera {
 pub fn cameras(path: &Path, limits: &ImportLimits) -> Result<Vec<PhotoCamera>, CaptureError> {
     let source = Source::open(path, limits)?;
     let (_, photos, _) = import::read_layout(&source, &mut Vec::new())?;
-    let cameras: Vec<_> = photos.par_iter().map(|photo| photos::stored_camera(&source, photo)).collect();
-    let splits = import::splits(&photos);
-    let described = photos.into_iter().zip(splits).zip(cameras);
+    of_photos(&source, &photos)
+}
+
+/// The cameras of photographs, in their order.
+///
+/// # Errors
+/// As [`cameras`].
+pub(super) fn of_photos(source: &Source, photos: &[PhotoEntry]) -> Result<Vec<PhotoCamera>, CaptureError> {
+    let cameras: Vec<_> = photos.par_iter().map(|photo| photos::stored_camera(source, photo)).collect();
+    let described = photos.iter().zip(import::splits(photos)).zip(cameras);
     let described = described.map(|((photo, split), camera)| {
         let (is_held_out, light_rotation_deg) = (split == Split::Test, photo.light_rotation_deg);
-        Ok(PhotoCamera { name: photo.image, is_held_out, camera: camera?, light_rotation_deg })
+        Ok(PhotoCamera { name: photo.image.clone(), is_held_out, camera: camera?, light_rotation_deg })
     });
     described.collect()
 }

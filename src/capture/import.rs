@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::capture::check::{Finding, Looks};
 use crate::capture::photos::{self, PhotoEntry, Split};
 use crate::capture::{
     Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, llff, nerfstudio,
@@ -20,7 +21,7 @@ const HOLD_OUT_EVERY: usize = 8;
 /// # Errors
 /// [`CaptureError`] names the file and field at fault.
 pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureError> {
-    read(&Source::open(path, &options.limits)?, options)
+    read(&Source::open(path, &options.limits)?, options, None)
 }
 
 /// Reports what an import would find. Every file is decoded and checked as by [`import`], but images are reduced
@@ -30,8 +31,11 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureEr
 /// As [`import`], except that the limit on all pixels together cannot be reached.
 pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, CaptureError> {
     let source = Source::open(path, &options.limits)?;
-    let capture = read(&source, &ImportOptions { max_side: Some(THUMBNAIL), ..*options })?;
+    let looks = Looks::default();
+    let capture = read(&source, &ImportOptions { max_side: Some(THUMBNAIL), ..*options }, Some(&looks))?;
     let mut report = capture.report();
+    let noted = |finding: Finding| PhotographNote { text: finding.text, photographs: finding.photos };
+    report.notes = looks.findings().into_iter().map(noted).collect();
     if let Some(view) = capture.train.first() {
         let stored = image_file::dimensions(&source.read(&view.name)?);
         (report.width, report.height) = stored.map_err(|e| CaptureError::image(&view.name, e))?;
@@ -42,10 +46,10 @@ pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, Ca
 /// Longest side of the images that [`inspect`] keeps, pixels.
 const THUMBNAIL: u32 = 64;
 
-fn read(source: &Source, options: &ImportOptions) -> Result<Capture, CaptureError> {
+fn read(source: &Source, options: &ImportOptions, looks: Option<&Looks>) -> Result<Capture, CaptureError> {
     let mut warnings = Vec::new();
     let (layout, photos, points) = read_layout(source, &mut warnings)?;
-    let views = photos::load(source, &photos, options)?;
+    let views = photos::load(source, &photos, options, looks)?;
     let (train, test) = split(&photos, views);
     let has_alpha = train.iter().any(|v| v.image.pixels.iter().any(|p| p[3] < 1.0));
     let bounds = bounds::bounds(&train, &points, has_alpha);
@@ -141,10 +145,48 @@ pub struct CaptureReport {
     pub radius: f64,
     /// What a user should know but that did not stop the import, e.g. missing images by name.
     pub warnings: Vec<String>,
+    /// What may make a model worse, each with the photographs that it is about: blur, darkness, little overlap and the like.
+    /// Nothing of captures that were stored by a version that did not look.
+    #[serde(default)]
+    pub notes: Vec<PhotographNote>,
+}
+
+impl CaptureReport {
+    /// What the report says of one photograph: notes about it, and warnings that name it.
+    pub fn about(&self, photograph: &str) -> Vec<String> {
+        let noted = self.notes.iter().filter(|note| note.photographs.iter().any(|name| name == photograph));
+        let named = self.warnings.iter().filter(|warning| names(warning, photograph));
+        noted.map(|note| &note.text).chain(named).cloned().collect()
+    }
+}
+
+/// Whether a text names a file, and not one whose name has this one as a part.
+fn names(text: &str, file: &str) -> bool {
+    let is_part = |c: char| c.is_alphanumeric() || matches!(c, '/' | '_' | '-' | '.');
+    text.match_indices(file).any(|(at, _)| {
+        let before = text[..at].chars().next_back();
+        let mut after = text[at + file.len()..].chars();
+        let ends = match after.next() {
+            // The full stop of a sentence.
+            Some('.') => !after.next().is_some_and(char::is_alphanumeric),
+            next => !next.is_some_and(is_part),
+        };
+        !before.is_some_and(is_part) && ends
+    })
+}
+
+/// Something that a photographer should know of some photographs.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
+pub struct PhotographNote {
+    /// What it is, and what to do.
+    pub text: String,
+    /// Names of the photographs that it is about.
+    pub photographs: Vec<String>,
 }
 
 impl Capture {
-    /// A summary of the capture.
+    /// A summary of the capture, without notes about its photographs.
     pub fn report(&self) -> CaptureReport {
         let (width, height) = self.train.first().map_or((0, 0), |v| (v.image.width, v.image.height));
         CaptureReport {
@@ -160,6 +202,38 @@ impl Capture {
             centre: self.bounds.centre.to_array(),
             radius: self.bounds.radius,
             warnings: self.warnings.clone(),
+            notes: Vec::new(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_report_tells_what_is_about_a_photograph_and_nothing_of_others() {
+        let note = |text: &str, photographs: &[&str]| PhotographNote {
+            text: text.to_owned(),
+            photographs: photographs.iter().map(|&name| name.to_owned()).collect(),
+        };
+        let report = CaptureReport {
+            notes: vec![note("blurred", &["a/1.jpg", "a/2.jpg"]), note("dark", &["a/2.jpg"])],
+            warnings: [
+                "a/1.jpg: is odd",
+                "2 are missing: b/1.jpg, a/1.jpg.",
+                "a/1.jpg.png is odd",
+                "xa/1.jpg",
+            ]
+            .map(str::to_owned)
+            .to_vec(),
+            ..CaptureReport::default()
+        };
+        assert_eq!(
+            report.about("a/1.jpg"),
+            ["blurred", "a/1.jpg: is odd", "2 are missing: b/1.jpg, a/1.jpg."]
+        );
+        assert_eq!(report.about("a/2.jpg"), ["blurred", "dark"]);
+        assert_eq!(report.about("1.jpg"), [""; 0], "the control: another file");
     }
 }

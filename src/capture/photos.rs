@@ -3,6 +3,7 @@
 use glam::DMat4;
 use rayon::prelude::*;
 
+use crate::capture::check::Looks;
 use crate::capture::error::name_list;
 use crate::capture::images::{load_image, load_photo, photo_size};
 use crate::capture::lens::{Distortion, Intrinsics, Lens};
@@ -84,7 +85,7 @@ pub(super) fn locate(source: &Source, path: &str) -> Option<String> {
     ENDINGS.iter().map(|e| format!("{path}{e}")).find(|p| source.contains(p))
 }
 
-/// Loads the photographs in parallel. Their order, and which error is returned, depend on the list alone.
+/// Loads the photographs in parallel, and has `looks` look at each. Their order, and which error is returned, depend on the list alone.
 ///
 /// # Errors
 /// The first photograph in the list whose image, mask, pose or lens is unusable.
@@ -92,9 +93,10 @@ pub(super) fn load(
     source: &Source,
     photos: &[PhotoEntry],
     options: &ImportOptions,
+    looks: Option<&Looks>,
 ) -> Result<Vec<CaptureView>, CaptureError> {
     check_total_pixels(source, photos, options)?;
-    let views: Vec<_> = photos.par_iter().map(|photo| load_one(source, photo, options)).collect();
+    let views: Vec<_> = photos.par_iter().map(|photo| load_one(source, photo, options, looks)).collect();
     views.into_iter().collect()
 }
 
@@ -124,19 +126,16 @@ fn load_one(
     source: &Source,
     photo: &PhotoEntry,
     options: &ImportOptions,
+    looks: Option<&Looks>,
 ) -> Result<CaptureView, CaptureError> {
-    let (mut image, stored) = load_photo(source, &photo.image, photo.lens.size, options)?;
+    let (mut image, stored) = match looks {
+        None => load_photo(source, &photo.image, photo.lens.size, options)?,
+        Some(looks) => load_looked_at(source, photo, options, looks)?,
+    };
     if let Some(mask) = &photo.mask {
         apply_mask(source, mask, &mut image, options)?;
     }
-    let intrinsics = photo.lens.resolve(&photo.stated_in, stored)?;
-    let camera = camera(photo, intrinsics, stored)?.resized(image.width, image.height);
-    let (camera, image) = match photo.lens.distortion {
-        Distortion::None => (camera, image),
-        distortion => {
-            undistort::undistort(&camera, &distortion, &image).map_err(|reason| bent(photo, reason))?
-        }
-    };
+    let (camera, image) = undistorted(photo, stored, image)?;
     let truth = if options.load_truth {
         photo.truth.load(source, (image.width, image.height), options)?
     } else {
@@ -144,6 +143,51 @@ fn load_one(
     };
     let light_rotation_deg = photo.light_rotation_deg;
     Ok(CaptureView { name: photo.image.clone(), camera, image, light_rotation_deg, truth })
+}
+
+/// [`load_photo`] by way of an image that is large enough to be looked at.
+fn load_looked_at(
+    source: &Source,
+    photo: &PhotoEntry,
+    options: &ImportOptions,
+    looks: &Looks,
+) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
+    let side = options.max_side.map_or(Looks::SIDE, |side| side.max(Looks::SIDE));
+    let larger = ImportOptions { max_side: Some(side), ..*options };
+    let (image, stored) = load_photo(source, &photo.image, photo.lens.size, &larger)?;
+    looks.add(&photo.image, &image, stored);
+    let (width, height) = options.reduced_size(stored);
+    Ok((image.resized(width, height), stored))
+}
+
+/// The photograph alone, without its mask; `straight` removes the lens's distortion.
+///
+/// # Errors
+/// Names the image, or the file and field of an unusable pose or lens.
+pub(super) fn picture(
+    source: &Source,
+    photo: &PhotoEntry,
+    options: &ImportOptions,
+    straight: bool,
+) -> Result<ImageRgba, CaptureError> {
+    let (image, stored) = load_photo(source, &photo.image, photo.lens.size, options)?;
+    if straight { Ok(undistorted(photo, stored, image)?.1) } else { Ok(image) }
+}
+
+/// An image of a photograph of `stored` pixels without the distortion of its lens, and its camera.
+fn undistorted(
+    photo: &PhotoEntry,
+    stored: (u32, u32),
+    image: ImageRgba,
+) -> Result<(Camera, ImageRgba), CaptureError> {
+    let intrinsics = photo.lens.resolve(&photo.stated_in, stored)?;
+    let camera = camera(photo, intrinsics, stored)?.resized(image.width, image.height);
+    match photo.lens.distortion {
+        Distortion::None => Ok((camera, image)),
+        distortion => {
+            undistort::undistort(&camera, &distortion, &image).map_err(|reason| bent(photo, reason))
+        }
+    }
 }
 
 /// The camera of a photograph at its stored size, distortion removed; of the image only the header is read.

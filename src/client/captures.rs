@@ -10,9 +10,10 @@ use tokio_util::bytes::Bytes;
 use crate::api::cameras::{CameraConvention, CaptureCameras};
 use crate::api::captures::CaptureSummary;
 use crate::api::marks::MarksChange;
+use crate::api::photographs::{CapturePhotographs, CapturedPhotograph};
 use crate::api::{CaptureId, List};
 use crate::capture::CaptureReport;
-use crate::client::connection::{Client, json};
+use crate::client::connection::{Client, checked, json};
 use crate::client::error::Result;
 
 impl Client {
@@ -76,6 +77,28 @@ impl Client {
     ) -> Result<CaptureCameras> {
         let path = format!("/v1/captures/{id}/cameras?convention={}", convention.name());
         json(self.request(Method::GET, &path)?).await
+    }
+
+    /// A capture's photographs, each with its camera and what the validation found in it.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn capture_photographs(
+        &self,
+        id: &CaptureId,
+        convention: CameraConvention,
+    ) -> Result<CapturePhotographs> {
+        let path = format!("/v1/captures/{id}/photographs?convention={}", convention.name());
+        json(self.request(Method::GET, &path)?).await
+    }
+
+    /// A photograph of a capture as a JPEG; `query` as in the API, e.g. `width=320&undistorted=true`.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn capture_photograph(&self, photograph: &CapturedPhotograph, query: &str) -> Result<Bytes> {
+        let request = self.request(Method::GET, &format!("{}?{query}", photograph.href))?;
+        Ok(checked(request).await?.bytes().await?)
     }
 
     /// Changes what a capture is called.

@@ -13,6 +13,7 @@ use crate::server::encoders::Encoders;
 use crate::server::fetching::Fetcher;
 use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
+use crate::server::opened_captures::OpenedCaptures;
 use crate::server::signing_secret::SigningSecret;
 use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::server::turns::Turns;
@@ -58,10 +59,12 @@ pub(super) struct App {
     pub(super) import_limits: ImportLimits,
     /// What requests may borrow.
     pub(super) memory: MemoryBudget,
-    /// Thumbnails that were rendered.
+    /// Thumbnails of models that were rendered, and of photographs.
     pub(super) thumbnails: ThumbnailCache,
-    /// Thumbnails that are being rendered, by digest.
+    /// Thumbnails that are being made, by digest.
     pub(super) thumbnail_turns: Turns,
+    /// Captures whose photographs are being looked at.
+    pub(super) opened: OpenedCaptures,
     /// Where frames are encoded.
     pub(super) encoders: Encoders,
     /// Where uploads are decoded.

@@ -82,7 +82,8 @@ async fn get_cameras(
     Ok(response)
 }
 
-fn view(photo: PhotoCamera, convention: CameraConvention) -> CapturedCamera {
+/// A camera as the API has it.
+pub(super) fn view(photo: PhotoCamera, convention: CameraConvention) -> CapturedCamera {
     let camera = &photo.camera;
     CapturedCamera {
         width: camera.width,

@@ -25,7 +25,7 @@ pub(super) struct Keeper {
 impl Keeper {
     /// Works until `stop` is cancelled; `wake` asks for a look at once.
     pub(super) async fn keep(self, wake: Arc<Notify>, stop: CancellationToken) {
-        // A server that died may have left thumbnails of models that it had swept.
+        // A server that died may have left thumbnails of what it had swept.
         self.clear_thumbnails().await;
         loop {
             let pause = self.look().await;
@@ -53,13 +53,13 @@ impl Keeper {
         }
     }
 
-    /// Removes thumbnails of models that there are no longer.
+    /// Removes thumbnails of models and captures that there are no longer.
     async fn clear_thumbnails(&self) {
         if self.thumbnails.is_empty() {
             return;
         }
-        match self.jobs.store().model_ids().await {
-            Ok(models) => self.thumbnails.keep_only(models).await,
+        match self.jobs.store().shown_ids().await {
+            Ok(shown) => self.thumbnails.keep_only(shown).await,
             Err(error) => tracing::error!(%error, "thumbnails of what was deleted cannot be removed yet"),
         }
     }

@@ -12,13 +12,16 @@ use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLO
 use crate::server::web;
 use crate::server::{
     cameras, captures, deletion, description, environments, events, files, health, jobs, keys, models,
-    previews, renders, signed_urls, thumbnails, uploads, usage, viewer, webhooks,
+    photographs, previews, renders, signed_urls, thumbnails, uploads, usage, viewer, webhooks,
 };
 
 fn families() -> OpenApiRouter<Shared> {
     // What takes or reads archives, which may be large.
-    let taking =
-        captures::uploads().merge(cameras::routes()).merge(environments::uploads()).merge(uploads::uploads());
+    let taking = captures::uploads()
+        .merge(cameras::routes())
+        .merge(photographs::lists())
+        .merge(environments::uploads())
+        .merge(uploads::uploads());
     let queries = captures::routes()
         .merge(environments::routes())
         .merge(jobs::routes())
@@ -35,7 +38,13 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(bounded(taking, &UPLOADS))
         .merge(bounded(queries, &QUERIES))
         .merge(bounded(renders::routes(), &RENDERS))
-        .merge(bounded(thumbnails::routes().merge(previews::routes()).merge(viewer::routes()), &THUMBNAILS))
+        .merge(bounded(
+            thumbnails::routes()
+                .merge(photographs::pictures())
+                .merge(previews::routes())
+                .merge(viewer::routes()),
+            &THUMBNAILS,
+        ))
         // Without bounds: whoever looks after the server is answered whatever it is doing.
         .merge(health::routes())
 }

@@ -23,6 +23,7 @@ use crate::server::keeper::Keeper;
 use crate::server::keyring::Keyring;
 use crate::server::memory::MemoryBudget;
 use crate::server::observe;
+use crate::server::opened_captures::OpenedCaptures;
 use crate::server::origins::CorsOrigin;
 use crate::server::rates::Rates;
 use crate::server::router::{openapi, router};
@@ -239,6 +240,7 @@ fn service(
         import_limits: config.worker.import_limits,
         memory: MemoryBudget::new(config.limits.memory_bytes),
         thumbnail_turns: Turns::default(),
+        opened: OpenedCaptures::default(),
         encoders: Encoders::new(),
         decoders: Decoders::start(config.limits.memory_bytes)?,
         keys: keys.clone(),

@@ -1,4 +1,4 @@
-//! Thumbnails that were rendered, on disk within a bound: the same picture is not rendered twice, also after a restart.
+//! Thumbnails of models and photographs, on disk within a bound: the same picture is not rendered twice, also after a restart.
 //!
 //! A file is named by its model and by the digest of its `ETag`. It begins with a hash of its name and its picture, so that one
 //! that is damaged, cut off or exchanged is not served. Nothing is synced: what a crash costs is rendered anew.
@@ -87,7 +87,7 @@ impl ThumbnailCache {
     }
 
     /// Removes the pictures of a model.
-    pub(super) async fn forget_model(&self, model: &str) {
+    pub(super) async fn forget_all_of(&self, model: &str) {
         let gone = model.to_owned();
         self.forget(move |model| *model == gone).await;
     }
@@ -335,7 +335,7 @@ mod tests {
             cache.put(model, "a", vec![1]).await;
         }
         cache.put("../../elsewhere", "a", vec![1]).await;
-        cache.forget_model("m").await;
+        cache.forget_all_of("m").await;
         assert_eq!(names(data.path()), ["mm.a", "n.a"]);
         cache.keep_only(["n".to_owned()].into()).await;
         assert_eq!(names(data.path()), ["n.a"]);

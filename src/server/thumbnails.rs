@@ -137,7 +137,7 @@ async fn found_or_rendered(
         app.thumbnails.put(model.as_str(), digest, frame.bytes().to_vec()).await;
         // It may have been deleted meanwhile, and its pictures swept before this one was there.
         if !matches!(app.store.model(tenant, &model).await, Ok(Some(_))) {
-            app.thumbnails.forget_model(model.as_str()).await;
+            app.thumbnails.forget_all_of(model.as_str()).await;
         }
     }
     Ok(renders::respond(frame, format))

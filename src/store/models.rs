@@ -40,12 +40,15 @@ impl Store {
         Ok(query.fetch_all(self.pool()).await?)
     }
 
-    /// The identifiers of all models of all tenants.
+    /// The identifiers of everything that there are pictures of: all models and captures of all tenants.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn model_ids(&self) -> Result<HashSet<String>, StoreError> {
-        let query = sqlx::query_scalar("SELECT id FROM models WHERE deleted_ms IS NULL");
+    pub async fn shown_ids(&self) -> Result<HashSet<String>, StoreError> {
+        let query = sqlx::query_scalar(
+            "SELECT id FROM models WHERE deleted_ms IS NULL
+             UNION SELECT id FROM captures WHERE deleted_ms IS NULL",
+        );
         let ids: Vec<String> = query.fetch_all(self.pool()).await?;
         Ok(ids.into_iter().collect())
     }

@@ -91,6 +91,10 @@ assert.ok(broken >= 2, 'the upload went on after it broke')
 faults.splice(0, faults.length, ...faults.filter((fault) => !fault.includes('ERR_CONNECTION_RESET')))
 await page.getByRole('img', { name: /cameras around the subject/ }).waitFor()
 await page.getByRole('img', { name: /cameras around the subject/ }).press('ArrowLeft')
+const thumbnails = page.getByRole('list', { name: /photographs$/ }).getByRole('img')
+await thumbnails.first().waitFor()
+const withoutPixels = () => [...document.querySelectorAll('.taken img')].filter((image) => image.complete && !image.naturalWidth).length
+assert.equal(await page.evaluate(withoutPixels), 0)
 await audit(page, 'capture')
 
 // Job: a very short training, watched.
@@ -156,6 +160,22 @@ await second.waitForFunction((at) => {
 await second.close()
 await page.getByRole('radio', { name: 'studio' }).check()
 await page.getByRole('img', { name: /under the chosen light/ }).waitFor()
+
+// Against a photograph: one that was held out, from the server; the slider by keyboard, another photograph by the list.
+const list = page.getByLabel('Photograph', { exact: true })
+const chosen = await list.inputValue()
+assert.match(await list.locator('option:checked').textContent(), /held out/)
+const photograph = (name) => page.locator('.wipe > img').and(page.getByAltText(`Photograph ${name}`, { exact: true }))
+await photograph(chosen).waitFor()
+assert.ok(await photograph(chosen).evaluate((image) => image.naturalWidth > 0), 'the photograph is shown')
+const cut = () => page.locator('.wipe').evaluate((figure) => figure.style.getPropertyValue('--cut'))
+const at = await cut()
+await page.getByLabel('Before and after').press('ArrowRight')
+assert.notEqual(await cut(), at, 'the slider moves by keyboard')
+const other = await list.locator('option').nth(1).getAttribute('value')
+await list.selectOption(other)
+await photograph(other).waitFor()
+assert.notEqual(other, chosen)
 await page.getByText('As a command').click()
 await page.getByRole('button', { name: 'Copy the command' }).click()
 assert.match(await page.evaluate(() => navigator.clipboard.readText()), /curl .*\/v1\/models\//s)

@@ -60,6 +60,18 @@ def test_a_linear_frame_is_the_picture_that_the_server_shows(trained: tuple[relu
     assert np.abs(frame.srgb(exposure_ev=0.5, background=1.0) - shown).max() > 0.02, "the control"
 
 
+def test_photographs_are_listed_and_shown(trained: tuple[relume.Capture, relume.Model]) -> None:
+    capture, _ = trained
+    first, second = capture.photographs()[:2]
+    assert first["camera"] == capture.cameras()[0]["camera"] and isinstance(first["warnings"], list)
+    small = capture.photograph(first["name"], width=32, undistorted=True)
+    assert small.startswith(b"\xff\xd8\xff") and len(small) < len(capture.photograph(first["name"]))
+    assert small != capture.photograph(second["name"], width=32, undistorted=True), "the control"
+    with pytest.raises(relume.RelumeError) as caught:
+        capture.photograph("../transforms.json")
+    assert caught.value.status == 404
+
+
 def test_a_map_is_uploaded_and_deleted(client: relume.Client, trained: tuple[relume.Capture, relume.Model], tmp_path: Path) -> None:
     header = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 2\n"
     (tmp_path / "light.hdr").write_bytes(header + bytes([128, 128, 128, 129, 64, 96, 160, 130]))

@@ -1,10 +1,12 @@
 //! Whether photographs are fit to be trained on, found out in seconds: number, blur, exposure, overlap.
 
 mod findings;
+mod looks;
 mod overlap;
 mod photo;
 
 pub use findings::Finding;
+pub(super) use looks::Looks;
 pub use photo::PhotoFacts;
 
 use rayon::prelude::*;

@@ -5,6 +5,7 @@ use crate::capture::sharpness::{SIDE, luma, sharpness};
 use crate::capture::{CaptureError, ImportOptions};
 use crate::formats::exif_facts::{self, ExifFacts};
 use crate::formats::image_file;
+use crate::scene::ImageRgba;
 
 /// A channel from here on is clipped.
 const WHITE: f32 = 253.5 / 255.0;
@@ -33,16 +34,22 @@ pub(super) fn look_at(name: &str, bytes: &[u8]) -> Result<(PhotoFacts, Thumbnail
     let reduce = |size| ImportOptions::at_most(SIDE).reduced_size(size);
     let decoded = image_file::decode_reduced(bytes, image_file::DEFAULT_MAX_PIXELS, reduce);
     let (image, size) = decoded.map_err(|error| CaptureError::image(name, error))?;
-    let count = image.pixels.len().max(1) as f64;
+    let facts = facts(name, &image, size, exif_facts::read(bytes));
+    Ok((facts, Thumbnail::of(&image)))
+}
+
+/// What a reduced image of a photograph of `size` pixels tells; what is transparent does not count.
+pub(super) fn facts(name: &str, image: &ImageRgba, size: (u32, u32), camera: ExifFacts) -> PhotoFacts {
+    let opaque = |pixel: &[f32; 4]| f64::from(pixel[3]);
+    let count = image.pixels.iter().map(opaque).sum::<f64>().max(1e-6);
     let is_clipped = |pixel: &&[f32; 4]| pixel[..3].iter().any(|v| *v >= WHITE);
-    let facts = PhotoFacts {
+    PhotoFacts {
         name: name.to_owned(),
         size,
-        sharpness: sharpness(&image),
-        brightness: image.pixels.iter().map(luma).sum::<f64>() / count,
-        clipped: image.pixels.iter().filter(is_clipped).count() as f64 / count,
+        sharpness: sharpness(image),
+        brightness: image.pixels.iter().map(|pixel| opaque(pixel) * luma(pixel)).sum::<f64>() / count,
+        clipped: image.pixels.iter().filter(is_clipped).map(opaque).sum::<f64>() / count,
         overlap: 0.0,
-        camera: exif_facts::read(bytes),
-    };
-    Ok((facts, Thumbnail::of(&image)))
+        camera,
+    }
 }

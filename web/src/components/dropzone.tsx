@@ -4,7 +4,7 @@ import type { Capture } from '../api/types'
 import { selection, upload, type Dropped, type Selection } from '../api/upload'
 import { filesIn, filesOf } from '../dropped'
 import { bytes } from '../format'
-import { photographsOf, remember } from '../photos'
+import { photographsOf } from '../photos'
 import { Failure } from './common'
 
 /** Thumbnails of dropped photographs that are shown. */
@@ -82,7 +82,6 @@ async function send(what: Selection, signal: AbortSignal, tell: (sending: Sendin
   const label = 'archive' in what ? what.archive.name : `${what.files.length} files`
   tell({ what: `Uploading ${label}`, sent: 0, total: 1 })
   let capture = await upload(what, name, (sent, total) => tell({ what: sent < total ? `Uploading ${label}` : 'Validating', sent, total }), signal)
-  remember(capture.id, photographsOf(what))
   while (capture.state === 'validating') {
     tell({ what: 'Validating', sent: 1, total: 1 })
     await new Promise((done) => setTimeout(done, POLL))
@@ -111,7 +110,7 @@ function Progress({ of: { what, sent, total }, onStop }: { of: Sending; onStop: 
 }
 
 /** Some of the photographs, small. */
-export function Photographs({ of: photographs }: { of: Dropped[] }) {
+function Photographs({ of: photographs }: { of: Dropped[] }) {
   const [urls, setUrls] = useState<{ path: string; url: string }[]>([])
   useEffect(() => {
     const every = Math.max(1, Math.ceil(photographs.length / SHOWN))

@@ -1,40 +1,39 @@
 import { useEffect, useState } from 'preact/hooks'
 import { ask, message } from '../api/client'
-import type { Camera, Cameras, Environments, RenderRequest } from '../api/types'
+import type { Environments, Photograph, Photographs, RenderRequest } from '../api/types'
 import { useLoaded } from '../hooks'
 import { requestAt, type Look } from '../look'
-import { photograph } from '../photos'
 import { Failure, Slider } from './common'
 
 /** Longest side of the two pictures, pixels. */
 const SIZE = 640
 
-/** A photograph's own view before and after relighting, with a slider between the two. */
+/** A photograph, and the model in its view under the chosen light, with a slider between the two. */
 export function Wipe({ model, capture, look, lights }: { model: string; capture: string; look: Look; lights: Environments | undefined }) {
-  const cameras = useLoaded<Cameras>(`v1/captures/${encodeURIComponent(capture)}/cameras?convention=opengl`)
+  const photographs = useLoaded<Photographs>(`v1/captures/${encodeURIComponent(capture)}/photographs?convention=opengl`)
   const [name, setName] = useState<string>()
   const [cut, setCut] = useState(50)
-  const list = cameras.data?.cameras ?? []
+  const list = photographs.data?.photographs ?? []
   const camera = list.find((one) => one.name === name) ?? list.find((one) => one.held_out) ?? list[0]
   const builtin = lights?.builtin ?? []
-  const taken = useTaken(camera ? photograph(capture, camera.name) : undefined)
-  const before = useFrame(model, camera && !taken ? requestAt({ ...look, light: 'recovered', rotation: 0, exposure: 0 }, camera, builtin, SIZE) : undefined)
+  const taken = useTaken(camera)
+  const before = useFrame(model, camera && taken.isMissing ? requestAt({ ...look, light: 'recovered', rotation: 0, exposure: 0 }, camera, builtin, SIZE) : undefined)
   const after = useFrame(model, camera && lights ? requestAt(look, camera, builtin, SIZE) : undefined)
-  if (cameras.error) return <p class="muted small">The capture of this model is gone, and with it the cameras of its photographs.</p>
+  if (photographs.error) return <p class="muted small">The capture of this model is gone, and with it the cameras of its photographs.</p>
   if (!camera) return null
   return (
     <div class="stack">
       <figure class="wipe" style={{ '--cut': `${cut}%`, '--aspect': `${camera.width / camera.height}` }}>
-        <img src={taken ?? before.url ?? ''} alt={taken ? `Photograph ${camera.name}` : `${camera.name} under the light of the capture`} hidden={!taken && !before.url} />
+        <img src={taken.url ?? before.url ?? ''} alt={taken.isMissing ? `${camera.name} under the light of the capture` : `Photograph ${camera.name}`} hidden={!taken.url && !before.url} />
         {after.url ? <div class="after"><img src={after.url} alt={`${camera.name} under the chosen light`} /></div> : null}
-        <figcaption class="left">{taken ? 'photograph' : 'light of the capture'}</figcaption>
+        <figcaption class="left">{taken.isMissing ? 'light of the capture' : 'photograph'}</figcaption>
         <figcaption class="right">chosen light</figcaption>
       </figure>
       <Slider label="Before and after" value={cut} min={0} max={100} step={1} unit=" %" onInput={setCut} />
       <div>
         <label for="photograph">Photograph</label>
         <select id="photograph" value={camera.name} onChange={(event) => setName(event.currentTarget.value)}>
-          {list.map((one: Camera) => <option key={one.name} value={one.name}>{one.name}{one.held_out ? ' (held out)' : ''}</option>)}
+          {list.map((one: Photograph) => <option key={one.name} value={one.name}>{one.name}{one.held_out ? ' (held out)' : ''}</option>)}
         </select>
       </div>
       <Failure error={before.error ?? after.error} />
@@ -42,16 +41,28 @@ export function Wipe({ model, capture, look, lights }: { model: string; capture:
   )
 }
 
-/** An address for a file of this tab. */
-function useTaken(file: File | undefined): string | undefined {
-  const [url, setUrl] = useState<string>()
+/** The photograph as a pinhole sees it, which lies on a frame of its camera. Where it cannot be had, a frame stands in for it. */
+function useTaken(of: Photograph | undefined): { url?: string; isMissing?: boolean } {
+  const [shown, setShown] = useState<{ path?: string; url?: string; isMissing?: boolean }>({})
+  const width = of ? Math.max(16, Math.round(of.width * Math.min(1, SIZE / Math.max(of.width, of.height)))) : 0
+  const path = of ? `${of.href}?width=${width}&undistorted=true` : undefined
   useEffect(() => {
-    if (!file) return setUrl(undefined)
-    const made = URL.createObjectURL(file)
-    setUrl(made)
-    return () => URL.revokeObjectURL(made)
-  }, [file])
-  return url
+    if (!path) return
+    const stop = new AbortController()
+    ask(path, { signal: stop.signal })
+      .then((answer) => answer.blob())
+      .then((blob) => {
+        if (!stop.signal.aborted) setShown({ path, url: URL.createObjectURL(blob) })
+      })
+      .catch(() => {
+        if (!stop.signal.aborted) setShown({ path, isMissing: true })
+      })
+    return () => stop.abort()
+  }, [path])
+  useEffect(() => () => {
+    if (shown.url) URL.revokeObjectURL(shown.url)
+  }, [shown])
+  return shown.path === path ? shown : {}
 }
 
 /** The frame of a request; the one before stays until it has come. */

@@ -1,25 +1,23 @@
 import { useState } from 'preact/hooks'
 import { message, remove } from '../api/client'
-import type { Cameras, Capture } from '../api/types'
+import type { Capture, Photographs } from '../api/types'
 import { Facts, Failure, Head } from '../components/common'
-import { Photographs } from '../components/dropzone'
+import { PhotographList } from '../components/photographs'
 import { Rig } from '../components/rig'
 import { bytes, called } from '../format'
 import { useLoaded, useTitle } from '../hooks'
-import { remembered } from '../photos'
 import { go, link } from '../router'
 
 export function CapturePage({ id }: { id: string }) {
   const { data: capture, error } = useLoaded<Capture>(`v1/captures/${encodeURIComponent(id)}`)
   const isReady = capture && (capture.state ?? 'ready') === 'ready'
-  const cameras = useLoaded<Cameras>(isReady ? `v1/captures/${encodeURIComponent(id)}/cameras?convention=opengl` : undefined)
+  const taken = useLoaded<Photographs>(isReady ? `v1/captures/${encodeURIComponent(id)}/photographs?convention=opengl` : undefined)
   const [failed, setFailed] = useState<string>()
   useTitle(capture ? called(capture, 'Capture') : 'Capture')
   const discard = () => {
     if (!confirm('Delete this capture? Models that were made of it stay.')) return
     remove(`v1/captures/${encodeURIComponent(id)}`).then(() => go(link(['captures'])), (failure: unknown) => setFailed(message(failure)))
   }
-  const photographs = remembered(id)
   return (
     <>
       <Head title={capture ? called(capture, 'Capture') : 'Capture'} badge={capture ? capture.state ?? 'ready' : undefined} back={{ to: link(['captures']), label: 'Captures' }}>
@@ -32,11 +30,11 @@ export function CapturePage({ id }: { id: string }) {
           <div class="stack">
             <section class="card" aria-labelledby="cameras">
               <h2 id="cameras">Cameras</h2>
-              {cameras.data ? <Rig cameras={cameras.data.cameras} report={capture.report} /> : <div class="rig" />}
+              {taken.data ? <Rig cameras={taken.data.photographs} report={capture.report} /> : <div class="rig" />}
               <p class="legend"><span class="a">trained on</span><span class="b">held out, to judge the model</span></p>
-              <Failure error={cameras.error} />
+              <Failure error={taken.error} />
             </section>
-            {photographs.length ? <section class="card" aria-labelledby="photographs"><h2 id="photographs">Photographs</h2><Photographs of={photographs} /></section> : null}
+            {taken.data ? <section class="card stack" aria-labelledby="photographs"><h2 id="photographs">Photographs</h2><PhotographList of={taken.data.photographs} /></section> : null}
           </div>
           <Validation of={capture} />
         </div>
@@ -46,6 +44,7 @@ export function CapturePage({ id }: { id: string }) {
 }
 
 function Validation({ of: { report, bytes: size, problem } }: { of: Capture }) {
+  const warnings = [...report.warnings, ...(report.notes ?? []).map(({ text }) => text)]
   return (
     <section class="card stack" aria-labelledby="report">
       <h2 id="report">Validation</h2>
@@ -60,8 +59,8 @@ function Validation({ of: { report, bytes: size, problem } }: { of: Capture }) {
         ['Radius', <>{report.radius.toFixed(2)} <small>units</small></>],
         ['Archive', bytes(size)],
       ]} />
-      <h3>{report.warnings.length ? 'Worth knowing' : 'No warnings'}</h3>
-      <ul class="notices">{report.warnings.map((warning) => <li key={warning} class="notice small">{warning}</li>)}</ul>
+      <h3>{warnings.length ? 'Worth knowing' : 'No warnings'}</h3>
+      <ul class="notices">{warnings.map((warning) => <li key={warning} class="notice small">{warning}</li>)}</ul>
     </section>
   )
 }

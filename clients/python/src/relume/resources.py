@@ -9,6 +9,7 @@ import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
+from urllib.parse import quote
 
 from tqdm import tqdm
 
@@ -60,6 +61,21 @@ class Capture(Resource):
         """Each photograph's `name`, `width`, `height`, `held_out` and `camera`, which is one that `Model.render` takes."""
         cameras: list[dict[str, Any]] = self._connection.json("GET", self._at("/cameras"))["cameras"]
         return cameras
+
+    def photographs(self) -> list[dict[str, Any]]:
+        """Each photograph as `cameras` has it, with the `warnings` of the validation about it."""
+        listed: list[dict[str, Any]] = self._connection.json("GET", self._at("/photographs"))["photographs"]
+        return listed
+
+    def photograph(self, name: str, *, width: int | None = None, undistorted: bool = False) -> bytes:
+        """A photograph as a JPEG of at most `width` pixels from left to right.
+
+        With `undistorted` it lies on a frame that `Model.render` makes for its camera.
+        """
+        params: dict[str, Any] = {"undistorted": "true"} if undistorted else {}
+        if width is not None:
+            params["width"] = width
+        return self._connection.send("GET", self._at(f"/photographs/{quote(name, safe='')}"), params=params).content
 
     def train(
         self,

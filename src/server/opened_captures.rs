@@ -1,0 +1,75 @@
+//! Captures that stay open for a while: a page of thumbnails reads the archive's index once.
+
+use std::num::NonZeroUsize;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use lru::LruCache;
+
+use crate::api::Problem;
+use crate::capture::Photographs;
+use crate::server::memory::Loan;
+use crate::server::turns::Turns;
+
+/// Captures that are open at once.
+const AT_ONCE: NonZeroUsize = NonZeroUsize::new(4).unwrap();
+/// How long one stays open, whoever asks for it.
+const KEPT: Duration = Duration::from_secs(30);
+
+/// A capture that is open.
+pub(super) struct Opened {
+    pub(super) photographs: Photographs,
+    /// What was borrowed for it.
+    pub(super) _memory: Option<Loan>,
+}
+
+/// The captures that are open, by the hash of their archives. Clones share them.
+#[derive(Clone)]
+pub(super) struct OpenedCaptures {
+    open: Arc<Mutex<LruCache<String, Arc<Opened>>>>,
+    turns: Turns,
+}
+
+impl Default for OpenedCaptures {
+    fn default() -> Self {
+        Self { open: Arc::new(Mutex::new(LruCache::new(AT_ONCE))), turns: Turns::default() }
+    }
+}
+
+impl OpenedCaptures {
+    /// The capture whose archive has this hash, opened by `open` where it is not open yet.
+    ///
+    /// # Errors
+    /// That of `open`.
+    pub(super) async fn get(
+        &self,
+        sha256: &str,
+        open: impl AsyncFnOnce() -> Result<Opened, Problem>,
+    ) -> Result<Arc<Opened>, Problem> {
+        // Whoever comes second finds it open.
+        let _turn = self.turns.take(sha256).await;
+        if let Some(opened) = self.lock().get(sha256) {
+            return Ok(opened.clone());
+        }
+        let opened = Arc::new(open().await?);
+        self.keep(sha256, &opened);
+        Ok(opened)
+    }
+
+    fn keep(&self, sha256: &str, opened: &Arc<Opened>) {
+        self.lock().put(sha256.to_owned(), opened.clone());
+        let (kept, sha256, opened) = (self.clone(), sha256.to_owned(), Arc::downgrade(opened));
+        tokio::spawn(async move {
+            tokio::time::sleep(KEPT).await;
+            let mut open = kept.lock();
+            // It may have been opened anew since.
+            if open.peek(&sha256).is_some_and(|now| std::ptr::eq(Arc::as_ptr(now), opened.as_ptr())) {
+                open.pop(&sha256);
+            }
+        });
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, LruCache<String, Arc<Opened>>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,262 @@
+//! `/v1/captures/{id}/photographs`: the photographs of a capture, listed and shown.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::photographs::{CapturePhotographs, CapturedPhotograph};
+use crate::api::{CaptureId, Problem};
+use crate::capture::{CaptureError, Photographs, PictureOptions};
+use crate::formats::{image_file, srgb};
+use crate::scene::ImageRgba;
+use crate::server::app::Shared;
+use crate::server::caller::Caller;
+use crate::server::cameras::{self, CamerasQuery};
+use crate::server::description::File;
+use crate::server::extract::{QueryString, UrlPath};
+use crate::server::files::{etag, matches_etag};
+use crate::server::opened_captures::Opened;
+use crate::store::{CaptureRecord, StoreError, hex};
+
+/// Widths that may be asked for, pixels.
+const WIDTHS: std::ops::RangeInclusive<u32> = 16..=4096;
+/// Pictures up to this width are kept on disk.
+const CACHED_WIDTH: u32 = 1024;
+const QUALITY: u8 = 90;
+
+/// The route that reads archives.
+pub(super) fn lists() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(list_photographs))
+}
+
+/// The route that answers with pictures.
+pub(super) fn pictures() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(get_photograph))
+}
+
+/// List a capture's photographs
+///
+/// All of them, each with its camera as `/v1/captures/{id}/cameras` has it, whether trainings hold it out, what the validation
+/// found in it, and where its picture is.
+#[utoipa::path(
+    get, path = "/v1/captures/{id}/photographs", tag = "captures", params(("id" = String, Path), CamerasQuery),
+    responses(
+        (status = 200, body = CapturePhotographs), (status = 304, description = "The caller has it already"),
+        (status = 404, body = Problem, description = "There is no such capture, or it is not ready yet"),
+        (status = 422, body = Problem)
+    )
+)]
+async fn list_photographs(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath(id): UrlPath<CaptureId>,
+    QueryString(CamerasQuery { convention }): QueryString<CamerasQuery>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let capture = find(&app, &caller, &id).await?;
+    let tag = etag(&digest(&capture, &format!("photographs|{convention:?}")));
+    let mut response = if matches_etag(&headers, &tag) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        let opened = open(&app, &caller, &capture).await?;
+        let read = move || opened.photographs.cameras();
+        let taken = app.decoders.run(read).await?.map_err(|error| unreadable(&error))?;
+        let photograph = |camera| {
+            let taken = cameras::view(camera, convention);
+            let warnings = capture.report.about(&taken.name);
+            let href = format!("/v1/captures/{id}/photographs/{}", segment(&taken.name));
+            CapturedPhotograph { taken, warnings, href }
+        };
+        let photographs = taken.into_iter().map(photograph).collect();
+        Json(CapturePhotographs { convention, photographs }).into_response()
+    };
+    response.headers_mut().insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
+    Ok(response)
+}
+
+/// How a photograph is shown.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+struct PhotographQuery {
+    /// Most pixels from left to right, 16 to 4096; as stored when absent. A picture is never enlarged.
+    #[param(minimum = 16, maximum = 4096)]
+    width: Option<u32>,
+    /// Whether the distortion of the lens is removed: the picture then lies on a frame that is rendered for its camera.
+    #[serde(default)]
+    #[param(value_type = Option<bool>)]
+    undistorted: bool,
+}
+
+/// Get a photograph
+///
+/// A JPEG of a photograph that the capture's cameras name, over white where it is transparent. The name is one segment of the path:
+/// `images/1.jpg` is `images%2F1.jpg`. Its bytes never change, so it may be kept; the `ETag` is known without decoding it.
+#[utoipa::path(
+    get, path = "/v1/captures/{id}/photographs/{name}", tag = "captures",
+    params(("id" = String, Path), ("name" = String, Path), PhotographQuery),
+    responses(
+        (status = 200, content_type = "image/jpeg", body = File),
+        (status = 304, description = "The caller has it already"),
+        (status = 404, body = Problem, description = "There is no such capture or photograph, or it is not ready yet"),
+        (status = 413, body = Problem), (status = 422, body = Problem), (status = 503, body = Problem)
+    )
+)]
+async fn get_photograph(
+    State(app): State<Shared>,
+    caller: Caller,
+    UrlPath((id, name)): UrlPath<(CaptureId, String)>,
+    QueryString(query): QueryString<PhotographQuery>,
+    method: Method,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    if query.width.is_some_and(|width| !WIDTHS.contains(&width)) {
+        return Err(Problem::invalid_field("query/width", "must be 16 to 4096"));
+    }
+    let options = PictureOptions { width: query.width, undistorted: query.undistorted };
+    let capture = find(&app, &caller, &id).await?;
+    let digest = digest(&capture, &format!("{name}|{options:?}"));
+    let tag = etag(&digest);
+    let mut response = if matches_etag(&headers, &tag) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        let picture = Picture { caller: &caller, capture: &capture, name: &name, options, digest: &digest };
+        let body = picture.found_or_made(&app, method == Method::HEAD).await?;
+        ([(header::CONTENT_TYPE, "image/jpeg")], body).into_response()
+    };
+    let out = response.headers_mut();
+    out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
+    out.insert(header::CACHE_CONTROL, HeaderValue::from_static("private, max-age=31536000, immutable"));
+    Ok(response)
+}
+
+/// A picture that is asked for.
+struct Picture<'a> {
+    caller: &'a Caller,
+    capture: &'a CaptureRecord,
+    name: &'a str,
+    options: PictureOptions,
+    /// Of everything it depends on.
+    digest: &'a str,
+}
+
+impl Picture<'_> {
+    /// The file as it is cached, or made and cached; nothing of it where only its head is asked for.
+    async fn found_or_made(&self, app: &Shared, head: bool) -> Result<Vec<u8>, Problem> {
+        let id = self.capture.id.as_str();
+        let is_small = self.options.width.is_some_and(|width| width <= CACHED_WIDTH);
+        // Equal pictures that are asked for together are made once.
+        let _turn = app.thumbnail_turns.take(self.digest).await;
+        if is_small && let Some(bytes) = app.thumbnails.get(id, self.digest).await {
+            return Ok(bytes);
+        }
+        let opened = open(app, self.caller, self.capture).await?;
+        if !opened.photographs.contains(self.name) {
+            return Err(Problem::not_found("photograph", self.name));
+        }
+        if head {
+            return Ok(Vec::new());
+        }
+        let bytes = self.make(app, opened).await?;
+        if is_small && !app.store.room().is_short() {
+            app.thumbnails.put(id, self.digest, bytes.clone()).await;
+            // It may have been deleted meanwhile, and its pictures swept before this one was there.
+            if !matches!(app.store.capture(&self.caller.tenant, &self.capture.id).await, Ok(Some(_))) {
+                app.thumbnails.forget_all_of(id).await;
+            }
+        }
+        Ok(bytes)
+    }
+
+    async fn make(&self, app: &Shared, opened: Arc<Opened>) -> Result<Vec<u8>, Problem> {
+        let (options, name, of) = (self.options, self.name.to_owned(), opened.clone());
+        let needed = app.decoders.run(move || of.photographs.picture_bytes(&name, &options)).await?;
+        let memory = app.memory.borrow(needed.map_err(|error| unreadable(&error))?).await?;
+        let name = self.name.to_owned();
+        let work = move || {
+            // Held until the work has ended, not only while somebody waits for it.
+            let _held = memory;
+            Ok(opened.photographs.picture(&name, &options).map(|image| jpeg(&image)))
+        };
+        let made: Result<_, Problem> = app.decoders.run(work).await?;
+        made?.map_err(|error| unreadable(&error))?.map_err(Problem::internal)
+    }
+}
+
+/// A capture of the caller that is ready.
+async fn find(app: &Shared, caller: &Caller, id: &CaptureId) -> Result<CaptureRecord, Problem> {
+    let found = app.store.capture(&caller.tenant, id).await?;
+    found.ok_or_else(|| Problem::not_found("capture", id.as_str()))
+}
+
+/// Opens a capture whose file is sound.
+async fn open(app: &Shared, caller: &Caller, capture: &CaptureRecord) -> Result<Arc<Opened>, Problem> {
+    match app.store.artifacts().verify(&capture.artifact, &capture.sha256).await {
+        // It was deleted meanwhile.
+        Err(StoreError::Missing(_)) => {
+            find(app, caller, &capture.id).await?;
+            Err(Problem::internal("the archive of a capture is missing"))
+        }
+        sound => {
+            sound?;
+            app.opened.get(&capture.sha256, async || open_archive(app, capture).await).await
+        }
+    }
+}
+
+async fn open_archive(app: &Shared, capture: &CaptureRecord) -> Result<Opened, Problem> {
+    let path = app.store.artifacts().local_path(&capture.artifact);
+    let limits = app.import_limits;
+    let open = move || Photographs::open(&path, &limits);
+    let photographs = app.decoders.run(open).await?.map_err(|error| unreadable(&error))?;
+    let held = photographs.held_bytes();
+    let memory = if held > 0 { Some(app.memory.borrow(held).await?) } else { None };
+    Ok(Opened { photographs, _memory: memory })
+}
+
+/// Why a stored capture cannot be read: it was sound when it was stored.
+fn unreadable(error: &CaptureError) -> Problem {
+    if error.is_users_fault() { Problem::internal(error) } else { Problem::storage_failed(error) }
+}
+
+/// A hash of everything that an answer about a capture depends on, the program's version included.
+fn digest(capture: &CaptureRecord, what: &str) -> String {
+    hex(&Sha256::digest(format!("{}|{}|{what}", env!("CARGO_PKG_VERSION"), capture.sha256)))
+}
+
+/// A picture as a file, over white where it is transparent.
+fn jpeg(image: &ImageRgba) -> Result<Vec<u8>, crate::formats::ImageFileError> {
+    let over_white = |&[r, g, b, a]: &[f32; 4]| [r, g, b].map(|v| srgb::to_u8(v * a + 1.0 - a));
+    let pixels: Vec<[u8; 3]> = image.pixels.iter().map(over_white).collect();
+    image_file::encode_jpeg(image.width, image.height, &pixels, QUALITY)
+}
+
+/// A name as one segment of a path (RFC 3986).
+fn segment(name: &str) -> String {
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte);
+    let written = |byte: u8| match is_plain(byte) {
+        true => char::from(byte).to_string(),
+        false => format!("%{byte:02X}"),
+    };
+    name.bytes().map(written).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_one_segment_whatever_it_has() {
+        assert_eq!(segment("images/a b.jpg"), "images%2Fa%20b.jpg");
+        assert_eq!(segment("ä?#%.png"), "%C3%A4%3F%23%25.png");
+        assert_eq!(segment("IMG_1-2~3.JPG"), "IMG_1-2~3.JPG");
+    }
+}
