@@ -172,7 +172,7 @@ const cut = () => page.locator('.wipe').evaluate((figure) => figure.style.getPro
 const at = await cut()
 await page.getByLabel('Before and after').press('ArrowRight')
 assert.notEqual(await cut(), at, 'the slider moves by keyboard')
-const other = await list.locator('option').nth(1).getAttribute('value')
+const other = await list.locator('option').nth(1).evaluate((option) => option.value)
 await list.selectOption(other)
 await photograph(other).waitFor()
 assert.notEqual(other, chosen)
