@@ -243,8 +243,10 @@ fn an_inspection_reports_what_an_import_would_find() {
         files.insert(format!("train/r_{i}.png"), image_file::encode_png(160, 120, &wide).unwrap());
     }
     std::fs::write(&path, zip(&files)).unwrap();
-    let report = inspect(&path, &ImportOptions::default()).unwrap();
+    let mut report = inspect(&path, &ImportOptions::default()).unwrap();
     let mut imported = import(&path, &ImportOptions::default()).unwrap().report();
+    let notes = std::mem::take(&mut report.notes);
+    assert!(notes.iter().any(|note| note.text.contains("are small")), "what an import does not look for");
     assert!((imported.radius - report.radius).abs() < 1e-9);
     imported.radius = report.radius;
     assert_eq!(report, imported);
