@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use super::bounds::Bounds;
 use super::error::PoseError;
 use super::process::Program;
 use super::watch::{PoseProgress, PoseStage, Watch};
@@ -88,7 +89,8 @@ fn duration(
     watch: &mut Watch<'_>,
 ) -> Result<f64, PoseError> {
     let log = part.join("ffmpeg.log");
-    let ffprobe = Program { name: options.ffprobe.as_os_str(), install: INSTALL, log: &log, folder: None };
+    let name = options.ffprobe.as_os_str();
+    let ffprobe = Program { name, install: INSTALL, log: &log, folder: None, bounds: Bounds::default() };
     let mut release = None;
     ffprobe.run(&["-version".as_ref()], watch, &mut |line, _| release = release.or(version(line)))?;
     if let Some(found) = release.filter(|release| *release < LEAST_VERSION) {
@@ -122,8 +124,13 @@ fn extract(
     let wanted = frames * CANDIDATES;
     let log = part.join("ffmpeg.log");
     // In the folder itself, since a percent sign in its name would be taken for the place of a number.
-    let ffmpeg =
-        Program { name: options.ffmpeg.as_os_str(), install: INSTALL, log: &log, folder: Some(part) };
+    let ffmpeg = Program {
+        name: options.ffmpeg.as_os_str(),
+        install: INSTALL,
+        log: &log,
+        folder: Some(part),
+        bounds: Bounds::default(),
+    };
     let (rate, most) = (format!("fps={}", wanted as f64 / seconds), wanted.to_string());
     let before = ["-nostdin", "-hide_banner", "-nostats", "-progress", "pipe:1", "-i"].map(OsStr::new);
     let after = ["-vf", &rate, "-frames:v", &most, "-q:v", "2", "candidate_%06d.jpg"].map(OsStr::new);

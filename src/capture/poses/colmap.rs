@@ -3,7 +3,9 @@
 use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
+use super::bounds::Bounds;
 use super::error::PoseError;
 use super::process::Program;
 use super::watch::{PoseProgress, PoseStage, Watch};
@@ -12,6 +14,8 @@ use crate::capture::{ImportLimits, Unposed, cameras_of_colmap};
 
 /// The oldest COLMAP whose options are those that are used here.
 const LEAST_VERSION: (u32, u32) = (3, 6);
+/// How long it may take to tell its version.
+const HELP_TIME: Duration = Duration::from_secs(60);
 const INSTALL: &str = "apt-get install colmap, brew install colmap, or https://colmap.github.io/install.html; \
                        or give a capture that has poses";
 
@@ -24,11 +28,24 @@ pub struct PoseOptions {
     pub max_side: u32,
     /// Most features of a photograph.
     pub max_features: u32,
+    /// Threads of COLMAP; as many as there are processors when absent.
+    pub threads: Option<u32>,
+    /// Bytes of memory that COLMAP may take (on Linux); any number when absent.
+    pub memory: Option<u64>,
+    /// Whether COLMAP works where nobody else wants a processor (on Linux).
+    pub makes_way: bool,
 }
 
 impl Default for PoseOptions {
     fn default() -> Self {
-        Self { program: "colmap".into(), max_side: 1600, max_features: 4096 }
+        Self {
+            program: "colmap".into(),
+            max_side: 1600,
+            max_features: 4096,
+            threads: None,
+            memory: None,
+            makes_way: false,
+        }
     }
 }
 
@@ -69,6 +86,31 @@ pub fn find_poses(
     Ok(Poses { photographs: photographs.photos().len(), unplaced, were_there })
 }
 
+/// The version of COLMAP that is installed; what it says is added to the file `log`.
+///
+/// # Errors
+/// [`PoseError::NotInstalled`], [`PoseError::TooOld`] for one that [`find_poses`] does not work with, or why it does not run.
+pub fn colmap_version(options: &PoseOptions, log: &Path) -> Result<(u32, u32), PoseError> {
+    let mut progress = |_| {};
+    let mut watch = Watch::new(HELP_TIME, &mut progress, &|| false);
+    let name = options.program.as_os_str();
+    let program = Program { name, install: INSTALL, log, folder: None, bounds: Bounds::default() };
+    checked_version(&program, &mut watch)
+}
+
+/// The version that a COLMAP tells, if it is one that will do.
+fn checked_version(colmap: &Program<'_>, watch: &mut Watch<'_>) -> Result<(u32, u32), PoseError> {
+    let mut told = Vec::new();
+    colmap.run(&["help".as_ref()], watch, &mut |line, _| told.push(line.to_owned()))?;
+    let found = told.iter().find_map(|line| version(line));
+    found.filter(|version| *version >= LEAST_VERSION).ok_or_else(|| PoseError::TooOld {
+        program: colmap.name.display().to_string(),
+        found: found.map_or("unknown".to_owned(), |(major, minor)| format!("{major}.{minor}")),
+        least: "3.6",
+        install: INSTALL,
+    })
+}
+
 /// The names of the photographs that a model has poses for.
 fn placed(folder: &Path) -> Result<Vec<String>, PoseError> {
     let cameras = cameras_of_colmap(folder, &ImportLimits::default())?;
@@ -102,17 +144,7 @@ impl<'a> Colmap<'a> {
         fs::create_dir_all(&scratch).map_err(PoseError::io(&scratch))?;
         let groups = OptionGroups { extraction: "SiftExtraction", matching: "SiftMatching" };
         let mut colmap = Self { options, workspace, log, database: scratch.join("database.db"), groups };
-        let mut told = Vec::new();
-        colmap.run(&["help".as_ref()], watch, &mut |line, _| told.push(line.to_owned()))?;
-        let version = told.iter().find_map(|line| version(line));
-        if version.is_none_or(|version| version < LEAST_VERSION) {
-            return Err(PoseError::TooOld {
-                program: options.program.display().to_string(),
-                found: version.map_or("unknown".to_owned(), |(major, minor)| format!("{major}.{minor}")),
-                least: "3.6",
-                install: INSTALL,
-            });
-        }
+        checked_version(&colmap.program(), watch)?;
         let mut renamed = false;
         colmap.run(&["feature_extractor".as_ref(), "-h".as_ref()], watch, &mut |line, _| {
             renamed |= line.contains("--FeatureExtraction.use_gpu");
@@ -129,9 +161,19 @@ impl<'a> Colmap<'a> {
         watch: &mut Watch<'_>,
         line: &mut dyn FnMut(&str, &mut Watch<'_>),
     ) -> Result<(), PoseError> {
+        self.program().run(arguments, watch, line)
+    }
+
+    fn program(&self) -> Program<'_> {
+        let PoseOptions { memory, makes_way, .. } = *self.options;
+        let bounds = Bounds { memory, makes_way, marker: Some(self.workspace.marker()) };
         let name = self.options.program.as_os_str();
-        let program = Program { name, install: INSTALL, log: &self.log, folder: None };
-        program.run(arguments, watch, line)
+        Program { name, install: INSTALL, log: &self.log, folder: None, bounds }
+    }
+
+    /// The option that bounds the threads of a command.
+    fn threads(&self, group: &str) -> Option<(String, OsString)> {
+        Some((format!("{group}.num_threads"), self.options.threads?.to_string().into()))
     }
 
     /// Runs one of its commands with options, each with its value; `[done/total]` after `counted` in its output is progress.
@@ -168,17 +210,19 @@ impl<'a> Colmap<'a> {
             (format!("{sift}.max_image_size"), self.options.max_side.to_string().into()),
             ("SiftExtraction.max_num_features".to_owned(), self.options.max_features.to_string().into()),
         ]);
+        options.extend(self.threads(sift));
         self.stage(PoseStage::Features, "feature_extractor", &options, "Processed file", watch)
     }
 
     fn matches(&self, watch: &mut Watch<'_>) -> Result<(), PoseError> {
         // Blocks of photographs, so that progress is seen: COLMAP's own default has one block of fifty.
         const BLOCK: &str = "10";
-        let options = [
+        let mut options = vec![
             ("database_path".to_owned(), self.database.clone().into()),
             (format!("{}.use_gpu", self.groups.matching), "0".into()),
             ("ExhaustiveMatching.block_size".to_owned(), BLOCK.into()),
         ];
+        options.extend(self.threads(self.groups.matching));
         self.stage(PoseStage::Matching, "exhaustive_matcher", &options, "Matching block", watch)
     }
 
@@ -190,17 +234,21 @@ impl<'a> Colmap<'a> {
         }
         fs::create_dir_all(&models).map_err(PoseError::io(&models))?;
         let least = photographs.photos().len().min(10).to_string();
-        let arguments: [&OsStr; 9] = [
+        let threads =
+            self.threads("Mapper").map(|(name, value)| (OsString::from(format!("--{name}")), value));
+        let images = self.workspace.images().into_os_string();
+        let mut arguments: Vec<&OsStr> = vec![
             "mapper".as_ref(),
             "--database_path".as_ref(),
             self.database.as_os_str(),
             "--image_path".as_ref(),
-            &self.workspace.images().into_os_string(),
+            &images,
             "--output_path".as_ref(),
             models.as_os_str(),
             "--Mapper.min_model_size".as_ref(),
             least.as_ref(),
         ];
+        arguments.extend(threads.iter().flat_map(|(name, value)| [name.as_os_str(), value.as_os_str()]));
         let total = photographs.photos().len() as u64;
         self.run(&arguments, watch, &mut |line, watch| {
             if let Some(done) = registered(line) {

@@ -3,6 +3,7 @@
 //! Both are programs of others that are looked for on PATH. They are started without a shell, write to a log file that is kept,
 //! have a limit on time and are killed when the caller does not want their result any more.
 
+mod bounds;
 mod clip;
 mod colmap;
 mod error;
@@ -11,6 +12,6 @@ mod watch;
 mod workspace;
 
 pub use clip::{ClipOptions, frames_of_clip, is_clip};
-pub use colmap::{PoseOptions, Poses, find_poses};
+pub use colmap::{PoseOptions, Poses, colmap_version, find_poses};
 pub use error::PoseError;
 pub use watch::{PoseProgress, PoseStage, Watch};

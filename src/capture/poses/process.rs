@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use super::bounds::Bounds;
 use super::error::PoseError;
 use super::watch::Watch;
 
@@ -27,6 +28,8 @@ pub(super) struct Program<'a> {
     pub log: &'a Path,
     /// Where it runs, if not where this program does.
     pub folder: Option<&'a Path>,
+    /// What it may take.
+    pub bounds: Bounds,
 }
 
 impl Program<'_> {
@@ -41,6 +44,7 @@ impl Program<'_> {
         line: &mut dyn FnMut(&str, &mut Watch<'_>),
     ) -> Result<(), PoseError> {
         let io = PoseError::io;
+        self.bounds.end_earlier();
         let log = OpenOptions::new().create(true).append(true).open(self.log).map_err(io(self.log))?;
         let mut output = NewLines::after_the_end(self.log).map_err(io(self.log))?;
         let (for_out, for_errors) = (log.try_clone().map_err(io(self.log))?, log);
@@ -57,9 +61,10 @@ impl Program<'_> {
             }
             _ => PoseError::Io { file: PathBuf::from(self.name), source: error },
         })?;
-        let mut running = Running(spawned);
+        let mut running = Running { child: spawned, bounds: &self.bounds };
+        self.bounds.put_on(&running.child).map_err(io(Path::new(self.name)))?;
         let status = loop {
-            let status = running.0.try_wait().map_err(io(Path::new(self.name)))?;
+            let status = running.child.try_wait().map_err(io(Path::new(self.name)))?;
             output.read(&mut |text| line(text, watch)).map_err(io(self.log))?;
             if let Some(status) = status {
                 break status;
@@ -93,13 +98,17 @@ impl Program<'_> {
 }
 
 /// A program that ends when this goes.
-struct Running(Child);
+struct Running<'a> {
+    child: Child,
+    bounds: &'a Bounds,
+}
 
-impl Drop for Running {
+impl Drop for Running<'_> {
     fn drop(&mut self) {
         // Both fail only where it has ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        self.bounds.forget();
     }
 }
 
@@ -158,7 +167,13 @@ mod tests {
         let folder = tempfile::TempDir::new().unwrap();
         let log = folder.path().join("x.log");
         std::fs::write(&log, "earlier\n").unwrap();
-        let program = Program { name: "sh".as_ref(), install: "get it", log: &log, folder: None };
+        let program = Program {
+            name: "sh".as_ref(),
+            install: "get it",
+            log: &log,
+            folder: None,
+            bounds: Bounds::default(),
+        };
         let (mut ignored, mut lines) = (|_| {}, Vec::new());
         let is_cancelled = || cancelled;
         let mut watch = Watch::new(limit, &mut ignored, &is_cancelled);
@@ -203,8 +218,13 @@ mod tests {
     fn a_program_that_is_not_there_says_how_to_get_it() {
         let folder = tempfile::TempDir::new().unwrap();
         let log = folder.path().join("x.log");
-        let program =
-            Program { name: "no-such-program".as_ref(), install: "get it", log: &log, folder: None };
+        let program = Program {
+            name: "no-such-program".as_ref(),
+            install: "get it",
+            log: &log,
+            folder: None,
+            bounds: Bounds::default(),
+        };
         let mut ignored = |_| {};
         let mut watch = Watch::new(LONG, &mut ignored, &|| false);
         let error = program.run(&[], &mut watch, &mut |_, _| {}).unwrap_err().to_string();

@@ -57,6 +57,11 @@ impl Workspace {
         self.root.join("colmap.log")
     }
 
+    /// Says which COLMAP works here.
+    pub(super) fn marker(&self) -> PathBuf {
+        self.scratch().join("process")
+    }
+
     /// What COLMAP needs on the way and nobody afterwards.
     pub(super) fn scratch(&self) -> PathBuf {
         self.root.join("colmap")
