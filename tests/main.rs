@@ -47,6 +47,7 @@ mod service_memory;
 mod service_network;
 mod service_origins;
 mod service_photographs;
+mod service_poses;
 mod service_previews;
 mod service_promises;
 mod service_signed_urls;

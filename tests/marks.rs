@@ -110,6 +110,7 @@ async fn a_capture_and_a_map_are_written_down_together_with_what_they_are_called
         artifact: "captures/00".into(),
         marks,
         report: CaptureReport::default(),
+        made_of: None,
         created_ms: 0,
     };
     let map = |id: &str, marks: Marks| EnvironmentRecord {

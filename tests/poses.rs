@@ -20,20 +20,26 @@ use crate::requirements::data;
 const PHOTOGRAPHS: usize = 8;
 
 /// A folder with photographs, and one with programs, among them a script that is called `colmap`.
-struct Place {
+pub struct Place {
     folder: TempDir,
 }
 
 impl Place {
     /// `matcher` and `mapper` are what the script does for these commands.
-    fn new(version: &str, matcher: &str, mapper: &str) -> Self {
+    pub fn new(version: &str, matcher: &str, mapper: &str) -> Self {
         let place = Self { folder: TempDir::new().unwrap() };
         fs::create_dir_all(place.at("photos")).unwrap();
         fs::create_dir_all(place.at("bin")).unwrap();
         for i in 0..PHOTOGRAPHS {
             fs::write(place.at(&format!("photos/{i}.png")), picture(i)).unwrap();
         }
-        let model = place.at("model");
+        place.replace(version, matcher, mapper);
+        place.write_model(PHOTOGRAPHS);
+        place
+    }
+
+    /// Another script that is called `colmap`.
+    pub fn replace(&self, version: &str, matcher: &str, mapper: &str) {
         let script = format!(
             "case $1 in\n\
              help) echo 'COLMAP {version} -- Structure-from-Motion' ;;\n\
@@ -41,14 +47,12 @@ impl Place {
              exhaustive_matcher) echo 'Matching block [1/1, 1/1]'; {matcher} ;;\n\
              mapper) while [ \"$1\" != --output_path ]; do shift; done; out=$2; model={}; {mapper} ;;\n\
              esac\n",
-            model.display()
+            self.at("model").display()
         );
-        place.program("colmap", &script);
-        place.write_model(PHOTOGRAPHS);
-        place
+        self.program("colmap", &script);
     }
 
-    fn at(&self, path: &str) -> PathBuf {
+    pub fn at(&self, path: &str) -> PathBuf {
         self.folder.path().join(path)
     }
 
@@ -59,7 +63,7 @@ impl Place {
     }
 
     /// The model that the script finds: the first `count` photographs.
-    fn write_model(&self, count: usize) {
+    pub fn write_model(&self, count: usize) {
         fs::create_dir_all(self.at("model")).unwrap();
         let first = camera(0);
         let lens = format!("1 PINHOLE 8 6 {} {} 4 3\n", first.fx, first.fy);
@@ -99,7 +103,7 @@ impl Place {
     }
 }
 
-const COPY: &str = "cp -r $model $out/0";
+pub const COPY: &str = "cp -r $model $out/0";
 const POSES: [&str; 3] = ["capture", "poses", "photos"];
 const LONG: Duration = Duration::from_secs(600);
 

@@ -42,6 +42,7 @@ impl Bench {
             artifact: "captures/00".into(),
             marks: Marks::default(),
             report: CaptureReport::default(),
+            made_of: None,
             created_ms: 0,
         };
         bench.jobs.store().insert_capture(&tenant(), &capture, None).await.unwrap();

@@ -63,6 +63,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("post", "/v1/captures/validate", Body, Submit),
     ("get", "/v1/captures/{id}", One(Capture), Read),
     ("get", "/v1/captures/{id}/cameras", One(Capture), Read),
+    ("get", "/v1/captures/{id}/log", One(Capture), Read),
     ("get", "/v1/captures/{id}/photographs", One(Capture), Read),
     ("get", "/v1/captures/{id}/photographs/{name}", One(Capture), Read),
     ("patch", "/v1/captures/{id}", One(Capture), Submit),

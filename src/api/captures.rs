@@ -20,6 +20,31 @@ pub enum CaptureState {
     Invalid,
 }
 
+/// What COLMAP does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
+pub enum PosesStage {
+    /// Nothing yet: it works on another capture.
+    Waiting,
+    /// It looks for features of each photograph.
+    Features,
+    /// It looks for features that photographs share.
+    Matching,
+    /// It places the photographs one after the other.
+    Placing,
+}
+
+/// How far the search for poses is.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
+pub struct PosesProgress {
+    /// What is being done.
+    pub stage: PosesStage,
+    /// Share of the stage that is done, 0 to 1.
+    pub done: f64,
+}
+
 /// A capture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema), schema(as = CaptureView))]
@@ -46,6 +71,12 @@ pub struct CaptureSummary {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(value_type = Option<String>))]
     pub upload: Option<UploadId>,
+    /// How far the search for the poses of its photographs is, while it lasts.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub poses: Option<PosesProgress>,
+    /// Hash of the photographs that it was made of, lower-case hex, where they came without poses and the server found these.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub made_of: Option<String>,
     /// What validation found; nothing before it is `ready`.
     pub report: CaptureReport,
 }

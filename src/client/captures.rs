@@ -101,6 +101,15 @@ impl Client {
         Ok(checked(request).await?.bytes().await?)
     }
 
+    /// What COLMAP said while it found the poses of a capture's photographs; nothing of captures that came with poses.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn capture_log(&self, id: &CaptureId) -> Result<String> {
+        let request = self.request(Method::GET, &format!("/v1/captures/{id}/log"))?;
+        Ok(checked(request).await?.text().await?)
+    }
+
     /// Changes what a capture is called.
     ///
     /// # Errors

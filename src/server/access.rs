@@ -41,6 +41,7 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::POST, "/v1/captures/validate", Needs(Submit)),
     (Method::GET, "/v1/captures/{id}", Needs(Read)),
     (Method::GET, "/v1/captures/{id}/cameras", Needs(Read)),
+    (Method::GET, "/v1/captures/{id}/log", Needs(Read)),
     (Method::GET, "/v1/captures/{id}/photographs", Needs(Read)),
     (Method::GET, "/v1/captures/{id}/photographs/{name}", Needs(Read)),
     (Method::PATCH, "/v1/captures/{id}", Needs(Submit)),

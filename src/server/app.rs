@@ -14,6 +14,7 @@ use crate::server::fetching::Fetcher;
 use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
 use crate::server::opened_captures::OpenedCaptures;
+use crate::server::poses::Desk;
 use crate::server::signing_secret::SigningSecret;
 use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::server::turns::Turns;
@@ -65,6 +66,8 @@ pub(super) struct App {
     pub(super) thumbnail_turns: Turns,
     /// Captures whose photographs are being looked at.
     pub(super) opened: OpenedCaptures,
+    /// Poses for photographs that come without.
+    pub(super) poses: Desk,
     /// Where frames are encoded.
     pub(super) encoders: Encoders,
     /// Where uploads are decoded.

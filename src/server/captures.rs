@@ -19,6 +19,7 @@ use crate::server::extract::{JsonBody, NoQuery, QueryString, UrlPath, media_type
 use crate::server::fetching;
 use crate::server::listing::rfc3339;
 use crate::server::marks::{self, MarkedPageQuery, MarksQuery};
+use crate::server::poses;
 use crate::server::upload::{self, Expected};
 use crate::server::uploads;
 use crate::server::validation;
@@ -43,6 +44,10 @@ pub(super) fn uploads() -> OpenApiRouter<Shared> {
 /// the last upload calls it. A request that is refused leaves the upload that JSON names as it is. With `Prefer: respond-async`
 /// the answer is 202 once every byte is durable: the capture is `validating` then, and `Location` tells when it is `ready` or
 /// `invalid`. It is called what the query says from the 202 on; lists have it once it is `ready`.
+///
+/// Photographs without poses are always answered with 202 where the server finds poses (COLMAP is installed and `--poses` is not off),
+/// and refused where it does not: `poses` says how far that is, `/v1/captures/{id}/log` what COLMAP said, `DELETE` ends it. The capture
+/// is a tar of the photographs with COLMAP's model; its `made_of` is the hash of what was sent.
 #[utoipa::path(
     post, path = "/v1/captures", tag = "captures",
     params(
@@ -81,8 +86,14 @@ async fn upload_capture(
             Some(given_back) => incoming = given_back,
         }
     }
-    if later {
-        return validation::begin(&app, &caller, incoming, marks).await;
+    if let Some(known) = app.store.capture_made_of(&caller.tenant, &incoming.sha256).await? {
+        let known = marked(&app, &caller.tenant, known, marks).await?;
+        app.store.forget_pieces(incoming).await?;
+        return Ok(Json(view(known)).into_response());
+    }
+    // Poses take longer than anybody waits for an answer.
+    if later || poses::are_wanted(&app, &incoming).await? {
+        return validation::begin(&app, &caller, incoming, marks, later).await;
     }
     let stored = validation::make(&app, &caller.tenant, app.jobs.fresh_id(), incoming, marks).await?;
     let location = format!("/v1/captures/{}", stored.id);
@@ -159,7 +170,7 @@ async fn find(app: &Shared, tenant: &TenantId, id: &CaptureId) -> Result<Capture
     let upload = app.store.upload_for(tenant, id).await?;
     match (app.store.capture(tenant, id).await?, upload) {
         (Some(record), _) => Ok(view(record)),
-        (None, Some(upload)) => Ok(validation::view(&upload)),
+        (None, Some(upload)) => Ok(validation::view(app, &upload)),
         (None, None) => Err(Problem::not_found("capture", id.as_str())),
     }
 }
@@ -237,6 +248,8 @@ fn view(record: CaptureRecord) -> CaptureSummary {
         state: CaptureState::Ready,
         problem: None,
         upload: None,
+        poses: None,
+        made_of: record.made_of,
         report: record.report,
     }
 }

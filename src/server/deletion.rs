@@ -1,5 +1,7 @@
 //! `DELETE` of captures, environments, jobs and models.
 
+use std::time::Duration;
+
 use axum::extract::State;
 use axum::http::StatusCode;
 use serde::Deserialize;
@@ -11,7 +13,12 @@ use crate::api::{CaptureId, Problem, ResourceKind, ResourceName};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
+use crate::server::poses;
 use crate::store::Deletion;
+
+/// How often, and how many times, it is asked whether work that was cancelled has ended.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+const LOOKS: u32 = 200;
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<Shared> {
@@ -35,7 +42,8 @@ struct DeleteQuery {
 
 /// Delete a capture
 ///
-/// Jobs that wait, run or may be run again need it. Models that were made of it stay.
+/// Jobs that wait, run or may be run again need it. Models that were made of it stay. The search for the poses of its photographs is
+/// ended.
 #[utoipa::path(
     delete, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path), DeleteQuery),
     responses(
@@ -129,12 +137,27 @@ async fn delete(
     }
 }
 
-/// Deletes a capture that could not be made, with its upload.
-async fn delete_unmade(app: &Shared, caller: &Caller, id: CaptureId) -> Result<StatusCode, Problem> {
+/// Deletes a capture that could not be made, or that poses are being found for, with its upload.
+pub(super) async fn delete_unmade(
+    app: &Shared,
+    caller: &Caller,
+    id: CaptureId,
+) -> Result<StatusCode, Problem> {
     let missing = || Problem::not_found("capture", id.as_str());
     let upload = app.store.upload_for(&caller.tenant, &id).await?.ok_or_else(missing)?;
-    if app.store.drop_invalid(&upload).await? {
-        return Ok(StatusCode::NO_CONTENT);
+    let ends_soon = app.poses.cancel(&id);
+    for _ in 0..LOOKS {
+        if app.store.drop_invalid(&upload).await? {
+            poses::remove_of(&app.store, &id).await;
+            // It may have become one meanwhile.
+            let what = ResourceName::new(ResourceKind::Capture, id.to_string());
+            app.jobs.delete(&caller.tenant, &what, false).await?;
+            return Ok(StatusCode::NO_CONTENT);
+        }
+        if !ends_soon {
+            break;
+        }
+        tokio::time::sleep(LOOK_EVERY).await;
     }
     Err(Problem::conflict("capture-validating", "the capture is being validated").retry_after(5))
 }

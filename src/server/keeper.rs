@@ -7,6 +7,7 @@ use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
 use crate::jobs::Jobs;
+use crate::server::poses;
 use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::store::Retention;
 
@@ -39,6 +40,9 @@ impl Keeper {
 
     /// One look; how long to wait for the next.
     async fn look(&self) -> Duration {
+        if let Err(error) = poses::remove_left_over(self.jobs.store()).await {
+            tracing::error!(%error, "what COLMAP left cannot be removed yet");
+        }
         match self.jobs.tidy(&self.retention).await {
             Ok(swept) => {
                 if swept.things > 0 {

@@ -12,7 +12,7 @@ use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLO
 use crate::server::web;
 use crate::server::{
     cameras, captures, deletion, description, environments, events, files, health, jobs, keys, models,
-    photographs, previews, renders, signed_urls, thumbnails, uploads, usage, viewer, webhooks,
+    photographs, poses, previews, renders, signed_urls, thumbnails, uploads, usage, viewer, webhooks,
 };
 
 fn families() -> OpenApiRouter<Shared> {
@@ -20,6 +20,7 @@ fn families() -> OpenApiRouter<Shared> {
     let taking = captures::uploads()
         .merge(cameras::routes())
         .merge(photographs::lists())
+        .merge(poses::routes())
         .merge(environments::uploads())
         .merge(uploads::uploads());
     let queries = captures::routes()

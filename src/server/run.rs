@@ -13,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 use crate::engine::DeviceError;
 use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
 use crate::server::access::Gate;
-use crate::server::app::{App, RequestLimits};
+use crate::server::app::{App, RequestLimits, Shared};
 use crate::server::auth::{ApiKeys, may_listen};
 use crate::server::connections::{self, ConnectionLimits};
 use crate::server::decoders::Decoders;
@@ -25,6 +25,7 @@ use crate::server::memory::MemoryBudget;
 use crate::server::observe;
 use crate::server::opened_captures::OpenedCaptures;
 use crate::server::origins::CorsOrigin;
+use crate::server::poses::{Desk, PosesPolicy};
 use crate::server::rates::Rates;
 use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
@@ -70,6 +71,8 @@ pub struct ServerConfig {
     pub quota: Quota,
     /// How leases behave.
     pub lease: LeasePolicy,
+    /// What is done about photographs without poses.
+    pub poses: PosesPolicy,
     /// From where captures may be fetched.
     pub fetching: FetchPolicy,
     /// What webhooks may do.
@@ -100,6 +103,7 @@ impl ServerConfig {
             thumbnail_cache: THUMBNAIL_CACHE,
             quota: Quota::default(),
             lease: LeasePolicy::default(),
+            poses: PosesPolicy::default(),
             fetching: FetchPolicy::default(),
             webhooks: WebhookPolicy::default(),
             retention: Retention::default(),
@@ -162,7 +166,7 @@ pub async fn run(
     let keeper = tokio::spawn(keeper.keep(tidy.clone(), stop.clone()));
     let courier = tokio::spawn(Courier::new(jobs.clone(), config.webhooks).work(stop.clone()));
     let store = jobs.store().clone();
-    let service = service(&config, is_open, jobs, device, thumbnails, tidy, stop.clone())?;
+    let (service, app) = service(&config, is_open, jobs, device, thumbnails, tidy, stop.clone())?;
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
     serve(listener, service, config.connections, shutdown, stop.clone()).await;
 
@@ -171,6 +175,7 @@ pub async fn run(
     if !matches!(joined, Ok(Ok(()))) {
         tracing::error!("the device thread did not end well");
     }
+    app.poses.idle().await;
     maintenance.abort();
     if courier.await.is_err() {
         tracing::error!("webhooks could not be sent to the end");
@@ -225,7 +230,7 @@ fn service(
     thumbnails: ThumbnailCache,
     tidy: Arc<Notify>,
     stop: CancellationToken,
-) -> Result<axum::Router, ServeError> {
+) -> Result<(axum::Router, Shared), ServeError> {
     let store = jobs.store().clone();
     let signing = SigningSecret::of(&config.data_dir);
     let keys = Arc::new(Keyring::new(config.api_keys.clone(), store.clone(), config.clock.clone()));
@@ -241,6 +246,7 @@ fn service(
         memory: MemoryBudget::new(config.limits.memory_bytes),
         thumbnail_turns: Turns::default(),
         opened: OpenedCaptures::default(),
+        poses: Desk::new(config.poses.clone()),
         encoders: Encoders::new(),
         decoders: Decoders::start(config.limits.memory_bytes)?,
         keys: keys.clone(),
@@ -262,11 +268,12 @@ fn service(
     let app = Arc::new(app);
     let validating = app.clone();
     tokio::spawn(async move {
+        validating.poses.tell_the_log().await;
         if let Err(error) = validation::resume(validating).await {
             tracing::error!(%error, "captures that were being validated stay so until the next start");
         }
     });
-    Ok(router(app, stack))
+    Ok((router(app.clone(), stack), app))
 }
 
 /// Takes back what a server that died left. The caller holds the node lock, so no other process works here.

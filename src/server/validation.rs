@@ -14,6 +14,7 @@ use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::listing::rfc3339;
 use crate::server::marks;
+use crate::server::poses;
 use crate::server::uploads;
 use crate::store::{CaptureRecord, Incoming, StoreError, UploadRecord};
 
@@ -34,7 +35,29 @@ pub(super) async fn validate(app: &Shared, incoming: &Incoming) -> Result<Captur
     let path = incoming.path.clone();
     let options = ImportOptions { limits: app.import_limits, ..ImportOptions::default() };
     let inspect = move || capture::inspect(&path, &options);
-    app.decoders.run(inspect).await?.map_err(|e| refused(&e, &incoming.path))
+    let error = match app.decoders.run(inspect).await? {
+        Ok(report) => return Ok(report),
+        Err(error) => error,
+    };
+    let mut problem = refused(&error, &incoming.path);
+    if matches!(error, CaptureError::UnknownLayout { .. })
+        && let Some(reason) = poses::refusal(app, incoming).await?
+    {
+        problem.detail = problem.detail.map(|detail| format!("{detail}; {reason}"));
+    }
+    Err(problem)
+}
+
+/// Makes the capture `id` of a tenant of photographs without poses.
+async fn make_posed(
+    app: &Shared,
+    tenant: &TenantId,
+    id: CaptureId,
+    photographs: Incoming,
+) -> Result<CaptureRecord, Problem> {
+    let made_of = photographs.sha256.clone();
+    let posed = poses::find(app, tenant, &id, photographs).await?;
+    make_record(app, tenant, id, posed, Marks::default(), Some(made_of)).await
 }
 
 /// Makes the capture `id` of a tenant, called so, or finds the one of the same content that was there first.
@@ -45,6 +68,17 @@ pub(super) async fn make(
     incoming: Incoming,
     marks: Marks,
 ) -> Result<CaptureRecord, Problem> {
+    make_record(app, tenant, id, incoming, marks, None).await
+}
+
+async fn make_record(
+    app: &Shared,
+    tenant: &TenantId,
+    id: CaptureId,
+    incoming: Incoming,
+    marks: Marks,
+    made_of: Option<String>,
+) -> Result<CaptureRecord, Problem> {
     let report = validate(app, &incoming).await?;
     let record = CaptureRecord {
         id,
@@ -54,6 +88,7 @@ pub(super) async fn make(
         marks,
         report,
         created_ms: app.jobs.now_ms(),
+        made_of,
     };
     app.store.keep_capture(incoming, tenant, &record).await.map_err(marks::refused)
 }
@@ -65,11 +100,14 @@ pub(super) async fn begin(
     caller: &Caller,
     incoming: Incoming,
     marks: Marks,
+    was_preferred: bool,
 ) -> Result<Response, Problem> {
     let (app, tenant) = (app.clone(), caller.tenant.clone());
     // On a task of its own: what was written down is worked on, also when the caller has gone meanwhile.
-    let entered = tokio::spawn(async move { enter(&app, tenant, incoming, marks).await });
-    Ok(accepted(&entered.await.map_err(Problem::internal)??))
+    let entering = app.clone();
+    let entered = tokio::spawn(async move { enter(&entering, tenant, incoming, marks).await });
+    let upload = entered.await.map_err(Problem::internal)??;
+    Ok(accepted(view(&app, &upload), was_preferred))
 }
 
 /// Writes down that a capture is to be made and starts to make it.
@@ -138,16 +176,12 @@ fn start(app: &Shared, tenant: TenantId, capture: CaptureId, incoming: Incoming)
 }
 
 async fn finish(app: &Shared, tenant: &TenantId, capture: CaptureId, incoming: Incoming) {
-    let made = match app.store.capture_by_hash(tenant, &incoming.sha256).await {
-        // Another request made it meanwhile.
-        Ok(Some(same)) => Err(stored_before(&same)),
-        // What it is called by then is written down with its upload.
-        Ok(None) => match make(app, tenant, capture.clone(), incoming, Marks::default()).await {
-            Ok(made) if made.id != capture => Err(stored_before(&made)),
-            made => made.map(drop),
-        },
-        Err(error) => Err(error.into()),
-    };
+    let made = finished(app, tenant, &capture, incoming).await;
+    if app.stop.is_cancelled() {
+        // The next server goes on.
+        return;
+    }
+    poses::tidy(&app.store, &capture, made.is_err()).await;
     if let Err(problem) = made {
         tracing::info!(%capture, kind = problem.kind, "no capture could be made of an upload");
         let until = uploads::expiry(app);
@@ -155,6 +189,27 @@ async fn finish(app: &Shared, tenant: &TenantId, capture: CaptureId, incoming: I
             tracing::error!(%error, %capture, "the next start validates an upload again");
         }
     }
+}
+
+async fn finished(
+    app: &Shared,
+    tenant: &TenantId,
+    capture: &CaptureId,
+    incoming: Incoming,
+) -> Result<(), Problem> {
+    // Another request made it meanwhile.
+    if let Some(same) = app.store.capture_by_hash(tenant, &incoming.sha256).await? {
+        return Err(stored_before(&same));
+    }
+    if let Some(same) = app.store.capture_made_of(tenant, &incoming.sha256).await? {
+        return Err(stored_before(&same));
+    }
+    // What it is called by then is written down with its upload.
+    let made = match poses::are_wanted(app, &incoming).await? {
+        true => make_posed(app, tenant, capture.clone(), incoming).await?,
+        false => make(app, tenant, capture.clone(), incoming, Marks::default()).await?,
+    };
+    if made.id == *capture { Ok(()) } else { Err(stored_before(&made)) }
 }
 
 fn stored_before(same: &CaptureRecord) -> Problem {
@@ -174,16 +229,17 @@ pub(super) async fn why_not(app: &Shared, caller: &Caller, id: &CaptureId) -> Re
     })
 }
 
-fn accepted(upload: &UploadRecord) -> Response {
-    let view = view(upload);
+fn accepted(view: CaptureSummary, was_preferred: bool) -> Response {
     let location = format!("/v1/captures/{}", view.id);
     let mut response = (StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(view)).into_response();
-    response.headers_mut().insert(APPLIED, HeaderValue::from_static(ASYNC));
+    if was_preferred {
+        response.headers_mut().insert(APPLIED, HeaderValue::from_static(ASYNC));
+    }
     response
 }
 
 /// A capture that is being made, or could not be.
-pub(super) fn view(upload: &UploadRecord) -> CaptureSummary {
+pub(super) fn view(app: &Shared, upload: &UploadRecord) -> CaptureSummary {
     CaptureSummary {
         id: upload.capture_id.clone().unwrap_or_default(),
         sha256: upload.sha256.clone().unwrap_or_default(),
@@ -193,6 +249,8 @@ pub(super) fn view(upload: &UploadRecord) -> CaptureSummary {
         state: if upload.problem.is_some() { CaptureState::Invalid } else { CaptureState::Validating },
         problem: upload.problem.clone(),
         upload: Some(upload.id.clone()),
+        poses: upload.capture_id.as_ref().and_then(|id| app.poses.progress(id)),
+        made_of: None,
         report: CaptureReport::default(),
     }
 }

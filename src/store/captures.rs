@@ -30,8 +30,8 @@ impl Store {
         let marks = promised.as_ref().unwrap_or(&capture.marks);
         sqlx::query(
             "INSERT INTO captures
-                 (id, sha256, bytes, artifact, report, created_ms, tenant, name, external_id, labels)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10) ON CONFLICT (tenant, sha256) DO NOTHING",
+                 (id, sha256, bytes, artifact, report, created_ms, tenant, name, external_id, labels, made_of)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11) ON CONFLICT (tenant, sha256) DO NOTHING",
         )
         .bind(&capture.id)
         .bind(&capture.sha256)
@@ -43,6 +43,7 @@ impl Store {
         .bind(&marks.name)
         .bind(&marks.external_id)
         .bind(Json(&marks.labels))
+        .bind(&capture.made_of)
         .execute(&mut *tx)
         .await?;
         let mut stored: CaptureRecord =
@@ -95,6 +96,22 @@ impl Store {
             .bind(sha256)
             .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
+    }
+
+    /// A capture of a tenant that was made of these photographs without poses.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn capture_made_of(
+        &self,
+        tenant: &TenantId,
+        sha256: &str,
+    ) -> Result<Option<CaptureRecord>, StoreError> {
+        let query = sqlx::query_as(
+            "SELECT * FROM captures WHERE made_of = ?1 AND tenant = ?2 AND deleted_ms IS NULL
+             ORDER BY created_ms DESC, id DESC LIMIT 1",
+        );
+        Ok(query.bind(sha256).bind(tenant).fetch_optional(self.pool()).await?)
     }
 
     /// Captures of a tenant that are called so, newest first.

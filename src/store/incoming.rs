@@ -28,6 +28,13 @@ pub struct Incoming {
 }
 
 impl Incoming {
+    /// These bytes were made of `other`, whose upload is gone once these are published, and stays when they are dropped.
+    #[must_use]
+    pub fn in_place_of(mut self, mut other: Self) -> Self {
+        self.upload = other.upload.take();
+        self
+    }
+
     /// Whether it is an upload that stays when this is dropped.
     pub fn came_in_pieces(&self) -> bool {
         self.upload.is_some()

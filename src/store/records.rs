@@ -29,6 +29,8 @@ pub struct CaptureRecord {
     pub report: CaptureReport,
     /// Time of upload.
     pub created_ms: i64,
+    /// Hash of the photographs without poses that it was made of, lower-case hex.
+    pub made_of: Option<String>,
 }
 
 /// An uploaded environment map.

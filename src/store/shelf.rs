@@ -69,7 +69,10 @@ impl Store {
     }
 
     /// Drops an upload whose content is there already, with the pieces that it came in.
-    async fn forget_pieces(&self, mut incoming: Incoming) -> Result<(), StoreError> {
+    ///
+    /// # Errors
+    /// When the database or the file system fails.
+    pub async fn forget_pieces(&self, mut incoming: Incoming) -> Result<(), StoreError> {
         match incoming.upload.take() {
             Some(pieces) => self.drop_upload(&pieces).await,
             None => Ok(()),

@@ -97,6 +97,7 @@ impl Bench {
             artifact: "captures/00".into(),
             marks: Marks::default(),
             report: CaptureReport::default(),
+            made_of: None,
             created_ms: 0,
         };
         store.insert_capture(&tenant(), &capture, None).await.unwrap();

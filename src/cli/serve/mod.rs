@@ -14,6 +14,7 @@ mod fairness;
 mod fetching;
 mod keys;
 mod network;
+mod poses;
 mod storage;
 mod webhooks;
 
@@ -62,6 +63,8 @@ pub(super) struct ServeArgs {
     #[command(flatten)]
     fetching: fetching::FetchArgs,
     #[command(flatten)]
+    poses: poses::PosesArgs,
+    #[command(flatten)]
     webhooks: webhooks::WebhookArgs,
 }
 
@@ -85,6 +88,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     config.limits.disk_bytes = args.storage.max_disk;
     config.thumbnail_cache = args.storage.thumbnail_cache;
     args.fetching.apply(&mut config);
+    args.poses.apply(&mut config);
     args.webhooks.apply(&mut config);
     config.retention = args.storage.retention();
     config.uploads.life = args.storage.upload_life();

@@ -19,6 +19,7 @@ use crate::api::uploads::{UploadState, UploadView};
 use crate::api::{List, Problem, UploadId};
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
+use crate::server::deletion;
 use crate::server::description::File;
 use crate::server::extract::{NoQuery, QueryString, UrlPath, content_length, media_type};
 use crate::server::listing::{PageQuery, rfc3339};
@@ -265,6 +266,11 @@ async fn delete_upload(
     caller: Caller,
     UrlPath(id): UrlPath<UploadId>,
 ) -> Result<StatusCode, Problem> {
+    let upload = find(&app, &caller, &id).await?;
+    // Whose poses are being found is deleted as a capture is.
+    if let Some(capture) = upload.capture_id.filter(|capture| app.poses.progress(capture).is_some()) {
+        return deletion::delete_unmade(&app, &caller, capture).await;
+    }
     let (hold, _) = held(&app, &caller, &id).await?;
     app.store.drop_upload(&hold).await?;
     Ok(StatusCode::NO_CONTENT)

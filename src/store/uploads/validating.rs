@@ -1,5 +1,7 @@
 //! Uploads that a capture is being made of: what was answered to whoever asked for it outlives the server.
 
+use std::collections::HashSet;
+
 use sqlx::types::Json;
 
 use crate::api::marks::Marks;
@@ -121,6 +123,16 @@ impl Store {
         let query = "SELECT * FROM uploads WHERE capture_id IS NOT NULL AND problem IS NULL
                      ORDER BY created_ms, id";
         Ok(sqlx::query_as(query).fetch_all(self.pool()).await?)
+    }
+
+    /// The captures of all tenants that are being made, or could not be made.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn unmade(&self) -> Result<HashSet<String>, StoreError> {
+        let query = sqlx::query_scalar("SELECT capture_id FROM uploads WHERE capture_id IS NOT NULL");
+        let ids: Vec<String> = query.fetch_all(self.pool()).await?;
+        Ok(ids.into_iter().collect())
     }
 
     /// Forgets an upload of which no capture could be made; `false` while one is being made.

@@ -65,6 +65,7 @@ mod tests {
             artifact: "captures/00".into(),
             marks: Marks::default(),
             report: CaptureReport::default(),
+            made_of: None,
             created_ms: 0,
         };
         let tenant = TenantId::of_operator();

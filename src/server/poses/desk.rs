@@ -1,0 +1,132 @@
+//! Which captures poses are being found for, how far each is, and who waits for its turn.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
+use tokio_util::sync::CancellationToken;
+
+use super::policy::PosesPolicy;
+use crate::api::captures::{PosesProgress, PosesStage};
+use crate::api::{CaptureId, Problem};
+use crate::capture::poses::{PoseProgress, PoseStage, colmap_version};
+
+/// The work on all captures.
+pub(in crate::server) struct Desk {
+    pub(super) policy: PosesPolicy,
+    /// Why COLMAP cannot be used, once that is known.
+    tried: OnceCell<Result<(), String>>,
+    /// COLMAP takes all processors, so that there is one at a time.
+    turn: Arc<Semaphore>,
+    active: Arc<Mutex<HashMap<CaptureId, Active>>>,
+}
+
+#[derive(Clone)]
+struct Active {
+    progress: PosesProgress,
+    cancelled: CancellationToken,
+}
+
+/// Work on one capture, until this is dropped.
+pub(super) struct Ticket {
+    id: CaptureId,
+    active: Arc<Mutex<HashMap<CaptureId, Active>>>,
+    pub(super) cancelled: CancellationToken,
+}
+
+impl Desk {
+    pub(in crate::server) fn new(policy: PosesPolicy) -> Self {
+        let turn = Arc::new(Semaphore::new(1));
+        Self { policy, tried: OnceCell::new(), turn, active: Arc::default() }
+    }
+
+    /// Whether poses can be found here, or why not. COLMAP is tried once in the life of a server.
+    pub(super) async fn is_able(&self) -> Result<(), String> {
+        if !self.policy.is_on {
+            return Err("this server does not look for poses (--poses off)".to_owned());
+        }
+        let try_it = || async {
+            let options = self.policy.options();
+            let tried = move || {
+                let log = tempfile::NamedTempFile::new().map_err(|error| error.to_string())?;
+                colmap_version(&options, log.path()).map_err(|error| error.to_string())
+            };
+            match tokio::task::spawn_blocking(tried).await {
+                Ok(Ok(_)) => Ok(()),
+                Ok(Err(reason)) => Err(reason),
+                Err(error) => Err(error.to_string()),
+            }
+        };
+        self.tried.get_or_init(try_it).await.clone()
+    }
+
+    /// Says in the log whether photographs without poses are taken.
+    pub(in crate::server) async fn tell_the_log(&self) {
+        match self.is_able().await {
+            Ok(()) => tracing::info!("photographs without poses are taken"),
+            Err(reason) => tracing::info!(reason, "photographs without poses are refused"),
+        }
+    }
+
+    /// How far a capture is that poses are being found for.
+    pub(in crate::server) fn progress(&self, id: &CaptureId) -> Option<PosesProgress> {
+        lock(&self.active).get(id).map(|active| active.progress)
+    }
+
+    /// Ends the work on a capture soon; `false` where there is none.
+    pub(in crate::server) fn cancel(&self, id: &CaptureId) -> bool {
+        let active = lock(&self.active).get(id).cloned();
+        active.is_some_and(|active| {
+            active.cancelled.cancel();
+            true
+        })
+    }
+
+    /// Enters a capture, which waits from now on.
+    pub(super) fn enter(&self, id: &CaptureId) -> Ticket {
+        let cancelled = CancellationToken::new();
+        let progress = PosesProgress { stage: PosesStage::Waiting, done: 0.0 };
+        lock(&self.active).insert(id.clone(), Active { progress, cancelled: cancelled.clone() });
+        Ticket { id: id.clone(), active: self.active.clone(), cancelled }
+    }
+
+    /// Waits until COLMAP works on nothing else.
+    ///
+    /// # Errors
+    /// Never while the server runs.
+    pub(super) async fn turn(&self) -> Result<OwnedSemaphorePermit, Problem> {
+        self.turn.clone().acquire_owned().await.map_err(Problem::internal)
+    }
+
+    /// Waits until COLMAP has ended, which the end of the server makes it do.
+    pub(in crate::server) async fn idle(&self) {
+        let _ = self.turn.acquire().await;
+    }
+}
+
+impl Ticket {
+    /// Writes down how far the work is.
+    pub(super) fn tell(&self, PoseProgress { stage, done, total }: PoseProgress) {
+        let stage = match stage {
+            // Frames of a clip come before photographs.
+            PoseStage::Frames | PoseStage::Features => PosesStage::Features,
+            PoseStage::Matching => PosesStage::Matching,
+            PoseStage::Mapping => PosesStage::Placing,
+        };
+        let done = (done as f64 / total.max(1) as f64).clamp(0.0, 1.0);
+        if let Some(active) = lock(&self.active).get_mut(&self.id) {
+            active.progress = PosesProgress { stage, done };
+        }
+    }
+}
+
+impl Drop for Ticket {
+    fn drop(&mut self) {
+        lock(&self.active).remove(&self.id);
+    }
+}
+
+fn lock(active: &Mutex<HashMap<CaptureId, Active>>) -> std::sync::MutexGuard<'_, HashMap<CaptureId, Active>> {
+    // Each change of it is one that cannot panic halfway.
+    active.lock().unwrap_or_else(PoisonError::into_inner)
+}
