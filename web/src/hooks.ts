@@ -33,6 +33,22 @@ export function useLoaded<T>(path: string | undefined, every?: number): Loaded<T
   return { data: isOfPath ? state.data : undefined, error: isOfPath ? state.error : undefined, reload }
 }
 
+/** A text, read again every `every` milliseconds where that is given; what was read stays where it cannot be. */
+export function useText(path: string, every?: number): string {
+  const [text, setText] = useState('')
+  const [round, setRound] = useState(0)
+  useEffect(() => {
+    const stop = new AbortController()
+    ask(path, { signal: stop.signal }).then((answer) => answer.text()).then(setText).catch(() => {})
+    const timer = every ? setTimeout(() => setRound((n) => n + 1), every) : undefined
+    return () => {
+      stop.abort()
+      clearTimeout(timer)
+    }
+  }, [path, round, every])
+  return text
+}
+
 /** An address for a picture that only a key may see; nothing before it has arrived. */
 export function usePicture(path: string | undefined): string | undefined {
   const [shown, setShown] = useState<{ path: string; url: string }>()

@@ -1,13 +1,13 @@
-// node test/suite.mjs BASE KEY CAPTURE.zip LIGHT.hdr SITE [SHOTS]: walks through the web app in a real browser, from an upload to a download.
+// node test/suite.mjs BASE KEY CAPTURE.zip LIGHT.hdr SITE PHOTOS [SHOTS]: walks through the web app in a real browser, from an upload to a download.
 // Fails on an error in the console, on a violation of the Content-Security-Policy and on what axe-core finds. SITE is an origin
-// that the server lists. Pictures go to SHOTS.
+// that the server lists. PHOTOS is a folder of photographs without poses, for which the server's COLMAP finds none after a while. Pictures go to SHOTS.
 import assert from 'node:assert/strict'
-import { readFileSync, statSync } from 'node:fs'
+import { readdirSync, readFileSync, statSync } from 'node:fs'
 import { createServer } from 'node:http'
 import { createRequire } from 'node:module'
 import { chromium } from 'playwright-core'
 
-const [base, key, capture, light, site, shots] = process.argv.slice(2)
+const [base, key, capture, light, site, photos, shots] = process.argv.slice(2)
 const axe = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8')
 // WebGPU in software: of the flags that are usually named, only these give an adapter and a canvas.
 const FLAGS = ['--no-sandbox', '--enable-unsafe-webgpu', '--use-angle=swiftshader', '--enable-features=Vulkan', '--use-vulkan=swiftshader']
@@ -96,6 +96,22 @@ await thumbnails.first().waitFor()
 const withoutPixels = () => [...document.querySelectorAll('.taken img')].filter((image) => image.complete && !image.naturalWidth).length
 assert.equal(await page.evaluate(withoutPixels), 0)
 await audit(page, 'capture')
+
+// Photographs without poses: how far COLMAP is, then why it failed and what it said.
+await go('/captures')
+await heading('Captures').waitFor()
+await page.getByLabel('Files of a capture').setInputFiles(readdirSync(photos).map((name) => `${photos}/${name}`))
+await page.getByRole('heading', { name: 'Finding where the photographs were taken' }).waitFor()
+await page.getByRole('progressbar', { name: /features that photographs share/ }).waitFor()
+await page.getByLabel('Log of COLMAP').getByText('Matching block').waitFor()
+await audit(page, 'poses')
+await page.getByRole('alert').getByText(/placed 0 of \d+ photographs/).waitFor()
+await page.getByLabel('Log of COLMAP').getByText('Registering image').waitFor()
+assert.equal(await page.getByRole('progressbar').count(), 0, 'it is over')
+await audit(page, 'poses-failed')
+await go('/captures')
+await page.getByRole('heading', { name: 'Being made' }).waitFor()
+await page.getByRole('table').getByRole('link').first().click()
 
 // Job: a very short training, watched.
 await page.getByRole('link', { name: 'Train a model' }).click()

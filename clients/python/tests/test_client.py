@@ -52,6 +52,25 @@ class Uploads:
         return httpx.Response(201, json={"id": "c1"})
 
 
+def test_a_capture_is_waited_for_and_says_why_it_is_invalid() -> None:
+    problem = {"type": "urn:relume:problem:no-poses", "title": "No poses", "status": 422, "detail": "3 of 8"}
+    for state, more in [("ready", {}), ("invalid", {"problem": problem})]:
+        states = [{"state": "validating", "poses": {"stage": "matching", "done": 0.5}}, {"state": state, **more}]
+
+        def answer(request: httpx.Request, states: list[dict[str, Any]] = states) -> httpx.Response:
+            assert request.url.path == "/v1/captures/c1"
+            return httpx.Response(200, json={"id": "c1", **(states.pop(0) if states else {})})
+
+        capture = client(answer).capture("c1")
+        assert capture.state == "validating"
+        if state == "ready":
+            assert capture.wait() is capture
+            continue
+        with pytest.raises(relume.RelumeError) as caught:
+            capture.wait()
+        assert caught.value.kind == "no-poses" and "3 of 8" in str(caught.value)
+
+
 @pytest.mark.parametrize("breaks", [0, 1, 5])
 def test_an_upload_goes_on_where_it_was_cut(breaks: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(relume.uploads, "_PIECE", 1000)

@@ -61,7 +61,7 @@ export function DropZone({ onDone }: { onDone: (capture: Capture) => void }) {
       {sending ? <Progress of={sending} onStop={() => stop.current?.abort()} /> : (
         <>
           <h2>Drop a capture here</h2>
-          <p class="muted">A folder or a zip, or photographs with their poses: COLMAP files or a <code>transforms.json</code>.</p>
+          <p class="muted">A folder or a zip, or photographs with their poses: COLMAP files or a <code>transforms.json</code>. Photographs alone, where the server has COLMAP.</p>
           <div class="row">
             <button class="primary" type="button" onClick={() => archive.current?.click()}>Choose files or a zip</button>
             <button type="button" onClick={() => folder.current?.click()}>Choose a folder</button>
@@ -82,7 +82,8 @@ async function send(what: Selection, signal: AbortSignal, tell: (sending: Sendin
   const label = 'archive' in what ? what.archive.name : `${what.files.length} files`
   tell({ what: `Uploading ${label}`, sent: 0, total: 1 })
   let capture = await upload(what, name, (sent, total) => tell({ what: sent < total ? `Uploading ${label}` : 'Validating', sent, total }), signal)
-  while (capture.state === 'validating') {
+  // Poses take long: their progress is on the page of the capture.
+  while (capture.state === 'validating' && !capture.poses) {
     tell({ what: 'Validating', sent: 1, total: 1 })
     await new Promise((done) => setTimeout(done, POLL))
     signal.throwIfAborted()

@@ -1,15 +1,18 @@
-import { useState } from 'preact/hooks'
+import { useEffect, useState } from 'preact/hooks'
 import { message, remove } from '../api/client'
-import type { Capture, Photographs } from '../api/types'
+import type { Capture, Photographs, Report } from '../api/types'
 import { Facts, Failure, Head } from '../components/common'
 import { PhotographList } from '../components/photographs'
+import { Log, POLL, Poses } from '../components/poses'
 import { Rig } from '../components/rig'
 import { bytes, called } from '../format'
 import { useLoaded, useTitle } from '../hooks'
 import { go, link } from '../router'
 
 export function CapturePage({ id }: { id: string }) {
-  const { data: capture, error } = useLoaded<Capture>(`v1/captures/${encodeURIComponent(id)}`)
+  const [isWaiting, setIsWaiting] = useState(false)
+  const { data: capture, error } = useLoaded<Capture>(`v1/captures/${encodeURIComponent(id)}`, isWaiting ? POLL : undefined)
+  useEffect(() => setIsWaiting(capture?.state === 'validating'), [capture?.state])
   const isReady = capture && (capture.state ?? 'ready') === 'ready'
   const taken = useLoaded<Photographs>(isReady ? `v1/captures/${encodeURIComponent(id)}/photographs?convention=opengl` : undefined)
   const [failed, setFailed] = useState<string>()
@@ -28,13 +31,17 @@ export function CapturePage({ id }: { id: string }) {
       {capture ? (
         <div class="split">
           <div class="stack">
-            <section class="card" aria-labelledby="cameras">
-              <h2 id="cameras">Cameras</h2>
-              {taken.data ? <Rig cameras={taken.data.photographs} report={capture.report} /> : <div class="rig" />}
-              <p class="legend"><span class="a">trained on</span><span class="b">held out, to judge the model</span></p>
-              <Failure error={taken.error} />
-            </section>
+            {isReady ? (
+              <section class="card" aria-labelledby="cameras">
+                <h2 id="cameras">Cameras</h2>
+                {taken.data ? <Rig cameras={taken.data.photographs} report={capture.report} /> : <div class="rig" />}
+                <p class="legend"><span class="a">trained on</span><span class="b">held out, to judge the model</span></p>
+                <Failure error={taken.error} />
+              </section>
+            ) : null}
+            {capture.poses ? <Poses of={capture.poses} since={capture.created_at} /> : null}
             {taken.data ? <section class="card stack" aria-labelledby="photographs"><h2 id="photographs">Photographs</h2><PhotographList of={taken.data.photographs} /></section> : null}
+            {capture.poses || capture.made_of || capture.state === 'invalid' ? <Log capture={id} works={isWaiting} open={!isReady} /> : null}
           </div>
           <Validation of={capture} />
         </div>
@@ -43,12 +50,21 @@ export function CapturePage({ id }: { id: string }) {
   )
 }
 
-function Validation({ of: { report, bytes: size, problem } }: { of: Capture }) {
-  const warnings = [...report.warnings, ...(report.notes ?? []).map(({ text }) => text)]
+function Validation({ of: { report, bytes: size, problem, state } }: { of: Capture }) {
   return (
     <section class="card stack" aria-labelledby="report">
       <h2 id="report">Validation</h2>
-      {problem ? <p class="notice bad">{problem.detail ?? problem.title}</p> : null}
+      <div role="alert">{problem ? <p class="notice bad said">{problem.detail ?? problem.title}</p> : null}</div>
+      {state === 'validating' ? <p>The server makes a capture of what was sent.</p> : null}
+      {(state ?? 'ready') === 'ready' ? <Found report={report} size={size} /> : null}
+    </section>
+  )
+}
+
+function Found({ report, size }: { report: Report; size: number }) {
+  const warnings = [...report.warnings, ...(report.notes ?? []).map(({ text }) => text)]
+  return (
+    <>
       <Facts of={[
         ['Trained on', report.train_images],
         ['Held out', report.test_images],
@@ -61,6 +77,6 @@ function Validation({ of: { report, bytes: size, problem } }: { of: Capture }) {
       ]} />
       <h3>{warnings.length ? 'Worth knowing' : 'No warnings'}</h3>
       <ul class="notices">{warnings.map((warning) => <li key={warning} class="notice small">{warning}</li>)}</ul>
-    </section>
+    </>
   )
 }

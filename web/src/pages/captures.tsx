@@ -1,4 +1,4 @@
-import type { Capture, Listed } from '../api/types'
+import type { Capture, Listed, Upload } from '../api/types'
 import { Badge, Failure, Head } from '../components/common'
 import { DropZone } from '../components/dropzone'
 import { bytes, called, moment } from '../format'
@@ -15,9 +15,25 @@ export function CapturesPage() {
       <div class="stack">
         <DropZone onDone={(capture) => go(link(['captures', capture.id]))} />
         <Failure error={captures.error} />
+        <Unmade />
         {items?.length ? <Table of={items} /> : items ? <p class="empty">No captures yet. <code>relume sample capture.zip</code> writes a small one to try.</p> : null}
       </div>
     </>
+  )
+}
+
+/** What is being made, or could not be made: lists of captures have it once it is ready. */
+function Unmade() {
+  const uploads = useLoaded<Listed<Upload>>('v1/uploads?limit=100', 5000)
+  const unmade = (uploads.data?.items ?? []).filter(({ capture }) => capture)
+  if (!unmade.length) return null
+  return (
+    <section class="card" aria-labelledby="unmade">
+      <h2 id="unmade">Being made</h2>
+      <ul class="notices">
+        {unmade.map((upload) => <li class="row" key={upload.id}><a href={link(['captures', upload.capture ?? ''])}>{upload.filename ?? moment(upload.created_at)}</a><Badge state={upload.state ?? 'complete'} /></li>)}
+      </ul>
+    </section>
   )
 }
 

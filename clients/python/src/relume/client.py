@@ -43,7 +43,10 @@ class Client:
         self._connection.close()
 
     def upload_capture(self, path: str | os.PathLike[str], *, name: str | None = None, progress: bool = False) -> Capture:
-        """Uploads photographs with their cameras: a zip, tar or tar.gz, or a folder. A broken connection is gone on with."""
+        """Uploads photographs with their cameras: a zip, tar or tar.gz, or a folder. A broken connection is gone on with.
+
+        Photographs without cameras are taken where the server finds these; `wait()` on the capture until it has.
+        """
         with archive_of(Path(path)) as (file, length, filename):
             identifier = upload(self._connection, file, length, filename, progress)
         named = {"name": name} if name is not None else {}

@@ -14,7 +14,7 @@ from urllib.parse import quote
 from tqdm import tqdm
 
 from relume.cameras import Camera
-from relume.errors import JobFailed
+from relume.errors import JobFailed, RelumeError
 from relume.frames import Frame
 from relume.http import Connection
 
@@ -56,6 +56,34 @@ class Capture(Resource):
     """Photographs with their cameras."""
 
     _path = "captures"
+
+    @property
+    def state(self) -> str:
+        """`ready`, `validating` or `invalid`, as it was last asked for."""
+        return str(self.data.get("state", "ready"))
+
+    def wait(self, *, timeout: float | None = None, on_progress: Callable[[dict[str, Any]], None] | None = None) -> Capture:
+        """Waits until it is ready, where the server finds the poses of its photographs first, and gives itself.
+
+        `on_progress` is told each new state of the capture's JSON, whose `poses` say how far that is. Raises RelumeError when it became
+        invalid; `log()` has what COLMAP said. Raises TimeoutError after `timeout` seconds.
+        """
+        until = None if timeout is None else time.monotonic() + timeout
+        while self.state == "validating":
+            if until is not None and time.monotonic() > until:
+                raise TimeoutError(f"capture {self.id} is {self.state} after {timeout} s")
+            time.sleep(1.0)
+            self.refresh()
+            if on_progress is not None:
+                on_progress(self.data)
+        if self.state == "invalid":
+            problem = self.data.get("problem") or {}
+            raise RelumeError(int(problem.get("status", 422)), problem)
+        return self
+
+    def log(self) -> str:
+        """What COLMAP said while it found the poses; empty where the photographs came with them."""
+        return self._connection.send("GET", self._at("/log")).text
 
     def cameras(self) -> list[dict[str, Any]]:
         """Each photograph's `name`, `width`, `height`, `held_out` and `camera`, which is one that `Model.render` takes."""

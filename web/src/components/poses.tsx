@@ -1,0 +1,43 @@
+import { duration } from '../format'
+import { useText } from '../hooks'
+import type { PosesProgress } from '../api/types'
+
+/** Between two looks at a capture that is being made, milliseconds. */
+export const POLL = 1500
+
+const STAGES: Record<PosesProgress['stage'], string> = {
+  waiting: 'Waiting for another capture',
+  features: 'Looking for features of each photograph',
+  matching: 'Looking for features that photographs share',
+  placing: 'Placing the photographs one after the other',
+}
+
+/** How far the search for poses is. */
+export function Poses({ of: { stage, done }, since }: { of: PosesProgress; since: string }) {
+  const percent = Math.floor(100 * done)
+  // Read out every tenth, not every photograph.
+  const spoken = stage === 'waiting' ? STAGES.waiting : `${STAGES[stage]}, ${10 * Math.floor(percent / 10)} %`
+  return (
+    <section class="card stack" aria-labelledby="poses">
+      <h2 id="poses">Finding where the photographs were taken</h2>
+      <p>{STAGES[stage]}</p>
+      {stage === 'waiting' ? null : <progress value={done} max={1} aria-label={STAGES[stage]} />}
+      <p class="muted small">COLMAP compares each photograph with each other: that may take from minutes to hours. It has been {duration((Date.now() - Date.parse(since)) / 1000)}. This page may be closed; Delete ends it.</p>
+      <span aria-live="polite" class="skip">{spoken}</span>
+    </section>
+  )
+}
+
+/** What COLMAP said, read anew while it works; nothing where it said nothing. */
+export function Log({ capture, works, open }: { capture: string; works: boolean; open: boolean }) {
+  const text = useText(`v1/captures/${encodeURIComponent(capture)}/log`, works ? POLL : undefined)
+  if (!text) return null
+  return (
+    <section class="card" aria-label="Log">
+      <details open={open}>
+        <summary>What COLMAP said</summary>
+        <pre class="log" tabIndex={0} aria-label="Log of COLMAP">{text}</pre>
+      </details>
+    </section>
+  )
+}
