@@ -68,15 +68,10 @@ pub(in crate::server) async fn remove_left_over(store: &Store) -> Result<(), Sto
     Ok(())
 }
 
-/// Removes a folder, and the one of all of them where it was the last.
+/// Removes a folder; that there is none is no error.
 fn remove(folder: &Path) -> io::Result<()> {
     match std::fs::remove_dir_all(folder) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-        _ => {}
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
     }
-    if let Some(all) = folder.parent() {
-        // It fails where there are others.
-        let _ = std::fs::remove_dir(all);
-    }
-    Ok(())
 }
