@@ -1,19 +1,15 @@
 //! `relume export`: a model file in, a file for other programs out.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
-use serde::Deserialize;
 
 use crate::cli::args::named;
 use crate::cli::error::CommandResult;
 use crate::cli::light::named_light;
 use crate::cli::render::{finite, up_to};
 use crate::cli::{input, output};
-use crate::formats::ply_model::{self, Columns};
-use crate::formats::splats::{Layer, Splats};
-use crate::formats::{environment, gltf, usd};
-use crate::render::{MOST_BAKED_DEGREE, MeshOptions, Renderer};
+use crate::render::{
+    MOST_BAKED_DEGREE, MeshOptions, Shown, SplatFile, encode_mesh_file, encode_splat_file, relit,
+};
 use crate::scene::Model;
 
 /// Options of `relume export`.
@@ -52,41 +48,6 @@ pub(super) struct ExportArgs {
     flatten: bool,
 }
 
-/// What the colour of exported Gaussians shows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum Shown {
-    Radiance,
-    Relit,
-    Albedo,
-    Normal,
-    Roughness,
-    Metallic,
-}
-
-impl Shown {
-    /// The layer of the surface that it is, if it is one.
-    fn layer(self) -> Option<Layer> {
-        match self {
-            Self::Radiance | Self::Relit => None,
-            Self::Albedo => Some(Layer::Albedo),
-            Self::Normal => Some(Layer::Normal),
-            Self::Roughness => Some(Layer::Roughness),
-            Self::Metallic => Some(Layer::Metallic),
-        }
-    }
-}
-
-/// A kind of file, by its extension.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Ply,
-    Glb,
-    Usda,
-    Usdz,
-    Hdr,
-}
-
 pub(super) fn run(args: &ExportArgs) -> CommandResult {
     let (kind, shown) = (kind(&args.out)?, args.shown()?);
     let mut model = input::read_model(&args.model)?;
@@ -119,54 +80,33 @@ impl ExportArgs {
             Some(name) => named_light(name, "recovered ")?,
         };
         let light = light.rotated_and_scaled(self.rotation, self.exposure.exp2() as f32);
-        let renderer = Renderer::new(Arc::new(model));
-        let light = renderer.prepare_light(&light)?;
-        Ok(renderer.baked(&light, self.relit_degree as usize))
+        Ok(relit(model, &light, self.relit_degree as usize)?)
     }
 
-    fn encode_mesh(&self, kind: Kind, model: Model) -> CommandResult<Vec<u8>> {
-        if kind != Kind::Glb {
+    fn encode_mesh(&self, kind: SplatFile, model: Model) -> CommandResult<Vec<u8>> {
+        if kind != SplatFile::Glb {
             return Err("--mesh: only a .glb holds a mesh".into());
         }
         if !model.has_materials() {
             return Err("--mesh: the model has no materials".into());
         }
-        let options = MeshOptions { cells: self.mesh_cells as usize, ..MeshOptions::default() };
-        let mesh = Renderer::new(Arc::new(model)).mesh(options)?;
-        Ok(gltf::encode_mesh(&mesh)?)
+        Ok(encode_mesh_file(model, self.mesh_cells as usize)?)
     }
 
-    fn encode(&self, kind: Kind, shown: Shown, model: &Model) -> CommandResult<Vec<u8>> {
-        let mut splats = Splats::of(model);
-        if self.flatten {
-            splats = splats.flattened();
-        }
-        if kind != Kind::Ply {
-            splats = splats.with_y_up();
-        }
-        if let Some(layer) = shown.layer() {
-            splats = splats.painted(layer);
-        }
-        let ordinary = self.layer.is_some() || self.env.is_some() || !model.has_materials();
-        let columns = if ordinary { Columns::Ordinary } else { Columns::Relightable };
-        Ok(match kind {
-            Kind::Ply => ply_model::encode_splats(model, &splats, columns),
-            Kind::Glb => gltf::encode_splats(&splats)?,
-            Kind::Usda => usd::encode_splats(&splats).into_bytes(),
-            Kind::Usdz => usd::encode_splats_package(&splats)?,
-            Kind::Hdr => environment::encode_hdr(&model.environment())?,
-        })
+    fn encode(&self, kind: SplatFile, shown: Shown, model: &Model) -> CommandResult<Vec<u8>> {
+        let is_stated = self.layer.is_some() || self.env.is_some();
+        Ok(encode_splat_file(model, kind, is_stated.then_some(shown), self.flatten)?)
     }
 }
 
-fn kind(path: &Path) -> Result<Kind, String> {
+fn kind(path: &Path) -> Result<SplatFile, String> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     match extension.as_str() {
-        "ply" => Ok(Kind::Ply),
-        "glb" => Ok(Kind::Glb),
-        "usda" => Ok(Kind::Usda),
-        "usdz" => Ok(Kind::Usdz),
-        "hdr" => Ok(Kind::Hdr),
+        "ply" => Ok(SplatFile::Ply),
+        "glb" => Ok(SplatFile::Glb),
+        "usda" => Ok(SplatFile::Usda),
+        "usdz" => Ok(SplatFile::Usdz),
+        "hdr" => Ok(SplatFile::Hdr),
         _ => Err(format!("{}: must end in .ply, .glb, .usda, .usdz or .hdr", path.display())),
     }
 }
@@ -201,8 +141,8 @@ mod tests {
 
     #[test]
     fn kinds_are_told_by_their_extension() {
-        assert_eq!(kind(Path::new("a/b.GLB")), Ok(Kind::Glb));
-        assert_eq!(kind(Path::new("b.usdz")), Ok(Kind::Usdz));
+        assert_eq!(kind(Path::new("a/b.GLB")), Ok(SplatFile::Glb));
+        assert_eq!(kind(Path::new("b.usdz")), Ok(SplatFile::Usdz));
         assert!(kind(Path::new("b.spz")).unwrap_err().starts_with("b.spz: "));
         assert!(kind(Path::new("ply")).is_err());
     }

@@ -2,7 +2,6 @@
 
 mod args;
 mod camera_file;
-mod nerfstudio_path;
 mod numbering;
 mod sequence;
 mod studio;

@@ -7,9 +7,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::args::SequenceArgs;
 use super::numbering::Numbering;
 use super::studio::Studio;
-use super::views::View;
 use crate::cli::error::CommandResult;
 use crate::cli::output;
+use crate::render::View;
 
 /// Writes one picture.
 pub(super) fn single(studio: &Studio, view: &View, out: &Path) -> CommandResult {

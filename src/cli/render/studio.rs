@@ -4,13 +4,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::args::RenderArgs;
-use super::views::View;
 use crate::cli::error::CommandResult;
 use crate::cli::input;
 use crate::cli::light::named_light;
 use crate::engine::Device;
 use crate::render::{
-    Background, Finish, FrameFormat, FrameNotes, Output, PreparedLight, Quality, Renderer, Tier, encode_frame,
+    Background, Finish, FrameFormat, FrameNotes, Output, PreparedLight, Quality, Renderer, Tier, View,
+    encode_frame,
 };
 use crate::scene::{EnvMap, Model};
 

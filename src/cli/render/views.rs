@@ -2,17 +2,8 @@
 
 use super::args::CameraArgs;
 use crate::cli::error::CommandResult;
-use crate::render::{Orbit, Viewpoint};
-use crate::scene::{Camera, Model};
-
-/// What a frame shows.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct View {
-    /// From where, capture units.
-    pub camera: Camera,
-    /// Turn of the light about +Z beside what holds for all frames, degrees counter-clockwise.
-    pub light_turn_deg: f64,
-}
+use crate::render::{Turntable, View, orbit_camera, turn_light};
+use crate::scene::Model;
 
 /// What the frames show, in their order: cameras of a file, a turntable or one picture.
 pub(super) fn views(
@@ -20,30 +11,19 @@ pub(super) fn views(
     file_cameras: Option<Vec<View>>,
     model: &Model,
 ) -> CommandResult<Vec<View>> {
+    let size = args.resolution.unwrap_or((args.size, args.size));
     let mut views = match (file_cameras, args.turntable) {
         (Some(views), _) => views,
-        (None, Some(frames)) => turntable(args, frames, model)?,
-        (None, None) => vec![View { camera: orbit(args, args.azimuth, model)?, light_turn_deg: 0.0 }],
+        (None, Some(frames)) => {
+            let (azimuth_deg, elevation_deg) = (args.azimuth, args.elevation);
+            let camera_turn_deg = args.camera_turn;
+            Turntable { frames, azimuth_deg, elevation_deg, camera_turn_deg, size }.views(model)?
+        }
+        (None, None) => {
+            let camera = orbit_camera(model, args.azimuth, args.elevation, size)?;
+            vec![View { camera, light_turn_deg: 0.0 }]
+        }
     };
-    let frames = views.len() as f64;
-    for (i, view) in views.iter_mut().enumerate() {
-        view.light_turn_deg += args.env_turn * i as f64 / frames;
-    }
+    turn_light(&mut views, args.env_turn);
     Ok(views)
-}
-
-fn turntable(args: &CameraArgs, frames: u32, model: &Model) -> CommandResult<Vec<View>> {
-    let start = Orbit { azimuth_deg: args.azimuth, elevation_deg: args.elevation, size: args.size };
-    let start = start.azimuth_of(model);
-    let azimuth = |i: u32| start + args.camera_turn * f64::from(i) / f64::from(frames);
-    let view = |i| Ok(View { camera: orbit(args, Some(azimuth(i)), model)?, light_turn_deg: 0.0 });
-    (0..frames).map(view).collect()
-}
-
-/// A camera around the model. A picture that is not square shows more along its longer side.
-fn orbit(args: &CameraArgs, azimuth_deg: Option<f64>, model: &Model) -> CommandResult<Camera> {
-    let (width, height) = args.resolution.unwrap_or((args.size, args.size));
-    let orbit = Orbit { azimuth_deg, elevation_deg: args.elevation, size: width.min(height) };
-    let camera = Viewpoint::Orbit(orbit).camera(model)?;
-    Ok(Camera { width, height, cx: 0.5 * f64::from(width), cy: 0.5 * f64::from(height), ..camera })
 }

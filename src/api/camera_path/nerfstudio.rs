@@ -1,13 +1,12 @@
 //! nerfstudio's camera path, as its viewer exports it.
 
-use std::path::Path;
-
 use glam::{DMat4, DVec4};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::views::View;
-use crate::cli::input;
+use crate::api::camera_path::fields::fields;
+use crate::api::problem::FieldError;
+use crate::render::View;
 use crate::scene::Camera;
 
 /// Pictures of files that state no size, pixels: nerfstudio's own.
@@ -29,30 +28,28 @@ struct PathEntry {
     fov: f64,
 }
 
-/// How nerfstudio moved the world of a capture before it trained: `x' = scale * transform * x`.
-#[derive(Debug, Deserialize)]
-pub(super) struct World {
+/// How nerfstudio moved the world of a capture before it trained: `x' = scale * transform * x`. Its file
+/// `dataparser_transforms.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
+pub struct NerfstudioWorld {
     /// Rows of a rigid motion.
     transform: [[f64; 4]; 3],
+    /// Above 0.
     scale: f64,
 }
 
-/// Reads a `dataparser_transforms.json`.
-///
-/// # Errors
-/// Names the file and what is wrong with it.
-pub(super) fn read_world(file: &Path) -> Result<World, String> {
-    let named = |error: String| format!("{}: {error}", file.display());
-    let json = serde_json::from_slice(&input::read(file)?).map_err(|error| named(error.to_string()))?;
-    let world: World = input::from_json(json).map_err(named)?;
-    let invertible = world.matrix().determinant().abs() > 1e-9;
-    match invertible && world.scale.is_finite() && world.scale > 0.0 {
-        true => Ok(world),
-        false => Err(named("transform and scale must be invertible".to_owned())),
+impl NerfstudioWorld {
+    /// # Errors
+    /// Says what is wrong when it cannot be undone.
+    pub fn check(&self) -> Result<(), String> {
+        let invertible = self.matrix().determinant().abs() > 1e-9;
+        match invertible && self.scale.is_finite() && self.scale > 0.0 {
+            true => Ok(()),
+            false => Err("transform and scale must be invertible".to_owned()),
+        }
     }
-}
 
-impl World {
     fn matrix(&self) -> DMat4 {
         let [x, y, z] = self.transform.map(DVec4::from_array);
         DMat4::from_cols(x, y, z, DVec4::W).transpose()
@@ -69,14 +66,16 @@ impl World {
 ///
 /// # Errors
 /// Names the field.
-pub(super) fn views(json: Value, world: Option<&World>) -> Result<Vec<View>, String> {
-    let file: CameraPath = input::from_json(json)?;
+pub(super) fn views(json: &Value, world: Option<&NerfstudioWorld>) -> Result<Vec<View>, FieldError> {
+    let refused = |pointer: String, detail: &str| FieldError { pointer, detail: detail.to_owned() };
+    let file: CameraPath = fields(json)?;
     if let Some(kind) = file.camera_type.as_deref().filter(|kind| *kind != "perspective") {
-        return Err(format!("camera_type: {kind} is not rendered; perspective is"));
+        let detail = format!("{kind} is not rendered; perspective is");
+        return Err(refused("/camera_type".to_owned(), &detail));
     }
     let size = file.render_width.zip(file.render_height).unwrap_or(SIZE);
     let view = |(i, entry): (usize, &PathEntry)| {
-        let bad = |field: &str, reason: &str| format!("camera_path[{i}].{field}: {reason}");
+        let bad = |field: &str, reason: &str| refused(format!("/camera_path/{i}/{field}"), reason);
         let matrix: [f64; 16] = entry
             .camera_to_world
             .as_slice()
@@ -113,9 +112,9 @@ mod tests {
         let path =
             json!({ "camera_path": [{ "camera_to_world": moved.transpose().to_cols_array(), "fov": 40 }] });
         let rows = transform.transpose().to_cols_array_2d();
-        let world = World { transform: [rows[0], rows[1], rows[2]], scale: 0.25 };
-        let off = |world: Option<&World>| {
-            let seen = views(path.clone(), world).unwrap()[0].camera;
+        let world = NerfstudioWorld { transform: [rows[0], rows[1], rows[2]], scale: 0.25 };
+        let off = |world: Option<&NerfstudioWorld>| {
+            let seen = views(&path, world).unwrap()[0].camera;
             (seen.centre() - camera.centre()).length() + (seen.forward() - camera.forward()).length()
         };
         assert!(off(Some(&world)) < 1e-9, "{}", off(Some(&world)));
