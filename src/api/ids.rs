@@ -34,6 +34,8 @@ identifiers! {
     CaptureId;
     /// Identifies an uploaded environment map.
     EnvironmentId;
+    /// Identifies an export.
+    ExportId;
     /// Identifies a job.
     JobId;
     /// Identifies a model.

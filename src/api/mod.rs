@@ -1,8 +1,10 @@
 //! The types of the HTTP API as server and client exchange them: plain data, no HTTP.
 
+pub mod camera_path;
 pub mod cameras;
 pub mod captures;
 pub mod environments;
+pub mod exports;
 mod ids;
 pub mod jobs;
 pub mod keys;
@@ -19,7 +21,9 @@ pub mod uploads;
 pub mod usage;
 pub mod webhooks;
 
-pub use ids::{CaptureId, DeliveryId, EnvironmentId, JobId, KeyId, ModelId, TenantId, UploadId, WebhookId};
+pub use ids::{
+    CaptureId, DeliveryId, EnvironmentId, ExportId, JobId, KeyId, ModelId, TenantId, UploadId, WebhookId,
+};
 pub use page::List;
 pub use problem::Problem;
 pub use resources::{ResourceKind, ResourceName};

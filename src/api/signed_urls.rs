@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct NewSignedUrl {
-    /// Path and query of a thumbnail, of a model's stream, light or file, or of a job's events, e.g. `/v1/models/ID/thumbnail?size=256`.
+    /// Path and query of a thumbnail, of a model's stream, light or file, of an export's file, or of a job's events, e.g. `/v1/models/ID/thumbnail?size=256`.
     #[cfg_attr(feature = "server", schema(min_length = 1, max_length = 2048))]
     pub path: String,
     /// Seconds for which it is good, 1 to 604,800 (a week).

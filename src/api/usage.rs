@@ -15,6 +15,9 @@ pub struct Usage {
     /// Uploads that arrive in pieces, with what has arrived of them.
     #[serde(default)]
     pub uploads: StoredKind,
+    /// Exports with their files, and with the frames that are there of those that wait or run.
+    #[serde(default)]
+    pub exports: StoredKind,
     /// Checkpoints of jobs that wait or run.
     pub checkpoints: StoredKind,
     /// Bytes of files that belong to none of these: uploads in progress, what was deleted and is still in use, what was set

@@ -162,7 +162,9 @@ impl From<StoreError> for Problem {
                     .detail("nothing was stored")
                     .retry_after(60)
             }
-            StoreError::QuotaOfJobs { .. } | StoreError::QuotaOfUploads { .. } => {
+            StoreError::QuotaOfJobs { .. }
+            | StoreError::QuotaOfUploads { .. }
+            | StoreError::QuotaOfExports { .. } => {
                 let title = "Your tenant may have no more of these";
                 Self::new(StatusCode::TOO_MANY_REQUESTS, "quota-exceeded", title)
                     .detail(error.to_string())

@@ -49,7 +49,8 @@ const BYTES: &str =
       + COALESCE((SELECT SUM(bytes) FROM environments WHERE tenant = ?1 AND deleted_ms IS NULL), 0)
       + COALESCE((SELECT SUM(received) FROM uploads WHERE tenant = ?1), 0)
       + COALESCE((SELECT SUM(bytes) FROM model_files JOIN models ON models.id = model_id
-                  WHERE tenant = ?1 AND deleted_ms IS NULL), 0)";
+                  WHERE tenant = ?1 AND deleted_ms IS NULL), 0)
+      + COALESCE((SELECT SUM(COALESCE(bytes, 0) + work_bytes) FROM exports WHERE tenant = ?1 AND deleted_ms IS NULL), 0)";
 
 const JOBS: &str =
     "SELECT COUNT(*) FROM jobs WHERE tenant = ?1 AND state IN ('queued', 'running', 'cancelling')";

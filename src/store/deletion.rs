@@ -6,6 +6,7 @@ use sqlx::{Sqlite, Transaction};
 
 use crate::api::jobs::JobState;
 use crate::api::{JobId, ResourceKind, ResourceName, TenantId};
+use crate::store::exports::delete_exports_of;
 use crate::store::{JobRecord, Store, StoreError, events};
 
 /// Outcome of a request to delete.
@@ -132,6 +133,7 @@ async fn mark(tx: &mut Transaction<'_, Sqlite>, what: &ResourceName, now_ms: i64
     if what.kind == ResourceKind::Model {
         let told = "UPDATE jobs SET model_deleted_ms = ?2 WHERE model_id = ?1";
         sqlx::query(told).bind(&what.id).bind(now_ms).execute(&mut **tx).await?;
+        delete_exports_of(tx, &what.id, now_ms).await?;
     }
     Ok(())
 }

@@ -23,7 +23,8 @@ impl Store {
     /// # Errors
     /// When the database or a file operation fails; the next sweep goes on from there.
     pub async fn sweep_deleted(&self, now_ms: i64) -> Result<Discarded, StoreError> {
-        let things = self.discard_models().await?
+        let things = self.discard_exports().await?
+            + self.discard_models().await?
             + self.discard_jobs(now_ms).await?
             + self.discard_captures(now_ms).await?
             + self.discard_environments().await?;

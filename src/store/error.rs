@@ -67,6 +67,12 @@ pub enum StoreError {
         /// How many.
         most: u32,
     },
+    /// A tenant has as many exports that wait or run as it may.
+    #[error("{most} exports may wait and run at once; wait for some, or delete them")]
+    QuotaOfExports {
+        /// How many.
+        most: u32,
+    },
     /// The bytes of a piece are not those that were promised.
     #[error("the checksum is not that of the piece")]
     ChecksumMismatch,

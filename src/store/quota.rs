@@ -5,6 +5,6 @@
 pub struct Quota {
     /// Jobs that wait or run.
     pub jobs: Option<u32>,
-    /// Bytes of captures, environments, models and unfinished uploads. What several tenants have counts for each.
+    /// Bytes of captures, environments, models, exports and unfinished uploads. What several tenants have counts for each.
     pub bytes: Option<u64>,
 }

@@ -6,6 +6,7 @@ use sqlx::{FromRow, SqlitePool};
 use uuid::Uuid;
 
 use crate::store::StoreError;
+use crate::store::exports::EXPORTS;
 use crate::store::uploads::UPLOADS;
 
 /// An artifact that the database names.
@@ -26,6 +27,7 @@ pub(super) async fn references(pool: &SqlitePool) -> Result<Vec<Reference>, Stor
          UNION ALL SELECT artifact, sha256, 'environment ' || id FROM environments WHERE deleted_ms IS NULL
          UNION ALL SELECT artifact, sha256, 'model ' || model_id || ', ' || model_files.name FROM model_files
              JOIN models ON models.id = model_id WHERE deleted_ms IS NULL
+         UNION ALL SELECT artifact, sha256, 'export ' || id FROM exports WHERE artifact IS NOT NULL AND deleted_ms IS NULL
          UNION ALL SELECT 'uploads/' || id, NULL, 'upload ' || id FROM uploads
          UNION ALL SELECT checkpoint, checkpoint_sha256, 'checkpoint of job ' || id FROM jobs
              WHERE checkpoint IS NOT NULL AND state IN ('queued', 'running', 'cancelling') AND deleted_ms IS NULL",
@@ -38,7 +40,8 @@ pub(super) async fn names(pool: &SqlitePool) -> Result<Vec<String>, StoreError> 
     let query = sqlx::query_scalar(
         "SELECT artifact FROM captures UNION SELECT artifact FROM environments UNION SELECT artifact FROM model_files
          UNION SELECT checkpoint FROM jobs WHERE checkpoint IS NOT NULL UNION SELECT 'attempts/' || id FROM jobs
-         UNION SELECT 'uploads/' || id FROM uploads",
+         UNION SELECT 'uploads/' || id FROM uploads UNION SELECT 'exports/' || id FROM exports
+         UNION SELECT artifact FROM exports WHERE artifact IS NOT NULL",
     );
     Ok(query.fetch_all(pool).await?)
 }
@@ -50,10 +53,12 @@ pub(super) fn stored(artifacts: &Path) -> std::io::Result<Vec<String>> {
         files(&artifacts.join(family), family, 0, &mut keys)?;
     }
     keys.retain(|key| key.rsplit('/').next().is_some_and(is_hash));
-    let mut uploads = Vec::new();
-    files(&artifacts.join(UPLOADS), UPLOADS, 0, &mut uploads)?;
-    uploads.retain(|key| key.rsplit('/').next().is_some_and(|name| Uuid::parse_str(name).is_ok()));
-    keys.append(&mut uploads);
+    let mut named = Vec::new();
+    for family in [UPLOADS, EXPORTS] {
+        files(&artifacts.join(family), family, 0, &mut named)?;
+    }
+    named.retain(|key| key.rsplit('/').next().is_some_and(|name| Uuid::parse_str(name).is_ok()));
+    keys.append(&mut named);
     // attempts/JOB/NUMBER/FILE
     files(&artifacts.join("attempts"), "attempts", 2, &mut keys)?;
     keys.sort();

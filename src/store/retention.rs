@@ -14,6 +14,8 @@ pub struct Retention {
     pub captures: Option<Duration>,
     /// Models, since their publication.
     pub models: Option<Duration>,
+    /// Exports, since they ended.
+    pub exports: Option<Duration>,
 }
 
 /// The things of a kind that are older than `?1`, oldest first; few at a time, so that no sweep takes long.
@@ -42,7 +44,7 @@ const EXPIRED: [(ResourceKind, &str); 3] = [
 ];
 
 impl Store {
-    /// Deletes what has been kept for long enough and is not needed. Returns what was deleted.
+    /// Deletes what has been kept for long enough and is not needed. Returns what was deleted beside exports.
     ///
     /// # Errors
     /// When the database fails.
@@ -64,6 +66,12 @@ impl Store {
                     tracing::info!(%name, "deleted what was kept for long enough");
                     deleted.push(name);
                 }
+            }
+        }
+        if let Some(keep) = retention.exports {
+            let count = self.expire_exports(keep, now_ms).await?;
+            if count > 0 {
+                tracing::info!(count, "deleted exports that were kept for long enough");
             }
         }
         Ok(deleted)

@@ -5,6 +5,7 @@ use std::fs::File;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
+use crate::store::exports::EXPORTS;
 use crate::store::references::{references, stored};
 use crate::store::uploads::UPLOADS;
 use crate::store::{Store, StoreError};
@@ -24,7 +25,7 @@ pub struct Swept {
 }
 
 impl Store {
-    /// Removes what attempts of known jobs and uploads that ended left, and sets aside for a week what the database knows nothing of: it may be an old
+    /// Removes what attempts of known jobs, uploads that ended and exports left, and sets aside for a week what the database knows nothing of: it may be an old
     /// copy. Files with names that this program does not give are not touched. The caller must hold the node lock.
     ///
     /// # Errors
@@ -36,6 +37,7 @@ impl Store {
         let jobs: HashSet<String> = jobs.into_iter().collect();
         let root = self.artifacts.local_path("");
         let swept = tokio::task::spawn_blocking(move || sweep(&root, &named, &jobs, now)).await;
+        self.clear_export_folders().await?;
         Ok(swept.map_err(std::io::Error::other)??)
     }
 }
@@ -50,8 +52,9 @@ fn sweep(
     for key in stored(root)?.into_iter().filter(|key| !named.contains(key)) {
         let path = root.join(&key);
         let job = key.strip_prefix("attempts/").and_then(|rest| rest.split('/').next());
-        if key.starts_with(UPLOADS) || job.is_some_and(|job| jobs.contains(job)) {
-            tracing::info!(key, "removed what an attempt or an upload left");
+        let can_be_had_again = key.starts_with(UPLOADS) || key.starts_with(EXPORTS);
+        if can_be_had_again || job.is_some_and(|job| jobs.contains(job)) {
+            tracing::info!(key, "removed what an attempt, an upload or an export left");
             std::fs::remove_file(&path)?;
             swept.removed += 1;
         } else {
@@ -63,6 +66,7 @@ fn sweep(
     swept.removed += expire(&root.join(ORPHANS), now)?;
     prune(&root.join("attempts"))?;
     prune(&root.join(UPLOADS))?;
+    prune(&root.join(EXPORTS))?;
     Ok(swept)
 }
 

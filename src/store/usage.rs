@@ -89,6 +89,13 @@ impl Store {
             uploads: self
                 .kind("SELECT COUNT(*), SUM(received) FROM uploads WHERE tenant = ?1", tenant)
                 .await?,
+            exports: self
+                .kind(
+                    "SELECT COUNT(*), SUM(COALESCE(bytes, 0) + work_bytes) FROM exports
+                     WHERE tenant = ?1 AND deleted_ms IS NULL",
+                    tenant,
+                )
+                .await?,
             checkpoints: self.checkpoints(Some(tenant)).await?,
             unreferenced_bytes: if of_server { all.saturating_sub(referenced) } else { 0 },
             limit_bytes: self.quota.bytes.or(disk_limit.filter(|_| of_server)),
@@ -125,7 +132,8 @@ impl Store {
                         (SELECT DISTINCT artifact, bytes FROM captures WHERE swept_ms IS NULL)), 0)
                   + COALESCE((SELECT SUM(bytes) FROM (SELECT DISTINCT artifact, bytes FROM environments)), 0)
                   + COALESCE((SELECT SUM(received) FROM uploads), 0)
-                  + COALESCE((SELECT SUM(bytes) FROM model_files), 0)",
+                  + COALESCE((SELECT SUM(bytes) FROM model_files), 0)
+                  + COALESCE((SELECT SUM(COALESCE(bytes, 0) + work_bytes) FROM exports), 0)",
         )
         .fetch_one(self.pool())
         .await?;

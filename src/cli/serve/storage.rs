@@ -25,6 +25,9 @@ pub(super) struct StorageArgs {
     /// Days after which a model is deleted. For ever where absent.
     #[arg(long, env = "RELUME_KEEP_MODELS", value_name = "DAYS", value_parser = days)]
     keep_models: Option<Duration>,
+    /// Days after which an export that has ended is deleted; it can be made again. For ever where absent.
+    #[arg(long, env = "RELUME_KEEP_EXPORTS", value_name = "DAYS", value_parser = days)]
+    keep_exports: Option<Duration>,
     /// Days after its last piece after which an upload in pieces is given up that no capture was made of.
     #[arg(long, env = "RELUME_KEEP_UPLOADS", value_name = "DAYS", value_parser = days, default_value = "1")]
     keep_uploads: Duration,
@@ -37,7 +40,12 @@ impl StorageArgs {
     }
 
     pub(super) fn retention(&self) -> Retention {
-        Retention { jobs: self.keep_jobs, captures: self.keep_captures, models: self.keep_models }
+        Retention {
+            jobs: self.keep_jobs,
+            captures: self.keep_captures,
+            models: self.keep_models,
+            exports: self.keep_exports,
+        }
     }
 }
 

@@ -58,7 +58,7 @@ async fn copy_all(pool: &SqlitePool, root: &Path, out: &Path, now_ms: i64) -> Re
     finish(copies, &file, now_ms, missing.len()).await
 }
 
-/// Copies the database as it is at one moment, without unfinished uploads; what that copy names.
+/// Copies the database as it is at one moment, without unfinished uploads and exports; what that copy names.
 async fn copy_database(pool: &SqlitePool, to: &Path) -> Result<Vec<Reference>, StoreError> {
     if to.exists() {
         std::fs::remove_file(to)?;
@@ -68,6 +68,8 @@ async fn copy_database(pool: &SqlitePool, to: &Path) -> Result<Vec<Reference>, S
     // What has arrived of unfinished uploads is not copied: their uploaders have it still.
     let copy = Database::open_copy(to, false).await?;
     sqlx::query("DELETE FROM uploads").execute(&copy).await?;
+    // Exports can be made again.
+    sqlx::query("DELETE FROM exports").execute(&copy).await?;
     let named = references(&copy).await;
     copy.close().await;
     named

@@ -1,0 +1,130 @@
+//! Exports: files that are made of models in the background. One that runs is claimed by one conditional UPDATE; every later write is
+//! of one that is still `running`, so that what was cancelled or deleted meanwhile stays so.
+
+mod making;
+mod record;
+mod removal;
+
+use sqlx::types::Json;
+use sqlx::{Sqlite, Transaction};
+
+use crate::api::exports::{ExportState, NewExport};
+use crate::api::{ExportId, ModelId, ResourceKind, ResourceName, TenantId};
+use crate::store::idempotency::{remember, replay};
+use crate::store::{IdempotencyKey, Page, Store, StoreError, Submitted};
+
+pub(super) use record::EXPORTS;
+pub use record::{ClaimedExport, ExportRecord, ExportedFile};
+pub use removal::ExportDeletion;
+pub(super) use removal::delete_exports_of;
+
+/// What the lists show of a row.
+macro_rules! columns {
+    () => {
+        "id, tenant, model_id, kind, state, done, total, file_name, content_type, artifact, bytes, sha256, error_code,
+         error_detail, created_ms, started_ms, finished_ms"
+    };
+}
+use columns;
+
+impl Store {
+    /// Queues an export and remembers the answer under its idempotency key, in one transaction. A tenant may have `most` that wait
+    /// or run.
+    ///
+    /// # Errors
+    /// [`StoreError::KeyReused`] when the key came with another request before, [`StoreError::QuotaOfExports`] beyond `most`,
+    /// [`StoreError::Deleted`] when the model is gone.
+    pub async fn submit_export(
+        &self,
+        export: &ExportRecord,
+        request: &NewExport,
+        key: Option<&IdempotencyKey>,
+        most: u32,
+        answer: impl FnOnce(&ExportRecord) -> String + Send,
+    ) -> Result<Submitted, StoreError> {
+        self.admit().await?;
+        let (mut tx, now_ms) = (self.write().await?, export.created_ms);
+        if let Some(key) = key
+            && let Some(response) = replay(&mut tx, &export.tenant, key, now_ms).await?
+        {
+            tx.commit().await?;
+            return Ok(Submitted::Replayed(response));
+        }
+        let model =
+            "SELECT EXISTS (SELECT 1 FROM models WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL)";
+        let model = sqlx::query_scalar(model).bind(&export.model_id).bind(&export.tenant);
+        if !model.fetch_one(&mut *tx).await? {
+            let model = ResourceName::new(ResourceKind::Model, export.model_id.to_string());
+            return Err(StoreError::Deleted(model));
+        }
+        admit_one_more(&mut tx, &export.tenant, most).await?;
+        sqlx::query(
+            "INSERT INTO exports (id, tenant, model_id, kind, request, state, total, created_ms)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
+        )
+        .bind(&export.id)
+        .bind(&export.tenant)
+        .bind(&export.model_id)
+        .bind(export.kind)
+        .bind(Json(request))
+        .bind(export.state)
+        .bind(export.progress.total)
+        .bind(now_ms)
+        .execute(&mut *tx)
+        .await?;
+        let response = answer(export);
+        if let Some(key) = key {
+            remember(&mut tx, &export.tenant, key, &response, now_ms).await?;
+        }
+        tx.commit().await?;
+        Ok(Submitted::Created(response))
+    }
+
+    /// An export of a tenant by identifier.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn export(&self, tenant: &TenantId, id: &ExportId) -> Result<Option<ExportRecord>, StoreError> {
+        let query = concat!(
+            "SELECT ",
+            columns!(),
+            " FROM exports WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL"
+        );
+        Ok(sqlx::query_as(query).bind(id).bind(tenant).fetch_optional(self.pool()).await?)
+    }
+
+    /// Exports of a tenant, newest first, of one model or state, or of all.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn exports(
+        &self,
+        tenant: &TenantId,
+        model: Option<&ModelId>,
+        state: Option<ExportState>,
+        page: &Page,
+    ) -> Result<Vec<ExportRecord>, StoreError> {
+        let query = concat!(
+            "SELECT ",
+            columns!(),
+            " FROM exports WHERE tenant = ?1 AND deleted_ms IS NULL
+                 AND (?2 IS NULL OR model_id = ?2) AND (?3 IS NULL OR state = ?3)
+                 AND (?4 IS NULL OR (created_ms, id) < (?5, ?4))
+             ORDER BY created_ms DESC, id DESC LIMIT ?6"
+        );
+        let query = sqlx::query_as(query).bind(tenant).bind(model).bind(state).bind(page.id());
+        Ok(query.bind(page.at()).bind(page.limit).fetch_all(self.pool()).await?)
+    }
+}
+
+/// Refuses one more of a tenant that has `most` which wait or run.
+async fn admit_one_more(
+    tx: &mut Transaction<'_, Sqlite>,
+    tenant: &TenantId,
+    most: u32,
+) -> Result<(), StoreError> {
+    let counting = "SELECT COUNT(*) FROM exports
+                        WHERE tenant = ?1 AND state IN ('queued', 'running') AND deleted_ms IS NULL";
+    let count: i64 = sqlx::query_scalar(counting).bind(tenant).fetch_one(&mut **tx).await?;
+    if count >= i64::from(most) { Err(StoreError::QuotaOfExports { most }) } else { Ok(()) }
+}

@@ -1,0 +1,129 @@
+//! The end of exports: cancelled or deleted on request, with their model, or by age; and what their files leave.
+
+use std::collections::HashSet;
+use std::time::Duration;
+
+use sqlx::{Sqlite, Transaction};
+
+use crate::api::{ExportId, TenantId};
+use crate::store::artifacts::is_key;
+use crate::store::exports::{EXPORTS, ExportRecord, columns};
+use crate::store::{Store, StoreError};
+
+/// Outcome of a request to delete an export.
+#[derive(Debug, Clone)]
+pub enum ExportDeletion {
+    /// It waited or ran, and is cancelled.
+    Cancelled(Box<ExportRecord>),
+    /// It had ended, and is gone.
+    Deleted,
+    /// There is no such export, or no longer.
+    NotFound,
+}
+
+impl Store {
+    /// Cancels an export that waits or runs; deletes one that has ended.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn delete_export(
+        &self,
+        tenant: &TenantId,
+        id: &ExportId,
+        now_ms: i64,
+    ) -> Result<ExportDeletion, StoreError> {
+        let mut tx = self.write().await?;
+        let cancel = concat!(
+            "UPDATE exports SET state = 'cancelled', work_bytes = 0, finished_ms = ?3
+             WHERE id = ?1 AND tenant = ?2 AND state IN ('queued', 'running') AND deleted_ms IS NULL RETURNING ",
+            columns!()
+        );
+        let cancelled: Option<ExportRecord> =
+            sqlx::query_as(cancel).bind(id).bind(tenant).bind(now_ms).fetch_optional(&mut *tx).await?;
+        if let Some(export) = cancelled {
+            tx.commit().await?;
+            return Ok(ExportDeletion::Cancelled(Box::new(export)));
+        }
+        let delete = "UPDATE exports SET deleted_ms = ?3, work_bytes = 0
+                          WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL";
+        let deleted = sqlx::query(delete).bind(id).bind(tenant).bind(now_ms).execute(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(if deleted.rows_affected() == 1 { ExportDeletion::Deleted } else { ExportDeletion::NotFound })
+    }
+
+    /// Deletes exports that ended longer ago than `keep`; how many.
+    pub(in crate::store) async fn expire_exports(
+        &self,
+        keep: Duration,
+        now_ms: i64,
+    ) -> Result<u64, StoreError> {
+        let before = now_ms.saturating_sub(i64::try_from(keep.as_millis()).unwrap_or(i64::MAX));
+        let mut tx = self.write().await?;
+        let query = "UPDATE exports SET deleted_ms = ?2 WHERE deleted_ms IS NULL AND finished_ms < ?1";
+        let deleted = sqlx::query(query).bind(before).bind(now_ms).execute(&mut *tx).await?.rows_affected();
+        tx.commit().await?;
+        Ok(deleted)
+    }
+
+    /// Removes the files of exports that were deleted, and their rows; how many.
+    pub(in crate::store) async fn discard_exports(&self) -> Result<usize, StoreError> {
+        let query = "SELECT id, artifact FROM exports WHERE deleted_ms IS NOT NULL";
+        let exports: Vec<(ExportId, Option<String>)> = sqlx::query_as(query).fetch_all(self.pool()).await?;
+        for (id, artifact) in &exports {
+            if let Some(artifact) = artifact {
+                self.artifacts.discard(artifact).await?;
+            }
+            self.clear_folder(id.as_str()).await?;
+            let mut tx = self.write().await?;
+            sqlx::query("DELETE FROM exports WHERE id = ?1").bind(id).execute(&mut *tx).await?;
+            tx.commit().await?;
+            tracing::info!(export = %id, "removed the files of a deleted export");
+        }
+        Ok(exports.len())
+    }
+
+    /// Removes the work folders of all exports but those that wait or run.
+    ///
+    /// # Errors
+    /// When the database or the file system fails.
+    pub async fn clear_export_folders(&self) -> Result<(), StoreError> {
+        let mut found = Vec::new();
+        let mut entries = match tokio::fs::read_dir(self.root.join(EXPORTS)).await {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+            entries => entries?,
+        };
+        while let Some(entry) = entries.next_entry().await? {
+            found.extend(entry.file_name().into_string());
+        }
+        // Asked after the folder was read: what was begun since is not in the list.
+        let query = "SELECT id FROM exports WHERE state IN ('queued', 'running') AND deleted_ms IS NULL";
+        let wanted: Vec<String> = sqlx::query_scalar(query).fetch_all(self.pool()).await?;
+        let wanted: HashSet<String> = wanted.into_iter().collect();
+        for name in found.iter().filter(|name| !wanted.contains(*name)) {
+            self.clear_folder(name).await?;
+        }
+        Ok(())
+    }
+
+    async fn clear_folder(&self, name: &str) -> Result<(), StoreError> {
+        if !is_key(name) {
+            return Err(StoreError::Damaged(format!("{EXPORTS}/{name}")));
+        }
+        match tokio::fs::remove_dir_all(self.root.join(EXPORTS).join(name)).await {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Deletes the exports of a model, in the transaction that deletes it.
+pub(in crate::store) async fn delete_exports_of(
+    tx: &mut Transaction<'_, Sqlite>,
+    model: &str,
+    now_ms: i64,
+) -> Result<(), StoreError> {
+    let query =
+        "UPDATE exports SET deleted_ms = ?2, work_bytes = 0 WHERE model_id = ?1 AND deleted_ms IS NULL";
+    sqlx::query(query).bind(model).bind(now_ms).execute(&mut **tx).await?;
+    Ok(())
+}
