@@ -10,7 +10,7 @@ use crate::api::JobId;
 use crate::render::Frame;
 use crate::worker::previews::{Preview, Previews};
 use crate::worker::queued::{Queued, Request, Served};
-use crate::worker::render_queue::RenderQueue;
+use crate::worker::render_queue::{Rank, RenderQueue};
 use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
 
 /// How long a render may wait for the device and run: long enough for a training step and the first preparation of a light.
@@ -50,7 +50,15 @@ impl DeviceHandle {
     /// # Errors
     /// [`RenderFailure::Busy`] when too many wait already, otherwise what the renderer said.
     pub async fn render(&self, task: RenderTask) -> Result<Served<Frame>, RenderFailure> {
-        self.ask(task, Request::Frame).await
+        self.ask(task, Rank::Interactive, Request::Frame).await
+    }
+
+    /// Renders while nobody else waits for a frame.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    pub async fn render_behind(&self, task: RenderTask) -> Result<Served<Frame>, RenderFailure> {
+        self.ask(task, Rank::Background, Request::Frame).await
     }
 
     /// The stream of a light, made between frames. When it is not waited for any more, nothing is prepared.
@@ -58,16 +66,17 @@ impl DeviceHandle {
     /// # Errors
     /// As [`Self::render`].
     pub async fn light(&self, task: LightTask) -> Result<Served<Vec<u8>>, RenderFailure> {
-        self.ask(task, Request::Light).await
+        self.ask(task, Rank::Interactive, Request::Light).await
     }
 
     async fn ask<Task, Answer>(
         &self,
         task: Task,
+        rank: Rank,
         request: impl FnOnce(Queued<Task, Answer>) -> Request,
     ) -> Result<Served<Answer>, RenderFailure> {
         let (queued, answer) = Queued::new(task, self.steps.load(Ordering::SeqCst));
-        let _place = self.requests.push(request(queued)).ok_or(RenderFailure::Busy)?;
+        let _place = self.requests.push(request(queued), rank).ok_or(RenderFailure::Busy)?;
         match tokio::time::timeout(RENDER_TIMEOUT, answer).await {
             Ok(Ok(result)) => result,
             Ok(Err(_)) | Err(_) => Err(RenderFailure::Busy),

@@ -1,4 +1,5 @@
-//! Frames that wait for the device: cheap ones first, none forever, none whose caller has gone.
+//! Frames that wait for the device: cheap ones first, none forever, none whose caller has gone. Those that nobody looks at come after
+//! all others.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -9,6 +10,15 @@ use crate::worker::queued::Request;
 
 /// Younger frames that may overtake one because they are cheaper.
 const PATIENCE: u32 = 16;
+
+/// Who waits for a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Rank {
+    /// Somebody who looks.
+    Interactive,
+    /// An export: it is rendered while nobody else waits.
+    Background,
+}
 
 /// The side of the queue that asks for frames.
 #[derive(Clone)]
@@ -40,6 +50,7 @@ struct State {
 struct Entry {
     id: u64,
     cost: u64,
+    rank: Rank,
     /// Younger ones that were rendered before it.
     overtaken: u32,
     request: Request,
@@ -59,7 +70,7 @@ impl Shared {
 
 impl RenderQueue {
     /// Queues a request; `None` when too many wait or nobody renders any more.
-    pub(super) fn push(&self, request: Request) -> Option<Place> {
+    pub(super) fn push(&self, request: Request, rank: Rank) -> Option<Place> {
         let mut state = self.0.lock();
         if state.closed || state.waiting.len() >= self.0.capacity {
             return None;
@@ -67,7 +78,7 @@ impl RenderQueue {
         let id = state.next;
         state.next += 1;
         let cost = request.cost();
-        state.waiting.push(Entry { id, cost, overtaken: 0, request });
+        state.waiting.push(Entry { id, cost, rank, overtaken: 0, request });
         self.0.arrived.notify_one();
         Some(Place { queue: self.0.clone(), id })
     }
@@ -86,22 +97,25 @@ impl WaitingRenders {
         }
     }
 
-    /// The frame to render next: the oldest that was overtaken too often, else the cheapest.
+    /// The frame to render next: the oldest that was overtaken too often, else the cheapest; one of the background where there is no
+    /// other.
     pub(super) fn try_recv(&mut self) -> Option<Request> {
         let mut state = self.0.lock();
         let waiting = &mut state.waiting;
-        let patient = waiting.iter().position(|entry| entry.overtaken >= PATIENCE);
-        let cheapest = || (0..waiting.len()).min_by_key(|&i| waiting[i].cost);
+        let patient = waiting.iter().position(|e| e.rank == Rank::Interactive && e.overtaken >= PATIENCE);
+        let cheapest =
+            || (0..waiting.len()).min_by_key(|&i| (waiting[i].rank == Rank::Background, waiting[i].cost));
         let next = patient.or_else(cheapest)?;
         waiting[..next].iter_mut().for_each(|entry| entry.overtaken += 1);
         Some(waiting.remove(next).request)
     }
 
-    /// The cheapest frame, if it is one of a single band: it may come between the bands of another.
+    /// The cheapest frame that somebody looks at, if it is one of a single band: it may come between the bands of another.
     pub(super) fn try_recv_cheap(&mut self) -> Option<Request> {
         let mut state = self.0.lock();
         let waiting = &mut state.waiting;
-        let cheapest = (0..waiting.len()).min_by_key(|&i| waiting[i].cost)?;
+        let looked_at = (0..waiting.len()).filter(|&i| waiting[i].rank == Rank::Interactive);
+        let cheapest = looked_at.min_by_key(|&i| waiting[i].cost)?;
         (waiting[cheapest].cost <= Quality::CPU_BAND_COST).then(|| waiting.remove(cheapest).request)
     }
 }
@@ -147,7 +161,11 @@ mod tests {
 
     /// Queues a frame of a size; its caller is the place.
     fn push(queue: &RenderQueue, size: u32) -> Option<Place> {
-        queue.push(Request::Frame(Queued::new(task(size, Tier::Standard), 0).0))
+        push_as(queue, size, Rank::Interactive)
+    }
+
+    fn push_as(queue: &RenderQueue, size: u32, rank: Rank) -> Option<Place> {
+        queue.push(Request::Frame(Queued::new(task(size, Tier::Standard), 0).0), rank)
     }
 
     /// Side of a frame; none of a light.
@@ -182,11 +200,25 @@ mod tests {
         let (queue, mut waiting) = render_queue(9);
         let _places = [2048, 128, 64].map(|size| push(&queue, size).unwrap());
         let (light, _answer) = Queued::new(light(), 0);
-        let _light = queue.push(Request::Light(light)).unwrap();
+        let _light = queue.push(Request::Light(light), Rank::Interactive).unwrap();
         let mut next = || waiting.try_recv_cheap().as_ref().map(size_of);
         assert_eq!([(); 3].map(|()| next()), [Some(Some(64)), Some(Some(128)), None]);
         assert_eq!(size_of(&waiting.try_recv().unwrap()), None, "a light waits for its turn");
         assert_eq!(next_size(&mut waiting), 2048, "and so does the frame");
+    }
+
+    #[test]
+    fn a_frame_that_nobody_looks_at_comes_after_all_others_and_between_no_bands() {
+        let (queue, mut waiting) = render_queue(99);
+        let _export = push_as(&queue, 32, Rank::Background).unwrap();
+        assert!(waiting.try_recv_cheap().is_none(), "not between the bands of another");
+        for _ in 0..3 * PATIENCE {
+            let _looked_at = push(&queue, 1024).unwrap();
+            assert_eq!(next_size(&mut waiting), 1024, "however cheap it is and however long it waits");
+        }
+        assert_eq!(next_size(&mut waiting), 32);
+        let _control = push(&queue, 32).unwrap();
+        assert!(waiting.try_recv_cheap().is_some(), "the control: the same frame, looked at");
     }
 
     #[test]
@@ -220,7 +252,7 @@ mod tests {
     async fn when_the_renderer_ends_whoever_waits_is_told() {
         let (queue, waiting) = render_queue(2);
         let (render, frame) = Queued::new(task(64, Tier::Standard), 0);
-        let _place = queue.push(Request::Frame(render)).unwrap();
+        let _place = queue.push(Request::Frame(render), Rank::Interactive).unwrap();
         drop(waiting);
         assert!(frame.await.is_err() && queue.is_closed());
         assert!(push(&queue, 64).is_none());

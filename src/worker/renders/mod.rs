@@ -130,7 +130,7 @@ impl LightSource {
     ///
     /// # Errors
     /// Says why the file cannot be read.
-    pub(super) fn map(&self) -> Result<Option<Arc<EnvMap>>, String> {
+    pub fn map(&self) -> Result<Option<Arc<EnvMap>>, String> {
         match self {
             Self::Inline { map, .. } => Ok(Some(map.clone())),
             Self::Recovered => Ok(None),
