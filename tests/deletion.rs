@@ -303,7 +303,7 @@ async fn what_was_kept_for_long_enough_goes_unless_it_is_needed() {
         let clock = clock.clone();
         move |config: &mut relume::server::ServerConfig| {
             let [jobs, captures, models] = days.map(|days| days.map(|days| days * DAY));
-            config.retention = Retention { jobs, captures, models };
+            config.retention = Retention { jobs, captures, models, exports: None };
             config.clock = clock;
         }
     };

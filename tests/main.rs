@@ -38,6 +38,7 @@ mod service_api;
 mod service_cameras;
 mod service_cli;
 mod service_description;
+mod service_exports;
 mod service_fairness;
 mod service_file_forms;
 mod service_keys;

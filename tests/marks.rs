@@ -306,7 +306,7 @@ async fn what_is_labelled_to_be_kept_is_not_deleted_by_age() {
     let with = |keep: Option<Duration>| {
         let clock = clock.clone();
         move |config: &mut relume::server::ServerConfig| {
-            config.retention = Retention { jobs: keep, captures: keep, models: keep };
+            config.retention = Retention { jobs: keep, captures: keep, models: keep, exports: None };
             config.clock = clock;
         }
     };

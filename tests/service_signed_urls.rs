@@ -4,6 +4,7 @@ use std::process::Command;
 use std::sync::Arc;
 use std::time::Duration;
 
+use relume::api::exports::{NewExport, SplatsExport, SplatsKind};
 use relume::api::jobs::JobView;
 use relume::client::Client;
 use relume::formats::image_file;
@@ -69,9 +70,14 @@ async fn a_signed_url_is_good_without_a_key_until_it_expires() {
     assert_eq!(image_file::dimensions(&load(&server, Method::GET, &thumbnail).await.1).unwrap(), (32, 32));
     let whole = client.file(&model, "model.ply").await.unwrap();
     assert_eq!(load(&server, Method::GET, &file).await.1, whole);
+    let ply = NewExport::Splats(SplatsExport::of(SplatsKind::Ply));
+    let export = client.create_export(&model, &ply, None).await.unwrap().id;
+    client.wait_for_export(&export, |_| {}).await.unwrap();
+    let made = signed(&client, &format!("/v1/exports/{export}/file")).await;
+    assert_eq!(load(&server, Method::GET, &made).await.1, client.export_file(&export).await.unwrap());
     let told = String::from_utf8(load(&server, Method::GET, &events).await.1).unwrap();
     assert!(told.contains("succeeded"), "{told}");
-    for url in [&thumbnail, &file, &events] {
+    for url in [&thumbnail, &file, &made, &events] {
         assert_eq!(load(&server, Method::HEAD, url).await.0, 200, "{url}");
         assert_eq!(status(&server, url.split('?').next().unwrap()).await, 401, "without the signature");
     }

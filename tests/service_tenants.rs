@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use relume::api::exports::{NewExport, SplatsExport, SplatsKind};
 use relume::api::keys::Scope;
 use relume::api::{CaptureId, JobId, ModelId, TenantId, UploadId};
 use relume::client::Client;
@@ -39,6 +40,7 @@ enum About {
 enum Kind {
     Capture,
     Environment,
+    Export,
     Job,
     Model,
     Key,
@@ -49,7 +51,7 @@ enum Kind {
 }
 
 use About::{Body, Counts, Everybody, List, One, Server};
-use Kind::{Capture, Delivery, Environment, Job, Key, Model, Upload, Webhook};
+use Kind::{Capture, Delivery, Environment, Export, Job, Key, Model, Upload, Webhook};
 use Scope::{Admin, Metrics, Read, Render, Submit};
 
 /// Every operation: what it is about, and the scope that it needs.
@@ -73,6 +75,10 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/v1/environments/{id}", One(Environment), Read),
     ("patch", "/v1/environments/{id}", One(Environment), Submit),
     ("delete", "/v1/environments/{id}", One(Environment), Submit),
+    ("get", "/v1/exports", List(Export), Read),
+    ("get", "/v1/exports/{id}", One(Export), Read),
+    ("delete", "/v1/exports/{id}", One(Export), Render),
+    ("get", "/v1/exports/{id}/file", One(Export), Read),
     ("get", "/v1/jobs", List(Job), Read),
     ("post", "/v1/jobs", Body, Submit),
     ("get", "/v1/jobs/{id}", One(Job), Read),
@@ -92,6 +98,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("delete", "/v1/models/{id}", One(Model), Submit),
     ("get", "/v1/models/{id}/card", One(Model), Read),
     ("get", "/v1/models/{id}/files/{name}", One(Model), Read),
+    ("post", "/v1/models/{id}/exports", One(Model), Render),
     ("post", "/v1/models/{id}/render", One(Model), Render),
     ("get", "/v1/models/{id}/thumbnail", One(Model), Read),
     ("get", "/v1/models/{id}/stream", One(Model), Read),
@@ -135,6 +142,7 @@ struct Tenant {
     client: Client,
     capture: CaptureId,
     environment: String,
+    export: String,
     job: JobId,
     model: ModelId,
     key: String,
@@ -157,13 +165,17 @@ impl Tenant {
         let upload = client.begin_upload(9).await.unwrap();
         let (webhook, model) = (webhook.to_string(), job.model.unwrap());
         let (capture, job) = (job.capture, job.id);
-        Self { client, capture, environment, job, model, key, webhook, delivery, upload }
+        let ply = NewExport::Splats(SplatsExport::of(SplatsKind::Ply));
+        let export = client.create_export(&model, &ply, None).await.unwrap().id;
+        let export = client.wait_for_export(&export, |_| {}).await.unwrap().id.to_string();
+        Self { client, capture, environment, export, job, model, key, webhook, delivery, upload }
     }
 
     fn id(&self, kind: Kind) -> &str {
         match kind {
             Capture => self.capture.as_str(),
             Environment => &self.environment,
+            Export => &self.export,
             Job => self.job.as_str(),
             Model => self.model.as_str(),
             Key => &self.key,
@@ -221,6 +233,7 @@ fn ask(client: &Client, method: &str, path: &str, id: &str) -> RequestBuilder {
     match (method.as_str(), path) {
         ("PATCH", "/v1/jobs/{id}") => request.json(&json!({ "priority": -1 })),
         ("PATCH", _) => request.json(&json!({ "name": "changed" })),
+        ("POST", "/v1/models/{id}/exports") => request.json(&json!({ "kind": "gltf" })),
         ("POST", "/v1/models/{id}/render") => {
             request.json(&json!({ "camera": look, "width": 8, "height": 8 }))
         }
@@ -297,6 +310,7 @@ async fn no_operation_tells_a_tenant_of_anothers_things() {
     assert!(asked >= 20);
     assert_eq!(a.client.job(&a.job).await.unwrap().priority, 0, "nothing of it was changed");
     for (path, kind) in [
+        ("exports", Export),
         ("models", Model),
         ("jobs", Job),
         ("captures", Capture),

@@ -19,6 +19,7 @@ mod deletion;
 mod environments;
 mod error;
 mod events;
+mod exports;
 mod jobs;
 mod keys;
 mod models;

@@ -10,6 +10,7 @@ use crate::capture::ImportLimits;
 use crate::jobs::Jobs;
 use crate::server::decoders::Decoders;
 use crate::server::encoders::Encoders;
+use crate::server::exports::ExportDesk;
 use crate::server::fetching::Fetcher;
 use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, half_of_the_machine};
@@ -72,6 +73,8 @@ pub(super) struct App {
     pub(super) encoders: Encoders,
     /// Where uploads are decoded.
     pub(super) decoders: Decoders,
+    /// Where requests and the exporter meet.
+    pub(super) exports: ExportDesk,
     /// Who may make requests.
     pub(super) keys: Arc<Keyring>,
     /// Under which URLs are signed.

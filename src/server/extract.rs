@@ -135,22 +135,29 @@ pub(super) fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
         return Err(Problem::invalid_field("", "must be an object"));
     }
     let mut json = serde_json::Deserializer::from_slice(bytes);
-    let value = serde_path_to_error::deserialize(&mut json).map_err(|error| {
-        let mut pointer = pointer(error.path());
-        let inner = error.into_inner();
-        if inner.classify() != Category::Data {
-            return malformed(&inner);
-        }
-        let text = inner.to_string();
-        if text.starts_with("missing field")
-            && let Some(name) = quoted(&text)
-        {
-            pointer = format!("{pointer}/{name}");
-        }
-        Problem::invalid_field(pointer, text)
-    })?;
+    let value = serde_path_to_error::deserialize(&mut json).map_err(wrong_field)?;
     json.end().map_err(|error| malformed(&error))?;
     Ok(value)
+}
+
+/// Reads JSON that was parsed; an error says where in the document it is.
+pub(super) fn read<T: DeserializeOwned>(json: serde_json::Value) -> Result<T, Problem> {
+    serde_path_to_error::deserialize(json).map_err(wrong_field)
+}
+
+fn wrong_field(error: serde_path_to_error::Error<serde_json::Error>) -> Problem {
+    let mut pointer = pointer(error.path());
+    let inner = error.into_inner();
+    if inner.classify() != Category::Data {
+        return malformed(&inner);
+    }
+    let text = inner.to_string();
+    if text.starts_with("missing field")
+        && let Some(name) = quoted(&text)
+    {
+        pointer = format!("{pointer}/{name}");
+    }
+    Problem::invalid_field(pointer, text)
 }
 
 fn malformed(error: &serde_json::Error) -> Problem {

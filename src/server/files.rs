@@ -46,23 +46,39 @@ async fn get_file(
 ) -> Result<Response, Problem> {
     let missing = || Problem::not_found("file", &format!("{id}/{name}"));
     let file = app.store.model_file(&caller.tenant, &id, &name).await?.ok_or_else(missing)?;
+    send(&app, &headers, &file, async || {
+        app.store.sound_model_file(&caller.tenant, &id, &name).await?.map(drop).ok_or_else(missing)
+    })
+    .await
+}
+
+/// A file, or the part of it that is asked for. `check` compares its bytes with their hash, before any are sent.
+///
+/// # Errors
+/// Those of `check`; when the file cannot be read.
+pub(super) async fn send(
+    app: &Shared,
+    headers: &HeaderMap,
+    file: &ModelFile,
+    check: impl AsyncFnOnce() -> Result<(), Problem>,
+) -> Result<Response, Problem> {
     let size = u64::try_from(file.bytes).map_err(Problem::internal)?;
     let etag = etag(&file.sha256);
-    if matches_etag(&headers, &etag) {
+    if matches_etag(headers, &etag) {
         let mut response = StatusCode::NOT_MODIFIED.into_response();
-        describe(response.headers_mut(), &file, &etag);
+        describe(response.headers_mut(), file, &etag);
         return Ok(response);
     }
-    let (status, range) = match requested(&headers, &etag, size) {
+    let (status, range) = match requested(headers, &etag, size) {
         Requested::Whole => (StatusCode::OK, 0..size),
         Requested::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
         Requested::Unsatisfiable => return Ok(unsatisfiable(size)),
     };
-    app.store.sound_model_file(&caller.tenant, &id, &name).await?.ok_or_else(missing)?;
+    check().await?;
     let stream = app.store.artifacts().stream(&file.artifact, range.clone()).await?;
     let mut response = (status, Body::from_stream(stream)).into_response();
     let out = response.headers_mut();
-    describe(out, &file, &etag);
+    describe(out, file, &etag);
     out.insert(header::CONTENT_LENGTH, HeaderValue::from(range.end - range.start));
     if status == StatusCode::PARTIAL_CONTENT {
         let text = format!("bytes {}-{}/{size}", range.start, range.end - 1);

@@ -2,10 +2,9 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
-use axum::response::{IntoResponse, Response};
+use axum::http::HeaderMap;
+use axum::response::Response;
 use serde::Deserialize;
-use sha2::{Digest, Sha256};
 use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -18,12 +17,12 @@ use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::PageQuery;
-use crate::server::{job_bounds, marks, quality_gate, validation};
-use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted, hex};
+use crate::server::{idempotency, job_bounds, marks, quality_gate, validation};
+use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted};
 use crate::train::{ConfigError, KnownLight, TrainConfig};
 
-const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
-const REPLAYED: HeaderName = HeaderName::from_static("idempotent-replayed");
+/// Where jobs are.
+const JOBS: &str = "/v1/jobs";
 const PRIORITIES: std::ops::RangeInclusive<i64> = -100..=100;
 
 /// The routes of this file.
@@ -80,11 +79,11 @@ async fn create_job(
     JsonBody(job): JsonBody<NewJob>,
 ) -> Result<Response, Problem> {
     // A repetition is answered as the first time, whatever has changed since.
-    let key = idempotency_key(&headers, &job)?;
+    let key = idempotency::key(&headers, &job)?;
     if let Some(key) = &key
         && let Some(answer) = app.store.replayed(&caller.tenant, key, app.jobs.now_ms()).await?
     {
-        return accepted(answer, true);
+        return idempotency::accepted(answer, true, JOBS);
     }
     let config = TrainConfig::new(job.preset, &job.overrides).map_err(|e| override_refused(&e))?;
     if let Some((field, why)) = job.marks().fault() {
@@ -260,44 +259,13 @@ async fn submit(
         Submitted::Created(text) => (text, false),
         Submitted::Replayed(text) => (text, true),
     };
-    accepted(text, replayed)
-}
-
-/// The answer `text` to a job that was queued, now or by an earlier request with the same key.
-fn accepted(text: String, replayed: bool) -> Result<Response, Problem> {
-    let json = HeaderValue::from_static("application/json");
-    let location = location(&text)?;
-    let headers = [(header::CONTENT_TYPE, json), (header::LOCATION, location)];
-    let mut response = (StatusCode::ACCEPTED, headers, text).into_response();
-    if replayed {
-        response.headers_mut().insert(REPLAYED, HeaderValue::from_static("true"));
-    }
-    Ok(response)
-}
-
-/// Where the job of an answer is.
-fn location(answer: &str) -> Result<HeaderValue, Problem> {
-    let job: serde_json::Value = serde_json::from_str(answer).map_err(Problem::internal)?;
-    let path = format!("/v1/jobs/{}", job["id"].as_str().unwrap_or_default());
-    HeaderValue::from_str(&path).map_err(Problem::internal)
+    idempotency::accepted(text, replayed, JOBS)
 }
 
 pub(super) async fn current(app: &Shared, tenant: &TenantId, id: &JobId) -> Result<JobView, Problem> {
     let found = app.jobs.get(tenant, id).await?;
     let (job, position) = found.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
     Ok(job.view(position))
-}
-
-/// The key with a hash of what the request means, so that white space does not make another request of it.
-fn idempotency_key(headers: &HeaderMap, job: &NewJob) -> Result<Option<IdempotencyKey>, Problem> {
-    let Some(value) = headers.get(IDEMPOTENCY_KEY) else { return Ok(None) };
-    let key = value.to_str().ok().filter(|k| (1..=255).contains(&k.len()));
-    let wrong = || Problem::invalid_field("header/Idempotency-Key", "must have 1 to 255 visible characters");
-    let body = serde_json::to_vec(job).map_err(Problem::internal)?;
-    Ok(Some(IdempotencyKey {
-        key: key.ok_or_else(wrong)?.to_owned(),
-        fingerprint: hex(&Sha256::digest(&body)),
-    }))
 }
 
 /// A known light must be one that the worker will find.

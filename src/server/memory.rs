@@ -123,6 +123,14 @@ pub(super) fn of_stream(size: u64) -> u64 {
     4 * size
 }
 
+/// Bytes that an export takes from a model file of `size` bytes on: the file, the model twice, the file that is made. With a mesh of
+/// `cells` also its distances, its textures and the views that they are made of.
+pub(super) fn of_export(size: u64, cells: usize) -> u64 {
+    let cells = cells as u64;
+    let mesh = if cells == 0 { 0 } else { (256 << 20) + 12 * cells.pow(3) + 2048 * cells.pow(2) };
+    5 * size + mesh
+}
+
 /// Bytes that the stream of a light takes: tables and a map in their columns and their bytes, and so for each Gaussian.
 pub(super) fn of_light(gaussians: i64) -> u64 {
     (8 << 20) + 100 * gaussians.max(0).unsigned_abs()

@@ -10,15 +10,17 @@ const MAX_SIDE: u32 = 4096;
 /// Most queries through the Gaussians a frame of the reference tier may cost: some seconds of the device thread.
 const MOST_QUERIES: u64 = 1 << 21;
 
-/// The tier and samples asked for; refuses a frame that would occupy the device thread for too long.
-pub(super) fn quality(request: &RenderRequest) -> Result<Quality, Problem> {
-    let quality = Quality {
-        tier: request.tier,
-        samples: request.samples.unwrap_or(Quality::SAMPLES),
-        seed: request.seed.unwrap_or(0),
-    };
-    let most = match request.tier {
-        Tier::MonteCarlo => MOST_QUERIES / (u64::from(request.width) * u64::from(request.height)).max(1),
+/// The tier and samples asked for of a frame of `size`, width and height in pixels; refuses one that would occupy the device thread
+/// for too long.
+pub(super) fn quality(
+    tier: Tier,
+    samples: Option<u32>,
+    seed: Option<u64>,
+    size: (u32, u32),
+) -> Result<Quality, Problem> {
+    let quality = Quality { tier, samples: samples.unwrap_or(Quality::SAMPLES), seed: seed.unwrap_or(0) };
+    let most = match tier {
+        Tier::MonteCarlo => MOST_QUERIES / (u64::from(size.0) * u64::from(size.1)).max(1),
         _ => u64::MAX,
     };
     let most = most.min(u64::from(Quality::MOST_SAMPLES));
@@ -57,23 +59,32 @@ pub(super) fn finish(request: &RenderRequest, format: FrameFormat) -> Result<Fin
         colour_depth: request.colour_depth,
         ..Finish::default()
     };
-    match finish.check(&request.outputs, format) {
-        Err(RenderError::Refused { field, reason }) => {
-            Err(Problem::invalid_field(format!("/{field}"), reason))
-        }
-        other => other.map(|()| finish).map_err(Problem::internal),
-    }
+    check_finish(&finish, &request.outputs, format).map(|()| finish)
+}
+
+/// Refuses what the format cannot show.
+pub(super) fn check_finish(finish: &Finish, outputs: &[Output], format: FrameFormat) -> Result<(), Problem> {
+    finish.check(outputs, format).map_err(|error| match error {
+        RenderError::Refused { field, reason } => Problem::invalid_field(format!("/{field}"), reason),
+        other => Problem::internal(other),
+    })
 }
 
 /// The camera asked for.
 pub(super) fn camera(request: &RenderRequest) -> Result<Camera, Problem> {
-    for (field, side) in [("/width", request.width), ("/height", request.height)] {
-        if !(1..=MAX_SIDE).contains(&side) {
-            return Err(Problem::invalid_field(field, format!("must be 1 to {MAX_SIDE}, got {side}")));
-        }
-    }
+    check_sides((request.width, request.height))?;
     request
         .camera
         .camera((request.width, request.height))
         .map_err(|error| Problem::invalid_field(format!("/camera{}", error.pointer), error.detail))
+}
+
+/// Refuses a width or a height out of range.
+pub(super) fn check_sides((width, height): (u32, u32)) -> Result<(), Problem> {
+    for (field, side) in [("/width", width), ("/height", height)] {
+        if !(1..=MAX_SIDE).contains(&side) {
+            return Err(Problem::invalid_field(field, format!("must be 1 to {MAX_SIDE}, got {side}")));
+        }
+    }
+    Ok(())
 }

@@ -56,7 +56,7 @@ async fn render(
     render_request::check_outputs(&request.outputs, format)?;
     let finish = render_request::finish(&request, format)?;
     let camera = camera(&request)?;
-    let quality = quality(&request)?;
+    let quality = quality(request.tier, request.samples, request.seed, (request.width, request.height))?;
     let (model, _) = models::source(&app, &caller.tenant, &id).await?;
     let light = light(&app, &caller.tenant, &request.environment).await?;
     let task = RenderTask {
@@ -74,7 +74,7 @@ async fn render(
 }
 
 /// What a file says of how it was made.
-fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameNotes {
+pub(super) fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameNotes {
     FrameNotes {
         model: task.model.id.to_string(),
         light: task.light.key(),
@@ -97,6 +97,22 @@ impl TimedFrame {
     pub(super) fn bytes(&self) -> &[u8] {
         &self.encoded.bytes
     }
+}
+
+/// The file of a frame that is rendered while nobody else waits for one.
+///
+/// # Errors
+/// As [`render_frame`].
+pub(super) async fn render_behind(
+    app: &Shared,
+    task: RenderTask,
+    format: FrameFormat,
+    finish: Finish,
+) -> Result<Vec<u8>, Problem> {
+    let memory = app.memory.borrow(of_frame(task.pixels(), &task.outputs)).await?;
+    let outputs = task.outputs.clone();
+    let rendered = app.device.render_behind(task).await?;
+    Ok(app.encoders.encode(rendered.answer, outputs, format, finish, memory).await?.bytes)
 }
 
 /// Renders on the device thread and encodes off it.

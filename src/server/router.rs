@@ -11,8 +11,8 @@ use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLO
 #[cfg(feature = "web")]
 use crate::server::web;
 use crate::server::{
-    cameras, captures, deletion, description, environments, events, files, health, jobs, keys, models,
-    photographs, poses, previews, renders, signed_urls, thumbnails, uploads, usage, viewer, webhooks,
+    cameras, captures, deletion, description, environments, events, exports, files, health, jobs, keys,
+    models, photographs, poses, previews, renders, signed_urls, thumbnails, uploads, usage, viewer, webhooks,
 };
 
 fn families() -> OpenApiRouter<Shared> {
@@ -31,6 +31,7 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(signed_urls::routes())
         .merge(models::routes())
         .merge(files::routes())
+        .merge(exports::routes())
         .merge(deletion::routes())
         .merge(uploads::routes())
         .merge(usage::routes())

@@ -18,6 +18,7 @@ use crate::server::auth::{ApiKeys, may_listen};
 use crate::server::connections::{self, ConnectionLimits};
 use crate::server::decoders::Decoders;
 use crate::server::encoders::Encoders;
+use crate::server::exports::{self, ExportDesk, ExportPolicy};
 use crate::server::fetching::{FetchPolicy, Fetcher};
 use crate::server::keeper::Keeper;
 use crate::server::keyring::Keyring;
@@ -75,6 +76,8 @@ pub struct ServerConfig {
     pub poses: PosesPolicy,
     /// From where captures may be fetched.
     pub fetching: FetchPolicy,
+    /// How exports are made.
+    pub exports: ExportPolicy,
     /// What webhooks may do.
     pub webhooks: WebhookPolicy,
     /// How long things are kept.
@@ -105,6 +108,7 @@ impl ServerConfig {
             lease: LeasePolicy::default(),
             poses: PosesPolicy::default(),
             fetching: FetchPolicy::default(),
+            exports: ExportPolicy::default(),
             webhooks: WebhookPolicy::default(),
             retention: Retention::default(),
             worker: WorkerOptions::default(),
@@ -167,6 +171,7 @@ pub async fn run(
     let courier = tokio::spawn(Courier::new(jobs.clone(), config.webhooks).work(stop.clone()));
     let store = jobs.store().clone();
     let (service, app) = service(&config, is_open, jobs, device, thumbnails, tidy, stop.clone())?;
+    let exporter = tokio::spawn(exports::work(app.clone()));
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
     serve(listener, service, config.connections, shutdown, stop.clone()).await;
 
@@ -177,6 +182,9 @@ pub async fn run(
     }
     app.poses.idle().await;
     maintenance.abort();
+    if exporter.await.is_err() {
+        tracing::error!("exports could not be given back");
+    }
     if courier.await.is_err() {
         tracing::error!("webhooks could not be sent to the end");
     }
@@ -249,6 +257,7 @@ fn service(
         poses: Desk::new(config.poses.clone()),
         encoders: Encoders::new(),
         decoders: Decoders::start(config.limits.memory_bytes)?,
+        exports: ExportDesk::new(config.exports.clone(), Decoders::start(config.limits.memory_bytes)?),
         keys: keys.clone(),
         signing: signing.clone(),
         fetcher: Fetcher::new(config.fetching.clone()),
@@ -280,6 +289,10 @@ fn service(
 async fn recover(store: &Store, jobs: &Jobs) -> Result<(), StoreError> {
     store.artifacts().sweep_incoming()?;
     store.recover_uploads().await?;
+    let exports = store.requeue_exports(None).await?;
+    if exports > 0 {
+        tracing::info!(exports, "goes on with exports of a server that ended");
+    }
     let recovered = match jobs.reclaim_all().await {
         // A crash on a full disk leaves a job that has to be taken back on a full disk.
         Err(StoreError::Full) if store.room().spend_reserve() => jobs.reclaim_all().await?,

@@ -24,7 +24,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 /// Sign a URL
 ///
 /// For what cannot send a key, such as `<img>` and `EventSource`: a `GET` of a thumbnail, of a model's or a light's stream for
-/// viewers, of a model's file or of a job's events. It may read what the caller may, until it expires or the caller's key does or is revoked.
+/// viewers, of a model's file, of an export's or of a job's events. It may read what the caller may, until it expires or the caller's key does or is revoked.
 #[utoipa::path(
     post, path = "/v1/signed-urls", tag = "signed-urls", request_body = NewSignedUrl,
     responses(
@@ -46,7 +46,7 @@ async fn sign_url(
         target.ok_or_else(|| wrong("is no path with a query, as in a URL, of at most 2048 characters"))?;
     let subject = Subject::of(target.path());
     let subject = subject.ok_or_else(|| {
-        wrong("must be that of a thumbnail, a stream, a light or a file of a model, or of the events of a job; others are not signed")
+        wrong("must be that of a thumbnail, a stream, a light or a file of a model, of the file of an export, or of the events of a job; others are not signed")
     })?;
     must_exist(&app, &caller, &subject).await?;
 
@@ -69,6 +69,9 @@ async fn must_exist(app: &Shared, caller: &Caller, subject: &Subject) -> Result<
         Subject::File(id, name) => {
             let file = app.store.model_file(&caller.tenant, id, name).await?;
             (file.is_some(), "file", format!("{id}/{name}"))
+        }
+        Subject::Export(id) => {
+            (app.store.export(&caller.tenant, id).await?.is_some(), "export", id.to_string())
         }
         Subject::Events(id) => (app.store.job(&caller.tenant, id).await?.is_some(), "job", id.to_string()),
     };

@@ -6,7 +6,7 @@ use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
 use subtle::ConstantTimeEq;
 
-use crate::api::{JobId, ModelId};
+use crate::api::{ExportId, JobId, ModelId};
 use crate::server::caller::Caller;
 use crate::store::hex;
 
@@ -20,6 +20,8 @@ pub(super) enum Subject {
     Picture(ModelId),
     /// A file of a model.
     File(ModelId, String),
+    /// The file of an export.
+    Export(ExportId),
     /// The events of a job.
     Events(JobId),
 }
@@ -31,6 +33,7 @@ impl Subject {
         match *parts.as_slice() {
             ["models", id, "thumbnail" | "stream" | "light"] => Some(Self::Picture(id.into())),
             ["models", id, "files", name] => Some(Self::File(id.into(), name.to_owned())),
+            ["exports", id, "file"] => Some(Self::Export(id.into())),
             ["jobs", id, "events"] => Some(Self::Events(id.into())),
             _ => None,
         }
@@ -167,9 +170,16 @@ mod tests {
         assert_eq!(Subject::of("/v1/models/m/thumbnail"), Some(Subject::Picture("m".into())));
         assert_eq!(Subject::of("/v1/models/m/files/a.b"), Some(Subject::File("m".into(), "a.b".into())));
         assert_eq!(Subject::of("/v1/jobs/j/events"), Some(Subject::Events("j".into())));
-        for other in
-            ["/v1/models/m", "/v1/models/m/render", "/v1/jobs", "/v1/jobs/j/cancel", "/v1/keys/k", "/metrics"]
-        {
+        assert_eq!(Subject::of("/v1/exports/e/file"), Some(Subject::Export("e".into())));
+        for other in [
+            "/v1/exports/e",
+            "/v1/models/m",
+            "/v1/models/m/render",
+            "/v1/jobs",
+            "/v1/jobs/j/cancel",
+            "/v1/keys/k",
+            "/metrics",
+        ] {
             assert_eq!(Subject::of(other), None, "{other}");
         }
     }

@@ -19,7 +19,10 @@ pub(super) struct FairnessArgs {
     /// Uploads in pieces of a tenant that no capture was made of yet; one more gets 429.
     #[arg(long, env = "RELUME_MAX_UPLOADS_PER_TENANT", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
     max_uploads_per_tenant: u32,
-    /// Most that a tenant's captures, environments, models and unfinished uploads take: bytes, or a number with MiB, GiB or TiB; more uploads and jobs get 507. Not bounded where absent.
+    /// Exports of a tenant that wait or run; one more gets 429.
+    #[arg(long, env = "RELUME_MAX_EXPORTS_PER_TENANT", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..))]
+    max_exports_per_tenant: u32,
+    /// Most that a tenant's captures, environments, models, exports and unfinished uploads take: bytes, or a number with MiB, GiB or TiB; more uploads and jobs get 507. Not bounded where absent.
     #[arg(long, env = "RELUME_MAX_BYTES_PER_TENANT", value_name = "SIZE", value_parser = size)]
     max_bytes_per_tenant: Option<u64>,
 }
@@ -29,6 +32,7 @@ impl FairnessArgs {
         config.requests_per_minute = self.requests_per_minute;
         config.requests_per_minute_of_tenant = self.requests_per_minute_per_tenant;
         config.uploads.each = self.max_uploads_per_tenant;
+        config.exports.each = self.max_exports_per_tenant;
         config.quota = Quota { jobs: self.max_jobs_per_tenant, bytes: self.max_bytes_per_tenant };
     }
 }

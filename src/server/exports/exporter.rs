@@ -1,0 +1,86 @@
+//! The task that makes exports. Two lanes, so that a small file does not wait for a long sequence of frames.
+
+use std::time::Duration;
+
+use tokio_util::sync::CancellationToken;
+
+use crate::api::exports::NewExport;
+use crate::server::app::Shared;
+use crate::server::exports::ended::Ended;
+use crate::server::exports::{frames, splats};
+use crate::store::{ClaimedExport, ExportedFile};
+
+/// Time between two looks when nobody asks for one.
+const INTERVAL: Duration = Duration::from_secs(10);
+
+/// Makes exports until the server stops.
+pub(in crate::server) async fn work(app: Shared) {
+    tokio::join!(lane(&app, true), lane(&app, false));
+}
+
+/// Makes those of frames, or all others, one after another.
+async fn lane(app: &Shared, frames: bool) {
+    while !app.stop.is_cancelled() {
+        // What was cancelled or has failed leaves its folder to this.
+        if frames && let Err(error) = app.store.clear_export_folders().await {
+            tracing::error!(%error, "what exports left cannot be removed yet");
+        }
+        match app.store.claim_export(frames, app.jobs.now_ms()).await {
+            Ok(Some(export)) => {
+                run(app, export).await;
+                continue;
+            }
+            Ok(None) => {}
+            Err(error) => tracing::error!(%error, "exports cannot be made yet"),
+        }
+        tokio::select! {
+            () = app.stop.cancelled() => {}
+            () = app.exports.woken(frames) => {}
+            () = tokio::time::sleep(INTERVAL) => {}
+        }
+    }
+}
+
+/// Makes one, and writes down what came of it.
+async fn run(app: &Shared, export: ClaimedExport) {
+    let id = export.record.id.clone();
+    let token = app.stop.child_token();
+    app.exports.begin(&id, token.clone());
+    let made = tokio::select! {
+        biased;
+        () = token.cancelled() => Err(Ended::Unwanted),
+        made = make(app, &export, &token) => made,
+    };
+    app.exports.end(&id);
+    // Whatever still works on it aside ends soon.
+    token.cancel();
+    let kept = match made {
+        Ok(file) => match app.store.keep_export(&id, file, app.jobs.now_ms()).await {
+            Ok(_) => Ok(()),
+            Err(error) => Err(Ended::from(error)),
+        },
+        Err(Ended::Unwanted) if app.stop.is_cancelled() => {
+            app.store.requeue_exports(Some(&id)).await.map(drop).map_err(Ended::from)
+        }
+        Err(Ended::Unwanted) => Ok(()),
+        Err(failed) => Err(failed),
+    };
+    if let Err(Ended::Failed { code, detail }) = kept {
+        tracing::info!(export = %id, code, detail, "an export cannot be made");
+        if let Err(error) = app.store.fail_export(&id, &code, &detail, app.jobs.now_ms()).await {
+            tracing::error!(%error, export = %id, "the next start makes an export again");
+        }
+    }
+}
+
+async fn make(
+    app: &Shared,
+    export: &ClaimedExport,
+    token: &CancellationToken,
+) -> Result<ExportedFile, Ended> {
+    match &export.request {
+        NewExport::Frames(spec) => frames::make(app, &export.record, spec, token).await,
+        NewExport::Splats(spec) => splats::make(app, &export.record, spec).await,
+        NewExport::Mesh(spec) => splats::make_mesh(app, &export.record, spec).await,
+    }
+}

@@ -1,0 +1,144 @@
+//! Makes sequences of frames. Each finished frame is a file in the work folder of its export, so that the next server goes on where
+//! this one was stopped.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use tokio::io::AsyncWriteExt;
+use tokio_util::sync::CancellationToken;
+
+use crate::api::exports::{FramesExport, Package};
+use crate::render::{Background, Finish, FrameFormat, View, Viewpoint};
+use crate::server::app::Shared;
+use crate::server::exports::ended::{Ended, Patience};
+use crate::server::exports::plan::FramesPlan;
+use crate::server::exports::{splats, video, zip};
+use crate::server::{models, renders};
+use crate::store::{ExportRecord, ExportedFile, make_private};
+use crate::worker::{ModelSource, RenderTask};
+
+/// Frames a second of a video that states none.
+const FPS: u32 = 24;
+
+/// Makes the frames that are not there yet, and a zip or a video of all.
+pub(super) async fn make(
+    app: &Shared,
+    export: &ExportRecord,
+    spec: &FramesExport,
+    token: &CancellationToken,
+) -> Result<ExportedFile, Ended> {
+    let plan = FramesPlan::of(app, &export.tenant, spec).await?;
+    let (model, _) = models::source(app, &export.tenant, &export.model_id).await?;
+    let plan = Arc::new(plan);
+    let views = views(app, &plan, &model).await?;
+    let folder = app.store.export_folder(&export.id);
+    make_private(&folder)?;
+    let (mut names, mut bytes) = (Vec::with_capacity(views.len()), 0);
+    for (index, view) in views.iter().enumerate() {
+        let name = frame_name(index, plan.format);
+        let file = folder.join(&name);
+        if let Ok(found) = tokio::fs::metadata(&file).await {
+            bytes += found.len();
+        } else {
+            let frame = frame(app, &model, &plan, spec, view).await?;
+            let size = frame.len() as u64;
+            app.store.admit_bytes_of(&export.tenant, size).await?;
+            app.store.admit_bytes(size).await?;
+            write_whole(&file, &frame).await?;
+            bytes += size;
+            let done = i64::try_from(index + 1).unwrap_or(i64::MAX);
+            if !app.store.note_export(&export.id, done, bytes).await? {
+                return Err(Ended::Unwanted);
+            }
+        }
+        names.push(name);
+    }
+    // The disk holds both for a while; the tenant gets the one for the other.
+    app.store.admit_bytes(bytes).await?;
+    package(app, export, spec, &folder, names, token).await
+}
+
+/// Name of the file of the `index`-th frame, from 0.
+fn frame_name(index: usize, format: FrameFormat) -> String {
+    format!("{:04}.{}", index + 1, format.extension())
+}
+
+/// Where the cameras stand. A turntable takes that from the model, which is read for it.
+async fn views(app: &Shared, plan: &Arc<FramesPlan>, source: &ModelSource) -> Result<Vec<View>, Ended> {
+    if !plan.needs_model() {
+        return Ok(plan.path_views());
+    }
+    let plan = plan.clone();
+    splats::with_model(app, source, 0, move |model| plan.views(&model).map_err(Ended::from)).await
+}
+
+/// Renders and encodes one frame, once nobody else waits for one.
+async fn frame(
+    app: &Shared,
+    model: &ModelSource,
+    plan: &FramesPlan,
+    spec: &FramesExport,
+    view: &View,
+) -> Result<Vec<u8>, Ended> {
+    let task = RenderTask {
+        model: model.clone(),
+        light: plan.light.clone(),
+        rotation_deg: spec.environment.rotation_deg + view.light_turn_deg,
+        exposure_ev: spec.environment.exposure_ev,
+        viewpoint: Viewpoint::Camera(view.camera),
+        shows_environment: plan.finish.background == Background::Environment,
+        quality: plan.quality,
+        outputs: spec.outputs.clone(),
+    };
+    let mut notes = renders::notes(&task, Some(view.camera));
+    notes.frames_per_second = spec.frames_per_second;
+    let finish = Finish { notes, ..plan.finish.clone() };
+    let patience = Patience::new();
+    loop {
+        match renders::render_behind(app, task.clone(), plan.format, finish.clone()).await {
+            Ok(bytes) => return Ok(bytes),
+            Err(refusal) => patience.wait(refusal).await?,
+        }
+    }
+}
+
+/// Writes a file so that it is there whole or not at all; durable when this returns.
+async fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let part = path.with_extension("part");
+    let mut file = tokio::fs::File::create(&part).await?;
+    file.write_all(bytes).await?;
+    file.sync_all().await?;
+    tokio::fs::rename(&part, path).await
+}
+
+async fn package(
+    app: &Shared,
+    export: &ExportRecord,
+    spec: &FramesExport,
+    folder: &Path,
+    names: Vec<String>,
+    token: &CancellationToken,
+) -> Result<ExportedFile, Ended> {
+    let (model, from, token) = (&export.model_id, folder.to_owned(), token.clone());
+    let is_wanted = move || !token.is_cancelled();
+    match spec.package {
+        Package::Zip => {
+            let path = folder.join("frames.zip");
+            let to = path.clone();
+            aside(move || Ok(zip::pack(&from, &names, &to, &is_wanted)?)).await?;
+            Ok(ExportedFile { path, name: format!("{model}.zip"), content_type: "application/zip" })
+        }
+        Package::Mp4 => {
+            let path = folder.join("frames.mp4");
+            let (to, ffmpeg) = (path.clone(), app.exports.policy.ffmpeg.clone());
+            let (extension, fps) = (spec.format.extension(), spec.frames_per_second.unwrap_or(FPS));
+            aside(move || video::encode(&ffmpeg, &from, extension, fps, &to, &is_wanted)).await?;
+            Ok(ExportedFile { path, name: format!("{model}.mp4"), content_type: "video/mp4" })
+        }
+    }
+}
+
+/// Runs work that blocks.
+async fn aside(work: impl FnOnce() -> Result<(), Ended> + Send + 'static) -> Result<(), Ended> {
+    tokio::task::spawn_blocking(work).await.map_err(std::io::Error::other)?
+}

@@ -1,0 +1,23 @@
+//! The light of an export.
+
+use crate::api::renders::EnvironmentSpec;
+use crate::api::{Problem, TenantId};
+use crate::server::app::Shared;
+use crate::server::lights;
+use crate::worker::LightSource;
+
+/// The light of an export. One that came with the request would have to be kept until the export is made.
+///
+/// # Errors
+/// 422 that names the field.
+pub(super) async fn light(
+    app: &Shared,
+    tenant: &TenantId,
+    spec: &EnvironmentSpec,
+) -> Result<LightSource, Problem> {
+    if spec.inline_base64.is_some() {
+        let detail = "is not taken by exports; upload the map to /v1/environments and name its id";
+        return Err(Problem::invalid_field("/environment/inline_base64", detail));
+    }
+    lights::light(app, tenant, spec).await
+}

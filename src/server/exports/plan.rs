@@ -1,0 +1,220 @@
+//! A sequence of frames as it was asked for: cameras, light, quality and finish, checked.
+
+use crate::api::camera_path::path_views;
+use crate::api::exports::{FramesExport, Package, TurntableSpec};
+use crate::api::{Problem, TenantId};
+use crate::render::{
+    Background, Finish, FrameFormat, FrameNotes, Quality, ToneCurve, Turntable, View, is_colour, resized,
+    turn_light,
+};
+use crate::scene::Model;
+use crate::server::app::Shared;
+use crate::server::exports::light::light;
+use crate::server::exports::video;
+use crate::server::render_request::{check_finish, check_outputs, check_sides, quality};
+use crate::worker::LightSource;
+
+/// Most frames of an export.
+const MOST_FRAMES: usize = 10_000;
+/// Sides of frames whose size nothing states, pixels.
+const SIZE: (u32, u32) = (512, 512);
+/// Most frames a second of a video.
+const MOST_FPS: u32 = 240;
+
+/// A sequence of frames, checked.
+pub(super) struct FramesPlan {
+    pub(super) light: LightSource,
+    pub(super) quality: Quality,
+    /// Of all frames; the notes lack what is of one.
+    pub(super) finish: Finish,
+    pub(super) format: FrameFormat,
+    cameras: Cameras,
+    environment_turn_deg: f64,
+}
+
+enum Cameras {
+    Turntable(Turntable),
+    Path(Vec<View>),
+}
+
+impl FramesPlan {
+    /// # Errors
+    /// 422 that names the field.
+    pub(super) async fn of(app: &Shared, tenant: &TenantId, spec: &FramesExport) -> Result<Self, Problem> {
+        let cameras = cameras(spec)?;
+        check_outputs(&spec.outputs, spec.format)?;
+        if !spec.environment_turn_deg.is_finite() {
+            return Err(Problem::invalid_field("/environment_turn_deg", "must be finite"));
+        }
+        if spec.frames_per_second.is_some_and(|fps| !(1..=100_000).contains(&fps)) {
+            return Err(Problem::invalid_field("/frames_per_second", "must be 1 to 100000"));
+        }
+        let quality = quality(spec.tier, spec.samples, spec.seed, cameras.largest())?;
+        let finish = finish(spec);
+        check_finish(&finish, &spec.outputs, spec.format)?;
+        if spec.package == Package::Mp4 {
+            check_video(app, spec, &cameras)?;
+        }
+        let light = light(app, tenant, &spec.environment).await?;
+        let (format, environment_turn_deg) = (spec.format, spec.environment_turn_deg);
+        Ok(Self { light, quality, finish, format, cameras, environment_turn_deg })
+    }
+
+    /// How many.
+    pub(super) fn frames(&self) -> usize {
+        match &self.cameras {
+            Cameras::Turntable(turntable) => turntable.frames as usize,
+            Cameras::Path(views) => views.len(),
+        }
+    }
+
+    /// Whether the model says where cameras stand.
+    pub(super) fn needs_model(&self) -> bool {
+        matches!(self.cameras, Cameras::Turntable(_))
+    }
+
+    /// The views of a path.
+    pub(super) fn path_views(&self) -> Vec<View> {
+        match &self.cameras {
+            Cameras::Turntable(_) => Vec::new(),
+            Cameras::Path(views) => self.turned(views.clone()),
+        }
+    }
+
+    /// The views, of `model` where they depend on it.
+    ///
+    /// # Errors
+    /// 422 for a turntable without cameras.
+    pub(super) fn views(&self, model: &Model) -> Result<Vec<View>, Problem> {
+        let Cameras::Turntable(turntable) = &self.cameras else { return Ok(self.path_views()) };
+        let refused = |error: crate::scene::CameraError| {
+            Problem::invalid_field(format!("/turntable/{}", error.field), error.reason)
+        };
+        Ok(self.turned(turntable.views(model).map_err(refused)?))
+    }
+
+    fn turned(&self, mut views: Vec<View>) -> Vec<View> {
+        turn_light(&mut views, self.environment_turn_deg);
+        views
+    }
+}
+
+impl Cameras {
+    /// The size of the frame with the most pixels.
+    fn largest(&self) -> (u32, u32) {
+        let pixels = |(width, height): &(u32, u32)| u64::from(*width) * u64::from(*height);
+        match self {
+            Self::Turntable(turntable) => turntable.size,
+            Self::Path(views) => {
+                let sizes = views.iter().map(|view| (view.camera.width, view.camera.height));
+                sizes.max_by_key(pixels).unwrap_or(SIZE)
+            }
+        }
+    }
+}
+
+fn cameras(spec: &FramesExport) -> Result<Cameras, Problem> {
+    let size = match (spec.width, spec.height) {
+        (None, None) => None,
+        (Some(width), Some(height)) => Some((width, height)),
+        (None, Some(_)) => return Err(Problem::invalid_field("/width", "goes with height")),
+        (Some(_), None) => return Err(Problem::invalid_field("/height", "goes with width")),
+    };
+    size.map_or(Ok(()), check_sides)?;
+    match (&spec.turntable, &spec.path) {
+        (Some(table), None) => turntable(table, size.unwrap_or(SIZE)).map(Cameras::Turntable),
+        (None, Some(_)) => path(spec, size).map(Cameras::Path),
+        (Some(_), Some(_)) => Err(Problem::invalid_field("/path", "goes without turntable")),
+        (None, None) => Err(Problem::invalid_field("/turntable", "must be there, or path")),
+    }
+}
+
+fn turntable(spec: &TurntableSpec, size: (u32, u32)) -> Result<Turntable, Problem> {
+    let refused = |field: &str, why: String| Err(Problem::invalid_field(format!("/turntable/{field}"), why));
+    let &TurntableSpec { frames, azimuth_deg, elevation_deg, camera_turn_deg } = spec;
+    if !(1..=MOST_FRAMES).contains(&(frames as usize)) {
+        return refused("frames", format!("must be 1 to {MOST_FRAMES}, got {frames}"));
+    }
+    if !azimuth_deg.is_none_or(f64::is_finite) {
+        return refused("azimuth_deg", "must be finite".to_owned());
+    }
+    if !elevation_deg.is_none_or(|degrees| (-90.0..=90.0).contains(&degrees)) {
+        return refused("elevation_deg", "must be -90 to 90".to_owned());
+    }
+    if !camera_turn_deg.is_finite() {
+        return refused("camera_turn_deg", "must be finite".to_owned());
+    }
+    Ok(Turntable { frames, azimuth_deg, elevation_deg, camera_turn_deg, size })
+}
+
+fn path(spec: &FramesExport, size: Option<(u32, u32)>) -> Result<Vec<View>, Problem> {
+    let refused = |pointer: String, why: String| Problem::invalid_field(format!("/path{pointer}"), why);
+    if let Some(world) = &spec.path_world {
+        world.check().map_err(|why| Problem::invalid_field("/path_world", why))?;
+    }
+    let json = spec.path.as_ref().unwrap_or(&serde_json::Value::Null);
+    let views = path_views(json, size.unwrap_or(SIZE), spec.path_world.as_ref());
+    let views = views.map_err(|error| refused(error.pointer, error.detail))?;
+    if !(1..=MOST_FRAMES).contains(&views.len()) {
+        let why = format!("has {} cameras; 1 to {MOST_FRAMES} are rendered", views.len());
+        return Err(refused(String::new(), why));
+    }
+    let views = match size {
+        Some(size) => resized(views, size)
+            .map_err(|(i, why)| refused(String::new(), format!("camera {} {why}", i + 1)))?,
+        None => views,
+    };
+    for (i, view) in views.iter().enumerate() {
+        let sides = check_sides((view.camera.width, view.camera.height));
+        sides.map_err(|_| refused(String::new(), format!("camera {} is larger than 4096 pixels", i + 1)))?;
+    }
+    Ok(views)
+}
+
+/// How frames become files. A video has no alpha: where nothing is, it shows white as a JPEG does.
+fn finish(spec: &FramesExport) -> Finish {
+    let shows_colour = spec.outputs.first().is_some_and(|output| is_colour(*output));
+    let background = match (spec.background, spec.package) {
+        (Background::Transparent, Package::Mp4) if shows_colour => Background::Colour([255; 3]),
+        (background, _) => background,
+    };
+    Finish {
+        background,
+        tone_curve: spec.tone_curve,
+        colour_depth: spec.colour_depth,
+        alpha: spec.alpha,
+        primaries: spec.primaries,
+        notes: FrameNotes { frames_per_second: spec.frames_per_second, ..FrameNotes::default() },
+    }
+}
+
+fn check_video(app: &Shared, spec: &FramesExport, cameras: &Cameras) -> Result<(), Problem> {
+    let refused = |field: &str, why: &str| Err(Problem::invalid_field(field, why));
+    if video::find(&app.exports.policy.ffmpeg).is_none() {
+        let why =
+            "mp4 needs ffmpeg, which this server does not have; take zip, or ask its operator to install it";
+        return refused("/package", why);
+    }
+    if spec.format == FrameFormat::Exr {
+        return refused("/format", "a video is made of png or jpeg frames");
+    }
+    if spec.tone_curve == ToneCurve::Linear {
+        return refused("/tone_curve", "linear is not for displays, and so not for a video");
+    }
+    if spec.frames_per_second.is_some_and(|fps| fps > MOST_FPS) {
+        return refused("/frames_per_second", &format!("of a video must be 1 to {MOST_FPS}"));
+    }
+    let (width, height) = cameras.largest();
+    let is_stated = spec.width.is_some() || spec.turntable.is_some();
+    for (field, side) in [("/width", width), ("/height", height)] {
+        if !side.is_multiple_of(2) {
+            return refused(if is_stated { field } else { "/path" }, "of a video must be even");
+        }
+    }
+    if let Cameras::Path(views) = cameras
+        && views.iter().any(|view| (view.camera.width, view.camera.height) != (width, height))
+    {
+        return refused("/path", "has cameras of several sizes; a video has one: state width and height");
+    }
+    Ok(())
+}

@@ -1,0 +1,66 @@
+//! From the body of a request to an export that can be made; a refusal names the field.
+
+use serde_json::Value;
+
+use crate::api::exports::{NewExport, SplatsExport};
+use crate::api::{Problem, TenantId};
+use crate::render::{MOST_BAKED_DEGREE, Shown};
+use crate::server::app::Shared;
+use crate::server::exports::light::light;
+use crate::server::exports::plan::FramesPlan;
+use crate::server::extract;
+
+/// Reads a body by its `kind`.
+///
+/// # Errors
+/// 422 that names the field.
+pub(super) fn read(body: Value) -> Result<NewExport, Problem> {
+    match body.get("kind").and_then(Value::as_str) {
+        Some("frames") => extract::read(body).map(Box::new).map(NewExport::Frames),
+        Some("gltf" | "usd" | "usdz" | "ply") => extract::read(body).map(NewExport::Splats),
+        Some("mesh") => extract::read(body).map(NewExport::Mesh),
+        _ => Err(Problem::invalid_field("/kind", "must be frames, gltf, usd, usdz, ply or mesh")),
+    }
+}
+
+/// Refuses what cannot be made; how many steps it takes.
+///
+/// # Errors
+/// 422 that names the field.
+pub(super) async fn check(app: &Shared, tenant: &TenantId, export: &NewExport) -> Result<i64, Problem> {
+    match export {
+        NewExport::Frames(frames) => {
+            let plan = FramesPlan::of(app, tenant, frames).await?;
+            Ok(i64::try_from(plan.frames()).unwrap_or(i64::MAX))
+        }
+        NewExport::Splats(splats) => {
+            shown(splats)?;
+            if let Some(environment) = &splats.environment {
+                light(app, tenant, environment).await?;
+            }
+            if splats.relit_degree as usize > MOST_BAKED_DEGREE {
+                return Err(Problem::invalid_field(
+                    "/relit_degree",
+                    format!("must be 0 to {MOST_BAKED_DEGREE}"),
+                ));
+            }
+            Ok(1)
+        }
+        NewExport::Mesh(mesh) if !(16..=512).contains(&mesh.cells) => {
+            Err(Problem::invalid_field("/cells", "must be 16 to 512"))
+        }
+        NewExport::Mesh(_) => Ok(1),
+    }
+}
+
+/// What the colour shows; nothing where that is not stated.
+///
+/// # Errors
+/// 422 for a light that nothing shows.
+pub(super) fn shown(splats: &SplatsExport) -> Result<Option<Shown>, Problem> {
+    match (splats.layer, &splats.environment) {
+        (layer, None) => Ok(layer),
+        (Some(Shown::Relit) | None, Some(_)) => Ok(Some(Shown::Relit)),
+        (Some(_), Some(_)) => Err(Problem::invalid_field("/environment", "goes with the layer relit alone")),
+    }
+}

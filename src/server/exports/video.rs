@@ -1,0 +1,81 @@
+//! Frames as a video, by ffmpeg.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use crate::server::exports::ended::Ended;
+
+/// How often the program is looked after.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// Where a program is: a path, or a name that is looked for on PATH.
+pub(super) fn find(program: &Path) -> Option<PathBuf> {
+    if program.components().count() > 1 {
+        return program.is_file().then(|| program.to_owned());
+    }
+    let path = std::env::var_os("PATH")?;
+    std::env::split_paths(&path).map(|folder| folder.join(program)).find(|file| file.is_file())
+}
+
+/// Makes an H.264 video of the frames `0001.EXTENSION` and on in `folder`. Equal frames make equal files with the same ffmpeg. Blocks.
+///
+/// # Errors
+/// When ffmpeg is gone or fails, or `is_wanted` says no; it does not run any longer then.
+pub(super) fn encode(
+    ffmpeg: &Path,
+    folder: &Path,
+    extension: &str,
+    frames_per_second: u32,
+    to: &Path,
+    is_wanted: &dyn Fn() -> bool,
+) -> Result<(), Ended> {
+    let ffmpeg = find(ffmpeg).ok_or_else(|| Ended::failed("ffmpeg is not installed any more"))?;
+    let log = folder.join("ffmpeg.log");
+    let mut command = Command::new(ffmpeg);
+    command.args([
+        "-nostdin",
+        "-hide_banner",
+        "-loglevel",
+        "error",
+        "-y",
+        "-f",
+        "image2",
+        "-start_number",
+        "1",
+    ]);
+    command
+        .args(["-framerate", &frames_per_second.to_string(), "-i"])
+        .arg(folder.join(format!("%04d.{extension}")));
+    // Two threads leave the others to frames and trainings, and make the same bytes on any machine.
+    command.args(["-an", "-c:v", "libx264", "-threads", "2", "-preset", "medium", "-crf", "18"]);
+    command.args(["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-map_metadata", "-1"]);
+    command.args(["-fflags", "+bitexact", "-flags:v", "+bitexact", "-f", "mp4"]).arg(to);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(File::create(&log)?);
+    let mut running = Running(command.spawn()?);
+    let status = loop {
+        match running.0.try_wait()? {
+            Some(status) => break status,
+            None if !is_wanted() => return Err(Ended::Unwanted),
+            None => std::thread::sleep(LOOK_EVERY),
+        }
+    };
+    if status.success() {
+        return Ok(());
+    }
+    let said = std::fs::read_to_string(&log).unwrap_or_default();
+    tracing::error!(%status, said = said.trim_end(), "ffmpeg failed");
+    Err(Ended::failed(format!("ffmpeg failed ({status}); the server's log has its words")))
+}
+
+/// A program that ends when this goes.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Both fail only where it has ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}

@@ -1,0 +1,32 @@
+//! Frames as a zip.
+
+use std::fs::File;
+use std::io::{BufWriter, ErrorKind, Write};
+use std::path::Path;
+
+use ::zip::CompressionMethod;
+use ::zip::write::SimpleFileOptions;
+
+/// Packs files of a folder in this order, as they are: images are compressed already. Equal files make equal zips. Blocks.
+///
+/// # Errors
+/// When a file cannot be read or written, or `is_wanted` says no.
+pub(super) fn pack(
+    folder: &Path,
+    names: &[String],
+    to: &Path,
+    is_wanted: &dyn Fn() -> bool,
+) -> std::io::Result<()> {
+    let mut zip = ::zip::ZipWriter::new(BufWriter::new(File::create(to)?));
+    for name in names {
+        if !is_wanted() {
+            return Err(ErrorKind::Interrupted.into());
+        }
+        let mut file = File::open(folder.join(name))?;
+        let is_large = file.metadata()?.len() >= u64::from(u32::MAX);
+        let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+        zip.start_file(name.as_str(), options.large_file(is_large))?;
+        std::io::copy(&mut file, &mut zip)?;
+    }
+    zip.finish()?.flush()
+}
