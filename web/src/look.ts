@@ -1,4 +1,4 @@
-import type { Camera, RenderRequest } from './api/types'
+import type { Camera, NewExport, RenderRequest } from './api/types'
 
 /** How a model is shown: what the address of its page says. */
 export interface Look {
@@ -61,7 +61,8 @@ export function backgroundOf({ background, output }: Look): string {
   return background === 'environment' && output !== 'rgb' ? 'transparent' : background
 }
 
-function environment(look: Look, builtin: string[]): NonNullable<RenderRequest['environment']> {
+/** The light of a look as requests have it. */
+export function environment(look: Look, builtin: string[]): NonNullable<RenderRequest['environment']> {
   const light = look.light === 'recovered' || builtin.includes(look.light) ? { builtin: look.light } : { id: look.light }
   return { ...light, rotation_deg: look.rotation, exposure_ev: look.exposure }
 }
@@ -74,6 +75,43 @@ export function requestOf(look: Look, view: View, builtin: string[], [width, hei
   const eye = [x + view.distance * away[0], y + view.distance * away[1], z + view.distance * away[2]].map((value) => Number(value.toPrecision(6)))
   const camera = { look_at: { eye, target: view.target, up: [0, 0, 1], fov_y_deg: view.fov } }
   return { camera, environment: environment(look, builtin), width, height, outputs: [API_OUTPUTS[look.output] ?? look.output], background: backgroundOf(look) }
+}
+
+/** What can be taken along, by how it is called here. */
+export const TAKEN = {
+  video: 'Turntable, video (mp4)',
+  frames: 'Turntable, pictures (zip of png)',
+  gltf: 'glTF with Gaussians (.glb)',
+  usdz: 'OpenUSD with Gaussians (.usdz)',
+  ply: 'PLY, relightable',
+  relit: 'PLY, as lit here',
+  mesh: 'Mesh with textures (.glb)',
+} as const
+
+/** The request for an export under the light of a look; a turntable begins where the view stands. */
+export function exportOf(what: keyof typeof TAKEN, look: Look, view: View | undefined, builtin: string[], frames: number, side: number): NewExport {
+  switch (what) {
+    case 'video':
+    case 'frames': {
+      const from = view ? { azimuth_deg: view.azimuth, elevation_deg: view.elevation } : {}
+      return {
+        kind: 'frames',
+        turntable: { frames, ...from },
+        environment: environment(look, builtin),
+        width: side,
+        height: side,
+        outputs: [API_OUTPUTS[look.output] ?? look.output],
+        background: backgroundOf(look),
+        package: what === 'video' ? 'mp4' : 'zip',
+      }
+    }
+    case 'relit':
+      return { kind: 'ply', layer: 'relit', environment: environment(look, builtin) }
+    case 'mesh':
+      return { kind: 'mesh' }
+    default:
+      return { kind: what }
+  }
 }
 
 /** The request for a photograph's own view. */

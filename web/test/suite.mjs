@@ -204,6 +204,22 @@ for (const [button, name, least] of [['Save the frame', /\.png$/, 500], ['↓ mo
   assert.ok(statSync(await download.path()).size >= least, button)
 }
 
+// Made on the server: a turntable, with a download by a signed URL.
+await page.getByLabel('What', { exact: true }).selectOption('frames')
+await page.getByLabel('Frames').fill('3')
+await page.getByLabel('Side, px').fill('64')
+await page.getByRole('button', { name: 'Make it' }).click()
+await page.getByRole('button', { name: '↓ frames' }).waitFor()
+const [zip] = await Promise.all([page.waitForEvent('download'), page.getByRole('button', { name: '↓ frames' }).click()])
+assert.match(zip.suggestedFilename(), /\.zip$/)
+assert.equal(readFileSync(await zip.path()).subarray(0, 2).toString(), 'PK')
+await page.getByLabel('What', { exact: true }).selectOption('ply')
+await page.getByRole('button', { name: 'Make it' }).click()
+await page.getByRole('button', { name: '↓ ply' }).waitFor()
+await audit(page, 'model-exports')
+await page.getByRole('button', { name: 'Delete ply' }).click()
+await page.getByRole('button', { name: '↓ ply' }).waitFor({ state: 'detached' })
+
 // A phone: nothing is wider than the screen.
 await page.setViewportSize({ width: 390, height: 844 })
 await audit(page, 'phone-model')

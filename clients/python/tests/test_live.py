@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,26 @@ def test_a_round(client: relume.Client, trained: tuple[relume.Capture, relume.Mo
     assert np.abs(other["rgb"] - frame["rgb"]).max() > 0.01, "the control: another light shows"
     assert model.download("model.safetensors", tmp_path / "m").stat().st_size > 1000
     assert model.card
+
+
+def test_files_are_made_on_the_server(trained: tuple[relume.Capture, relume.Model], tmp_path: Path) -> None:
+    model = trained[1]
+    around = model.export("frames", "sunset", turntable={"frames": 3}, width=32, height=24, format="exr").wait(progress=False)
+    with zipfile.ZipFile(around.save(tmp_path)) as frames:
+        assert frames.namelist() == ["0001.exr", "0002.exr", "0003.exr"]
+        first, second = (relume.Frame.from_exr(frames.read(name)) for name in frames.namelist()[:2])
+    assert first["rgb"].shape == (24, 32, 3)
+    assert np.abs(first["rgb"] - second["rgb"]).max() > 0.01, "the control: from another side"
+    albedo = model.export("ply", layer="albedo").wait(progress=False).save(tmp_path / "albedo.ply")
+    assert albedo.read_bytes().startswith(b"ply")
+    with pytest.raises(relume.RelumeError) as caught:
+        model.export("ply", layer="depth")
+    assert caught.value.errors[0]["pointer"] == "/layer"
+    long = model.export("frames", turntable={"frames": 10_000})
+    long.cancel()
+    with pytest.raises(relume.ExportFailed, match="cancelled"):
+        long.wait(progress=False, timeout=60)
+    long.delete()
 
 
 def test_a_linear_frame_is_the_picture_that_the_server_shows(trained: tuple[relume.Capture, relume.Model]) -> None:

@@ -3,6 +3,7 @@ import { address, apiKey, ask, message, remove } from '../api/client'
 import type { Environments, Model } from '../api/types'
 import { Choices, Facts, Failure, Head, save, Slider } from '../components/common'
 import { Lights } from '../components/lights'
+import { TakeAlong } from '../components/take'
 import { Wipe } from '../components/wipe'
 import { bytes, called, count, decibels, duration, share } from '../format'
 import { useLoaded, useTitle } from '../hooks'
@@ -53,6 +54,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
               <Choices legend="Layer" name="output" pills value={look.output} of={OUTPUTS.map((value) => ({ value, label: value }))} onChange={(output) => change({ output })} />
             </section>
             <Figures of={model} />
+            <TakeAlong model={model.id} look={look} view={view} lights={lights.data} />
             <Files of={model} onError={setFailed} />
           </div>
         </div>

@@ -11,15 +11,17 @@
 
 from relume.cameras import Camera, look_at, matrix, orbit
 from relume.client import Client
-from relume.errors import JobFailed, RelumeError, Unreachable
+from relume.errors import ExportFailed, JobFailed, RelumeError, Unreachable
 from relume.frames import Frame
-from relume.resources import Capture, Environment, Job, Light, Model
+from relume.resources import Capture, Environment, Export, Job, Light, Model
 
 __all__ = [
     "Camera",
     "Capture",
     "Client",
     "Environment",
+    "Export",
+    "ExportFailed",
     "Frame",
     "Job",
     "JobFailed",

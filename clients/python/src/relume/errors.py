@@ -36,3 +36,13 @@ class JobFailed(Exception):
         why = (job.get("error") or {}).get("detail")
         missed = "; ".join(f"{m['figure']} is {m.get('found')}, wanted {m['wanted']}" for m in job.get("missed") or [])
         super().__init__(": ".join(part for part in (f"job {job['id']} {self.state}", why, missed) if part))
+
+
+class ExportFailed(Exception):
+    """An export ended without a file: it failed or was cancelled."""
+
+    def __init__(self, export: dict[str, Any]) -> None:
+        self.export = export
+        self.state = str(export["state"])
+        why = (export.get("error") or {}).get("detail")
+        super().__init__(": ".join(part for part in (f"export {export['id']} {self.state}", why) if part))

@@ -14,13 +14,14 @@ from urllib.parse import quote
 from tqdm import tqdm
 
 from relume.cameras import Camera
-from relume.errors import JobFailed, RelumeError
+from relume.errors import ExportFailed, JobFailed, RelumeError
 from relume.frames import Frame
 from relume.http import Connection
 
 Preset = Literal["draft", "standard", "high"]
 Tier = Literal["preview", "standard", "high", "monte_carlo"]
 _ENDED = ("succeeded", "rejected", "failed", "cancelled")
+ExportKind = Literal["frames", "gltf", "usd", "usdz", "ply", "mesh"]
 
 
 class Resource:
@@ -254,15 +255,27 @@ class Model(Resource):
 
     def download(self, name: str, path: str | os.PathLike[str]) -> Path:
         """Writes one of the model's files, e.g. `model.safetensors`, to `path`; whole or not at all."""
-        target = Path(path)
-        handle, unfinished = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                self._connection.save(self._at(f"/files/{name}"), file)
-            os.replace(unfinished, target)
-        finally:
-            Path(unfinished).unlink(missing_ok=True)
-        return target
+        return _saved(self._connection, self._at(f"/files/{name}"), path)
+
+    def export(
+        self,
+        kind: ExportKind,
+        environment: Light | None = None,
+        *,
+        rotation_deg: float = 0.0,
+        exposure_ev: float = 0.0,
+        **options: Any,
+    ) -> Export:
+        """Has the server make a file of the model; once, also when the answer is lost on the way.
+
+        `options` are those of the kind (openapi.json: FramesExport, SplatsExport, MeshExport), e.g.
+        `model.export("frames", "sunset", turntable={"frames": 120}, package="mp4")` or `model.export("ply", layer="albedo")`.
+        """
+        wanted: dict[str, Any] = {"kind": kind, **options}
+        if environment is not None:
+            wanted["environment"] = _light(environment, rotation_deg, exposure_ev)
+        headers = {"Idempotency-Key": str(uuid.uuid4())}
+        return Export(self._connection, self._connection.json("POST", self._at("/exports"), json=wanted, headers=headers))
 
     def _request(
         self,
@@ -275,16 +288,81 @@ class Model(Resource):
         exposure_ev: float,
     ) -> dict[str, Any]:
         width, height = (size, size) if isinstance(size, int) else size
-        light: dict[str, Any] = {"rotation_deg": rotation_deg, "exposure_ev": exposure_ev}
-        if isinstance(environment, Environment):
-            light["id"] = environment.id
-        elif environment != "recovered":
-            light["builtin"] = environment
         return {
             "camera": camera,
-            "environment": light,
+            "environment": _light(environment, rotation_deg, exposure_ev),
             "width": width,
             "height": height,
             "outputs": outputs,
             "tier": tier,
         }
+
+
+class Export(Resource):
+    """A file that is made of a model in the background."""
+
+    _path = "exports"
+
+    @property
+    def state(self) -> str:
+        """`queued`, `running`, `succeeded`, `failed` or `cancelled`, when it was last asked for."""
+        return str(self.data["state"])
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it will not change any more."""
+        return self.state in _ENDED
+
+    def cancel(self) -> None:
+        """Stops it. One that has ended is deleted with its file."""
+        self._connection.send("DELETE", self._at())
+
+    def wait(self, *, progress: bool = True, timeout: float | None = None) -> Export:
+        """Waits for the file and gives the export.
+
+        `progress` shows a bar. Raises ExportFailed when it failed or was cancelled, and TimeoutError after `timeout` seconds; the export
+        goes on then.
+        """
+        until = None if timeout is None else time.monotonic() + timeout
+        total = int(self.data["progress"]["total"])
+        with tqdm(total=total, desc=str(self.data["kind"]), disable=not progress) as bar:
+            while True:
+                self.refresh()
+                bar.update(int(self.data["progress"]["done"]) - bar.n)
+                if self.has_ended:
+                    break
+                if until is not None and time.monotonic() > until:
+                    raise TimeoutError(f"export {self.id} is {self.state} after {timeout} s")
+                time.sleep(0.5)
+        if self.state != "succeeded":
+            raise ExportFailed(self.data)
+        return self
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes its file to `path`, or into it under the name that it has where that is a folder; whole or not at all."""
+        target = Path(path)
+        if target.is_dir():
+            target = target / str((self.data.get("file") or {}).get("name", self.id))
+        return _saved(self._connection, self._at("/file"), target)
+
+
+def _light(environment: Light, rotation_deg: float, exposure_ev: float) -> dict[str, Any]:
+    light: dict[str, Any] = {"rotation_deg": rotation_deg, "exposure_ev": exposure_ev}
+    if isinstance(environment, Environment):
+        light["id"] = environment.id
+    elif environment != "recovered":
+        light["builtin"] = environment
+    return light
+
+
+def _saved(connection: Connection, path: str, to: str | os.PathLike[str]) -> Path:
+    """Downloads a file; whole or not at all."""
+    target = Path(to)
+    handle, unfinished = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            connection.save(path, file)
+        os.replace(unfinished, target)
+    finally:
+        Path(unfinished).unlink(missing_ok=True)
+    return target

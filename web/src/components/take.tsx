@@ -1,0 +1,87 @@
+import { useEffect, useState } from 'preact/hooks'
+import { address, apiKey, message, post, remove } from '../api/client'
+import type { Environments, Export, Listed, SignedUrl } from '../api/types'
+import { bytes } from '../format'
+import { useLoaded } from '../hooks'
+import { exportOf, TAKEN, type Look, type View } from '../look'
+import { Badge, Failure } from './common'
+
+type Taken = keyof typeof TAKEN
+
+/** Milliseconds between two looks while something is being made. */
+const EVERY = 1500
+
+/** Files of a model that the server makes on request, and those that it made. */
+export function TakeAlong({ model, look, view, lights }: { model: string; look: Look; view: View | undefined; lights: Environments | undefined }) {
+  const [what, setWhat] = useState<Taken>('frames')
+  const [frames, setFrames] = useState(60)
+  const [side, setSide] = useState(512)
+  const [error, setError] = useState<string>()
+  const [isMaking, setMaking] = useState(false)
+  const made = useLoaded<Listed<Export>>(`v1/exports?limit=8&model=${encodeURIComponent(model)}`, isMaking ? EVERY : undefined)
+  const exports = made.data?.items ?? []
+  const isBusy = exports.some(({ state }) => state === 'queued' || state === 'running')
+  useEffect(() => setMaking(isBusy), [isBusy])
+  const act = (work: Promise<unknown>) => work.then(() => {
+    setError(undefined)
+    made.reload()
+  }, (failure: unknown) => setError(message(failure)))
+  const start = (event: Event) => {
+    event.preventDefault()
+    void act(post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, exportOf(what, look, view, lights?.builtin ?? [], frames, side)))
+  }
+  const isTurntable = what === 'frames' || what === 'video'
+  return (
+    <section class="card stack" aria-labelledby="take">
+      <h2 id="take">Take it along</h2>
+      <form class="stack" onSubmit={start}>
+        <div>
+          <label for="take-what">What</label>
+          <select id="take-what" value={what} onChange={(event) => setWhat(event.currentTarget.value as Taken)}>
+            {Object.entries(TAKEN).map(([value, label]) => <option value={value} key={value}>{label}</option>)}
+          </select>
+        </div>
+        {isTurntable ? (
+          <div class="fields">
+            <Whole id="take-frames" label="Frames" value={frames} least={1} most={10_000} onInput={setFrames} />
+            <Whole id="take-side" label="Side, px" value={side} least={2} most={4096} onInput={setSide} />
+          </div>
+        ) : null}
+        <div class="row"><button type="submit">Make it</button></div>
+      </form>
+      <Failure error={error ?? made.error} />
+      {exports.length > 0 ? <ul class="notices" aria-label="Made of this model">{exports.map((one) => <Made of={one} key={one.id} onAct={act} />)}</ul> : null}
+    </section>
+  )
+}
+
+function Whole({ id, label, value, least, most, onInput }: { id: string; label: string; value: number; least: number; most: number; onInput: (value: number) => void }) {
+  return (
+    <div>
+      <label for={id}>{label}</label>
+      <input id={id} type="number" required min={least} max={most} step={1} value={value} onInput={(event) => onInput(Number(event.currentTarget.value))} />
+    </div>
+  )
+}
+
+/** One export: how far it is, or its file. */
+function Made({ of: { id, kind, state, progress, file, error }, onAct }: { of: Export; onAct: (work: Promise<unknown>) => void }) {
+  const isOver = state !== 'queued' && state !== 'running'
+  return (
+    <li class="stack">
+      <div class="row">
+        {file ? <button type="button" onClick={() => onAct(download(file.href))}>↓ {kind}</button> : <span>{kind}</span>}
+        {file ? <span class="muted small">{bytes(file.bytes)}</span> : <Badge state={state} />}
+        <button type="button" class="quiet" aria-label={`${isOver ? 'Delete' : 'Cancel'} ${kind}`} onClick={() => onAct(remove(`v1/exports/${id}`))}>{isOver ? 'Delete' : 'Cancel'}</button>
+      </div>
+      {state === 'running' ? <progress aria-label={`${kind}: ${progress.done} of ${progress.total}`} value={progress.done} max={progress.total} /> : null}
+      {error ? <p class="small muted">{error.detail}</p> : null}
+    </li>
+  )
+}
+
+/** Has the browser download a file, however large; where there is a key, by a URL that is good for a minute. */
+async function download(path: string): Promise<void> {
+  const url = apiKey() ? (await post<SignedUrl>('v1/signed-urls', { path, expires_in: 60 })).url : path
+  Object.assign(document.createElement('a'), { href: address(url), download: '' }).click()
+}
