@@ -127,6 +127,7 @@ async fn photographs_become_a_posed_capture_that_is_made_once() {
     assert_eq!(answer.status(), 202, "nobody asked for that, but poses take long");
     assert!(!answer.headers().contains_key("preference-applied"));
     let begun: CaptureSummary = serde_json::from_str(&answer.text().await.unwrap()).unwrap();
+    assert_eq!(stage(&begun), Some(PosesStage::Waiting));
     let made = ended(client, &begun.id).await;
     assert_eq!(
         (made.state, made.report.layout.as_str()),

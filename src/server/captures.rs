@@ -92,8 +92,10 @@ async fn upload_capture(
         return Ok(Json(view(known)).into_response());
     }
     // Poses take longer than anybody waits for an answer.
-    if later || poses::are_wanted(&app, &incoming).await? {
-        return validation::begin(&app, &caller, incoming, marks, later).await;
+    let finds_poses = poses::are_wanted(&app, &incoming).await?;
+    if later || finds_poses {
+        let how = validation::Later { was_preferred: later, finds_poses };
+        return validation::begin(&app, &caller, incoming, marks, how).await;
     }
     let stored = validation::make(&app, &caller.tenant, app.jobs.fresh_id(), incoming, marks).await?;
     let location = format!("/v1/captures/{}", stored.id);

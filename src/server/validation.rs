@@ -14,7 +14,7 @@ use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::listing::rfc3339;
 use crate::server::marks;
-use crate::server::poses;
+use crate::server::poses::{self, Ticket};
 use crate::server::uploads;
 use crate::store::{CaptureRecord, Incoming, StoreError, UploadRecord};
 
@@ -54,9 +54,10 @@ async fn make_posed(
     tenant: &TenantId,
     id: CaptureId,
     photographs: Incoming,
+    ticket: Ticket,
 ) -> Result<CaptureRecord, Problem> {
     let made_of = photographs.sha256.clone();
-    let posed = poses::find(app, tenant, &id, photographs).await?;
+    let posed = poses::find(app, tenant, &id, photographs, ticket).await?;
     make_record(app, tenant, id, posed, Marks::default(), Some(made_of)).await
 }
 
@@ -93,6 +94,15 @@ async fn make_record(
     app.store.keep_capture(incoming, tenant, &record).await.map_err(marks::refused)
 }
 
+/// How a capture is made after the answer.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Later {
+    /// Whether the caller had rather ask again than wait.
+    pub(super) was_preferred: bool,
+    /// Whether these are photographs whose poses are found first.
+    pub(super) finds_poses: bool,
+}
+
 /// Answers where to ask for the capture that is being made from now on; for the one that is being made of the same content
 /// already, if there is one.
 pub(super) async fn begin(
@@ -100,14 +110,15 @@ pub(super) async fn begin(
     caller: &Caller,
     incoming: Incoming,
     marks: Marks,
-    was_preferred: bool,
+    how: Later,
 ) -> Result<Response, Problem> {
     let (app, tenant) = (app.clone(), caller.tenant.clone());
     // On a task of its own: what was written down is worked on, also when the caller has gone meanwhile.
     let entering = app.clone();
-    let entered = tokio::spawn(async move { enter(&entering, tenant, incoming, marks).await });
+    let entered =
+        tokio::spawn(async move { enter(&entering, tenant, incoming, marks, how.finds_poses).await });
     let upload = entered.await.map_err(Problem::internal)??;
-    Ok(accepted(view(&app, &upload), was_preferred))
+    Ok(accepted(view(&app, &upload), how.was_preferred))
 }
 
 /// Writes down that a capture is to be made and starts to make it.
@@ -116,6 +127,7 @@ async fn enter(
     tenant: TenantId,
     mut incoming: Incoming,
     marks: Marks,
+    finds_poses: bool,
 ) -> Result<UploadRecord, Problem> {
     let _one_by_one = ENTERING.lock().await;
     if let Some(mut same) = app.store.validating(&tenant, &incoming.sha256).await? {
@@ -146,7 +158,9 @@ async fn enter(
     }
     let missing = || Problem::internal("an upload that was stored is not there");
     let upload = app.store.upload_for(&tenant, &capture).await?.ok_or_else(missing)?;
-    start(app, tenant, capture, incoming);
+    // Before the answer: whoever has it may end the search.
+    let ticket = finds_poses.then(|| app.poses.enter(&capture));
+    start(app, tenant, capture, incoming, ticket);
     Ok(upload)
 }
 
@@ -159,24 +173,30 @@ pub(super) async fn resume(app: Shared) -> Result<(), StoreError> {
         };
         let name: String = app.jobs.fresh_id();
         let incoming = app.store.take_upload(hold, &upload, &name).await?;
-        start(&app, upload.tenant, capture, incoming);
+        start(&app, upload.tenant, capture, incoming, None);
     }
     Ok(())
 }
 
 /// Makes a capture while others are served; a shutdown leaves it to the next server.
-fn start(app: &Shared, tenant: TenantId, capture: CaptureId, incoming: Incoming) {
+fn start(app: &Shared, tenant: TenantId, capture: CaptureId, incoming: Incoming, ticket: Option<Ticket>) {
     let app = app.clone();
     tokio::spawn(async move {
         tokio::select! {
             () = app.stop.cancelled() => {}
-            () = finish(&app, &tenant, capture, incoming) => {}
+            () = finish(&app, &tenant, capture, incoming, ticket) => {}
         }
     });
 }
 
-async fn finish(app: &Shared, tenant: &TenantId, capture: CaptureId, incoming: Incoming) {
-    let made = finished(app, tenant, &capture, incoming).await;
+async fn finish(
+    app: &Shared,
+    tenant: &TenantId,
+    capture: CaptureId,
+    incoming: Incoming,
+    ticket: Option<Ticket>,
+) {
+    let made = finished(app, tenant, &capture, incoming, ticket).await;
     if app.stop.is_cancelled() {
         // The next server goes on.
         return;
@@ -196,6 +216,7 @@ async fn finished(
     tenant: &TenantId,
     capture: &CaptureId,
     incoming: Incoming,
+    mut ticket: Option<Ticket>,
 ) -> Result<(), Problem> {
     // Another request made it meanwhile.
     if let Some(same) = app.store.capture_by_hash(tenant, &incoming.sha256).await? {
@@ -205,9 +226,12 @@ async fn finished(
         return Err(stored_before(&same));
     }
     // What it is called by then is written down with its upload.
-    let made = match poses::are_wanted(app, &incoming).await? {
-        true => make_posed(app, tenant, capture.clone(), incoming).await?,
-        false => make(app, tenant, capture.clone(), incoming, Marks::default()).await?,
+    if ticket.is_none() && poses::are_wanted(app, &incoming).await? {
+        ticket = Some(app.poses.enter(capture));
+    }
+    let made = match ticket {
+        Some(ticket) => make_posed(app, tenant, capture.clone(), incoming, ticket).await?,
+        None => make(app, tenant, capture.clone(), incoming, Marks::default()).await?,
     };
     if made.id == *capture { Ok(()) } else { Err(stored_before(&made)) }
 }

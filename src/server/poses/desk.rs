@@ -28,7 +28,7 @@ struct Active {
 }
 
 /// Work on one capture, until this is dropped.
-pub(super) struct Ticket {
+pub(in crate::server) struct Ticket {
     id: CaptureId,
     active: Arc<Mutex<HashMap<CaptureId, Active>>>,
     pub(super) cancelled: CancellationToken,
@@ -83,7 +83,7 @@ impl Desk {
     }
 
     /// Enters a capture, which waits from now on.
-    pub(super) fn enter(&self, id: &CaptureId) -> Ticket {
+    pub(in crate::server) fn enter(&self, id: &CaptureId) -> Ticket {
         let cancelled = CancellationToken::new();
         let progress = PosesProgress { stage: PosesStage::Waiting, done: 0.0 };
         lock(&self.active).insert(id.clone(), Active { progress, cancelled: cancelled.clone() });

@@ -7,7 +7,7 @@ mod pack;
 mod policy;
 mod stage;
 
-pub(super) use desk::Desk;
+pub(super) use desk::{Desk, Ticket};
 pub(super) use folder::{remove_left_over, remove_of, tidy};
 pub(super) use log::routes;
 pub use policy::PosesPolicy;

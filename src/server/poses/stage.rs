@@ -48,11 +48,12 @@ pub(in crate::server) async fn find(
     tenant: &TenantId,
     id: &CaptureId,
     photographs: Incoming,
+    ticket: Ticket,
 ) -> Result<Incoming, Problem> {
     // What could not be stored in the end is not begun.
     app.store.admit_bytes_of(tenant, photographs.bytes).await?;
     app.store.admit_bytes(photographs.bytes).await?;
-    let ticket = Arc::new(app.poses.enter(id));
+    let ticket = Arc::new(ticket);
     let turn = tokio::select! {
         () = ticket.cancelled.cancelled() => return Err(no_poses("cancelled", "it was cancelled")),
         turn = app.poses.turn() => turn?,
