@@ -18,6 +18,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use crate::client::Client;
 use crate::server::{ServeError, ServerConfig, run};
+use crate::store::DatabaseUrl;
 
 /// A running server with a data directory of its own; both end when it is dropped.
 pub struct TestServer {
@@ -44,6 +45,7 @@ pub async fn spawn_with(
     change: impl FnOnce(&mut ServerConfig),
 ) -> Result<TestServer, ServeError> {
     let mut config = ServerConfig::new(data.path());
+    config.database = database_of(data.path()).await?;
     change(&mut config);
     let listener = TcpListener::bind("127.0.0.1:0").await?;
     let base = format!("http://{}", listener.local_addr()?);
@@ -53,6 +55,24 @@ pub async fn spawn_with(
     let serving = run(config, listener, async move { shutdown.cancelled().await });
     let task = tokio::spawn(serving);
     Ok(TestServer { client, data, stop: stop.drop_guard(), task })
+}
+
+/// The database for a data directory: one of its own on the PostgreSQL server that the environment variable `RELUME_TEST_POSTGRES`
+/// names, the same one whenever it is asked for. `None`, and with it SQLite, where that is not set.
+///
+/// # Errors
+/// When the URL is wrong or the server cannot be reached.
+pub async fn database_of(data: &Path) -> Result<Option<DatabaseUrl>, ServeError> {
+    let Ok(url) = std::env::var("RELUME_TEST_POSTGRES") else { return Ok(None) };
+    let server: DatabaseUrl = url.parse().map_err(std::io::Error::other)?;
+    Ok(Some(server.sibling(&database_name(data)).await?))
+}
+
+/// The name of that database.
+pub fn database_name(data: &Path) -> String {
+    let path = data.to_string_lossy();
+    let plain = path.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
+    std::iter::once("relume".to_owned()).chain(plain.map(String::from)).collect()
 }
 
 impl TestServer {

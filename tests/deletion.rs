@@ -9,14 +9,16 @@ use relume::api::jobs::{JobState, NewJob};
 use relume::api::{CaptureId, Problem, ResourceKind, ResourceName};
 use relume::client::{Client, ClientError};
 use relume::jobs::ManualClock;
-use relume::store::{Deletion, Retention, Store, StoreError};
+use relume::store::{Deletion, Retention, StoreError};
 use relume::testing::{self, TestServer};
 use relume::train::{KnownLight, LightExposure};
 use reqwest::Method;
 use tempfile::TempDir;
 
 use crate::server_process::Server;
-use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, trained, until};
+use crate::service_support::{
+    CaptureZip, capture_zip, ended, files_under, open_store, raw_pool, small_job, trained, until,
+};
 
 /// More steps than any test waits for.
 const ENDLESS: u32 = 1_000_000;
@@ -52,8 +54,7 @@ fn refused<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> Problem {
 
 /// Rows of every table that names things.
 async fn rows(data: &Path) -> Vec<i64> {
-    let pool =
-        sqlx::SqlitePool::connect(&format!("sqlite:{}", data.join("relume.db").display())).await.unwrap();
+    let pool = raw_pool(data).await;
     let mut counts = Vec::new();
     for count in [
         "SELECT COUNT(*) FROM captures",
@@ -218,7 +219,7 @@ async fn with_capture() -> (TempDir, CaptureId) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_on_what_was_deleted_meanwhile_is_not_queued() {
     let (data, capture) = with_capture().await;
-    let store = Store::open(data.path()).await.unwrap();
+    let store = open_store(data.path()).await;
     let job =
         |request| relume::store::JobRecord::queued(TenantId::of_operator(), "job".into(), request, 1, 0);
     let name = ResourceName::new(ResourceKind::Capture, capture.as_str());
@@ -233,7 +234,7 @@ async fn a_job_on_what_was_deleted_meanwhile_is_not_queued() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_server_that_died_after_a_deletion_is_followed_by_one_that_sweeps() {
     let (data, capture) = with_capture().await;
-    let store = Store::open(data.path()).await.unwrap();
+    let store = open_store(data.path()).await;
     store
         .delete(
             &TenantId::of_operator(),

@@ -25,6 +25,7 @@ mod job_machine;
 mod kills;
 mod lights;
 mod marks;
+mod on_postgres;
 mod poses;
 mod promises;
 mod quality_gate;

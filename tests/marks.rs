@@ -9,13 +9,13 @@ use relume::api::marks::{Marks, MarksChange};
 use relume::capture::CaptureReport;
 use relume::client::Client;
 use relume::jobs::ManualClock;
-use relume::store::{CaptureRecord, EnvironmentRecord, Retention, Store, StoreError};
+use relume::store::{CaptureRecord, EnvironmentRecord, Retention, StoreError};
 use relume::testing;
 use reqwest::Method;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::service_support::{CaptureZip, capture_zip, ended, small_job};
+use crate::service_support::{CaptureZip, capture_zip, ended, open_store, small_job};
 
 async fn ask(client: &Client, method: Method, path: &str, body: Option<Value>) -> (u16, Value) {
     let request = client.request(method, path).unwrap();
@@ -96,7 +96,7 @@ async fn things_are_called_what_was_said_when_they_were_made_and_a_model_what_it
 #[tokio::test]
 async fn a_capture_and_a_map_are_written_down_together_with_what_they_are_called() {
     let folder = TempDir::new().unwrap();
-    let store = Store::open(folder.path()).await.unwrap();
+    let store = open_store(folder.path()).await;
     let tenant = TenantId::of_operator();
     let called = |count: usize, prefix: &str| Marks {
         name: Some(prefix.to_owned()),

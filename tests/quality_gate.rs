@@ -19,7 +19,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::server_process::Server;
-use crate::service_support::{CaptureZip, capture_zip, ended, small_job};
+use crate::service_support::{CaptureZip, capture_zip, ended, raw_pool, small_job};
 
 fn asking(mut job: NewJob, gate: &[(&str, &str)]) -> NewJob {
     let entry = |(name, wanted): &(&str, &str)| ((*name).to_owned(), (*wanted).to_owned());
@@ -120,8 +120,7 @@ async fn a_model_that_misses_its_gate_is_kept_and_its_job_rejected() {
     let listed: Value = listed.json().await.unwrap();
     assert_eq!((listed["items"].as_array().unwrap().len(), &listed["items"][0]["id"]), (1, &json!(id)));
     client.delete_capture(&capture.id, false).await.unwrap();
-    let path = format!("sqlite://{}", server.data_dir().join("relume.db").display());
-    let pool = sqlx::SqlitePool::connect(&path).await.unwrap();
+    let pool = raw_pool(server.data_dir()).await;
     let changed =
         sqlx::query("UPDATE jobs SET state = 'succeeded' WHERE state = 'rejected'").execute(&pool).await;
     assert!(changed.unwrap_err().to_string().contains("terminal"));

@@ -154,7 +154,7 @@ fn a_training_goes_on_from_its_checkpoint_and_leaves_none() {
 fn doctor_and_openapi_tell_what_they_should() {
     let folder = TempDir::new().unwrap();
     let report = succeeds(folder.path(), &["doctor"]);
-    for line in ["cpu threads", "cpu features", "sqlite", "data dir"] {
+    for line in ["cpu threads", "cpu features", "database      SQLite", "data dir"] {
         assert!(report.contains(line), "{report}");
     }
     assert!(!folder.path().join("relume-data").exists(), "looking makes nothing");

@@ -291,7 +291,8 @@ async fn exports_go_with_their_model_and_stay_out_of_backups() {
     let running = queued(client, &model, &long()).await;
     until(client, &running.id, |export| export.progress.done > 0).await;
     let copy = TempDir::new().unwrap();
-    relume::store::backup(server.data_dir(), copy.path(), 0).await.unwrap();
+    let database = testing::database_of(server.data_dir()).await.unwrap();
+    relume::store::backup(server.data_dir(), database.as_ref(), copy.path(), 0).await.unwrap();
     let copied = files_under(copy.path());
     assert!(copied.iter().all(|(name, _)| !name.contains(export.id.as_str())), "{copied:?}");
     assert!(copied.iter().any(|(name, _)| name.contains("model.safetensors")), "the control");

@@ -5,11 +5,12 @@ use std::process::{Command, Output};
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::service_support::open_store;
 use relume::api::keys::Scope;
 use relume::api::{KeyId, TenantId};
 use relume::jobs::ManualClock;
 use relume::server::{ApiKeys, ServerConfig};
-use relume::store::{NewKeyRecord, Store, StoreError, has_keys};
+use relume::store::{NewKeyRecord, StoreError, has_keys};
 use relume::testing::{self, TestServer};
 use reqwest::Method;
 use serde_json::{Value, json};
@@ -182,7 +183,7 @@ async fn what_a_key_made_ends_with_it_and_no_later() {
 #[tokio::test(flavor = "multi_thread")]
 async fn no_key_is_made_by_one_that_is_revoked_meanwhile() {
     let data = TempDir::new().unwrap();
-    let store = Store::open(data.path()).await.unwrap();
+    let store = open_store(data.path()).await;
     let key = |made_by: Option<KeyId>| NewKeyRecord {
         name: "a".into(),
         tenant: TenantId::of_operator(),
@@ -349,9 +350,9 @@ async fn the_command_line_makes_lists_and_revokes_keys_while_the_server_runs() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_key_in_the_database_lets_a_server_listen_beyond_loopback() {
     let data = TempDir::new().unwrap();
-    assert!(!has_keys(data.path()).await.unwrap());
+    assert!(!has_keys(data.path(), None).await.unwrap());
     said(&relume(&["keys", "create", "--name", "first"], data.path()));
-    assert!(has_keys(data.path()).await.unwrap());
+    assert!(has_keys(data.path(), None).await.unwrap());
     let listener = tokio::net::TcpListener::bind("0.0.0.0:0").await.unwrap();
     relume::server::run(ServerConfig::new(data.path()), listener, async {}).await.unwrap();
     let wrong = relume(&["keys", "create", "--name", "x", "--tenant", "A B"], data.path());

@@ -11,12 +11,12 @@ use relume::capture::CaptureReport;
 use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, SequentialIds};
 use relume::store::{
     CancelOutcome, CaptureRecord, Filter, IdempotencyKey, LeaseStatus, ModelFile, ModelRecord, Page, Release,
-    Store, StoreError, Submitted,
+    StoreError, Submitted,
 };
 use relume::testing;
 use tempfile::TempDir;
 
-use crate::service_support::{capture_zip, ended, files_under, small_job, until};
+use crate::service_support::{capture_zip, ended, files_under, open_store, raw_pool, small_job, until};
 
 /// A queue with a clock of its own and one capture in it.
 pub struct Bench {
@@ -51,7 +51,7 @@ impl Bench {
 
     async fn open(dir: TempDir) -> Self {
         let clock = Arc::new(ManualClock::default());
-        let store = Store::open(dir.path()).await.unwrap();
+        let store = open_store(dir.path()).await;
         let policy = LeasePolicy { duration: LEASE, max_idle_attempts: 3 };
         let jobs = Jobs::new(store, clock.clone(), Arc::new(SequentialIds::default()), policy);
         Self { jobs, clock, dir }
@@ -234,8 +234,7 @@ async fn the_database_itself_refuses_to_change_a_terminal_state() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     bench.jobs.cancel(&tenant(), &id).await.unwrap();
-    let path = format!("sqlite://{}", bench.dir.path().join("relume.db").display());
-    let pool = sqlx::SqlitePool::connect(&path).await.unwrap();
+    let pool = raw_pool(bench.dir.path()).await;
     let forced = sqlx::query("UPDATE jobs SET state = 'queued'").execute(&pool).await;
     assert!(forced.unwrap_err().to_string().contains("terminal"));
     sqlx::query("UPDATE jobs SET priority = 7").execute(&pool).await.unwrap();

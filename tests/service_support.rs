@@ -1,6 +1,7 @@
 //! What the tests of the service share: small valid inputs made in code.
 
 use std::io::{Cursor, Write};
+use std::path::Path;
 use std::time::Duration;
 
 use glam::DVec3;
@@ -10,8 +11,36 @@ use relume::api::{CaptureId, JobId};
 use relume::client::Client;
 use relume::formats::image_file::encode_png;
 use relume::scene::Camera;
+use relume::store::Store;
+use relume::testing::{database_name, database_of};
 use relume::train::Preset;
 use serde_json::{Value, json};
+use sqlx::AnyPool;
+
+/// Whether the service's tests run on PostgreSQL (`.ci/postgres`) in place of SQLite.
+pub fn on_postgres() -> bool {
+    std::env::var_os("RELUME_TEST_POSTGRES").is_some()
+}
+
+/// The store of a data directory on which no server runs.
+pub async fn open_store(data: &Path) -> Store {
+    Store::open_with(data, database_of(data).await.unwrap().as_ref()).await.unwrap()
+}
+
+/// The database of a data directory, past the store: what a test looks at it with, or damages it. Statements have `$1`; what comes
+/// back are numbers and text.
+pub async fn raw_pool(data: &Path) -> AnyPool {
+    sqlx::any::install_default_drivers();
+    let url = match std::env::var("RELUME_TEST_POSTGRES") {
+        Ok(server) => {
+            database_of(data).await.unwrap();
+            let (server, _) = server.rsplit_once('/').unwrap();
+            format!("{server}/{}", database_name(data))
+        }
+        Err(_) => format!("sqlite://{}", data.join("relume.db").display()),
+    };
+    AnyPool::connect(&url).await.unwrap()
+}
 
 /// Every scope that a key of a tenant other than the operator's may have.
 pub const ALL_OF_A_TENANT: [Scope; 5] =

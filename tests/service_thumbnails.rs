@@ -105,7 +105,7 @@ async fn a_thumbnail_is_rendered_once_also_over_a_restart() {
     let looked = store::inspect(data.path()).await.unwrap();
     assert!(looked.faults.is_empty() && looked.orphans.is_empty(), "{looked:?}");
     let out = TempDir::new().unwrap();
-    store::backup(data.path(), out.path(), 0).await.unwrap();
+    store::backup(data.path(), None, out.path(), 0).await.unwrap();
     assert!(cached(data.path()).len() > 3 && cached(out.path()).is_empty(), "a backup leaves it out");
     // One is taken away.
     let digest = first[3].headers[0].trim_matches('"');

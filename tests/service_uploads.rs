@@ -395,7 +395,8 @@ async fn a_start_knows_the_bytes_of_uploads_and_a_backup_leaves_them_out() {
     client.send_piece(&kept, 0, "some").await.unwrap();
     let folder = TempDir::new().unwrap();
     let copy = folder.path().join("copy");
-    store::backup(&data, &copy, 0).await.unwrap();
+    let database = testing::database_of(&data).await.unwrap();
+    store::backup(&data, database.as_ref(), &copy, 0).await.unwrap();
     let restored = folder.path().join("restored");
     store::restore(&copy, &restored).await.unwrap();
     assert!(files_under(&restored).is_empty() && store::inspect(&restored).await.unwrap().faults.is_empty());

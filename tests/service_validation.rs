@@ -168,8 +168,15 @@ async fn kill_9_in_mid_validation_loses_nothing() {
     }
     let ready = validated(&server.client, &begun).await;
     assert_eq!((ready.state, &ready.sha256), (CaptureState::Ready, &begun.sha256));
-    let stored = files_under(&data.path().join("artifacts"));
-    assert_eq!(stored.len(), 1, "{stored:?}");
+    // The bytes of the upload go a moment after the capture is ready.
+    let stored = || files_under(&data.path().join("artifacts"));
+    for _ in 0..200 {
+        if stored().len() == 1 {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    panic!("{:?}", stored());
 }
 
 fn change(body: serde_json::Value) -> MarksChange {

@@ -8,7 +8,7 @@ use relume::testing::{self, TestServer};
 use tempfile::TempDir;
 
 use crate::crash::noise;
-use crate::service_support::{CaptureZip, capture_zip, files_under, small_job, trained, until};
+use crate::service_support::{CaptureZip, capture_zip, files_under, open_store, small_job, trained, until};
 
 /// Bytes of the artifacts whose names have a part.
 fn on_disk(server: &TestServer, part: &str) -> u64 {
@@ -38,7 +38,7 @@ async fn what_is_stored_is_counted_by_kind() {
     until(client, &long.id, |job| job.progress.step > 20).await;
     let data = server.stop().await.unwrap();
     // Nobody works on the job while its checkpoint is counted.
-    let store = relume::store::Store::open(data.path()).await.unwrap();
+    let store = open_store(data.path()).await;
     let checkpoints = store.usage(&TenantId::of_operator(), true).await.unwrap().checkpoints;
     let files = files_under(data.path());
     let sizes: Vec<u64> = files.iter().filter(|f| f.0.contains("/checkpoint-")).map(|f| f.1).collect();

@@ -65,7 +65,7 @@ impl NewJob {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema, sqlx::Type))]
-#[cfg_attr(feature = "server", schema(as = DeviceChoice), sqlx(rename_all = "snake_case"))]
+#[cfg_attr(feature = "server", schema(as = DeviceChoice), sqlx(type_name = "text", rename_all = "snake_case"))]
 pub enum JobDevice {
     /// The device of the server.
     #[default]
@@ -110,7 +110,11 @@ impl JobChange {
 /// Where a job stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "server", derive(utoipa::ToSchema, sqlx::Type), sqlx(rename_all = "snake_case"))]
+#[cfg_attr(
+    feature = "server",
+    derive(utoipa::ToSchema, sqlx::Type),
+    sqlx(type_name = "text", rename_all = "snake_case")
+)]
 pub enum JobState {
     /// Waiting for a worker.
     Queued,

@@ -8,7 +8,7 @@ use crate::api::{DeliveryId, JobId, KeyId, WebhookId};
 
 /// What a webhook is told of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "server", derive(utoipa::ToSchema, sqlx::Type))]
+#[cfg_attr(feature = "server", derive(utoipa::ToSchema, sqlx::Type), sqlx(type_name = "text"))]
 pub enum WebhookEvent {
     /// A job has made a model.
     #[serde(rename = "job.succeeded")]
@@ -150,7 +150,11 @@ pub struct CreatedWebhook {
 /// Where a delivery stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "server", derive(utoipa::ToSchema, sqlx::Type), sqlx(rename_all = "snake_case"))]
+#[cfg_attr(
+    feature = "server",
+    derive(utoipa::ToSchema, sqlx::Type),
+    sqlx(type_name = "text", rename_all = "snake_case")
+)]
 pub enum DeliveryState {
     /// It will be tried, for the first time or again.
     Pending,

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::cli::database::DatabaseArgs;
 use crate::cli::error::CommandResult;
 use crate::jobs::{Clock, SystemClock};
 use crate::store;
@@ -12,6 +13,8 @@ pub(super) struct BackupArgs {
     /// The data directory; a server may work on it meanwhile.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
+    #[command(flatten)]
+    database: DatabaseArgs,
     /// The folder to make; it must not exist, or be empty.
     out: PathBuf,
 }
@@ -28,7 +31,8 @@ pub(super) struct RestoreArgs {
 
 pub(super) fn backup(args: &BackupArgs) -> CommandResult {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let made = runtime.block_on(store::backup(&args.data_dir, &args.out, SystemClock.now_ms()))?;
+    let url = args.database.database_url.as_ref();
+    let made = runtime.block_on(store::backup(&args.data_dir, url, &args.out, SystemClock.now_ms()))?;
     println!("{}: {} artifacts, {} bytes, verified", args.out.display(), made.artifacts, made.bytes);
     if made.without_checkpoint > 0 {
         println!(

@@ -30,7 +30,7 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
     }
     adapters.iter().for_each(describe);
     #[cfg(feature = "server")]
-    println!("sqlite        {}", sqlite_version()?);
+    println!("database      {}", database_version()?);
     println!("data dir      {}", data_dir(&args.data_dir)?);
     #[cfg(feature = "server")]
     let faults = stored(&args.data_dir)?;
@@ -127,12 +127,12 @@ fn features() -> Vec<&'static str> {
 
 /// Opens a database with the service's schema in a temporary folder.
 #[cfg(feature = "server")]
-fn sqlite_version() -> CommandResult<String> {
+fn database_version() -> CommandResult<String> {
     let folder = tempfile::tempdir()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     Ok(runtime.block_on(async {
         let store = Store::open(folder.path()).await?;
-        let version = store.sqlite_version().await;
+        let version = store.database_version().await;
         store.close().await;
         version
     })?)

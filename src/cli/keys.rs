@@ -7,9 +7,10 @@ use clap::{Args, Subcommand};
 use crate::api::keys::{NewKey, Scope};
 use crate::api::{KeyId, TenantId};
 use crate::cli::CommandResult;
+use crate::cli::database::DatabaseArgs;
 use crate::jobs::{Clock, SystemClock};
 use crate::server::rotate_signing_secret;
-use crate::store::{KeyRecord, NewKeyRecord, NodeLock, Page, Placed, Store, StoreError};
+use crate::store::{DatabaseUrl, KeyRecord, NewKeyRecord, NodeLock, Page, Placed, Store, StoreError};
 
 /// Options of `relume keys`.
 #[derive(Debug, Args)]
@@ -36,6 +37,8 @@ struct Place {
     /// The server's data directory. Run this as the server's user: what it makes has to be the server's.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
+    #[command(flatten)]
+    database: DatabaseArgs,
 }
 
 #[derive(Debug, Args)]
@@ -69,9 +72,9 @@ pub(super) fn run(args: KeysArgs) -> CommandResult {
     runtime.block_on(async {
         match args.command {
             KeysCommand::Create(args) => create(args).await,
-            KeysCommand::List(place) => list(&existing(&place.data_dir).await?).await,
+            KeysCommand::List(place) => list(&existing(&place).await?).await,
             KeysCommand::Revoke(args) => {
-                let store = existing(&args.place.data_dir).await?;
+                let store = existing(&args.place).await?;
                 revoke(&store, &args.id.into()).await
             }
             KeysCommand::EndSignedUrls(place) => Ok(rotate_signing_secret(&place.data_dir)?),
@@ -90,7 +93,8 @@ async fn create(args: CreateArgs) -> CommandResult {
     let expires_ms = expires_in.map(|seconds| now_ms.saturating_add_unsigned(seconds * 1000));
     let record = NewKeyRecord { name: key.name, tenant, scopes: key.scopes, expires_ms, made_by: None };
     let data_dir = std::path::absolute(&args.place.data_dir)?;
-    let store = open(&data_dir).await.map_err(|error| format!("{}: {error}", data_dir.display()))?;
+    let url = args.place.database.database_url.as_ref();
+    let store = open(&data_dir, url).await.map_err(|error| format!("{}: {error}", data_dir.display()))?;
     let (made, secret) = store.create_key(&record, now_ms).await?;
     store.close().await;
     eprintln!("key {} of tenant {} in {}, shown this once:", made.id, made.tenant, data_dir.display());
@@ -146,22 +150,23 @@ async fn revoke(store: &Store, id: &KeyId) -> CommandResult {
     Ok(())
 }
 
-/// The store of a data directory that is there.
-async fn existing(data_dir: &Path) -> CommandResult<Store> {
+/// The store of a data directory or a database that is there.
+async fn existing(place: &Place) -> CommandResult<Store> {
+    let (data_dir, url) = (&place.data_dir, place.database.database_url.as_ref());
     let database = data_dir.join("relume.db");
-    match database.try_exists() {
+    match url.map_or_else(|| database.try_exists(), |_| Ok(true)) {
         Ok(true) => {}
         Ok(false) => return Err(format!("{}: no database", data_dir.display()).into()),
         Err(error) => return Err(format!("{}: {error}", database.display()).into()),
     }
-    open(data_dir).await
+    open(data_dir, url).await
 }
 
 /// The store of a data directory: brought up to date where no server runs on it, as it is where one does.
-async fn open(data_dir: &Path) -> CommandResult<Store> {
+async fn open(data_dir: &Path, url: Option<&DatabaseUrl>) -> CommandResult<Store> {
     match NodeLock::acquire(data_dir) {
-        Ok(_until_it_is_open) => Ok(Store::open(data_dir).await?),
-        Err(StoreError::Locked(_)) => Ok(Store::join(data_dir).await?),
+        Ok(_until_it_is_open) => Ok(Store::open_with(data_dir, url).await?),
+        Err(StoreError::Locked(_)) => Ok(Store::join(data_dir, url).await?),
         Err(error) => Err(error.into()),
     }
 }

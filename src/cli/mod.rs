@@ -5,6 +5,8 @@ mod args;
 mod backup;
 mod bench;
 mod capture;
+#[cfg(feature = "server")]
+mod database;
 #[cfg(all(feature = "server", feature = "client"))]
 pub mod demo;
 mod doctor;
@@ -82,6 +84,9 @@ enum Command {
     /// Make a data directory from a backup.
     Restore(backup::RestoreArgs),
     #[cfg(feature = "server")]
+    /// Move what a server knows between SQLite and PostgreSQL.
+    Db(database::DbArgs),
+    #[cfg(feature = "server")]
     /// Print the description of the HTTP API.
     Openapi,
 }
@@ -125,6 +130,8 @@ pub fn main() -> ExitCode {
         Command::Backup(args) => backup::backup(&args),
         #[cfg(feature = "server")]
         Command::Restore(args) => backup::restore(&args),
+        #[cfg(feature = "server")]
+        Command::Db(args) => database::run(&args),
         #[cfg(feature = "server")]
         Command::Openapi => openapi(),
     };

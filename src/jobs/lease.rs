@@ -1,10 +1,16 @@
 //! A worker's right to work on a job. Whatever the worker writes carries the lease token, so that a worker which was paused
 //! for too long finds out that it lost the job and publishes nothing.
 
+use std::time::Duration;
+
 use crate::api::jobs::{JobProgress, JobState};
 use crate::api::quality::Figures;
 use crate::jobs::queue::Jobs;
 use crate::store::{JobRecord, LeaseStatus, Measured, ModelFile, ModelRecord, Release, StoreError};
+
+/// How often a worker tries again what the database could not be reached for, and how long it waits in between.
+const PATIENCE: u32 = 60;
+const AGAIN: Duration = Duration::from_secs(1);
 
 /// One attempt at one job.
 pub struct Lease {
@@ -54,7 +60,8 @@ impl Lease {
     pub async fn progress(&self, progress: &JobProgress) -> Result<LeaseStatus, StoreError> {
         let now = self.jobs.now_ms();
         let until = self.jobs.lease_end(now);
-        let status = self.jobs.store.record_progress(&self.job.id, &self.token, progress, now, until).await?;
+        let record = || self.jobs.store.record_progress(&self.job.id, &self.token, progress, now, until);
+        let status = patiently(record).await?;
         self.jobs.announce();
         Ok(status)
     }
@@ -65,7 +72,8 @@ impl Lease {
     /// When the database fails.
     pub async fn warn(&self, message: &str) -> Result<LeaseStatus, StoreError> {
         let now = self.jobs.now_ms();
-        let status = self.jobs.store.record_warning(&self.job.id, &self.token, message, now).await?;
+        let record = || self.jobs.store.record_warning(&self.job.id, &self.token, message, now);
+        let status = patiently(record).await?;
         self.jobs.announce();
         Ok(status)
     }
@@ -81,7 +89,8 @@ impl Lease {
         let key = format!("{}/checkpoint-{step:08}-{unique}.safetensors", self.artifact_prefix());
         let sha256 = store.artifacts().put(&key, bytes).await?;
         let (artifact, now) = ((key.as_str(), sha256.as_str()), self.jobs.now_ms());
-        let recorded = store.record_checkpoint(&self.job.id, &self.token, artifact, step, now).await;
+        let record = || store.record_checkpoint(&self.job.id, &self.token, artifact, step, now);
+        let recorded = patiently(record).await;
         if matches!(recorded, Err(StoreError::Full)) {
             store.artifacts().remove(&key).await;
         }
@@ -171,4 +180,17 @@ impl Lease {
     pub fn jobs(&self) -> &Jobs {
         &self.jobs
     }
+}
+
+/// Does what can be done twice, and again while the database cannot be reached, for [`PATIENCE`] tries.
+async fn patiently<T, F: Future<Output = Result<T, StoreError>>>(
+    act: impl Fn() -> F,
+) -> Result<T, StoreError> {
+    for _ in 0..PATIENCE {
+        match act().await {
+            Err(StoreError::DatabaseUnreachable(_)) => tokio::time::sleep(AGAIN).await,
+            done => return done,
+        }
+    }
+    act().await
 }

@@ -16,6 +16,6 @@ mod deletion;
 mod lease;
 mod queue;
 
-pub use clock::{Clock, Ids, ManualClock, RandomIds, SequentialIds, SystemClock};
+pub use clock::{Clock, DatabaseClock, Ids, ManualClock, RandomIds, SequentialIds, SystemClock};
 pub use lease::Lease;
 pub use queue::{Jobs, LeasePolicy};

@@ -12,6 +12,9 @@ use crate::store::{
     CancelOutcome, EventRecord, Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, Submitted,
 };
 
+/// Time between two attempts to hear of what others write.
+const AGAIN: Duration = Duration::from_secs(1);
+
 /// How leases behave.
 #[derive(Debug, Clone, Copy)]
 pub struct LeasePolicy {
@@ -54,6 +57,17 @@ impl Jobs {
         self.clock.now_ms()
     }
 
+    /// Follows the time of a database that others share.
+    ///
+    /// # Errors
+    /// When the database does not answer.
+    pub async fn follow_time(&self) -> Result<(), StoreError> {
+        if let Some(now_ms) = self.store.database_time().await? {
+            self.clock.set(now_ms);
+        }
+        Ok(())
+    }
+
     /// A fresh identifier.
     pub fn fresh_id<I: From<String>>(&self) -> I {
         self.ids.fresh().into()
@@ -62,6 +76,25 @@ impl Jobs {
     /// Wakes when some job may have changed; what changed is in the store.
     pub fn subscribe(&self) -> watch::Receiver<()> {
         self.changes.subscribe()
+    }
+
+    /// Wakes subscribers also when somebody else who shares the database has written about a job. Never ends; while the database
+    /// cannot be reached, everybody looks at it by themselves.
+    pub async fn follow_others(&self) {
+        loop {
+            if let Err(error) = self.hear_others().await {
+                tracing::warn!(%error, "changes by others are not heard of for now");
+            }
+            tokio::time::sleep(AGAIN).await;
+        }
+    }
+
+    async fn hear_others(&self) -> Result<(), StoreError> {
+        let mut listener = self.store.listen().await?;
+        loop {
+            listener.heard().await?;
+            self.announce();
+        }
     }
 
     /// Queues a job of `total` steps for a tenant, as a repetition of `retry_of` if that is given; see [`Store::submit_job`].

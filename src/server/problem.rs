@@ -213,6 +213,15 @@ impl From<StoreError> for Problem {
                     "its bytes are not those that were stored; `relume doctor` on the server names the file",
                 )
             }
+            StoreError::DatabaseUnreachable(_) => {
+                tracing::error!(%error, "the database does not answer");
+                let title = "The database cannot be reached";
+                Self::new(StatusCode::SERVICE_UNAVAILABLE, "database-unreachable", title)
+                    .detail(
+                        "nothing was changed, as far as is known; ask again with the same Idempotency-Key",
+                    )
+                    .retry_after(5)
+            }
             StoreError::Artifacts(_) | StoreError::File(_) => Self::storage_failed(error),
             error => Self::internal(error),
         }

@@ -35,7 +35,7 @@ use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::server::turns::Turns;
 use crate::server::validation;
 use crate::server::webhooks::{Courier, WebhookPolicy};
-use crate::store::{NodeLock, Quota, Retention, Store, StoreError, UploadLimits, has_keys};
+use crate::store::{DatabaseUrl, NodeLock, Quota, Retention, Store, StoreError, UploadLimits, has_keys};
 use crate::worker::{self, DeviceHandle, StartError, WorkerOptions};
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
@@ -50,6 +50,8 @@ const DRAIN: Duration = Duration::from_secs(20);
 pub struct ServerConfig {
     /// Where everything is stored. One server for each directory.
     pub data_dir: PathBuf,
+    /// Where metadata are instead of in a file of SQLite in that directory. One server for each database.
+    pub database: Option<DatabaseUrl>,
     /// Accepted keys beside those in the database; without any at all, everyone is accepted, on loopback only.
     pub api_keys: ApiKeys,
     /// Origins whose web pages may call the API.
@@ -95,6 +97,7 @@ impl ServerConfig {
     pub fn new(data_dir: impl Into<PathBuf>) -> Self {
         Self {
             data_dir: data_dir.into(),
+            database: None,
             api_keys: ApiKeys::default(),
             cors_origins: Vec::new(),
             allowed_hosts: Vec::new(),
@@ -156,7 +159,11 @@ pub async fn run(
     let is_open = check_openness(&config, address).await?;
     observe::metrics_handle();
     let _lock = NodeLock::acquire(&config.data_dir)?;
-    let jobs = open(&config).await?;
+    let store = open(&config).await?;
+    let _database = store.lock_database().await?;
+    let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
+    jobs.follow_time().await?;
+    recover(&store, &jobs).await?;
     let stop = CancellationToken::new();
     let started = worker::start(jobs.clone(), config.worker, stop.clone());
     let (device, thread) = started.map_err(|e| match e {
@@ -164,12 +171,13 @@ pub async fn run(
         StartError::Thread(error) => ServeError::Io(error),
     })?;
     let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
+    let others = jobs.clone();
+    let listening = tokio::spawn(async move { others.follow_others().await });
     let tidy = Arc::new(Notify::new());
     let thumbnails = open_thumbnails(&config).await?;
     let keeper = Keeper { jobs: jobs.clone(), retention: config.retention, thumbnails: thumbnails.clone() };
     let keeper = tokio::spawn(keeper.keep(tidy.clone(), stop.clone()));
     let courier = tokio::spawn(Courier::new(jobs.clone(), config.webhooks).work(stop.clone()));
-    let store = jobs.store().clone();
     let (service, app) = service(&config, is_open, jobs, device, thumbnails, tidy, stop.clone())?;
     let exporter = tokio::spawn(exports::work(app.clone()));
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
@@ -182,6 +190,7 @@ pub async fn run(
     }
     app.poses.idle().await;
     maintenance.abort();
+    listening.abort();
     if exporter.await.is_err() {
         tracing::error!("exports could not be given back");
     }
@@ -201,7 +210,7 @@ pub async fn run(
 /// # Errors
 /// When the network or web pages could use such a server.
 async fn check_openness(config: &ServerConfig, address: SocketAddr) -> Result<bool, ServeError> {
-    let is_open = config.api_keys.is_empty() && !has_keys(&config.data_dir).await?;
+    let is_open = config.api_keys.is_empty() && !has_keys(&config.data_dir, config.database.as_ref()).await?;
     if !may_listen(address, !is_open) {
         return Err(ServeError::Exposed(address));
     }
@@ -211,15 +220,13 @@ async fn check_openness(config: &ServerConfig, address: SocketAddr) -> Result<bo
     Ok(is_open)
 }
 
-/// Opens what is stored and takes back what a server that died left.
-async fn open(config: &ServerConfig) -> Result<Jobs, ServeError> {
-    let store = Store::open(&config.data_dir).await?.with_quota(config.quota);
+/// Opens what is stored.
+async fn open(config: &ServerConfig) -> Result<Store, ServeError> {
+    let store = Store::open_with(&config.data_dir, config.database.as_ref()).await?.with_quota(config.quota);
     if let Some(bytes) = config.limits.disk_bytes {
         store.limit_disk(bytes);
     }
-    let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
-    recover(&store, &jobs).await?;
-    Ok(jobs)
+    Ok(store)
 }
 
 /// Opens what was rendered before.
@@ -332,6 +339,9 @@ async fn serve(
 
 async fn maintain(jobs: Jobs, stop: CancellationToken) {
     while !stop.is_cancelled() {
+        if let Err(error) = jobs.follow_time().await {
+            tracing::error!(%error, "the time of the database is not known for now");
+        }
         if let Err(error) = jobs.reclaim_expired().await {
             tracing::error!(%error, "expired leases cannot be taken back");
         }

@@ -1,8 +1,7 @@
 //! Refuses what a tenant would have beyond its quota.
 
-use sqlx::{Sqlite, Transaction};
-
 use crate::api::TenantId;
+use crate::store::sql::{self, Tx};
 use crate::store::usage::Allowance;
 use crate::store::{Quota, Store, StoreError};
 
@@ -27,30 +26,26 @@ impl Store {
         let Some(limit) = self.quota.bytes else {
             return Ok(Allowance { limit: u64::MAX, taken: 0, of_tenant: true });
         };
-        let taken: i64 = sqlx::query_scalar(BYTES).bind(tenant).fetch_one(self.pool()).await?;
+        let taken: i64 = sql::query_scalar(BYTES).bind(tenant).fetch_one(self.pool()).await?;
         let taken = u64::try_from(taken).unwrap_or(0).saturating_add(self.ledger.of(tenant));
         Ok(Allowance { limit, taken, of_tenant: true })
     }
 
     /// Refuses one more job of a tenant beyond its quota, in the transaction that would queue it.
-    pub(super) async fn admit_job_of(
-        &self,
-        tx: &mut Transaction<'_, Sqlite>,
-        tenant: &TenantId,
-    ) -> Result<(), StoreError> {
+    pub(super) async fn admit_job_of(&self, tx: &mut Tx, tenant: &TenantId) -> Result<(), StoreError> {
         let Some(most) = self.quota.jobs else { return Ok(()) };
-        let active: i64 = sqlx::query_scalar(JOBS).bind(tenant).fetch_one(&mut **tx).await?;
+        let active: i64 = sql::query_scalar(JOBS).bind(tenant).fetch_one(&mut *tx).await?;
         if active >= i64::from(most) { Err(StoreError::QuotaOfJobs { most }) } else { Ok(()) }
     }
 }
 
-const BYTES: &str =
-    "SELECT COALESCE((SELECT SUM(bytes) FROM captures WHERE tenant = ?1 AND deleted_ms IS NULL), 0)
-      + COALESCE((SELECT SUM(bytes) FROM environments WHERE tenant = ?1 AND deleted_ms IS NULL), 0)
-      + COALESCE((SELECT SUM(received) FROM uploads WHERE tenant = ?1), 0)
+const BYTES: &str = "SELECT CAST(
+        COALESCE((SELECT SUM(bytes) FROM captures WHERE tenant = $1 AND deleted_ms IS NULL), 0)
+      + COALESCE((SELECT SUM(bytes) FROM environments WHERE tenant = $1 AND deleted_ms IS NULL), 0)
+      + COALESCE((SELECT SUM(received) FROM uploads WHERE tenant = $1), 0)
       + COALESCE((SELECT SUM(bytes) FROM model_files JOIN models ON models.id = model_id
-                  WHERE tenant = ?1 AND deleted_ms IS NULL), 0)
-      + COALESCE((SELECT SUM(COALESCE(bytes, 0) + work_bytes) FROM exports WHERE tenant = ?1 AND deleted_ms IS NULL), 0)";
+                  WHERE tenant = $1 AND deleted_ms IS NULL), 0)
+      + COALESCE((SELECT SUM(COALESCE(bytes, 0) + work_bytes) FROM exports WHERE tenant = $1 AND deleted_ms IS NULL), 0) AS BIGINT)";
 
 const JOBS: &str =
-    "SELECT COUNT(*) FROM jobs WHERE tenant = ?1 AND state IN ('queued', 'running', 'cancelling')";
+    "SELECT COUNT(*) FROM jobs WHERE tenant = $1 AND state IN ('queued', 'running', 'cancelling')";

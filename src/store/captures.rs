@@ -4,7 +4,8 @@ use sqlx::types::Json;
 
 use crate::api::marks::Marks;
 use crate::api::{CaptureId, ResourceKind, ResourceName, TenantId, UploadId};
-use crate::store::marks::{change_within, filtered, wanted};
+use crate::store::marks::{change_within, filtered, listed};
+use crate::store::sql;
 use crate::store::{CaptureRecord, Filter, Page, Store, StoreError};
 
 impl Store {
@@ -22,16 +23,16 @@ impl Store {
     ) -> Result<CaptureRecord, StoreError> {
         let mut tx = self.write().await?;
         let promised: Option<Marks> =
-            sqlx::query_as("SELECT name, external_id, labels FROM uploads WHERE id = ?1 AND capture_id = ?2")
+            sql::query_as("SELECT name, external_id, labels FROM uploads WHERE id = $1 AND capture_id = $2")
                 .bind(made_of)
                 .bind(&capture.id)
-                .fetch_optional(&mut *tx)
+                .fetch_optional(&mut tx)
                 .await?;
         let marks = promised.as_ref().unwrap_or(&capture.marks);
-        sqlx::query(
+        sql::query(
             "INSERT INTO captures
                  (id, sha256, bytes, artifact, report, created_ms, tenant, name, external_id, labels, made_of)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11) ON CONFLICT (tenant, sha256) DO NOTHING",
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11) ON CONFLICT (tenant, sha256) DO NOTHING",
         )
         .bind(&capture.id)
         .bind(&capture.sha256)
@@ -44,13 +45,13 @@ impl Store {
         .bind(&marks.external_id)
         .bind(Json(&marks.labels))
         .bind(&capture.made_of)
-        .execute(&mut *tx)
+        .execute(&mut tx)
         .await?;
         let mut stored: CaptureRecord =
-            sqlx::query_as("SELECT * FROM captures WHERE sha256 = ?1 AND tenant = ?2")
+            sql::query_as("SELECT * FROM captures WHERE sha256 = $1 AND tenant = $2")
                 .bind(&capture.sha256)
                 .bind(tenant)
-                .fetch_one(&mut *tx)
+                .fetch_one(&mut tx)
                 .await?;
         if stored.id != capture.id {
             let what = ResourceName::new(ResourceKind::Capture, stored.id.to_string());
@@ -58,10 +59,10 @@ impl Store {
             stored.marks = change_within(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.marks);
         }
         // One that another capture was promised of stays, to say what came of that.
-        sqlx::query("DELETE FROM uploads WHERE id = ?1 AND (capture_id IS NULL OR capture_id = ?2)")
+        sql::query("DELETE FROM uploads WHERE id = $1 AND (capture_id IS NULL OR capture_id = $2)")
             .bind(made_of)
             .bind(&stored.id)
-            .execute(&mut *tx)
+            .execute(&mut tx)
             .await?;
         tx.commit().await?;
         Ok(stored)
@@ -77,7 +78,7 @@ impl Store {
         id: &CaptureId,
     ) -> Result<Option<CaptureRecord>, StoreError> {
         let query =
-            sqlx::query_as("SELECT * FROM captures WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL")
+            sql::query_as("SELECT * FROM captures WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL")
                 .bind(id)
                 .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
@@ -92,7 +93,7 @@ impl Store {
         tenant: &TenantId,
         sha256: &str,
     ) -> Result<Option<CaptureRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM captures WHERE sha256 = ?1 AND tenant = ?2")
+        let query = sql::query_as("SELECT * FROM captures WHERE sha256 = $1 AND tenant = $2")
             .bind(sha256)
             .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
@@ -107,8 +108,8 @@ impl Store {
         tenant: &TenantId,
         sha256: &str,
     ) -> Result<Option<CaptureRecord>, StoreError> {
-        let query = sqlx::query_as(
-            "SELECT * FROM captures WHERE made_of = ?1 AND tenant = ?2 AND deleted_ms IS NULL
+        let query = sql::query_as(
+            "SELECT * FROM captures WHERE made_of = $1 AND tenant = $2 AND deleted_ms IS NULL
              ORDER BY created_ms DESC, id DESC LIMIT 1",
         );
         Ok(query.bind(sha256).bind(tenant).fetch_optional(self.pool()).await?)
@@ -124,14 +125,14 @@ impl Store {
         filter: &Filter,
         page: &Page,
     ) -> Result<Vec<CaptureRecord>, StoreError> {
-        let query = concat!(
-            "SELECT * FROM captures WHERE ",
-            wanted!(),
-            " AND tenant = ?6 AND deleted_ms IS NULL
-               AND (?4 IS NULL OR (created_ms, id) < (?7, ?4))
-             ORDER BY created_ms DESC, id DESC LIMIT ?5"
+        let query = listed!(
+            "captures",
+            "AND tenant = $6 AND deleted_ms IS NULL
+               AND ($4 IS NULL OR (created_ms, id) < ($7, $4))
+             ORDER BY created_ms DESC, id DESC LIMIT $5"
         );
-        let query = filtered(query, filter).bind(page.id()).bind(page.limit).bind(tenant).bind(page.at());
+        let query =
+            filtered(query, filter).bind(page.id()).bind(i64::from(page.limit)).bind(tenant).bind(page.at());
         Ok(query.fetch_all(self.pool()).await?)
     }
 }

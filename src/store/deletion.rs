@@ -2,11 +2,11 @@
 //! afterwards (`discard.rs`), so that a server which dies in between has nothing half deleted.
 
 use serde_json::json;
-use sqlx::{Sqlite, Transaction};
 
 use crate::api::jobs::JobState;
 use crate::api::{JobId, ResourceKind, ResourceName, TenantId};
 use crate::store::exports::delete_exports_of;
+use crate::store::sql::{self, Tx};
 use crate::store::{JobRecord, Store, StoreError, events};
 
 /// Outcome of a request to delete.
@@ -35,8 +35,8 @@ impl Store {
         now_ms: i64,
     ) -> Result<Deletion, StoreError> {
         let mut tx = self.write().await?;
-        let live: Option<i64> =
-            sqlx::query_scalar(live(what.kind)).bind(&what.id).bind(tenant).fetch_optional(&mut *tx).await?;
+        let live: Option<String> =
+            sql::query_scalar(live(what.kind)).bind(&what.id).bind(tenant).fetch_optional(&mut tx).await?;
         if live.is_none() {
             return Ok(Deletion::NotFound);
         }
@@ -54,10 +54,7 @@ impl Store {
 }
 
 /// Refuses a job whose capture, known light or predecessor was deleted after the request was checked.
-pub(super) async fn check_still_there(
-    tx: &mut Transaction<'_, Sqlite>,
-    job: &JobRecord,
-) -> Result<(), StoreError> {
+pub(super) async fn check_still_there(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
     let light = job.request.overrides.light.as_ref().map(|light| light.environment.clone());
     let named = [
         (ResourceKind::Capture, Some(job.request.capture.to_string())),
@@ -65,92 +62,89 @@ pub(super) async fn check_still_there(
     ];
     for (kind, id) in named {
         let Some(id) = id else { continue };
-        let found: Option<i64> =
-            sqlx::query_scalar(live(kind)).bind(&id).bind(&job.tenant).fetch_optional(&mut **tx).await?;
+        let found: Option<String> =
+            sql::query_scalar(live(kind)).bind(&id).bind(&job.tenant).fetch_optional(&mut *tx).await?;
         if found.is_none() {
             return Err(StoreError::Deleted(ResourceName::new(kind, id)));
         }
     }
     // A name that is no identifier is a built-in map.
-    let deleted = "SELECT 1 FROM environments WHERE id = ?1 AND deleted_ms IS NOT NULL";
-    let deleted: Option<i64> = sqlx::query_scalar(deleted).bind(&light).fetch_optional(&mut **tx).await?;
+    let deleted = "SELECT id FROM environments WHERE id = $1 AND deleted_ms IS NOT NULL";
+    let deleted: Option<String> = sql::query_scalar(deleted).bind(&light).fetch_optional(&mut *tx).await?;
     match (deleted, light) {
         (Some(_), Some(id)) => Err(StoreError::Deleted(ResourceName::new(ResourceKind::Environment, id))),
         _ => Ok(()),
     }
 }
 
-/// A query for whether the thing `?1` of the tenant `?2` is there.
+/// A query for whether the thing `$1` of the tenant `$2` is there.
 fn live(kind: ResourceKind) -> &'static str {
     match kind {
         ResourceKind::Capture => {
-            "SELECT 1 FROM captures WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL"
+            "SELECT id FROM captures WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL"
         }
         ResourceKind::Environment => {
-            "SELECT 1 FROM environments WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL"
+            "SELECT id FROM environments WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL"
         }
-        ResourceKind::Job => "SELECT 1 FROM jobs WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL",
-        ResourceKind::Model => "SELECT 1 FROM models WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL",
+        ResourceKind::Job => "SELECT id FROM jobs WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL",
+        ResourceKind::Model => "SELECT id FROM models WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL",
     }
 }
 
 /// The jobs that need a thing: those that wait or run, and those that may run again. A job needs itself while it runs. Nothing
 /// needs a model.
-async fn needed_by(
-    tx: &mut Transaction<'_, Sqlite>,
-    what: &ResourceName,
-) -> Result<Vec<ResourceName>, StoreError> {
+async fn needed_by(tx: &mut Tx, what: &ResourceName) -> Result<Vec<ResourceName>, StoreError> {
     let jobs = match what.kind {
         ResourceKind::Capture => {
-            "SELECT id FROM jobs WHERE capture_id = ?1 AND state NOT IN ('succeeded', 'rejected') AND deleted_ms IS NULL
+            "SELECT id FROM jobs WHERE capture_id = $1 AND state NOT IN ('succeeded', 'rejected') AND deleted_ms IS NULL
              ORDER BY created_ms, id"
         }
         ResourceKind::Environment => {
-            "SELECT id FROM jobs WHERE json_extract(overrides, '$.light.environment') = ?1
+            "SELECT id FROM jobs WHERE overrides -> 'light' ->> 'environment' = $1
                  AND state NOT IN ('succeeded', 'rejected') AND deleted_ms IS NULL
              ORDER BY created_ms, id"
         }
-        ResourceKind::Job => "SELECT id FROM jobs WHERE id = ?1 AND state IN ('running', 'cancelling')",
+        ResourceKind::Job => "SELECT id FROM jobs WHERE id = $1 AND state IN ('running', 'cancelling')",
         ResourceKind::Model => return Ok(Vec::new()),
     };
-    let jobs: Vec<String> = sqlx::query_scalar(jobs).bind(&what.id).fetch_all(&mut **tx).await?;
+    let jobs: Vec<String> = sql::query_scalar(jobs).bind(&what.id).fetch_all(&mut *tx).await?;
     Ok(jobs.into_iter().map(|id| ResourceName::new(ResourceKind::Job, id)).collect())
 }
 
-async fn mark(tx: &mut Transaction<'_, Sqlite>, what: &ResourceName, now_ms: i64) -> Result<(), StoreError> {
+async fn mark(tx: &mut Tx, what: &ResourceName, now_ms: i64) -> Result<(), StoreError> {
     // The hash is free from now on for another upload of the same content.
     let update = match what.kind {
         ResourceKind::Job => return mark_job(tx, &what.id, now_ms).await,
         ResourceKind::Capture => {
-            "UPDATE captures SET deleted_ms = ?2, sha256 = 'deleted ' || id WHERE id = ?1"
+            "UPDATE captures SET deleted_ms = $2, sha256 = 'deleted ' || id WHERE id = $1"
         }
         ResourceKind::Environment => {
-            "UPDATE environments SET deleted_ms = ?2, sha256 = 'deleted ' || id WHERE id = ?1"
+            "UPDATE environments SET deleted_ms = $2, sha256 = 'deleted ' || id WHERE id = $1"
         }
-        ResourceKind::Model => "UPDATE models SET deleted_ms = ?2 WHERE id = ?1",
+        ResourceKind::Model => "UPDATE models SET deleted_ms = $2 WHERE id = $1",
     };
-    sqlx::query(update).bind(&what.id).bind(now_ms).execute(&mut **tx).await?;
+    sql::query(update).bind(&what.id).bind(now_ms).execute(&mut *tx).await?;
     if what.kind == ResourceKind::Model {
-        let told = "UPDATE jobs SET model_deleted_ms = ?2 WHERE model_id = ?1";
-        sqlx::query(told).bind(&what.id).bind(now_ms).execute(&mut **tx).await?;
+        let told = "UPDATE jobs SET model_deleted_ms = $2 WHERE model_id = $1";
+        sql::query(told).bind(&what.id).bind(now_ms).execute(&mut *tx).await?;
         delete_exports_of(tx, &what.id, now_ms).await?;
     }
     Ok(())
 }
 
 /// Marks a job. One that waits is cancelled, one that runs is asked to stop.
-async fn mark_job(tx: &mut Transaction<'_, Sqlite>, id: &str, now_ms: i64) -> Result<(), StoreError> {
+async fn mark_job(tx: &mut Tx, id: &str, now_ms: i64) -> Result<(), StoreError> {
     let before: Option<JobState> =
-        sqlx::query_scalar("SELECT state FROM jobs WHERE id = ?1").bind(id).fetch_optional(&mut **tx).await?;
-    let after: Option<JobState> = sqlx::query_scalar(
-        "UPDATE jobs SET deleted_ms = ?2, eta_seconds = NULL,
-             finished_ms = CASE state WHEN 'queued' THEN ?2 ELSE finished_ms END,
+        sql::query_scalar("SELECT state FROM jobs WHERE id = $1").bind(id).fetch_optional(&mut *tx).await?;
+    let after: Option<JobState> = sql::query_scalar(
+        "UPDATE jobs SET deleted_ms = $2, eta_seconds = NULL,
+             finished_ms = CASE state WHEN 'queued' THEN $2 ELSE finished_ms END,
              state = CASE state WHEN 'queued' THEN 'cancelled' WHEN 'running' THEN 'cancelling' ELSE state END
-         WHERE id = ?1 AND deleted_ms IS NULL RETURNING state",
+         WHERE id = $1 AND deleted_ms IS NULL RETURNING state",
     )
     .bind(id)
     .bind(now_ms)
-    .fetch_optional(&mut **tx)
+    .fetch_optional(&mut *tx)
     .await?;
     if let Some(state) = after
         && before != after

@@ -4,13 +4,14 @@
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use sqlx::FromRow;
 use sqlx::types::Json;
-use sqlx::{FromRow, Sqlite, Transaction};
 
 use crate::api::webhooks::{DeliveryState, WebhookData, WebhookEvent, WebhookMessage};
 use crate::api::{DeliveryId, JobId, TenantId, WebhookId};
 use crate::store::job_view::rfc3339;
 use crate::store::page::placed;
+use crate::store::sql::{self, Tx};
 use crate::store::{JobRecord, Page, Store, StoreError, WebhookRecord};
 
 /// Attempts that are kept of a delivery.
@@ -79,41 +80,49 @@ pub enum Replay {
     NotFound,
 }
 
+/// A webhook that is on, and what it wants to hear of.
+#[derive(FromRow)]
+struct Listening {
+    id: WebhookId,
+    #[sqlx(json)]
+    events: Vec<WebhookEvent>,
+}
+
 /// Enters the messages about a job that has just ended, for the webhooks of its tenant that want them.
 pub(super) async fn enter(
-    tx: &mut Transaction<'_, Sqlite>,
+    tx: &mut Tx,
     job: &JobId,
     event: WebhookEvent,
     now_ms: i64,
 ) -> Result<(), StoreError> {
-    let wanted: Vec<WebhookId> = sqlx::query_scalar(
-        "SELECT webhooks.id FROM webhooks JOIN jobs ON jobs.tenant = webhooks.tenant
-         WHERE jobs.id = ?1 AND enabled AND EXISTS (SELECT 1 FROM json_each(webhooks.events) WHERE value = ?2)
-         ORDER BY webhooks.created_ms, webhooks.id",
+    let listening: Vec<Listening> = sql::query_as(
+        "SELECT webhooks.id, webhooks.events FROM webhooks JOIN jobs ON jobs.tenant = webhooks.tenant
+         WHERE jobs.id = $1 AND enabled ORDER BY webhooks.created_ms, webhooks.id",
     )
     .bind(job)
-    .bind(event)
-    .fetch_all(&mut **tx)
+    .fetch_all(&mut *tx)
     .await?;
+    let wanted: Vec<_> = listening.into_iter().filter(|webhook| webhook.events.contains(&event)).collect();
     if wanted.is_empty() {
         return Ok(());
     }
     let ended: JobRecord =
-        sqlx::query_as("SELECT * FROM jobs WHERE id = ?1").bind(job).fetch_one(&mut **tx).await?;
+        sql::query_as("SELECT * FROM jobs WHERE id = $1").bind(job).fetch_one(&mut *tx).await?;
     let data = WebhookData { job: ended.view(None) };
     let message = WebhookMessage { event, timestamp: rfc3339(now_ms), data };
     let payload = serde_json::to_string(&message).map_err(std::io::Error::other)?;
     for webhook in wanted {
-        sqlx::query(
+        sql::query(
             "INSERT INTO deliveries (id, webhook_id, event, job_id, payload, created_ms, state, due_ms)
-             VALUES ('msg_' || lower(hex(randomblob(16))), ?1, ?2, ?3, ?4, ?5, 'pending', ?5)",
+             VALUES ($6, $1, $2, $3, $4, $5, 'pending', $5)",
         )
-        .bind(webhook)
+        .bind(webhook.id)
         .bind(event)
         .bind(job)
         .bind(&payload)
         .bind(now_ms)
-        .execute(&mut **tx)
+        .bind(format!("msg_{}", uuid::Uuid::now_v7().simple()))
+        .execute(&mut *tx)
         .await?;
     }
     Ok(())
@@ -125,10 +134,10 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn due_deliveries(&self, now_ms: i64) -> Result<Vec<DeliveryRecord>, StoreError> {
-        let query = sqlx::query_as(
+        let query = sql::query_as(
             "SELECT deliveries.* FROM webhooks JOIN deliveries ON deliveries.seq =
                  (SELECT seq FROM deliveries AS mine WHERE mine.webhook_id = webhooks.id AND mine.state = 'pending'
-                      AND mine.due_ms <= ?1 ORDER BY mine.due_ms, mine.seq LIMIT 1)
+                      AND mine.due_ms <= $1 ORDER BY mine.due_ms, mine.seq LIMIT 1)
              WHERE webhooks.enabled ORDER BY deliveries.due_ms, deliveries.seq",
         );
         Ok(query.bind(now_ms).fetch_all(self.pool()).await?)
@@ -139,7 +148,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn webhook_to_send_to(&self, id: &WebhookId) -> Result<Option<WebhookRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM webhooks WHERE id = ?1 AND enabled");
+        let query = sql::query_as("SELECT * FROM webhooks WHERE id = $1 AND enabled");
         Ok(query.bind(id).fetch_optional(self.pool()).await?)
     }
 
@@ -164,20 +173,20 @@ impl Store {
         let mut attempts = delivery.attempts.clone();
         attempts.push(attempt.clone());
         attempts.drain(..attempts.len().saturating_sub(LOGGED));
-        sqlx::query(
-            "UPDATE deliveries SET state = ?2, due_ms = ?3, tries = tries + 1, attempts = ?4 WHERE id = ?1",
+        sql::query(
+            "UPDATE deliveries SET state = $2, due_ms = $3, tries = tries + 1, attempts = $4 WHERE id = $1",
         )
         .bind(&delivery.id)
         .bind(state)
         .bind(again_ms.unwrap_or(attempt.at_ms))
         .bind(Json(&attempts))
-        .execute(&mut *tx)
+        .execute(&mut tx)
         .await?;
         if failed {
             failed_at(&mut tx, &delivery.webhook_id, &attempt).await?;
         } else {
-            let query = sqlx::query("UPDATE webhooks SET failing_since_ms = NULL WHERE id = ?1");
-            query.bind(&delivery.webhook_id).execute(&mut *tx).await?;
+            let query = sql::query("UPDATE webhooks SET failing_since_ms = NULL WHERE id = $1");
+            query.bind(&delivery.webhook_id).execute(&mut tx).await?;
         }
         Ok(tx.commit().await?)
     }
@@ -192,9 +201,9 @@ impl Store {
         webhook: &WebhookId,
         id: &DeliveryId,
     ) -> Result<Option<DeliveryRecord>, StoreError> {
-        let query = sqlx::query_as(
+        let query = sql::query_as(
             "SELECT deliveries.* FROM deliveries JOIN webhooks ON webhooks.id = webhook_id
-             WHERE deliveries.id = ?1 AND webhook_id = ?2 AND tenant = ?3",
+             WHERE deliveries.id = $1 AND webhook_id = $2 AND tenant = $3",
         );
         Ok(query.bind(id).bind(webhook).bind(tenant).fetch_optional(self.pool()).await?)
     }
@@ -209,13 +218,13 @@ impl Store {
         webhook: &WebhookId,
         page: &Page,
     ) -> Result<Vec<DeliveryRecord>, StoreError> {
-        let query = sqlx::query_as(
+        let query = sql::query_as(
             "SELECT deliveries.* FROM deliveries JOIN webhooks ON webhooks.id = webhook_id
-             WHERE webhook_id = ?2 AND tenant = ?3
-               AND (?1 IS NULL OR seq < ?1)
-             ORDER BY seq DESC LIMIT ?4",
+             WHERE webhook_id = $2 AND tenant = $3
+               AND ($1 IS NULL OR seq < $1)
+             ORDER BY seq DESC LIMIT $4",
         );
-        let query = query.bind(page.at()).bind(webhook).bind(tenant).bind(page.limit);
+        let query = query.bind(page.at()).bind(webhook).bind(tenant).bind(i64::from(page.limit));
         Ok(query.fetch_all(self.pool()).await?)
     }
 
@@ -231,13 +240,13 @@ impl Store {
         now_ms: i64,
     ) -> Result<Replay, StoreError> {
         let mut tx = self.write().await?;
-        let query = sqlx::query_scalar("SELECT enabled FROM webhooks WHERE id = ?1 AND tenant = ?2");
-        let enabled: Option<bool> = query.bind(webhook).bind(tenant).fetch_optional(&mut *tx).await?;
-        let query = sqlx::query_as(
-            "UPDATE deliveries SET state = 'pending', due_ms = ?3, tries = 0
-             WHERE id = ?1 AND webhook_id = ?2 RETURNING *",
+        let query = sql::query_scalar("SELECT enabled FROM webhooks WHERE id = $1 AND tenant = $2");
+        let enabled: Option<bool> = query.bind(webhook).bind(tenant).fetch_optional(&mut tx).await?;
+        let query = sql::query_as(
+            "UPDATE deliveries SET state = 'pending', due_ms = $3, tries = 0
+             WHERE id = $1 AND webhook_id = $2 RETURNING *",
         );
-        let replayed = query.bind(id).bind(webhook).bind(now_ms).fetch_optional(&mut *tx).await?;
+        let replayed = query.bind(id).bind(webhook).bind(now_ms).fetch_optional(&mut tx).await?;
         match (enabled, replayed) {
             (None, _) | (_, None) => Ok(Replay::NotFound),
             (Some(false), _) => Ok(Replay::SwitchedOff),
@@ -254,30 +263,26 @@ impl Store {
     /// When the database fails.
     pub async fn forget_old_deliveries(&self, now_ms: i64) -> Result<(), StoreError> {
         let before = now_ms.saturating_sub(ms(KEEP));
-        let old = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM deliveries WHERE created_ms < ?1)");
+        let old = sql::query_scalar("SELECT EXISTS (SELECT 1 FROM deliveries WHERE created_ms < $1)");
         if !old.bind(before).fetch_one(self.pool()).await? {
             return Ok(());
         }
         let mut tx = self.write().await?;
-        let query = sqlx::query("DELETE FROM deliveries WHERE created_ms < ?1");
-        query.bind(before).execute(&mut *tx).await?;
+        let query = sql::query("DELETE FROM deliveries WHERE created_ms < $1");
+        query.bind(before).execute(&mut tx).await?;
         Ok(tx.commit().await?)
     }
 }
 
 /// Counts a failure against a webhook.
-async fn failed_at(
-    tx: &mut Transaction<'_, Sqlite>,
-    webhook: &WebhookId,
-    attempt: &Attempt,
-) -> Result<(), StoreError> {
-    let since: Option<i64> = sqlx::query_scalar(
-        "UPDATE webhooks SET failing_since_ms = COALESCE(failing_since_ms, ?2)
-         WHERE id = ?1 AND enabled RETURNING failing_since_ms",
+async fn failed_at(tx: &mut Tx, webhook: &WebhookId, attempt: &Attempt) -> Result<(), StoreError> {
+    let since: Option<i64> = sql::query_scalar(
+        "UPDATE webhooks SET failing_since_ms = COALESCE(failing_since_ms, $2)
+         WHERE id = $1 AND enabled RETURNING failing_since_ms",
     )
     .bind(webhook)
     .bind(attempt.at_ms)
-    .fetch_optional(&mut **tx)
+    .fetch_optional(&mut *tx)
     .await?;
     let Some(since) = since else { return Ok(()) };
     let last = attempt.error.as_deref().unwrap_or_default();
@@ -289,10 +294,10 @@ async fn failed_at(
         return Ok(());
     };
     tracing::warn!(%webhook, why, "switched a webhook off");
-    let query = sqlx::query(
-        "UPDATE webhooks SET enabled = 0, switched_off_ms = ?2, switched_off_because = ?3 WHERE id = ?1",
+    let query = sql::query(
+        "UPDATE webhooks SET enabled = FALSE, switched_off_ms = $2, switched_off_because = $3 WHERE id = $1",
     );
-    query.bind(webhook).bind(attempt.at_ms).bind(why).execute(&mut **tx).await?;
+    query.bind(webhook).bind(attempt.at_ms).bind(why).execute(&mut *tx).await?;
     Ok(())
 }
 

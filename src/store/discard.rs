@@ -5,6 +5,7 @@ use std::collections::HashSet;
 
 use crate::store::artifacts::is_key;
 use crate::store::references::of_job;
+use crate::store::sql;
 use crate::store::sweep::prune;
 use crate::store::{Store, StoreError};
 
@@ -31,7 +32,7 @@ impl Store {
         if things > 0 {
             self.purge_deleted().await?;
         }
-        let waiting: i64 = sqlx::query_scalar(
+        let waiting: i64 = sql::query_scalar(
             "SELECT (SELECT COUNT(*) FROM jobs WHERE deleted_ms IS NOT NULL AND swept_ms IS NULL)
                   + (SELECT COUNT(*) FROM captures WHERE deleted_ms IS NOT NULL AND swept_ms IS NULL)
                   + (SELECT COUNT(*) FROM environments WHERE deleted_ms IS NOT NULL)",
@@ -54,37 +55,36 @@ impl Store {
     async fn purge_deleted(&self) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
         // A job may be the repetition of another one that was deleted, too.
-        while sqlx::query(
+        while sql::query(
             "DELETE FROM jobs WHERE swept_ms IS NOT NULL
                  AND NOT EXISTS (SELECT 1 FROM models WHERE models.job_id = jobs.id)
                  AND NOT EXISTS (SELECT 1 FROM jobs AS later WHERE later.retry_of = jobs.id)",
         )
-        .execute(&mut *tx)
+        .execute(&mut tx)
         .await?
-        .rows_affected()
             > 0
         {}
-        sqlx::query(
+        sql::query(
             "DELETE FROM captures WHERE swept_ms IS NOT NULL
                  AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.capture_id = captures.id)
                  AND NOT EXISTS (SELECT 1 FROM models WHERE models.capture_id = captures.id)",
         )
-        .execute(&mut *tx)
+        .execute(&mut tx)
         .await?;
         Ok(tx.commit().await?)
     }
 
     async fn discard_models(&self) -> Result<usize, StoreError> {
         let query = "SELECT id, job_id FROM models WHERE deleted_ms IS NOT NULL";
-        let models: Vec<(String, String)> = sqlx::query_as(query).fetch_all(self.pool()).await?;
+        let models: Vec<(String, String)> = sql::query_as(query).fetch_all(self.pool()).await?;
         for (model, job) in &models {
-            let query = "SELECT artifact FROM model_files WHERE model_id = ?1";
-            let files: Vec<String> = sqlx::query_scalar(query).bind(model).fetch_all(self.pool()).await?;
+            let query = "SELECT artifact FROM model_files WHERE model_id = $1";
+            let files: Vec<String> = sql::query_scalar(query).bind(model).fetch_all(self.pool()).await?;
             self.remove_of_job(job, files).await?;
             let mut tx = self.write().await?;
-            for delete in ["DELETE FROM model_files WHERE model_id = ?1", "DELETE FROM models WHERE id = ?1"]
+            for delete in ["DELETE FROM model_files WHERE model_id = $1", "DELETE FROM models WHERE id = $1"]
             {
-                sqlx::query(delete).bind(model).execute(&mut *tx).await?;
+                sql::query(delete).bind(model).execute(&mut tx).await?;
             }
             tx.commit().await?;
             tracing::info!(model, "removed the files of a deleted model");
@@ -96,24 +96,24 @@ impl Store {
     async fn discard_jobs(&self, now_ms: i64) -> Result<usize, StoreError> {
         let query = "SELECT id FROM jobs WHERE deleted_ms IS NOT NULL AND swept_ms IS NULL
                          AND state IN ('succeeded', 'rejected', 'failed', 'cancelled')";
-        let jobs: Vec<String> = sqlx::query_scalar(query).fetch_all(self.pool()).await?;
+        let jobs: Vec<String> = sql::query_scalar(query).fetch_all(self.pool()).await?;
         for job in &jobs {
             if !is_key(job) {
                 return Err(StoreError::Damaged(format!("attempts/{job}")));
             }
             let query =
-                "SELECT artifact FROM model_files JOIN models ON models.id = model_id WHERE job_id = ?1";
-            let kept: Vec<String> = sqlx::query_scalar(query).bind(job).fetch_all(self.pool()).await?;
+                "SELECT artifact FROM model_files JOIN models ON models.id = model_id WHERE job_id = $1";
+            let kept: Vec<String> = sql::query_scalar(query).bind(job).fetch_all(self.pool()).await?;
             let kept: HashSet<String> = kept.into_iter().collect();
             let (root, id) = (self.artifacts.local_path(""), job.clone());
             let stored = tokio::task::spawn_blocking(move || of_job(&root, &id)).await;
             let stored = stored.map_err(std::io::Error::other)??;
             self.remove_of_job(job, stored.into_iter().filter(|key| !kept.contains(key)).collect()).await?;
             let mut tx = self.write().await?;
-            let history = "DELETE FROM events WHERE job_id = ?1";
-            sqlx::query(history).bind(job).execute(&mut *tx).await?;
-            let swept = "UPDATE jobs SET swept_ms = ?2, checkpoint = NULL WHERE id = ?1";
-            sqlx::query(swept).bind(job).bind(now_ms).execute(&mut *tx).await?;
+            let history = "DELETE FROM events WHERE job_id = $1";
+            sql::query(history).bind(job).execute(&mut tx).await?;
+            let swept = "UPDATE jobs SET swept_ms = $2, checkpoint = NULL WHERE id = $1";
+            sql::query(swept).bind(job).bind(now_ms).execute(&mut tx).await?;
             tx.commit().await?;
             tracing::info!(job, "removed the files of a deleted job");
         }
@@ -124,17 +124,17 @@ impl Store {
         let query = "SELECT id, artifact FROM captures
              WHERE deleted_ms IS NOT NULL AND swept_ms IS NULL AND NOT EXISTS
                  (SELECT 1 FROM jobs WHERE capture_id = captures.id AND state IN ('queued', 'running', 'cancelling'))";
-        let captures: Vec<(String, String)> = sqlx::query_as(query).fetch_all(self.pool()).await?;
+        let captures: Vec<(String, String)> = sql::query_as(query).fetch_all(self.pool()).await?;
         for (capture, artifact) in &captures {
             let _shelf = self.shelf.lock().await;
             let others = "SELECT EXISTS
-                 (SELECT 1 FROM captures WHERE artifact = ?1 AND id <> ?2 AND swept_ms IS NULL)";
-            if !sqlx::query_scalar(others).bind(artifact).bind(capture).fetch_one(self.pool()).await? {
+                 (SELECT 1 FROM captures WHERE artifact = $1 AND id <> $2 AND swept_ms IS NULL)";
+            if !sql::query_scalar(others).bind(artifact).bind(capture).fetch_one(self.pool()).await? {
                 self.artifacts.discard(artifact).await?;
             }
             let mut tx = self.write().await?;
-            let swept = "UPDATE captures SET swept_ms = ?2 WHERE id = ?1";
-            sqlx::query(swept).bind(capture).bind(now_ms).execute(&mut *tx).await?;
+            let swept = "UPDATE captures SET swept_ms = $2 WHERE id = $1";
+            sql::query(swept).bind(capture).bind(now_ms).execute(&mut tx).await?;
             tx.commit().await?;
             tracing::info!(capture, "removed the file of a deleted capture");
         }
@@ -144,18 +144,18 @@ impl Store {
     async fn discard_environments(&self) -> Result<usize, StoreError> {
         let query = "SELECT id, artifact FROM environments
              WHERE deleted_ms IS NOT NULL AND NOT EXISTS
-                 (SELECT 1 FROM jobs WHERE json_extract(overrides, '$.light.environment') = environments.id
+                 (SELECT 1 FROM jobs WHERE overrides -> 'light' ->> 'environment' = environments.id
                       AND state IN ('queued', 'running', 'cancelling'))";
-        let environments: Vec<(String, String)> = sqlx::query_as(query).fetch_all(self.pool()).await?;
+        let environments: Vec<(String, String)> = sql::query_as(query).fetch_all(self.pool()).await?;
         for (environment, artifact) in &environments {
             let _shelf = self.shelf.lock().await;
-            let others = "SELECT EXISTS (SELECT 1 FROM environments WHERE artifact = ?1 AND id <> ?2)";
-            if !sqlx::query_scalar(others).bind(artifact).bind(environment).fetch_one(self.pool()).await? {
+            let others = "SELECT EXISTS (SELECT 1 FROM environments WHERE artifact = $1 AND id <> $2)";
+            if !sql::query_scalar(others).bind(artifact).bind(environment).fetch_one(self.pool()).await? {
                 self.artifacts.discard(artifact).await?;
             }
             let mut tx = self.write().await?;
-            let forget = "DELETE FROM environments WHERE id = ?1";
-            sqlx::query(forget).bind(environment).execute(&mut *tx).await?;
+            let forget = "DELETE FROM environments WHERE id = $1";
+            sql::query(forget).bind(environment).execute(&mut tx).await?;
             tx.commit().await?;
             tracing::info!(environment, "removed the file of a deleted environment");
         }

@@ -3,7 +3,8 @@
 use sqlx::types::Json;
 
 use crate::api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
-use crate::store::marks::{change_within, filtered, wanted};
+use crate::store::marks::{change_within, filtered, listed};
+use crate::store::sql;
 use crate::store::{EnvironmentRecord, Filter, Page, Store, StoreError};
 
 impl Store {
@@ -18,10 +19,10 @@ impl Store {
         env: &EnvironmentRecord,
     ) -> Result<EnvironmentRecord, StoreError> {
         let mut tx = self.write().await?;
-        sqlx::query(
+        sql::query(
             "INSERT INTO environments
                  (id, sha256, name, bytes, artifact, width, height, warnings, created_ms, tenant, external_id, labels)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12) ON CONFLICT (tenant, sha256) DO NOTHING",
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12) ON CONFLICT (tenant, sha256) DO NOTHING",
         )
         .bind(&env.id)
         .bind(&env.sha256)
@@ -35,13 +36,13 @@ impl Store {
         .bind(tenant)
         .bind(&env.marks.external_id)
         .bind(Json(&env.marks.labels))
-        .execute(&mut *tx)
+        .execute(&mut tx)
         .await?;
         let mut stored: EnvironmentRecord =
-            sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1 AND tenant = ?2")
+            sql::query_as("SELECT * FROM environments WHERE sha256 = $1 AND tenant = $2")
                 .bind(&env.sha256)
                 .bind(tenant)
-                .fetch_one(&mut *tx)
+                .fetch_one(&mut tx)
                 .await?;
         if stored.id != env.id {
             let what = ResourceName::new(ResourceKind::Environment, stored.id.to_string());
@@ -62,7 +63,7 @@ impl Store {
         id: &EnvironmentId,
     ) -> Result<Option<EnvironmentRecord>, StoreError> {
         let query =
-            sqlx::query_as("SELECT * FROM environments WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL")
+            sql::query_as("SELECT * FROM environments WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL")
                 .bind(id)
                 .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
@@ -77,7 +78,7 @@ impl Store {
         tenant: &TenantId,
         sha256: &str,
     ) -> Result<Option<EnvironmentRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM environments WHERE sha256 = ?1 AND tenant = ?2")
+        let query = sql::query_as("SELECT * FROM environments WHERE sha256 = $1 AND tenant = $2")
             .bind(sha256)
             .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
@@ -93,14 +94,14 @@ impl Store {
         filter: &Filter,
         page: &Page,
     ) -> Result<Vec<EnvironmentRecord>, StoreError> {
-        let query = concat!(
-            "SELECT * FROM environments WHERE ",
-            wanted!(),
-            " AND tenant = ?6 AND deleted_ms IS NULL
-               AND (?4 IS NULL OR (created_ms, id) < (?7, ?4))
-             ORDER BY created_ms DESC, id DESC LIMIT ?5"
+        let query = listed!(
+            "environments",
+            "AND tenant = $6 AND deleted_ms IS NULL
+               AND ($4 IS NULL OR (created_ms, id) < ($7, $4))
+             ORDER BY created_ms DESC, id DESC LIMIT $5"
         );
-        let query = filtered(query, filter).bind(page.id()).bind(page.limit).bind(tenant).bind(page.at());
+        let query =
+            filtered(query, filter).bind(page.id()).bind(i64::from(page.limit)).bind(tenant).bind(page.at());
         Ok(query.fetch_all(self.pool()).await?)
     }
 }

@@ -141,6 +141,23 @@ pub enum StoreError {
     /// The database file is not what SQLite wrote.
     #[error("the database relume.db is damaged ({0}): restore a backup")]
     DatabaseDamaged(String),
+    /// A database that is to take everything of another has rows already.
+    #[error("the database that is to be copied to is not empty: its table {0} has rows")]
+    DatabaseNotEmpty(&'static str),
+    /// A copied row is not what it was copied from.
+    #[error("row {row} of table {table} came out otherwise: nothing was copied")]
+    CopyDiffers {
+        /// The table.
+        table: &'static str,
+        /// Number of the row, in the order of copying.
+        row: usize,
+    },
+    /// Another server works on the database.
+    #[error("the database is in use by another server")]
+    DatabaseLocked,
+    /// The database server cannot be reached now.
+    #[error("the database cannot be reached: {0}")]
+    DatabaseUnreachable(String),
     /// The database failed.
     #[error("database: {0}")]
     Database(sqlx::Error),
@@ -162,8 +179,17 @@ impl From<sqlx::Error> for StoreError {
         let code = error.as_database_error().and_then(|e| e.code());
         match code.as_deref() {
             Some("13" | "778" | "4874") => Self::Full,
+            // PostgreSQL's disk_full.
+            Some("53100") => Self::Full,
             // SQLITE_CORRUPT and SQLITE_NOTADB.
             Some("11" | "26") => Self::DatabaseDamaged(error.to_string()),
+            // PostgreSQL ends connections, or does not take any yet: it stops, starts, or hands over to another.
+            Some("57P01" | "57P02" | "57P03" | "55000" | "08000" | "08003" | "08006") => {
+                Self::DatabaseUnreachable(error.to_string())
+            }
+            _ if matches!(error, sqlx::Error::Io(_) | sqlx::Error::PoolTimedOut) => {
+                Self::DatabaseUnreachable(error.to_string())
+            }
             _ => Self::Database(error),
         }
     }

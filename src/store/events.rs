@@ -1,11 +1,11 @@
 //! The history of a job, numbered so that a listener can continue where it stopped.
 
 use serde_json::Value;
-use sqlx::{Sqlite, Transaction};
 
 use crate::api::jobs::JobState;
 use crate::api::webhooks::WebhookEvent;
 use crate::api::{JobId, TenantId};
+use crate::store::sql::{self, Tx};
 use crate::store::{EventRecord, Store, StoreError, deliveries};
 
 impl Store {
@@ -19,9 +19,9 @@ impl Store {
         job: &JobId,
         after: i64,
     ) -> Result<Vec<EventRecord>, StoreError> {
-        let query = sqlx::query_as(
-            "SELECT * FROM events WHERE job_id = ?1 AND seq > ?2
-               AND job_id IN (SELECT id FROM jobs WHERE id = ?1 AND tenant = ?3)
+        let query = sql::query_as(
+            "SELECT * FROM events WHERE job_id = $1 AND seq > $2
+               AND job_id IN (SELECT id FROM jobs WHERE id = $1 AND tenant = $3)
              ORDER BY seq LIMIT 1000",
         );
         Ok(query.bind(job).bind(after).bind(tenant).fetch_all(self.pool()).await?)
@@ -31,7 +31,7 @@ impl Store {
 /// Writes down a job's change of state, in the transaction of the change: its event and, where the job has ended, what webhooks
 /// are told of it.
 pub(super) async fn append_state(
-    tx: &mut Transaction<'_, Sqlite>,
+    tx: &mut Tx,
     job: &JobId,
     now_ms: i64,
     state: JobState,
@@ -46,18 +46,18 @@ pub(super) async fn append_state(
 
 /// Appends to a job's history, in the transaction of the change that the event reports.
 pub(super) async fn append(
-    tx: &mut Transaction<'_, Sqlite>,
+    tx: &mut Tx,
     job: &JobId,
     now_ms: i64,
     kind: &str,
     data: Value,
 ) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO events (job_id, at_ms, kind, data) VALUES (?1, ?2, ?3, ?4)")
+    sql::query("INSERT INTO events (job_id, at_ms, kind, data) VALUES ($1, $2, $3, $4)")
         .bind(job)
         .bind(now_ms)
         .bind(kind)
         .bind(data.to_string())
-        .execute(&mut **tx)
+        .execute(&mut *tx)
         .await?;
     Ok(())
 }

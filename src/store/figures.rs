@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use crate::api::jobs::JobState;
 use crate::api::quality::{Figures, MissedFigure, QualityGate};
 use crate::api::{JobId, ModelId};
+use crate::store::sql;
 use crate::store::{Store, StoreError};
 
 /// Most warnings that are repeated at the end of a job.
@@ -46,10 +47,17 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn warnings(&self, job: &JobId) -> Result<Vec<String>, StoreError> {
-        let query = sqlx::query_scalar(
-            "SELECT json_extract(data, '$.message') AS message FROM events
-             WHERE job_id = ?1 AND kind = 'warning' GROUP BY message ORDER BY MIN(seq) LIMIT ?2",
+        let query = sql::query_scalar(
+            "SELECT data FROM events WHERE job_id = $1 AND kind = 'warning'
+             GROUP BY data ORDER BY MIN(seq) LIMIT $2",
         );
-        Ok(query.bind(job).bind(MOST_WARNINGS).fetch_all(self.pool()).await?)
+        let found: Vec<String> = query.bind(job).bind(MOST_WARNINGS).fetch_all(self.pool()).await?;
+        Ok(found.iter().filter_map(|data| message_of(data)).collect())
     }
+}
+
+/// The message in the data of a warning.
+fn message_of(data: &str) -> Option<String> {
+    let data: Value = serde_json::from_str(data).ok()?;
+    data["message"].as_str().map(str::to_owned)
 }

@@ -1,9 +1,8 @@
 //! Idempotency keys. A key is written in the transaction of the change it guards, so there is no moment at which
 //! the key exists and the change does not: a second request waits for the first and then sees its answer.
 
-use sqlx::{Sqlite, Transaction};
-
 use crate::api::TenantId;
+use crate::store::sql::{self, Tx};
 use crate::store::{Store, StoreError};
 
 /// How long a key is remembered.
@@ -20,20 +19,20 @@ pub struct IdempotencyKey {
 
 /// The answer that `key` of a tenant was given before.
 pub(super) async fn replay(
-    tx: &mut Transaction<'_, Sqlite>,
+    tx: &mut Tx,
     tenant: &TenantId,
     key: &IdempotencyKey,
     now_ms: i64,
 ) -> Result<Option<String>, StoreError> {
-    sqlx::query("DELETE FROM idempotency WHERE created_ms < ?1")
+    sql::query("DELETE FROM idempotency WHERE created_ms < $1")
         .bind(now_ms - KEEP_MS)
-        .execute(&mut **tx)
+        .execute(&mut *tx)
         .await?;
     let known: Option<(String, String)> =
-        sqlx::query_as("SELECT fingerprint, response FROM idempotency WHERE key = ?1 AND tenant = ?2")
+        sql::query_as("SELECT fingerprint, response FROM idempotency WHERE key = $1 AND tenant = $2")
             .bind(&key.key)
             .bind(tenant)
-            .fetch_optional(&mut **tx)
+            .fetch_optional(&mut *tx)
             .await?;
     answer(known, key)
 }
@@ -58,8 +57,8 @@ impl Store {
         now_ms: i64,
     ) -> Result<Option<String>, StoreError> {
         let query = "SELECT fingerprint, response FROM idempotency
-                         WHERE key = ?1 AND tenant = ?2 AND created_ms >= ?3";
-        let known: Option<(String, String)> = sqlx::query_as(query)
+                         WHERE key = $1 AND tenant = $2 AND created_ms >= $3";
+        let known: Option<(String, String)> = sql::query_as(query)
             .bind(&key.key)
             .bind(tenant)
             .bind(now_ms - KEEP_MS)
@@ -71,14 +70,14 @@ impl Store {
 
 /// Remembers the answer to `key`.
 pub(super) async fn remember(
-    tx: &mut Transaction<'_, Sqlite>,
+    tx: &mut Tx,
     tenant: &TenantId,
     key: &IdempotencyKey,
     response: &str,
     now_ms: i64,
 ) -> Result<(), StoreError> {
-    let query = sqlx::query(
-        "INSERT INTO idempotency (key, fingerprint, response, created_ms, tenant) VALUES (?1, ?2, ?3, ?4, ?5)",
+    let query = sql::query(
+        "INSERT INTO idempotency (key, fingerprint, response, created_ms, tenant) VALUES ($1, $2, $3, $4, $5)",
     );
     query
         .bind(&key.key)
@@ -86,7 +85,7 @@ pub(super) async fn remember(
         .bind(response)
         .bind(now_ms)
         .bind(tenant)
-        .execute(&mut **tx)
+        .execute(&mut *tx)
         .await?;
     Ok(())
 }

@@ -6,9 +6,10 @@ use std::path::Path;
 
 use sqlx::SqlitePool;
 
-use crate::store::database::{self, Database};
+use crate::store::database::{self, DatabaseFile};
 use crate::store::hash::hash_file;
 use crate::store::references::{Reference, references, stored};
+use crate::store::sql;
 use crate::store::{StoreError, has_artifacts};
 
 /// What a look at a data directory found.
@@ -46,17 +47,17 @@ pub async fn inspect(root: &Path) -> Result<Inspection, StoreError> {
 }
 
 async fn look(root: &Path, found: &mut Inspection) -> Result<(), StoreError> {
-    let pool = Database::open_to_look(root).await?;
+    let pool = DatabaseFile::open_to_look(root).await?;
     let looked = look_with(&pool, root, found).await;
     pool.close().await;
     looked
 }
 
 async fn look_with(pool: &SqlitePool, root: &Path, found: &mut Inspection) -> Result<(), StoreError> {
-    let integrity: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(10)").fetch_all(pool).await?;
+    let integrity: Vec<String> = sql::query_scalar("PRAGMA integrity_check(10)").fetch_all(pool).await?;
     let damage = integrity.iter().filter(|line| *line != "ok");
     found.faults.extend(damage.map(|line| format!("the database is damaged: {line}")));
-    let schema: i64 = sqlx::query_scalar("SELECT MAX(version) FROM _sqlx_migrations").fetch_one(pool).await?;
+    let schema: i64 = sql::query_scalar("SELECT MAX(version) FROM _sqlx_migrations").fetch_one(pool).await?;
     found.schema = Some(schema);
     if schema > database::schema() {
         let newer = StoreError::NewerDatabase { found: schema, known: database::schema() };

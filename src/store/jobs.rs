@@ -2,13 +2,13 @@
 
 use serde_json::json;
 use sqlx::types::Json;
-use sqlx::{Sqlite, Transaction};
 
 use crate::api::jobs::JobState;
 use crate::api::{JobId, TenantId};
 use crate::store::deletion::check_still_there;
 use crate::store::idempotency::{remember, replay};
-use crate::store::marks::{filtered, wanted};
+use crate::store::marks::{filtered, listed};
+use crate::store::sql::{self, Tx};
 use crate::store::{Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, events};
 
 /// Outcome of a submission.
@@ -57,7 +57,7 @@ impl Store {
         insert(&mut tx, job).await?;
         let queued = json!({ "state": JobState::Queued });
         events::append_state(&mut tx, &job.id, now_ms, JobState::Queued, queued).await?;
-        let position = sqlx::query_scalar(POSITION).bind(&job.id).fetch_optional(&mut *tx).await?;
+        let position = sql::query_scalar(POSITION).bind(&job.id).fetch_optional(&mut tx).await?;
         let response = answer(job, position);
         if let Some(key) = key {
             remember(&mut tx, &job.tenant, key, &response, now_ms).await?;
@@ -71,7 +71,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn job(&self, tenant: &TenantId, id: &JobId) -> Result<Option<JobRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM jobs WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL")
+        let query = sql::query_as("SELECT * FROM jobs WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL")
             .bind(id)
             .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
@@ -88,15 +88,15 @@ impl Store {
         filter: &Filter,
         page: &Page,
     ) -> Result<Vec<JobRecord>, StoreError> {
-        let query = concat!(
-            "SELECT * FROM jobs WHERE ",
-            wanted!(),
-            " AND tenant = ?7 AND deleted_ms IS NULL
-               AND (?4 IS NULL OR (created_ms, id) < (?8, ?4))
-               AND (?5 IS NULL OR state = ?5)
-             ORDER BY created_ms DESC, id DESC LIMIT ?6"
+        let query = listed!(
+            "jobs",
+            "AND tenant = $7 AND deleted_ms IS NULL
+               AND ($4 IS NULL OR (created_ms, id) < ($8, $4))
+               AND ($5 IS NULL OR state = $5)
+             ORDER BY created_ms DESC, id DESC LIMIT $6"
         );
-        let query = filtered(query, filter).bind(page.id()).bind(state).bind(page.limit).bind(tenant);
+        let query =
+            filtered(query, filter).bind(page.id()).bind(state).bind(i64::from(page.limit)).bind(tenant);
         Ok(query.bind(page.at()).fetch_all(self.pool()).await?)
     }
 
@@ -105,7 +105,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn queue_position(&self, id: &JobId) -> Result<Option<i64>, StoreError> {
-        Ok(sqlx::query_scalar(POSITION).bind(id).fetch_optional(self.pool()).await?)
+        Ok(sql::query_scalar(POSITION).bind(id).fetch_optional(self.pool()).await?)
     }
 
     /// Number of jobs of all tenants in each state that has any.
@@ -113,8 +113,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn job_counts(&self) -> Result<Vec<(JobState, i64)>, StoreError> {
-        let query =
-            sqlx::query_as("SELECT state, COUNT(*) FROM jobs WHERE deleted_ms IS NULL GROUP BY state");
+        let query = sql::query_as("SELECT state, COUNT(*) FROM jobs WHERE deleted_ms IS NULL GROUP BY state");
         Ok(query.fetch_all(self.pool()).await?)
     }
 
@@ -129,17 +128,17 @@ impl Store {
         now_ms: i64,
     ) -> Result<CancelOutcome, StoreError> {
         let mut tx = self.write().await?;
-        let changed: Option<JobRecord> = sqlx::query_as(
+        let changed: Option<JobRecord> = sql::query_as(
             "UPDATE jobs SET
                  state = CASE state WHEN 'queued' THEN 'cancelled' ELSE 'cancelling' END,
-                 finished_ms = CASE state WHEN 'queued' THEN ?2 END,
+                 finished_ms = CASE state WHEN 'queued' THEN $2 END,
                  eta_seconds = NULL
-             WHERE id = ?1 AND tenant = ?3 AND state IN ('queued', 'running') RETURNING *",
+             WHERE id = $1 AND tenant = $3 AND state IN ('queued', 'running') RETURNING *",
         )
         .bind(id)
         .bind(now_ms)
         .bind(tenant)
-        .fetch_optional(&mut *tx)
+        .fetch_optional(&mut tx)
         .await?;
         if let Some(job) = changed {
             let data = json!({ "state": job.state });
@@ -169,23 +168,23 @@ impl Store {
     ) -> Result<bool, StoreError> {
         let mut tx = self.write().await?;
         let query =
-            sqlx::query("UPDATE jobs SET priority = ?2 WHERE id = ?1 AND tenant = ?3 AND state = 'queued'");
-        let done = query.bind(id).bind(priority).bind(tenant).execute(&mut *tx).await?;
+            sql::query("UPDATE jobs SET priority = $2 WHERE id = $1 AND tenant = $3 AND state = 'queued'");
+        let done = query.bind(id).bind(priority).bind(tenant).execute(&mut tx).await?;
         tx.commit().await?;
-        Ok(done.rows_affected() == 1)
+        Ok(done == 1)
     }
 }
 
 const POSITION: &str = "SELECT (SELECT COUNT(*) FROM jobs AS other WHERE other.state = 'queued'
          AND (-other.priority, other.created_ms, other.id) < (-me.priority, me.created_ms, me.id))
-     FROM jobs AS me WHERE me.id = ?1 AND me.state = 'queued'";
+     FROM jobs AS me WHERE me.id = $1 AND me.state = 'queued'";
 
-async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &JobRecord) -> Result<(), StoreError> {
-    let query = sqlx::query(
+async fn insert(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
+    let query = sql::query(
         "INSERT INTO jobs
              (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms, tenant,
               quality_gate, name, external_id, labels)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15)",
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15)",
     );
     query
         .bind(&job.id)
@@ -203,7 +202,7 @@ async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &JobRecord) -> Result<(),
         .bind(&job.request.name)
         .bind(&job.request.external_id)
         .bind(Json(&job.request.labels))
-        .execute(&mut **tx)
+        .execute(&mut *tx)
         .await?;
     Ok(())
 }

@@ -7,7 +7,8 @@ use sqlx::types::Json;
 
 use crate::api::keys::Scope;
 use crate::api::{KeyId, TenantId};
-use crate::store::database::{self, Database};
+use crate::store::database::{self, DatabaseFile, DatabaseServer, DatabaseUrl};
+use crate::store::sql;
 use crate::store::{KeyRecord, KeyToken, Page, Store, StoreError};
 
 /// A key to be made.
@@ -37,10 +38,10 @@ impl Store {
     ) -> Result<(KeyRecord, String), StoreError> {
         let (token, text) = KeyToken::mint()?;
         let mut tx = self.write().await?;
-        let stored = sqlx::query_as(
+        let stored = sql::query_as(
             "INSERT INTO keys (id, name, tenant, scopes, secret_sha256, created_ms, expires_ms, made_by)
-             SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8
-             WHERE ?8 IS NULL OR EXISTS (SELECT 1 FROM keys WHERE id = ?8 AND revoked_ms IS NULL)
+             SELECT $1, $2, $3, $4, $5, $6, $7, $8
+             WHERE $8 IS NULL OR EXISTS (SELECT 1 FROM keys WHERE id = $8 AND revoked_ms IS NULL)
              RETURNING *",
         )
         .bind(&token.id)
@@ -51,7 +52,7 @@ impl Store {
         .bind(now_ms)
         .bind(key.expires_ms)
         .bind(&key.made_by)
-        .fetch_optional(&mut *tx)
+        .fetch_optional(&mut tx)
         .await?
         .ok_or(StoreError::KeyEnded)?;
         tx.commit().await?;
@@ -71,7 +72,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn key(&self, of: Option<&TenantId>, id: &KeyId) -> Result<Option<KeyRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM keys WHERE id = ?1 AND (?2 IS NULL OR tenant = ?2)");
+        let query = sql::query_as("SELECT * FROM keys WHERE id = $1 AND ($2 IS NULL OR tenant = $2)");
         Ok(query.bind(id).bind(of).fetch_optional(self.pool()).await?)
     }
 
@@ -80,13 +81,13 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn keys(&self, of: Option<&TenantId>, page: &Page) -> Result<Vec<KeyRecord>, StoreError> {
-        let query = sqlx::query_as(
+        let query = sql::query_as(
             "SELECT * FROM keys
-             WHERE (?1 IS NULL OR (created_ms, id) < (?4, ?1))
-               AND (?2 IS NULL OR tenant = ?2)
-             ORDER BY created_ms DESC, id DESC LIMIT ?3",
+             WHERE ($1 IS NULL OR (created_ms, id) < ($4, $1))
+               AND ($2 IS NULL OR tenant = $2)
+             ORDER BY created_ms DESC, id DESC LIMIT $3",
         );
-        let query = query.bind(page.id()).bind(of).bind(page.limit).bind(page.at());
+        let query = query.bind(page.id()).bind(of).bind(i64::from(page.limit)).bind(page.at());
         Ok(query.fetch_all(self.pool()).await?)
     }
 
@@ -102,20 +103,20 @@ impl Store {
         now_ms: i64,
     ) -> Result<Option<(KeyRecord, Vec<KeyId>)>, StoreError> {
         let mut tx = self.write().await?;
-        let query = sqlx::query_as(
-            "UPDATE keys SET revoked_ms = COALESCE(revoked_ms, ?3)
-             WHERE id = ?1 AND (?2 IS NULL OR tenant = ?2) RETURNING *",
+        let query = sql::query_as(
+            "UPDATE keys SET revoked_ms = COALESCE(revoked_ms, $3)
+             WHERE id = $1 AND ($2 IS NULL OR tenant = $2) RETURNING *",
         );
-        let key = query.bind(id).bind(of).bind(now_ms).fetch_optional(&mut *tx).await?;
+        let key = query.bind(id).bind(of).bind(now_ms).fetch_optional(&mut tx).await?;
         let Some(key) = key else { return Ok(None) };
-        let query = sqlx::query_scalar(
+        let query = sql::query_scalar(
             "WITH RECURSIVE came (id) AS (
-                 SELECT id FROM keys WHERE made_by = ?1
+                 SELECT id FROM keys WHERE made_by = $1
                  UNION SELECT keys.id FROM keys JOIN came ON keys.made_by = came.id)
-             UPDATE keys SET revoked_ms = COALESCE(revoked_ms, ?2)
+             UPDATE keys SET revoked_ms = COALESCE(revoked_ms, $2)
              WHERE id IN (SELECT id FROM came) RETURNING id",
         );
-        let mut took_along: Vec<KeyId> = query.bind(id).bind(now_ms).fetch_all(&mut *tx).await?;
+        let mut took_along: Vec<KeyId> = query.bind(id).bind(now_ms).fetch_all(&mut tx).await?;
         took_along.sort();
         tx.commit().await?;
         Ok(Some((key, took_along)))
@@ -127,8 +128,8 @@ impl Store {
     /// When the database fails.
     pub async fn note_key_use(&self, id: &KeyId, now_ms: i64) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
-        let query = sqlx::query("UPDATE keys SET last_used_ms = ?2 WHERE id = ?1");
-        query.bind(id).bind(now_ms).execute(&mut *tx).await?;
+        let query = sql::query("UPDATE keys SET last_used_ms = $2 WHERE id = $1");
+        query.bind(id).bind(now_ms).execute(&mut tx).await?;
         Ok(tx.commit().await?)
     }
 
@@ -137,25 +138,28 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn any_key(&self) -> Result<bool, StoreError> {
-        Ok(sqlx::query_scalar(ANY).fetch_one(self.pool()).await?)
+        Ok(sql::query_scalar(ANY).fetch_one(self.pool()).await?)
     }
 }
 
 const ANY: &str = "SELECT EXISTS (SELECT 1 FROM keys)";
 
-/// As [`Store::any_key`], of a data directory that is not opened by this and not changed.
+/// As [`Store::any_key`], of a data directory or a database server that is not opened by this and not changed.
 ///
 /// # Errors
 /// When there is a database that cannot be read.
-pub async fn has_keys(root: &Path) -> Result<bool, StoreError> {
+pub async fn has_keys(root: &Path, database: Option<&DatabaseUrl>) -> Result<bool, StoreError> {
+    if let Some(url) = database {
+        return DatabaseServer::has(url, "keys", ANY).await;
+    }
     if !root.join(database::FILE).exists() {
         return Ok(false);
     }
-    let pool = Database::open_to_look(root).await?;
+    let pool = DatabaseFile::open_to_look(root).await?;
     let table = "SELECT EXISTS (SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'keys')";
     let found = async {
-        let there: bool = sqlx::query_scalar(table).fetch_one(&pool).await?;
-        if there { sqlx::query_scalar(ANY).fetch_one(&pool).await } else { Ok(false) }
+        let there: bool = sql::query_scalar(table).fetch_one(&pool).await?;
+        if there { sql::query_scalar(ANY).fetch_one(&pool).await } else { Ok(false) }
     };
     let found = found.await;
     pool.close().await;

@@ -2,10 +2,10 @@
 
 use serde_json::json;
 use sqlx::types::Json;
-use sqlx::{Sqlite, Transaction};
 
 use crate::api::JobId;
 use crate::api::jobs::{JobProgress, JobState};
+use crate::store::sql::{self, Sql, Tx};
 use crate::store::{JobRecord, Measured, ModelFile, ModelRecord, Store, StoreError, events};
 
 /// What a worker's write found.
@@ -35,6 +35,8 @@ impl LeaseStatus {
 pub enum Release {
     /// The server stops; the attempt does not count as one without a checkpoint.
     Shutdown,
+    /// The database could not be reached; the attempt does not count either.
+    Outage,
     /// There is no room on the disk; the job waits for some. Does not count either.
     NoRoom,
     /// The attempt failed and another may succeed.
@@ -52,20 +54,9 @@ impl Store {
         now_ms: i64,
         until_ms: i64,
     ) -> Result<Option<JobRecord>, StoreError> {
-        let mut tx = self.write().await?;
-        let job: Option<JobRecord> = sqlx::query_as(
-            "UPDATE jobs SET state = 'running', lease_token = ?1, lease_until_ms = ?3,
-                 attempts = attempts + 1, idle_attempts = idle_attempts + 1,
-                 started_ms = COALESCE(started_ms, ?2)
-             WHERE id = (SELECT id FROM jobs WHERE state = 'queued'
-                         ORDER BY priority DESC, created_ms, id LIMIT 1)
-             RETURNING *",
-        )
-        .bind(token)
-        .bind(now_ms)
-        .bind(until_ms)
-        .fetch_optional(&mut *tx)
-        .await?;
+        let mut tx = self.write_row().await?;
+        let job: Option<JobRecord> =
+            sql::query_as(CLAIM).bind(token).bind(now_ms).bind(until_ms).fetch_optional(&mut tx).await?;
         if let Some(job) = &job {
             let data = json!({ "state": job.state, "attempt": job.attempts });
             events::append_state(&mut tx, &job.id, now_ms, job.state, data).await?;
@@ -79,7 +70,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn lease_status(&self, job: &JobId, token: &str) -> Result<LeaseStatus, StoreError> {
-        let query = sqlx::query_scalar("SELECT state FROM jobs WHERE id = ?1 AND lease_token = ?2");
+        let query = sql::query_scalar("SELECT state FROM jobs WHERE id = $1 AND lease_token = $2");
         let state: Option<JobState> = query.bind(job).bind(token).fetch_optional(self.pool()).await?;
         Ok(LeaseStatus::of(state))
     }
@@ -96,11 +87,11 @@ impl Store {
         now_ms: i64,
         until_ms: i64,
     ) -> Result<LeaseStatus, StoreError> {
-        let mut tx = self.write().await?;
-        let state: Option<JobState> = sqlx::query_scalar(
-            "UPDATE jobs SET lease_until_ms = ?3, step = ?4, total = ?5, loss = ?6, psnr = ?7,
-                 gaussians = ?8, eta_seconds = ?9, message = ?10
-             WHERE id = ?1 AND lease_token = ?2 AND state IN ('running', 'cancelling') RETURNING state",
+        let mut tx = self.write_row().await?;
+        let state: Option<JobState> = sql::query_scalar(
+            "UPDATE jobs SET lease_until_ms = $3, step = $4, total = $5, loss = $6, psnr = $7,
+                 gaussians = $8, eta_seconds = $9, message = $10
+             WHERE id = $1 AND lease_token = $2 AND state IN ('running', 'cancelling') RETURNING state",
         )
         .bind(job)
         .bind(token)
@@ -112,7 +103,7 @@ impl Store {
         .bind(progress.gaussians)
         .bind(progress.eta_seconds)
         .bind(&progress.message)
-        .fetch_optional(&mut *tx)
+        .fetch_optional(&mut tx)
         .await?;
         if state.is_some() {
             events::append(&mut tx, job, now_ms, "progress", json!(progress)).await?;
@@ -132,9 +123,11 @@ impl Store {
         message: &str,
         now_ms: i64,
     ) -> Result<LeaseStatus, StoreError> {
-        let mut tx = self.write().await?;
-        let query = sqlx::query_scalar("SELECT state FROM jobs WHERE id = ?1 AND lease_token = ?2");
-        let state: Option<JobState> = query.bind(job).bind(token).fetch_optional(&mut *tx).await?;
+        let mut tx = self.write_row().await?;
+        // Nobody takes the lease away before the warning is written down.
+        let query = "UPDATE jobs SET lease_token = $2 WHERE id = $1 AND lease_token = $2 RETURNING state";
+        let state: Option<JobState> =
+            sql::query_scalar(query).bind(job).bind(token).fetch_optional(&mut tx).await?;
         let status = LeaseStatus::of(state);
         if status != LeaseStatus::Lost {
             events::append(&mut tx, job, now_ms, "warning", json!({ "message": message })).await?;
@@ -155,19 +148,19 @@ impl Store {
         step: i64,
         now_ms: i64,
     ) -> Result<(LeaseStatus, Option<String>), StoreError> {
-        let mut tx = self.write().await?;
-        let query = sqlx::query_scalar("SELECT checkpoint FROM jobs WHERE id = ?1");
-        let previous: Option<Option<String>> = query.bind(job).fetch_optional(&mut *tx).await?;
-        let state: Option<JobState> = sqlx::query_scalar(
-            "UPDATE jobs SET checkpoint = ?3, checkpoint_step = ?4, checkpoint_sha256 = ?5, idle_attempts = 0
-             WHERE id = ?1 AND lease_token = ?2 AND state IN ('running', 'cancelling') RETURNING state",
+        let mut tx = self.write_row().await?;
+        let query = sql::query_scalar("SELECT checkpoint FROM jobs WHERE id = $1");
+        let previous: Option<Option<String>> = query.bind(job).fetch_optional(&mut tx).await?;
+        let state: Option<JobState> = sql::query_scalar(
+            "UPDATE jobs SET checkpoint = $3, checkpoint_step = $4, checkpoint_sha256 = $5, idle_attempts = 0
+             WHERE id = $1 AND lease_token = $2 AND state IN ('running', 'cancelling') RETURNING state",
         )
         .bind(job)
         .bind(token)
         .bind(artifact)
         .bind(step)
         .bind(sha256)
-        .fetch_optional(&mut *tx)
+        .fetch_optional(&mut tx)
         .await?;
         if state.is_none() {
             return Ok((LeaseStatus::Lost, None));
@@ -190,10 +183,10 @@ impl Store {
         now_ms: i64,
     ) -> Result<LeaseStatus, StoreError> {
         let mut tx = self.write().await?;
-        let done = sqlx::query(
-            "UPDATE jobs SET state = ?5, figures = ?6, finished_ms = ?3, model_id = ?4, step = total,
+        let done = sql::query(
+            "UPDATE jobs SET state = $5, figures = $6, finished_ms = $3, model_id = $4, step = total,
                  eta_seconds = NULL, message = NULL, checkpoint = NULL, lease_token = NULL, lease_until_ms = NULL
-             WHERE id = ?1 AND lease_token = ?2 AND state = 'running'",
+             WHERE id = $1 AND lease_token = $2 AND state = 'running'",
         )
         .bind(&model.job_id)
         .bind(token)
@@ -201,9 +194,9 @@ impl Store {
         .bind(&model.id)
         .bind(measured.state())
         .bind(Json(&measured.figures))
-        .execute(&mut *tx)
+        .execute(&mut tx)
         .await?;
-        if done.rows_affected() == 0 {
+        if done == 0 {
             drop(tx);
             return match self.lease_status(&model.job_id, token).await? {
                 LeaseStatus::Cancelling => Ok(LeaseStatus::Cancelling),
@@ -231,10 +224,10 @@ impl Store {
     ) -> Result<LeaseStatus, StoreError> {
         let mut tx = self.write().await?;
         let (code, detail) = error.unzip();
-        let done = sqlx::query(
-            "UPDATE jobs SET state = ?3, finished_ms = ?4, error_code = ?5, error_detail = ?6,
+        let done = sql::query(
+            "UPDATE jobs SET state = $3, finished_ms = $4, error_code = $5, error_detail = $6,
                  eta_seconds = NULL, message = NULL, checkpoint = NULL, lease_token = NULL, lease_until_ms = NULL
-             WHERE id = ?1 AND lease_token = ?2 AND state IN ('running', 'cancelling')",
+             WHERE id = $1 AND lease_token = $2 AND state IN ('running', 'cancelling')",
         )
         .bind(job)
         .bind(token)
@@ -242,9 +235,9 @@ impl Store {
         .bind(now_ms)
         .bind(code)
         .bind(detail)
-        .execute(&mut *tx)
+        .execute(&mut tx)
         .await?;
-        if done.rows_affected() == 0 {
+        if done == 0 {
             return Ok(LeaseStatus::Lost);
         }
         let data = json!({ "state": state, "code": code, "detail": detail });
@@ -266,18 +259,18 @@ impl Store {
     ) -> Result<LeaseStatus, StoreError> {
         let waits = release == Release::NoRoom;
         let mut tx = self.write().await?;
-        let step: Option<i64> = sqlx::query_scalar(
+        let step: Option<i64> = sql::query_scalar(
             "UPDATE jobs SET state = 'queued', lease_token = NULL, lease_until_ms = NULL,
-                 eta_seconds = NULL, idle_attempts = MAX(0, idle_attempts - ?3),
-                 step = CASE WHEN ?4 THEN COALESCE(checkpoint_step, 0) ELSE step END,
-                 message = CASE WHEN ?4 THEN 'waiting for room on the disk' ELSE message END
-             WHERE id = ?1 AND lease_token = ?2 AND state = 'running' RETURNING step",
+                 eta_seconds = NULL, idle_attempts = CASE WHEN idle_attempts < $3 THEN 0 ELSE idle_attempts - $3 END,
+                 step = CASE WHEN $4 THEN COALESCE(checkpoint_step, 0) ELSE step END,
+                 message = CASE WHEN $4 THEN 'waiting for room on the disk' ELSE message END
+             WHERE id = $1 AND lease_token = $2 AND state = 'running' RETURNING step",
         )
         .bind(job)
         .bind(token)
         .bind(i64::from(release != Release::AttemptFailed))
         .bind(waits)
-        .fetch_optional(&mut *tx)
+        .fetch_optional(&mut tx)
         .await?;
         let Some(step) = step else { return Ok(LeaseStatus::Lost) };
         if waits {
@@ -304,22 +297,22 @@ impl Store {
         now_ms: i64,
     ) -> Result<Vec<JobRecord>, StoreError> {
         let mut tx = self.write().await?;
-        let jobs: Vec<JobRecord> = sqlx::query_as(
+        let jobs: Vec<JobRecord> = sql::query_as(
             "UPDATE jobs SET
                  state = CASE WHEN state = 'cancelling' THEN 'cancelled'
-                              WHEN idle_attempts >= ?2 THEN 'failed' ELSE 'queued' END,
-                 finished_ms = CASE WHEN state = 'cancelling' OR idle_attempts >= ?2 THEN ?3 END,
-                 error_code = CASE WHEN state = 'running' AND idle_attempts >= ?2
+                              WHEN idle_attempts >= $2 THEN 'failed' ELSE 'queued' END,
+                 finished_ms = CASE WHEN state = 'cancelling' OR idle_attempts >= $2 THEN $3 END,
+                 error_code = CASE WHEN state = 'running' AND idle_attempts >= $2
                                    THEN 'attempts_exhausted' END,
-                 error_detail = CASE WHEN state = 'running' AND idle_attempts >= ?2 THEN
+                 error_detail = CASE WHEN state = 'running' AND idle_attempts >= $2 THEN
                      'the worker died ' || idle_attempts || ' times without reaching a new checkpoint' END,
                  eta_seconds = NULL, lease_token = NULL, lease_until_ms = NULL
-             WHERE state IN ('running', 'cancelling') AND lease_until_ms < ?1 RETURNING *",
+             WHERE state IN ('running', 'cancelling') AND lease_until_ms < $1 RETURNING *",
         )
         .bind(expired_ms)
         .bind(max_idle)
         .bind(now_ms)
-        .fetch_all(&mut *tx)
+        .fetch_all(&mut tx)
         .await?;
         for job in &jobs {
             let data = json!({ "state": job.state, "code": job.error_code, "detail": job.error_detail });
@@ -330,14 +323,28 @@ impl Store {
     }
 }
 
-async fn insert_model(
-    tx: &mut Transaction<'_, Sqlite>,
-    model: &ModelRecord,
-    files: &[ModelFile],
-) -> Result<(), StoreError> {
-    sqlx::query(
+/// Gives the next queued job away. On PostgreSQL one that somebody else is about to take is passed over, not waited for.
+const CLAIM: Sql = {
+    macro_rules! claim {
+        ($lock:literal) => {
+            concat!(
+                "UPDATE jobs SET state = 'running', lease_token = $1, lease_until_ms = $3,
+                     attempts = attempts + 1, idle_attempts = idle_attempts + 1,
+                     started_ms = COALESCE(started_ms, $2)
+                 WHERE id = (SELECT id FROM jobs WHERE state = 'queued'
+                             ORDER BY priority DESC, created_ms, id LIMIT 1",
+                $lock,
+                ") RETURNING *"
+            )
+        };
+    }
+    Sql::each(claim!(""), claim!(" FOR UPDATE SKIP LOCKED"))
+};
+
+async fn insert_model(tx: &mut Tx, model: &ModelRecord, files: &[ModelFile]) -> Result<(), StoreError> {
+    sql::query(
         "INSERT INTO models (id, job_id, capture_id, gaussians, card, created_ms, tenant, name, external_id, labels)
-         SELECT ?1, id, ?3, ?4, ?5, ?6, tenant, name, external_id, labels FROM jobs WHERE id = ?2",
+         SELECT $1, id, $3, $4, $5, $6, tenant, name, external_id, labels FROM jobs WHERE id = $2",
     )
     .bind(&model.id)
     .bind(&model.job_id)
@@ -345,12 +352,12 @@ async fn insert_model(
     .bind(model.gaussians)
     .bind(Json(&model.card))
     .bind(model.created_ms)
-    .execute(&mut **tx)
+    .execute(&mut *tx)
     .await?;
     for file in files {
-        sqlx::query(
+        sql::query(
             "INSERT INTO model_files (model_id, name, content_type, bytes, sha256, artifact)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+             VALUES ($1, $2, $3, $4, $5, $6)",
         )
         .bind(&model.id)
         .bind(&file.name)
@@ -358,7 +365,7 @@ async fn insert_model(
         .bind(file.bytes)
         .bind(&file.sha256)
         .bind(&file.artifact)
-        .execute(&mut **tx)
+        .execute(&mut *tx)
         .await?;
     }
     Ok(())

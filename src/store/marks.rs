@@ -2,13 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use sqlx::query::QueryAs;
-use sqlx::sqlite::SqliteArguments;
 use sqlx::types::Json;
-use sqlx::{Sqlite, Transaction};
 
 use crate::api::marks::{Marks, MarksChange};
 use crate::api::{ResourceKind, ResourceName, TenantId};
+use crate::store::sql::{self, QueryAs, Record, Sql, Tx};
 use crate::store::{Store, StoreError};
 
 /// Which things of a list are wanted; all where nothing is said.
@@ -22,25 +20,33 @@ pub struct Filter {
     pub labels: BTreeMap<String, String>,
 }
 
-/// A condition for a [`Filter`] that is bound first: `?1` to `?3`.
-macro_rules! wanted {
-    () => {
-        "(?1 IS NULL OR name = ?1) AND (?2 IS NULL OR external_id = ?2)
-           AND NOT EXISTS (SELECT 1 FROM json_each(?3) AS asked WHERE NOT EXISTS
-               (SELECT 1 FROM json_each(labels) AS own WHERE own.key = asked.key AND own.value = asked.value))"
+/// A query for the things of a table that a [`Filter`] wants, which is bound first: `$1` to `$3`. `$more` goes on after the condition.
+macro_rules! listed {
+    ($table:literal, $more:literal) => {
+        $crate::store::sql::Sql::each(
+            concat!(
+                "SELECT * FROM ",
+                $table,
+                " WHERE ($1 IS NULL OR name = $1) AND ($2 IS NULL OR external_id = $2)
+                   AND NOT EXISTS (SELECT 1 FROM json_each($3) AS asked WHERE NOT EXISTS
+                       (SELECT 1 FROM json_each(labels) AS own
+                        WHERE own.key = asked.key AND own.value = asked.value)) ",
+                $more
+            ),
+            concat!(
+                "SELECT * FROM ",
+                $table,
+                " WHERE ($1 IS NULL OR name = $1) AND ($2 IS NULL OR external_id = $2) AND labels @> $3 ",
+                $more
+            ),
+        )
     };
 }
-pub(super) use wanted;
+pub(super) use listed;
 
-/// A query with `wanted!()` in it, for this filter; `?4` and further are to be bound.
-pub(super) fn filtered<'q, T>(
-    query: &'static str,
-    filter: &'q Filter,
-) -> QueryAs<'q, Sqlite, T, SqliteArguments>
-where
-    T: for<'r> sqlx::FromRow<'r, sqlx::sqlite::SqliteRow>,
-{
-    sqlx::query_as(query).bind(&filter.name).bind(&filter.external_id).bind(Json(&filter.labels))
+/// A query that `listed!` made, for this filter; `$4` and further are to be bound.
+pub(super) fn filtered<T: Record>(query: Sql, filter: &Filter) -> QueryAs<T> {
+    sql::query_as(query).bind(&filter.name).bind(&filter.external_id).bind(Json(&filter.labels))
 }
 
 impl Store {
@@ -63,20 +69,20 @@ impl Store {
 
 /// As [`Store::change_marks`], as part of a transaction.
 pub(super) async fn change_within(
-    tx: &mut Transaction<'_, Sqlite>,
+    tx: &mut Tx,
     tenant: &TenantId,
     what: &ResourceName,
     change: &MarksChange,
 ) -> Result<Option<Marks>, StoreError> {
     for &(select, update) in statements(what.kind) {
         let found: Option<Marks> =
-            sqlx::query_as(select).bind(&what.id).bind(tenant).fetch_optional(&mut **tx).await?;
+            sql::query_as(select).bind(&what.id).bind(tenant).fetch_optional(&mut *tx).await?;
         let Some(marks) = found.map(|marks| marks.changed(change)) else { continue };
         if let Some((field, why)) = marks.fault() {
             return Err(StoreError::BadMarks { field, why });
         }
-        let query = sqlx::query(update).bind(&what.id).bind(&marks.name).bind(&marks.external_id);
-        query.bind(Json(&marks.labels)).execute(&mut **tx).await?;
+        let query = sql::query(update).bind(&what.id).bind(&marks.name).bind(&marks.external_id);
+        query.bind(Json(&marks.labels)).execute(&mut *tx).await?;
         return Ok(Some(marks));
     }
     Ok(None)
@@ -84,7 +90,7 @@ pub(super) async fn change_within(
 
 type Statements = &'static [(&'static str, &'static str)];
 
-/// Reads and writes what the thing `?1` (of the tenant `?2`, where it is read) is called, in each place where it may be.
+/// Reads and writes what the thing `$1` (of the tenant `$2`, where it is read) is called, in each place where it may be.
 fn statements(kind: ResourceKind) -> Statements {
     macro_rules! of {
         ($table:literal, $id:literal, $condition:literal) => {
@@ -94,15 +100,15 @@ fn statements(kind: ResourceKind) -> Statements {
                     $table,
                     " WHERE ",
                     $id,
-                    " = ?1 AND tenant = ?2",
+                    " = $1 AND tenant = $2",
                     $condition
                 ),
                 concat!(
                     "UPDATE ",
                     $table,
-                    " SET name = ?2, external_id = ?3, labels = ?4 WHERE ",
+                    " SET name = $2, external_id = $3, labels = $4 WHERE ",
                     $id,
-                    " = ?1"
+                    " = $1"
                 ),
             )
         };

@@ -1,7 +1,6 @@
-//! Metadata in SQLite and artifacts in an object store. SQL text lives here and nowhere else.
+//! Metadata in SQLite or PostgreSQL and artifacts in an object store. SQL text lives here and nowhere else.
 //!
-//! Every change that a client may have been told of is one transaction on a database in WAL mode
-//! with `synchronous=FULL`. Times come in as milliseconds since 1970 UTC, so that callers can inject a clock.
+//! Every change that a client may have been told of is one transaction; SQLite works in WAL mode with `synchronous=FULL`. Times come in as milliseconds since 1970 UTC, so that callers can inject a clock.
 
 mod admission;
 mod artifacts;
@@ -29,6 +28,7 @@ mod leases;
 mod ledger;
 mod marks;
 mod models;
+mod moving;
 mod node_lock;
 mod page;
 mod quota;
@@ -39,6 +39,7 @@ mod reservation;
 mod retention;
 mod room;
 mod shelf;
+mod sql;
 mod sweep;
 mod uploads;
 mod usage;
@@ -49,15 +50,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
-use sqlx::{Sqlite, SqlitePool, Transaction};
 use tokio::sync::Mutex;
 
-use database::Database;
+use database::{Database, DatabaseFile};
 use ledger::Ledger;
+use sql::{Pool, Sql, Tx};
 use uploads::Holds;
 
 pub use artifacts::Artifacts;
 pub use backup::{Backup, backup, restore};
+pub use database::{DatabaseUrl, Listener, ServerLock};
 pub use deletion::Deletion;
 pub use deliveries::{Attempt, DeliveryRecord, Replay};
 pub use discard::Discarded;
@@ -75,6 +77,7 @@ pub use key_token::KeyToken;
 pub use keys::{NewKeyRecord, has_keys};
 pub use leases::{LeaseStatus, Release};
 pub use marks::Filter;
+pub use moving::{CopiedTable, DatabasePlace, copy_database};
 pub use node_lock::NodeLock;
 pub use page::{NoPlace, Page, Place, Placed};
 pub use quota::Quota;
@@ -112,11 +115,19 @@ impl Store {
     /// When the directory cannot be created, or the database cannot be opened or migrated; [`StoreError::DatabaseMissing`] when
     /// there are artifacts and no database.
     pub async fn open(root: &Path) -> Result<Self, StoreError> {
+        Self::open_with(root, None).await
+    }
+
+    /// As [`Store::open`], with the metadata on a PostgreSQL server where one is given.
+    ///
+    /// # Errors
+    /// As [`Store::open`].
+    pub async fn open_with(root: &Path, url: Option<&DatabaseUrl>) -> Result<Self, StoreError> {
         folder::make_private(root)?;
-        if !root.join(database::FILE).exists() && has_artifacts(root)? {
+        if url.is_none() && !root.join(database::FILE).exists() && has_artifacts(root)? {
             return Err(StoreError::DatabaseMissing(root.display().to_string()));
         }
-        let database = Database::open(root).await?;
+        let database = Database::open(root, url).await?;
         Ok(Self {
             database,
             artifacts: Artifacts::open(root)?,
@@ -134,8 +145,11 @@ impl Store {
     ///
     /// # Errors
     /// As [`Store::open`]; [`StoreError::OlderServer`] when the server would not understand this version's schema.
-    pub async fn join(root: &Path) -> Result<Self, StoreError> {
-        match Database::schema_of(root).await? {
+    pub async fn join(root: &Path, url: Option<&DatabaseUrl>) -> Result<Self, StoreError> {
+        if url.is_some() {
+            return Self::open_with(root, url).await;
+        }
+        match DatabaseFile::schema_of(root).await? {
             found if found < database::schema() => {
                 Err(StoreError::OlderServer { found, known: database::schema() })
             }
@@ -179,16 +193,58 @@ impl Store {
     /// # Errors
     /// When it does not.
     pub async fn ping(&self) -> Result<(), StoreError> {
-        sqlx::query("SELECT 1").execute(self.pool()).await?;
+        sql::query("SELECT 1").execute(self.pool()).await?;
         Ok(())
     }
 
-    /// The SQLite library's version.
+    /// Name and version of the database.
     ///
     /// # Errors
     /// When the database does not answer.
-    pub async fn sqlite_version(&self) -> Result<String, StoreError> {
-        Ok(sqlx::query_scalar("SELECT sqlite_version()").fetch_one(self.pool()).await?)
+    pub async fn database_version(&self) -> Result<String, StoreError> {
+        let query = Sql::each(
+            "SELECT 'SQLite ' || sqlite_version()",
+            "SELECT 'PostgreSQL ' || current_setting('server_version')",
+        );
+        Ok(sql::query_scalar(query).fetch_one(self.pool()).await?)
+    }
+
+    /// Bytes that the database takes.
+    ///
+    /// # Errors
+    /// When the database does not answer.
+    pub async fn database_size(&self) -> Result<u64, StoreError> {
+        let query = Sql::each(
+            "SELECT page_count * page_size FROM pragma_page_count(), pragma_page_size()",
+            "SELECT pg_database_size(current_database())",
+        );
+        let bytes: i64 = sql::query_scalar(query).fetch_one(self.pool()).await?;
+        Ok(u64::try_from(bytes).unwrap_or(0))
+    }
+
+    /// The time of the database, milliseconds since 1970 UTC: one time for all that share it. `None` of a database that has no clock
+    /// but this machine's.
+    ///
+    /// # Errors
+    /// When the database does not answer.
+    pub async fn database_time(&self) -> Result<Option<i64>, StoreError> {
+        self.database.time().await
+    }
+
+    /// Becomes the only server on a shared database until what this returns is dropped.
+    ///
+    /// # Errors
+    /// [`StoreError::DatabaseLocked`] when there is one; when the database cannot be reached.
+    pub async fn lock_database(&self) -> Result<ServerLock, StoreError> {
+        self.database.lock().await
+    }
+
+    /// Hears of what anybody who shares the database writes about jobs.
+    ///
+    /// # Errors
+    /// When the database cannot be reached.
+    pub async fn listen(&self) -> Result<Listener, StoreError> {
+        self.database.listen().await
     }
 
     /// Closes every connection; the WAL is folded into the database file.
@@ -197,12 +253,17 @@ impl Store {
     }
 
     /// Connections for queries.
-    fn pool(&self) -> &SqlitePool {
+    fn pool(&self) -> &Pool {
         self.database.readers()
     }
 
-    async fn write(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
+    async fn write(&self) -> Result<Tx, StoreError> {
         self.database.write().await
+    }
+
+    /// See [`Database::write_row`].
+    async fn write_row(&self) -> Result<Tx, StoreError> {
+        self.database.write_row().await
     }
 }
 

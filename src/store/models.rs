@@ -3,7 +3,8 @@
 use std::collections::HashSet;
 
 use crate::api::{ModelId, TenantId};
-use crate::store::marks::{filtered, wanted};
+use crate::store::marks::{filtered, listed};
+use crate::store::sql;
 use crate::store::{Filter, ModelFile, ModelRecord, Page, Store, StoreError};
 
 impl Store {
@@ -13,7 +14,7 @@ impl Store {
     /// When the database fails.
     pub async fn model(&self, tenant: &TenantId, id: &ModelId) -> Result<Option<ModelRecord>, StoreError> {
         let query =
-            sqlx::query_as("SELECT * FROM models WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL")
+            sql::query_as("SELECT * FROM models WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL")
                 .bind(id)
                 .bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
@@ -29,14 +30,14 @@ impl Store {
         filter: &Filter,
         page: &Page,
     ) -> Result<Vec<ModelRecord>, StoreError> {
-        let query = concat!(
-            "SELECT * FROM models WHERE ",
-            wanted!(),
-            " AND tenant = ?6 AND deleted_ms IS NULL
-               AND (?4 IS NULL OR (created_ms, id) < (?7, ?4))
-             ORDER BY created_ms DESC, id DESC LIMIT ?5"
+        let query = listed!(
+            "models",
+            "AND tenant = $6 AND deleted_ms IS NULL
+               AND ($4 IS NULL OR (created_ms, id) < ($7, $4))
+             ORDER BY created_ms DESC, id DESC LIMIT $5"
         );
-        let query = filtered(query, filter).bind(page.id()).bind(page.limit).bind(tenant).bind(page.at());
+        let query =
+            filtered(query, filter).bind(page.id()).bind(i64::from(page.limit)).bind(tenant).bind(page.at());
         Ok(query.fetch_all(self.pool()).await?)
     }
 
@@ -45,7 +46,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn shown_ids(&self) -> Result<HashSet<String>, StoreError> {
-        let query = sqlx::query_scalar(
+        let query = sql::query_scalar(
             "SELECT id FROM models WHERE deleted_ms IS NULL
              UNION SELECT id FROM captures WHERE deleted_ms IS NULL",
         );
@@ -58,9 +59,9 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn model_files(&self, tenant: &TenantId, id: &ModelId) -> Result<Vec<ModelFile>, StoreError> {
-        let query = sqlx::query_as(
+        let query = sql::query_as(
             "SELECT model_files.* FROM model_files JOIN models ON models.id = model_id
-             WHERE model_id = ?1 AND tenant = ?2 AND deleted_ms IS NULL ORDER BY model_files.name",
+             WHERE model_id = $1 AND tenant = $2 AND deleted_ms IS NULL ORDER BY model_files.name",
         );
         Ok(query.bind(id).bind(tenant).fetch_all(self.pool()).await?)
     }
@@ -93,9 +94,9 @@ impl Store {
         id: &ModelId,
         name: &str,
     ) -> Result<Option<ModelFile>, StoreError> {
-        let query = sqlx::query_as(
+        let query = sql::query_as(
             "SELECT model_files.* FROM model_files JOIN models ON models.id = model_id
-             WHERE model_id = ?1 AND model_files.name = ?2 AND tenant = ?3 AND deleted_ms IS NULL",
+             WHERE model_id = $1 AND model_files.name = $2 AND tenant = $3 AND deleted_ms IS NULL",
         );
         Ok(query.bind(id).bind(name).bind(tenant).fetch_optional(self.pool()).await?)
     }

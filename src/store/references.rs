@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use sqlx::{FromRow, SqlitePool};
+use sqlx::FromRow;
 use uuid::Uuid;
 
 use crate::store::StoreError;
 use crate::store::exports::EXPORTS;
+use crate::store::sql::{self, On};
 use crate::store::uploads::UPLOADS;
 
 /// An artifact that the database names.
@@ -21,8 +22,8 @@ pub(super) struct Reference {
 }
 
 /// Every artifact that the database names.
-pub(super) async fn references(pool: &SqlitePool) -> Result<Vec<Reference>, StoreError> {
-    let query = sqlx::query_as(
+pub(super) async fn references<'c>(on: impl Into<On<'c>>) -> Result<Vec<Reference>, StoreError> {
+    let query = sql::query_as(
         "SELECT artifact, sha256, 'capture ' || id AS owner FROM captures WHERE deleted_ms IS NULL
          UNION ALL SELECT artifact, sha256, 'environment ' || id FROM environments WHERE deleted_ms IS NULL
          UNION ALL SELECT artifact, sha256, 'model ' || model_id || ', ' || model_files.name FROM model_files
@@ -32,18 +33,18 @@ pub(super) async fn references(pool: &SqlitePool) -> Result<Vec<Reference>, Stor
          UNION ALL SELECT checkpoint, checkpoint_sha256, 'checkpoint of job ' || id FROM jobs
              WHERE checkpoint IS NOT NULL AND state IN ('queued', 'running', 'cancelling') AND deleted_ms IS NULL",
     );
-    Ok(query.fetch_all(pool).await?)
+    Ok(query.fetch_all(on).await?)
 }
 
 /// Every name in the database that becomes a path, of what was deleted too.
-pub(super) async fn names(pool: &SqlitePool) -> Result<Vec<String>, StoreError> {
-    let query = sqlx::query_scalar(
+pub(super) async fn names<'c>(on: impl Into<On<'c>>) -> Result<Vec<String>, StoreError> {
+    let query = sql::query_scalar(
         "SELECT artifact FROM captures UNION SELECT artifact FROM environments UNION SELECT artifact FROM model_files
          UNION SELECT checkpoint FROM jobs WHERE checkpoint IS NOT NULL UNION SELECT 'attempts/' || id FROM jobs
          UNION SELECT 'uploads/' || id FROM uploads UNION SELECT 'exports/' || id FROM exports
          UNION SELECT artifact FROM exports WHERE artifact IS NOT NULL",
     );
-    Ok(query.fetch_all(pool).await?)
+    Ok(query.fetch_all(on).await?)
 }
 
 /// The keys of all files under `artifacts` that have a name which only this program gives. Blocks.

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use crate::api::{ResourceKind, ResourceName, TenantId};
+use crate::store::sql;
 use crate::store::{Deletion, Store, StoreError};
 
 /// How long things are kept; what has no time, or the label `keep:true`, is kept until it is deleted.
@@ -18,27 +19,27 @@ pub struct Retention {
     pub exports: Option<Duration>,
 }
 
-/// The things of a kind that are older than `?1`, oldest first; few at a time, so that no sweep takes long.
+/// The things of a kind that are older than `$1`, oldest first; few at a time, so that no sweep takes long.
 /// A label `keep:true` keeps them.
 const EXPIRED: [(ResourceKind, &str); 3] = [
     (
         ResourceKind::Job,
-        "SELECT id, tenant FROM jobs WHERE deleted_ms IS NULL AND finished_ms < ?1
-             AND NOT EXISTS (SELECT 1 FROM json_each(labels) WHERE key = 'keep' AND value = 'true')
+        "SELECT id, tenant FROM jobs WHERE deleted_ms IS NULL AND finished_ms < $1
+             AND COALESCE(labels ->> 'keep', '') <> 'true'
              AND state IN ('succeeded', 'rejected', 'failed', 'cancelled') ORDER BY finished_ms LIMIT 1000",
     ),
     (
         ResourceKind::Capture,
-        "SELECT id, tenant FROM captures WHERE deleted_ms IS NULL AND created_ms < ?1
-             AND NOT EXISTS (SELECT 1 FROM json_each(labels) WHERE key = 'keep' AND value = 'true') AND NOT EXISTS
+        "SELECT id, tenant FROM captures WHERE deleted_ms IS NULL AND created_ms < $1
+             AND COALESCE(labels ->> 'keep', '') <> 'true' AND NOT EXISTS
              (SELECT 1 FROM jobs WHERE capture_id = captures.id AND deleted_ms IS NULL
-                  AND (state NOT IN ('succeeded', 'rejected') OR created_ms >= ?1))
+                  AND (state NOT IN ('succeeded', 'rejected') OR created_ms >= $1))
          ORDER BY created_ms LIMIT 1000",
     ),
     (
         ResourceKind::Model,
-        "SELECT id, tenant FROM models WHERE deleted_ms IS NULL AND created_ms < ?1
-             AND NOT EXISTS (SELECT 1 FROM json_each(labels) WHERE key = 'keep' AND value = 'true')
+        "SELECT id, tenant FROM models WHERE deleted_ms IS NULL AND created_ms < $1
+             AND COALESCE(labels ->> 'keep', '') <> 'true'
          ORDER BY created_ms LIMIT 1000",
     ),
 ];
@@ -59,7 +60,7 @@ impl Store {
             let Some(keep) = keep else { continue };
             let before = now_ms.saturating_sub(i64::try_from(keep.as_millis()).unwrap_or(i64::MAX));
             let ids: Vec<(String, TenantId)> =
-                sqlx::query_as(query).bind(before).fetch_all(self.pool()).await?;
+                sql::query_as(query).bind(before).fetch_all(self.pool()).await?;
             for (id, tenant) in ids {
                 let name = ResourceName::new(kind, id);
                 if self.delete(&tenant, &name, false, now_ms).await? == Deletion::Done {

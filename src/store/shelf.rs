@@ -1,6 +1,7 @@
 //! Where uploads get their place: file and row together, one after another, so that no sweep comes in between.
 
 use crate::api::TenantId;
+use crate::store::sql;
 use crate::store::{CaptureRecord, EnvironmentRecord, Hold, Incoming, Store, StoreError};
 
 impl Store {
@@ -55,9 +56,9 @@ impl Store {
             Err(error) => return Err(error),
         }
         let _shelf = self.shelf.lock().await;
-        let named = "SELECT EXISTS (SELECT 1 FROM captures WHERE artifact = ?1 AND deleted_ms IS NULL)
-                         OR EXISTS (SELECT 1 FROM environments WHERE artifact = ?1 AND deleted_ms IS NULL)";
-        if sqlx::query_scalar(named).bind(artifact).fetch_one(self.pool()).await? {
+        let named = "SELECT EXISTS (SELECT 1 FROM captures WHERE artifact = $1 AND deleted_ms IS NULL)
+                         OR EXISTS (SELECT 1 FROM environments WHERE artifact = $1 AND deleted_ms IS NULL)";
+        if sql::query_scalar(named).bind(artifact).fetch_one(self.pool()).await? {
             let pieces = incoming.upload.take();
             self.artifacts.publish(incoming, artifact).await?;
             if let Some(pieces) = pieces {

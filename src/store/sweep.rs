@@ -7,6 +7,7 @@ use std::time::{Duration, SystemTime};
 
 use crate::store::exports::EXPORTS;
 use crate::store::references::{references, stored};
+use crate::store::sql;
 use crate::store::uploads::UPLOADS;
 use crate::store::{Store, StoreError};
 
@@ -33,7 +34,7 @@ impl Store {
     pub async fn sweep_orphans(&self, now: SystemTime) -> Result<Swept, StoreError> {
         let named: HashSet<String> =
             references(self.pool()).await?.into_iter().map(|reference| reference.artifact).collect();
-        let jobs: Vec<String> = sqlx::query_scalar("SELECT id FROM jobs").fetch_all(self.pool()).await?;
+        let jobs: Vec<String> = sql::query_scalar("SELECT id FROM jobs").fetch_all(self.pool()).await?;
         let jobs: HashSet<String> = jobs.into_iter().collect();
         let root = self.artifacts.local_path("");
         let swept = tokio::task::spawn_blocking(move || sweep(&root, &named, &jobs, now)).await;

@@ -7,6 +7,7 @@ use std::sync::atomic::Ordering;
 use crate::api::TenantId;
 use crate::api::usage::{StoredKind, Usage};
 use crate::store::references::references;
+use crate::store::sql;
 use crate::store::{Store, StoreError};
 
 /// How much may be stored.
@@ -69,30 +70,30 @@ impl Store {
         Ok(Usage {
             captures: self
                 .kind(
-                    "SELECT COUNT(*), SUM(bytes) FROM captures WHERE tenant = ?1 AND deleted_ms IS NULL",
+                    "SELECT COUNT(*), CAST(SUM(bytes) AS BIGINT) FROM captures WHERE tenant = $1 AND deleted_ms IS NULL",
                     tenant,
                 )
                 .await?,
             environments: self
                 .kind(
-                    "SELECT COUNT(*), SUM(bytes) FROM environments WHERE tenant = ?1 AND deleted_ms IS NULL",
+                    "SELECT COUNT(*), CAST(SUM(bytes) AS BIGINT) FROM environments WHERE tenant = $1 AND deleted_ms IS NULL",
                     tenant,
                 )
                 .await?,
             models: self
                 .kind(
-                    "SELECT COUNT(DISTINCT models.id), SUM(bytes) FROM models
-                     LEFT JOIN model_files ON model_id = models.id WHERE tenant = ?1 AND deleted_ms IS NULL",
+                    "SELECT COUNT(DISTINCT models.id), CAST(SUM(bytes) AS BIGINT) FROM models
+                     LEFT JOIN model_files ON model_id = models.id WHERE tenant = $1 AND deleted_ms IS NULL",
                     tenant,
                 )
                 .await?,
             uploads: self
-                .kind("SELECT COUNT(*), SUM(received) FROM uploads WHERE tenant = ?1", tenant)
+                .kind("SELECT COUNT(*), CAST(SUM(received) AS BIGINT) FROM uploads WHERE tenant = $1", tenant)
                 .await?,
             exports: self
                 .kind(
-                    "SELECT COUNT(*), SUM(COALESCE(bytes, 0) + work_bytes) FROM exports
-                     WHERE tenant = ?1 AND deleted_ms IS NULL",
+                    "SELECT COUNT(*), CAST(SUM(COALESCE(bytes, 0) + work_bytes) AS BIGINT) FROM exports
+                     WHERE tenant = $1 AND deleted_ms IS NULL",
                     tenant,
                 )
                 .await?,
@@ -127,13 +128,15 @@ impl Store {
 
     /// Bytes of what is stored, with what was deleted and is not removed yet.
     async fn kept_bytes(&self) -> Result<u64, StoreError> {
-        let bytes: i64 = sqlx::query_scalar(
-            "SELECT COALESCE((SELECT SUM(bytes) FROM
-                        (SELECT DISTINCT artifact, bytes FROM captures WHERE swept_ms IS NULL)), 0)
-                  + COALESCE((SELECT SUM(bytes) FROM (SELECT DISTINCT artifact, bytes FROM environments)), 0)
+        let bytes: i64 = sql::query_scalar(
+            "SELECT CAST(
+                    COALESCE((SELECT SUM(bytes) FROM
+                        (SELECT DISTINCT artifact, bytes FROM captures WHERE swept_ms IS NULL) AS of_captures), 0)
+                  + COALESCE((SELECT SUM(bytes) FROM
+                        (SELECT DISTINCT artifact, bytes FROM environments) AS of_environments), 0)
                   + COALESCE((SELECT SUM(received) FROM uploads), 0)
                   + COALESCE((SELECT SUM(bytes) FROM model_files), 0)
-                  + COALESCE((SELECT SUM(COALESCE(bytes, 0) + work_bytes) FROM exports), 0)",
+                  + COALESCE((SELECT SUM(COALESCE(bytes, 0) + work_bytes) FROM exports), 0) AS BIGINT)",
         )
         .fetch_one(self.pool())
         .await?;
@@ -141,10 +144,10 @@ impl Store {
     }
 
     async fn checkpoints(&self, of: Option<&TenantId>) -> Result<StoredKind, StoreError> {
-        let keys: Vec<String> = sqlx::query_scalar(
+        let keys: Vec<String> = sql::query_scalar(
             "SELECT checkpoint FROM jobs
              WHERE checkpoint IS NOT NULL AND state IN ('queued', 'running', 'cancelling')
-                 AND (?1 IS NULL OR tenant = ?1)",
+                 AND ($1 IS NULL OR tenant = $1)",
         )
         .bind(of)
         .fetch_all(self.pool())
@@ -161,7 +164,7 @@ impl Store {
 
     async fn kind(&self, query: &'static str, tenant: &TenantId) -> Result<StoredKind, StoreError> {
         let (count, bytes): (i64, Option<i64>) =
-            sqlx::query_as(query).bind(tenant).fetch_one(self.pool()).await?;
+            sql::query_as(query).bind(tenant).fetch_one(self.pool()).await?;
         let natural = |number: i64| u64::try_from(number).unwrap_or(0);
         Ok(StoredKind { count: natural(count), bytes: natural(bytes.unwrap_or(0)) })
     }

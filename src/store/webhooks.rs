@@ -6,6 +6,7 @@ use sqlx::types::Json;
 use crate::api::webhooks::{WebhookChange, WebhookEvent};
 use crate::api::{KeyId, TenantId, WebhookId};
 use crate::store::page::placed;
+use crate::store::sql;
 use crate::store::{Page, Store, StoreError};
 
 /// Most webhooks of a tenant.
@@ -75,10 +76,10 @@ impl Store {
     /// [`StoreError::TooManyWebhooks`] when the tenant has as many as it may; when the database fails.
     pub async fn create_webhook(&self, webhook: &WebhookRecord) -> Result<WebhookRecord, StoreError> {
         let mut tx = self.write().await?;
-        let made = sqlx::query_as(
+        let made = sql::query_as(
             "INSERT INTO webhooks (id, tenant, url, events, name, secret, made_by, created_ms, enabled)
-             SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9
-             WHERE (SELECT COUNT(*) FROM webhooks WHERE tenant = ?2) < ?10 RETURNING *",
+             SELECT $1, $2, $3, $4, $5, $6, $7, $8, $9
+             WHERE (SELECT COUNT(*) FROM webhooks WHERE tenant = $2) < $10 RETURNING *",
         )
         .bind(&webhook.id)
         .bind(&webhook.tenant)
@@ -90,7 +91,7 @@ impl Store {
         .bind(webhook.created_ms)
         .bind(webhook.enabled)
         .bind(MOST)
-        .fetch_optional(&mut *tx)
+        .fetch_optional(&mut tx)
         .await?
         .ok_or(StoreError::TooManyWebhooks { most: MOST })?;
         tx.commit().await?;
@@ -106,7 +107,7 @@ impl Store {
         tenant: &TenantId,
         id: &WebhookId,
     ) -> Result<Option<WebhookRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM webhooks WHERE id = ?1 AND tenant = ?2");
+        let query = sql::query_as("SELECT * FROM webhooks WHERE id = $1 AND tenant = $2");
         Ok(query.bind(id).bind(tenant).fetch_optional(self.pool()).await?)
     }
 
@@ -115,13 +116,13 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn webhooks(&self, tenant: &TenantId, page: &Page) -> Result<Vec<WebhookRecord>, StoreError> {
-        let query = sqlx::query_as(
+        let query = sql::query_as(
             "SELECT * FROM webhooks
-             WHERE tenant = ?2
-               AND (?1 IS NULL OR (created_ms, id) < (?4, ?1))
-             ORDER BY created_ms DESC, id DESC LIMIT ?3",
+             WHERE tenant = $2
+               AND ($1 IS NULL OR (created_ms, id) < ($4, $1))
+             ORDER BY created_ms DESC, id DESC LIMIT $3",
         );
-        let query = query.bind(page.id()).bind(tenant).bind(page.limit).bind(page.at());
+        let query = query.bind(page.id()).bind(tenant).bind(i64::from(page.limit)).bind(page.at());
         Ok(query.fetch_all(self.pool()).await?)
     }
 
@@ -136,13 +137,13 @@ impl Store {
         change: &WebhookChange,
     ) -> Result<Option<WebhookRecord>, StoreError> {
         let mut tx = self.write().await?;
-        let changed = sqlx::query_as(
-            "UPDATE webhooks SET url = COALESCE(?3, url), events = COALESCE(?4, events),
-                 name = COALESCE(?5, name), enabled = COALESCE(?6, enabled),
-                 failing_since_ms = CASE WHEN ?6 THEN NULL ELSE failing_since_ms END,
-                 switched_off_ms = CASE WHEN ?6 THEN NULL ELSE switched_off_ms END,
-                 switched_off_because = CASE WHEN ?6 THEN NULL ELSE switched_off_because END
-             WHERE id = ?1 AND tenant = ?2 RETURNING *",
+        let changed = sql::query_as(
+            "UPDATE webhooks SET url = COALESCE($3, url), events = COALESCE($4, events),
+                 name = COALESCE($5, name), enabled = COALESCE($6, enabled),
+                 failing_since_ms = CASE WHEN $6 THEN NULL ELSE failing_since_ms END,
+                 switched_off_ms = CASE WHEN $6 THEN NULL ELSE switched_off_ms END,
+                 switched_off_because = CASE WHEN $6 THEN NULL ELSE switched_off_because END
+             WHERE id = $1 AND tenant = $2 RETURNING *",
         )
         .bind(id)
         .bind(tenant)
@@ -150,7 +151,7 @@ impl Store {
         .bind(change.events.as_ref().map(Json))
         .bind(&change.name)
         .bind(change.enabled)
-        .fetch_optional(&mut *tx)
+        .fetch_optional(&mut tx)
         .await?;
         tx.commit().await?;
         Ok(changed)
@@ -168,12 +169,12 @@ impl Store {
         former_until_ms: i64,
     ) -> Result<Option<WebhookRecord>, StoreError> {
         let mut tx = self.write().await?;
-        let rotated = sqlx::query_as(
-            "UPDATE webhooks SET former_secret = secret, former_until_ms = ?4, secret = ?3
-             WHERE id = ?1 AND tenant = ?2 RETURNING *",
+        let rotated = sql::query_as(
+            "UPDATE webhooks SET former_secret = secret, former_until_ms = $4, secret = $3
+             WHERE id = $1 AND tenant = $2 RETURNING *",
         );
         let rotated = rotated.bind(id).bind(tenant).bind(secret).bind(former_until_ms);
-        let rotated = rotated.fetch_optional(&mut *tx).await?;
+        let rotated = rotated.fetch_optional(&mut tx).await?;
         tx.commit().await?;
         Ok(rotated)
     }
@@ -185,11 +186,11 @@ impl Store {
     pub async fn delete_webhook(&self, tenant: &TenantId, id: &WebhookId) -> Result<bool, StoreError> {
         let mut tx = self.write().await?;
         let deliveries = "DELETE FROM deliveries
-             WHERE webhook_id = (SELECT id FROM webhooks WHERE id = ?1 AND tenant = ?2)";
-        sqlx::query(deliveries).bind(id).bind(tenant).execute(&mut *tx).await?;
-        let query = sqlx::query("DELETE FROM webhooks WHERE id = ?1 AND tenant = ?2");
-        let deleted = query.bind(id).bind(tenant).execute(&mut *tx).await?;
+             WHERE webhook_id = (SELECT id FROM webhooks WHERE id = $1 AND tenant = $2)";
+        sql::query(deliveries).bind(id).bind(tenant).execute(&mut tx).await?;
+        let query = sql::query("DELETE FROM webhooks WHERE id = $1 AND tenant = $2");
+        let deleted = query.bind(id).bind(tenant).execute(&mut tx).await?;
         tx.commit().await?;
-        Ok(deleted.rows_affected() == 1)
+        Ok(deleted == 1)
     }
 }

@@ -23,6 +23,8 @@ impl Verdict {
     fn on(lease: &Lease, failure: AttemptError) -> Self {
         if failure.is_shortage() {
             Self::Release(Release::NoRoom)
+        } else if failure.is_outage() {
+            Self::Release(Release::Outage)
         } else if failure.is_device_failure() && !lease.is_last_attempt() {
             Self::Release(Release::AttemptFailed)
         } else {

@@ -9,6 +9,10 @@ mod matrix;
 mod poses;
 #[cfg(feature = "gpu")]
 mod precision;
+#[cfg(feature = "server")]
+mod quantiles;
+#[cfg(feature = "server")]
+mod queue;
 #[cfg(all(feature = "server", feature = "client"))]
 mod service;
 mod shadow;
@@ -40,6 +44,9 @@ enum What {
     #[cfg(feature = "gpu")]
     /// Error of a device's engine against f64, stage by stage.
     Precision(precision::PrecisionArgs),
+    #[cfg(feature = "server")]
+    /// How fast jobs go through the queue when no worker computes anything, and what they leave in the database.
+    Queue(queue::QueueArgs),
     /// Size, time and accuracy of trainings with all model features and with those that the scene requires.
     Complexity(complexity::ComplexityArgs),
     #[cfg(all(feature = "server", feature = "client"))]
@@ -62,6 +69,8 @@ pub(super) fn run(args: &BenchArgs) -> CommandResult {
         What::Poses(args) => poses::run(args),
         #[cfg(feature = "gpu")]
         What::Precision(args) => precision::run(args),
+        #[cfg(feature = "server")]
+        What::Queue(args) => queue::run(args),
         What::Complexity(args) => complexity::run(args),
         #[cfg(all(feature = "server", feature = "client"))]
         What::Service(args) => service::run(args),

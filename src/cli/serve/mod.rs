@@ -7,6 +7,7 @@ use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 
 use crate::cli::CommandResult;
+use crate::cli::database::DatabaseArgs;
 use crate::engine::DeviceChoice;
 use crate::server::{self, CorsOrigin, ServerConfig};
 
@@ -27,6 +28,8 @@ pub(super) struct ServeArgs {
     /// Where everything is stored.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
+    #[command(flatten)]
+    database: DatabaseArgs,
     #[command(flatten)]
     keys: keys::KeyArgs,
     /// Origins whose web pages may call the API, e.g. `https://app.example.org`, or `*` for all (needs an API key).
@@ -74,6 +77,7 @@ pub(super) fn run(args: ServeArgs) -> CommandResult {
 
 async fn serve(args: ServeArgs) -> CommandResult {
     let mut config = ServerConfig::new(&args.data_dir);
+    args.database.apply(&mut config);
     config.api_keys = args.keys.configured()?;
     config.cors_origins = args.cors_origins;
     config.allowed_hosts = args.allowed_hosts;

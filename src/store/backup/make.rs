@@ -10,66 +10,92 @@ use crate::store::StoreError;
 use crate::store::backup::Backup;
 use crate::store::backup::files::{CopiedFile, claim, clear, copy};
 use crate::store::backup::manifest::{DATABASE, Manifest, artifact_path};
-use crate::store::database::{self, Database};
+use crate::store::database::{self, Database, DatabaseFile, DatabaseUrl};
 use crate::store::hash::hash_file;
+use crate::store::moving::copy_to_file;
 use crate::store::references::{Reference, references};
+use crate::store::sql;
 
 /// Copies of the database, until one is found whose artifacts are all there.
 const TRIES: usize = 5;
 
-/// Copies a data directory to a new folder, every artifact compared with its hash. A server may work on it meanwhile.
+/// Copies a data directory to a new folder, every artifact compared with its hash, with the database at `url` where that is not in
+/// the directory: in a backup it is a file of SQLite in any case. A server may work meanwhile.
 ///
 /// # Errors
 /// [`StoreError::NotEmpty`] when there is something at `out`; [`StoreError::Damaged`] and [`StoreError::Missing`] when an artifact
 /// is. What was made is removed then.
-pub async fn backup(root: &Path, out: &Path, now_ms: i64) -> Result<Backup, StoreError> {
-    if !root.join(database::FILE).exists() {
+pub async fn backup(
+    root: &Path,
+    url: Option<&DatabaseUrl>,
+    out: &Path,
+    now_ms: i64,
+) -> Result<Backup, StoreError> {
+    if url.is_none() && !root.join(database::FILE).exists() {
         return Err(StoreError::NoDatabase(root.display().to_string()));
     }
     claim(out)?;
-    let made = make(root, out, now_ms).await;
+    let made = make(root, url, out, now_ms).await;
     if made.is_err() {
         clear(out);
     }
     made
 }
 
-async fn make(root: &Path, out: &Path, now_ms: i64) -> Result<Backup, StoreError> {
-    let pool = Database::open_to_copy(root).await?;
-    let made = copy_all(&pool, root, out, now_ms).await;
-    pool.close().await;
+async fn make(root: &Path, url: Option<&DatabaseUrl>, out: &Path, now_ms: i64) -> Result<Backup, StoreError> {
+    let source = match url {
+        None => Source::File(DatabaseFile::open_to_copy(root).await?),
+        Some(_) => Source::Server(Database::open(root, url).await?),
+    };
+    let made = copy_all(&source, root, out, now_ms).await;
+    match source {
+        Source::File(pool) => pool.close().await,
+        Source::Server(database) => database.close().await,
+    }
     made
 }
 
-async fn copy_all(pool: &SqlitePool, root: &Path, out: &Path, now_ms: i64) -> Result<Backup, StoreError> {
+/// The database that is copied.
+enum Source {
+    File(SqlitePool),
+    Server(Database),
+}
+
+async fn copy_all(source: &Source, root: &Path, out: &Path, now_ms: i64) -> Result<Backup, StoreError> {
     let mut copies = Copies { root: root.to_owned(), out: out.to_owned(), files: HashMap::new() };
     let file = out.join(DATABASE);
     for _ in 1..TRIES {
-        let named = copy_database(pool, &file).await?;
+        let named = copy_database(source, &file).await?;
         let (given_back, missing) = copies.add(named).await?;
         copies = given_back;
         if missing.is_empty() {
             return finish(copies, &file, now_ms, 0).await;
         }
     }
-    let named = copy_database(pool, &file).await?;
+    let named = copy_database(source, &file).await?;
     let (copies, missing) = copies.add(named).await?;
     forget_checkpoints(&file, &missing).await?;
     finish(copies, &file, now_ms, missing.len()).await
 }
 
 /// Copies the database as it is at one moment, without unfinished uploads and exports; what that copy names.
-async fn copy_database(pool: &SqlitePool, to: &Path) -> Result<Vec<Reference>, StoreError> {
+async fn copy_database(source: &Source, to: &Path) -> Result<Vec<Reference>, StoreError> {
     if to.exists() {
         std::fs::remove_file(to)?;
     }
-    let path = to.to_str().ok_or_else(|| std::io::Error::other("the path of a backup must be Unicode"))?;
-    sqlx::query("VACUUM INTO ?1").bind(path).execute(pool).await?;
+    match source {
+        Source::File(pool) => {
+            let path = to.to_str();
+            let path = path.ok_or_else(|| std::io::Error::other("the path of a backup must be Unicode"))?;
+            sql::query("VACUUM INTO $1").bind(path).execute(pool).await?;
+        }
+        Source::Server(database) => copy_to_file(database, to).await?,
+    }
     // What has arrived of unfinished uploads is not copied: their uploaders have it still.
-    let copy = Database::open_copy(to, false).await?;
-    sqlx::query("DELETE FROM uploads").execute(&copy).await?;
+    let copy = DatabaseFile::open_copy(to, false).await?;
+    sql::query("DELETE FROM uploads").execute(&copy).await?;
     // Exports can be made again.
-    sqlx::query("DELETE FROM exports").execute(&copy).await?;
+    sql::query("DELETE FROM exports").execute(&copy).await?;
     let named = references(&copy).await;
     copy.close().await;
     named
@@ -77,12 +103,12 @@ async fn copy_database(pool: &SqlitePool, to: &Path) -> Result<Vec<Reference>, S
 
 /// Jobs whose checkpoints were replaced too fast to be copied start over.
 async fn forget_checkpoints(database: &Path, missing: &[String]) -> Result<(), StoreError> {
-    let copy = Database::open_copy(database, false).await?;
+    let copy = DatabaseFile::open_copy(database, false).await?;
     for key in missing {
         let forget =
             "UPDATE jobs SET checkpoint = NULL, checkpoint_step = NULL, checkpoint_sha256 = NULL, step = 0
-                      WHERE checkpoint = ?1";
-        if sqlx::query(forget).bind(key).execute(&copy).await?.rows_affected() == 0 {
+                      WHERE checkpoint = $1";
+        if sql::query(forget).bind(key).execute(&copy).await? == 0 {
             return Err(StoreError::Missing(key.clone()));
         }
     }
@@ -96,7 +122,7 @@ async fn finish(
     now_ms: i64,
     without_checkpoint: usize,
 ) -> Result<Backup, StoreError> {
-    let copy = Database::open_copy(database, true).await?;
+    let copy = DatabaseFile::open_copy(database, true).await?;
     let named = references(&copy).await;
     copy.close().await;
     let mut files = Vec::new();

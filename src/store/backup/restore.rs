@@ -7,8 +7,9 @@ use crate::store::artifacts::is_key;
 use crate::store::backup::Backup;
 use crate::store::backup::files::{CopiedFile, claim, clear, copy, sync_folders};
 use crate::store::backup::manifest::{DATABASE, Manifest, artifact_path};
-use crate::store::database::{self, Database};
+use crate::store::database::{self, DatabaseFile};
 use crate::store::references::{names, references};
+use crate::store::sql;
 use crate::store::{NodeLock, RESTORING, StoreError};
 
 /// Makes a data directory from a backup, every file compared with its hash. Blocks while it copies.
@@ -63,13 +64,12 @@ fn copy_checked(expected: &CopiedFile, from: &Path, to: &Path) -> Result<(), Sto
 
 /// Whether the database is sound and everything is there that it names.
 async fn check(manifest: &Manifest, database: &Path) -> Result<(), StoreError> {
-    let copy = Database::open_copy(database, true).await?;
-    let integrity: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(1)").fetch_all(&copy).await?;
+    let copy = DatabaseFile::open_copy(database, true).await?;
+    let integrity: Vec<String> = sql::query_scalar("PRAGMA integrity_check(1)").fetch_all(&copy).await?;
     if let Some(damage) = integrity.into_iter().find(|line| line != "ok") {
         return Err(StoreError::DatabaseDamaged(damage));
     }
-    let schema: i64 =
-        sqlx::query_scalar("SELECT MAX(version) FROM _sqlx_migrations").fetch_one(&copy).await?;
+    let schema: i64 = sql::query_scalar("SELECT MAX(version) FROM _sqlx_migrations").fetch_one(&copy).await?;
     if schema != manifest.schema {
         return Err(StoreError::Damaged(DATABASE.to_owned()));
     }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::api::ExportId;
 use crate::store::exports::{ClaimedExport, EXPORTS, ExportedFile};
 use crate::store::hash::hash_file;
+use crate::store::sql;
 use crate::store::{Store, StoreError};
 
 impl Store {
@@ -15,18 +16,18 @@ impl Store {
     /// When the database fails.
     pub async fn claim_export(&self, frames: bool, now_ms: i64) -> Result<Option<ClaimedExport>, StoreError> {
         let mut tx = self.write().await?;
-        let claimed = sqlx::query_as(
-            "UPDATE exports SET state = 'running', started_ms = COALESCE(started_ms, ?1)
+        let claimed = sql::query_as(
+            "UPDATE exports SET state = 'running', started_ms = COALESCE(started_ms, $1)
              WHERE state = 'queued' AND id = (
                  SELECT id FROM exports AS next
-                 WHERE state = 'queued' AND deleted_ms IS NULL AND (kind = 'frames') = ?2
+                 WHERE state = 'queued' AND deleted_ms IS NULL AND (kind = 'frames') = $2
                  ORDER BY (SELECT COALESCE(MAX(finished_ms), 0) FROM exports WHERE tenant = next.tenant), created_ms, id
                  LIMIT 1)
              RETURNING *",
         )
         .bind(now_ms)
         .bind(frames)
-        .fetch_optional(&mut *tx)
+        .fetch_optional(&mut tx)
         .await?;
         tx.commit().await?;
         Ok(claimed)
@@ -38,8 +39,8 @@ impl Store {
     /// When the database fails.
     pub async fn requeue_exports(&self, only: Option<&ExportId>) -> Result<u64, StoreError> {
         let mut tx = self.write().await?;
-        let query = "UPDATE exports SET state = 'queued' WHERE state = 'running' AND (?1 IS NULL OR id = ?1)";
-        let changed = sqlx::query(query).bind(only).execute(&mut *tx).await?.rows_affected();
+        let query = "UPDATE exports SET state = 'queued' WHERE state = 'running' AND ($1 IS NULL OR id = $1)";
+        let changed = sql::query(query).bind(only).execute(&mut tx).await?;
         tx.commit().await?;
         Ok(changed)
     }
@@ -50,12 +51,12 @@ impl Store {
     /// When the database fails.
     pub async fn note_export(&self, id: &ExportId, done: i64, work_bytes: u64) -> Result<bool, StoreError> {
         let mut tx = self.write().await?;
-        let query = "UPDATE exports SET done = MIN(?2, total), work_bytes = ?3
-                         WHERE id = ?1 AND state = 'running' AND deleted_ms IS NULL";
+        let query = "UPDATE exports SET done = CASE WHEN total < $2 THEN total ELSE $2 END, work_bytes = $3
+                         WHERE id = $1 AND state = 'running' AND deleted_ms IS NULL";
         let bytes = i64::try_from(work_bytes).unwrap_or(i64::MAX);
-        let changed = sqlx::query(query).bind(id).bind(done).bind(bytes).execute(&mut *tx).await?;
+        let changed = sql::query(query).bind(id).bind(done).bind(bytes).execute(&mut tx).await?;
         tx.commit().await?;
-        Ok(changed.rows_affected() == 1)
+        Ok(changed == 1)
     }
 
     /// Makes a file the one of an export, in place of what its work folder holds. `false`, and the file is gone, when nobody wants
@@ -75,10 +76,10 @@ impl Store {
         let moved = tokio::task::spawn_blocking(move || move_durably(&from, &to)).await;
         let (sha256, bytes) = moved.map_err(std::io::Error::other)??;
         let mut tx = self.write().await?;
-        let changed = sqlx::query(
-            "UPDATE exports SET state = 'succeeded', done = total, work_bytes = 0, file_name = ?2, content_type = ?3,
-                 artifact = ?4, bytes = ?5, sha256 = ?6, finished_ms = ?7
-             WHERE id = ?1 AND state = 'running' AND deleted_ms IS NULL",
+        let changed = sql::query(
+            "UPDATE exports SET state = 'succeeded', done = total, work_bytes = 0, file_name = $2, content_type = $3,
+                 artifact = $4, bytes = $5, sha256 = $6, finished_ms = $7
+             WHERE id = $1 AND state = 'running' AND deleted_ms IS NULL",
         )
         .bind(id)
         .bind(&file.name)
@@ -87,13 +88,13 @@ impl Store {
         .bind(i64::try_from(bytes).unwrap_or(i64::MAX))
         .bind(sha256)
         .bind(now_ms)
-        .execute(&mut *tx)
+        .execute(&mut tx)
         .await?;
         tx.commit().await?;
-        if changed.rows_affected() == 0 {
+        if changed == 0 {
             self.artifacts.discard(&key).await?;
         }
-        Ok(changed.rows_affected() == 1)
+        Ok(changed == 1)
     }
 
     /// Ends an export that cannot be made.
@@ -108,9 +109,9 @@ impl Store {
         now_ms: i64,
     ) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
-        let query = "UPDATE exports SET state = 'failed', work_bytes = 0, error_code = ?2, error_detail = ?3, finished_ms = ?4
-                         WHERE id = ?1 AND state = 'running'";
-        sqlx::query(query).bind(id).bind(code).bind(detail).bind(now_ms).execute(&mut *tx).await?;
+        let query = "UPDATE exports SET state = 'failed', work_bytes = 0, error_code = $2, error_detail = $3, finished_ms = $4
+                         WHERE id = $1 AND state = 'running'";
+        sql::query(query).bind(id).bind(code).bind(detail).bind(now_ms).execute(&mut tx).await?;
         Ok(tx.commit().await?)
     }
 

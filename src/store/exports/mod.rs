@@ -6,11 +6,11 @@ mod record;
 mod removal;
 
 use sqlx::types::Json;
-use sqlx::{Sqlite, Transaction};
 
 use crate::api::exports::{ExportState, NewExport};
 use crate::api::{ExportId, ModelId, ResourceKind, ResourceName, TenantId};
 use crate::store::idempotency::{remember, replay};
+use crate::store::sql::{self, Tx};
 use crate::store::{IdempotencyKey, Page, Store, StoreError, Submitted};
 
 pub(super) use record::EXPORTS;
@@ -51,16 +51,16 @@ impl Store {
             return Ok(Submitted::Replayed(response));
         }
         let model =
-            "SELECT EXISTS (SELECT 1 FROM models WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL)";
-        let model = sqlx::query_scalar(model).bind(&export.model_id).bind(&export.tenant);
-        if !model.fetch_one(&mut *tx).await? {
+            "SELECT EXISTS (SELECT 1 FROM models WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL)";
+        let model = sql::query_scalar(model).bind(&export.model_id).bind(&export.tenant);
+        if !model.fetch_one(&mut tx).await? {
             let model = ResourceName::new(ResourceKind::Model, export.model_id.to_string());
             return Err(StoreError::Deleted(model));
         }
         admit_one_more(&mut tx, &export.tenant, most).await?;
-        sqlx::query(
+        sql::query(
             "INSERT INTO exports (id, tenant, model_id, kind, request, state, total, created_ms)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8)",
         )
         .bind(&export.id)
         .bind(&export.tenant)
@@ -70,7 +70,7 @@ impl Store {
         .bind(export.state)
         .bind(export.progress.total)
         .bind(now_ms)
-        .execute(&mut *tx)
+        .execute(&mut tx)
         .await?;
         let response = answer(export);
         if let Some(key) = key {
@@ -88,9 +88,9 @@ impl Store {
         let query = concat!(
             "SELECT ",
             columns!(),
-            " FROM exports WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL"
+            " FROM exports WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL"
         );
-        Ok(sqlx::query_as(query).bind(id).bind(tenant).fetch_optional(self.pool()).await?)
+        Ok(sql::query_as(query).bind(id).bind(tenant).fetch_optional(self.pool()).await?)
     }
 
     /// Exports of a tenant, newest first, of one model or state, or of all.
@@ -107,24 +107,20 @@ impl Store {
         let query = concat!(
             "SELECT ",
             columns!(),
-            " FROM exports WHERE tenant = ?1 AND deleted_ms IS NULL
-                 AND (?2 IS NULL OR model_id = ?2) AND (?3 IS NULL OR state = ?3)
-                 AND (?4 IS NULL OR (created_ms, id) < (?5, ?4))
-             ORDER BY created_ms DESC, id DESC LIMIT ?6"
+            " FROM exports WHERE tenant = $1 AND deleted_ms IS NULL
+                 AND ($2 IS NULL OR model_id = $2) AND ($3 IS NULL OR state = $3)
+                 AND ($4 IS NULL OR (created_ms, id) < ($5, $4))
+             ORDER BY created_ms DESC, id DESC LIMIT $6"
         );
-        let query = sqlx::query_as(query).bind(tenant).bind(model).bind(state).bind(page.id());
-        Ok(query.bind(page.at()).bind(page.limit).fetch_all(self.pool()).await?)
+        let query = sql::query_as(query).bind(tenant).bind(model).bind(state).bind(page.id());
+        Ok(query.bind(page.at()).bind(i64::from(page.limit)).fetch_all(self.pool()).await?)
     }
 }
 
 /// Refuses one more of a tenant that has `most` which wait or run.
-async fn admit_one_more(
-    tx: &mut Transaction<'_, Sqlite>,
-    tenant: &TenantId,
-    most: u32,
-) -> Result<(), StoreError> {
+async fn admit_one_more(tx: &mut Tx, tenant: &TenantId, most: u32) -> Result<(), StoreError> {
     let counting = "SELECT COUNT(*) FROM exports
-                        WHERE tenant = ?1 AND state IN ('queued', 'running') AND deleted_ms IS NULL";
-    let count: i64 = sqlx::query_scalar(counting).bind(tenant).fetch_one(&mut **tx).await?;
+                        WHERE tenant = $1 AND state IN ('queued', 'running') AND deleted_ms IS NULL";
+    let count: i64 = sql::query_scalar(counting).bind(tenant).fetch_one(&mut *tx).await?;
     if count >= i64::from(most) { Err(StoreError::QuotaOfExports { most }) } else { Ok(()) }
 }

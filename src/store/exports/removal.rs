@@ -3,11 +3,10 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
-use sqlx::{Sqlite, Transaction};
-
 use crate::api::{ExportId, TenantId};
 use crate::store::artifacts::is_key;
 use crate::store::exports::{EXPORTS, ExportRecord, columns};
+use crate::store::sql::{self, Tx};
 use crate::store::{Store, StoreError};
 
 /// Outcome of a request to delete an export.
@@ -34,21 +33,21 @@ impl Store {
     ) -> Result<ExportDeletion, StoreError> {
         let mut tx = self.write().await?;
         let cancel = concat!(
-            "UPDATE exports SET state = 'cancelled', work_bytes = 0, finished_ms = ?3
-             WHERE id = ?1 AND tenant = ?2 AND state IN ('queued', 'running') AND deleted_ms IS NULL RETURNING ",
+            "UPDATE exports SET state = 'cancelled', work_bytes = 0, finished_ms = $3
+             WHERE id = $1 AND tenant = $2 AND state IN ('queued', 'running') AND deleted_ms IS NULL RETURNING ",
             columns!()
         );
         let cancelled: Option<ExportRecord> =
-            sqlx::query_as(cancel).bind(id).bind(tenant).bind(now_ms).fetch_optional(&mut *tx).await?;
+            sql::query_as(cancel).bind(id).bind(tenant).bind(now_ms).fetch_optional(&mut tx).await?;
         if let Some(export) = cancelled {
             tx.commit().await?;
             return Ok(ExportDeletion::Cancelled(Box::new(export)));
         }
-        let delete = "UPDATE exports SET deleted_ms = ?3, work_bytes = 0
-                          WHERE id = ?1 AND tenant = ?2 AND deleted_ms IS NULL";
-        let deleted = sqlx::query(delete).bind(id).bind(tenant).bind(now_ms).execute(&mut *tx).await?;
+        let delete = "UPDATE exports SET deleted_ms = $3, work_bytes = 0
+                          WHERE id = $1 AND tenant = $2 AND deleted_ms IS NULL";
+        let deleted = sql::query(delete).bind(id).bind(tenant).bind(now_ms).execute(&mut tx).await?;
         tx.commit().await?;
-        Ok(if deleted.rows_affected() == 1 { ExportDeletion::Deleted } else { ExportDeletion::NotFound })
+        Ok(if deleted == 1 { ExportDeletion::Deleted } else { ExportDeletion::NotFound })
     }
 
     /// Deletes exports that ended longer ago than `keep`; how many.
@@ -59,8 +58,8 @@ impl Store {
     ) -> Result<u64, StoreError> {
         let before = now_ms.saturating_sub(i64::try_from(keep.as_millis()).unwrap_or(i64::MAX));
         let mut tx = self.write().await?;
-        let query = "UPDATE exports SET deleted_ms = ?2 WHERE deleted_ms IS NULL AND finished_ms < ?1";
-        let deleted = sqlx::query(query).bind(before).bind(now_ms).execute(&mut *tx).await?.rows_affected();
+        let query = "UPDATE exports SET deleted_ms = $2 WHERE deleted_ms IS NULL AND finished_ms < $1";
+        let deleted = sql::query(query).bind(before).bind(now_ms).execute(&mut tx).await?;
         tx.commit().await?;
         Ok(deleted)
     }
@@ -68,14 +67,14 @@ impl Store {
     /// Removes the files of exports that were deleted, and their rows; how many.
     pub(in crate::store) async fn discard_exports(&self) -> Result<usize, StoreError> {
         let query = "SELECT id, artifact FROM exports WHERE deleted_ms IS NOT NULL";
-        let exports: Vec<(ExportId, Option<String>)> = sqlx::query_as(query).fetch_all(self.pool()).await?;
+        let exports: Vec<(ExportId, Option<String>)> = sql::query_as(query).fetch_all(self.pool()).await?;
         for (id, artifact) in &exports {
             if let Some(artifact) = artifact {
                 self.artifacts.discard(artifact).await?;
             }
             self.clear_folder(id.as_str()).await?;
             let mut tx = self.write().await?;
-            sqlx::query("DELETE FROM exports WHERE id = ?1").bind(id).execute(&mut *tx).await?;
+            sql::query("DELETE FROM exports WHERE id = $1").bind(id).execute(&mut tx).await?;
             tx.commit().await?;
             tracing::info!(export = %id, "removed the files of a deleted export");
         }
@@ -97,7 +96,7 @@ impl Store {
         }
         // Asked after the folder was read: what was begun since is not in the list.
         let query = "SELECT id FROM exports WHERE state IN ('queued', 'running') AND deleted_ms IS NULL";
-        let wanted: Vec<String> = sqlx::query_scalar(query).fetch_all(self.pool()).await?;
+        let wanted: Vec<String> = sql::query_scalar(query).fetch_all(self.pool()).await?;
         let wanted: HashSet<String> = wanted.into_iter().collect();
         for name in found.iter().filter(|name| !wanted.contains(*name)) {
             self.clear_folder(name).await?;
@@ -118,12 +117,12 @@ impl Store {
 
 /// Deletes the exports of a model, in the transaction that deletes it.
 pub(in crate::store) async fn delete_exports_of(
-    tx: &mut Transaction<'_, Sqlite>,
+    tx: &mut Tx,
     model: &str,
     now_ms: i64,
 ) -> Result<(), StoreError> {
     let query =
-        "UPDATE exports SET deleted_ms = ?2, work_bytes = 0 WHERE model_id = ?1 AND deleted_ms IS NULL";
-    sqlx::query(query).bind(model).bind(now_ms).execute(&mut **tx).await?;
+        "UPDATE exports SET deleted_ms = $2, work_bytes = 0 WHERE model_id = $1 AND deleted_ms IS NULL";
+    sql::query(query).bind(model).bind(now_ms).execute(&mut *tx).await?;
     Ok(())
 }

@@ -10,9 +10,9 @@ mod validating;
 use std::path::Path;
 
 use sqlx::types::Json;
-use sqlx::{Sqlite, Transaction};
 
 use crate::api::{TenantId, UploadId};
+use crate::store::sql::{self, Tx};
 use crate::store::uploads::record::key;
 use crate::store::{Page, Store, StoreError};
 
@@ -40,31 +40,22 @@ impl Store {
     }
 
     /// Refuses one more upload of a tenant that has `most`.
-    async fn admit_upload_of(
-        &self,
-        tx: &mut Transaction<'_, Sqlite>,
-        upload: &UploadRecord,
-        most: u32,
-    ) -> Result<(), StoreError> {
-        let counting = "SELECT COUNT(*) FROM uploads WHERE tenant = ?1 AND expires_ms > ?2";
-        let count: i64 = sqlx::query_scalar(counting)
+    async fn admit_upload_of(&self, tx: &mut Tx, upload: &UploadRecord, most: u32) -> Result<(), StoreError> {
+        let counting = "SELECT COUNT(*) FROM uploads WHERE tenant = $1 AND expires_ms > $2";
+        let count: i64 = sql::query_scalar(counting)
             .bind(&upload.tenant)
             .bind(upload.created_ms)
-            .fetch_one(&mut **tx)
+            .fetch_one(&mut *tx)
             .await?;
         if count >= i64::from(most) { Err(StoreError::QuotaOfUploads { most }) } else { Ok(()) }
     }
 
-    async fn insert_upload(
-        &self,
-        tx: &mut Transaction<'_, Sqlite>,
-        upload: &UploadRecord,
-    ) -> Result<(), StoreError> {
-        sqlx::query(
+    async fn insert_upload(&self, tx: &mut Tx, upload: &UploadRecord) -> Result<(), StoreError> {
+        sql::query(
             "INSERT INTO uploads
                  (id, tenant, length, received, metadata, created_ms, expires_ms, capture_id, sha256, name, external_id,
                   labels)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)",
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12)",
         )
         .bind(&upload.id)
         .bind(&upload.tenant)
@@ -78,7 +69,7 @@ impl Store {
         .bind(&upload.marks.name)
         .bind(&upload.marks.external_id)
         .bind(Json(&upload.marks.labels))
-        .execute(&mut **tx)
+        .execute(&mut *tx)
         .await?;
         Ok(())
     }
@@ -89,7 +80,7 @@ impl Store {
     /// When the database fails.
     pub async fn upload(&self, tenant: &TenantId, id: &UploadId) -> Result<Option<UploadRecord>, StoreError> {
         let query =
-            sqlx::query_as("SELECT * FROM uploads WHERE id = ?1 AND tenant = ?2").bind(id).bind(tenant);
+            sql::query_as("SELECT * FROM uploads WHERE id = $1 AND tenant = $2").bind(id).bind(tenant);
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
@@ -103,18 +94,19 @@ impl Store {
         now_ms: i64,
         page: &Page,
     ) -> Result<Vec<UploadRecord>, StoreError> {
-        let query = sqlx::query_as(
-            "SELECT * FROM uploads WHERE tenant = ?1 AND expires_ms > ?2
-               AND (?3 IS NULL OR (created_ms, id) < (?5, ?3))
-             ORDER BY created_ms DESC, id DESC LIMIT ?4",
+        let query = sql::query_as(
+            "SELECT * FROM uploads WHERE tenant = $1 AND expires_ms > $2
+               AND ($3 IS NULL OR (created_ms, id) < ($5, $3))
+             ORDER BY created_ms DESC, id DESC LIMIT $4",
         );
-        let query = query.bind(tenant).bind(now_ms).bind(page.id()).bind(page.limit).bind(page.at());
+        let query =
+            query.bind(tenant).bind(now_ms).bind(page.id()).bind(i64::from(page.limit)).bind(page.at());
         Ok(query.fetch_all(self.pool()).await?)
     }
 
     /// Whether an upload is known.
     pub(super) async fn has_upload(&self, id: &UploadId) -> Result<bool, StoreError> {
-        let query = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM uploads WHERE id = ?1)").bind(id);
+        let query = sql::query_scalar("SELECT EXISTS (SELECT 1 FROM uploads WHERE id = $1)").bind(id);
         Ok(query.fetch_one(self.pool()).await?)
     }
 
@@ -129,7 +121,7 @@ impl Store {
     /// When the database or the file system fails.
     pub async fn drop_upload(&self, hold: &Hold) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
-        sqlx::query("DELETE FROM uploads WHERE id = ?1").bind(hold.id()).execute(&mut *tx).await?;
+        sql::query("DELETE FROM uploads WHERE id = $1").bind(hold.id()).execute(&mut tx).await?;
         tx.commit().await?;
         self.artifacts.discard(&key(hold.id())).await
     }
@@ -139,16 +131,15 @@ impl Store {
     /// # Errors
     /// When the database or the file system fails; the next time goes on from there.
     pub async fn expire_uploads(&self, now_ms: i64) -> Result<usize, StoreError> {
-        let query = "SELECT id FROM uploads WHERE expires_ms <= ?1
+        let query = "SELECT id FROM uploads WHERE expires_ms <= $1
                          AND (capture_id IS NULL OR problem IS NOT NULL) ORDER BY expires_ms LIMIT 1000";
-        let ids: Vec<UploadId> = sqlx::query_scalar(query).bind(now_ms).fetch_all(self.pool()).await?;
+        let ids: Vec<UploadId> = sql::query_scalar(query).bind(now_ms).fetch_all(self.pool()).await?;
         let mut dropped = 0;
         for id in ids {
             let Some(hold) = self.hold_upload(&id) else { continue };
             // A piece may have come since.
-            let query = "SELECT expires_ms FROM uploads WHERE id = ?1";
-            let expires: Option<i64> =
-                sqlx::query_scalar(query).bind(&id).fetch_optional(self.pool()).await?;
+            let query = "SELECT expires_ms FROM uploads WHERE id = $1";
+            let expires: Option<i64> = sql::query_scalar(query).bind(&id).fetch_optional(self.pool()).await?;
             if expires.is_some_and(|at| at <= now_ms) {
                 self.drop_upload(&hold).await?;
                 tracing::info!(upload = %id, "gave up an upload that has expired");
@@ -165,7 +156,7 @@ impl Store {
     /// When the database or the file system fails.
     pub async fn recover_uploads(&self) -> Result<(), StoreError> {
         let uploads: Vec<UploadRecord> =
-            sqlx::query_as("SELECT * FROM uploads").fetch_all(self.pool()).await?;
+            sql::query_as("SELECT * FROM uploads").fetch_all(self.pool()).await?;
         for upload in uploads {
             let path = self.artifacts.local_path(&upload.key());
             let found = match std::fs::metadata(&path) {

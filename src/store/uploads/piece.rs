@@ -10,6 +10,7 @@ use tokio::io::{AsyncSeekExt, AsyncWriteExt};
 use tokio_util::bytes::Bytes;
 
 use crate::store::ledger::Reservation;
+use crate::store::sql;
 use crate::store::uploads::holds::Hold;
 use crate::store::uploads::record::UploadRecord;
 use crate::store::{Store, StoreError};
@@ -157,11 +158,11 @@ impl Writing<'_> {
         let received = i64::try_from(self.written).unwrap_or(i64::MAX);
         let expires_ms = (self.piece.expires_ms)();
         let mut tx = self.store.write().await?;
-        sqlx::query("UPDATE uploads SET received = ?2, expires_ms = ?3 WHERE id = ?1")
+        sql::query("UPDATE uploads SET received = $2, expires_ms = $3 WHERE id = $1")
             .bind(self.piece.hold.id())
             .bind(received)
             .bind(expires_ms)
-            .execute(&mut *tx)
+            .execute(&mut tx)
             .await?;
         tx.commit().await?;
         self.reserved.release(self.written - self.kept);

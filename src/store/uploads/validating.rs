@@ -6,6 +6,7 @@ use sqlx::types::Json;
 
 use crate::api::marks::Marks;
 use crate::api::{CaptureId, Problem, TenantId};
+use crate::store::sql;
 use crate::store::uploads::record::UploadRecord;
 use crate::store::{Incoming, Store, StoreError};
 
@@ -52,16 +53,16 @@ impl Store {
         marks: &Marks,
     ) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
-        let query = "UPDATE uploads SET capture_id = ?2, sha256 = ?3, problem = NULL,
-                         name = ?4, external_id = ?5, labels = ?6 WHERE id = ?1";
-        sqlx::query(query)
+        let query = "UPDATE uploads SET capture_id = $2, sha256 = $3, problem = NULL,
+                         name = $4, external_id = $5, labels = $6 WHERE id = $1";
+        sql::query(query)
             .bind(incoming.upload.as_ref().map(|hold| hold.id()))
             .bind(capture)
             .bind(&incoming.sha256)
             .bind(&marks.name)
             .bind(&marks.external_id)
             .bind(Json(&marks.labels))
-            .execute(&mut *tx)
+            .execute(&mut tx)
             .await?;
         Ok(tx.commit().await?)
     }
@@ -77,11 +78,11 @@ impl Store {
         expires_ms: i64,
     ) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
-        sqlx::query("UPDATE uploads SET problem = ?2, expires_ms = ?3 WHERE capture_id = ?1")
+        sql::query("UPDATE uploads SET problem = $2, expires_ms = $3 WHERE capture_id = $1")
             .bind(capture)
             .bind(Json(problem))
             .bind(expires_ms)
-            .execute(&mut *tx)
+            .execute(&mut tx)
             .await?;
         Ok(tx.commit().await?)
     }
@@ -95,7 +96,7 @@ impl Store {
         tenant: &TenantId,
         capture: &CaptureId,
     ) -> Result<Option<UploadRecord>, StoreError> {
-        let query = sqlx::query_as("SELECT * FROM uploads WHERE capture_id = ?1 AND tenant = ?2");
+        let query = sql::query_as("SELECT * FROM uploads WHERE capture_id = $1 AND tenant = $2");
         Ok(query.bind(capture).bind(tenant).fetch_optional(self.pool()).await?)
     }
 
@@ -108,9 +109,9 @@ impl Store {
         tenant: &TenantId,
         sha256: &str,
     ) -> Result<Option<UploadRecord>, StoreError> {
-        let query = sqlx::query_as(
+        let query = sql::query_as(
             "SELECT * FROM uploads
-             WHERE tenant = ?1 AND sha256 = ?2 AND capture_id IS NOT NULL AND problem IS NULL LIMIT 1",
+             WHERE tenant = $1 AND sha256 = $2 AND capture_id IS NOT NULL AND problem IS NULL LIMIT 1",
         );
         Ok(query.bind(tenant).bind(sha256).fetch_optional(self.pool()).await?)
     }
@@ -122,7 +123,7 @@ impl Store {
     pub async fn unvalidated(&self) -> Result<Vec<UploadRecord>, StoreError> {
         let query = "SELECT * FROM uploads WHERE capture_id IS NOT NULL AND problem IS NULL
                      ORDER BY created_ms, id";
-        Ok(sqlx::query_as(query).fetch_all(self.pool()).await?)
+        Ok(sql::query_as(query).fetch_all(self.pool()).await?)
     }
 
     /// The captures of all tenants that are being made, or could not be made.
@@ -130,7 +131,7 @@ impl Store {
     /// # Errors
     /// When the database fails.
     pub async fn unmade(&self) -> Result<HashSet<String>, StoreError> {
-        let query = sqlx::query_scalar("SELECT capture_id FROM uploads WHERE capture_id IS NOT NULL");
+        let query = sql::query_scalar("SELECT capture_id FROM uploads WHERE capture_id IS NOT NULL");
         let ids: Vec<String> = query.fetch_all(self.pool()).await?;
         Ok(ids.into_iter().collect())
     }

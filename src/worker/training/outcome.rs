@@ -24,6 +24,8 @@ pub(super) const ENVIRONMENT_MISSING: &str = "environment_missing";
 const DEVICE_FAILED: &str = "device_failed";
 /// Code of failures that end when there is room on the disk.
 const STORAGE_FULL: &str = "storage_full";
+/// Code of failures that end when the database can be reached.
+const DATABASE_UNREACHABLE: &str = "database_unreachable";
 
 /// A failure that ends the attempt and, unless it is the device's or a full disk, the job.
 pub(in crate::worker) struct AttemptError {
@@ -43,6 +45,11 @@ impl AttemptError {
         self.code == DEVICE_FAILED
     }
 
+    /// True when the database was away: the job goes on from its checkpoint, and nobody is to blame.
+    pub(in crate::worker) fn is_outage(&self) -> bool {
+        self.code == DATABASE_UNREACHABLE
+    }
+
     /// True when the disk was full: the job goes on from its checkpoint once there is room.
     pub(in crate::worker) fn is_shortage(&self) -> bool {
         self.code == STORAGE_FULL
@@ -54,6 +61,9 @@ impl From<StoreError> for AttemptError {
         tracing::error!(%error, "the store failed under a job");
         match error {
             StoreError::Full => Self::new(STORAGE_FULL, "the disk is full"),
+            StoreError::DatabaseUnreachable(_) => {
+                Self::new(DATABASE_UNREACHABLE, "the database cannot be reached")
+            }
             StoreError::Damaged(_) | StoreError::Missing(_) => {
                 let detail = "a stored file that the job needs is damaged or missing; upload it again";
                 Self::new("artifact_damaged", detail)

@@ -82,8 +82,8 @@ async fn measure_on(client: crate::client::Client, args: &ServiceArgs) -> Comman
 
 /// The cells of one load.
 fn cells(title: &str, times: &Times, memory: Option<u64>) -> Vec<String> {
-    let ms = |share: f64| times.quantile(share).map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1}"));
-    let mut cells = vec![title.to_owned(), times.answered().to_string(), times.refused.to_string()];
+    let ms = |share: f64| times.answers.at(share).map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1}"));
+    let mut cells = vec![title.to_owned(), times.answers.count().to_string(), times.refused.to_string()];
     cells.extend([0.5, 0.95, 0.99, 1.0].map(ms));
     cells.push(memory.map_or_else(|| "-".to_owned(), |mebibytes| mebibytes.to_string()));
     cells

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::api::ModelId;
+use crate::cli::bench::quantiles::Quantiles;
 use crate::cli::bench::service::subject::Subject;
 use crate::client::Client;
 
@@ -20,8 +21,8 @@ pub(super) struct Thumbnails {
 /// What was measured under one load.
 #[derive(Debug, Default)]
 pub(super) struct Times {
-    /// Milliseconds of each answer, ascending.
-    ms: Vec<f64>,
+    /// Milliseconds of each answer.
+    pub(super) answers: Quantiles,
     /// Thumbnails that were refused or not answered in time.
     pub(super) refused: usize,
 }
@@ -51,45 +52,16 @@ impl Thumbnails {
 
     /// One after the other, at most `count` and for at most `time`; at least one.
     pub(super) async fn during(&mut self, count: u32, time: Duration) -> Times {
-        let (begin, mut times) = (Instant::now(), Times::default());
+        let (begin, mut answers, mut refused) = (Instant::now(), Vec::new(), 0);
         for _ in 0..count {
             match self.next().await {
-                Some(ms) => times.ms.push(ms),
-                None => times.refused += 1,
+                Some(ms) => answers.push(ms),
+                None => refused += 1,
             }
             if begin.elapsed() >= time {
                 break;
             }
         }
-        times.ms.sort_by(f64::total_cmp);
-        times
-    }
-}
-
-impl Times {
-    /// Thumbnails that came.
-    pub(super) fn answered(&self) -> usize {
-        self.ms.len()
-    }
-
-    /// The least time, ms, within which at least this share of the answers came.
-    pub(super) fn quantile(&self, share: f64) -> Option<f64> {
-        let rank = (share * self.ms.len() as f64).ceil() as usize;
-        self.ms.get(rank.saturating_sub(1)).copied()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn quantiles_are_times_within_which_a_share_was_answered() {
-        let times = Times { ms: (1..=200).map(f64::from).collect(), refused: 0 };
-        let found = [0.5, 0.95, 0.99, 1.0].map(|share| times.quantile(share));
-        assert_eq!(found, [100.0, 190.0, 198.0, 200.0].map(Some));
-        let one = Times { ms: vec![7.0], refused: 3 };
-        assert_eq!((one.quantile(0.5), one.quantile(1.0)), (Some(7.0), Some(7.0)));
-        assert_eq!(Times::default().quantile(0.99), None);
+        Times { answers: Quantiles::of(answers), refused }
     }
 }

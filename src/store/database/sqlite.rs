@@ -1,43 +1,50 @@
-//! The database: one connection that writes and several that read, so that what goes wrong with a write stays with it.
+//! A database file of SQLite: one connection that writes and several that read, so that what goes wrong with a write stays with it.
 
 use std::path::Path;
 use std::time::Duration;
 
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Connection, Sqlite, SqlitePool, Transaction};
+use sqlx::{Connection, SqlitePool};
 
 use crate::store::StoreError;
+use crate::store::sql::{Pool, Tx};
 
 /// Name of the database in a data directory.
-pub(super) const FILE: &str = "relume.db";
+pub(in crate::store) const FILE: &str = "relume.db";
 static MIGRATIONS: Migrator = sqlx::migrate!("migrations/sqlite");
 /// Connections that read.
 const READERS: u32 = 8;
 
 /// Connections to one database file.
 #[derive(Clone)]
-pub(super) struct Database {
+pub(in crate::store) struct DatabaseFile {
     /// One connection: SQLite has one writer at a time.
     writer: SqlitePool,
     /// These keep the WAL open, so that a writer can be replaced on a full disk.
     readers: SqlitePool,
+    pool: Pool,
 }
 
-impl Database {
+impl DatabaseFile {
     /// Opens `root/relume.db`, creates it when it is missing and migrates the schema.
-    pub(super) async fn open(root: &Path) -> Result<Self, StoreError> {
-        Self::connect(options(root).create_if_missing(true)).await
+    pub(in crate::store) async fn open(root: &Path) -> Result<Self, StoreError> {
+        Self::connect(options(&root.join(FILE)).create_if_missing(true)).await
+    }
+
+    /// As [`Self::open`], of a file of another name.
+    pub(super) async fn open_at(file: &Path) -> Result<Self, StoreError> {
+        Self::connect(options(file).create_if_missing(true)).await
     }
 
     /// One connection to the `root/relume.db` that is there, which changes nothing.
-    pub(super) async fn open_to_look(root: &Path) -> Result<SqlitePool, StoreError> {
-        let options = options(root).pragma("query_only", "ON");
+    pub(in crate::store) async fn open_to_look(root: &Path) -> Result<SqlitePool, StoreError> {
+        let options = options(&root.join(FILE)).pragma("query_only", "ON");
         Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
     }
 
     /// Number of the schema of the `root/relume.db` that is there.
-    pub(super) async fn schema_of(root: &Path) -> Result<i64, StoreError> {
+    pub(in crate::store) async fn schema_of(root: &Path) -> Result<i64, StoreError> {
         let pool = Self::open_to_look(root).await?;
         let query = sqlx::query_scalar("SELECT MAX(version) FROM _sqlx_migrations");
         let found = query.fetch_one(&pool).await;
@@ -46,12 +53,12 @@ impl Database {
     }
 
     /// One connection to the `root/relume.db` that is there, to copy it.
-    pub(super) async fn open_to_copy(root: &Path) -> Result<SqlitePool, StoreError> {
-        Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options(root)).await?)
+    pub(in crate::store) async fn open_to_copy(root: &Path) -> Result<SqlitePool, StoreError> {
+        Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options(&root.join(FILE))).await?)
     }
 
     /// One connection to a copy of a database, which nobody else uses.
-    pub(super) async fn open_copy(file: &Path, to_look: bool) -> Result<SqlitePool, StoreError> {
+    pub(in crate::store) async fn open_copy(file: &Path, to_look: bool) -> Result<SqlitePool, StoreError> {
         let options = SqliteConnectOptions::new().filename(file).read_only(to_look).immutable(to_look);
         Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
     }
@@ -77,17 +84,23 @@ impl Database {
             error => StoreError::Migration(error),
         })?;
         let readers = lasting_pool(READERS).connect_with(options.pragma("query_only", "ON")).await?;
-        Ok(Self { writer, readers })
+        let pool = Pool::Sqlite(readers.clone());
+        Ok(Self { writer, readers, pool })
     }
 
     /// Connections for queries; a statement that changes something fails on them.
-    pub(super) fn readers(&self) -> &SqlitePool {
-        &self.readers
+    pub(super) fn readers(&self) -> &Pool {
+        &self.pool
     }
 
     /// A transaction that takes the write lock at once, so that it cannot fail half way for want of it.
-    pub(super) async fn write(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
-        Ok(self.writer.begin_with("BEGIN IMMEDIATE").await?)
+    pub(super) async fn write(&self) -> Result<Tx, StoreError> {
+        Ok(Tx::Sqlite(self.writer.begin_with("BEGIN IMMEDIATE").await?))
+    }
+
+    /// A transaction that sees everything as it was at its first statement.
+    pub(super) async fn snapshot(&self) -> Result<Tx, StoreError> {
+        Ok(Tx::Sqlite(self.readers.begin().await?))
     }
 
     /// Closes every connection; the WAL is folded into the database file.
@@ -98,13 +111,13 @@ impl Database {
 }
 
 /// Number of the schema of this version.
-pub(super) fn schema() -> i64 {
+pub(in crate::store) fn schema() -> i64 {
     MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
 }
 
-fn options(root: &Path) -> SqliteConnectOptions {
+fn options(file: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
-        .filename(root.join(FILE))
+        .filename(file)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Full)
         .busy_timeout(Duration::from_secs(10))
@@ -119,25 +132,26 @@ fn lasting_pool(size: u32) -> SqlitePoolOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::sql;
 
     /// A database that cannot grow beyond `pages` pages, as on a disk that is full then.
-    async fn with_room_for(pages: u32, file: &Path) -> Database {
+    async fn with_room_for(pages: u32, file: &Path) -> DatabaseFile {
         let options = SqliteConnectOptions::new()
             .filename(file)
             .create_if_missing(true)
             .journal_mode(SqliteJournalMode::Wal)
             .pragma("max_page_count", pages.to_string());
-        Database::connect(options).await.unwrap()
+        DatabaseFile::connect(options).await.unwrap()
     }
 
-    async fn insert(database: &Database, key: &str, bytes: usize) -> Result<(), StoreError> {
+    async fn insert(database: &DatabaseFile, key: &str, bytes: usize) -> Result<(), StoreError> {
         let mut tx = database.write().await?;
-        sqlx::query(
-            "INSERT INTO idempotency (tenant, key, fingerprint, response, created_ms) VALUES ('', ?1, '', ?2, 0)",
+        sql::query(
+            "INSERT INTO idempotency (tenant, key, fingerprint, response, created_ms) VALUES ('', $1, '', $2, 0)",
         )
         .bind(key)
         .bind("x".repeat(bytes))
-        .execute(&mut *tx)
+        .execute(&mut tx)
         .await?;
         Ok(tx.commit().await?)
     }
@@ -151,7 +165,7 @@ mod tests {
             assert!(matches!(refused, Err(StoreError::Full)), "{refused:?}");
             insert(&database, &format!("small {round}"), 1).await.unwrap();
         }
-        let count: i64 = sqlx::query_scalar("SELECT COUNT(*) FROM idempotency")
+        let count: i64 = sql::query_scalar("SELECT COUNT(*) FROM idempotency")
             .fetch_one(database.readers())
             .await
             .unwrap();
@@ -208,8 +222,8 @@ mod tests {
     #[tokio::test]
     async fn readers_write_nothing() {
         let folder = tempfile::tempdir().unwrap();
-        let database = Database::open(folder.path()).await.unwrap();
-        let refused = sqlx::query("DELETE FROM jobs").execute(database.readers()).await.unwrap_err();
+        let database = DatabaseFile::open(folder.path()).await.unwrap();
+        let refused = sql::query("DELETE FROM jobs").execute(database.readers()).await.unwrap_err();
         assert!(refused.to_string().contains("readonly"), "{refused}");
     }
 }

@@ -1,0 +1,58 @@
+//! Where a server's metadata are, and `relume db`.
+
+use std::sync::Arc;
+
+use crate::cli::CommandResult;
+use crate::jobs::{Clock, DatabaseClock, SystemClock};
+use crate::server::ServerConfig;
+use crate::store::{self, DatabasePlace, DatabaseUrl};
+
+/// Where a server's metadata are.
+#[derive(Debug, clap::Args)]
+pub(super) struct DatabaseArgs {
+    /// `postgres://user:password@host:5432/name`: a PostgreSQL database for what is known of captures, jobs and models, in place of
+    /// a SQLite file in the data directory. Give it by RELUME_DATABASE_URL, since others see a command line.
+    #[arg(long, env = "RELUME_DATABASE_URL", hide_env_values = true, value_name = "URL")]
+    pub(super) database_url: Option<DatabaseUrl>,
+}
+
+impl DatabaseArgs {
+    /// Sets a server's database, and the clock that goes with it.
+    pub(super) fn apply(self, config: &mut ServerConfig) {
+        if self.database_url.is_some() {
+            config.clock = Arc::new(DatabaseClock::new(SystemClock.now_ms()));
+        }
+        config.database = self.database_url;
+    }
+}
+
+/// Options of `relume db`.
+#[derive(Debug, clap::Args)]
+pub(super) struct DbArgs {
+    #[command(subcommand)]
+    command: DbCommand,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum DbCommand {
+    /// Copy all that one database knows to another, empty one, and compare every row. Stop the server first; then start it with the
+    /// same data directory on the other.
+    Copy(CopyArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct CopyArgs {
+    /// A data directory, for the SQLite file in it, or `postgres://user:password@host:5432/name`.
+    from: DatabasePlace,
+    /// A data directory or `postgres://...`, likewise; what it knows must be nothing.
+    to: DatabasePlace,
+}
+
+pub(super) fn run(args: &DbArgs) -> CommandResult {
+    let DbCommand::Copy(CopyArgs { from, to }) = &args.command;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    for table in runtime.block_on(store::copy_database(from, to))? {
+        println!("{:<14} {:>8} rows", table.name, table.rows);
+    }
+    Ok(())
+}

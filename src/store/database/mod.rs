@@ -1,0 +1,128 @@
+//! The database: a file of SQLite, or a server of PostgreSQL that several nodes share. Both keep the same promises.
+
+mod postgres;
+mod sqlite;
+mod url;
+
+use std::path::Path;
+
+use sqlx::PgConnection;
+use sqlx::postgres::PgListener;
+
+use crate::store::StoreError;
+use crate::store::sql::{Pool, Tx};
+
+pub(super) use postgres::DatabaseServer;
+pub(super) use sqlite::{DatabaseFile, FILE, schema};
+pub use url::DatabaseUrl;
+
+/// Being the only server on a database: a lock that ends with its connection. A file of SQLite has the lock of its data directory.
+#[derive(Debug)]
+pub struct ServerLock {
+    _connection: Option<PgConnection>,
+}
+
+/// Hears of what others write about jobs.
+pub struct Listener(Option<PgListener>);
+
+impl Listener {
+    /// Waits until something was written, or the connection was lost and is there again: then something may have been. A file of
+    /// SQLite has one process that writes, so there it waits for ever.
+    ///
+    /// # Errors
+    /// When the database cannot be reached.
+    pub async fn heard(&mut self) -> Result<(), StoreError> {
+        match &mut self.0 {
+            None => std::future::pending().await,
+            Some(listener) => Ok(listener.try_recv().await.map(drop)?),
+        }
+    }
+}
+
+/// Connections to the database of a store.
+#[derive(Clone)]
+pub(super) enum Database {
+    File(DatabaseFile),
+    Server(DatabaseServer),
+}
+
+impl Database {
+    /// Opens `root/relume.db`, or the server at `url` (`postgres://...`), and migrates the schema.
+    pub(super) async fn open(root: &Path, url: Option<&DatabaseUrl>) -> Result<Self, StoreError> {
+        match url {
+            None => Ok(Self::File(DatabaseFile::open(root).await?)),
+            Some(url) => Ok(Self::Server(DatabaseServer::open(url).await?)),
+        }
+    }
+
+    /// A new file of SQLite of whichever name.
+    pub(super) async fn create_file(file: &Path) -> Result<Self, StoreError> {
+        Ok(Self::File(DatabaseFile::open_at(file).await?))
+    }
+
+    /// Connections for queries.
+    pub(super) fn readers(&self) -> &Pool {
+        match self {
+            Self::File(file) => file.readers(),
+            Self::Server(server) => server.pool(),
+        }
+    }
+
+    /// A transaction that changes nothing and sees everything as it was at one moment.
+    pub(super) async fn snapshot(&self) -> Result<Tx, StoreError> {
+        match self {
+            Self::File(file) => file.snapshot().await,
+            Self::Server(server) => server.snapshot().await,
+        }
+    }
+
+    /// A transaction that changes something, one at a time: what it has read stays true until it ends.
+    pub(super) async fn write(&self) -> Result<Tx, StoreError> {
+        match self {
+            Self::File(file) => file.write().await,
+            Self::Server(server) => server.write().await,
+        }
+    }
+
+    /// A transaction whose first statement changes the one row that all of it is about. Where the database has several writers it
+    /// waits for nobody who writes something else.
+    pub(super) async fn write_row(&self) -> Result<Tx, StoreError> {
+        match self {
+            Self::File(file) => file.write().await,
+            Self::Server(server) => server.begin().await,
+        }
+    }
+
+    /// The time of a server, milliseconds since 1970 UTC; a file has none of its own.
+    pub(super) async fn time(&self) -> Result<Option<i64>, StoreError> {
+        match self {
+            Self::File(_) => Ok(None),
+            Self::Server(server) => Ok(Some(server.time().await?)),
+        }
+    }
+
+    /// Becomes the only server on it.
+    pub(super) async fn lock(&self) -> Result<ServerLock, StoreError> {
+        let connection = match self {
+            Self::File(_) => None,
+            Self::Server(server) => Some(server.lock().await?),
+        };
+        Ok(ServerLock { _connection: connection })
+    }
+
+    /// Who is told when somebody writes about a job.
+    pub(super) async fn listen(&self) -> Result<Listener, StoreError> {
+        match self {
+            Self::File(_) => Ok(Listener(None)),
+            Self::Server(server) => Ok(Listener(Some(server.listen().await?))),
+        }
+    }
+
+    /// Closes every connection.
+    pub(super) async fn close(&self) {
+        match self {
+            Self::File(file) => file.close().await,
+            Self::Server(server) => server.close().await,
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! A PostgreSQL server that several nodes share.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use sqlx::migrate::{MigrateError, Migrator};
+use sqlx::postgres::{PgListener, PgPoolOptions};
+use sqlx::{Connection, PgConnection, PgPool};
+use tokio::sync::Mutex;
+
+use crate::store::StoreError;
+use crate::store::database::url::DatabaseUrl;
+use crate::store::sql::{Pool, Tx};
+
+static MIGRATIONS: Migrator = sqlx::migrate!("migrations/postgres");
+/// Connections of one server that read, and those that write: whoever waits to write keeps nobody from reading.
+const READERS: u32 = 8;
+const WRITERS: u32 = 8;
+/// How long somebody waits for one.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Key of the advisory lock that makes writers wait for each other: "relume" in ASCII.
+const WRITING: i64 = 0x7265_6c75_6d65;
+/// Key of the advisory lock of the server that works on a database.
+const SERVERS: i64 = WRITING + 1;
+
+/// Connections to one database of a server.
+#[derive(Clone)]
+pub(in crate::store) struct DatabaseServer {
+    connections: PgPool,
+    readers: Pool,
+    /// Who writes in this process. The others wait here, where that takes no connection.
+    writing: Arc<Mutex<()>>,
+}
+
+impl DatabaseServer {
+    /// Connects to `url` and migrates the schema.
+    pub(super) async fn open(url: &DatabaseUrl) -> Result<Self, StoreError> {
+        let pool = |size| PgPoolOptions::new().max_connections(size).acquire_timeout(PATIENCE);
+        let connections = pool(WRITERS).connect_with((*url.0).clone()).await?;
+        MIGRATIONS.run(&connections).await.map_err(|error| match error {
+            MigrateError::VersionMissing(found) if found > schema() => {
+                StoreError::NewerDatabase { found, known: schema() }
+            }
+            MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _) => error.into(),
+            error => StoreError::Migration(error),
+        })?;
+        let readers = Pool::Postgres(pool(READERS).connect_with((*url.0).clone()).await?);
+        Ok(Self { connections, readers, writing: Arc::default() })
+    }
+
+    /// Whether the database at `url` has a table and `query` says so of it. Nothing is migrated.
+    pub(in crate::store) async fn has(
+        url: &DatabaseUrl,
+        table: &'static str,
+        query: &'static str,
+    ) -> Result<bool, StoreError> {
+        let mut connection = PgConnection::connect_with(&url.0).await?;
+        let there = sqlx::query_scalar("SELECT to_regclass($1) IS NOT NULL").bind(table);
+        let found = there.fetch_one(&mut connection).await?
+            && sqlx::query_scalar(query).fetch_one(&mut connection).await?;
+        connection.close().await?;
+        Ok(found)
+    }
+
+    /// Connections for queries.
+    pub(super) fn pool(&self) -> &Pool {
+        &self.readers
+    }
+
+    /// A transaction that waits for those of all nodes that were begun so, and lets none begin before it has ended.
+    pub(super) async fn write(&self) -> Result<Tx, StoreError> {
+        let waited = self.writing.clone().lock_owned().await;
+        let mut tx = self.connections.begin().await?;
+        sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(WRITING).execute(&mut *tx).await?;
+        Ok(Tx::Postgres(tx, Some(waited)))
+    }
+
+    /// A transaction that sees everything as it was at its first statement.
+    pub(super) async fn snapshot(&self) -> Result<Tx, StoreError> {
+        let begin = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
+        Ok(Tx::Postgres(self.connections.begin_with(begin).await?, None))
+    }
+
+    /// A transaction that waits for the rows alone that it changes.
+    pub(super) async fn begin(&self) -> Result<Tx, StoreError> {
+        Ok(Tx::Postgres(self.connections.begin().await?, None))
+    }
+
+    /// Its time, milliseconds since 1970 UTC.
+    pub(super) async fn time(&self) -> Result<i64, StoreError> {
+        let query = sqlx::query_scalar("SELECT CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT)");
+        Ok(query.fetch_one(&self.connections).await?)
+    }
+
+    /// Becomes the only server on this database until what this returns is dropped, or its connection ends.
+    pub(super) async fn lock(&self) -> Result<PgConnection, StoreError> {
+        // A connection of its own, which no pool takes back.
+        let mut connection = self.connections.acquire().await?.detach();
+        let query = sqlx::query_scalar("SELECT pg_try_advisory_lock($1)");
+        match query.bind(SERVERS).fetch_one(&mut connection).await? {
+            true => Ok(connection),
+            false => Err(StoreError::DatabaseLocked),
+        }
+    }
+
+    /// A connection on which every node's writes about jobs are heard.
+    pub(super) async fn listen(&self) -> Result<PgListener, StoreError> {
+        let mut listener = PgListener::connect_with(&self.connections).await?;
+        listener.listen("relume_jobs").await?;
+        Ok(listener)
+    }
+
+    /// Closes every connection.
+    pub(super) async fn close(&self) {
+        self.connections.close().await;
+        if let Pool::Postgres(readers) = &self.readers {
+            readers.close().await;
+        }
+    }
+}
+
+/// Number of the schema of this version.
+fn schema() -> i64 {
+    MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
+}

@@ -1,0 +1,65 @@
+//! The URL of a database server.
+
+use std::fmt;
+use std::str::FromStr;
+
+use sqlx::postgres::PgConnectOptions;
+use sqlx::{AssertSqlSafe, Connection, PgConnection};
+
+use crate::store::StoreError;
+
+/// Where a PostgreSQL server is and who connects: `postgres://user:password@host:5432/name`. What it does not say comes from `PGHOST`,
+/// `PGUSER`, `PGPASSWORD`, `PGPASSFILE` and the like. It is not printed: it may hold a password.
+#[derive(Clone)]
+pub struct DatabaseUrl(pub(super) Box<PgConnectOptions>);
+
+impl FromStr for DatabaseUrl {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if !["postgres://", "postgresql://"].iter().any(|scheme| text.starts_with(scheme)) {
+            return Err("it must begin with postgres://; a server without one keeps a SQLite file in its data directory".to_owned());
+        }
+        let options = PgConnectOptions::from_str(text).map_err(|error| error.to_string())?;
+        Ok(Self(Box::new(options.application_name("relume"))))
+    }
+}
+
+impl DatabaseUrl {
+    /// Another database of the same server, which is made where there is none of that name.
+    ///
+    /// # Errors
+    /// When the server cannot be reached or refuses.
+    pub async fn sibling(&self, name: &str) -> Result<Self, StoreError> {
+        let mut connection = PgConnection::connect_with(&self.0).await?;
+        let query = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM pg_database WHERE datname = $1)");
+        if !query.bind(name).fetch_one(&mut connection).await? {
+            // A name cannot be a parameter; quotes in it are doubled.
+            let create = format!("CREATE DATABASE \"{}\"", name.replace('"', "\"\""));
+            sqlx::raw_sql(AssertSqlSafe(create)).execute(&mut connection).await?;
+        }
+        connection.close().await?;
+        let options: PgConnectOptions = (*self.0).clone();
+        Ok(Self(Box::new(options.database(name))))
+    }
+}
+
+impl fmt::Debug for DatabaseUrl {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "DatabaseUrl(postgres://{}:{}/...)", self.0.get_host(), self.0.get_port())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_postgres_is_taken_and_no_password_is_shown() {
+        for wrong in ["", "sqlite:relume.db", "mysql://localhost/a", "postgres://host:port/a"] {
+            assert!(DatabaseUrl::from_str(wrong).is_err(), "{wrong}");
+        }
+        let url = DatabaseUrl::from_str("postgres://me:hidden@db.example.org:5433/relume").unwrap();
+        assert_eq!(format!("{url:?}"), "DatabaseUrl(postgres://db.example.org:5433/...)");
+    }
+}

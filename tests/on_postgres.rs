@@ -1,0 +1,195 @@
+//! What only a server on PostgreSQL does. The tests need a server (`.ci/postgres`), on which those of the service run, too.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::future::join_all;
+use relume::api::TenantId;
+use relume::api::jobs::{JobState, NewJob};
+use relume::client::Client;
+use relume::jobs::{Jobs, LeasePolicy, RandomIds, SystemClock};
+use relume::server::{ServeError, ServerConfig, WebhookPolicy};
+use relume::store::{self, CopiedTable, DatabasePlace, DatabaseUrl, StoreError};
+use relume::testing::{self, database_name, database_of};
+use reqwest::Method;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::service_support::{capture_zip, ended, open_store, raw_pool, small_job, until};
+
+/// The database of a data directory.
+async fn database(data: &Path) -> DatabaseUrl {
+    database_of(data).await.unwrap().expect("RELUME_TEST_POSTGRES, as .ci/postgres sets it")
+}
+
+/// Waits until a server answers from its database.
+async fn answers(client: &Client) {
+    for _ in 0..600 {
+        if client.models().await.is_ok() {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    panic!("the server never answered");
+}
+
+/// What a server says of everything that it has.
+async fn told(client: &Client) -> Vec<Value> {
+    let mut answers = Vec::new();
+    for path in ["/v1/captures", "/v1/environments", "/v1/jobs", "/v1/models", "/v1/webhooks"] {
+        let answer = client.request(Method::GET, path).unwrap().send().await.unwrap();
+        answers.push(answer.json().await.unwrap());
+    }
+    answers
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL: .ci/postgres"]
+async fn on_postgres_everything_moves_there_and_back_and_a_copy_onto_something_is_refused() {
+    let data = TempDir::new().unwrap();
+    let hooks = WebhookPolicy { allow_http: true, allow_private: true, ..WebhookPolicy::default() };
+    let change = |config: &mut ServerConfig| {
+        config.database = None;
+        config.webhooks = hooks;
+    };
+    let server = testing::spawn_with(data, change).await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = client.create_job(&small_job(&capture.id, 3, 2), None).await.unwrap();
+    assert_eq!(ended(client, &job.id).await.state, JobState::Succeeded);
+    let hook = json!({ "url": "http://127.0.0.1:9/", "events": ["job.failed"] });
+    let hook = client.request(Method::POST, "/v1/webhooks").unwrap().json(&hook).send().await.unwrap();
+    assert_eq!(hook.status().as_u16(), 201);
+    let before = told(client).await;
+    let data = server.stop().await.unwrap();
+
+    let url = database(data.path()).await;
+    let (file, there) = (DatabasePlace::DataDir(data.path().to_owned()), DatabasePlace::Url(url));
+    let copied = store::copy_database(&file, &there).await.unwrap();
+    let rows = |table: &str| copied.iter().find(|copied| copied.name == table).unwrap().rows;
+    assert_eq!((rows("captures"), rows("models"), rows("webhooks")), (1, 1, 1));
+    assert!(rows("events") > 3);
+    let again = store::copy_database(&file, &there).await.unwrap_err();
+    assert!(matches!(again, StoreError::DatabaseNotEmpty("captures")), "{again}");
+
+    let server = testing::spawn_with(data, |_| {}).await.unwrap();
+    assert_eq!(told(server.client()).await, before);
+    let more = server.client().create_job(&small_job(&capture.id, 2, 2), None).await.unwrap();
+    assert_eq!(ended(server.client(), &more.id).await.state, JobState::Succeeded);
+    let after = told(server.client()).await;
+    let data = server.stop().await.unwrap();
+    std::fs::rename(data.path().join("relume.db"), data.path().join("former.db")).unwrap();
+    let back = store::copy_database(&there, &file).await.unwrap();
+    let rows = |copied: &[CopiedTable]| copied.iter().map(|table| table.rows).sum::<usize>();
+    assert!(rows(&back) > rows(&copied));
+    let server = testing::spawn_with(data, |config| config.database = None).await.unwrap();
+    assert_eq!(told(server.client()).await, after);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL: .ci/postgres"]
+async fn on_postgres_a_second_server_is_refused_until_the_first_has_ended() {
+    let (data, other) = (TempDir::new().unwrap(), TempDir::new().unwrap());
+    let url = database(data.path()).await;
+    let first = testing::spawn_with(data, |_| {}).await.unwrap();
+    answers(first.client()).await;
+    let same = url.clone();
+    let second = testing::spawn_with(other, |config| config.database = Some(same)).await.unwrap();
+    let refused = second.stop().await.unwrap_err();
+    assert!(matches!(refused, ServeError::Store(StoreError::DatabaseLocked)), "{refused}");
+    first.stop().await.unwrap();
+    let third =
+        testing::spawn_with(TempDir::new().unwrap(), |config| config.database = Some(url)).await.unwrap();
+    answers(third.client()).await;
+    third.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL: .ci/postgres"]
+async fn on_postgres_many_workers_claim_each_job_once_and_in_order() {
+    const JOBS: usize = 200;
+    let data = TempDir::new().unwrap();
+    let server = testing::spawn_with(data, |config| config.limits.disk_bytes = Some(1 << 30)).await.unwrap();
+    let capture = server.client().upload_capture_bytes(capture_zip()).await.unwrap();
+    let data = server.stop().await.unwrap();
+    let store = open_store(data.path()).await;
+    let jobs = Jobs::new(store, Arc::new(SystemClock), Arc::new(RandomIds), LeasePolicy::default());
+    for number in 0..JOBS {
+        let request =
+            NewJob { capture: capture.id.clone(), priority: (number % 3) as i64, ..NewJob::default() };
+        jobs.submit(&TenantId::of_operator(), request, 1, None, None, |_, _| String::new()).await.unwrap();
+    }
+    let worker = || async {
+        let mut mine = Vec::new();
+        while let Some(lease) = jobs.claim().await.unwrap() {
+            mine.push((lease.job().request.priority, lease.job().id.to_string()));
+        }
+        mine
+    };
+    let claimed = join_all((0..16).map(|_| worker())).await;
+    for mine in &claimed {
+        assert!(mine.is_sorted_by_key(|(priority, _)| -priority), "{mine:?}");
+    }
+    let mut all: Vec<_> = claimed.concat().into_iter().map(|(_, id)| id).collect();
+    all.sort();
+    all.dedup();
+    assert_eq!(all.len(), JOBS);
+    assert!(claimed.iter().filter(|mine| !mine.is_empty()).count() > 1, "one worker took all");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL: .ci/postgres"]
+async fn on_postgres_a_training_outlives_its_database() {
+    let data = TempDir::new().unwrap();
+    let name = database_name(data.path());
+    let server = testing::spawn_with(data, |_| {}).await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = client.create_job(&small_job(&capture.id, 400, 50), None).await.unwrap();
+    until(client, &job.id, |job| job.progress.step > 0).await;
+    // Nobody is let in, and who is in is put out.
+    let other = TempDir::new().unwrap();
+    let root = raw_pool(other.path()).await;
+    let execute = async |statement: String| {
+        sqlx::raw_sql(sqlx::AssertSqlSafe(statement)).execute(&root).await.unwrap();
+    };
+    execute(format!("ALTER DATABASE \"{name}\" ALLOW_CONNECTIONS false")).await;
+    execute(format!(
+        "SELECT COUNT(pg_terminate_backend(pid)) FROM pg_stat_activity WHERE datname = '{name}'"
+    ))
+    .await;
+    let refused = client.job(&job.id).await.unwrap_err();
+    assert_eq!(refused.problem().map(|problem| problem.status), Some(503), "{refused}");
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    execute(format!("ALTER DATABASE \"{name}\" ALLOW_CONNECTIONS true")).await;
+    answers(client).await;
+    let job = ended(client, &job.id).await;
+    assert_eq!((job.state, job.attempts), (JobState::Succeeded, 1), "{:?}", job.error);
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL: .ci/postgres"]
+async fn on_postgres_a_backup_is_one_of_sqlite_and_a_server_starts_on_it() {
+    let server = testing::spawn_with(TempDir::new().unwrap(), |_| {}).await.unwrap();
+    let url = database(server.data_dir()).await;
+    let client = server.client();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+    let job = client.create_job(&small_job(&capture.id, 2, 2), None).await.unwrap();
+    ended(client, &job.id).await;
+    let out = TempDir::new().unwrap();
+    let (copy, restored) = (out.path().join("backup"), out.path().join("restored"));
+    let made = store::backup(server.data_dir(), Some(&url), &copy, 0).await.unwrap();
+    assert!(made.artifacts >= 3, "{made:?}");
+    let before = client.job(&job.id).await.unwrap();
+    server.stop().await.unwrap();
+    store::restore(&copy, &restored).await.unwrap();
+    let server = testing::spawn_with(TempDir::new_in(out.path()).unwrap(), |config| {
+        config.data_dir = restored;
+        config.database = None;
+    })
+    .await
+    .unwrap();
+    assert_eq!(server.client().job(&job.id).await.unwrap(), before);
+}
