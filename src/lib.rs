@@ -14,6 +14,7 @@
 //! - `store`: metadata in SQLite and artifacts in an object store (feature `server`).
 //! - `jobs`: the job state machine, leases and events (feature `server`).
 //! - `worker`: takes jobs from the queue, owns the device thread, stores checkpoints (feature `server`).
+//! - `farm`: a worker with a process of its own, over the API (features `server` and `client`).
 //! - `server`: the HTTP service (feature `server`).
 //! - `client`: a typed client of the service (feature `client`).
 //! - `testing`: starts a server on a free port for your own tests (features `server` and `client`).
@@ -37,6 +38,8 @@ pub mod client;
 #[doc(hidden)]
 pub mod engine;
 pub mod eval;
+#[cfg(all(feature = "server", feature = "client"))]
+pub(crate) mod farm;
 pub mod formats;
 #[cfg(feature = "server")]
 #[doc(hidden)]

@@ -26,6 +26,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         &["scene", "engine", "capture", "formats", "train", "render", "api", "store", "jobs", "worker"],
     ),
     ("client", &["capture", "render", "api"]),
+    ("farm", &["api", "store", "jobs", "worker", "client"]),
     ("testing", &["*"]),
     ("cli", &["*"]),
 ];

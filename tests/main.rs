@@ -67,3 +67,4 @@ mod training;
 mod turntable;
 mod usage;
 mod webhooks;
+mod workers;

@@ -52,7 +52,7 @@ impl Bench {
     async fn open(dir: TempDir) -> Self {
         let clock = Arc::new(ManualClock::default());
         let store = open_store(dir.path()).await;
-        let policy = LeasePolicy { duration: LEASE, max_idle_attempts: 3 };
+        let policy = LeasePolicy { duration: LEASE, max_idle_attempts: 3, ..LeasePolicy::default() };
         let jobs = Jobs::new(store, clock.clone(), Arc::new(SequentialIds::default()), policy);
         Self { jobs, clock, dir }
     }

@@ -52,7 +52,7 @@ enum Kind {
 
 use About::{Body, Counts, Everybody, List, One, Server};
 use Kind::{Capture, Delivery, Environment, Export, Job, Key, Model, Upload, Webhook};
-use Scope::{Admin, Metrics, Read, Render, Submit};
+use Scope::{Admin, Metrics, Read, Render, Submit, Work};
 
 /// Every operation: what it is about, and the scope that it needs.
 const OPERATIONS: &[(&str, &str, About, Scope)] = &[
@@ -121,6 +121,20 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("post", "/v1/webhooks/{id}/rotate-secret", One(Webhook), Admin),
     ("get", "/v1/webhooks/{id}/deliveries", One(Webhook), Admin),
     ("post", "/v1/webhooks/{id}/deliveries/{delivery}/replay", One(Delivery), Admin),
+    ("get", "/v1/workers", Server, Metrics),
+    ("get", "/v1/workers/{id}", Server, Metrics),
+    ("patch", "/v1/workers/{id}", Server, Admin),
+    ("post", "/v1/work/claims", Server, Work),
+    ("post", "/v1/work/{job}/heartbeat", Server, Work),
+    ("post", "/v1/work/{job}/progress", Server, Work),
+    ("post", "/v1/work/{job}/warnings", Server, Work),
+    ("post", "/v1/work/{job}/model", Server, Work),
+    ("post", "/v1/work/{job}/end", Server, Work),
+    ("get", "/v1/work/{job}/capture", Server, Work),
+    ("get", "/v1/work/{job}/environments/{environment}", Server, Work),
+    ("get", "/v1/work/{job}/checkpoint", Server, Work),
+    ("put", "/v1/work/{job}/checkpoints/{step}", Server, Work),
+    ("put", "/v1/work/{job}/files/{name}", Server, Work),
 ];
 
 /// The operations of the description, each with what is known about it.
@@ -294,7 +308,7 @@ async fn no_operation_tells_a_tenant_of_anothers_things() {
                 assert_eq!(found.0, 422, "{path}");
             }
             Server => {
-                assert_eq!(read(ask(&b.0, method, path, "")).await.0, 403, "{method} {path}");
+                assert_eq!(read(ask(&b.0, method, path, "any")).await.0, 403, "{method} {path}");
             }
             Counts => {
                 let count = async |client: &Client| {
@@ -405,8 +419,8 @@ async fn every_operation_refuses_a_key_without_its_scope_by_name() {
     let server = server().await;
     let mut few = Vec::new();
     for scope in Scope::ALL {
-        // Administrators of the operator's tenant read metrics, too.
-        let does_more = |other: &Scope| scope == Metrics && *other == Admin;
+        // Administrators of the operator's tenant read metrics and may work, too.
+        let does_more = |other: &Scope| [Metrics, Work].contains(&scope) && *other == Admin;
         let others: Vec<Scope> =
             Scope::ALL.into_iter().filter(|other| *other != scope && !does_more(other)).collect();
         let with = bearer(&server, "default", &[scope]).await.0;
@@ -414,7 +428,11 @@ async fn every_operation_refuses_a_key_without_its_scope_by_name() {
     }
     for (method, path, about, scope) in operations() {
         let (_, with, without) = few.iter().find(|(s, _, _)| s == scope).unwrap();
-        let id = if let One(kind) = about { never(*kind) } else { "" };
+        let id = match about {
+            One(kind) => never(*kind),
+            Server => "any",
+            _ => "",
+        };
         let refused = read(ask(without, method, path, id)).await;
         let admitted = read(ask(with, method, path, id)).await;
         assert!(![401, 403].contains(&admitted.0), "{method} {path}: {admitted:?}");

@@ -48,6 +48,8 @@ identifiers! {
     WebhookId;
     /// Identifies a message to a webhook.
     DeliveryId;
+    /// Identifies a worker.
+    WorkerId;
     /// Names a tenant: those who share captures, environments, jobs and models.
     TenantId;
 }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::api::marks::{Marks, MarksChange, given};
 use crate::api::quality::{Figures, MissedFigure, QualityGate};
-use crate::api::{CaptureId, JobId, ModelId};
+use crate::api::{CaptureId, JobId, ModelId, WorkerId};
 use crate::train::{Preset, TrainOverrides};
 
 /// What to train.
@@ -33,6 +33,10 @@ pub struct NewJob {
     /// `auto`, `cpu` or `gpu`.
     #[serde(default)]
     pub device: JobDevice,
+    /// Labels that a worker must have to be given the job, at most 16.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "server", sqlx(json), schema(max_items = 16))]
+    pub requires: Vec<String>,
     /// What the model must reach on held-out views, e.g. `{"novel_view.psnr": ">=28", "novel_view.ssim": ">=0.9"}`. The figures
     /// are `novel_view.psnr`, `novel_view.ssim`, `novel_view_radiance.psnr` and `novel_view_matched.psnr`, the operators `>=`, `>`,
     /// `<=` and `<`. A job whose model misses one ends as `rejected`.
@@ -67,12 +71,12 @@ impl NewJob {
 #[cfg_attr(feature = "server", derive(utoipa::ToSchema, sqlx::Type))]
 #[cfg_attr(feature = "server", schema(as = DeviceChoice), sqlx(type_name = "text", rename_all = "snake_case"))]
 pub enum JobDevice {
-    /// The device of the server.
+    /// The device of whichever worker takes it.
     #[default]
     Auto,
     /// The CPU engine.
     Cpu,
-    /// A GPU; refused where the server has none.
+    /// A GPU; refused where neither the server nor a worker has one.
     Gpu,
 }
 
@@ -187,6 +191,13 @@ pub struct JobView {
     pub overrides: TrainOverrides,
     /// Where it trains.
     pub device: JobDevice,
+    /// Labels that a worker must have to be given it.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub requires: Vec<String>,
+    /// The worker that has it or had it last.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[cfg_attr(feature = "server", schema(value_type = Option<String>))]
+    pub worker: Option<WorkerId>,
     /// Higher runs first.
     pub priority: i64,
     /// Where it stands.

@@ -23,18 +23,20 @@ pub enum Scope {
     Admin,
     /// Submit jobs with a priority above 0. Only administrators of the tenant `default` give it.
     Priority,
-    /// Read `/metrics`; of the tenant `default`.
+    /// Read `/metrics` and `/v1/workers`; of the tenant `default`.
     Metrics,
+    /// Take jobs of all tenants and publish their models, as `relume worker` does; of the tenant `default`.
+    Work,
 }
 
 impl Scope {
     /// All scopes.
-    pub const ALL: [Self; 6] =
-        [Self::Read, Self::Render, Self::Submit, Self::Admin, Self::Priority, Self::Metrics];
+    pub const ALL: [Self; 7] =
+        [Self::Read, Self::Render, Self::Submit, Self::Admin, Self::Priority, Self::Metrics, Self::Work];
 
     /// Whether keys of a tenant can make use of it.
     pub fn is_of(self, tenant: &TenantId) -> bool {
-        self != Self::Metrics || tenant.is_operator()
+        !matches!(self, Self::Metrics | Self::Work) || tenant.is_operator()
     }
 
     /// Its name in JSON and on the command line.
@@ -46,6 +48,7 @@ impl Scope {
             Self::Admin => "admin",
             Self::Priority => "priority",
             Self::Metrics => "metrics",
+            Self::Work => "work",
         }
     }
 }
@@ -101,8 +104,8 @@ pub struct NewKey {
         schema(value_type = Option<String>, min_length = 1, max_length = 64, pattern = "^[a-z0-9.-]+$")
     )]
     pub tenant: Option<TenantId>,
-    /// What it may do; `metrics` is for keys of the tenant `default`.
-    #[cfg_attr(feature = "server", schema(min_items = 1, max_items = 6))]
+    /// What it may do; `metrics` and `work` are for keys of the tenant `default`.
+    #[cfg_attr(feature = "server", schema(min_items = 1, max_items = 7))]
     pub scopes: Vec<Scope>,
     /// Seconds until it expires, 1 to ten years; never when absent. It expires with the caller's own key at the latest.
     #[serde(skip_serializing_if = "Option::is_none", default)]

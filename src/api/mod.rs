@@ -20,9 +20,11 @@ pub mod signed_urls;
 pub mod uploads;
 pub mod usage;
 pub mod webhooks;
+pub mod work;
 
 pub use ids::{
     CaptureId, DeliveryId, EnvironmentId, ExportId, JobId, KeyId, ModelId, TenantId, UploadId, WebhookId,
+    WorkerId,
 };
 pub use page::List;
 pub use problem::Problem;

@@ -16,6 +16,8 @@ mod explain;
 mod export;
 mod import;
 mod input;
+#[cfg(feature = "client")]
+mod key;
 #[cfg(feature = "server")]
 mod keys;
 mod light;
@@ -24,7 +26,13 @@ mod render;
 mod sample;
 #[cfg(feature = "server")]
 mod serve;
+#[cfg(feature = "server")]
+mod size;
 mod train;
+#[cfg(all(feature = "server", feature = "client"))]
+mod worker;
+#[cfg(feature = "client")]
+mod workers;
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -54,6 +62,12 @@ enum Command {
     #[cfg(feature = "server")]
     /// Run the HTTP service.
     Serve(serve::ServeArgs),
+    #[cfg(all(feature = "server", feature = "client"))]
+    /// Train jobs of a server elsewhere.
+    Worker(worker::WorkerArgs),
+    #[cfg(feature = "client")]
+    /// List the workers of a server, and drain them.
+    Workers(workers::WorkersArgs),
     /// Look at photographs before a training, or find their poses.
     Capture(capture::CaptureArgs),
     /// Train a model from a capture on this machine.
@@ -97,6 +111,8 @@ impl Command {
         match self {
             #[cfg(feature = "server")]
             Self::Serve(_) => "relume=info,warn",
+            #[cfg(all(feature = "server", feature = "client"))]
+            Self::Worker(_) => "relume=info,warn",
             _ => "warn",
         }
     }
@@ -111,6 +127,13 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => demo::run(&args).map_err(Into::into),
         #[cfg(feature = "server")]
         Command::Serve(args) => serve::run(args),
+        #[cfg(all(feature = "server", feature = "client"))]
+        Command::Worker(args) => match worker::run(args) {
+            Ok(code) => return code,
+            Err(error) => Err(error),
+        },
+        #[cfg(feature = "client")]
+        Command::Workers(args) => workers::run(&args),
         Command::Capture(args) => match capture::run(&args) {
             Ok(code) => return code,
             Err(error) => Err(error),

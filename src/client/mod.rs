@@ -26,6 +26,7 @@ mod models;
 mod uploads;
 mod usage;
 mod webhooks;
+pub mod work;
 
 pub use connection::Client;
 pub use error::ClientError;

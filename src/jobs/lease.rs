@@ -3,10 +3,12 @@
 
 use std::time::Duration;
 
+use crate::api::JobId;
 use crate::api::jobs::{JobProgress, JobState};
 use crate::api::quality::Figures;
+use crate::api::work::{LeaseStatus, Release, Task};
 use crate::jobs::queue::Jobs;
-use crate::store::{JobRecord, LeaseStatus, Measured, ModelFile, ModelRecord, Release, StoreError};
+use crate::store::{Claimant, Incoming, JobRecord, Measured, ModelFile, ModelRecord, StoreError};
 
 /// How often a worker tries again what the database could not be reached for, and how long it waits in between.
 const PATIENCE: u32 = 60;
@@ -20,17 +22,34 @@ pub struct Lease {
 }
 
 impl Jobs {
-    /// Claims the next job for a worker.
+    /// Claims the next job for a worker that is not registered and may have any that asks for no label.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn claim(&self) -> Result<Option<Lease>, StoreError> {
+        self.claim_as(&Claimant { has_gpu: true, ..Claimant::default() }).await
+    }
+
+    /// Claims the next job that a worker may have.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn claim_as(&self, claimant: &Claimant) -> Result<Option<Lease>, StoreError> {
         let (token, now) = (self.fresh_id::<String>(), self.now_ms());
-        let job = self.store.claim_job(&token, now, self.lease_end(now)).await?;
+        let job = self.store.claim_job(claimant, &token, now, self.lease_end(now)).await?;
         if job.is_some() {
             self.announce();
         }
         Ok(job.map(|job| Lease { jobs: self.clone(), job, token }))
+    }
+
+    /// The lease of a worker that sends its token along, while it stands.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn lease(&self, job: &JobId, token: &str) -> Result<Option<Lease>, StoreError> {
+        let job = self.store.leased_job(job, token).await?;
+        Ok(job.map(|job| Lease { jobs: self.clone(), job, token: token.to_owned() }))
     }
 }
 
@@ -38,6 +57,24 @@ impl Lease {
     /// The job as it was when it was claimed.
     pub fn job(&self) -> &JobRecord {
         &self.job
+    }
+
+    /// What carries this right along.
+    pub fn token(&self) -> &str {
+        &self.token
+    }
+
+    /// The job as its worker sees it.
+    pub fn task(&self) -> Task {
+        let job = &self.job;
+        Task {
+            job: job.id.clone(),
+            request: job.request.clone(),
+            attempt: job.attempts,
+            is_last_attempt: self.is_last_attempt(),
+            total: job.progress.total,
+            checkpoint_step: job.checkpoint.as_ref().and(job.checkpoint_step),
+        }
     }
 
     /// Key prefix for what this attempt writes; no other attempt shares it.
@@ -84,10 +121,38 @@ impl Lease {
     /// # Errors
     /// When the bytes cannot be stored or the database fails; the previous checkpoint then still counts.
     pub async fn checkpoint(&self, step: i64, bytes: Vec<u8>) -> Result<LeaseStatus, StoreError> {
-        let store = &self.jobs.store;
+        let size = bytes.len() as u64;
+        let key = self.checkpoint_key(step);
+        let stored = match self.jobs.store.artifacts().put(&key, bytes).await {
+            Ok(sha256) => self.adopt_checkpoint(step, key, sha256).await,
+            Err(error) => Err(error),
+        };
+        self.told_of_room(stored, size)
+    }
+
+    /// As [`Self::checkpoint`], of bytes that have arrived already.
+    ///
+    /// # Errors
+    /// As [`Self::checkpoint`].
+    pub async fn take_checkpoint(&self, step: i64, bytes: Incoming) -> Result<LeaseStatus, StoreError> {
+        let (key, sha256) = (self.checkpoint_key(step), bytes.sha256.clone());
+        self.jobs.store.artifacts().publish(bytes, &key).await?;
+        self.adopt_checkpoint(step, key, sha256).await
+    }
+
+    fn checkpoint_key(&self, step: i64) -> String {
         let unique: String = self.jobs.fresh_id();
-        let key = format!("{}/checkpoint-{step:08}-{unique}.safetensors", self.artifact_prefix());
-        let sha256 = store.artifacts().put(&key, bytes).await?;
+        format!("{}/checkpoint-{step:08}-{unique}.safetensors", self.artifact_prefix())
+    }
+
+    /// Points the job at a checkpoint that is stored.
+    async fn adopt_checkpoint(
+        &self,
+        step: i64,
+        key: String,
+        sha256: String,
+    ) -> Result<LeaseStatus, StoreError> {
+        let store = &self.jobs.store;
         let (artifact, now) = ((key.as_str(), sha256.as_str()), self.jobs.now_ms());
         let record = || store.record_checkpoint(&self.job.id, &self.token, artifact, step, now);
         let recorded = patiently(record).await;
@@ -118,7 +183,7 @@ impl Lease {
     ) -> Result<LeaseStatus, StoreError> {
         let measured = Measured::new(figures, &self.job.request.quality_gate);
         let now = self.jobs.now_ms();
-        let checkpoint = self.last_checkpoint().await?;
+        let checkpoint = self.current_checkpoint().await?;
         let status = self.jobs.store.publish_model(&self.token, model, files, &measured, now).await?;
         self.ended(status, checkpoint).await;
         Ok(status)
@@ -142,13 +207,13 @@ impl Lease {
 
     async fn end(&self, state: JobState, error: Option<(&str, &str)>) -> Result<LeaseStatus, StoreError> {
         let now = self.jobs.now_ms();
-        let checkpoint = self.last_checkpoint().await?;
+        let checkpoint = self.current_checkpoint().await?;
         let status = self.jobs.store.end_job(&self.job.id, &self.token, state, error, now).await?;
         self.ended(status, checkpoint).await;
         Ok(status)
     }
 
-    async fn last_checkpoint(&self) -> Result<Option<String>, StoreError> {
+    async fn current_checkpoint(&self) -> Result<Option<String>, StoreError> {
         Ok(self.jobs.store.job(&self.job.tenant, &self.job.id).await?.and_then(|job| job.checkpoint))
     }
 
@@ -158,6 +223,14 @@ impl Lease {
             self.jobs.store.artifacts().remove(&key).await;
         }
         self.jobs.announce();
+    }
+
+    /// Where no room was left for `size` bytes, nothing is claimed until there is.
+    pub(super) fn told_of_room<T>(&self, stored: Result<T, StoreError>, size: u64) -> Result<T, StoreError> {
+        if matches!(stored, Err(StoreError::Full)) {
+            self.jobs.store.room().note_shortage(size);
+        }
+        stored
     }
 
     /// Gives the job back to the queue.

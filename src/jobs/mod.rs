@@ -13,9 +13,13 @@
 
 mod clock;
 mod deletion;
+mod finishing;
+mod inputs;
 mod lease;
+mod presence;
 mod queue;
 
 pub use clock::{Clock, DatabaseClock, Ids, ManualClock, RandomIds, SequentialIds, SystemClock};
+pub use inputs::StoredFile;
 pub use lease::Lease;
 pub use queue::{Jobs, LeasePolicy};

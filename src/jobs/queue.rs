@@ -1,5 +1,6 @@
 //! What clients of the service do to jobs, and what is done about leases that ran out.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -22,12 +23,18 @@ pub struct LeasePolicy {
     pub duration: Duration,
     /// Attempts without a new checkpoint before a job is given up.
     pub max_idle_attempts: u32,
+    /// How long a worker may be silent before its jobs are given to others.
+    pub worker_silence: Duration,
 }
 
 impl Default for LeasePolicy {
     fn default() -> Self {
         // Heartbeats follow steps only, and there is none while a large capture is imported.
-        Self { duration: Duration::from_secs(600), max_idle_attempts: 5 }
+        Self {
+            duration: Duration::from_secs(600),
+            max_idle_attempts: 5,
+            worker_silence: Duration::from_secs(60),
+        }
     }
 }
 
@@ -149,6 +156,15 @@ impl Jobs {
         self.store.jobs(tenant, state, filter, page).await
     }
 
+    /// How many jobs run before each of these that waits.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn positions(&self, jobs: &[JobRecord]) -> Result<HashMap<JobId, i64>, StoreError> {
+        let waiting = jobs.iter().filter(|job| job.state == JobState::Queued);
+        self.store.queue_positions(&waiting.map(|job| &job.id).collect::<Vec<_>>()).await
+    }
+
     /// True when some job waits for a worker.
     ///
     /// # Errors
@@ -196,7 +212,7 @@ impl Jobs {
         self.store.events_after(tenant, id, after).await
     }
 
-    /// Takes back leases that ran out.
+    /// Takes back leases that ran out, and those of workers that have been silent for too long.
     ///
     /// # Errors
     /// When the database fails.
@@ -204,7 +220,8 @@ impl Jobs {
         self.reclaim(self.now_ms()).await
     }
 
-    /// Takes back every lease. The caller must hold the node lock: then every worker is dead.
+    /// Takes back also every lease whose worker is not registered. The caller must hold the node lock and have forgotten the workers
+    /// that were threads of this server before: then all of these are dead.
     ///
     /// # Errors
     /// When the database fails.
@@ -214,7 +231,8 @@ impl Jobs {
 
     async fn reclaim(&self, expired_ms: i64) -> Result<Vec<JobRecord>, StoreError> {
         let max_idle = i64::from(self.policy.max_idle_attempts);
-        let jobs = self.store.reclaim_leases(expired_ms, max_idle, self.now_ms()).await?;
+        let (now, alive) = (self.now_ms(), self.alive_ms());
+        let jobs = self.store.reclaim_leases((expired_ms, alive), max_idle, now).await?;
         for job in &jobs {
             tracing::info!(job = %job.id, state = job.state.name(), "took a lease back");
             self.drop_checkpoint(job).await;

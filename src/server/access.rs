@@ -8,7 +8,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use crate::api::Problem;
-use crate::api::keys::Scope::{self, Admin, Metrics, Read, Render, Submit};
+use crate::api::keys::Scope::{self, Admin, Metrics, Read, Render, Submit, Work};
 use crate::server::caller::Caller;
 use crate::server::keyring::Keyring;
 use crate::server::rates::{Rates, Standing};
@@ -97,6 +97,20 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::POST, "/v1/webhooks/{id}/rotate-secret", Needs(Admin)),
     (Method::GET, "/v1/webhooks/{id}/deliveries", Needs(Admin)),
     (Method::POST, "/v1/webhooks/{id}/deliveries/{delivery}/replay", Needs(Admin)),
+    (Method::GET, "/v1/workers", Operator(Metrics)),
+    (Method::GET, "/v1/workers/{id}", Operator(Metrics)),
+    (Method::PATCH, "/v1/workers/{id}", Operator(Admin)),
+    (Method::POST, "/v1/work/claims", Operator(Work)),
+    (Method::POST, "/v1/work/{job}/heartbeat", Operator(Work)),
+    (Method::POST, "/v1/work/{job}/progress", Operator(Work)),
+    (Method::POST, "/v1/work/{job}/warnings", Operator(Work)),
+    (Method::POST, "/v1/work/{job}/model", Operator(Work)),
+    (Method::POST, "/v1/work/{job}/end", Operator(Work)),
+    (Method::GET, "/v1/work/{job}/capture", Operator(Work)),
+    (Method::GET, "/v1/work/{job}/environments/{environment}", Operator(Work)),
+    (Method::GET, "/v1/work/{job}/checkpoint", Operator(Work)),
+    (Method::PUT, "/v1/work/{job}/checkpoints/{step}", Operator(Work)),
+    (Method::PUT, "/v1/work/{job}/files/{name}", Operator(Work)),
 ];
 
 /// The line of the table for a request that a route was found for.

@@ -55,6 +55,8 @@ pub(super) struct App {
     pub(super) store: Store,
     pub(super) jobs: Jobs,
     pub(super) device: DeviceHandle,
+    /// Whether this server trains itself.
+    pub(super) trains: bool,
     pub(super) limits: RequestLimits,
     pub(super) upload_limits: UploadLimits,
     /// Bounds on captures.

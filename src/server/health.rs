@@ -1,5 +1,7 @@
 //! `/healthz`, `/readyz`, `/metrics` and the API's own description.
 
+use std::time::Instant;
+
 use axum::Json;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
@@ -10,6 +12,7 @@ use utoipa_axum::routes;
 
 use crate::api::Problem;
 use crate::api::jobs::JobState;
+use crate::api::work::WorkerState;
 use crate::server::app::Shared;
 use crate::server::observe;
 use crate::store::StoreError;
@@ -72,8 +75,27 @@ async fn prometheus(State(app): State<Shared>) -> Result<Response, Problem> {
         let count = counts.iter().find(|(s, _)| *s == state).map_or(0, |(_, n)| *n);
         metrics::gauge!("relume_jobs", "state" => state.name()).set(count as f64);
     }
+    tell_of_workers(&app).await?;
     let text = observe::metrics_handle().render();
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response())
+}
+
+/// How the fleet stands, and how long the queue has been waiting for it.
+async fn tell_of_workers(app: &Shared) -> Result<(), Problem> {
+    let asked = Instant::now();
+    app.store.ping().await?;
+    metrics::gauge!("relume_database_ping_seconds").set(asked.elapsed().as_secs_f64());
+    let alive = app.jobs.alive_ms();
+    let workers = app.store.workers().await?;
+    let states: Vec<WorkerState> = workers.into_iter().map(|worker| worker.view(alive).state).collect();
+    for state in WorkerState::ALL {
+        let count = states.iter().filter(|s| **s == state).count();
+        metrics::gauge!("relume_workers", "state" => state.name()).set(count as f64);
+    }
+    let oldest = app.store.oldest_queued().await?;
+    let waited_ms = oldest.map_or(0, |queued_ms| app.jobs.now_ms().saturating_sub(queued_ms).max(0));
+    metrics::gauge!("relume_oldest_queued_job_seconds").set(waited_ms as f64 / 1000.0);
+    Ok(())
 }
 
 /// Get this description

@@ -11,6 +11,7 @@ use utoipa_axum::routes;
 
 use crate::api::jobs::{JobChange, JobDevice, JobState, JobView, NewJob};
 use crate::api::keys::Scope;
+use crate::api::work::fault_of_labels;
 use crate::api::{EnvironmentId, JobId, List, Problem, ResourceKind, TenantId};
 use crate::capture::BUILTIN;
 use crate::server::app::Shared;
@@ -90,10 +91,10 @@ async fn create_job(
         return Err(Problem::invalid_field(format!("/{field}"), why));
     }
     check_priority(&caller, job.priority)?;
-    if job.device == JobDevice::Gpu && !app.device.has_gpu() {
-        return Err(Problem::invalid_field("/device", "this server has no GPU"));
+    if let Some(why) = fault_of_labels(&job.requires) {
+        return Err(Problem::invalid_field("/requires", why));
     }
-    job_bounds::check(&config, job.device != JobDevice::Cpu && app.device.has_gpu())?;
+    job_bounds::check(&config, on_gpu(&app, job.device).await?)?;
     let Some(capture) = app.store.capture(&caller.tenant, &job.capture).await? else {
         return Err(validation::why_not(&app, &caller, &job.capture).await?);
     };
@@ -120,15 +121,12 @@ async fn list_jobs(
         .await?;
     let jobs = app.jobs.list(&caller.tenant, query.state, &filter, &page.of_store()).await?;
     let (jobs, next) = page.cut(jobs);
-    let mut items = Vec::with_capacity(jobs.len());
-    for job in jobs {
-        let position = match job.state {
-            JobState::Queued => app.store.queue_position(&job.id).await?,
-            _ => None,
-        };
-        items.push(job.view(position));
-    }
-    Ok(Json(List { items, next }))
+    let positions = app.jobs.positions(&jobs).await?;
+    let view = |job: JobRecord| {
+        let position = positions.get(&job.id).copied();
+        job.view(position)
+    };
+    Ok(Json(List { items: jobs.into_iter().map(view).collect(), next }))
 }
 
 /// Get a job
@@ -276,6 +274,18 @@ async fn check_light(app: &Shared, tenant: &TenantId, light: &KnownLight) -> Res
     }
     let detail = format!("{name:?} is no uploaded environment and none of {}", BUILTIN.join(", "));
     Err(Problem::invalid_field("/overrides/light/environment", detail))
+}
+
+/// Whether a job may train on a GPU: this server's or a worker's. Where other machines do all of the work they may start later.
+///
+/// # Errors
+/// 422 for a job that asks for one in vain.
+async fn on_gpu(app: &Shared, asked: JobDevice) -> Result<bool, Problem> {
+    let there = app.device.has_gpu() || !app.trains || app.store.has_gpu_worker(app.jobs.alive_ms()).await?;
+    if asked == JobDevice::Gpu && !there {
+        return Err(Problem::invalid_field("/device", "neither this server nor a worker has a GPU"));
+    }
+    Ok(asked != JobDevice::Cpu && there)
 }
 
 /// Whoever may submit may wait longer; to come before others, of whichever tenant, needs a scope.

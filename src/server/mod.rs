@@ -10,6 +10,7 @@ mod caller;
 mod cameras;
 mod captures;
 mod connections;
+mod crew;
 mod decoders;
 mod deletion;
 mod description;
@@ -66,10 +67,12 @@ mod viewer;
 #[cfg(feature = "web")]
 mod web;
 mod webhooks;
+mod workers;
 
 pub use app::RequestLimits;
 pub use auth::ApiKeys;
 pub use connections::{ConnectionLimits, raise_file_limit};
+pub use crew::Trainers;
 pub use exports::ExportPolicy;
 pub use fetching::{FetchOrigin, FetchPolicy};
 pub use origins::CorsOrigin;

@@ -13,6 +13,7 @@ use crate::server::web;
 use crate::server::{
     cameras, captures, deletion, description, environments, events, exports, files, health, jobs, keys,
     models, photographs, poses, previews, renders, signed_urls, thumbnails, uploads, usage, viewer, webhooks,
+    workers,
 };
 
 fn families() -> OpenApiRouter<Shared> {
@@ -22,7 +23,8 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(photographs::lists())
         .merge(poses::routes())
         .merge(environments::uploads())
-        .merge(uploads::uploads());
+        .merge(uploads::uploads())
+        .merge(workers::transfers());
     let queries = captures::routes()
         .merge(environments::routes())
         .merge(jobs::routes())
@@ -35,7 +37,8 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(deletion::routes())
         .merge(uploads::routes())
         .merge(usage::routes())
-        .merge(webhooks::routes());
+        .merge(webhooks::routes())
+        .merge(workers::routes());
     OpenApiRouter::with_openapi(description::preamble())
         .merge(bounded(taking, &UPLOADS))
         .merge(bounded(queries, &QUERIES))

@@ -16,6 +16,7 @@ use crate::server::access::Gate;
 use crate::server::app::{App, RequestLimits, Shared};
 use crate::server::auth::{ApiKeys, may_listen};
 use crate::server::connections::{self, ConnectionLimits};
+use crate::server::crew::{self, Crew, CrewError, CrewPlan, RollCall, Trainers};
 use crate::server::decoders::Decoders;
 use crate::server::encoders::Encoders;
 use crate::server::exports::{self, ExportDesk, ExportPolicy};
@@ -36,7 +37,7 @@ use crate::server::turns::Turns;
 use crate::server::validation;
 use crate::server::webhooks::{Courier, WebhookPolicy};
 use crate::store::{DatabaseUrl, NodeLock, Quota, Retention, Store, StoreError, UploadLimits, has_keys};
-use crate::worker::{self, DeviceHandle, StartError, WorkerOptions};
+use crate::worker::{DeviceHandle, WorkerOptions};
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
 const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(10);
@@ -86,6 +87,10 @@ pub struct ServerConfig {
     pub retention: Retention,
     /// Sizes of the worker.
     pub worker: WorkerOptions,
+    /// Which devices train. Frames are rendered on that of `worker`.
+    pub trainers: Trainers,
+    /// Labels of this server's workers, which jobs may ask for.
+    pub worker_labels: Vec<String>,
     /// Tells the time.
     pub clock: Arc<dyn Clock>,
     /// Makes identifiers.
@@ -115,6 +120,8 @@ impl ServerConfig {
             webhooks: WebhookPolicy::default(),
             retention: Retention::default(),
             worker: WorkerOptions::default(),
+            trainers: Trainers::default(),
+            worker_labels: Vec::new(),
             clock: Arc::new(SystemClock),
             ids: Arc::new(RandomIds),
         }
@@ -145,6 +152,16 @@ pub enum ServeError {
     Io(#[from] std::io::Error),
 }
 
+impl From<CrewError> for ServeError {
+    fn from(error: CrewError) -> Self {
+        match error {
+            CrewError::Device(error) => Self::Device(error),
+            CrewError::Store(error) => Self::Store(error),
+            CrewError::Io(error) => Self::Io(error),
+        }
+    }
+}
+
 /// Serves until `shutdown` resolves, then drains: claims nothing more, checkpoints and releases the running job,
 /// ends event streams and lets open requests finish.
 ///
@@ -158,19 +175,16 @@ pub async fn run(
     let address = listener.local_addr()?;
     let is_open = check_openness(&config, address).await?;
     observe::metrics_handle();
-    let _lock = NodeLock::acquire(&config.data_dir)?;
+    let mut lock = NodeLock::acquire(&config.data_dir)?;
+    let name = lock.name(|| config.ids.fresh())?;
     let store = open(&config).await?;
     let _database = store.lock_database().await?;
     let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
     jobs.follow_time().await?;
-    recover(&store, &jobs).await?;
+    recover(&store, &jobs, &name).await?;
     let stop = CancellationToken::new();
-    let started = worker::start(jobs.clone(), config.worker, stop.clone());
-    let (device, thread) = started.map_err(|e| match e {
-        StartError::Device(error) => ServeError::Device(error),
-        StartError::Thread(error) => ServeError::Io(error),
-    })?;
-    let maintenance = tokio::spawn(maintain(jobs.clone(), stop.clone()));
+    let Crew { device, threads, roll } = crew::start(plan(&config), &jobs, &name, &stop).await?;
+    let maintenance = tokio::spawn(maintain(jobs.clone(), roll, stop.clone()));
     let others = jobs.clone();
     let listening = tokio::spawn(async move { others.follow_others().await });
     let tidy = Arc::new(Notify::new());
@@ -178,16 +192,13 @@ pub async fn run(
     let keeper = Keeper { jobs: jobs.clone(), retention: config.retention, thumbnails: thumbnails.clone() };
     let keeper = tokio::spawn(keeper.keep(tidy.clone(), stop.clone()));
     let courier = tokio::spawn(Courier::new(jobs.clone(), config.webhooks).work(stop.clone()));
-    let (service, app) = service(&config, is_open, jobs, device, thumbnails, tidy, stop.clone())?;
+    let (service, app) = service(&config, is_open, jobs.clone(), device, thumbnails, tidy, stop.clone())?;
     let exporter = tokio::spawn(exports::work(app.clone()));
     tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
     serve(listener, service, config.connections, shutdown, stop.clone()).await;
 
     stop.cancel();
-    let joined = tokio::task::spawn_blocking(move || thread.join()).await;
-    if !matches!(joined, Ok(Ok(()))) {
-        tracing::error!("the device thread did not end well");
-    }
+    threads.join().await;
     app.poses.idle().await;
     maintenance.abort();
     listening.abort();
@@ -200,9 +211,22 @@ pub async fn run(
     if keeper.await.is_err() {
         tracing::error!("what was deleted could not be swept to the end");
     }
+    if let Err(error) = jobs.forget_workers(Some(name.as_str())).await {
+        tracing::warn!(%error, "the workers of this server stay on the list until the next start");
+    }
     store.close().await;
     tracing::info!("stopped");
     Ok(())
+}
+
+/// What trains and renders.
+fn plan(config: &ServerConfig) -> CrewPlan {
+    CrewPlan {
+        options: config.worker,
+        trainers: config.trainers.clone(),
+        labels: config.worker_labels.clone(),
+        silence: config.lease.worker_silence,
+    }
 }
 
 /// Whether everyone is accepted.
@@ -254,6 +278,7 @@ fn service(
         store,
         jobs,
         device,
+        trains: config.trainers != Trainers::None,
         thumbnails,
         limits: config.limits,
         upload_limits: config.uploads,
@@ -293,16 +318,20 @@ fn service(
 }
 
 /// Takes back what a server that died left. The caller holds the node lock, so no other process works here.
-async fn recover(store: &Store, jobs: &Jobs) -> Result<(), StoreError> {
+async fn recover(store: &Store, jobs: &Jobs, server: &str) -> Result<(), StoreError> {
     store.artifacts().sweep_incoming()?;
     store.recover_uploads().await?;
     let exports = store.requeue_exports(None).await?;
     if exports > 0 {
         tracing::info!(exports, "goes on with exports of a server that ended");
     }
-    let recovered = match jobs.reclaim_all().await {
+    let take_back = async || {
+        jobs.begin_roll_call(server).await?;
+        jobs.reclaim_all().await
+    };
+    let recovered = match take_back().await {
         // A crash on a full disk leaves a job that has to be taken back on a full disk.
-        Err(StoreError::Full) if store.room().spend_reserve() => jobs.reclaim_all().await?,
+        Err(StoreError::Full) if store.room().spend_reserve() => take_back().await?,
         recovered => recovered?,
     };
     if !recovered.is_empty() {
@@ -337,18 +366,18 @@ async fn serve(
     waiting.abort();
 }
 
-async fn maintain(jobs: Jobs, stop: CancellationToken) {
+async fn maintain(jobs: Jobs, mut roll: RollCall, stop: CancellationToken) {
     while !stop.is_cancelled() {
         if let Err(error) = jobs.follow_time().await {
             tracing::error!(%error, "the time of the database is not known for now");
         }
-        if let Err(error) = jobs.reclaim_expired().await {
+        if let Err(error) = roll.call(&jobs).await {
             tracing::error!(%error, "expired leases cannot be taken back");
         }
         if let Err(error) = jobs.store().check_room().await {
             tracing::error!(%error, "there is no room to work");
         }
         observe::metrics_handle().run_upkeep();
-        tokio::time::sleep(MAINTENANCE_INTERVAL).await;
+        tokio::time::sleep(MAINTENANCE_INTERVAL.min(roll.interval())).await;
     }
 }

@@ -15,6 +15,8 @@ impl JobRecord {
             preset: self.request.preset,
             overrides: self.request.overrides,
             device: self.request.device,
+            requires: self.request.requires,
+            worker: self.worker,
             priority: self.request.priority,
             state: self.state,
             queue_position,

@@ -1,5 +1,7 @@
 //! What clients do with jobs: submit, read, cancel, re-order.
 
+use std::collections::HashMap;
+
 use serde_json::json;
 use sqlx::types::Json;
 
@@ -8,7 +10,7 @@ use crate::api::{JobId, TenantId};
 use crate::store::deletion::check_still_there;
 use crate::store::idempotency::{remember, replay};
 use crate::store::marks::{filtered, listed};
-use crate::store::sql::{self, Tx};
+use crate::store::sql::{self, Sql, Tx};
 use crate::store::{Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, events};
 
 /// Outcome of a submission.
@@ -108,6 +110,18 @@ impl Store {
         Ok(sql::query_scalar(POSITION).bind(id).fetch_optional(self.pool()).await?)
     }
 
+    /// How many queued jobs, of whichever tenant, run before each of these that is queued: in one pass over the queue.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn queue_positions(&self, ids: &[&JobId]) -> Result<HashMap<JobId, i64>, StoreError> {
+        if ids.is_empty() {
+            return Ok(HashMap::new());
+        }
+        let query = sql::query_as::<(JobId, i64)>(POSITIONS).bind(Json(ids));
+        Ok(query.fetch_all(self.pool()).await?.into_iter().collect())
+    }
+
     /// Number of jobs of all tenants in each state that has any.
     ///
     /// # Errors
@@ -179,12 +193,29 @@ const POSITION: &str = "SELECT (SELECT COUNT(*) FROM jobs AS other WHERE other.s
          AND (-other.priority, other.created_ms, other.id) < (-me.priority, me.created_ms, me.id))
      FROM jobs AS me WHERE me.id = $1 AND me.state = 'queued'";
 
+const POSITIONS: Sql = {
+    macro_rules! positions {
+        ($named:literal) => {
+            concat!(
+                "SELECT id, place FROM
+                     (SELECT id, ROW_NUMBER() OVER (ORDER BY priority DESC, created_ms, id) - 1 AS place
+                      FROM jobs WHERE state = 'queued') AS queue WHERE id IN ",
+                $named
+            )
+        };
+    }
+    Sql::each(
+        positions!("(SELECT value FROM json_each($1))"),
+        positions!("(SELECT jsonb_array_elements_text($1))"),
+    )
+};
+
 async fn insert(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
     let query = sql::query(
         "INSERT INTO jobs
              (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms, tenant,
-              quality_gate, name, external_id, labels)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15)",
+              quality_gate, name, external_id, labels, requires)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16)",
     );
     query
         .bind(&job.id)
@@ -202,6 +233,7 @@ async fn insert(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
         .bind(&job.request.name)
         .bind(&job.request.external_id)
         .bind(Json(&job.request.labels))
+        .bind(Json(&job.request.requires))
         .execute(&mut *tx)
         .await?;
     Ok(())

@@ -3,66 +3,65 @@
 use serde_json::json;
 use sqlx::types::Json;
 
-use crate::api::JobId;
 use crate::api::jobs::{JobProgress, JobState};
+use crate::api::work::{LeaseStatus, Release};
+use crate::api::{JobId, WorkerId};
 use crate::store::sql::{self, Sql, Tx};
 use crate::store::{JobRecord, Measured, ModelFile, ModelRecord, Store, StoreError, events};
 
-/// What a worker's write found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum LeaseStatus {
-    /// The lease is valid.
-    Held,
-    /// The lease is valid and the job was asked to stop.
-    Cancelling,
-    /// The lease ran out or was taken back: stop and publish nothing.
-    Lost,
+/// Who asks for a job.
+#[derive(Debug, Clone, Default)]
+pub struct Claimant {
+    /// The worker; none where it is not registered.
+    pub worker: Option<WorkerId>,
+    /// Whether it has a GPU.
+    pub has_gpu: bool,
+    /// Its labels.
+    pub labels: Vec<String>,
 }
 
-impl LeaseStatus {
-    /// The status of a lease on a job in `state`.
-    fn of(state: Option<JobState>) -> Self {
-        match state {
-            Some(JobState::Running) => Self::Held,
-            Some(JobState::Cancelling) => Self::Cancelling,
-            _ => Self::Lost,
-        }
+/// The status of a lease on a job in `state`.
+fn status_of(state: Option<JobState>) -> LeaseStatus {
+    match state {
+        Some(JobState::Running) => LeaseStatus::Held,
+        Some(JobState::Cancelling) => LeaseStatus::Cancelling,
+        _ => LeaseStatus::Lost,
     }
 }
 
-/// Why a worker gives a job back to the queue.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Release {
-    /// The server stops; the attempt does not count as one without a checkpoint.
-    Shutdown,
-    /// The database could not be reached; the attempt does not count either.
-    Outage,
-    /// There is no room on the disk; the job waits for some. Does not count either.
-    NoRoom,
-    /// The attempt failed and another may succeed.
-    AttemptFailed,
-}
-
 impl Store {
-    /// Gives the next queued job to a worker under a fresh token, in one statement.
+    /// Gives the next queued job that a worker may have to it under a fresh token, in one statement.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn claim_job(
         &self,
+        claimant: &Claimant,
         token: &str,
         now_ms: i64,
         until_ms: i64,
     ) -> Result<Option<JobRecord>, StoreError> {
         let mut tx = self.write_row().await?;
-        let job: Option<JobRecord> =
-            sql::query_as(CLAIM).bind(token).bind(now_ms).bind(until_ms).fetch_optional(&mut tx).await?;
+        let query = sql::query_as(CLAIM).bind(token).bind(now_ms).bind(until_ms);
+        let query = query.bind(&claimant.worker).bind(claimant.has_gpu).bind(Json(&claimant.labels));
+        let job: Option<JobRecord> = query.fetch_optional(&mut tx).await?;
         if let Some(job) = &job {
             let data = json!({ "state": job.state, "attempt": job.attempts });
             events::append_state(&mut tx, &job.id, now_ms, job.state, data).await?;
         }
         tx.commit().await?;
         Ok(job)
+    }
+
+    /// The job that `token` holds, of whichever tenant.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn leased_job(&self, job: &JobId, token: &str) -> Result<Option<JobRecord>, StoreError> {
+        let query = sql::query_as(
+            "SELECT * FROM jobs WHERE id = $1 AND lease_token = $2 AND state IN ('running', 'cancelling')",
+        );
+        Ok(query.bind(job).bind(token).fetch_optional(self.pool()).await?)
     }
 
     /// Whether `token` still holds the job. Changes nothing.
@@ -72,7 +71,7 @@ impl Store {
     pub async fn lease_status(&self, job: &JobId, token: &str) -> Result<LeaseStatus, StoreError> {
         let query = sql::query_scalar("SELECT state FROM jobs WHERE id = $1 AND lease_token = $2");
         let state: Option<JobState> = query.bind(job).bind(token).fetch_optional(self.pool()).await?;
-        Ok(LeaseStatus::of(state))
+        Ok(status_of(state))
     }
 
     /// Records progress with an event and extends the lease.
@@ -109,7 +108,7 @@ impl Store {
             events::append(&mut tx, job, now_ms, "progress", json!(progress)).await?;
             tx.commit().await?;
         }
-        Ok(LeaseStatus::of(state))
+        Ok(status_of(state))
     }
 
     /// Records a warning for the user, unless the lease is lost.
@@ -128,7 +127,7 @@ impl Store {
         let query = "UPDATE jobs SET lease_token = $2 WHERE id = $1 AND lease_token = $2 RETURNING state";
         let state: Option<JobState> =
             sql::query_scalar(query).bind(job).bind(token).fetch_optional(&mut tx).await?;
-        let status = LeaseStatus::of(state);
+        let status = status_of(state);
         if status != LeaseStatus::Lost {
             events::append(&mut tx, job, now_ms, "warning", json!({ "message": message })).await?;
             tx.commit().await?;
@@ -167,7 +166,7 @@ impl Store {
         }
         events::append(&mut tx, job, now_ms, "checkpoint", json!({ "step": step })).await?;
         tx.commit().await?;
-        Ok((LeaseStatus::of(state), previous.flatten().filter(|key| key != artifact)))
+        Ok((status_of(state), previous.flatten().filter(|key| key != artifact)))
     }
 
     /// Publishes the model and ends the job as succeeded or rejected, in one transaction: both happen or neither.
@@ -283,7 +282,8 @@ impl Store {
         Ok(LeaseStatus::Held)
     }
 
-    /// Takes leases back: those that ran out before `expired_ms`, or every one when it is `i64::MAX`.
+    /// Takes leases back: of registered workers those that have run out by `now_ms` and those of workers that were not seen since
+    /// `seen_ms`; of others those that ran out before `expired_ms`.
     ///
     /// A running job goes back to the queue, or fails with `attempts_exhausted` after `max_idle` attempts without
     /// a checkpoint; one that was cancelling is cancelled. Returns the jobs touched.
@@ -292,7 +292,7 @@ impl Store {
     /// When the database fails.
     pub async fn reclaim_leases(
         &self,
-        expired_ms: i64,
+        (expired_ms, seen_ms): (i64, i64),
         max_idle: i64,
         now_ms: i64,
     ) -> Result<Vec<JobRecord>, StoreError> {
@@ -307,11 +307,16 @@ impl Store {
                  error_detail = CASE WHEN state = 'running' AND idle_attempts >= $2 THEN
                      'the worker died ' || idle_attempts || ' times without reaching a new checkpoint' END,
                  eta_seconds = NULL, lease_token = NULL, lease_until_ms = NULL
-             WHERE state IN ('running', 'cancelling') AND lease_until_ms < $1 RETURNING *",
+             WHERE state IN ('running', 'cancelling')
+               AND CASE WHEN worker IS NULL THEN lease_until_ms < $1
+                        ELSE lease_until_ms < $3 OR NOT EXISTS
+                            (SELECT 1 FROM workers WHERE workers.id = jobs.worker AND workers.seen_ms >= $4) END
+             RETURNING *",
         )
         .bind(expired_ms)
         .bind(max_idle)
         .bind(now_ms)
+        .bind(seen_ms)
         .fetch_all(&mut tx)
         .await?;
         for job in &jobs {
@@ -326,19 +331,28 @@ impl Store {
 /// Gives the next queued job away. On PostgreSQL one that somebody else is about to take is passed over, not waited for.
 const CLAIM: Sql = {
     macro_rules! claim {
-        ($lock:literal) => {
+        ($has_all:literal, $lock:literal) => {
             concat!(
-                "UPDATE jobs SET state = 'running', lease_token = $1, lease_until_ms = $3,
+                "UPDATE jobs SET state = 'running', lease_token = $1, lease_until_ms = $3, worker = $4,
                      attempts = attempts + 1, idle_attempts = idle_attempts + 1,
                      started_ms = COALESCE(started_ms, $2)
-                 WHERE id = (SELECT id FROM jobs WHERE state = 'queued'
-                             ORDER BY priority DESC, created_ms, id LIMIT 1",
+                 WHERE id = (SELECT id FROM jobs AS waiting WHERE state = 'queued' AND (device <> 'gpu' OR $5)
+                     AND NOT EXISTS (SELECT 1 FROM workers WHERE workers.id = $4 AND draining) AND ",
+                $has_all,
+                " ORDER BY priority DESC, created_ms, id LIMIT 1",
                 $lock,
                 ") RETURNING *"
             )
         };
     }
-    Sql::each(claim!(""), claim!(" FOR UPDATE SKIP LOCKED"))
+    Sql::each(
+        claim!(
+            "NOT EXISTS (SELECT 1 FROM json_each(waiting.requires) AS wanted
+                         WHERE wanted.value NOT IN (SELECT value FROM json_each($6)))",
+            ""
+        ),
+        claim!("requires <@ $6", " FOR UPDATE SKIP LOCKED"),
+    )
 };
 
 async fn insert_model(tx: &mut Tx, model: &ModelRecord, files: &[ModelFile]) -> Result<(), StoreError> {

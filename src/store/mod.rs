@@ -45,6 +45,7 @@ mod uploads;
 mod usage;
 mod verification;
 mod webhooks;
+mod workers;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -57,6 +58,7 @@ use ledger::Ledger;
 use sql::{Pool, Sql, Tx};
 use uploads::Holds;
 
+pub use crate::api::work::{LeaseStatus, Release};
 pub use artifacts::Artifacts;
 pub use backup::{Backup, backup, restore};
 pub use database::{DatabaseUrl, Listener, ServerLock};
@@ -75,7 +77,7 @@ pub use job_view::rfc3339;
 pub use jobs::{CancelOutcome, Submitted};
 pub use key_token::KeyToken;
 pub use keys::{NewKeyRecord, has_keys};
-pub use leases::{LeaseStatus, Release};
+pub use leases::Claimant;
 pub use marks::Filter;
 pub use moving::{CopiedTable, DatabasePlace, copy_database};
 pub use node_lock::NodeLock;
@@ -89,6 +91,7 @@ pub use room::Room;
 pub use sweep::Swept;
 pub use uploads::{Checksum, Hold, Piece, UploadLimits, UploadRecord};
 pub use webhooks::WebhookRecord;
+pub use workers::WorkerRecord;
 
 /// The metadata database and the artifact store of one data directory.
 #[derive(Clone)]

@@ -1,16 +1,17 @@
 //! One server a data directory: an advisory lock that dies with its process.
 
 use std::fs::{File, TryLockError};
+use std::io::{Read, Write};
 use std::path::Path;
 
 use crate::store::StoreError;
 use crate::store::folder::make_private;
 
-/// Held as long as the server lives. Whoever holds it knows that every lease in the database belongs to a dead
-/// process and may be taken over at once.
+/// Held as long as the server lives. Whoever holds it knows that whatever was a thread of this directory's server before is dead,
+/// and that its leases may be taken over at once.
 #[derive(Debug)]
 pub struct NodeLock {
-    _file: File,
+    file: File,
 }
 
 impl NodeLock {
@@ -21,12 +22,26 @@ impl NodeLock {
     pub fn acquire(root: &Path) -> Result<Self, StoreError> {
         make_private(root)?;
         let path = root.join("node.lock");
-        let file = File::options().create(true).truncate(false).write(true).open(path)?;
+        let file = File::options().create(true).truncate(false).read(true).write(true).open(path)?;
         match file.try_lock() {
-            Ok(()) => Ok(Self { _file: file }),
+            Ok(()) => Ok(Self { file }),
             Err(TryLockError::WouldBlock) => Err(StoreError::Locked(root.display().to_string())),
             Err(TryLockError::Error(error)) => Err(error.into()),
         }
+    }
+
+    /// The name of the data directory, by which others who share the database know its server. One that has none yet gets `fresh`.
+    ///
+    /// # Errors
+    /// When it can be neither read nor written.
+    pub fn name(&mut self, fresh: impl FnOnce() -> String) -> Result<String, StoreError> {
+        let mut name = String::new();
+        self.file.read_to_string(&mut name)?;
+        if name.is_empty() {
+            name = fresh();
+            self.file.write_all(name.as_bytes())?;
+        }
+        Ok(name)
     }
 }
 
@@ -44,6 +59,13 @@ mod tests {
         assert!(matches!(NodeLock::acquire(dir.path()), Err(StoreError::Locked(_))));
         drop(first);
         NodeLock::acquire(dir.path()).unwrap();
+    }
+
+    #[test]
+    fn a_data_directory_keeps_its_name() {
+        let dir = tempfile::tempdir().unwrap();
+        let named = |name: &str| NodeLock::acquire(dir.path()).unwrap().name(|| name.to_owned()).unwrap();
+        assert_eq!([named("first"), named("second")], ["first", "first"]);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::api::jobs::{JobProgress, JobState, NewJob};
 use crate::api::keys::Scope;
 use crate::api::marks::Marks;
 use crate::api::quality::Figures;
-use crate::api::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId};
+use crate::api::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId, WorkerId};
 use crate::capture::CaptureReport;
 use crate::store::page::placed;
 
@@ -78,6 +78,8 @@ pub struct JobRecord {
     pub started_ms: Option<i64>,
     /// Time it became terminal.
     pub finished_ms: Option<i64>,
+    /// The worker that has it or had it last.
+    pub worker: Option<WorkerId>,
     /// Claims so far.
     pub attempts: i64,
     /// Claims since the last stored checkpoint.
@@ -116,6 +118,7 @@ impl JobRecord {
             created_ms,
             started_ms: None,
             finished_ms: None,
+            worker: None,
             attempts: 0,
             idle_attempts: 0,
             progress: JobProgress { total, ..JobProgress::default() },

@@ -4,8 +4,9 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::engine::{Device, DeviceChoice};
+use crate::engine::Device;
 use crate::render::Frame;
+use crate::worker::opened_device::OpenedDevice;
 use crate::worker::panics::panic_message;
 use crate::worker::queued::Request;
 use crate::worker::render_queue::WaitingRenders;
@@ -16,8 +17,7 @@ const BATCH: usize = 8;
 
 /// A device with the frames that wait for it, and the models and lights they use.
 pub(super) struct FrameServer {
-    choice: DeviceChoice,
-    device: Device,
+    device: OpenedDevice,
     waiting: WaitingRenders,
     cache: RenderCache,
     /// Training steps done.
@@ -25,18 +25,17 @@ pub(super) struct FrameServer {
 }
 
 impl FrameServer {
-    /// `device` is what `choice` was opened as.
     pub(super) fn new(
-        (choice, device): (DeviceChoice, Device),
+        device: OpenedDevice,
         waiting: WaitingRenders,
         cache: RenderCache,
         steps: Arc<AtomicU64>,
     ) -> Self {
-        Self { choice, device, waiting, cache, steps }
+        Self { device, waiting, cache, steps }
     }
 
     pub(super) fn device(&self) -> &Device {
-        &self.device
+        self.device.device()
     }
 
     /// Ends when a frame waits.
@@ -58,11 +57,7 @@ impl FrameServer {
     /// engine replaces it.
     pub(super) fn reopen(&mut self) {
         self.cache.clear();
-        self.device = Device::open(self.choice).unwrap_or_else(|error| {
-            tracing::error!(%error, "the device cannot be opened again; the CPU engine takes over");
-            Device::Cpu
-        });
-        tracing::warn!(device = self.device.name(), "device opened again");
+        self.device.reopen();
     }
 
     fn serve(&mut self, request: Request) {
@@ -98,12 +93,12 @@ impl FrameServer {
     }
 
     fn light(&mut self, task: &LightTask, is_wanted: &dyn Fn() -> bool) -> Result<Vec<u8>, RenderFailure> {
-        self.cache.lit_model(task, &self.device, is_wanted).map(|lit| lit.stream(task.with_map))
+        self.cache.lit_model(task, self.device.device(), is_wanted).map(|lit| lit.stream(task.with_map))
     }
 
     /// Renders a task, and between the bands of a dear one those that wait and have a single band.
     fn render(&mut self, task: &RenderTask, is_wanted: &dyn Fn() -> bool) -> Result<Frame, RenderFailure> {
-        let scene = self.cache.scene(task, &self.device, is_wanted)?;
+        let scene = self.cache.scene(task, self.device.device(), is_wanted)?;
         scene.render(task, || {
             for _ in 0..BATCH {
                 match self.waiting.try_recv_cheap() {

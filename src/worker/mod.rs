@@ -1,4 +1,4 @@
-//! The in-process worker: one OS thread that trains what is queued, and frames beside it.
+//! A worker: one OS thread that trains what a source of jobs gives it, and frames beside it.
 //!
 //! The thread drives one future with `block_on`, so that a training step may take as long as it needs without
 //! stalling the server. A GPU belongs to it alone: frames are served between steps. The CPU engine keeps nothing on a device:
@@ -8,17 +8,25 @@ mod device_handle;
 mod eta;
 mod frame_server;
 mod frame_thread;
+mod opened_device;
 mod panics;
 mod previews;
 mod progress;
 mod queued;
 mod render_queue;
 mod renders;
+mod source;
+mod start;
+mod stored;
 mod thread;
 mod training;
 mod verdict;
 
 pub use device_handle::DeviceHandle;
+pub use opened_device::OpenedDevice;
 pub use previews::Preview;
 pub use renders::{LightSource, LightTask, ModelContent, ModelSource, RenderFailure, RenderTask};
-pub use thread::{StartError, WorkerOptions, start};
+pub use source::{Claim, Claimed, Source, SourceError, TrainedModel};
+pub use start::{TrainingOptions, WorkerOptions, start, start_training};
+pub use stored::StoredJobs;
+pub use thread::Ended;

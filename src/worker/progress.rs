@@ -1,10 +1,9 @@
 //! From step reports to progress events: at most two a second, each with the expected time to the end.
 
 use crate::api::jobs::JobProgress;
-use crate::jobs::Lease;
-use crate::store::StoreError;
 use crate::train::{Progress, StepReport};
 use crate::worker::eta::Eta;
+use crate::worker::source::{Claim, SourceError};
 
 /// Least time between two progress events.
 const INTERVAL_MS: i64 = 500;
@@ -58,15 +57,15 @@ impl Reporter {
 }
 
 /// Reports what the worker does before the first step; the steps of earlier attempts stay.
-pub(super) async fn announce(lease: &Lease, message: &str) -> Result<(), StoreError> {
-    let job = lease.job();
+pub(super) async fn announce(claim: &dyn Claim, message: &str) -> Result<(), SourceError> {
+    let task = claim.task();
     let update = JobProgress {
-        step: job.checkpoint_step.unwrap_or(0),
-        total: job.progress.total,
+        step: task.checkpoint_step.unwrap_or(0),
+        total: task.total,
         message: Some(message.to_owned()),
         ..JobProgress::default()
     };
-    lease.progress(&update).await.map(drop)
+    claim.progress(&update).await.map(drop)
 }
 
 #[cfg(test)]

@@ -110,7 +110,7 @@ impl Bench {
     fn queue(&self) -> Jobs {
         let duration = Duration::from_millis(LEASE_MS.unsigned_abs());
         let max_idle_attempts = u32::try_from(MOST_IDLE).unwrap();
-        let policy = LeasePolicy { duration, max_idle_attempts };
+        let policy = LeasePolicy { duration, max_idle_attempts, ..LeasePolicy::default() };
         Jobs::new(self.store.clone(), self.clock.clone(), self.ids.clone(), policy)
     }
 

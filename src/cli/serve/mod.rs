@@ -2,6 +2,7 @@
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
@@ -11,6 +12,7 @@ use crate::cli::database::DatabaseArgs;
 use crate::engine::DeviceChoice;
 use crate::server::{self, CorsOrigin, ServerConfig};
 
+mod crew;
 mod fairness;
 mod fetching;
 mod keys;
@@ -50,9 +52,14 @@ pub(super) struct ServeArgs {
     /// Where to train and render: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
     #[arg(long, env = "RELUME_DEVICE", default_value_t)]
     device: DeviceChoice,
+    #[command(flatten)]
+    crew: crew::CrewArgs,
     /// Attempts without a new checkpoint before a job is given up.
     #[arg(long, env = "RELUME_MAX_ATTEMPTS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     max_attempts: u32,
+    /// Seconds of silence after which a worker is taken for dead and its job given to another.
+    #[arg(long, env = "RELUME_WORKER_SILENCE", default_value_t = 60, value_parser = clap::value_parser!(u64).range(2..=3600))]
+    worker_silence: u64,
     /// Memory that requests take together at most, MiB; half of the machine's or the container's where absent. A request that
     /// does not fit waits or gets 503; one that never fits gets 413.
     #[arg(long = "memory", env = "RELUME_MEMORY", value_name = "MIB", value_parser = clap::value_parser!(u64).range(64..=1 << 24))]
@@ -97,8 +104,10 @@ async fn serve(args: ServeArgs) -> CommandResult {
     config.retention = args.storage.retention();
     config.uploads.life = args.storage.upload_life();
     config.worker.device = args.device;
+    args.crew.apply(&mut config)?;
     config.worker.import_limits.max_image_pixels = args.max_photo_megapixels * 1_000_000;
     config.lease.max_idle_attempts = args.max_attempts;
+    config.lease.worker_silence = Duration::from_secs(args.worker_silence);
     let listener = TcpListener::bind(args.listen).await?;
     // With port 0 this line is how users and scripts learn the address.
     println!("listening on http://{}", listener.local_addr()?);

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+pub(super) use crate::cli::size::size;
 use crate::store::Retention;
 
 /// Options about what is stored and for how long.
@@ -54,17 +55,6 @@ fn days(text: &str) -> Result<Duration, String> {
     let wrong = || "must be days, above 0 and at most 36500".to_owned();
     let days: f64 = text.parse().map_err(|_| wrong())?;
     if days > 0.0 && days <= 36_500.0 { Ok(Duration::from_secs_f64(days * 86_400.0)) } else { Err(wrong()) }
-}
-
-/// Bytes, or a number of a unit.
-pub(super) fn size(text: &str) -> Result<u64, String> {
-    let text = text.trim();
-    let units = [("KiB", 10), ("MiB", 20), ("GiB", 30), ("TiB", 40), ("", 0)];
-    let read = units.iter().find_map(|(unit, shift)| {
-        let number: u64 = text.strip_suffix(unit)?.trim().parse().ok()?;
-        number.checked_mul(1 << shift).filter(|bytes| *bytes > 0)
-    });
-    read.ok_or_else(|| "must be bytes, or a whole number with KiB, MiB, GiB or TiB, above 0".to_owned())
 }
 
 /// As [`size`], or 0.

@@ -46,8 +46,8 @@ pub(super) const TABLES: &[Table] = &[
         Int bytes width height created_ms deleted_ms),
     table!("jobs" by "created_ms, id":
         Text id tenant capture_id retry_of preset device state lease_token message checkpoint checkpoint_sha256 model_id
-            error_code error_detail name external_id,
-        Json overrides quality_gate figures labels,
+            error_code error_detail name external_id worker,
+        Json overrides quality_gate figures labels requires,
         Int priority created_ms started_ms finished_ms attempts idle_attempts lease_until_ms step total gaussians
             checkpoint_step model_deleted_ms deleted_ms swept_ms,
         Real loss psnr eta_seconds),
@@ -65,6 +65,8 @@ pub(super) const TABLES: &[Table] = &[
         Int former_until_ms created_ms failing_since_ms switched_off_ms),
     table!("deliveries" by "seq" numbered true:
         Int seq created_ms due_ms tries, Text id webhook_id event job_id payload state, Json attempts),
+    table!("workers" by "id":
+        Text id server name device version, Json labels, Bool has_gpu draining, Int started_ms seen_ms),
     table!("exports" by "id":
         Text id tenant model_id kind state file_name content_type artifact sha256 error_code error_detail, Json request,
         Int done total work_bytes bytes created_ms started_ms finished_ms deleted_ms),

@@ -2,8 +2,8 @@
 
 use std::ops::ControlFlow;
 
-use crate::jobs::Lease;
-use crate::store::{LeaseStatus, Release};
+use crate::api::work::{LeaseStatus, Release};
+use crate::worker::source::Claim;
 use crate::worker::thread::{Worker, serve_next};
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, settle};
 
@@ -15,7 +15,7 @@ impl Worker {
     /// When `work` does.
     pub(super) async fn aside<T: Send + 'static>(
         &mut self,
-        lease: &Lease,
+        claim: &dyn Claim,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<ControlFlow<AttemptEnd, T>, AttemptError> {
         let mut working = tokio::task::spawn_blocking(work);
@@ -26,11 +26,11 @@ impl Worker {
                     return Ok(ControlFlow::Continue(done));
                 }
                 () = serve_next(&mut self.frames) => {}
-                _ = self.changes.changed() => if lease.check().await? != LeaseStatus::Held {
-                    return Ok(ControlFlow::Break(settle(lease).await?));
+                _ = self.changes.changed() => if claim.check().await? != LeaseStatus::Held {
+                    return Ok(ControlFlow::Break(settle(claim).await?));
                 },
                 () = self.stop.cancelled() => {
-                    lease.release(Release::Shutdown).await?;
+                    claim.release(Release::Shutdown).await?;
                     return Ok(ControlFlow::Break(AttemptEnd::Stopped));
                 }
             }
@@ -42,7 +42,6 @@ impl Worker {
 mod tests {
     use std::sync::Arc;
     use std::sync::mpsc;
-    use std::time::Duration;
 
     use tempfile::TempDir;
     use tokio_util::sync::CancellationToken;
@@ -53,10 +52,13 @@ mod tests {
     use crate::api::{JobId, TenantId};
     use crate::capture::{CaptureReport, ImportLimits};
     use crate::jobs::{Jobs, LeasePolicy, ManualClock, SequentialIds};
-    use crate::store::{CaptureRecord, Store, Submitted};
+    use crate::store::{CaptureRecord, Claimant, Store, Submitted};
+    use crate::worker::opened_device::OpenedDevice;
+    use crate::worker::source::{Claimed, Source};
+    use crate::worker::stored::StoredJobs;
 
     /// A worker without a GPU whose queue has one job.
-    async fn worker(dir: &TempDir) -> (Worker, JobId) {
+    async fn worker(dir: &TempDir) -> (Worker, Jobs, JobId) {
         let store = Store::open(dir.path()).await.unwrap();
         let capture = CaptureRecord {
             id: "capture".into(),
@@ -70,38 +72,48 @@ mod tests {
         };
         let tenant = TenantId::of_operator();
         store.insert_capture(&tenant, &capture, None).await.unwrap();
-        let policy = LeasePolicy { duration: Duration::from_secs(60), max_idle_attempts: 3 };
+        let policy = LeasePolicy { max_idle_attempts: 3, ..LeasePolicy::default() };
         let clock = Arc::new(ManualClock::default());
         let jobs = Jobs::new(store, clock, Arc::new(SequentialIds::default()), policy);
         let job = NewJob { capture: "capture".into(), ..NewJob::default() };
         let submitted =
             jobs.submit(&tenant, job, 100, None, None, |job, _| job.id.to_string()).await.unwrap();
         let (Submitted::Created(id) | Submitted::Replayed(id)) = submitted;
-        let changes = jobs.subscribe();
+        let source = StoredJobs::new(jobs.clone(), Claimant::default());
+        let changes = source.changes();
         let (stop, abandoned) = (CancellationToken::new(), CancellationToken::new());
         let worker = Worker {
-            jobs,
+            source: Arc::new(source),
             frames: None,
+            device: OpenedDevice::cpu(),
             steps: Arc::default(),
             previews: Arc::default(),
             import_limits: ImportLimits::default(),
             changes,
             stop,
             abandoned,
+            once: false,
         };
-        (worker, id.into())
+        (worker, jobs, id.into())
+    }
+
+    async fn claimed(worker: &Worker) -> Option<Box<dyn Claim>> {
+        match worker.source.claim().await.unwrap() {
+            Claimed::Job(claim) => Some(claim),
+            Claimed::Nothing | Claimed::Draining => None,
+        }
     }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn work_aside_is_not_waited_for_once_its_job_is_cancelled() {
         let dir = TempDir::new().unwrap();
-        let (mut worker, id) = worker(&dir).await;
-        let lease = worker.jobs.claim().await.unwrap().unwrap();
-        let done = worker.aside(&lease, || 7).await.unwrap_or_else(|error| panic!("{}", error.detail));
+        let (mut worker, jobs, id) = worker(&dir).await;
+        let claim = claimed(&worker).await.unwrap();
+        let done =
+            worker.aside(claim.as_ref(), || 7).await.unwrap_or_else(|error| panic!("{}", error.detail));
         assert_eq!(done, ControlFlow::Continue(7), "the control: nothing was cancelled");
         let (finish, finished) = mpsc::channel::<()>();
         let (began, begun) = tokio::sync::oneshot::channel();
-        let jobs = worker.jobs.clone();
         tokio::spawn(async move {
             begun.await.unwrap();
             jobs.cancel(&TenantId::of_operator(), &id).await.unwrap();
@@ -111,7 +123,8 @@ mod tests {
             // Until the test has ended: whoever waits for this waits for ever.
             let _ = finished.recv();
         };
-        let ending = worker.aside(&lease, work).await.unwrap_or_else(|error| panic!("{}", error.detail));
+        let ending =
+            worker.aside(claim.as_ref(), work).await.unwrap_or_else(|error| panic!("{}", error.detail));
         assert_eq!(ending, ControlFlow::Break(AttemptEnd::Cancelled));
         drop(finish);
     }
@@ -119,17 +132,18 @@ mod tests {
     #[tokio::test(flavor = "multi_thread")]
     async fn work_aside_is_not_waited_for_when_the_server_stops() {
         let dir = TempDir::new().unwrap();
-        let (mut worker, _) = worker(&dir).await;
-        let lease = worker.jobs.claim().await.unwrap().unwrap();
+        let (mut worker, ..) = worker(&dir).await;
+        let claim = claimed(&worker).await.unwrap();
         let (finish, finished) = mpsc::channel::<()>();
         let stop = worker.stop.clone();
         let work = move || {
             stop.cancel();
             let _ = finished.recv();
         };
-        let ending = worker.aside(&lease, work).await.unwrap_or_else(|error| panic!("{}", error.detail));
+        let ending =
+            worker.aside(claim.as_ref(), work).await.unwrap_or_else(|error| panic!("{}", error.detail));
         assert_eq!(ending, ControlFlow::Break(AttemptEnd::Stopped));
         drop(finish);
-        assert!(worker.jobs.claim().await.unwrap().is_some(), "the job is in the queue again");
+        assert!(claimed(&worker).await.is_some(), "the job is in the queue again");
     }
 }

@@ -5,12 +5,12 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use crate::api::quality::{Figures, Similarity};
+use crate::api::work::LeaseStatus;
 use crate::capture::{Capture, CaptureView};
 use crate::engine::Device;
 use crate::eval::{EvalError, NovelViews};
 use crate::render::{RenderError, Tier};
 use crate::scene::Model;
-use crate::store::LeaseStatus;
 use crate::train::TrainError;
 use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, settle};
@@ -29,7 +29,7 @@ impl Worker {
         model: &Arc<Model>,
         capture: Capture,
     ) -> Result<ControlFlow<AttemptEnd, Figures>, AttemptError> {
-        let lease = attempt.lease;
+        let claim = attempt.claim;
         let held_out_views = capture.test.len();
         let mut comparison = Comparison::new(capture, attempt.trainer.config().light_rotations);
         if comparison.count == 0 {
@@ -42,15 +42,13 @@ impl Worker {
             let number = comparison.compared + 1;
             let message = format!("comparing held-out view {number} of {}", comparison.count);
             let update = attempt.reporter.after_training(attempt.trainer.progress(), message);
-            if held_or_unknown(lease.progress(&update).await) != LeaseStatus::Held {
-                return Ok(ControlFlow::Break(settle(lease).await?));
+            if held_or_unknown(claim.progress(&update).await) != LeaseStatus::Held {
+                return Ok(ControlFlow::Break(settle(claim).await?));
             }
-            comparison.compare(&view, model, self.device_of(lease)?).map_err(failed)?;
+            comparison.compare(&view, model, self.device_of(claim)?).map_err(failed)?;
             self.serve_waiting();
         }
-        let mut figures = comparison.figures(held_out_views);
-        figures.warnings = lease.jobs().store().warnings(&lease.job().id).await?;
-        Ok(ControlFlow::Continue(figures))
+        Ok(ControlFlow::Continue(comparison.figures(held_out_views)))
     }
 }
 

@@ -12,21 +12,22 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use crate::api::jobs::JobDevice;
+use crate::api::work::{LeaseStatus, Release};
 use crate::capture::Capture;
 use crate::engine::Device;
-use crate::jobs::Lease;
 use crate::scene::Model;
-use crate::store::{LeaseStatus, Release, StoreError};
 use crate::train::{TrainConfig, Trainer};
 use crate::worker::eta::Eta;
 use crate::worker::previews::{Preview, Shown};
 use crate::worker::progress::Reporter;
+use crate::worker::source::{Claim, Source, SourceError};
 use crate::worker::thread::Worker;
 use outcome::{AttemptEnd, AttemptError, settle};
 
 /// The state of one attempt between steps.
 struct Attempt<'a> {
-    lease: &'a Lease,
+    source: Arc<dyn Source>,
+    claim: &'a dyn Claim,
     trainer: Trainer,
     reporter: Reporter,
     checkpoint_every: u32,
@@ -34,38 +35,38 @@ struct Attempt<'a> {
 
 impl Worker {
     /// Trains the lease's job until it ends one way or another.
-    pub(super) async fn train(&mut self, lease: &Lease) -> Result<AttemptEnd, AttemptError> {
-        let request = &lease.job().request;
+    pub(super) async fn train(&mut self, claim: &dyn Claim) -> Result<AttemptEnd, AttemptError> {
+        let request = &claim.task().request;
         let config = TrainConfig::new(request.preset, &request.overrides)
             .map_err(|error| AttemptError::new("config_invalid", error.to_string()))?;
         let checkpoint_every = config.checkpoint_every.max(1);
-        let capture = match self.import(lease, &config).await? {
+        let capture = match self.import(claim, &config).await? {
             ControlFlow::Continue(capture) => capture,
             ControlFlow::Break(ending) => return Ok(ending),
         };
         let capture = Arc::new(capture);
-        let trainer = match self.trainer(lease, &capture, config).await? {
+        let trainer = match self.trainer(claim, &capture, config).await? {
             ControlFlow::Continue(trainer) => trainer,
             ControlFlow::Break(ending) => return Ok(ending),
         };
-        let (now_ms, step) = (self.jobs.now_ms(), trainer.progress().step);
+        let (now_ms, step) = (self.source.now_ms(), trainer.progress().step);
         let reporter = Reporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
-        let mut attempt = Attempt { lease, trainer, reporter, checkpoint_every };
-        let shown = self.previews.of(&lease.job().id);
+        let mut attempt = Attempt { source: self.source.clone(), claim, trainer, reporter, checkpoint_every };
+        let shown = self.previews.of(&claim.task().job);
         while !attempt.trainer.is_done() {
             if self.stop.is_cancelled() {
                 return attempt.suspend().await;
             }
             if self.changes.has_changed().unwrap_or(false) {
                 self.changes.mark_unchanged();
-                if held_or_unknown(lease.check().await) != LeaseStatus::Held {
-                    return Ok(settle(lease).await?);
+                if held_or_unknown(claim.check().await) != LeaseStatus::Held {
+                    return Ok(settle(claim).await?);
                 }
             }
             let status = attempt.step().await?;
             self.steps.fetch_add(1, Ordering::SeqCst);
             if status != LeaseStatus::Held {
-                return Ok(settle(lease).await?);
+                return Ok(settle(claim).await?);
             }
             if shown.is_due() {
                 attempt.show(&shown, Arc::new(attempt.trainer.model()?));
@@ -76,17 +77,17 @@ impl Worker {
         attempt.show(&shown, model.clone());
         match self.measure(&attempt, &model, Arc::unwrap_or_clone(capture)).await? {
             ControlFlow::Continue(figures) => {
-                publish::publish(lease, attempt.trainer.seconds(), &model, figures).await
+                publish::publish(claim, attempt.trainer.seconds(), &model, figures).await
             }
             ControlFlow::Break(ending) => Ok(ending),
         }
     }
 
     /// Where a job trains.
-    fn device_of(&self, lease: &Lease) -> Result<&Device, AttemptError> {
-        match (lease.job().request.device, self.device()) {
+    fn device_of(&self, claim: &dyn Claim) -> Result<&Device, AttemptError> {
+        match (claim.task().request.device, self.device()) {
             (JobDevice::Cpu, _) => Ok(&Device::Cpu),
-            (JobDevice::Gpu, Device::Cpu) => Err(AttemptError::new("device_unfit", "this server has no GPU")),
+            (JobDevice::Gpu, Device::Cpu) => Err(AttemptError::new("device_unfit", "this worker has no GPU")),
             (_, device) => Ok(device),
         }
     }
@@ -102,9 +103,9 @@ impl Attempt<'_> {
         }
         let progress = self.trainer.progress();
         let mut status = LeaseStatus::Held;
-        let now_ms = self.lease.jobs().now_ms();
+        let now_ms = self.source.now_ms();
         if let Some(update) = self.reporter.report(now_ms, &report, progress) {
-            status = held_or_unknown(self.lease.progress(&update).await);
+            status = held_or_unknown(self.claim.progress(&update).await);
         }
         if progress.step.is_multiple_of(self.checkpoint_every) && !self.trainer.is_done() {
             self.checkpoint().await?;
@@ -117,13 +118,9 @@ impl Attempt<'_> {
     async fn checkpoint(&self) -> Result<(), AttemptError> {
         let step = i64::from(self.trainer.progress().step);
         let bytes = self.trainer.checkpoint()?;
-        let size = bytes.len() as u64;
-        match self.lease.checkpoint(step, bytes).await {
+        match self.claim.checkpoint(step, bytes).await {
             Ok(_) => {}
-            Err(error @ StoreError::Full) => {
-                self.lease.jobs().store().room().note_shortage(size);
-                return Err(error.into());
-            }
+            Err(error @ SourceError::Full) => return Err(error.into()),
             Err(error) => {
                 tracing::error!(%error, step, "a checkpoint could not be stored");
                 self.tell("a checkpoint could not be stored; training goes on").await;
@@ -139,7 +136,7 @@ impl Attempt<'_> {
     }
 
     async fn tell(&self, warning: &str) {
-        if let Err(error) = self.lease.warn(warning).await {
+        if let Err(error) = self.claim.warn(warning).await {
             tracing::warn!(%error, warning, "a warning could not be recorded");
         }
     }
@@ -147,12 +144,12 @@ impl Attempt<'_> {
     /// Stores a checkpoint and gives the job back to the queue.
     async fn suspend(&self) -> Result<AttemptEnd, AttemptError> {
         let step = i64::from(self.trainer.progress().step);
-        if step > self.lease.job().checkpoint_step.unwrap_or(0) {
+        if step > self.claim.task().checkpoint_step.unwrap_or(0) {
             self.checkpoint().await?;
         }
-        match self.lease.release(Release::Shutdown).await? {
+        match self.claim.release(Release::Shutdown).await? {
             LeaseStatus::Held => Ok(AttemptEnd::Stopped),
-            LeaseStatus::Cancelling | LeaseStatus::Lost => Ok(settle(self.lease).await?),
+            LeaseStatus::Cancelling | LeaseStatus::Lost => Ok(settle(self.claim).await?),
         }
     }
 }
@@ -163,11 +160,11 @@ fn pixels_of(capture: &Capture) -> f64 {
     pixels / capture.train.len().max(1) as f64
 }
 
-/// A store that fails for a while, e.g. on a full disk, is no reason to throw hours of training away: whether the
+/// A source that fails for a while, e.g. on a full disk, is no reason to throw hours of training away: whether the
 /// lease still stands shows at the next write that succeeds, and nothing is published without one.
-fn held_or_unknown(status: Result<LeaseStatus, StoreError>) -> LeaseStatus {
+fn held_or_unknown(status: Result<LeaseStatus, SourceError>) -> LeaseStatus {
     status.unwrap_or_else(|error| {
-        tracing::error!(%error, "the store failed under a running job");
+        tracing::error!(%error, "what keeps the jobs failed under a running one");
         LeaseStatus::Held
     })
 }

@@ -1,9 +1,9 @@
 //! How an attempt at a job ends.
 
+use crate::api::work::LeaseStatus;
 use crate::engine::DeviceError;
-use crate::jobs::Lease;
-use crate::store::{LeaseStatus, StoreError};
 use crate::train::TrainError;
+use crate::worker::source::{Claim, SourceError};
 
 /// How an attempt ended without a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,8 +24,8 @@ pub(super) const ENVIRONMENT_MISSING: &str = "environment_missing";
 const DEVICE_FAILED: &str = "device_failed";
 /// Code of failures that end when there is room on the disk.
 const STORAGE_FULL: &str = "storage_full";
-/// Code of failures that end when the database can be reached.
-const DATABASE_UNREACHABLE: &str = "database_unreachable";
+/// Code of failures that end when what keeps the jobs can be reached.
+const UNREACHABLE: &str = "unreachable";
 
 /// A failure that ends the attempt and, unless it is the device's or a full disk, the job.
 pub(in crate::worker) struct AttemptError {
@@ -45,9 +45,9 @@ impl AttemptError {
         self.code == DEVICE_FAILED
     }
 
-    /// True when the database was away: the job goes on from its checkpoint, and nobody is to blame.
+    /// True when what keeps the jobs was away: the job goes on from its checkpoint, and nobody is to blame.
     pub(in crate::worker) fn is_outage(&self) -> bool {
-        self.code == DATABASE_UNREACHABLE
+        self.code == UNREACHABLE
     }
 
     /// True when the disk was full: the job goes on from its checkpoint once there is room.
@@ -56,19 +56,17 @@ impl AttemptError {
     }
 }
 
-impl From<StoreError> for AttemptError {
-    fn from(error: StoreError) -> Self {
-        tracing::error!(%error, "the store failed under a job");
+impl From<SourceError> for AttemptError {
+    fn from(error: SourceError) -> Self {
+        tracing::error!(%error, "what keeps the jobs failed under one");
         match error {
-            StoreError::Full => Self::new(STORAGE_FULL, "the disk is full"),
-            StoreError::DatabaseUnreachable(_) => {
-                Self::new(DATABASE_UNREACHABLE, "the database cannot be reached")
+            SourceError::Full => Self::new(STORAGE_FULL, "the disk is full"),
+            SourceError::Unreachable(why) => Self::new(UNREACHABLE, why),
+            SourceError::Damaged => Self::new("artifact_damaged", error.to_string()),
+            SourceError::Gone => Self::new("artifact_damaged", "something that the job needs is gone"),
+            SourceError::Failed(_) | SourceError::Refused(_) => {
+                Self::new("storage_failed", "the store failed; the server's log says how")
             }
-            StoreError::Damaged(_) | StoreError::Missing(_) => {
-                let detail = "a stored file that the job needs is damaged or missing; upload it again";
-                Self::new("artifact_damaged", detail)
-            }
-            _ => Self::new("storage_failed", "the store failed; the server's log says how"),
         }
     }
 }
@@ -87,10 +85,10 @@ impl From<TrainError> for AttemptError {
 }
 
 /// Ends an attempt whose lease is lost or whose job is to be cancelled.
-pub(in crate::worker) async fn settle(lease: &Lease) -> Result<AttemptEnd, StoreError> {
-    match lease.check().await? {
+pub(in crate::worker) async fn settle(claim: &dyn Claim) -> Result<AttemptEnd, SourceError> {
+    match claim.check().await? {
         LeaseStatus::Cancelling => {
-            lease.confirm_cancel().await?;
+            claim.confirm_cancel().await?;
             Ok(AttemptEnd::Cancelled)
         }
         LeaseStatus::Held | LeaseStatus::Lost => Ok(AttemptEnd::Lost),

@@ -6,10 +6,9 @@ use std::sync::Arc;
 use tokio_util::bytes::Bytes;
 
 use crate::capture::Capture;
-use crate::jobs::Lease;
-use crate::store::StoreError;
 use crate::train::{Preparation, TrainConfig, TrainError, Trainer};
 use crate::worker::progress::announce;
+use crate::worker::source::{Claim, SourceError};
 use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError};
 
@@ -17,35 +16,26 @@ impl Worker {
     /// Continues from the last checkpoint, or starts over when none can be read.
     pub(super) async fn trainer(
         &mut self,
-        lease: &Lease,
+        claim: &dyn Claim,
         capture: &Arc<Capture>,
         config: TrainConfig,
     ) -> Result<ControlFlow<AttemptEnd, Trainer>, AttemptError> {
-        announce(lease, "preparing").await?;
-        let checkpoint = match &lease.job().checkpoint {
-            Some(key) => Some(self.checkpoint(key, lease.job().checkpoint_sha256.as_deref()).await),
+        announce(claim, "preparing").await?;
+        let checkpoint = match claim.task().checkpoint_step {
+            Some(_) => Some(claim.last_checkpoint().await),
             None => None,
         };
         let capture = capture.clone();
         let (preparation, lost) =
-            match self.aside(lease, move || prepare(&capture, config, checkpoint)).await? {
+            match self.aside(claim, move || prepare(&capture, config, checkpoint)).await? {
                 ControlFlow::Continue(prepared) => prepared?,
                 ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
             };
         if let Some(error) = lost {
             tracing::warn!(%error, "a checkpoint cannot be used");
-            lease.warn("the last checkpoint cannot be read; training starts over").await?;
+            claim.warn("the last checkpoint cannot be read; training starts over").await?;
         }
-        Ok(ControlFlow::Continue(preparation.on(self.device_of(lease)?)?))
-    }
-
-    /// The bytes of a checkpoint, if they are those that were stored.
-    async fn checkpoint(&self, key: &str, sha256: Option<&str>) -> Result<Bytes, StoreError> {
-        let artifacts = self.jobs.store().artifacts();
-        if let Some(sha256) = sha256 {
-            artifacts.verify(key, sha256).await?;
-        }
-        artifacts.get(key).await
+        Ok(ControlFlow::Continue(preparation.on(self.device_of(claim)?)?))
     }
 }
 
@@ -53,7 +43,7 @@ impl Worker {
 fn prepare(
     capture: &Capture,
     config: TrainConfig,
-    checkpoint: Option<Result<Bytes, StoreError>>,
+    checkpoint: Option<Result<Bytes, SourceError>>,
 ) -> Result<(Preparation, Option<TrainError>), TrainError> {
     let Some(checkpoint) = checkpoint else { return Ok((Preparation::new(capture, config)?, None)) };
     let bytes = checkpoint.map_err(|error| TrainError::Checkpoint(error.to_string()));

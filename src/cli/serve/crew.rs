@@ -1,0 +1,58 @@
+//! Options about what trains in a server.
+
+use crate::engine::{AdapterReport, DeviceChoice, adapters};
+use crate::server::{ServerConfig, Trainers};
+
+/// Options about what trains in a server.
+#[derive(Debug, clap::Args)]
+pub(super) struct CrewArgs {
+    /// Train nothing here: workers elsewhere do (`relume worker`).
+    #[arg(long, env = "RELUME_NO_WORKER", conflicts_with = "devices")]
+    no_worker: bool,
+    /// Devices that train, one job each at a time, separated by commas, or `all` graphics cards. Frames are rendered on the first. In
+    /// place of `--device`.
+    #[arg(long, env = "RELUME_DEVICES", value_delimiter = ',')]
+    devices: Vec<String>,
+    /// Labels of this server's workers that jobs may ask for, separated by commas.
+    #[arg(long, env = "RELUME_WORKER_LABELS", value_delimiter = ',')]
+    worker_labels: Vec<String>,
+}
+
+impl CrewArgs {
+    /// Says so to a server.
+    ///
+    /// # Errors
+    /// When a device is none, or there is no card.
+    pub(super) fn apply(self, config: &mut ServerConfig) -> Result<(), String> {
+        if let Some(why) = crate::api::work::fault_of_labels(&self.worker_labels) {
+            return Err(format!("--worker-labels: {why}"));
+        }
+        config.worker_labels = self.worker_labels;
+        if self.no_worker {
+            config.trainers = Trainers::None;
+        }
+        let mut devices = chosen(&self.devices)?.into_iter();
+        if let Some(first) = devices.next() {
+            config.worker.device = first;
+            config.trainers = Trainers::AlsoOn(devices.collect());
+        }
+        Ok(())
+    }
+}
+
+fn chosen(devices: &[String]) -> Result<Vec<DeviceChoice>, String> {
+    let devices: Vec<&str> =
+        devices.iter().map(|device| device.trim()).filter(|device| !device.is_empty()).collect();
+    if devices != ["all"] {
+        return devices.into_iter().map(str::parse).collect();
+    }
+    let found = cards(&adapters());
+    if found.is_empty() { Err("--devices all: there is no graphics card".to_owned()) } else { Ok(found) }
+}
+
+/// The graphics cards that can be used; software is none.
+fn cards(reports: &[AdapterReport]) -> Vec<DeviceChoice> {
+    let is_card = |report: &AdapterReport| report.usable() && !report.software;
+    let numbers = reports.iter().filter(|report| is_card(report));
+    numbers.map(|report| DeviceChoice::Gpu(Some(report.index))).collect()
+}

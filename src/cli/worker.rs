@@ -1,0 +1,115 @@
+//! `relume worker`: takes jobs of a server and trains them here.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+
+use sysinfo::System;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio_util::sync::CancellationToken;
+
+use crate::api::work::{WorkerHello, fault_of_labels};
+use crate::cli::error::CommandResult;
+use crate::cli::key::key;
+use crate::cli::size::size;
+use crate::client::Client;
+use crate::engine::DeviceChoice;
+use crate::farm::{FileCache, RemoteJobs, Told};
+use crate::jobs::{Ids, RandomIds, SystemClock};
+use crate::worker::{self, Ended, OpenedDevice, TrainingOptions};
+
+/// Exit code of `--once` when the job failed.
+const JOB_FAILED: u8 = 3;
+/// Exit code when the job was given back to the queue: EX_TEMPFAIL of sysexits.
+const GIVEN_BACK: u8 = 75;
+
+/// Options of `relume worker`.
+#[derive(Debug, clap::Args)]
+pub(super) struct WorkerArgs {
+    /// The server whose jobs to take, e.g. `https://relume.example.org`.
+    #[arg(long, env = "RELUME_SERVER")]
+    server: String,
+    /// A file with the key, which needs the scope `work`; in its place the variable RELUME_API_KEY.
+    #[arg(long, value_name = "FILE")]
+    key_file: Option<PathBuf>,
+    /// Take one job at most, then end; end at once when none waits.
+    #[arg(long)]
+    once: bool,
+    /// Where to train: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
+    #[arg(long, env = "RELUME_DEVICE", default_value_t)]
+    device: DeviceChoice,
+    /// Labels that jobs may ask for, separated by commas.
+    #[arg(long, env = "RELUME_WORKER_LABELS", value_delimiter = ',')]
+    labels: Vec<String>,
+    /// A name for people; the machine's where absent.
+    #[arg(long, env = "RELUME_WORKER_NAME")]
+    name: Option<String>,
+    /// The folder of what was fetched before. Workers of one machine may share it.
+    #[arg(long, env = "RELUME_CACHE", default_value = "relume-cache")]
+    cache: PathBuf,
+    /// What it may take: bytes, or a number with MiB, GiB or TiB.
+    #[arg(long, env = "RELUME_CACHE_BYTES", value_name = "SIZE", value_parser = size, default_value = "64GiB")]
+    cache_bytes: u64,
+}
+
+pub(super) fn run(args: WorkerArgs) -> CommandResult<ExitCode> {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?.block_on(work(args))
+}
+
+async fn work(args: WorkerArgs) -> CommandResult<ExitCode> {
+    if let Some(why) = fault_of_labels(&args.labels) {
+        return Err(format!("--labels: {why}").into());
+    }
+    let client = Client::new(&args.server, key(args.key_file.as_deref())?)?;
+    let cache = FileCache::open(&args.cache, args.cache_bytes)
+        .map_err(|error| format!("--cache {}: {error}", args.cache.display()))?;
+    let device = OpenedDevice::open(args.device)?;
+    let hello = WorkerHello {
+        id: RandomIds.fresh().into(),
+        name: args.name.or_else(System::host_name).unwrap_or_else(|| "worker".to_owned()),
+        device: device.device().name(),
+        has_gpu: device.device().is_gpu(),
+        labels: args.labels,
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+    };
+    let source = RemoteJobs::new(client, hello, cache, Arc::new(SystemClock), Arc::new(tell));
+    let stop = CancellationToken::new();
+    stop_on_signals(stop.clone())?;
+    let options = TrainingOptions { once: args.once, ..TrainingOptions::default() };
+    let thread = worker::start_training(Arc::new(source), device, options, stop)?;
+    let ended = tokio::task::spawn_blocking(move || thread.join()).await?;
+    match ended.map_err(|_| "the training thread did not end well")? {
+        Some(Ended::Refused) => Err("the server gives this worker no jobs; the log says why".into()),
+        Some(Ended::GivenBack) => Ok(ExitCode::from(GIVEN_BACK)),
+        Some(Ended::Failed) if args.once => Ok(ExitCode::from(JOB_FAILED)),
+        _ => Ok(ExitCode::SUCCESS),
+    }
+}
+
+/// The first signal has the worker store a checkpoint and give its job back, the second ends it at once.
+fn stop_on_signals(stop: CancellationToken) -> std::io::Result<()> {
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut terminate = signal(SignalKind::terminate())?;
+    tokio::spawn(async move {
+        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
+        tracing::info!("stopping; a job that runs is given back");
+        stop.cancel();
+        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
+        tracing::warn!("stopped without a checkpoint; the job is given to another worker in a minute");
+        std::process::exit(1);
+    });
+    Ok(())
+}
+
+/// Logs what the worker does.
+fn tell(told: Told<'_>) {
+    match told {
+        Told::Claimed(task) => tracing::info!(job = %task.job, attempt = task.attempt, "took a job"),
+        Told::Progress(progress) => tracing::debug!(step = progress.step, total = progress.total, "trains"),
+        Told::Warning(message) => tracing::warn!("{message}"),
+        Told::Published => tracing::info!("published the model"),
+        Told::Failed(detail) => tracing::warn!(detail, "the job failed"),
+        Told::Released => tracing::info!("gave the job back"),
+        Told::Cancelled => tracing::info!("the job was cancelled"),
+    }
+}

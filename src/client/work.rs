@@ -1,0 +1,176 @@
+//! What a worker asks of a server and tells it. The key needs the scope `work`.
+
+use futures::Stream;
+use reqwest::{Method, RequestBuilder, Response};
+use serde::Serialize;
+use tokio_util::bytes::Bytes;
+
+use crate::api::jobs::JobProgress;
+use crate::api::work::{
+    Claimed, FinishedModel, LeaseView, SentFile, WorkEnd, WorkWarning, WorkerChange, WorkerHello, WorkerView,
+};
+use crate::api::{EnvironmentId, JobId, List, WorkerId};
+use crate::client::connection::{Client, checked, json};
+use crate::client::error::Result;
+
+/// The header with the lease's token.
+const LEASE: &str = "relume-lease";
+
+impl Client {
+    /// Asks for a job, which also says that the worker is there.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn claim_job(&self, hello: &WorkerHello) -> Result<Claimed> {
+        json(self.request(Method::POST, "/v1/work/claims")?.json(hello)).await
+    }
+
+    /// All workers.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn workers(&self) -> Result<List<WorkerView>> {
+        json(self.request(Method::GET, "/v1/workers")?).await
+    }
+
+    /// Says whether a worker is given jobs.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn change_worker(&self, id: &WorkerId, change: &WorkerChange) -> Result<WorkerView> {
+        json(self.request(Method::PATCH, &format!("/v1/workers/{id}"))?.json(change)).await
+    }
+
+    /// The job that a lease is on.
+    pub fn work(&self, job: JobId, lease: String) -> Work {
+        Work { client: self.clone(), job, lease }
+    }
+}
+
+/// A job that a worker holds the lease of. Every call is refused with 409 once the lease is lost.
+#[derive(Debug, Clone)]
+pub struct Work {
+    client: Client,
+    job: JobId,
+    lease: String,
+}
+
+impl Work {
+    /// Says that the worker is there.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn beat(&self) -> Result<LeaseView> {
+        json(self.request(Method::POST, "heartbeat")?).await
+    }
+
+    /// Reports progress, which renews the lease.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn progress(&self, progress: &JobProgress) -> Result<LeaseView> {
+        self.tell("progress", progress).await
+    }
+
+    /// Warns the user.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn warn(&self, message: &str) -> Result<LeaseView> {
+        self.tell("warnings", &WorkWarning { message: message.to_owned() }).await
+    }
+
+    /// Publishes a model whose files were sent.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn publish(&self, model: &FinishedModel) -> Result<LeaseView> {
+        self.tell("model", model).await
+    }
+
+    /// Ends the attempt without a model.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn end(&self, end: &WorkEnd) -> Result<LeaseView> {
+        self.tell("end", end).await
+    }
+
+    /// Sends a checkpoint.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn put_checkpoint(&self, step: i64, bytes: Bytes) -> Result<LeaseView> {
+        json(self.request(Method::PUT, &format!("checkpoints/{step}"))?.body(bytes)).await
+    }
+
+    /// Sends a file of the model.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn put_file(&self, name: &str, bytes: Bytes) -> Result<SentFile> {
+        json(self.request(Method::PUT, &format!("files/{name}"))?.body(bytes)).await
+    }
+
+    /// The capture.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn capture(&self) -> Result<Download> {
+        self.fetch("capture").await
+    }
+
+    /// An environment map of the job's tenant.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn environment(&self, id: &EnvironmentId) -> Result<Download> {
+        self.fetch(&format!("environments/{id}")).await
+    }
+
+    /// The checkpoint to go on from.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn checkpoint(&self) -> Result<Download> {
+        self.fetch("checkpoint").await
+    }
+
+    async fn tell(&self, what: &str, body: &(impl Serialize + Sync)) -> Result<LeaseView> {
+        json(self.request(Method::POST, what)?.json(body)).await
+    }
+
+    async fn fetch(&self, what: &str) -> Result<Download> {
+        Ok(Download(checked(self.request(Method::GET, what)?).await?))
+    }
+
+    fn request(&self, method: Method, what: &str) -> Result<RequestBuilder> {
+        let request = self.client.request(method, &format!("/v1/work/{}/{what}", self.job))?;
+        Ok(request.header(LEASE, &self.lease))
+    }
+}
+
+/// A file on its way.
+#[derive(Debug)]
+pub struct Download(Response);
+
+impl Download {
+    /// Hash of the whole file, lower-case hex; empty where the server does not know it.
+    pub fn sha256(&self) -> String {
+        let etag = self.0.headers().get(reqwest::header::ETAG).and_then(|value| value.to_str().ok());
+        etag.unwrap_or_default().trim_matches('"').to_owned()
+    }
+
+    /// The file.
+    pub fn bytes(self) -> impl Stream<Item = reqwest::Result<Bytes>> {
+        self.0.bytes_stream()
+    }
+
+    /// The whole file, in memory.
+    ///
+    /// # Errors
+    /// What failed on the way.
+    pub async fn whole(self) -> Result<Bytes> {
+        Ok(self.0.bytes().await?)
+    }
+}

@@ -1,0 +1,90 @@
+//! What workers send: checkpoints and the files of models.
+
+use axum::Json;
+use axum::extract::{Request, State};
+use futures::TryStreamExt;
+use serde::Deserialize;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::Problem;
+use crate::api::work::{LeaseView, SentFile};
+use crate::jobs::Lease;
+use crate::server::app::Shared;
+use crate::server::description::File;
+use crate::server::extract::UrlPath;
+use crate::server::workers::lease::{Held, standing};
+use crate::store::Incoming;
+
+/// The routes of this file.
+pub(super) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new().routes(routes!(put_checkpoint)).routes(routes!(put_file_of_work))
+}
+
+#[derive(Deserialize)]
+struct CheckpointPath {
+    step: u32,
+}
+
+/// Send a checkpoint
+///
+/// For workers: what the next attempt goes on from. It replaces the one before once all of it has arrived.
+#[utoipa::path(
+    put, path = "/v1/work/{job}/checkpoints/{step}", tag = "workers",
+    request_body(content((File = "application/octet-stream"))),
+    params(("job" = String, Path), ("step" = u32, Path), ("Relume-Lease" = String, Header)),
+    responses((status = 200, body = LeaseView), (status = 409, body = Problem, description = "The lease is lost"))
+)]
+async fn put_checkpoint(
+    State(app): State<Shared>,
+    Held(lease): Held,
+    UrlPath(path): UrlPath<CheckpointPath>,
+    request: Request,
+) -> Result<Json<LeaseView>, Problem> {
+    let bytes = receive(&app, &lease, request).await?;
+    standing(lease.take_checkpoint(i64::from(path.step), bytes).await).map(Json)
+}
+
+#[derive(Deserialize)]
+struct FilePath {
+    name: String,
+}
+
+/// Send a file of a model
+///
+/// For workers, before the model is published.
+#[utoipa::path(
+    put, path = "/v1/work/{job}/files/{name}", tag = "workers",
+    request_body(content((File = "application/octet-stream"))),
+    params(("job" = String, Path), ("name" = String, Path), ("Relume-Lease" = String, Header)),
+    responses((status = 200, body = SentFile), (status = 409, body = Problem, description = "The lease is lost"))
+)]
+async fn put_file_of_work(
+    State(app): State<Shared>,
+    Held(lease): Held,
+    UrlPath(path): UrlPath<FilePath>,
+    request: Request,
+) -> Result<Json<SentFile>, Problem> {
+    check_name(&path.name)?;
+    let bytes = receive(&app, &lease, request).await?;
+    Ok(Json(lease.take_file(&path.name, bytes).await?))
+}
+
+/// # Errors
+/// 422 for what is no name of a model's file.
+pub(super) fn check_name(name: &str) -> Result<(), Problem> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
+    let is_name = (1..=64).contains(&name.len()) && name.chars().all(plain) && !name.starts_with('.');
+    if is_name && !name.starts_with("checkpoint") {
+        return Ok(());
+    }
+    let why = "must have 1 to 64 of A-Z, a-z, 0-9, `.`, `_` and `-` and begin neither with `.` nor with `checkpoint`";
+    Err(Problem::invalid_field("/name", why))
+}
+
+/// Streams a body to disk, counted for the job's tenant.
+async fn receive(app: &Shared, lease: &Lease, request: Request) -> Result<Incoming, Problem> {
+    let body = request.into_body().into_data_stream().map_err(|error| error.to_string());
+    let name: String = app.jobs.fresh_id();
+    Ok(app.store.receive(&lease.job().tenant, &name, body, app.limits.capture_bytes).await?)
+}

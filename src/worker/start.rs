@@ -1,0 +1,139 @@
+//! Starting the threads of a worker.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::thread::JoinHandle;
+
+use tokio_util::sync::CancellationToken;
+
+use crate::capture::ImportLimits;
+use crate::engine::DeviceChoice;
+use crate::worker::device_handle::DeviceHandle;
+use crate::worker::frame_server::FrameServer;
+use crate::worker::frame_thread;
+use crate::worker::opened_device::OpenedDevice;
+use crate::worker::previews::Previews;
+use crate::worker::render_queue::render_queue;
+use crate::worker::renders::RenderCache;
+use crate::worker::source::Source;
+use crate::worker::thread::{Ended, Worker};
+
+/// Sizes of the worker's queue and caches.
+#[derive(Debug, Clone, Copy)]
+pub struct WorkerOptions {
+    /// Renders that may wait; one more is turned away.
+    pub render_queue: usize,
+    /// Models in the cache, at least 1.
+    pub models: usize,
+    /// Prepared lights in the cache, at least 1.
+    pub lights: usize,
+    /// Where to train and render.
+    pub device: DeviceChoice,
+    /// Bounds on captures, when they are uploaded and when a job reads them.
+    pub import_limits: ImportLimits,
+}
+
+impl Default for WorkerOptions {
+    fn default() -> Self {
+        Self {
+            render_queue: 64,
+            models: 4,
+            lights: 32,
+            device: DeviceChoice::Auto,
+            import_limits: ImportLimits::default(),
+        }
+    }
+}
+
+/// Starts the device thread, and one for frames when they are rendered on the CPU. They end, with the job checkpointed and
+/// released, after `stop` is cancelled.
+///
+/// Must be called inside a tokio runtime.
+///
+/// # Errors
+/// When the operating system refuses a thread.
+pub fn start(
+    source: Arc<dyn Source>,
+    device: OpenedDevice,
+    options: WorkerOptions,
+    stop: CancellationToken,
+) -> io::Result<(DeviceHandle, JoinHandle<()>)> {
+    let has_gpu = device.device().is_gpu();
+    let (queue, waiting) = render_queue(options.render_queue);
+    let last = stop.child_token();
+    let steps = Arc::new(AtomicU64::new(0));
+    let cache = RenderCache::new(options.models, options.lights);
+    let frames = FrameServer::new(device, waiting, cache, steps.clone());
+    let ended = CancellationToken::new();
+    let (frames, frame_thread) = if has_gpu {
+        (Some(frames), None)
+    } else {
+        (None, Some(frame_thread::start(frames, ended.clone())?))
+    };
+    let previews = Arc::new(Previews::default());
+    let (changes, abandoned) = (source.changes(), last.clone());
+    let worker = Worker {
+        source,
+        frames,
+        device: OpenedDevice::cpu(),
+        steps: steps.clone(),
+        previews: previews.clone(),
+        import_limits: options.import_limits,
+        changes,
+        stop,
+        abandoned,
+        once: false,
+    };
+    let runtime = tokio::runtime::Handle::current();
+    let ended = ended.drop_guard();
+    let work = move || {
+        runtime.block_on(worker.run());
+        drop(ended);
+        if frame_thread.is_some_and(|thread| thread.join().is_err()) {
+            tracing::error!("the frame thread did not end well");
+        }
+    };
+    let thread = std::thread::Builder::new().name("relume-device".to_owned()).spawn(work)?;
+    Ok((DeviceHandle::new(queue, steps, has_gpu, previews, last.drop_guard()), thread))
+}
+
+/// How a worker works that serves no frames.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct TrainingOptions {
+    /// Bounds on captures.
+    pub import_limits: ImportLimits,
+    /// Whether it ends after one job, or when none waits.
+    pub once: bool,
+}
+
+/// Starts a thread that trains and serves no frames. It ends, with the job checkpointed and released, after `stop` is cancelled, and
+/// says how its last job ended.
+///
+/// Must be called inside a tokio runtime.
+///
+/// # Errors
+/// When the operating system refuses a thread.
+pub fn start_training(
+    source: Arc<dyn Source>,
+    device: OpenedDevice,
+    options: TrainingOptions,
+    stop: CancellationToken,
+) -> io::Result<JoinHandle<Option<Ended>>> {
+    let changes = source.changes();
+    let worker = Worker {
+        source,
+        frames: None,
+        device,
+        steps: Arc::default(),
+        previews: Arc::default(),
+        import_limits: options.import_limits,
+        changes,
+        stop,
+        abandoned: CancellationToken::new(),
+        once: options.once,
+    };
+    let runtime = tokio::runtime::Handle::current();
+    let work = move || runtime.block_on(worker.run());
+    std::thread::Builder::new().name("relume-training".to_owned()).spawn(work)
+}

@@ -1,0 +1,7 @@
+//! Workers with a process of their own.
+
+mod chaos;
+mod fencing;
+mod fleet;
+mod processes;
+mod roll;
