@@ -105,6 +105,30 @@ async fn on_postgres_a_second_server_is_refused_until_the_first_has_ended() {
     third.stop().await.unwrap();
 }
 
+/// Ends every connection that holds the lock of the first server.
+async fn cut_locks(data: &Path) -> i64 {
+    let pool = raw_pool(data).await;
+    let query = "SELECT COUNT(pg_terminate_backend(pid)) FROM pg_locks
+         WHERE locktype = 'advisory' AND database = (SELECT oid FROM pg_database WHERE datname = current_database())";
+    sqlx::query_scalar(query).fetch_one(&pool).await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL: .ci/postgres"]
+async fn on_postgres_a_first_server_whose_lock_was_lost_takes_it_again_or_learns_who_has_it() {
+    let data = TempDir::new().unwrap();
+    let store = open_store(data.path()).await;
+    let mut first = store.lock_database().await.unwrap();
+    first.keep().await.unwrap();
+    assert_eq!(cut_locks(data.path()).await, 1);
+    first.keep().await.unwrap();
+    assert!(matches!(store.lock_database().await, Err(StoreError::DatabaseLocked)), "it has the lock again");
+    assert_eq!(cut_locks(data.path()).await, 1);
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let _second = store.lock_database().await.unwrap();
+    assert!(matches!(first.keep().await, Err(StoreError::DatabaseLocked)));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL: .ci/postgres"]
 async fn on_postgres_many_workers_claim_each_job_once_and_in_order() {

@@ -19,9 +19,9 @@ use crate::server::connections::{self, ConnectionLimits};
 use crate::server::crew::{self, Crew, CrewError, CrewPlan, RollCall, Trainers};
 use crate::server::decoders::Decoders;
 use crate::server::encoders::Encoders;
-use crate::server::exports::{self, ExportDesk, ExportPolicy};
+use crate::server::exports::{ExportDesk, ExportPolicy};
 use crate::server::fetching::{FetchPolicy, Fetcher};
-use crate::server::keeper::Keeper;
+use crate::server::housekeeping::Housekeeping;
 use crate::server::keyring::Keyring;
 use crate::server::memory::MemoryBudget;
 use crate::server::observe;
@@ -34,9 +34,10 @@ use crate::server::signing_secret::SigningSecret;
 use crate::server::stack::StackConfig;
 use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::server::turns::Turns;
-use crate::server::validation;
-use crate::server::webhooks::{Courier, WebhookPolicy};
-use crate::store::{DatabaseUrl, NodeLock, Quota, Retention, Store, StoreError, UploadLimits, has_keys};
+use crate::server::webhooks::WebhookPolicy;
+use crate::store::{
+    DatabaseUrl, NodeLock, Quota, Retention, ServerLock, Store, StoreError, UploadLimits, has_keys,
+};
 use crate::worker::{DeviceHandle, WorkerOptions};
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
@@ -51,8 +52,11 @@ const DRAIN: Duration = Duration::from_secs(20);
 pub struct ServerConfig {
     /// Where everything is stored. One server for each directory.
     pub data_dir: PathBuf,
-    /// Where metadata are instead of in a file of SQLite in that directory. One server for each database.
+    /// Where metadata are instead of in a file of SQLite in that directory. One server for each database, and replicas.
     pub database: Option<DatabaseUrl>,
+    /// Whether another server is the first on the database: this one answers, renders and trains, and takes no files in, makes no
+    /// exports and deletes nothing. Needs a `database`, and artifacts that both reach.
+    pub replica: bool,
     /// Accepted keys beside those in the database; without any at all, everyone is accepted, on loopback only.
     pub api_keys: ApiKeys,
     /// Origins whose web pages may call the API.
@@ -103,6 +107,7 @@ impl ServerConfig {
         Self {
             data_dir: data_dir.into(),
             database: None,
+            replica: false,
             api_keys: ApiKeys::default(),
             cors_origins: Vec::new(),
             allowed_hosts: Vec::new(),
@@ -178,23 +183,24 @@ pub async fn run(
     let mut lock = NodeLock::acquire(&config.data_dir)?;
     let name = lock.name(|| config.ids.fresh())?;
     let store = open(&config).await?;
-    let _database = store.lock_database().await?;
+    let first = if config.replica { None } else { Some(store.lock_database().await?) };
     let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
     jobs.follow_time().await?;
-    recover(&store, &jobs, &name).await?;
+    if first.is_some() {
+        recover(&store, &jobs, &name).await?;
+    } else {
+        jobs.forget_workers(Some(name.as_str())).await?;
+    }
     let stop = CancellationToken::new();
     let Crew { device, threads, roll } = crew::start(plan(&config), &jobs, &name, &stop).await?;
-    let maintenance = tokio::spawn(maintain(jobs.clone(), roll, stop.clone()));
+    let maintenance = tokio::spawn(maintain(jobs.clone(), roll, first, stop.clone()));
     let others = jobs.clone();
     let listening = tokio::spawn(async move { others.follow_others().await });
     let tidy = Arc::new(Notify::new());
     let thumbnails = open_thumbnails(&config).await?;
-    let keeper = Keeper { jobs: jobs.clone(), retention: config.retention, thumbnails: thumbnails.clone() };
-    let keeper = tokio::spawn(keeper.keep(tidy.clone(), stop.clone()));
-    let courier = tokio::spawn(Courier::new(jobs.clone(), config.webhooks).work(stop.clone()));
     let (service, app) = service(&config, is_open, jobs.clone(), device, thumbnails, tidy, stop.clone())?;
-    let exporter = tokio::spawn(exports::work(app.clone()));
-    tracing::info!(%address, data_dir = %config.data_dir.display(), "serving");
+    let housekeeping = (!config.replica).then(|| Housekeeping::begin(&app, config.retention));
+    tracing::info!(%address, replica = config.replica, data_dir = %config.data_dir.display(), "serving");
     serve(listener, service, config.connections, shutdown, stop.clone()).await;
 
     stop.cancel();
@@ -202,14 +208,8 @@ pub async fn run(
     app.poses.idle().await;
     maintenance.abort();
     listening.abort();
-    if exporter.await.is_err() {
-        tracing::error!("exports could not be given back");
-    }
-    if courier.await.is_err() {
-        tracing::error!("webhooks could not be sent to the end");
-    }
-    if keeper.await.is_err() {
-        tracing::error!("what was deleted could not be swept to the end");
+    if let Some(housekeeping) = housekeeping {
+        housekeeping.end().await;
     }
     if let Err(error) = jobs.forget_workers(Some(name.as_str())).await {
         tracing::warn!(%error, "the workers of this server stay on the list until the next start");
@@ -246,7 +246,10 @@ async fn check_openness(config: &ServerConfig, address: SocketAddr) -> Result<bo
 
 /// Opens what is stored.
 async fn open(config: &ServerConfig) -> Result<Store, ServeError> {
-    let store = Store::open_with(&config.data_dir, config.database.as_ref()).await?.with_quota(config.quota);
+    let (root, url) = (&config.data_dir, config.database.as_ref());
+    let store =
+        if config.replica { Store::join(root, url).await? } else { Store::open_with(root, url).await? };
+    let store = store.with_quota(config.quota);
     if let Some(bytes) = config.limits.disk_bytes {
         store.limit_disk(bytes);
     }
@@ -300,6 +303,7 @@ fn service(
     };
     let stack = StackConfig {
         gate: Arc::new(Gate { keys, signing, rates }),
+        is_replica: config.replica,
         is_open,
         origins: config.cors_origins.clone(),
         hosts: config.allowed_hosts.clone().into(),
@@ -307,13 +311,6 @@ fn service(
         most_uploaded: config.limits.capture_bytes,
     };
     let app = Arc::new(app);
-    let validating = app.clone();
-    tokio::spawn(async move {
-        validating.poses.tell_the_log().await;
-        if let Err(error) = validation::resume(validating).await {
-            tracing::error!(%error, "captures that were being validated stay so until the next start");
-        }
-    });
     Ok((router(app.clone(), stack), app))
 }
 
@@ -366,8 +363,21 @@ async fn serve(
     waiting.abort();
 }
 
-async fn maintain(jobs: Jobs, mut roll: RollCall, stop: CancellationToken) {
+async fn maintain(jobs: Jobs, mut roll: RollCall, mut first: Option<ServerLock>, stop: CancellationToken) {
     while !stop.is_cancelled() {
+        match first.as_mut().map(ServerLock::keep) {
+            None => {}
+            Some(kept) => match kept.await {
+                Ok(()) => {}
+                Err(error @ StoreError::DatabaseLocked) => {
+                    tracing::error!(%error, "another server took over while the database was away; this one stops");
+                    stop.cancel();
+                }
+                Err(error) => {
+                    tracing::error!(%error, "whether this is the first server is not known for now")
+                }
+            },
+        }
         if let Err(error) = jobs.follow_time().await {
             tracing::error!(%error, "the time of the database is not known for now");
         }

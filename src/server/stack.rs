@@ -21,6 +21,7 @@ use crate::server::app::Shared;
 use crate::server::observe;
 use crate::server::origins::{self, CorsOrigin};
 use crate::server::places::{self, Places};
+use crate::server::replica;
 use crate::server::same_site::{self, TrustedHosts};
 use crate::server::uploads;
 
@@ -30,6 +31,8 @@ const NOT_A_PAGE: &str = "default-src 'none'; frame-ancestors 'none'";
 /// What a server's stack depends on.
 pub(super) struct StackConfig {
     pub(super) gate: Arc<Gate>,
+    /// Whether another server is the first.
+    pub(super) is_replica: bool,
     /// Whether the server begins without keys. It may get some while it runs; the checks of host and origin stay.
     pub(super) is_open: bool,
     pub(super) origins: Vec<CorsOrigin>,
@@ -76,7 +79,7 @@ where
 
 /// Around all routes. Layers run from the first to the last.
 pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shared> {
-    let StackConfig { gate, is_open, origins, hosts, body_stall, most_uploaded } = config;
+    let StackConfig { gate, is_replica, is_open, origins, hosts, body_stall, most_uploaded } = config;
     // A key, which no foreign page knows, protects as well as the checks of host and origin.
     let csrf = is_open.then(|| same_site::csrf(&origins));
     let host = is_open.then(|| middleware::from_fn_with_state(hosts, same_site::check_host));
@@ -94,6 +97,7 @@ pub(super) fn around(routes: Router<Shared>, config: StackConfig) -> Router<Shar
             .option_layer(origins::cors(&origins))
             .option_layer(csrf)
             .layer(middleware::from_fn_with_state(gate, access::check))
+            .option_layer(is_replica.then(|| middleware::from_fn(replica::check)))
             .layer(RequestBodyTimeoutLayer::new(body_stall))
             // Every extractor of bodies brings its own limit.
             .layer(DefaultBodyLimit::disable()),

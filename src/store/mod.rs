@@ -53,7 +53,7 @@ use std::sync::atomic::AtomicU64;
 
 use tokio::sync::Mutex;
 
-use database::{Database, DatabaseFile};
+use database::{Database, DatabaseFile, DatabaseServer};
 use ledger::Ledger;
 use sql::{Pool, Sql, Tx};
 use uploads::Holds;
@@ -149,14 +149,14 @@ impl Store {
     /// # Errors
     /// As [`Store::open`]; [`StoreError::OlderServer`] when the server would not understand this version's schema.
     pub async fn join(root: &Path, url: Option<&DatabaseUrl>) -> Result<Self, StoreError> {
-        if url.is_some() {
-            return Self::open_with(root, url).await;
-        }
-        match DatabaseFile::schema_of(root).await? {
-            found if found < database::schema() => {
-                Err(StoreError::OlderServer { found, known: database::schema() })
-            }
-            _ => Self::open(root).await,
+        let (found, known) = match url {
+            Some(url) => (DatabaseServer::schema_of(url).await?, database::server_schema()),
+            None => (DatabaseFile::schema_of(root).await?, database::schema()),
+        };
+        if found < known {
+            Err(StoreError::OlderServer { found, known })
+        } else {
+            Self::open_with(root, url).await
         }
     }
 
@@ -234,7 +234,7 @@ impl Store {
         self.database.time().await
     }
 
-    /// Becomes the only server on a shared database until what this returns is dropped.
+    /// Becomes the first server on a shared database until what this returns is dropped.
     ///
     /// # Errors
     /// [`StoreError::DatabaseLocked`] when there is one; when the database cannot be reached.

@@ -13,6 +13,10 @@ pub(super) struct CrewArgs {
     /// place of `--device`.
     #[arg(long, env = "RELUME_DEVICES", value_delimiter = ',')]
     devices: Vec<String>,
+    /// Be a server beside the first one of a database: answer, render and train, but take no files in, make no exports and delete
+    /// nothing. Needs artifacts that both reach.
+    #[arg(long, env = "RELUME_REPLICA", requires = "database_url")]
+    replica: bool,
     /// Labels of this server's workers that jobs may ask for, separated by commas.
     #[arg(long, env = "RELUME_WORKER_LABELS", value_delimiter = ',')]
     worker_labels: Vec<String>,
@@ -28,6 +32,7 @@ impl CrewArgs {
             return Err(format!("--worker-labels: {why}"));
         }
         config.worker_labels = self.worker_labels;
+        config.replica = self.replica;
         if self.no_worker {
             config.trainers = Trainers::None;
         }

@@ -6,20 +6,31 @@ mod url;
 
 use std::path::Path;
 
-use sqlx::PgConnection;
 use sqlx::postgres::PgListener;
+use sqlx::{Connection, PgConnection};
 
 use crate::store::StoreError;
 use crate::store::sql::{Pool, Tx};
 
-pub(super) use postgres::DatabaseServer;
+pub(super) use postgres::{DatabaseServer, schema as server_schema};
 pub(super) use sqlite::{DatabaseFile, FILE, schema};
 pub use url::DatabaseUrl;
 
-/// Being the only server on a database: a lock that ends with its connection. A file of SQLite has the lock of its data directory.
-#[derive(Debug)]
-pub struct ServerLock {
-    _connection: Option<PgConnection>,
+/// Being the first server on a database: a lock that ends with its connection. A file of SQLite has the lock of its data directory.
+pub struct ServerLock(Option<(DatabaseServer, PgConnection)>);
+
+impl ServerLock {
+    /// Sees to it that the lock is still held: it is lost with its connection, e.g. when the database starts anew.
+    ///
+    /// # Errors
+    /// [`StoreError::DatabaseLocked`] when another server has it by now; when the database cannot be reached.
+    pub async fn keep(&mut self) -> Result<(), StoreError> {
+        let Some((server, connection)) = &mut self.0 else { return Ok(()) };
+        if connection.ping().await.is_err() {
+            *connection = server.lock().await?;
+        }
+        Ok(())
+    }
 }
 
 /// Hears of what others write about jobs.
@@ -101,13 +112,12 @@ impl Database {
         }
     }
 
-    /// Becomes the only server on it.
+    /// Becomes the first server on it.
     pub(super) async fn lock(&self) -> Result<ServerLock, StoreError> {
-        let connection = match self {
+        Ok(ServerLock(match self {
             Self::File(_) => None,
-            Self::Server(server) => Some(server.lock().await?),
-        };
-        Ok(ServerLock { _connection: connection })
+            Self::Server(server) => Some((server.clone(), server.lock().await?)),
+        }))
     }
 
     /// Who is told when somebody writes about a job.

@@ -62,6 +62,19 @@ impl DatabaseServer {
         Ok(found)
     }
 
+    /// Number of the schema of the database at `url`; 0 where there is none yet.
+    pub(in crate::store) async fn schema_of(url: &DatabaseUrl) -> Result<i64, StoreError> {
+        let mut connection = PgConnection::connect_with(&url.0).await?;
+        let there = sqlx::query_scalar("SELECT to_regclass('_sqlx_migrations') IS NOT NULL");
+        let mut found = Some(0);
+        if there.fetch_one(&mut connection).await? {
+            let query = sqlx::query_scalar("SELECT MAX(version) FROM _sqlx_migrations");
+            found = query.fetch_one(&mut connection).await?;
+        }
+        connection.close().await?;
+        Ok(found.unwrap_or(0))
+    }
+
     /// Connections for queries.
     pub(super) fn pool(&self) -> &Pool {
         &self.readers
@@ -120,6 +133,6 @@ impl DatabaseServer {
 }
 
 /// Number of the schema of this version.
-fn schema() -> i64 {
+pub(in crate::store) fn schema() -> i64 {
     MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
 }

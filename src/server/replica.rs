@@ -1,0 +1,71 @@
+//! A server beside the first one of a database: it answers, renders and trains, and leaves alone what only one may do at a time.
+
+use axum::extract::{MatchedPath, Request};
+use axum::http::{Method, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use crate::api::Problem;
+
+/// What the first server alone does, all methods of a path where none is named: what brings files in, makes them in the background, or
+/// takes them away.
+const OF_THE_FIRST: &[(Option<Method>, &str)] = &[
+    (Some(Method::POST), "/v1/captures"),
+    (Some(Method::DELETE), "/v1/captures/{id}"),
+    (None, "/v1/captures/{id}/log"),
+    (Some(Method::POST), "/v1/environments"),
+    (Some(Method::DELETE), "/v1/environments/{id}"),
+    (Some(Method::DELETE), "/v1/exports/{id}"),
+    (Some(Method::DELETE), "/v1/jobs/{id}"),
+    (Some(Method::DELETE), "/v1/models/{id}"),
+    (Some(Method::POST), "/v1/models/{id}/exports"),
+    (None, "/v1/uploads"),
+    (None, "/v1/uploads/{id}"),
+];
+
+fn is_of_the_first(method: &Method, path: &str) -> bool {
+    OF_THE_FIRST.iter().any(|(of, route)| *route == path && of.as_ref().is_none_or(|of| of == method))
+}
+
+/// Refuses what is the first server's.
+pub(super) async fn check(request: Request, next: Next) -> Response {
+    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+    if !is_of_the_first(request.method(), route) {
+        return next.run(request).await;
+    }
+    let title = "The first server does this";
+    Problem::new(StatusCode::MISDIRECTED_REQUEST, "first-server-only", title)
+        .detail("this server only answers, renders and trains; send uploads, exports and deletions to the first one")
+        .into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::server::openapi;
+
+    #[test]
+    fn every_path_of_the_list_is_one_of_the_api() {
+        let description = serde_json::to_value(openapi()).unwrap();
+        for (method, path) in OF_THE_FIRST {
+            let item = &description["paths"][path];
+            let there =
+                method.as_ref().map_or(item.is_object(), |m| item[m.as_str().to_lowercase()].is_object());
+            assert!(there, "{method:?} {path}");
+        }
+    }
+
+    #[test]
+    fn reading_rendering_and_training_are_not_the_first_servers() {
+        assert!(is_of_the_first(&Method::DELETE, "/v1/models/{id}"));
+        assert!(is_of_the_first(&Method::HEAD, "/v1/uploads/{id}"));
+        for (method, path) in [
+            (Method::GET, "/v1/models/{id}"),
+            (Method::POST, "/v1/models/{id}/render"),
+            (Method::POST, "/v1/jobs"),
+            (Method::POST, "/v1/work/claims"),
+        ] {
+            assert!(!is_of_the_first(&method, path), "{method} {path}");
+        }
+    }
+}
