@@ -323,6 +323,30 @@ async fn higher_priority_runs_first_and_equals_run_in_order() {
 }
 
 #[tokio::test]
+async fn places_in_the_queue_are_counted_to_a_thousand() {
+    let bench = Bench::new().await;
+    let (first, second) = (bench.submit(0).await, bench.submit(0).await);
+    let raw = raw_pool(bench.dir.path()).await;
+    let copies = "INSERT INTO jobs (id, tenant, capture_id, preset, overrides, device, priority, state, created_ms, total)
+         WITH RECURSIVE numbers (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM numbers WHERE n < 1500)
+         SELECT CONCAT('between-', n), tenant, capture_id, preset, overrides, device, 0, state, 0, total
+         FROM jobs, numbers WHERE id = $1";
+    sqlx::query(copies).bind(first.as_str()).execute(&raw).await.unwrap();
+    bench.clock.advance(Duration::from_secs(1));
+    let last = bench.submit(0).await;
+    let page = Page { limit: 3, before: None };
+    let listed = bench.jobs.list(&tenant(), None, &Filter::default(), &page).await.unwrap();
+    let positions = bench.jobs.positions(&listed).await.unwrap();
+    assert_eq!(positions[&last], 1000, "there are 1,502 before it");
+    let one = async |id: &JobId| bench.jobs.get(&tenant(), id).await.unwrap().unwrap().1;
+    assert_eq!(one(&last).await, Some(1000));
+    assert!(bench.jobs.set_priority(&tenant(), &second, 1).await.unwrap());
+    assert_eq!((one(&second).await, one(&last).await), (Some(0), Some(1000)));
+    assert!(bench.jobs.set_priority(&tenant(), &last, 2).await.unwrap());
+    assert_eq!((one(&last).await, one(&second).await), (Some(0), Some(1)), "the control");
+}
+
+#[tokio::test]
 async fn a_repeated_key_queues_one_job_and_another_body_is_refused() {
     let bench = Bench::new().await;
     let key = |f: &str| IdempotencyKey { key: "k".into(), fingerprint: f.into() };

@@ -202,7 +202,7 @@ pub struct JobView {
     pub priority: i64,
     /// Where it stands.
     pub state: JobState,
-    /// Jobs that run before this one, while it is queued.
+    /// Jobs that run before this one, while it is queued; 1000 stands for that many or more.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub queue_position: Option<i64>,
     /// Progress of the training.

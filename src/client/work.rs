@@ -1,5 +1,7 @@
 //! What a worker asks of a server and tells it. The key needs the scope `work`.
 
+use std::time::Duration;
+
 use futures::Stream;
 use reqwest::{Method, RequestBuilder, Response};
 use serde::Serialize;
@@ -15,6 +17,12 @@ use crate::client::error::Result;
 
 /// The header with the lease's token.
 const LEASE: &str = "relume-lease";
+/// How long the answer to a small message may take.
+const ANSWER: Duration = Duration::from_secs(30);
+/// How long the server may take to publish a model: it reads the files once more.
+const PUBLISH: Duration = Duration::from_secs(300);
+/// How long a file may take on its way to the server.
+const SEND: Duration = Duration::from_secs(3600);
 
 impl Client {
     /// Asks for a job, which also says that the worker is there.
@@ -22,7 +30,7 @@ impl Client {
     /// # Errors
     /// The server's refusal, or what failed on the way.
     pub async fn claim_job(&self, hello: &WorkerHello) -> Result<Claimed> {
-        json(self.request(Method::POST, "/v1/work/claims")?.json(hello)).await
+        json(self.request(Method::POST, "/v1/work/claims")?.timeout(ANSWER).json(hello)).await
     }
 
     /// All workers.
@@ -61,7 +69,7 @@ impl Work {
     /// # Errors
     /// The server's refusal, or what failed on the way.
     pub async fn beat(&self) -> Result<LeaseView> {
-        json(self.request(Method::POST, "heartbeat")?).await
+        json(self.request(Method::POST, "heartbeat")?.timeout(ANSWER)).await
     }
 
     /// Reports progress, which renews the lease.
@@ -85,7 +93,7 @@ impl Work {
     /// # Errors
     /// The server's refusal, or what failed on the way.
     pub async fn publish(&self, model: &FinishedModel) -> Result<LeaseView> {
-        self.tell("model", model).await
+        json(self.request(Method::POST, "model")?.timeout(PUBLISH).json(model)).await
     }
 
     /// Ends the attempt without a model.
@@ -101,7 +109,7 @@ impl Work {
     /// # Errors
     /// The server's refusal, or what failed on the way.
     pub async fn put_checkpoint(&self, step: i64, bytes: Bytes) -> Result<LeaseView> {
-        json(self.request(Method::PUT, &format!("checkpoints/{step}"))?.body(bytes)).await
+        json(self.request(Method::PUT, &format!("checkpoints/{step}"))?.timeout(SEND).body(bytes)).await
     }
 
     /// Sends a file of the model.
@@ -109,7 +117,7 @@ impl Work {
     /// # Errors
     /// The server's refusal, or what failed on the way.
     pub async fn put_file(&self, name: &str, bytes: Bytes) -> Result<SentFile> {
-        json(self.request(Method::PUT, &format!("files/{name}"))?.body(bytes)).await
+        json(self.request(Method::PUT, &format!("files/{name}"))?.timeout(SEND).body(bytes)).await
     }
 
     /// The capture.
@@ -137,7 +145,7 @@ impl Work {
     }
 
     async fn tell(&self, what: &str, body: &(impl Serialize + Sync)) -> Result<LeaseView> {
-        json(self.request(Method::POST, what)?.json(body)).await
+        json(self.request(Method::POST, what)?.timeout(ANSWER).json(body)).await
     }
 
     async fn fetch(&self, what: &str) -> Result<Download> {

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use futures::{StreamExt, TryStreamExt};
 use sha2::{Digest, Sha256};
@@ -15,6 +15,12 @@ use crate::store::hex;
 
 /// Name of files on their way.
 const PART: &str = ".part";
+/// How long a download may stand still.
+const STALL: Duration = Duration::from_secs(60);
+
+fn stalled() -> io::Error {
+    io::Error::new(io::ErrorKind::TimedOut, "the download stands still")
+}
 
 /// Why a file could not be had.
 #[derive(Debug, thiserror::Error)]
@@ -76,7 +82,7 @@ impl FileCache {
         let mut file = tokio::fs::File::from_std(part.reopen()?);
         let mut hasher = Sha256::new();
         let mut body = std::pin::pin!(download.bytes().map_err(ClientError::from));
-        while let Some(chunk) = body.next().await {
+        while let Some(chunk) = tokio::time::timeout(STALL, body.next()).await.map_err(|_| stalled())? {
             let chunk = chunk?;
             hasher.update(&chunk);
             file.write_all(&chunk).await?;
@@ -141,8 +147,6 @@ fn prune(folder: &Path, kept: &Path, most: u64) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use super::*;
 
     #[test]

@@ -1,10 +1,12 @@
 //! A job of a server, over its API. While it is held the server hears of the worker every few seconds.
 
+use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use async_trait::async_trait;
+use sha2::{Digest, Sha256};
 use tokio::sync::watch;
 use tokio_util::bytes::Bytes;
 
@@ -16,6 +18,7 @@ use crate::client::work::{Download, Work};
 use crate::farm::errors::source_error;
 use crate::farm::file_cache::{CacheError, FileCache};
 use crate::farm::observer::{Observer, Told};
+use crate::store::hex;
 use crate::worker::{Claim, SourceError, TrainedModel};
 
 /// Least time between two signs of life.
@@ -91,7 +94,15 @@ impl Claim for RemoteClaim {
     }
 
     async fn last_checkpoint(&self) -> Result<Bytes, SourceError> {
-        patiently(async || self.work.checkpoint().await?.whole().await).await.map_err(source_error)
+        let fetched = patiently(async || {
+            let download = self.work.checkpoint().await?;
+            let sha256 = download.sha256();
+            Ok((download.whole().await?, sha256))
+        });
+        let (bytes, sha256) = fetched.await.map_err(source_error)?;
+        // Those from before hashes were kept have none.
+        let is_sound = sha256.is_empty() || hex(&Sha256::digest(&bytes)) == sha256;
+        if is_sound { Ok(bytes) } else { Err(SourceError::Damaged) }
     }
 
     async fn check(&self) -> Result<LeaseStatus, SourceError> {
@@ -185,11 +196,14 @@ async fn patiently_kept<T>(act: impl AsyncFn() -> Result<T, CacheError>) -> Resu
     for _ in 0..PATIENCE {
         match act().await {
             Err(CacheError::Client(error)) if may_pass(&error) => tokio::time::sleep(AGAIN).await,
+            Err(CacheError::Io(error)) if error.kind() == io::ErrorKind::TimedOut => {
+                tokio::time::sleep(AGAIN).await;
+            }
             Err(CacheError::WrongBytes) if wrong == 0 => wrong += 1,
             Ok(done) => return Ok(done),
             Err(CacheError::Client(error)) => return Err(source_error(error)),
             Err(CacheError::WrongBytes) => return Err(SourceError::Damaged),
-            Err(CacheError::Io(error)) if error.kind() == std::io::ErrorKind::StorageFull => {
+            Err(CacheError::Io(error)) if error.kind() == io::ErrorKind::StorageFull => {
                 return Err(SourceError::Full);
             }
             Err(error @ CacheError::Io(_)) => return Err(SourceError::Failed(error.to_string())),

@@ -10,7 +10,8 @@ use crate::api::jobs::{JobState, NewJob};
 use crate::api::{JobId, TenantId};
 use crate::jobs::clock::{Clock, Ids};
 use crate::store::{
-    CancelOutcome, EventRecord, Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, Submitted,
+    CancelOutcome, EventRecord, Filter, IdempotencyKey, JobRecord, MOST_BEFORE, Page, Store, StoreError,
+    Submitted,
 };
 
 /// Time between two attempts to hear of what others write.
@@ -156,13 +157,19 @@ impl Jobs {
         self.store.jobs(tenant, state, filter, page).await
     }
 
-    /// How many jobs run before each of these that waits.
+    /// How many jobs run before each of these that waits, at most [`MOST_BEFORE`].
     ///
     /// # Errors
     /// When the database fails.
     pub async fn positions(&self, jobs: &[JobRecord]) -> Result<HashMap<JobId, i64>, StoreError> {
         let waiting = jobs.iter().filter(|job| job.state == JobState::Queued);
-        self.store.queue_positions(&waiting.map(|job| &job.id).collect::<Vec<_>>()).await
+        let waiting: Vec<JobId> = waiting.map(|job| job.id.clone()).collect();
+        if waiting.is_empty() {
+            return Ok(HashMap::new());
+        }
+        let head = self.store.head_of_queue().await?;
+        let place = |id: &JobId| head.get(id).copied().unwrap_or(MOST_BEFORE);
+        Ok(waiting.into_iter().map(|id| (id.clone(), place(&id))).collect())
     }
 
     /// True when some job waits for a worker.

@@ -10,7 +10,7 @@ use crate::api::{JobId, TenantId};
 use crate::store::deletion::check_still_there;
 use crate::store::idempotency::{remember, replay};
 use crate::store::marks::{filtered, listed};
-use crate::store::sql::{self, Sql, Tx};
+use crate::store::sql::{self, Tx};
 use crate::store::{Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, events};
 
 /// Outcome of a submission.
@@ -59,7 +59,8 @@ impl Store {
         insert(&mut tx, job).await?;
         let queued = json!({ "state": JobState::Queued });
         events::append_state(&mut tx, &job.id, now_ms, JobState::Queued, queued).await?;
-        let position = sql::query_scalar(POSITION).bind(&job.id).fetch_optional(&mut tx).await?;
+        let position =
+            sql::query_scalar(POSITION).bind(&job.id).bind(MOST_BEFORE).fetch_optional(&mut tx).await?;
         let response = answer(job, position);
         if let Some(key) = key {
             remember(&mut tx, &job.tenant, key, &response, now_ms).await?;
@@ -102,23 +103,20 @@ impl Store {
         Ok(query.bind(page.at()).fetch_all(self.pool()).await?)
     }
 
-    /// How many queued jobs, of whichever tenant, run before this one; `None` when it is not queued.
+    /// How many queued jobs, of whichever tenant, run before this one, at most [`MOST_BEFORE`]; `None` when it is not queued.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn queue_position(&self, id: &JobId) -> Result<Option<i64>, StoreError> {
-        Ok(sql::query_scalar(POSITION).bind(id).fetch_optional(self.pool()).await?)
+        Ok(sql::query_scalar(POSITION).bind(id).bind(MOST_BEFORE).fetch_optional(self.pool()).await?)
     }
 
-    /// How many queued jobs, of whichever tenant, run before each of these that is queued: in one pass over the queue.
+    /// As [`Store::queue_position`] of all that are queued, but for those with [`MOST_BEFORE`] or more before them.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn queue_positions(&self, ids: &[&JobId]) -> Result<HashMap<JobId, i64>, StoreError> {
-        if ids.is_empty() {
-            return Ok(HashMap::new());
-        }
-        let query = sql::query_as::<(JobId, i64)>(POSITIONS).bind(Json(ids));
+    pub async fn head_of_queue(&self) -> Result<HashMap<JobId, i64>, StoreError> {
+        let query = sql::query_as::<(JobId, i64)>(HEAD).bind(MOST_BEFORE);
         Ok(query.fetch_all(self.pool()).await?.into_iter().collect())
     }
 
@@ -189,26 +187,29 @@ impl Store {
     }
 }
 
-const POSITION: &str = "SELECT (SELECT COUNT(*) FROM jobs AS other WHERE other.state = 'queued'
-         AND (-other.priority, other.created_ms, other.id) < (-me.priority, me.created_ms, me.id))
-     FROM jobs AS me WHERE me.id = $1 AND me.state = 'queued'";
+/// Farther back in the queue nobody counts: it would take longer, the longer the queue is.
+pub const MOST_BEFORE: i64 = 1000;
 
-const POSITIONS: Sql = {
-    macro_rules! positions {
-        ($named:literal) => {
-            concat!(
-                "SELECT id, place FROM
-                     (SELECT id, ROW_NUMBER() OVER (ORDER BY priority DESC, created_ms, id) - 1 AS place
-                      FROM jobs WHERE state = 'queued') AS queue WHERE id IN ",
-                $named
-            )
-        };
-    }
-    Sql::each(
-        positions!("(SELECT value FROM json_each($1))"),
-        positions!("(SELECT jsonb_array_elements_text($1))"),
-    )
-};
+/// The first jobs of the queue, and how many run before each.
+macro_rules! head {
+    ($most:literal) => {
+        concat!(
+            "SELECT id, ROW_NUMBER() OVER (ORDER BY priority DESC, created_ms, id) - 1 AS place
+             FROM (SELECT id, priority, created_ms FROM jobs WHERE state = 'queued'
+                   ORDER BY priority DESC, created_ms, id LIMIT ",
+            $most,
+            ") AS waiting"
+        )
+    };
+}
+
+const HEAD: &str = head!("$1");
+
+const POSITION: &str = concat!(
+    "SELECT COALESCE((SELECT place FROM (",
+    head!("$2"),
+    ") AS head WHERE head.id = me.id), $2) FROM jobs AS me WHERE me.id = $1 AND me.state = 'queued'"
+);
 
 async fn insert(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
     let query = sql::query(

@@ -74,7 +74,7 @@ pub use idempotency::IdempotencyKey;
 pub use incoming::Incoming;
 pub use inspection::{Inspection, inspect};
 pub use job_view::rfc3339;
-pub use jobs::{CancelOutcome, Submitted};
+pub use jobs::{CancelOutcome, MOST_BEFORE, Submitted};
 pub use key_token::KeyToken;
 pub use keys::{NewKeyRecord, has_keys};
 pub use leases::Claimant;
