@@ -71,6 +71,15 @@ fn a_turntable_is_the_pictures_one_by_one_and_goes_on_where_it_was_stopped() {
     assert_eq!(read(files[1]), b"made earlier", "what was there stays");
     succeeds(at, &turntable);
     assert!(files.map(read) == whole, "without --resume all are made");
+
+    // As a farm does it: each task some of the frames, by their numbers.
+    fs::remove_dir_all(&frames).unwrap();
+    succeeds(at, &[&turntable[..], &["--frame", "1003"]].concat());
+    assert_eq!(names(&frames), files[2..3]);
+    succeeds(at, &[&turntable[..], &["--frames", "1001-1004:3,1002"]].concat());
+    assert!(files.map(read) == whole, "frames of a task are those of the sequence");
+    fails_with(at, &[&turntable[..], &["--frames", "1005"]].concat(), "they are 1001 to 1004");
+    fails_with(at, &[&turntable[..], &["--frames", "4-1"]].concat(), "1-10");
 }
 
 #[test]
@@ -106,5 +115,6 @@ fn cameras_of_files_make_frames_and_what_makes_none_is_refused_before() {
     fails_with(at, &[&render[..], &["--path", "."], &out].concat(), "COLMAP model");
     fails_with(at, &[&render[..], &["--env-turn", "90", "--out", "n.png"]].concat(), "--env-turn");
     fails_with(at, &[&render[..], &["--resume", "--out", "n.png"]].concat(), "--resume");
+    fails_with(at, &[&render[..], &["--frames", "1", "--out", "n.png"]].concat(), "--frames");
     assert!(!at.join("n").exists() && !at.join("n.png").exists(), "a refusal leaves nothing behind");
 }

@@ -22,12 +22,14 @@ mod key;
 mod keys;
 mod light;
 mod output;
+mod progress;
 mod render;
 mod sample;
 #[cfg(feature = "server")]
 mod serve;
 #[cfg(feature = "server")]
 mod size;
+mod stop;
 mod train;
 #[cfg(all(feature = "server", feature = "client"))]
 mod worker;
@@ -40,12 +42,11 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-#[cfg(feature = "server")]
 use error::CommandResult;
 
 /// Turns posed photographs into relightable 3D Gaussian models and serves them relit.
 #[derive(Debug, Parser)]
-#[command(name = "relume", version, arg_required_else_help = true)]
+#[command(name = "relume", version, arg_required_else_help = true, after_help = error::EXIT_CODES)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -128,17 +129,11 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "server")]
         Command::Serve(args) => serve::run(args),
         #[cfg(all(feature = "server", feature = "client"))]
-        Command::Worker(args) => match worker::run(args) {
-            Ok(code) => return code,
-            Err(error) => Err(error),
-        },
+        Command::Worker(args) => return exit(worker::run(args)),
         #[cfg(feature = "client")]
         Command::Workers(args) => workers::run(&args),
-        Command::Capture(args) => match capture::run(&args) {
-            Ok(code) => return code,
-            Err(error) => Err(error),
-        },
-        Command::Train(args) => train::run(&args),
+        Command::Capture(args) => return exit(capture::run(&args)),
+        Command::Train(args) => return exit(train::run(&args)),
         Command::Render(args) => render::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Eval(args) => eval::run(&args),
@@ -158,8 +153,13 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "server")]
         Command::Openapi => openapi(),
     };
+    exit(outcome.map(|()| ExitCode::SUCCESS))
+}
+
+/// How the program ends; an error is printed.
+fn exit(outcome: CommandResult<ExitCode>) -> ExitCode {
     match outcome {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             eprintln!("relume: {error}");
             ExitCode::FAILURE

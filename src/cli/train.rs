@@ -2,25 +2,27 @@
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
-
-use indicatif::{ProgressBar, ProgressStyle};
+use std::process::ExitCode;
 
 use crate::capture::{Capture, GreyCard, ImportLimits};
 use crate::cli::args::{named, overrides};
 use crate::cli::capture::{PoseArgs, posed};
-use crate::cli::error::CommandResult;
+use crate::cli::error::{CommandResult, EXIT_CODES, STOPPED};
 use crate::cli::light::{named_light, read_rotations};
 use crate::cli::output;
+use crate::cli::progress::{Progress, ProgressKind, Step};
+use crate::cli::stop::Stop;
 use crate::engine::Device;
 use crate::engine::DeviceChoice;
 use crate::formats::model_file;
 use crate::train::{
-    Crop, KnownLight, LightExposure, Method, Preset, StepReport, TrainConfig, TrainOverrides, Trainer,
-    WhiteBalance, import_for_training,
+    Crop, KnownLight, LightExposure, Method, Preset, TrainConfig, TrainOverrides, Trainer, WhiteBalance,
+    import_for_training,
 };
 
 /// Options of `relume train`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXIT_CODES)]
 pub(super) struct TrainArgs {
     /// A folder, zip, tar or tar.gz of photographs, or a clip (.mp4, .mov, .mkv, .webm). Where no poses are stated, COLMAP looks for
     /// them, and a capture with poses is made beside it.
@@ -75,16 +77,30 @@ pub(super) struct TrainArgs {
     /// Any other override of the preset, e.g. `--set labels=both`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// The file for checkpoints. A training resumes from it when it exists; it is removed at the end.
+    /// The file for checkpoints. A training resumes from it when it exists; it is removed at the end. With it SIGTERM and Ctrl-C
+    /// write one after the step that runs and end with exit code 75; the second one ends at once.
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
+    /// How progress is said: `human` on standard error, `json` (an object a line) or `openjd` (Open Job Description) on standard output.
+    #[arg(long, value_enum, default_value_t = ProgressKind::Human, value_name = "KIND")]
+    progress: ProgressKind,
     /// The model file to write.
     #[arg(long, default_value = "model.safetensors")]
     out: PathBuf,
 }
 
-pub(super) fn run(args: &TrainArgs) -> CommandResult {
+pub(super) fn run(args: &TrainArgs) -> CommandResult<ExitCode> {
+    let mut progress = Progress::new(args.progress)?;
+    let outcome = run_with(args, &mut progress);
+    if let Err(error) = &outcome {
+        progress.fail(&error.to_string());
+    }
+    outcome
+}
+
+fn run_with(args: &TrainArgs, progress: &mut Progress) -> CommandResult<ExitCode> {
     let config = TrainConfig::new(args.preset, &all_overrides(args)?)?;
+    let kept = args.checkpoint.as_deref().map(|file| Kept::new(file, &config)).transpose()?;
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;
     let path = posed(&args.capture, &args.poses)?;
     let mut capture = import_for_training(&path, &config, &ImportLimits::default())?;
@@ -92,19 +108,16 @@ pub(super) fn run(args: &TrainArgs) -> CommandResult {
         known.illuminate(&mut capture, map);
     }
     for warning in &capture.warnings {
-        eprintln!("warning: {warning}");
+        progress.warning(warning);
     }
-    eprintln!(
-        "{}: {} images to train on, {} held out",
-        capture.layout,
-        capture.train.len(),
-        capture.test.len()
-    );
+    let (trained, held_out) = (capture.train.len(), capture.test.len());
+    progress.status(&format!("{}: {trained} images to train on, {held_out} held out", capture.layout));
     let device = Device::open(args.device)?;
-    eprintln!("device: {}", device.name());
-    let every = config.checkpoint_every.max(1);
-    let mut trainer = trainer(&capture, config, &device, args.checkpoint.as_deref())?;
-    train(&mut trainer, args.checkpoint.as_deref().map(|file| (file, every)))?;
+    progress.status(&format!("device: {}", device.name()));
+    let mut trainer = trainer(&capture, config, &device, args.checkpoint.as_deref(), progress)?;
+    if !train(&mut trainer, kept.as_ref(), progress)? {
+        return Ok(ExitCode::from(STOPPED));
+    }
     let mut model = trainer.model()?;
     // A job's model file has no time in it, so that its bytes are reproducible.
     if let Some(card) = model.card.as_object_mut() {
@@ -114,8 +127,8 @@ pub(super) fn run(args: &TrainArgs) -> CommandResult {
     if let Some(file) = args.checkpoint.as_deref().filter(|file| file.exists()) {
         std::fs::remove_file(file)?;
     }
-    eprintln!("wrote {}", args.out.display());
-    Ok(())
+    progress.done(&args.out.display().to_string());
+    Ok(ExitCode::SUCCESS)
 }
 
 /// The overrides that the options make.
@@ -153,12 +166,27 @@ fn exposure(text: &str) -> Result<LightExposure, String> {
     text.parse().map(LightExposure::Stops).map_err(|_| format!("{text:?} is neither a number nor `auto`"))
 }
 
+/// Where and when the state of a training is kept.
+struct Kept<'a> {
+    file: &'a Path,
+    /// Steps between two writes.
+    every: u32,
+    stop: Stop,
+}
+
+impl<'a> Kept<'a> {
+    fn new(file: &'a Path, config: &TrainConfig) -> CommandResult<Self> {
+        Ok(Self { file, every: config.checkpoint_every.max(1), stop: Stop::listen()? })
+    }
+}
+
 /// Resumes from the checkpoint when the file exists, or starts anew.
 fn trainer(
     capture: &Capture,
     config: TrainConfig,
     device: &Device,
     checkpoint: Option<&Path>,
+    progress: &Progress,
 ) -> CommandResult<Trainer> {
     let Some(file) = checkpoint.filter(|file| file.exists()) else {
         return Ok(Trainer::new(capture, config, device)?);
@@ -166,35 +194,33 @@ fn trainer(
     let named = |error: &dyn Error| format!("{}: {error}", file.display());
     let bytes = std::fs::read(file).map_err(|error| named(&error))?;
     let trainer = Trainer::resume(capture, config, &bytes, device).map_err(|error| named(&error))?;
-    eprintln!("going on from step {}, {}", trainer.progress().step, file.display());
+    progress.status(&format!("going on from step {}, {}", trainer.progress().step, file.display()));
     Ok(trainer)
 }
 
-/// Trains to the end; `checkpoint`: the file for the state, and the steps between two writes.
-fn train(trainer: &mut Trainer, checkpoint: Option<(&Path, u32)>) -> CommandResult {
-    let bar = ProgressBar::new(u64::from(trainer.progress().total));
-    let style = "{bar:32} {pos}/{len} {per_sec:>12} eta {eta:>4}  {msg}";
-    bar.set_style(ProgressStyle::with_template(style)?);
+/// Trains to the end, or until a stop is asked for: `false` then, with the checkpoint written.
+fn train(trainer: &mut Trainer, kept: Option<&Kept<'_>>, progress: &mut Progress) -> CommandResult<bool> {
+    if let Some(kept) = kept {
+        kept.stop.wait();
+    }
     while !trainer.is_done() {
         let report = trainer.step()?;
         if let Some(warning) = &report.warning {
-            bar.suspend(|| eprintln!("warning: {warning}"));
+            progress.warning(warning);
         }
-        let progress = trainer.progress();
-        if let Some((file, _)) = checkpoint.filter(|(_, every)| progress.step.is_multiple_of(*every)) {
+        let (step, total) = (trainer.progress().step, trainer.progress().total);
+        let (loss, psnr) = (f64::from(report.loss), f64::from(report.psnr));
+        let gaussians = report.gaussians;
+        progress.step(&Step { step, total, loss, psnr, gaussians, eta_seconds: None });
+        let Some(Kept { file, every, stop }) = kept else { continue };
+        let stops = stop.is_asked() && !trainer.is_done();
+        if stops || step.is_multiple_of(*every) {
             output::write_named(file, &trainer.checkpoint()?)?;
         }
-        // Without a terminal there is no bar: twenty lines go to the log instead.
-        if bar.is_hidden() && progress.step.is_multiple_of((progress.total / 20).max(1)) {
-            eprintln!("step {}/{}  {}", progress.step, progress.total, summary(&report));
+        if stops {
+            progress.stopped(&format!("stopped after step {step} of {total}, kept in {}", file.display()));
+            return Ok(false);
         }
-        bar.set_position(u64::from(progress.step));
-        bar.set_message(summary(&report));
     }
-    bar.finish();
-    Ok(())
-}
-
-fn summary(report: &StepReport) -> String {
-    format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", report.loss, report.psnr, report.gaussians)
+    Ok(true)
 }

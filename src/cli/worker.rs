@@ -9,7 +9,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
 use crate::api::work::{WorkerHello, fault_of_labels};
-use crate::cli::error::CommandResult;
+use crate::cli::error::{CommandResult, STOPPED};
 use crate::cli::key::key;
 use crate::cli::size::size;
 use crate::client::Client;
@@ -20,8 +20,6 @@ use crate::worker::{self, Ended, OpenedDevice, TrainingOptions};
 
 /// Exit code of `--once` when the job failed.
 const JOB_FAILED: u8 = 3;
-/// Exit code when the job was given back to the queue: EX_TEMPFAIL of sysexits.
-const GIVEN_BACK: u8 = 75;
 
 /// Options of `relume worker`.
 #[derive(Debug, clap::Args)]
@@ -80,7 +78,7 @@ async fn work(args: WorkerArgs) -> CommandResult<ExitCode> {
     let ended = tokio::task::spawn_blocking(move || thread.join()).await?;
     match ended.map_err(|_| "the training thread did not end well")? {
         Some(Ended::Refused) => Err("the server gives this worker no jobs; the log says why".into()),
-        Some(Ended::GivenBack) => Ok(ExitCode::from(GIVEN_BACK)),
+        Some(Ended::GivenBack) => Ok(ExitCode::from(STOPPED)),
         Some(Ended::Failed) if args.once => Ok(ExitCode::from(JOB_FAILED)),
         _ => Ok(ExitCode::SUCCESS),
     }

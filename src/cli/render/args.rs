@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::frame_list::FrameList;
 use crate::cli::args::{QualityArgs, named};
 use crate::engine::DeviceChoice;
 use crate::render::{AlphaMode, Background, ColourDepth, Output, Primaries, ToneCurve};
@@ -114,6 +115,10 @@ pub(super) struct SequenceArgs {
     /// Number of the first frame.
     #[arg(long, default_value_t = 1)]
     pub(super) start_number: u32,
+    /// Only these frames, by their numbers: `7`, `1-10`, `1-100:10` or several with commas between. So a farm makes one sequence by many
+    /// tasks.
+    #[arg(long, visible_alias = "frame", value_name = "NUMBERS")]
+    pub(super) frames: Option<FrameList>,
     /// Leave out frames whose file is there already: those of an earlier run with the same options.
     #[arg(long)]
     pub(super) resume: bool,

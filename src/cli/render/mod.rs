@@ -2,6 +2,7 @@
 
 mod args;
 mod camera_file;
+mod frame_list;
 mod numbering;
 mod sequence;
 mod studio;
@@ -39,6 +40,7 @@ fn numbering(args: &RenderArgs) -> Result<Option<Numbering>, String> {
     let alone = [
         ("--env-turn", args.cameras.env_turn != 0.0),
         ("--resume", args.sequence.resume),
+        ("--frames", args.sequence.frames.is_some()),
         ("--start-number", args.sequence.start_number != 1),
         ("--path-world", args.cameras.path_world.is_some()),
     ];

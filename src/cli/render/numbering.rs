@@ -34,10 +34,15 @@ impl Numbering {
         Ok(Self { before: before.to_owned(), after: after.to_owned(), width, first })
     }
 
+    /// The number of the `index`-th frame, from 0.
+    pub(super) fn number(&self, index: usize) -> u64 {
+        u64::from(self.first) + index as u64
+    }
+
     /// The file of the `index`-th frame, from 0.
     pub(super) fn file(&self, index: usize) -> PathBuf {
-        let Self { before, after, width, first } = self;
-        let number = u64::from(*first) + index as u64;
+        let Self { before, after, width, .. } = self;
+        let number = self.number(index);
         PathBuf::from(format!("{before}{number:0width$}{after}"))
     }
 }

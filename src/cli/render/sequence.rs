@@ -1,10 +1,11 @@
 //! Frames in their order, each file whole or not there.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::args::SequenceArgs;
+use super::frame_list::FrameList;
 use super::numbering::Numbering;
 use super::studio::Studio;
 use crate::cli::error::CommandResult;
@@ -18,32 +19,46 @@ pub(super) fn single(studio: &Studio, view: &View, out: &Path) -> CommandResult 
     Ok(())
 }
 
-/// Writes the frames of `views` in their order. With `resume`, frames that are there are left as they are.
+/// Writes the frames of `views` in their order, or those whose numbers are asked for. With `resume`, frames that are there are left
+/// as they are.
 pub(super) fn sequence(
     studio: &Studio,
     views: &[View],
     numbering: &Numbering,
     args: &SequenceArgs,
 ) -> CommandResult {
-    let bar = ProgressBar::new(views.len() as u64);
+    let frames = asked_for(views, numbering, args.frames.as_ref())?;
+    let bar = ProgressBar::new(frames.len() as u64);
     bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} {per_sec:>12} eta {eta:>4}  {msg}")?);
     let (mut light, mut written) = (None, 0);
-    for (index, view) in views.iter().enumerate() {
-        let file = numbering.file(index);
+    for (done, (file, view)) in (1_usize..).zip(&frames) {
         if !(args.resume && file.exists()) {
-            output::write_named(&file, &studio.picture(view, &mut light)?)?;
+            output::write_named(file, &studio.picture(view, &mut light)?)?;
             written += 1;
         }
         // Without a terminal there is no bar: twenty lines go to the log instead.
-        if bar.is_hidden() && (index + 1).is_multiple_of((views.len() / 20).max(1)) {
-            eprintln!("frame {}/{}  {}", index + 1, views.len(), file.display());
+        if bar.is_hidden() && done.is_multiple_of((frames.len() / 20).max(1)) {
+            eprintln!("frame {done}/{}  {}", frames.len(), file.display());
         }
         bar.set_message(file.display().to_string());
-        bar.set_position(index as u64 + 1);
+        bar.set_position(done as u64);
     }
     bar.finish();
-    let there = views.len() - written;
+    let there = frames.len() - written;
     let kept = if there > 0 { format!(", {there} were there already") } else { String::new() };
     eprintln!("wrote {written} frames{kept}");
     Ok(())
+}
+
+/// The frames to be made, each with its file.
+fn asked_for<'a>(
+    views: &'a [View],
+    numbering: &Numbering,
+    list: Option<&FrameList>,
+) -> CommandResult<Vec<(PathBuf, &'a View)>> {
+    if let Some(list) = list {
+        list.check(numbering.number(0), numbering.number(views.len() - 1))?;
+    }
+    let is_asked_for = |index: &usize| list.is_none_or(|list| list.contains(numbering.number(*index)));
+    Ok((0..views.len()).filter(is_asked_for).map(|index| (numbering.file(index), &views[index])).collect())
 }

@@ -1,0 +1,167 @@
+//! What schedulers ask of the command line: progress as lines, a stop that keeps what was done, single frames of a sequence.
+//! (The frames are in `render_sequence`.)
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+use relume::formats::model_file;
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::service_support::capture_zip;
+
+/// `relume train` with settings of a second or so; `more` says the steps.
+fn train(folder: &Path, more: &[&str]) -> Command {
+    std::fs::write(folder.join("scan.zip"), capture_zip()).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
+    command.args(["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--device", "cpu"]);
+    command.args(["--set", "max_gaussians=64"]).args(more).current_dir(folder);
+    command
+}
+
+fn lines(output: &Output) -> Vec<String> {
+    String::from_utf8(output.stdout.clone()).unwrap().lines().map(str::to_owned).collect()
+}
+
+fn events(output: &Output) -> Vec<Value> {
+    lines(output).iter().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+#[test]
+fn json_progress_is_an_object_a_line_and_the_last_one_names_the_file() {
+    let folder = TempDir::new().unwrap();
+    let json = ["--iterations", "12", "--progress", "json", "--out", "m.safetensors"];
+    let output = train(folder.path(), &json).output().unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    let events = events(&output);
+    let steps: Vec<_> = events.iter().filter(|event| event["event"] == "step").collect();
+    let (first, last) = (steps.first().unwrap(), steps.last().unwrap());
+    assert_eq!((&first["step"], &last["step"], &last["total"]), (&1.into(), &12.into(), &12.into()));
+    assert!(["loss", "psnr", "eta_seconds"].iter().all(|field| last[field].is_f64()), "{last}");
+    assert!(last["gaussians"].as_u64().unwrap() <= 64 && last["eta_seconds"] == 0.0, "{last}");
+    let done = events.last().unwrap();
+    assert_eq!((&done["event"], &done["wrote"]), (&"done".into(), &"m.safetensors".into()));
+    assert!(events.iter().any(|event| event["event"] == "status"), "{events:?}");
+
+    let output = train(folder.path(), &["--progress", "json", "--set", "speed=11"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let failed = self::events(&output).pop().unwrap();
+    assert!(failed["event"] == "failed" && failed["error"].as_str().unwrap().contains("speed"), "{failed}");
+
+    let output = train(folder.path(), &["--iterations", "2", "--out", "n.safetensors"]).output().unwrap();
+    assert!(output.status.success() && output.stdout.is_empty(), "people read standard error");
+    assert_eq!(train(folder.path(), &["--progress", "xml"]).output().unwrap().status.code(), Some(2));
+}
+
+#[test]
+fn openjd_progress_is_lines_of_its_protocol() {
+    let folder = TempDir::new().unwrap();
+    let openjd = ["--iterations", "12", "--progress", "openjd", "--out", "m.safetensors"];
+    let output = train(folder.path(), &openjd).output().unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    let lines = lines(&output);
+    let is_of_protocol =
+        |line: &String| line.starts_with("openjd_progress: ") || line.starts_with("openjd_status: ");
+    assert!(lines.iter().all(is_of_protocol), "{lines:?}");
+    let percents: Vec<f64> =
+        lines.iter().filter_map(|line| line.strip_prefix("openjd_progress: ")?.parse().ok()).collect();
+    assert!(
+        percents.is_sorted() && percents.first() == Some(&8.3) && percents.last() == Some(&100.0),
+        "{percents:?}"
+    );
+    assert_eq!(lines.last().unwrap(), "openjd_status: wrote m.safetensors");
+
+    let output = train(folder.path(), &["--progress", "openjd", "--light", "mars.hdr"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let last = self::lines(&output).pop().unwrap();
+    assert!(last.starts_with("openjd_fail: ") && last.contains("mars.hdr"), "{last}");
+}
+
+#[cfg(unix)]
+mod stops {
+    use std::os::unix::process::ExitStatusExt;
+
+    use super::*;
+
+    /// A training that has done its first step. The reader keeps its output open.
+    fn started(folder: &Path, more: &[&str]) -> (Child, BufReader<std::process::ChildStdout>) {
+        let mut command = train(folder, &[&["--progress", "json"], more].concat());
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut reader = BufReader::new(child.stdout.take().unwrap());
+        let mut line = String::new();
+        while !line.contains("\"step\":1,") {
+            line.clear();
+            assert!(reader.read_line(&mut line).unwrap() > 0, "it ended before its first step");
+        }
+        (child, reader)
+    }
+
+    fn send(child: &Child, signals: &[&str]) {
+        let id = child.id();
+        let script: Vec<_> = signals.iter().map(|signal| format!("kill -{signal} {id}")).collect();
+        assert!(Command::new("sh").args(["-c", &script.join(" && ")]).status().unwrap().success());
+    }
+
+    #[test]
+    fn a_stopped_training_is_kept_and_goes_on_to_the_same_model() {
+        let folder = TempDir::new().unwrap();
+        let at = folder.path();
+        let steps = ["--iterations", "600", "--set", "checkpoint_every=100000"];
+        let whole = [&steps[..], &["--out", "whole.safetensors"]].concat();
+        assert!(train(at, &whole).output().unwrap().status.success());
+
+        let kept = [&steps[..], &["--checkpoint", "c", "--out", "kept.safetensors"]].concat();
+        for signal in ["TERM", "INT"] {
+            let (mut child, mut reader) = started(at, &[&kept[..], &["--seed", "3"]].concat());
+            send(&child, &[signal]);
+            assert_eq!(child.wait().unwrap().code(), Some(75), "{signal}");
+            let mut rest = String::new();
+            std::io::Read::read_to_string(&mut reader, &mut rest).unwrap();
+            let last: Value = serde_json::from_str(rest.lines().last().unwrap()).unwrap();
+            assert!(
+                last["event"] == "stopped" && last["text"].as_str().unwrap().contains("of 600"),
+                "{last}"
+            );
+            assert!(at.join("c").exists() && !at.join("kept.safetensors").exists(), "{signal}");
+            std::fs::remove_file(at.join("c")).unwrap();
+        }
+
+        let (mut child, _reader) = started(at, &kept);
+        send(&child, &["TERM"]);
+        assert_eq!(child.wait().unwrap().code(), Some(75));
+        let output = train(at, &kept).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.contains("going on from step"), "{said}");
+        let model = |file: &str| model_file::decode(&std::fs::read(at.join(file)).unwrap()).unwrap();
+        assert!(model("whole.safetensors").gaussians == model("kept.safetensors").gaussians);
+        assert!(!at.join("c").exists(), "the checkpoint of a finished training");
+    }
+
+    #[test]
+    fn without_a_checkpoint_a_signal_ends_a_training_at_once() {
+        let folder = TempDir::new().unwrap();
+        for (signal, number) in [("TERM", 15), ("INT", 2)] {
+            let (mut child, _reader) = started(folder.path(), &["--iterations", "5000"]);
+            send(&child, &[signal]);
+            assert_eq!(child.wait().unwrap().signal(), Some(number), "{signal}");
+        }
+        assert!(!folder.path().join("model.safetensors").exists());
+    }
+
+    #[test]
+    fn the_second_signal_ends_it_at_once() {
+        let folder = TempDir::new().unwrap();
+        let code = || {
+            let (mut child, _reader) = started(folder.path(), &["--iterations", "5000", "--checkpoint", "c"]);
+            // Both are there before it runs on. Two of its threads may take them in the same instant: then none is the second.
+            send(&child, &["STOP", "TERM", "INT", "CONT"]);
+            let code = child.wait().unwrap().code();
+            std::fs::remove_file(folder.path().join("c")).ok();
+            code
+        };
+        let codes: Vec<_> = (0..5).map(|_| code()).collect();
+        assert!(codes.iter().all(|code| matches!(code, Some(75 | 130 | 143))), "{codes:?}");
+        assert!(codes.iter().any(|code| matches!(code, Some(130 | 143))), "{codes:?}");
+    }
+}
