@@ -1,10 +1,12 @@
 """deploy/ for Kubernetes: the chart by Helm's own library, what it renders and the plain manifests by the API's schemas, strictly.
 
 Kueue's and KEDA's objects are held to kueue-keda.schema.json beside this file; `.ci/schedulers` also asks a package of KEDA's types.
-Each check has to refuse something that is wrong."""
+The program, which is given as argument, is asked whether it knows its options. Each check has to refuse something that is wrong."""
 
 import copy
 import pathlib
+import re
+import subprocess
 import sys
 
 import helm_python as helm
@@ -47,7 +49,7 @@ VALUES = {
 }
 WRONG_VALUES = [
     {"workers": {"mode": "deploy"}},
-    {"wrokers": {"count": 1}},
+    {"worker": {"count": 1}},
     {"workers": {"terminationGracePeriodSeconds": 30}},
     {"artifacts": {"url": "bucket"}},
     {"keys": {"secret": ""}},
@@ -92,6 +94,31 @@ def plain():
         yield from ((file.name, item) for item in objects(file.read_text()))
 
 
+def commands(found):
+    """The arguments that the program is given anywhere in deploy/, and the names of the variables beside them."""
+    specs = [item.get("spec", {}) for _, item in found]
+    specs = [spec.get("jobTargetRef", spec) for spec in specs]
+    pods = [spec["template"]["spec"] for spec in specs if "template" in spec]
+    services = yaml.safe_load((ROOT / "deploy/compose.yaml").read_text())["services"]
+    given = [
+        (container["args"], [variable["name"] for variable in container["env"]])
+        for pod in pods
+        for container in pod["containers"]
+    ]
+    ours = [service for service in services.values() if "RELUME_IMAGE" in service["image"]]
+    return given + [(service["command"], [*service["environment"]]) for service in ours]
+
+
+def unknown(program, arguments, variables):
+    """None, or what the program does not know. It reads all arguments before it shows its help, which names its variables."""
+    ended = subprocess.run([program, *arguments, "--help"], capture_output=True, text=True)
+    if ended.returncode != 0:
+        return f"{' '.join(arguments)}: {ended.stderr.strip()}"
+    named = set(re.findall(r"\b(?:RELUME|AWS|RUST)_[A-Z_]+", ended.stdout)) | {"AWS_ALLOW_HTTP", "RUST_LOG"}
+    missing = [name for name in variables if name not in named]
+    return f"{' '.join(arguments)}: the help does not name {missing}" if missing else None
+
+
 def broken(item):
     """The same with a wrong field where its kind keeps its settings."""
     item = copy.deepcopy(item)
@@ -119,9 +146,16 @@ def main():
     scaled["spec"]["jobTargetRef"]["template"]["spec"]["containers"][0]["arsg"] = []
     if not fault(scaled):
         wrong.append("a wrong field of a scaled job's pod was not seen: the check is of no use")
+    given = commands(found)
+    wrong += filter(None, (unknown(sys.argv[1], *command) for command in given))
+    arguments, variables = given[0]
+    for control in [([*arguments, "--no-such-option"], variables), (arguments, [*variables, "RELUME_NO_SUCH_VARIABLE"])]:
+        if not unknown(sys.argv[1], *control):
+            wrong.append("an option or a variable that the program does not have was not seen: the check is of no use")
     if wrong:
         sys.exit("\n".join(wrong))
-    print(f"{len(found)} objects of the chart and of deploy/kubernetes are what Kubernetes, Kueue and KEDA take")
+    print(f"{len(found)} objects of the chart and of deploy/kubernetes are what Kubernetes, Kueue and KEDA take, "
+          f"and {len(given)} command lines what the program takes")
 
 
 main()

@@ -69,6 +69,7 @@ spec:
       env:
         - {name: RELUME_SERVER, value: "http://{{ include "relume.name" .root }}:{{ .root.Values.service.port }}"}
         - {name: RELUME_DEVICE, value: {{ $workers.device | quote }}}
+        - {name: RELUME_CACHE_BYTES, value: {{ $workers.cacheGiB }}GiB}
         {{- with $workers.labels }}
         - {name: RELUME_WORKER_LABELS, value: {{ join "," . | quote }}}
         {{- end }}
@@ -82,7 +83,8 @@ spec:
         - {name: tmp, mountPath: /tmp}
   volumes:
     - name: cache
-      emptyDir: {sizeLimit: {{ $workers.cacheSize }}}
+      # A pod that takes more is evicted.
+      emptyDir: {sizeLimit: {{ add $workers.cacheGiB 10 }}Gi}
     - name: tmp
       emptyDir: {}
   {{- with $workers.nodeSelector }}
