@@ -114,8 +114,8 @@ def unknown(program, arguments, variables):
     ended = subprocess.run([program, *arguments, "--help"], capture_output=True, text=True)
     if ended.returncode != 0:
         return f"{' '.join(arguments)}: {ended.stderr.strip()}"
-    named = set(re.findall(r"\b(?:RELUME|AWS|RUST)_[A-Z_]+", ended.stdout)) | {"AWS_ALLOW_HTTP", "RUST_LOG"}
-    missing = [name for name in variables if name not in named]
+    named = {*re.findall(r"\bRELUME_[A-Z_]+", ended.stdout), "RELUME_ARTIFACTS"}
+    missing = [name for name in variables if name.startswith("RELUME_") and name not in named]
     return f"{' '.join(arguments)}: the help does not name {missing}" if missing else None
 
 
