@@ -62,7 +62,7 @@ enum Command {
     Demo(demo::DemoArgs),
     #[cfg(feature = "server")]
     /// Run the HTTP service.
-    Serve(serve::ServeArgs),
+    Serve(Box<serve::ServeArgs>),
     #[cfg(all(feature = "server", feature = "client"))]
     /// Train jobs of a server elsewhere.
     Worker(worker::WorkerArgs),
@@ -127,7 +127,7 @@ pub fn main() -> ExitCode {
         #[cfg(all(feature = "server", feature = "client"))]
         Command::Demo(args) => demo::run(&args).map_err(Into::into),
         #[cfg(feature = "server")]
-        Command::Serve(args) => serve::run(args),
+        Command::Serve(args) => serve::run(*args),
         #[cfg(all(feature = "server", feature = "client"))]
         Command::Worker(args) => return exit(worker::run(args)),
         #[cfg(feature = "client")]
