@@ -32,6 +32,7 @@ mod quality_gate;
 mod reference;
 mod render_sequence;
 mod requirements;
+mod s3;
 mod schedulers;
 mod server_process;
 mod service;

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::cli::artifacts::ArtifactsArgs;
 use crate::cli::database::DatabaseArgs;
 use crate::cli::error::CommandResult;
 use crate::jobs::{Clock, SystemClock};
@@ -15,6 +16,8 @@ pub(super) struct BackupArgs {
     data_dir: PathBuf,
     #[command(flatten)]
     database: DatabaseArgs,
+    #[command(flatten)]
+    artifacts: ArtifactsArgs,
     /// The folder to make; it must not exist, or be empty.
     out: PathBuf,
 }
@@ -32,7 +35,9 @@ pub(super) struct RestoreArgs {
 pub(super) fn backup(args: &BackupArgs) -> CommandResult {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let url = args.database.database_url.as_ref();
-    let made = runtime.block_on(store::backup(&args.data_dir, url, &args.out, SystemClock.now_ms()))?;
+    let (artifacts, now) = (args.artifacts.place(), SystemClock.now_ms());
+    let made =
+        runtime.block_on(store::backup_with(&args.data_dir, url, artifacts.as_ref(), &args.out, now))?;
     println!("{}: {} artifacts, {} bytes, verified", args.out.display(), made.artifacts, made.bytes);
     if made.without_checkpoint > 0 {
         println!(

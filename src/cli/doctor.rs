@@ -3,10 +3,12 @@
 
 use std::path::{Path, PathBuf};
 
+#[cfg(feature = "server")]
+use crate::cli::artifacts::ArtifactsArgs;
 use crate::cli::error::CommandResult;
 use crate::engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
 #[cfg(feature = "server")]
-use crate::store::{Store, inspect};
+use crate::store::{Store, inspect, inspect_with};
 
 /// Options of `relume doctor`.
 #[derive(Debug, clap::Args)]
@@ -14,6 +16,9 @@ pub(super) struct DoctorArgs {
     /// The data directory to look at.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
+    #[cfg(feature = "server")]
+    #[command(flatten)]
+    artifacts: ArtifactsArgs,
     /// The device to look for: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
@@ -33,7 +38,7 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
     println!("database      {}", database_version()?);
     println!("data dir      {}", data_dir(&args.data_dir)?);
     #[cfg(feature = "server")]
-    let faults = stored(&args.data_dir)?;
+    let faults = stored(&args.data_dir, &args.artifacts)?;
     let chosen = choose_adapter(&adapters, args.device)?;
     println!("device        {}", verdict(args.device, chosen, &adapters));
     if let Some(index) = chosen {
@@ -50,12 +55,15 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
 
 /// Says what is stored in a data directory and what is wrong with it; the number of faults.
 #[cfg(feature = "server")]
-fn stored(path: &Path) -> CommandResult<usize> {
+fn stored(path: &Path, artifacts: &ArtifactsArgs) -> CommandResult<usize> {
     if !path.exists() {
         return Ok(0);
     }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let found = runtime.block_on(inspect(path))?;
+    let found = match artifacts.place() {
+        Some(place) => runtime.block_on(inspect_with(path, &place))?,
+        None => runtime.block_on(inspect(path))?,
+    };
     match found.schema {
         Some(schema) => println!("database      schema {schema}"),
         None if found.faults.is_empty() => println!("database      none yet"),

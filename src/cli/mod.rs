@@ -2,6 +2,8 @@
 
 mod args;
 #[cfg(feature = "server")]
+mod artifacts;
+#[cfg(feature = "server")]
 mod backup;
 mod bench;
 mod capture;

@@ -22,6 +22,8 @@ impl Client {
     /// When `base` is no URL.
     pub fn new(base: &str, key: Option<String>) -> Result<Self> {
         let base = Url::parse(base).map_err(|e| ClientError::Address(e.to_string()))?;
+        // For `https://`. Another provider of the process is as good.
+        tokio_rustls::rustls::crypto::ring::default_provider().install_default().ok();
         let http = reqwest::Client::builder().connect_timeout(Duration::from_secs(10)).build()?;
         Ok(Self { http, base, key })
     }

@@ -54,6 +54,10 @@ async fn readyz(State(app): State<Shared>) -> Result<&'static str, Problem> {
         tracing::error!(%error, "the database does not answer");
         not_ready("the database does not answer")
     })?;
+    app.store.artifacts().ping().await.map_err(|error| {
+        tracing::error!(%error, "the object store does not answer");
+        not_ready("the object store of artifacts does not answer").retry_after(10)
+    })?;
     app.store.check_room().await.map_err(|error| {
         tracing::warn!(%error, "not ready");
         match error {

@@ -222,6 +222,13 @@ impl From<StoreError> for Problem {
                     )
                     .retry_after(5)
             }
+            StoreError::ArtifactsUnreachable(_) => {
+                tracing::error!(%error, "the object store does not answer");
+                let title = "The store of files cannot be reached";
+                Self::new(StatusCode::SERVICE_UNAVAILABLE, "artifacts-unreachable", title)
+                    .detail("nothing was stored, as far as is known; ask again with the same Idempotency-Key")
+                    .retry_after(5)
+            }
             StoreError::Artifacts(_) | StoreError::File(_) => Self::storage_failed(error),
             error => Self::internal(error),
         }

@@ -36,7 +36,8 @@ use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::server::turns::Turns;
 use crate::server::webhooks::WebhookPolicy;
 use crate::store::{
-    DatabaseUrl, NodeLock, Quota, Retention, ServerLock, Store, StoreError, UploadLimits, has_keys,
+    ArtifactsPlace, DatabaseUrl, NodeLock, Quota, Retention, ServerLock, Store, StoreError, UploadLimits,
+    has_keys,
 };
 use crate::worker::{DeviceHandle, WorkerOptions};
 
@@ -57,6 +58,8 @@ pub struct ServerConfig {
     /// Whether another server is the first on the database: this one answers, renders and trains, and takes no files in, makes no
     /// exports and deletes nothing. Needs a `database`, and artifacts that both reach.
     pub replica: bool,
+    /// The object store that has artifacts, of which the data directory is a cache then.
+    pub artifacts: Option<ArtifactsPlace>,
     /// Accepted keys beside those in the database; without any at all, everyone is accepted, on loopback only.
     pub api_keys: ApiKeys,
     /// Origins whose web pages may call the API.
@@ -108,6 +111,7 @@ impl ServerConfig {
             data_dir: data_dir.into(),
             database: None,
             replica: false,
+            artifacts: None,
             api_keys: ApiKeys::default(),
             cors_origins: Vec::new(),
             allowed_hosts: Vec::new(),
@@ -194,6 +198,7 @@ pub async fn run(
     let stop = CancellationToken::new();
     let Crew { device, threads, roll } = crew::start(plan(&config), &jobs, &name, &stop).await?;
     let maintenance = tokio::spawn(maintain(jobs.clone(), roll, first, stop.clone()));
+    let settling = (!config.replica).then(|| tokio::spawn(settle(store.clone())));
     let others = jobs.clone();
     let listening = tokio::spawn(async move { others.follow_others().await });
     let tidy = Arc::new(Notify::new());
@@ -207,6 +212,9 @@ pub async fn run(
     threads.join().await;
     app.poses.idle().await;
     maintenance.abort();
+    if let Some(settling) = settling {
+        settling.abort();
+    }
     listening.abort();
     if let Some(housekeeping) = housekeeping {
         housekeeping.end().await;
@@ -249,7 +257,10 @@ async fn open(config: &ServerConfig) -> Result<Store, ServeError> {
     let (root, url) = (&config.data_dir, config.database.as_ref());
     let store =
         if config.replica { Store::join(root, url).await? } else { Store::open_with(root, url).await? };
-    let store = store.with_quota(config.quota);
+    let mut store = store.with_quota(config.quota);
+    if let Some(place) = &config.artifacts {
+        store = store.with_artifacts(place)?;
+    }
     if let Some(bytes) = config.limits.disk_bytes {
         store.limit_disk(bytes);
     }
@@ -363,6 +374,14 @@ async fn serve(
     waiting.abort();
 }
 
+/// Sends to the object store what only this machine has and clears up there, once it can be reached.
+async fn settle(store: Store) {
+    while let Err(error) = store.settle_artifacts(SystemTime::now()).await {
+        tracing::error!(%error, "the object store of artifacts is not settled yet");
+        tokio::time::sleep(MAINTENANCE_INTERVAL).await;
+    }
+}
+
 async fn maintain(jobs: Jobs, mut roll: RollCall, mut first: Option<ServerLock>, stop: CancellationToken) {
     while !stop.is_cancelled() {
         match first.as_mut().map(ServerLock::keep) {
@@ -387,6 +406,7 @@ async fn maintain(jobs: Jobs, mut roll: RollCall, mut first: Option<ServerLock>,
         if let Err(error) = jobs.store().check_room().await {
             tracing::error!(%error, "there is no room to work");
         }
+        jobs.store().artifacts().trim().await;
         observe::metrics_handle().run_upkeep();
         tokio::time::sleep(MAINTENANCE_INTERVAL.min(roll.interval())).await;
     }

@@ -1,5 +1,7 @@
 //! Makes captures of complete uploads: at once, or after an answer that says where to ask (RFC 7240, `respond-async`).
 
+use std::time::Duration;
+
 use axum::Json;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -7,7 +9,7 @@ use tokio::sync::Mutex;
 
 use crate::api::captures::{CaptureState, CaptureSummary};
 use crate::api::marks::Marks;
-use crate::api::problem::ContentError;
+use crate::api::problem::{ContentError, TYPE_PREFIX};
 use crate::api::{CaptureId, Problem, ResourceKind, ResourceName, TenantId};
 use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
 use crate::server::app::Shared;
@@ -20,6 +22,8 @@ use crate::store::{CaptureRecord, Incoming, StoreError, UploadRecord};
 
 const APPLIED: HeaderName = HeaderName::from_static("preference-applied");
 const ASYNC: &str = "respond-async";
+/// Until what was promised is tried again, while the object store of artifacts is away.
+const AGAIN: Duration = Duration::from_secs(2);
 /// Requests that bring the same content find each other.
 static ENTERING: Mutex<()> = Mutex::const_new(());
 
@@ -196,7 +200,16 @@ async fn finish(
     incoming: Incoming,
     ticket: Option<Ticket>,
 ) {
-    let made = finished(app, tenant, &capture, incoming, ticket).await;
+    let mut made = finished(app, tenant, &capture, incoming, ticket).await;
+    while made.as_ref().is_err_and(is_outage) && !app.stop.is_cancelled() {
+        tokio::time::sleep(AGAIN).await;
+        made = match again(app, tenant, &capture).await {
+            Ok(Some(incoming)) => finished(app, tenant, &capture, incoming, None).await,
+            // Somebody gave it up.
+            Ok(None) => return,
+            Err(error) => Err(error.into()),
+        };
+    }
     if app.stop.is_cancelled() {
         // The next server goes on.
         return;
@@ -209,6 +222,19 @@ async fn finish(
             tracing::error!(%error, %capture, "the next start validates an upload again");
         }
     }
+}
+
+/// Whether it says nothing of the upload: what was promised is made once the object store is there.
+fn is_outage(problem: &Problem) -> bool {
+    problem.kind.strip_prefix(TYPE_PREFIX) == Some("artifacts-unreachable")
+}
+
+/// The bytes again that a capture is being made of; `None` when there is no such upload any more.
+async fn again(app: &Shared, tenant: &TenantId, capture: &CaptureId) -> Result<Option<Incoming>, StoreError> {
+    let Some(upload) = app.store.upload_for(tenant, capture).await? else { return Ok(None) };
+    let Some(hold) = app.store.hold_upload(&upload.id) else { return Ok(None) };
+    let name: String = app.jobs.fresh_id();
+    app.store.take_upload(hold, &upload, &name).await.map(Some)
 }
 
 async fn finished(

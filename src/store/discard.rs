@@ -4,7 +4,6 @@
 use std::collections::HashSet;
 
 use crate::store::artifacts::is_key;
-use crate::store::references::of_job;
 use crate::store::sql;
 use crate::store::sweep::prune;
 use crate::store::{Store, StoreError};
@@ -105,9 +104,7 @@ impl Store {
                 "SELECT artifact FROM model_files JOIN models ON models.id = model_id WHERE job_id = $1";
             let kept: Vec<String> = sql::query_scalar(query).bind(job).fetch_all(self.pool()).await?;
             let kept: HashSet<String> = kept.into_iter().collect();
-            let (root, id) = (self.artifacts.local_path(""), job.clone());
-            let stored = tokio::task::spawn_blocking(move || of_job(&root, &id)).await;
-            let stored = stored.map_err(std::io::Error::other)??;
+            let stored = self.artifacts.of_job(job).await?;
             self.remove_of_job(job, stored.into_iter().filter(|key| !kept.contains(key)).collect()).await?;
             let mut tx = self.write().await?;
             let history = "DELETE FROM events WHERE job_id = $1";

@@ -158,6 +158,9 @@ pub enum StoreError {
     /// The database server cannot be reached now.
     #[error("the database cannot be reached: {0}")]
     DatabaseUnreachable(String),
+    /// The object store of artifacts cannot be reached now, or lets nobody in.
+    #[error("the object store of artifacts cannot be used: {0}")]
+    ArtifactsUnreachable(String),
     /// The database failed.
     #[error("database: {0}")]
     Database(sqlx::Error),

@@ -6,11 +6,12 @@ use std::path::Path;
 
 use sqlx::SqlitePool;
 
+use crate::store::artifacts::{Remote, stays_here};
 use crate::store::database::{self, DatabaseFile};
 use crate::store::hash::hash_file;
-use crate::store::references::{Reference, references, stored};
+use crate::store::references::{Reference, is_ours, references, stored};
 use crate::store::sql;
-use crate::store::{StoreError, has_artifacts};
+use crate::store::{ArtifactsPlace, StoreError, has_artifacts};
 
 /// What a look at a data directory found.
 #[derive(Debug, Clone, Default)]
@@ -30,6 +31,18 @@ pub struct Inspection {
 /// # Errors
 /// When the directory cannot be read; what is wrong with its content is in the answer.
 pub async fn inspect(root: &Path) -> Result<Inspection, StoreError> {
+    inspect_all(root, None).await
+}
+
+/// As [`inspect`], with artifacts in an object store: all of them are read.
+///
+/// # Errors
+/// As [`inspect`]; [`StoreError::ArtifactsUnreachable`].
+pub async fn inspect_with(root: &Path, place: &ArtifactsPlace) -> Result<Inspection, StoreError> {
+    inspect_all(root, Some(Remote::open(place)?)).await
+}
+
+async fn inspect_all(root: &Path, remote: Option<Remote>) -> Result<Inspection, StoreError> {
     let mut found = Inspection::default();
     if !root.join(database::FILE).exists() {
         if has_artifacts(root)? {
@@ -37,7 +50,7 @@ pub async fn inspect(root: &Path) -> Result<Inspection, StoreError> {
         }
         return Ok(found);
     }
-    match look(root, &mut found).await {
+    match look(root, remote.as_ref(), &mut found).await {
         Err(error @ (StoreError::Database(_) | StoreError::DatabaseDamaged(_))) => {
             found.faults.push(error.to_string());
         }
@@ -46,14 +59,19 @@ pub async fn inspect(root: &Path) -> Result<Inspection, StoreError> {
     Ok(found)
 }
 
-async fn look(root: &Path, found: &mut Inspection) -> Result<(), StoreError> {
+async fn look(root: &Path, remote: Option<&Remote>, found: &mut Inspection) -> Result<(), StoreError> {
     let pool = DatabaseFile::open_to_look(root).await?;
-    let looked = look_with(&pool, root, found).await;
+    let looked = look_with(&pool, root, remote, found).await;
     pool.close().await;
     looked
 }
 
-async fn look_with(pool: &SqlitePool, root: &Path, found: &mut Inspection) -> Result<(), StoreError> {
+async fn look_with(
+    pool: &SqlitePool,
+    root: &Path,
+    remote: Option<&Remote>,
+    found: &mut Inspection,
+) -> Result<(), StoreError> {
     let integrity: Vec<String> = sql::query_scalar("PRAGMA integrity_check(10)").fetch_all(pool).await?;
     let damage = integrity.iter().filter(|line| *line != "ok");
     found.faults.extend(damage.map(|line| format!("the database is damaged: {line}")));
@@ -68,21 +86,59 @@ async fn look_with(pool: &SqlitePool, root: &Path, found: &mut Inspection) -> Re
         // The next start of a server brings it up to date; its tables may lack what is asked for here.
         return Ok(());
     }
-    let named = references(pool).await?;
+    let mut named = references(pool).await?;
     found.artifacts = named.len();
+    if let Some(remote) = remote {
+        // What is here of it is a copy, which is fetched anew when it is damaged.
+        let (elsewhere, here) = named.into_iter().partition(|reference| !stays_here(&reference.artifact));
+        named = here;
+        compare_remote(remote, elsewhere, found).await?;
+    }
+    let is_all = remote.is_none();
     let artifacts = root.join("artifacts");
-    let looked = tokio::task::spawn_blocking(move || compare(&artifacts, &named)).await;
+    let looked = tokio::task::spawn_blocking(move || compare(&artifacts, &named, is_all)).await;
     let (faults, orphans) = looked.map_err(std::io::Error::other)??;
     found.faults.extend(faults);
-    found.orphans = orphans;
+    found.orphans.extend(orphans);
     Ok(())
 }
 
-/// What is wrong with the artifacts that are named, and those that are not named.
-fn compare(artifacts: &Path, named: &[Reference]) -> std::io::Result<(Vec<String>, Vec<String>)> {
+/// As [`compare`], in the object store.
+async fn compare_remote(
+    remote: &Remote,
+    named: Vec<Reference>,
+    found: &mut Inspection,
+) -> Result<(), StoreError> {
+    let names: HashSet<&str> = named.iter().map(|reference| reference.artifact.as_str()).collect();
+    let objects = remote.list("").await?.into_iter().map(|object| object.key);
+    found.orphans = objects.filter(|key| is_ours(key) && !names.contains(key.as_str())).collect();
+    for Reference { artifact, sha256, owner } in &named {
+        match (remote.hash(artifact).await, sha256) {
+            (Ok(actual), Some(expected)) if actual != *expected => found.faults.push(format!(
+                "{owner}: {artifact} is damaged in the object store: its bytes are not those that were stored"
+            )),
+            (Ok(_), _) => {}
+            (Err(StoreError::Missing(_)), _) => {
+                found.faults.push(format!("{owner}: {artifact} is missing in the object store"));
+            }
+            (Err(error), _) => return Err(error),
+        }
+    }
+    Ok(())
+}
+
+/// What is wrong with the artifacts that are named, and those that are not named: of all, or of those that never leave this machine.
+fn compare(
+    artifacts: &Path,
+    named: &[Reference],
+    is_all: bool,
+) -> std::io::Result<(Vec<String>, Vec<String>)> {
     let faults = named.iter().filter_map(|reference| fault(artifacts, reference)).collect();
     let names: HashSet<&str> = named.iter().map(|reference| reference.artifact.as_str()).collect();
-    let orphans = stored(artifacts)?.into_iter().filter(|key| !names.contains(key.as_str())).collect();
+    let orphans = stored(artifacts)?
+        .into_iter()
+        .filter(|key| (is_all || stays_here(key)) && !names.contains(key.as_str()))
+        .collect();
     Ok((faults, orphans))
 }
 

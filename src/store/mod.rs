@@ -1,4 +1,4 @@
-//! Metadata in SQLite or PostgreSQL and artifacts in an object store. SQL text lives here and nowhere else.
+//! Metadata in SQLite or PostgreSQL and artifacts in a folder or an object store. SQL text lives here and nowhere else.
 //!
 //! Every change that a client may have been told of is one transaction; SQLite works in WAL mode with `synchronous=FULL`. Times come in as milliseconds since 1970 UTC, so that callers can inject a clock.
 
@@ -38,6 +38,7 @@ mod references;
 mod reservation;
 mod retention;
 mod room;
+mod settling;
 mod shelf;
 mod sql;
 mod sweep;
@@ -59,8 +60,8 @@ use sql::{Pool, Sql, Tx};
 use uploads::Holds;
 
 pub use crate::api::work::{LeaseStatus, Release};
-pub use artifacts::Artifacts;
-pub use backup::{Backup, backup, restore};
+pub use artifacts::{Artifacts, ArtifactsPlace, ArtifactsUrl};
+pub use backup::{Backup, backup, backup_with, restore};
 pub use database::{DatabaseUrl, Listener, ServerLock};
 pub use deletion::Deletion;
 pub use deliveries::{Attempt, DeliveryRecord, Replay};
@@ -72,7 +73,7 @@ pub use folder::make_private;
 pub use hash::hex;
 pub use idempotency::IdempotencyKey;
 pub use incoming::Incoming;
-pub use inspection::{Inspection, inspect};
+pub use inspection::{Inspection, inspect, inspect_with};
 pub use job_view::rfc3339;
 pub use jobs::{CancelOutcome, MOST_BEFORE, Submitted};
 pub use key_token::KeyToken;
@@ -88,6 +89,7 @@ pub use records::{
 };
 pub use retention::Retention;
 pub use room::Room;
+pub use settling::Settled;
 pub use sweep::Swept;
 pub use uploads::{Checksum, Hold, Piece, UploadLimits, UploadRecord};
 pub use webhooks::WebhookRecord;
@@ -142,6 +144,15 @@ impl Store {
             ledger: Ledger::default(),
             holds: Holds::default(),
         })
+    }
+
+    /// With artifacts in an object store, of which the folder is a cache from then on. Nothing is asked of it yet.
+    ///
+    /// # Errors
+    /// When a setting of it is missing or wrong, or the folder cannot be read.
+    pub fn with_artifacts(mut self, place: &ArtifactsPlace) -> Result<Self, StoreError> {
+        self.artifacts = self.artifacts.shared(place)?;
+        Ok(self)
     }
 
     /// Opens the data directory of a server that runs. Nothing is migrated beneath it.

@@ -50,20 +50,25 @@ pub(super) async fn names<'c>(on: impl Into<On<'c>>) -> Result<Vec<String>, Stor
 /// The keys of all files under `artifacts` that have a name which only this program gives. Blocks.
 pub(super) fn stored(artifacts: &Path) -> std::io::Result<Vec<String>> {
     let mut keys = Vec::new();
-    for family in ["captures", "environments"] {
+    for family in ["captures", "environments", UPLOADS, EXPORTS] {
         files(&artifacts.join(family), family, 0, &mut keys)?;
     }
-    keys.retain(|key| key.rsplit('/').next().is_some_and(is_hash));
-    let mut named = Vec::new();
-    for family in [UPLOADS, EXPORTS] {
-        files(&artifacts.join(family), family, 0, &mut named)?;
-    }
-    named.retain(|key| key.rsplit('/').next().is_some_and(|name| Uuid::parse_str(name).is_ok()));
-    keys.append(&mut named);
     // attempts/JOB/NUMBER/FILE
     files(&artifacts.join("attempts"), "attempts", 2, &mut keys)?;
+    keys.retain(|key| is_ours(key));
     keys.sort();
     Ok(keys)
+}
+
+/// Whether only this program gives such a name.
+pub(super) fn is_ours(key: &str) -> bool {
+    let parts: Vec<&str> = key.split('/').collect();
+    match parts[..] {
+        ["captures" | "environments", name] => is_hash(name),
+        [UPLOADS | EXPORTS, name] => Uuid::parse_str(name).is_ok(),
+        ["attempts", _, _, _] => true,
+        _ => false,
+    }
 }
 
 /// The keys of all files that attempts of a job wrote. Blocks.

@@ -16,6 +16,7 @@ impl Store {
         tenant: &TenantId,
         capture: &CaptureRecord,
     ) -> Result<CaptureRecord, StoreError> {
+        self.artifacts.send_ahead(&incoming.path, &capture.artifact).await?;
         let _shelf = self.shelf.lock().await;
         let pieces = incoming.upload.take();
         self.artifacts.publish(incoming, &capture.artifact).await?;
@@ -39,6 +40,7 @@ impl Store {
         tenant: &TenantId,
         environment: &EnvironmentRecord,
     ) -> Result<EnvironmentRecord, StoreError> {
+        self.artifacts.send_ahead(&incoming.path, &environment.artifact).await?;
         let _shelf = self.shelf.lock().await;
         self.artifacts.publish(incoming, &environment.artifact).await?;
         self.insert_environment(tenant, environment).await
@@ -50,11 +52,10 @@ impl Store {
     /// # Errors
     /// When the artifact cannot be read or the move fails.
     pub async fn mend(&self, mut incoming: Incoming, artifact: &str) -> Result<Option<Incoming>, StoreError> {
-        match self.artifacts.verify(artifact, &incoming.sha256).await {
-            Err(StoreError::Damaged(_) | StoreError::Missing(_)) => {}
-            Ok(()) => return self.forget_pieces(incoming).await.map(|()| None),
-            Err(error) => return Err(error),
+        if self.is_sound(artifact, &incoming).await? {
+            return self.forget_pieces(incoming).await.map(|()| None);
         }
+        self.artifacts.send_ahead(&incoming.path, artifact).await?;
         let _shelf = self.shelf.lock().await;
         let named = "SELECT EXISTS (SELECT 1 FROM captures WHERE artifact = $1 AND deleted_ms IS NULL)
                          OR EXISTS (SELECT 1 FROM environments WHERE artifact = $1 AND deleted_ms IS NULL)";
@@ -67,6 +68,18 @@ impl Store {
             return Ok(None);
         }
         Ok(Some(incoming))
+    }
+
+    /// Whether an artifact is what an upload of the same content is, here and in the object store.
+    async fn is_sound(&self, artifact: &str, incoming: &Incoming) -> Result<bool, StoreError> {
+        match self.artifacts.verify(artifact, &incoming.sha256).await {
+            Err(StoreError::Damaged(_) | StoreError::Missing(_)) => Ok(false),
+            Err(error) => Err(error),
+            Ok(()) => match self.artifacts.remote() {
+                Some(remote) => Ok(remote.size(artifact).await? == Some(incoming.bytes)),
+                None => Ok(true),
+            },
+        }
     }
 
     /// Drops an upload whose content is there already, with the pieces that it came in.

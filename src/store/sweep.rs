@@ -14,7 +14,7 @@ use crate::store::{Store, StoreError};
 /// Where artifacts go that the database knows nothing of.
 pub(super) const ORPHANS: &str = "orphans";
 /// How long they stay there.
-const KEEP: Duration = Duration::from_secs(7 * 24 * 3600);
+pub(super) const KEEP: Duration = Duration::from_secs(7 * 24 * 3600);
 
 /// What a sweep did.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

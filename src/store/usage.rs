@@ -60,6 +60,11 @@ impl Store {
         })
         .await
         .map_err(std::io::Error::other)??;
+        let mut files = files;
+        if let (true, Some(remote)) = (of_server, self.artifacts.remote()) {
+            // A copy on this machine is no more than what it is a copy of.
+            files.extend(remote.list("").await?.into_iter().map(|object| (object.key, object.bytes)));
+        }
         let all: u64 = files.values().sum();
         // Several rows may name one file.
         let mut mine: Vec<&str> = named.iter().map(|reference| reference.artifact.as_str()).collect();
@@ -155,9 +160,9 @@ impl Store {
         let mut found = StoredKind::default();
         for key in keys {
             // One that is replaced meanwhile counts as nothing.
-            let Ok(file) = tokio::fs::metadata(self.artifacts.local_path(&key)).await else { continue };
+            let Some(bytes) = self.artifacts.size(&key).await? else { continue };
             found.count += 1;
-            found.bytes += file.len();
+            found.bytes += bytes;
         }
         Ok(found)
     }

@@ -50,6 +50,15 @@ impl Verification {
         }
     }
 
+    /// The hash of a file that was hashed as it was written.
+    pub(super) async fn learn(&self, key: &str, path: &Path, sha256: &str) -> Result<(), StoreError> {
+        let known = self.lock().entry(key.to_owned()).or_default().clone();
+        let mut known = known.lock().await;
+        let stamp = Stamp::of(&tokio::fs::metadata(path).await?);
+        *known = Some((stamp, sha256.to_owned()));
+        Ok(())
+    }
+
     /// Forgets a file that was removed.
     pub(super) fn forget(&self, key: &str) {
         self.lock().remove(key);

@@ -173,6 +173,9 @@ impl From<StoreError> for SourceError {
             StoreError::DatabaseUnreachable(_) => {
                 Self::Unreachable("the database cannot be reached".to_owned())
             }
+            StoreError::ArtifactsUnreachable(_) => {
+                Self::Unreachable("the object store of artifacts cannot be reached".to_owned())
+            }
             StoreError::Damaged(_) | StoreError::Missing(_) => {
                 tracing::error!(%error, "the store failed under a job");
                 Self::Damaged

@@ -57,7 +57,14 @@ impl Verdict {
 impl Worker {
     /// Writes down what becomes of a job whose attempt failed.
     pub(super) async fn record_failure(&mut self, claim: &dyn Claim, failure: AttemptError) -> Ended {
-        self.record(claim, &Verdict::on(claim.task(), failure)).await
+        let is_outage = failure.is_outage();
+        let ended = self.record(claim, &Verdict::on(claim.task(), failure)).await;
+        if is_outage {
+            // Not at once: what was away for this job is so for the next one.
+            self.changes.mark_unchanged();
+            self.wait().await;
+        }
+        ended
     }
 
     /// Writes down what becomes of a job whose attempt panicked.

@@ -8,6 +8,7 @@ use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 
 use crate::cli::CommandResult;
+use crate::cli::artifacts::ArtifactsArgs;
 use crate::cli::database::DatabaseArgs;
 use crate::engine::DeviceChoice;
 use crate::server::{self, CorsOrigin, ServerConfig};
@@ -32,6 +33,8 @@ pub(super) struct ServeArgs {
     data_dir: PathBuf,
     #[command(flatten)]
     database: DatabaseArgs,
+    #[command(flatten)]
+    artifacts: ArtifactsArgs,
     #[command(flatten)]
     keys: keys::KeyArgs,
     /// Origins whose web pages may call the API, e.g. `https://app.example.org`, or `*` for all (needs an API key).
@@ -98,6 +101,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     args.fairness.apply(&mut config);
     config.limits.disk_bytes = args.storage.max_disk;
     config.thumbnail_cache = args.storage.thumbnail_cache;
+    config.artifacts = args.artifacts.place().map(|place| args.storage.bounded(place));
     args.fetching.apply(&mut config);
     args.poses.apply(&mut config);
     args.webhooks.apply(&mut config);

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 pub(super) use crate::cli::size::size;
-use crate::store::Retention;
+use crate::store::{ArtifactsPlace, Retention};
 
 /// Options about what is stored and for how long.
 #[derive(Debug, clap::Args)]
@@ -16,6 +16,10 @@ pub(super) struct StorageArgs {
     /// none. Those asked for longest ago go first. Backups leave them out.
     #[arg(long, env = "RELUME_THUMBNAIL_CACHE", value_name = "SIZE", value_parser = size_or_none, default_value = "256MiB")]
     pub(super) thumbnail_cache: u64,
+    /// Most that copies of artifacts take in the data directory where `--artifacts` has them: bytes, or a number with MiB, GiB or TiB.
+    /// Those used longest ago go first, and none that was used within ten minutes.
+    #[arg(long, env = "RELUME_ARTIFACTS_CACHE", value_name = "SIZE", value_parser = size, default_value = "64GiB")]
+    artifacts_cache: u64,
     /// Days after which a job that has ended is deleted; its model stays. For ever where absent.
     #[arg(long, env = "RELUME_KEEP_JOBS", value_name = "DAYS", value_parser = days)]
     keep_jobs: Option<Duration>,
@@ -38,6 +42,11 @@ impl StorageArgs {
     /// How long unfinished uploads are kept.
     pub(super) fn upload_life(&self) -> Duration {
         self.keep_uploads
+    }
+
+    /// An object store of which no more than the bound is kept here.
+    pub(super) fn bounded(&self, place: ArtifactsPlace) -> ArtifactsPlace {
+        ArtifactsPlace { cache_bytes: self.artifacts_cache, ..place }
     }
 
     pub(super) fn retention(&self) -> Retention {

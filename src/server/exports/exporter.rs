@@ -4,11 +4,12 @@ use std::time::Duration;
 
 use tokio_util::sync::CancellationToken;
 
+use crate::api::ExportId;
 use crate::api::exports::NewExport;
 use crate::server::app::Shared;
-use crate::server::exports::ended::Ended;
+use crate::server::exports::ended::{Ended, Patience};
 use crate::server::exports::{frames, splats};
-use crate::store::{ClaimedExport, ExportedFile};
+use crate::store::{ClaimedExport, ExportedFile, StoreError};
 
 /// Time between two looks when nobody asks for one.
 const INTERVAL: Duration = Duration::from_secs(10);
@@ -55,10 +56,7 @@ async fn run(app: &Shared, export: ClaimedExport) {
     // Whatever still works on it aside ends soon.
     token.cancel();
     let kept = match made {
-        Ok(file) => match app.store.keep_export(&id, file, app.jobs.now_ms()).await {
-            Ok(_) => Ok(()),
-            Err(error) => Err(Ended::from(error)),
-        },
+        Ok(file) => keep(app, &id, file).await,
         Err(Ended::Unwanted) if app.stop.is_cancelled() => {
             app.store.requeue_exports(Some(&id)).await.map(drop).map_err(Ended::from)
         }
@@ -69,6 +67,19 @@ async fn run(app: &Shared, export: ClaimedExport) {
         tracing::info!(export = %id, code, detail, "an export cannot be made");
         if let Err(error) = app.store.fail_export(&id, &code, &detail, app.jobs.now_ms()).await {
             tracing::error!(%error, export = %id, "the next start makes an export again");
+        }
+    }
+}
+
+/// Keeps the file of one, once the object store is there.
+async fn keep(app: &Shared, id: &ExportId, file: ExportedFile) -> Result<(), Ended> {
+    let patience = Patience::new();
+    loop {
+        match app.store.keep_export(id, file.clone(), app.jobs.now_ms()).await {
+            // The next server makes it again of what is there.
+            Err(StoreError::ArtifactsUnreachable(_)) if app.stop.is_cancelled() => return Ok(()),
+            Err(error @ StoreError::ArtifactsUnreachable(_)) => patience.wait(error.into()).await?,
+            kept => return Ok(kept.map(drop)?),
         }
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use sqlx::SqlitePool;
 
-use crate::store::StoreError;
+use crate::store::artifacts::{Remote, fetch_to};
 use crate::store::backup::Backup;
 use crate::store::backup::files::{CopiedFile, claim, clear, copy};
 use crate::store::backup::manifest::{DATABASE, Manifest, artifact_path};
@@ -15,6 +15,7 @@ use crate::store::hash::hash_file;
 use crate::store::moving::copy_to_file;
 use crate::store::references::{Reference, references};
 use crate::store::sql;
+use crate::store::{ArtifactsPlace, StoreError};
 
 /// Copies of the database, until one is found whose artifacts are all there.
 const TRIES: usize = 5;
@@ -31,23 +32,45 @@ pub async fn backup(
     out: &Path,
     now_ms: i64,
 ) -> Result<Backup, StoreError> {
+    backup_with(root, url, None, out, now_ms).await
+}
+
+/// As [`backup`], with artifacts from an object store where they are not in the directory, or not as they were stored.
+///
+/// # Errors
+/// As [`backup`]; [`StoreError::ArtifactsUnreachable`].
+pub async fn backup_with(
+    root: &Path,
+    url: Option<&DatabaseUrl>,
+    artifacts: Option<&ArtifactsPlace>,
+    out: &Path,
+    now_ms: i64,
+) -> Result<Backup, StoreError> {
     if url.is_none() && !root.join(database::FILE).exists() {
         return Err(StoreError::NoDatabase(root.display().to_string()));
     }
     claim(out)?;
-    let made = make(root, url, out, now_ms).await;
+    let made = make(root, url, artifacts, out, now_ms).await;
     if made.is_err() {
         clear(out);
     }
     made
 }
 
-async fn make(root: &Path, url: Option<&DatabaseUrl>, out: &Path, now_ms: i64) -> Result<Backup, StoreError> {
+async fn make(
+    root: &Path,
+    url: Option<&DatabaseUrl>,
+    artifacts: Option<&ArtifactsPlace>,
+    out: &Path,
+    now_ms: i64,
+) -> Result<Backup, StoreError> {
+    let remote = artifacts.map(Remote::open).transpose()?;
     let source = match url {
         None => Source::File(DatabaseFile::open_to_copy(root).await?),
         Some(_) => Source::Server(Database::open(root, url).await?),
     };
-    let made = copy_all(&source, root, out, now_ms).await;
+    let copies = Copies { root: root.to_owned(), remote, out: out.to_owned(), files: HashMap::new() };
+    let made = copy_all(&source, copies, now_ms).await;
     match source {
         Source::File(pool) => pool.close().await,
         Source::Server(database) => database.close().await,
@@ -61,19 +84,17 @@ enum Source {
     Server(Database),
 }
 
-async fn copy_all(source: &Source, root: &Path, out: &Path, now_ms: i64) -> Result<Backup, StoreError> {
-    let mut copies = Copies { root: root.to_owned(), out: out.to_owned(), files: HashMap::new() };
-    let file = out.join(DATABASE);
+async fn copy_all(source: &Source, mut copies: Copies, now_ms: i64) -> Result<Backup, StoreError> {
+    let file = copies.out.join(DATABASE);
     for _ in 1..TRIES {
         let named = copy_database(source, &file).await?;
-        let (given_back, missing) = copies.add(named).await?;
-        copies = given_back;
+        let missing = copies.add(named).await?;
         if missing.is_empty() {
             return finish(copies, &file, now_ms, 0).await;
         }
     }
     let named = copy_database(source, &file).await?;
-    let (copies, missing) = copies.add(named).await?;
+    let missing = copies.add(named).await?;
     forget_checkpoints(&file, &missing).await?;
     finish(copies, &file, now_ms, missing.len()).await
 }
@@ -151,33 +172,67 @@ async fn finish(
 /// The artifacts that were copied, by key.
 struct Copies {
     root: PathBuf,
+    /// Where they are that are not here.
+    remote: Option<Remote>,
     out: PathBuf,
     files: HashMap<String, CopiedFile>,
 }
 
 impl Copies {
     /// Copies what is named and not copied yet; gives the keys of those that are not there.
-    async fn add(mut self, mut named: Vec<Reference>) -> Result<(Self, Vec<String>), StoreError> {
+    async fn add(&mut self, mut named: Vec<Reference>) -> Result<Vec<String>, StoreError> {
         // Checkpoints are those that go soonest.
         named.sort_by_key(|reference| !reference.owner.starts_with("checkpoint"));
-        let added = tokio::task::spawn_blocking(move || {
-            let mut missing = Vec::new();
-            for Reference { artifact, sha256, .. } in named {
-                if self.files.contains_key(&artifact) {
-                    continue;
-                }
-                let [from, to] = [&self.root, &self.out].map(|root| artifact_path(root, &artifact));
-                match copy(&artifact, &from, &to) {
-                    Ok(file) if sha256.is_some_and(|expected| expected != file.sha256) => {
-                        return Err(StoreError::Damaged(format!("artifacts/{artifact}")));
-                    }
-                    Ok(file) => drop(self.files.insert(artifact, file)),
-                    Err(error) if error.kind() == std::io::ErrorKind::NotFound => missing.push(artifact),
-                    Err(error) => return Err(error.into()),
-                }
+        let mut missing = Vec::new();
+        for reference in named {
+            if self.files.contains_key(&reference.artifact) {
+                continue;
             }
-            Ok((self, missing))
-        });
-        added.await.map_err(std::io::Error::other)?
+            let found = match (self.copy_from_here(&reference).await, &self.remote) {
+                (Err(StoreError::Damaged(_) | StoreError::Missing(_)), Some(remote)) => {
+                    fetch(remote, &reference, &artifact_path(&self.out, &reference.artifact)).await
+                }
+                (found, _) => found,
+            };
+            match found {
+                Ok(file) => drop(self.files.insert(reference.artifact, file)),
+                Err(StoreError::Missing(_)) => missing.push(reference.artifact),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(missing)
     }
+
+    async fn copy_from_here(&self, reference: &Reference) -> Result<CopiedFile, StoreError> {
+        let key = reference.artifact.clone();
+        let [from, to] = [&self.root, &self.out].map(|root| artifact_path(root, &key));
+        let copied = tokio::task::spawn_blocking(move || match copy(&key, &from, &to) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Err(StoreError::Missing(key)),
+            copied => Ok((copied?, to)),
+        });
+        let (file, to) = copied.await.map_err(std::io::Error::other)??;
+        if is_other(reference, &file) {
+            std::fs::remove_file(to)?;
+            return Err(StoreError::Damaged(format!("artifacts/{}", file.key)));
+        }
+        Ok(file)
+    }
+}
+
+/// Copies an artifact from the object store.
+async fn fetch(remote: &Remote, reference: &Reference, to: &Path) -> Result<CopiedFile, StoreError> {
+    let key = reference.artifact.clone();
+    if let Some(folder) = to.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    let (sha256, bytes) = fetch_to(remote, &key, to).await?;
+    let file = CopiedFile { key, sha256, bytes };
+    if is_other(reference, &file) {
+        return Err(StoreError::Damaged(file.key));
+    }
+    Ok(file)
+}
+
+fn is_other(reference: &Reference, file: &CopiedFile) -> bool {
+    reference.sha256.as_ref().is_some_and(|expected| *expected != file.sha256)
 }

@@ -7,7 +7,7 @@ mod restore;
 
 use files::CopiedFile;
 
-pub use make::backup;
+pub use make::{backup, backup_with};
 pub use restore::restore;
 
 /// What was copied.

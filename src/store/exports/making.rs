@@ -71,10 +71,12 @@ impl Store {
         now_ms: i64,
     ) -> Result<bool, StoreError> {
         let key = format!("{EXPORTS}/{id}");
+        self.artifacts.send_ahead(&file.path, &key).await?;
         let (from, to) = (file.path, self.artifacts.local_path(&key));
         let _shelf = self.shelf.lock().await;
         let moved = tokio::task::spawn_blocking(move || move_durably(&from, &to)).await;
         let (sha256, bytes) = moved.map_err(std::io::Error::other)??;
+        self.artifacts.hold(&key, bytes);
         let mut tx = self.write().await?;
         let changed = sql::query(
             "UPDATE exports SET state = 'succeeded', done = total, work_bytes = 0, file_name = $2, content_type = $3,

@@ -22,7 +22,11 @@ impl Worker {
     ) -> Result<ControlFlow<AttemptEnd, Trainer>, AttemptError> {
         announce(claim, "preparing").await?;
         let checkpoint = match claim.task().checkpoint_step {
-            Some(_) => Some(claim.last_checkpoint().await),
+            Some(_) => match claim.last_checkpoint().await {
+                // It is there and will be had again.
+                Err(error @ SourceError::Unreachable(_)) => return Err(error.into()),
+                read => Some(read),
+            },
             None => None,
         };
         let capture = capture.clone();

@@ -1,0 +1,115 @@
+//! Which copies of what is in the object store are on this machine, and which of them go first.
+
+use std::collections::HashMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime};
+
+/// A file on this machine.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Copy {
+    pub(super) bytes: u64,
+    /// When it was used last.
+    pub(super) used: SystemTime,
+    /// Whether the object store is known to have it.
+    pub(super) is_elsewhere: bool,
+}
+
+/// The copies and the bound on them.
+pub(super) struct Cache {
+    most: u64,
+    stays: Duration,
+    copies: Mutex<HashMap<String, Copy>>,
+}
+
+impl Cache {
+    pub(super) fn new(most: u64, stays: Duration, found: HashMap<String, Copy>) -> Self {
+        Self { most, stays, copies: Mutex::new(found) }
+    }
+
+    /// A file was written that the object store has.
+    pub(super) fn add(&self, key: &str, bytes: u64) {
+        self.lock().insert(key.to_owned(), Copy { bytes, used: SystemTime::now(), is_elsewhere: true });
+    }
+
+    /// A file is used.
+    pub(super) fn touch(&self, key: &str) {
+        if let Some(copy) = self.lock().get_mut(key) {
+            copy.used = SystemTime::now();
+        }
+    }
+
+    /// The object store is known to have this file.
+    pub(super) fn is_elsewhere(&self, key: &str) {
+        if let Some(copy) = self.lock().get_mut(key) {
+            copy.is_elsewhere = true;
+        }
+    }
+
+    pub(super) fn forget(&self, key: &str) {
+        self.lock().remove(key);
+    }
+
+    /// A file that may go now: it was not used for as long as files stay.
+    pub(super) fn idle(&self, key: &str) -> Option<Copy> {
+        let found = self.lock().get(key).copied();
+        found.filter(|copy| self.is_idle(copy))
+    }
+
+    /// The files that are to go, for all to be within the bound: those used longest ago first, and none that was used lately.
+    pub(super) fn surplus(&self) -> Vec<String> {
+        let copies = self.lock();
+        let mut excess = copies.values().map(|copy| copy.bytes).sum::<u64>().saturating_sub(self.most);
+        if excess == 0 {
+            return Vec::new();
+        }
+        let mut idle: Vec<_> = copies.iter().filter(|(_, copy)| self.is_idle(copy)).collect();
+        idle.sort_by_key(|(_, copy)| copy.used);
+        let goes = idle.into_iter().take_while(|(_, copy)| {
+            let is_too_much = excess > 0;
+            excess = excess.saturating_sub(copy.bytes);
+            is_too_much
+        });
+        goes.map(|(key, _)| key.clone()).collect()
+    }
+
+    fn is_idle(&self, copy: &Copy) -> bool {
+        // A time that lies ahead was written by another clock.
+        copy.used.elapsed().map_or(true, |since| since >= self.stays)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, Copy>> {
+        self.copies.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cache(most: u64, stays: Duration) -> Cache {
+        let cache = Cache::new(most, stays, HashMap::new());
+        for (key, ago) in [("a", 300), ("b", 200), ("c", 100)] {
+            let used = SystemTime::now() - Duration::from_secs(ago);
+            cache.lock().insert(key.to_owned(), Copy { bytes: 10, used, is_elsewhere: true });
+        }
+        cache
+    }
+
+    #[test]
+    fn what_was_used_longest_ago_goes_first_and_only_what_is_too_much() {
+        assert!(cache(30, Duration::ZERO).surplus().is_empty());
+        assert_eq!(cache(29, Duration::ZERO).surplus(), ["a"]);
+        let cache = cache(15, Duration::ZERO);
+        cache.touch("a");
+        assert_eq!(cache.surplus(), ["b", "c"]);
+        cache.forget("b");
+        assert_eq!(cache.surplus(), ["c"]);
+    }
+
+    #[test]
+    fn what_was_used_lately_stays_whatever_the_bound() {
+        let cache = cache(0, Duration::from_secs(150));
+        assert_eq!(cache.surplus(), ["a", "b"]);
+        assert!(cache.idle("c").is_none() && cache.idle("b").is_some() && cache.idle("d").is_none());
+    }
+}

@@ -1,0 +1,28 @@
+//! Names of artifacts.
+
+use std::path::{Component, Path};
+
+use crate::store::incoming::INCOMING;
+use crate::store::uploads::UPLOADS;
+
+/// Whether `key` stays within the folder of artifacts.
+pub(in crate::store) fn is_key(key: &str) -> bool {
+    !key.is_empty() && Path::new(key).components().all(|part| matches!(part, Component::Normal(_)))
+}
+
+/// Whether an artifact never leaves this machine: an upload that is not complete, or that nothing was made of yet.
+pub(in crate::store) fn stays_here(key: &str) -> bool {
+    matches!(key.split('/').next(), None | Some("" | INCOMING | UPLOADS))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_under_way_stays_here_and_what_is_made_does_not() {
+        assert!(["uploads/x", "incoming/y", ""].into_iter().all(stays_here));
+        let made = ["captures/00", "environments/00", "attempts/j/1/model.ply", "exports/e", "uploadsx/y"];
+        assert!(!made.into_iter().any(stays_here));
+    }
+}

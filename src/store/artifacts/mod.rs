@@ -1,0 +1,352 @@
+//! Artifacts: immutable bytes under keys, fsynced and hashed as they stream in.
+//!
+//! Nothing is written in place. Bytes are written under `incoming/`, which only the running server uses, and are moved
+//! to their key when they are complete. Files that the server did not write are not touched.
+//!
+//! With an object store that one has what is stored, and the folder is a cache of it: a file is sent there before anybody is told
+//! of it, and fetched from there when it is not here.
+
+mod cache;
+mod key;
+mod place;
+mod remote;
+mod shared;
+mod turns;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use futures::stream::BoxStream;
+use futures::{StreamExt, TryStreamExt};
+use object_store::local::LocalFileSystem;
+use object_store::path::Path as Key;
+use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload};
+use sha2::{Digest, Sha256};
+use tokio_util::bytes::Bytes;
+
+use crate::store::StoreError;
+use crate::store::hash::hex;
+use crate::store::incoming::{INCOMING, Incoming};
+use crate::store::references::of_job;
+use crate::store::verification::Verification;
+
+use shared::Shared;
+
+pub(super) use key::{is_key, stays_here};
+pub use place::{ArtifactsPlace, ArtifactsUrl};
+pub(super) use remote::{Remote, Stored, fetch_to};
+
+/// The artifact store of one data directory.
+#[derive(Clone)]
+pub struct Artifacts {
+    files: Arc<LocalFileSystem>,
+    root: PathBuf,
+    verification: Verification,
+    shared: Option<Arc<Shared>>,
+}
+
+impl Artifacts {
+    /// Opens `root/artifacts`.
+    ///
+    /// # Errors
+    /// When the directory cannot be made.
+    pub fn open(root: &Path) -> Result<Self, StoreError> {
+        let root = root.join("artifacts");
+        std::fs::create_dir_all(&root)?;
+        let files = LocalFileSystem::new_with_prefix(&root)?.with_fsync(true);
+        Ok(Self { files: Arc::new(files), root, verification: Verification::default(), shared: None })
+    }
+
+    /// The same folder as a cache of an object store. Nothing is asked of that yet.
+    ///
+    /// # Errors
+    /// When a setting of it is missing or wrong, or the folder cannot be read.
+    pub(super) fn shared(mut self, place: &ArtifactsPlace) -> Result<Self, StoreError> {
+        self.shared = Some(Arc::new(Shared::open(&self.root, place, self.verification.clone())?));
+        Ok(self)
+    }
+
+    /// Removes what uploads of a server that died left under `incoming/`. The caller must hold the node lock.
+    ///
+    /// # Errors
+    /// When a left-over cannot be removed.
+    pub fn sweep_incoming(&self) -> Result<(), StoreError> {
+        match std::fs::remove_dir_all(self.incoming()) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Sends a complete file to the object store, if there is one, under the key that it is about to get. May take long: nothing that
+    /// others wait for should be held meanwhile.
+    ///
+    /// # Errors
+    /// [`StoreError::ArtifactsUnreachable`] when it cannot be stored.
+    pub(super) async fn send_ahead(&self, path: &Path, key: &str) -> Result<(), StoreError> {
+        match self.shared_of(key) {
+            Some(shared) => shared.remote.put_file(key, path).await,
+            None => Ok(()),
+        }
+    }
+
+    /// Moves a complete upload to its key. Content-addressed keys may exist already: the bytes are the same. What
+    /// [`Artifacts::send_ahead`] has sent is not sent again, unless somebody has removed it since.
+    ///
+    /// # Errors
+    /// When the move fails; the upload is then deleted.
+    pub async fn publish(&self, mut incoming: Incoming, key: &str) -> Result<(), StoreError> {
+        // Only a key that is made of the hash says what is there.
+        let is_there = async |shared: &Shared| match key.ends_with(&incoming.sha256) {
+            true => Ok::<_, StoreError>(shared.remote.size(key).await? == Some(incoming.bytes)),
+            false => Ok(false),
+        };
+        if let Some(shared) = self.shared_of(key)
+            && !is_there(shared).await?
+        {
+            shared.remote.put_file(key, &incoming.path).await?;
+        }
+        let _turn = self.turn(key).await;
+        self.files.rename(&incoming.key, &Key::from(key)).await?;
+        incoming.published = true;
+        self.hold(key, incoming.bytes);
+        // Where both were names of one file already, a rename leaves both.
+        match tokio::fs::remove_file(&incoming.path).await {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes a whole artifact and returns its sha256 in hex; durable when it returns.
+    ///
+    /// # Errors
+    /// [`StoreError::Full`] when the disk is full; nothing is at `key` then.
+    pub async fn put(&self, key: &str, bytes: Vec<u8>) -> Result<String, StoreError> {
+        let sha256 = hex(&Sha256::digest(&bytes));
+        let Some(shared) = self.shared_of(key) else {
+            self.files.put(&Key::from(key), PutPayload::from(bytes)).await?;
+            return Ok(sha256);
+        };
+        let bytes = Bytes::from(bytes);
+        shared.remote.put(key, bytes.clone()).await?;
+        let size = bytes.len() as u64;
+        let turn = self.turn(key).await;
+        match self.files.put(&Key::from(key), PutPayload::from(bytes)).await {
+            Ok(_) => self.hold(key, size),
+            // It is stored all the same.
+            Err(error) => tracing::warn!(%error, key, "no copy of an artifact is kept on this machine"),
+        }
+        drop(turn);
+        self.trim().await;
+        Ok(sha256)
+    }
+
+    /// Makes sure that an artifact is on this machine and compares it with the hash it was stored under. The file is read once a
+    /// process, and again when it changed. It stays long enough to be opened.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] when they differ, [`StoreError::Missing`] when there is none,
+    /// [`StoreError::ArtifactsUnreachable`] when it is elsewhere and cannot be fetched.
+    pub async fn verify(&self, key: &str, sha256: &str) -> Result<(), StoreError> {
+        let path = self.local_path(key);
+        let Some(shared) = self.shared_of(key) else {
+            return self.verification.check(key, &path, sha256).await;
+        };
+        let turn = self.turn(key).await;
+        match self.verification.check(key, &path, sha256).await {
+            Err(StoreError::Damaged(_) | StoreError::Missing(_)) => {
+                shared.fetch(key, sha256, &self.incoming(), &path).await?;
+            }
+            checked => {
+                shared.cache.touch(key);
+                return checked;
+            }
+        }
+        drop(turn);
+        self.trim().await;
+        Ok(())
+    }
+
+    /// Reads a whole artifact.
+    ///
+    /// # Errors
+    /// [`StoreError::Missing`] when there is none.
+    pub async fn get(&self, key: &str) -> Result<Bytes, StoreError> {
+        let here = async { Ok(self.files.get(&Key::from(key)).await?.bytes().await?) };
+        match (here.await, self.shared_of(key)) {
+            (Err(StoreError::Missing(_)), Some(shared)) => shared.remote.get(key).await,
+            (here, _) => here,
+        }
+    }
+
+    /// Streams bytes `range` of an artifact.
+    ///
+    /// # Errors
+    /// [`StoreError::Missing`] when there is none.
+    pub async fn stream(
+        &self,
+        key: &str,
+        range: std::ops::Range<u64>,
+    ) -> Result<BoxStream<'static, Result<Bytes, StoreError>>, StoreError> {
+        if range.is_empty() {
+            return Ok(futures::stream::empty().boxed());
+        }
+        let options = GetOptions { range: Some(GetRange::Bounded(range.clone())), ..GetOptions::default() };
+        let here = self.files.get_opts(&Key::from(key), options).await.map_err(StoreError::from);
+        match (here, self.shared_of(key)) {
+            (Err(StoreError::Missing(_)), Some(shared)) => shared.remote.stream(key, range).await,
+            (here, _) => Ok(here?.into_stream().map_err(StoreError::from).boxed()),
+        }
+    }
+
+    /// The size of an artifact; `None` when there is none.
+    ///
+    /// # Errors
+    /// [`StoreError::ArtifactsUnreachable`] when it is not here and cannot be asked for elsewhere.
+    pub(super) async fn size(&self, key: &str) -> Result<Option<u64>, StoreError> {
+        match (tokio::fs::metadata(self.local_path(key)).await, self.shared_of(key)) {
+            (Ok(file), _) => Ok(Some(file.len())),
+            (Err(_), Some(shared)) => shared.remote.size(key).await,
+            (Err(_), None) => Ok(None),
+        }
+    }
+
+    /// Removes an artifact that nothing refers to; that it is missing already is no error.
+    pub async fn remove(&self, key: &str) {
+        let _turn = self.turn(key).await;
+        self.forget(key);
+        if let Err(error) = self.files.delete(&Key::from(key)).await {
+            tracing::debug!(%error, key, "an artifact was not removed");
+        }
+        if let Some(shared) = self.shared_of(key)
+            && let Err(error) = shared.remote.remove(key).await
+        {
+            tracing::warn!(%error, key, "an artifact stays in the object store until a server starts");
+        }
+    }
+
+    /// Removes an artifact for good; that it is missing already is no error.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] for what is no key: such a name may come with a database from elsewhere, and leads out of the store.
+    pub(super) async fn discard(&self, key: &str) -> Result<(), StoreError> {
+        if !is_key(key) {
+            return Err(StoreError::Damaged(key.to_owned()));
+        }
+        if let Some(shared) = self.shared_of(key) {
+            shared.remote.remove(key).await?;
+        }
+        let _turn = self.turn(key).await;
+        self.forget(key);
+        // Not through the object store: it has no name for a file that it had not written to the end.
+        match tokio::fs::remove_file(self.local_path(key)).await {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Removes copies that are too many. What cannot be removed now goes another time.
+    pub async fn trim(&self) {
+        let Some(shared) = &self.shared else { return };
+        for key in shared.cache.surplus() {
+            if let Err(error) = shared.drop_copy(&key, &self.local_path(&key)).await {
+                tracing::warn!(%error, key, "a copy of an artifact cannot be removed yet");
+            }
+        }
+    }
+
+    /// Whether the object store answers, if there is one.
+    ///
+    /// # Errors
+    /// [`StoreError::ArtifactsUnreachable`] when it does not.
+    pub async fn ping(&self) -> Result<(), StoreError> {
+        match &self.shared {
+            Some(shared) => shared.remote.ping().await,
+            None => Ok(()),
+        }
+    }
+
+    /// The object store, if there is one.
+    pub(super) fn remote(&self) -> Option<&Remote> {
+        self.shared.as_deref().map(|shared| &shared.remote)
+    }
+
+    /// The files themselves.
+    pub(super) fn files(&self) -> &LocalFileSystem {
+        &self.files
+    }
+
+    /// The folder of uploads in progress.
+    pub(super) fn incoming(&self) -> PathBuf {
+        self.root.join(INCOMING)
+    }
+
+    /// The path of an artifact on this machine: once it was verified, and for what never leaves it.
+    pub fn local_path(&self, key: &str) -> PathBuf {
+        self.root.join(key)
+    }
+
+    /// Sends a file that only this machine has to the object store; `false` for one that stays here.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] when its bytes are others than were stored, [`StoreError::ArtifactsUnreachable`].
+    pub(super) async fn send_own(&self, key: &str, sha256: Option<&str>) -> Result<bool, StoreError> {
+        let Some(shared) = self.shared_of(key) else { return Ok(false) };
+        let (path, _turn) = (self.local_path(key), self.turn(key).await);
+        if let Some(sha256) = sha256 {
+            self.verification.check(key, &path, sha256).await?;
+        }
+        shared.remote.put_file(key, &path).await?;
+        shared.cache.is_elsewhere(key);
+        Ok(true)
+    }
+
+    /// The keys of all that attempts of a job wrote, here and elsewhere.
+    ///
+    /// # Errors
+    /// When the folder cannot be read, or the object store not be asked.
+    pub(super) async fn of_job(&self, job: &str) -> Result<Vec<String>, StoreError> {
+        let (root, id) = (self.root.clone(), job.to_owned());
+        let here = tokio::task::spawn_blocking(move || of_job(&root, &id)).await;
+        let mut keys = here.map_err(std::io::Error::other)??;
+        if let Some(shared) = &self.shared {
+            let there = shared.remote.list(&format!("attempts/{job}")).await?;
+            keys.extend(there.into_iter().map(|object| object.key));
+            keys.sort();
+            keys.dedup();
+        }
+        Ok(keys)
+    }
+
+    /// The object store is known to have this file.
+    pub(super) fn is_elsewhere(&self, key: &str) {
+        if let Some(shared) = self.shared_of(key) {
+            shared.cache.is_elsewhere(key);
+        }
+    }
+
+    /// A file that was written here is stored elsewhere, too.
+    pub(super) fn hold(&self, key: &str, bytes: u64) {
+        if let Some(shared) = self.shared_of(key) {
+            shared.cache.add(key, bytes);
+        }
+    }
+
+    fn forget(&self, key: &str) {
+        self.verification.forget(key);
+        if let Some(shared) = self.shared_of(key) {
+            shared.cache.forget(key);
+        }
+    }
+
+    /// Nobody else writes or removes the copy of `key` meanwhile.
+    async fn turn(&self, key: &str) -> Option<tokio::sync::OwnedMutexGuard<()>> {
+        match self.shared_of(key) {
+            Some(shared) => Some(shared.turns.take(key).await),
+            None => None,
+        }
+    }
+
+    fn shared_of(&self, key: &str) -> Option<&Shared> {
+        self.shared.as_deref().filter(|_| !stays_here(key))
+    }
+}

@@ -1,0 +1,263 @@
+//! The object store itself: whole files go in and come out, hashed on the way and never held in memory.
+
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use futures::stream::BoxStream;
+use futures::{StreamExt, TryStreamExt};
+use object_store::path::Path as Key;
+use object_store::prefix::PrefixStore;
+use object_store::{
+    Error, GetOptions, GetRange, ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart,
+};
+use sha2::{Digest, Sha256};
+use std::sync::Arc;
+use tokio::fs::File;
+use tokio::io::{AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio_util::bytes::{Bytes, BytesMut};
+
+use crate::store::StoreError;
+use crate::store::artifacts::place::ArtifactsPlace;
+use crate::store::hash::hex;
+
+/// Parts of a file that are under way at once.
+const PARTS: usize = 4;
+/// Parts that a file may have: a little less than the 10,000 of S3.
+const MOST_PARTS: u64 = 9_000;
+/// How often a file is gone on with that brought nothing since the last time.
+const TRIES: u32 = 3;
+/// How often one is gone on with at all.
+const CUTS: u32 = 1_000;
+/// Between two tries.
+const AGAIN: Duration = Duration::from_millis(200);
+/// How long a look may take that is only to tell whether there is an answer.
+const LOOK: Duration = Duration::from_secs(3);
+
+/// An object.
+pub(in crate::store) struct Stored {
+    pub(in crate::store) key: String,
+    pub(in crate::store) bytes: u64,
+    pub(in crate::store) written: SystemTime,
+}
+
+impl From<ObjectMeta> for Stored {
+    fn from(meta: ObjectMeta) -> Self {
+        Self { key: meta.location.to_string(), bytes: meta.size, written: meta.last_modified.into() }
+    }
+}
+
+/// The object store, under the prefix of this database.
+pub(in crate::store) struct Remote {
+    objects: PrefixStore<Arc<dyn ObjectStore>>,
+    part: usize,
+}
+
+/// What has come of a file.
+struct Coming {
+    hasher: Sha256,
+    bytes: u64,
+    /// Its whole size, once that is known.
+    size: Option<u64>,
+}
+
+impl Remote {
+    pub(in crate::store) fn open(place: &ArtifactsPlace) -> Result<Self, StoreError> {
+        let objects = PrefixStore::new(place.connect()?, place.prefix().clone());
+        Ok(Self { objects, part: place.part_bytes })
+    }
+
+    /// Stores bytes, in place of what was there.
+    pub(in crate::store) async fn put(&self, key: &str, bytes: Bytes) -> Result<(), StoreError> {
+        let to = Key::from(key);
+        let size = bytes.len();
+        if size <= self.part {
+            self.objects.put(&to, PutPayload::from(bytes)).await.map_err(failed)?;
+            return Ok(());
+        }
+        let mut upload = self.begin(&to, size as u64).await?;
+        upload.put(bytes);
+        upload.finish().await.map_err(failed)?;
+        Ok(())
+    }
+
+    /// Stores a file, in place of what was there.
+    pub(in crate::store) async fn put_file(&self, key: &str, path: &Path) -> Result<(), StoreError> {
+        let (to, mut file) = (Key::from(key), File::open(path).await?);
+        let size = file.metadata().await?.len();
+        if size <= self.part as u64 {
+            let mut bytes = Vec::new();
+            file.read_to_end(&mut bytes).await?;
+            self.objects.put(&to, PutPayload::from(bytes)).await.map_err(failed)?;
+            return Ok(());
+        }
+        let mut upload = self.begin(&to, size).await?;
+        match send(&mut file, &mut upload).await {
+            Ok(()) => upload.finish().await.map(drop).map_err(failed),
+            Err(error) => {
+                upload.abort().await.ok();
+                Err(error)
+            }
+        }
+    }
+
+    async fn begin(&self, to: &Key, size: u64) -> Result<WriteMultipart, StoreError> {
+        let part = usize::try_from(size / MOST_PARTS).unwrap_or(usize::MAX).max(self.part);
+        let upload = self.objects.put_multipart(to).await.map_err(failed)?;
+        Ok(WriteMultipart::new_with_chunk_size(upload, part))
+    }
+
+    /// Writes an object to a file that is empty, or elsewhere; its hash and size. Where the connection breaks it goes on from there.
+    ///
+    /// # Errors
+    /// [`StoreError::Missing`] when there is none; [`StoreError::ArtifactsUnreachable`] when nothing more of it comes.
+    pub(in crate::store) async fn fetch(
+        &self,
+        key: &str,
+        to: &mut (impl AsyncWrite + Unpin),
+    ) -> Result<(String, u64), StoreError> {
+        let mut coming = Coming { hasher: Sha256::new(), bytes: 0, size: None };
+        let mut fruitless = 0;
+        for _ in 0..CUTS {
+            let before = coming.bytes;
+            match self.go_on(key, &mut coming, to).await {
+                Ok(()) => break,
+                Err(error @ StoreError::ArtifactsUnreachable(_)) => {
+                    fruitless = if coming.bytes > before { 0 } else { fruitless + 1 };
+                    // One that never answered has been asked again for long enough.
+                    if fruitless == TRIES || coming.size.is_none() {
+                        return Err(error);
+                    }
+                    tracing::info!(%error, key, bytes = coming.bytes, "goes on with an artifact that was cut off");
+                }
+                Err(error) => return Err(error),
+            }
+            tokio::time::sleep(AGAIN).await;
+        }
+        to.flush().await?;
+        Ok((hex(&coming.hasher.finalize()), coming.bytes))
+    }
+
+    async fn go_on(
+        &self,
+        key: &str,
+        coming: &mut Coming,
+        to: &mut (impl AsyncWrite + Unpin),
+    ) -> Result<(), StoreError> {
+        if coming.size == Some(coming.bytes) {
+            return Ok(());
+        }
+        let range = (coming.bytes > 0).then_some(GetRange::Offset(coming.bytes));
+        let options = GetOptions { range, ..GetOptions::default() };
+        let found = self.objects.get_opts(&Key::from(key), options).await.map_err(|e| of(key, e))?;
+        coming.size = Some(found.meta.size);
+        let mut body = found.into_stream();
+        while let Some(chunk) = body.next().await {
+            let chunk = chunk.map_err(failed)?;
+            to.write_all(&chunk).await?;
+            coming.hasher.update(&chunk);
+            coming.bytes += chunk.len() as u64;
+        }
+        Ok(())
+    }
+
+    /// The hash of an object's bytes.
+    pub(in crate::store) async fn hash(&self, key: &str) -> Result<String, StoreError> {
+        Ok(self.fetch(key, &mut tokio::io::sink()).await?.0)
+    }
+
+    /// Streams bytes `range` of an object.
+    pub(in crate::store) async fn stream(
+        &self,
+        key: &str,
+        range: std::ops::Range<u64>,
+    ) -> Result<BoxStream<'static, Result<Bytes, StoreError>>, StoreError> {
+        let options = GetOptions { range: Some(GetRange::Bounded(range)), ..GetOptions::default() };
+        let found = self.objects.get_opts(&Key::from(key), options).await.map_err(|e| of(key, e))?;
+        Ok(found.into_stream().map_err(failed).boxed())
+    }
+
+    /// Reads an object whole.
+    pub(in crate::store) async fn get(&self, key: &str) -> Result<Bytes, StoreError> {
+        let found = self.objects.get(&Key::from(key)).await.map_err(|e| of(key, e))?;
+        found.bytes().await.map_err(failed)
+    }
+
+    /// The size of an object, if there is one.
+    pub(in crate::store) async fn size(&self, key: &str) -> Result<Option<u64>, StoreError> {
+        match self.objects.head(&Key::from(key)).await {
+            Ok(found) => Ok(Some(found.size)),
+            Err(Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(failed(error)),
+        }
+    }
+
+    /// Removes an object; that there is none is no error.
+    pub(in crate::store) async fn remove(&self, key: &str) -> Result<(), StoreError> {
+        match self.objects.delete(&Key::from(key)).await {
+            Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(failed(error)),
+        }
+    }
+
+    /// Moves an object.
+    pub(in crate::store) async fn rename(&self, from: &str, to: &str) -> Result<(), StoreError> {
+        self.objects.rename(&Key::from(from), &Key::from(to)).await.map_err(|e| of(from, e))
+    }
+
+    /// Every object in a folder, `""` for all.
+    pub(in crate::store) async fn list(&self, folder: &str) -> Result<Vec<Stored>, StoreError> {
+        let found = self.objects.list(Some(&Key::from(folder))).map_ok(Stored::from);
+        found.map_err(failed).try_collect().await
+    }
+
+    /// Answers when the object store does, and soon.
+    pub(in crate::store) async fn ping(&self) -> Result<(), StoreError> {
+        let look = tokio::time::timeout(LOOK, self.size("captures/none")).await;
+        look.map_err(|_| StoreError::ArtifactsUnreachable("it does not answer".to_owned()))?.map(drop)
+    }
+}
+
+async fn send(file: &mut File, upload: &mut WriteMultipart) -> Result<(), StoreError> {
+    let mut buffer = BytesMut::new();
+    loop {
+        buffer.reserve(1 << 20);
+        if file.read_buf(&mut buffer).await? == 0 {
+            return Ok(());
+        }
+        upload.wait_for_capacity(PARTS).await.map_err(failed)?;
+        upload.put(buffer.split().freeze());
+    }
+}
+
+/// What became of a request about `key`.
+fn of(key: &str, error: Error) -> StoreError {
+    match error {
+        Error::NotFound { .. } => StoreError::Missing(key.to_owned()),
+        error => failed(error),
+    }
+}
+
+/// Whatever else an object store says, nothing is wrong with what is stored: it is away, or lets nobody in.
+fn failed(error: Error) -> StoreError {
+    StoreError::ArtifactsUnreachable(error.to_string())
+}
+
+/// The hash and size of an object, written to a new file.
+///
+/// # Errors
+/// As [`Remote::fetch`], or when the file cannot be written.
+pub(in crate::store) async fn fetch_to(
+    remote: &Remote,
+    key: &str,
+    path: &Path,
+) -> Result<(String, u64), StoreError> {
+    let mut file = File::create_new(path).await?;
+    let fetched = remote.fetch(key, &mut file).await;
+    match fetched {
+        Ok(fetched) => file.sync_all().await.map(|()| fetched).map_err(StoreError::from),
+        Err(error) => {
+            tokio::fs::remove_file(path).await?;
+            Err(error)
+        }
+    }
+}
