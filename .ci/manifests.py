@@ -114,7 +114,7 @@ def unknown(program, arguments, variables):
     ended = subprocess.run([program, *arguments, "--help"], capture_output=True, text=True)
     if ended.returncode != 0:
         return f"{' '.join(arguments)}: {ended.stderr.strip()}"
-    named = {*re.findall(r"\bRELUME_[A-Z_]+", ended.stdout), "RELUME_ARTIFACTS"}
+    named = set(re.findall(r"\bRELUME_[A-Z_]+", ended.stdout))
     missing = [name for name in variables if name.startswith("RELUME_") and name not in named]
     return f"{' '.join(arguments)}: the help does not name {missing}" if missing else None
 
