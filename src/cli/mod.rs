@@ -35,6 +35,8 @@ mod stop;
 mod train;
 #[cfg(all(feature = "server", feature = "client"))]
 mod worker;
+#[cfg(all(feature = "server", feature = "client"))]
+mod worker_progress;
 #[cfg(feature = "client")]
 mod workers;
 

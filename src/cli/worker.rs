@@ -11,10 +11,12 @@ use tokio_util::sync::CancellationToken;
 use crate::api::work::{WorkerHello, fault_of_labels};
 use crate::cli::error::{CommandResult, STOPPED};
 use crate::cli::key::key;
+use crate::cli::progress::ProgressKind;
 use crate::cli::size::size;
+use crate::cli::worker_progress::teller;
 use crate::client::Client;
 use crate::engine::DeviceChoice;
-use crate::farm::{FileCache, RemoteJobs, Told};
+use crate::farm::{FileCache, RemoteJobs};
 use crate::jobs::{Ids, RandomIds, SystemClock};
 use crate::worker::{self, Ended, OpenedDevice, TrainingOptions};
 
@@ -42,6 +44,9 @@ pub(super) struct WorkerArgs {
     /// A name for people; the machine's where absent.
     #[arg(long, env = "RELUME_WORKER_NAME")]
     name: Option<String>,
+    /// Who reads how far a job is.
+    #[arg(long, value_enum, default_value = "human")]
+    progress: ProgressKind,
     /// The folder of what was fetched before. Workers of one machine may share it.
     #[arg(long, env = "RELUME_CACHE", default_value = "relume-cache")]
     cache: PathBuf,
@@ -70,7 +75,7 @@ async fn work(args: WorkerArgs) -> CommandResult<ExitCode> {
         labels: args.labels,
         version: env!("CARGO_PKG_VERSION").to_owned(),
     };
-    let source = RemoteJobs::new(client, hello, cache, Arc::new(SystemClock), Arc::new(tell));
+    let source = RemoteJobs::new(client, hello, cache, Arc::new(SystemClock), teller(args.progress));
     let stop = CancellationToken::new();
     stop_on_signals(stop.clone())?;
     let options = TrainingOptions { once: args.once, ..TrainingOptions::default() };
@@ -97,17 +102,4 @@ fn stop_on_signals(stop: CancellationToken) -> std::io::Result<()> {
         std::process::exit(1);
     });
     Ok(())
-}
-
-/// Logs what the worker does.
-fn tell(told: Told<'_>) {
-    match told {
-        Told::Claimed(task) => tracing::info!(job = %task.job, attempt = task.attempt, "took a job"),
-        Told::Progress(progress) => tracing::debug!(step = progress.step, total = progress.total, "trains"),
-        Told::Warning(message) => tracing::warn!("{message}"),
-        Told::Published => tracing::info!("published the model"),
-        Told::Failed(detail) => tracing::warn!(detail, "the job failed"),
-        Told::Released => tracing::info!("gave the job back"),
-        Told::Cancelled => tracing::info!("the job was cancelled"),
-    }
 }

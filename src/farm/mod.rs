@@ -9,5 +9,5 @@ mod remote_claim;
 mod remote_jobs;
 
 pub use file_cache::FileCache;
-pub use observer::Told;
+pub use observer::{Observer, Told};
 pub use remote_jobs::RemoteJobs;

@@ -1,6 +1,6 @@
 //! Artifacts in an object store: all works as with a folder, on any machine, and what goes wrong on the way is told or mended.
 
-mod bucket;
+pub mod bucket;
 mod faults;
 mod machines;
 

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -15,6 +15,8 @@ use relume::client::Client;
 use relume::testing::{database_name, database_of, spawn_with};
 use tempfile::TempDir;
 
+use crate::s3::bucket::Bucket;
+use crate::service_support::open_store;
 use crate::workers::fleet::{Process, model_hash, short_job, undisturbed, upload, without_workers};
 
 const WORKERS: usize = 3;
@@ -27,11 +29,33 @@ fn count() -> usize {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn jobs_end_once_and_with_the_same_bytes_whatever_is_killed() {
+    let data = run(None).await;
+    let data = spawn_with(data, without_workers).await.unwrap().stop().await.unwrap();
+    let mut files = Vec::new();
+    list(&data.path().join("artifacts"), &mut files);
+    assert_eq!(files.len(), 1 + 2 * count(), "the capture, and two files a job: {files:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL: .ci/postgres"]
+async fn on_postgres_and_s3_jobs_end_once_whatever_is_killed_or_cut() {
+    let bucket = Bucket::start().await;
+    let data = run(Some(&bucket)).await;
+    let store = open_store(data.path()).await.with_artifacts(&bucket.place()).unwrap();
+    let after_a_day = SystemTime::now() + Duration::from_secs(25 * 3600);
+    store.settle_artifacts(after_a_day).await.unwrap();
+    let keys = bucket.keys();
+    assert_eq!(keys.len(), 1 + 2 * count(), "the capture, and two files a job: {keys:?}");
+}
+
+/// Jobs under workers that are killed and a server that comes and goes, on a bucket that fails now and then where there is one. Returns
+/// the server's data directory.
+async fn run(bucket: Option<&Bucket>) -> TempDir {
     let expected = undisturbed(short_job).await;
     let (data, folder, count) = (TempDir::new().unwrap(), TempDir::new().unwrap(), count());
     let address = free_address();
     let client = Client::new(&format!("http://{address}"), None).unwrap();
-    let mut server = start(&address, data.path(), &client).await;
+    let mut server = start(&address, data.path(), &client, bucket).await;
     let capture = upload(&client).await;
     let mut jobs = Vec::new();
     for _ in 0..count {
@@ -44,11 +68,14 @@ async fn jobs_end_once_and_with_the_same_bytes_whatever_is_killed() {
     let (mut kills, mut restarts) = (0, 0);
     while running(&client, &jobs).await > 0 {
         tokio::time::sleep(Duration::from_millis(random.random_range(300..2000))).await;
+        if let Some(bucket) = bucket {
+            fail_now_and_then(bucket, &mut random);
+        }
         match random.random_range(0..=WORKERS) {
             WORKERS => {
                 drop(server);
                 tokio::time::sleep(Duration::from_millis(300)).await;
-                server = start(&address, data.path(), &client).await;
+                server = start(&address, data.path(), &client, bucket).await;
                 restarts += 1;
             }
             victim => {
@@ -67,9 +94,14 @@ async fn jobs_end_once_and_with_the_same_bytes_whatever_is_killed() {
         models.insert(job.model.unwrap());
     }
     assert_eq!(models.len(), count, "each job has a model of its own");
-    drop(workers);
-    drop(server);
-    nothing_is_left(data, count).await;
+    data
+}
+
+/// One kind of fault for the next requests.
+fn fail_now_and_then(bucket: &Bucket, random: &mut ChaCha8Rng) {
+    let faults = &bucket.faults;
+    let fault = [&faults.refused, &faults.cut, &faults.flipped, &faults.unanswered];
+    faults.set(fault[random.random_range(0..fault.len())], random.random_range(0..3));
 }
 
 /// Jobs that have not ended.
@@ -86,10 +118,13 @@ fn free_address() -> String {
 }
 
 /// A server process at an address, which dies when it is dropped.
-async fn start(address: &str, data: &Path, client: &Client) -> Process {
+async fn start(address: &str, data: &Path, client: &Client, bucket: Option<&Bucket>) -> Process {
     let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
     command.args(["serve", "--no-worker", "--worker-silence", "2", "--max-attempts", "1000"]);
     command.args(["--listen", address, "--data-dir"]).arg(data).env_remove("RELUME_API_KEY");
+    if let Some(bucket) = bucket {
+        command.envs(bucket.settings()).env("RELUME_ARTIFACTS", Bucket::url());
+    }
     if let Some(database) = postgres_url(data).await {
         command.args(["--database-url", &database]);
     }
@@ -101,14 +136,6 @@ async fn start(address: &str, data: &Path, client: &Client) -> Process {
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
     panic!("the server does not start");
-}
-
-/// What the next start leaves of a run: the capture, and two files a job.
-async fn nothing_is_left(data: TempDir, jobs: usize) {
-    let data = spawn_with(data, without_workers).await.unwrap().stop().await.unwrap();
-    let mut files = Vec::new();
-    list(&data.path().join("artifacts"), &mut files);
-    assert_eq!(files.len(), 1 + 2 * jobs, "{files:?}");
 }
 
 /// Where the database of a data directory is, unless it is a file in there.

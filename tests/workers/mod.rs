@@ -4,4 +4,5 @@ mod chaos;
 mod fencing;
 mod fleet;
 mod processes;
+mod replicas;
 mod roll;

@@ -1,0 +1,77 @@
+//! Servers beside the first one of a database, on one bucket: a capture in at one, trained by another's worker, rendered by a third.
+
+use relume::api::jobs::JobState;
+use relume::server::{ServeError, ServerConfig};
+use relume::store::{DatabaseUrl, StoreError};
+use relume::testing::{TestServer, database_of, spawn_with};
+use tempfile::TempDir;
+
+use crate::s3::bucket::Bucket;
+use crate::service_support::{capture_zip, ended};
+use crate::workers::fleet::{Process, short_job, without_workers};
+
+/// A server on a database and a bucket, with a data directory of its own.
+async fn server(url: &DatabaseUrl, bucket: &Bucket, change: impl FnOnce(&mut ServerConfig)) -> TestServer {
+    let configure = |config: &mut ServerConfig| {
+        config.database = Some(url.clone());
+        config.artifacts = Some(bucket.place());
+        change(config);
+    };
+    spawn_with(TempDir::new().unwrap(), configure).await.unwrap()
+}
+
+fn replica(config: &mut ServerConfig) {
+    without_workers(config);
+    config.replica = true;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL: .ci/postgres"]
+async fn on_postgres_a_capture_comes_in_at_one_server_is_trained_by_another_and_rendered_by_a_third() {
+    let (data, folder) = (TempDir::new().unwrap(), TempDir::new().unwrap());
+    let url = database_of(data.path()).await.unwrap().unwrap();
+    let bucket = Bucket::start().await;
+    let first = server(&url, &bucket, without_workers).await;
+    let capture = first.client().upload_capture_bytes(capture_zip()).await.unwrap().id;
+    let second = server(&url, &bucket, replica).await;
+    let third = server(&url, &bucket, replica).await;
+    let id = second.client().create_job(&short_job(&capture), None).await.unwrap().id;
+    let mut worker = Process::start(second.client(), folder.path(), &["--once"]);
+    assert_eq!(worker.end().await.code(), Some(0));
+    let done = ended(third.client(), &id).await;
+    assert_eq!(done.state, JobState::Succeeded, "{:?}", done.error);
+    let model = done.model.unwrap();
+    let shown = third.client().thumbnail(&model, "size=64").await.unwrap();
+    assert_eq!(shown, first.client().thumbnail(&model, "size=64").await.unwrap());
+
+    for refused in [
+        second.client().upload_capture_bytes(capture_zip()).await.map(drop),
+        second.client().begin_upload(9).await.map(drop),
+        second.client().delete_model(&model).await,
+    ] {
+        let error = refused.unwrap_err();
+        let problem = error.problem().unwrap();
+        assert_eq!((problem.status, problem.kind.as_str()), (421, "urn:relume:problem:first-server-only"));
+    }
+    first.client().delete_model(&model).await.unwrap();
+    let gone = third.client().thumbnail(&model, "size=64").await.unwrap_err();
+    assert_eq!(gone.problem().unwrap().status, 404, "what the first server deletes is gone everywhere");
+    first.stop().await.unwrap();
+    let left = third.client().job(&id).await.unwrap();
+    assert_eq!(left.state, JobState::Succeeded, "replicas answer while the first server is away");
+    second.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL: .ci/postgres"]
+async fn on_postgres_a_replica_does_not_begin_on_a_database_without_its_schema() {
+    let data = TempDir::new().unwrap();
+    let url = database_of(data.path()).await.unwrap().unwrap();
+    let bucket = Bucket::start().await;
+    let refused = server(&url, &bucket, replica).await.stop().await.unwrap_err();
+    assert!(matches!(refused, ServeError::Store(StoreError::OlderServer { found: 0, .. })), "{refused}");
+    let first = server(&url, &bucket, without_workers).await;
+    while first.client().models().await.is_err() {}
+    let second = server(&url, &bucket, replica).await;
+    second.client().models().await.unwrap();
+}
