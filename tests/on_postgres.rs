@@ -105,12 +105,22 @@ async fn on_postgres_a_second_server_is_refused_until_the_first_has_ended() {
     third.stop().await.unwrap();
 }
 
-/// Ends every connection that holds the lock of the first server.
+/// Ends every connection that holds the lock of the first server, and waits until none does. How many there were.
 async fn cut_locks(data: &Path) -> i64 {
     let pool = raw_pool(data).await;
-    let query = "SELECT COUNT(pg_terminate_backend(pid)) FROM pg_locks
-         WHERE locktype = 'advisory' AND database = (SELECT oid FROM pg_database WHERE datname = current_database())";
-    sqlx::query_scalar(query).fetch_one(&pool).await.unwrap()
+    let held = "FROM pg_locks WHERE locktype = 'advisory'
+         AND database = (SELECT oid FROM pg_database WHERE datname = current_database())";
+    let cut = format!("SELECT COUNT(pg_terminate_backend(pid)) {held}");
+    let count = sqlx::query_scalar(sqlx::AssertSqlSafe(cut)).fetch_one(&pool).await.unwrap();
+    let left = format!("SELECT COUNT(*) {held}");
+    for _ in 0..1000 {
+        let left: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(left.clone())).fetch_one(&pool).await.unwrap();
+        if left == 0 {
+            return count;
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    panic!("the connections do not end");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -124,7 +134,6 @@ async fn on_postgres_a_first_server_whose_lock_was_lost_takes_it_again_or_learns
     first.keep().await.unwrap();
     assert!(matches!(store.lock_database().await, Err(StoreError::DatabaseLocked)), "it has the lock again");
     assert_eq!(cut_locks(data.path()).await, 1);
-    tokio::time::sleep(Duration::from_millis(300)).await;
     let _second = store.lock_database().await.unwrap();
     assert!(matches!(first.keep().await, Err(StoreError::DatabaseLocked)));
 }

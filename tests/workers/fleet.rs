@@ -75,7 +75,7 @@ pub fn hello(id: &str) -> WorkerHello {
         device: "cpu".to_owned(),
         has_gpu: false,
         labels: Vec::new(),
-        version: "0".to_owned(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
     }
 }
 

@@ -153,6 +153,10 @@ async fn claimed_by_nobody(admin: &Client) {
     wrong.id = "short".into();
     let refused = admin.claim_job(&wrong).await.unwrap_err();
     assert_eq!(refused.problem().unwrap().errors[0].pointer, "/id");
+    let mut other = hello("worker-1");
+    other.version = "0.0.1".to_owned();
+    let refused = admin.claim_job(&other).await.unwrap_err();
+    assert_eq!(refused.problem().unwrap().errors[0].pointer, "/version");
     let capture = upload(admin).await;
     admin.create_job(&short_job(&capture), None).await.unwrap();
     let mine = claimed(admin, &hello("worker-1")).await;

@@ -72,6 +72,13 @@ fn check(hello: &WorkerHello) -> Result<(), Problem> {
             return wrong(field, "must have 1 to 200 characters, none of them control characters");
         }
     }
+    // Another version may not know what a job asks for, and makes other bytes.
+    let version = env!("CARGO_PKG_VERSION");
+    if hello.version != version {
+        let why =
+            format!("this server gives jobs to workers of version {version}, this one has {}", hello.version);
+        return wrong("version", &why);
+    }
     match fault_of_labels(&hello.labels) {
         Some(why) => wrong("labels", &why),
         None => Ok(()),
