@@ -7,17 +7,17 @@ mod url;
 use std::path::Path;
 
 use sqlx::postgres::PgListener;
-use sqlx::{Connection, PgConnection};
 
 use crate::store::StoreError;
 use crate::store::sql::{Pool, Tx};
 
+use postgres::HeldLock;
 pub(super) use postgres::{DatabaseServer, schema as server_schema};
 pub(super) use sqlite::{DatabaseFile, FILE, schema};
 pub use url::DatabaseUrl;
 
 /// Being the first server on a database: a lock that ends with its connection. A file of SQLite has the lock of its data directory.
-pub struct ServerLock(Option<(DatabaseServer, PgConnection)>);
+pub struct ServerLock(Option<(DatabaseServer, HeldLock)>);
 
 impl ServerLock {
     /// Sees to it that the lock is still held: it is lost with its connection, e.g. when the database starts anew.
@@ -25,11 +25,10 @@ impl ServerLock {
     /// # Errors
     /// [`StoreError::DatabaseLocked`] when another server has it by now; when the database cannot be reached.
     pub async fn keep(&mut self) -> Result<(), StoreError> {
-        let Some((server, connection)) = &mut self.0 else { return Ok(()) };
-        if connection.ping().await.is_err() {
-            *connection = server.lock().await?;
+        match &mut self.0 {
+            Some((server, held)) => server.keep(held).await,
+            None => Ok(()),
         }
-        Ok(())
     }
 }
 

@@ -23,6 +23,17 @@ const WRITING: i64 = 0x7265_6c75_6d65;
 /// Key of the advisory lock of the server that works on a database.
 const SERVERS: i64 = WRITING + 1;
 
+/// How often a lost lock is asked for that somebody seems to have, and how long to wait in between.
+const TRIES: u32 = 20;
+const AGAIN: Duration = Duration::from_millis(250);
+
+/// The lock of the first server, and the end of its connection in the database.
+pub(super) struct HeldLock {
+    connection: PgConnection,
+    pid: i32,
+    started: String,
+}
+
 /// Connections to one database of a server.
 #[derive(Clone)]
 pub(in crate::store) struct DatabaseServer {
@@ -105,15 +116,39 @@ impl DatabaseServer {
         Ok(query.fetch_one(&self.connections).await?)
     }
 
-    /// Becomes the only server on this database until what this returns is dropped, or its connection ends.
-    pub(super) async fn lock(&self) -> Result<PgConnection, StoreError> {
+    /// Becomes the first server on this database until what this returns is dropped, or its connection ends.
+    pub(super) async fn lock(&self) -> Result<HeldLock, StoreError> {
         // A connection of its own, which no pool takes back.
         let mut connection = self.connections.acquire().await?.detach();
         let query = sqlx::query_scalar("SELECT pg_try_advisory_lock($1)");
-        match query.bind(SERVERS).fetch_one(&mut connection).await? {
-            true => Ok(connection),
-            false => Err(StoreError::DatabaseLocked),
+        if !query.bind(SERVERS).fetch_one(&mut connection).await? {
+            return Err(StoreError::DatabaseLocked);
         }
+        let query =
+            "SELECT pid, CAST(backend_start AS TEXT) FROM pg_stat_activity WHERE pid = pg_backend_pid()";
+        let (pid, started) = sqlx::query_as(query).fetch_one(&mut connection).await?;
+        Ok(HeldLock { connection, pid, started })
+    }
+
+    /// Takes the lock again if its connection was lost. The database may not know of that yet and hold the lock for it: its end is ended
+    /// there, too.
+    pub(super) async fn keep(&self, held: &mut HeldLock) -> Result<(), StoreError> {
+        if let Ok(Ok(())) = tokio::time::timeout(PATIENCE, held.connection.ping()).await {
+            return Ok(());
+        }
+        let end = "SELECT COUNT(pg_terminate_backend(pid)) FROM pg_stat_activity
+             WHERE pid = $1 AND CAST(backend_start AS TEXT) = $2";
+        sqlx::query(end).bind(held.pid).bind(&held.started).execute(&self.connections).await?;
+        for _ in 0..TRIES {
+            match self.lock().await {
+                Err(StoreError::DatabaseLocked) => tokio::time::sleep(AGAIN).await,
+                lock => {
+                    *held = lock?;
+                    return Ok(());
+                }
+            }
+        }
+        Err(StoreError::DatabaseLocked)
     }
 
     /// A connection on which every node's writes about jobs are heard.
