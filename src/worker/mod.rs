@@ -26,7 +26,9 @@ pub use device_handle::DeviceHandle;
 pub use opened_device::OpenedDevice;
 pub use previews::Preview;
 pub use renders::{LightSource, LightTask, ModelContent, ModelSource, RenderFailure, RenderTask};
-pub use source::{Claim, Claimed, Source, SourceError, TrainedModel};
+#[cfg(feature = "client")]
+pub use source::{Claim, TrainedModel};
+pub use source::{Claimed, Source, SourceError};
 pub use start::{TrainingOptions, WorkerOptions, start, start_training};
 pub use stored::StoredJobs;
 pub use thread::Ended;

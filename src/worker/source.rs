@@ -27,6 +27,7 @@ pub enum SourceError {
     #[error("a stored file that the job needs is damaged or missing; upload it again")]
     Damaged,
     /// The worker may not have jobs: asking again is of no use.
+    #[cfg_attr(not(feature = "client"), allow(dead_code, reason = "only a server elsewhere says so"))]
     #[error("{0}")]
     Refused(String),
     /// Something else, for the log.
@@ -41,6 +42,7 @@ pub enum Claimed {
     /// No job waits that the worker may have.
     Nothing,
     /// The worker is to end.
+    #[cfg_attr(not(feature = "client"), allow(dead_code, reason = "only a server elsewhere says so"))]
     Draining,
 }
 
