@@ -49,7 +49,8 @@ fn chosen(devices: &[String]) -> Result<Vec<DeviceChoice>, String> {
     let devices: Vec<&str> =
         devices.iter().map(|device| device.trim()).filter(|device| !device.is_empty()).collect();
     if devices != ["all"] {
-        return devices.into_iter().map(str::parse).collect();
+        let named = |device: &str| device.parse().map_err(|why| format!("--devices: {why}"));
+        return devices.into_iter().map(named).collect();
     }
     let found = cards(&adapters());
     if found.is_empty() { Err("--devices all: there is no graphics card".to_owned()) } else { Ok(found) }

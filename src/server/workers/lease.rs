@@ -28,7 +28,7 @@ impl FromRequestParts<Shared> for Held {
         let path = Path::<OfJob>::from_request_parts(parts, app).await;
         let Path(OfJob { job }) = path.map_err(Problem::internal)?;
         let token = parts.headers.get(LEASE).and_then(|value| value.to_str().ok());
-        let token = token.ok_or_else(|| Problem::invalid_field("/relume-lease", "this header is missing"))?;
+        let token = token.ok_or_else(|| Problem::invalid_field("header/Relume-Lease", "it is missing"))?;
         app.jobs.lease(&job, token).await?.map(Self).ok_or_else(lost)
     }
 }
