@@ -72,8 +72,8 @@ async fn what_needs_more_memory_than_the_server_may_take_is_refused_and_the_rest
     assert_eq!(frame(64, &all).send().await.unwrap().status(), 200, "the control: a small frame is made");
     let thumbnail = client.request(Method::GET, &format!("/v1/models/{model}/thumbnail?size=64")).unwrap();
     assert_eq!(thumbnail.send().await.unwrap().status(), 200);
-    let stored = |files: Vec<(String, u64)>| -> Vec<String> {
-        files.into_iter().map(|(name, _)| name).filter(|name| !name.starts_with("cache/")).collect()
-    };
-    assert_eq!(stored(files_under(server.data_dir())), stored(before), "nothing of them is left");
+    // The checkpoint of the job that has ended may have gone meanwhile.
+    let is_new = |file: &(String, u64)| !file.0.starts_with("cache/") && !before.contains(file);
+    let left: Vec<_> = files_under(server.data_dir()).into_iter().filter(is_new).collect();
+    assert!(left.is_empty(), "left of them: {left:?}");
 }
