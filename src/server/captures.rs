@@ -22,7 +22,7 @@ use crate::server::marks::{self, MarkedPageQuery, MarksQuery};
 use crate::server::poses;
 use crate::server::upload::{self, Expected};
 use crate::server::uploads;
-use crate::server::validation;
+use crate::server::validation::{self, Begun};
 use crate::store::{CaptureRecord, Incoming};
 
 /// The routes of this file that take no archives.
@@ -77,29 +77,55 @@ async fn upload_capture(
     let marks = query.marks()?;
     let later = validation::is_preferred(request.headers());
     let mut incoming = receive(&app, &caller, request).await?;
-    if let Some(known) = app.store.capture_by_hash(&caller.tenant, &incoming.sha256).await? {
-        // Before the upload is taken: it stays when the capture may not be called so.
-        let known = marked(&app, &caller.tenant, known, marks.clone()).await?;
-        match app.store.mend(incoming, &known.artifact).await? {
-            None => return Ok(Json(view(known)).into_response()),
-            // It was deleted meanwhile.
-            Some(given_back) => incoming = given_back,
+    loop {
+        incoming = match known(&app, &caller.tenant, incoming, &marks).await? {
+            Known::Stored(capture) => return Ok(Json(view(*capture)).into_response()),
+            Known::Not(incoming) => *incoming,
+        };
+        // Poses take longer than anybody waits for an answer.
+        let finds_poses = poses::are_wanted(&app, &incoming).await?;
+        if !later && !finds_poses {
+            break;
         }
-    }
-    if let Some(known) = app.store.capture_made_of(&caller.tenant, &incoming.sha256).await? {
-        let known = marked(&app, &caller.tenant, known, marks).await?;
-        app.store.forget_pieces(incoming).await?;
-        return Ok(Json(view(known)).into_response());
-    }
-    // Poses take longer than anybody waits for an answer.
-    let finds_poses = poses::are_wanted(&app, &incoming).await?;
-    if later || finds_poses {
         let how = validation::Later { was_preferred: later, finds_poses };
-        return validation::begin(&app, &caller, incoming, marks, how).await;
+        match validation::begin(&app, &caller, incoming, marks.clone(), how).await? {
+            Begun::Answered(answer) => return Ok(answer),
+            Begun::Made(given_back) => incoming = *given_back,
+        }
     }
     let stored = validation::make(&app, &caller.tenant, app.jobs.fresh_id(), incoming, marks).await?;
     let location = format!("/v1/captures/{}", stored.id);
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
+}
+
+/// Whether there is a capture of some content.
+enum Known {
+    Stored(Box<CaptureRecord>),
+    Not(Box<Incoming>),
+}
+
+/// The capture of a tenant that has this content or was made of it, called what its sender calls it.
+async fn known(
+    app: &Shared,
+    tenant: &TenantId,
+    mut incoming: Incoming,
+    marks: &Marks,
+) -> Result<Known, Problem> {
+    if let Some(same) = app.store.capture_by_hash(tenant, &incoming.sha256).await? {
+        // Before the upload is taken: it stays when the capture may not be called so.
+        let same = marked(app, tenant, same, marks.clone()).await?;
+        match app.store.mend(incoming, &same.artifact).await? {
+            None => return Ok(Known::Stored(Box::new(same))),
+            // It was deleted meanwhile.
+            Some(given_back) => incoming = given_back,
+        }
+    }
+    if let Some(same) = app.store.capture_made_of(tenant, &incoming.sha256).await? {
+        let same = marked(app, tenant, same, marks.clone()).await?;
+        app.store.forget_pieces(incoming).await?;
+        return Ok(Known::Stored(Box::new(same)));
+    }
+    Ok(Known::Not(Box::new(incoming)))
 }
 
 /// A capture that is known, called what its sender calls it.

@@ -107,6 +107,14 @@ pub(super) struct Later {
     pub(super) finds_poses: bool,
 }
 
+/// What became of a request for a capture that is made after the answer.
+pub(super) enum Begun {
+    /// A capture is being made, and this says where to ask for it.
+    Answered(Response),
+    /// The same content became a capture while this came in: nothing is made of it.
+    Made(Box<Incoming>),
+}
+
 /// Answers where to ask for the capture that is being made from now on; for the one that is being made of the same content
 /// already, if there is one.
 pub(super) async fn begin(
@@ -115,14 +123,21 @@ pub(super) async fn begin(
     incoming: Incoming,
     marks: Marks,
     how: Later,
-) -> Result<Response, Problem> {
+) -> Result<Begun, Problem> {
     let (app, tenant) = (app.clone(), caller.tenant.clone());
     // On a task of its own: what was written down is worked on, also when the caller has gone meanwhile.
     let entering = app.clone();
     let entered =
         tokio::spawn(async move { enter(&entering, tenant, incoming, marks, how.finds_poses).await });
-    let upload = entered.await.map_err(Problem::internal)??;
-    Ok(accepted(view(&app, &upload), how.was_preferred))
+    Ok(match entered.await.map_err(Problem::internal)?? {
+        Entered::Making(upload) => Begun::Answered(accepted(view(&app, &upload), how.was_preferred)),
+        Entered::Made(incoming) => Begun::Made(incoming),
+    })
+}
+
+enum Entered {
+    Making(Box<UploadRecord>),
+    Made(Box<Incoming>),
 }
 
 /// Writes down that a capture is to be made and starts to make it.
@@ -132,13 +147,17 @@ async fn enter(
     mut incoming: Incoming,
     marks: Marks,
     finds_poses: bool,
-) -> Result<UploadRecord, Problem> {
+) -> Result<Entered, Problem> {
     let _one_by_one = ENTERING.lock().await;
+    // In this order: what is being made becomes a capture, never the other way.
     if let Some(mut same) = app.store.validating(&tenant, &incoming.sha256).await? {
         let id = same.capture_id.clone().unwrap_or_default().to_string();
         let what = ResourceName::new(ResourceKind::Capture, id);
         same.marks = marks::mark(app, &tenant, what, marks, same.marks).await?;
-        return Ok(same);
+        return Ok(Entered::Making(Box::new(same)));
+    }
+    if capture_of(app, &tenant, &incoming).await?.is_some() {
+        return Ok(Entered::Made(Box::new(incoming)));
     }
     let capture: CaptureId = app.jobs.fresh_id();
     let bytes = i64::try_from(incoming.bytes).map_err(Problem::internal)?;
@@ -165,7 +184,7 @@ async fn enter(
     // Before the answer: whoever has it may end the search.
     let ticket = finds_poses.then(|| app.poses.enter(&capture));
     start(app, tenant, capture, incoming, ticket);
-    Ok(upload)
+    Ok(Entered::Making(Box::new(upload)))
 }
 
 /// Goes on with what a server that ended was making.
@@ -245,10 +264,7 @@ async fn finished(
     mut ticket: Option<Ticket>,
 ) -> Result<(), Problem> {
     // Another request made it meanwhile.
-    if let Some(same) = app.store.capture_by_hash(tenant, &incoming.sha256).await? {
-        return Err(stored_before(&same));
-    }
-    if let Some(same) = app.store.capture_made_of(tenant, &incoming.sha256).await? {
+    if let Some(same) = capture_of(app, tenant, &incoming).await? {
         return Err(stored_before(&same));
     }
     // What it is called by then is written down with its upload.
@@ -260,6 +276,18 @@ async fn finished(
         None => make(app, tenant, capture.clone(), incoming, Marks::default()).await?,
     };
     if made.id == *capture { Ok(()) } else { Err(stored_before(&made)) }
+}
+
+/// The capture of a tenant that has this content, or was made of it.
+async fn capture_of(
+    app: &Shared,
+    tenant: &TenantId,
+    incoming: &Incoming,
+) -> Result<Option<CaptureRecord>, StoreError> {
+    match app.store.capture_by_hash(tenant, &incoming.sha256).await? {
+        Some(same) => Ok(Some(same)),
+        None => app.store.capture_made_of(tenant, &incoming.sha256).await,
+    }
 }
 
 fn stored_before(same: &CaptureRecord) -> Problem {
