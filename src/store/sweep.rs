@@ -1,6 +1,6 @@
 //! Artifacts that nothing refers to: what a server that died while it wrote has left.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::fs::File;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -26,16 +26,19 @@ pub struct Swept {
 }
 
 impl Store {
-    /// Removes what attempts of known jobs, uploads that ended and exports left, and sets aside for a week what the database knows nothing of: it may be an old
-    /// copy. Files with names that this program does not give are not touched. The caller must hold the node lock.
+    /// Removes what attempts of known jobs, uploads that ended and exports left, and sets aside for a week what the database knows nothing
+    /// of: it may be an old copy. What a worker elsewhere has sent of the model that it is about to publish stays, and so do files with
+    /// names that this program does not give. The caller must hold the node lock.
     ///
     /// # Errors
     /// When the database or a file operation fails.
     pub async fn sweep_orphans(&self, now: SystemTime) -> Result<Swept, StoreError> {
         let named: HashSet<String> =
             references(self.pool()).await?.into_iter().map(|reference| reference.artifact).collect();
-        let jobs: Vec<String> = sql::query_scalar("SELECT id FROM jobs").fetch_all(self.pool()).await?;
-        let jobs: HashSet<String> = jobs.into_iter().collect();
+        let attempts =
+            "SELECT id, CASE WHEN state IN ('running', 'cancelling') THEN attempts ELSE 0 END FROM jobs";
+        let jobs: Vec<(String, i64)> = sql::query_as(attempts).fetch_all(self.pool()).await?;
+        let jobs: HashMap<String, i64> = jobs.into_iter().collect();
         let root = self.artifacts.local_path("");
         let swept = tokio::task::spawn_blocking(move || sweep(&root, &named, &jobs, now)).await;
         self.clear_export_folders().await?;
@@ -43,18 +46,24 @@ impl Store {
     }
 }
 
+/// `jobs` says of each job which attempt of it is on its way; 0 where none is.
 fn sweep(
     root: &Path,
     named: &HashSet<String>,
-    jobs: &HashSet<String>,
+    jobs: &HashMap<String, i64>,
     now: SystemTime,
 ) -> std::io::Result<Swept> {
     let mut swept = Swept::default();
     for key in stored(root)?.into_iter().filter(|key| !named.contains(key)) {
         let path = root.join(&key);
-        let job = key.strip_prefix("attempts/").and_then(|rest| rest.split('/').next());
         let can_be_had_again = key.starts_with(UPLOADS) || key.starts_with(EXPORTS);
-        if can_be_had_again || job.is_some_and(|job| jobs.contains(job)) {
+        let attempt = attempt_of(&key).map(|(job, number)| (jobs.get(job).copied(), number));
+        if let Some((Some(running), number)) = attempt
+            && number == running
+        {
+            continue;
+        }
+        if can_be_had_again || matches!(attempt, Some((Some(_), _))) {
             tracing::info!(key, "removed what an attempt, an upload or an export left");
             std::fs::remove_file(&path)?;
             swept.removed += 1;
@@ -69,6 +78,13 @@ fn sweep(
     prune(&root.join(UPLOADS))?;
     prune(&root.join(EXPORTS))?;
     Ok(swept)
+}
+
+/// Job and number of the attempt that a file is of.
+fn attempt_of(key: &str) -> Option<(&str, i64)> {
+    let (job, rest) = key.strip_prefix("attempts/")?.split_once('/')?;
+    // A number that is none was never that of an attempt.
+    Some((job, rest.split('/').next()?.parse().unwrap_or(-1)))
 }
 
 /// Moves a file; its time of modification is that of the move from then on.

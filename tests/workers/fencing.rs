@@ -7,9 +7,10 @@ use relume::api::quality::Figures;
 use relume::api::work::{FinishedModel, LeaseStatus, Release, WorkEnd};
 use relume::client::ClientError;
 use relume::client::work::Work;
+use relume::testing::spawn_with;
 
 use crate::service_support::until;
-use crate::workers::fleet::{claimed, hello, short_job, spawn_server, upload};
+use crate::workers::fleet::{claimed, hello, short_job, spawn_server, upload, without_workers};
 
 /// Sends a model of two files and publishes it.
 async fn publish(work: &Work, bytes: &'static str) -> Result<LeaseStatus, ClientError> {
@@ -86,6 +87,31 @@ async fn a_model_whose_files_are_not_as_they_were_sent_is_not_published() {
     assert_eq!(work.publish(&model(vec![file])).await.unwrap_err().problem().unwrap().status, 422);
     assert_eq!(client.job(&id).await.unwrap().state, JobState::Running);
     assert_eq!(publish(&work, "bytes").await.unwrap(), LeaseStatus::Held, "the control");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_sent_before_the_server_started_again_is_published_after_it() {
+    let server = spawn_server().await;
+    let capture = upload(server.client()).await;
+    let id = server.client().create_job(&short_job(&capture), None).await.unwrap().id;
+    let lease = claimed(server.client(), &hello("worker-1")).await.lease.unwrap();
+    let work = server.client().work(id.clone(), lease.clone());
+    let sent = work.put_file("model.safetensors", "bytes".into()).await.unwrap();
+    let data = server.stop().await.unwrap();
+    // The control: of an attempt that is over.
+    let left = data.path().join(format!("artifacts/attempts/{id}/7/model.ply"));
+    std::fs::create_dir_all(left.parent().unwrap()).unwrap();
+    std::fs::write(&left, "left").unwrap();
+
+    let server = spawn_with(data, without_workers).await.unwrap();
+    let work = server.client().work(id.clone(), lease);
+    let (card, figures) = (serde_json::json!({}), Figures::default());
+    let model = FinishedModel { gaussians: 1, card, figures, files: vec![sent] };
+    assert_eq!(work.publish(&model).await.unwrap().status, LeaseStatus::Held);
+    let done = server.client().job(&id).await.unwrap();
+    let bytes = server.client().file(&done.model.unwrap(), "model.safetensors").await.unwrap();
+    assert_eq!(bytes.as_ref(), b"bytes");
+    assert!(!left.exists());
 }
 
 #[tokio::test(flavor = "multi_thread")]
