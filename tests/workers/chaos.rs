@@ -1,5 +1,5 @@
-//! Workers that are killed at random moments, and a server that comes and goes: every job ends once, with the bytes of an undisturbed
-//! run, and nothing is left.
+//! Workers that are killed at random moments, a server and a database that come and go, an object store that fails, clocks that are
+//! wrong: every job ends once, with the bytes of an undisturbed run, and nothing is left.
 
 use std::collections::BTreeSet;
 use std::net::TcpListener;
@@ -21,6 +21,9 @@ use crate::workers::fleet::{Process, model_hash, short_job, undisturbed, upload,
 
 const WORKERS: usize = 3;
 const SEED: u64 = 23;
+/// What a clock is wrong by.
+const AHEAD: &str = "+7m";
+const BEHIND: &str = "-5m";
 
 /// Jobs of a run: `RELUME_CHAOS_JOBS`, or a dozen.
 fn count() -> usize {
@@ -37,7 +40,7 @@ async fn jobs_end_once_and_with_the_same_bytes_whatever_is_killed() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-#[ignore = "needs PostgreSQL: .ci/postgres"]
+#[ignore = "needs libfaketime, and a PostgreSQL of its own: RELUME_POSTGRES_RESTARTS=1 .ci/postgres"]
 async fn on_postgres_and_s3_jobs_end_once_whatever_is_killed_or_cut() {
     let bucket = Bucket::start().await;
     let data = run(Some(&bucket)).await;
@@ -48,53 +51,175 @@ async fn on_postgres_and_s3_jobs_end_once_whatever_is_killed_or_cut() {
     assert_eq!(keys.len(), 1 + 2 * count(), "the capture, and two files a job: {keys:?}");
 }
 
-/// Jobs under workers that are killed and a server that comes and goes, on a bucket that fails now and then where there is one. Returns
-/// the server's data directory.
+/// What comes and goes while jobs run.
+struct Fleet<'a> {
+    address: String,
+    data: TempDir,
+    client: Client,
+    bucket: Option<&'a Bucket>,
+    folders: Vec<PathBuf>,
+    workers: Vec<Process>,
+    server: Option<Process>,
+    /// Restarts PostgreSQL as a crash does; none where the database is a file.
+    restart_database: Option<PathBuf>,
+    random: ChaCha8Rng,
+}
+
+/// How often something was killed.
+#[derive(Debug, Default)]
+struct Deaths {
+    workers: u32,
+    servers: u32,
+    databases: u32,
+}
+
+impl<'a> Fleet<'a> {
+    async fn start(bucket: Option<&'a Bucket>, folder: &Path) -> Self {
+        let address = free_address();
+        let mut fleet = Self {
+            client: Client::new(&format!("http://{address}"), None).unwrap(),
+            address,
+            data: TempDir::new().unwrap(),
+            bucket,
+            folders: (0..WORKERS).map(|i| folder.join(i.to_string())).collect(),
+            workers: Vec::new(),
+            server: None,
+            restart_database: bucket.is_some().then(restart_of_postgres),
+            random: ChaCha8Rng::seed_from_u64(SEED),
+        };
+        fleet.start_server().await;
+        fleet.workers = (0..WORKERS).map(|i| fleet.worker(i)).collect();
+        fleet
+    }
+
+    /// A worker process. The clock of the first goes wrong by minutes where there is a database with a clock of its own.
+    fn worker(&self, i: usize) -> Process {
+        let clock = if i == 0 && self.bucket.is_some() { wrong_clock(AHEAD) } else { Vec::new() };
+        Process::start_with(&self.client, &self.folders[i], &[], clock)
+    }
+
+    /// A server process, which dies when it is dropped. With a database that has a clock, its own is behind.
+    async fn start_server(&mut self) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
+        command.args(["serve", "--no-worker", "--worker-silence", "2", "--max-attempts", "1000"]);
+        command.args(["--listen", &self.address, "--data-dir"]).arg(self.data.path());
+        command.env_remove("RELUME_API_KEY");
+        if let Some(bucket) = self.bucket {
+            command.envs(bucket.settings()).env("RELUME_ARTIFACTS", Bucket::url());
+            command.envs(wrong_clock(BEHIND));
+        }
+        if let Some(database) = postgres_url(self.data.path()).await {
+            command.args(["--database-url", &database]);
+        }
+        self.server = Some(Process(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()));
+        for _ in 0..600 {
+            if self.client.workers().await.is_ok() {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        panic!("the server does not start");
+    }
+
+    /// Kills one thing, and starts it again.
+    async fn harm(&mut self, deaths: &mut Deaths) {
+        if let Some(bucket) = self.bucket {
+            fail_now_and_then(bucket, &mut self.random);
+        }
+        let victims = WORKERS + 1 + usize::from(self.restart_database.is_some());
+        match (self.random.random_range(0..victims), &self.restart_database) {
+            (WORKERS, _) => {
+                self.server = None;
+                tokio::time::sleep(Duration::from_millis(300)).await;
+                self.start_server().await;
+                deaths.servers += 1;
+            }
+            (victim, Some(restart)) if victim > WORKERS => {
+                let restart = restart.clone();
+                let status = tokio::task::spawn_blocking(move || Command::new(restart).status());
+                assert!(status.await.unwrap().unwrap().success(), "PostgreSQL starts again");
+                deaths.databases += 1;
+            }
+            (victim, _) => {
+                // What runs there is killed as it is dropped.
+                self.workers[victim] = self.worker(victim);
+                deaths.workers += 1;
+            }
+        }
+    }
+
+    /// Jobs that have not ended, of what is known.
+    async fn running(&self, jobs: &[JobId]) -> usize {
+        let mut open = 0;
+        for id in jobs {
+            // The server that is asked may be on its way up.
+            let has_ended = self.client.job(id).await.is_ok_and(|job| job.state.is_terminal());
+            open += usize::from(!has_ended);
+        }
+        open
+    }
+}
+
+/// Jobs while things are killed; on a bucket that fails now and then, with clocks that are wrong and a database that crashes, where
+/// there is one. Returns the server's data directory.
 async fn run(bucket: Option<&Bucket>) -> TempDir {
     let expected = undisturbed(short_job).await;
-    let (data, folder, count) = (TempDir::new().unwrap(), TempDir::new().unwrap(), count());
-    let address = free_address();
-    let client = Client::new(&format!("http://{address}"), None).unwrap();
-    let mut server = start(&address, data.path(), &client, bucket).await;
-    let capture = upload(&client).await;
+    let folder = TempDir::new().unwrap();
+    let mut fleet = Fleet::start(bucket, folder.path()).await;
+    let capture = upload(&fleet.client).await;
     let mut jobs = Vec::new();
-    for _ in 0..count {
-        jobs.push(client.create_job(&short_job(&capture), None).await.unwrap().id);
+    for _ in 0..count() {
+        jobs.push(fleet.client.create_job(&short_job(&capture), None).await.unwrap().id);
     }
-    let mut random = ChaCha8Rng::seed_from_u64(SEED);
-    let folders: Vec<_> = (0..WORKERS).map(|i| folder.path().join(i.to_string())).collect();
-    let begin = |i: usize| Process::start(&client, &folders[i], &[]);
-    let mut workers: Vec<Process> = (0..WORKERS).map(begin).collect();
-    let (mut kills, mut restarts) = (0, 0);
-    while running(&client, &jobs).await > 0 {
-        tokio::time::sleep(Duration::from_millis(random.random_range(300..2000))).await;
-        if let Some(bucket) = bucket {
-            fail_now_and_then(bucket, &mut random);
-        }
-        match random.random_range(0..=WORKERS) {
-            WORKERS => {
-                drop(server);
-                tokio::time::sleep(Duration::from_millis(300)).await;
-                server = start(&address, data.path(), &client, bucket).await;
-                restarts += 1;
-            }
-            victim => {
-                // What runs there is killed as it is dropped.
-                workers[victim] = begin(victim);
-                kills += 1;
-            }
-        }
+    let mut deaths = Deaths::default();
+    while fleet.running(&jobs).await > 0 {
+        tokio::time::sleep(Duration::from_millis(fleet.random.random_range(300..2000))).await;
+        fleet.harm(&mut deaths).await;
     }
-    assert!(kills >= 3 && restarts >= 1, "{kills} kills and {restarts} restarts: too few to tell");
+    println!("{} jobs: {deaths:?}", jobs.len());
+    assert!(deaths.workers >= 3 && deaths.servers >= 1, "{deaths:?}: too few to tell");
+    assert!(bucket.is_none() || deaths.databases >= 1, "{deaths:?}: too few to tell");
     let mut models = BTreeSet::new();
     for id in &jobs {
-        assert_eq!(model_hash(&client, id).await, expected);
-        let job = client.job(id).await.unwrap();
+        assert_eq!(model_hash(&fleet.client, id).await, expected);
+        let job = fleet.client.job(id).await.unwrap();
         assert_eq!(job.state, JobState::Succeeded);
         models.insert(job.model.unwrap());
     }
-    assert_eq!(models.len(), count, "each job has a model of its own");
-    data
+    assert_eq!(models.len(), jobs.len(), "each job has a model of its own");
+    fleet.data
+}
+
+/// The environment of a program whose clock is wrong by `offset`, which libfaketime reads. What it measures time with goes right.
+fn wrong_clock(offset: &str) -> Vec<(&'static str, String)> {
+    let libraries = std::fs::read_dir("/usr/lib").unwrap().filter_map(Result::ok);
+    let mut found = libraries.map(|folder| folder.path().join("faketime/libfaketime.so.1"));
+    let library = found.find(|path| path.exists()).expect("libfaketime is installed");
+    let settings = [
+        ("LD_PRELOAD", library.display().to_string()),
+        ("FAKETIME", offset.to_owned()),
+        ("FAKETIME_DONT_FAKE_MONOTONIC", "1".to_owned()),
+        ("FAKETIME_DISABLE_SHM", "1".to_owned()),
+    ];
+    settings.into()
+}
+
+#[test]
+#[ignore = "needs libfaketime"]
+fn a_wrong_clock_is_wrong() {
+    let now = |settings: Vec<(&'static str, String)>| -> i64 {
+        let said = Command::new("date").arg("+%s").envs(settings).output().unwrap().stdout;
+        String::from_utf8(said).unwrap().trim().parse().unwrap()
+    };
+    let right = now(Vec::new());
+    assert!((now(wrong_clock(AHEAD)) - right - 7 * 60).abs() < 30);
+    assert!((now(wrong_clock(BEHIND)) - right + 5 * 60).abs() < 30);
+}
+
+/// The program that restarts the PostgreSQL server of the test.
+fn restart_of_postgres() -> PathBuf {
+    let program = std::env::var_os("RELUME_TEST_POSTGRES_RESTART");
+    program.expect("a PostgreSQL of its own: RELUME_POSTGRES_RESTARTS=1 .ci/postgres").into()
 }
 
 /// One kind of fault for the next requests.
@@ -104,38 +229,8 @@ fn fail_now_and_then(bucket: &Bucket, random: &mut ChaCha8Rng) {
     faults.set(fault[random.random_range(0..fault.len())], random.random_range(0..3));
 }
 
-/// Jobs that have not ended.
-async fn running(client: &Client, jobs: &[JobId]) -> usize {
-    let mut open = 0;
-    for id in jobs {
-        open += usize::from(!client.job(id).await.unwrap().state.is_terminal());
-    }
-    open
-}
-
 fn free_address() -> String {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
-}
-
-/// A server process at an address, which dies when it is dropped.
-async fn start(address: &str, data: &Path, client: &Client, bucket: Option<&Bucket>) -> Process {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
-    command.args(["serve", "--no-worker", "--worker-silence", "2", "--max-attempts", "1000"]);
-    command.args(["--listen", address, "--data-dir"]).arg(data).env_remove("RELUME_API_KEY");
-    if let Some(bucket) = bucket {
-        command.envs(bucket.settings()).env("RELUME_ARTIFACTS", Bucket::url());
-    }
-    if let Some(database) = postgres_url(data).await {
-        command.args(["--database-url", &database]);
-    }
-    let server = Process(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
-    for _ in 0..600 {
-        if client.workers().await.is_ok() {
-            return server;
-        }
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
-    panic!("the server does not start");
 }
 
 /// Where the database of a data directory is, unless it is a file in there.

@@ -36,7 +36,18 @@ pub struct Process(pub Child);
 impl Process {
     /// `relume worker` for a server, with a cache of its own in `folder`.
     pub fn start(client: &Client, folder: &Path, args: &[&str]) -> Self {
+        Self::start_with(client, folder, args, Vec::new())
+    }
+
+    /// As [`Self::start`], with more in its environment.
+    pub fn start_with(
+        client: &Client,
+        folder: &Path,
+        args: &[&str],
+        environment: Vec<(&str, String)>,
+    ) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
+        command.envs(environment);
         command.args(["worker", "--device", "cpu", "--server", client.base().as_str(), "--cache"]);
         command.arg(folder.join("cache")).args(args).env_remove("RELUME_API_KEY");
         Self(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())

@@ -2,7 +2,7 @@
 
 mod chaos;
 mod fencing;
-mod fleet;
+pub mod fleet;
 mod processes;
 mod replicas;
 mod roll;
