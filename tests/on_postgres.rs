@@ -1,6 +1,7 @@
 //! What only a server on PostgreSQL does. The tests need a server (`.ci/postgres`), on which those of the service run, too.
 
 use std::path::Path;
+use std::process::Command;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -16,7 +17,9 @@ use reqwest::Method;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::service_support::{capture_zip, ended, open_store, raw_pool, small_job, until};
+use crate::service_support::{
+    capture_zip, ended, files_under, open_store, raw_pool, small_job, trained, until,
+};
 
 /// The database of a data directory.
 async fn database(data: &Path) -> DatabaseUrl {
@@ -225,4 +228,30 @@ async fn on_postgres_a_backup_is_one_of_sqlite_and_a_server_starts_on_it() {
     .await
     .unwrap();
     assert_eq!(server.client().job(&job.id).await.unwrap(), before);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL: .ci/postgres"]
+async fn on_postgres_doctor_reads_what_the_database_names() {
+    let server = testing::spawn_with(TempDir::new().unwrap(), |_| {}).await.unwrap();
+    let url = std::env::var("RELUME_TEST_POSTGRES").unwrap();
+    let url = format!("{}/{}", url.rsplit_once('/').unwrap().0, database_name(server.data_dir()));
+    trained(server.client()).await;
+    let data = server.stop().await.unwrap();
+    let doctor = |url: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
+        command.args(["doctor", "--device", "cpu", "--data-dir"]).arg(data.path());
+        let output = command.env("RELUME_DATABASE_URL", url).output().unwrap();
+        let said = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes)).concat();
+        (output.status.success(), said)
+    };
+    let (is_sound, said) = doctor(&url);
+    assert!(is_sound && said.contains("3 named by the database, 0 not"), "{said}");
+    let files = files_under(data.path());
+    let (points, _) = files.iter().find(|(name, _)| name.ends_with("model.ply")).unwrap();
+    std::fs::remove_file(data.path().join(points)).unwrap();
+    let (is_sound, said) = doctor(&url);
+    assert!(!is_sound && said.contains(&format!("{points} is missing")), "{said}");
+    let (is_sound, said) = doctor("postgres://relume@127.0.0.1:1/nowhere");
+    assert!(!is_sound && !said.contains("fault"), "{said}");
 }

@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 
 #[cfg(feature = "server")]
 use crate::cli::artifacts::ArtifactsArgs;
+#[cfg(feature = "server")]
+use crate::cli::database::DatabaseArgs;
 use crate::cli::error::CommandResult;
 use crate::engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
 #[cfg(feature = "server")]
-use crate::store::{Store, inspect, inspect_with};
+use crate::store::{Store, inspect_with};
 
 /// Options of `relume doctor`.
 #[derive(Debug, clap::Args)]
@@ -19,6 +21,9 @@ pub(super) struct DoctorArgs {
     #[cfg(feature = "server")]
     #[command(flatten)]
     artifacts: ArtifactsArgs,
+    #[cfg(feature = "server")]
+    #[command(flatten)]
+    database: DatabaseArgs,
     /// The device to look for: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
@@ -38,7 +43,7 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
     println!("database      {}", database_version()?);
     println!("data dir      {}", data_dir(&args.data_dir)?);
     #[cfg(feature = "server")]
-    let faults = stored(&args.data_dir, &args.artifacts)?;
+    let faults = stored(args)?;
     let chosen = choose_adapter(&adapters, args.device)?;
     println!("device        {}", verdict(args.device, chosen, &adapters));
     if let Some(index) = chosen {
@@ -55,15 +60,13 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
 
 /// Says what is stored in a data directory and what is wrong with it; the number of faults.
 #[cfg(feature = "server")]
-fn stored(path: &Path, artifacts: &ArtifactsArgs) -> CommandResult<usize> {
-    if !path.exists() {
+fn stored(args: &DoctorArgs) -> CommandResult<usize> {
+    let (path, url, place) = (&args.data_dir, args.database.database_url.as_ref(), args.artifacts.place());
+    if url.is_none() && !path.exists() {
         return Ok(0);
     }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let found = match artifacts.place() {
-        Some(place) => runtime.block_on(inspect_with(path, &place))?,
-        None => runtime.block_on(inspect(path))?,
-    };
+    let found = runtime.block_on(inspect_with(path, url, place.as_ref()))?;
     match found.schema {
         Some(schema) => println!("database      schema {schema}"),
         None if found.faults.is_empty() => println!("database      none yet"),

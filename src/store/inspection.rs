@@ -4,14 +4,14 @@ use std::collections::HashSet;
 use std::fs::File;
 use std::path::Path;
 
-use sqlx::SqlitePool;
-
 use crate::store::artifacts::{Remote, stays_here};
-use crate::store::database::{self, DatabaseFile};
+use crate::store::database::{self, Database, Looked};
 use crate::store::hash::hash_file;
 use crate::store::references::{Reference, is_ours, references, stored};
-use crate::store::sql;
-use crate::store::{ArtifactsPlace, StoreError, has_artifacts};
+use crate::store::sql::Pool;
+use crate::store::{ArtifactsPlace, DatabaseUrl, StoreError, has_artifacts};
+
+const SCHEMA: &str = "SELECT MAX(version) FROM _sqlx_migrations";
 
 /// What a look at a data directory found.
 #[derive(Debug, Clone, Default)]
@@ -26,32 +26,34 @@ pub struct Inspection {
     pub orphans: Vec<String>,
 }
 
-/// Looks at a data directory, reading every artifact. A server may run on it meanwhile.
+/// Looks at a data directory with a database of its own, reading every artifact. A server may run on it meanwhile.
 ///
 /// # Errors
 /// When the directory cannot be read; what is wrong with its content is in the answer.
 pub async fn inspect(root: &Path) -> Result<Inspection, StoreError> {
-    inspect_all(root, None).await
+    inspect_with(root, None, None).await
 }
 
-/// As [`inspect`], with artifacts in an object store: all of them are read.
+/// As [`inspect`], with the database at `url` and with artifacts in an object store: all of them are read.
 ///
 /// # Errors
-/// As [`inspect`]; [`StoreError::ArtifactsUnreachable`].
-pub async fn inspect_with(root: &Path, place: &ArtifactsPlace) -> Result<Inspection, StoreError> {
-    inspect_all(root, Some(Remote::open(place)?)).await
-}
-
-async fn inspect_all(root: &Path, remote: Option<Remote>) -> Result<Inspection, StoreError> {
+/// As [`inspect`]; when the database cannot be reached; [`StoreError::ArtifactsUnreachable`].
+pub async fn inspect_with(
+    root: &Path,
+    url: Option<&DatabaseUrl>,
+    place: Option<&ArtifactsPlace>,
+) -> Result<Inspection, StoreError> {
     let mut found = Inspection::default();
-    if !root.join(database::FILE).exists() {
+    if url.is_none() && !root.join(database::FILE).exists() {
         if has_artifacts(root)? {
             found.faults.push(StoreError::DatabaseMissing(root.display().to_string()).to_string());
         }
         return Ok(found);
     }
-    match look(root, remote.as_ref(), &mut found).await {
-        Err(error @ (StoreError::Database(_) | StoreError::DatabaseDamaged(_))) => {
+    let remote = place.map(Remote::open).transpose()?;
+    match look(root, url, remote.as_ref(), &mut found).await {
+        // A server that is away is no fault of what it has.
+        Err(error @ (StoreError::Database(_) | StoreError::DatabaseDamaged(_))) if url.is_none() => {
             found.faults.push(error.to_string());
         }
         other => other?,
@@ -59,34 +61,56 @@ async fn inspect_all(root: &Path, remote: Option<Remote>) -> Result<Inspection, 
     Ok(found)
 }
 
-async fn look(root: &Path, remote: Option<&Remote>, found: &mut Inspection) -> Result<(), StoreError> {
-    let pool = DatabaseFile::open_to_look(root).await?;
-    let looked = look_with(&pool, root, remote, found).await;
-    pool.close().await;
-    looked
+async fn look(
+    root: &Path,
+    url: Option<&DatabaseUrl>,
+    remote: Option<&Remote>,
+    found: &mut Inspection,
+) -> Result<(), StoreError> {
+    let looked = Database::open_to_look(root, url).await?;
+    let done = look_with(&looked, root, remote, found).await;
+    looked.pool.close().await;
+    done
+}
+
+/// Looks at the database itself; whether its tables are those that this program knows.
+async fn look_at_schema(looked: &Looked, found: &mut Inspection) -> Result<bool, StoreError> {
+    let schema = match &looked.pool {
+        Pool::Sqlite(pool) => {
+            let check = sqlx::query_scalar("PRAGMA integrity_check(10)");
+            let integrity: Vec<String> = check.fetch_all(pool).await?;
+            let damage = integrity.iter().filter(|line| *line != "ok");
+            found.faults.extend(damage.map(|line| format!("the database is damaged: {line}")));
+            Some(sqlx::query_scalar(SCHEMA).fetch_one(pool).await?)
+        }
+        Pool::Postgres(pool) => {
+            let there = sqlx::query_scalar("SELECT to_regclass('_sqlx_migrations') IS NOT NULL");
+            match there.fetch_one(pool).await? {
+                true => sqlx::query_scalar(SCHEMA).fetch_one(pool).await?,
+                false => None,
+            }
+        }
+    };
+    found.schema = schema;
+    let Some(schema) = schema else { return Ok(false) };
+    if schema > looked.known {
+        let newer = StoreError::NewerDatabase { found: schema, known: looked.known };
+        found.faults.push(newer.to_string());
+    }
+    // The next start of a server brings an older one up to date; its tables may lack what is asked for here.
+    Ok(schema == looked.known)
 }
 
 async fn look_with(
-    pool: &SqlitePool,
+    looked: &Looked,
     root: &Path,
     remote: Option<&Remote>,
     found: &mut Inspection,
 ) -> Result<(), StoreError> {
-    let integrity: Vec<String> = sql::query_scalar("PRAGMA integrity_check(10)").fetch_all(pool).await?;
-    let damage = integrity.iter().filter(|line| *line != "ok");
-    found.faults.extend(damage.map(|line| format!("the database is damaged: {line}")));
-    let schema: i64 = sql::query_scalar("SELECT MAX(version) FROM _sqlx_migrations").fetch_one(pool).await?;
-    found.schema = Some(schema);
-    if schema > database::schema() {
-        let newer = StoreError::NewerDatabase { found: schema, known: database::schema() };
-        found.faults.push(newer.to_string());
+    if !look_at_schema(looked, found).await? {
         return Ok(());
     }
-    if schema < database::schema() {
-        // The next start of a server brings it up to date; its tables may lack what is asked for here.
-        return Ok(());
-    }
-    let mut named = references(pool).await?;
+    let mut named = references(&looked.pool).await?;
     found.artifacts = named.len();
     if let Some(remote) = remote {
         // What is here of it is a copy, which is fetched anew when it is damaged.

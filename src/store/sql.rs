@@ -59,6 +59,16 @@ pub(super) enum Pool {
     Postgres(PgPool),
 }
 
+impl Pool {
+    /// Closes every connection.
+    pub(super) async fn close(&self) {
+        match self {
+            Self::Sqlite(pool) => pool.close().await,
+            Self::Postgres(pool) => pool.close().await,
+        }
+    }
+}
+
 /// Where a statement runs.
 pub(super) enum On<'c> {
     SqlitePool(&'c SqlitePool),

@@ -49,6 +49,13 @@ impl Listener {
     }
 }
 
+/// A database that is only looked at.
+pub(super) struct Looked {
+    pub(super) pool: Pool,
+    /// Number of the schema that this program knows for it.
+    pub(super) known: i64,
+}
+
 /// Connections to the database of a store.
 #[derive(Clone)]
 pub(super) enum Database {
@@ -63,6 +70,17 @@ impl Database {
             None => Ok(Self::File(DatabaseFile::open(root).await?)),
             Some(url) => Ok(Self::Server(DatabaseServer::open(url).await?)),
         }
+    }
+
+    /// What is there already, by one connection that changes nothing: `root/relume.db`, or the server at `url`.
+    pub(super) async fn open_to_look(root: &Path, url: Option<&DatabaseUrl>) -> Result<Looked, StoreError> {
+        Ok(match url {
+            None => {
+                let pool = DatabaseFile::open_to_look(root).await?;
+                Looked { pool: Pool::Sqlite(pool), known: schema() }
+            }
+            Some(url) => Looked { pool: DatabaseServer::open_to_look(url).await?, known: server_schema() },
+        })
     }
 
     /// A new file of SQLite of whichever name.

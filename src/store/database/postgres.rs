@@ -59,6 +59,13 @@ impl DatabaseServer {
         Ok(Self { connections, readers, writing: Arc::default() })
     }
 
+    /// One connection to the database at `url`, which changes nothing.
+    pub(super) async fn open_to_look(url: &DatabaseUrl) -> Result<Pool, StoreError> {
+        let options = (*url.0).clone().options([("default_transaction_read_only", "on")]);
+        let pool = PgPoolOptions::new().max_connections(1).acquire_timeout(PATIENCE);
+        Ok(Pool::Postgres(pool.connect_with(options).await?))
+    }
+
     /// Whether the database at `url` has a table and `query` says so of it. Nothing is migrated.
     pub(in crate::store) async fn has(
         url: &DatabaseUrl,
