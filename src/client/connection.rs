@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use reqwest::{Method, RequestBuilder, Response, Url};
+use reqwest::redirect::{Action, Attempt, Policy};
+use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
 use serde::de::DeserializeOwned;
 
 use crate::client::error::{ClientError, Result};
@@ -24,7 +25,8 @@ impl Client {
         let base = Url::parse(base).map_err(|e| ClientError::Address(e.to_string()))?;
         // For `https://`. Another provider of the process is as good.
         tokio_rustls::rustls::crypto::ring::default_provider().install_default().ok();
-        let http = reqwest::Client::builder().connect_timeout(Duration::from_secs(10)).build()?;
+        let http = reqwest::Client::builder().redirect(Policy::custom(follow));
+        let http = http.connect_timeout(Duration::from_secs(10)).build()?;
         Ok(Self { http, base, key })
     }
 
@@ -47,9 +49,21 @@ impl Client {
     }
 }
 
+/// A server may have moved. Where one sends its caller for a file, that goes without the key (`Download`).
+fn follow(attempt: Attempt<'_>) -> Action {
+    match attempt.status() {
+        StatusCode::TEMPORARY_REDIRECT => attempt.stop(),
+        _ => Policy::default().redirect(attempt),
+    }
+}
+
 /// The answer to a request; a refusal becomes an error.
 pub(super) async fn checked(request: RequestBuilder) -> Result<Response> {
-    let response = request.send().await?;
+    accepted(request.send().await?).await
+}
+
+/// An answer that is no refusal.
+pub(super) async fn accepted(response: Response) -> Result<Response> {
     if response.status().is_success() {
         return Ok(response);
     }

@@ -3,14 +3,13 @@
 use std::path::Path;
 use std::time::Duration;
 
-use futures::TryStreamExt;
 use reqwest::Method;
-use tokio::io::AsyncWriteExt;
 use tokio_util::bytes::Bytes;
 
 use crate::api::exports::{ExportView, NewExport};
 use crate::api::{ExportId, List, ModelId};
 use crate::client::connection::{Client, checked, json};
+use crate::client::download::Download;
 use crate::client::error::Result;
 
 /// Time between two looks at an export that is waited for.
@@ -76,7 +75,7 @@ impl Client {
     /// # Errors
     /// The server's refusal, or what failed on the way.
     pub async fn export_file(&self, id: &ExportId) -> Result<Bytes> {
-        Ok(checked(self.request(Method::GET, &format!("/v1/exports/{id}/file"))?).await?.bytes().await?)
+        Download::begin(self.request(Method::GET, &format!("/v1/exports/{id}/file"))?).await?.whole().await
     }
 
     /// Downloads the file of an export to `path`.
@@ -85,12 +84,7 @@ impl Client {
     /// The server's refusal, or what failed on the way; an incomplete file may then be at `path`.
     pub async fn download_export(&self, id: &ExportId, path: &Path) -> Result<()> {
         let request = self.request(Method::GET, &format!("/v1/exports/{id}/file"))?;
-        let mut body = checked(request).await?.bytes_stream();
-        let mut file = tokio::fs::File::create(path).await?;
-        while let Some(chunk) = body.try_next().await? {
-            file.write_all(&chunk).await?;
-        }
-        Ok(file.sync_all().await?)
+        Download::begin(request).await?.save(path).await
     }
 
     /// Cancels an export that waits or runs; deletes one that has ended.

@@ -16,6 +16,7 @@
 mod captures;
 mod connection;
 mod deletion;
+mod download;
 mod environments;
 mod error;
 mod events;
@@ -29,5 +30,6 @@ mod webhooks;
 pub mod work;
 
 pub use connection::Client;
+pub use download::Download;
 pub use error::ClientError;
 pub use events::JobEvent;

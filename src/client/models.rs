@@ -2,10 +2,8 @@
 
 use std::path::Path;
 
-use futures::TryStreamExt;
 use reqwest::Method;
 use reqwest::header::ACCEPT;
-use tokio::io::AsyncWriteExt;
 use tokio_util::bytes::Bytes;
 
 use crate::api::marks::MarksChange;
@@ -13,6 +11,7 @@ use crate::api::models::{ModelSummary, ModelView};
 use crate::api::renders::RenderRequest;
 use crate::api::{List, ModelId};
 use crate::client::connection::{Client, checked, json};
+use crate::client::download::Download;
 use crate::client::error::Result;
 use crate::render::FrameFormat;
 
@@ -47,7 +46,7 @@ impl Client {
     /// The server's refusal, or what failed on the way.
     pub async fn file(&self, model: &ModelId, name: &str) -> Result<Bytes> {
         let request = self.request(Method::GET, &format!("/v1/models/{model}/files/{name}"))?;
-        Ok(checked(request).await?.bytes().await?)
+        Download::begin(request).await?.whole().await
     }
 
     /// Downloads a file of a model to `path`.
@@ -56,12 +55,7 @@ impl Client {
     /// The server's refusal, or what failed on the way; an incomplete file may then be at `path`.
     pub async fn download(&self, model: &ModelId, name: &str, path: &Path) -> Result<()> {
         let request = self.request(Method::GET, &format!("/v1/models/{model}/files/{name}"))?;
-        let mut body = checked(request).await?.bytes_stream();
-        let mut file = tokio::fs::File::create(path).await?;
-        while let Some(chunk) = body.try_next().await? {
-            file.write_all(&chunk).await?;
-        }
-        Ok(file.sync_all().await?)
+        Download::begin(request).await?.save(path).await
     }
 
     /// A rendered frame as an image file.

@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use futures::Stream;
-use reqwest::{Method, RequestBuilder, Response};
+use reqwest::{Method, RequestBuilder};
 use serde::Serialize;
 use tokio_util::bytes::Bytes;
 
@@ -12,7 +11,8 @@ use crate::api::work::{
     Claimed, FinishedModel, LeaseView, SentFile, WorkEnd, WorkWarning, WorkerChange, WorkerHello, WorkerView,
 };
 use crate::api::{EnvironmentId, JobId, List, WorkerId};
-use crate::client::connection::{Client, checked, json};
+use crate::client::connection::{Client, json};
+use crate::client::download::Download;
 use crate::client::error::Result;
 
 /// The header with the lease's token.
@@ -149,36 +149,11 @@ impl Work {
     }
 
     async fn fetch(&self, what: &str) -> Result<Download> {
-        Ok(Download(checked(self.request(Method::GET, what)?).await?))
+        Download::begin(self.request(Method::GET, what)?).await
     }
 
     fn request(&self, method: Method, what: &str) -> Result<RequestBuilder> {
         let request = self.client.request(method, &format!("/v1/work/{}/{what}", self.job))?;
         Ok(request.header(LEASE, &self.lease))
-    }
-}
-
-/// A file on its way.
-#[derive(Debug)]
-pub struct Download(Response);
-
-impl Download {
-    /// Hash of the whole file, lower-case hex; empty where the server does not know it.
-    pub fn sha256(&self) -> String {
-        let etag = self.0.headers().get(reqwest::header::ETAG).and_then(|value| value.to_str().ok());
-        etag.unwrap_or_default().trim_matches('"').to_owned()
-    }
-
-    /// The file.
-    pub fn bytes(self) -> impl Stream<Item = reqwest::Result<Bytes>> {
-        self.0.bytes_stream()
-    }
-
-    /// The whole file, in memory.
-    ///
-    /// # Errors
-    /// What failed on the way.
-    pub async fn whole(self) -> Result<Bytes> {
-        Ok(self.0.bytes().await?)
     }
 }

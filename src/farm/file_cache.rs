@@ -9,8 +9,7 @@ use futures::{StreamExt, TryStreamExt};
 use sha2::{Digest, Sha256};
 use tokio::io::AsyncWriteExt;
 
-use crate::client::ClientError;
-use crate::client::work::Download;
+use crate::client::{ClientError, Download};
 use crate::store::hex;
 
 /// Name of files on their way.
@@ -81,7 +80,7 @@ impl FileCache {
         let part = tempfile::Builder::new().prefix(sha256).suffix(PART).tempfile_in(&self.folder)?;
         let mut file = tokio::fs::File::from_std(part.reopen()?);
         let mut hasher = Sha256::new();
-        let mut body = std::pin::pin!(download.bytes().map_err(ClientError::from));
+        let mut body = std::pin::pin!(download.bytes().await?.map_err(ClientError::from));
         while let Some(chunk) = tokio::time::timeout(STALL, body.next()).await.map_err(|_| stalled())? {
             let chunk = chunk?;
             hasher.update(&chunk);

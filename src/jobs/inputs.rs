@@ -6,14 +6,12 @@ use crate::api::EnvironmentId;
 use crate::jobs::lease::Lease;
 use crate::store::StoreError;
 
-/// A stored file whose bytes were compared with their hash.
+/// A stored file that an attempt may read.
 #[derive(Debug, Clone)]
-pub struct StoredFile {
+pub struct InputFile {
     /// Key in the artifact store.
     pub artifact: String,
-    /// The file on this machine.
-    pub path: PathBuf,
-    /// Hash of the bytes, lower-case hex.
+    /// Hash of the bytes, lower-case hex; empty of a checkpoint from before hashes were kept.
     pub sha256: String,
 }
 
@@ -21,46 +19,38 @@ impl Lease {
     /// The capture; none when it was deleted.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] or [`StoreError::Missing`] when its bytes are not those that were stored.
-    pub async fn capture(&self) -> Result<Option<StoredFile>, StoreError> {
+    /// When the database fails.
+    pub async fn capture(&self) -> Result<Option<InputFile>, StoreError> {
         let job = self.job();
-        match self.jobs().store().capture(&job.tenant, &job.request.capture).await? {
-            Some(record) => self.sound(record.artifact, record.sha256).await.map(Some),
-            None => Ok(None),
-        }
+        let record = self.jobs().store().capture(&job.tenant, &job.request.capture).await?;
+        Ok(record.map(|record| InputFile { artifact: record.artifact, sha256: record.sha256 }))
     }
 
     /// An environment map of the job's tenant; none when there is none.
     ///
     /// # Errors
-    /// As [`Self::capture`].
-    pub async fn environment(&self, id: &EnvironmentId) -> Result<Option<StoredFile>, StoreError> {
-        match self.jobs().store().environment(&self.job().tenant, id).await? {
-            Some(record) => self.sound(record.artifact, record.sha256).await.map(Some),
-            None => Ok(None),
-        }
+    /// When the database fails.
+    pub async fn environment(&self, id: &EnvironmentId) -> Result<Option<InputFile>, StoreError> {
+        let record = self.jobs().store().environment(&self.job().tenant, id).await?;
+        Ok(record.map(|record| InputFile { artifact: record.artifact, sha256: record.sha256 }))
     }
 
     /// The checkpoint that the job was claimed with; none where there is none.
-    ///
-    /// # Errors
-    /// As [`Self::capture`].
-    pub async fn last_checkpoint(&self) -> Result<Option<StoredFile>, StoreError> {
+    pub fn last_checkpoint(&self) -> Option<InputFile> {
         let job = self.job();
-        match (&job.checkpoint, &job.checkpoint_sha256) {
-            (Some(key), Some(sha256)) => self.sound(key.clone(), sha256.clone()).await.map(Some),
-            (Some(key), None) => {
-                let path = self.jobs().store().artifacts().local_path(key);
-                Ok(Some(StoredFile { artifact: key.clone(), path, sha256: String::new() }))
-            }
-            (None, _) => Ok(None),
-        }
+        let sha256 = job.checkpoint_sha256.clone().unwrap_or_default();
+        job.checkpoint.clone().map(|artifact| InputFile { artifact, sha256 })
     }
 
-    async fn sound(&self, artifact: String, sha256: String) -> Result<StoredFile, StoreError> {
+    /// Brings a file to this machine and compares it with its hash; where it is.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] or [`StoreError::Missing`] when its bytes are not those that were stored.
+    pub async fn bring(&self, file: &InputFile) -> Result<PathBuf, StoreError> {
         let artifacts = self.jobs().store().artifacts();
-        artifacts.verify(&artifact, &sha256).await?;
-        let path = artifacts.local_path(&artifact);
-        Ok(StoredFile { artifact, path, sha256 })
+        if !file.sha256.is_empty() {
+            artifacts.verify(&file.artifact, &file.sha256).await?;
+        }
+        Ok(artifacts.local_path(&file.artifact))
     }
 }

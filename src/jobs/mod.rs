@@ -20,6 +20,6 @@ mod presence;
 mod queue;
 
 pub use clock::{Clock, DatabaseClock, Ids, ManualClock, RandomIds, SequentialIds, SystemClock};
-pub use inputs::StoredFile;
+pub use inputs::InputFile;
 pub use lease::Lease;
 pub use queue::{Jobs, LeasePolicy};

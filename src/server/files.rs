@@ -1,10 +1,12 @@
 //! `/v1/models/{id}/files/{name}`: immutable files with ranges, strong validators and digests (RFC 9110, 9530).
 
 use std::ops::Range;
+use std::time::Duration;
 
 use axum::body::Body;
-use axum::extract::State;
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::extract::{FromRequestParts, State};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -18,6 +20,8 @@ use crate::server::description::File;
 use crate::server::extract::UrlPath;
 use crate::store::ModelFile;
 
+/// How long a URL of the object store lets a caller begin to read.
+const SIGNED_FOR: Duration = Duration::from_secs(900);
 const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
 
 /// The routes of this file.
@@ -27,7 +31,8 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 
 /// Download a file of a model
 ///
-/// Answers `Range` (one range), `If-Range` and `If-None-Match`. The `ETag` is the sha256 of the file.
+/// Answers `Range` (one range), `If-Range` and `If-None-Match`. The `ETag` is the sha256 of the file. A server whose artifacts are in
+/// an object store may send the caller there (307); a script of a page is never sent.
 #[utoipa::path(
     get, path = "/v1/models/{id}/files/{name}", tag = "models",
     params(("id" = String, Path), ("name" = String, Path)),
@@ -35,6 +40,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
         (status = 200, content_type = "application/octet-stream", body = File),
         (status = 206, content_type = "application/octet-stream", body = File),
         (status = 304, description = "The caller has it already"),
+        (status = 307, description = "The object store has it, at a URL that holds for minutes"),
         (status = 404, body = Problem), (status = 416, body = Problem)
     )
 )]
@@ -42,28 +48,52 @@ async fn get_file(
     State(app): State<Shared>,
     caller: Caller,
     UrlPath((id, name)): UrlPath<(ModelId, String)>,
-    headers: HeaderMap,
+    asked: Asked,
 ) -> Result<Response, Problem> {
     let missing = || Problem::not_found("file", &format!("{id}/{name}"));
     let file = app.store.model_file(&caller.tenant, &id, &name).await?.ok_or_else(missing)?;
-    send(&app, &headers, &file, async || {
+    send(&app, &asked, &file, async || {
         app.store.sound_model_file(&caller.tenant, &id, &name).await?.map(drop).ok_or_else(missing)
     })
     .await
 }
 
-/// A file, or the part of it that is asked for. `check` compares its bytes with their hash, before any are sent.
+/// How a file is asked for.
+pub(super) struct Asked {
+    method: Method,
+    headers: HeaderMap,
+}
+
+impl<S: Sync> FromRequestParts<S> for Asked {
+    type Rejection = std::convert::Infallible;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Self::Rejection> {
+        Ok(Self { method: parts.method.clone(), headers: parts.headers.clone() })
+    }
+}
+
+impl Asked {
+    /// Whether the caller goes on where an answer leads. Scripts of pages may ask this server alone, and what an object store signs is
+    /// for `GET`.
+    fn may_go_elsewhere(&self) -> bool {
+        let mode = self.headers.get("sec-fetch-mode");
+        self.method == Method::GET && mode.is_none_or(|mode| mode == "navigate")
+    }
+}
+
+/// A file, or the part of it that is asked for, or where the object store has it. `check` compares its bytes with their hash, before any
+/// are sent from here.
 ///
 /// # Errors
 /// Those of `check`; when the file cannot be read.
 pub(super) async fn send(
     app: &Shared,
-    headers: &HeaderMap,
+    asked: &Asked,
     file: &ModelFile,
     check: impl AsyncFnOnce() -> Result<(), Problem>,
 ) -> Result<Response, Problem> {
     let size = u64::try_from(file.bytes).map_err(Problem::internal)?;
-    let etag = etag(&file.sha256);
+    let (etag, headers) = (etag(&file.sha256), &asked.headers);
     if matches_etag(headers, &etag) {
         let mut response = StatusCode::NOT_MODIFIED.into_response();
         describe(response.headers_mut(), file, &etag);
@@ -74,6 +104,11 @@ pub(super) async fn send(
         Requested::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
         Requested::Unsatisfiable => return Ok(unsatisfiable(size)),
     };
+    if asked.may_go_elsewhere()
+        && let Some(url) = app.store.artifacts().signed_url(&file.artifact, SIGNED_FOR).await?
+    {
+        return elsewhere(file, &etag, &url);
+    }
     check().await?;
     let stream = app.store.artifacts().stream(&file.artifact, range.clone()).await?;
     let mut response = (status, Body::from_stream(stream)).into_response();
@@ -83,6 +118,17 @@ pub(super) async fn send(
     if status == StatusCode::PARTIAL_CONTENT {
         let text = format!("bytes {}-{}/{size}", range.start, range.end - 1);
         out.insert(header::CONTENT_RANGE, HeaderValue::from_str(&text).map_err(Problem::internal)?);
+    }
+    Ok(response)
+}
+
+/// Where the object store has a file. The validator and the digest are those of the file: whoever follows can compare.
+fn elsewhere(file: &ModelFile, etag: &str, url: &str) -> Result<Response, Problem> {
+    let mut response = StatusCode::TEMPORARY_REDIRECT.into_response();
+    describe(response.headers_mut(), file, etag);
+    let entries = [(header::LOCATION, url), (header::CACHE_CONTROL, "no-store")];
+    for (name, value) in entries {
+        response.headers_mut().insert(name, HeaderValue::from_str(value).map_err(Problem::internal)?);
     }
     Ok(response)
 }

@@ -60,7 +60,7 @@ use sql::{Pool, Sql, Tx};
 use uploads::Holds;
 
 pub use crate::api::work::{LeaseStatus, Release};
-pub use artifacts::{Artifacts, ArtifactsPlace, ArtifactsUrl};
+pub use artifacts::{Artifacts, ArtifactsPlace, ArtifactsRedirect, ArtifactsUrl};
 pub use backup::{Backup, backup, backup_with, restore};
 pub use database::{DatabaseUrl, Listener, ServerLock};
 pub use deletion::Deletion;

@@ -109,16 +109,18 @@ impl Claim for StoredClaim {
     }
 
     async fn capture(&self) -> Result<PathBuf, SourceError> {
-        Ok(self.lease.capture().await?.ok_or(SourceError::Gone)?.path)
+        let file = self.lease.capture().await?.ok_or(SourceError::Gone)?;
+        Ok(self.lease.bring(&file).await?)
     }
 
     async fn environment(&self, id: &EnvironmentId) -> Result<(PathBuf, String), SourceError> {
         let file = self.lease.environment(id).await?.ok_or(SourceError::Gone)?;
-        Ok((file.path, file.sha256))
+        Ok((self.lease.bring(&file).await?, file.sha256))
     }
 
     async fn last_checkpoint(&self) -> Result<Bytes, SourceError> {
-        let Some(file) = self.lease.last_checkpoint().await? else { return Err(SourceError::Gone) };
+        let file = self.lease.last_checkpoint().ok_or(SourceError::Gone)?;
+        self.lease.bring(&file).await?;
         Ok(self.lease.jobs().store().artifacts().get(&file.artifact).await?)
     }
 

@@ -3,6 +3,7 @@
 pub mod bucket;
 mod faults;
 mod machines;
+mod redirects;
 
 use std::path::Path;
 use std::time::{Duration, SystemTime};

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 pub(super) use crate::cli::size::size;
-use crate::store::{ArtifactsPlace, Retention};
+use crate::store::{ArtifactsPlace, ArtifactsRedirect, Retention};
 
 /// Options about what is stored and for how long.
 #[derive(Debug, clap::Args)]
@@ -20,6 +20,12 @@ pub(super) struct StorageArgs {
     /// Those used longest ago go first, and none that was used within ten minutes.
     #[arg(long, env = "RELUME_ARTIFACTS_CACHE", value_name = "SIZE", value_parser = size, default_value = "64GiB")]
     artifacts_cache: u64,
+    /// Send callers and workers to the object store of `--artifacts` for files, by URLs that are signed for a quarter of an hour, instead of
+    /// passing files on. With an endpoint, such as `https://objects.example.com`, where that is another one for them than for the server.
+    /// Scripts of pages are served from here all the same.
+    #[arg(long, env = "RELUME_ARTIFACTS_REDIRECT", value_name = "ENDPOINT", num_args = 0..=1, require_equals = true,
+          default_missing_value = "same", requires = "url", value_parser = redirect)]
+    artifacts_redirect: Option<ArtifactsRedirect>,
     /// Days after which a job that has ended is deleted; its model stays. For ever where absent.
     #[arg(long, env = "RELUME_KEEP_JOBS", value_name = "DAYS", value_parser = days)]
     keep_jobs: Option<Duration>,
@@ -46,7 +52,11 @@ impl StorageArgs {
 
     /// An object store of which no more than the bound is kept here.
     pub(super) fn bounded(&self, place: ArtifactsPlace) -> ArtifactsPlace {
-        ArtifactsPlace { cache_bytes: self.artifacts_cache, ..place }
+        ArtifactsPlace {
+            cache_bytes: self.artifacts_cache,
+            redirect: self.artifacts_redirect.clone(),
+            ..place
+        }
     }
 
     pub(super) fn retention(&self) -> Retention {
@@ -64,6 +74,17 @@ fn days(text: &str) -> Result<Duration, String> {
     let wrong = || "must be days, above 0 and at most 36500".to_owned();
     let days: f64 = text.parse().map_err(|_| wrong())?;
     if days > 0.0 && days <= 36_500.0 { Ok(Duration::from_secs_f64(days * 86_400.0)) } else { Err(wrong()) }
+}
+
+/// Where callers find the object store.
+fn redirect(text: &str) -> Result<ArtifactsRedirect, String> {
+    match text {
+        "same" => Ok(ArtifactsRedirect::Same),
+        url if url.starts_with("https://") || url.starts_with("http://") => {
+            Ok(ArtifactsRedirect::Endpoint(url.to_owned()))
+        }
+        _ => Err("must be http://HOST or https://HOST, or same".to_owned()),
+    }
 }
 
 /// As [`size`], or 0.
@@ -84,6 +105,10 @@ mod tests {
         }
         assert_eq!([size_or_none("0"), size_or_none("3MiB")], [Ok(0), Ok(3 << 20)]);
         assert!(size_or_none("-1").is_err() && size_or_none("0GiB").is_err());
+        assert_eq!(redirect("same"), Ok(ArtifactsRedirect::Same));
+        assert!(
+            redirect("https://o.example").is_ok() && redirect("").is_err() && redirect("o.example").is_err()
+        );
         assert_eq!(days("0.5"), Ok(Duration::from_secs(43_200)));
         for wrong in ["", "0", "-1", "NaN", "inf", "40000", "7d"] {
             assert!(days(wrong).is_err(), "{wrong:?}");

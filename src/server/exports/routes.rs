@@ -17,8 +17,9 @@ use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::exports::request;
 use crate::server::extract::{LargeJson, QueryString, UrlPath};
+use crate::server::files::{self, Asked};
+use crate::server::idempotency;
 use crate::server::listing::PageQuery;
-use crate::server::{files, idempotency};
 use crate::store::{ExportDeletion, ExportRecord, ModelFile, StoreError, Submitted};
 
 /// Where exports are.
@@ -174,6 +175,7 @@ async fn delete_export(
         (status = 200, content_type = "application/octet-stream", body = File),
         (status = 206, content_type = "application/octet-stream", body = File),
         (status = 304, description = "The caller has it already"),
+        (status = 307, description = "The object store has it, at a URL that holds for minutes"),
         (status = 404, body = Problem, description = "There is no such export, or no file of it yet"),
         (status = 416, body = Problem)
     )
@@ -182,11 +184,11 @@ async fn get_export_file(
     State(app): State<Shared>,
     caller: Caller,
     UrlPath(id): UrlPath<ExportId>,
-    headers: HeaderMap,
+    asked: Asked,
 ) -> Result<Response, Problem> {
     let export = find(&app, &caller.tenant, &id).await?;
     let file = file_of(export).ok_or_else(|| Problem::not_found("file of export", id.as_str()))?;
-    let mut response = files::send(&app, &headers, &file, async || {
+    let mut response = files::send(&app, &asked, &file, async || {
         match app.store.artifacts().verify(&file.artifact, &file.sha256).await {
             // It was deleted meanwhile.
             Err(StoreError::Missing(_)) if app.store.export(&caller.tenant, &id).await?.is_none() => {

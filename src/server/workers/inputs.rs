@@ -1,18 +1,17 @@
 //! What workers fetch: the capture, a known light, the last checkpoint.
 
 use axum::extract::State;
-use axum::http::HeaderMap;
 use axum::response::Response;
 use serde::Deserialize;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::api::{EnvironmentId, Problem};
-use crate::jobs::StoredFile;
+use crate::jobs::{InputFile, Lease};
 use crate::server::app::Shared;
 use crate::server::description::File;
 use crate::server::extract::UrlPath;
-use crate::server::files;
+use crate::server::files::{self, Asked};
 use crate::server::workers::lease::Held;
 use crate::store::ModelFile;
 
@@ -33,16 +32,17 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
     responses(
         (status = 200, content_type = "application/octet-stream", body = File), (status = 404, body = Problem),
         (status = 206, content_type = "application/octet-stream", body = File),
+        (status = 307, description = "The object store has it, at a URL that holds for minutes"),
         (status = 409, body = Problem, description = "The lease is lost")
     )
 )]
 async fn get_capture_of_work(
     State(app): State<Shared>,
     Held(lease): Held,
-    headers: HeaderMap,
+    asked: Asked,
 ) -> Result<Response, Problem> {
     let file = lease.capture().await?;
-    send(&app, &headers, file.ok_or_else(|| Problem::not_found("capture", "of the job"))?).await
+    send(&app, &lease, &asked, file.ok_or_else(|| Problem::not_found("capture", "of the job"))?).await
 }
 
 #[derive(Deserialize)]
@@ -59,6 +59,7 @@ struct EnvironmentOfWork {
     responses(
         (status = 200, content_type = "application/octet-stream", body = File), (status = 404, body = Problem),
         (status = 206, content_type = "application/octet-stream", body = File),
+        (status = 307, description = "The object store has it, at a URL that holds for minutes"),
         (status = 409, body = Problem, description = "The lease is lost")
     )
 )]
@@ -66,11 +67,11 @@ async fn get_environment_of_work(
     State(app): State<Shared>,
     Held(lease): Held,
     UrlPath(path): UrlPath<EnvironmentOfWork>,
-    headers: HeaderMap,
+    asked: Asked,
 ) -> Result<Response, Problem> {
     let file = lease.environment(&path.environment).await?;
     let missing = || Problem::not_found("environment", path.environment.as_str());
-    send(&app, &headers, file.ok_or_else(missing)?).await
+    send(&app, &lease, &asked, file.ok_or_else(missing)?).await
 }
 
 /// Fetch the checkpoint that a job goes on from
@@ -82,27 +83,29 @@ async fn get_environment_of_work(
     responses(
         (status = 200, content_type = "application/octet-stream", body = File), (status = 404, body = Problem),
         (status = 206, content_type = "application/octet-stream", body = File),
+        (status = 307, description = "The object store has it, at a URL that holds for minutes"),
         (status = 409, body = Problem, description = "The lease is lost")
     )
 )]
 async fn get_checkpoint_of_work(
     State(app): State<Shared>,
     Held(lease): Held,
-    headers: HeaderMap,
+    asked: Asked,
 ) -> Result<Response, Problem> {
-    let file = lease.last_checkpoint().await?;
-    send(&app, &headers, file.ok_or_else(|| Problem::not_found("checkpoint", "of the job"))?).await
+    let file = lease.last_checkpoint();
+    send(&app, &lease, &asked, file.ok_or_else(|| Problem::not_found("checkpoint", "of the job"))?).await
 }
 
-/// A file whose bytes were compared with their hash.
-async fn send(app: &Shared, headers: &HeaderMap, file: StoredFile) -> Result<Response, Problem> {
-    let size = tokio::fs::metadata(&file.path).await.map_err(Problem::storage_failed)?.len();
+/// A file, whose bytes are compared with their hash before any are sent from here.
+async fn send(app: &Shared, lease: &Lease, asked: &Asked, file: InputFile) -> Result<Response, Problem> {
+    let missing = || Problem::not_found("file", "of the job");
+    let size = app.store.artifacts().size(&file.artifact).await?.ok_or_else(missing)?;
     let described = ModelFile {
         name: String::new(),
         content_type: "application/octet-stream".to_owned(),
         bytes: i64::try_from(size).map_err(Problem::internal)?,
-        sha256: file.sha256,
-        artifact: file.artifact,
+        sha256: file.sha256.clone(),
+        artifact: file.artifact.clone(),
     };
-    files::send(app, headers, &described, async || Ok(())).await
+    files::send(app, asked, &described, async || Ok(lease.bring(&file).await.map(drop)?)).await
 }

@@ -45,6 +45,11 @@ impl Cache {
         }
     }
 
+    /// Whether the object store may not have a file that is here.
+    pub(super) fn is_only_here(&self, key: &str) -> bool {
+        self.lock().get(key).is_some_and(|copy| !copy.is_elsewhere)
+    }
+
     pub(super) fn forget(&self, key: &str) {
         self.lock().remove(key);
     }

@@ -15,6 +15,7 @@ mod turns;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use futures::stream::BoxStream;
 use futures::{StreamExt, TryStreamExt};
@@ -33,7 +34,7 @@ use crate::store::verification::Verification;
 use shared::Shared;
 
 pub(super) use key::{is_key, stays_here};
-pub use place::{ArtifactsPlace, ArtifactsUrl};
+pub use place::{ArtifactsPlace, ArtifactsRedirect, ArtifactsUrl};
 pub(super) use remote::{Remote, Stored, fetch_to};
 
 /// The artifact store of one data directory.
@@ -178,6 +179,18 @@ impl Artifacts {
         }
     }
 
+    /// A URL of the object store by which whoever has it may read an artifact for as long. `None` where callers are not sent there, and
+    /// for what only this machine has.
+    ///
+    /// # Errors
+    /// [`StoreError::ArtifactsUnreachable`] when credentials cannot be had.
+    pub async fn signed_url(&self, key: &str, lasts: Duration) -> Result<Option<String>, StoreError> {
+        match self.shared_of(key) {
+            Some(shared) if !shared.cache.is_only_here(key) => shared.remote.signed(key, lasts).await,
+            _ => Ok(None),
+        }
+    }
+
     /// Streams bytes `range` of an artifact.
     ///
     /// # Errors
@@ -202,7 +215,7 @@ impl Artifacts {
     ///
     /// # Errors
     /// [`StoreError::ArtifactsUnreachable`] when it is not here and cannot be asked for elsewhere.
-    pub(super) async fn size(&self, key: &str) -> Result<Option<u64>, StoreError> {
+    pub async fn size(&self, key: &str) -> Result<Option<u64>, StoreError> {
         match (tokio::fs::metadata(self.local_path(key)).await, self.shared_of(key)) {
             (Ok(file), _) => Ok(Some(file.len())),
             (Err(_), Some(shared)) => shared.remote.size(key).await,

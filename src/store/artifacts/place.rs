@@ -9,6 +9,7 @@ use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::azure::{AzureConfigKey, MicrosoftAzureBuilder};
 use object_store::gcp::{GoogleCloudStorageBuilder, GoogleConfigKey};
 use object_store::path::Path as Key;
+use object_store::signer::Signer;
 use object_store::{ClientOptions, ObjectStore, RetryConfig};
 
 /// How long a connection may take.
@@ -91,6 +92,23 @@ pub struct ArtifactsPlace {
     pub part_bytes: usize,
     /// Credentials and endpoint, by the names of environment variables.
     pub settings: Vec<(String, String)>,
+    /// Whether callers are sent there for files, by URLs that are signed for them, and where it is for them.
+    pub redirect: Option<ArtifactsRedirect>,
+}
+
+/// Where the object store is for those who are sent there.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ArtifactsRedirect {
+    /// Where it is for the server.
+    Same,
+    /// At another endpoint, such as `https://objects.example.com`.
+    Endpoint(String),
+}
+
+/// An object store, and what makes URLs that let their holder in.
+pub(super) struct Connected {
+    pub(super) objects: Arc<dyn ObjectStore>,
+    pub(super) signer: Arc<dyn Signer>,
 }
 
 impl ArtifactsPlace {
@@ -104,6 +122,7 @@ impl ArtifactsPlace {
             silence: SILENCE,
             part_bytes: PART,
             settings: settings.into_iter().collect(),
+            redirect: None,
         }
     }
 
@@ -120,11 +139,32 @@ impl ArtifactsPlace {
         &self.url.prefix
     }
 
+    /// What signs URLs for callers, if they are sent there.
+    ///
+    /// # Errors
+    /// As [`Self::connect`].
+    pub(super) fn signer(&self) -> object_store::Result<Option<Arc<dyn Signer>>> {
+        let mut there = self.clone();
+        if let ArtifactsRedirect::Endpoint(endpoint) = match &self.redirect {
+            Some(redirect) => redirect,
+            None => return Ok(None),
+        } {
+            let name = match self.url.kind {
+                Kind::S3 => "AWS_ENDPOINT_URL",
+                Kind::Google => "GOOGLE_BASE_URL",
+                Kind::Azure => "AZURE_STORAGE_ENDPOINT",
+            };
+            // The last one counts.
+            there.settings.push((name.to_owned(), endpoint.clone()));
+        }
+        Ok(Some(there.connect()?.signer))
+    }
+
     /// Nothing is asked yet.
     ///
     /// # Errors
     /// When a setting is missing or wrong.
-    pub(super) fn connect(&self) -> object_store::Result<Arc<dyn ObjectStore>> {
+    pub(super) fn connect(&self) -> object_store::Result<Connected> {
         // Another provider of the process is as good.
         tokio_rustls::rustls::crypto::ring::default_provider().install_default().ok();
         let client = ClientOptions::new()
@@ -142,7 +182,8 @@ impl ArtifactsPlace {
                         Err(_) => builder,
                     }
                 });
-                Arc::new(builder.$bucket(&self.url.bucket).build()?)
+                let store = Arc::new(builder.$bucket(&self.url.bucket).build()?);
+                Connected { objects: store.clone(), signer: store }
             }};
         }
         Ok(match self.url.kind {

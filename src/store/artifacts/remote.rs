@@ -7,6 +7,7 @@ use futures::stream::BoxStream;
 use futures::{StreamExt, TryStreamExt};
 use object_store::path::Path as Key;
 use object_store::prefix::PrefixStore;
+use object_store::signer::{Method, Signer};
 use object_store::{
     Error, GetOptions, GetRange, ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart,
 };
@@ -50,6 +51,9 @@ impl From<ObjectMeta> for Stored {
 pub(in crate::store) struct Remote {
     objects: PrefixStore<Arc<dyn ObjectStore>>,
     part: usize,
+    prefix: Key,
+    /// Signs URLs for callers who are sent there.
+    signer: Option<Arc<dyn Signer>>,
 }
 
 /// What has come of a file.
@@ -62,8 +66,9 @@ struct Coming {
 
 impl Remote {
     pub(in crate::store) fn open(place: &ArtifactsPlace) -> Result<Self, StoreError> {
-        let objects = PrefixStore::new(place.connect()?, place.prefix().clone());
-        Ok(Self { objects, part: place.part_bytes })
+        let prefix = place.prefix().clone();
+        let objects = PrefixStore::new(place.connect()?.objects, prefix.clone());
+        Ok(Self { objects, part: place.part_bytes, prefix, signer: place.signer()? })
     }
 
     /// Stores bytes, in place of what was there.
@@ -189,6 +194,18 @@ impl Remote {
             Err(Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(failed(error)),
         }
+    }
+
+    /// A URL by which whoever has it may read an object for as long; `None` where nobody is sent there.
+    pub(in crate::store) async fn signed(
+        &self,
+        key: &str,
+        lasts: Duration,
+    ) -> Result<Option<String>, StoreError> {
+        let Some(signer) = &self.signer else { return Ok(None) };
+        let path: Key = self.prefix.parts().chain(Key::from(key).parts()).collect();
+        let url = signer.signed_url(Method::GET, &path, lasts).await.map_err(failed)?;
+        Ok(Some(url.into()))
     }
 
     /// Removes an object; that there is none is no error.
