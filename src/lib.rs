@@ -10,6 +10,7 @@
 //! - [`train`]: objective, optimiser, density control, schedule, checkpoints, the trainer.
 //! - [`render`]: a camera and a light in, a frame or a G-buffer out.
 //! - [`eval`]: metrics against ground truth, reports and contact sheets.
+//! - `traces`: which trace a span belongs to, as a W3C `traceparent` (feature `server`).
 //! - `api`: the types of the HTTP API (feature `server`, `client` or `cli`).
 //! - `store`: metadata in SQLite and artifacts in an object store (feature `server`).
 //! - `jobs`: the job state machine, leases and events (feature `server`).
@@ -55,6 +56,8 @@ pub mod server;
 pub mod store;
 #[cfg(all(feature = "server", feature = "client"))]
 pub mod testing;
+#[cfg(feature = "server")]
+pub(crate) mod traces;
 pub mod train;
 #[cfg(feature = "server")]
 pub(crate) mod worker;

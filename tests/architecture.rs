@@ -17,13 +17,23 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("train", &["scene", "light", "engine", "capture", "formats"]),
     ("render", &["scene", "light", "engine", "capture", "formats"]),
     ("eval", &["scene", "engine", "capture", "formats", "train", "render"]),
+    ("traces", &[]),
     ("api", &["scene", "capture", "train", "render"]),
     ("store", &["capture", "api"]),
     ("jobs", &["api", "store"]),
-    ("worker", &["scene", "engine", "capture", "formats", "train", "render", "eval", "api", "store", "jobs"]),
+    (
+        "worker",
+        &[
+            "scene", "engine", "capture", "formats", "train", "render", "eval", "traces", "api", "store",
+            "jobs",
+        ],
+    ),
     (
         "server",
-        &["scene", "engine", "capture", "formats", "train", "render", "api", "store", "jobs", "worker"],
+        &[
+            "scene", "engine", "capture", "formats", "train", "render", "traces", "api", "store", "jobs",
+            "worker",
+        ],
     ),
     ("client", &["capture", "render", "api"]),
     ("farm", &["api", "store", "jobs", "worker", "client"]),

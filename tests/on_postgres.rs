@@ -9,7 +9,7 @@ use futures::future::join_all;
 use relume::api::TenantId;
 use relume::api::jobs::{JobState, NewJob};
 use relume::client::Client;
-use relume::jobs::{Jobs, LeasePolicy, RandomIds, SystemClock};
+use relume::jobs::{Jobs, LeasePolicy, Origin, RandomIds, SystemClock};
 use relume::server::{ServeError, ServerConfig, WebhookPolicy};
 use relume::store::{self, CopiedTable, DatabasePlace, DatabaseUrl, StoreError};
 use relume::testing::{self, database_name, database_of};
@@ -154,7 +154,9 @@ async fn on_postgres_many_workers_claim_each_job_once_and_in_order() {
     for number in 0..JOBS {
         let request =
             NewJob { capture: capture.id.clone(), priority: (number % 3) as i64, ..NewJob::default() };
-        jobs.submit(&TenantId::of_operator(), request, 1, None, None, |_, _| String::new()).await.unwrap();
+        jobs.submit(&TenantId::of_operator(), request, 1, Origin::default(), None, |_, _| String::new())
+            .await
+            .unwrap();
     }
     let worker = || async {
         let mut mine = Vec::new();

@@ -8,7 +8,7 @@ use relume::api::marks::Marks;
 use relume::api::quality::{Figures, QualityGate};
 use relume::api::{JobId, TenantId};
 use relume::capture::CaptureReport;
-use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, SequentialIds};
+use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, Origin, SequentialIds};
 use relume::store::{
     CancelOutcome, CaptureRecord, Filter, IdempotencyKey, LeaseStatus, ModelFile, ModelRecord, Page, Release,
     StoreError, Submitted,
@@ -65,7 +65,12 @@ impl Bench {
     pub async fn submit_asking(&self, figure: &str, wanted: &str) -> JobId {
         let quality_gate = QualityGate([(figure.to_owned(), wanted.to_owned())].into());
         let job = NewJob { capture: "capture".into(), quality_gate, ..NewJob::default() };
-        match self.jobs.submit(&tenant(), job, 100, None, None, |job, _| job.id.to_string()).await.unwrap() {
+        match self
+            .jobs
+            .submit(&tenant(), job, 100, Origin::default(), None, |job, _| job.id.to_string())
+            .await
+            .unwrap()
+        {
             Submitted::Created(id) | Submitted::Replayed(id) => id.into(),
         }
     }
@@ -73,7 +78,11 @@ impl Bench {
     /// Submits and answers with the identifier.
     async fn submit_with(&self, priority: i64, key: Option<&IdempotencyKey>) -> Result<JobId, StoreError> {
         let job = NewJob { capture: "capture".into(), priority, ..NewJob::default() };
-        match self.jobs.submit(&tenant(), job, 100, None, key, |job, _| job.id.to_string()).await? {
+        match self
+            .jobs
+            .submit(&tenant(), job, 100, Origin::default(), key, |job, _| job.id.to_string())
+            .await?
+        {
             Submitted::Created(id) | Submitted::Replayed(id) => Ok(id.into()),
         }
     }

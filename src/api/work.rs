@@ -60,6 +60,9 @@ pub struct Task {
     /// Step of the checkpoint to go on from, if there is one.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub checkpoint_step: Option<i64>,
+    /// The trace of the request that made the job, as a W3C `traceparent`: the attempt is a span of it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub traceparent: Option<String>,
 }
 
 /// The answer to a worker that asks for a job.

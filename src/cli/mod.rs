@@ -23,6 +23,7 @@ mod key;
 #[cfg(feature = "server")]
 mod keys;
 mod light;
+mod logs;
 mod output;
 mod progress;
 mod render;
@@ -32,6 +33,8 @@ mod serve;
 #[cfg(feature = "server")]
 mod size;
 mod stop;
+#[cfg(feature = "otlp")]
+mod traces;
 mod train;
 #[cfg(all(feature = "server", feature = "client"))]
 mod worker;
@@ -40,11 +43,9 @@ mod worker_progress;
 #[cfg(feature = "client")]
 mod workers;
 
-use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use tracing_subscriber::EnvFilter;
 
 use error::CommandResult;
 
@@ -111,14 +112,14 @@ enum Command {
 }
 
 impl Command {
-    /// What is logged when `RUST_LOG` says nothing: a server reports what it does, other commands only what goes wrong.
-    fn log_level(&self) -> &'static str {
+    /// Whether it serves others until it is told to stop.
+    fn is_service(&self) -> bool {
         match self {
             #[cfg(feature = "server")]
-            Self::Serve(_) => "relume=info,warn",
+            Self::Serve(_) => true,
             #[cfg(all(feature = "server", feature = "client"))]
-            Self::Worker(_) => "relume=info,warn",
-            _ => "warn",
+            Self::Worker(_) => true,
+            _ => false,
         }
     }
 }
@@ -126,8 +127,14 @@ impl Command {
 /// Runs the command that the process was started with.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    log_to_stderr(cli.json_logs, cli.command.log_level());
-    let outcome = match cli.command {
+    let traces = logs::start(cli.json_logs, cli.command.is_service());
+    let code = run(cli.command);
+    traces.finish();
+    code
+}
+
+fn run(command: Command) -> ExitCode {
+    let outcome = match command {
         #[cfg(all(feature = "server", feature = "client"))]
         Command::Demo(args) => demo::run(&args).map_err(Into::into),
         #[cfg(feature = "server")]
@@ -175,14 +182,4 @@ fn exit(outcome: CommandResult<ExitCode>) -> ExitCode {
 fn openapi() -> CommandResult {
     println!("{}", crate::server::openapi().to_pretty_json()?);
     Ok(())
-}
-
-/// Logs to standard error, as `RUST_LOG` says or else at `default_level`.
-fn log_to_stderr(json: bool, default_level: &str) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_level));
-    let builder = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal());
-    if json { builder.json().init() } else { builder.init() }
 }

@@ -6,6 +6,7 @@ use std::time::Duration;
 use async_trait::async_trait;
 use tokio::sync::watch;
 
+use crate::api::WorkerId;
 use crate::api::work::WorkerHello;
 use crate::client::Client;
 use crate::farm::errors::source_error;
@@ -59,6 +60,10 @@ impl Source for RemoteJobs {
             _ if claimed.draining => Ok(Claimed::Draining),
             _ => Ok(Claimed::Nothing),
         }
+    }
+
+    fn worker(&self) -> Option<&WorkerId> {
+        Some(&self.hello.id)
     }
 
     fn changes(&self) -> watch::Receiver<()> {

@@ -74,6 +74,7 @@ impl Lease {
             is_last_attempt: self.is_last_attempt(),
             total: job.progress.total,
             checkpoint_step: job.checkpoint.as_ref().and(job.checkpoint_step),
+            traceparent: job.traceparent.clone(),
         }
     }
 

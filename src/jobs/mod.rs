@@ -22,4 +22,4 @@ mod queue;
 pub use clock::{Clock, DatabaseClock, Ids, ManualClock, RandomIds, SequentialIds, SystemClock};
 pub use inputs::InputFile;
 pub use lease::Lease;
-pub use queue::{Jobs, LeasePolicy};
+pub use queue::{Jobs, LeasePolicy, Origin};

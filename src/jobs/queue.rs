@@ -39,6 +39,15 @@ impl Default for LeasePolicy {
     }
 }
 
+/// Where a job comes from.
+#[derive(Debug, Clone, Default)]
+pub struct Origin {
+    /// The job that it repeats.
+    pub retry_of: Option<JobId>,
+    /// The trace of the request that made it, as a W3C `traceparent`.
+    pub traceparent: Option<String>,
+}
+
 /// The job queue.
 #[derive(Clone)]
 pub struct Jobs {
@@ -105,7 +114,7 @@ impl Jobs {
         }
     }
 
-    /// Queues a job of `total` steps for a tenant, as a repetition of `retry_of` if that is given; see [`Store::submit_job`].
+    /// Queues a job of `total` steps for a tenant; see [`Store::submit_job`].
     ///
     /// # Errors
     /// [`StoreError::KeyReused`] when the key came with another request before.
@@ -114,13 +123,14 @@ impl Jobs {
         tenant: &TenantId,
         request: NewJob,
         total: i64,
-        retry_of: Option<JobId>,
+        origin: Origin,
         key: Option<&IdempotencyKey>,
         answer: impl FnOnce(&JobRecord, Option<i64>) -> String + Send,
     ) -> Result<Submitted, StoreError> {
         let id = self.fresh_id();
         let job = JobRecord::queued(tenant.clone(), id, request, total, self.now_ms());
-        let job = JobRecord { retry_of, ..job };
+        let Origin { retry_of, traceparent } = origin;
+        let job = JobRecord { retry_of, traceparent, ..job };
         let submitted = self.store.submit_job(&job, key, answer).await?;
         self.announce();
         Ok(submitted)

@@ -41,7 +41,9 @@ impl Encoders {
         };
         let gone = CancellationToken::new();
         let _until_dropped = gone.clone().drop_guard();
+        let span = tracing::info_span!("encode");
         let work = move || {
+            let _span = span.entered();
             // Both are held until the work has ended, not only while somebody waits for it.
             let _held = (memory, turn);
             encode_wanted_frame(&frame, &outputs, format, &finish, &|| !gone.is_cancelled())

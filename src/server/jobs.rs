@@ -14,11 +14,12 @@ use crate::api::keys::Scope;
 use crate::api::work::fault_of_labels;
 use crate::api::{EnvironmentId, JobId, List, Problem, ResourceKind, TenantId};
 use crate::capture::BUILTIN;
+use crate::jobs::Origin;
 use crate::server::app::Shared;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::PageQuery;
-use crate::server::{idempotency, job_bounds, marks, quality_gate, validation};
+use crate::server::{idempotency, job_bounds, marks, observe, quality_gate, validation};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted};
 use crate::train::{ConfigError, KnownLight, TrainConfig};
 
@@ -252,7 +253,8 @@ async fn submit(
     app.store.admit_bytes_of(&caller.tenant, 0).await?;
     let answer =
         |job: &JobRecord, position| serde_json::to_string(&job.clone().view(position)).unwrap_or_default();
-    let submitted = app.jobs.submit(&caller.tenant, request, total, retry_of, key, answer).await;
+    let origin = Origin { retry_of, traceparent: observe::traceparent() };
+    let submitted = app.jobs.submit(&caller.tenant, request, total, origin, key, answer).await;
     let (text, replayed) = match submitted.map_err(|error| caller.told(error))? {
         Submitted::Created(text) => (text, false),
         Submitted::Replayed(text) => (text, true),

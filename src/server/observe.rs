@@ -12,17 +12,31 @@ use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
 use tracing::Instrument;
 
 use crate::api::Problem;
+use crate::traces::{self, TraceParent};
 
 /// The header that carries the request's identifier, both ways.
 pub(super) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
+/// What is known of a request wherever it is answered.
+struct Observed {
+    id: String,
+    /// What is done for it belongs to this span of a trace, if there is one.
+    parent: Option<TraceParent>,
+}
+
 tokio::task_local! {
-    static CURRENT: String;
+    static CURRENT: Observed;
 }
 
 /// The identifier of the request being answered; empty outside of one.
 pub(super) fn request_id() -> String {
-    CURRENT.try_with(Clone::clone).unwrap_or_default()
+    CURRENT.try_with(|current| current.id.clone()).unwrap_or_default()
+}
+
+/// What the request being answered makes belongs to this span, as a W3C `traceparent`: the request's own, or the caller's where no
+/// spans are sent. `None` when it is part of no trace.
+pub(super) fn traceparent() -> Option<String> {
+    CURRENT.try_with(|current| current.parent.as_ref().map(ToString::to_string)).ok().flatten()
 }
 
 /// Gives the request an identifier and a span, and counts it.
@@ -34,11 +48,17 @@ pub(super) async fn observe(request: Request, next: Next) -> Response {
     // Who calls is found out further in.
     let (key, tenant) = (tracing::field::Empty, tracing::field::Empty);
     let span = tracing::info_span!("request", id, %method, route, key, tenant);
+    let caller = caller_span(&request);
+    if let Some(caller) = &caller {
+        traces::adopt(&span, caller);
+    }
     let started = Instant::now();
     let id_header = HeaderValue::from_str(&id).ok();
-    let mut response = CURRENT.scope(id, next.run(request).instrument(span.clone())).await;
+    let current = Observed { id, parent: traces::parent_of_children(&span).or(caller) };
+    let mut response = CURRENT.scope(current, next.run(request).instrument(span.clone())).await;
     let seconds = started.elapsed().as_secs_f64();
     let status = response.status().as_u16();
+    traces::answered(&span, status);
     span.in_scope(|| tracing::info!(status, seconds, "answered"));
     record(method.as_str(), route, status, seconds);
     if let Some(id) = id_header {
@@ -52,6 +72,13 @@ fn accepted_id(request: &Request) -> Option<String> {
     let id = request.headers().get(REQUEST_ID)?.to_str().ok()?;
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     (!id.is_empty() && id.len() <= 64 && id.chars().all(plain)).then(|| id.to_owned())
+}
+
+/// The caller's span, by a valid `traceparent`. Of several headers none can be the right one.
+fn caller_span(request: &Request) -> Option<TraceParent> {
+    let mut headers = request.headers().get_all(traces::HEADER).iter();
+    let first = headers.next()?;
+    if headers.next().is_some() { None } else { TraceParent::parse(first.to_str().ok()?) }
 }
 
 /// Labels come from fixed lists, so that no client can add time series.

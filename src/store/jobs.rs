@@ -215,8 +215,8 @@ async fn insert(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
     let query = sql::query(
         "INSERT INTO jobs
              (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms, tenant,
-              quality_gate, name, external_id, labels, requires)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16)",
+              quality_gate, name, external_id, labels, requires, traceparent)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17)",
     );
     query
         .bind(&job.id)
@@ -235,6 +235,7 @@ async fn insert(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
         .bind(&job.request.external_id)
         .bind(Json(&job.request.labels))
         .bind(Json(&job.request.requires))
+        .bind(&job.traceparent)
         .execute(&mut *tx)
         .await?;
     Ok(())

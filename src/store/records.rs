@@ -70,6 +70,8 @@ pub struct JobRecord {
     pub request: NewJob,
     /// The job that this one repeats.
     pub retry_of: Option<JobId>,
+    /// The trace of the request that made it, as a W3C `traceparent`. For operators: clients do not see it.
+    pub traceparent: Option<String>,
     /// Where it stands.
     pub state: JobState,
     /// Time of submission.
@@ -114,6 +116,7 @@ impl JobRecord {
             tenant,
             request,
             retry_of: None,
+            traceparent: None,
             state: JobState::Queued,
             created_ms,
             started_ms: None,

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
+use tracing::Span;
 
 use crate::render::{Frame, Quality};
 use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
@@ -27,6 +28,10 @@ pub(super) struct Queued<Task, Answer> {
     queued: Instant,
     /// Training steps done when it was queued.
     steps_at_start: u64,
+    /// What asked for it: what is done for the task belongs there, on whichever thread.
+    span: Span,
+    /// The time in the queue.
+    wait: Span,
 }
 
 /// Where the answer to a task arrives; it fails when nobody serves it.
@@ -36,7 +41,9 @@ impl<Task, Answer> Queued<Task, Answer> {
     /// A task that is queued now, and where its answer arrives.
     pub(super) fn new(task: Task, steps_at_start: u64) -> (Self, Reply<Answer>) {
         let (reply, answer) = oneshot::channel();
-        (Self { task, reply, queued: Instant::now(), steps_at_start }, answer)
+        let span = Span::current();
+        let wait = if span.is_disabled() { Span::none() } else { tracing::info_span!(parent: &span, "wait") };
+        (Self { task, reply, queued: Instant::now(), steps_at_start, span, wait }, answer)
     }
 
     /// Answers with what `serve` makes of the task. It is told whether the caller still waits, so that it can stop.
@@ -45,10 +52,11 @@ impl<Task, Answer> Queued<Task, Answer> {
         steps_now: u64,
         serve: impl FnOnce(&Task, &dyn Fn() -> bool) -> Result<Answer, RenderFailure>,
     ) {
+        drop(self.wait);
         let waited = self.queued.elapsed();
         let begin = Instant::now();
         let steps_waited = steps_now - self.steps_at_start;
-        let answer = serve(&self.task, &|| !self.reply.is_closed());
+        let answer = self.span.in_scope(|| serve(&self.task, &|| !self.reply.is_closed()));
         let served = answer.map(|answer| Served { answer, waited, steps_waited, took: begin.elapsed() });
         let _ = self.reply.send(served);
     }

@@ -6,10 +6,10 @@ use async_trait::async_trait;
 use tokio::sync::watch;
 use tokio_util::bytes::Bytes;
 
-use crate::api::EnvironmentId;
 use crate::api::jobs::JobProgress;
 use crate::api::quality::Figures;
 use crate::api::work::{LeaseStatus, Release, Task};
+use crate::api::{EnvironmentId, WorkerId};
 
 /// Why a source did not do what a worker asked for.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -54,6 +54,11 @@ pub trait Source: Send + Sync {
     /// # Errors
     /// See [`SourceError`].
     async fn claim(&self) -> Result<Claimed, SourceError>;
+
+    /// As whom it claims them, if anybody.
+    fn worker(&self) -> Option<&WorkerId> {
+        None
+    }
 
     /// Wakes when a job may wait, or what is worked on may have been asked to stop.
     fn changes(&self) -> watch::Receiver<()>;

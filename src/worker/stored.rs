@@ -6,9 +6,9 @@ use async_trait::async_trait;
 use tokio::sync::watch;
 use tokio_util::bytes::Bytes;
 
-use crate::api::EnvironmentId;
 use crate::api::jobs::JobProgress;
 use crate::api::work::{FinishedModel, LeaseStatus, Release, Task};
+use crate::api::{EnvironmentId, WorkerId};
 use crate::jobs::{Jobs, Lease};
 use crate::store::{Claimant, StoreError};
 use crate::worker::source::{Claim, Claimed, Source, SourceError, TrainedModel};
@@ -64,6 +64,10 @@ impl Source for StoredJobs {
                 Err(error.into())
             }
         }
+    }
+
+    fn worker(&self) -> Option<&WorkerId> {
+        self.claimant.worker.as_ref()
     }
 
     fn changes(&self) -> watch::Receiver<()> {

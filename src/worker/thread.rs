@@ -8,9 +8,11 @@ use std::time::Duration;
 use futures::FutureExt;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
+use tracing::{Instrument, Span};
 
 use crate::capture::ImportLimits;
 use crate::engine::Device;
+use crate::traces::{self, TraceParent};
 use crate::worker::frame_server::FrameServer;
 use crate::worker::opened_device::OpenedDevice;
 use crate::worker::panics::panic_message;
@@ -140,16 +142,33 @@ impl Worker {
 
     /// Makes one attempt at a job and records how it ended, also when it panics.
     async fn work(&mut self, claim: &dyn Claim) -> Ended {
-        let span = tracing::info_span!("job", id = %claim.task().job, attempt = claim.task().attempt);
-        tracing::info!(parent: &span, "started");
+        let span = self.span_of(claim);
+        self.attempt(claim).instrument(span).await
+    }
+
+    /// The span of an attempt: part of the trace of the request that made the job.
+    fn span_of(&self, claim: &dyn Claim) -> Span {
+        let task = claim.task();
+        let worker = self.source.worker().map(tracing::field::display);
+        let device = self.device_of(claim).map_or_else(|_| self.device().name(), Device::name);
+        let span = tracing::info_span!("attempt", job = %task.job, number = task.attempt, worker, device);
+        if let Some(parent) = task.traceparent.as_deref().and_then(TraceParent::parse) {
+            traces::adopt(&span, &parent);
+        }
+        span
+    }
+
+    async fn attempt(&mut self, claim: &dyn Claim) -> Ended {
+        tracing::info!("started");
         let outcome = AssertUnwindSafe(self.train(claim)).catch_unwind().await;
         match outcome {
             Ok(Ok(ending)) => {
-                tracing::info!(parent: &span, ?ending, "ended");
+                tracing::info!(?ending, "ended");
                 ending.into()
             }
             Ok(Err(failure)) => {
-                tracing::warn!(parent: &span, code = failure.code, detail = failure.detail, "failed");
+                tracing::warn!(code = failure.code, detail = failure.detail, "failed");
+                traces::failed(&Span::current(), failure.code);
                 if failure.is_device_failure() {
                     self.reopen_device();
                 }
@@ -157,7 +176,8 @@ impl Worker {
             }
             Err(panic) => {
                 let detail = panic_message(panic.as_ref());
-                tracing::error!(parent: &span, detail, "the attempt panicked");
+                tracing::error!(detail, "the attempt panicked");
+                traces::failed(&Span::current(), "panic");
                 self.record_panic(claim).await
             }
         }

@@ -10,7 +10,7 @@ use relume::api::marks::Marks;
 use relume::api::quality::{Figures, QualityGate};
 use relume::api::{JobId, ResourceKind, ResourceName, TenantId};
 use relume::capture::CaptureReport;
-use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, SequentialIds};
+use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, Origin, SequentialIds};
 use relume::store::{
     CancelOutcome, CaptureRecord, Deletion, IdempotencyKey, LeaseStatus, ModelRecord, Release, Store,
     StoreError, Submitted,
@@ -174,9 +174,10 @@ impl History<'_> {
         let request = NewJob { capture: "capture".into(), priority, quality_gate, ..NewJob::default() };
         let key_of =
             |(key, request): (&str, &str)| IdempotencyKey { key: key.into(), fingerprint: request.into() };
-        let (retry_of, sent) = (retry.map(|job| self.ids[job].clone()), key.map(key_of));
+        let sent = key.map(key_of);
+        let origin = Origin { retry_of: retry.map(|job| self.ids[job].clone()), ..Origin::default() };
         let id = |job: &relume::store::JobRecord, _| job.id.to_string();
-        let submitted = self.jobs.submit(&tenant(), request, TOTAL, retry_of, sent.as_ref(), id).await;
+        let submitted = self.jobs.submit(&tenant(), request, TOTAL, origin, sent.as_ref(), id).await;
         let expected = self.model.submit(priority, gated, key, retry);
         let found = match submitted {
             Ok(Submitted::Created(id)) => {

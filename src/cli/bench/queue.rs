@@ -17,7 +17,7 @@ use crate::capture::CaptureReport;
 use crate::cli::bench::quantiles::Quantiles;
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
-use crate::jobs::{Jobs, LeasePolicy, RandomIds, SystemClock};
+use crate::jobs::{Jobs, LeasePolicy, Origin, RandomIds, SystemClock};
 use crate::store::{CaptureRecord, DatabaseUrl, Filter, LeaseStatus, ModelRecord, Page, Store, StoreError};
 
 /// Tasks that submit jobs.
@@ -146,7 +146,8 @@ async fn submit(jobs: Jobs, capture: CaptureId, count: u64) -> Result<Vec<f64>, 
     let mut times = Vec::new();
     for _ in 0..count {
         let (begin, request) = (Instant::now(), NewJob { capture: capture.clone(), ..NewJob::default() });
-        jobs.submit(&TenantId::of_operator(), request, STEPS, None, None, |_, _| String::new()).await?;
+        jobs.submit(&TenantId::of_operator(), request, STEPS, Origin::default(), None, |_, _| String::new())
+            .await?;
         times.push(elapsed_ms(begin));
     }
     Ok(times)

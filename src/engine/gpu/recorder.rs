@@ -64,6 +64,7 @@ pub struct Recorder<'g> {
     stage: &'static str,
     queries: Option<(wgpu::QuerySet, Vec<&'static str>)>,
     work: Vec<(&'static str, u64, u64)>,
+    dispatches: u32,
 }
 
 impl Gpu {
@@ -85,7 +86,16 @@ impl<'g> Recorder<'g> {
             (device.create_query_set(&descriptor), Vec::new())
         });
         let encoder = device.create_command_encoder(&Default::default());
-        Self { gpu, encoder, pass: None, uniforms: Vec::new(), stage: "other", queries, work: Vec::new() }
+        Self {
+            gpu,
+            encoder,
+            pass: None,
+            uniforms: Vec::new(),
+            stage: "other",
+            queries,
+            work: Vec::new(),
+            dispatches: 0,
+        }
     }
 
     /// The device recorded for.
@@ -140,6 +150,7 @@ impl<'g> Recorder<'g> {
         pass.set_pipeline(&pipeline.pipeline);
         pass.set_bind_group(0, &group, &[]);
         pass.dispatch_workgroups(x, y, 1);
+        self.dispatches += 1;
     }
 
     /// Zeroes a buffer.
@@ -172,6 +183,8 @@ impl<'g> Recorder<'g> {
     /// # Errors
     /// A fault of the device, of this or of earlier work.
     pub fn submit(mut self) -> Result<(), DeviceError> {
+        // How long the host takes to hand over; the device works on after it.
+        let _span = tracing::debug_span!("kernels", dispatches = self.dispatches).entered();
         self.pass = None;
         let inner = &self.gpu.inner;
         // Recordings of other threads share the uniforms.

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use tokio_util::sync::CancellationToken;
+use tracing::Instrument;
 
 use crate::api::ExportId;
 use crate::api::exports::NewExport;
@@ -28,7 +29,8 @@ async fn lane(app: &Shared, frames: bool) {
         }
         match app.store.claim_export(frames, app.jobs.now_ms()).await {
             Ok(Some(export)) => {
-                run(app, export).await;
+                let span = tracing::info_span!("export", id = %export.record.id);
+                run(app, export).instrument(span).await;
                 continue;
             }
             Ok(None) => {}

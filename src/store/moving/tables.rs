@@ -46,7 +46,7 @@ pub(super) const TABLES: &[Table] = &[
         Int bytes width height created_ms deleted_ms),
     table!("jobs" by "created_ms, id":
         Text id tenant capture_id retry_of preset device state lease_token message checkpoint checkpoint_sha256 model_id
-            error_code error_detail name external_id worker,
+            error_code error_detail name external_id worker traceparent,
         Json overrides quality_gate figures labels requires,
         Int priority created_ms started_ms finished_ms attempts idle_attempts lease_until_ms step total gaussians
             checkpoint_step model_deleted_ms deleted_ms swept_ms,

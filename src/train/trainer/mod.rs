@@ -349,6 +349,7 @@ impl Trainer {
 
     /// Measures visibility and gathered light, `repeats` times in a row.
     fn measure(&mut self, repeats: usize) -> Result<(), TrainError> {
+        let _span = tracing::info_span!("measure", repeats).entered();
         Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.turns, repeats))?)
     }
 
@@ -376,6 +377,7 @@ impl Trainer {
         let most = self.schedule.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
         let budget = ((low + (high - low) * share) as usize).min(most);
         let centres = (!self.data.has_alpha).then(|| self.data.camera_centres());
+        let _span = tracing::info_span!("density", budget).entered();
         let signals = self.engine.density_signals()?;
         self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
         if step > self.config.warm_up_steps() && self.measures() {

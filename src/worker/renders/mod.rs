@@ -303,6 +303,7 @@ impl Scene {
         task: &RenderTask,
         mut between: impl FnMut() -> Result<(), RenderFailure>,
     ) -> Result<Frame, RenderFailure> {
+        let _span = tracing::info_span!("draw", tier = task.quality.tier.name()).entered();
         let LitModel { renderer, light } = &self.lit;
         let mut bands = renderer.bands(&self.camera, light, task.quality, &task.outputs)?;
         while bands.render_next()? {
@@ -330,6 +331,7 @@ fn expose(frame: &mut Frame, stops: f64) {
 }
 
 fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFailure> {
+    let _span = tracing::info_span!("load_model", model = %source.id).entered();
     let model = match &source.content {
         ModelContent::File(path) => Arc::new(read(path, &source.id)?),
         ModelContent::Memory(model) => model.clone(),
@@ -357,6 +359,7 @@ fn prepare(
     light: &LightSource,
     rotation_deg: f64,
 ) -> Result<Arc<PreparedLight>, RenderFailure> {
+    let _span = tracing::info_span!("prepare_light", light = light.key()).entered();
     let internal = |e: String| RenderFailure::Internal(format!("environment {}: {e}", light.key()));
     let map = light.map().map_err(|error| match light {
         LightSource::Stored { path, sha256 } if !path.exists() => {

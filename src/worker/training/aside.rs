@@ -2,6 +2,8 @@
 
 use std::ops::ControlFlow;
 
+use tracing::Span;
+
 use crate::api::work::{LeaseStatus, Release};
 use crate::worker::source::Claim;
 use crate::worker::thread::{Worker, serve_next};
@@ -18,7 +20,8 @@ impl Worker {
         claim: &dyn Claim,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<ControlFlow<AttemptEnd, T>, AttemptError> {
-        let mut working = tokio::task::spawn_blocking(work);
+        let span = Span::current();
+        let mut working = tokio::task::spawn_blocking(move || span.in_scope(work));
         loop {
             tokio::select! {
                 done = &mut working => {
@@ -51,7 +54,7 @@ mod tests {
     use crate::api::marks::Marks;
     use crate::api::{JobId, TenantId};
     use crate::capture::{CaptureReport, ImportLimits};
-    use crate::jobs::{Jobs, LeasePolicy, ManualClock, SequentialIds};
+    use crate::jobs::{Jobs, LeasePolicy, ManualClock, Origin, SequentialIds};
     use crate::store::{CaptureRecord, Claimant, Store, Submitted};
     use crate::worker::opened_device::OpenedDevice;
     use crate::worker::source::{Claimed, Source};
@@ -76,8 +79,10 @@ mod tests {
         let clock = Arc::new(ManualClock::default());
         let jobs = Jobs::new(store, clock, Arc::new(SequentialIds::default()), policy);
         let job = NewJob { capture: "capture".into(), ..NewJob::default() };
-        let submitted =
-            jobs.submit(&tenant, job, 100, None, None, |job, _| job.id.to_string()).await.unwrap();
+        let submitted = jobs
+            .submit(&tenant, job, 100, Origin::default(), None, |job, _| job.id.to_string())
+            .await
+            .unwrap();
         let (Submitted::Created(id) | Submitted::Replayed(id)) = submitted;
         let source = StoredJobs::new(jobs.clone(), Claimant::default());
         let changes = source.changes();

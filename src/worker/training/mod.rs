@@ -11,6 +11,8 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use tracing::{Instrument, Span, info_span};
+
 use crate::api::jobs::JobDevice;
 use crate::api::work::{LeaseStatus, Release};
 use crate::capture::Capture;
@@ -31,6 +33,8 @@ struct Attempt<'a> {
     trainer: Trainer,
     reporter: Reporter,
     checkpoint_every: u32,
+    /// The span of the steps since the last report.
+    stretch: Span,
 }
 
 impl Worker {
@@ -40,18 +44,21 @@ impl Worker {
         let config = TrainConfig::new(request.preset, &request.overrides)
             .map_err(|error| AttemptError::new("config_invalid", error.to_string()))?;
         let checkpoint_every = config.checkpoint_every.max(1);
-        let capture = match self.import(claim, &config).await? {
-            ControlFlow::Continue(capture) => capture,
-            ControlFlow::Break(ending) => return Ok(ending),
-        };
-        let capture = Arc::new(capture);
-        let trainer = match self.trainer(claim, &capture, config).await? {
-            ControlFlow::Continue(trainer) => trainer,
+        let prepared = self.prepared(claim, config).instrument(info_span!("prepare"));
+        let (capture, trainer) = match prepared.await? {
+            ControlFlow::Continue(prepared) => prepared,
             ControlFlow::Break(ending) => return Ok(ending),
         };
         let (now_ms, step) = (self.source.now_ms(), trainer.progress().step);
         let reporter = Reporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
-        let mut attempt = Attempt { source: self.source.clone(), claim, trainer, reporter, checkpoint_every };
+        let mut attempt = Attempt {
+            source: self.source.clone(),
+            claim,
+            trainer,
+            reporter,
+            checkpoint_every,
+            stretch: Span::none(),
+        };
         let shown = self.previews.of(&claim.task().job);
         while !attempt.trainer.is_done() {
             if self.stop.is_cancelled() {
@@ -75,16 +82,32 @@ impl Worker {
         }
         let model = Arc::new(attempt.trainer.model()?);
         attempt.show(&shown, model.clone());
-        match self.measure(&attempt, &model, Arc::unwrap_or_clone(capture)).await? {
+        let measured = self.measure(&attempt, &model, Arc::unwrap_or_clone(capture));
+        match measured.instrument(info_span!("evaluate")).await? {
             ControlFlow::Continue(figures) => {
-                publish::publish(claim, attempt.trainer.seconds(), &model, figures).await
+                let published = publish::publish(claim, attempt.trainer.seconds(), &model, figures);
+                published.instrument(info_span!("publish")).await
             }
             ControlFlow::Break(ending) => Ok(ending),
         }
     }
 
+    /// Reads the capture and makes what trains on it.
+    async fn prepared(
+        &mut self,
+        claim: &dyn Claim,
+        config: TrainConfig,
+    ) -> Result<ControlFlow<AttemptEnd, (Arc<Capture>, Trainer)>, AttemptError> {
+        let capture = match self.import(claim, &config).instrument(info_span!("import")).await? {
+            ControlFlow::Continue(capture) => Arc::new(capture),
+            ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
+        };
+        let trainer = self.trainer(claim, &capture, config).instrument(info_span!("dataset")).await?;
+        Ok(trainer.map_continue(|trainer| (capture, trainer)))
+    }
+
     /// Where a job trains.
-    fn device_of(&self, claim: &dyn Claim) -> Result<&Device, AttemptError> {
+    pub(in crate::worker) fn device_of(&self, claim: &dyn Claim) -> Result<&Device, AttemptError> {
         match (claim.task().request.device, self.device()) {
             (JobDevice::Cpu, _) => Ok(&Device::Cpu),
             (JobDevice::Gpu, Device::Cpu) => Err(AttemptError::new("device_unfit", "this worker has no GPU")),
@@ -96,7 +119,11 @@ impl Worker {
 impl Attempt<'_> {
     /// Takes one step and reports it.
     async fn step(&mut self) -> Result<LeaseStatus, AttemptError> {
-        let report = self.trainer.step()?;
+        if self.stretch.is_none() {
+            let first = self.trainer.progress().step + 1;
+            self.stretch = info_span!("steps", first, last = tracing::field::Empty);
+        }
+        let report = self.stretch.in_scope(|| self.trainer.step())?;
         metrics::counter!("relume_training_steps_total").increment(1);
         if let Some(warning) = &report.warning {
             self.tell(warning).await;
@@ -105,6 +132,8 @@ impl Attempt<'_> {
         let mut status = LeaseStatus::Held;
         let now_ms = self.source.now_ms();
         if let Some(update) = self.reporter.report(now_ms, &report, progress) {
+            self.stretch.record("last", progress.step);
+            self.stretch = Span::none();
             status = held_or_unknown(self.claim.progress(&update).await);
         }
         if progress.step.is_multiple_of(self.checkpoint_every) && !self.trainer.is_done() {
@@ -117,6 +146,10 @@ impl Attempt<'_> {
     /// nothing more is computed than can be kept; after another failure training goes on.
     async fn checkpoint(&self) -> Result<(), AttemptError> {
         let step = i64::from(self.trainer.progress().step);
+        self.store_checkpoint(step).instrument(info_span!("checkpoint", step)).await
+    }
+
+    async fn store_checkpoint(&self, step: i64) -> Result<(), AttemptError> {
         let bytes = self.trainer.checkpoint()?;
         match self.claim.checkpoint(step, bytes).await {
             Ok(_) => {}

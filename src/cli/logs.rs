@@ -1,0 +1,77 @@
+//! What a process says of itself while it runs: a log, and traces where they are asked for.
+
+use std::io::IsTerminal;
+
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer, Registry, fmt};
+
+#[cfg(feature = "otlp")]
+use crate::cli::traces;
+
+/// The variables of OpenTelemetry that name a collector.
+const COLLECTORS: [&str; 2] = ["OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"];
+
+type AnyLayer = Box<dyn Layer<Registry> + Send + Sync>;
+
+/// The traces of this process.
+#[derive(Default)]
+pub(super) struct Traces {
+    #[cfg(feature = "otlp")]
+    sender: Option<traces::Sender>,
+}
+
+impl Traces {
+    /// Sends what waits. To be called when nothing is done any more.
+    pub(super) fn finish(self) {
+        #[cfg(feature = "otlp")]
+        if let Some(sender) = self.sender {
+            sender.finish();
+        }
+    }
+}
+
+/// Logs to standard error as `RUST_LOG` says. Where that says nothing, a service reports what it does, other commands only what goes
+/// wrong. A service sends traces when a collector is named.
+pub(super) fn start(json: bool, is_service: bool) -> Traces {
+    let default_level = if is_service { "relume=info,warn" } else { "warn" };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_level));
+    let log = fmt::layer().with_writer(std::io::stderr).with_ansi(std::io::stderr().is_terminal());
+    let log: AnyLayer =
+        if json { log.json().with_filter(filter).boxed() } else { log.with_filter(filter).boxed() };
+    let (layer, traces, warning) =
+        if is_service && is_wanted() { started() } else { (None, Traces::default(), None) };
+    let layers: Vec<AnyLayer> = std::iter::once(log).chain(layer).collect();
+    tracing_subscriber::registry().with(layers).init();
+    if let Some(why) = warning {
+        tracing::warn!(why, "no traces are sent");
+    }
+    traces
+}
+
+/// Whether the standard variables ask for traces.
+fn is_wanted() -> bool {
+    let is =
+        |name: &str, value: &str| std::env::var(name).is_ok_and(|found| found.eq_ignore_ascii_case(value));
+    let is_named = |name: &str| std::env::var_os(name).is_some_and(|found| !found.is_empty());
+    COLLECTORS.into_iter().any(is_named)
+        && !is("OTEL_SDK_DISABLED", "true")
+        && !is("OTEL_TRACES_EXPORTER", "none")
+}
+
+/// What takes spans and sends them, or why nothing does.
+#[cfg(feature = "otlp")]
+fn started() -> (Option<AnyLayer>, Traces, Option<String>) {
+    match traces::start() {
+        Ok((layer, sender)) => (Some(layer), Traces { sender: Some(sender) }, None),
+        Err(why) => (None, Traces::default(), Some(why)),
+    }
+}
+
+/// What takes spans and sends them, or why nothing does.
+#[cfg(not(feature = "otlp"))]
+fn started() -> (Option<AnyLayer>, Traces, Option<String>) {
+    let why =
+        format!("{} is set, and this program was built without the feature `otlp`", COLLECTORS.join(" or "));
+    (None, Traces::default(), Some(why))
+}

@@ -1,0 +1,171 @@
+//! Which trace a span belongs to, as the header `traceparent` of W3C Trace Context says it, and what a span is told for whoever reads
+//! its trace. Spans are those of `tracing`; with the feature `otlp` the command line sends them to a collector.
+
+use std::fmt;
+
+use tracing::Span;
+
+/// The name of the header.
+pub(crate) const HEADER: &str = "traceparent";
+
+/// Length of a `traceparent` of version 00.
+const LENGTH: usize = 55;
+
+/// A span of a trace, also one of another process: a valid `traceparent`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct TraceParent {
+    trace: String,
+    span: String,
+    flags: String,
+}
+
+impl TraceParent {
+    /// Reads a header. What is not valid is no parent: as the standard asks, a trace begins anew then. Of a later version, what
+    /// version 00 knows is read.
+    pub(crate) fn parse(text: &str) -> Option<Self> {
+        let (known, rest) = text.split_at_checked(LENGTH)?;
+        let mut parts = known.split('-');
+        let mut next = |length: usize| {
+            let is_hex = |part: &&str| part.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f'));
+            parts.next().filter(|part| part.len() == length).filter(is_hex)
+        };
+        let (version, trace, span, flags) = (next(2)?, next(32)?, next(16)?, next(2)?);
+        let is_right = match version {
+            "00" => rest.is_empty(),
+            "ff" => false,
+            _ => rest.is_empty() || rest.starts_with('-'),
+        };
+        let is_zero = |id: &str| id.bytes().all(|b| b == b'0');
+        (is_right && !is_zero(trace) && !is_zero(span)).then(|| Self {
+            trace: trace.to_owned(),
+            span: span.to_owned(),
+            flags: flags.to_owned(),
+        })
+    }
+}
+
+impl fmt::Display for TraceParent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "00-{}-{}-{}", self.trace, self.span, self.flags)
+    }
+}
+
+/// Makes a new span, which nothing has entered yet, a child of `parent`. Without traces nothing happens.
+#[cfg(feature = "otlp")]
+pub(crate) fn adopt(span: &Span, parent: &TraceParent) {
+    use opentelemetry::Context;
+    use opentelemetry::trace::{SpanContext, SpanId, TraceContextExt, TraceFlags, TraceId, TraceState};
+    use tracing_opentelemetry::OpenTelemetrySpanExt;
+
+    let (Ok(trace), Ok(id), Ok(flags)) = (
+        TraceId::from_hex(&parent.trace),
+        SpanId::from_hex(&parent.span),
+        u8::from_str_radix(&parent.flags, 16),
+    ) else {
+        return;
+    };
+    let context = SpanContext::new(trace, id, TraceFlags::new(flags), true, TraceState::NONE);
+    // Refused where nothing takes spans, which is no fault.
+    span.set_parent(Context::new().with_remote_span_context(context)).ok();
+}
+
+/// Makes a new span, which nothing has entered yet, a child of `parent`. Without traces nothing happens.
+#[cfg(not(feature = "otlp"))]
+pub(crate) fn adopt(_span: &Span, _parent: &TraceParent) {}
+
+/// The span as others name it; `None` when it is part of no trace.
+#[cfg(feature = "otlp")]
+pub(crate) fn parent_of_children(span: &Span) -> Option<TraceParent> {
+    use opentelemetry::trace::TraceContextExt;
+    use tracing_opentelemetry::OpenTelemetrySpanExt;
+
+    let context = span.context();
+    let context = context.span().span_context().clone();
+    context.is_valid().then(|| TraceParent {
+        trace: context.trace_id().to_string(),
+        span: context.span_id().to_string(),
+        flags: format!("{:02x}", context.trace_flags().to_u8()),
+    })
+}
+
+/// The span as others name it; `None` when it is part of no trace.
+#[cfg(not(feature = "otlp"))]
+pub(crate) fn parent_of_children(_span: &Span) -> Option<TraceParent> {
+    None
+}
+
+/// Says with which status a request was answered; 500 and above are errors.
+#[cfg(feature = "otlp")]
+pub(crate) fn answered(span: &Span, status: u16) {
+    use tracing_opentelemetry::OpenTelemetrySpanExt;
+
+    span.set_attribute("http.response.status_code", i64::from(status));
+    if status >= 500 {
+        failed(span, "the server failed");
+    }
+}
+
+/// Says with which status a request was answered; 500 and above are errors.
+#[cfg(not(feature = "otlp"))]
+pub(crate) fn answered(_span: &Span, _status: u16) {}
+
+/// Marks what a span stands for as failed.
+#[cfg(feature = "otlp")]
+pub(crate) fn failed(span: &Span, why: &'static str) {
+    use opentelemetry::trace::Status;
+    use tracing_opentelemetry::OpenTelemetrySpanExt;
+
+    span.set_status(Status::error(why));
+}
+
+/// Marks what a span stands for as failed.
+#[cfg(not(feature = "otlp"))]
+pub(crate) fn failed(_span: &Span, _why: &'static str) {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The example of the standard.
+    const VALID: &str = "00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01";
+
+    fn read(text: &str) -> Option<String> {
+        TraceParent::parse(text).map(|parent| parent.to_string())
+    }
+
+    #[test]
+    fn a_valid_traceparent_is_read_and_written_as_it_came() {
+        assert_eq!(read(VALID).as_deref(), Some(VALID));
+        let unsampled = VALID.replace("-01", "-00");
+        assert_eq!(read(&unsampled), Some(unsampled));
+        let later = format!("cc{}-what-the-future-will-be-like", &VALID[2..]);
+        assert_eq!(read(&later).as_deref(), Some(VALID), "what this version knows of a later one");
+    }
+
+    #[test]
+    fn what_is_no_traceparent_is_ignored() {
+        for wrong in [
+            String::new(),
+            "00".to_owned(),
+            VALID.to_uppercase(),
+            VALID.replace("4bf9", "4bg9"),
+            VALID.replace("00-4", "ff-4"),
+            VALID.replace('-', "_"),
+            format!("{VALID}-01"),
+            format!("cc{}.", &VALID[2..]),
+            VALID[..54].to_owned(),
+            VALID.replace("4bf92f3577b34da6a3ce929d0e0e4736", &"0".repeat(32)),
+            VALID.replace("00f067aa0ba902b7", &"0".repeat(16)),
+            VALID.replace("00f067aa0ba902b7", "00f067aa0ba902ü"),
+        ] {
+            assert_eq!(read(&wrong), None, "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn without_a_collector_a_span_is_part_of_no_trace() {
+        let span = tracing::info_span!("request");
+        adopt(&span, &TraceParent::parse(VALID).unwrap());
+        assert_eq!(parent_of_children(&span), None);
+    }
+}
