@@ -65,6 +65,7 @@ mod service_viewer;
 mod service_web;
 mod stored_files;
 mod tiers;
+mod traces;
 mod training;
 mod turntable;
 mod usage;

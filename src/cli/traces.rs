@@ -1,6 +1,7 @@
 //! Sends spans to an OpenTelemetry collector, as the standard variables `OTEL_*` say: OTLP as protobuf over HTTP, in batches from a
 //! thread of its own. Whoever makes spans never waits for it.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -21,12 +22,17 @@ const PATIENCE: Duration = Duration::from_secs(3);
 const SERVICE_NAME: Key = Key::from_static_str("service.name");
 
 /// Sends what the layer takes.
-pub(super) struct Sender(SdkTracerProvider);
+pub(super) struct Sender {
+    provider: SdkTracerProvider,
+    is_away: Arc<AtomicBool>,
+}
 
 impl Sender {
     /// Sends what waits, as long as that takes no more than a few seconds.
     pub(super) fn finish(self) {
-        if let Err(error) = self.0.shutdown_with_timeout(PATIENCE) {
+        let sent = self.provider.shutdown_with_timeout(PATIENCE);
+        // One warning is enough.
+        if let (Err(error), false) = (sent, self.is_away.load(Ordering::Relaxed)) {
             tracing::warn!(%error, "the last spans were not sent");
         }
     }
@@ -42,8 +48,9 @@ pub(super) fn start() -> Result<(Box<dyn Layer<Registry> + Send + Sync>, Sender)
     let directives = std::env::var(FILTER).unwrap_or_else(|_| DEFAULT_FILTER.to_owned());
     let filter = EnvFilter::try_new(&directives).map_err(|error| format!("{FILTER}: {error}"))?;
     let http = opentelemetry_otlp::SpanExporter::builder().with_http().with_protocol(Protocol::HttpBinary);
-    let exporter =
-        Exporter { otlp: http.build().map_err(|e| e.to_string())?, is_away: AtomicBool::default() };
+    let otlp = http.build().map_err(|error| error.to_string())?;
+    let is_away = Arc::<AtomicBool>::default();
+    let exporter = Exporter { otlp, is_away: is_away.clone() };
     let provider =
         SdkTracerProvider::builder().with_batch_exporter(exporter).with_resource(resource()).build();
     let layer = tracing_opentelemetry::layer()
@@ -54,7 +61,7 @@ pub(super) fn start() -> Result<(Box<dyn Layer<Registry> + Send + Sync>, Sender)
         .with_location(false)
         .with_threads(false)
         .with_filter(filter);
-    Ok((layer.boxed(), Sender(provider)))
+    Ok((layer.boxed(), Sender { provider, is_away }))
 }
 
 /// Who sends, with the name that the variables give.
@@ -70,7 +77,7 @@ fn resource() -> Resource {
 #[derive(Debug)]
 struct Exporter {
     otlp: opentelemetry_otlp::SpanExporter,
-    is_away: AtomicBool,
+    is_away: Arc<AtomicBool>,
 }
 
 impl SpanExporter for Exporter {
