@@ -12,7 +12,7 @@ use serde_json::json;
 use tempfile::TempDir;
 
 use crate::server_process::Server;
-use crate::service_support::{capture_zip, ended};
+use crate::service_support::{capture_zip, ended, small_job};
 use crate::traces::collector::{Collector, Sent};
 use crate::traces::{CALLER, JOB_TRACE, post, traceparent};
 use crate::workers::fleet::{Process, short_job, spawn_server, upload};
@@ -113,6 +113,34 @@ async fn a_job_and_a_frame_are_spans_of_their_callers_traces() {
         "the control: a request without a caller's trace"
     );
     assert_eq!(other.parent, "", "begins one");
+}
+
+/// How many batches of kernels are in the trace of a short job on the GPU, with this filter.
+async fn kernels(filter: &str) -> usize {
+    let (collector, data) = (Collector::start().await, TempDir::new().unwrap());
+    let variables = [
+        ("OTEL_EXPORTER_OTLP_ENDPOINT", &*collector.endpoint),
+        ("OTEL_BSP_MAX_QUEUE_SIZE", "100000"),
+        ("RELUME_DEVICE", "gpu:0"),
+        ("RELUME_TRACE_FILTER", filter),
+    ];
+    let mut server = Server::start_under(relume(&variables), data.path());
+    let client = server.client.clone();
+    let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
+    let job = client.create_job(&small_job(&capture, 10, 5), None).await.unwrap();
+    let done = ended(&client, &job.id).await;
+    assert_eq!(done.state, JobState::Succeeded, "{:?}", done.error);
+    terminate(&mut server).await;
+    let trace = collector.one("attempt").trace;
+    let is_counted = |span: &Sent| span.attribute("dispatches").is_some_and(|count| count != "0");
+    collector.named("kernels").iter().filter(|span| span.trace == trace && is_counted(span)).count()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+async fn batches_of_kernels_are_sent_where_they_are_asked_for() {
+    assert!(kernels("relume=info,relume::engine=debug").await >= 10, "one for each step at the least");
+    assert_eq!(kernels("relume=info").await, 0, "the control");
 }
 
 /// The names of the spans that a server sends which is asked whether it lives, by a caller with this `traceparent`.
