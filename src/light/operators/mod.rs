@@ -1,6 +1,8 @@
 //! Environment operators as explicit linear maps (docs/MODEL.md section 4): tables = M L, and the gradient is M^T g.
 //! Strong small lights may be taken out first: each is one more read-out of the texels.
 
+mod rows;
+
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -8,6 +10,12 @@ use rayon::prelude::*;
 
 use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, TableLight, brdf::ggx_d, padded, sh_eval};
 use crate::scene::{LightSplit, MAX_LIGHTS, SplitLight, sh_count, texel_directions};
+
+use rows::{LANES, Slice, SlicedRows, add_rows};
+
+/// Rows, and slices of rows, that a task takes at least.
+const NODES: usize = 32;
+const SLICES: usize = 16;
 
 /// Where a roughness lies between two prefiltered levels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -101,6 +109,8 @@ struct Maps {
     cosine_transposed: SparseRows,
     specular: [SparseRows; SPECULAR_LEVELS.len()],
     specular_transposed: [SparseRows; SPECULAR_LEVELS.len()],
+    specular_slices: [SlicedRows; SPECULAR_LEVELS.len()],
+    transposed_slices: [SlicedRows; SPECULAR_LEVELS.len()],
     /// `Y_j(w)` a texel, padded.
     harmonics: Vec<f32>,
     /// `dw` a texel.
@@ -127,14 +137,18 @@ impl EnvOperators {
         for ((d, _), row) in texels.iter().zip(harmonics.chunks_mut(coefficients)) {
             sh_eval(order, d.to_array().map(|v| v as f32), row);
         }
+        let specular_transposed: [SparseRows; SPECULAR_LEVELS.len()] =
+            std::array::from_fn(|k| specular[k].transposed(texels.len()));
         let maps = Maps {
             width,
             height,
             order,
             diffuse_grid,
             cosine_transposed: cosine.transposed(texels.len()),
-            specular_transposed: std::array::from_fn(|k| specular[k].transposed(texels.len())),
             cosine,
+            specular_slices: specular.each_ref().map(SparseRows::sliced),
+            transposed_slices: specular_transposed.each_ref().map(SparseRows::sliced),
+            specular_transposed,
             specular_grids,
             specular,
             harmonics,
@@ -258,45 +272,61 @@ impl Maps {
             .flat_map_iter(|(l, y)| (0..3).flat_map(move |c| y.iter().map(move |v| v * l[c])))
             .collect();
         let mut diffuse = vec![0.0f32; self.diffuse_grid.len() * 3 * n];
-        diffuse.par_chunks_mut(3 * n).enumerate().for_each(|(node, out)| {
-            for &(t, w) in self.cosine.row(node) {
-                let t = t as usize * 3 * n;
-                out.iter_mut().zip(&products[t..t + 3 * n]).for_each(|(o, v)| *o += w * v);
-            }
+        diffuse.par_chunks_mut(3 * n).enumerate().with_min_len(NODES).for_each(|(node, out)| {
+            add_rows(out, self.cosine.row(node), &products);
         });
         LightTables {
             diffuse_grid: self.diffuse_grid,
             coefficients: n,
             diffuse,
             specular_grids: self.specular_grids,
-            specular: std::array::from_fn(|k| self.specular[k].times(radiance)),
+            specular: self.prefiltered(radiance),
             lights: Vec::new(),
         }
+    }
+
+    /// The prefiltered levels of an environment.
+    fn prefiltered(&self, radiance: &[[f32; 3]]) -> [Vec<[f32; 3]>; SPECULAR_LEVELS.len()] {
+        let levels = self.specular_slices.iter().enumerate();
+        let slices: Vec<(usize, usize)> =
+            levels.flat_map(|(level, rows)| (0..rows.len()).map(move |slice| (level, slice))).collect();
+        let sums = slices.par_iter().with_min_len(SLICES).map(|(level, slice)| {
+            let mut sums = Slice::default();
+            self.specular_slices[*level].add(*slice, radiance, &mut sums);
+            sums
+        });
+        let sums: Vec<Slice> = sums.collect();
+        let mut rest = sums.iter();
+        std::array::from_fn(|level| {
+            let slices = rest.by_ref().take(self.specular_slices[level].len());
+            let nodes = slices.flat_map(|[r, g, b]| (0..LANES).map(|lane| [r[lane], g[lane], b[lane]]));
+            nodes.take(self.specular_grids[level].len()).collect()
+        })
     }
 
     /// `M^T g`.
     fn apply_transposed(&self, gradient: &LightTables) -> Vec<[f32; 3]> {
         let n = padded(sh_count(self.order));
-        (0..self.width * self.height)
-            .into_par_iter()
-            .map(|t| {
-                let mut products = vec![0.0f32; 3 * n];
-                for &(node, w) in self.cosine_transposed.row(t) {
-                    let row = &gradient.diffuse[node as usize * 3 * n..(node as usize + 1) * 3 * n];
-                    products.iter_mut().zip(row).for_each(|(o, v)| *o += w * v);
-                }
+        let mut out = vec![[0.0f32; 3]; self.width * self.height];
+        let slices = out.par_chunks_mut(LANES).enumerate().with_min_len(2);
+        slices.for_each_init(Vec::new, |products, (slice, texels)| {
+            let mut by_specular = Slice::default();
+            for (rows, by_level) in self.transposed_slices.iter().zip(&gradient.specular) {
+                rows.add(slice, by_level, &mut by_specular);
+            }
+            for (lane, out) in texels.iter_mut().enumerate() {
+                let t = slice * LANES + lane;
+                products.clear();
+                products.resize(3 * n, 0.0f32);
+                add_rows(products, self.cosine_transposed.row(t), &gradient.diffuse);
                 let y = &self.harmonics[t * n..(t + 1) * n];
-                let mut out: [f32; 3] = std::array::from_fn(|c| {
-                    products[c * n..(c + 1) * n].iter().zip(y).map(|(a, b)| a * b).sum()
+                *out = std::array::from_fn(|c| {
+                    let diffuse: f32 = products[c * n..(c + 1) * n].iter().zip(y).map(|(a, b)| a * b).sum();
+                    diffuse + by_specular[c][lane]
                 });
-                for (rows, grad) in self.specular_transposed.iter().zip(&gradient.specular) {
-                    for &(node, w) in rows.row(t) {
-                        (0..3).for_each(|c| out[c] += w * grad[node as usize][c]);
-                    }
-                }
-                out
-            })
-            .collect()
+            }
+        });
+        out
     }
 }
 
@@ -359,15 +389,8 @@ impl SparseRows {
         Self::from_rows(rows)
     }
 
-    fn times(&self, radiance: &[[f32; 3]]) -> Vec<[f32; 3]> {
-        let node = |k: usize| {
-            let mut sum = [0.0f32; 3];
-            for &(t, w) in self.row(k) {
-                (0..3).for_each(|c| sum[c] += w * radiance[t as usize][c]);
-            }
-            sum
-        };
-        (0..self.start.len() - 1).into_par_iter().map(node).collect()
+    fn sliced(&self) -> SlicedRows {
+        SlicedRows::new((0..self.len()).map(|k| self.row(k)))
     }
 }
 

@@ -1,0 +1,140 @@
+//! Sums of weighted rows: the inner loops of the operators.
+
+use std::collections::BTreeMap;
+
+use multiversion::multiversion;
+
+/// Floats in a block of a row.
+pub(super) const LANES: usize = 16;
+
+/// `out += sum over entries (k, weight) of weight * row k`, where `rows` are as wide as `out`. Each float is summed in the order of the
+/// entries, whatever the CPU.
+#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
+pub(super) fn add_rows(out: &mut [f32], entries: &[(u32, f32)], rows: &[f32]) {
+    // Sums of known width stay in registers: those of three colours of 16, 32, 48 or 64 coefficients.
+    match out.len() {
+        48 => add_blocks::<3>(out, entries, rows),
+        96 => add_blocks::<6>(out, entries, rows),
+        144 => add_blocks::<9>(out, entries, rows),
+        192 => add_blocks::<12>(out, entries, rows),
+        width => {
+            for &(k, weight) in entries {
+                let row = &rows[k as usize * width..(k as usize + 1) * width];
+                out.iter_mut().zip(row).for_each(|(o, v)| *o += weight * v);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn add_blocks<const BLOCKS: usize>(out: &mut [f32], entries: &[(u32, f32)], rows: &[f32]) {
+    let rows = rows.as_chunks::<LANES>().0;
+    let Some(out) = out.as_chunks_mut::<LANES>().0.first_chunk_mut::<BLOCKS>() else { return };
+    let mut sums = *out;
+    for &(k, weight) in entries {
+        let row = &rows[k as usize * BLOCKS..(k as usize + 1) * BLOCKS];
+        for (sum, block) in sums.iter_mut().zip(row) {
+            for i in 0..LANES {
+                sum[i] += weight * block[i];
+            }
+        }
+    }
+    *out = sums;
+}
+
+/// Colours of sixteen rows, `[rgb][lane]`.
+pub(super) type Slice = [[f32; LANES]; 3];
+
+/// Sparse rows in slices of sixteen, each with every column that one of them has: colours are summed a lane a row.
+#[derive(Debug, Clone)]
+pub(super) struct SlicedRows {
+    /// First entry of each slice, and the end.
+    start: Vec<u32>,
+    columns: Vec<u32>,
+    weights: Vec<[f32; LANES]>,
+}
+
+impl SlicedRows {
+    /// From the rows, `(column, weight)` by ascending column.
+    pub(super) fn new<'a>(rows: impl Iterator<Item = &'a [(u32, f32)]>) -> Self {
+        let mut out = Self { start: vec![0], columns: Vec::new(), weights: Vec::new() };
+        let rows: Vec<_> = rows.collect();
+        for rows in rows.chunks(LANES) {
+            let mut slice = BTreeMap::<u32, [f32; LANES]>::new();
+            for (lane, row) in rows.iter().enumerate() {
+                row.iter().for_each(|(column, weight)| slice.entry(*column).or_default()[lane] = *weight);
+            }
+            out.columns.extend(slice.keys());
+            out.weights.extend(slice.values());
+            out.start.push(out.columns.len() as u32);
+        }
+        out
+    }
+
+    /// Number of slices.
+    pub(super) fn len(&self) -> usize {
+        self.start.len() - 1
+    }
+
+    /// Adds the sums of a slice's rows over `colours`, a colour a column, in the order of the columns.
+    pub(super) fn add(&self, slice: usize, colours: &[[f32; 3]], out: &mut Slice) {
+        let entries = self.start[slice] as usize..self.start[slice + 1] as usize;
+        add_slice(&self.columns[entries.clone()], &self.weights[entries], colours, out);
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
+fn add_slice(columns: &[u32], weights: &[[f32; LANES]], colours: &[[f32; 3]], out: &mut Slice) {
+    let mut sums = *out;
+    for (column, weight) in columns.iter().zip(weights) {
+        let colour = colours[*column as usize];
+        for (sum, value) in sums.iter_mut().zip(colour) {
+            for i in 0..LANES {
+                sum[i] += weight[i] * value;
+            }
+        }
+    }
+    *out = sums;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbers(count: usize) -> Vec<f32> {
+        (0..count).map(|i| ((i * 37 + 11) % 101) as f32 / 50.0 - 1.0).collect()
+    }
+
+    #[test]
+    fn every_width_is_summed_in_the_order_of_its_entries() {
+        let entries: Vec<(u32, f32)> = (0..50).map(|i| ((i * 7) % 20, 0.1 + i as f32)).collect();
+        for width in [48, 96, 144, 192, 7] {
+            let rows = numbers(20 * width);
+            let mut expected = numbers(width);
+            for (k, weight) in &entries {
+                (0..width).for_each(|i| expected[i] += weight * rows[*k as usize * width + i]);
+            }
+            let mut sums = numbers(width);
+            add_rows(&mut sums, &entries, &rows);
+            assert_eq!(sums, expected, "{width}");
+        }
+    }
+
+    #[test]
+    fn rows_in_slices_are_summed_as_they_are_one_by_one() {
+        let colours: Vec<[f32; 3]> = numbers(60).as_chunks::<3>().0.to_vec();
+        let rows: Vec<Vec<(u32, f32)>> = (0..37u32)
+            .map(|r| (0..20).filter(|k| (k * r) % 3 == 1).map(|k| (k, 0.5 + k as f32)).collect())
+            .collect();
+        let sliced = SlicedRows::new(rows.iter().map(Vec::as_slice));
+        assert_eq!(sliced.len(), 3);
+        for (r, row) in rows.iter().enumerate() {
+            let mut found = [[1.0; LANES]; 3];
+            sliced.add(r / LANES, &colours, &mut found);
+            for c in 0..3 {
+                let sum = row.iter().fold(1.0f32, |sum, (k, w)| sum + w * colours[*k as usize][c]);
+                assert_eq!(found[c][r % LANES], sum, "{r} {c}");
+            }
+        }
+    }
+}
