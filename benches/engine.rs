@@ -145,13 +145,13 @@ fn probes_of_64_directions(b: Bencher) {
     b.bench(|| Probes::measure(&source(), fibonacci_sphere(64), ProbeSettings::default()));
 }
 
-fn capture() -> Capture {
+fn capture(side: u32) -> Capture {
     let image =
-        ImageRgba { width: SIDE, height: SIDE, pixels: vec![[0.5, 0.4, 0.3, 1.0]; (SIDE * SIDE) as usize] };
+        ImageRgba { width: side, height: side, pixels: vec![[0.5, 0.4, 0.3, 1.0]; (side * side) as usize] };
     let eye = |i: usize| DVec3::new((i as f64).cos() * 3.2, (i as f64).sin() * 3.2, 1.2);
     let view = |i: usize| CaptureView {
         name: format!("view {i}"),
-        camera: Camera::look_at(eye(i), DVec3::ZERO, DVec3::Z, 0.6, (SIDE, SIDE)).unwrap(),
+        camera: Camera::look_at(eye(i), DVec3::ZERO, DVec3::Z, 0.6, (side, side)).unwrap(),
         image: image.clone(),
         light_rotation_deg: 0.0,
         truth: GroundTruthView::default(),
@@ -178,18 +178,28 @@ fn capture() -> Capture {
 /// A whole optimisation step; `warm_up` 1 = radiance branch alone, 0 = full model. Probes are refreshed outside.
 #[divan::bench(args = [1.0, 0.0], sample_count = 60)]
 fn training_step(b: Bencher, warm_up: f32) {
+    step(b, warm_up, SIDE, GAUSSIANS as u32);
+}
+
+/// A step of the full model of the size of a test: 160 Gaussians, 24x24 px.
+#[divan::bench(sample_count = 400)]
+fn small_training_step(b: Bencher) {
+    step(b, 0.0, 24, 160);
+}
+
+fn step(b: Bencher, warm_up: f32, side: u32, gaussians: u32) {
     let overrides = TrainOverrides {
         iterations: Some(1_000_000),
-        resolution: Some(SIDE),
-        initial_gaussians: Some(GAUSSIANS as u32),
-        max_gaussians: Some(GAUSSIANS as u32),
+        resolution: Some(side),
+        initial_gaussians: Some(gaussians),
+        max_gaussians: Some(gaussians),
         warm_up: Some(warm_up),
         half_resolution: Some(0.0),
         probe_every: Some(1_000_000),
         ..Default::default()
     };
     let config = TrainConfig::new(Preset::Standard, &overrides).unwrap();
-    let mut trainer = Trainer::new(&capture(), config, &Device::Cpu).unwrap();
+    let mut trainer = Trainer::new(&capture(side), config, &Device::Cpu).unwrap();
     trainer.step().unwrap();
     b.bench_local(|| trainer.step().unwrap());
 }

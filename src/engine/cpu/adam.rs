@@ -1,12 +1,14 @@
 //! Adam over all parameters of a model.
 
+use std::ops::Range;
+
 use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::engine::adam::{FieldGroup, StepCounts, StepSizes, share_of_step};
 use crate::engine::constants::{ADAM_BETA1 as BETA1, ADAM_BETA2 as BETA2, ADAM_EPSILON as EPSILON};
 use crate::engine::{Gradients, Moments};
-use crate::scene::Model;
+use crate::scene::{Field, Model};
 
 /// Gaussians a task takes.
 const CHUNK: usize = 512;
@@ -19,29 +21,7 @@ pub fn adam_step(
     sizes: &StepSizes,
     counts: StepCounts,
 ) {
-    let layout = gradients.layout;
-    let fields = moments.first.fields_mut().zip(moments.second.fields_mut());
-    for ((field, width, data), ((_, _, first), (_, _, second))) in model.gaussians.fields_mut().zip(fields) {
-        let [correction1, correction2] = counts.corrections(FieldGroup::of(field));
-        let rate = sizes.fields[field as usize] / correction1;
-        let range = layout.range(field);
-        if rate == 0.0 || range.is_empty() {
-            continue;
-        }
-        let rates: Vec<f32> = (0..width).map(|k| rate * share_of_step(field, k)).collect();
-        let chunks = data
-            .par_chunks_mut(CHUNK * width)
-            .zip(first.par_chunks_mut(CHUNK * width))
-            .zip(second.par_chunks_mut(CHUNK * width))
-            .zip(gradients.rows.par_chunks(CHUNK * layout.row));
-        chunks.for_each_init(Vec::new, |scratch, (((data, first), second), rows)| {
-            scratch.clear();
-            for row in rows.chunks_exact(layout.row) {
-                scratch.extend(row[range.clone()].iter().copied().zip(rates.iter().copied()));
-            }
-            adam_all(data, [first, second], scratch, correction2);
-        });
-    }
+    step_gaussians(model, moments, gradients, sizes, counts);
     let [correction1, correction2] = counts.corrections(FieldGroup::Material);
     let globals = model.prototypes.iter_mut().map(|p| (p, sizes.prototypes));
     let globals = globals.chain(model.env_raw.iter_mut().map(|p| (p, sizes.environment)));
@@ -54,6 +34,55 @@ pub fn adam_step(
             }
         }
     }
+}
+
+/// One field of the Gaussians of a task.
+struct Part<'a> {
+    data: &'a mut [f32],
+    moments: [&'a mut [f32]; 2],
+    /// Where the field is in a row of gradients.
+    range: Range<usize>,
+    rate: f32,
+    field: Field,
+    correction2: f32,
+}
+
+/// The step of the Gaussians' fields. A task takes all fields of its Gaussians, whose gradients stay in the cache meanwhile.
+fn step_gaussians(
+    model: &mut Model,
+    moments: &mut Moments,
+    gradients: &Gradients,
+    sizes: &StepSizes,
+    counts: StepCounts,
+) {
+    let layout = gradients.layout;
+    let tasks = model.gaussians.len().div_ceil(CHUNK);
+    let mut parts: Vec<Vec<Part<'_>>> = (0..tasks).map(|_| Vec::new()).collect();
+    let fields = moments.first.fields_mut().zip(moments.second.fields_mut());
+    for ((field, width, data), ((_, _, first), (_, _, second))) in model.gaussians.fields_mut().zip(fields) {
+        let [correction1, correction2] = counts.corrections(FieldGroup::of(field));
+        let (rate, range) = (sizes.fields[field as usize] / correction1, layout.range(field));
+        if rate == 0.0 || range.is_empty() {
+            continue;
+        }
+        let [data, first, second] = [data, first, second].map(|values| values.chunks_mut(CHUNK * width));
+        for (parts, (data, (first, second))) in parts.iter_mut().zip(data.zip(first.zip(second))) {
+            let (moments, range) = ([first, second], range.clone());
+            parts.push(Part { data, moments, range, rate, field, correction2 });
+        }
+    }
+    let tasks = parts.into_par_iter().zip(gradients.rows.par_chunks(CHUNK * layout.row));
+    tasks.for_each_init(Vec::new, |scratch, (parts, rows)| {
+        for part in parts {
+            let rates = (0..part.range.len()).map(|k| part.rate * share_of_step(part.field, k));
+            let rates: Vec<f32> = rates.collect();
+            scratch.clear();
+            for row in rows.chunks_exact(layout.row) {
+                scratch.extend(row[part.range.clone()].iter().copied().zip(rates.iter().copied()));
+            }
+            adam_all(part.data, part.moments, scratch, part.correction2);
+        }
+    });
 }
 
 /// [`adam`] on every parameter of `data`, from `(gradient, rate)` pairs.

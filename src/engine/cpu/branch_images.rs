@@ -124,15 +124,15 @@ impl SurfaceShader<'_> {
         let (out, partial) = write_pixels(
             pass,
             count,
-            || self.tables.zeroed(),
+            || (self.options.shade_at == ShadeAt::Pixel).then(|| self.tables.zeroed()),
             |i, at, pixel, tables| {
                 let extra = by_buffers.get(i).copied().unwrap_or_default();
                 radiance_backward(background, by.radiance.get(i), pixel);
-                self.pixel_backward(pass, at, background, by.physical.get(i), extra, pixel, tables);
+                self.pixel_backward(pass, at, background, by.physical.get(i), extra, pixel, tables.as_mut());
             },
         );
         let mut tables = self.tables.zeroed();
-        partial.iter().for_each(|p| tables.accumulate(p));
+        partial.iter().flatten().for_each(|p| tables.accumulate(p));
         (out, tables)
     }
 
@@ -144,7 +144,7 @@ impl SurfaceShader<'_> {
         by_image: Option<&[f32; 3]>,
         extra: BufferGradient,
         out: &mut PixelGradient<'_>,
-        tables: &mut LightTables,
+        tables: Option<&mut LightTables>,
     ) {
         out.add(channel::COVERAGE, extra.coverage);
         out.add_triple(channel::NORMAL, extra.normal);
@@ -155,9 +155,9 @@ impl SurfaceShader<'_> {
         let coverage = pass.at(x, y, channel::COVERAGE);
         let mut by_coverage: f32 = (0..3).map(|c| -g[c] * background[c]).sum();
         if coverage >= LEAST_COVERAGE {
-            by_coverage += match self.options.shade_at {
-                ShadeAt::Gaussian => self.blended_backward(pass, (x, y), *g, out),
-                ShadeAt::Pixel => self.surface_backward(pass, (x, y), *g, out, tables),
+            by_coverage += match tables {
+                None => self.blended_backward(pass, (x, y), *g, out),
+                Some(tables) => self.surface_backward(pass, (x, y), *g, out, tables),
             };
         }
         out.add(channel::COVERAGE, by_coverage);
@@ -176,8 +176,9 @@ impl SurfaceShader<'_> {
         let mut by_coverage = 0.0;
         for c in 0..3 {
             // Light is a buffer divided by coverage, and the coverage it is multiplied by again is inside of `g`.
-            let by_light = self.display_backward(light[c], g[c] * coverage);
-            by_coverage += g[c] * self.display(light[c]) - by_light * light[c] / coverage;
+            let shown = self.display(light[c]);
+            let by_light = self.display_backward(light[c], shown, g[c] * coverage);
+            by_coverage += g[c] * shown - by_light * light[c] / coverage;
             out.add(OutgoingRadiance::TOTAL.start + c, by_light / coverage);
         }
         by_coverage
@@ -198,8 +199,9 @@ impl SurfaceShader<'_> {
         let mut by_coverage = 0.0;
         for c in 0..3 {
             let linear = shaded.diffuse[c] + shaded.specular[c];
-            by_coverage += g[c] * self.display(linear);
-            by_linear[c] = self.display_backward(linear, g[c] * coverage);
+            let shown = self.display(linear);
+            by_coverage += g[c] * shown;
+            by_linear[c] = self.display_backward(linear, shown, g[c] * coverage);
         }
         let by = self.shade_backward(&surface, &shaded, by_linear, tables);
         // Attributes are buffers divided by coverage.

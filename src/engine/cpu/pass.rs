@@ -19,8 +19,8 @@ use crate::scene::{Field, IndirectForm};
 
 /// Gaussians a task takes; fixed, so that sums come out the same for any number of threads.
 const CHUNK: usize = 512;
-/// The same where a task differentiates the shading, with a gradient of the light tables of its own.
-const SHADED_CHUNK: usize = 4096;
+/// Tasks that differentiate the shading, each with a gradient of the light tables of its own; fixed, likewise.
+const SHADING_TASKS: usize = 16;
 
 /// A rasterised view: the G-buffer and everything its backward pass needs.
 #[derive(Debug, Clone)]
@@ -198,11 +198,12 @@ impl Pass {
             return;
         }
         let stored = self.channels.stored();
-        let splats = self.splats.par_chunks(SHADED_CHUNK);
-        let rows = self.attributes.par_chunks(SHADED_CHUNK * stored);
+        let chunk = self.splats.len().div_ceil(SHADING_TASKS).max(CHUNK);
+        let splats = self.splats.par_chunks(chunk);
+        let rows = self.attributes.par_chunks(chunk * stored);
         let partial: Vec<LightTables> = splats
             .zip(rows)
-            .zip(summed.par_chunks_mut(SHADED_CHUNK * width))
+            .zip(summed.par_chunks_mut(chunk * width))
             .map(|((splats, rows), summed)| {
                 let mut tables = by_tables.zeroed();
                 let rows = rows.chunks_exact(stored).zip(summed.chunks_exact_mut(width));
@@ -350,11 +351,14 @@ pub fn attribute_rows(
 
 /// Every visible Gaussian as a splat, sorted front to back, ties by index.
 pub fn project_all(source: &AttributeSource<'_>, view: &RasterCamera) -> Vec<Splat> {
-    let mut splats: Vec<Splat> = (0..source.gaussians.len())
+    let splats: Vec<Splat> = (0..source.gaussians.len())
         .into_par_iter()
         .with_min_len(256)
         .filter_map(|i| project(view, i as u32, &source.geometry(i)))
         .collect();
-    splats.par_sort_unstable_by_key(|s| (s.depth_key, s.gaussian));
-    splats
+    // Keys are moved about, not splats. What was projected is in the order of the Gaussians.
+    let key = |(place, splat): (usize, &Splat)| u64::from(splat.depth_key) << 32 | place as u64;
+    let mut keys: Vec<u64> = splats.iter().enumerate().map(key).collect();
+    keys.par_sort_unstable();
+    keys.par_iter().with_min_len(1024).map(|key| splats[(key & 0xffff_ffff) as usize]).collect()
 }

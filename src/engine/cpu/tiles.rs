@@ -1,8 +1,13 @@
 //! Which splats touch which tile, in depth order.
 
+use rayon::prelude::*;
+
 use crate::engine::constants::TILE;
 use crate::engine::cpu::lanes::LANES;
 use crate::engine::cpu::project::Splat;
+
+/// Splats that a task looks for tiles of.
+const CHUNK: usize = 1024;
 
 // A strip is one tile row.
 const _: () = assert!(TILE == LANES);
@@ -30,22 +35,18 @@ impl TileLists {
     /// Bins depth-sorted splats over a `width` x `height` image.
     pub fn new(width: usize, height: usize, splats: &[Splat]) -> Self {
         let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
-        let mut tile_of_instance = Vec::with_capacity(splats.len() * 3);
+        let found: Vec<(Vec<u32>, Vec<u32>)> =
+            splats.par_chunks(CHUNK).map(|splats| tiles_of(splats, columns, rows)).collect();
+        let tile_of_instance: Vec<u32> = found.iter().flat_map(|(tiles, _)| tiles).copied().collect();
         let mut first_instance = Vec::with_capacity(splats.len() + 1);
-        let mut count = vec![0u32; columns * rows + 1];
-        for splat in splats {
-            first_instance.push(tile_of_instance.len() as u32);
-            for (x0, x1, row) in touched_rows(splat, columns, rows) {
-                for column in x0..x1 {
-                    if touches(splat, column, row) {
-                        let tile = row * columns + column;
-                        tile_of_instance.push(tile as u32);
-                        count[tile + 1] += 1;
-                    }
-                }
-            }
+        let mut next = 0;
+        for tiles_of_splat in found.iter().flat_map(|(_, counts)| counts) {
+            first_instance.push(next);
+            next += tiles_of_splat;
         }
-        first_instance.push(tile_of_instance.len() as u32);
+        first_instance.push(next);
+        let mut count = vec![0u32; columns * rows + 1];
+        tile_of_instance.iter().for_each(|tile| count[*tile as usize + 1] += 1);
         for i in 1..count.len() {
             count[i] += count[i - 1];
         }
@@ -92,6 +93,20 @@ impl TileLists {
     pub fn origin(&self, tile: usize) -> (usize, usize) {
         (tile % self.columns * TILE, tile / self.columns * TILE)
     }
+}
+
+/// The tiles of some splats, one splat's after the other, and how many each has.
+fn tiles_of(splats: &[Splat], columns: usize, rows: usize) -> (Vec<u32>, Vec<u32>) {
+    let (mut tiles, mut counts) = (Vec::with_capacity(splats.len() * 3), Vec::with_capacity(splats.len()));
+    for splat in splats {
+        let before = tiles.len();
+        for (x0, x1, row) in touched_rows(splat, columns, rows) {
+            let touched = (x0..x1).filter(|column| touches(splat, *column, row));
+            tiles.extend(touched.map(|column| (row * columns + column) as u32));
+        }
+        counts.push((tiles.len() - before) as u32);
+    }
+    (tiles, counts)
 }
 
 /// `(first column, end column, row)` of the tiles under the splat's bounding box.

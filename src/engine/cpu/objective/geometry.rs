@@ -88,19 +88,18 @@ pub fn depth_normal(pass: &Pass, weight: f32, out: &mut [BufferGradient]) -> f32
             if x + 1 < w && y + 1 < h { consistency(pass, &depth, x, y, weight) } else { None }
         })
         .collect();
-    let mut total = 0.0f64;
-    let mut by_depth = vec![0.0f32; w * h];
-    for (i, term) in terms.iter().enumerate() {
-        let Some(term) = term else { continue };
-        total += f64::from(term.loss);
-        out[i].coverage += term.by_coverage;
-        (0..3).for_each(|k| out[i].normal[k] += term.by_normal[k]);
-        by_depth[i] += term.by_depth[0];
-        by_depth[i + 1] += term.by_depth[1];
-        by_depth[i + w] += term.by_depth[2];
-    }
+    let total: f64 = terms.iter().flatten().map(|term| f64::from(term.loss)).sum();
+    // What the term `back` pixels before says of its neighbour `k`: this pixel.
+    let by_depth_of = |i: usize, back: usize, k: usize| {
+        let term = i.checked_sub(back).and_then(|i| terms[i].as_ref());
+        term.map_or(0.0, |term| term.by_depth[k])
+    };
     out.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, o)| {
-        let g = by_depth[i];
+        if let Some(term) = &terms[i] {
+            o.coverage += term.by_coverage;
+            (0..3).for_each(|k| o.normal[k] += term.by_normal[k]);
+        }
+        let g = by_depth_of(i, w, 2) + by_depth_of(i, 1, 1) + by_depth_of(i, 0, 0);
         if g == 0.0 {
             return;
         }

@@ -102,59 +102,103 @@ impl Target {
         let (mean_a, mean_aa) = (blur(w, h, &a), blur(w, h, &squares));
         let mean_ab = blur(w, h, &products);
         let n = a.len();
-        let (mut by_mean, mut by_square, mut by_product) =
-            (vec![0.0f32; n], vec![0.0f32; n], vec![0.0f32; n]);
-        let mut total = 0.0f64;
-        for i in 0..n {
-            let (ma, mb) = (mean_a[i], mean_b[i]);
-            let (va, vb, cov) = (mean_aa[i] - ma * ma, mean_bb[i] - mb * mb, mean_ab[i] - ma * mb);
-            let (n1, n2) = (2.0 * ma * mb + SSIM_C1, 2.0 * cov + SSIM_C2);
-            let (d1, d2) = (ma * ma + mb * mb + SSIM_C1, va + vb + SSIM_C2);
-            let s = n1 * n2 / (d1 * d2);
-            total += f64::from(s);
-            let by_cov = 2.0 * n1 / (d1 * d2);
-            let by_va = -s / d2;
-            let by_ma = 2.0 * mb * n2 / (d1 * d2) - 2.0 * ma * s / d1;
-            by_mean[i] = weight * (by_ma - 2.0 * ma * by_va - mb * by_cov);
-            by_square[i] = weight * by_va;
-            by_product[i] = weight * by_cov;
-        }
+        let mut by = [0; 3].map(|_| vec![0.0f32; n]);
+        let mut similarity = vec![0.0f32; n];
+        let means = Means { a: &mean_a, b: mean_b, aa: &mean_aa, bb: mean_bb, ab: &mean_ab };
+        similarities(&means, weight, &mut similarity, &mut by);
+        let total = similarity.iter().map(|s| f64::from(*s)).sum();
+        let [by_mean, by_square, by_product] = by;
         // The window is symmetric, so its transpose is itself.
         let (gm, gs, gp) = (blur(w, h, &by_mean), blur(w, h, &by_square), blur(w, h, &by_product));
         (total, (0..n).map(|i| gm[i] + 2.0 * a[i] * gs[i] + b[i] * gp[i]).collect())
     }
 }
 
+/// Means over the window of two images, of their squares and of their product.
+struct Means<'a> {
+    a: &'a [f32],
+    b: &'a [f32],
+    aa: &'a [f32],
+    bb: &'a [f32],
+    ab: &'a [f32],
+}
+
+/// SSIM of each pixel, and `weight` times its derivatives by the means of the first image, of its square and of the product.
+#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
+fn similarities(means: &Means<'_>, weight: f32, similarity: &mut [f32], by: &mut [Vec<f32>; 3]) {
+    let n = similarity.len();
+    let [by_mean, by_square, by_product] = by.each_mut().map(|by| &mut by[..n]);
+    let (a, b) = (&means.a[..n], &means.b[..n]);
+    let (aa, bb, ab) = (&means.aa[..n], &means.bb[..n], &means.ab[..n]);
+    for i in 0..n {
+        let (ma, mb) = (a[i], b[i]);
+        let (va, vb, cov) = (aa[i] - ma * ma, bb[i] - mb * mb, ab[i] - ma * mb);
+        let (n1, n2) = (2.0 * ma * mb + SSIM_C1, 2.0 * cov + SSIM_C2);
+        let (d1, d2) = (ma * ma + mb * mb + SSIM_C1, va + vb + SSIM_C2);
+        let s = n1 * n2 / (d1 * d2);
+        similarity[i] = s;
+        let by_cov = 2.0 * n1 / (d1 * d2);
+        let by_va = -s / d2;
+        let by_ma = 2.0 * mb * n2 / (d1 * d2) - 2.0 * ma * s / d1;
+        by_mean[i] = weight * (by_ma - 2.0 * ma * by_va - mb * by_cov);
+        by_square[i] = weight * by_va;
+        by_product[i] = weight * by_cov;
+    }
+}
+
+/// Pixels whose sums stay in registers.
+const BLOCK: usize = 32;
+
 /// Separable Gaussian blur with zero padding.
 fn blur(width: usize, height: usize, input: &[f32]) -> Vec<f32> {
-    let taps = ssim_window();
-    let half = SSIM_TAPS / 2;
     let mut across = vec![0.0f32; input.len()];
-    let mut padded = vec![0.0f32; width + SSIM_TAPS - 1];
-    for (row, out) in input.chunks_exact(width).zip(across.chunks_exact_mut(width)) {
-        padded[half..half + width].copy_from_slice(row);
-        for (t, k) in taps.iter().enumerate() {
-            add_scaled(*k, &padded[t..t + width], out);
-        }
-    }
+    blur_across(width, input, &mut across);
     let mut out = vec![0.0f32; input.len()];
-    for (y, target) in out.chunks_exact_mut(width).enumerate() {
-        for (t, k) in taps.iter().enumerate() {
-            let source = y + t;
-            if source >= half && source - half < height {
-                let row = source - half;
-                add_scaled(*k, &across[row * width..(row + 1) * width], target);
-            }
-        }
-    }
+    blur_down(width, height, &across, &mut out);
     out
 }
 
-/// `out += k * input`.
 #[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
-fn add_scaled(k: f32, input: &[f32], out: &mut [f32]) {
-    for (o, v) in out.iter_mut().zip(input) {
-        *o += k * v;
+fn blur_across(width: usize, input: &[f32], out: &mut [f32]) {
+    let taps = ssim_window();
+    let half = SSIM_TAPS / 2;
+    // Whole blocks, and the window beyond the last.
+    let mut padded = vec![0.0f32; width.next_multiple_of(BLOCK) + SSIM_TAPS];
+    for (row, out) in input.chunks_exact(width).zip(out.chunks_exact_mut(width)) {
+        padded[half..half + width].copy_from_slice(row);
+        for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+            let mut sums = [0.0f32; BLOCK];
+            for (t, k) in taps.iter().enumerate() {
+                let Some(source) = padded[block * BLOCK + t..].first_chunk::<BLOCK>() else { continue };
+                (0..BLOCK).for_each(|i| sums[i] += k * source[i]);
+            }
+            out.copy_from_slice(&sums[..out.len()]);
+        }
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
+fn blur_down(width: usize, height: usize, input: &[f32], out: &mut [f32]) {
+    let taps = ssim_window();
+    let half = SSIM_TAPS / 2;
+    for (y, out) in out.chunks_exact_mut(width).enumerate() {
+        let rows = half.saturating_sub(y)..SSIM_TAPS.min(height + half - y);
+        for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+            let at = |t: usize| (y + t - half) * width + block * BLOCK;
+            if let Some(out) = out.first_chunk_mut::<BLOCK>() {
+                let mut sums = [0.0f32; BLOCK];
+                for t in rows.clone() {
+                    let Some(source) = input[at(t)..].first_chunk::<BLOCK>() else { continue };
+                    (0..BLOCK).for_each(|i| sums[i] += taps[t] * source[i]);
+                }
+                *out = sums;
+            } else {
+                for t in rows.clone() {
+                    let source = &input[at(t)..at(t) + out.len()];
+                    out.iter_mut().zip(source).for_each(|(o, v)| *o += taps[t] * v);
+                }
+            }
+        }
     }
 }
 
@@ -179,6 +223,27 @@ mod tests {
         assert!((same.ssim - 1.0).abs() < 1e-5 && same.mae == 0.0);
         let other = target.compare(&noise(24 * 20, 2), ImageWeights { l1: 1.0, ssim: 1.0 });
         assert!(other.ssim < 0.5 && other.mae > 0.1);
+    }
+
+    #[test]
+    fn the_blur_is_the_sum_over_the_window() {
+        let taps = ssim_window();
+        for (w, h) in [(1, 1), (3, 40), (32, 4), (70, 9)] {
+            let plane: Vec<f32> = noise(w * h, 5).iter().map(|p| p[0]).collect();
+            let blurred = blur(w, h, &plane);
+            for (i, found) in blurred.iter().enumerate() {
+                let mut sum = 0.0f64;
+                for (dy, ky) in taps.iter().enumerate() {
+                    for (dx, kx) in taps.iter().enumerate() {
+                        let (x, y) = (i % w + dx, i / w + dy);
+                        if (5..w + 5).contains(&x) && (5..h + 5).contains(&y) {
+                            sum += f64::from(ky * kx) * f64::from(plane[(y - 5) * w + x - 5]);
+                        }
+                    }
+                }
+                assert!((sum - f64::from(*found)).abs() < 1e-6, "{w} x {h}, {i}: {sum} {found}");
+            }
+        }
     }
 
     #[test]

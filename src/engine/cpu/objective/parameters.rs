@@ -50,15 +50,19 @@ pub fn probe_labels(g: &Gaussians, labels: &[f32], weight: f32, out: &mut Gradie
     }
     let scale = weight / (g.len() as f32 * 4.0 * std::f32::consts::PI);
     let layout = out.layout;
-    let pairs = g.field(Field::Visibility).chunks_exact(width).zip(labels.chunks_exact(width));
-    let mut total = 0.0f64;
-    for (row, (c, label)) in out.rows.chunks_mut(layout.row).zip(pairs) {
-        for ((o, c), l) in row[layout.range(Field::Visibility)].iter_mut().zip(c).zip(label) {
-            total += f64::from(scale * (c - l) * (c - l));
-            *o += 2.0 * scale * (c - l);
-        }
-    }
-    total as f32
+    let pairs = g.field(Field::Visibility).par_chunks_exact(width).zip(labels.par_chunks_exact(width));
+    let rows = out.rows.par_chunks_mut(layout.row).zip(pairs).with_min_len(512);
+    let values: Vec<f32> = rows
+        .map(|(row, (c, label))| {
+            let mut value = 0.0;
+            for ((o, c), l) in row[layout.range(Field::Visibility)].iter_mut().zip(c).zip(label) {
+                value += scale * (c - l) * (c - l);
+                *o += 2.0 * scale * (c - l);
+            }
+            value
+        })
+        .collect();
+    sum(&values)
 }
 
 /// BCE of the visibility towards the continuing view direction against backward transmittance (Eq. 15): the mean over
