@@ -5,6 +5,7 @@
 use std::io::Cursor;
 
 use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat, ImageReader};
+use jpeg_encoder::{ColorType, SamplingFactor};
 
 use crate::formats::{ImageFileError, exr_image, srgb};
 use crate::scene::ImageRgba;
@@ -209,10 +210,16 @@ pub fn encode_jpeg(
     quality: u8,
 ) -> Result<Vec<u8>, ImageFileError> {
     check_length(width, height, pixels.len())?;
+    let side = |side: u32| {
+        u16::try_from(side).map_err(|_| ImageFileError::Encode(format!("{side} pixels are too many")))
+    };
+    let (width, height) = (side(width)?, side(height)?);
     let mut out = Vec::new();
-    let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100));
+    let mut encoder = jpeg_encoder::Encoder::new(&mut out, quality.clamp(1, 100));
+    // Colour in full: half of it is seen at the edges of saturated things.
+    encoder.set_sampling_factor(SamplingFactor::F_1_1);
     encoder
-        .write_image(pixels.as_flattened(), width, height, ExtendedColorType::Rgb8)
+        .encode(pixels.as_flattened(), width, height, ColorType::Rgb)
         .map_err(|e| ImageFileError::Encode(e.to_string()))?;
     Ok(out)
 }

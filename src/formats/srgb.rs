@@ -1,5 +1,7 @@
 //! The sRGB transfer curve (IEC 61966-2-1), values in [0, 1].
 
+use std::sync::LazyLock;
+
 /// Linear light to the sRGB-encoded value; clamps to [0, 1], NaN becomes 0.
 pub fn encode(linear: f32) -> f32 {
     let x = unit(linear);
@@ -22,9 +24,68 @@ pub fn to_u8(x: f32) -> u8 {
     (x * 255.0 + 0.5) as u8
 }
 
+/// Bits of an f32 that a bucket's numbers differ in.
+const WITHIN: u32 = 16;
+/// Below this all is level 0.
+const LEAST: f32 = 1.0 / 8192.0;
+
+/// The numbers that share their leading bits: what is below `border` has the level, the others the next one.
+#[derive(Debug, Clone, Copy)]
+struct Bucket {
+    border: f32,
+    level: u8,
+}
+
+/// Buckets of [`LEAST`] to 1, each so narrow that it holds no more than one border of two levels.
+static BUCKETS: LazyLock<Vec<Bucket>> = LazyLock::new(|| {
+    let level = |x: f32| to_u8(encode(x));
+    let buckets = (LEAST.to_bits() >> WITHIN)..(1.0f32.to_bits() >> WITHIN);
+    let bucket = |leading: u32| {
+        let (first, end) = (leading << WITHIN, (leading + 1) << WITHIN);
+        let below = level(f32::from_bits(first));
+        let (mut low, mut high) = (first, end);
+        while low < high {
+            let middle = (low + high) / 2;
+            if level(f32::from_bits(middle)) > below { high = middle } else { low = middle + 1 }
+        }
+        Bucket { border: f32::from_bits(low), level: below }
+    };
+    buckets.map(bucket).collect()
+});
+
+/// Linear light to the nearest of 256 sRGB-encoded levels: [`to_u8`] of [`encode`] without a power.
+#[inline]
+pub fn encode_u8(linear: f32) -> u8 {
+    if !(linear >= LEAST) {
+        return 0;
+    }
+    match BUCKETS.get(((linear.to_bits() - LEAST.to_bits()) >> WITHIN) as usize) {
+        Some(bucket) => bucket.level + u8::from(linear >= bucket.border),
+        None => u8::MAX,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn levels_without_a_power_are_those_with_one() {
+        let all = (0..1.0f32.to_bits() + (1 << 24)).step_by(997).map(f32::from_bits);
+        for x in all.chain([-1.0, 1.0, 1e30, f32::INFINITY, f32::NAN, f32::NEG_INFINITY]) {
+            assert_eq!(encode_u8(x), to_u8(encode(x)), "{x}");
+        }
+        // Each border, and the numbers beside it: the power may round to either side of a half there.
+        for level in 0..255u8 {
+            let at = decode((f32::from(level) + 0.5) / 255.0);
+            for bits in at.to_bits() - 40..at.to_bits() + 40 {
+                let found = encode_u8(f32::from_bits(bits));
+                assert!(found == level || found == level + 1);
+            }
+            assert_eq!(encode_u8(at * 0.9999), level);
+            assert_eq!(encode_u8(at * 1.0001), level + 1);
+        }
+    }
 
     #[test]
     fn all_256_levels_round_trip() {

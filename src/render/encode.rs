@@ -97,11 +97,23 @@ fn plane(frame: &Frame, output: Output) -> Result<&[f32], ImageFileError> {
 trait Level: Copy {
     /// The level nearest to a value in [0, 1].
     fn nearest(value: f32) -> Self;
+
+    /// The levels of a colour under a curve.
+    fn shown(colour: [f32; 3], curve: ToneCurve) -> [Self; 3] {
+        curve.apply(colour).map(Self::nearest)
+    }
 }
 
 impl Level for u8 {
     fn nearest(value: f32) -> Self {
         srgb::to_u8(value)
+    }
+
+    fn shown(colour: [f32; 3], curve: ToneCurve) -> [Self; 3] {
+        match curve {
+            ToneCurve::Linear => curve.apply(colour).map(Self::nearest),
+            curve => curve.light(colour).map(srgb::encode_u8),
+        }
     }
 }
 
@@ -123,12 +135,14 @@ fn colour<L: Level>(frame: &Frame, output: Output, finish: &Finish) -> Result<Ve
     let pixel = |(&rgb, &alpha): (&[f32; 3], &f32)| {
         let alpha = coverage(alpha, output, finish);
         let divisor = if output == Output::Albedo { 1.0 } else { alpha.max(1e-6) };
-        let shown = curve.apply(rgb.map(|v| v / divisor));
-        let (shown, alpha) = match finish.background {
-            Background::Colour(behind) => (over(shown, alpha, shown_as(behind, curve)), 1.0),
-            _ => (shown, alpha),
+        let colour = rgb.map(|v| v / divisor);
+        let ([r, g, b], alpha) = match finish.background {
+            Background::Colour(behind) => {
+                let shown = over(curve.apply(colour), alpha, shown_as(behind, curve));
+                (shown.map(L::nearest), 1.0)
+            }
+            _ => (L::shown(colour, curve), alpha),
         };
-        let [r, g, b] = shown.map(L::nearest);
         [r, g, b, L::nearest(alpha)]
     };
     Ok(pixels.iter().zip(alpha).map(pixel).collect())

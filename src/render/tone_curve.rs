@@ -24,10 +24,17 @@ impl ToneCurve {
     /// Linear Rec.709 radiance, straight alpha, to display values in [0, 1]; NaN becomes 0.
     pub fn apply(self, colour: [f32; 3]) -> [f32; 3] {
         match self {
-            Self::Srgb => colour.map(srgb::encode),
-            Self::Neutral => neutral(colour.map(positive)).map(srgb::encode),
-            Self::Agx => agx(colour.map(positive)).map(srgb::encode),
             Self::Linear => colour.map(|v| positive(v).min(1.0)),
+            curve => curve.light(colour).map(srgb::encode),
+        }
+    }
+
+    /// The same as light of the display: before it is encoded, and clamped by that.
+    pub(super) fn light(self, colour: [f32; 3]) -> [f32; 3] {
+        match self {
+            Self::Neutral => neutral(colour.map(positive)),
+            Self::Agx => agx(colour.map(positive)),
+            Self::Srgb | Self::Linear => colour,
         }
     }
 }
