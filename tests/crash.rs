@@ -16,7 +16,7 @@ use crate::server_process::Server;
 use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, until};
 
 /// Long enough that ten starts, each with a moment of training, do not reach the end.
-const STEPS: u32 = 600;
+const STEPS: u32 = 1500;
 const CHECKPOINT_EVERY: u32 = 10;
 const KILLS: usize = 10;
 

@@ -40,7 +40,9 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
     }
     adapters.iter().for_each(describe);
     #[cfg(feature = "server")]
-    println!("database      {}", database_version()?);
+    if args.database.database_url.is_none() {
+        println!("database      {}", database_version()?);
+    }
     println!("data dir      {}", data_dir(&args.data_dir)?);
     #[cfg(feature = "server")]
     let faults = stored(args)?;

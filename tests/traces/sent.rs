@@ -66,12 +66,12 @@ fn assert_children(collector: &Collector, names: &[&str], parent: &Sent) {
     }
 }
 
-/// The spans of the steps of a job of 60: one stretch after the other, to the end.
+/// The spans of the steps of a job of 150: one stretch after the other, to the end.
 fn assert_steps(collector: &Collector) {
     let number = |span: &Sent, name| span.attribute(name).unwrap().parse::<u32>().unwrap();
     let steps = collector.named("steps");
     let stretches: Vec<_> = steps.iter().map(|span| (number(span, "first"), number(span, "last"))).collect();
-    assert_eq!((stretches[0].0, stretches[stretches.len() - 1].1), (1, 60), "{stretches:?}");
+    assert_eq!((stretches[0].0, stretches[stretches.len() - 1].1), (1, 150), "{stretches:?}");
     assert!(stretches.windows(2).all(|pair| pair[0].1 + 1 == pair[1].0), "{stretches:?}");
 }
 

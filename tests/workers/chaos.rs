@@ -63,6 +63,8 @@ struct Fleet<'a> {
     /// Restarts PostgreSQL as a crash does; none where the database is a file.
     restart_database: Option<PathBuf>,
     random: ChaCha8Rng,
+    /// Whose turn it is: everybody's once, in any order, then again.
+    victims: Vec<usize>,
 }
 
 /// How often something was killed.
@@ -86,6 +88,7 @@ impl<'a> Fleet<'a> {
             server: None,
             restart_database: bucket.is_some().then(restart_of_postgres),
             random: ChaCha8Rng::seed_from_u64(SEED),
+            victims: Vec::new(),
         };
         fleet.start_server().await;
         fleet.workers = (0..WORKERS).map(|i| fleet.worker(i)).collect();
@@ -126,8 +129,11 @@ impl<'a> Fleet<'a> {
         if let Some(bucket) = self.bucket {
             fail_now_and_then(bucket, &mut self.random);
         }
-        let victims = WORKERS + 1 + usize::from(self.restart_database.is_some());
-        match (self.random.random_range(0..victims), &self.restart_database) {
+        if self.victims.is_empty() {
+            self.victims = (0..WORKERS + 1 + usize::from(self.restart_database.is_some())).collect();
+        }
+        let victim = self.victims.swap_remove(self.random.random_range(0..self.victims.len()));
+        match (victim, &self.restart_database) {
             (WORKERS, _) => {
                 self.server = None;
                 tokio::time::sleep(Duration::from_millis(300)).await;

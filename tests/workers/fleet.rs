@@ -122,5 +122,5 @@ pub async fn model_hash(client: &Client, job: &JobId) -> String {
 
 /// A job that takes a second or two.
 pub fn short_job(capture: &CaptureId) -> NewJob {
-    small_job(capture, 60, 10)
+    small_job(capture, 150, 25)
 }
