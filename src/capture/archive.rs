@@ -313,6 +313,13 @@ fn gunzip(file: File, packed: u64, label: &str, limits: &ImportLimits) -> Result
     Ok(bytes)
 }
 
+/// What an error says, without the bytes that are no header and that it repeats.
+fn without_bytes(error: &std::io::Error) -> String {
+    let text = error.to_string();
+    let end = text.find(':').into_iter().chain(text.find(" when getting ")).min();
+    text[..end.unwrap_or(text.len())].to_owned()
+}
+
 type TarIndex = (Vec<(u64, u64)>, Vec<String>);
 
 fn index_tar(
@@ -325,7 +332,10 @@ fn index_tar(
     let (mut spans, mut names) = (Vec::new(), Vec::new());
     let mut end = 0;
     let mut archive = tar::Archive::new(reader);
-    let not_tar = |e: std::io::Error| unreadable(label, "not a readable zip, tar or tar.gz: ", &e);
+    let not_tar = |e: std::io::Error| match of_disk(&e) {
+        Some(_) => unreadable(label, "", &e),
+        None => damaged(label, format!("not a readable zip, tar or tar.gz: {}", without_bytes(&e))),
+    };
     for entry in archive.entries_with_seek().map_err(not_tar)? {
         let entry = entry.map_err(not_tar)?;
         check.count()?;

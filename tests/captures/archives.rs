@@ -171,6 +171,12 @@ fn what_is_no_archive_or_no_capture_says_so() {
     assert_eq!(refusal(b"").code(), "capture_archive_damaged");
     assert_eq!(refusal(b"just some text").code(), "capture_archive_damaged");
     assert_eq!(refusal(&[0; 4096]).code(), "capture_layout_unknown");
+    let noise: Vec<u8> = (0..2048u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let said = refusal(&noise).to_string();
+    assert!(
+        said.contains("not a readable zip") && said.chars().all(|c| (' '..='~').contains(&c)),
+        "{said:?}"
+    );
     let files = Files::from([("holiday.jpg".to_owned(), vec![1])]);
     let error = refusal(&zip(&files));
     assert_eq!(error.code(), "capture_layout_unknown");

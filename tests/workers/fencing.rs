@@ -83,6 +83,9 @@ async fn a_model_whose_files_are_not_as_they_were_sent_is_not_published() {
     };
     let refused = work.publish(&model(vec![file.clone()])).await.unwrap_err();
     assert_eq!(refused.problem().unwrap().errors[0].pointer, "/files/0");
+    file.name = "../model.ply".to_owned();
+    let refused = work.publish(&model(vec![file.clone()])).await.unwrap_err();
+    assert_eq!(refused.problem().unwrap().errors[0].pointer, "/files/0/name");
     file.name = "model.ply".to_owned();
     assert_eq!(work.publish(&model(vec![file])).await.unwrap_err().problem().unwrap().status, 422);
     assert_eq!(client.job(&id).await.unwrap().state, JobState::Running);

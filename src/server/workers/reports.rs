@@ -150,7 +150,7 @@ async fn publish_model(
     JsonBody(model): JsonBody<FinishedModel>,
 ) -> Result<Json<LeaseView>, Problem> {
     for (i, file) in model.files.iter().enumerate() {
-        check_name(&file.name)?;
+        check_name(&file.name, &format!("/files/{i}/name"))?;
         lease.verify_file(file).await.map_err(|error| match error {
             StoreError::Damaged(_) | StoreError::Missing(_) => {
                 Problem::invalid_field(format!("/files/{i}"), "no such file with these bytes was sent before")

@@ -65,21 +65,21 @@ async fn put_file_of_work(
     UrlPath(path): UrlPath<FilePath>,
     request: Request,
 ) -> Result<Json<SentFile>, Problem> {
-    check_name(&path.name)?;
+    check_name(&path.name, "/name")?;
     let bytes = receive(&app, &lease, request).await?;
     Ok(Json(lease.take_file(&path.name, bytes).await?))
 }
 
 /// # Errors
-/// 422 for what is no name of a model's file.
-pub(super) fn check_name(name: &str) -> Result<(), Problem> {
+/// 422 for what is no name of a model's file, which the field `pointer` has.
+pub(super) fn check_name(name: &str, pointer: &str) -> Result<(), Problem> {
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
     let is_name = (1..=64).contains(&name.len()) && name.chars().all(plain) && !name.starts_with('.');
     if is_name && !name.starts_with("checkpoint") {
         return Ok(());
     }
     let why = "must have 1 to 64 of A-Z, a-z, 0-9, `.`, `_` and `-` and begin neither with `.` nor with `checkpoint`";
-    Err(Problem::invalid_field("/name", why))
+    Err(Problem::invalid_field(pointer, why))
 }
 
 /// Streams a body to disk, counted for the job's tenant.
