@@ -3,7 +3,7 @@
 
 mod rows;
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -109,12 +109,18 @@ struct Maps {
     cosine_transposed: SparseRows,
     specular: [SparseRows; SPECULAR_LEVELS.len()],
     specular_transposed: [SparseRows; SPECULAR_LEVELS.len()],
-    specular_slices: [SlicedRows; SPECULAR_LEVELS.len()],
-    transposed_slices: [SlicedRows; SPECULAR_LEVELS.len()],
+    /// The prefilter levels once more, for whoever applies them on the CPU.
+    slices: OnceLock<Slices>,
     /// `Y_j(w)` a texel, padded.
     harmonics: Vec<f32>,
     /// `dw` a texel.
     solid_angles: Vec<f32>,
+}
+
+#[derive(Debug)]
+struct Slices {
+    specular: [SlicedRows; SPECULAR_LEVELS.len()],
+    transposed: [SlicedRows; SPECULAR_LEVELS.len()],
 }
 
 impl EnvOperators {
@@ -137,8 +143,6 @@ impl EnvOperators {
         for ((d, _), row) in texels.iter().zip(harmonics.chunks_mut(coefficients)) {
             sh_eval(order, d.to_array().map(|v| v as f32), row);
         }
-        let specular_transposed: [SparseRows; SPECULAR_LEVELS.len()] =
-            std::array::from_fn(|k| specular[k].transposed(texels.len()));
         let maps = Maps {
             width,
             height,
@@ -146,9 +150,8 @@ impl EnvOperators {
             diffuse_grid,
             cosine_transposed: cosine.transposed(texels.len()),
             cosine,
-            specular_slices: specular.each_ref().map(SparseRows::sliced),
-            transposed_slices: specular_transposed.each_ref().map(SparseRows::sliced),
-            specular_transposed,
+            specular_transposed: std::array::from_fn(|k| specular[k].transposed(texels.len())),
+            slices: OnceLock::new(),
             specular_grids,
             specular,
             harmonics,
@@ -220,7 +223,21 @@ impl EnvOperators {
 
     /// Empty tables of the shape [`Self::apply`] gives.
     pub fn shape(&self) -> LightTables {
-        self.apply(&vec![[0.0; 3]; self.maps.width * self.maps.height])
+        let maps = &*self.maps;
+        let coefficients = padded(sh_count(maps.order));
+        let unlit = |light: &SplitLight| TableLight {
+            direction: light.direction,
+            radius: light.radius,
+            irradiance: [0.0; 3],
+        };
+        LightTables {
+            diffuse_grid: maps.diffuse_grid,
+            coefficients,
+            diffuse: vec![0.0; maps.diffuse_grid.len() * 3 * coefficients],
+            specular_grids: maps.specular_grids,
+            specular: maps.specular_grids.map(|grid| vec![[0.0; 3]; grid.len()]),
+            lights: self.split.lights.iter().map(unlit).collect(),
+        }
     }
 
     /// Degree of the visibility field the diffuse table serves.
@@ -262,6 +279,13 @@ impl EnvOperators {
 }
 
 impl Maps {
+    fn slices(&self) -> &Slices {
+        self.slices.get_or_init(|| Slices {
+            specular: self.specular.each_ref().map(SparseRows::sliced),
+            transposed: self.specular_transposed.each_ref().map(SparseRows::sliced),
+        })
+    }
+
     /// `M L`.
     fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
         let n = padded(sh_count(self.order));
@@ -287,18 +311,19 @@ impl Maps {
 
     /// The prefiltered levels of an environment.
     fn prefiltered(&self, radiance: &[[f32; 3]]) -> [Vec<[f32; 3]>; SPECULAR_LEVELS.len()] {
-        let levels = self.specular_slices.iter().enumerate();
+        let by_level = &self.slices().specular;
+        let levels = by_level.iter().enumerate();
         let slices: Vec<(usize, usize)> =
             levels.flat_map(|(level, rows)| (0..rows.len()).map(move |slice| (level, slice))).collect();
         let sums = slices.par_iter().with_min_len(SLICES).map(|(level, slice)| {
             let mut sums = Slice::default();
-            self.specular_slices[*level].add(*slice, radiance, &mut sums);
+            by_level[*level].add(*slice, radiance, &mut sums);
             sums
         });
         let sums: Vec<Slice> = sums.collect();
         let mut rest = sums.iter();
         std::array::from_fn(|level| {
-            let slices = rest.by_ref().take(self.specular_slices[level].len());
+            let slices = rest.by_ref().take(by_level[level].len());
             let nodes = slices.flat_map(|[r, g, b]| (0..LANES).map(|lane| [r[lane], g[lane], b[lane]]));
             nodes.take(self.specular_grids[level].len()).collect()
         })
@@ -308,10 +333,11 @@ impl Maps {
     fn apply_transposed(&self, gradient: &LightTables) -> Vec<[f32; 3]> {
         let n = padded(sh_count(self.order));
         let mut out = vec![[0.0f32; 3]; self.width * self.height];
+        let transposed = &self.slices().transposed;
         let slices = out.par_chunks_mut(LANES).enumerate().with_min_len(2);
         slices.for_each_init(Vec::new, |products, (slice, texels)| {
             let mut by_specular = Slice::default();
-            for (rows, by_level) in self.transposed_slices.iter().zip(&gradient.specular) {
+            for (rows, by_level) in transposed.iter().zip(&gradient.specular) {
                 rows.add(slice, by_level, &mut by_specular);
             }
             for (lane, out) in texels.iter_mut().enumerate() {

@@ -1,7 +1,5 @@
 //! Sums of weighted rows: the inner loops of the operators.
 
-use std::collections::BTreeMap;
-
 use multiversion::multiversion;
 
 /// Floats in a block of a row.
@@ -59,13 +57,20 @@ impl SlicedRows {
     pub(super) fn new<'a>(rows: impl Iterator<Item = &'a [(u32, f32)]>) -> Self {
         let mut out = Self { start: vec![0], columns: Vec::new(), weights: Vec::new() };
         let rows: Vec<_> = rows.collect();
+        let columns = rows.iter().filter_map(|row| row.last()).map(|(column, _)| column + 1).max();
+        let mut slice: Vec<Option<[f32; LANES]>> = vec![None; columns.unwrap_or(0) as usize];
         for rows in rows.chunks(LANES) {
-            let mut slice = BTreeMap::<u32, [f32; LANES]>::new();
             for (lane, row) in rows.iter().enumerate() {
-                row.iter().for_each(|(column, weight)| slice.entry(*column).or_default()[lane] = *weight);
+                for (column, weight) in *row {
+                    slice[*column as usize].get_or_insert_default()[lane] = *weight;
+                }
             }
-            out.columns.extend(slice.keys());
-            out.weights.extend(slice.values());
+            for (column, weights) in (0..).zip(&mut slice) {
+                if let Some(weights) = weights.take() {
+                    out.columns.push(column);
+                    out.weights.push(weights);
+                }
+            }
             out.start.push(out.columns.len() as u32);
         }
         out
