@@ -32,7 +32,7 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 /// Download a file of a model
 ///
 /// Answers `Range` (one range), `If-Range` and `If-None-Match`. The `ETag` is the sha256 of the file. A server whose artifacts are in
-/// an object store may send the caller there (307); a script of a page is never sent.
+/// an object store may send the caller there (307), unless it is a browser.
 #[utoipa::path(
     get, path = "/v1/models/{id}/files/{name}", tag = "models",
     params(("id" = String, Path), ("name" = String, Path)),
@@ -73,11 +73,10 @@ impl<S: Sync> FromRequestParts<S> for Asked {
 }
 
 impl Asked {
-    /// Whether the caller goes on where an answer leads. Scripts of pages may ask this server alone, and what an object store signs is
-    /// for `GET`.
+    /// Whether the caller goes on where an answer leads. A browser is served from here: scripts may ask this server alone, and a file
+    /// from elsewhere would be saved under the name that it has there. What an object store signs is for `GET`.
     fn may_go_elsewhere(&self) -> bool {
-        let mode = self.headers.get("sec-fetch-mode");
-        self.method == Method::GET && mode.is_none_or(|mode| mode == "navigate")
+        self.method == Method::GET && !self.headers.contains_key("sec-fetch-mode")
     }
 }
 

@@ -65,7 +65,7 @@ async fn a_caller_is_sent_to_the_bucket_where_it_can_go_and_is_served_where_it_c
         (Method::HEAD, vec![], 200),
         (Method::GET, vec![("sec-fetch-mode", "cors")], 200),
         (Method::GET, vec![("if-none-match", answer.headers()["etag"].to_str().unwrap())], 304),
-        (Method::GET, vec![("sec-fetch-mode", "navigate")], 307),
+        (Method::GET, vec![("sec-fetch-mode", "navigate")], 200),
     ];
     for (method, headers, status) in served {
         let answer = ask(&server, method.clone(), &path, &headers).await;

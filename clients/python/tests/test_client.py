@@ -169,6 +169,20 @@ def test_a_download_is_whole_or_not_there(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["m"]
 
 
+def test_an_object_store_that_a_server_leads_to_is_not_told_the_key(tmp_path: Path) -> None:
+    asked = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append((request.url.host, "authorization" in request.headers))
+        if request.url.host == "objects.example":
+            return httpx.Response(200, content=b"ply")
+        return httpx.Response(307, headers={"location": "https://objects.example/m?signature=s"})
+
+    model = relume.Model(client(answer)._connection, {"id": "m"})
+    assert model.download("model.ply", tmp_path / "m").read_bytes() == b"ply"
+    assert asked == [("127.0.0.1", True), ("objects.example", False)]
+
+
 def test_an_orbit_looks_at_its_target_from_its_distance() -> None:
     look = relume.orbit(90, 0, 2.0, (1.0, 1.0, 1.0))["look_at"]
     assert look["eye"] == pytest.approx([1.0, 3.0, 1.0])

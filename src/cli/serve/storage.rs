@@ -22,7 +22,7 @@ pub(super) struct StorageArgs {
     artifacts_cache: u64,
     /// Send callers and workers to the object store of `--artifacts` for files, by URLs that are signed for a quarter of an hour, instead of
     /// passing files on. With an endpoint, such as `https://objects.example.com`, where that is another one for them than for the server.
-    /// Scripts of pages are served from here all the same.
+    /// Browsers are served from here all the same.
     #[arg(long, env = "RELUME_ARTIFACTS_REDIRECT", value_name = "ENDPOINT", num_args = 0..=1, require_equals = true,
           default_missing_value = "same", requires = "url", value_parser = redirect)]
     artifacts_redirect: Option<ArtifactsRedirect>,

@@ -145,17 +145,18 @@ impl ArtifactsPlace {
     /// As [`Self::connect`].
     pub(super) fn signer(&self) -> object_store::Result<Option<Arc<dyn Signer>>> {
         let mut there = self.clone();
-        if let ArtifactsRedirect::Endpoint(endpoint) = match &self.redirect {
-            Some(redirect) => redirect,
+        match &self.redirect {
             None => return Ok(None),
-        } {
-            let name = match self.url.kind {
-                Kind::S3 => "AWS_ENDPOINT_URL",
-                Kind::Google => "GOOGLE_BASE_URL",
-                Kind::Azure => "AZURE_STORAGE_ENDPOINT",
-            };
-            // The last one counts.
-            there.settings.push((name.to_owned(), endpoint.clone()));
+            Some(ArtifactsRedirect::Same) => {}
+            Some(ArtifactsRedirect::Endpoint(endpoint)) => {
+                let name = match self.url.kind {
+                    Kind::S3 => "AWS_ENDPOINT_URL",
+                    Kind::Google => "GOOGLE_BASE_URL",
+                    Kind::Azure => "AZURE_STORAGE_ENDPOINT",
+                };
+                // The last one counts.
+                there.settings.push((name.to_owned(), endpoint.clone()));
+            }
         }
         Ok(Some(there.connect()?.signer))
     }
