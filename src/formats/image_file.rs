@@ -216,7 +216,7 @@ pub fn encode_jpeg(
     let (width, height) = (side(width)?, side(height)?);
     let mut out = Vec::new();
     let mut encoder = jpeg_encoder::Encoder::new(&mut out, quality.clamp(1, 100));
-    // Colour in full: half of it is seen at the edges of saturated things.
+    // 4:4:4: subsampled colour shows at the edges of saturated surfaces.
     encoder.set_sampling_factor(SamplingFactor::F_1_1);
     encoder
         .encode(pixels.as_flattened(), width, height, ColorType::Rgb)
