@@ -15,8 +15,9 @@
 @group(0) @binding(2) var<storage, read> values: array<u32>;
 // First place of each (digit, block), as `sort_count` numbers them.
 @group(0) @binding(3) var<storage, read> places: array<u32>;
-@group(0) @binding(4) var<storage, read_write> sorted_keys: array<u32>;
-@group(0) @binding(5) var<storage, read_write> sorted_values: array<u32>;
+@group(0) @binding(4) var<storage, read> limit: array<u32>;
+@group(0) @binding(5) var<storage, read_write> sorted_keys: array<u32>;
+@group(0) @binding(6) var<storage, read_write> sorted_values: array<u32>;
 
 var<workgroup> sh_key: array<u32, SORT_BLOCK>;
 var<workgroup> sh_value: array<u32, SORT_BLOCK>;
@@ -75,12 +76,17 @@ fn main(
 ) {
     let block_ix = min(workgroup_ix(wid, n_wg), sort.n_blocks);
     let first_ix = block_ix * SORT_BLOCK;
+    let n = min(sort.n, limit[0]);
+    // The whole workgroup has nothing to move.
+    if first_ix >= n {
+        return;
+    }
     for (var k = 0u; k < PER_THREAD; k++) {
         let at = k * WG_SIZE + local_ix;
         // Filling has the last digit and comes last: it stays behind the true pairs.
         var key = 0xffffffffu;
         var value = 0u;
-        if first_ix + at < sort.n {
+        if first_ix + at < n {
             key = keys[first_ix + at];
             value = values[first_ix + at];
         }
@@ -109,7 +115,7 @@ fn main(
     }
     for (var k = 0u; k < PER_THREAD; k++) {
         let at = k * WG_SIZE + local_ix;
-        if first_ix + at < sort.n {
+        if first_ix + at < n {
             let key = sh_key[at];
             let digit = digit_of(key, sort);
             let place = places[digit * sort.n_blocks + block_ix] + at - sh_start[digit];

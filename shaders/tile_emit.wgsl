@@ -7,7 +7,7 @@
 const WG_SIZE = 256u;
 
 struct Emission {
-    // Gaussians and instances counted.
+    // Gaussians, and instances there is memory for.
     n: u32,
     n_instances: u32,
     pad_a: u32,

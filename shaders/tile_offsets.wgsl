@@ -1,4 +1,4 @@
-// First slot of each tile in the sorted instances, and the end. A thread owns one tile and searches by halving: as many
+// First slot of each tile in the sorted instances, as many as there is memory for and the device counted, and the end. A thread owns one tile and searches by halving: as many
 // steps for an empty tile as for a full one. No workgroup memory.
 #import index
 
@@ -6,6 +6,7 @@ const WG_SIZE = 256u;
 
 struct TileCounts {
     n_tiles: u32,
+    // Most instances.
     n_instances: u32,
     pad_a: u32,
     pad_b: u32,
@@ -13,7 +14,8 @@ struct TileCounts {
 
 @group(0) @binding(0) var<uniform> tile_counts: TileCounts;
 @group(0) @binding(1) var<storage, read> tile_of_slot: array<u32>;
-@group(0) @binding(2) var<storage, read_write> first_slot: array<u32>;
+@group(0) @binding(2) var<storage, read> limit: array<u32>;
+@group(0) @binding(3) var<storage, read_write> first_slot: array<u32>;
 
 @compute @workgroup_size(256)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u) {
@@ -22,7 +24,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
         return;
     }
     var lo = 0u;
-    var hi = tile_counts.n_instances;
+    var hi = min(tile_counts.n_instances, limit[0]);
     while lo < hi {
         let middle = lo + (hi - lo) / 2u;
         if tile_of_slot[middle] < tile_ix {

@@ -66,13 +66,15 @@ struct Update {
 // By Gaussian: sum of absgrad (blend_backward) in half image widths, steps on screen: the signal of density control.
 @group(0) @binding(13) var<storage, read_write> density: array<vec2f>;
 @group(0) @binding(14) var<storage, read_write> status: array<atomic<u32>>;
+// What the tile lists hold (tile_room.wgsl): when they were short, nothing is updated.
+@group(0) @binding(15) var<storage, read> listed: array<u32>;
 #ifdef GRADIENTS
-@group(0) @binding(15) var<storage, read> params: array<f32>;
-@group(0) @binding(16) var<storage, read_write> gradients: array<f32>;
+@group(0) @binding(16) var<storage, read> params: array<f32>;
+@group(0) @binding(17) var<storage, read_write> gradients: array<f32>;
 #else
-@group(0) @binding(15) var<storage, read_write> params: array<f32>;
-@group(0) @binding(16) var<storage, read_write> first: array<f32>;
-@group(0) @binding(17) var<storage, read_write> second: array<f32>;
+@group(0) @binding(16) var<storage, read_write> params: array<f32>;
+@group(0) @binding(17) var<storage, read_write> first: array<f32>;
+@group(0) @binding(18) var<storage, read_write> second: array<f32>;
 #endif
 
 // [value][Gaussian].
@@ -433,6 +435,9 @@ fn reduce_losses(local_ix: u32, values: vec4f) {
 @compute @workgroup_size(WG_SIZE)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u,
     @builtin(local_invocation_index) local_ix: u32) {
+    if listed[1] != 0u {
+        return;
+    }
     let gaussian_ix = invocation_ix(gid, n_wg);
     let is_owner = gaussian_ix < model.n;
     var up = Upstream(false, 0u);

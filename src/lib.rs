@@ -14,7 +14,7 @@
 //! - `api`: the types of the HTTP API (feature `server`, `client` or `cli`).
 //! - `store`: metadata in SQLite and artifacts in an object store (feature `server`).
 //! - `jobs`: the job state machine, leases and events (feature `server`).
-//! - `worker`: takes jobs from the queue, owns the device thread, stores checkpoints (feature `server`).
+//! - `worker`: takes jobs from the queue, renders frames, stores checkpoints (feature `server`).
 //! - `farm`: a worker with a process of its own, over the API (features `server` and `client`).
 //! - `server`: the HTTP service (feature `server`).
 //! - `client`: a typed client of the service (feature `client`).

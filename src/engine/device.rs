@@ -69,6 +69,15 @@ impl Device {
         }
     }
 
+    /// False once the device has failed: nothing on it can be used.
+    pub fn is_sound(&self) -> bool {
+        match self {
+            Self::Cpu => true,
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => gpu.healthy().is_ok(),
+        }
+    }
+
     /// True on the GPU engine.
     pub fn is_gpu(&self) -> bool {
         !matches!(self, Self::Cpu)

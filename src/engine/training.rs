@@ -12,13 +12,21 @@ use crate::engine::{DeviceError, TrainState};
 use crate::light::EnvOperators;
 
 /// The arithmetic of a training on one device.
+///
+/// A device may work on a step while the host prepares the next one, so that what a step came to is known later. Everything
+/// but [`Training::step`], [`Training::load`], [`Training::reshape`] and [`Training::roll_back`] wants to be asked after
+/// [`Training::finish`].
 pub trait Training: Send {
     /// Objective, gradients, density statistics and parameter update for one photograph. A step that is not finite leaves
-    /// a state that must not be built on.
+    /// a state that must not be built on. Gives what a step came to, each step's once and in their order: this one's, or that
+    /// of the step before, if there is one.
     ///
     /// # Errors
     /// What went wrong on the device; as for every method here.
-    fn step(&mut self, step: &Step<'_>) -> Result<StepSums, DeviceError>;
+    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepSums>, DeviceError>;
+
+    /// Waits until every step is done; gives what the last one came to, where that was not given yet.
+    fn finish(&mut self) -> Result<Option<StepSums>, DeviceError>;
 
     /// Measures visibility and gathered light anew.
     fn measure(&mut self, how: &ProbeMeasurement<'_>) -> Result<(), DeviceError>;
@@ -29,7 +37,7 @@ pub trait Training: Send {
     /// Rebuilds the model as `plan` says and clears the statistics.
     fn rebuild(&mut self, plan: &DensityPlan) -> Result<(), DeviceError>;
 
-    /// Goes on from another state of the same shape.
+    /// Goes on from another state of the same shape; steps that are not done are forgotten, here and in the next method.
     fn load(&mut self, state: TrainState) -> Result<(), DeviceError>;
 
     /// Goes on from a state of another shape (orders, prototypes, forward model, number of Gaussians) with the operators
@@ -44,7 +52,7 @@ pub trait Training: Send {
     /// was taken.
     fn snapshot(&mut self) -> Result<bool, DeviceError>;
 
-    /// Returns to the last snapshot.
+    /// Returns to the last snapshot; steps that are not done are forgotten.
     fn roll_back(&mut self) -> Result<(), DeviceError>;
 
     /// Gaussians now.

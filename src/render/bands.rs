@@ -79,6 +79,11 @@ impl Bands<'_> {
         view.height = self.rows.min(self.view.height - first);
         view.centre_px[1] -= first as f32;
         let band = self.render(view, first)?;
+        self.done += view.height;
+        if first == 0 && self.done == self.view.height {
+            self.frame.planes = band.planes;
+            return Ok(false);
+        }
         for (output, mut values) in band.planes {
             let plane = self.frame.planes.entry(output).or_default();
             if first == 0 {
@@ -86,7 +91,6 @@ impl Bands<'_> {
             }
             plane.append(&mut values);
         }
-        self.done += view.height;
         Ok(self.done < self.view.height)
     }
 

@@ -75,7 +75,7 @@ impl Threads {
             self.trainers.into_iter().fold(device, |well, thread| thread.join().is_ok() && well)
         };
         if !tokio::task::spawn_blocking(join).await.unwrap_or(false) {
-            tracing::error!("a device thread did not end well");
+            tracing::error!("a training thread did not end well");
         }
     }
 }

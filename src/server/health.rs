@@ -48,7 +48,7 @@ async fn readyz(State(app): State<Shared>) -> Result<&'static str, Problem> {
         return Err(not_ready("it is shutting down"));
     }
     if !app.device.is_alive() {
-        return Err(not_ready("the device thread has ended"));
+        return Err(not_ready("the thread that renders has ended"));
     }
     app.store.ping().await.map_err(|error| {
         tracing::error!(%error, "the database does not answer");

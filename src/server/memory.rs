@@ -25,7 +25,7 @@ const SMALL_BODY: u64 = 65_536;
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Bytes a value of a frame's planes takes, and of the file that grows beside it.
 const FRAME_VALUE: u64 = 9;
-/// Bytes a pixel, in a band, of a pass that blends colour alone.
+/// Bytes a pixel, in a band of the CPU engine, of a pass that blends colour alone.
 const COLOUR_PIXEL: u64 = 16;
 /// Bytes a pixel of a pass with every channel, and of another for the light of one small light.
 const FULL_PIXEL: u64 = 48 * 4 + 20 * 4;
@@ -115,7 +115,9 @@ pub(super) fn of_frame(pixels: u64, outputs: &[Output]) -> u64 {
     let values: usize = outputs.iter().map(|o| o.channels()).sum();
     let is_colour = outputs.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
     let of_pass = if is_colour { COLOUR_PIXEL } else { FULL_PIXEL };
-    pixels * FRAME_VALUE * (values as u64 + 1) + pixels.min(Quality::BAND_COST) * of_pass
+    let (values, on_cpu) = (values as u64 + 1, pixels.min(Quality::CPU_BAND_COST) * of_pass);
+    // A band of a device comes back as floats.
+    pixels * FRAME_VALUE * values + on_cpu.max(pixels.min(Quality::BAND_COST) * 4 * values)
 }
 
 /// Bytes that the stream of a model takes from its file of `size` bytes on: the file, the model, its columns, the stream.

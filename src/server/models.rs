@@ -94,7 +94,7 @@ async fn find(app: &Shared, tenant: &TenantId, id: &ModelId) -> Result<ModelReco
     app.store.model(tenant, id).await?.ok_or_else(|| Problem::not_found("model", id.as_str()))
 }
 
-/// The model as the device thread takes it, and its content hash.
+/// The model as the thread of frames takes it, and its content hash.
 pub(super) async fn source(
     app: &Shared,
     tenant: &TenantId,

@@ -7,11 +7,11 @@ use crate::scene::Camera;
 
 /// Longest side of a frame, pixels.
 const MAX_SIDE: u32 = 4096;
-/// Most queries through the Gaussians a frame of the reference tier may cost: some seconds of the device thread.
+/// Most queries through the Gaussians a frame of the reference tier may cost: some seconds of the thread of frames.
 const MOST_QUERIES: u64 = 1 << 21;
 
-/// The tier and samples asked for of a frame of `size`, width and height in pixels; refuses one that would occupy the device thread
-/// for too long.
+/// The tier and samples asked for of a frame of `size`, width and height in pixels; refuses one that would occupy the thread
+/// of frames for too long.
 pub(super) fn quality(
     tier: Tier,
     samples: Option<u32>,

@@ -115,7 +115,7 @@ pub(super) async fn render_behind(
     Ok(app.encoders.encode(rendered.answer, outputs, format, finish, memory).await?.bytes)
 }
 
-/// Renders on the device thread and encodes off it.
+/// Renders on the thread of frames and encodes off it.
 pub(super) async fn render_frame(
     app: &Shared,
     task: RenderTask,

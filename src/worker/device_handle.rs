@@ -1,4 +1,4 @@
-//! The handle by which the rest of the service reaches the device thread.
+//! The handle by which the rest of the service reaches the threads of its worker.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,18 +13,18 @@ use crate::worker::queued::{Queued, Request, Served};
 use crate::worker::render_queue::{Rank, RenderQueue};
 use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
 
-/// How long a render may wait for the device and run: long enough for a training step and the first preparation of a light.
+/// How long a render may wait for its turn and run: long enough for the first preparation of a light.
 const RENDER_TIMEOUT: Duration = Duration::from_secs(120);
 
-/// Asks the device thread for frames. Cheap to clone.
+/// Asks for frames. Cheap to clone.
 #[derive(Clone)]
 pub struct DeviceHandle {
     requests: RenderQueue,
-    /// Training steps the device thread has done.
+    /// Training steps done.
     steps: Arc<AtomicU64>,
     has_gpu: bool,
     previews: Arc<Previews>,
-    /// Ends the device thread when the last handle is dropped.
+    /// Ends the threads when the last handle is dropped.
     _last: Arc<DropGuard>,
 }
 
@@ -45,7 +45,7 @@ impl DeviceHandle {
         self.previews.latest(job)
     }
 
-    /// Renders between training steps. When the result is not waited for any more, nothing is rendered, or no more of it.
+    /// Renders. When the result is not waited for any more, nothing is rendered, or no more of it.
     ///
     /// # Errors
     /// [`RenderFailure::Busy`] when too many wait already, otherwise what the renderer said.
@@ -88,7 +88,7 @@ impl DeviceHandle {
         self.has_gpu
     }
 
-    /// True while the device thread lives.
+    /// True while the thread that renders lives.
     pub fn is_alive(&self) -> bool {
         !self.requests.is_closed()
     }

@@ -4,7 +4,6 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::engine::Device;
 use crate::render::Frame;
 use crate::worker::opened_device::OpenedDevice;
 use crate::worker::panics::panic_message;
@@ -34,10 +33,6 @@ impl FrameServer {
         Self { device, waiting, cache, steps }
     }
 
-    pub(super) fn device(&self) -> &Device {
-        self.device.device()
-    }
-
     /// Ends when a frame waits.
     pub(super) async fn arrival(&mut self) {
         self.waiting.arrival().await;
@@ -55,7 +50,7 @@ impl FrameServer {
 
     /// Opens the device again after it failed; nothing on a failed device can be used. If it cannot be opened, the CPU
     /// engine replaces it.
-    pub(super) fn reopen(&mut self) {
+    fn reopen(&mut self) {
         self.cache.clear();
         self.device.reopen();
     }

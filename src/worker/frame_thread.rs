@@ -1,5 +1,5 @@
-//! Frames of the CPU engine, beside a training: on a thread and a pool of their own, so that the operating system shares the
-//! processors between the two and no frame waits for a training step.
+//! Frames beside a training: on a thread and a pool of their own, so that device and operating system share what there is between
+//! the two, and no frame waits for anything that a training does on the host.
 
 use std::io;
 use std::thread::JoinHandle;

@@ -1,4 +1,4 @@
-//! What was asked for, on its way to the device thread and back.
+//! What was asked for, on its way to the thread of frames and back.
 
 use std::time::{Duration, Instant};
 
@@ -62,7 +62,7 @@ impl<Task, Answer> Queued<Task, Answer> {
     }
 }
 
-/// What the device thread is asked for.
+/// What the thread of frames is asked for.
 pub(super) enum Request {
     /// A frame.
     Frame(Queued<RenderTask, Frame>),

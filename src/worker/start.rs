@@ -46,8 +46,8 @@ impl Default for WorkerOptions {
     }
 }
 
-/// Starts the device thread, and one for frames when they are rendered on the CPU. They end, with the job checkpointed and
-/// released, after `stop` is cancelled.
+/// Starts a thread that trains and one that renders frames, both on `device`: no frame waits for more of a training than what the
+/// device is at. They end, with the job checkpointed and released, after `stop` is cancelled.
 ///
 /// Must be called inside a tokio runtime.
 ///
@@ -64,19 +64,15 @@ pub fn start(
     let last = stop.child_token();
     let steps = Arc::new(AtomicU64::new(0));
     let cache = RenderCache::new(options.models, options.lights);
+    let training_device = device.shared();
     let frames = FrameServer::new(device, waiting, cache, steps.clone());
     let ended = CancellationToken::new();
-    let (frames, frame_thread) = if has_gpu {
-        (Some(frames), None)
-    } else {
-        (None, Some(frame_thread::start(frames, ended.clone())?))
-    };
+    let frame_thread = frame_thread::start(frames, ended.clone())?;
     let previews = Arc::new(Previews::default());
     let (changes, abandoned) = (source.changes(), last.clone());
     let worker = Worker {
         source,
-        frames,
-        device: OpenedDevice::cpu(),
+        device: training_device,
         steps: steps.clone(),
         previews: previews.clone(),
         import_limits: options.import_limits,
@@ -90,11 +86,11 @@ pub fn start(
     let work = move || {
         runtime.block_on(worker.run());
         drop(ended);
-        if frame_thread.is_some_and(|thread| thread.join().is_err()) {
+        if frame_thread.join().is_err() {
             tracing::error!("the frame thread did not end well");
         }
     };
-    let thread = std::thread::Builder::new().name("relume-device".to_owned()).spawn(work)?;
+    let thread = std::thread::Builder::new().name("relume-training".to_owned()).spawn(work)?;
     Ok((DeviceHandle::new(queue, steps, has_gpu, previews, last.drop_guard()), thread))
 }
 
@@ -123,7 +119,6 @@ pub fn start_training(
     let changes = source.changes();
     let worker = Worker {
         source,
-        frames: None,
         device,
         steps: Arc::default(),
         previews: Arc::default(),

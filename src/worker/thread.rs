@@ -1,4 +1,4 @@
-//! The device thread: takes jobs from a source, and renders on a GPU what is asked for meanwhile.
+//! The training thread: takes jobs from a source.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -13,7 +13,6 @@ use tracing::{Instrument, Span};
 use crate::capture::ImportLimits;
 use crate::engine::Device;
 use crate::traces::{self, TraceParent};
-use crate::worker::frame_server::FrameServer;
 use crate::worker::opened_device::OpenedDevice;
 use crate::worker::panics::panic_message;
 use crate::worker::previews::Previews;
@@ -51,10 +50,7 @@ impl From<AttemptEnd> for Ended {
 /// A thread that trains.
 pub(super) struct Worker {
     pub(super) source: Arc<dyn Source>,
-    /// The GPU and the frames that are served between what else it does. `None` without one: frames of the CPU engine have a
-    /// thread of their own.
-    pub(super) frames: Option<FrameServer>,
-    /// What trains where no frames are served.
+    /// What trains where a job does not say.
     pub(super) device: OpenedDevice,
     /// Training steps done.
     pub(super) steps: Arc<AtomicU64>,
@@ -68,17 +64,6 @@ pub(super) struct Worker {
     pub(super) abandoned: CancellationToken,
     /// Whether it ends after one job, or when none waits.
     pub(super) once: bool,
-}
-
-/// Serves what waits for the GPU, once something does; never ends without one.
-pub(super) async fn serve_next(frames: &mut Option<FrameServer>) {
-    match frames {
-        Some(frames) => {
-            frames.arrival().await;
-            frames.serve_waiting();
-        }
-        None => std::future::pending().await,
-    }
 }
 
 impl Worker {
@@ -110,34 +95,19 @@ impl Worker {
         last
     }
 
-    /// Serves renders until something else may be due.
+    /// Waits until something may be due.
     pub(super) async fn wait(&mut self) {
         tokio::select! {
             () = self.stop.cancelled() => {}
             () = self.abandoned.cancelled() => self.stop.cancel(),
-            () = serve_next(&mut self.frames) => {}
             _ = self.changes.changed() => {}
             () = tokio::time::sleep(IDLE) => {}
         }
     }
 
-    /// Renders what the GPU was asked for meanwhile.
-    pub(super) fn serve_waiting(&mut self) {
-        if let Some(frames) = &mut self.frames {
-            frames.serve_waiting();
-        }
-    }
-
     /// What trains where a job does not say.
     pub(super) fn device(&self) -> &Device {
-        self.frames.as_ref().map_or(self.device.device(), FrameServer::device)
-    }
-
-    fn reopen_device(&mut self) {
-        match &mut self.frames {
-            Some(frames) => frames.reopen(),
-            None => self.device.reopen(),
-        }
+        self.device.device()
     }
 
     /// Makes one attempt at a job and records how it ended, also when it panics.
@@ -170,7 +140,7 @@ impl Worker {
                 tracing::warn!(code = failure.code, detail = failure.detail, "failed");
                 traces::failed(&Span::current(), failure.code);
                 if failure.is_device_failure() {
-                    self.reopen_device();
+                    self.device.reopen();
                 }
                 self.record_failure(claim, failure).await
             }

@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::capture::{Capture, SyntheticOptions, synthetic};
 use crate::cli::bench::table::{head, machine, publish, row};
 use crate::cli::error::CommandResult;
 use crate::engine::Device;
 use crate::engine::DeviceChoice;
-use crate::engine::gpu::StageTime;
+use crate::engine::gpu::{Counts, StageTime};
 use crate::eval::figure;
 use crate::render::{Output, Renderer, Tier};
 use crate::scene::{Camera, Model};
@@ -48,10 +48,38 @@ pub(super) struct DeviceArgs {
 struct Figures {
     gaussians: usize,
     step_ms: f64,
+    /// What the host did for a step of a GPU.
+    host: Option<HostFigures>,
     stages: Vec<StageTime>,
     /// Tier with frame size, and frames a second.
     frames: Vec<(String, f64)>,
     peak_bytes: Option<u64>,
+}
+
+/// What the host does for a step on average.
+struct HostFigures {
+    /// Recording, and the schedule around it.
+    recording_ms: f64,
+    /// Handing over; a software driver does the work meanwhile.
+    submitting_ms: f64,
+    dispatches: f64,
+    submissions: f64,
+    waits: f64,
+}
+
+impl HostFigures {
+    fn of(counts: Counts, elapsed: Duration, steps: u32) -> Self {
+        let a_step = |total: f64| total / f64::from(steps);
+        Self {
+            recording_ms: a_step(
+                elapsed.saturating_sub(counts.waited + counts.submitting).as_secs_f64() * 1e3,
+            ),
+            submitting_ms: a_step(counts.submitting.as_secs_f64() * 1e3),
+            dispatches: a_step(counts.dispatches as f64),
+            submissions: a_step(counts.submissions as f64),
+            waits: a_step(counts.waits as f64),
+        }
+    }
 }
 
 pub(super) fn run(args: &DeviceArgs) -> CommandResult {
@@ -89,11 +117,18 @@ fn measure(args: &DeviceArgs, device: &Device, capture: &Capture, n: u32) -> Com
     for _ in 0..WARM_UP {
         trainer.step()?;
     }
-    let start = Instant::now();
+    let counts = || match device {
+        Device::Cpu => None,
+        Device::Gpu(gpu) => Some(gpu.counts()),
+    };
+    let (before, start) = (counts(), Instant::now());
     for _ in 0..args.steps {
         trainer.step()?;
     }
-    let step_ms = start.elapsed().as_secs_f64() * 1e3 / f64::from(args.steps);
+    let elapsed = start.elapsed();
+    let spent = counts().zip(before).map(|(now, before)| now - before);
+    let host = spent.map(|spent| HostFigures::of(spent, elapsed, args.steps));
+    let step_ms = elapsed.as_secs_f64() * 1e3 / f64::from(args.steps);
     let mut stages = Vec::new();
     if let Device::Gpu(gpu) = device {
         gpu.measure(true);
@@ -115,7 +150,7 @@ fn measure(args: &DeviceArgs, device: &Device, capture: &Capture, n: u32) -> Com
         Device::Cpu => None,
         Device::Gpu(gpu) => Some(gpu.memory().1),
     };
-    Ok(Figures { gaussians, step_ms, stages, frames, peak_bytes })
+    Ok(Figures { gaussians, step_ms, host, stages, frames, peak_bytes })
 }
 
 fn frames(
@@ -169,6 +204,15 @@ fn report(args: &DeviceArgs, device: &Device, all: &[Figures]) -> String {
         text += &row(std::iter::once(name.to_owned()).chain(all.iter().map(cell)));
     };
     line("whole step, ms", &|f| format!("{:.2}", f.step_ms));
+    if all.iter().all(|f| f.host.is_some()) {
+        let of = |f: &Figures, value: &dyn Fn(&HostFigures) -> f64| figure(f.host.as_ref().map(value), 2);
+        line("stages together, ms", &|f| format!("{:.2}", f.stages.iter().map(|s| s.ms).sum::<f64>()));
+        line("recording on the host, ms", &|f| of(f, &|h| h.recording_ms));
+        line("submitting, ms", &|f| of(f, &|h| h.submitting_ms));
+        line("dispatches", &|f| of(f, &|h| h.dispatches));
+        line("submissions", &|f| of(f, &|h| h.submissions));
+        line("waits", &|f| of(f, &|h| h.waits));
+    }
     for stage in all.first().map_or(&[][..], |f| &f.stages) {
         let ms = |f: &Figures| f.stages.iter().find(|s| s.name == stage.name).map_or(0.0, |s| s.ms);
         line(&format!("{}, ms", stage.name), &|f| format!("{:.3}", ms(f)));

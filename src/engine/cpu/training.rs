@@ -69,7 +69,7 @@ impl Training {
 }
 
 impl training::Training for Training {
-    fn step(&mut self, step: &Step<'_>) -> Result<StepSums, DeviceError> {
+    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepSums>, DeviceError> {
         let outcome = objective(step, &self.state, &self.operators);
         let finite = outcome.loss.is_finite() && outcome.gradients.is_finite();
         if finite {
@@ -77,7 +77,11 @@ impl training::Training for Training {
             density.record(&outcome.gradients);
             adam_step(model, moments, &outcome.gradients, &step.sizes, step.counts);
         }
-        Ok(StepSums { loss: outcome.loss, mse: outcome.mse, finite })
+        Ok(Some(StepSums { loss: outcome.loss, mse: outcome.mse, finite }))
+    }
+
+    fn finish(&mut self) -> Result<Option<StepSums>, DeviceError> {
+        Ok(None)
     }
 
     fn measure(&mut self, how: &ProbeMeasurement<'_>) -> Result<(), DeviceError> {

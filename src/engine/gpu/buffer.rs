@@ -1,20 +1,31 @@
 //! Typed device memory.
 
 use std::marker::PhantomData;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+
+use crate::engine::gpu::device::locked;
 
 /// Bytes of device memory in use and their peak.
 #[derive(Debug, Default)]
 pub(super) struct MemoryAccount {
     used: AtomicU64,
     peak: AtomicU64,
+    /// Pieces of memory so far.
+    pieces: AtomicU64,
+    /// Numbers of pieces without a handle that nobody has asked for yet.
+    freed: Mutex<Vec<u64>>,
 }
 
 impl MemoryAccount {
     pub(super) fn add(&self, bytes: u64) {
         let used = self.used.fetch_add(bytes, Ordering::Relaxed) + bytes;
         self.peak.fetch_max(used, Ordering::Relaxed);
+    }
+
+    /// Numbers of the pieces that were freed since this was last asked.
+    pub(super) fn take_freed(&self) -> Vec<u64> {
+        std::mem::take(&mut *locked(&self.freed))
     }
 
     pub(super) fn used(&self) -> u64 {
@@ -31,12 +42,14 @@ impl MemoryAccount {
 struct Allocation {
     buffer: wgpu::Buffer,
     bytes: u64,
+    number: u64,
     account: Arc<MemoryAccount>,
 }
 
 impl Drop for Allocation {
     fn drop(&mut self) {
         self.account.used.fetch_sub(self.bytes, Ordering::Relaxed);
+        locked(&self.account.freed).push(self.number);
     }
 }
 
@@ -58,7 +71,8 @@ impl<T> Buffer<T> {
     pub(super) fn new(buffer: wgpu::Buffer, len: usize, account: &Arc<MemoryAccount>) -> Self {
         let bytes = buffer.size();
         account.add(bytes);
-        let allocation = Arc::new(Allocation { buffer, bytes, account: account.clone() });
+        let number = account.pieces.fetch_add(1, Ordering::Relaxed);
+        let allocation = Arc::new(Allocation { buffer, bytes, number, account: account.clone() });
         Self { allocation, len, element: PhantomData }
     }
 
@@ -85,6 +99,11 @@ impl<T> Buffer<T> {
         } else {
             (self.len * size_of::<T>()).next_multiple_of(4) as u64
         }
+    }
+
+    /// Number of the piece of memory among those of its device.
+    pub(super) fn number(&self) -> u64 {
+        self.allocation.number
     }
 
     pub(super) fn raw(&self) -> &wgpu::Buffer {

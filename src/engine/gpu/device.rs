@@ -1,22 +1,23 @@
 //! An open device: memory, pipelines, and what to do when it fails.
 
 use std::collections::HashMap;
-use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bytemuck::Pod;
 
 use crate::engine::AdapterReport;
 use crate::engine::DeviceError;
 use crate::engine::gpu::adapter::Adapters;
+use crate::engine::gpu::bind_groups::BindGroups;
 use crate::engine::gpu::buffer::{Buffer, MemoryAccount};
 use crate::engine::gpu::shaders::{BindingKind, Kernel};
+use crate::engine::gpu::tally::{Counts, Tally};
 use crate::engine::gpu::timing::{StageTime, Timings};
 use crate::engine::gpu::trusted;
 
 /// How long the host waits for the device before it gives up on it, s.
-const PATIENCE: u64 = 120;
+pub(super) const PATIENCE: u64 = 120;
 /// Bytes of the buffer that one recording's uniforms share.
 pub(super) const UNIFORM_BYTES: u64 = 256 << 10;
 /// Bytes of the smallest buffer: an empty array is still bound as one element of any kind.
@@ -64,9 +65,12 @@ pub(super) struct Inner {
     /// Held from filling the shared uniforms to the submission that reads them.
     pub(super) submitting: Mutex<()>,
     pub(super) timings: Mutex<Option<Timings>>,
+    /// Staging buffers that nothing is on its way to.
+    pub(super) staging: Mutex<Vec<wgpu::Buffer>>,
+    pub(super) tally: Tally,
+    pub(super) bind_groups: BindGroups,
     options: GpuOptions,
     pipelines: Mutex<HashMap<&'static str, Arc<Pipeline>>>,
-    staging: Mutex<Option<wgpu::Buffer>>,
     memory: Arc<MemoryAccount>,
     fault: Arc<Mutex<Option<DeviceError>>>,
 }
@@ -129,9 +133,11 @@ impl Gpu {
             uniform_align,
             submitting: Mutex::default(),
             timings: Mutex::new(None),
+            staging: Mutex::default(),
+            tally: Tally::default(),
+            bind_groups: BindGroups::default(),
             options,
             pipelines: Mutex::default(),
-            staging: Mutex::default(),
             memory: Arc::default(),
             fault,
         };
@@ -162,6 +168,7 @@ impl Gpu {
     /// [`DeviceError::TooLarge`] with the numbers when one binding cannot hold it, [`DeviceError::OutOfMemory`].
     pub fn buffer<T: Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>, DeviceError> {
         self.healthy()?;
+        self.forget_freed();
         let bytes = (len as u64).saturating_mul(size_of::<T>() as u64).max(LEAST_BYTES).next_multiple_of(16);
         let most = self.inner.report.max_binding.min(self.inner.report.max_buffer);
         if bytes > most {
@@ -203,54 +210,23 @@ impl Gpu {
         }
     }
 
-    /// Copies elements to the host; waits for the device.
-    ///
-    /// # Errors
-    /// Whatever went wrong on the device meanwhile.
-    pub fn read<T: Pod>(&self, buffer: &Buffer<T>, range: Range<usize>) -> Result<Vec<T>, DeviceError> {
-        self.healthy()?;
-        let range = range.start.min(buffer.len())..range.end.min(buffer.len());
-        if range.is_empty() {
-            return Ok(Vec::new());
-        }
-        let (start, end) = (range.start * size_of::<T>(), range.end * size_of::<T>());
-        // Copies are in units of four bytes.
-        let (first, last) = ((start / 4 * 4) as u64, end.next_multiple_of(4) as u64);
-        let staging = self.staging(last - first);
-        let mut encoder = self.inner.device.create_command_encoder(&Default::default());
-        encoder.copy_buffer_to_buffer(buffer.raw(), first, &staging, 0, last - first);
-        self.inner.queue.submit([encoder.finish()]);
-        let slice = staging.slice(..last - first);
-        let (sender, receiver) = std::sync::mpsc::channel();
-        slice.map_async(wgpu::MapMode::Read, move |result| {
-            let _ = sender.send(result);
-        });
-        self.wait()?;
-        // The callback may run in another thread that waits too, a moment after this one's wait is over.
-        match receiver.recv_timeout(Duration::from_secs(PATIENCE)) {
-            Ok(Ok(())) => {}
-            other => return Err(self.failure(format!("a buffer could not be read: {other:?}"))),
-        }
-        let mut out = vec![T::zeroed(); range.len()];
-        {
-            let mapped = slice.get_mapped_range().map_err(|e| self.failure(e.to_string()))?;
-            let skip = start - first as usize;
-            let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut out);
-            bytes.copy_from_slice(&mapped[skip..skip + end - start]);
-        }
-        staging.unmap();
-        *locked(&self.inner.staging) = Some(staging);
-        self.healthy()?;
-        Ok(out)
-    }
-
     /// Waits until the device has done all that was submitted.
     ///
     /// # Errors
     /// [`DeviceError::Timeout`] when it takes too long, or what went wrong meanwhile.
     pub fn wait(&self) -> Result<(), DeviceError> {
-        let timeout = Some(Duration::from_secs(PATIENCE));
-        match self.inner.device.poll(wgpu::PollType::Wait { submission_index: None, timeout }) {
+        self.wait_for(None)
+    }
+
+    /// Waits until the device has done one submission and all before it; without an index, the last one.
+    pub(super) fn wait_for(
+        &self,
+        submission_index: Option<wgpu::SubmissionIndex>,
+    ) -> Result<(), DeviceError> {
+        let (timeout, start) = (Some(Duration::from_secs(PATIENCE)), Instant::now());
+        let polled = self.inner.device.poll(wgpu::PollType::Wait { submission_index, timeout });
+        self.inner.tally.waited(start.elapsed());
+        match polled {
             Ok(_) => self.healthy(),
             Err(wgpu::PollError::Timeout) => {
                 let mut fault = locked(&self.inner.fault);
@@ -258,6 +234,11 @@ impl Gpu {
             }
             Err(error) => Err(self.failure(error.to_string())),
         }
+    }
+
+    /// What the device was asked for so far.
+    pub fn counts(&self) -> Counts {
+        self.inner.tally.counts()
     }
 
     /// Gives the device up: everything asked of it from now on fails with [`DeviceError::Lost`].
@@ -275,6 +256,11 @@ impl Gpu {
     /// What each stage took since [`Self::measure`], in order of first appearance.
     pub fn timings(&self) -> Vec<StageTime> {
         locked(&self.inner.timings).as_ref().map(Timings::listed).unwrap_or_default()
+    }
+
+    /// Lets go of memory that only bind groups hold.
+    pub(super) fn forget_freed(&self) {
+        self.inner.bind_groups.forget(&self.inner.memory.take_freed());
     }
 
     pub(super) fn pipeline(&self, kernel: &'static Kernel) -> Arc<Pipeline> {
@@ -324,20 +310,8 @@ impl Gpu {
         Pipeline { pipeline, layout }
     }
 
-    fn staging(&self, bytes: u64) -> wgpu::Buffer {
-        let kept = locked(&self.inner.staging).take();
-        kept.filter(|b| b.size() >= bytes).unwrap_or_else(|| {
-            self.inner.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("staging"),
-                size: bytes.next_power_of_two().max(4096),
-                usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            })
-        })
-    }
-
     /// The fault on record, or else this one.
-    fn failure(&self, text: String) -> DeviceError {
+    pub(super) fn failure(&self, text: String) -> DeviceError {
         locked(&self.inner.fault).get_or_insert(DeviceError::Internal(text)).clone()
     }
 }
@@ -351,7 +325,11 @@ fn layout_entry(binding: u32, kind: BindingKind) -> wgpu::BindGroupLayoutEntry {
     wgpu::BindGroupLayoutEntry {
         binding,
         visibility: wgpu::ShaderStages::COMPUTE,
-        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+        ty: wgpu::BindingType::Buffer {
+            ty,
+            has_dynamic_offset: kind == BindingKind::Uniform,
+            min_binding_size: None,
+        },
         count: None,
     }
 }

@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
+use rayon::prelude::*;
+
 use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
 use crate::engine::gpu::device::locked;
@@ -15,13 +17,16 @@ use crate::engine::gpu::probes::{self, ProbeBuffers};
 use crate::engine::gpu::raster::{Projected, Raster};
 use crate::engine::gpu::resolve::Planes;
 use crate::engine::gpu::shading::Shading;
-use crate::engine::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Recorder};
+use crate::engine::gpu::{Arrival, AttributeSource, Buffer, CameraUniform, Gpu, Recorder, Ticket};
 use crate::engine::{
     BOUNCES, DeviceError, DeviceFrames, DeviceLight, Frame, FrameJob, Output, PROBE_DIRECTIONS,
     ProbeSettings, ShadeColour, fibonacci_sphere, indirect_basis,
 };
 use crate::light::LightTables;
 use crate::scene::{IndirectForm, Model, ShadingOptions, SplitLight};
+
+/// Fewest pixels of a frame that a thread takes apart.
+const SPLIT: usize = 1 << 14;
 
 /// A light in device memory, with what the model's surfaces send back under it.
 pub struct FrameLight {
@@ -102,46 +107,48 @@ impl Frames {
             light: light.buffers.clone(),
             constants: self.constants.clone(),
         };
-        let projected = raster.prepare(camera, &source)?;
-        let recorder = self.gpu.record();
-        match job.colour {
-            ShadeColour::Alone => self.colours(recorder, projected, &shading),
-            ShadeColour::WithGBuffer => self.outputs(recorder, projected, shading, planes, job),
+        loop {
+            let mut recorder = self.gpu.record();
+            let projected = raster.record(&mut recorder, camera, &source)?;
+            let listed = recorder.fetch(projected.listed(), 0..projected.listed().len());
+            let drawn = match job.colour {
+                ShadeColour::Alone => self.colours(&mut recorder, projected, &shading)?,
+                ShadeColour::WithGBuffer => self.outputs(&mut recorder, projected, &shading, planes, job)?,
+            };
+            let arrival = recorder.submit()?.arrive()?;
+            if raster.settle(&arrival.read(&listed)?)? {
+                return drawn.planes(&arrival);
+            }
         }
     }
 
     /// Coverage and colour from Gaussians that are shaded before they are blended.
     fn colours(
         &self,
-        mut recorder: Recorder<'_>,
+        recorder: &mut Recorder<'_>,
         projected: Projected<'_>,
         shading: &Shading,
-    ) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
-        let shaded =
-            projected.attributes(&mut recorder, Channels::Material)?.colours(&mut recorder, shading)?;
-        let frame = shaded.blend(&mut recorder, EarlyStop::WhenSaturated)?;
-        recorder.submit()?;
-        let pixels = self.gpu.read(frame.gbuffer(), 0..frame.camera().pixels())?;
-        Ok(vec![
-            (Output::Rgb, pixels.iter().flat_map(|p| [p[1], p[2], p[3]]).collect()),
-            (Output::Alpha, pixels.iter().map(|p| p[0]).collect()),
-        ])
+    ) -> Result<Drawn, DeviceError> {
+        let shaded = projected.attributes(recorder, Channels::Material)?.colours(recorder, shading)?;
+        let frame = shaded.blend(recorder, EarlyStop::WhenSaturated)?;
+        let pixels = frame.camera().pixels();
+        Ok(Drawn::Colours(recorder.fetch(frame.gbuffer(), 0..pixels)))
     }
 
     fn outputs(
         &self,
-        mut recorder: Recorder<'_>,
+        recorder: &mut Recorder<'_>,
         projected: Projected<'_>,
-        shading: Shading,
+        shading: &Shading,
         planes: &mut Option<Planes>,
         job: &FrameJob<'_>,
-    ) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+    ) -> Result<Drawn, DeviceError> {
         let pass = FramePass {
             channels: self.full(),
             blending: EarlyStop::WhenSaturated,
             branches: FrameBranches::Both(Box::new(shading.clone())),
         };
-        let frame = pass.forward(&mut recorder, projected)?;
+        let frame = pass.forward(recorder, projected)?;
         let camera = frame.camera();
         if !planes.as_ref().is_some_and(|p| p.fits(camera.pixels(), job.outputs)) {
             *planes = None;
@@ -151,9 +158,36 @@ impl Frames {
             none => none.insert(Planes::new(&self.gpu, camera.pixels(), job.outputs)?),
         };
         recorder.stage("resolve");
-        planes.resolve(&mut recorder, camera, &shading, frame.gbuffer(), job.depth_scale)?;
-        recorder.submit()?;
-        planes.read(&self.gpu)
+        planes.resolve(recorder, camera, shading, frame.gbuffer(), job.depth_scale)?;
+        Ok(Drawn::Outputs(planes.fetch(recorder)))
+    }
+}
+
+/// What a submission brings back of a frame.
+enum Drawn {
+    /// Coverage and colour of each pixel.
+    Colours(Ticket<[f32; 4]>),
+    /// Each output by itself.
+    Outputs(Vec<(Output, Ticket<f32>)>),
+}
+
+impl Drawn {
+    fn planes(self, arrival: &Arrival) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+        match self {
+            Self::Colours(pixels) => arrival.with(&pixels, |pixels: &[[f32; 4]]| {
+                let (mut rgb, mut alpha) = (vec![[0.0; 3]; pixels.len()], vec![0.0; pixels.len()]);
+                pixels.par_iter().zip(&mut rgb).zip(&mut alpha).with_min_len(SPLIT).for_each(
+                    |((pixel, rgb), alpha)| {
+                        let [a, r, g, b] = *pixel;
+                        (*alpha, *rgb) = (a, [r, g, b]);
+                    },
+                );
+                vec![(Output::Rgb, rgb.into_flattened()), (Output::Alpha, alpha)]
+            }),
+            Self::Outputs(planes) => {
+                planes.into_iter().map(|(output, values)| Ok((output, arrival.read(&values)?))).collect()
+            }
+        }
     }
 }
 

@@ -5,10 +5,12 @@
 
 mod adapter;
 mod attribute_source;
+mod bind_groups;
 mod buffer;
 mod camera;
 mod density;
 mod device;
+mod fetch;
 pub mod frame;
 pub mod frames;
 pub mod gather;
@@ -27,6 +29,7 @@ mod self_test;
 pub mod shaders;
 pub mod shading;
 mod sort;
+mod tally;
 #[cfg(test)]
 mod tests;
 mod timing;
@@ -39,9 +42,11 @@ pub use attribute_source::AttributeSource;
 pub use buffer::Buffer;
 pub use camera::{CameraUniform, TILE};
 pub use device::{Gpu, GpuOptions};
+pub use fetch::{Arrival, Pace, Submission, Ticket};
 pub use frames::Frames;
 pub use permutations::groups;
 pub use raster::Raster;
 pub use recorder::{Bind, Groups, Recorder, uniform};
+pub use tally::Counts;
 pub use timing::StageTime;
 pub use training::Training;

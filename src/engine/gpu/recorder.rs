@@ -1,8 +1,13 @@
 //! Recording of dispatches, clears and copies, submitted together.
 
+use std::ops::Range;
+use std::time::Instant;
+
 use crate::engine::DeviceError;
+use crate::engine::gpu::bind_groups::{BindKey, Bound};
 use crate::engine::gpu::buffer::Buffer;
 use crate::engine::gpu::device::{Gpu, UNIFORM_BYTES, locked};
+use crate::engine::gpu::fetch::{Fetches, Submission, Ticket};
 use crate::engine::gpu::shaders::Kernel;
 
 /// Most workgroups in one dimension of a dispatch.
@@ -38,15 +43,35 @@ impl Groups {
 
 /// One binding of a dispatch.
 pub enum Bind<'a> {
-    /// A buffer and the bytes of it that are elements, so that `arrayLength` counts those.
-    Buffer(&'a wgpu::Buffer, u64),
+    /// A buffer, the bytes of it that are elements, so that `arrayLength` counts those, and the number of its memory.
+    Buffer(&'a wgpu::Buffer, u64, u64),
     /// The bytes of a uniform struct.
     Uniform(Vec<u8>),
 }
 
 impl<'a, T> From<&'a Buffer<T>> for Bind<'a> {
     fn from(buffer: &'a Buffer<T>) -> Self {
-        Self::Buffer(buffer.raw(), buffer.bytes())
+        Self::Buffer(buffer.raw(), buffer.bytes(), buffer.number())
+    }
+}
+
+impl Bind<'_> {
+    /// Its entry in a bind group; a uniform lies in `uniforms`, at an offset that each dispatch gives.
+    fn entry<'b>(&'b self, binding: u32, uniforms: &'b wgpu::Buffer) -> wgpu::BindGroupEntry<'b> {
+        let (buffer, bytes) = match self {
+            Self::Buffer(buffer, bytes, _) => (*buffer, *bytes),
+            Self::Uniform(bytes) => (uniforms, bytes.len() as u64),
+        };
+        let size = std::num::NonZero::new(bytes);
+        let resource = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 0, size });
+        wgpu::BindGroupEntry { binding, resource }
+    }
+
+    fn bound(&self) -> Bound {
+        match self {
+            Self::Buffer(_, bytes, memory) => Bound::Memory(*memory, *bytes),
+            Self::Uniform(bytes) => Bound::Uniform(bytes.len() as u64),
+        }
     }
 }
 
@@ -65,6 +90,7 @@ pub struct Recorder<'g> {
     queries: Option<(wgpu::QuerySet, Vec<&'static str>)>,
     work: Vec<(&'static str, u64, u64)>,
     dispatches: u32,
+    fetches: Fetches,
 }
 
 impl Gpu {
@@ -76,6 +102,7 @@ impl Gpu {
 
 impl<'g> Recorder<'g> {
     fn new(gpu: &'g Gpu) -> Self {
+        gpu.forget_freed();
         let device = &gpu.inner.device;
         let queries = locked(&gpu.inner.timings).is_some().then(|| {
             let descriptor = wgpu::QuerySetDescriptor {
@@ -95,6 +122,7 @@ impl<'g> Recorder<'g> {
             queries,
             work: Vec::new(),
             dispatches: 0,
+            fetches: Fetches::default(),
         }
     }
 
@@ -128,29 +156,37 @@ impl<'g> Recorder<'g> {
             return;
         }
         let pipeline = self.gpu.pipeline(kernel);
-        let spare: Vec<(wgpu::Buffer, u64, u64)> = bindings.iter().map(|b| self.place(b)).collect();
-        let entries: Vec<wgpu::BindGroupEntry<'_>> = spare
-            .iter()
-            .enumerate()
-            .map(|(i, (buffer, offset, bytes))| wgpu::BindGroupEntry {
-                binding: i as u32,
-                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                    buffer,
-                    offset: *offset,
-                    size: std::num::NonZero::new(*bytes),
-                }),
-            })
-            .collect();
-        let group = self.gpu.inner.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(kernel.name),
-            layout: &pipeline.layout,
-            entries: &entries,
-        });
+        let (group, offsets) = self.bind(kernel, &pipeline.layout, bindings);
         let pass = self.compute_pass();
         pass.set_pipeline(&pipeline.pipeline);
-        pass.set_bind_group(0, &group, &[]);
+        pass.set_bind_group(0, &group, &offsets);
         pass.dispatch_workgroups(x, y, 1);
         self.dispatches += 1;
+    }
+
+    /// The bind group of `bindings`, and the offsets of its uniforms.
+    fn bind(
+        &mut self,
+        kernel: &'static Kernel,
+        layout: &wgpu::BindGroupLayout,
+        bindings: &[Bind<'_>],
+    ) -> (wgpu::BindGroup, Vec<u32>) {
+        let gpu = self.gpu;
+        let offsets = self.place(bindings);
+        let make = |uniforms: &wgpu::Buffer| {
+            let entries: Vec<_> = bindings.iter().zip(0..).map(|(bind, i)| bind.entry(i, uniforms)).collect();
+            let descriptor =
+                wgpu::BindGroupDescriptor { label: Some(kernel.name), layout, entries: &entries };
+            gpu.inner.device.create_bind_group(&descriptor)
+        };
+        match offsets {
+            Ok(offsets) => {
+                let bound = bindings.iter().map(Bind::bound).collect();
+                let key = BindKey::new(kernel, bound);
+                (gpu.inner.bind_groups.get(key, || make(&gpu.inner.uniforms)), offsets)
+            }
+            Err((buffer, offsets)) => (make(&buffer), offsets),
+        }
     }
 
     /// Zeroes a buffer.
@@ -178,11 +214,17 @@ impl<'g> Recorder<'g> {
         self.encoder.copy_buffer_to_buffer(from.raw(), source, to.raw(), target, bytes(len));
     }
 
+    /// Brings elements of a buffer to the host, as they are after all that is recorded, whenever it was asked for; what would
+    /// lie beyond the end is left out.
+    pub fn fetch<T>(&mut self, buffer: &Buffer<T>, range: Range<usize>) -> Ticket<T> {
+        self.fetches.add(buffer, range)
+    }
+
     /// Hands everything to the device.
     ///
     /// # Errors
     /// A fault of the device, of this or of earlier work.
-    pub fn submit(mut self) -> Result<(), DeviceError> {
+    pub fn submit(mut self) -> Result<Submission, DeviceError> {
         // How long the host takes to hand over; the device works on after it.
         let _span = tracing::debug_span!("kernels", dispatches = self.dispatches).entered();
         self.pass = None;
@@ -205,8 +247,12 @@ impl<'g> Recorder<'g> {
             self.encoder.resolve_query_set(&set, 0..count, &buffer, 0);
             (Buffer::<u64>::new(buffer, count as usize, &Default::default()), names)
         });
-        inner.queue.submit([self.encoder.finish()]);
+        let staging = std::mem::take(&mut self.fetches).record(self.gpu, &mut self.encoder);
+        let (commands, start) = (self.encoder.finish(), Instant::now());
+        let index = inner.queue.submit([commands]);
+        let number = inner.tally.submit(self.dispatches, start.elapsed());
         drop(submitting);
+        let submission = Submission::new(self.gpu, index, number, staging);
         if let Some((buffer, names)) = resolved {
             let ticks = self.gpu.read(&buffer, 0..buffer.len())?;
             let period = f64::from(inner.queue.get_timestamp_period()) * 1e-6;
@@ -219,32 +265,45 @@ impl<'g> Recorder<'g> {
                 }
             }
         }
-        self.gpu.healthy()
+        self.gpu.healthy()?;
+        Ok(submission)
     }
 
-    /// Buffer, offset and size behind a binding.
-    fn place(&mut self, bind: &Bind<'_>) -> (wgpu::Buffer, u64, u64) {
-        let bytes = match bind {
-            Bind::Buffer(buffer, bytes) => return ((*buffer).clone(), 0, *bytes),
-            Bind::Uniform(bytes) => bytes,
-        };
+    /// Puts the uniforms among `bindings` where this recording keeps its own and gives their offsets; in a buffer of their own,
+    /// given too, when the shared one is full.
+    fn place(&mut self, bindings: &[Bind<'_>]) -> Result<Vec<u32>, (wgpu::Buffer, Vec<u32>)> {
         let inner = &self.gpu.inner;
-        let offset = (self.uniforms.len() as u64).next_multiple_of(inner.uniform_align);
-        let size = bytes.len() as u64;
-        if offset + size <= UNIFORM_BYTES {
-            self.uniforms.resize(offset as usize, 0);
-            self.uniforms.extend_from_slice(bytes);
-            return (inner.uniforms.clone(), offset, size);
+        let structs = || {
+            bindings.iter().filter_map(|bind| match bind {
+                Bind::Uniform(bytes) => Some(bytes),
+                Bind::Buffer(..) => None,
+            })
+        };
+        let append = |all: &mut Vec<u8>| -> Vec<u32> {
+            structs()
+                .map(|bytes| {
+                    let offset = all.len().next_multiple_of(inner.uniform_align as usize);
+                    all.resize(offset, 0);
+                    all.extend_from_slice(bytes);
+                    offset as u32
+                })
+                .collect()
+        };
+        let most: u64 = structs().map(|bytes| bytes.len() as u64 + inner.uniform_align).sum();
+        if self.uniforms.len() as u64 + most <= UNIFORM_BYTES {
+            return Ok(append(&mut self.uniforms));
         }
-        // A very long recording: the shared buffer is full.
+        // A very long recording.
+        let mut own = Vec::new();
+        let offsets = append(&mut own);
         let buffer = inner.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("uniform"),
-            size,
+            label: Some("uniforms of one dispatch"),
+            size: own.len().next_multiple_of(16) as u64,
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        inner.queue.write_buffer(&buffer, 0, bytes);
-        (buffer, 0, size)
+        inner.queue.write_buffer(&buffer, 0, &own);
+        Err((buffer, offsets))
     }
 
     fn compute_pass(&mut self) -> &mut wgpu::ComputePass<'static> {

@@ -6,7 +6,7 @@ use crate::engine::DeviceError;
 use crate::engine::gpu::grow::grow;
 use crate::engine::gpu::kernel_constants::SORT_BLOCK;
 use crate::engine::gpu::scan::Scan;
-use crate::engine::gpu::{Buffer, Groups, Recorder, shaders, uniform};
+use crate::engine::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
 
 /// Most bits a pass sorts by.
 const PASS_BITS: u32 = 8;
@@ -30,9 +30,26 @@ pub struct Pairs {
     pub values: Buffer<u32>,
 }
 
+/// How many pairs there are.
+#[derive(Debug, Clone, Copy)]
+pub struct PairCount<'a> {
+    /// As many, or more: memory is laid out for this number.
+    pub most: usize,
+    /// Element 0 is the number where only the device knows it; above `most` it counts as that.
+    pub counted: Option<&'a Buffer<u32>>,
+}
+
+impl From<usize> for PairCount<'_> {
+    fn from(n: usize) -> Self {
+        Self { most: n, counted: None }
+    }
+}
+
 /// Memory for sorting, kept from one sort to the next.
 #[derive(Debug, Default)]
 pub struct Sorter {
+    /// One element, larger than any number of pairs.
+    unlimited: Option<Buffer<u32>>,
     keys: [Option<Buffer<u32>>; 2],
     values: [Option<Buffer<u32>>; 2],
     counts: Option<Buffer<u32>>,
@@ -48,19 +65,24 @@ impl Sorter {
     /// # Errors
     /// [`DeviceError::Misuse`] when an input is shorter than `n` or `bits` out of range, or as
     /// [`Gpu::buffer`](crate::engine::gpu::Gpu::buffer).
-    pub fn sort(
+    pub fn sort<'a>(
         &mut self,
         rec: &mut Recorder<'_>,
         keys: &Buffer<u32>,
         values: &Buffer<u32>,
-        n: usize,
+        n: impl Into<PairCount<'a>>,
         bits: u32,
     ) -> Result<Pairs, DeviceError> {
+        let PairCount { most: n, counted } = n.into();
         if keys.len() < n || values.len() < n || !(1..=32).contains(&bits) {
             return Err(DeviceError::Misuse(format!(
                 "sort of {n} pairs by {bits} bits from shorter buffers"
             )));
         }
+        let limit = match counted {
+            Some(counted) => counted.clone(),
+            None => self.unlimited(rec.gpu())?,
+        };
         let n_passes = bits.div_ceil(PASS_BITS);
         let mut from = Pairs { keys: keys.clone(), values: values.clone() };
         let mut shift = 0;
@@ -72,18 +94,25 @@ impl Sorter {
                 keys: grow(rec.gpu(), "sorted keys", &mut self.keys[side], n)?,
                 values: grow(rec.gpu(), "sorted values", &mut self.values[side], n)?,
             };
-            self.pass(rec, &from, &to, (n, shift, pass_bits))?;
+            self.pass(rec, [&from, &to], &limit, (n, shift, pass_bits))?;
             from = to;
             shift += pass_bits;
         }
         Ok(from)
     }
 
+    fn unlimited(&mut self, gpu: &Gpu) -> Result<Buffer<u32>, DeviceError> {
+        match &self.unlimited {
+            Some(unlimited) => Ok(unlimited.clone()),
+            None => Ok(self.unlimited.insert(gpu.upload("no limit", &[u32::MAX])?).clone()),
+        }
+    }
+
     fn pass(
         &mut self,
         rec: &mut Recorder<'_>,
-        from: &Pairs,
-        to: &Pairs,
+        [from, to]: [&Pairs; 2],
+        limit: &Buffer<u32>,
         (n, shift, bits): (usize, u32, u32),
     ) -> Result<(), DeviceError> {
         let n_blocks = n.div_ceil(SORT_BLOCK);
@@ -91,7 +120,7 @@ impl Sorter {
         let counts = grow(rec.gpu(), "digit counts", &mut self.counts, n_counts)?;
         let places = grow(rec.gpu(), "digit places", &mut self.places, n_counts + 1)?;
         let sort = SortPass { n: n as u32, n_blocks: n_blocks as u32, shift, n_digits: 1 << bits };
-        let bindings = [uniform(&sort), (&from.keys).into(), (&counts).into()];
+        let bindings = [uniform(&sort), (&from.keys).into(), limit.into(), (&counts).into()];
         rec.dispatch(&shaders::SORT_COUNT, Groups::Workgroups(n_blocks), &bindings);
         self.scan.exclusive(rec, &counts, &places, n_counts)?;
         let bindings = [
@@ -99,6 +128,7 @@ impl Sorter {
             (&from.keys).into(),
             (&from.values).into(),
             (&places).into(),
+            limit.into(),
             (&to.keys).into(),
             (&to.values).into(),
         ];
@@ -112,7 +142,6 @@ mod tests {
     use rand::{RngExt as _, SeedableRng as _};
 
     use super::*;
-    use crate::engine::gpu::Gpu;
     use crate::engine::gpu::shaders::assert_layout;
 
     fn sorted(gpu: &Gpu, sorter: &mut Sorter, keys: &[u32], bits: u32) -> Vec<(u32, u32)> {
@@ -154,6 +183,27 @@ mod tests {
         for n in [0, 1, 255, 256, 257, 2047, 2049, 5000, 70_000] {
             let keys = random(n, n as u64);
             assert_eq!(sorted(&gpu, &mut sorter, &keys, 32), expected(&keys, 32), "n = {n}");
+        }
+    }
+
+    #[test]
+    #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+    fn as_many_pairs_are_sorted_as_the_device_counted() {
+        let gpu = Gpu::for_tests();
+        let mut sorter = Sorter::default();
+        let keys = random(9000, 11);
+        let values: Vec<u32> = (0..9000).collect();
+        let (k, v) = (gpu.upload("keys", &keys).unwrap(), gpu.upload("values", &values).unwrap());
+        for counted in [0usize, 1, 2048, 5000, 9000, 1 << 31] {
+            let on_device = gpu.upload("counted", &[counted as u32]).unwrap();
+            let mut rec = gpu.record();
+            let n = PairCount { most: keys.len(), counted: Some(&on_device) };
+            let out = sorter.sort(&mut rec, &k, &v, n, 32).unwrap();
+            rec.submit().unwrap();
+            let n = counted.min(9000);
+            let got =
+                gpu.read(&out.keys, 0..n).unwrap().into_iter().zip(gpu.read(&out.values, 0..n).unwrap());
+            assert_eq!(got.collect::<Vec<_>>(), expected(&keys[..n], 32), "{counted} counted");
         }
     }
 

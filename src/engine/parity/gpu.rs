@@ -92,6 +92,7 @@ pub fn by_gpu(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, DeviceEr
         FramePass { channels, blending: EarlyStop::Never, branches: FrameBranches::Both(Box::new(shading)) };
     let mut raster = Raster::new(gpu)?;
     let projected = raster.prepare(&camera, &source)?;
+    let listed = projected.listed().clone();
     let mut recorder = gpu.record();
     recorder.clear(&canvas.losses);
     recorder.clear(&canvas.globals);
@@ -113,6 +114,7 @@ pub fn by_gpu(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, DeviceEr
         globals_gradient: &canvas.globals,
         losses: &canvas.losses,
         density: &canvas.density,
+        listed: &listed,
         status: &canvas.status,
     };
     let input = StepInput { model: &model, upstream, sums, weights: ParameterWeights::default() };

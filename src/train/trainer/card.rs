@@ -13,7 +13,8 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainError::Device`] when the device failed.
-    pub fn model(&self) -> Result<Model, TrainError> {
+    pub fn model(&mut self) -> Result<Model, TrainError> {
+        self.catch_up()?;
         let mut model = self.engine.state()?.model.clone();
         model.card = serde_json::json!({
             "relume_version": env!("CARGO_PKG_VERSION"),

@@ -164,7 +164,7 @@ mod tests {
             |capture: &Capture| Trainer::new(capture, config(around(capture, 1.0)), &Device::Cpu).err();
         assert!(refused(&capture).is_none(), "the control");
         capture.has_alpha = true;
-        let whole = Trainer::new(&capture, config(Crop::NONE), &Device::Cpu).unwrap();
+        let mut whole = Trainer::new(&capture, config(Crop::NONE), &Device::Cpu).unwrap();
         assert_eq!(whole.model().unwrap().framing, None, "they are seen whole");
         let error = refused(&capture).unwrap();
         assert!(matches!(&error, TrainError::Invalid(m) if m.starts_with("crop")), "{error}");

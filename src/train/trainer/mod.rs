@@ -3,6 +3,7 @@
 mod card;
 mod crop;
 mod preparation;
+mod sums;
 
 pub use preparation::Preparation;
 use preparation::operators_of;
@@ -37,9 +38,9 @@ const REFINE_EVERY: u32 = 100;
 pub struct StepReport {
     /// Steps done so far.
     pub step: u32,
-    /// The objective.
+    /// The objective of this step, or of the one before where the device is still at work on this one.
     pub loss: f32,
-    /// PSNR on this step's photograph, dB: physically based branch, or the radiance branch during its warm-up.
+    /// PSNR on that step's photograph, dB: physically based branch, or the radiance branch during its warm-up.
     pub psnr: f32,
     /// Gaussians now.
     pub gaussians: usize,
@@ -66,6 +67,7 @@ pub struct Trainer {
     snapshot: ScheduleState,
     engine: Box<dyn Training>,
     rollbacks: u32,
+    sums: sums::KnownSums,
 }
 
 impl Preparation {
@@ -82,7 +84,16 @@ impl Preparation {
             probe_directions: config.probe_directions,
         };
         let engine = device.training(state, &operators, &limits)?;
-        Ok(Trainer { snapshot: schedule.clone(), config, data, operators, schedule, engine, rollbacks: 0 })
+        Ok(Trainer {
+            snapshot: schedule.clone(),
+            config,
+            data,
+            operators,
+            schedule,
+            engine,
+            rollbacks: 0,
+            sums: Default::default(),
+        })
     }
 }
 
@@ -127,6 +138,9 @@ impl Trainer {
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let start = Instant::now();
         self.prepare_step()?;
+        if self.sums.unsound.is_some() {
+            return self.roll_back();
+        }
         let photo = self.next_photo();
         let progress = self.schedule.step as f32 / self.config.iterations as f32;
         let branches = schedule::branches(&self.config, self.schedule.step);
@@ -152,32 +166,54 @@ impl Trainer {
             sizes: sizes.scaled(self.schedule.rate_factor),
             counts: StepCounts { geometry: next, material },
         })?;
-        if !sums.finite {
+        let phase = u32::from(branches.is_physical()) + 2 * u32::from(size == PhotoSize::Half);
+        self.asked(phase, sums);
+        if self.sums.unsound.is_some() {
             return self.roll_back();
         }
-        let psnr = -10.0 * sums.mse.max(1e-10).log10();
-        let phase = u32::from(branches.is_physical()) + 2 * u32::from(size == PhotoSize::Half);
-        self.schedule.complexity.record(phase, psnr);
         self.schedule.step = next;
         self.refine()?;
-        if self.is_done() {
-            self.decide()?;
-        }
+        self.end()?;
         self.schedule.seconds += start.elapsed().as_secs_f64();
-        if self.is_snapshot_step() {
-            if !self.engine.snapshot()? {
-                return self.roll_back();
-            }
-            self.snapshot = self.schedule.clone();
-            self.rollbacks = 0;
+        self.take_snapshot()?;
+        if self.sums.unsound.is_some() {
+            return self.roll_back();
         }
+        let (loss, psnr) = self.known_sums()?;
         Ok(StepReport {
             step: self.schedule.step,
-            loss: sums.loss,
+            loss,
             psnr,
             gaussians: self.engine.gaussians(),
             warning: None,
         })
+    }
+
+    /// The last decisions, once every step is done.
+    fn end(&mut self) -> Result<(), TrainError> {
+        if self.is_done() {
+            self.catch_up()?;
+            if self.sums.unsound.is_none() {
+                self.decide()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps the state to return to, where the step is one for that and sound.
+    fn take_snapshot(&mut self) -> Result<(), TrainError> {
+        if self.is_snapshot_step() {
+            self.catch_up()?;
+            if self.sums.unsound.is_none() {
+                if self.engine.snapshot()? {
+                    self.snapshot = self.schedule.clone();
+                    self.rollbacks = 0;
+                } else {
+                    self.sums.unsound = Some(self.schedule.step);
+                }
+            }
+        }
+        Ok(())
     }
 
     fn is_snapshot_step(&self) -> bool {
@@ -186,7 +222,7 @@ impl Trainer {
     }
 
     fn roll_back(&mut self) -> Result<StepReport, TrainError> {
-        let failed = self.schedule.step;
+        let failed = self.sums.roll_back().unwrap_or(self.schedule.step);
         self.rollbacks += 1;
         if self.rollbacks > MOST_ROLLBACKS {
             return Err(TrainError::Diverged { step: failed });
@@ -218,6 +254,16 @@ impl Trainer {
     /// What has to happen before certain steps: materials start, probes are refreshed.
     fn prepare_step(&mut self) -> Result<(), TrainError> {
         let (step, warm_up) = (self.schedule.step, self.config.warm_up_steps());
+        let is_measured =
+            self.measures() && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every);
+        let is_round = self.config.is_exposure_round(step) || self.config.is_albedo_round(step);
+        if !(step == warm_up || is_measured || is_round || self.is_decision_due()) {
+            return Ok(());
+        }
+        self.catch_up()?;
+        if self.sums.unsound.is_some() {
+            return Ok(());
+        }
         if step == warm_up {
             self.cut_out()?;
             let mut state = self.engine.state()?.into_owned();
@@ -227,7 +273,7 @@ impl Trainer {
             }
             self.engine.load(state)?;
         }
-        if self.measures() && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every) {
+        if is_measured {
             // The first measurement also finds each Gaussian's open side, which the second one starts from.
             self.measure(if step == warm_up { 2 } else { 1 })?;
         }
@@ -326,6 +372,10 @@ impl Trainer {
         !self.config.metalness || self.schedule.complexity.is_dielectric
     }
 
+    fn is_decision_due(&self) -> bool {
+        self.schedule.complexity.due(&self.config, self.schedule.step).is_some()
+    }
+
     /// Makes the model as small as the scene allows, if a decision is due.
     fn decide(&mut self) -> Result<(), TrainError> {
         let steps = self.schedule.step;
@@ -370,6 +420,10 @@ impl Trainer {
         if step < first || step > last || !step.is_multiple_of(REFINE_EVERY.min((total / 15).max(10))) {
             return Ok(());
         }
+        self.catch_up()?;
+        if self.sums.unsound.is_some() {
+            return Ok(());
+        }
         // The budget opens with the square root of progress, so that early Gaussians settle first.
         let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
         let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
@@ -412,7 +466,8 @@ impl Trainer {
     ///
     /// # Errors
     /// When the state is not finite (a poisoned checkpoint is never written) or the device failed.
-    pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
+    pub fn checkpoint(&mut self) -> Result<Vec<u8>, TrainError> {
+        self.catch_up()?;
         checkpoint::encode(&self.schedule, self.engine.state()?.as_ref(), &self.config)
     }
 

@@ -39,7 +39,8 @@ fn a_poisoned_step_is_rolled_back(device: &Device) {
     state.model.env_raw[5] = [f32::NAN; 3];
     trainer.engine.load(state).unwrap();
     assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
-    let warning = trainer.step().unwrap().warning.unwrap();
+    // A device is a step behind.
+    let warning = (0..2).find_map(|_| trainer.step().unwrap().warning).unwrap();
     assert!(warning.contains("back to step 0"), "{warning}");
     assert_eq!(trainer.schedule.rate_factor, 0.5);
     assert!(trainer.model().unwrap().check().is_ok());

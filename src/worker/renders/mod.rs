@@ -1,4 +1,4 @@
-//! Renders on the device thread, with a cache of models and prepared lights.
+//! Renders on the thread of frames, with a cache of models and prepared lights.
 
 use std::fmt;
 use std::io::ErrorKind;

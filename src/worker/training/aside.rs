@@ -1,4 +1,4 @@
-//! Long work of an attempt that needs no device: on another thread, so that frames are served and cancellation is seen.
+//! Long work of an attempt that needs no device: on another thread, so that cancellation is seen.
 
 use std::ops::ControlFlow;
 
@@ -6,7 +6,7 @@ use tracing::Span;
 
 use crate::api::work::{LeaseStatus, Release};
 use crate::worker::source::Claim;
-use crate::worker::thread::{Worker, serve_next};
+use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, settle};
 
 impl Worker {
@@ -28,7 +28,6 @@ impl Worker {
                     let done = done.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic()));
                     return Ok(ControlFlow::Continue(done));
                 }
-                () = serve_next(&mut self.frames) => {}
                 _ = self.changes.changed() => if claim.check().await? != LeaseStatus::Held {
                     return Ok(ControlFlow::Break(settle(claim).await?));
                 },
@@ -89,7 +88,6 @@ mod tests {
         let (stop, abandoned) = (CancellationToken::new(), CancellationToken::new());
         let worker = Worker {
             source: Arc::new(source),
-            frames: None,
             device: OpenedDevice::cpu(),
             steps: Arc::default(),
             previews: Arc::default(),

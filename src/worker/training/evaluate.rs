@@ -1,5 +1,5 @@
-//! Comparing a finished model with the capture's held-out views, a view at a time, so that frames are served, cancellation is
-//! seen and the lease is renewed in between.
+//! Comparing a finished model with the capture's held-out views, a view at a time, so that cancellation is seen and the lease is
+//! renewed in between.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ impl Worker {
     /// What the model of a finished training is found to be.
     pub(super) async fn measure(
         &mut self,
-        attempt: &Attempt<'_>,
+        attempt: &mut Attempt<'_>,
         model: &Arc<Model>,
         capture: Capture,
     ) -> Result<ControlFlow<AttemptEnd, Figures>, AttemptError> {
@@ -46,7 +46,6 @@ impl Worker {
                 return Ok(ControlFlow::Break(settle(claim).await?));
             }
             comparison.compare(&view, model, self.device_of(claim)?).map_err(failed)?;
-            self.serve_waiting();
         }
         Ok(ControlFlow::Continue(comparison.figures(held_out_views)))
     }

@@ -76,13 +76,13 @@ impl Worker {
                 return Ok(settle(claim).await?);
             }
             if shown.is_due() {
-                attempt.show(&shown, Arc::new(attempt.trainer.model()?));
+                let model = Arc::new(attempt.trainer.model()?);
+                attempt.show(&shown, model);
             }
-            self.serve_waiting();
         }
         let model = Arc::new(attempt.trainer.model()?);
         attempt.show(&shown, model.clone());
-        let measured = self.measure(&attempt, &model, Arc::unwrap_or_clone(capture));
+        let measured = self.measure(&mut attempt, &model, Arc::unwrap_or_clone(capture));
         match measured.instrument(info_span!("evaluate")).await? {
             ControlFlow::Continue(figures) => {
                 let published = publish::publish(claim, attempt.trainer.seconds(), &model, figures);
@@ -144,12 +144,12 @@ impl Attempt<'_> {
 
     /// Stores a checkpoint. When that fails, the checkpoint before still counts: on a full disk the attempt ends there, so that
     /// nothing more is computed than can be kept; after another failure training goes on.
-    async fn checkpoint(&self) -> Result<(), AttemptError> {
+    async fn checkpoint(&mut self) -> Result<(), AttemptError> {
         let step = i64::from(self.trainer.progress().step);
         self.store_checkpoint(step).instrument(info_span!("checkpoint", step)).await
     }
 
-    async fn store_checkpoint(&self, step: i64) -> Result<(), AttemptError> {
+    async fn store_checkpoint(&mut self, step: i64) -> Result<(), AttemptError> {
         let bytes = self.trainer.checkpoint()?;
         match self.claim.checkpoint(step, bytes).await {
             Ok(_) => {}
@@ -175,7 +175,7 @@ impl Attempt<'_> {
     }
 
     /// Stores a checkpoint and gives the job back to the queue.
-    async fn suspend(&self) -> Result<AttemptEnd, AttemptError> {
+    async fn suspend(&mut self) -> Result<AttemptEnd, AttemptError> {
         let step = i64::from(self.trainer.progress().step);
         if step > self.claim.task().checkpoint_step.unwrap_or(0) {
             self.checkpoint().await?;

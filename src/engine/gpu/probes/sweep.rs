@@ -14,7 +14,7 @@ use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::probes::buffers::{ProbeBuffers, direction_weight, padded};
 use crate::engine::gpu::scan::Scan;
 use crate::engine::gpu::sort::{Pairs, Sorter};
-use crate::engine::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
+use crate::engine::gpu::{Buffer, Gpu, Groups, Pace, Recorder, Submission, shaders, uniform};
 use crate::light::sh_eval;
 use crate::scene::sh_count;
 
@@ -26,9 +26,8 @@ const MOST_SIDE: usize = 256;
 const ENTRIES_A_GAUSSIAN: usize = 4;
 /// List entries that any model may have.
 const ENTRIES: usize = 1 << 18;
-/// Directions handed over before the host waits for them: the time limit of a wait is meant for a few, not for
-/// all of them.
-const DIRECTIONS_AHEAD: usize = 16;
+/// Directions flattened in one submission.
+const FLATTENED_AT_ONCE: usize = 16;
 /// Floats of a direction's harmonics in the basis buffer, zeros included.
 const BASIS: usize = 64;
 /// Directions measured besides: the axes, for the bounding box.
@@ -125,6 +124,8 @@ pub(super) struct Sweeper<'g> {
     pub(super) cell_of_instance: Option<Buffer<u32>>,
     pub(super) gaussian_of_instance: Option<Buffer<u32>>,
     pub(super) first_slot: Option<Buffer<u32>>,
+    /// One element, larger than any number of list entries.
+    pub(super) unlimited: Buffer<u32>,
     pub(super) sorter: Sorter,
     pub(super) scan: Scan,
 }
@@ -176,6 +177,7 @@ impl<'g> Sweeper<'g> {
             cell_of_instance: None,
             gaussian_of_instance: None,
             first_slot: None,
+            unlimited: gpu.upload("no limit", &[u32::MAX])?,
             sorter: Sorter::default(),
             scan: Scan::default(),
         })
@@ -190,15 +192,13 @@ impl<'g> Sweeper<'g> {
     ) -> Result<ProbeBuffers, DeviceError> {
         self.prepare(params, model)?;
         let totals = self.fitting_grid(side, entries)?;
+        let mut pace = Pace::default();
         for (direction_ix, total) in totals.into_iter().enumerate() {
-            self.direction(direction_ix, total)?;
-            if direction_ix % DIRECTIONS_AHEAD == DIRECTIONS_AHEAD - 1 {
-                self.gpu.wait()?;
-            }
+            pace.follow(self.direction(direction_ix, total)?)?;
         }
         let mut rec = self.gpu.record();
         self.coefficients(&mut rec);
-        rec.submit()?;
+        pace.follow(rec.submit()?)?;
         Ok(self.out.clone())
     }
 
@@ -226,7 +226,7 @@ impl<'g> Sweeper<'g> {
             // What is sorted does not depend on the bounds that change here; only the unused cells do.
             rec.dispatch(&shaders::PROBE_BOUNDS, Groups::Workgroups(1), &bindings);
         }
-        rec.submit()
+        rec.submit().map(drop)
     }
 
     /// Sets the finest grid, from `side` down, with which no direction lists more than `entries`; list lengths by
@@ -239,14 +239,18 @@ impl<'g> Sweeper<'g> {
         self.sweep.side = side as u32;
         loop {
             let mut rec = self.gpu.record();
-            rec.stage("probes");
             rec.clear(&self.totals);
+            let mut pace = Pace::default();
             for direction_ix in 0..n_directions {
+                if direction_ix > 0 && direction_ix.is_multiple_of(FLATTENED_AT_ONCE) {
+                    pace.follow(std::mem::replace(&mut rec, self.gpu.record()).submit()?)?;
+                }
+                rec.stage("probes");
                 self.sweep.direction_ix = direction_ix as u32;
                 self.flatten(&mut rec);
             }
-            rec.submit()?;
-            let halves = self.gpu.read(&self.totals, 0..2 * n_directions)?;
+            let halves = rec.fetch(&self.totals, 0..2 * n_directions);
+            let halves = rec.submit()?.arrive()?.read(&halves)?;
             let totals =
                 halves.as_chunks::<2>().0.iter().map(|[lo, hi]| u64::from(*lo) | u64::from(*hi) << 32);
             if totals.clone().all(|t| t <= most as u64) || self.sweep.side == 1 {
@@ -276,7 +280,7 @@ impl<'g> Sweeper<'g> {
     }
 
     /// Measures one direction, whose lists have `n_instances` entries.
-    fn direction(&mut self, direction_ix: usize, n_instances: usize) -> Result<(), DeviceError> {
+    fn direction(&mut self, direction_ix: usize, n_instances: usize) -> Result<Submission, DeviceError> {
         let n = self.out.n;
         self.sweep.direction_ix = direction_ix as u32;
         self.sweep.n_instances = n_instances as u32;
@@ -311,7 +315,8 @@ impl<'g> Sweeper<'g> {
         let first_slot = grow(self.gpu, "first slots of cells", &mut self.first_slot, n_cells + 1)?;
         let counts =
             CellCounts { n_cells: n_cells as u32, n_instances: sweep.n_instances, pad_a: 0, pad_b: 0 };
-        let bindings = [uniform(&counts), (&sorted.keys).into(), (&first_slot).into()];
+        let bindings =
+            [uniform(&counts), (&sorted.keys).into(), (&self.unlimited).into(), (&first_slot).into()];
         rec.dispatch(&shaders::TILE_OFFSETS, Groups::Linear(n_cells + 1), &bindings);
         self.walk(&mut rec, &first_slot, &sorted.values);
         rec.submit()

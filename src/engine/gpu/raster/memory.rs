@@ -1,6 +1,7 @@
 //! Memory of the rasteriser.
 
 use crate::engine::DeviceError;
+use crate::engine::gpu::raster::listed::{LISTED_WORDS, RasterCounts};
 use crate::engine::gpu::raster::records::{BlendEnd, SplatRecord};
 use crate::engine::gpu::scan::Scan;
 use crate::engine::gpu::sort::Sorter;
@@ -14,6 +15,12 @@ pub struct Raster {
     pub(super) nothing: Buffer<f32>,
     /// Visible Gaussians, then the low and the high half of the number of (splat, tile) pairs.
     pub(super) counts: Buffer<u32>,
+    /// What the lists of the last view hold, see [`Listed`](super::listed::Listed).
+    pub(super) listed: Buffer<u32>,
+    /// Pairs that a view's lists hold.
+    pub(super) room: usize,
+    /// What the last view showed that is known.
+    pub(super) last: RasterCounts,
     pub(super) splats: Option<Buffer<SplatRecord>>,
     pub(super) depth_keys: Option<Buffer<u32>>,
     pub(super) gaussians: Option<Buffer<u32>>,
@@ -44,6 +51,9 @@ impl Raster {
             gpu: gpu.clone(),
             nothing: gpu.buffer("nothing", 4)?,
             counts: gpu.buffer("raster counts", 4)?,
+            listed: gpu.upload("what is listed", &[0; LISTED_WORDS])?,
+            room: 0,
+            last: RasterCounts::default(),
             splats: None,
             depth_keys: None,
             gaussians: None,

@@ -1,12 +1,13 @@
 //! Rasterisation on the device: projection, depth order, tile lists, blending and the way back to the splats.
 //!
-//! A frame goes through typed stages, each made from the one before: [`Raster::prepare`] gives [`Projected`],
+//! A frame goes through typed stages, each made from the one before: [`Raster::record`] gives [`Projected`],
 //! [`Projected::attributes`] gives [`Attributed`], [`Attributed::blend`] gives [`Blended`], [`Blended::backward`] gives
 //! [`Differentiated`]. A stage borrows the [`Raster`], whose memory is kept from frame to frame and only grows.
 
 mod attributes;
 mod blend;
 mod blend_backward;
+mod listed;
 mod memory;
 mod project;
 mod records;
@@ -18,6 +19,7 @@ mod tiles;
 pub use attributes::Attributed;
 pub use blend::Blended;
 pub use blend_backward::{Differentiated, GRADIENT_HEADER};
+pub use listed::RasterCounts;
 pub use memory::Raster;
-pub use project::{Projected, RasterCounts};
+pub use project::Projected;
 pub use records::{BlendEnd, SplatRecord};

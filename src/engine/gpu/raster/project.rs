@@ -2,19 +2,11 @@
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::grow::grow;
+use crate::engine::gpu::raster::listed::{LISTED_WORDS, RasterCounts};
 use crate::engine::gpu::raster::memory::Raster;
 use crate::engine::gpu::raster::records::{SplatRecord, Words};
 use crate::engine::gpu::raster::tiles::TileLists;
 use crate::engine::gpu::{AttributeSource, Buffer, CameraUniform, Groups, Recorder, TILE, shaders, uniform};
-
-/// What a view shows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct RasterCounts {
-    /// Gaussians that pass the tests of the projection, on screen or not.
-    pub visible: usize,
-    /// (splat, tile) pairs.
-    pub instances: usize,
-}
 
 /// A view whose splats and tile lists are known.
 #[derive(Debug)]
@@ -29,9 +21,14 @@ pub struct Projected<'r> {
 }
 
 impl Projected<'_> {
-    /// What the view shows.
+    /// What the view shows, or the one before it as long as that is not known.
     pub fn counts(&self) -> RasterCounts {
         self.counts
+    }
+
+    /// What [`Raster::settle`] asks for.
+    pub fn listed(&self) -> &Buffer<u32> {
+        &self.raster.listed
     }
 
     /// Gaussians of the model.
@@ -46,31 +43,45 @@ impl Projected<'_> {
 }
 
 impl Raster {
-    /// Projects the Gaussians of `source` and lists the splats of each tile. Submits its work and waits for the counts: how
-    /// many (splat, tile) pairs a view has decides how much memory its lists need. No other step waits.
+    /// Records projection and tile lists of a view of `source`. Nobody waits for the device: whether the lists are whole is
+    /// known later ([`Self::settle`]), and until then the counts are those of an earlier view.
     ///
     /// # Errors
-    /// [`DeviceError::TooLarge`] with the numbers when the view has more (splat, tile) pairs than one binding holds;
-    /// otherwise as [`Gpu::buffer`](crate::engine::gpu::Gpu::buffer) and [`Gpu::read`](crate::engine::gpu::Gpu::read).
+    /// As [`Gpu::buffer`](crate::engine::gpu::Gpu::buffer).
+    pub fn record(
+        &mut self,
+        rec: &mut Recorder<'_>,
+        camera: &CameraUniform,
+        source: &AttributeSource,
+    ) -> Result<Projected<'_>, DeviceError> {
+        let (splats, gaussian_of_rank) = self.project(rec, camera, source)?;
+        let n = source.layout.n as usize;
+        let room = self.room_for(n);
+        let tiles = self.list(rec, camera, &splats, &gaussian_of_rank, (n, room))?;
+        let (camera, source, counts) = (*camera, source.clone(), self.last);
+        Ok(Projected { raster: self, camera, source, splats, tiles, counts })
+    }
+
+    /// Projects and lists on the spot, with lists that are whole and counts that are this view's. Waits for the device.
+    ///
+    /// # Errors
+    /// As [`Self::record`] and [`Self::settle`].
     pub fn prepare(
         &mut self,
         camera: &CameraUniform,
         source: &AttributeSource,
     ) -> Result<Projected<'_>, DeviceError> {
         let gpu = self.gpu.clone();
-        let mut rec = gpu.record();
-        let (splats, gaussian_of_rank) = self.project(&mut rec, camera, source)?;
-        rec.submit()?;
-        let counted = gpu.read(&self.counts, 0..3)?;
-        let pairs = u64::from(counted[2]) << 32 | u64::from(counted[1]);
-        self.check_instances(pairs)?;
-        let counts = RasterCounts { visible: counted[0] as usize, instances: pairs as usize };
-        let mut rec = gpu.record();
-        let n = source.layout.n as usize;
-        let tiles = self.list(&mut rec, camera, &splats, &gaussian_of_rank, (n, counts.instances))?;
-        rec.submit()?;
-        let (camera, source) = (*camera, source.clone());
-        Ok(Projected { raster: self, camera, source, splats, tiles, counts })
+        loop {
+            let mut rec = gpu.record();
+            let Projected { splats, tiles, .. } = self.record(&mut rec, camera, source)?;
+            let listed = rec.fetch(&self.listed, 0..LISTED_WORDS);
+            let listed = rec.submit()?.arrive()?.read(&listed)?;
+            if self.settle(&listed)? {
+                let (camera, source, counts) = (*camera, source.clone(), self.last);
+                return Ok(Projected { raster: self, camera, source, splats, tiles, counts });
+            }
+        }
     }
 
     /// Records projection, depth order and the first instance of each rank; gives the splats, and the

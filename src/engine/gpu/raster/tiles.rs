@@ -4,6 +4,7 @@ use crate::engine::DeviceError;
 use crate::engine::gpu::grow::grow;
 use crate::engine::gpu::raster::memory::Raster;
 use crate::engine::gpu::raster::records::{SplatRecord, Words};
+use crate::engine::gpu::sort::PairCount;
 use crate::engine::gpu::{Buffer, CameraUniform, Groups, Recorder, shaders, uniform};
 
 /// The splats of each tile, tile by tile, nearest first.
@@ -14,7 +15,8 @@ pub(super) struct TileLists {
 }
 
 impl Raster {
-    /// Records the lists of a view of `n` Gaussians that has `n_instances` (splat, tile) pairs.
+    /// Records the lists of a view of `n` Gaussians, for at most `n_instances` (splat, tile) pairs: behind them, what the lists
+    /// hold is written down ([`Raster::settle`]).
     pub(super) fn list(
         &mut self,
         rec: &mut Recorder<'_>,
@@ -29,6 +31,9 @@ impl Raster {
         let first_slot = grow(&self.gpu, "first slots", &mut self.first_slot, n_tiles + 1)?;
         let first_instance = grow(&self.gpu, "first instances", &mut self.first_instance, n + 1)?;
         rec.stage("sort");
+        let room = Words([n_instances as u32, 0, 0, 0]);
+        let bindings = [uniform(&room), (&self.counts).into(), (&self.listed).into()];
+        rec.dispatch(&shaders::TILE_ROOM, Groups::Workgroups(1), &bindings);
         let bindings = [
             uniform(camera),
             uniform(&Words([n as u32, n_instances as u32, 0, 0])),
@@ -41,20 +46,11 @@ impl Raster {
         rec.dispatch(&shaders::TILE_EMIT, Groups::Linear(n), &bindings);
         // Keys go from 0 to n_tiles: the latter marks instances that were counted and not found.
         let bits = (usize::BITS - n_tiles.leading_zeros()).max(1);
-        let sorted = self.tile_sorter.sort(rec, &tiles, &gaussians, n_instances, bits)?;
+        let listed = PairCount { most: n_instances, counted: Some(&self.listed) };
+        let sorted = self.tile_sorter.sort(rec, &tiles, &gaussians, listed, bits)?;
         let size = Words([n_tiles as u32, n_instances as u32, 0, 0]);
-        let bindings = [uniform(&size), (&sorted.keys).into(), (&first_slot).into()];
+        let bindings = [uniform(&size), (&sorted.keys).into(), (&self.listed).into(), (&first_slot).into()];
         rec.dispatch(&shaders::TILE_OFFSETS, Groups::Linear(n_tiles + 1), &bindings);
         Ok(TileLists { gaussian_of_slot: sorted.values, first_slot })
-    }
-
-    pub(super) fn check_instances(&self, pairs: u64) -> Result<(), DeviceError> {
-        let most = self.gpu.report().max_binding.min(self.gpu.report().max_buffer);
-        // Indices are 32 bits wide, with space for a workgroup beyond the end.
-        if pairs > (most / 4).min(u64::from(u32::MAX) - 4096) {
-            let what = format!("the tile lists of a view with {pairs} pairs of splat and tile");
-            return Err(DeviceError::TooLarge { what, needs: pairs.saturating_mul(4), most });
-        }
-        Ok(())
     }
 }

@@ -6,7 +6,7 @@ use crate::engine::DeviceError;
 use crate::engine::Output;
 use crate::engine::gpu::permutations::by_coefficients;
 use crate::engine::gpu::shading::Shading;
-use crate::engine::gpu::{Buffer, CameraUniform, Gpu, Recorder, shaders, uniform};
+use crate::engine::gpu::{Buffer, CameraUniform, Gpu, Recorder, Ticket, shaders, uniform};
 
 #[cfg(test)]
 mod tests;
@@ -77,13 +77,9 @@ impl Planes {
         Ok(())
     }
 
-    /// Copies the outputs to the host, in the order they were asked for; waits for the device.
-    ///
-    /// # Errors
-    /// Whatever went wrong on the device meanwhile.
-    pub fn read(&self, gpu: &Gpu) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
-        let values = gpu.read(&self.values, 0..self.values.len())?;
+    /// Brings the outputs to the host, in the order they were asked for.
+    pub fn fetch(&self, recorder: &mut Recorder<'_>) -> Vec<(Output, Ticket<f32>)> {
         let ranges = self.first.windows(2).map(|w| w[0]..w[1]);
-        Ok(self.wanted.iter().zip(ranges).map(|(p, range)| (*p, values[range].to_vec())).collect())
+        self.wanted.iter().zip(ranges).map(|(p, range)| (*p, recorder.fetch(&self.values, range))).collect()
     }
 }

@@ -90,7 +90,11 @@ fn resolved(
     let mut recorder = gpu.record();
     planes.resolve(&mut recorder, &view, &shading, &gbuffer, DEPTH_SCALE).unwrap();
     recorder.submit().unwrap();
-    let found = planes.read(gpu).unwrap();
+    let mut recorder = gpu.record();
+    let tickets = planes.fetch(&mut recorder);
+    let arrival = recorder.submit().unwrap().arrive().unwrap();
+    let read = |(output, ticket): &(Output, Ticket<f32>)| (*output, arrival.read(ticket).unwrap());
+    let found: Vec<_> = tickets.iter().map(read).collect();
     assert!(found.iter().map(|p| p.0).eq(wanted.iter().copied()));
     let host = wanted.iter().map(|plane| {
         let pixels = (0..view.pixels()).map(|i| (i % 37, i / 37));

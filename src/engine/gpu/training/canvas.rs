@@ -1,12 +1,13 @@
 //! Buffers of the size of the image, and the terms of the objective on images and buffers.
 
 use crate::engine::DeviceError;
+use crate::engine::ImageWeights;
 use crate::engine::channel::Channels;
 use crate::engine::gpu::objective::{ImageTerm, LossSlot, surface_terms};
 use crate::engine::gpu::raster::Blended;
 use crate::engine::gpu::shading::Images;
+use crate::engine::gpu::training::steps::DeviceStep;
 use crate::engine::gpu::{Buffer, Gpu, Recorder};
-use crate::engine::{ImageWeights, Step};
 
 /// Buffers of the size of the image.
 #[derive(Debug, Clone)]
@@ -42,7 +43,7 @@ impl Canvas {
     pub(super) fn terms(
         &self,
         recorder: &mut Recorder<'_>,
-        step: &Step<'_>,
+        step: &DeviceStep,
         channels: Channels,
         photo: &Buffer<[f32; 4]>,
         frame: &Blended<'_>,

@@ -1,34 +1,34 @@
 //! A training on the device.
 //!
-//! A step is two submissions: one that finds out how many tile instances the view has, and one with all the rest, which
-//! ends with a read of sixteen sums. Between steps everything that is learned stays in device memory.
+//! A step is one submission, which ends with a read of its sums; the host waits for those of the step before, so that the
+//! device always has a step to work on. Between steps everything that is learned stays in device memory.
 
 mod canvas;
 mod photos;
 mod size;
 mod state;
+mod steps;
+#[cfg(test)]
+mod tests;
 
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use crate::engine::channel::Channels;
-use crate::engine::constants::EarlyStop;
 use crate::engine::gpu::density;
-use crate::engine::gpu::frame::{FrameBranches, FrameGradients, FramePass};
 use crate::engine::gpu::gather::{LightProbes, gather, ungathered};
 use crate::engine::gpu::light::{Constants, TrainingLight};
-use crate::engine::gpu::objective::{LOSS_SLOTS, LossSlot, objective};
+use crate::engine::gpu::objective::LOSS_SLOTS;
 use crate::engine::gpu::probes;
-use crate::engine::gpu::raster::{Differentiated, Raster};
-use crate::engine::gpu::shading::Shading;
+use crate::engine::gpu::raster::Raster;
 use crate::engine::gpu::training::canvas::Canvas;
 use crate::engine::gpu::training::photos::PhotoCache;
 use crate::engine::gpu::training::state::DeviceState;
-use crate::engine::gpu::update::{STATUS_WORDS, StepInput, Sums, Updater, Upstream};
-use crate::engine::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Recorder};
+use crate::engine::gpu::training::steps::Pending;
+use crate::engine::gpu::update::{STATUS_WORDS, Updater};
+use crate::engine::gpu::{AttributeSource, Buffer, Gpu, Pace};
 use crate::engine::{
     DensityPlan, DensitySignals, DeviceError, FieldUpdate, LightWeights, ProbeMeasurement, ProbeSettings,
-    RasterCamera, Step, StepSums, TrainState, TrainingLimits, fibonacci_sphere, training,
+    Step, StepSums, TrainState, TrainingLimits, fibonacci_sphere, training,
 };
 use crate::light::EnvOperators;
 use crate::scene::{IndirectForm, Model, VisibilityForm};
@@ -59,6 +59,8 @@ pub struct Training {
     /// Gradient of prototypes and raw environment.
     globals_gradient: Buffer<f32>,
     status: Buffer<u32>,
+    /// The last step, as long as nobody knows what it came to.
+    pending: Option<Pending>,
 }
 
 impl Training {
@@ -90,6 +92,7 @@ impl Training {
             state: on_device,
             operators: operators.clone(),
             snapshot: None,
+            pending: None,
         };
         training.take_snapshot()?;
         Ok(training)
@@ -110,18 +113,13 @@ impl Training {
         Ok(())
     }
 
-    /// What the frame of a step shows.
-    fn pass(&self, step: &Step<'_>, channels: Channels) -> FramePass {
-        let branches = match step.branches.is_physical() {
-            false => FrameBranches::Radiance(step.background),
-            true => FrameBranches::Both(Box::new(Shading {
-                options: self.shape.shading,
-                background: step.background,
-                light: self.light.light.clone(),
-                constants: self.constants.clone(),
-            })),
-        };
-        FramePass { channels, blending: EarlyStop::WhenSaturated, branches }
+    /// # Errors
+    /// When a step is not done: what is asked for would be of the state before it, or after.
+    fn check_finished(&self) -> Result<(), DeviceError> {
+        match self.pending {
+            Some(_) => Err(DeviceError::Misuse("a step of the training is not finished".to_owned())),
+            None => Ok(()),
+        }
     }
 
     /// Measures visibility, and gathers light over `bounces` rounds.
@@ -136,18 +134,22 @@ impl Training {
         let probes = probes::measure(gpu, &model.params, &model.layout, settings, &directions, self.order)?;
         let lights = &self.operators.split().lights;
         let lights = LightProbes::measure(gpu, &model.params, &model.layout, &self.shape.shading, lights)?;
-        let mut recorder = gpu.record();
+        let mut pace = Pace::default();
         if let Some(bounces) = bounces {
             let source = AttributeSource::new(model);
             self.state.measured.gathered.clear();
             for turn in how.turns {
+                let mut recorder = gpu.record();
                 self.light.apply(&mut recorder, model, *turn, &LightWeights::default(), &self.losses);
                 let gathered =
                     gather(&mut recorder, &probes, &source, &self.light.light, bounces, lights.as_ref())?;
                 self.state.measured.gathered.push(gathered);
+                pace.follow(recorder.submit()?)?;
             }
         } else if lights.is_some() {
+            let mut recorder = gpu.record();
             self.state.measured.gathered = vec![ungathered(&mut recorder, model.len(), lights.as_ref())?];
+            pace.follow(recorder.submit()?)?;
         }
         let replaces = match how.field {
             FieldUpdate::Keep => false,
@@ -155,9 +157,10 @@ impl Training {
             FieldUpdate::Replace => true,
         };
         if replaces {
+            let mut recorder = gpu.record();
             probes.store(&mut recorder, &model.params, &model.layout)?;
+            pace.follow(recorder.submit()?)?;
         }
-        recorder.submit()?;
         self.state.measured.labels = Some(probes.coefficients);
         self.state.measured.ever = true;
         Ok(())
@@ -165,56 +168,21 @@ impl Training {
 }
 
 impl training::Training for Training {
-    fn step(&mut self, step: &Step<'_>) -> Result<StepSums, DeviceError> {
-        let gpu = self.gpu.clone();
-        let photo = self.photos.upload(&gpu, step.photo_id, step.photo)?;
-        let shading = &self.shape.shading;
-        let camera = CameraUniform::new(&RasterCamera::new(&step.photo.camera, shading));
-        let channels = step.branches.channels(&self.shape.gaussians, shading);
-        let pass = self.pass(step, channels.blended);
-        let canvas = Canvas::at(&mut self.canvas, &gpu, camera.pixels())?;
-        let source = self.state.source(&self.light, step.photo.light);
-        let projected = self.raster.prepare(&camera, &source)?;
-        let mut recorder = gpu.record();
-        recorder.clear(&self.losses);
-        recorder.clear(&self.globals_gradient);
-        recorder.clear(&self.status);
-        let physical = step.branches.is_physical();
-        if physical {
-            let turn = step.photo.light.radians;
-            self.light.apply(&mut recorder, &self.state.model, turn, &step.weights.light, &self.losses);
+    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepSums>, DeviceError> {
+        let step = self.device_step(step)?;
+        let submitted = self.submit(step)?;
+        match self.pending.replace(submitted) {
+            Some(earlier) => self.settle(earlier).map(Some),
+            None => Ok(None),
         }
-        let frame = pass.forward(&mut recorder, projected)?;
-        pass.images(&mut recorder, &frame, &canvas.images)?;
-        canvas.terms(&mut recorder, step, channels.blended, &photo, &frame, &self.losses);
-        let gradients = FrameGradients {
-            by_images: &canvas.by_images,
-            by_buffers: &canvas.by_buffers,
-            by_tables: &self.light.tables_gradient,
-            differentiated: channels.differentiated,
-        };
-        let frame = pass.backward(&mut recorder, frame, &gradients)?;
-        let update = Update {
-            shape: &self.shape,
-            state: &self.state,
-            light: &self.light,
-            updater: &self.updater,
-            losses: &self.losses,
-            globals_gradient: &self.globals_gradient,
-            status: &self.status,
-        };
-        update.record(&mut recorder, step, frame)?;
-        // One read instead of two is one round trip less.
-        recorder.copy(&self.status.cast(), 0, &self.losses, STATUS_SLOT, 1);
-        recorder.submit()?;
-        let sums = gpu.read(&self.losses, 0..LOSS_SLOTS)?;
-        let poisoned = sums[STATUS_SLOT].to_bits() != 0;
-        let loss = objective(&sums, &step.weights);
-        let leading = if physical { LossSlot::PhysicalSquared } else { LossSlot::RadianceSquared };
-        Ok(StepSums { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned })
+    }
+
+    fn finish(&mut self) -> Result<Option<StepSums>, DeviceError> {
+        self.pending.take().map(|pending| self.settle(pending)).transpose()
     }
 
     fn measure(&mut self, how: &ProbeMeasurement<'_>) -> Result<(), DeviceError> {
+        self.check_finished()?;
         let gathers = how.bounces > 0 && self.shape.shading.indirect == IndirectForm::Gathered;
         if self.shape.shading.visibility == VisibilityForm::Off && !gathers {
             return Ok(());
@@ -226,10 +194,12 @@ impl training::Training for Training {
     }
 
     fn density_signals(&self) -> Result<DensitySignals, DeviceError> {
+        self.check_finished()?;
         density::read_signals(&self.gpu, &self.state.model, &self.state.density)
     }
 
     fn rebuild(&mut self, plan: &DensityPlan) -> Result<(), DeviceError> {
+        self.check_finished()?;
         let mut recorder = self.gpu.record();
         self.state.model = density::gather(&mut recorder, &self.state.model, plan)?;
         self.state.density = self.gpu.buffer("density statistics", plan.gaussians.len())?;
@@ -240,6 +210,7 @@ impl training::Training for Training {
     }
 
     fn load(&mut self, state: TrainState) -> Result<(), DeviceError> {
+        self.pending = None;
         self.state = DeviceState::upload(&self.gpu, &state)?;
         self.shape = state.model;
         Ok(())
@@ -257,15 +228,18 @@ impl training::Training for Training {
     }
 
     fn light(&mut self, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
+        self.check_finished()?;
         self.change_operators(operators)?;
         self.state.forget_arriving(&self.gpu)
     }
 
     fn snapshot(&mut self) -> Result<bool, DeviceError> {
+        self.check_finished()?;
         self.take_snapshot().map(|()| true)
     }
 
     fn roll_back(&mut self) -> Result<(), DeviceError> {
+        self.pending = None;
         let missing = || DeviceError::Misuse("there is no snapshot to return to".to_owned());
         let (state, operators) = self.snapshot.as_ref().ok_or_else(missing)?;
         let (state, operators) = (state.copied(&self.gpu)?, operators.clone());
@@ -278,64 +252,11 @@ impl training::Training for Training {
     }
 
     fn state(&self) -> Result<Cow<'_, TrainState>, DeviceError> {
+        self.check_finished()?;
         self.state.download(&self.gpu, &self.shape).map(Cow::Owned)
     }
 
     fn engine(&self) -> &'static str {
         "gpu"
-    }
-}
-
-/// What the parameter side of a step works on.
-struct Update<'a> {
-    shape: &'a Model,
-    state: &'a DeviceState,
-    light: &'a TrainingLight,
-    updater: &'a Updater,
-    losses: &'a Buffer<f32>,
-    globals_gradient: &'a Buffer<f32>,
-    status: &'a Buffer<u32>,
-}
-
-impl Update<'_> {
-    /// From the splats' gradients to new parameters; to new prototypes and light where the physically based branch trains.
-    fn record(
-        &self,
-        recorder: &mut Recorder<'_>,
-        step: &Step<'_>,
-        mut frame: Differentiated<'_>,
-    ) -> Result<(), DeviceError> {
-        let physical = step.branches.is_physical();
-        let mut weights = step.weights.parameters;
-        if self.shape.shading.visibility == VisibilityForm::Off {
-            (weights.probe_labels, weights.view_labels) = (0.0, 0.0);
-        }
-        let view_labels = match weights.view_labels {
-            0.0 => None,
-            _ => Some(frame.backward_labels(recorder)?),
-        };
-        let indirect = if physical { self.shape.shading.indirect } else { IndirectForm::Off };
-        let basis = (&self.light.light.indirect_basis, &self.light.basis_gradient);
-        let sums = Sums {
-            globals_gradient: self.globals_gradient,
-            losses: self.losses,
-            density: &self.state.density,
-            status: self.status,
-        };
-        let upstream = Upstream {
-            indirect_basis: (indirect == IndirectForm::Learned).then_some(basis),
-            probe_labels: self.state.measured.labels.as_ref(),
-            view_labels: view_labels.as_ref(),
-            ..Upstream::new(&frame)
-        };
-        let model = &self.state.model;
-        let input = StepInput { model, upstream, sums, weights };
-        self.updater.step(recorder, &input, &step.sizes, step.counts);
-        if physical {
-            let (turn, weights) = (step.photo.light.radians, &step.weights.light);
-            self.light.backward(recorder, model, turn, weights, indirect, self.globals_gradient);
-            self.updater.step_globals(recorder, model, &sums, &step.sizes, step.counts);
-        }
-        Ok(())
     }
 }

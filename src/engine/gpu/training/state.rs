@@ -155,7 +155,7 @@ impl DeviceState {
             recorder.copy(measured, 0, &gathered, 0, floats);
             *measured = gathered;
         }
-        recorder.submit()
+        recorder.submit().map(drop)
     }
 
     /// The model as frames read it, under the light of the training as it stood in a photograph.

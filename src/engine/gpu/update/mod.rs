@@ -104,6 +104,9 @@ pub struct Sums<'a> {
     pub losses: &'a Buffer<f32>,
     /// Per Gaussian: sum of absgrad in half image widths, steps on screen.
     pub density: &'a Buffer<[f32; 2]>,
+    /// What the tile lists of the step hold ([`Projected::listed`](crate::engine::gpu::raster::Projected::listed)): where they
+    /// were short, nothing is updated.
+    pub listed: &'a Buffer<u32>,
     /// Element 0 becomes non-zero when a gradient is not finite: what it belongs to was then left alone, and the step
     /// must be rolled back.
     pub status: &'a Buffer<u32>,
@@ -192,6 +195,7 @@ impl Updater {
             (&model.globals_first).into(),
             (&model.globals_second).into(),
             sums.status.into(),
+            sums.listed.into(),
         ];
         recorder.stage("update");
         recorder.dispatch(&shaders::ADAM_GLOBALS, Groups::Linear(n), &bindings);
@@ -256,6 +260,7 @@ impl Updater {
             sums.losses.into(),
             sums.density.into(),
             sums.status.into(),
+            sums.listed.into(),
             (&model.params).into(),
         ];
         bindings.extend(outputs.iter().map(|b| (*b).into()));

@@ -179,7 +179,7 @@ fn assert_forward(raster: &mut Raster, scene: &Scene, channels: Channels, tolera
     let pass = scene.cpu(channels, EarlyStop::Never);
     let (got, counts) = (gbuffer(&gpu, &frame), counts(&frame));
     assert_eq!(counts.visible, pass.splats.len(), "{name}: visible");
-    let lists = pass.tiles.rank_of_slot.len();
+    let lists = pass.tiles.splat_of_slot.len();
     assert!(
         counts.instances >= lists && counts.instances <= lists + lists / 100 + 2,
         "{name}: {counts:?} {lists}"

@@ -215,6 +215,7 @@ struct OnDevice {
     globals_gradient: Buffer<f32>,
     losses: Buffer<f32>,
     density: Buffer<[f32; 2]>,
+    listed: Buffer<u32>,
     status: Buffer<u32>,
 }
 
@@ -236,6 +237,7 @@ impl OnDevice {
             globals_gradient: gpu.upload("by globals", &vec![0.0f32; model.globals.len()]).unwrap(),
             losses: gpu.upload("losses", &[0.0f32; 16]).unwrap(),
             density: gpu.upload("density", &vec![[1.0f32, 2.0]; n]).unwrap(),
+            listed: gpu.upload("listed", &[0u32; 5]).unwrap(),
             status: gpu.upload("status", &[0u32; STATUS_WORDS]).unwrap(),
             model,
         }
@@ -246,6 +248,7 @@ impl OnDevice {
             globals_gradient: &self.globals_gradient,
             losses: &self.losses,
             density: &self.density,
+            listed: &self.listed,
             status: &self.status,
         }
     }

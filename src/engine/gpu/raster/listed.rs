@@ -1,0 +1,98 @@
+//! How much memory the lists of a view need. Only the device knows, so that it is laid out for what earlier views needed, and a
+//! view that needs more is drawn again.
+
+use crate::engine::DeviceError;
+use crate::engine::gpu::raster::memory::Raster;
+
+/// Elements of the buffer behind [`Listed`].
+pub(super) const LISTED_WORDS: usize = 5;
+/// Pairs a Gaussian that the first view has memory for, and pairs that any view has.
+const FIRST_ROOM: (usize, usize) = (4, 1 << 14);
+/// Memory for this many times the pairs of a view is too much.
+const TOO_MUCH: usize = 8;
+
+/// What a view shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct RasterCounts {
+    /// Gaussians that pass the tests of the projection, on screen or not.
+    pub visible: usize,
+    /// (splat, tile) pairs.
+    pub instances: usize,
+}
+
+/// What the device says of a view's lists (`shaders/tile_room.wgsl`).
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Listed {
+    is_short: bool,
+    visible: usize,
+    pairs: u64,
+}
+
+impl Listed {
+    /// From the elements of [`Raster::listed`]; nothing is short where elements are missing.
+    fn new(words: &[u32]) -> Self {
+        let word = |i: usize| words.get(i).copied().unwrap_or(0);
+        Self {
+            is_short: word(1) != 0,
+            visible: word(4) as usize,
+            pairs: u64::from(word(3)) << 32 | u64::from(word(2)),
+        }
+    }
+}
+
+impl Raster {
+    /// Takes in what came back of the lists of a view. False when memory was short: what was drawn is wrong, so is all that
+    /// was recorded since, and with the memory that there is now it can be recorded again.
+    ///
+    /// # Errors
+    /// [`DeviceError::TooLarge`] with the numbers when the view has more (splat, tile) pairs than one binding holds.
+    pub fn settle(&mut self, listed: &[u32]) -> Result<bool, DeviceError> {
+        let listed = Listed::new(listed);
+        self.check_instances(listed.pairs)?;
+        let pairs = listed.pairs as usize;
+        self.last = RasterCounts { visible: listed.visible, instances: pairs };
+        if listed.is_short {
+            self.room = (pairs + pairs / 4).max(self.room).min(self.most_instances());
+            self.gpu.write(&self.listed, 1, &[0]);
+        } else if self.room / TOO_MUCH > pairs.max(FIRST_ROOM.1) {
+            self.room = 2 * pairs.max(FIRST_ROOM.1);
+        }
+        Ok(!listed.is_short)
+    }
+
+    /// Pairs that the lists of the next view of `n` Gaussians hold.
+    pub(super) fn room_for(&mut self, n: usize) -> usize {
+        if self.room == 0 {
+            self.room = (FIRST_ROOM.0 * n).max(FIRST_ROOM.1);
+        }
+        self.room = self.room.min(self.most_instances());
+        self.room
+    }
+
+    /// Makes the next views' lists hold `room` pairs.
+    #[cfg(test)]
+    pub(in crate::engine::gpu) fn set_room(&mut self, room: usize) {
+        self.room = room;
+    }
+
+    /// What the lists of the last view hold.
+    #[cfg(test)]
+    pub(in crate::engine::gpu) fn listed(&self) -> &crate::engine::gpu::Buffer<u32> {
+        &self.listed
+    }
+
+    /// Pairs that one binding holds. Indices are 32 bits wide, with space for a workgroup beyond the end.
+    fn most_instances(&self) -> usize {
+        let most = self.gpu.report().max_binding.min(self.gpu.report().max_buffer);
+        (most / 4).min(u64::from(u32::MAX) - 4096) as usize
+    }
+
+    pub(super) fn check_instances(&self, pairs: u64) -> Result<(), DeviceError> {
+        if pairs <= self.most_instances() as u64 {
+            return Ok(());
+        }
+        let most = self.gpu.report().max_binding.min(self.gpu.report().max_buffer);
+        let what = format!("the tile lists of a view with {pairs} pairs of splat and tile");
+        Err(DeviceError::TooLarge { what, needs: pairs.saturating_mul(4), most })
+    }
+}
