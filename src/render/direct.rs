@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use crate::engine::channel::{COVERAGE, Channels, OutgoingRadiance, RowLight};
 use crate::engine::constants::{EarlyStop, LEAST_COVERAGE};
 use crate::engine::cpu::{
-    AttributeSource, Occluders, Pass, Surface, attribute_rows, blended_radiance, normalise, project_all,
-    reflector, surface_at, surface_points,
+    AttributeSource, Occluders, Pass, Surface, attribute_rows, blended_radiance, normalise, reflector,
+    surface_at, surface_points,
 };
 use crate::engine::towards_light;
 use crate::light::{DominantLight, Sheen, TableLight};
@@ -53,9 +53,9 @@ impl<'a> Unhidden<'a> {
 fn blend_reflected(source: &AttributeSource<'_>, pass: &Pass, light: &DominantLight) -> Pass {
     let channels = Channels::Full(0);
     let (view, stored) = (pass.view, channels.stored());
-    let splats = project_all(source, &view);
-    let mut rows = attribute_rows(source, &view, &splats, channels, stored);
-    rows.par_chunks_mut(stored).zip(&splats).with_min_len(64).for_each(|(row, splat)| {
+    let splats = &pass.splats;
+    let mut rows = attribute_rows(source, &view, splats, channels, stored);
+    rows.par_chunks_mut(stored).zip(splats).with_min_len(64).for_each(|(row, splat)| {
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = source.gaussians.get(Field::Mean, i);
         let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - view.centre[k]));
@@ -63,7 +63,8 @@ fn blend_reflected(source: &AttributeSource<'_>, pass: &Pass, light: &DominantLi
         row[OutgoingRadiance::TOTAL].copy_from_slice(&sent.total());
         row[OutgoingRadiance::SPECULAR].copy_from_slice(&sent.specular);
     });
-    Pass::blend(view, splats, channels, RowLight::Outgoing, rows, EarlyStop::WhenSaturated)
+    let binned = (splats.clone(), pass.tiles.clone());
+    Pass::blend(view, binned, channels, RowLight::Outgoing, rows, EarlyStop::WhenSaturated)
 }
 
 /// What `surface` sends of a light that nothing hides, sheen included.

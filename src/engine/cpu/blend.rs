@@ -97,11 +97,11 @@ pub struct BlendScratch {
 /// A tile to blend: what is in it and where it is.
 #[derive(Debug, Clone, Copy)]
 pub struct TileJob<'a> {
-    /// All splats, depth-sorted.
+    /// All splats.
     pub splats: &'a [Splat],
-    /// Ranks in this tile, front to back.
-    pub ranks: &'a [u32],
-    /// Attributes by rank, `stored` floats each.
+    /// Splats of this tile, front to back.
+    pub members: &'a [u32],
+    /// Attributes by splat, `stored` floats each.
     pub attributes: &'a [f32],
     /// Floats in an attribute row, a multiple of 4.
     pub stored: usize,
@@ -114,7 +114,7 @@ pub struct TileJob<'a> {
 impl BlendScratch {
     pub(super) fn gather(&mut self, job: &TileJob<'_>) {
         self.splats.clear();
-        self.splats.extend(job.ranks.iter().map(|&r| LocalSplat::new(&job.splats[r as usize])));
+        self.splats.extend(job.members.iter().map(|&m| LocalSplat::new(&job.splats[m as usize])));
     }
 
     /// Alpha and transmittance of every splat that reaches the strip at row `y`.
@@ -153,6 +153,16 @@ pub(super) fn capped(alpha: f32) -> f32 {
     if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX }
 }
 
+/// Sets the marks of the tile's splats that [`blend_tile`] takes something of.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+pub(super) fn mark_seen(job: &TileJob<'_>, scratch: &mut BlendScratch, marks: &mut [bool]) {
+    scratch.gather(job);
+    for row in 0..TILE {
+        scratch.find_entries(job.origin.0, job.origin.1 + row, job.early_stop);
+        scratch.entries.iter().for_each(|entry| marks[entry.local as usize] = true);
+    }
+}
+
 /// Blends one tile into `out`: `[row][channel][lane]`, `TILE * stored * LANES` floats.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
 pub fn blend_tile(job: &TileJob<'_>, scratch: &mut BlendScratch, out: &mut [f32]) {
@@ -168,8 +178,8 @@ pub fn blend_tile(job: &TileJob<'_>, scratch: &mut BlendScratch, out: &mut [f32]
         for (block, target) in strip.chunks_exact_mut(4 * LANES).enumerate() {
             let mut sums = [Lanes::ZERO; 4];
             for (e, w) in entries.iter().zip(weights.iter()) {
-                let rank = job.ranks[e.local as usize] as usize;
-                let base = rank * job.stored + 4 * block;
+                let splat = job.members[e.local as usize] as usize;
+                let base = splat * job.stored + 4 * block;
                 let Some(a) = job.attributes[base..].first_chunk::<4>() else { continue };
                 sums[0].add_product(a[0], w);
                 sums[1].add_product(a[1], w);

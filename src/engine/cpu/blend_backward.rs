@@ -56,7 +56,7 @@ struct Rows {
     is_done: [bool; TILE],
 }
 
-/// Gradient rows of the tile's splats into `out` (`ranks.len()` rows of `ROW_HEADER + channels` floats).
+/// Gradient rows of the tile's splats into `out` (`members.len()` rows of `ROW_HEADER + channels` floats).
 ///
 /// `gradient` is `[row][channel][lane]` with `gradient_stored` channels a row, of which the first `channels` count;
 /// pixels outside the image must be zero in it.
@@ -78,7 +78,7 @@ pub fn blend_tile_backward(
     for (local, target) in out.chunks_exact_mut(ROW_HEADER + channels).enumerate().rev() {
         let entries = scratch.first_entry[local]..scratch.first_entry[local + 1];
         let Some(entries) = scratch.entries.get(entries).filter(|e| !e.is_empty()) else { continue };
-        let attributes = &job.attributes[job.ranks[local] as usize * job.stored..];
+        let attributes = &job.attributes[job.members[local] as usize * job.stored..];
         let mut flow = [Lanes::ZERO; TILE];
         project_gradient(entries, attributes, &scratch.gradient, blocks, &mut flow);
         let mut weights = [Lanes::ZERO; TILE];

@@ -7,7 +7,10 @@ use rayon::prelude::*;
 
 use crate::engine::channel::{self, Channels, OutgoingRadiance, RowLight};
 use crate::engine::constants::EarlyStop;
+use crate::engine::cpu::project::Splat;
 use crate::engine::cpu::resolve::resolve;
+use crate::engine::cpu::seen::seen;
+use crate::engine::cpu::tiles::TileLists;
 use crate::engine::cpu::{
     AttributeSource, Occluders, Pass, Probes, SurfaceShader, Transport, arriving, attribute_rows,
     outward_normals, project_all,
@@ -114,23 +117,31 @@ impl Frames {
 fn colour(source: &AttributeSource<'_>, view: RasterCamera, shader: &SurfaceShader<'_>) -> Frame {
     let source = &source.shaded(*shader);
     let splats = project_all(source, &view);
+    let tiles = TileLists::new(view.width, view.height, &splats);
+    let (stop, seen) = (EarlyStop::WhenSaturated, seen(&splats, &tiles, EarlyStop::WhenSaturated));
+    // Hidden splats need no colour.
+    let shown: Vec<usize> = (0..splats.len()).filter(|i| seen[*i]).collect();
+    let shaded: Vec<Splat> = shown.iter().map(|i| splats[*i]).collect();
     let material = Channels::Material.stored();
-    let rows = attribute_rows(source, &view, &splats, Channels::Material, material);
+    let rows = attribute_rows(source, &view, &shaded, Channels::Material, material);
     let stored = Channels::Colour.stored();
     let mut attributes = vec![0.0f32; splats.len() * stored];
-    let places = attributes.par_chunks_mut(stored).zip(rows.par_chunks(material));
-    places.with_min_len(64).for_each(|(out, row)| {
+    for (i, row) in shown.iter().zip(rows.chunks_exact(material)) {
+        let out = &mut attributes[i * stored..];
         out[channel::COVERAGE] = row[channel::COVERAGE];
         out[channel::RADIANCE].copy_from_slice(&row[OutgoingRadiance::TOTAL]);
+    }
+    let pass = Pass::blend(view, (splats, tiles), Channels::Colour, RowLight::Outgoing, attributes, stop);
+    let pixels = view.width * view.height;
+    let (mut rgb, mut alpha) = (vec![[0.0f32; 3]; pixels], vec![0.0f32; pixels]);
+    let rows = rgb.par_chunks_mut(view.width.max(1)).zip(alpha.par_chunks_mut(view.width.max(1)));
+    rows.enumerate().for_each(|(y, (rgb, alpha))| {
+        for (x, (rgb, alpha)) in rgb.iter_mut().zip(alpha).enumerate() {
+            *rgb = std::array::from_fn(|c| pass.at(x, y, channel::RADIANCE.start + c));
+            *alpha = pass.at(x, y, channel::COVERAGE);
+        }
     });
-    let pass =
-        Pass::blend(view, splats, Channels::Colour, RowLight::Outgoing, attributes, EarlyStop::WhenSaturated);
-    let pixels = (0..view.width * view.height).map(|i| (i % view.width, i / view.width));
-    let rgb = pixels.clone().flat_map(|(x, y)| channel::RADIANCE.map(move |c| (x, y, c)));
-    let planes = BTreeMap::from([
-        (Output::Rgb, rgb.map(|(x, y, c)| pass.at(x, y, c)).collect()),
-        (Output::Alpha, pixels.map(|(x, y)| pass.at(x, y, channel::COVERAGE)).collect()),
-    ]);
+    let planes = BTreeMap::from([(Output::Rgb, rgb.into_flattened()), (Output::Alpha, alpha)]);
     Frame { width: view.width as u32, height: view.height as u32, planes }
 }
 

@@ -17,21 +17,21 @@ pub struct BackwardLabel {
     pub weight: f32,
 }
 
-/// Labels by rank. All splats count, whatever early stop the pass itself used.
+/// Labels by splat. All splats count, whatever early stop the pass itself used.
 pub fn backward_labels(pass: &Pass) -> Vec<BackwardLabel> {
     let per_tile: Vec<Vec<[f32; 2]>> = (0..pass.tiles.len())
         .into_par_iter()
         .map_init(BlendScratch::default, |scratch, tile| {
-            let ranks = pass.tiles.ranks(tile);
+            let members = pass.tiles.members(tile);
             let job = TileJob {
                 splats: &pass.splats,
-                ranks,
+                members,
                 attributes: &pass.attributes,
                 stored: pass.channels.stored(),
                 origin: pass.tiles.origin(tile),
                 early_stop: EarlyStop::Never,
             };
-            let mut out = vec![[0.0f32; 2]; ranks.len()];
+            let mut out = vec![[0.0f32; 2]; members.len()];
             let (x0, y0) = job.origin;
             let columns = pass.view.width.saturating_sub(x0).min(LANES);
             let rows = pass.view.height.saturating_sub(y0).min(TILE);
@@ -40,9 +40,9 @@ pub fn backward_labels(pass: &Pass) -> Vec<BackwardLabel> {
         })
         .collect();
     (0..pass.splats.len())
-        .map(|rank| {
+        .map(|splat| {
             let mut sums = [0.0f32; 2];
-            for &slot in pass.tiles.slots_of_rank(rank) {
+            for &slot in pass.tiles.slots_of_splat(splat) {
                 let slot = slot as usize;
                 let tile = pass.tiles.first_slot.partition_point(|first| *first as usize <= slot) - 1;
                 let local = slot - pass.tiles.first_slot[tile] as usize;

@@ -27,7 +27,7 @@ const SHADING_TASKS: usize = 16;
 pub struct Pass {
     /// The camera.
     pub view: RasterCamera,
-    /// Visible splats, front to back.
+    /// Visible splats, in the order of the Gaussians.
     pub splats: Vec<Splat>,
     /// Their tiles.
     pub tiles: TileLists,
@@ -35,7 +35,7 @@ pub struct Pass {
     pub channels: Channels,
     /// Light carried, where there are channels for it.
     pub light: RowLight,
-    /// Attribute rows by rank, `channels.stored()` floats each.
+    /// Attribute rows by splat, `channels.stored()` floats each.
     pub attributes: Vec<f32>,
     /// `[tile][row][channel][lane]`.
     pub gbuffer: Vec<f32>,
@@ -53,31 +53,31 @@ impl Pass {
         let splats = project_all(source, &view);
         let stored = channels.stored();
         let attributes = attribute_rows(source, &view, &splats, channels, stored);
-        Self::blend(view, splats, channels, source.row_light(), attributes, early_stop)
+        let tiles = TileLists::new(view.width, view.height, &splats);
+        Self::blend(view, (splats, tiles), channels, source.row_light(), attributes, early_stop)
     }
 
-    /// Blends given attribute rows; for callers that make their own, such as the preview tier.
+    /// Blends given attribute rows over tiles of these splats; for callers that make their own.
     pub fn blend(
         view: RasterCamera,
-        splats: Vec<Splat>,
+        (splats, tiles): (Vec<Splat>, TileLists),
         channels: Channels,
         light: RowLight,
         attributes: Vec<f32>,
         early_stop: EarlyStop,
     ) -> Self {
-        let tiles = TileLists::new(view.width, view.height, &splats);
         let stored = channels.stored();
         let mut gbuffer = zeros(tiles.len() * TILE * stored * LANES);
         gbuffer.par_chunks_mut(TILE * stored * LANES).enumerate().for_each_init(
             BlendScratch::default,
             |scratch, (tile, out)| {
-                let ranks = tiles.ranks(tile);
-                if ranks.is_empty() {
+                let members = tiles.members(tile);
+                if members.is_empty() {
                     return;
                 }
                 let origin = tiles.origin(tile);
                 let job =
-                    TileJob { splats: &splats, ranks, attributes: &attributes, stored, origin, early_stop };
+                    TileJob { splats: &splats, members, attributes: &attributes, stored, origin, early_stop };
                 blend_tile(&job, scratch, out);
             },
         );
@@ -129,28 +129,29 @@ impl Pass {
         out: &mut Gradients,
     ) {
         let layout = out.layout;
-        let mut rank_of = vec![u32::MAX; source.gaussians.len()];
-        for (rank, splat) in self.splats.iter().enumerate() {
-            rank_of[splat.gaussian as usize] = rank as u32;
+        let mut splat_of = vec![u32::MAX; source.gaussians.len()];
+        for (index, splat) in self.splats.iter().enumerate() {
+            splat_of[splat.gaussian as usize] = index as u32;
         }
         let half_width = 0.5 * self.view.width.max(self.view.height) as f32;
         let has_albedo = width > ROW_HEADER + channel::ROUGH;
         let marks = out.absgrad.par_chunks_mut(LANES).zip(out.visible.par_chunks_mut(LANES));
-        let blocks = out.rows.par_chunks_mut(LANES * layout.row).zip(marks).zip(rank_of.par_chunks(LANES));
+        let blocks = out.rows.par_chunks_mut(LANES * layout.row).zip(marks).zip(splat_of.par_chunks(LANES));
         blocks.enumerate().with_min_len(4).for_each_init(
             MixtureScratch::default,
-            |scratch, (block, ((rows, (absgrad, visible)), ranks))| {
-                let of_rank = |rank: &u32| summed.chunks_exact(width).nth(*rank as usize);
+            |scratch, (block, ((rows, (absgrad, visible)), splats))| {
+                let of_splat = |splat: &u32| summed.chunks_exact(width).nth(*splat as usize);
                 if has_albedo {
                     let by_rows: Vec<Option<&[f32]>> =
-                        ranks.iter().map(|rank| of_rank(rank).map(|row| &row[ROW_HEADER..])).collect();
+                        splats.iter().map(|splat| of_splat(splat).map(|row| &row[ROW_HEADER..])).collect();
                     let first = (block * LANES) as u32;
-                    let gaussians: Vec<u32> = (first..first + ranks.len() as u32).collect();
+                    let gaussians: Vec<u32> = (first..first + splats.len() as u32).collect();
                     let fields = [layout.range(Field::Residual), layout.range(Field::ProtoLogits)];
                     scratch.backward(source, &gaussians, &by_rows, fields, rows, layout.row);
                 }
-                for (lane, (row, rank)) in rows.chunks_exact_mut(layout.row).zip(ranks).enumerate() {
-                    let (Some(splat), Some(summed)) = (self.splats.get(*rank as usize), of_rank(rank)) else {
+                for (lane, (row, index)) in rows.chunks_exact_mut(layout.row).zip(splats).enumerate() {
+                    let (Some(splat), Some(summed)) = (self.splats.get(*index as usize), of_splat(index))
+                    else {
                         continue;
                     };
                     absgrad[lane] = summed[ABSGRAD] * half_width;
@@ -240,14 +241,14 @@ impl Pass {
         indirect_basis_backward(&by_basis, by_tables);
     }
 
-    /// The splats' own gradients by rank, summed over their tiles: mean, conic, opacity, absgrad, then `count` channels.
+    /// The splats' own gradients by splat, summed over their tiles: mean, conic, opacity, absgrad, then `count` channels.
     pub fn splat_gradients(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
         self.sum_instances(&self.blend_backward(by_gbuffer, stored, count), ROW_HEADER + count)
     }
 
     fn blend_backward(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
         let width = ROW_HEADER + count;
-        let mut rows = zeros(self.tiles.rank_of_slot.len() * width);
+        let mut rows = zeros(self.tiles.splat_of_slot.len() * width);
         let mut parts = Vec::with_capacity(self.tiles.len());
         let mut rest = rows.as_mut_slice();
         for tile in 0..self.tiles.len() {
@@ -256,13 +257,13 @@ impl Pass {
             rest = tail;
         }
         parts.into_par_iter().enumerate().for_each_init(BackwardScratch::default, |scratch, (tile, out)| {
-            let ranks = self.tiles.ranks(tile);
-            if ranks.is_empty() {
+            let members = self.tiles.members(tile);
+            if members.is_empty() {
                 return;
             }
             let job = TileJob {
                 splats: &self.splats,
-                ranks,
+                members,
                 attributes: &self.attributes,
                 stored: self.channels.stored(),
                 origin: self.tiles.origin(tile),
@@ -274,11 +275,11 @@ impl Pass {
         rows
     }
 
-    /// Each rank's gradient summed over its tiles, in tile order.
+    /// Each splat's gradient summed over its tiles, in tile order.
     fn sum_instances(&self, rows: &[f32], width: usize) -> Vec<f32> {
         let mut summed = zeros(self.splats.len() * width);
-        summed.par_chunks_mut(width).enumerate().with_min_len(64).for_each(|(rank, out)| {
-            for &slot in self.tiles.slots_of_rank(rank) {
+        summed.par_chunks_mut(width).enumerate().with_min_len(64).for_each(|(splat, out)| {
+            for &slot in self.tiles.slots_of_splat(splat) {
                 let row = &rows[slot as usize * width..(slot as usize + 1) * width];
                 out.iter_mut().zip(row).for_each(|(o, v)| *o += v);
             }
@@ -328,7 +329,7 @@ fn gaussians_of(splats: &[Splat]) -> Vec<u32> {
     splats.iter().map(|s| s.gaussian).collect()
 }
 
-/// The attributes that `channels` carry of every splat, by rank, in rows of `stored` floats; what is beyond is zero.
+/// The attributes that `channels` carry of every splat, in rows of `stored` floats; what is beyond is zero.
 pub fn attribute_rows(
     source: &AttributeSource<'_>,
     view: &RasterCamera,
@@ -349,16 +350,11 @@ pub fn attribute_rows(
     rows
 }
 
-/// Every visible Gaussian as a splat, sorted front to back, ties by index.
+/// Every visible Gaussian as a splat, in the order of the Gaussians: what is read and written by splat then lies in a row.
 pub fn project_all(source: &AttributeSource<'_>, view: &RasterCamera) -> Vec<Splat> {
-    let splats: Vec<Splat> = (0..source.gaussians.len())
+    (0..source.gaussians.len())
         .into_par_iter()
         .with_min_len(256)
         .filter_map(|i| project(view, i as u32, &source.geometry(i)))
-        .collect();
-    // Keys are moved about, not splats. What was projected is in the order of the Gaussians.
-    let key = |(place, splat): (usize, &Splat)| u64::from(splat.depth_key) << 32 | place as u64;
-    let mut keys: Vec<u64> = splats.iter().enumerate().map(key).collect();
-    keys.par_sort_unstable();
-    keys.par_iter().with_min_len(1024).map(|key| splats[(key & 0xffff_ffff) as usize]).collect()
+        .collect()
 }

@@ -49,12 +49,12 @@ fn surface_depth(pass: &Pass, x: usize, y: usize) -> f32 {
     let ray = pass.view.ray(x, y);
     let mut left = 1.0f32;
     let mut depth = 0.0;
-    for rank in pass.tiles.ranks(y / TILE * pass.tiles.columns + x / TILE) {
-        let splat = &pass.splats[*rank as usize];
+    for index in pass.tiles.members(y / TILE * pass.tiles.columns + x / TILE) {
+        let splat = &pass.splats[*index as usize];
         let alpha = alpha(splat, x, y);
         if alpha > 0.0 {
             left *= 1.0 - alpha;
-            depth = depth_on_plane(pass, *rank as usize, splat.depth, ray);
+            depth = depth_on_plane(pass, *index as usize, splat.depth, ray);
         }
         if left <= half {
             break;
@@ -72,8 +72,8 @@ fn alpha(splat: &Splat, x: usize, y: usize) -> f32 {
 }
 
 /// Depth at which `ray` meets the plane of a Gaussian, or its centre's depth where the plane is seen edge-on.
-fn depth_on_plane(pass: &Pass, rank: usize, centre: f32, ray: [f32; 3]) -> f32 {
-    let row = &pass.attributes[rank * pass.channels.stored()..];
+fn depth_on_plane(pass: &Pass, splat: usize, centre: f32, ray: [f32; 3]) -> f32 {
+    let row = &pass.attributes[splat * pass.channels.stored()..];
     let along: f32 = (0..3).map(|k| row[channel::NORMAL.start + k] * ray[k]).sum();
     let depth = row[channel::PLANE] / along;
     // NaN and infinity are edge-on too.

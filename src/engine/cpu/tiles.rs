@@ -12,9 +12,9 @@ const CHUNK: usize = 1024;
 // A strip is one tile row.
 const _: () = assert!(TILE == LANES);
 
-/// For each tile, the ranks (positions in the depth-sorted splat list) of the splats that reach a pixel of it.
+/// For each tile, the indices of the splats that reach a pixel of it, nearest first, ties by index.
 ///
-/// `slot` is a position in `rank_of_slot`; a tile owns consecutive slots, a splat owns consecutive instances.
+/// `slot` is a position in `splat_of_slot`; a tile owns consecutive slots, a splat owns consecutive instances.
 #[derive(Debug, Clone, Default)]
 pub struct TileLists {
     /// Tiles across.
@@ -23,16 +23,16 @@ pub struct TileLists {
     pub rows: usize,
     /// First slot of each tile, and the end.
     pub first_slot: Vec<u32>,
-    /// Rank in each slot, ascending inside a tile.
-    pub rank_of_slot: Vec<u32>,
-    /// First instance of each rank, and the end.
+    /// Splat in each slot, by depth inside a tile.
+    pub splat_of_slot: Vec<u32>,
+    /// First instance of each splat, and the end.
     pub first_instance: Vec<u32>,
     /// Slot of each instance.
     pub slot_of_instance: Vec<u32>,
 }
 
 impl TileLists {
-    /// Bins depth-sorted splats over a `width` x `height` image.
+    /// Bins splats over a `width` x `height` image.
     pub fn new(width: usize, height: usize, splats: &[Splat]) -> Self {
         let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
         let found: Vec<(Vec<u32>, Vec<u32>)> =
@@ -51,17 +51,17 @@ impl TileLists {
             count[i] += count[i - 1];
         }
         let first_slot = count.clone();
-        let mut rank_of_slot = vec![0u32; tile_of_instance.len()];
+        let mut splat_of_slot = vec![0u32; tile_of_instance.len()];
         let mut slot_of_instance = vec![0u32; tile_of_instance.len()];
-        for rank in 0..splats.len() {
-            for instance in first_instance[rank] as usize..first_instance[rank + 1] as usize {
+        for splat in by_depth(splats) {
+            for instance in first_instance[splat] as usize..first_instance[splat + 1] as usize {
                 let next = &mut count[tile_of_instance[instance] as usize];
-                rank_of_slot[*next as usize] = rank as u32;
+                splat_of_slot[*next as usize] = splat as u32;
                 slot_of_instance[instance] = *next;
                 *next += 1;
             }
         }
-        Self { columns, rows, first_slot, rank_of_slot, first_instance, slot_of_instance }
+        Self { columns, rows, first_slot, splat_of_slot, first_instance, slot_of_instance }
     }
 
     /// Number of tiles.
@@ -79,20 +79,29 @@ impl TileLists {
         self.first_slot[tile] as usize..self.first_slot[tile + 1] as usize
     }
 
-    /// Ranks in tile `tile`, front to back.
-    pub fn ranks(&self, tile: usize) -> &[u32] {
-        &self.rank_of_slot[self.slots(tile)]
+    /// Splats in tile `tile`, front to back.
+    pub fn members(&self, tile: usize) -> &[u32] {
+        &self.splat_of_slot[self.slots(tile)]
     }
 
-    /// Slots in which rank `rank` appears, in a fixed order.
-    pub fn slots_of_rank(&self, rank: usize) -> &[u32] {
-        &self.slot_of_instance[self.first_instance[rank] as usize..self.first_instance[rank + 1] as usize]
+    /// Slots in which splat `splat` appears, in a fixed order.
+    pub fn slots_of_splat(&self, splat: usize) -> &[u32] {
+        &self.slot_of_instance[self.first_instance[splat] as usize..self.first_instance[splat + 1] as usize]
     }
 
     /// Top-left pixel of tile `tile`.
     pub fn origin(&self, tile: usize) -> (usize, usize) {
         (tile % self.columns * TILE, tile / self.columns * TILE)
     }
+}
+
+/// Indices of the splats, nearest first, ties by index.
+fn by_depth(splats: &[Splat]) -> impl Iterator<Item = usize> {
+    // Keys are moved about, not splats.
+    let key = |(index, splat): (usize, &Splat)| u64::from(splat.depth_key) << 32 | index as u64;
+    let mut keys: Vec<u64> = splats.iter().enumerate().map(key).collect();
+    keys.par_sort_unstable();
+    keys.into_iter().map(|key| (key & 0xffff_ffff) as usize)
 }
 
 /// The tiles of some splats, one splat's after the other, and how many each has.
@@ -193,21 +202,28 @@ mod tests {
                     0.5 * (s.conic[0] * dx * dx + s.conic[2] * dy * dy) + s.conic[1] * dx * dy <= s.reach
                 });
                 if reaches {
-                    assert_eq!(lists.ranks(tile), [0], "a visible pixel of tile {tile} was missed");
+                    assert_eq!(lists.members(tile), [0], "a visible pixel of tile {tile} was missed");
                 }
             }
-            let kept = (0..lists.len()).filter(|t| !lists.ranks(*t).is_empty()).count();
+            let kept = (0..lists.len()).filter(|t| !lists.members(*t).is_empty()).count();
             assert!(kept < 16, "the test must cull something");
         }
+    }
+
+    #[test]
+    fn a_tile_lists_the_nearest_first_and_the_first_of_equals_first() {
+        let at = |depth_key| Splat { depth_key, ..splat([8.0, 8.0], [9.0, 0.0, 9.0], 0.9) };
+        let lists = TileLists::new(16, 16, &[at(5), at(2), at(5), at(1)]);
+        assert_eq!(lists.members(0), [3, 1, 0, 2]);
     }
 
     #[test]
     fn slots_and_instances_name_each_other() {
         let splats = [splat([15.0, 15.0], [30.0, 0.0, 30.0], 0.9), splat([30.0, 8.0], [9.0, 0.0, 9.0], 0.9)];
         let lists = TileLists::new(48, 32, &splats);
-        for rank in 0..2 {
-            for &slot in lists.slots_of_rank(rank) {
-                assert_eq!(lists.rank_of_slot[slot as usize] as usize, rank);
+        for splat in 0..2 {
+            for &slot in lists.slots_of_splat(splat) {
+                assert_eq!(lists.splat_of_slot[slot as usize] as usize, splat);
             }
         }
     }

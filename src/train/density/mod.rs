@@ -4,6 +4,8 @@
 //! to the Gaussians of largest signal. Each of them splits in two along its longest axis: one rule and no random draw, and
 //! the rendered image hardly changes.
 
+mod order;
+
 use crate::engine::cpu::sigmoid;
 use crate::engine::{DensityPlan, DensitySignals, PlannedGaussian, SplitOrigin};
 
@@ -18,7 +20,8 @@ const CAMERA_CLEARANCE: f32 = 0.2;
 /// Most growth of one round, as a share.
 const MOST_GROWTH: f32 = 0.25;
 
-/// Drops Gaussians of little opacity or excessive size, and splits those of largest absgrad while the budget lasts.
+/// Drops Gaussians of little opacity or excessive size, and splits those of largest absgrad while the budget lasts. The next
+/// generation is in the order of [`order`]; where `signals` have no means, in that of the sources, second halves last.
 ///
 /// `camera_centres` (normalised world): of a scene without masks. Such a scene keeps its large background Gaussians, and
 /// drops those close in front of a camera, where no other view can correct them; `signals` must have the means then.
@@ -39,9 +42,12 @@ pub fn plan(signals: &DensitySignals, budget: usize, camera_centres: Option<&[[f
     let planned = |i: &usize, origin| PlannedGaussian { source: *i as u32, origin };
     let first = |i| planned(i, if is_split[*i] { SplitOrigin::UpperHalf } else { SplitOrigin::Keep });
     let second = |i| planned(i, SplitOrigin::LowerHalf);
-    // What is kept, in order, then the second halves, in order.
     let halves = kept.iter().filter(|i| is_split[**i]).map(second);
-    DensityPlan { gaussians: kept.iter().map(first).chain(halves).collect() }
+    let mut gaussians: Vec<PlannedGaussian> = kept.iter().map(first).chain(halves).collect();
+    let codes = order::morton_codes(&signals.means);
+    // Stable: halves of a Gaussian keep their order.
+    gaussians.sort_by_key(|planned| codes.get(planned.source as usize).copied());
+    DensityPlan { gaussians }
 }
 
 fn is_dropped(signals: &DensitySignals, i: usize, camera_centres: Option<&[[f32; 3]]>) -> bool {

@@ -59,13 +59,30 @@ fn planned(
 #[test]
 fn the_largest_absgrads_split_while_the_budget_lasts() {
     let (g, stats) = row(4, &[1, 3]);
-    let both = [(0, Keep), (1, UpperHalf), (2, Keep), (3, UpperHalf), (1, LowerHalf), (3, LowerHalf)];
+    let both = [(0, Keep), (1, UpperHalf), (1, LowerHalf), (2, Keep), (3, UpperHalf), (3, LowerHalf)];
     assert_eq!(planned(&g, &stats, 10, None), both);
     assert_eq!(
         planned(&g, &stats, 5, None),
         [(0, Keep), (1, Keep), (2, Keep), (3, UpperHalf), (3, LowerHalf)]
     );
     assert_eq!(planned(&g, &stats, 4, None).len(), 4, "the control: no budget, no split");
+}
+
+#[test]
+fn the_next_generation_lies_along_a_curve_through_space() {
+    let (mut g, stats) = row(4, &[1]);
+    // From right to left.
+    (0..4).for_each(|i| g.row_mut(Field::Mean, i)[0] = -(i as f32));
+    let expected = [(3, Keep), (2, Keep), (1, UpperHalf), (1, LowerHalf), (0, Keep)];
+    assert_eq!(planned(&g, &stats, 10, None), expected);
+    let unplaced = DensitySignals {
+        opacity_logits: vec![2.0; 4],
+        log_scales: vec![[-3.0; 3]; 4],
+        stats,
+        ..Default::default()
+    };
+    let sources: Vec<u32> = plan(&unplaced, 4, None).gaussians.iter().map(|g| g.source).collect();
+    assert_eq!(sources, [0, 1, 2, 3], "the control");
 }
 
 #[test]
