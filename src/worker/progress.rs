@@ -74,7 +74,8 @@ mod tests {
     use crate::train::{Preset, TrainConfig};
 
     fn step(step: u32) -> (StepReport, Progress) {
-        let report = StepReport { step, loss: 0.5, psnr: 20.0, gaussians: 7, warning: None };
+        let report =
+            StepReport { step, known_step: step, loss: 0.5, psnr: 20.0, gaussians: 7, warning: None };
         (report, Progress { step, total: 100 })
     }
 

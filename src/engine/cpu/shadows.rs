@@ -63,9 +63,8 @@ pub(super) fn measure_direction(
     settings: ProbeSettings,
 ) -> (Vec<f32>, Vec<u32>) {
     let (u, v) = plane_basis(d);
-    let mut flats: Vec<Flat> =
-        occluders.iter().enumerate().filter_map(|(i, o)| flatten(o, i as u32, d, u, v)).collect();
-    flats.sort_unstable_by(|a, b| a.depth.total_cmp(&b.depth).then(a.index.cmp(&b.index)));
+    let flats =
+        nearest_first(occluders.iter().enumerate().filter_map(|(i, o)| flatten(o, i as u32, d, u, v)));
     let grid = Grid::over(&flats);
     let footprints = grid.list(&flats, |f| grid.cells_under(f.centre, f.extent));
     let projected: Vec<PlaneQuery> = queries
@@ -93,6 +92,20 @@ pub(super) fn measure_direction(
         }
     }
     (transmittance, hit)
+}
+
+/// Footprints in order of depth, ties by index, from the order of the Gaussians.
+fn nearest_first(flats: impl Iterator<Item = Flat>) -> Vec<Flat> {
+    let flats: Vec<Flat> = flats.collect();
+    // Keys are moved about, not footprints; their order is that of `f32::total_cmp`.
+    let key = |depth: f32| {
+        let bits = depth.to_bits();
+        bits ^ if bits >> 31 == 1 { u32::MAX } else { 1 << 31 }
+    };
+    let mut keys: Vec<u64> =
+        flats.iter().enumerate().map(|(i, f)| u64::from(key(f.depth)) << 32 | i as u64).collect();
+    keys.sort_unstable();
+    keys.iter().map(|key| flats[(key & 0xffff_ffff) as usize]).collect()
 }
 
 fn flatten(o: &Occluder, index: u32, d: Vec3, u: Vec3, v: Vec3) -> Option<Flat> {
@@ -139,23 +152,40 @@ impl Block {
         self.reach.0[lane] = f.footprint.reach;
     }
 
-    /// Alpha of each footprint at the query; 0 where it does not count ([`Footprint::alpha`]).
+    /// Exponent of each footprint at the query.
     #[inline(always)]
-    fn alpha(&self, q: &PlaneQuery, reach: f32) -> Lanes {
+    fn power(&self, q: &PlaneQuery) -> Lanes {
         Lanes::from_fn(|i| {
-            let away = self.depth.0[i] - q.depth;
             let (dx, dy) = (q.place[0] - self.centre[0].0[i], q.place[1] - self.centre[1].0[i]);
             let [a, b, c] = [0, 1, 2].map(|k| self.conic[k].0[i]);
-            let power = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy;
+            0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
+        })
+    }
+
+    /// The footprints that count, a bit each ([`Footprint::alpha`]).
+    #[inline(always)]
+    fn counting(&self, q: &PlaneQuery, reach: f32, power: &Lanes) -> u32 {
+        let mut bits = 0;
+        for i in 0..LANES {
+            let away = self.depth.0[i] - q.depth;
             // Every test is one that NaN fails.
             let counts = (self.depth.0[i] > q.depth)
                 & (away <= reach)
                 & (away >= self.clearance.0[i] + q.clearance)
-                & (power <= self.reach.0[i])
+                & (power.0[i] <= self.reach.0[i])
                 & (self.index[i] != q.index);
-            let alpha = self.opacity.0[i] * exp_negative(-if power > 0.0 { power } else { 0.0 });
-            let alpha = if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX };
-            if counts { alpha } else { 0.0 }
+            bits |= u32::from(counts) << i;
+        }
+        bits
+    }
+
+    /// Alpha of each footprint, whether it counts or not.
+    #[inline(always)]
+    fn alpha(&self, power: &Lanes) -> Lanes {
+        Lanes::from_fn(|i| {
+            let power = if power.0[i] > 0.0 { power.0[i] } else { 0.0 };
+            let alpha = self.opacity.0[i] * exp_negative(-power);
+            if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX }
         })
     }
 }
@@ -169,16 +199,20 @@ fn answer(blocks: &[Block], q: &PlaneQuery, reach: f32) -> (f32, u32) {
         if block.depth.0[0] - q.depth > reach {
             break;
         }
-        let alpha = block.alpha(q, reach);
-        if alpha.max() <= 0.0 {
+        let power = block.power(q);
+        let mut counting = block.counting(q, reach, &power);
+        if counting == 0 {
             continue;
         }
-        for (alpha, index) in alpha.0.iter().zip(&block.index) {
-            let weight = transmittance * alpha;
+        let alpha = block.alpha(&power);
+        while counting != 0 {
+            let lane = counting.trailing_zeros() as usize % LANES;
+            counting &= counting - 1;
+            let weight = transmittance * alpha.0[lane];
             if weight > strongest {
-                (strongest, hit) = (weight, *index);
+                (strongest, hit) = (weight, block.index[lane]);
             }
-            transmittance *= 1.0 - alpha;
+            transmittance *= 1.0 - alpha.0[lane];
         }
         // Every footprint behind weighs less than `OPAQUE`; the first one counted weighed 1/255 or more.
         if transmittance < OPAQUE {
@@ -201,8 +235,8 @@ struct CellLists {
     members: Vec<u32>,
 }
 
-/// Columns and rows, ends included.
-type Span = [(usize, usize); 2];
+/// First and last column, first and last row.
+type Span = [u16; 4];
 
 impl Grid {
     /// A grid over the centres of `flats`.
@@ -226,27 +260,35 @@ impl Grid {
     }
 
     fn cells_under(&self, centre: [f32; 2], extent: [f32; 2]) -> Span {
-        [0, 1].map(|k| (self.coordinate(k, centre[k] - extent[k]), self.coordinate(k, centre[k] + extent[k])))
+        let coordinate = |k: usize, x: f32| self.coordinate(k, x) as u16;
+        let [left, top] = [0, 1].map(|k| coordinate(k, centre[k] - extent[k]));
+        let [right, bottom] = [0, 1].map(|k| coordinate(k, centre[k] + extent[k]));
+        [left, right, top, bottom]
     }
 
     fn list<T>(&self, things: &[T], span: impl Fn(&T) -> Span) -> CellLists {
         let mut first = vec![0u32; self.side * self.side + 1];
         let spans: Vec<Span> = things.iter().map(span).collect();
-        let cells = |[x, y]: Span| {
-            (y.0..=y.1).flat_map(move |row| (x.0..=x.1).map(move |column| row * self.side + column))
+        // The cells of a row lie together.
+        let rows = |span: &Span| {
+            let [left, right, top, bottom] = span.map(usize::from);
+            (top..=bottom).map(move |row| row * self.side + left..row * self.side + right + 1)
         };
-        for s in &spans {
-            cells(*s).for_each(|cell| first[cell + 1] += 1);
+        for span in &spans {
+            rows(span)
+                .for_each(|cells| first[cells.start + 1..cells.end + 1].iter_mut().for_each(|n| *n += 1));
         }
         for i in 1..first.len() {
             first[i] += first[i - 1];
         }
         let mut next = first.clone();
         let mut members = vec![0u32; first.last().copied().unwrap_or(0) as usize];
-        for (i, s) in spans.iter().enumerate() {
-            for cell in cells(*s) {
-                members[next[cell] as usize] = i as u32;
-                next[cell] += 1;
+        for (i, span) in spans.iter().enumerate() {
+            for cells in rows(span) {
+                for next in &mut next[cells] {
+                    members[*next as usize] = i as u32;
+                    *next += 1;
+                }
             }
         }
         CellLists { first, members }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Mutex;
 
-use crate::engine::gpu::device::locked;
+use crate::engine::gpu::lock::locked;
 use crate::engine::gpu::shaders::Kernel;
 
 /// Bind groups kept at most; beyond that all are made anew.

@@ -4,7 +4,7 @@ use std::marker::PhantomData;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-use crate::engine::gpu::device::locked;
+use crate::engine::gpu::lock::locked;
 
 /// Bytes of device memory in use and their peak.
 #[derive(Debug, Default)]

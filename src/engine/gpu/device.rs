@@ -1,7 +1,7 @@
 //! An open device: memory, pipelines, and what to do when it fails.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use bytemuck::Pod;
@@ -11,6 +11,7 @@ use crate::engine::DeviceError;
 use crate::engine::gpu::adapter::Adapters;
 use crate::engine::gpu::bind_groups::BindGroups;
 use crate::engine::gpu::buffer::{Buffer, MemoryAccount};
+use crate::engine::gpu::lock::locked;
 use crate::engine::gpu::shaders::{BindingKind, Kernel};
 use crate::engine::gpu::tally::{Counts, Tally};
 use crate::engine::gpu::timing::{StageTime, Timings};
@@ -85,11 +86,6 @@ impl std::fmt::Debug for Gpu {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Gpu").field("adapter", &self.inner.report.name).finish_non_exhaustive()
     }
-}
-
-/// A lock whose data is whole whatever happened to its last holder.
-pub(super) fn locked<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Gpu {

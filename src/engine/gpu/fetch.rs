@@ -11,7 +11,8 @@ use bytemuck::Pod;
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::buffer::Buffer;
-use crate::engine::gpu::device::{Gpu, PATIENCE, locked};
+use crate::engine::gpu::device::{Gpu, PATIENCE};
+use crate::engine::gpu::lock::locked;
 
 /// Staging buffers kept for later fetches.
 const KEPT: usize = 4;

@@ -7,10 +7,10 @@ use rayon::prelude::*;
 
 use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
-use crate::engine::gpu::device::locked;
 use crate::engine::gpu::frame::{FrameBranches, FramePass};
 use crate::engine::gpu::gather::{LightProbes, gather, ungathered};
 use crate::engine::gpu::light::{Constants, LightBuffers};
+use crate::engine::gpu::lock::locked;
 use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::permutations::groups;
 use crate::engine::gpu::probes::{self, ProbeBuffers};

@@ -17,6 +17,7 @@ pub mod gather;
 mod grow;
 mod kernel_constants;
 pub mod light;
+mod lock;
 pub mod model;
 pub mod objective;
 mod permutations;

@@ -6,8 +6,9 @@ use std::time::Instant;
 use crate::engine::DeviceError;
 use crate::engine::gpu::bind_groups::{BindKey, Bound};
 use crate::engine::gpu::buffer::Buffer;
-use crate::engine::gpu::device::{Gpu, UNIFORM_BYTES, locked};
+use crate::engine::gpu::device::{Gpu, UNIFORM_BYTES};
 use crate::engine::gpu::fetch::{Fetches, Submission, Ticket};
+use crate::engine::gpu::lock::locked;
 use crate::engine::gpu::shaders::Kernel;
 
 /// Most workgroups in one dimension of a dispatch.

@@ -2,6 +2,7 @@
 
 mod card;
 mod crop;
+mod known_sums;
 mod preparation;
 mod sums;
 
@@ -38,7 +39,9 @@ const REFINE_EVERY: u32 = 100;
 pub struct StepReport {
     /// Steps done so far.
     pub step: u32,
-    /// The objective of this step, or of the one before where the device is still at work on this one.
+    /// The step that `loss` and `psnr` are of: this one, or the one before where the device is still at work on this one.
+    pub known_step: u32,
+    /// The objective of that step.
     pub loss: f32,
     /// PSNR on that step's photograph, dB: physically based branch, or the radiance branch during its warm-up.
     pub psnr: f32,
@@ -67,7 +70,7 @@ pub struct Trainer {
     snapshot: ScheduleState,
     engine: Box<dyn Training>,
     rollbacks: u32,
-    sums: sums::KnownSums,
+    sums: known_sums::KnownSums,
 }
 
 impl Preparation {
@@ -179,11 +182,12 @@ impl Trainer {
         if self.sums.unsound.is_some() {
             return self.roll_back();
         }
-        let (loss, psnr) = self.known_sums()?;
+        let known = self.known_sums()?;
         Ok(StepReport {
             step: self.schedule.step,
-            loss,
-            psnr,
+            known_step: known.step,
+            loss: known.loss,
+            psnr: known.psnr,
             gaussians: self.engine.gaussians(),
             warning: None,
         })
@@ -236,6 +240,7 @@ impl Trainer {
         let step = self.schedule.step;
         Ok(StepReport {
             step,
+            known_step: step,
             loss: f32::MAX,
             psnr: 0.0,
             gaussians: self.engine.gaussians(),

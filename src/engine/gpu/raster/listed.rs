@@ -3,22 +3,12 @@
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::raster::memory::Raster;
+use crate::engine::gpu::raster::records::RasterCounts;
 
-/// Elements of the buffer behind [`Listed`].
-pub(super) const LISTED_WORDS: usize = 5;
 /// Pairs a Gaussian that the first view has memory for, and pairs that any view has.
 const FIRST_ROOM: (usize, usize) = (4, 1 << 14);
 /// Memory for this many times the pairs of a view is too much.
 const TOO_MUCH: usize = 8;
-
-/// What a view shows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct RasterCounts {
-    /// Gaussians that pass the tests of the projection, on screen or not.
-    pub visible: usize,
-    /// (splat, tile) pairs.
-    pub instances: usize,
-}
 
 /// What the device says of a view's lists (`shaders/tile_room.wgsl`).
 #[derive(Debug, Clone, Copy)]

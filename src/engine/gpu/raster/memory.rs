@@ -1,8 +1,7 @@
 //! Memory of the rasteriser.
 
 use crate::engine::DeviceError;
-use crate::engine::gpu::raster::listed::{LISTED_WORDS, RasterCounts};
-use crate::engine::gpu::raster::records::{BlendEnd, SplatRecord};
+use crate::engine::gpu::raster::records::{BlendEnd, LISTED_WORDS, RasterCounts, SplatRecord};
 use crate::engine::gpu::scan::Scan;
 use crate::engine::gpu::sort::Sorter;
 use crate::engine::gpu::{Buffer, Gpu};
@@ -15,7 +14,7 @@ pub struct Raster {
     pub(super) nothing: Buffer<f32>,
     /// Visible Gaussians, then the low and the high half of the number of (splat, tile) pairs.
     pub(super) counts: Buffer<u32>,
-    /// What the lists of the last view hold, see [`Listed`](super::listed::Listed).
+    /// What the lists of the last view hold, see `shaders/tile_room.wgsl`.
     pub(super) listed: Buffer<u32>,
     /// Pairs that a view's lists hold.
     pub(super) room: usize,

@@ -19,7 +19,6 @@ mod tiles;
 pub use attributes::Attributed;
 pub use blend::Blended;
 pub use blend_backward::{Differentiated, GRADIENT_HEADER};
-pub use listed::RasterCounts;
 pub use memory::Raster;
 pub use project::Projected;
-pub use records::{BlendEnd, SplatRecord};
+pub use records::{BlendEnd, RasterCounts, SplatRecord};

@@ -2,9 +2,8 @@
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::grow::grow;
-use crate::engine::gpu::raster::listed::{LISTED_WORDS, RasterCounts};
 use crate::engine::gpu::raster::memory::Raster;
-use crate::engine::gpu::raster::records::{SplatRecord, Words};
+use crate::engine::gpu::raster::records::{LISTED_WORDS, RasterCounts, SplatRecord, Words};
 use crate::engine::gpu::raster::tiles::TileLists;
 use crate::engine::gpu::{AttributeSource, Buffer, CameraUniform, Groups, Recorder, TILE, shaders, uniform};
 

@@ -7,6 +7,18 @@ use bytemuck::{Pod, Zeroable};
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub(super) struct Words(pub(super) [u32; 4]);
 
+/// Elements of the buffer that says what the tile lists of a view hold (`shaders/tile_room.wgsl`).
+pub(super) const LISTED_WORDS: usize = 5;
+
+/// What a view shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct RasterCounts {
+    /// Gaussians that pass the tests of the projection, on screen or not.
+    pub visible: usize,
+    /// (splat, tile) pairs.
+    pub instances: usize,
+}
+
 /// `Splat` of `shaders/shared/splat.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]

@@ -6,7 +6,7 @@ use crate::engine::channel::Channels;
 use crate::engine::gpu::objective::{ImageTerm, LossSlot, surface_terms};
 use crate::engine::gpu::raster::Blended;
 use crate::engine::gpu::shading::Images;
-use crate::engine::gpu::training::steps::DeviceStep;
+use crate::engine::gpu::training::device_step::DeviceStep;
 use crate::engine::gpu::{Buffer, Gpu, Recorder};
 
 /// Buffers of the size of the image.

@@ -4,6 +4,7 @@
 //! device always has a step to work on. Between steps everything that is learned stays in device memory.
 
 mod canvas;
+mod device_step;
 mod photos;
 mod size;
 mod state;
@@ -21,9 +22,9 @@ use crate::engine::gpu::objective::LOSS_SLOTS;
 use crate::engine::gpu::probes;
 use crate::engine::gpu::raster::Raster;
 use crate::engine::gpu::training::canvas::Canvas;
+use crate::engine::gpu::training::device_step::Pending;
 use crate::engine::gpu::training::photos::PhotoCache;
 use crate::engine::gpu::training::state::DeviceState;
-use crate::engine::gpu::training::steps::Pending;
 use crate::engine::gpu::update::{STATUS_WORDS, Updater};
 use crate::engine::gpu::{AttributeSource, Buffer, Gpu, Pace};
 use crate::engine::{

@@ -1,49 +1,18 @@
 //! Steps of a training: recorded, submitted, and taken in when what they came to arrives.
 
-use crate::engine::channel::StepChannels;
 use crate::engine::constants::EarlyStop;
 use crate::engine::gpu::frame::{FrameBranches, FrameGradients, FramePass};
 use crate::engine::gpu::objective::{LOSS_SLOTS, LossSlot, objective};
 use crate::engine::gpu::raster::Differentiated;
 use crate::engine::gpu::shading::Shading;
 use crate::engine::gpu::training::canvas::Canvas;
+use crate::engine::gpu::training::device_step::{DeviceStep, Pending};
 use crate::engine::gpu::training::state::DeviceState;
 use crate::engine::gpu::training::{STATUS_SLOT, Training};
 use crate::engine::gpu::update::{StepInput, Sums, Updater, Upstream};
-use crate::engine::gpu::{Buffer, CameraUniform, Recorder, Submission, Ticket};
-use crate::engine::light_turn::LightTurn;
-use crate::engine::{
-    Branches, DeviceError, RasterCamera, Step, StepCounts, StepSizes, StepSums, StepWeights,
-};
+use crate::engine::gpu::{CameraUniform, Recorder};
+use crate::engine::{DeviceError, RasterCamera, Step, StepSums};
 use crate::scene::{IndirectForm, Model, VisibilityForm};
-
-/// A step with its photograph in device memory, so that it can be recorded again.
-#[derive(Debug, Clone)]
-pub(super) struct DeviceStep {
-    camera: CameraUniform,
-    photo: Buffer<[f32; 4]>,
-    light: LightTurn,
-    channels: StepChannels,
-    background: [f32; 3],
-    pub(super) branches: Branches,
-    pub(super) weights: StepWeights,
-    sizes: StepSizes,
-    counts: StepCounts,
-}
-
-/// A step that was submitted.
-pub(super) struct Pending {
-    step: DeviceStep,
-    submission: Submission,
-    losses: Ticket<f32>,
-    listed: Ticket<u32>,
-}
-
-impl std::fmt::Debug for Pending {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Pending").field("step", &self.step).finish_non_exhaustive()
-    }
-}
 
 impl Training {
     /// `step` with its photograph in device memory.
