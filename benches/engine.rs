@@ -18,7 +18,9 @@ use relume::engine::constants::EarlyStop;
 use relume::engine::cpu::{AttributeSource, BranchImages, Pass, Probes, SurfaceShader};
 use relume::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
 use relume::render::{Output, Renderer, Tier};
-use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, ShadingOptions};
+use relume::scene::{
+    BitDepth, Camera, EnvMap, Field, Gaussians, ImageRgba, Model, PackedImage, ShadingOptions,
+};
 use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer};
 
 const GAUSSIANS: usize = 10_000;
@@ -152,7 +154,7 @@ fn capture(side: u32) -> Capture {
     let view = |i: usize| CaptureView {
         name: format!("view {i}"),
         camera: Camera::look_at(eye(i), DVec3::ZERO, DVec3::Z, 0.6, (side, side)).unwrap(),
-        image: image.clone(),
+        image: PackedImage::new(&image, BitDepth::Eight),
         light_rotation_deg: 0.0,
         truth: GroundTruthView::default(),
     };

@@ -14,7 +14,9 @@ use relume::eval::{
 };
 use relume::formats::model_file;
 use relume::render::{Frame, Output, Renderer, Tier};
-use relume::scene::{Camera, EnvMap, Field, Gaussians, ImageRgba, Model, Plane, ShadeAt, ShadingOptions};
+use relume::scene::{
+    BitDepth, Camera, EnvMap, Field, Gaussians, ImageRgba, Model, PackedImage, Plane, ShadeAt, ShadingOptions,
+};
 
 const SIDE: u32 = 40;
 
@@ -97,7 +99,7 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
             ambient_occlusion: Some(plane(&frame, Output::Visibility)),
             depth: Some(plane(&frame, Output::Depth)),
         };
-        let image = straight(&frame, Output::Rgb);
+        let image = PackedImage::new(&straight(&frame, Output::Rgb), BitDepth::Sixteen);
         CaptureView { name: format!("test_{i}"), camera, image, light_rotation_deg: 0.0, truth }
     };
     Capture {
@@ -142,7 +144,9 @@ fn every_figure_notices_when_its_own_truth_is_spoilt() {
     let mut capture = drawn_by(&model);
     for view in &mut capture.test {
         let truth = &mut view.truth;
-        view.image.pixels.iter_mut().for_each(|p| p[0] = 1.0 - p[0]);
+        let mut image = view.image.decoded();
+        image.pixels.iter_mut().for_each(|p| p[0] = 1.0 - p[0]);
+        view.image = PackedImage::new(&image, BitDepth::Sixteen);
         for image in truth.relit.values_mut() {
             image.pixels.iter_mut().for_each(|p| p[1] *= 0.5);
         }

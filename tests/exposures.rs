@@ -3,7 +3,7 @@
 use relume::capture::{Capture, SyntheticOptions, synthetic};
 use relume::engine::Device;
 use relume::formats::srgb;
-use relume::scene::Model;
+use relume::scene::{BitDepth, Model, PackedImage};
 use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer};
 
 use crate::requirements::gpu_device;
@@ -21,9 +21,11 @@ fn capture(differs: bool) -> Capture {
         SyntheticOptions { train_views: VIEWS, test_views: 1, size: 40, paths: 16, ..Default::default() };
     let mut capture = synthetic(&options).unwrap();
     for (i, view) in capture.train.iter_mut().enumerate().filter(|_| differs) {
-        for pixel in &mut view.image.pixels {
+        let mut image = view.image.decoded();
+        for pixel in &mut image.pixels {
             (0..3).for_each(|c| pixel[c] = srgb::encode(gain(i)[c] * srgb::decode(pixel[c])));
         }
+        view.image = PackedImage::new(&image, BitDepth::Sixteen);
     }
     capture
 }

@@ -7,7 +7,7 @@ use relume::capture::ImportLimits;
 use relume::capture::{ImportOptions, inspect};
 use relume::engine::Device;
 use relume::formats::{image_file, model_file};
-use relume::train::{Preset, TrainConfig, TrainOverrides, Trainer, import_for_training};
+use relume::train::{Preset, Room, TrainConfig, TrainOverrides, Trainer, import_for_training};
 
 use tempfile::TempDir;
 
@@ -126,7 +126,9 @@ fn a_training_goes_on_from_its_checkpoint_and_leaves_none() {
         ..TrainOverrides::default()
     };
     let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-    let capture = import_for_training(&at.join("scan.zip"), &config, &ImportLimits::default()).unwrap();
+    let capture =
+        import_for_training(&at.join("scan.zip"), &config, &ImportLimits::default(), Room::unbounded())
+            .unwrap();
     let mut trainer = Trainer::new(&capture, config, &Device::Cpu).unwrap();
     (0..7).for_each(|_| {
         trainer.step().unwrap();

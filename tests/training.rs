@@ -8,8 +8,8 @@ use relume::engine::Device;
 use relume::formats::model_file;
 use relume::scene::{EnvMap, Field, IndirectForm, Model, VisibilityForm};
 use relume::train::{
-    Complexity, KnownLight, LabelSource, LightExposure, LossWeights, Preset, TrainConfig, TrainError,
-    TrainOverrides, Trainer,
+    Complexity, KnownLight, LabelSource, LightExposure, LossWeights, Preparation, Preset, TrainConfig,
+    TrainError, TrainOverrides, Trainer,
 };
 
 fn capture() -> &'static Capture {
@@ -66,6 +66,25 @@ fn the_same_seed_gives_the_same_bytes_for_one_thread_and_for_three() {
     assert!(one == three, "the number of threads must not show in the bytes");
     let other = trained(&TrainOverrides { seed: Some(1), ..overrides() });
     assert!(one != other, "another seed must show in the bytes");
+}
+
+#[test]
+fn how_many_photographs_are_kept_decoded_does_not_show_in_the_bytes() {
+    let trained = |bytes: usize| {
+        let preparation = Preparation::new(capture(), config(&overrides())).unwrap();
+        let mut trainer = preparation.with_photo_cache(bytes).on(&Device::Cpu).unwrap();
+        while !trainer.is_done() {
+            trainer.step().unwrap();
+        }
+        let stats = trainer.decoding();
+        (model_file::encode(&trainer.model().unwrap()).unwrap(), stats)
+    };
+    let photograph = 40 * 40 * 16;
+    let (one, few) = trained(photograph);
+    let (all, once) = trained(usize::MAX);
+    assert!(one == all, "the bound must not show in the bytes");
+    // Eight photographs at two sizes.
+    assert!(once.decoded == 16 && few.decoded > 16, "{few:?} {once:?}");
 }
 
 #[test]

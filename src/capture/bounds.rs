@@ -119,16 +119,17 @@ fn seen_radius(camera: &Camera, centre: DVec3) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::capture::GroundTruthView;
-    use crate::scene::ImageRgba;
+    use crate::scene::{BitDepth, ImageRgba, PackedImage};
 
     fn ring(centre: DVec3, distance: f64) -> Vec<CaptureView> {
+        let nothing = ImageRgba { width: 1, height: 1, pixels: vec![[0.0; 4]] };
         let view = |i: usize| {
             let angle = i as f64 * 0.7;
             let eye = centre + distance * DVec3::new(angle.cos(), angle.sin(), 0.5).normalize();
             CaptureView {
                 name: format!("{i}"),
                 camera: Camera::look_at(eye, centre, DVec3::Z, 0.691_111_2, (80, 80)).unwrap(),
-                image: ImageRgba { width: 1, height: 1, pixels: vec![[0.0; 4]] },
+                image: PackedImage::new(&nothing, BitDepth::Eight),
                 light_rotation_deg: 0.0,
                 truth: GroundTruthView::default(),
             }

@@ -2,7 +2,7 @@
 
 use crate::capture::{CaptureError, ImportOptions, Source};
 use crate::formats::{ImageFileError, exif_facts, image_file};
-use crate::scene::ImageRgba;
+use crate::scene::{BitDepth, ImageRgba};
 
 /// Decodes an image and reduces it as the options ask; also returns its stored size, pixels.
 ///
@@ -16,6 +16,17 @@ pub(super) fn load_image(
     decode(path, &source.read(path)?, options)
 }
 
+/// A photograph that was decoded.
+#[derive(Debug)]
+pub(super) struct Loaded {
+    /// Its pixels, reduced as the options ask.
+    pub image: ImageRgba,
+    /// Its stored size, pixels.
+    pub stored: (u32, u32),
+    /// The depth that holds what the file has.
+    pub depth: BitDepth,
+}
+
 /// [`load_image`] of a photograph whose lens is stated for `lens_size`: where only the picture as EXIF turns it has that size, it is
 /// turned, and so is the size that is returned. Otherwise poses are those of the pixels as they are stored.
 ///
@@ -26,12 +37,13 @@ pub(super) fn load_photo(
     path: &str,
     lens_size: Option<(f64, f64)>,
     options: &ImportOptions,
-) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
+) -> Result<Loaded, CaptureError> {
     let bytes = source.read(path)?;
     let (image, stored) = decode(path, &bytes, options)?;
+    let depth = image_file::bit_depth(&bytes).map_err(|error| CaptureError::image(path, error))?;
     Ok(match turn(&bytes, stored, lens_size) {
-        Some(turn) => (turned(&image, turn), (stored.1, stored.0)),
-        None => (image, stored),
+        Some(turn) => Loaded { image: turned(&image, turn), stored: (stored.1, stored.0), depth },
+        None => Loaded { image, stored, depth },
     })
 }
 

@@ -21,7 +21,58 @@ const HOLD_OUT_EVERY: usize = 8;
 /// # Errors
 /// [`CaptureError`] names the file and field at fault.
 pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureError> {
-    read(&Source::open(path, &options.limits)?, options, None)
+    Undecoded::open(path, options)?.decode()
+}
+
+/// A capture whose photographs were found and not decoded yet.
+#[derive(Debug)]
+pub struct Undecoded {
+    source: Source,
+    options: ImportOptions,
+    layout: Layout,
+    warnings: Vec<String>,
+    sizes: Vec<(u32, u32)>,
+}
+
+impl Undecoded {
+    /// Reads poses and the headers of all photographs.
+    ///
+    /// # Errors
+    /// As [`import`].
+    pub fn open(path: &Path, options: &ImportOptions) -> Result<Self, CaptureError> {
+        let source = Source::open(path, &options.limits)?;
+        let mut warnings = Vec::new();
+        let layout = read_layout(&source, &mut warnings)?;
+        let sizes = photos::sizes(&source, &layout.1, options)?;
+        Ok(Self { source, options: *options, layout, warnings, sizes })
+    }
+
+    /// Widths and heights of the photographs after reduction, pixels, held-out ones too; those that cannot be read have none.
+    pub fn sizes(&self) -> &[(u32, u32)] {
+        &self.sizes
+    }
+
+    /// Decodes the photographs.
+    ///
+    /// # Errors
+    /// As [`import`].
+    pub fn decode(self) -> Result<Capture, CaptureError> {
+        Ok(self.decode_looked_at(None)?.0)
+    }
+
+    /// Decodes the photographs, and has `looks` look at each; the files they came from are returned as well.
+    fn decode_looked_at(self, looks: Option<&Looks>) -> Result<(Capture, Source), CaptureError> {
+        let Self { source, options, layout: (layout, photos, points), mut warnings, .. } = self;
+        let views = photos::load(&source, &photos, &options, looks)?;
+        let (train, test) = split(&photos, views);
+        let has_alpha = train.iter().any(|v| !v.image.is_opaque());
+        let bounds = bounds::bounds(&train, &points, has_alpha);
+        let lights = truth::lights(&source, &test, &mut warnings)?;
+        let (lit_by, grey_card) = (None, None);
+        let capture =
+            Capture { layout, train, test, points, bounds, has_alpha, lights, lit_by, grey_card, warnings };
+        Ok((capture, source))
+    }
 }
 
 /// Reports what an import would find. Every file is decoded and checked as by [`import`], but images are reduced
@@ -30,9 +81,9 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureEr
 /// # Errors
 /// As [`import`], except that the limit on all pixels together cannot be reached.
 pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, CaptureError> {
-    let source = Source::open(path, &options.limits)?;
     let looks = Looks::default();
-    let capture = read(&source, &ImportOptions { max_side: Some(THUMBNAIL), ..*options }, Some(&looks))?;
+    let undecoded = Undecoded::open(path, &ImportOptions { max_side: Some(THUMBNAIL), ..*options })?;
+    let (capture, source) = undecoded.decode_looked_at(Some(&looks))?;
     let mut report = capture.report();
     let noted = |finding: Finding| PhotographNote { text: finding.text, photographs: finding.photos };
     report.notes = looks.findings().into_iter().map(noted).collect();
@@ -45,18 +96,6 @@ pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, Ca
 
 /// Longest side of the images that [`inspect`] keeps, pixels.
 const THUMBNAIL: u32 = 64;
-
-fn read(source: &Source, options: &ImportOptions, looks: Option<&Looks>) -> Result<Capture, CaptureError> {
-    let mut warnings = Vec::new();
-    let (layout, photos, points) = read_layout(source, &mut warnings)?;
-    let views = photos::load(source, &photos, options, looks)?;
-    let (train, test) = split(&photos, views);
-    let has_alpha = train.iter().any(|v| v.image.pixels.iter().any(|p| p[3] < 1.0));
-    let bounds = bounds::bounds(&train, &points, has_alpha);
-    let lights = truth::lights(source, &test, &mut warnings)?;
-    let (lit_by, grey_card) = (None, None);
-    Ok(Capture { layout, train, test, points, bounds, has_alpha, lights, lit_by, grey_card, warnings })
-}
 
 /// The layout's name, its photographs and its points.
 pub(super) type Layout = (String, Vec<PhotoEntry>, Vec<Point>);

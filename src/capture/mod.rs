@@ -36,7 +36,7 @@ pub(crate) use bounds::{framing, looked_at};
 pub use cameras::{PhotoCamera, cameras, cameras_of_colmap, cameras_of_transforms};
 pub use error::CaptureError;
 pub use grey_card::GreyCard;
-pub use import::{CaptureReport, PhotographNote, import, inspect};
+pub use import::{CaptureReport, PhotographNote, Undecoded, import, inspect};
 pub use lens::{Distortion, Intrinsics, Lens};
 pub use lights::{BUILTIN, builtin};
 pub use options::{ImportLimits, ImportOptions};

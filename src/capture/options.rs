@@ -19,7 +19,7 @@ pub struct ImportLimits {
     pub max_image_pixels: u64,
     /// Photographs in a capture.
     pub max_images: usize,
-    /// Pixels of all photographs together after reduction; each costs 16 bytes of memory.
+    /// Pixels of all photographs together after reduction; each costs 3 or 4 bytes of memory, of files of 16 bits 6 or 8.
     pub max_total_pixels: u64,
     /// Sparse points in a capture.
     pub max_points: usize,
@@ -35,7 +35,7 @@ impl Default for ImportLimits {
             max_ratio: 200,
             max_image_pixels: image_file::DEFAULT_MAX_PIXELS,
             max_images: 10_000,
-            max_total_pixels: 512 << 20,
+            max_total_pixels: 8 << 30,
             max_points: 20_000_000,
         }
     }

@@ -5,12 +5,12 @@ use rayon::prelude::*;
 
 use crate::capture::check::Looks;
 use crate::capture::error::name_list;
-use crate::capture::images::{load_image, load_photo, photo_size};
+use crate::capture::images::{Loaded, load_image, load_photo, photo_size};
 use crate::capture::lens::{Distortion, Intrinsics, Lens};
 use crate::capture::truth::TruthFiles;
 use crate::capture::{CaptureError, CaptureView, GroundTruthView, ImportOptions, Source, undistort};
 use crate::formats::image_file;
-use crate::scene::{Camera, ImageRgba};
+use crate::scene::{Camera, ImageRgba, PackedImage};
 
 /// A photograph an importer has found, before its pixels are read.
 #[derive(Debug, Clone)]
@@ -95,31 +95,33 @@ pub(super) fn load(
     options: &ImportOptions,
     looks: Option<&Looks>,
 ) -> Result<Vec<CaptureView>, CaptureError> {
-    check_total_pixels(source, photos, options)?;
     let views: Vec<_> = photos.par_iter().map(|photo| load_one(source, photo, options, looks)).collect();
     views.into_iter().collect()
 }
 
-/// Adds up the reduced sizes from the image headers, so that a capture too large for memory is refused before
-/// it is decoded. Every file is read twice, which is cheap compared with decoding it once.
-fn check_total_pixels(
+/// The sizes to which photographs are reduced, pixels, from their headers: a capture too large for memory is refused before it is
+/// decoded. Every file is read twice, which is cheap compared with decoding it once. Of what cannot be read there is no size;
+/// decoding it returns an error with its name.
+///
+/// # Errors
+/// [`CaptureError::OverLimit`] for more pixels together than are allowed.
+pub(super) fn sizes(
     source: &Source,
     photos: &[PhotoEntry],
     options: &ImportOptions,
-) -> Result<(), CaptureError> {
-    let limit = options.limits.max_total_pixels;
-    let pixels = |photo: &PhotoEntry| {
+) -> Result<Vec<(u32, u32)>, CaptureError> {
+    let size = |photo: &PhotoEntry| {
         let bytes = source.read(&photo.image).ok()?;
-        let (w, h) = options.reduced_size(image_file::dimensions(&bytes).ok()?);
-        Some(u64::from(w) * u64::from(h))
+        Some(options.reduced_size(image_file::dimensions(&bytes).ok()?))
     };
-    // An unreadable image counts nothing here; decoding it later returns an error with its name.
-    let total: u64 = photos.par_iter().filter_map(pixels).sum();
+    let sizes: Vec<(u32, u32)> = photos.par_iter().filter_map(size).collect();
+    let total: u64 = sizes.iter().map(|(w, h)| u64::from(*w) * u64::from(*h)).sum();
+    let limit = options.limits.max_total_pixels;
     if total > limit {
         let reason = format!("{total} pixels in all, {limit} allowed; reduce the resolution");
         return Err(CaptureError::over_limit(source.label(), "max_total_pixels", reason));
     }
-    Ok(())
+    Ok(sizes)
 }
 
 fn load_one(
@@ -128,7 +130,7 @@ fn load_one(
     options: &ImportOptions,
     looks: Option<&Looks>,
 ) -> Result<CaptureView, CaptureError> {
-    let (mut image, stored) = match looks {
+    let Loaded { mut image, stored, depth } = match looks {
         None => load_photo(source, &photo.image, photo.lens.size, options)?,
         Some(looks) => load_looked_at(source, photo, options, looks)?,
     };
@@ -136,6 +138,7 @@ fn load_one(
         apply_mask(source, mask, &mut image, options)?;
     }
     let (camera, image) = undistorted(photo, stored, image)?;
+    let image = PackedImage::new(&image, depth);
     let truth = if options.load_truth {
         photo.truth.load(source, (image.width, image.height), options)?
     } else {
@@ -151,13 +154,13 @@ fn load_looked_at(
     photo: &PhotoEntry,
     options: &ImportOptions,
     looks: &Looks,
-) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
+) -> Result<Loaded, CaptureError> {
     let side = options.max_side.map_or(Looks::SIDE, |side| side.max(Looks::SIDE));
     let larger = ImportOptions { max_side: Some(side), ..*options };
-    let (image, stored) = load_photo(source, &photo.image, photo.lens.size, &larger)?;
-    looks.add(&photo.image, &image, stored);
-    let (width, height) = options.reduced_size(stored);
-    Ok((image.resized(width, height), stored))
+    let loaded = load_photo(source, &photo.image, photo.lens.size, &larger)?;
+    looks.add(&photo.image, &loaded.image, loaded.stored);
+    let (width, height) = options.reduced_size(loaded.stored);
+    Ok(Loaded { image: loaded.image.resized(width, height), ..loaded })
 }
 
 /// The photograph alone, without its mask; `straight` removes the lens's distortion.
@@ -170,7 +173,7 @@ pub(super) fn picture(
     options: &ImportOptions,
     straight: bool,
 ) -> Result<ImageRgba, CaptureError> {
-    let (image, stored) = load_photo(source, &photo.image, photo.lens.size, options)?;
+    let Loaded { image, stored, .. } = load_photo(source, &photo.image, photo.lens.size, options)?;
     if straight { Ok(undistorted(photo, stored, image)?.1) } else { Ok(image) }
 }
 

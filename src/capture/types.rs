@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::DVec3;
 
-use crate::scene::{Camera, EnvMap, ImageRgba, Plane};
+use crate::scene::{Camera, EnvMap, ImageRgba, PackedImage, Plane};
 
 /// Ground truth that a synthetic set may have for a view.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -30,8 +30,8 @@ pub struct CaptureView {
     pub name: String,
     /// Pose and intrinsics at the image's resolution, distortion already removed.
     pub camera: Camera,
-    /// The photograph.
-    pub image: ImageRgba,
+    /// The photograph, 3 or 4 bytes a pixel where its file has 8 bits a channel.
+    pub image: PackedImage,
     /// Turn of the light about +Z against the other photographs, degrees counter-clockwise seen from above; 0 where the
     /// light stood still.
     pub light_rotation_deg: f64,

@@ -10,7 +10,7 @@ use crate::capture::truth::DEPTH_RANGE;
 use crate::capture::{Capture, CaptureError, CaptureView, GroundTruthView};
 use crate::formats::image_file::{encode_png, encode_png16, encode_rgba};
 use crate::formats::{ImageFileError, environment, srgb};
-use crate::scene::{ImageRgba, Plane};
+use crate::scene::{PackedImage, Plane};
 
 /// Writes images as 8-bit PNG, depth as 16-bit PNG, lights as Radiance files. The same capture gives the same
 /// bytes.
@@ -79,7 +79,7 @@ impl Archive {
     }
 
     fn view(&mut self, folder: &str, view: &CaptureView) -> Result<(), CaptureError> {
-        self.png(&format!("{folder}/rgba.png"), encode_rgba(&view.image))?;
+        self.png(&format!("{folder}/rgba.png"), encode_rgba(&view.image.decoded()))?;
         for (light, image) in &view.truth.relit {
             self.png(&format!("{folder}/rgba_{light}.png"), encode_rgba(image))?;
         }
@@ -91,7 +91,7 @@ impl Archive {
         &mut self,
         folder: &str,
         truth: &GroundTruthView,
-        image: &ImageRgba,
+        image: &PackedImage,
     ) -> Result<(), CaptureError> {
         if let Some(plane) = &truth.albedo {
             self.png(&format!("{folder}/albedo.png"), layer(plane, image, |v| v.map(srgb::encode)))?;
@@ -122,14 +122,14 @@ impl Archive {
 /// A layer as 8-bit RGBA with the image's alpha.
 fn layer<const C: usize>(
     plane: &Plane<C>,
-    image: &ImageRgba,
+    image: &PackedImage,
     colour: impl Fn([f32; C]) -> [f32; 3],
 ) -> Result<Vec<u8>, ImageFileError> {
-    let pixel = |(v, p): (&[f32; C], &[f32; 4])| {
+    let pixel = |(v, p): (&[f32; C], [f32; 4])| {
         let [r, g, b] = colour(*v);
         [r, g, b, p[3]].map(srgb::to_u8)
     };
-    let pixels: Vec<[u8; 4]> = plane.values.iter().zip(&image.pixels).map(pixel).collect();
+    let pixels: Vec<[u8; 4]> = plane.values.iter().zip(image.pixels()).map(pixel).collect();
     encode_png(plane.width, plane.height, &pixels)
 }
 
@@ -165,7 +165,7 @@ mod tests {
             assert_eq!(a.name, b.name);
             assert!((a.camera.translation - b.camera.translation).length() < 1e-9);
             assert!((a.camera.fx - b.camera.fx).abs() < 1e-9 && a.camera.width == b.camera.width);
-            assert!(worst(&a.image.pixels, &b.image.pixels) < half_level);
+            assert!(worst(&a.image.decoded().pixels, &b.image.decoded().pixels) < half_level);
         }
         for (a, b) in capture.test.iter().zip(&back.test) {
             let (a, b) = (&a.truth, &b.truth);
@@ -184,6 +184,6 @@ mod tests {
             assert!(worst(&x.values, &y.values) < 1e-4);
         }
         // The comparison can fail: two different views are far apart.
-        assert!(worst(&capture.train[0].image.pixels, &back.train[1].image.pixels) > 0.1);
+        assert!(worst(&capture.train[0].image.decoded().pixels, &back.train[1].image.decoded().pixels) > 0.1);
     }
 }

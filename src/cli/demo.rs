@@ -217,7 +217,7 @@ async fn contact_sheet(client: &Client, model: &ModelId, capture: &Capture) -> R
             let layer = frame(client, model, view, output, None).await?;
             rendered.push(Some(cut_out(&layer, &coverage)));
         }
-        let mut truth = vec![Some(photograph(&view.image))];
+        let mut truth = vec![Some(photograph(&view.image.decoded()))];
         truth.extend(lights.iter().map(|(name, _)| view.truth.relit.get(*name).map(photograph)));
         truth.extend(truth_layers(view));
         sheet.push(format!("{}: recovered by Relume", view.name), rendered);

@@ -16,8 +16,8 @@ use crate::engine::Device;
 use crate::engine::DeviceChoice;
 use crate::formats::model_file;
 use crate::train::{
-    Crop, KnownLight, LightExposure, Method, Preset, TrainConfig, TrainOverrides, Trainer, WhiteBalance,
-    import_for_training,
+    Crop, KnownLight, LightExposure, MemoryNeed, Method, PhotographSizes, Preset, Room, TrainConfig,
+    TrainOverrides, Trainer, WhiteBalance, import_for_training,
 };
 
 /// Options of `relume train`.
@@ -103,7 +103,10 @@ fn run_with(args: &TrainArgs, progress: &mut Progress) -> CommandResult<ExitCode
     let kept = args.checkpoint.as_deref().map(|file| Kept::new(file, &config)).transpose()?;
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;
     let path = posed(&args.capture, &args.poses)?;
-    let mut capture = import_for_training(&path, &config, &ImportLimits::default())?;
+    let device = Device::open(args.device)?;
+    progress.status(&format!("device: {}", device.name()));
+    let room = Room::beside(&device);
+    let mut capture = import_for_training(&path, &config, &ImportLimits::default(), room)?;
     if let (Some(known), Some(map)) = (&config.light, light) {
         known.illuminate(&mut capture, map);
     }
@@ -112,9 +115,12 @@ fn run_with(args: &TrainArgs, progress: &mut Progress) -> CommandResult<ExitCode
     }
     let (trained, held_out) = (capture.train.len(), capture.test.len());
     progress.status(&format!("{}: {trained} images to train on, {held_out} held out", capture.layout));
-    let device = Device::open(args.device)?;
-    progress.status(&format!("device: {}", device.name()));
+    let need = MemoryNeed::of(&PhotographSizes::of(&capture), &config, room.on_device);
+    progress.status(&format!("memory: {need}{}", left(room)));
     let mut trainer = trainer(&capture, config, &device, args.checkpoint.as_deref(), progress)?;
+    // The trainer shares the pixels that it needs.
+    drop(capture);
+    let before = trainer.seconds();
     if !train(&mut trainer, kept.as_ref(), progress)? {
         return Ok(ExitCode::from(STOPPED));
     }
@@ -127,8 +133,27 @@ fn run_with(args: &TrainArgs, progress: &mut Progress) -> CommandResult<ExitCode
     if let Some(file) = args.checkpoint.as_deref().filter(|file| file.exists()) {
         std::fs::remove_file(file)?;
     }
+    progress.status(&waited(&trainer, trainer.seconds() - before));
     progress.done(&args.out.display().to_string());
     Ok(ExitCode::SUCCESS)
+}
+
+/// What memory is available, where that is known.
+fn left(room: Room) -> String {
+    room.available.map_or_else(String::new, |bytes| format!(", {:.2} GB are available", bytes as f64 / 1e9))
+}
+
+/// How much of the `seconds` of its steps a training waited for photographs.
+fn waited(trainer: &Trainer, seconds: f64) -> String {
+    let stats = trainer.decoding();
+    let waited = stats.waited.as_secs_f64();
+    format!(
+        "photographs: {} decoded for {} steps, which waited for {} of them: {waited:.2} of {seconds:.1} s ({:.2} %)",
+        stats.decoded,
+        stats.asked,
+        stats.waits,
+        100.0 * waited / seconds.max(1e-9)
+    )
 }
 
 /// The overrides that the options make.

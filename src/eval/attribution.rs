@@ -81,7 +81,7 @@ fn put_truth(
 ) {
     let truth = &view.truth;
     let replaces = |layer| replaced.contains(&layer);
-    if view.image.pixels[i][3] < 0.5 {
+    if view.image.pixel(i)[3] < 0.5 {
         return;
     }
     if let (true, Some(occlusion)) = (replaces(TruthLayer::Occlusion), &truth.ambient_occlusion) {
@@ -106,7 +106,7 @@ fn put_truth(
 /// Gives the frame the photograph's alpha channel; colours are premultiplied.
 fn set_alpha(frame: &mut Frame, view: &CaptureView) {
     let found = frame.planes.get(&Output::Alpha).cloned().unwrap_or_default();
-    let wanted: Vec<f32> = view.image.pixels.iter().map(|p| p[3]).collect();
+    let wanted: Vec<f32> = view.image.alpha();
     if let Some(colour) = frame.planes.get_mut(&Output::Rgb) {
         for ((pixel, found), wanted) in colour.chunks_exact_mut(3).zip(&found).zip(&wanted) {
             pixel.iter_mut().for_each(|c| *c *= wanted / found.max(1e-3));

@@ -7,7 +7,7 @@ use crate::engine::Device;
 use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
 use crate::eval::image::DisplayImage;
 use crate::eval::sheet::{Sheet, error_map, grey};
-use crate::eval::views::{OwnLight, ViewLayers, alpha_of, photograph, relit, shown_by};
+use crate::eval::views::{OwnLight, ViewLayers, photograph, relit, shown_by};
 use crate::formats::srgb;
 use crate::render::{PreparedLight, Quality, Renderer};
 use crate::scene::{Model, Plane};
@@ -41,8 +41,11 @@ pub fn contact_sheet(
         let light = own.of(&renderer, view)?;
         let layers = ViewLayers::render(&renderer, &view.camera, light, quality)
             .map_err(|source| refused(view, source))?;
-        let mut cells =
-            vec![Some(photograph(&view.image)), Some(layers.shaded.clone()), Some(layers.radiance.clone())];
+        let mut cells = vec![
+            Some(photograph(&view.image.decoded())),
+            Some(layers.shaded.clone()),
+            Some(layers.radiance.clone()),
+        ];
         for (name, light) in &prepared {
             let picture =
                 relit(&renderer, &view.camera, light, quality).map_err(|source| refused(view, source))?;
@@ -83,7 +86,7 @@ fn layer_cells(model: &Model, layers: &ViewLayers, view: &CaptureView) -> [Optio
 /// A view's true albedo (sRGB curve), normal (`n / 2 + 1 / 2`), roughness and ambient occlusion, on white, as
 /// far as the view knows them.
 pub fn truth_layers(view: &CaptureView) -> [Option<DisplayImage>; 4] {
-    let (width, height, alpha) = (view.image.width, view.image.height, alpha_of(&view.image));
+    let (width, height, alpha) = (view.image.width, view.image.height, view.image.alpha());
     let truth = &view.truth;
     let colours = |p: &Plane<3>, shown: fn(&[f32; 3]) -> [f32; 3]| {
         let values = p.values.iter().map(shown).collect();

@@ -387,7 +387,7 @@ pub(crate) fn check_sizes(view: &CaptureView) -> Result<(), EvalError> {
     fn extent<const C: usize>(p: &Plane<C>) -> ((u32, u32), usize) {
         ((p.width, p.height), p.values.len())
     }
-    image("image", &view.image)?;
+    check("image", (view.image.width, view.image.height), view.image.len())?;
     view.truth.relit.iter().try_for_each(|(name, i)| image(&format!("relit {name}"), i))?;
     let truth = &view.truth;
     let planes = [

@@ -1,8 +1,8 @@
 //! Metrics of G-buffer layers against ground truth: normals, albedo, and plain masked errors.
 
 use crate::eval::image::{mean_squared_error, psnr_of};
-use crate::eval::views::{alpha_of, foreground};
-use crate::scene::{ImageRgba, Plane};
+use crate::eval::views::foreground;
+use crate::scene::{PackedImage, Plane};
 
 /// Mean angle between predicted and true normals, degrees.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -88,10 +88,10 @@ impl RatioMedian {
 pub(crate) fn albedo_psnr(
     (predicted, predicted_alpha): (&[[f32; 3]], &[f32]),
     truth: &Plane<3>,
-    image: &ImageRgba,
+    image: &PackedImage,
 ) -> [Option<f64>; 2] {
     let shown = layer_on_white(predicted, predicted_alpha);
-    let wanted = layer_on_white(&truth.values, &alpha_of(image));
+    let wanted = layer_on_white(&truth.values, &image.alpha());
     let whole = psnr_of(mean_squared_error(&shown, &wanted));
     let clamped: Vec<[f32; 3]> = predicted.iter().map(|p| p.map(|v| v.clamp(0.0, 1.0))).collect();
     [Some(whole), masked_psnr(&clamped, &truth.values, &foreground(image))]

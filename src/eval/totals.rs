@@ -6,7 +6,7 @@ use crate::eval::image::{psnr, ssim};
 use crate::eval::layers::{RatioMedian, albedo_psnr, masked_mae, normal_errors};
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{ImageScores, Report};
-use crate::eval::views::{ViewLayers, alpha_of, foreground};
+use crate::eval::views::{ViewLayers, foreground};
 
 /// A mean of the values that are present.
 #[derive(Debug, Clone, Copy, Default)]
@@ -73,7 +73,7 @@ impl LayerTotals {
             self.ratios.add(&layers.albedo, &albedo.values, &mask);
         }
         if let Some(normal) = &truth.normal {
-            let alpha = alpha_of(&view.image);
+            let alpha = view.image.alpha();
             let errors = normal_errors((&layers.normal, &layers.alpha), (&normal.values, &alpha), &mask);
             self.normal_foreground.add(errors.map(|e| e.foreground));
             self.normal_all.add(errors.map(|e| e.all_pixels));

@@ -5,7 +5,7 @@ use crate::engine::DeviceError;
 use crate::eval::image::DisplayImage;
 use crate::formats::srgb;
 use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer};
-use crate::scene::{Camera, ImageRgba, Model, Plane};
+use crate::scene::{Camera, ImageRgba, Model, PackedImage, Plane};
 
 /// A test view under the model's own recovered light, with every layer that ground truth may know.
 pub(crate) struct ViewLayers {
@@ -129,7 +129,7 @@ pub fn photograph(image: &ImageRgba) -> DisplayImage {
 /// A photograph on white as `model` could show it: of a subject that was cropped out of photographs without masks, only what
 /// the model's own `alpha` covers.
 pub(crate) fn shown_by(model: &Model, view: &CaptureView, alpha: &[f32]) -> DisplayImage {
-    let photograph = photograph(&view.image);
+    let photograph = photograph(&view.image.decoded());
     if is_cropped(model) { covered(photograph, alpha) } else { photograph }
 }
 
@@ -145,14 +145,9 @@ pub(crate) fn is_cropped(model: &Model) -> bool {
     model.card.get("crop").is_some_and(|region| !region.is_null())
 }
 
-/// The image's alpha channel.
-pub(crate) fn alpha_of(image: &ImageRgba) -> Vec<f32> {
-    image.pixels.iter().map(|p| p[3]).collect()
-}
-
 /// Ground truth's foreground: alpha above one half.
-pub(crate) fn foreground(image: &ImageRgba) -> Vec<bool> {
-    image.pixels.iter().map(|p| p[3] > 0.5).collect()
+pub(crate) fn foreground(image: &PackedImage) -> Vec<bool> {
+    image.pixels().map(|p| p[3] > 0.5).collect()
 }
 
 /// The model with its albedo multiplied per channel: albedo is linear in prototypes and residuals (article

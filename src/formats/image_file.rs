@@ -4,11 +4,14 @@
 
 use std::io::Cursor;
 
-use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat, ImageReader};
+use image::{
+    ColorType as ColourKind, DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat,
+    ImageReader,
+};
 use jpeg_encoder::{ColorType, SamplingFactor};
 
 use crate::formats::{ImageFileError, exr_image, srgb};
-use crate::scene::ImageRgba;
+use crate::scene::{BitDepth, ImageRgba};
 
 /// Most pixels of one image unless a caller says otherwise.
 pub const DEFAULT_MAX_PIXELS: u64 = 134_000_000;
@@ -27,6 +30,21 @@ pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
     }
     let reader = ImageReader::with_format(Cursor::new(bytes), kind(bytes)?);
     reader.into_dimensions().map_err(damaged)
+}
+
+/// Which depth holds what an image file has, from its header: 8 bits for files of 8 bits a channel, 16 for all others.
+///
+/// # Errors
+/// As [`dimensions`].
+pub fn bit_depth(bytes: &[u8]) -> Result<BitDepth, ImageFileError> {
+    if exr_image::is_exr(bytes) {
+        return Ok(BitDepth::Sixteen);
+    }
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), kind(bytes)?);
+    reader.no_limits();
+    let colour = reader.into_decoder().map_err(damaged)?.color_type();
+    let is_eight = matches!(colour, ColourKind::L8 | ColourKind::La8 | ColourKind::Rgb8 | ColourKind::Rgba8);
+    Ok(if is_eight { BitDepth::Eight } else { BitDepth::Sixteen })
 }
 
 /// A photograph as display-referred RGBA with straight alpha. EXR and TIFF of floats hold linear light, which is encoded with
@@ -265,6 +283,17 @@ mod tests {
         let back = decode(&bytes, 2).unwrap();
         assert_eq!(back.pixels[0][0], 1.0 / 65535.0);
         assert!((back.pixels[1][1] - 40_001.0 / 65535.0).abs() < 1e-7);
+    }
+
+    #[test]
+    fn the_depth_is_that_of_the_file() {
+        let eight = encode_png(1, 1, &[[1u8, 2, 3]]).unwrap();
+        let sixteen = encode_png16(1, 1, &[[1u16, 2, 3]]).unwrap();
+        let floats = tiff(1, 1, &[0; 12], ExtendedColorType::Rgb32F);
+        let jpeg = encode_jpeg(8, 8, &[[9; 3]; 64], 90).unwrap();
+        let found = [eight, jpeg, sixteen, floats].map(|bytes| bit_depth(&bytes).unwrap());
+        assert_eq!(found, [BitDepth::Eight, BitDepth::Eight, BitDepth::Sixteen, BitDepth::Sixteen]);
+        assert_eq!(bit_depth(b"").unwrap_err(), ImageFileError::Empty);
     }
 
     #[test]

@@ -55,7 +55,7 @@ impl ImageRgba {
             let a = p[3].max(1e-8);
             [(p[0] / a).min(1.0), (p[1] / a).min(1.0), (p[2] / a).min(1.0), p[3].min(1.0)]
         };
-        let pixels = averaged(stored, size, premultiplied).map(straight).collect();
+        let pixels = averaged(stored, size, premultiplied).into_iter().map(straight).collect();
         Self { width, height, pixels }
     }
 }
@@ -64,7 +64,7 @@ impl<const C: usize> Plane<C> {
     /// The image reduced to `width` x `height` by exact area averaging.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
-        let values = averaged((self.width, self.height), (width, height), |i| self.values[i]).collect();
+        let values = averaged((self.width, self.height), (width, height), |i| self.values[i]);
         Self { width, height, values }
     }
 }
@@ -74,20 +74,24 @@ fn averaged<const C: usize>(
     from: (u32, u32),
     to: (u32, u32),
     value: impl Fn(usize) -> [f32; C],
-) -> impl Iterator<Item = [f32; C]> {
+) -> Vec<[f32; C]> {
     let stride = from.0 as usize;
     let (rows, columns) = (spans(from.1, to.1), spans(from.0, to.0));
-    let cells = rows.len() * columns.len();
-    (0..cells).map(move |cell| {
+    let mean = |row: &[(usize, f64)], column: &[(usize, f64)]| {
         let mut sum = [0.0f64; C];
-        for &(y, wy) in &rows[cell / columns.len()] {
-            for &(x, wx) in &columns[cell % columns.len()] {
+        for &(y, wy) in row {
+            for &(x, wx) in column {
                 let v = value(y * stride + x);
                 (0..C).for_each(|k| sum[k] += f64::from(v[k]) * wx * wy);
             }
         }
         sum.map(|s| s as f32)
-    })
+    };
+    let mut out = Vec::with_capacity(rows.len() * columns.len());
+    for row in &rows {
+        out.extend(columns.iter().map(|column| mean(row, column)));
+    }
+    out
 }
 
 /// For each new cell, the old cells under it and their shares, summing to 1.

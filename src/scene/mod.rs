@@ -7,6 +7,7 @@ mod field;
 mod gaussians;
 mod image;
 mod model;
+mod packed_image;
 mod split;
 
 pub use camera::{Camera, CameraError};
@@ -21,4 +22,5 @@ pub use model::{
     DiffuseForm, Framing, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions,
     VisibilityForm, softplus, softplus_inverse,
 };
+pub use packed_image::{BitDepth, PackedImage};
 pub use split::{LightSplit, MAX_LIGHTS, SplitLight};

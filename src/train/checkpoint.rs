@@ -14,8 +14,8 @@ use crate::scene::{Field, Gaussians, MAX_LIGHTS};
 use crate::train::TrainConfig;
 use crate::train::complexity::state::ComplexityState;
 use crate::train::crop::{CutOut, Region, SILHOUETTE};
+use crate::train::dataset::Gain;
 use crate::train::error::TrainError;
-use crate::train::exposure::Gain;
 use crate::train::state::ScheduleState;
 
 const VERSION: u32 = 1;

@@ -1,5 +1,6 @@
 //! Why a training ends without a model.
 
+use crate::capture::CaptureError;
 use crate::engine::DeviceError;
 
 /// Roll-backs in a row after which the optimisation is given up.
@@ -11,6 +12,12 @@ pub enum TrainError {
     /// A setting or the capture cannot be trained on; the message names what.
     #[error("{0}")]
     Invalid(String),
+    /// The capture could not be imported.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// The training would need more memory than there is; the message names the setting at fault and what would fit.
+    #[error("{0}")]
+    Memory(String),
     /// A checkpoint could not be read; the message names the field.
     #[error("checkpoint: {0}")]
     Checkpoint(String),

@@ -6,10 +6,11 @@
 
 use rayon::prelude::*;
 
-use crate::engine::cpu::{linear_from_srgb, srgb};
-use crate::engine::{Photo, TrainState};
+use crate::engine::cpu::linear_from_srgb;
+use crate::engine::{Photo, PhotoSize, TrainState};
 use crate::scene::Plane;
 use crate::train::context::StepContext;
+use crate::train::dataset::{Dataset, Gain};
 
 /// Longest side of the images that are compared, pixels.
 const SIDE: u32 = 96;
@@ -25,15 +26,12 @@ const LEAST_SPREAD: f32 = 0.045;
 /// Largest `|ln(gain)|` that is believed.
 const MOST: f32 = 1.0;
 
-/// Linear gain of a photograph, by channel.
-pub type Gain = [f32; 3];
-
-/// Gains of `photos`, of geometric mean 1, by how much they differ from what the physically based branch shows.
-pub fn gains(state: &TrainState, context: &StepContext<'_>, photos: &[Photo]) -> Vec<Gain> {
-    let logs: Vec<[f32; 3]> = photos
-        .par_iter()
-        .map(|photo| {
-            let small = reduced(photo);
+/// Gains of the photographs of `data`, of geometric mean 1, by how much they differ from what the physically based branch shows.
+pub fn gains(state: &TrainState, context: &StepContext<'_>, data: &Dataset) -> Vec<Gain> {
+    let logs: Vec<[f32; 3]> = (0..data.len())
+        .into_par_iter()
+        .map(|i| {
+            let small = reduced(&data.look(i, PhotoSize::Full));
             median_ratio(&small, &context.physical_image(state, &small))
         })
         .collect();
@@ -56,19 +54,6 @@ pub fn spread(gains: &[Gain]) -> [f32; 3] {
         (gains.iter().map(|g| (value(g).ln() - mean).powi(2)).sum::<f32>() / n).sqrt()
     };
     [of(|g| g[1]), of(|g| g[0] / g[1]), of(|g| g[2] / g[1])]
-}
-
-/// Divides what `photo` shows of its subject by `gain`.
-pub fn divide(photo: &mut Photo, gain: Gain, background: [f32; 3]) {
-    let Photo { pixels, alpha, .. } = photo;
-    for (i, pixel) in pixels.iter_mut().enumerate() {
-        let a = alpha.get(i).copied().unwrap_or(1.0);
-        for c in 0..3 {
-            let behind = (1.0 - a) * background[c];
-            let shown = ((pixel[c] - behind) / a.max(1e-3)).clamp(0.0, 1.0);
-            pixel[c] = srgb((linear_from_srgb(shown) / gain[c]).min(1.0)) * a + behind;
-        }
-    }
 }
 
 /// `photo` with a longest side of at most [`SIDE`].
@@ -111,6 +96,7 @@ mod tests {
 
     use super::*;
     use crate::scene::Camera;
+    use crate::train::dataset::divide;
 
     /// A photograph of a ramp of colours, half of it behind a mask.
     fn photo(alpha: bool) -> Photo {

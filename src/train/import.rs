@@ -2,22 +2,28 @@
 
 use std::path::Path;
 
-use crate::capture::{self, Capture, CaptureError, ImportLimits, ImportOptions};
-use crate::train::TrainConfig;
+use crate::capture::{Capture, ImportLimits, ImportOptions, Undecoded};
+use crate::train::memory::{self, PhotographSizes, Room};
+use crate::train::{TrainConfig, TrainError};
 
 /// A capture at the resolution it will be trained at, without ground truth, so that memory holds no pixel in vain; with
 /// the turns of the light and the colour of the grey card that `config` gives.
 ///
 /// # Errors
-/// What the importer refuses, by file and field; a turn of the light of no photograph; a grey card that cannot be
-/// measured.
+/// [`TrainError::Capture`]: what the importer refuses, by file and field; a turn of the light of no photograph; a grey card that
+/// cannot be measured. [`TrainError::Memory`] where `room` has too little memory, before anything is decoded if the sizes in the
+/// headers tell.
 pub fn import_for_training(
     path: &Path,
     config: &TrainConfig,
     limits: &ImportLimits,
-) -> Result<Capture, CaptureError> {
+    room: Room,
+) -> Result<Capture, TrainError> {
     let options = ImportOptions { max_side: Some(config.resolution), limits: *limits, load_truth: false };
-    let mut capture = capture::import(path, &options)?;
+    let undecoded = Undecoded::open(path, &options)?;
+    memory::check(&PhotographSizes::undecoded(undecoded.sizes()), config, room)?;
+    let mut capture = undecoded.decode()?;
+    memory::check(&PhotographSizes::of(&capture), config, room)?;
     capture.turn_lights(&config.light_rotation_per_photo)?;
     if let Some(card) = &config.grey_card {
         capture.measure_grey_card(path, card, limits)?;
@@ -31,7 +37,8 @@ mod tests {
     use crate::capture::{GreyCard, SyntheticOptions, synthetic, write_archive};
     use crate::engine::Device;
     use crate::formats::srgb;
-    use crate::train::{Preset, TrainError, TrainOverrides, Trainer, WhiteBalance};
+    use crate::scene::{BitDepth, PackedImage};
+    use crate::train::{Preset, TrainOverrides, Trainer, WhiteBalance};
 
     const CARD: [f32; 3] = [0.5, 0.4, 0.2];
 
@@ -41,9 +48,11 @@ mod tests {
             SyntheticOptions { size: 32, train_views: 3, test_views: 1, paths: 4, ..Default::default() };
         let mut capture = synthetic(&options).unwrap();
         let [r, g, b] = CARD.map(srgb::encode);
+        let mut image = capture.train[1].image.decoded();
         for (x, y) in (4..10).flat_map(|y| (20..28).map(move |x| (x, y))) {
-            capture.train[1].image.pixels[y * 32 + x] = [r, g, b, 1.0];
+            image.pixels[y * 32 + x] = [r, g, b, 1.0];
         }
+        capture.train[1].image = PackedImage::new(&image, BitDepth::Sixteen);
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), write_archive(&capture).unwrap()).unwrap();
         file
@@ -67,7 +76,8 @@ mod tests {
     #[test]
     fn a_grey_card_is_measured_at_import_and_is_the_white_balance_of_the_training() {
         let (file, config) = (capture_with_a_card(), config("train_001/rgba.png", 20));
-        let mut capture = import_for_training(file.path(), &config, &ImportLimits::default()).unwrap();
+        let mut capture =
+            import_for_training(file.path(), &config, &ImportLimits::default(), Room::unbounded()).unwrap();
         let colour = capture.grey_card.unwrap();
         assert!((0..3).all(|c| (colour[c] - CARD[c]).abs() < 5e-3), "{colour:?}");
         let trained = |config: &TrainConfig, capture: &Capture| {
@@ -101,10 +111,28 @@ mod tests {
             ("rgba.png", 20, "grey_card.photo"),
             ("train_001/rgba.png", 25, "grey_card.width"),
         ] {
-            let error =
-                import_for_training(file.path(), &config(photo, x), &ImportLimits::default()).unwrap_err();
+            let imported = import_for_training(
+                file.path(),
+                &config(photo, x),
+                &ImportLimits::default(),
+                Room::unbounded(),
+            );
+            let Err(TrainError::Capture(error)) = imported else { panic!("must be refused: {imported:?}") };
             assert_eq!((error.file(), error.field()), (Some(photo), Some(field)), "{error}");
         }
+    }
+
+    #[test]
+    fn a_capture_without_room_is_refused_before_it_is_decoded() {
+        let (file, config) = (capture_with_a_card(), config("train_001/rgba.png", 20));
+        let import = |available| {
+            let room = Room { on_device: false, available: Some(available) };
+            import_for_training(file.path(), &config, &ImportLimits::default(), room)
+        };
+        let refused = import(1000);
+        let Err(TrainError::Memory(why)) = &refused else { panic!("must be refused: {refused:?}") };
+        assert!(why.contains("4 photographs of up to 16x16"), "{why}");
+        assert!(import(1 << 30).is_ok(), "the control");
     }
 
     #[test]

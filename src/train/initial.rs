@@ -4,7 +4,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Capture;
-use crate::engine::{Photo, upward_share};
+use crate::engine::{Photo, PhotoSize, upward_share};
 use crate::light::{LightColour, SplitEnvironment};
 use crate::scene::{
     Camera, Field, Framing, Gaussians, LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse,
@@ -122,7 +122,7 @@ fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng)
         let display = |c: [f32; 3]| c.map(|v| crate::engine::cpu::srgb(v.clamp(0.0, 1.0)));
         (0..count).map(|i| (in_model(pick(i).0), display(pick(i).1))).collect()
     } else if hull.is_empty() {
-        seeds_along_rays(&data.half, wanted, rng)
+        seeds_along_rays(data, wanted, rng)
     } else {
         let cell = 2.0 / HULL_SIDE as f32;
         let jitter = |rng: &mut ChaCha8Rng| (rng.random::<f32>() - 0.5) * cell;
@@ -130,7 +130,7 @@ fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng)
         centres.into_iter().map(|c| (c.map(|v| v + jitter(rng)), [0.5; 3])).collect()
     };
     if capture.points.len() < 100 && !hull.is_empty() {
-        seeds.iter_mut().for_each(|(p, c)| *c = mean_colour(&data.half, *p));
+        show_mean_colours(data, &mut seeds);
     }
     let spacing = nearest_neighbour_distance(&seeds);
     (seeds, spacing)
@@ -138,19 +138,24 @@ fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng)
 
 /// Seeds along the rays of random pixels of random photographs, at log-uniform depths around the subject's distance:
 /// everywhere in the cameras' views and never close in front of one.
-fn seeds_along_rays(photos: &[Photo], wanted: usize, rng: &mut ChaCha8Rng) -> Vec<Seed> {
-    (0..wanted)
-        .map(|_| {
-            let photo = &photos[rng.random_range(0..photos.len())];
-            let camera = &photo.camera;
-            let (x, y) = (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
-            let [near, far] = RAY_DEPTHS;
-            let depth = camera.centre().length().max(1e-3) * near * (far / near).powf(rng.random::<f64>());
-            let position = camera.centre() + camera.ray(x, y) * depth;
-            let pixel = y as usize * camera.width as usize + x as usize;
-            (position.as_vec3().to_array(), photo.pixels[pixel])
-        })
-        .collect()
+fn seeds_along_rays(data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng) -> Vec<Seed> {
+    let mut seeds = Vec::with_capacity(wanted);
+    // By photograph: seeds, and the pixels that they lie behind.
+    let mut behind: Vec<Vec<(usize, usize)>> = vec![Vec::new(); data.len()];
+    for seed in 0..wanted {
+        let index = rng.random_range(0..data.len());
+        let camera = data.camera(index, PhotoSize::Half);
+        let (x, y) = (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
+        let [near, far] = RAY_DEPTHS;
+        let depth = camera.centre().length().max(1e-3) * near * (far / near).powf(rng.random::<f64>());
+        let position = camera.centre() + camera.ray(x, y) * depth;
+        seeds.push((position.as_vec3().to_array(), [0.0; 3]));
+        behind[index].push((seed, y as usize * camera.width as usize + x as usize));
+    }
+    data.walk(PhotoSize::Half, |index, photo| {
+        behind[index].iter().for_each(|(seed, pixel)| seeds[*seed].1 = photo.pixels[*pixel]);
+    });
+    seeds
 }
 
 /// Pixel of `photo` under a point, if it is in front and inside.
@@ -165,17 +170,20 @@ fn pixel_of(photo: &Photo, p: [f32; 3]) -> Option<usize> {
     inside.then(|| v as usize * c.width as usize + u as usize)
 }
 
-/// Mean colour of the photographs' pixels over a point.
-fn mean_colour(photos: &[Photo], p: [f32; 3]) -> [f32; 3] {
-    let mut sum = [0.0f32; 3];
-    let mut n = 0.0;
-    for photo in photos {
-        if let Some(i) = pixel_of(photo, p) {
-            (0..3).for_each(|k| sum[k] += photo.pixels[i][k]);
-            n += 1.0;
+/// Gives each seed the mean colour of the photographs' pixels over it.
+fn show_mean_colours(data: &Dataset, seeds: &mut [Seed]) {
+    let mut sums = vec![([0.0f32; 3], 0.0f32); seeds.len()];
+    data.walk(PhotoSize::Half, |_, photo| {
+        for ((sum, n), (p, _)) in sums.iter_mut().zip(seeds.iter()) {
+            if let Some(i) = pixel_of(photo, *p) {
+                (0..3).for_each(|k| sum[k] += photo.pixels[i][k]);
+                *n += 1.0;
+            }
         }
+    });
+    for ((_, colour), (sum, n)) in seeds.iter_mut().zip(sums) {
+        *colour = if n > 0.0 { sum.map(|s| s / n) } else { [0.5; 3] };
     }
-    if n > 0.0 { sum.map(|s| s / n) } else { [0.5; 3] }
 }
 
 /// Centres of the voxels on the surface of the visual hull, in the unit ball's cube (normalised world).
@@ -186,23 +194,18 @@ fn hull_surface(data: &Dataset) -> Vec<[f32; 3]> {
         let at = |k: usize| -1.0 + (2 * k + 1) as f32 / n as f32;
         [at(i % n), at(i / n % n), at(i / (n * n))]
     };
-    let solid: Vec<bool> = (0..n * n * n)
-        .into_par_iter()
-        .with_min_len(4096)
-        .map(|i| {
-            let p = centre(i);
-            let mut seen = 0;
-            let mut missed = 0;
-            for photo in &data.half {
-                if let Some(pixel) = pixel_of(photo, p) {
-                    seen += 1;
-                    missed += usize::from(photo.alpha[pixel] < 0.3);
-                }
+    // How many photographs see each voxel, and how many of them show nothing there.
+    let mut counts = vec![[0u32; 2]; n * n * n];
+    data.walk(PhotoSize::Half, |_, photo| {
+        counts.par_iter_mut().with_min_len(4096).enumerate().for_each(|(i, [seen, missed])| {
+            if let Some(pixel) = pixel_of(photo, centre(i)) {
+                *seen += 1;
+                *missed += u32::from(photo.alpha[pixel] < 0.3);
             }
-            // A few misses are forgiven: masks are blurred at half resolution.
-            seen >= 3 && missed * 40 <= seen
-        })
-        .collect();
+        });
+    });
+    // A few misses are forgiven: masks are blurred at half resolution.
+    let solid: Vec<bool> = counts.iter().map(|[seen, missed]| *seen >= 3 && missed * 40 <= *seen).collect();
     let open = |i: usize, axis: usize, step: isize| {
         let stride = [1, n, n * n][axis];
         let k = (i / stride % n) as isize + step;

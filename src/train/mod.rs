@@ -15,6 +15,8 @@ mod known_light;
 mod light_colour;
 mod lights;
 mod materials;
+mod memory;
+mod room;
 mod schedule;
 mod state;
 mod trainer;
@@ -24,8 +26,11 @@ pub use config::{
     Complexity, ComplexitySetting, ConfigError, Crop, LabelSource, Method, NamedBalance, NamedCrop, Preset,
     TrainConfig, TrainOverrides, WhiteBalance,
 };
+pub use dataset::DecodingStats;
 pub use error::TrainError;
 pub use import::import_for_training;
 pub use known_light::{Auto, KnownLight, LightExposure};
+pub use memory::{MemoryNeed, PhotographSizes, Room};
+pub use room::{available_memory, own_group_limit};
 pub use trainer::{Preparation, Progress, StepReport, Trainer};
 pub use weights::{LearningRates, LossWeights};

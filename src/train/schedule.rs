@@ -1,8 +1,8 @@
 //! What each step trains, with which weights and step sizes: the configuration as a function of progress.
 
 use crate::engine::{
-    Branches, FieldUpdate, ImageWeights, LightTurns, LightWeights, ParameterWeights, ProbeMeasurement,
-    StepSizes, StepWeights, SurfaceWeights,
+    Branches, FieldUpdate, ImageWeights, LightTurns, LightWeights, ParameterWeights, PhotoSize,
+    ProbeMeasurement, StepSizes, StepWeights, SurfaceWeights,
 };
 use crate::light::LightColour;
 use crate::scene::Field;
@@ -32,6 +32,12 @@ pub fn branches(config: &TrainConfig, step: u32) -> Branches {
         true => Branches::RadianceAndNormals,
         false => Branches::Radiance,
     }
+}
+
+/// Size of the photograph that is trained on after `step` steps.
+pub fn photo_size(config: &TrainConfig, step: u32) -> PhotoSize {
+    let progress = step as f32 / config.iterations as f32;
+    if progress < config.half_resolution { PhotoSize::Half } else { PhotoSize::Full }
 }
 
 /// Weights of the objective at `progress` in [0, 1].

@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
+use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::light::LightColour;
 use crate::train::complexity::state::ComplexityState;
 use crate::train::crop::CutOut;
-use crate::train::exposure::Gain;
+use crate::train::dataset::Gain;
 
 /// Where a training stands in its schedule; kept on the host whatever device trains.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,5 +41,59 @@ impl ScheduleState {
     /// How often the photographs were changed.
     pub fn revision(&self) -> usize {
         self.gains.len() + usize::from(self.cut.is_some())
+    }
+
+    /// Takes the photograph of the next step. Each epoch visits all of them in another order.
+    pub fn next_photo(&mut self) -> usize {
+        if self.cursor as usize >= self.order.len() {
+            self.order.shuffle(&mut self.rng);
+            self.cursor = 0;
+        }
+        self.cursor += 1;
+        self.order[self.cursor as usize - 1] as usize
+    }
+
+    /// The photographs of the next `count` steps, none of them taken.
+    pub fn next_photos(&self, count: usize) -> Vec<usize> {
+        let at = self.cursor as usize;
+        if let Some(next) = self.order.get(at..at + count) {
+            return next.iter().map(|i| *i as usize).collect();
+        }
+        let mut ahead = self.clone();
+        (0..count).map(|_| ahead.next_photo()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    #[test]
+    fn the_next_photographs_are_known_beyond_the_end_of_an_epoch() {
+        let mut schedule = ScheduleState {
+            step: 0,
+            order: (0..5).collect(),
+            cursor: 5,
+            rng: ChaCha8Rng::seed_from_u64(3),
+            rate_factor: 1.0,
+            seconds: 0.0,
+            complexity: ComplexityState::default(),
+            light_colour: None,
+            gains: Vec::new(),
+            lights: Vec::new(),
+            cut: None,
+        };
+        let known = schedule.next_photos(14);
+        let mut epochs = known.clone();
+        for at in 0..14 {
+            assert_eq!(schedule.next_photos(3.min(14 - at)), known[at..14.min(at + 3)]);
+            assert_eq!(schedule.next_photo(), known[at]);
+        }
+        epochs.truncate(10);
+        assert_ne!(epochs[..5], epochs[5..], "the control: each epoch has an order of its own");
+        epochs.sort_unstable();
+        assert_eq!(epochs, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]);
     }
 }

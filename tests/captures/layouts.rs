@@ -30,7 +30,7 @@ fn a_blender_set_keeps_its_poses_and_holds_out_every_eighth_by_name() {
         let view = view(&capture, &format!("train/r_{i}.png"));
         assert!(pose_error(&view.camera, i) < 1e-9);
         assert!(pose_error(&view.camera, i + 1) > 0.1, "the comparison can fail");
-        assert!((view.image.pixels[9][0] - i as f32 * 10.0 / 255.0).abs() < 1e-6);
+        assert!((view.image.pixel(9)[0] - i as f32 * 10.0 / 255.0).abs() < 1e-6);
     }
 }
 
@@ -95,14 +95,14 @@ fn a_mask_becomes_alpha() {
     files.insert("masks/1.png".into(), image_file::encode_png(8, 6, &half).unwrap());
     let capture = import_folder(&files).unwrap();
     let masked = view(&capture, "images/1.png");
-    assert!((0..48).all(|i| masked.image.pixels[i][3] == f32::from(u8::from(i % 8 >= 4))));
+    assert!((0..48).all(|i| masked.image.pixel(i)[3] == f32::from(u8::from(i % 8 >= 4))));
 }
 
 #[test]
 fn a_mask_that_lies_beside_its_photograph_needs_no_mention() {
     let half: Vec<[u8; 1]> = (0..48u8).map(|i| [if i % 8 < 4 { 0 } else { 255 }]).collect();
     let half = image_file::encode_png(8, 6, &half).unwrap();
-    let is_masked = |view: &CaptureView| view.image.pixels[2][3] == 0.0 && view.image.pixels[6][3] == 1.0;
+    let is_masked = |view: &CaptureView| view.image.pixel(2)[3] == 0.0 && view.image.pixel(6)[3] == 1.0;
     for (files, mask) in [
         (nerfstudio(|_| {}), "images/1_mask.png"),
         (nerfstudio(|_| {}), "masks/1.png"),
@@ -130,7 +130,7 @@ fn a_photograph_is_turned_where_its_poses_are_for_the_turned_one() {
     let capture = import_folder(&files).unwrap();
     let seen = view(&capture, "images/1.jpg");
     assert_eq!((seen.image.width, seen.image.height, seen.camera.width), (8, 6, 8));
-    assert!(seen.image.pixels[3][0] > 0.8 && seen.image.pixels[44][0] < 0.2, "bright above");
+    assert!(seen.image.pixel(3)[0] > 0.8 && seen.image.pixel(44)[0] < 0.2, "bright above");
     files.insert("images/1.jpg".into(), jpeg);
     let refused = import_folder(&files).unwrap_err();
     assert_eq!(refused.field(), Some("w,h"), "the control: nothing says that it is turned");

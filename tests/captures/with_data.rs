@@ -50,7 +50,7 @@ fn helmet_comes_with_its_truth_and_its_lights() {
         let material = truth.metallic_roughness.as_ref().unwrap();
         let mut facing = 0;
         let mut covered = 0;
-        for (i, pixel) in view.image.pixels.iter().enumerate() {
+        for (i, pixel) in view.image.pixels().enumerate() {
             if pixel[3] < 0.99 {
                 continue;
             }
@@ -77,7 +77,7 @@ fn fox_names_its_seventeen_missing_images_and_goes_on() {
     let warning = &capture.warnings[0];
     assert!(warning.contains("names 17 images that are missing, 50 remain"), "{warning}");
     assert_eq!(warning.matches("images/").count(), 17, "{warning}");
-    assert!(!capture.has_alpha && capture.train.iter().all(|v| v.image.pixels.iter().all(|p| p[3] == 1.0)));
+    assert!(!capture.has_alpha && capture.train.iter().all(|v| v.image.is_opaque()));
     assert_eq!((capture.train[0].camera.width, capture.train[0].camera.height), (135, 240));
     for view in &capture.train {
         let toward = (capture.bounds.centre - view.camera.centre()).normalize();

@@ -2,7 +2,7 @@
 
 use relume::capture::{Capture, SyntheticOptions, synthetic};
 use relume::engine::Device;
-use relume::scene::{Camera, Field, ImageRgba};
+use relume::scene::{BitDepth, Camera, Field, ImageRgba, PackedImage};
 use relume::train::{Preset, TrainConfig, TrainError, TrainOverrides, Trainer};
 
 use glam::DVec3;
@@ -90,13 +90,18 @@ fn train(capture: &Capture, steps: usize, device: &Device) -> f32 {
 fn photographs_all_black_all_white_and_of_one_pixel(device: &Device) {
     for colour in [[0.0, 0.0, 0.0, 1.0], [1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]] {
         let mut flat = capture(4);
-        flat.train.iter_mut().for_each(|v| v.image.pixels.fill(colour));
+        for view in &mut flat.train {
+            let mut image = view.image.decoded();
+            image.pixels.fill(colour);
+            view.image = PackedImage::new(&image, BitDepth::Eight);
+        }
         assert!(train(&flat, 6, device).is_finite(), "{colour:?}");
     }
     let mut tiny = capture(4);
     for view in &mut tiny.train {
         view.camera = view.camera.resized(1, 1);
-        view.image = ImageRgba { width: 1, height: 1, pixels: vec![[0.4, 0.5, 0.6, 1.0]] };
+        let image = ImageRgba { width: 1, height: 1, pixels: vec![[0.4, 0.5, 0.6, 1.0]] };
+        view.image = PackedImage::new(&image, BitDepth::Eight);
     }
     assert!(train(&tiny, 6, device).is_finite());
 }

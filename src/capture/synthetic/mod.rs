@@ -14,7 +14,7 @@ pub use self::scene::SyntheticScene;
 use self::tracer::{AmbientOcclusion, Pixel, Tracer};
 use crate::capture::{Capture, CaptureError, CaptureView, GroundTruthView, Scene3dBounds, builtin};
 use crate::formats::srgb;
-use crate::scene::{Camera, EnvMap, ImageRgba, Plane};
+use crate::scene::{BitDepth, Camera, EnvMap, ImageRgba, PackedImage, Plane};
 
 /// Radius of the ball around the origin that holds the scene.
 const SCENE_RADIUS: f64 = 1.2;
@@ -65,7 +65,8 @@ impl Default for SyntheticOptions {
 /// table.
 ///
 /// World +Z is up; the scene lies within 1.2 units of the origin; camera centres are 3.6 units from it on the
-/// upper hemisphere. Two bounces of indirect light. The same options give the same bytes on any number of threads.
+/// upper hemisphere. Two bounces of indirect light. Photographs have 16 bits a channel. The same options give the same bytes on
+/// any number of threads.
 ///
 /// # Errors
 /// [`CaptureError::Field`] names the option that is out of range.
@@ -87,7 +88,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
         train.push(CaptureView {
             name,
             camera,
-            image,
+            image: PackedImage::new(&image, BitDepth::Sixteen),
             light_rotation_deg: 0.0,
             truth: GroundTruthView::default(),
         });
@@ -98,6 +99,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
         let pixels = test_tracer.render(&camera, (1 << 32) + i as u64);
         let (image, truth) = (image(&camera, &pixels, 0), truth(&camera, &pixels, options));
         let name = format!("test_{i:03}/rgba.png");
+        let image = PackedImage::new(&image, BitDepth::Sixteen);
         test.push(CaptureView { name, camera, image, light_rotation_deg: 0.0, truth });
     }
     Ok(Capture {
@@ -236,7 +238,7 @@ mod tests {
             (view.truth.albedo.as_ref().unwrap(), view.truth.ambient_occlusion.as_ref().unwrap());
         let material = view.truth.metallic_roughness.as_ref().unwrap();
         let mut seen = 0;
-        for (i, p) in view.image.pixels.iter().enumerate() {
+        for (i, p) in view.image.pixels().enumerate() {
             let rough_dielectric = material.values[i][0] == 0.0 && material.values[i][1] > 0.6;
             if p[3] < 1.0 || ao.values[i][0] < 0.97 || !rough_dielectric {
                 continue;

@@ -71,7 +71,7 @@ fn ground_of(renderer: &Renderer, view: &CaptureView) -> CommandResult<Vec<Groun
     let frame = renderer.render(&view.camera, &light, Tier::Standard, &[Output::Albedo])?;
     let found = frame.planes.get(&Output::Albedo).map_or(&[][..], Vec::as_slice).as_chunks::<3>().0;
     let mean = |v: [f32; 3]| v.iter().sum::<f32>() / 3.0;
-    let truth = albedo.values.iter().zip(&normal.values).zip(&view.image.pixels);
+    let truth = albedo.values.iter().zip(&normal.values).zip(view.image.pixels());
     let pixels = truth.zip(found).filter_map(|(((albedo, normal), pixel), found)| {
         let shown = [pixel[0], pixel[1], pixel[2]];
         let is_ground = pixel[3] > 0.99 && normal[2] > UP && mean(*albedo) > LEAST_ALBEDO;

@@ -95,7 +95,7 @@ fn ambient_occlusion(renderer: &Renderer, view: &CaptureView) -> CommandResult<V
     let light = renderer.prepare_light(&EnvMap::constant(8, 4, [1.0; 3]))?;
     let frame = renderer.render(&view.camera, &light, Tier::Standard, &[Output::Visibility])?;
     let found = frame.planes.get(&Output::Visibility).map_or(&[][..], Vec::as_slice);
-    let pixels = found.iter().zip(&truth.values).zip(&view.image.pixels);
+    let pixels = found.iter().zip(&truth.values).zip(view.image.pixels());
     Ok(pixels.filter(|(_, p)| p[3] > 0.5).map(|((a, b), _)| [f64::from(*a), f64::from(b[0])]).collect())
 }
 

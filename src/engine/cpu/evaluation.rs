@@ -11,7 +11,7 @@ use crate::engine::cpu::{
 use crate::engine::step::{Branches, Photo};
 use crate::engine::{LightTurn, LightTurns, NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
 use crate::light::{EnvOperators, LightTables};
-use crate::scene::{ColumnTurn, MAX_LIGHTS, SplitLight};
+use crate::scene::{Camera, ColumnTurn, MAX_LIGHTS, SplitLight};
 
 /// A state as the kernels read it, without learned indirect light and under the light unturned.
 pub fn source(state: &TrainState) -> AttributeSource<'_> {
@@ -54,19 +54,19 @@ pub fn physical_error(
     mean_squared_error(&physical_image(state, operators, photo, branches, background), photo)
 }
 
-/// The radiance branch as `photo` would show it, display-referred.
-pub fn radiance(state: &TrainState, photo: &Photo, background: [f32; 3]) -> Vec<[f32; 3]> {
-    radiance_image(&colour_pass(state, photo), background)
+/// The radiance branch as a photograph of `camera` would show it, display-referred.
+pub fn radiance(state: &TrainState, camera: &Camera, background: [f32; 3]) -> Vec<[f32; 3]> {
+    radiance_image(&colour_pass(state, camera), background)
 }
 
 /// Mean squared error of the radiance branch on one photograph.
 pub fn radiance_error(state: &TrainState, photo: &Photo, background: [f32; 3]) -> f32 {
-    mean_squared_error(&radiance(state, photo, background), photo)
+    mean_squared_error(&radiance(state, &photo.camera, background), photo)
 }
 
-/// Summed blending weight, in pixels, that each Gaussian has in one photograph.
-pub fn blending_weights(state: &TrainState, photo: &Photo) -> Vec<f32> {
-    let pass = colour_pass(state, photo);
+/// Summed blending weight, in pixels, that each Gaussian has in one photograph of `camera`.
+pub fn blending_weights(state: &TrainState, camera: &Camera) -> Vec<f32> {
+    let pass = colour_pass(state, camera);
     let mut out = vec![0.0; state.model.gaussians.len()];
     for (splat, label) in pass.splats.iter().zip(cpu::backward_labels(&pass)) {
         out[splat.gaussian as usize] = label.weight;
@@ -156,14 +156,10 @@ fn weighted_sum<'a, const N: usize>(
     sum
 }
 
-fn colour_pass(state: &TrainState, photo: &Photo) -> Pass {
+fn colour_pass(state: &TrainState, camera: &Camera) -> Pass {
     let source = source(state);
-    Pass::forward(
-        &source,
-        RasterCamera::new(&photo.camera, source.options),
-        Channels::Colour,
-        EarlyStop::WhenSaturated,
-    )
+    let view = RasterCamera::new(camera, source.options);
+    Pass::forward(&source, view, Channels::Colour, EarlyStop::WhenSaturated)
 }
 
 fn mean_squared_error(image: &[[f32; 3]], photo: &Photo) -> f32 {

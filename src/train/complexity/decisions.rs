@@ -1,11 +1,12 @@
 //! What is decided at which point of a training.
 
-use crate::engine::{Photo, TrainState};
+use crate::engine::TrainState;
 use crate::train::ComplexitySetting;
 use crate::train::complexity::photographs::{DecisionContext, FEW_VIEWS};
 use crate::train::complexity::state::{ComplexityState, DecisionPoint};
 use crate::train::complexity::{apply, decide, evidence, orders, trials};
 use crate::train::context::StepContext;
+use crate::train::dataset::Dataset;
 
 impl ComplexityState {
     /// Makes the decisions of `point` and applies them to `state`, whose parameters must be finite.
@@ -16,7 +17,7 @@ impl ComplexityState {
         point: DecisionPoint,
         step: &StepContext<'_>,
         steps: u32,
-        photos: &[Photo],
+        photos: &Dataset,
         state: &mut TrainState,
     ) {
         self.points += 1;

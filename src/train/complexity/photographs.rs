@@ -1,9 +1,10 @@
 //! Evidence from photographs: what they show of each Gaussian, and how well a state explains them.
 
 use crate::engine::cpu::evaluation;
-use crate::engine::{Photo, TrainState};
+use crate::engine::{Photo, PhotoSize, TrainState};
 use crate::train::complexity::evidence;
 use crate::train::context::StepContext;
+use crate::train::dataset::Dataset;
 use crate::train::{ComplexitySetting, TrainConfig};
 
 /// Photographs from which blending weights are taken where a rough figure is enough.
@@ -21,7 +22,7 @@ pub struct DecisionContext<'a> {
     /// Steps done.
     pub steps: u32,
     /// The training photographs.
-    pub photos: &'a [Photo],
+    pub photos: &'a Dataset,
 }
 
 impl<'a> DecisionContext<'a> {
@@ -38,8 +39,9 @@ impl<'a> DecisionContext<'a> {
     /// Mean blending weight a photograph, pixels, of each Gaussian over at most `most` photographs.
     pub fn blending_weights(&self, state: &TrainState, most: usize) -> Vec<f32> {
         let mut sums = vec![0.0f32; state.model.gaussians.len()];
-        for photo in evenly_spaced(self.photos, most) {
-            sums.iter_mut().zip(evaluation::blending_weights(state, photo)).for_each(|(sum, w)| *sum += w);
+        for i in self.evenly_spaced(most) {
+            let camera = self.photos.camera(i, PhotoSize::Full);
+            sums.iter_mut().zip(evaluation::blending_weights(state, camera)).for_each(|(sum, w)| *sum += w);
         }
         let count = self.photos.len().min(most).max(1) as f32;
         sums.iter_mut().for_each(|sum| *sum /= count);
@@ -58,7 +60,8 @@ impl<'a> DecisionContext<'a> {
 
     /// PSNR by the mean squared error that `error` finds on one photograph.
     fn psnr(&self, error: impl Fn(&Photo) -> f32) -> f32 {
-        let errors = evenly_spaced(self.photos, TRIALS).map(|photo| (error(photo), 1.0));
+        let looks = self.evenly_spaced(TRIALS).map(|i| self.photos.look(i, PhotoSize::Full));
+        let errors = looks.map(|photo| (error(&photo), 1.0));
         -10.0 * evidence::weighted_mean(errors).max(1e-10).log10()
     }
 
@@ -67,14 +70,15 @@ impl<'a> DecisionContext<'a> {
         if !self.step.has_alpha {
             return None;
         }
-        let each = evenly_spaced(self.photos, MANY_VIEWS);
+        let each = self.evenly_spaced(MANY_VIEWS).map(|i| self.photos.look(i, PhotoSize::Full));
         let all: Vec<f32> =
             each.filter_map(|p| evidence::concavity(&p.alpha, p.camera.width as usize)).collect();
         (!all.is_empty()).then(|| all.iter().sum::<f32>() / all.len() as f32)
     }
-}
 
-fn evenly_spaced<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
-    let count = all.len().min(most);
-    (0..count).map(move |i| &all[i * all.len() / count.max(1)])
+    /// Indices of at most `most` photographs.
+    fn evenly_spaced(&self, most: usize) -> impl Iterator<Item = usize> + use<> {
+        let (all, count) = (self.photos.len(), self.photos.len().min(most));
+        (0..count).map(move |i| i * all / count.max(1))
+    }
 }

@@ -13,6 +13,7 @@ use crate::engine::cpu::{Pass, evaluation, radiance_image};
 use crate::engine::{Photo, RasterCamera, TrainState};
 use crate::scene::{Field, Gaussians, IndirectForm, Model, ShadingOptions, VisibilityForm};
 use crate::train::context::StepContext;
+use crate::train::dataset::Dataset;
 use crate::train::{Complexity, Preset, TrainConfig, TrainOverrides};
 
 fn small_state() -> TrainState {
@@ -136,7 +137,7 @@ fn convex(share: f32) -> TrainState {
 }
 
 /// Calls `act` with a context in which 7 steps are done.
-fn in_context(overrides: &TrainOverrides, photos: &[Photo], act: impl FnOnce(&DecisionContext<'_>)) {
+fn in_context(overrides: &TrainOverrides, photos: &Dataset, act: impl FnOnce(&DecisionContext<'_>)) {
     let config = config(overrides);
     let operators = crate::light::EnvOperators::new(4, 2, 4, crate::light::TableResolution::TRAINING);
     let step = StepContext {
@@ -156,7 +157,9 @@ fn decided(
 ) -> (ComplexityState, TrainState) {
     let mut complexity = ComplexityState::default();
     let shown = Shown { weights: vec![1.0; 5], concavity: Some(concavity) };
-    in_context(overrides, &[], |context| orders::decide(&mut complexity, context, &shown, &mut state));
+    in_context(overrides, &Dataset::of_photos(&[]), |context| {
+        orders::decide(&mut complexity, context, &shown, &mut state)
+    });
     (complexity, state)
 }
 
@@ -222,7 +225,7 @@ fn hidden_gaussians_are_dropped_and_visible_ones_stay() {
     let dropped = |hidden: &[usize]| {
         let (mut state, photo) = discs(hidden);
         let mut complexity = ComplexityState::default();
-        let photos = [photo.clone(), photo];
+        let photos = Dataset::of_photos(&[photo.clone(), photo]);
         in_context(&TrainOverrides::default(), &photos, |context| {
             trials::drop_least(&mut complexity, context, &mut state);
         });
@@ -242,11 +245,11 @@ fn sheen_stays_where_photographs_show_it() {
         let (mut state, mut photo) = discs(&[]);
         state.model.gaussians.field_mut(Field::Sheen).fill(sheen);
         let mut complexity = ComplexityState::default();
-        in_context(&TrainOverrides::default(), &[], |context| {
+        in_context(&TrainOverrides::default(), &Dataset::of_photos(&[]), |context| {
             // No model reproduces its photographs exactly.
             let image = context.step.physical_image(&state, &photo);
             photo.pixels = image.iter().map(|p| p.map(|v| v + 0.05)).collect();
-            let context = DecisionContext { photos: &[photo], ..*context };
+            let context = DecisionContext { photos: &Dataset::of_photos(&[photo]), ..*context };
             trials::decide_sheen(&mut complexity, &context, &mut state);
         });
         let stays = state.model.gaussians.field(Field::Sheen).iter().all(|s| *s == sheen);

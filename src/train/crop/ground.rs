@@ -4,9 +4,9 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::engine::TrainState;
 use crate::engine::cpu::evaluation;
-use crate::engine::{Photo, TrainState};
-use crate::scene::Field;
+use crate::scene::{Camera, Field};
 
 /// Planes that are tried.
 const TRIALS: usize = 3_000;
@@ -22,17 +22,17 @@ const LEAST: [f64; 2] = [0.08, 0.1];
 const LARGEST: f64 = 4.0;
 
 /// Upward unit normal of the ground in the ball, and the height along it below which nothing is the subject; `None` where no
-/// level plane carries enough of what `photos` show.
-pub fn find(state: &TrainState, photos: &[Photo], centre: DVec3, radius: f64) -> Option<[f64; 4]> {
-    plane(&seen(state, photos, centre, radius), radius)
+/// level plane carries enough of what `cameras` see.
+pub fn find(state: &TrainState, cameras: &[&Camera], centre: DVec3, radius: f64) -> Option<[f64; 4]> {
+    plane(&seen(state, cameras, centre, radius), radius)
 }
 
 /// Positions in the ball, and the pixels that each covers in all photographs together.
-fn seen(state: &TrainState, photos: &[Photo], centre: DVec3, radius: f64) -> Vec<(DVec3, f64)> {
+fn seen(state: &TrainState, cameras: &[&Camera], centre: DVec3, radius: f64) -> Vec<(DVec3, f64)> {
     let g = &state.model.gaussians;
     let mut pixels = vec![0.0f64; g.len()];
-    for photo in photos {
-        let weights = evaluation::blending_weights(state, photo);
+    for camera in cameras {
+        let weights = evaluation::blending_weights(state, camera);
         pixels.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += f64::from(weight));
     }
     let at = |i: usize| DVec3::from_array(std::array::from_fn(|k| f64::from(g.row(Field::Mean, i)[k])));

@@ -8,12 +8,11 @@ mod ground;
 mod region;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
+use crate::engine::TrainState;
 use crate::engine::cpu::evaluation;
-use crate::engine::{Photo, TrainState};
-use crate::scene::{Field, Gaussians, LightSplit, Model, ShadingOptions};
-use crate::train::dataset::{Dataset, WHITE};
+use crate::scene::{Camera, Field, Gaussians, LightSplit, Model, ShadingOptions};
+use crate::train::dataset::Dataset;
 
 pub use region::Region;
 
@@ -64,22 +63,12 @@ impl CutOut {
 
     /// Makes the photographs those of the subject alone, with masks, in the world after the cut.
     pub fn apply(&self, data: &mut Dataset, shading: ShadingOptions) {
-        (data.has_alpha, data.background) = (true, WHITE);
         let state = self.state(shading);
-        for photos in [&mut data.full, &mut data.half] {
-            photos.par_iter_mut().for_each(|photo| self.mask(photo, &state));
-        }
-    }
-
-    /// Gives `photo` the mask of the subject, and brings its camera to the world after the cut.
-    fn mask(&self, photo: &mut Photo, state: &TrainState) {
-        let covered = evaluation::radiance(state, photo, [0.0; 3]);
-        photo.alpha = covered.iter().map(|share| opacity(share[0])).collect();
-        for (pixel, a) in photo.pixels.iter_mut().zip(&photo.alpha) {
-            (0..3).for_each(|c| pixel[c] = pixel[c] * a + WHITE[c] * (1.0 - a));
-        }
-        let (scale, offset) = self.region.world();
-        photo.camera = photo.camera.in_normalised_world(scale, offset);
+        let mask = |camera: &Camera| -> Vec<f32> {
+            let covered = evaluation::radiance(&state, camera, [0.0; 3]);
+            covered.iter().map(|share| opacity(share[0])).collect()
+        };
+        data.cut_out(self.region.world(), mask);
     }
 
     fn state(&self, shading: ShadingOptions) -> TrainState {

@@ -3,8 +3,8 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use crate::engine::TrainState;
-use crate::scene::{Camera, Field, Gaussians};
+use crate::engine::{PhotoSize, TrainState};
+use crate::scene::{Field, Gaussians};
 use crate::train::config::{Crop, NamedCrop};
 use crate::train::crop::ground;
 use crate::train::dataset::Dataset;
@@ -29,9 +29,8 @@ impl Region {
         match crop {
             Crop::Named(NamedCrop::None) => None,
             Crop::Named(NamedCrop::Auto) => {
-                let cameras: Vec<&Camera> = data.full.iter().map(|photo| &photo.camera).collect();
-                let (centre, radius) = crate::capture::looked_at(&cameras);
-                let ground = ground::find(state, &data.half, centre, radius);
+                let (centre, radius) = crate::capture::looked_at(&data.cameras(PhotoSize::Full));
+                let ground = ground::find(state, &data.cameras(PhotoSize::Half), centre, radius);
                 Some(Self { centre: centre.to_array(), radius, ground })
             }
             Crop::Ball([x, y, z, radius]) => {

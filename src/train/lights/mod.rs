@@ -13,9 +13,9 @@ mod split;
 use rayon::prelude::*;
 
 use crate::engine::cpu::evaluation;
-use crate::engine::{Photo, TrainState, fibonacci_sphere};
+use crate::engine::{TrainState, fibonacci_sphere};
 use crate::light::{FULLY_OPEN, sh_eval};
-use crate::scene::{Field, Gaussians, MAX_LIGHTS, SplitLight};
+use crate::scene::{Camera, Field, Gaussians, MAX_LIGHTS, SplitLight};
 use crate::train::materials;
 use found::FoundLight;
 use neighbours::Neighbours;
@@ -65,11 +65,11 @@ pub fn search(state: &TrainState, seen: &[f32], most: usize, previous: &[SplitLi
     found
 }
 
-/// Pixels in which each Gaussian is seen, over a dozen of `photos`.
-pub fn seen(state: &TrainState, photos: &[Photo]) -> Vec<f32> {
+/// Pixels in which each Gaussian is seen, over a dozen of `cameras`.
+pub fn seen(state: &TrainState, cameras: &[&Camera]) -> Vec<f32> {
     let mut out = vec![0.0; state.model.gaussians.len()];
-    for photo in photos.iter().step_by((photos.len() / PHOTOS).max(1)) {
-        out.iter_mut().zip(evaluation::blending_weights(state, photo)).for_each(|(sum, w)| *sum += w);
+    for camera in cameras.iter().step_by((cameras.len() / PHOTOS).max(1)) {
+        out.iter_mut().zip(evaluation::blending_weights(state, camera)).for_each(|(sum, w)| *sum += w);
     }
     out
 }

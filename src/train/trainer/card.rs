@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use crate::light::LightColour;
 use crate::scene::{Model, SplitLight};
 use crate::train::TrainError;
-use crate::train::exposure::{self, Gain};
+use crate::train::dataset::Gain;
+use crate::train::exposure;
 use crate::train::trainer::Trainer;
 
 impl Trainer {
@@ -21,7 +22,7 @@ impl Trainer {
             "engine": self.engine.engine(),
             "steps": self.schedule.step,
             "gaussians": model.gaussians.len(),
-            "photographs": self.data.full.len(),
+            "photographs": self.data.len(),
             "has_alpha": self.data.has_alpha,
             "complexity": self.schedule.complexity.card(&self.config),
             "light": self.light_card(&model),

@@ -45,8 +45,9 @@ impl Trainer {
 mod tests {
     use super::*;
     use crate::capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
-    use crate::engine::Device;
     use crate::engine::gpu::Gpu;
+    use crate::engine::{Device, PhotoSize};
+    use crate::scene::{BitDepth, PackedImage};
     use crate::train::{Crop, Preset, TrainConfig, TrainOverrides};
 
     const STEPS: u32 = 160;
@@ -65,9 +66,10 @@ mod tests {
         let mut capture = synthetic(&options).unwrap();
         let mut masks = Vec::new();
         for view in &mut capture.train {
-            masks.push(view.image.pixels.iter().map(|p| p[3]).collect());
-            let dark = view.image.over([0.0; 3]);
-            view.image.pixels = dark.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect();
+            masks.push(view.image.alpha());
+            let mut image = view.image.decoded();
+            image.pixels = image.over([0.0; 3]).into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect();
+            view.image = PackedImage::new(&image, BitDepth::Sixteen);
         }
         capture.has_alpha = false;
         (capture, masks)
@@ -112,11 +114,15 @@ mod tests {
         while trainer.progress().step < warm_up {
             trainer.step().unwrap();
         }
-        assert!(trainer.data.full.iter().all(|photo| photo.alpha.is_empty()), "the control: no masks yet");
+        let masks_of = |trainer: &Trainer| -> Vec<f32> {
+            (0..8).flat_map(|i| trainer.data.look(i, PhotoSize::Full).alpha.clone()).collect()
+        };
+        assert!(masks_of(&trainer).is_empty(), "the control: no masks yet");
         assert!(trainer.model().unwrap().framing.is_some(), "the surroundings may hide it");
-        let (before, seen) = (trainer.engine.gaussians(), trainer.data.full[0].camera.centre().length());
+        let distance = |trainer: &Trainer| trainer.data.camera(0, PhotoSize::Full).centre().length();
+        let (before, seen) = (trainer.engine.gaussians(), distance(&trainer));
         trainer.step().unwrap();
-        let found: Vec<f32> = trainer.data.full.iter().flat_map(|photo| photo.alpha.clone()).collect();
+        let found = masks_of(&trainer);
         let mean = |subject: bool| {
             let own = masks.iter().flatten().zip(&found).filter(|(own, _)| (**own > 0.5) == subject);
             let values: Vec<f64> = own.map(|(_, found)| f64::from(*found)).collect();
@@ -125,7 +131,7 @@ mod tests {
         // The subject has holes after so few steps, and nothing else is in the masks.
         assert!(mean(true) > 0.3 && mean(false) < 0.1, "{} {}", mean(true), mean(false));
         assert!(trainer.engine.gaussians() < before, "what lies outside is gone");
-        let now = trainer.data.full[0].camera.centre().length();
+        let now = distance(&trainer);
         assert!((now * 0.9 - seen).abs() < 1e-6, "the ball is the unit of the world: {now}, before {seen}");
         while !trainer.is_done() {
             assert_eq!(trainer.step().unwrap().warning, None);

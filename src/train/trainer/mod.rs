@@ -12,8 +12,6 @@ use preparation::operators_of;
 use std::sync::Arc;
 use std::time::Instant;
 
-use rand::seq::SliceRandom;
-
 use crate::capture::Capture;
 use crate::engine::cpu::evaluation;
 use crate::engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
@@ -21,7 +19,7 @@ use crate::light::{EnvOperators, LightColour};
 use crate::scene::{Field, SplitLight};
 use crate::train::complexity;
 use crate::train::context::StepContext;
-use crate::train::dataset::Dataset;
+use crate::train::dataset::{Dataset, DecodingStats};
 use crate::train::error::{MOST_ROLLBACKS, TrainError};
 use crate::train::state::ScheduleState;
 use crate::train::{
@@ -33,6 +31,8 @@ use crate::train::{
 const SNAPSHOT_EVERY: u32 = 50;
 /// Steps between density rounds.
 const REFINE_EVERY: u32 = 100;
+/// Steps whose photographs are decoded ahead, as far as there is room for them.
+const AHEAD: u32 = 4;
 
 /// What one step did.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,7 +82,7 @@ impl Preparation {
         let Self { config, data, operators, schedule, state } = self;
         let limits = TrainingLimits {
             resolution: config.resolution,
-            pixels: data.full.iter().map(|photo| photo.pixels.len()).max().unwrap_or(0),
+            pixels: data.largest(),
             max_gaussians: config.max_gaussians.max(config.initial_gaussians),
             probe_directions: config.probe_directions,
         };
@@ -144,10 +144,12 @@ impl Trainer {
         if self.sums.unsound.is_some() {
             return self.roll_back();
         }
-        let photo = self.next_photo();
+        let photo = self.schedule.next_photo();
         let progress = self.schedule.step as f32 / self.config.iterations as f32;
         let branches = schedule::branches(&self.config, self.schedule.step);
-        let size = if progress < self.config.half_resolution { PhotoSize::Half } else { PhotoSize::Full };
+        let size = schedule::photo_size(&self.config, self.schedule.step);
+        let decoded = self.data.photo(photo, size);
+        self.data.expect(self.next_photos().into_iter());
         let mut sizes = schedule::step_sizes(&self.config, branches, progress);
         if self.is_dielectric() {
             sizes.fields[Field::MetalLogit as usize] = 0.0;
@@ -161,7 +163,7 @@ impl Trainer {
         let next = self.schedule.step + 1;
         let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
         let sums = self.engine.step(&Step {
-            photo: self.data.photo(photo, size),
+            photo: &decoded,
             photo_id: PhotoId { index: photo, size, revision: self.schedule.revision() },
             background: self.data.background,
             branches,
@@ -311,7 +313,7 @@ impl Trainer {
         if !self.data.turns.stand_still() || state.model.check().is_err() {
             return Ok(());
         }
-        let gains = exposure::gains(&state, &self.context(), &self.data.full);
+        let gains = exposure::gains(&state, &self.context(), &self.data);
         if !self.schedule.gains.is_empty() || exposure::differ(&gains) {
             self.data.divide(&gains);
             self.schedule.gains.push(gains);
@@ -334,7 +336,7 @@ impl Trainer {
             // A state that is not finite: the next step rolls back, and comes past here again.
             return Ok(());
         }
-        let seen = lights::seen(&state, &self.data.half);
+        let seen = lights::seen(&state, &self.data.cameras(PhotoSize::Half));
         let before = state.model.lights.lights.clone();
         let found = lights::search(&state, &seen, most, &before);
         self.schedule.lights = found.iter().map(|f| f.gain).collect();
@@ -392,7 +394,7 @@ impl Trainer {
         }
         let mut state = state.into_owned();
         let mut decisions = self.schedule.complexity.clone();
-        decisions.decide(point, &self.context(), steps, &self.data.full, &mut state);
+        decisions.decide(point, &self.context(), steps, &self.data, &mut state);
         self.schedule.complexity = decisions;
         if state.model.gaussians.visibility_order() != self.operators.order() {
             self.operators = operators_of(&state.model);
@@ -408,14 +410,12 @@ impl Trainer {
         Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.turns, repeats))?)
     }
 
-    fn next_photo(&mut self) -> usize {
-        let schedule = &mut self.schedule;
-        if schedule.cursor as usize >= schedule.order.len() {
-            schedule.order.shuffle(&mut schedule.rng);
-            schedule.cursor = 0;
-        }
-        schedule.cursor += 1;
-        schedule.order[schedule.cursor as usize - 1] as usize
+    /// Photographs of the steps after the one that has taken its photograph, with their sizes.
+    fn next_photos(&self) -> Vec<(usize, PhotoSize)> {
+        let next = self.schedule.step + 1;
+        let steps = next..self.config.iterations.min(next + AHEAD);
+        let photos = self.schedule.next_photos(steps.len());
+        photos.into_iter().zip(steps.map(|step| schedule::photo_size(&self.config, step))).collect()
     }
 
     fn refine(&mut self) -> Result<(), TrainError> {
@@ -474,6 +474,11 @@ impl Trainer {
     pub fn checkpoint(&mut self) -> Result<Vec<u8>, TrainError> {
         self.catch_up()?;
         checkpoint::encode(&self.schedule, self.engine.state()?.as_ref(), &self.config)
+    }
+
+    /// What was decoded for the steps of this run, and how long they waited for it.
+    pub fn decoding(&self) -> DecodingStats {
+        self.data.decoding()
     }
 
     /// Seconds spent in steps so far, over all runs.

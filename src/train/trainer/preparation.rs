@@ -38,8 +38,8 @@ impl Preparation {
         let model = initial::model(capture, &data, &config, &mut rng);
         let schedule = ScheduleState {
             step: 0,
-            order: (0..data.full.len() as u32).collect(),
-            cursor: data.full.len() as u32,
+            order: (0..data.len() as u32).collect(),
+            cursor: data.len() as u32,
             rng,
             rate_factor: 1.0,
             seconds: 0.0,
@@ -59,7 +59,7 @@ impl Preparation {
     pub fn resume(capture: &Capture, mut config: TrainConfig, bytes: &[u8]) -> Result<Self, TrainError> {
         let mut data = prepare(capture, &mut config)?;
         let (schedule, state) = checkpoint::decode(bytes, &config)?;
-        if schedule.order.len() != data.full.len() {
+        if schedule.order.len() != data.len() {
             return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
         }
         if let Some(cut) = &schedule.cut {
@@ -67,6 +67,13 @@ impl Preparation {
         }
         schedule.gains.iter().for_each(|gains| data.divide(gains));
         Ok(Self::of(config, data, schedule, state))
+    }
+
+    /// Keeps at most so many bytes of photographs decoded, beside those of the step that runs. No result depends on it.
+    #[must_use]
+    pub fn with_photo_cache(mut self, bytes: usize) -> Self {
+        self.data.bound(bytes);
+        self
     }
 
     fn of(config: TrainConfig, data: Dataset, schedule: ScheduleState, state: TrainState) -> Self {

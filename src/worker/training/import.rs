@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::api::EnvironmentId;
 use crate::capture::{BUILTIN, Capture, ImportLimits};
-use crate::train::{TrainConfig, import_for_training};
+use crate::train::{MemoryNeed, PhotographSizes, Room, TrainConfig, import_for_training};
 use crate::worker::progress::announce;
 use crate::worker::renders::LightSource;
 use crate::worker::source::{Claim, SourceError};
@@ -27,7 +27,8 @@ impl Worker {
         })?;
         let light = known_light(claim, config).await?;
         let (config, limits) = (config.clone(), self.import_limits);
-        let read = move || load(&path, &config, &limits, light.as_ref());
+        let room = Room::beside(self.device_of(claim)?);
+        let read = move || load(&path, &config, &limits, room, light.as_ref());
         let capture = match self.aside(claim, read).await? {
             ControlFlow::Continue(capture) => capture?,
             ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
@@ -60,10 +61,12 @@ fn load(
     path: &Path,
     config: &TrainConfig,
     limits: &ImportLimits,
+    room: Room,
     light: Option<&LightSource>,
 ) -> Result<Capture, AttemptError> {
-    let capture = import_for_training(path, config, limits);
-    let mut capture = capture.map_err(|e| AttemptError::new(e.code(), e.to_string()))?;
+    let mut capture = import_for_training(path, config, limits, room)?;
+    let memory = MemoryNeed::of(&PhotographSizes::of(&capture), config, room.on_device);
+    tracing::info!(%memory, available = room.available, "the memory that a training takes");
     if let (Some(known), Some(source)) = (&config.light, light) {
         let map = source
             .map()

@@ -189,7 +189,7 @@ impl Attempt<'_> {
 
 /// Mean number of pixels of a photograph.
 fn pixels_of(capture: &Capture) -> f64 {
-    let pixels = capture.train.iter().map(|view| view.image.pixels.len() as f64).sum::<f64>();
+    let pixels = capture.train.iter().map(|view| view.image.len() as f64).sum::<f64>();
     pixels / capture.train.len().max(1) as f64
 }
 

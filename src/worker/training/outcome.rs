@@ -79,6 +79,8 @@ impl From<TrainError> for AttemptError {
                 Self::new("device_unfit", error.to_string())
             }
             TrainError::Device(error) => Self::new(DEVICE_FAILED, error.to_string()),
+            TrainError::Capture(error) => Self::new(error.code(), error.to_string()),
+            TrainError::Memory(why) => Self::new("memory_unfit", why),
             error => Self::new("training_failed", error.to_string()),
         }
     }

@@ -1,0 +1,68 @@
+//! How much memory this process can still have.
+
+use std::path::Path;
+
+/// Where control groups of version 2 are.
+const CONTROL_GROUPS: &str = "/sys/fs/cgroup";
+
+/// Bytes of memory that this process can still have: what the machine has left, at most what its control groups allow. `None`
+/// where neither can be read.
+pub fn available_memory() -> Option<u64> {
+    let left = std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| left_of(&text));
+    let group = own_group_limit();
+    [left, group].into_iter().flatten().min()
+}
+
+/// The least limit, bytes, of the control group of this process (`MemoryMax` of a systemd unit, the limit of a container) and of those
+/// around it; `None` where there is none.
+pub fn own_group_limit() -> Option<u64> {
+    let own = std::fs::read_to_string("/proc/self/cgroup").ok()?;
+    group_limit(Path::new(CONTROL_GROUPS), &own)
+}
+
+/// The least limit of the control group that `own` (the text of `/proc/self/cgroup`) names, and of those around it.
+fn group_limit(root: &Path, own: &str) -> Option<u64> {
+    // "0::" is version 2; its path begins at the root of the groups.
+    let path = own.lines().find_map(|line| line.strip_prefix("0::/"))?;
+    let groups = Path::new(path).ancestors();
+    // "max" is none.
+    let bytes =
+        |group: &Path| std::fs::read_to_string(root.join(group).join("memory.max")).ok()?.trim().parse().ok();
+    groups.filter_map(bytes).min()
+}
+
+/// `MemAvailable` of the text of `/proc/meminfo`, bytes.
+fn left_of(text: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib * 1024)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_least_limit_of_a_process_and_of_what_it_is_in_counts() {
+        let root = tempfile::TempDir::new().unwrap();
+        let unit = root.path().join("system.slice/relume.service");
+        std::fs::create_dir_all(&unit).unwrap();
+        let own = "9:name=systemd:/other\n0::/system.slice/relume.service\n";
+        assert_eq!(group_limit(root.path(), own), None);
+        std::fs::write(unit.join("memory.max"), "2147483648\n").unwrap();
+        std::fs::write(root.path().join("system.slice/memory.max"), "max\n").unwrap();
+        assert_eq!(group_limit(root.path(), own), Some(2 << 30));
+        std::fs::write(root.path().join("system.slice/memory.max"), "1073741824\n").unwrap();
+        assert_eq!(group_limit(root.path(), own), Some(1 << 30));
+        let version_1 = "9:memory:/system.slice/relume.service\n";
+        assert_eq!(group_limit(root.path(), version_1), None, "version 1 has other files");
+    }
+
+    #[test]
+    fn what_is_left_is_read_from_the_line_that_says_so() {
+        let text = "MemTotal:       24661284 kB\nMemFree:  1 kB\nMemAvailable:   19531250 kB\n";
+        assert_eq!(left_of(text), Some(20_000_000_000));
+        assert_eq!(left_of("MemTotal: 24661284 kB\n"), None);
+        assert_eq!(left_of("MemAvailable: many\n"), None);
+    }
+}
