@@ -188,6 +188,14 @@ impl Pace {
             None => Ok(()),
         }
     }
+
+    /// Waits for the last submission.
+    ///
+    /// # Errors
+    /// As [`Submission::wait`].
+    pub fn finish(&mut self) -> Result<(), DeviceError> {
+        self.0.take().map_or(Ok(()), |last| last.wait())
+    }
 }
 
 impl Gpu {

@@ -126,6 +126,7 @@ pub(super) struct Sweeper<'g> {
     pub(super) first_slot: Option<Buffer<u32>>,
     /// One element, larger than any number of list entries.
     pub(super) unlimited: Buffer<u32>,
+    pub(super) pace: Pace,
     pub(super) sorter: Sorter,
     pub(super) scan: Scan,
 }
@@ -178,6 +179,7 @@ impl<'g> Sweeper<'g> {
             gaussian_of_instance: None,
             first_slot: None,
             unlimited: gpu.upload("no limit", &[u32::MAX])?,
+            pace: Pace::default(),
             sorter: Sorter::default(),
             scan: Scan::default(),
         })
@@ -192,13 +194,14 @@ impl<'g> Sweeper<'g> {
     ) -> Result<ProbeBuffers, DeviceError> {
         self.prepare(params, model)?;
         let totals = self.fitting_grid(side, entries)?;
-        let mut pace = Pace::default();
         for (direction_ix, total) in totals.into_iter().enumerate() {
-            pace.follow(self.direction(direction_ix, total)?)?;
+            let submission = self.direction(direction_ix, total)?;
+            self.pace.follow(submission)?;
         }
         let mut rec = self.gpu.record();
         self.coefficients(&mut rec);
-        pace.follow(rec.submit()?)?;
+        self.pace.follow(rec.submit()?)?;
+        self.pace.finish()?;
         Ok(self.out.clone())
     }
 
@@ -226,7 +229,7 @@ impl<'g> Sweeper<'g> {
             // What is sorted does not depend on the bounds that change here; only the unused cells do.
             rec.dispatch(&shaders::PROBE_BOUNDS, Groups::Workgroups(1), &bindings);
         }
-        rec.submit().map(drop)
+        self.pace.follow(rec.submit()?)
     }
 
     /// Sets the finest grid, from `side` down, with which no direction lists more than `entries`; list lengths by
@@ -240,10 +243,9 @@ impl<'g> Sweeper<'g> {
         loop {
             let mut rec = self.gpu.record();
             rec.clear(&self.totals);
-            let mut pace = Pace::default();
             for direction_ix in 0..n_directions {
                 if direction_ix > 0 && direction_ix.is_multiple_of(FLATTENED_AT_ONCE) {
-                    pace.follow(std::mem::replace(&mut rec, self.gpu.record()).submit()?)?;
+                    self.pace.follow(std::mem::replace(&mut rec, self.gpu.record()).submit()?)?;
                 }
                 rec.stage("probes");
                 self.sweep.direction_ix = direction_ix as u32;

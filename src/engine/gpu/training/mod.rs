@@ -162,6 +162,7 @@ impl Training {
             probes.store(&mut recorder, &model.params, &model.layout)?;
             pace.follow(recorder.submit()?)?;
         }
+        pace.finish()?;
         self.state.measured.labels = Some(probes.coefficients);
         self.state.measured.ever = true;
         Ok(())

@@ -205,9 +205,11 @@ fn no_part_of_a_training_runs_far_ahead_of_the_device() {
     training.measure(&how).unwrap();
     let slices = (gpu.counts() - before).submissions;
     assert!(slices > 2 * 40, "a measurement is cut into slices: {slices}");
+    assert_eq!(gpu.inner.tally.take_most_ahead(), 2, "slices that a frame would wait for");
     assert!(training.snapshot().unwrap());
-    let ahead = gpu.inner.tally.take_most_ahead();
-    assert!(ahead <= 4, "a frame would wait for {ahead} submissions");
+    run(&mut training, 3);
+    // Copies of the snapshot come before the first step.
+    assert!(gpu.inner.tally.take_most_ahead() <= 3);
 }
 
 #[test]
