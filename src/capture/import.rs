@@ -52,6 +52,17 @@ impl Undecoded {
         &self.sizes
     }
 
+    /// Bytes of memory that a pixel takes in the first photograph, with its mask; 0 where there is none.
+    ///
+    /// # Errors
+    /// As [`import`], of that photograph.
+    pub fn bytes_a_pixel(&self) -> Result<f64, CaptureError> {
+        let first = &self.layout.1[..self.layout.1.len().min(1)];
+        let options = ImportOptions { load_truth: false, ..self.options };
+        let views = photos::load(&self.source, first, &options, None)?;
+        Ok(views.first().map_or(0.0, |view| view.image.bytes() as f64 / view.image.len().max(1) as f64))
+    }
+
     /// Decodes the photographs.
     ///
     /// # Errors

@@ -11,8 +11,8 @@ use crate::train::{TrainConfig, TrainError};
 ///
 /// # Errors
 /// [`TrainError::Capture`]: what the importer refuses, by file and field; a turn of the light of no photograph; a grey card that
-/// cannot be measured. [`TrainError::Memory`] where `room` has too little memory, before anything is decoded if the sizes in the
-/// headers tell.
+/// cannot be measured. [`TrainError::Memory`] where `room` has too little memory, by the sizes in the headers and one decoded
+/// photograph; after the import by all of them.
 pub fn import_for_training(
     path: &Path,
     config: &TrainConfig,
@@ -21,7 +21,7 @@ pub fn import_for_training(
 ) -> Result<Capture, TrainError> {
     let options = ImportOptions { max_side: Some(config.resolution), limits: *limits, load_truth: false };
     let undecoded = Undecoded::open(path, &options)?;
-    memory::check(&PhotographSizes::undecoded(undecoded.sizes()), config, room)?;
+    memory::check(&PhotographSizes::undecoded(&undecoded)?, config, room)?;
     let mut capture = undecoded.decode()?;
     memory::check(&PhotographSizes::of(&capture), config, room)?;
     capture.turn_lights(&config.light_rotation_per_photo)?;

@@ -2,15 +2,13 @@
 
 use std::fmt::{self, Display, Formatter};
 
-use crate::capture::{Capture, ImportOptions};
+use crate::capture::{Capture, CaptureError, ImportOptions, Undecoded};
 use crate::engine::{Branches, Device};
 use crate::scene::{Field, Gaussians};
 use crate::train::dataset::cache_bytes;
 use crate::train::room::available_memory;
 use crate::train::{TrainConfig, TrainError};
 
-/// Bytes a pixel of a photograph that is not decoded yet: those of an opaque one of 8 bits a channel.
-const LEAST_PIXEL: f64 = 3.0;
 /// Bytes a pixel of a decoded photograph without a mask.
 const DECODED_PIXEL: u64 = 12;
 /// States of all Gaussians that are kept: the model and two moments of each parameter, and the same in a snapshot.
@@ -49,9 +47,12 @@ pub struct PhotographSizes {
 }
 
 impl PhotographSizes {
-    /// Those that are not decoded yet: at least this much.
-    pub fn undecoded(sizes: &[(u32, u32)]) -> Self {
-        Self { sizes: sizes.to_vec(), bytes_a_pixel: LEAST_PIXEL }
+    /// Those that are not decoded yet, if all have as many channels as the first one.
+    ///
+    /// # Errors
+    /// What is wrong with that one.
+    pub fn undecoded(capture: &Undecoded) -> Result<Self, CaptureError> {
+        Ok(Self { sizes: capture.sizes().to_vec(), bytes_a_pixel: capture.bytes_a_pixel()? })
     }
 
     /// Those of a capture.
@@ -230,6 +231,11 @@ mod tests {
         TrainConfig::new(Preset::Draft, &overrides).unwrap()
     }
 
+    /// Opaque ones of 8 bits a channel.
+    fn opaque(sizes: &[(u32, u32)]) -> PhotographSizes {
+        PhotographSizes { sizes: sizes.to_vec(), bytes_a_pixel: 3.0 }
+    }
+
     fn on_cpu(available: u64) -> Room {
         Room { on_device: false, available: Some(available) }
     }
@@ -243,7 +249,7 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_is_refused_with_the_resolution_that_would() {
-        let (photographs, config) = (PhotographSizes::undecoded(&[(1600, 1200); 2000]), config(1600, 8000));
+        let (photographs, config) = (opaque(&[(1600, 1200); 2000]), config(1600, 8000));
         let why = refusal(&photographs, &config, 9_100_000_000);
         let named = [
             "resolution: 2000 photographs of up to 1600x1200 11.52 GB",
@@ -261,7 +267,7 @@ mod tests {
 
     #[test]
     fn too_many_gaussians_are_named_where_no_resolution_would_help() {
-        let (photographs, config) = (PhotographSizes::undecoded(&[(64, 64); 10]), config(64, 4_000_000));
+        let (photographs, config) = (opaque(&[(64, 64); 10]), config(64, 4_000_000));
         let why = refusal(&photographs, &config, 1_000_000_000);
         assert!(why.starts_with("max_gaussians: ") && why.contains("4000000 Gaussians"), "{why}");
         let nothing = refusal(&photographs, &config, 1000);
@@ -270,7 +276,7 @@ mod tests {
 
     #[test]
     fn gaussians_of_a_device_are_not_in_the_hosts_memory() {
-        let (photographs, config) = (PhotographSizes::undecoded(&[(64, 64); 10]), config(64, 4_000_000));
+        let (photographs, config) = (opaque(&[(64, 64); 10]), config(64, 4_000_000));
         let on_device = Room { on_device: true, ..on_cpu(1_000_000_000) };
         assert!(check(&photographs, &config, on_device).is_ok());
         let need = |on_device| MemoryNeed::of(&photographs, &config, on_device).to_string();
@@ -289,6 +295,6 @@ mod tests {
             image.pixels.iter_mut().for_each(|p| p[3] = 1.0);
             view.image = PackedImage::new(&image, BitDepth::Eight);
         }
-        assert_eq!(PhotographSizes::of(&capture), PhotographSizes::undecoded(&[(16, 16); 4]));
+        assert_eq!(PhotographSizes::of(&capture), opaque(&[(16, 16); 4]));
     }
 }
