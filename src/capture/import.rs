@@ -52,15 +52,19 @@ impl Undecoded {
         &self.sizes
     }
 
-    /// Bytes of memory that a pixel takes in the first photograph, with its mask; 0 where there is none.
+    /// Bytes of memory that a pixel takes at least, with its mask, in the first photograph, the last one and one between; 0 where
+    /// there is none.
     ///
     /// # Errors
-    /// As [`import`], of that photograph.
+    /// As [`import`], of those photographs.
     pub fn bytes_a_pixel(&self) -> Result<f64, CaptureError> {
-        let first = &self.layout.1[..self.layout.1.len().min(1)];
+        let photos = &self.layout.1;
+        let looked_at = photos.iter().step_by((photos.len() / 2).max(1)).chain(photos.last());
+        let looked_at: Vec<_> = looked_at.cloned().collect();
         let options = ImportOptions { load_truth: false, ..self.options };
-        let views = photos::load(&self.source, first, &options, None)?;
-        Ok(views.first().map_or(0.0, |view| view.image.bytes() as f64 / view.image.len().max(1) as f64))
+        let views = photos::load(&self.source, &looked_at, &options, None)?;
+        let bytes = views.iter().map(|view| view.image.bytes() as f64 / view.image.len().max(1) as f64);
+        Ok(bytes.reduce(f64::min).unwrap_or(0.0))
     }
 
     /// Decodes the photographs.

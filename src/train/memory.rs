@@ -6,7 +6,7 @@ use crate::capture::{Capture, CaptureError, ImportOptions, Undecoded};
 use crate::engine::{Branches, Device};
 use crate::scene::{Field, Gaussians};
 use crate::train::dataset::cache_bytes;
-use crate::train::room::available_memory;
+use crate::train::room::{available_memory, whole_memory};
 use crate::train::{TrainConfig, TrainError};
 
 /// Bytes a pixel of a decoded photograph without a mask.
@@ -26,9 +26,14 @@ pub struct Room {
 }
 
 impl Room {
-    /// What this machine has for a training on `device`.
+    /// What this machine has left for a training on `device`.
     pub fn beside(device: &Device) -> Self {
         Self { on_device: device.is_gpu(), available: available_memory() }
+    }
+
+    /// All that this machine has, for a training on `device` that may wait for what others hold.
+    pub fn of_machine(device: &Device) -> Self {
+        Self { on_device: device.is_gpu(), available: whole_memory() }
     }
 
     /// All that is needed.
@@ -47,10 +52,10 @@ pub struct PhotographSizes {
 }
 
 impl PhotographSizes {
-    /// Those that are not decoded yet, if all have as many channels as the first one.
+    /// Those that are not decoded yet, if all take as many bytes a pixel as the least of a few of them.
     ///
     /// # Errors
-    /// What is wrong with that one.
+    /// What is wrong with one of these.
     pub fn undecoded(capture: &Undecoded) -> Result<Self, CaptureError> {
         Ok(Self { sizes: capture.sizes().to_vec(), bytes_a_pixel: capture.bytes_a_pixel()? })
     }

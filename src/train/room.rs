@@ -8,9 +8,18 @@ const CONTROL_GROUPS: &str = "/sys/fs/cgroup";
 /// Bytes of memory that this process can still have: what the machine has left, at most what its control groups allow. `None`
 /// where neither can be read.
 pub fn available_memory() -> Option<u64> {
-    let left = std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| left_of(&text));
-    let group = own_group_limit();
-    [left, group].into_iter().flatten().min()
+    [of_machine("MemAvailable:"), own_group_limit()].into_iter().flatten().min()
+}
+
+/// Bytes of memory that this process could have if there were no other: those of the machine, at most what its control groups allow.
+/// `None` likewise.
+pub fn whole_memory() -> Option<u64> {
+    [of_machine("MemTotal:"), own_group_limit()].into_iter().flatten().min()
+}
+
+/// A number of `/proc/meminfo`, bytes.
+fn of_machine(name: &str) -> Option<u64> {
+    bytes_of(&std::fs::read_to_string("/proc/meminfo").ok()?, name)
 }
 
 /// The least limit, bytes, of the control group of this process (`MemoryMax` of a systemd unit, the limit of a container) and of those
@@ -31,9 +40,9 @@ fn group_limit(root: &Path, own: &str) -> Option<u64> {
     groups.filter_map(bytes).min()
 }
 
-/// `MemAvailable` of the text of `/proc/meminfo`, bytes.
-fn left_of(text: &str) -> Option<u64> {
-    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+/// The number called `name` in the text of `/proc/meminfo`, bytes.
+fn bytes_of(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kib * 1024)
 }
@@ -61,7 +70,9 @@ mod tests {
     #[test]
     fn what_is_left_is_read_from_the_line_that_says_so() {
         let text = "MemTotal:       24661284 kB\nMemFree:  1 kB\nMemAvailable:   19531250 kB\n";
+        let left_of = |text: &str| bytes_of(text, "MemAvailable:");
         assert_eq!(left_of(text), Some(20_000_000_000));
+        assert_eq!(bytes_of(text, "MemTotal:"), Some(24_661_284 * 1024));
         assert_eq!(left_of("MemTotal: 24661284 kB\n"), None);
         assert_eq!(left_of("MemAvailable: many\n"), None);
     }

@@ -1,4 +1,4 @@
-//! Rendering what waits in the queue, on one device, on the thread that calls.
+//! Rendering what waits in the queue, on one device, on the thread of frames.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::worker::queued::Request;
 use crate::worker::render_queue::WaitingRenders;
 use crate::worker::renders::{LightTask, RenderCache, RenderFailure, RenderTask};
 
-/// Most frames that come before what they interrupt goes on.
+/// Most frames that come at once; and between two bands of a dear one.
 const BATCH: usize = 8;
 
 /// A device with the frames that wait for it, and the models and lights they use.
@@ -33,13 +33,20 @@ impl FrameServer {
         Self { device, waiting, cache, steps }
     }
 
-    /// Ends when a frame waits.
+    /// Ends when a frame waits, or the device has failed elsewhere.
     pub(super) async fn arrival(&mut self) {
-        self.waiting.arrival().await;
+        tokio::select! {
+            () = self.waiting.arrival() => {}
+            () = self.device.failed_elsewhere() => {}
+        }
     }
 
-    /// Serves what waits already; a few frames at a time, so that what they interrupt continues under any load.
+    /// Serves what waits already, a few frames at a time. Nothing is kept on a device that has failed elsewhere: it may be lost, or
+    /// its memory be needed.
     pub(super) fn serve_waiting(&mut self) {
+        if self.device.renew() {
+            self.cache.clear();
+        }
         for _ in 0..BATCH {
             match self.waiting.try_recv() {
                 Some(request) => self.serve(request),

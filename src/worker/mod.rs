@@ -1,8 +1,7 @@
-//! A worker: one OS thread that trains what a source of jobs gives it, and frames beside it.
+//! A worker: one OS thread that trains what a source of jobs gives it, and one that renders frames beside it.
 //!
-//! The thread drives one future with `block_on`, so that a training step may take as long as it needs without
-//! stalling the server. A GPU belongs to it alone: frames are served between steps. The CPU engine keeps nothing on a device:
-//! its frames are rendered by a thread of their own while another trains.
+//! The thread that trains drives one future with `block_on`, so that a training step may take as long as it needs without
+//! stalling the server. Both threads share a device.
 
 mod device_handle;
 mod eta;

@@ -1,6 +1,8 @@
 //! A device and what it was chosen by, so that it can be opened anew after a failure.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
+
+use tokio::sync::watch;
 
 use crate::engine::{Device, DeviceChoice, DeviceError};
 
@@ -9,8 +11,9 @@ pub struct OpenedDevice {
     choice: DeviceChoice,
     /// What this thread works on.
     device: Device,
-    /// What the threads that share it have opened last.
-    latest: Arc<Mutex<Device>>,
+    /// What the threads that share it have opened last; said again each time that one of them failed.
+    latest: Arc<watch::Sender<Device>>,
+    said: watch::Receiver<Device>,
 }
 
 impl OpenedDevice {
@@ -31,12 +34,14 @@ impl OpenedDevice {
     }
 
     fn of(choice: DeviceChoice, device: Device) -> Self {
-        Self { choice, latest: Arc::new(Mutex::new(device.clone())), device }
+        let (latest, said) = watch::channel(device.clone());
+        Self { choice, device, latest: Arc::new(latest), said }
     }
 
     /// The same device for another thread.
     pub(super) fn shared(&self) -> Self {
-        Self { choice: self.choice, device: self.device.clone(), latest: self.latest.clone() }
+        let (latest, said) = (self.latest.clone(), self.latest.subscribe());
+        Self { choice: self.choice, device: self.device.clone(), latest, said }
     }
 
     /// The device.
@@ -45,16 +50,62 @@ impl OpenedDevice {
     }
 
     /// Opens it again, unless it is sound or a thread that shares it has opened it again. The CPU engine takes over where that
-    /// fails.
+    /// fails. Other threads hear of it in any case: what they keep on a device without memory is in the way.
     pub(super) fn reopen(&mut self) {
-        let mut latest = self.latest.lock().unwrap_or_else(PoisonError::into_inner);
-        if !latest.is_sound() {
+        self.latest.send_modify(|latest| {
+            if latest.is_sound() {
+                return;
+            }
             *latest = Device::open(self.choice).unwrap_or_else(|error| {
                 tracing::error!(%error, "the device cannot be opened again; the CPU engine takes over");
                 Device::Cpu
             });
             tracing::warn!(device = latest.name(), "device opened again");
+        });
+        self.device = self.said.borrow_and_update().clone();
+    }
+
+    /// Goes over to the device that another thread has opened. True after a failure there: nothing should be kept on it then.
+    pub(super) fn renew(&mut self) -> bool {
+        let has_failed = self.said.has_changed().unwrap_or(false);
+        self.device = self.said.borrow_and_update().clone();
+        has_failed
+    }
+
+    /// Ends when [`Self::renew`] would be true.
+    pub(super) async fn failed_elsewhere(&self) {
+        let mut said = self.said.clone();
+        if said.changed().await.is_err() {
+            std::future::pending().await
         }
-        self.device = latest.clone();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::gpu::Gpu;
+
+    #[test]
+    fn a_failure_on_one_thread_is_heard_of_once_on_the_other() {
+        let (mut one, mut other) = (OpenedDevice::cpu(), OpenedDevice::cpu());
+        let mut shared = one.shared();
+        assert!(!shared.renew(), "the control: nothing has failed");
+        one.reopen();
+        assert!(shared.renew() && !shared.renew());
+        assert!(!one.renew() && !other.renew(), "not by itself, and not by who shares nothing");
+    }
+
+    #[test]
+    #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+    fn a_lost_device_is_opened_again_once_for_all() {
+        let gpu = Gpu::with_options(Default::default());
+        let choice = DeviceChoice::Gpu(Some(gpu.report().index as _));
+        let mut one = OpenedDevice::of(choice, Device::Gpu(gpu.clone()));
+        let mut other = one.shared();
+        gpu.destroy();
+        assert!(!one.device().is_sound() && !other.device().is_sound());
+        one.reopen();
+        assert!(one.device().is_sound() && other.renew() && other.device().is_sound());
     }
 }

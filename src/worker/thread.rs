@@ -129,6 +129,7 @@ impl Worker {
     }
 
     async fn attempt(&mut self, claim: &dyn Claim) -> Ended {
+        self.device.renew();
         tracing::info!("started");
         let outcome = AssertUnwindSafe(self.train(claim)).catch_unwind().await;
         match outcome {

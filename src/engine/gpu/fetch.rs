@@ -14,8 +14,8 @@ use crate::engine::gpu::buffer::Buffer;
 use crate::engine::gpu::device::{Gpu, PATIENCE};
 use crate::engine::gpu::lock::locked;
 
-/// Staging buffers kept for later fetches.
-const KEPT: usize = 4;
+/// Bytes of staging buffers kept for later fetches.
+const KEPT: u64 = 256 << 20;
 /// Bytes of the smallest staging buffer.
 const LEAST_STAGING: u64 = 4096;
 /// Where a range may start in a staging buffer, bytes.
@@ -54,12 +54,22 @@ impl Fetches {
     }
 
     /// Records the copies; gives the staging buffer they go to, if there are any.
-    pub(super) fn record(self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder) -> Option<Staging> {
-        let buffer = (!self.copies.is_empty()).then(|| gpu.staging(self.bytes))?;
+    ///
+    /// # Errors
+    /// [`DeviceError::OutOfMemory`] when there is no memory for it.
+    pub(super) fn record(
+        self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Result<Option<Staging>, DeviceError> {
+        if self.copies.is_empty() {
+            return Ok(None);
+        }
+        let buffer = gpu.staging(self.bytes)?;
         for (from, range, at) in &self.copies {
             encoder.copy_buffer_to_buffer(from, range.start, &buffer, *at, range.end - range.start);
         }
-        Some(Staging { buffer, bytes: self.bytes })
+        Ok(Some(Staging { buffer, bytes: self.bytes }))
     }
 }
 
@@ -164,12 +174,11 @@ impl Drop for Arrival {
         let Some(staging) = self.staging.take() else { return };
         staging.buffer.unmap();
         let mut kept = locked(&self.gpu.inner.staging);
-        if kept.len() >= KEPT {
-            // The smallest one makes room: a large one serves any fetch.
-            kept.sort_unstable_by_key(|buffer| std::cmp::Reverse(buffer.size()));
-            kept.pop();
-        }
         kept.push(staging.buffer);
+        // Those that were used longest ago make room.
+        while kept.iter().map(wgpu::Buffer::size).sum::<u64>() > KEPT {
+            kept.remove(0);
+        }
     }
 }
 
@@ -214,17 +223,27 @@ impl Gpu {
     }
 
     /// The smallest of the kept staging buffers that is large enough, or a new one.
-    fn staging(&self, bytes: u64) -> wgpu::Buffer {
+    fn staging(&self, bytes: u64) -> Result<wgpu::Buffer, DeviceError> {
         let mut kept = locked(&self.inner.staging);
         let fitting = (0..kept.len()).filter(|&i| kept[i].size() >= bytes).min_by_key(|&i| kept[i].size());
         if let Some(i) = fitting {
-            return kept.swap_remove(i);
+            return Ok(kept.remove(i));
         }
-        self.inner.device.create_buffer(&wgpu::BufferDescriptor {
+        drop(kept);
+        let most = self.inner.report.max_buffer;
+        if bytes > most {
+            return Err(DeviceError::TooLarge { what: "what is read back".to_owned(), needs: bytes, most });
+        }
+        let scope = self.inner.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let buffer = self.inner.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("staging"),
-            size: bytes.next_power_of_two().max(LEAST_STAGING),
+            size: bytes.next_power_of_two().max(LEAST_STAGING).min(most),
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
-        })
+        });
+        match pollster::block_on(scope.pop()) {
+            Some(_) => Err(DeviceError::OutOfMemory { what: "what is read back".to_owned(), bytes }),
+            None => Ok(buffer),
+        }
     }
 }

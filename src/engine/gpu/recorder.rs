@@ -248,7 +248,7 @@ impl<'g> Recorder<'g> {
             self.encoder.resolve_query_set(&set, 0..count, &buffer, 0);
             (Buffer::<u64>::new(buffer, count as usize, &Default::default()), names)
         });
-        let staging = std::mem::take(&mut self.fetches).record(self.gpu, &mut self.encoder);
+        let staging = std::mem::take(&mut self.fetches).record(self.gpu, &mut self.encoder)?;
         let (commands, start) = (self.encoder.finish(), Instant::now());
         let index = inner.queue.submit([commands]);
         let number = inner.tally.submit(self.dispatches, start.elapsed());

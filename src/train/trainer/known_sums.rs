@@ -26,6 +26,8 @@ pub(super) struct KnownSums {
     pub(super) asked: VecDeque<Asked>,
     /// The last step whose sums are known.
     pub(super) latest: Option<Known>,
+    /// What the next report is to say of a step that was rolled back unasked.
+    pub(super) warning: Option<String>,
     /// A step that was not finite: what was done since must not be built on.
     pub(super) unsound: Option<u32>,
 }
@@ -34,6 +36,7 @@ impl KnownSums {
     /// Forgets the steps that are rolled back; gives the one that was not finite.
     pub(super) fn roll_back(&mut self) -> Option<u32> {
         self.asked.clear();
+        self.latest = None;
         self.unsound.take()
     }
 }

@@ -191,7 +191,7 @@ impl Trainer {
             loss: known.loss,
             psnr: known.psnr,
             gaussians: self.engine.gaussians(),
-            warning: None,
+            warning: self.sums.warning.take(),
         })
     }
 
@@ -472,7 +472,7 @@ impl Trainer {
     /// # Errors
     /// When the state is not finite (a poisoned checkpoint is never written) or the device failed.
     pub fn checkpoint(&mut self) -> Result<Vec<u8>, TrainError> {
-        self.catch_up()?;
+        self.catch_up_soundly()?;
         checkpoint::encode(&self.schedule, self.engine.state()?.as_ref(), &self.config)
     }
 

@@ -22,6 +22,15 @@ impl Trainer {
         Ok(())
     }
 
+    /// The same for whoever wants the state as it is: rolls back where a step was not finite, and has the next report say so.
+    pub(super) fn catch_up_soundly(&mut self) -> Result<(), TrainError> {
+        self.catch_up()?;
+        if self.sums.unsound.is_some() {
+            self.sums.warning = self.roll_back()?.warning;
+        }
+        Ok(())
+    }
+
     /// The last step whose sums are known; waits for those of the first one.
     pub(super) fn known_sums(&mut self) -> Result<Known, TrainError> {
         if self.sums.latest.is_none() {

@@ -47,6 +47,46 @@ fn a_poisoned_step_is_rolled_back(device: &Device) {
     assert_eq!(trainer.step().unwrap().warning, None, "and goes on");
 }
 
+#[test]
+fn a_step_that_was_not_finite_is_in_no_checkpoint_on_the_cpu() {
+    a_step_that_was_not_finite_is_in_no_checkpoint(&Device::Cpu);
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_step_that_was_not_finite_is_in_no_checkpoint_on_a_gpu() {
+    a_step_that_was_not_finite_is_in_no_checkpoint(&Device::Gpu(Gpu::for_tests()));
+}
+
+fn a_step_that_was_not_finite_is_in_no_checkpoint(device: &Device) {
+    let options =
+        SyntheticOptions { train_views: 3, test_views: 1, size: 24, paths: 4, ..Default::default() };
+    let overrides = TrainOverrides {
+        resolution: Some(24),
+        initial_gaussians: Some(64),
+        max_gaussians: Some(64),
+        warm_up: Some(0.0),
+        probe_directions: Some(8),
+        ..Default::default()
+    };
+    let capture = synthetic(&options).unwrap();
+    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    let mut trainer = Trainer::new(&capture, config.clone(), device).unwrap();
+    (0..2).for_each(|_| assert_eq!(trainer.step().unwrap().warning, None));
+    trainer.catch_up().unwrap();
+    let mut state = trainer.engine.state().unwrap().into_owned();
+    state.model.env_raw[5] = [f32::NAN; 3];
+    trainer.engine.load(state).unwrap();
+    // On a device nobody knows yet.
+    let known = trainer.step().unwrap().warning;
+    let bytes = trainer.checkpoint().unwrap();
+    assert_eq!(trainer.progress().step, 0, "it is rolled back");
+    let next = trainer.step().unwrap().warning;
+    assert!([known, next].into_iter().flatten().count() == 1, "and said once");
+    let mut resumed = Trainer::resume(&capture, config, &bytes, device).unwrap();
+    (0..3).for_each(|_| assert_eq!(resumed.step().unwrap().warning, None));
+}
+
 /// One field of a small training with `overrides`.
 fn learned(field: Field, overrides: TrainOverrides) -> Vec<f32> {
     let options =

@@ -27,7 +27,8 @@ impl Worker {
         })?;
         let light = known_light(claim, config).await?;
         let (config, limits) = (config.clone(), self.import_limits);
-        let room = Room::beside(self.device_of(claim)?);
+        // What is taken now may be free when the job is tried again; what the machine does not have never is.
+        let room = Room::of_machine(self.device_of(claim)?);
         let read = move || load(&path, &config, &limits, room, light.as_ref());
         let capture = match self.aside(claim, read).await? {
             ControlFlow::Continue(capture) => capture?,

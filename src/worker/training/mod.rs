@@ -145,12 +145,13 @@ impl Attempt<'_> {
     /// Stores a checkpoint. When that fails, the checkpoint before still counts: on a full disk the attempt ends there, so that
     /// nothing more is computed than can be kept; after another failure training goes on.
     async fn checkpoint(&mut self) -> Result<(), AttemptError> {
+        let bytes = self.trainer.checkpoint()?;
+        // Not before: a step that was not finite may have been rolled back.
         let step = i64::from(self.trainer.progress().step);
-        self.store_checkpoint(step).instrument(info_span!("checkpoint", step)).await
+        self.store_checkpoint(step, bytes).instrument(info_span!("checkpoint", step)).await
     }
 
-    async fn store_checkpoint(&mut self, step: i64) -> Result<(), AttemptError> {
-        let bytes = self.trainer.checkpoint()?;
+    async fn store_checkpoint(&mut self, step: i64, bytes: Vec<u8>) -> Result<(), AttemptError> {
         match self.claim.checkpoint(step, bytes).await {
             Ok(_) => {}
             Err(error @ SourceError::Full) => return Err(error.into()),

@@ -85,7 +85,7 @@ pub(super) type Occluder = [f32; 16];
 pub(super) type Flat = [u32; 12];
 
 /// Measures `directions` (unit) from every Gaussian of the model in `params`, and their coefficients of degree
-/// `order`, at most 6. Waits for the device, but reads back only how long the lists are.
+/// `order`, at most 6. Waits for the device slice by slice; only how long the lists are is read back.
 ///
 /// # Errors
 /// [`DeviceError::TooLarge`] with the numbers when transmittances by direction and Gaussian do not fit one binding,

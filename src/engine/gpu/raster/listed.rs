@@ -3,12 +3,12 @@
 
 use crate::engine::DeviceError;
 use crate::engine::gpu::raster::memory::Raster;
-use crate::engine::gpu::raster::records::RasterCounts;
+use crate::engine::gpu::raster::records::{RasterCounts, RoomyViews};
 
 /// Pairs a Gaussian that the first view has memory for, and pairs that any view has.
 const FIRST_ROOM: (usize, usize) = (4, 1 << 14);
-/// Memory for this many times the pairs of a view is too much.
-const TOO_MUCH: usize = 8;
+/// Memory for this many times the pairs of every one of so many views in a row is too much.
+const TOO_MUCH: (usize, u32) = (8, 256);
 
 /// What the device says of a view's lists (`shaders/tile_room.wgsl`).
 #[derive(Debug, Clone, Copy)]
@@ -44,10 +44,32 @@ impl Raster {
         if listed.is_short {
             self.room = (pairs + pairs / 4).max(self.room).min(self.most_instances());
             self.gpu.write(&self.listed, 1, &[0]);
-        } else if self.room / TOO_MUCH > pairs.max(FIRST_ROOM.1) {
-            self.room = 2 * pairs.max(FIRST_ROOM.1);
         }
+        self.give_back(pairs);
         Ok(!listed.is_short)
+    }
+
+    /// Lays the next views' lists out for less where many views in a row needed far less than there is.
+    fn give_back(&mut self, pairs: usize) {
+        let (times, views) = TOO_MUCH;
+        if self.room / times <= pairs.max(FIRST_ROOM.1) {
+            self.roomy = RoomyViews::default();
+            return;
+        }
+        let RoomyViews { count, most } = &mut self.roomy;
+        (*count, *most) = (*count + 1, pairs.max(*most));
+        if *count == views {
+            self.room = 2 * (*most).max(FIRST_ROOM.1);
+            self.roomy = RoomyViews::default();
+        }
+    }
+
+    /// Lays the next views' lists out for what the last one needed and no more; false where they are.
+    pub(super) fn spare_nothing(&mut self) -> bool {
+        let least = self.last.instances.max(FIRST_ROOM.1);
+        let is_roomy = self.room > least;
+        self.room = self.room.min(least);
+        is_roomy
     }
 
     /// Pairs that the lists of the next view of `n` Gaussians hold.
@@ -65,6 +87,12 @@ impl Raster {
         self.room = room;
     }
 
+    /// Pairs that the next view's lists hold.
+    #[cfg(test)]
+    pub(super) fn room(&self) -> usize {
+        self.room
+    }
+
     /// What the lists of the last view hold.
     #[cfg(test)]
     pub(in crate::engine::gpu) fn listed(&self) -> &crate::engine::gpu::Buffer<u32> {
@@ -74,7 +102,8 @@ impl Raster {
     /// Pairs that one binding holds. Indices are 32 bits wide, with space for a workgroup beyond the end.
     fn most_instances(&self) -> usize {
         let most = self.gpu.report().max_binding.min(self.gpu.report().max_buffer);
-        (most / 4).min(u64::from(u32::MAX) - 4096) as usize
+        // Memory comes in pieces of 16 bytes.
+        (most / 16 * 4).min(u64::from(u32::MAX) - 4096) as usize
     }
 
     pub(super) fn check_instances(&self, pairs: u64) -> Result<(), DeviceError> {

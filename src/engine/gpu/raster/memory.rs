@@ -1,7 +1,7 @@
 //! Memory of the rasteriser.
 
 use crate::engine::DeviceError;
-use crate::engine::gpu::raster::records::{BlendEnd, LISTED_WORDS, RasterCounts, SplatRecord};
+use crate::engine::gpu::raster::records::{BlendEnd, LISTED_WORDS, RasterCounts, RoomyViews, SplatRecord};
 use crate::engine::gpu::scan::Scan;
 use crate::engine::gpu::sort::Sorter;
 use crate::engine::gpu::{Buffer, Gpu};
@@ -18,6 +18,7 @@ pub struct Raster {
     pub(super) listed: Buffer<u32>,
     /// Pairs that a view's lists hold.
     pub(super) room: usize,
+    pub(super) roomy: RoomyViews,
     /// What the last view showed that is known.
     pub(super) last: RasterCounts,
     pub(super) splats: Option<Buffer<SplatRecord>>,
@@ -52,6 +53,7 @@ impl Raster {
             counts: gpu.buffer("raster counts", 4)?,
             listed: gpu.upload("what is listed", &[0; LISTED_WORDS])?,
             room: 0,
+            roomy: RoomyViews::default(),
             last: RasterCounts::default(),
             splats: None,
             depth_keys: None,

@@ -56,7 +56,13 @@ impl Raster {
         let (splats, gaussian_of_rank) = self.project(rec, camera, source)?;
         let n = source.layout.n as usize;
         let room = self.room_for(n);
-        let tiles = self.list(rec, camera, &splats, &gaussian_of_rank, (n, room))?;
+        let tiles = match self.list(rec, camera, &splats, &gaussian_of_rank, (n, room)) {
+            // There may be memory for the last view's lists where there is none for more.
+            Err(DeviceError::TooLarge { .. } | DeviceError::OutOfMemory { .. }) if self.spare_nothing() => {
+                self.list(rec, camera, &splats, &gaussian_of_rank, (n, self.room))?
+            }
+            listed => listed?,
+        };
         let (camera, source, counts) = (*camera, source.clone(), self.last);
         Ok(Projected { raster: self, camera, source, splats, tiles, counts })
     }

@@ -19,6 +19,14 @@ pub struct RasterCounts {
     pub instances: usize,
 }
 
+/// Views in a row that had far more memory than they needed.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct RoomyViews {
+    pub(super) count: u32,
+    /// Pairs of the largest.
+    pub(super) most: usize,
+}
+
 /// `Splat` of `shaders/shared/splat.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]

@@ -280,3 +280,20 @@ fn the_count_of_pairs_carries_beyond_32_bits() {
     assert_eq!((u64::from(high) << 32) + u64::from(low), u64::from(start) + counts.instances as u64);
     assert_eq!(high, 1);
 }
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn memory_for_lists_is_given_back_after_many_small_views_and_not_after_one() {
+    let mut raster = Raster::new(&Gpu::for_tests()).unwrap();
+    let (large, small) = ([1 << 20, 0, 1 << 20, 0, 9], [30_000, 0, 30_000, 0, 9]);
+    raster.set_room(5 << 18);
+    let mut views = |listed: &[u32], count: usize| {
+        (0..count).for_each(|_| assert!(raster.settle(listed).unwrap()));
+        raster.room()
+    };
+    for _ in 0..3 {
+        assert_eq!(views(&small, 255), 5 << 18, "a large one may come");
+        assert_eq!(views(&large, 1), 5 << 18);
+    }
+    assert_eq!(views(&small, 256), 60_000);
+}
