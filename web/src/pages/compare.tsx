@@ -14,7 +14,7 @@ export function ComparePage({ a, b }: { a: string; b: string }) {
   useTitle('Compare')
   const [first, second] = [useSide(a), useSide(b)]
   const [before, after] = [useEvents(a), useEvents(b)]
-  const rows = first.job && second.job ? compared(first, second) : []
+  const rows = first.isComplete && second.isComplete ? compared(first, second) : []
   const [all, setAll] = useState(false)
   const end = Math.max(first.job?.progress.total ?? 1, second.job?.progress.total ?? 1)
   const name = (side: Side) => (side.job ? called(side.job, 'Job') : '…')
@@ -59,12 +59,14 @@ interface Side {
   job: Job | undefined
   model: Model | undefined
   error: string | undefined
+  /** Whether all of it that there is has been loaded. */
+  isComplete: boolean
 }
 
 function useSide(id: string): Side {
   const { data: job, error } = useLoaded<Job>(`v1/jobs/${encodeURIComponent(id)}`)
-  const { data: model } = useLoaded<Model>(job?.model ? `v1/models/${job.model}` : undefined)
-  return { job, model, error }
+  const { data: model, error: missing } = useLoaded<Model>(job?.model ? `v1/models/${job.model}` : undefined)
+  return { job, model, error, isComplete: job !== undefined && (!job.model || model !== undefined || missing !== undefined) }
 }
 
 type Row = [label: string, one: string, other: string]
