@@ -153,16 +153,6 @@ pub(super) fn capped(alpha: f32) -> f32 {
     if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX }
 }
 
-/// Sets the marks of the tile's splats that [`blend_tile`] takes something of.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn mark_seen(job: &TileJob<'_>, scratch: &mut BlendScratch, marks: &mut [bool]) {
-    scratch.gather(job);
-    for row in 0..TILE {
-        scratch.find_entries(job.origin.0, job.origin.1 + row, job.early_stop);
-        scratch.entries.iter().for_each(|entry| marks[entry.local as usize] = true);
-    }
-}
-
 /// Blends one tile into `out`: `[row][channel][lane]`, `TILE * stored * LANES` floats.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
 pub fn blend_tile(job: &TileJob<'_>, scratch: &mut BlendScratch, out: &mut [f32]) {

@@ -9,7 +9,6 @@ use crate::engine::channel::{self, Channels, OutgoingRadiance, RowLight};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::project::Splat;
 use crate::engine::cpu::resolve::resolve;
-use crate::engine::cpu::seen::seen;
 use crate::engine::cpu::tiles::TileLists;
 use crate::engine::cpu::{
     AttributeSource, Occluders, Pass, Probes, SurfaceShader, Transport, arriving, attribute_rows,
@@ -118,9 +117,9 @@ fn colour(source: &AttributeSource<'_>, view: RasterCamera, shader: &SurfaceShad
     let source = &source.shaded(*shader);
     let splats = project_all(source, &view);
     let tiles = TileLists::new(view.width, view.height, &splats);
-    let (stop, seen) = (EarlyStop::WhenSaturated, seen(&splats, &tiles, EarlyStop::WhenSaturated));
-    // Hidden splats need no colour.
-    let shown: Vec<usize> = (0..splats.len()).filter(|i| seen[*i]).collect();
+    let stop = EarlyStop::WhenSaturated;
+    // Of a band of a frame most splats reach no tile.
+    let shown: Vec<usize> = (0..splats.len()).filter(|i| !tiles.slots_of_splat(*i).is_empty()).collect();
     let shaded: Vec<Splat> = shown.iter().map(|i| splats[*i]).collect();
     let material = Channels::Material.stored();
     let rows = attribute_rows(source, &view, &shaded, Channels::Material, material);

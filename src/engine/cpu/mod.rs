@@ -27,7 +27,6 @@ mod probes;
 mod project;
 mod rays;
 mod resolve;
-mod seen;
 mod shadows;
 mod surface;
 mod surface_shader;
