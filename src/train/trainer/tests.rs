@@ -14,7 +14,8 @@ fn a_poisoned_step_is_rolled_back_with_smaller_steps_on_a_gpu() {
     a_poisoned_step_is_rolled_back(&Device::Gpu(Gpu::for_tests()));
 }
 
-fn a_poisoned_step_is_rolled_back(device: &Device) {
+/// Three photographs of 24 pixels, and a training of 64 Gaussians with materials from the first step on.
+fn small() -> (Capture, TrainConfig) {
     let options = SyntheticOptions {
         train_views: 3,
         test_views: 1,
@@ -33,6 +34,11 @@ fn a_poisoned_step_is_rolled_back(device: &Device) {
     };
     let capture = synthetic(&options).unwrap();
     let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    (capture, config)
+}
+
+fn a_poisoned_step_is_rolled_back(device: &Device) {
+    let (capture, config) = small();
     let mut trainer = Trainer::new(&capture, config, device).unwrap();
     assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
     let mut state = trainer.engine.state().unwrap().into_owned();
@@ -59,18 +65,7 @@ fn a_step_that_was_not_finite_is_in_no_checkpoint_on_a_gpu() {
 }
 
 fn a_step_that_was_not_finite_is_in_no_checkpoint(device: &Device) {
-    let options =
-        SyntheticOptions { train_views: 3, test_views: 1, size: 24, paths: 4, ..Default::default() };
-    let overrides = TrainOverrides {
-        resolution: Some(24),
-        initial_gaussians: Some(64),
-        max_gaussians: Some(64),
-        warm_up: Some(0.0),
-        probe_directions: Some(8),
-        ..Default::default()
-    };
-    let capture = synthetic(&options).unwrap();
-    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    let (capture, config) = small();
     let mut trainer = Trainer::new(&capture, config.clone(), device).unwrap();
     (0..2).for_each(|_| assert_eq!(trainer.step().unwrap().warning, None));
     trainer.catch_up().unwrap();
