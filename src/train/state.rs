@@ -38,6 +38,23 @@ pub struct ScheduleState {
 }
 
 impl ScheduleState {
+    /// The beginning of a training on so many photographs; its first epoch draws their order.
+    pub fn new(photographs: usize, rng: ChaCha8Rng) -> Self {
+        Self {
+            step: 0,
+            order: (0..photographs as u32).collect(),
+            cursor: photographs as u32,
+            rng,
+            rate_factor: 1.0,
+            seconds: 0.0,
+            complexity: ComplexityState::default(),
+            light_colour: None,
+            gains: Vec::new(),
+            lights: Vec::new(),
+            cut: None,
+        }
+    }
+
     /// How often the photographs were changed.
     pub fn revision(&self) -> usize {
         self.gains.len() + usize::from(self.cut.is_some())
@@ -72,19 +89,7 @@ mod tests {
 
     #[test]
     fn the_next_photographs_are_known_beyond_the_end_of_an_epoch() {
-        let mut schedule = ScheduleState {
-            step: 0,
-            order: (0..5).collect(),
-            cursor: 5,
-            rng: ChaCha8Rng::seed_from_u64(3),
-            rate_factor: 1.0,
-            seconds: 0.0,
-            complexity: ComplexityState::default(),
-            light_colour: None,
-            gains: Vec::new(),
-            lights: Vec::new(),
-            cut: None,
-        };
+        let mut schedule = ScheduleState::new(5, ChaCha8Rng::seed_from_u64(3));
         let known = schedule.next_photos(14);
         let mut epochs = known.clone();
         for at in 0..14 {

@@ -101,7 +101,8 @@ impl Sorter {
         Ok(from)
     }
 
-    fn unlimited(&mut self, gpu: &Gpu) -> Result<Buffer<u32>, DeviceError> {
+    /// One element, larger than any number of pairs, for kernels that are told how many there are.
+    pub(super) fn unlimited(&mut self, gpu: &Gpu) -> Result<Buffer<u32>, DeviceError> {
         match &self.unlimited {
             Some(unlimited) => Ok(unlimited.clone()),
             None => Ok(self.unlimited.insert(gpu.upload("no limit", &[u32::MAX])?).clone()),

@@ -9,7 +9,6 @@ use crate::capture::Capture;
 use crate::engine::TrainState;
 use crate::light::{EnvOperators, TableResolution};
 use crate::scene::Model;
-use crate::train::complexity::state::ComplexityState;
 use crate::train::dataset::Dataset;
 use crate::train::error::TrainError;
 use crate::train::state::ScheduleState;
@@ -36,19 +35,7 @@ impl Preparation {
         let data = prepare(capture, &mut config)?;
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let model = initial::model(capture, &data, &config, &mut rng);
-        let schedule = ScheduleState {
-            step: 0,
-            order: (0..data.len() as u32).collect(),
-            cursor: data.len() as u32,
-            rng,
-            rate_factor: 1.0,
-            seconds: 0.0,
-            complexity: ComplexityState::default(),
-            light_colour: None,
-            gains: Vec::new(),
-            lights: Vec::new(),
-            cut: None,
-        };
+        let schedule = ScheduleState::new(data.len(), rng);
         Ok(Self::of(config, data, schedule, TrainState::new(model)))
     }
 

@@ -124,8 +124,6 @@ pub(super) struct Sweeper<'g> {
     pub(super) cell_of_instance: Option<Buffer<u32>>,
     pub(super) gaussian_of_instance: Option<Buffer<u32>>,
     pub(super) first_slot: Option<Buffer<u32>>,
-    /// One element, larger than any number of list entries.
-    pub(super) unlimited: Buffer<u32>,
     pub(super) pace: Pace,
     pub(super) sorter: Sorter,
     pub(super) scan: Scan,
@@ -178,7 +176,6 @@ impl<'g> Sweeper<'g> {
             cell_of_instance: None,
             gaussian_of_instance: None,
             first_slot: None,
-            unlimited: gpu.upload("no limit", &[u32::MAX])?,
             pace: Pace::default(),
             sorter: Sorter::default(),
             scan: Scan::default(),
@@ -317,8 +314,8 @@ impl<'g> Sweeper<'g> {
         let first_slot = grow(self.gpu, "first slots of cells", &mut self.first_slot, n_cells + 1)?;
         let counts =
             CellCounts { n_cells: n_cells as u32, n_instances: sweep.n_instances, pad_a: 0, pad_b: 0 };
-        let bindings =
-            [uniform(&counts), (&sorted.keys).into(), (&self.unlimited).into(), (&first_slot).into()];
+        let unlimited = self.sorter.unlimited(self.gpu)?;
+        let bindings = [uniform(&counts), (&sorted.keys).into(), (&unlimited).into(), (&first_slot).into()];
         rec.dispatch(&shaders::TILE_OFFSETS, Groups::Linear(n_cells + 1), &bindings);
         self.walk(&mut rec, &first_slot, &sorted.values);
         rec.submit()

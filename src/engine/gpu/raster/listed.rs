@@ -38,12 +38,14 @@ impl Raster {
     /// [`DeviceError::TooLarge`] with the numbers when the view has more (splat, tile) pairs than one binding holds.
     pub fn settle(&mut self, listed: &[u32]) -> Result<bool, DeviceError> {
         let listed = Listed::new(listed);
+        if listed.is_short {
+            self.gpu.write(&self.listed, 1, &[0]);
+        }
         self.check_instances(listed.pairs)?;
         let pairs = listed.pairs as usize;
         self.last = RasterCounts { visible: listed.visible, instances: pairs };
         if listed.is_short {
             self.room = (pairs + pairs / 4).max(self.room).min(self.most_instances());
-            self.gpu.write(&self.listed, 1, &[0]);
         }
         self.give_back(pairs);
         Ok(!listed.is_short)
