@@ -121,21 +121,35 @@ mod tests {
         assert_eq!(nice(&held), (nice(&free) + 10).min(19));
     }
 
+    /// A program that runs until it is ended, with `argument` in the command line that others read by now: a parent goes on
+    /// before the kernel has written that of its child.
+    fn start_looping(argument: &Path) -> std::process::Child {
+        let script = ["-c", "while :; do sleep 0.1; done"];
+        let child = Command::new("sh").args(script).arg(argument).spawn().unwrap();
+        let command_line = format!("/proc/{}/cmdline", child.id());
+        let is_named = || {
+            String::from_utf8_lossy(&std::fs::read(&command_line).unwrap())
+                .contains(argument.to_str().unwrap())
+        };
+        while !is_named() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        child
+    }
+
     #[test]
     fn what_was_left_running_is_ended_and_others_are_not() {
         let folder = tempfile::TempDir::new().unwrap();
         let marker = folder.path().join("process");
-        let start = |argument: &Path| {
-            Command::new("sh").args(["-c", "while :; do sleep 0.1; done"]).arg(argument).spawn().unwrap()
-        };
         for (argument, is_ours) in [(folder.path(), true), (Path::new("/elsewhere"), false)] {
-            let mut child = start(argument);
+            let mut child = start_looping(argument);
             std::fs::write(&marker, child.id().to_string()).unwrap();
             let reaped = std::thread::scope(|scope| {
                 let bounds = Bounds { marker: Some(marker.clone()), ..Bounds::default() };
                 let ending = scope.spawn(move || bounds.end_earlier());
                 // A process that has ended is there until its parent, which is this one, asks for it.
-                let reaped = (0..100).any(|_| {
+                let polls = if is_ours { 3000 } else { 50 };
+                let reaped = (0..polls).any(|_| {
                     std::thread::sleep(Duration::from_millis(10));
                     child.try_wait().unwrap().is_some()
                 });
