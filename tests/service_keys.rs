@@ -237,6 +237,11 @@ async fn only_a_key_with_the_scope_comes_before_others_and_only_the_operator_giv
     assert!(refused["detail"].as_str().unwrap().contains("\"priority\""), "{refused}");
     let running = post(&submits, "/v1/jobs", job(0)).await;
     assert_eq!(running.0, 202);
+    // The next one has a higher priority: it must not find the worker free.
+    let first = format!("/v1/jobs/{}", running.1["id"].as_str().unwrap());
+    while get(&server, &submits, &first).await.1["state"] == json!("queued") {
+        tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+    }
     let (status, raised) = post(&hurries, "/v1/jobs", job(1)).await;
     assert_eq!((status, &raised["priority"]), (202, &json!(1)));
     let path = format!("/v1/jobs/{}", raised["id"].as_str().unwrap());

@@ -243,7 +243,9 @@ fn train(trainer: &mut Trainer, kept: Option<&Kept<'_>>, progress: &mut Progress
             output::write_named(file, &trainer.checkpoint()?)?;
         }
         if stops {
-            progress.stopped(&format!("stopped after step {step} of {total}, kept in {}", file.display()));
+            // A step that was not finite is not in the checkpoint.
+            let kept = trainer.progress().step;
+            progress.stopped(&format!("stopped after step {kept} of {total}, kept in {}", file.display()));
             return Ok(false);
         }
     }
