@@ -5,13 +5,14 @@
 // (5 KiB) and its five statistics blurred across (8 KiB): both passes of the separable window stay on the chip. One
 // channel after the other, because three at once would halve the workgroups that fit.
 const WG_SIZE = 256u;
+#import photo
 #import ssim_window
 #import generated/slots
 #import reduce
 
 @group(0) @binding(0) var<uniform> term: ImageTerm;
 @group(0) @binding(1) var<storage, read> image: array<vec4f>;
-@group(0) @binding(2) var<storage, read> photo: array<vec4f>;
+@group(0) @binding(2) var<storage, read> photo: array<vec2u>;
 // `[channel][pixel]`: by mean, by mean square and by mean product; w unused.
 @group(0) @binding(3) var<storage, read_write> partials: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> losses: array<accumulator>;
@@ -28,7 +29,7 @@ fn load_channel(local_ix: u32, origin: vec2u, channel: u32) {
         let pixel_ix = wide_pixel(ix, origin, term.size);
         var pair = vec2f(0.0);
         if pixel_ix < term.size.x * term.size.y {
-            pair = vec2f(image[pixel_ix][channel], photo[pixel_ix][channel]);
+            pair = vec2f(image[pixel_ix][channel], photo_pixel(pixel_ix)[channel]);
         }
         sh_pair[ix] = pair;
     }

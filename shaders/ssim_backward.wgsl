@@ -4,11 +4,12 @@
 // A thread owns a pixel of a 16 x 16 square. Workgroup memory holds one channel of the partial derivatives with the
 // window's border (11 KiB) and blurred across (7 KiB).
 const WG_SIZE = 256u;
+#import photo
 #import ssim_window
 
 @group(0) @binding(0) var<uniform> term: ImageTerm;
 @group(0) @binding(1) var<storage, read> image: array<vec4f>;
-@group(0) @binding(2) var<storage, read> photo: array<vec4f>;
+@group(0) @binding(2) var<storage, read> photo: array<vec2u>;
 @group(0) @binding(3) var<storage, read> partials: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> by_image: array<vec4f>;
 
@@ -52,7 +53,7 @@ fn main(
     let inside = gid.x < term.size.x && gid.y < term.size.y;
     let pixel_ix = select(0u, gid.y * term.size.x + gid.x, inside);
     let a = image[pixel_ix].xyz;
-    let b = photo[pixel_ix].xyz;
+    let b = photo_pixel(pixel_ix).xyz;
     var g = term.l1 * term.scale * sign(a - b);
     for (var channel = 0u; channel < 3u; channel++) {
         let by = blurred(local_ix, TILE * wid.xy, channel);

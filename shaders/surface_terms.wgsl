@@ -6,6 +6,7 @@
 // Gradient by the buffers, two vec4 a pixel, planar: (normal xyz, plane distance), then (coverage, metalness, roughness).
 // GEOMETRY: the pass has normals and plane distances. MATERIAL: also metalness and roughness.
 const WG_SIZE = 256u;
+#import photo
 #import camera
 #import quaternion
 #import generated/channels
@@ -29,7 +30,7 @@ struct SurfaceTerms {
 @group(0) @binding(1) var<uniform> weights: SurfaceTerms;
 @group(0) @binding(2) var<storage, read> gbuffer: array<vec4f>;
 // rgb and mask.
-@group(0) @binding(3) var<storage, read> photo: array<vec4f>;
+@group(0) @binding(3) var<storage, read> photo: array<vec2u>;
 @group(0) @binding(4) var<storage, read_write> by_buffers: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> losses: array<accumulator>;
 
@@ -165,7 +166,7 @@ struct PairGradient {
 
 fn pair_term(own_ix: u32, own: Attributes, other_ix: u32, scale: f32) -> PairGradient {
     let other = attributes_at(other_ix);
-    let edge = dot(abs(photo[own_ix].xyz - photo[other_ix].xyz), vec3f(1.0)) / 3.0;
+    let edge = dot(abs(photo_pixel(own_ix).xyz - photo_pixel(other_ix).xyz), vec3f(1.0)) / 3.0;
     let factor = scale * exp(-edge);
     let by_normal = own.normal - other.normal;
     let by_material = own.material - other.material;
@@ -211,7 +212,7 @@ fn pixel_terms(pixel: vec2u) -> vec4f {
     let pixel_ix = pixel_ix_of(pixel);
     var out: BufferGradient;
     var values = vec4f(0.0);
-    let difference = channel_coverage(gbuffer[pixel_ix]) - photo[pixel_ix].w;
+    let difference = channel_coverage(gbuffer[pixel_ix]) - photo_pixel(pixel_ix).w;
     values.x = weights.coverage * abs(difference);
     out.coverage += weights.coverage * sign(difference);
 #ifdef GEOMETRY

@@ -11,7 +11,7 @@ use crate::scene::{Camera, Field, Gaussians, IndirectForm, ShadeAt, ShadingOptio
 pub struct Photo {
     /// Camera in the normalised world.
     pub camera: Camera,
-    /// Display-referred pixels over the background, row-major.
+    /// Display-referred pixels over the background, row-major; none of a photograph that the device of a training holds.
     pub pixels: Vec<[f32; 3]>,
     /// Mask in [0, 1], row-major; empty when the capture has no masks.
     pub alpha: Vec<f32>,

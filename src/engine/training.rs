@@ -7,7 +7,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::engine::density::{DensityPlan, DensitySignals};
-use crate::engine::step::{ProbeMeasurement, Step, StepSums};
+use crate::engine::step::{PhotoId, ProbeMeasurement, Step, StepSums};
 use crate::engine::{DeviceError, TrainState};
 use crate::light::EnvOperators;
 
@@ -24,6 +24,9 @@ pub trait Training: Send {
     /// # Errors
     /// What went wrong on the device; as for every method here.
     fn step(&mut self, step: &Step<'_>) -> Result<Option<StepSums>, DeviceError>;
+
+    /// Whether the device has the pixels of a photograph, so that a step needs none of them ([`Photo`](crate::engine::Photo)).
+    fn holds(&self, photo: PhotoId) -> bool;
 
     /// Waits until every step is done; gives what the last one came to, where that was not given yet.
     fn finish(&mut self) -> Result<Option<StepSums>, DeviceError>;

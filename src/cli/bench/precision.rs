@@ -11,7 +11,7 @@ use crate::cli::error::CommandResult;
 use crate::engine::Device;
 use crate::engine::cpu::objective::image::Target;
 use crate::engine::gpu::objective::{ImageTerm, LOSS_SLOTS, LossSlot};
-use crate::engine::gpu::{CameraUniform, Gpu};
+use crate::engine::gpu::{CameraUniform, Gpu, photo_pixel};
 use crate::engine::parity::{
     LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, relative_error, steady_pixels,
 };
@@ -218,10 +218,10 @@ fn projection_errors(found: &ParityResult, expected: &ParityResult) -> [f64; 2] 
     worst
 }
 
-/// A photograph of noise.
+/// A photograph of noise, of levels of 16 bits.
 fn photograph(seed: u64) -> Vec<[f32; 3]> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xf070);
-    (0..SIZE.0 * SIZE.1).map(|_| std::array::from_fn(|_| rng.random::<f32>())).collect()
+    (0..SIZE.0 * SIZE.1).map(|_| std::array::from_fn(|_| f32::from(rng.random::<u16>()) / 65_535.0)).collect()
 }
 
 /// The image that the terms are taken of, the same for every engine.
@@ -259,7 +259,8 @@ fn loss_gradient_gpu(
         |rows: &[[f32; 3]]| -> Vec<[f32; 4]> { rows.iter().map(|[r, g, b]| [*r, *g, *b, 1.0]).collect() };
     let pixels = (SIZE.0 * SIZE.1) as usize;
     let image = gpu.upload("image", &padded(&rendered(expected)))?;
-    let photo = gpu.upload("photograph", &padded(&photograph(seed)))?;
+    let photo: Vec<_> = padded(&photograph(seed)).into_iter().map(photo_pixel).collect();
+    let photo = gpu.upload("photograph", &photo)?;
     let partials = gpu.buffer("partials", 3 * pixels)?;
     let by_image = gpu.buffer("by image", pixels)?;
     let losses = gpu.buffer("losses", LOSS_SLOTS)?;

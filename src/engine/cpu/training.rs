@@ -12,7 +12,7 @@ use crate::engine::cpu::{
     outward_normals, radiance_image, radiance_image_backward,
 };
 use crate::engine::density::{DensityPlan, DensitySignals};
-use crate::engine::step::{FieldUpdate, ProbeMeasurement, Step, StepSums};
+use crate::engine::step::{FieldUpdate, PhotoId, ProbeMeasurement, Step, StepSums};
 use crate::engine::training;
 use crate::engine::{
     DeviceError, Gradients, LightTurn, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights,
@@ -78,6 +78,10 @@ impl training::Training for Training {
             adam_step(model, moments, &outcome.gradients, &step.sizes, step.counts);
         }
         Ok(Some(StepSums { loss: outcome.loss, mse: outcome.mse, finite }))
+    }
+
+    fn holds(&self, _: PhotoId) -> bool {
+        false
     }
 
     fn finish(&mut self) -> Result<Option<StepSums>, DeviceError> {

@@ -129,6 +129,11 @@ impl Dataset {
         self.cache.get((index, size), &self.photos[index])
     }
 
+    /// Photograph `index` at `size` without its pixels.
+    pub fn outline(&self, index: usize, size: PhotoSize) -> Photo {
+        self.photos[index].outline(size)
+    }
+
     /// Has the photographs that the next steps need decoded meanwhile.
     pub fn expect(&self, next: impl Iterator<Item = (usize, PhotoSize)>) {
         self.cache.expect(next.map(|key| (key, self.photos[key.0].clone())));

@@ -48,6 +48,11 @@ impl StoredPhoto {
         camera.width as usize * camera.height as usize * DECODED_PIXEL[usize::from(self.has_alpha)]
     }
 
+    /// The photograph at `size` without its pixels.
+    pub fn outline(&self, size: PhotoSize) -> Photo {
+        Photo { camera: *self.camera(size), pixels: Vec::new(), alpha: Vec::new(), light: self.light }
+    }
+
     /// The photograph as a step is given it at `size`.
     pub fn decoded(&self, size: PhotoSize) -> Photo {
         let camera = *self.camera(size);
@@ -58,7 +63,7 @@ impl StoredPhoto {
             let reduced = ImageRgba::reduced(stored, (camera.width, camera.height), |i| self.pixel(i));
             self.composited(reduced.pixels.into_iter())
         };
-        let mut photo = Photo { camera, pixels, alpha, light: self.light };
+        let mut photo = Photo { pixels, alpha, ..self.outline(size) };
         self.gains.iter().for_each(|gain| divide(&mut photo, *gain, self.background));
         photo
     }

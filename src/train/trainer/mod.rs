@@ -3,6 +3,7 @@
 mod card;
 mod crop;
 mod known_sums;
+mod photographs;
 mod preparation;
 mod sums;
 
@@ -31,8 +32,6 @@ use crate::train::{
 const SNAPSHOT_EVERY: u32 = 50;
 /// Steps between density rounds.
 const REFINE_EVERY: u32 = 100;
-/// Steps whose photographs are decoded ahead, as far as there is room for them.
-const AHEAD: u32 = 4;
 
 /// What one step did.
 #[derive(Debug, Clone, PartialEq)]
@@ -148,8 +147,8 @@ impl Trainer {
         let progress = self.schedule.step as f32 / self.config.iterations as f32;
         let branches = schedule::branches(&self.config, self.schedule.step);
         let size = schedule::photo_size(&self.config, self.schedule.step);
-        let decoded = self.data.photo(photo, size);
-        self.data.expect(self.next_photos().into_iter());
+        let photo_id = PhotoId { index: photo, size, revision: self.schedule.revision() };
+        let photo = self.photograph(photo_id);
         let mut sizes = schedule::step_sizes(&self.config, branches, progress);
         if self.is_dielectric() {
             sizes.fields[Field::MetalLogit as usize] = 0.0;
@@ -163,8 +162,8 @@ impl Trainer {
         let next = self.schedule.step + 1;
         let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
         let sums = self.engine.step(&Step {
-            photo: &decoded,
-            photo_id: PhotoId { index: photo, size, revision: self.schedule.revision() },
+            photo: &photo,
+            photo_id,
             background: self.data.background,
             branches,
             weights,
@@ -408,14 +407,6 @@ impl Trainer {
     fn measure(&mut self, repeats: usize) -> Result<(), TrainError> {
         let _span = tracing::info_span!("measure", repeats).entered();
         Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.turns, repeats))?)
-    }
-
-    /// Photographs of the steps after the one that has taken its photograph, with their sizes.
-    fn next_photos(&self) -> Vec<(usize, PhotoSize)> {
-        let next = self.schedule.step + 1;
-        let steps = next..self.config.iterations.min(next + AHEAD);
-        let photos = self.schedule.next_photos(steps.len());
-        photos.into_iter().zip(steps.map(|step| schedule::photo_size(&self.config, step))).collect()
     }
 
     fn refine(&mut self) -> Result<(), TrainError> {

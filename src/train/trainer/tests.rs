@@ -164,3 +164,22 @@ fn a_model_made_smaller_goes_on_training(device: &Device) {
     assert_eq!(trainer.operators.order(), model.gaussians.visibility_order());
     assert!(model.card["complexity"]["findings"].as_array().unwrap().len() >= 6, "{}", model.card);
 }
+
+/// How often photographs were decoded by nine steps on three of them, with no room to keep any decoded.
+fn decoded_by_nine_steps(device: &Device) -> u64 {
+    let (capture, config) = small();
+    let mut trainer = Trainer::new(&capture, config, device).unwrap();
+    trainer.data.bound(0);
+    let before = trainer.decoding().decoded;
+    for _ in 0..9 {
+        trainer.step().unwrap();
+    }
+    trainer.decoding().decoded - before
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn what_a_gpu_holds_is_decoded_once() {
+    assert_eq!(decoded_by_nine_steps(&Device::Gpu(Gpu::for_tests())), 3);
+    assert_eq!(decoded_by_nine_steps(&Device::Cpu), 9, "the control");
+}

@@ -4,7 +4,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::engine::channel::Channels;
-use crate::engine::gpu::{Buffer, CameraUniform, Recorder, shaders, uniform};
+use crate::engine::gpu::{Buffer, CameraUniform, PhotoPixel, Recorder, shaders, uniform};
 use crate::engine::{ImageWeights, StepWeights, SurfaceWeights};
 
 #[cfg(test)]
@@ -33,7 +33,7 @@ pub struct ImageTerm<'a> {
     /// The rendered image, rgb.
     pub image: &'a Buffer<[f32; 4]>,
     /// The photograph, rgb and mask.
-    pub photo: &'a Buffer<[f32; 4]>,
+    pub photo: &'a Buffer<PhotoPixel>,
     /// First of the branch's three slots: `PhysicalL1` or `RadianceL1`.
     pub slot: LossSlot,
     /// Weights of its two parts.
@@ -98,7 +98,8 @@ pub fn surface_terms(
     camera: &CameraUniform,
     channels: Channels,
     weights: &SurfaceWeights,
-    [gbuffer, photo, by_buffers]: [&Buffer<[f32; 4]>; 3],
+    photo: &Buffer<PhotoPixel>,
+    [gbuffer, by_buffers]: [&Buffer<[f32; 4]>; 2],
     losses: &Buffer<f32>,
 ) {
     let kernel = match channels {

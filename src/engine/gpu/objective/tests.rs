@@ -4,9 +4,9 @@ use super::*;
 use crate::engine::RasterCamera;
 use crate::engine::channel;
 use crate::engine::cpu::Pass;
-use crate::engine::gpu::Gpu;
 use crate::engine::gpu::shaders::assert_layout;
 use crate::engine::gpu::shading::tests::{Noise, camera_view, empty_pass, error, planar_gbuffer, set};
+use crate::engine::gpu::{Gpu, photo_pixel};
 use crate::scene::ShadingOptions;
 
 type Rgb = [f64; 3];
@@ -44,21 +44,33 @@ fn image_means(w: usize, h: usize, image: &[Rgb], photo: &[Rgb]) -> [f64; 3] {
     out
 }
 
-fn uploaded(gpu: &Gpu, pixels: &[Rgb], fourth: &[f32]) -> Buffer<[f32; 4]> {
-    let rows = pixels.iter().enumerate().map(|(i, p)| {
+fn rows<'a>(pixels: &'a [Rgb], fourth: &'a [f32]) -> impl Iterator<Item = [f32; 4]> + 'a {
+    pixels.iter().enumerate().map(|(i, p)| {
         let [r, g, b] = p.map(|v| v as f32);
         [r, g, b, fourth.get(i).copied().unwrap_or(f32::NAN)]
-    });
-    gpu.upload("pixels", &rows.collect::<Vec<_>>()).unwrap()
+    })
+}
+
+fn uploaded(gpu: &Gpu, pixels: &[Rgb]) -> Buffer<[f32; 4]> {
+    gpu.upload("pixels", &rows(pixels, &[]).collect::<Vec<_>>()).unwrap()
+}
+
+fn uploaded_photo(gpu: &Gpu, pixels: &[Rgb], mask: &[f32]) -> Buffer<PhotoPixel> {
+    gpu.upload("a photograph", &rows(pixels, mask).map(photo_pixel).collect::<Vec<_>>()).unwrap()
+}
+
+/// The nearest level that a photograph on the device has.
+fn level(value: f32) -> f64 {
+    f64::from((value * 65_535.0).round()) / 65_535.0
 }
 
 fn picture(noise: &mut Noise, n: usize) -> Vec<Rgb> {
-    (0..n).map(|_| noise.rgb(0.0, 1.0).map(f64::from)).collect()
+    (0..n).map(|_| noise.rgb(0.0, 1.0).map(level)).collect()
 }
 
 fn on_device(gpu: &Gpu, view: &RasterCamera, image: &[Rgb], photo: &[Rgb]) -> ([f32; 3], Vec<f32>) {
     let (view, n) = (CameraUniform::new(view), image.len());
-    let (image, photo) = (uploaded(gpu, image, &[]), uploaded(gpu, photo, &[]));
+    let (image, photo) = (uploaded(gpu, image), uploaded_photo(gpu, photo, &[]));
     let losses = gpu.buffer("losses", LOSS_SLOTS).unwrap();
     let partials = gpu.buffer("partials", 3 * n).unwrap();
     let by_image = gpu.buffer("by image", n).unwrap();
@@ -88,13 +100,15 @@ fn image_terms_and_gradients_are_those_of_the_formula() {
     for (seed, (w, h)) in [(1, (1, 1)), (2, (37, 21)), (3, (16, 16)), (4, (3, 40))] {
         let mut noise = Noise::new(seed);
         let view = camera_view((w as u32, h as u32), &ShadingOptions::default());
-        let photo = picture(&mut noise, w * h);
+        let mut photo = picture(&mut noise, w * h);
         let mut image = picture(&mut noise, w * h);
         // Near the photograph in places, and equal in one.
         for i in 0..w * h / 2 {
             image[i] = std::array::from_fn(|c| (photo[i][c] + 0.1 * image[i][c]) as f32 as f64);
         }
         if w * h > 1 {
+            // Of levels that no driver rounds.
+            photo[w * h / 2] = [1.0, 0.0, 1.0];
             image[w * h / 2] = photo[w * h / 2];
         }
         let (found, by_image) = on_device(&gpu, &view, &image, &photo);
@@ -175,7 +189,7 @@ impl Buffers {
             })
             .collect();
         let photo = picture(&mut noise, size.0 * size.1);
-        let mask = (0..size.0 * size.1).map(|_| noise.between(0.0, 1.0)).collect();
+        let mask = (0..size.0 * size.1).map(|_| level(noise.between(0.0, 1.0)) as f32).collect();
         Self { size, rays, rows, photo, mask }
     }
 
@@ -267,13 +281,12 @@ fn surface_on_device(
     let uniform = CameraUniform::new(view);
     let pass = buffers.pass(*view, channels);
     let gbuffer = gpu.upload("gbuffer", &planar_gbuffer(&pass, &pass.gbuffer, channels)).unwrap();
-    let photo = uploaded(gpu, &buffers.photo, &buffers.mask);
+    let photo = uploaded_photo(gpu, &buffers.photo, &buffers.mask);
     let by_buffers = gpu.buffer("by buffers", 2 * uniform.pixels()).unwrap();
     let losses = gpu.buffer("losses", LOSS_SLOTS).unwrap();
     let mut recorder = gpu.record();
     recorder.clear(&losses);
-    let all = [&gbuffer, &photo, &by_buffers];
-    surface_terms(&mut recorder, &uniform, channels, weights, all, &losses);
+    surface_terms(&mut recorder, &uniform, channels, weights, &photo, [&gbuffer, &by_buffers], &losses);
     recorder.submit().unwrap();
     let losses = gpu.read(&losses, 6..9).unwrap();
     ([losses[0], losses[1], losses[2]], gpu.read(&by_buffers, 0..by_buffers.len()).unwrap())

@@ -7,7 +7,7 @@ use crate::engine::gpu::objective::{ImageTerm, LossSlot, surface_terms};
 use crate::engine::gpu::raster::Blended;
 use crate::engine::gpu::shading::Images;
 use crate::engine::gpu::training::device_step::DeviceStep;
-use crate::engine::gpu::{Buffer, Gpu, Recorder};
+use crate::engine::gpu::{Buffer, Gpu, PhotoPixel, Recorder};
 
 /// Buffers of the size of the image.
 #[derive(Debug, Clone)]
@@ -45,7 +45,7 @@ impl Canvas {
         recorder: &mut Recorder<'_>,
         step: &DeviceStep,
         channels: Channels,
-        photo: &Buffer<[f32; 4]>,
+        photo: &Buffer<PhotoPixel>,
         frame: &Blended<'_>,
         losses: &Buffer<f32>,
     ) {
@@ -65,7 +65,7 @@ impl Canvas {
         }
         let radiance = term(&self.images.radiance, &step.weights.radiance, LossSlot::RadianceL1);
         radiance.record(recorder, &self.by_images.radiance, losses);
-        let buffers = [gbuffer, photo, &self.by_buffers];
-        surface_terms(recorder, camera, channels, &step.weights.surface, buffers, losses);
+        let (weights, buffers) = (&step.weights.surface, [gbuffer, &self.by_buffers]);
+        surface_terms(recorder, camera, channels, weights, photo, buffers, losses);
     }
 }

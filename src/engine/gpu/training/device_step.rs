@@ -1,7 +1,7 @@
 //! A step as the device takes it.
 
 use crate::engine::channel::StepChannels;
-use crate::engine::gpu::{Buffer, CameraUniform, Submission, Ticket};
+use crate::engine::gpu::{Buffer, CameraUniform, PhotoPixel, Submission, Ticket};
 use crate::engine::light_turn::LightTurn;
 use crate::engine::{Branches, StepCounts, StepSizes, StepWeights};
 
@@ -9,7 +9,7 @@ use crate::engine::{Branches, StepCounts, StepSizes, StepWeights};
 #[derive(Debug, Clone)]
 pub(super) struct DeviceStep {
     pub(super) camera: CameraUniform,
-    pub(super) photo: Buffer<[f32; 4]>,
+    pub(super) photo: Buffer<PhotoPixel>,
     pub(super) light: LightTurn,
     pub(super) channels: StepChannels,
     pub(super) background: [f32; 3],

@@ -28,8 +28,8 @@ use crate::engine::gpu::training::state::DeviceState;
 use crate::engine::gpu::update::{STATUS_WORDS, Updater};
 use crate::engine::gpu::{AttributeSource, Buffer, Gpu, Pace};
 use crate::engine::{
-    DensityPlan, DensitySignals, DeviceError, FieldUpdate, LightWeights, ProbeMeasurement, ProbeSettings,
-    Step, StepSums, TrainState, TrainingLimits, fibonacci_sphere, training,
+    DensityPlan, DensitySignals, DeviceError, FieldUpdate, LightWeights, PhotoId, ProbeMeasurement,
+    ProbeSettings, Step, StepSums, TrainState, TrainingLimits, fibonacci_sphere, training,
 };
 use crate::light::EnvOperators;
 use crate::scene::{IndirectForm, Model, VisibilityForm};
@@ -177,6 +177,10 @@ impl training::Training for Training {
             Some(earlier) => self.settle(earlier).map(Some),
             None => Ok(None),
         }
+    }
+
+    fn holds(&self, photo: PhotoId) -> bool {
+        self.photos.holds(photo)
     }
 
     fn finish(&mut self) -> Result<Option<StepSums>, DeviceError> {

@@ -120,6 +120,27 @@ fn every_step_is_reported_once_and_in_order() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_photograph_that_is_held_needs_no_pixels_and_one_that_is_not_is_refused_without() {
+    let gpu = Gpu::for_tests();
+    let (mut training, mut other) = (training(&gpu), training(&gpu));
+    let photos = photos();
+    let bare = |k: usize| Photo { pixels: Vec::new(), ..photos[k].clone() };
+    let id = step(&photos[1], 1, 1).photo_id;
+    assert!(!training.holds(id));
+    training.step(&step(&photos[1], 1, 1)).unwrap();
+    assert!(training.holds(id));
+    assert!(!training.holds(PhotoId { revision: 1, ..id }) && !training.holds(PhotoId { index: 0, ..id }));
+    training.step(&step(&bare(1), 1, 2)).unwrap();
+    for number in 1..=2 {
+        other.step(&step(&photos[1], 1, number)).unwrap();
+    }
+    let losses = [&mut training, &mut other].map(|t| t.finish().unwrap().unwrap().loss);
+    assert!(relative(losses[0], losses[1]) < 1e-4, "{losses:?}");
+    assert!(matches!(training.step(&step(&bare(0), 0, 3)), Err(DeviceError::Misuse(_))), "the control");
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn steps_whose_lists_were_short_are_taken_again() {
     let gpu = Gpu::for_tests();
     let (mut roomy, mut short) = (training(&gpu), training(&gpu));
