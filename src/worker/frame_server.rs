@@ -1,8 +1,8 @@
 //! Rendering what waits in the queue, on one device, on the thread of frames.
 
 use std::panic::AssertUnwindSafe;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::render::Frame;
 use crate::worker::opened_device::OpenedDevice;
@@ -18,7 +18,8 @@ const BATCH: usize = 8;
 pub(super) struct FrameServer {
     device: OpenedDevice,
     waiting: WaitingRenders,
-    cache: RenderCache,
+    /// Shared with other threads of frames on the device.
+    cache: Arc<Mutex<RenderCache>>,
     /// Training steps done.
     steps: Arc<AtomicU64>,
 }
@@ -30,7 +31,23 @@ impl FrameServer {
         cache: RenderCache,
         steps: Arc<AtomicU64>,
     ) -> Self {
-        Self { device, waiting, cache, steps }
+        Self { device, waiting, cache: Arc::new(Mutex::new(cache)), steps }
+    }
+
+    /// Whether frames are rendered by a GPU.
+    pub(super) fn is_on_gpu(&self) -> bool {
+        self.device.device().is_gpu()
+    }
+
+    /// Another one for the same queue, device and cache.
+    pub(super) fn shared(&self) -> Self {
+        let (waiting, cache, steps) = (self.waiting.clone(), self.cache.clone(), self.steps.clone());
+        Self { device: self.device.shared(), waiting, cache, steps }
+    }
+
+    /// A frame that panicked leaves the cache cleared.
+    fn cache(&self) -> MutexGuard<'_, RenderCache> {
+        self.cache.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Ends when a frame waits, or the device has failed elsewhere.
@@ -45,7 +62,7 @@ impl FrameServer {
     /// its memory be needed.
     pub(super) fn serve_waiting(&mut self) {
         if self.device.renew() {
-            self.cache.clear();
+            self.cache().clear();
         }
         for _ in 0..BATCH {
             match self.waiting.try_recv() {
@@ -58,7 +75,7 @@ impl FrameServer {
     /// Opens the device again after it failed; nothing on a failed device can be used. If it cannot be opened, the CPU
     /// engine replaces it.
     fn reopen(&mut self) {
-        self.cache.clear();
+        self.cache().clear();
         self.device.reopen();
     }
 
@@ -85,7 +102,7 @@ impl FrameServer {
     ) -> Result<T, RenderFailure> {
         let answer = std::panic::catch_unwind(AssertUnwindSafe(|| serve(self)));
         let answer = answer.unwrap_or_else(|panic| {
-            self.cache.clear();
+            self.cache().clear();
             Err(RenderFailure::Internal(panic_message(panic.as_ref())))
         });
         if matches!(answer, Err(RenderFailure::Device(_))) {
@@ -95,12 +112,13 @@ impl FrameServer {
     }
 
     fn light(&mut self, task: &LightTask, is_wanted: &dyn Fn() -> bool) -> Result<Vec<u8>, RenderFailure> {
-        self.cache.lit_model(task, self.device.device(), is_wanted).map(|lit| lit.stream(task.with_map))
+        let lit = self.cache().lit_model(task, self.device.device(), is_wanted)?;
+        Ok(lit.stream(task.with_map))
     }
 
     /// Renders a task, and between the bands of a dear one those that wait and have a single band.
     fn render(&mut self, task: &RenderTask, is_wanted: &dyn Fn() -> bool) -> Result<Frame, RenderFailure> {
-        let scene = self.cache.scene(task, self.device.device(), is_wanted)?;
+        let scene = self.cache().scene(task, self.device.device(), is_wanted)?;
         scene.render(task, || {
             for _ in 0..BATCH {
                 match self.waiting.try_recv_cheap() {

@@ -24,8 +24,16 @@ pub(super) enum Rank {
 #[derive(Clone)]
 pub(super) struct RenderQueue(Arc<Shared>);
 
-/// The side of the queue that renders. When it is dropped, whoever waits is answered that the device is busy.
-pub(super) struct WaitingRenders(Arc<Shared>);
+/// The side of the queue that renders, for one thread or several. When the last is dropped, whoever waits is answered that the
+/// device is busy.
+#[derive(Clone)]
+pub(super) struct WaitingRenders {
+    queue: Arc<Shared>,
+    _last: Arc<Closing>,
+}
+
+/// Closes the queue when it is dropped.
+struct Closing(Arc<Shared>);
 
 /// A caller's place in the queue. A frame whose caller drops it is not rendered.
 pub(super) struct Place {
@@ -59,7 +67,8 @@ struct Entry {
 /// A queue of at most `capacity` frames.
 pub(super) fn render_queue(capacity: usize) -> (RenderQueue, WaitingRenders) {
     let shared = Arc::new(Shared { capacity, state: Mutex::default(), arrived: Notify::new() });
-    (RenderQueue(shared.clone()), WaitingRenders(shared))
+    let waiting = WaitingRenders { queue: shared.clone(), _last: Arc::new(Closing(shared.clone())) };
+    (RenderQueue(shared), waiting)
 }
 
 impl Shared {
@@ -92,15 +101,15 @@ impl RenderQueue {
 impl WaitingRenders {
     /// Ends when a frame waits.
     pub(super) async fn arrival(&mut self) {
-        while self.0.lock().waiting.is_empty() {
-            self.0.arrived.notified().await;
+        while self.queue.lock().waiting.is_empty() {
+            self.queue.arrived.notified().await;
         }
     }
 
     /// The frame to render next: the oldest that was overtaken too often, else the cheapest; one of the background where there is no
     /// other.
     pub(super) fn try_recv(&mut self) -> Option<Request> {
-        let mut state = self.0.lock();
+        let mut state = self.queue.lock();
         let waiting = &mut state.waiting;
         let patient = waiting.iter().position(|e| e.rank == Rank::Interactive && e.overtaken >= PATIENCE);
         let cheapest =
@@ -112,7 +121,7 @@ impl WaitingRenders {
 
     /// The cheapest frame that somebody looks at, if it is one of a single band: it may come between the bands of another.
     pub(super) fn try_recv_cheap(&mut self) -> Option<Request> {
-        let mut state = self.0.lock();
+        let mut state = self.queue.lock();
         let waiting = &mut state.waiting;
         let looked_at = (0..waiting.len()).filter(|&i| waiting[i].rank == Rank::Interactive);
         let cheapest = looked_at.min_by_key(|&i| waiting[i].cost)?;
@@ -120,7 +129,7 @@ impl WaitingRenders {
     }
 }
 
-impl Drop for WaitingRenders {
+impl Drop for Closing {
     fn drop(&mut self) {
         let mut state = self.0.lock();
         state.closed = true;
@@ -253,7 +262,10 @@ mod tests {
         let (queue, waiting) = render_queue(2);
         let (render, frame) = Queued::new(task(64, Tier::Standard), 0);
         let _place = queue.push(Request::Frame(render), Rank::Interactive).unwrap();
+        let other = waiting.clone();
         drop(waiting);
+        assert!(!queue.is_closed(), "the control: another one renders");
+        drop(other);
         assert!(frame.await.is_err() && queue.is_closed());
         assert!(push(&queue, 64).is_none());
     }

@@ -46,7 +46,7 @@ impl Default for WorkerOptions {
     }
 }
 
-/// Starts a thread that trains and one that renders frames, both on `device`: no frame waits for more of a training than what the
+/// Starts a thread that trains and those that render frames, all on `device`: no frame waits for more of a training than what the
 /// device is at. They end, with the job checkpointed and released, after `stop` is cancelled.
 ///
 /// Must be called inside a tokio runtime.
@@ -67,7 +67,7 @@ pub fn start(
     let training_device = device.shared();
     let frames = FrameServer::new(device, waiting, cache, steps.clone());
     let ended = CancellationToken::new();
-    let frame_thread = frame_thread::start(frames, ended.clone())?;
+    let frame_threads = frame_thread::start(frames, ended.clone())?;
     let previews = Arc::new(Previews::default());
     let (changes, abandoned) = (source.changes(), last.clone());
     let worker = Worker {
@@ -86,8 +86,10 @@ pub fn start(
     let work = move || {
         runtime.block_on(worker.run());
         drop(ended);
-        if frame_thread.join().is_err() {
-            tracing::error!("the frame thread did not end well");
+        for thread in frame_threads {
+            if thread.join().is_err() {
+                tracing::error!("a thread of frames did not end well");
+            }
         }
     };
     let thread = std::thread::Builder::new().name("relume-training".to_owned()).spawn(work)?;
