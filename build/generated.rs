@@ -31,7 +31,7 @@ macro_rules! list {
 }
 
 /// Names of the pieces.
-pub const PIECES: [&str; 10] = [
+pub const PIECES: [&str; 11] = [
     "channels",
     "density",
     "kernels",
@@ -42,6 +42,7 @@ pub const PIECES: [&str; 10] = [
     "parameters",
     "projection",
     "slots",
+    "surface_point",
 ];
 
 /// Files with the definitions.
@@ -71,13 +72,14 @@ pub fn piece(name: &str) -> Option<String> {
         "level" => level(),
         "light" => light(),
         "objective" => objective(),
-        "occlusion" => list![constants: NO_HIT, OPAQUE, WIDEST, LEAST_BLOCKED],
+        "occlusion" => list![constants: NO_HIT, OPAQUE, WIDEST, LEAST_BLOCKED, TREE_DEPTH],
         "parameters" => parameters(),
         "projection" => {
             list![constants: TILE, NEAR, FAR, FARTHEST_PIXEL, LARGEST_VARIANCE, LEAST_DETERMINANT,
             LOG_SCALE_LIMIT, ALPHA_MIN, ALPHA_MAX]
         }
         "slots" => slots(),
+        "surface_point" => surface_point(),
         _ => return None,
     })
 }
@@ -252,6 +254,16 @@ fn slots() -> String {
         out += &constant(&format!("LOSS{}", screaming(&format!("{slot:?}"))), slot as usize);
     }
     out
+}
+
+/// Where in the world a pixel's surface is, and from where it looks for a small light.
+fn surface_point() -> String {
+    let places = constants::SHADOW_PLACES;
+    let mut out = list![constants: FARTHEST_PLANE, FARTHEST_MEAN, LIFT];
+    out += &constant("N_SHADOW_PLACES", places.len());
+    let floats: [f32; 2 * constants::SHADOW_PLACES.len()] = std::array::from_fn(|i| places[i / 2][i % 2]);
+    out += "// x and y, one after the other.\n";
+    out + &constant("SHADOW_PLACES", floats)
 }
 
 /// `PhysicalL1` as `_PHYSICAL_L1`.

@@ -10,16 +10,23 @@ struct Resolve {
     first: array<vec4u, 3>,
     // Model to capture units.
     depth_scale: f32,
+    // Where light comes from: LIGHT_SHADED, and LIGHT_SENT.
+    light: u32,
     pad_a: u32,
     pad_b: u32,
-    pad_c: u32,
 }
 
 @group(0) @binding(6) var<uniform> wanted: Resolve;
 @group(0) @binding(7) var<storage, read> gbuffer: array<vec4f>;
 @group(0) @binding(8) var<storage, read_write> planes: array<u32>;
+// Diffuse and specular part of what was asked for along rays, times coverage; read with LIGHT_SENT alone.
+@group(0) @binding(9) var<storage, read> sent: array<vec4f>;
 
 const UNWANTED = 0xffffffffu;
+// From the tables, at Gaussians or here.
+const LIGHT_SHADED = 1u;
+// From `sent`.
+const LIGHT_SENT = 2u;
 const INFINITY_BITS = 0x7f800000u;
 // `Output` of src/engine/frame.rs.
 const RGB = 0u;
@@ -72,6 +79,22 @@ fn put_nothing(pixel_ix: u32) {
     put_rgb(RADIANCE, pixel_ix, vec3f(0.0));
 }
 
+// What a pixel sends, times coverage.
+struct Light {
+    diffuse: vec3f,
+    specular: vec3f,
+}
+
+// From the tables. Of Gaussians that were shaded before they were blended, the G-buffer has the radiance.
+fn shaded_light(s: ptr<function, Surface>, pixel_ix: u32, coverage: f32) -> Light {
+    if shading.shade_at == SHADE_AT_PIXEL {
+        let f = shade(s);
+        return Light(f.diffuse * coverage, f.specular * coverage);
+    }
+    let specular = channel_specular(gbuffer[DEPTH_GROUP * camera.n_pixels + pixel_ix]);
+    return Light(channel_outgoing(gbuffer[ROUGH_GROUP * camera.n_pixels + pixel_ix]) - specular, specular);
+}
+
 @compute @workgroup_size(16, 16)
 fn main(@builtin(global_invocation_id) gid: vec3u) {
     if gid.x >= camera.size.x || gid.y >= camera.size.y {
@@ -87,18 +110,17 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     }
     var s = pixel_surface(gid.xy, pixel_ix, coverage);
     if is_wanted(RGB) || is_wanted(DIFFUSE) || is_wanted(SPECULAR) {
-        // Of Gaussians that were shaded before they were blended, the G-buffer has the radiance.
-        let inverse = 1.0 / coverage;
-        var light = channel_outgoing(gbuffer[ROUGH_GROUP * camera.n_pixels + pixel_ix]) * inverse;
-        var specular = channel_specular(gbuffer[DEPTH_GROUP * camera.n_pixels + pixel_ix]) * inverse;
-        if shading.shade_at == SHADE_AT_PIXEL {
-            let f = shade(&s);
-            light = f.diffuse + f.specular;
-            specular = f.specular;
+        var light = Light(vec3f(0.0), vec3f(0.0));
+        if (wanted.light & LIGHT_SHADED) != 0u {
+            light = shaded_light(&s, pixel_ix, coverage);
         }
-        put_rgb(RGB, pixel_ix, light * coverage);
-        put_rgb(DIFFUSE, pixel_ix, (light - specular) * coverage);
-        put_rgb(SPECULAR, pixel_ix, specular * coverage);
+        if (wanted.light & LIGHT_SENT) != 0u {
+            light.diffuse += sent[pixel_ix].xyz;
+            light.specular += sent[camera.n_pixels + pixel_ix].xyz;
+        }
+        put_rgb(RGB, pixel_ix, light.diffuse + light.specular);
+        put_rgb(DIFFUSE, pixel_ix, light.diffuse);
+        put_rgb(SPECULAR, pixel_ix, light.specular);
     }
     let length = length3(s.normal);
     let unit = s.normal / length;

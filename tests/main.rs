@@ -20,6 +20,7 @@ mod fetching;
 mod full_disk;
 mod fuzz;
 mod gpu;
+mod gpu_rays;
 mod hostile;
 mod job_machine;
 mod kills;

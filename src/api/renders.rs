@@ -22,15 +22,16 @@ pub struct RenderRequest {
     /// 1 to 4096 pixels.
     #[cfg_attr(feature = "server", schema(minimum = 1, maximum = 4096))]
     pub height: u32,
-    /// `preview`, `standard` (the default), `high` (shadows of strong small lights in every pixel) or `reference` (Monte-Carlo, slow).
+    /// `preview`, `standard` (the default), `high` (shadows of strong small lights in every pixel) or `monte_carlo` (slow).
     #[serde(default)]
     #[cfg_attr(feature = "server", schema(value_type = String, example = "standard"))]
     pub tier: Tier,
-    /// Directions a pixel that the tier `reference` draws; 64 when absent. Times the pixels at most 2,097,152.
+    /// Directions a pixel that the tier `monte_carlo` draws; 64 when absent. Times the pixels at most 2,097,152, or 134,217,728
+    /// where a GPU renders.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[cfg_attr(feature = "server", schema(minimum = 1, maximum = 65536))]
     pub samples: Option<u32>,
-    /// Seed of those directions; 0 when absent. Equal requests give equal bytes.
+    /// Seed of those directions; 0 when absent. Equal requests give equal bytes on one device.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub seed: Option<u64>,
     /// `rgb albedo normal metallic roughness visibility depth alpha diffuse specular radiance`; `["rgb"]` when

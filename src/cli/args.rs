@@ -9,8 +9,7 @@ use crate::train::TrainOverrides;
 /// The tier to render with.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct QualityArgs {
-    /// `preview`, `standard`, `high` or `monte_carlo`; the last two run on the CPU engine, whatever the device. Where none is
-    /// given, `render` takes `standard`, `eval` `high`.
+    /// `preview`, `standard`, `high` or `monte_carlo`. Where none is given, `render` takes `standard`, `eval` `high`.
     #[arg(long, value_parser = named::<Tier>)]
     pub tier: Option<Tier>,
     /// Directions that the Monte-Carlo tier draws for each pixel.

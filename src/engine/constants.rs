@@ -43,8 +43,21 @@ pub const NO_HIT: u32 = u32::MAX;
 pub const OPAQUE: f32 = 1e-3;
 /// A variance beyond this is no occluder, world units^2.
 pub const WIDEST: f32 = 1e12;
+/// Depth of a ray's tree of boxes over 2^32 Gaussians, and one more.
+pub const TREE_DEPTH: usize = 34;
 /// Blocked share of a direction below which nothing is gathered from it.
 pub const LEAST_BLOCKED: f32 = 0.02;
+
+/// Largest relative distance of a depth on a Gaussian's plane from its centre's depth; beyond, the plane is seen edge-on.
+pub const FARTHEST_PLANE: f32 = 0.05;
+/// Largest relative distance of the depth of a pixel's mean plane from that of the Gaussian it sees; beyond, the pixel mixes
+/// surfaces.
+pub const FARTHEST_MEAN: f32 = 0.02;
+/// Queries towards small lights start this far from the surface, world units: the planes of neighbours lie a little before and
+/// behind it.
+pub const LIFT: f32 = 0.005;
+/// Places within a pixel from which a small light is looked for, pixels from its centre.
+pub const SHADOW_PLACES: [[f32; 2]; 4] = [[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]];
 
 /// Decay of Adam's first moment (Kingma and Ba 2015).
 pub const ADAM_BETA1: f32 = 0.9;

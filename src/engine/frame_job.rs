@@ -2,7 +2,7 @@
 
 use std::any::Any;
 
-use crate::engine::{DeviceError, Frame, Output, RasterCamera};
+use crate::engine::{DeviceError, Frame, Output, RasterCamera, RayLight, RayTree};
 use crate::light::LightTables;
 
 /// Probe directions behind the gathered light of a frame.
@@ -48,4 +48,17 @@ pub trait DeviceFrames: Send + Sync {
     /// # Errors
     /// [`DeviceError::Misuse`] for a light of another device, otherwise when the device failed.
     fn render(&self, job: &FrameJob<'_>, light: &DeviceLight) -> Result<Frame, DeviceError>;
+
+    /// Renders with light that is looked for along rays. `tree` gives the model's, which the device keeps; what it makes of
+    /// `rays` it keeps with `light`, so a light has one environment and one split of it.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    fn render_by_rays(
+        &self,
+        job: &FrameJob<'_>,
+        light: &DeviceLight,
+        rays: &RayLight<'_>,
+        tree: &dyn Fn() -> RayTree,
+    ) -> Result<Frame, DeviceError>;
 }

@@ -4,7 +4,7 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::engine::frame_job::{DeviceFrames, DeviceLight, FrameJob};
-use crate::engine::{DeviceError, Frame, cpu};
+use crate::engine::{DeviceError, Frame, RayLight, cpu};
 use crate::light::{LightTables, rendering_tables, split_tables, tables_of_split};
 use crate::scene::{EnvMap, Model, ShadeAt};
 
@@ -80,6 +80,25 @@ impl Frames {
             (None, None, Some(light)) => Ok(self.cpu.render(job, light)),
             _ => Err(DeviceError::Misuse("the light was prepared for another device".to_owned())),
         }
+    }
+
+    /// Renders on a device other than the CPU engine with light that is looked for along `rays`, which are those of the
+    /// environment that `light` was prepared of.
+    ///
+    /// # Errors
+    /// As [`Self::render`], and without such a device.
+    pub fn render_by_rays(
+        &self,
+        job: &FrameJob<'_>,
+        light: &FrameLight,
+        rays: &RayLight<'_>,
+    ) -> Result<Frame, DeviceError> {
+        let (Some(device), Some(light)) = (&self.device, &light.device) else {
+            return Err(DeviceError::Misuse(
+                "rays on a device: the light was prepared for another".to_owned(),
+            ));
+        };
+        device.render_by_rays(job, light, rays, &|| self.cpu.occluders().tree())
     }
 
     /// Tables of `environment`, and beside them the lights that cast a shadow each, where Gaussians are shaded.

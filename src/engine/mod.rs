@@ -23,6 +23,7 @@ mod light_turn;
 mod objective;
 pub mod parity;
 mod probing;
+mod ray_job;
 pub mod reference;
 mod state;
 mod step;
@@ -46,6 +47,7 @@ pub use objective::{
     ImageWeights, LightWeights, ParameterWeights, StepWeights, SurfaceWeights, upward_share,
 };
 pub use probing::{ProbeSettings, fibonacci_sphere, towards_light};
+pub use ray_job::{RayLight, RayTree};
 pub use state::{Moments, TrainState};
 pub use step::{Branches, FieldUpdate, Photo, PhotoId, PhotoSize, ProbeMeasurement, Step, StepSums};
 pub use training::{Training, TrainingLimits};

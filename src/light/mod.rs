@@ -33,7 +33,7 @@ pub use operators::{CompressedRows, EnvOperators, LevelPosition, TableResolution
 pub use prefilter::rendering_tables;
 pub use reflectance::reflectance_tables;
 pub use reflector::{Reflected, Reflector};
-pub use sampler::{EnvSampler, Shares, estimate};
+pub use sampler::{EnvSampler, SamplerTables, Shares, estimate};
 pub use sh::{nrsh, sh_eval, sh_eval_with_gradient};
 pub use sheen::Sheen;
 pub use split_tables::{split_tables, tables_of_split};

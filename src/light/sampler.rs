@@ -19,6 +19,19 @@ pub struct EnvSampler {
     columns: Vec<f64>,
 }
 
+/// An [`EnvSampler`] in f32.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SamplerTables {
+    /// Columns of the map.
+    pub width: usize,
+    /// Rows of the map.
+    pub height: usize,
+    /// Radiance, and the density of drawing a direction there, per steradian.
+    pub texels: Vec<[f32; 4]>,
+    /// Shares of the light: of the rows up to and with each, then of the columns of each row.
+    pub sums: Vec<f32>,
+}
+
 /// Mean of the channels: zero only where all light is.
 fn brightness(texel: [f32; 3]) -> f64 {
     texel.iter().map(|v| f64::from(*v)).sum::<f64>() / 3.0
@@ -43,6 +56,19 @@ impl EnvSampler {
 
     fn total(&self) -> f64 {
         self.rows.last().copied().unwrap_or(0.0)
+    }
+
+    /// The same in f32, for engines that draw by themselves.
+    pub fn tables(&self) -> SamplerTables {
+        let (width, height, total) = (self.map.width(), self.map.height(), self.total());
+        let share = |sum: f64, of: f64| if of > 0.0 { (sum / of) as f32 } else { 0.0 };
+        let mut sums: Vec<f32> = self.rows.iter().map(|sum| share(*sum, total)).collect();
+        for row in self.columns.chunks_exact(width) {
+            let all = row.last().copied().unwrap_or(0.0);
+            sums.extend(row.iter().map(|sum| share(*sum, all)));
+        }
+        let texel = |t: &[f32; 3]| [t[0], t[1], t[2], share(brightness(*t), total)];
+        SamplerTables { width, height, texels: self.map.texels().iter().map(texel).collect(), sums }
     }
 
     /// True when there is no light to draw from.

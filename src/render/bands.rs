@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::engine::{FrameJob, RasterCamera, TILE};
+use crate::engine::{DeviceError, FrameJob, RasterCamera, RayLight, TILE};
 use crate::render::error::RenderError;
 use crate::render::job::Job;
 use crate::render::renderer::{PreparedLight, Renderer};
@@ -61,8 +61,11 @@ impl Renderer {
         let view = self.view(camera)?;
         let (width, height) = (camera.width, camera.height);
         let frame = Frame { width, height, planes: BTreeMap::new() };
-        let is_on_device = self.frames.has_device() && matches!(quality.tier, Tier::Preview | Tier::Standard);
-        let most = if is_on_device { Quality::BAND_COST } else { Quality::CPU_BAND_COST };
+        let most = match (self.frames.has_device(), quality.tier) {
+            (false, _) => Quality::CPU_BAND_COST,
+            (true, Tier::MonteCarlo) => Quality::SAMPLED_BAND_COST,
+            (true, _) => Quality::BAND_COST,
+        };
         let rows = rows(view.width, quality, most);
         Ok(Bands { renderer: self, light, view, quality, outputs, rows, done: 0, frame })
     }
@@ -110,22 +113,48 @@ impl Bands<'_> {
         };
         Ok(match quality.tier {
             Tier::Preview | Tier::Standard => renderer.frames.render(&job, &light.frame)?,
+            Tier::High | Tier::MonteCarlo if renderer.frames.has_device() => {
+                self.render_by_rays(&job, first)?
+            }
             Tier::High => {
                 let split = light.split(renderer.model().gaussians.visibility_order());
                 high::render(&self.on_cpu(job), split, renderer.occluders())
             }
             Tier::MonteCarlo => {
-                let pixels_before = (first * view.width) as u64;
                 let (job, sampler) = (self.on_cpu(job), light.sampler());
-                monte_carlo::render(&job, sampler, renderer.occluders(), quality, pixels_before)
+                monte_carlo::render(&job, sampler, renderer.occluders(), quality, pixels_before(&view, first))
             }
         })
+    }
+
+    /// A band of the tiers that ask along rays, on the device.
+    fn render_by_rays(&self, job: &FrameJob<'_>, first: usize) -> Result<Frame, DeviceError> {
+        let (frames, light, quality) = (&self.renderer.frames, self.light, self.quality);
+        let rays = match quality.tier {
+            Tier::MonteCarlo => Some(RayLight::Sampled {
+                environment: light.sampler(),
+                samples: quality.samples,
+                seed: quality.seed,
+                pixels_before: pixels_before(&job.view, first),
+            }),
+            _ => light.split(frames.model().gaussians.visibility_order()).rays(),
+        };
+        match rays {
+            Some(rays) => frames.render_by_rays(job, &light.frame, &rays),
+            // No light is sharp.
+            None => frames.render(job, &light.frame),
+        }
     }
 
     fn on_cpu<'b>(&'b self, frame: FrameJob<'b>) -> Job<'b> {
         let (cpu, light) = (self.renderer.frames.on_cpu(), self.renderer.light_on_cpu(self.light));
         Job { source: cpu.lit_source(light), shader: cpu.shader(&light.tables), frame }
     }
+}
+
+/// Pixels of a frame above row `first`.
+fn pixels_before(view: &RasterCamera, first: usize) -> u64 {
+    (first * view.width) as u64
 }
 
 /// Rows of a band of a frame: as many as cost at most `most`, a row of tiles at least.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::engine::channel::{COVERAGE, Channels, OutgoingRadiance, RowLight};
-use crate::engine::constants::{EarlyStop, LEAST_COVERAGE};
+use crate::engine::constants::{EarlyStop, LEAST_COVERAGE, SHADOW_PLACES};
 use crate::engine::cpu::{
     AttributeSource, Occluders, Pass, Surface, attribute_rows, blended_radiance, normalise, reflector,
     surface_at, surface_points,
@@ -11,9 +11,6 @@ use crate::engine::cpu::{
 use crate::engine::towards_light;
 use crate::light::{DominantLight, Sheen, TableLight};
 use crate::scene::{Field, ShadeAt, SplitLight};
-
-/// Places within a pixel from which a light is looked for, pixels from its centre.
-const PLACES: [[f32; 2]; 4] = [[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]];
 
 /// What every pixel sends of one light that nothing hides.
 pub(super) enum Unhidden<'a> {
@@ -97,7 +94,7 @@ impl<'a> PixelShadows<'a> {
 
     /// Share in pixel (`x`, `y`), 0 to 1: the mean over rays from places within the pixel to places of the light.
     pub(super) fn share(&self, (x, y): (usize, usize)) -> f32 {
-        let points = surface_points(self.pass, (x, y), PLACES);
+        let points = surface_points(self.pass, (x, y), SHADOW_PLACES);
         let rays = self.directions.len().max(points.len());
         let ray = |i: usize| {
             let (point, direction) = (points[i % points.len()], self.directions[i % self.directions.len()]);

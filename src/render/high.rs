@@ -3,6 +3,7 @@
 
 use rayon::prelude::*;
 
+use crate::engine::RayLight;
 use crate::engine::channel::{Channels, OutgoingRadiance};
 use crate::engine::constants::EarlyStop;
 use crate::engine::cpu::{Occluders, Pass, SurfaceShader, blended_radiance, resolve};
@@ -28,6 +29,13 @@ impl SplitLight {
         let split = SplitEnvironment::new(environment, MOST_LIGHTS);
         let rest = (!split.lights.is_empty()).then(|| rendering_tables(&split.rest, order));
         Self { lights: split.lights, rest }
+    }
+}
+
+impl SplitLight {
+    /// The lights with the rest, where there are any.
+    pub(super) fn rays(&self) -> Option<RayLight<'_>> {
+        Some(RayLight::Sharp { lights: &self.lights, rest: self.rest.as_ref()? })
     }
 }
 

@@ -1,9 +1,9 @@
-//! A frame of the tiers that run on the CPU engine whatever the device.
+//! A frame of the tiers that ask along rays, on the CPU engine.
 
 use crate::engine::FrameJob;
 use crate::engine::cpu::{AttributeSource, SurfaceShader};
 
-/// A frame that the CPU engine makes, whatever the device: the model under a light, and what is wanted.
+/// The model under a light, and what is wanted of it.
 pub(super) struct Job<'a> {
     pub(super) source: AttributeSource<'a>,
     pub(super) shader: SurfaceShader<'a>,

@@ -55,8 +55,7 @@ impl Renderer {
         Self { frames: Frames::on_cpu_only(model) }
     }
 
-    /// Takes a checked model in, to be rendered on `device`: tiers `preview` and `standard` there, `high` and
-    /// `monte_carlo` on the CPU engine whatever the device.
+    /// Takes a checked model in, to be rendered on `device`.
     ///
     /// # Errors
     /// When the device cannot hold the model.

@@ -61,6 +61,8 @@ impl Quality {
     /// Most that a band of a frame costs, in pixels times [`Self::pixel_cost`]: 1920 x 1080 pixels of [`Tier::Standard`] are one. Each
     /// band is projected and sorted anew.
     pub const BAND_COST: u64 = 1 << 22;
+    /// The same of [`Tier::MonteCarlo`] on a device, whose bands are many.
+    pub const SAMPLED_BAND_COST: u64 = 1 << 24;
     /// The same of a frame that the CPU engine renders: other frames wait for one band, which takes it as long as a GPU's whole frame.
     /// A frame of this cost is one band everywhere.
     pub const CPU_BAND_COST: u64 = 1 << 18;

@@ -7,26 +7,28 @@ use crate::scene::Camera;
 
 /// Longest side of a frame, pixels.
 const MAX_SIDE: u32 = 4096;
-/// Most queries through the Gaussians a frame of the reference tier may cost: some seconds of the thread of frames.
-const MOST_QUERIES: u64 = 1 << 21;
+/// Most queries through the Gaussians a frame of the Monte-Carlo tier may cost, some seconds: on the CPU engine, and on a GPU.
+const MOST_QUERIES: [u64; 2] = [1 << 21, 1 << 27];
 
-/// The tier and samples asked for of a frame of `size`, width and height in pixels; refuses one that would occupy the thread
-/// of frames for too long.
+/// The tier and samples asked for of a frame of `size`, width and height in pixels; refuses one that would occupy a thread of
+/// frames for too long.
 pub(super) fn quality(
     tier: Tier,
     samples: Option<u32>,
     seed: Option<u64>,
     size: (u32, u32),
+    on_gpu: bool,
 ) -> Result<Quality, Problem> {
     let quality = Quality { tier, samples: samples.unwrap_or(Quality::SAMPLES), seed: seed.unwrap_or(0) };
+    let queries = MOST_QUERIES[usize::from(on_gpu)];
     let most = match tier {
-        Tier::MonteCarlo => MOST_QUERIES / (u64::from(size.0) * u64::from(size.1)).max(1),
+        Tier::MonteCarlo => queries / (u64::from(size.0) * u64::from(size.1)).max(1),
         _ => u64::MAX,
     };
     let most = most.min(u64::from(Quality::MOST_SAMPLES));
     if !(1..=most).contains(&u64::from(quality.samples)) {
         let detail = match most {
-            0 => format!("the tier monte_carlo takes pictures of at most {MOST_QUERIES} pixels"),
+            0 => format!("the tier monte_carlo takes pictures of at most {queries} pixels"),
             most => format!("must be 1 to {most} at this tier and size, got {}", quality.samples),
         };
         return Err(Problem::invalid_field("/samples", detail));
@@ -87,4 +89,21 @@ pub(super) fn check_sides((width, height): (u32, u32)) -> Result<(), Problem> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_are_bounded_by_pixels_and_by_what_renders() {
+        let asked = |tier, samples, side, on_gpu| quality(tier, Some(samples), None, (side, side), on_gpu);
+        let refused = |samples, side, on_gpu| asked(Tier::MonteCarlo, samples, side, on_gpu).is_err();
+        assert!(refused(128, 800, false) && !refused(128, 800, true));
+        assert!(refused(513, 64, false) && !refused(512, 64, false));
+        assert!(refused(256, 800, true) && refused(0, 8, true));
+        let why = asked(Tier::MonteCarlo, 1, 2048, false).unwrap_err();
+        assert!(format!("{why:?}").contains("2097152 pixels"), "{why:?}");
+        assert!(asked(Tier::High, 64, 4096, false).is_ok(), "the control: others draw none");
+    }
 }

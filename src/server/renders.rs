@@ -56,7 +56,8 @@ async fn render(
     render_request::check_outputs(&request.outputs, format)?;
     let finish = render_request::finish(&request, format)?;
     let camera = camera(&request)?;
-    let quality = quality(request.tier, request.samples, request.seed, (request.width, request.height))?;
+    let (size, on_gpu) = ((request.width, request.height), app.device.has_gpu());
+    let quality = quality(request.tier, request.samples, request.seed, size, on_gpu)?;
     let (model, _) = models::source(&app, &caller.tenant, &id).await?;
     let light = light(&app, &caller.tenant, &request.environment).await?;
     let task = RenderTask {

@@ -4,14 +4,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::capture::{Capture, SyntheticOptions, synthetic};
+use crate::capture::{Capture, SyntheticOptions, builtin, synthetic};
 use crate::cli::bench::table::{head, machine, publish, row};
 use crate::cli::error::CommandResult;
 use crate::engine::Device;
 use crate::engine::DeviceChoice;
 use crate::engine::gpu::{Counts, StageTime};
 use crate::eval::figure;
-use crate::render::{Output, Renderer, Tier};
+use crate::render::{Output, Quality, Renderer, Tier};
 use crate::scene::{Camera, Model};
 use crate::train::{Preset, TrainConfig, TrainOverrides, Trainer};
 
@@ -33,6 +33,9 @@ pub(super) struct DeviceArgs {
     /// Training steps and frames measured.
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
+    /// Samples a pixel of Monte-Carlo frames, which take long in software; 0 leaves these out.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=i64::from(Quality::MOST_SAMPLES)))]
+    samples: u32,
     /// Memory bandwidth of the device, GB/s, to compare with.
     #[arg(long)]
     bandwidth: Option<f64>,
@@ -160,19 +163,26 @@ fn frames(
     model: Model,
 ) -> CommandResult<Vec<(String, f64)>> {
     let renderer = Renderer::on(Arc::new(model), device)?;
-    let light = renderer.prepare_light(&renderer.model().environment())?;
+    // A light of which a part is taken out, to cast a shadow.
+    let light = builtin("sunset").unwrap_or_else(|| renderer.model().environment());
+    let light = renderer.prepare_light(&light)?;
+    let mut qualities: Vec<Quality> = [Tier::Preview, Tier::Standard, Tier::High].map(Quality::from).to_vec();
+    qualities.extend((args.samples > 0).then(|| Quality::monte_carlo(args.samples)));
     let mut out = Vec::new();
     let square = &capture.test[0].camera;
     for (width, height) in [(args.size, args.size), (args.size * 12 / 5, args.size * 27 / 20)] {
         let camera = framed(square, width, height);
-        for tier in [Tier::Preview, Tier::Standard] {
-            renderer.render(&camera, &light, tier, &[Output::Rgb])?;
+        for &quality in &qualities {
+            let samples = if quality.tier == Tier::MonteCarlo { quality.samples } else { 1 };
+            let frames = (args.steps / samples).max(1);
+            renderer.render(&camera, &light, quality, &[Output::Rgb])?;
             let start = Instant::now();
-            for _ in 0..args.steps {
-                renderer.render(&camera, &light, tier, &[Output::Rgb])?;
+            for _ in 0..frames {
+                renderer.render(&camera, &light, quality, &[Output::Rgb])?;
             }
-            let rate = f64::from(args.steps) / start.elapsed().as_secs_f64();
-            out.push((format!("{} {width}x{height}", tier.name()), rate));
+            let rate = f64::from(frames) / start.elapsed().as_secs_f64();
+            let of = if samples > 1 { format!(", {samples} samples,") } else { String::new() };
+            out.push((format!("{}{of} {width}x{height}", quality.tier.name()), rate));
         }
     }
     Ok(out)
@@ -218,7 +228,7 @@ fn report(args: &DeviceArgs, device: &Device, all: &[Figures]) -> String {
         line(&format!("{}, ms", stage.name), &|f| format!("{:.3}", ms(f)));
     }
     for (k, (name, _)) in all.first().map_or(&[][..], |f| &f.frames).iter().enumerate() {
-        line(&format!("{name}, frames/s"), &|f| format!("{:.0}", f.frames[k].1));
+        line(&format!("{name}, frames/s"), &|f| format!("{:.1}", f.frames[k].1));
     }
     line("peak device memory so far, MB", &|f| figure(f.peak_bytes.map(|b| b as f64 / 1e6), 0));
     text + &limits(args, all)

@@ -1,18 +1,10 @@
 //! Where in the world the surface is that a pixel sees.
 
 use crate::engine::channel;
-use crate::engine::constants::{ALPHA_MAX, TILE};
+use crate::engine::constants::{ALPHA_MAX, FARTHEST_MEAN, FARTHEST_PLANE, LIFT, TILE};
 use crate::engine::cpu::occluder::{Vec3, dot};
 use crate::engine::cpu::pass::Pass;
 use crate::engine::cpu::project::{Splat, normalise};
-
-/// Largest relative distance of the depth of a pixel's mean plane from that of the Gaussian it sees; beyond, the pixel mixes
-/// surfaces.
-const FARTHEST_MEAN: f32 = 0.02;
-/// Queries towards lights start this far from the surface: the planes of neighbours lie a little before and behind it.
-const LIFT: f32 = 0.005;
-/// Largest relative distance of a depth on a Gaussian's plane from its centre's depth; beyond, the plane is seen edge-on.
-const FARTHEST: f32 = 0.05;
 
 /// The world point that pixel (`x`, `y`) of a pass with normals sees: on the plane of the Gaussian that brings coverage
 /// to half of what the pixel has. At an edge the mean depth is between two surfaces and on neither; this is on one of
@@ -77,5 +69,5 @@ fn depth_on_plane(pass: &Pass, splat: usize, centre: f32, ray: [f32; 3]) -> f32 
     let along: f32 = (0..3).map(|k| row[channel::NORMAL.start + k] * ray[k]).sum();
     let depth = row[channel::PLANE] / along;
     // NaN and infinity are edge-on too.
-    if (depth - centre).abs() <= FARTHEST * centre { depth } else { centre }
+    if (depth - centre).abs() <= FARTHEST_PLANE * centre { depth } else { centre }
 }

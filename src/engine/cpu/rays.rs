@@ -3,15 +3,13 @@
 //! A tree of boxes around where each Gaussian's alpha reaches 1/255. The alpha of a Gaussian on a ray is its
 //! peak along the ray's line: that of its footprint on the plane across the ray, as the probes measure it.
 
-use crate::engine::ProbeSettings;
-use crate::engine::constants::{OPAQUE, WIDEST};
+use crate::engine::constants::{OPAQUE, TREE_DEPTH, WIDEST};
 use crate::engine::cpu::attributes::AttributeSource;
 use crate::engine::cpu::occluder::{Occluder, Vec3, dot, occluders, plane_basis, widening};
+use crate::engine::{ProbeSettings, RayTree};
 
 /// Gaussians a leaf may have.
 const LEAF: usize = 4;
-/// Depth of the tree of 2^32 Gaussians, and one more.
-const DEEPEST: usize = 34;
 
 /// A bounding volume hierarchy over the Gaussians of a model, for transmittance along rays.
 #[derive(Debug, Clone)]
@@ -50,6 +48,25 @@ impl Occluders {
         Self { members: boxes.into_iter().map(|b| b.occluder).collect(), nodes, settings }
     }
 
+    /// The tree as other engines walk it.
+    pub fn tree(&self) -> RayTree {
+        let node = |n: &Node| {
+            let [a, b, c] = n.low.map(f32::to_bits);
+            let [d, e, f] = n.high.map(f32::to_bits);
+            [a, b, c, n.first, d, e, f, n.count]
+        };
+        let member = |o: &Occluder| {
+            let [[a, b, c], [d, e, f], [g, h, i]] = o.axes;
+            let [x, y, z] = o.mean;
+            [x, y, z, o.opacity, a, b, c, o.reach, d, e, f, 0.0, g, h, i, 0.0]
+        };
+        RayTree {
+            nodes: self.nodes.iter().map(node).collect(),
+            members: self.members.iter().map(member).collect(),
+            settings: self.settings,
+        }
+    }
+
     /// Share of light, 0 to 1, that reaches surface point `origin` from unit direction `d`.
     ///
     /// An occluder counts from two of its own standard deviations and a little beyond the point
@@ -59,7 +76,7 @@ impl Occluders {
         let (u, v) = plane_basis(d);
         let inverse = d.map(|x| 1.0 / x);
         let mut left = 1.0f32;
-        let mut stack = [0u32; DEEPEST];
+        let mut stack = [0u32; TREE_DEPTH];
         let mut height = usize::from(!self.nodes.is_empty());
         while height > 0 {
             height -= 1;

@@ -24,6 +24,7 @@ mod permutations;
 mod photo_pixel;
 pub mod probes;
 pub mod raster;
+pub mod rays;
 mod recorder;
 pub mod resolve;
 mod scan;

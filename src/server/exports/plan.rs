@@ -49,7 +49,7 @@ impl FramesPlan {
         if spec.frames_per_second.is_some_and(|fps| !(1..=100_000).contains(&fps)) {
             return Err(Problem::invalid_field("/frames_per_second", "must be 1 to 100000"));
         }
-        let quality = quality(spec.tier, spec.samples, spec.seed, cameras.largest())?;
+        let quality = quality(spec.tier, spec.samples, spec.seed, cameras.largest(), app.device.has_gpu())?;
         let finish = finish(spec);
         check_finish(&finish, &spec.outputs, spec.format)?;
         if spec.package == Package::Mp4 {

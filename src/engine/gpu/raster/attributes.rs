@@ -11,9 +11,9 @@ use crate::engine::gpu::{Buffer, Groups, Recorder, shaders, uniform};
 #[derive(Debug)]
 pub struct Attributed<'r> {
     pub(in crate::engine::gpu) projected: Projected<'r>,
-    pub(super) channels: Channels,
+    pub(in crate::engine::gpu) channels: Channels,
     /// Rows by Gaussian, `4 groups` floats each, undefined where a splat reaches no tile.
-    pub(super) rows: Buffer<[f32; 4]>,
+    pub(in crate::engine::gpu) rows: Buffer<[f32; 4]>,
 }
 
 impl<'r> Projected<'r> {

@@ -5,7 +5,9 @@ use crate::engine::constants::{EarlyStop, TRANSMITTANCE_STOP};
 use crate::engine::gpu::grow::grow;
 use crate::engine::gpu::permutations::{by_groups, groups};
 use crate::engine::gpu::raster::attributes::Attributed;
+use crate::engine::gpu::raster::project::Projected;
 use crate::engine::gpu::raster::records::{BlendEnd, Words};
+use crate::engine::gpu::shaders::Kernel;
 use crate::engine::gpu::{Buffer, CameraUniform, Recorder, shaders, uniform};
 
 /// Where complete blending ends: what lies behind adds less than the last digit of anything, and transmittances can
@@ -54,21 +56,45 @@ impl<'r> Attributed<'r> {
             EarlyStop::WhenSaturated => TRANSMITTANCE_STOP,
             EarlyStop::Never => LAST_TRANSMITTANCE,
         };
-        let bindings = [
-            uniform(&p.camera),
-            uniform(&Words([least.to_bits(), 0, 0, 0])),
-            (&p.splats).into(),
-            (&self.rows).into(),
-            (&p.tiles.gaussian_of_slot).into(),
-            (&p.tiles.first_slot).into(),
-            (&gbuffer).into(),
-            (&ends).into(),
-        ];
-        rec.dispatch(kernel, p.camera.tile_groups(), &bindings);
+        p.blend_rows(rec, kernel, least, [&self.rows, &gbuffer], &ends);
         // Footprints and rows once a tile, sums once a pixel; an exponent and 4 groups of multiply-adds a pair.
         let row = 64 + 16 * groups as u64;
         let bytes = p.counts.instances as u64 * row + pixels as u64 * (16 * groups as u64 + 8);
         rec.work(bytes, p.pairs() * (14 + 8 * groups as u64));
         Ok(Blended { attributed: self, gbuffer, ends })
+    }
+}
+
+impl Projected<'_> {
+    /// Blends rows of two groups, by Gaussian, into `[group][pixel]`, as far as pixels that saturate.
+    pub(in crate::engine::gpu) fn blend_pairs(
+        &self,
+        rec: &mut Recorder<'_>,
+        rows: &Buffer<[f32; 4]>,
+        blended: &Buffer<[f32; 4]>,
+        ends: &Buffer<BlendEnd>,
+    ) {
+        self.blend_rows(rec, &shaders::BLEND_2, TRANSMITTANCE_STOP, [rows, blended], ends);
+    }
+
+    fn blend_rows(
+        &self,
+        rec: &mut Recorder<'_>,
+        kernel: &'static Kernel,
+        least_transmittance: f32,
+        [rows, blended]: [&Buffer<[f32; 4]>; 2],
+        ends: &Buffer<BlendEnd>,
+    ) {
+        let bindings = [
+            uniform(&self.camera),
+            uniform(&Words([least_transmittance.to_bits(), 0, 0, 0])),
+            (&self.splats).into(),
+            rows.into(),
+            (&self.tiles.gaussian_of_slot).into(),
+            (&self.tiles.first_slot).into(),
+            blended.into(),
+            ends.into(),
+        ];
+        rec.dispatch(kernel, self.camera.tile_groups(), &bindings);
     }
 }

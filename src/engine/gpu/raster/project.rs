@@ -15,7 +15,7 @@ pub struct Projected<'r> {
     pub(in crate::engine::gpu) source: AttributeSource,
     /// By Gaussian.
     pub(in crate::engine::gpu) splats: Buffer<SplatRecord>,
-    pub(super) tiles: TileLists,
+    pub(in crate::engine::gpu) tiles: TileLists,
     pub(super) counts: RasterCounts,
 }
 

@@ -9,9 +9,9 @@ use crate::engine::gpu::{Buffer, CameraUniform, Groups, Recorder, shaders, unifo
 
 /// The splats of each tile, tile by tile, nearest first.
 #[derive(Debug, Clone)]
-pub(super) struct TileLists {
-    pub(super) gaussian_of_slot: Buffer<u32>,
-    pub(super) first_slot: Buffer<u32>,
+pub(in crate::engine::gpu) struct TileLists {
+    pub(in crate::engine::gpu) gaussian_of_slot: Buffer<u32>,
+    pub(in crate::engine::gpu) first_slot: Buffer<u32>,
 }
 
 impl Raster {

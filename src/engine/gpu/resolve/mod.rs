@@ -18,9 +18,21 @@ struct ResolveUniform {
     /// First float of each output, in the order of [`Output`].
     first: [u32; 12],
     depth_scale: f32,
+    /// Bits: 1 from the tables, 2 from what was asked for along rays.
+    light: u32,
     pad_a: u32,
     pad_b: u32,
-    pad_c: u32,
+}
+
+/// Where the light of a frame comes from.
+#[derive(Debug, Clone, Copy)]
+pub enum LightFrom<'a> {
+    /// Tables.
+    Tables,
+    /// Tables, and what each pixel sends besides: diffuse and specular part, planar, times coverage.
+    TablesAnd(&'a Buffer<[f32; 4]>),
+    /// That alone.
+    Alone(&'a Buffer<[f32; 4]>),
 }
 
 /// Outputs of one view in device memory, one after another.
@@ -30,6 +42,8 @@ pub struct Planes {
     /// First float of each output, and the end.
     first: Vec<usize>,
     values: Buffer<f32>,
+    /// For a binding without data.
+    nothing: Buffer<[f32; 4]>,
 }
 
 impl Planes {
@@ -44,7 +58,8 @@ impl Planes {
             end += output.channels() * pixels;
             first.push(end);
         }
-        Ok(Self { wanted: wanted.to_vec(), first, values: gpu.buffer("the outputs", end)? })
+        let (values, nothing) = (gpu.buffer("the outputs", end)?, gpu.buffer("nothing", 1)?);
+        Ok(Self { wanted: wanted.to_vec(), first, values, nothing })
     }
 
     /// True when this is memory for exactly `wanted` of `pixels` pixels.
@@ -63,16 +78,22 @@ impl Planes {
         camera: &CameraUniform,
         shading: &Shading,
         gbuffer: &Buffer<[f32; 4]>,
+        light: LightFrom<'_>,
         depth_scale: f32,
     ) -> Result<(), DeviceError> {
         use shaders::*;
         let all = [&RESOLVE_1, &RESOLVE_4, &RESOLVE_9, &RESOLVE_16, &RESOLVE_25, &RESOLVE_36, &RESOLVE_49];
         let kernel = by_coefficients(shading.coefficients(), all)?;
-        let mut wanted = ResolveUniform { first: [u32::MAX; 12], depth_scale, pad_a: 0, pad_b: 0, pad_c: 0 };
+        let (light, sent) = match light {
+            LightFrom::Tables => (1, &self.nothing),
+            LightFrom::TablesAnd(sent) => (3, sent),
+            LightFrom::Alone(sent) => (2, sent),
+        };
+        let mut wanted = ResolveUniform { first: [u32::MAX; 12], depth_scale, light, pad_a: 0, pad_b: 0 };
         for (output, first) in self.wanted.iter().zip(&self.first) {
             wanted.first[*output as usize] = *first as u32;
         }
-        let rest = vec![uniform(&wanted), gbuffer.into(), (&self.values).into()];
+        let rest = vec![uniform(&wanted), gbuffer.into(), (&self.values).into(), sent.into()];
         shading.dispatch(recorder, camera, kernel, camera.tile_groups(), rest);
         Ok(())
     }

@@ -88,7 +88,7 @@ fn resolved(
     };
     let planes = Planes::new(gpu, view.pixels(), wanted).unwrap();
     let mut recorder = gpu.record();
-    planes.resolve(&mut recorder, &view, &shading, &gbuffer, DEPTH_SCALE).unwrap();
+    planes.resolve(&mut recorder, &view, &shading, &gbuffer, LightFrom::Tables, DEPTH_SCALE).unwrap();
     recorder.submit().unwrap();
     let mut recorder = gpu.record();
     let tickets = planes.fetch(&mut recorder);
@@ -155,5 +155,5 @@ fn planes_that_were_not_asked_for_change_nothing_in_those_that_were() {
 
 #[test]
 fn uniforms_are_laid_out_as_the_shader_reads_them() {
-    assert_layout!(ResolveUniform as "Resolve" in shaders::RESOLVE_1; first, depth_scale, pad_a, pad_b, pad_c);
+    assert_layout!(ResolveUniform as "Resolve" in shaders::RESOLVE_1; first, depth_scale, light, pad_a, pad_b);
 }

@@ -1,13 +1,17 @@
 //! Rendered frames of a finished model on the device.
 
+mod light;
+mod traced;
+
 use std::collections::BTreeMap;
-use std::sync::Mutex;
+use std::sync::{Mutex, OnceLock};
 
 use rayon::prelude::*;
 
 use crate::engine::channel::Channels;
 use crate::engine::constants::EarlyStop;
 use crate::engine::gpu::frame::{FrameBranches, FramePass};
+use crate::engine::gpu::frames::light::FrameLight;
 use crate::engine::gpu::gather::{LightProbes, gather, ungathered};
 use crate::engine::gpu::light::{Constants, LightBuffers};
 use crate::engine::gpu::lock::locked;
@@ -15,12 +19,13 @@ use crate::engine::gpu::model::LayoutUniform;
 use crate::engine::gpu::permutations::groups;
 use crate::engine::gpu::probes::{self, ProbeBuffers};
 use crate::engine::gpu::raster::{Projected, Raster};
-use crate::engine::gpu::resolve::Planes;
+use crate::engine::gpu::rays::{RayMemory, TreeBuffers};
+use crate::engine::gpu::resolve::{LightFrom, Planes};
 use crate::engine::gpu::shading::Shading;
 use crate::engine::gpu::{Arrival, AttributeSource, Buffer, CameraUniform, Gpu, Recorder, Ticket};
 use crate::engine::{
     BOUNCES, DeviceError, DeviceFrames, DeviceLight, Frame, FrameJob, Output, PROBE_DIRECTIONS,
-    ProbeSettings, ShadeColour, fibonacci_sphere, indirect_basis,
+    ProbeSettings, RasterCamera, RayLight, RayTree, ShadeColour, fibonacci_sphere, indirect_basis,
 };
 use crate::light::LightTables;
 use crate::scene::{IndirectForm, Model, ShadingOptions, SplitLight};
@@ -28,16 +33,11 @@ use crate::scene::{IndirectForm, Model, ShadingOptions, SplitLight};
 /// Fewest pixels of a frame that a thread takes apart.
 const SPLIT: usize = 1 << 14;
 
-/// A light in device memory, with what the model's surfaces send back under it.
-pub struct FrameLight {
-    buffers: LightBuffers,
-    gathered: Option<Buffer<f32>>,
-}
-
 /// Memory that frames use one after the other.
 struct Scratch {
     raster: Raster,
     planes: Option<Planes>,
+    rays: RayMemory,
     /// What hides what, once it was needed: it does not depend on the light.
     probes: Option<ProbeBuffers>,
 }
@@ -51,6 +51,8 @@ pub struct Frames {
     order: usize,
     constants: Constants,
     scratch: Mutex<Scratch>,
+    /// What hides what along a ray, once it was needed.
+    tree: OnceLock<TreeBuffers>,
 }
 
 impl Frames {
@@ -71,7 +73,13 @@ impl Frames {
             options: model.shading,
             order: model.gaussians.visibility_order(),
             constants: Constants::upload(gpu)?,
-            scratch: Mutex::new(Scratch { raster: Raster::new(gpu)?, planes: None, probes: None }),
+            scratch: Mutex::new(Scratch {
+                raster: Raster::new(gpu)?,
+                planes: None,
+                rays: RayMemory::default(),
+                probes: None,
+            }),
+            tree: OnceLock::new(),
             gpu: gpu.clone(),
         })
     }
@@ -88,38 +96,71 @@ impl Frames {
         Channels::Full(self.source.layout.n_visibility as usize)
     }
 
-    fn render_band(
-        &self,
-        camera: &CameraUniform,
-        light: &FrameLight,
-        job: &FrameJob<'_>,
-    ) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
-        let mut scratch = locked(&self.scratch);
-        let Scratch { raster, planes, .. } = &mut *scratch;
-        let source = AttributeSource {
+    /// The model under `light`.
+    fn lit_source(&self, light: &FrameLight) -> AttributeSource {
+        AttributeSource {
             gathered: light.gathered.clone(),
             indirect_basis: Some(light.buffers.indirect_basis.clone()),
             ..self.source.clone()
-        };
-        let shading = Shading {
+        }
+    }
+
+    fn shading(&self, light: &LightBuffers) -> Shading {
+        Shading {
             options: self.options,
             background: [0.0; 3],
-            light: light.buffers.clone(),
+            light: light.clone(),
             constants: self.constants.clone(),
-        };
+        }
+    }
+
+    /// What `draw` makes of a projected view of `source`, drawn again where the view's lists were short. Another thread may
+    /// record its frame while this one waits for the device.
+    fn draw(
+        &self,
+        view: &RasterCamera,
+        source: &AttributeSource,
+        draw: impl Fn(&mut Recorder<'_>, Projected<'_>, Kept<'_>) -> Result<Drawn, DeviceError>,
+    ) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
         loop {
+            let mut scratch = locked(&self.scratch);
+            let Scratch { raster, planes, rays, .. } = &mut *scratch;
             let mut recorder = self.gpu.record();
-            let projected = raster.record(&mut recorder, camera, &source)?;
+            let projected = raster.record(&mut recorder, &CameraUniform::new(view), source)?;
             let listed = recorder.fetch(projected.listed(), 0..projected.listed().len());
-            let drawn = match job.colour {
-                ShadeColour::Alone => self.colours(&mut recorder, projected, &shading)?,
-                ShadeColour::WithGBuffer => self.outputs(&mut recorder, projected, &shading, planes, job)?,
-            };
-            let arrival = recorder.submit()?.arrive()?;
-            if raster.settle(&arrival.read(&listed)?)? {
+            let drawn = draw(&mut recorder, projected, Kept { planes, rays })?;
+            let submission = recorder.submit()?;
+            // The device works in the order of submissions: what the next frame writes, this one has brought back.
+            drop(scratch);
+            let arrival = submission.arrive()?;
+            if locked(&self.scratch).raster.settle(&arrival.read(&listed)?)? {
                 return drawn.planes(&arrival);
             }
         }
+    }
+
+    /// A picture whose G-buffer no binding holds is made band by band: `band` gives the outputs of a view and is told its first
+    /// row.
+    fn in_bands(
+        &self,
+        view: &RasterCamera,
+        groups: usize,
+        band: impl Fn(&RasterCamera, usize) -> Result<Vec<(Output, Vec<f32>)>, DeviceError>,
+    ) -> Result<Frame, DeviceError> {
+        let report = self.gpu.report();
+        let row_bytes = (view.width * groups * 16).max(1) as u64;
+        let rows = (report.max_binding.min(report.max_buffer) / row_bytes).max(1) as usize;
+        let mut frame =
+            Frame { width: view.width as u32, height: view.height as u32, planes: BTreeMap::new() };
+        for first in (0..view.height).step_by(rows) {
+            let mut part = *view;
+            part.height = rows.min(view.height - first);
+            part.centre_px[1] -= first as f32;
+            for (output, mut values) in band(&part, first)? {
+                frame.planes.entry(output).or_default().append(&mut values);
+            }
+        }
+        Ok(frame)
     }
 
     /// Coverage and colour from Gaussians that are shaded before they are blended.
@@ -149,7 +190,19 @@ impl Frames {
             branches: FrameBranches::Both(Box::new(shading.clone())),
         };
         let frame = pass.forward(recorder, projected)?;
-        let camera = frame.camera();
+        self.resolved(recorder, frame.camera(), frame.gbuffer(), (shading, LightFrom::Tables), planes, job)
+    }
+
+    /// The outputs of a G-buffer.
+    fn resolved(
+        &self,
+        recorder: &mut Recorder<'_>,
+        camera: &CameraUniform,
+        gbuffer: &Buffer<[f32; 4]>,
+        (shading, light): (&Shading, LightFrom<'_>),
+        planes: &mut Option<Planes>,
+        job: &FrameJob<'_>,
+    ) -> Result<Drawn, DeviceError> {
         if !planes.as_ref().is_some_and(|p| p.fits(camera.pixels(), job.outputs)) {
             *planes = None;
         }
@@ -158,9 +211,15 @@ impl Frames {
             none => none.insert(Planes::new(&self.gpu, camera.pixels(), job.outputs)?),
         };
         recorder.stage("resolve");
-        planes.resolve(recorder, camera, shading, frame.gbuffer(), job.depth_scale)?;
+        planes.resolve(recorder, camera, shading, gbuffer, light, job.depth_scale)?;
         Ok(Drawn::Outputs(planes.fetch(recorder)))
     }
+}
+
+/// Memory of [`Scratch`] that a drawing takes.
+struct Kept<'a> {
+    planes: &'a mut Option<Planes>,
+    rays: &'a mut RayMemory,
 }
 
 /// What a submission brings back of a frame.
@@ -205,7 +264,7 @@ impl DeviceFrames for Frames {
                 None => None,
             };
             recorder.submit()?;
-            return Ok(Box::new(FrameLight { buffers, gathered: arriving }));
+            return Ok(Box::new(FrameLight::new(buffers, arriving)));
         }
         let probes = match &mut scratch.probes {
             Some(probes) => probes,
@@ -214,32 +273,36 @@ impl DeviceFrames for Frames {
         let mut recorder = self.gpu.record();
         let gathered = gather(&mut recorder, probes, &self.source, &buffers, BOUNCES, lights.as_ref())?;
         recorder.submit()?;
-        Ok(Box::new(FrameLight { buffers, gathered: Some(gathered) }))
+        Ok(Box::new(FrameLight::new(buffers, Some(gathered))))
     }
 
-    /// A picture whose G-buffer no binding holds is made band by band.
     fn render(&self, job: &FrameJob<'_>, light: &DeviceLight) -> Result<Frame, DeviceError> {
-        let Some(light) = light.downcast_ref::<FrameLight>() else {
-            return Err(DeviceError::Misuse("the light was prepared for another device".to_owned()));
-        };
-        let camera = &job.view;
+        let light = prepared_here(light)?;
         let groups = match job.colour {
             ShadeColour::Alone => 1,
             ShadeColour::WithGBuffer => groups(self.full()),
         };
-        let report = self.gpu.report();
-        let row_bytes = (camera.width * groups * 16).max(1) as u64;
-        let rows = (report.max_binding.min(report.max_buffer) / row_bytes).max(1) as usize;
-        let mut frame =
-            Frame { width: camera.width as u32, height: camera.height as u32, planes: BTreeMap::new() };
-        for first in (0..camera.height).step_by(rows) {
-            let mut band = *camera;
-            band.height = rows.min(camera.height - first);
-            band.centre_px[1] -= first as f32;
-            for (output, mut values) in self.render_band(&CameraUniform::new(&band), light, job)? {
-                frame.planes.entry(output).or_default().append(&mut values);
-            }
-        }
-        Ok(frame)
+        let (source, shading) = (self.lit_source(light), self.shading(&light.buffers));
+        self.in_bands(&job.view, groups, |band, _| {
+            self.draw(band, &source, |recorder, projected, kept| match job.colour {
+                ShadeColour::Alone => self.colours(recorder, projected, &shading),
+                ShadeColour::WithGBuffer => self.outputs(recorder, projected, &shading, kept.planes, job),
+            })
+        })
     }
+
+    fn render_by_rays(
+        &self,
+        job: &FrameJob<'_>,
+        light: &DeviceLight,
+        rays: &RayLight<'_>,
+        tree: &dyn Fn() -> RayTree,
+    ) -> Result<Frame, DeviceError> {
+        self.trace(job, prepared_here(light)?, rays, tree)
+    }
+}
+
+fn prepared_here(light: &DeviceLight) -> Result<&FrameLight, DeviceError> {
+    let foreign = || DeviceError::Misuse("the light was prepared for another device".to_owned());
+    light.downcast_ref::<FrameLight>().ok_or_else(foreign)
 }

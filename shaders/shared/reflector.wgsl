@@ -1,0 +1,103 @@
+// What a surface sends to the camera of the light from one direction: the port of src/light/reflector.rs.
+#import generated/light
+#import quaternion
+
+const PI = 3.14159265;
+const LEAST_ALPHA = 1e-4;
+
+struct Reflector {
+    // Unit, on the side of the camera.
+    normal: vec3f,
+    tangent: vec3f,
+    bitangent: vec3f,
+    // Unit direction to the camera.
+    view: vec3f,
+    nov: f32,
+    alpha: f32,
+    // Lambert's reflectance per steradian, and the reflectance head-on.
+    diffuse: vec3f,
+    f0: vec3f,
+}
+
+// By the two parts of the surface; 0 of light from below the horizon.
+struct Reflected {
+    diffuse: vec3f,
+    specular: vec3f,
+}
+
+// `normal` has any length.
+fn reflector_of(normal: vec3f, view: vec3f, albedo: vec3f, metal: f32, rough: f32) -> Reflector {
+    var r: Reflector;
+    let length = length3(normal);
+    let unit = select(view, normal / length, length > 1e-12);
+    r.normal = select(unit, -unit, dot(unit, view) < 0.0);
+    let sign = select(-1.0, 1.0, r.normal.z >= 0.0);
+    let a = -1.0 / (sign + r.normal.z);
+    let b = r.normal.x * r.normal.y * a;
+    r.tangent = vec3f(1.0 + sign * r.normal.x * r.normal.x * a, sign * b, -sign * r.normal.x);
+    r.bitangent = vec3f(b, sign + r.normal.y * r.normal.y * a, -r.normal.y);
+    r.view = view;
+    r.nov = clamp(dot(r.normal, view), LEAST_NOV, 1.0);
+    r.alpha = max(rough * rough, LEAST_ALPHA);
+    r.diffuse = albedo * ((1.0 - metal) / PI);
+    r.f0 = DIELECTRIC_F0 * (1.0 - metal) + albedo * metal;
+    return r;
+}
+
+// GGX for a half vector, of squared alpha: (1 - (n . h)^2) is taken as a square, without cancellation.
+fn ggx(r: Reflector, half_way: vec3f, a: f32) -> f32 {
+    let across = cross(r.normal, half_way);
+    let spread = a + (1.0 - a) * dot(across, across);
+    return a / (PI * spread * spread);
+}
+
+// Reflectance times cosine towards the unit `light`, of angular radius `radius`.
+fn reflect_light(r: Reflector, light: vec3f, radius: f32) -> Reflected {
+    let nol = dot(r.normal, light);
+    if !(nol > 0.0) {
+        return Reflected(vec3f(0.0), vec3f(0.0));
+    }
+    let a = min(r.alpha * r.alpha + 0.25 * radius * radius, 1.0);
+    let half_way = normalised3(r.view + light);
+    let voh = clamp(dot(r.view, half_way), 0.0, 1.0);
+    let root_nol = sqrt(a + (1.0 - a) * nol * nol);
+    let root_nov = sqrt(a + (1.0 - a) * r.nov * r.nov);
+    let lobe = ggx(r, half_way, a) * 0.5 * nol / (r.nov * root_nol + nol * root_nov);
+    let away = 1.0 - voh;
+    let fresnel = away * away * away * away * away;
+    return Reflected(r.diffuse * nol, lobe * (r.f0 + (1.0 - r.f0) * fresnel));
+}
+
+fn from_surface(r: Reflector, v: vec3f) -> vec3f {
+    return v.x * r.tangent + v.y * r.bitangent + v.z * r.normal;
+}
+
+// A direction by the cosine, of two numbers in [0, 1), and its density per steradian.
+fn sample_cosine(r: Reflector, u: vec2f) -> vec3f {
+    let phi = 2.0 * PI * u.y;
+    return from_surface(r, vec3f(sqrt(u.x) * vec2f(cos(phi), sin(phi)), sqrt(1.0 - u.x)));
+}
+
+fn cosine_density(r: Reflector, light: vec3f) -> f32 {
+    return max(dot(r.normal, light), 0.0) / PI;
+}
+
+// A direction by the lobe of half vectors; below the horizon where there is none.
+fn sample_lobe(r: Reflector, u: vec2f) -> vec3f {
+    let a = r.alpha * r.alpha;
+    let scale = 1.0 / (1.0 + (a - 1.0) * u.x);
+    let phi = 2.0 * PI * u.y;
+    let half_way = from_surface(r, vec3f(sqrt(a * u.x * scale) * vec2f(cos(phi), sin(phi)), sqrt((1.0 - u.x) * scale)));
+    let voh = dot(r.view, half_way);
+    return select(-r.normal, 2.0 * voh * half_way - r.view, voh > 0.0);
+}
+
+fn lobe_density(r: Reflector, light: vec3f) -> f32 {
+    let half_way = normalised3(r.view + light);
+    let noh = dot(r.normal, half_way);
+    let voh = dot(r.view, half_way);
+    if !(noh > 0.0 && voh > 0.0) {
+        return 0.0;
+    }
+    return ggx(r, half_way, r.alpha * r.alpha) * noh / (4.0 * voh);
+}
