@@ -52,6 +52,11 @@ impl Undecoded {
         &self.sizes
     }
 
+    /// How many photographs are held out.
+    pub fn held_out(&self) -> usize {
+        splits(&self.layout.1).iter().filter(|split| **split == Split::Test).count()
+    }
+
     /// Bytes of memory that a pixel takes at least, with its mask, in the first photograph, the last one and one between; 0 where
     /// there is none.
     ///

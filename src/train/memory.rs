@@ -49,6 +49,8 @@ pub struct PhotographSizes {
     pub sizes: Vec<(u32, u32)>,
     /// Bytes of memory a pixel.
     pub bytes_a_pixel: f64,
+    /// How many of them are held out: they are in memory while a capture is read, and not while it is trained on.
+    pub held_out: usize,
 }
 
 impl PhotographSizes {
@@ -57,7 +59,8 @@ impl PhotographSizes {
     /// # Errors
     /// What is wrong with one of these.
     pub fn undecoded(capture: &Undecoded) -> Result<Self, CaptureError> {
-        Ok(Self { sizes: capture.sizes().to_vec(), bytes_a_pixel: capture.bytes_a_pixel()? })
+        let (sizes, bytes_a_pixel) = (capture.sizes().to_vec(), capture.bytes_a_pixel()?);
+        Ok(Self { sizes, bytes_a_pixel, held_out: capture.held_out() })
     }
 
     /// Those of a capture.
@@ -66,7 +69,7 @@ impl PhotographSizes {
         let (bytes, pixels) =
             images().fold((0, 0), |(bytes, pixels), image| (bytes + image.bytes(), pixels + image.len()));
         let sizes = images().map(|image| (image.width, image.height)).collect();
-        Self { sizes, bytes_a_pixel: bytes as f64 / pixels.max(1) as f64 }
+        Self { sizes, bytes_a_pixel: bytes as f64 / pixels.max(1) as f64, held_out: capture.test.len() }
     }
 
     /// The same, no side longer than `resolution` pixels.
@@ -83,8 +86,10 @@ pub struct MemoryNeed {
     pub photographs: usize,
     /// Width and height of the largest of them, pixels.
     pub largest: (u32, u32),
-    /// All of them as they are kept.
+    /// All of them as they are read.
     pub photograph_bytes: u64,
+    /// Those that are trained on, as they are kept.
+    pub trained_bytes: u64,
     /// Those that are kept decoded.
     pub cache_bytes: u64,
     /// Most Gaussians of the model.
@@ -104,12 +109,15 @@ impl MemoryNeed {
         let pixels = |&(width, height): &(u32, u32)| u64::from(width) * u64::from(height);
         let largest = sizes.iter().copied().max_by_key(pixels).unwrap_or((0, 0));
         let all: u64 = sizes.iter().map(pixels).sum();
+        // Which ones are held out is not known; none is larger than the largest.
+        let trained = all.saturating_sub(photographs.held_out as u64 * pixels(&largest));
         let most = cache_bytes(sizes.iter().map(|size| (DECODED_PIXEL * pixels(size)) as usize)) as u64;
         Self {
             photographs: sizes.len(),
             largest,
             photograph_bytes: (photographs.bytes_a_pixel * all as f64) as u64,
-            cache_bytes: most.min(DECODED_PIXEL * all),
+            trained_bytes: (photographs.bytes_a_pixel * trained as f64) as u64,
+            cache_bytes: most.min(DECODED_PIXEL * trained),
             gaussians: config.max_gaussians,
             gaussian_bytes: gaussian_bytes(config) * u64::from(config.max_gaussians),
             step_bytes: step_pixel(config) * pixels(&largest),
@@ -117,9 +125,10 @@ impl MemoryNeed {
         }
     }
 
-    /// Bytes of the host's memory.
+    /// Bytes of the host's memory: while photographs are read, or while they are trained on.
     pub fn host(&self) -> u64 {
-        self.photograph_bytes + self.cache_bytes + if self.on_device { 0 } else { self.engine() }
+        let engine = if self.on_device { 0 } else { self.engine() };
+        self.photograph_bytes.max(self.trained_bytes + self.cache_bytes + engine)
     }
 
     /// Bytes where the engine computes.
@@ -128,16 +137,17 @@ impl MemoryNeed {
     }
 }
 
-/// E.g. `2000 photographs of up to 1600x1600 15.36 GB, decoded ones 0.54 GB, 8000 Gaussians 0.02 GB, images of a step 0.95 GB: at
-/// least 16.87 GB`.
+/// E.g. `2000 photographs of up to 1600x1200 11.52 GB, to train on 10.08 GB, decoded ones 0.54 GB, 8000 Gaussians 0.02 GB, images of
+/// a step 0.63 GB: at least 11.52 GB`.
 impl Display for MemoryNeed {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let (width, height) = self.largest;
         write!(
             f,
-            "{} photographs of up to {width}x{height} {}, decoded ones {}, {} Gaussians {}, images of a step {}: at least {}",
+            "{} photographs of up to {width}x{height} {}, to train on {}, decoded ones {}, {} Gaussians {}, images of a step {}: at least {}",
             self.photographs,
             gb(self.photograph_bytes),
+            gb(self.trained_bytes),
             gb(self.cache_bytes),
             self.gaussians,
             gb(self.gaussian_bytes),
@@ -238,7 +248,7 @@ mod tests {
 
     /// Opaque ones of 8 bits a channel.
     fn opaque(sizes: &[(u32, u32)]) -> PhotographSizes {
-        PhotographSizes { sizes: sizes.to_vec(), bytes_a_pixel: 3.0 }
+        PhotographSizes { sizes: sizes.to_vec(), bytes_a_pixel: 3.0, held_out: 0 }
     }
 
     fn on_cpu(available: u64) -> Room {
@@ -271,6 +281,17 @@ mod tests {
     }
 
     #[test]
+    fn held_out_photographs_need_memory_while_they_are_read_alone() {
+        let (all, config) = (opaque(&[(1600, 1200); 2000]), config(1600, 8000));
+        let some = PhotographSizes { held_out: 250, ..all.clone() };
+        let [all, some] = [all, some].map(|photographs| MemoryNeed::of(&photographs, &config, false));
+        assert_eq!((all.photograph_bytes, some.photograph_bytes), (11_520_000_000, 11_520_000_000));
+        assert_eq!((all.trained_bytes, some.trained_bytes), (11_520_000_000, 10_080_000_000));
+        assert_eq!(some.host(), 11_520_000_000, "reading takes more than training");
+        assert!(all.host() > 12_500_000_000, "the control: {}", all.host());
+    }
+
+    #[test]
     fn too_many_gaussians_are_named_where_no_resolution_would_help() {
         let (photographs, config) = (opaque(&[(64, 64); 10]), config(64, 4_000_000));
         let why = refusal(&photographs, &config, 1_000_000_000);
@@ -300,6 +321,6 @@ mod tests {
             image.pixels.iter_mut().for_each(|p| p[3] = 1.0);
             view.image = PackedImage::new(&image, BitDepth::Eight);
         }
-        assert_eq!(PhotographSizes::of(&capture), opaque(&[(16, 16); 4]));
+        assert_eq!(PhotographSizes::of(&capture), PhotographSizes { held_out: 1, ..opaque(&[(16, 16); 4]) });
     }
 }
