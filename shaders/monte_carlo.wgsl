@@ -3,10 +3,9 @@
 // A thread owns a pixel; no workgroup memory. Dispatches take the samples in turn, so that none of them is long.
 #import camera
 #import finite
-#import generated/channels
+#import pixel_reflector
 #import random
 #import ray_tree
-#import reflector
 
 // Kept in step with `MonteCarloUniform` of src/engine/gpu/rays/monte_carlo.rs.
 struct MonteCarlo {
@@ -142,21 +141,13 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     }
     let inverse = 1.0 / coverage;
     let ray = pixel_ray(camera, gid.x, gid.y);
-    let material = gbuffer[ALBEDO_GROUP * n + pixel_ix] * inverse;
-    let incident = gbuffer[ROUGH_GROUP * n + pixel_ix] * inverse;
-    let r = reflector_of(
-        channel_normal(gbuffer[NORMAL_GROUP * n + pixel_ix]),
-        -normalised3(ray),
-        channel_albedo(material),
-        channel_metal(material),
-        channel_rough(incident),
-    );
+    let r = pixel_reflector(pixel_ix, coverage, ray);
     let blocked = channel_blocked(gbuffer[DEPTH_GROUP * n + pixel_ix]) * inverse;
     let point = camera.centre.xyz + depths[pixel_ix] * ray;
     var diffuse = sent[pixel_ix].xyz;
     var specular = sent[n + pixel_ix].xyz;
     if sampling.first_sample == 0u {
-        diffuse = coverage * r.diffuse * channel_gathered(incident);
+        diffuse = r.diffuse * channel_gathered(gbuffer[ROUGH_GROUP * n + pixel_ix]);
         specular = vec3f(0.0);
     }
     for (var sample_ix = sampling.first_sample; sample_ix < sampling.end_sample; sample_ix++) {

@@ -1,8 +1,7 @@
 // What the surface of each pixel sends of one small light that nothing hides, times coverage: the sum, and the specular part.
 // A thread owns a pixel; no workgroup memory.
 #import index
-#import generated/channels
-#import camera
+#import pixel_reflector
 #import sharp_light
 
 const WG_SIZE = 256u;
@@ -21,17 +20,8 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     let coverage = channel_coverage(gbuffer[pixel_ix]);
     var sent = Reflected(vec3f(0.0), vec3f(0.0));
     if coverage >= LEAST_COVERAGE {
-        let n = camera.n_pixels;
-        let inverse = 1.0 / coverage;
-        let material = gbuffer[ALBEDO_GROUP * n + pixel_ix] * inverse;
-        let r = reflector_of(
-            channel_normal(gbuffer[NORMAL_GROUP * n + pixel_ix]),
-            -normalised3(pixel_ray(camera, pixel_ix % camera.size.x, pixel_ix / camera.size.x)),
-            channel_albedo(material),
-            channel_metal(material),
-            channel_rough(gbuffer[ROUGH_GROUP * n + pixel_ix]) * inverse,
-        );
-        sent = sent_of(r, light, 0.0);
+        let ray = pixel_ray(camera, pixel_ix % camera.size.x, pixel_ix / camera.size.x);
+        sent = sent_of(pixel_reflector(pixel_ix, coverage, ray), light, 0.0);
     }
     reflected[pixel_ix] = vec4f(coverage, coverage * (sent.diffuse + sent.specular));
     reflected[camera.n_pixels + pixel_ix] = vec4f(0.0, coverage * sent.specular);

@@ -6,6 +6,7 @@
 // deviations, the first with ln(255 opacity).
 #import generated/occlusion
 #import generated/projection
+#import orthonormal
 
 // Kept in step with `RayRules` of src/engine/gpu/rays/tree.rs.
 struct RayRules {
@@ -20,13 +21,6 @@ struct RayRules {
 
 // Directions are kept this far from the axes: a ray within the face of a box has no quotient.
 const LEAST_SLOPE = 1e-20;
-
-fn across_ray(d: vec3f) -> mat2x3f {
-    let sign = select(-1.0, 1.0, d.z >= 0.0);
-    let a = -1.0 / (sign + d.z);
-    let b = d.x * d.y * a;
-    return mat2x3f(vec3f(1.0 + sign * d.x * d.x * a, sign * b, -sign * d.x), vec3f(b, sign + d.y * d.y * a, -d.y));
-}
 
 fn meets_box(low: vec3f, high: vec3f, origin: vec3f, inverse: vec3f) -> bool {
     let a = (low - origin) * inverse;
@@ -77,7 +71,7 @@ fn alpha_on_ray(member_ix: u32, origin: vec3f, d: vec3f, across: mat2x3f, rules:
 fn ray_transmittance(origin: vec3f, towards: vec3f, rules: RayRules) -> f32 {
     let d = select(towards, select(vec3f(LEAST_SLOPE), vec3f(-LEAST_SLOPE), towards < vec3f(0.0)), abs(towards) < vec3f(LEAST_SLOPE));
     let inverse = 1.0 / d;
-    let across = across_ray(d);
+    let across = orthonormal_pair(d);
     var left = 1.0;
     var stack: array<u32, TREE_DEPTH>;
     var height = min(rules.n_nodes, 1u);

@@ -1,5 +1,6 @@
 // What a surface sends to the camera of the light from one direction: the port of src/light/reflector.rs.
 #import generated/light
+#import orthonormal
 #import quaternion
 
 const PI = 3.14159265;
@@ -31,11 +32,9 @@ fn reflector_of(normal: vec3f, view: vec3f, albedo: vec3f, metal: f32, rough: f3
     let length = length3(normal);
     let unit = select(view, normal / length, length > 1e-12);
     r.normal = select(unit, -unit, dot(unit, view) < 0.0);
-    let sign = select(-1.0, 1.0, r.normal.z >= 0.0);
-    let a = -1.0 / (sign + r.normal.z);
-    let b = r.normal.x * r.normal.y * a;
-    r.tangent = vec3f(1.0 + sign * r.normal.x * r.normal.x * a, sign * b, -sign * r.normal.x);
-    r.bitangent = vec3f(b, sign + r.normal.y * r.normal.y * a, -r.normal.y);
+    let pair = orthonormal_pair(r.normal);
+    r.tangent = pair[0];
+    r.bitangent = pair[1];
     r.view = view;
     r.nov = clamp(dot(r.normal, view), LEAST_NOV, 1.0);
     r.alpha = max(rough * rough, LEAST_ALPHA);

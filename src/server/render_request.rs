@@ -7,7 +7,8 @@ use crate::scene::Camera;
 
 /// Longest side of a frame, pixels.
 const MAX_SIDE: u32 = 4096;
-/// Most queries through the Gaussians a frame of the Monte-Carlo tier may cost, some seconds: on the CPU engine, and on a GPU.
+/// Most queries through the Gaussians a frame of the Monte-Carlo tier may cost: on the CPU engine, where they take some seconds, and on
+/// a GPU.
 const MOST_QUERIES: [u64; 2] = [1 << 21, 1 << 27];
 
 /// The tier and samples asked for of a frame of `size`, width and height in pixels; refuses one that would occupy a thread of

@@ -1,0 +1,17 @@
+// The BRDF of the surface behind a pixel of a full G-buffer, which the importer binds as `gbuffer`, for coverage >= LEAST_COVERAGE.
+#import camera
+#import generated/channels
+#import reflector
+
+fn pixel_reflector(pixel_ix: u32, coverage: f32, ray: vec3f) -> Reflector {
+    let n = camera.n_pixels;
+    let inverse = 1.0 / coverage;
+    let material = gbuffer[ALBEDO_GROUP * n + pixel_ix] * inverse;
+    return reflector_of(
+        channel_normal(gbuffer[NORMAL_GROUP * n + pixel_ix]),
+        -normalised3(ray),
+        channel_albedo(material),
+        channel_metal(material),
+        channel_rough(gbuffer[ROUGH_GROUP * n + pixel_ix]) * inverse,
+    );
+}
