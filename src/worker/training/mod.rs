@@ -1,6 +1,7 @@
 //! One attempt at a job: import, train step by step, checkpoint, compare with held-out views, publish.
 
 mod aside;
+mod comparison;
 mod evaluate;
 mod import;
 pub(super) mod outcome;
@@ -24,6 +25,7 @@ use crate::worker::previews::{Preview, Shown};
 use crate::worker::progress::Reporter;
 use crate::worker::source::{Claim, Source, SourceError};
 use crate::worker::thread::Worker;
+use comparison::Comparison;
 use outcome::{AttemptEnd, AttemptError, settle};
 
 /// The state of one attempt between steps.
@@ -51,6 +53,7 @@ impl Worker {
         };
         let (now_ms, step) = (self.source.now_ms(), trainer.progress().step);
         let reporter = Reporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
+        let comparison = Comparison::new(Arc::unwrap_or_clone(capture), trainer.config().light_rotations);
         let mut attempt = Attempt {
             source: self.source.clone(),
             claim,
@@ -82,7 +85,7 @@ impl Worker {
         }
         let model = Arc::new(attempt.trainer.model()?);
         attempt.show(&shown, model.clone());
-        let measured = self.measure(&mut attempt, &model, Arc::unwrap_or_clone(capture));
+        let measured = self.measure(&mut attempt, &model, comparison);
         match measured.instrument(info_span!("evaluate")).await? {
             ControlFlow::Continue(figures) => {
                 let published = publish::publish(claim, attempt.trainer.seconds(), &model, figures);

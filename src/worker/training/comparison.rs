@@ -1,0 +1,118 @@
+//! Which held-out views a finished model is compared with, and what comes of it.
+
+use std::sync::Arc;
+
+use crate::api::quality::{Figures, Similarity};
+use crate::capture::{Capture, CaptureView};
+use crate::engine::Device;
+use crate::eval::{EvalError, NovelViews};
+use crate::render::Tier;
+use crate::scene::Model;
+
+/// Most views that are compared.
+const MOST_VIEWS: usize = 8;
+/// What is said of a capture without any.
+pub(super) const NO_VIEWS: &str = "the capture has no held-out views: nothing was compared";
+
+/// A comparison to come, or in progress. Of the held-out views only those that it takes stay in memory.
+pub(super) struct Comparison {
+    pub waiting: std::vec::IntoIter<CaptureView>,
+    /// Views to compare.
+    pub count: usize,
+    pub compared: usize,
+    /// Views that the capture holds out, compared or not.
+    held_out: usize,
+    /// There once a view was compared.
+    views: Option<NovelViews>,
+}
+
+impl Comparison {
+    /// Of views of `capture`, evenly spaced.
+    pub fn new(capture: Capture, with_turns: bool) -> Self {
+        let views = capture.test;
+        let (all, count) = (views.len(), views.len().min(MOST_VIEWS));
+        let is_chosen = |i: usize| (0..count).any(|k| k * all / count == i);
+        let chosen = views.into_iter().enumerate().filter(|(i, _)| is_chosen(*i));
+        let as_trained = |(_, mut view): (usize, CaptureView)| {
+            if !with_turns {
+                view.light_rotation_deg = 0.0;
+            }
+            view
+        };
+        let waiting: Vec<CaptureView> = chosen.map(as_trained).collect();
+        Self { waiting: waiting.into_iter(), count, compared: 0, held_out: all, views: None }
+    }
+
+    /// Compares one.
+    ///
+    /// # Errors
+    /// When the device failed, or the view cannot be rendered.
+    pub fn compare(
+        &mut self,
+        view: &CaptureView,
+        model: &Arc<Model>,
+        device: &Device,
+    ) -> Result<(), EvalError> {
+        let views = match &mut self.views {
+            Some(views) => views,
+            none => none.insert(NovelViews::new(model.clone(), Tier::Standard.into(), device)?),
+        };
+        views.compare(view)?;
+        self.compared += 1;
+        Ok(())
+    }
+
+    /// The means over all views that were compared.
+    pub fn figures(&self) -> Figures {
+        let scores = self.views.as_ref().map(NovelViews::scores);
+        let note = scores.map_or(Some(NO_VIEWS), |scores| {
+            let absent = scores.shaded.psnr.is_none();
+            absent.then_some("the model was trained for colour alone: only the radiance branch was compared")
+        });
+        let scores = scores.unwrap_or_default();
+        let psnr = |psnr| Similarity { psnr, ssim: None };
+        Figures {
+            views: self.compared,
+            held_out_views: self.held_out,
+            novel_view: Similarity { psnr: scores.shaded.psnr, ssim: scores.shaded.ssim },
+            novel_view_radiance: psnr(scores.radiance.psnr),
+            novel_view_matched: psnr(scores.matched.psnr),
+            note: note.map(str::to_owned),
+            warnings: Vec::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::{SyntheticOptions, synthetic};
+
+    fn capture(test_views: usize) -> Capture {
+        let options =
+            SyntheticOptions { size: 16, train_views: 3, test_views, paths: 4, ..Default::default() };
+        synthetic(&options).unwrap()
+    }
+
+    #[test]
+    fn at_most_eight_views_are_compared_evenly_spaced_and_as_they_were_trained() {
+        let mut capture = capture(20);
+        capture.test.iter_mut().for_each(|view| view.light_rotation_deg = 30.0);
+        let names: Vec<String> = capture.test.iter().map(|view| view.name.clone()).collect();
+        let taken: Vec<CaptureView> = Comparison::new(capture.clone(), true).waiting.collect();
+        let expected = [0, 2, 5, 7, 10, 12, 15, 17].map(|i: usize| names[i].clone());
+        assert_eq!(taken.iter().map(|view| view.name.clone()).collect::<Vec<_>>(), expected);
+        assert!(taken.iter().all(|view| view.light_rotation_deg == 30.0));
+        assert_eq!(Comparison::new(capture.clone(), true).figures().held_out_views, 20, "all are counted");
+        let still = Comparison::new(capture, false).waiting.next().unwrap();
+        assert_eq!(still.light_rotation_deg, 0.0, "as if the light had stood still");
+    }
+
+    #[test]
+    fn without_held_out_views_there_are_no_figures_and_a_note_says_why() {
+        let comparison = Comparison::new(capture(0), true);
+        assert_eq!(comparison.waiting.len(), 0);
+        let figures = comparison.figures();
+        assert_eq!(figures, Figures { note: Some(NO_VIEWS.to_owned()), ..Figures::default() });
+    }
+}
