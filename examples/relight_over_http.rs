@@ -7,13 +7,13 @@
 
 use std::path::Path;
 
-use relume::api::cameras::{CameraSpec, LookAtSpec};
-use relume::api::jobs::NewJob;
-use relume::api::renders::{EnvironmentSpec, RenderRequest};
-use relume::capture::{SyntheticOptions, synthetic, write_archive};
-use relume::render::FrameFormat;
-use relume::render::Output;
-use relume::train::{Preset, TrainOverrides};
+use relume_api::cameras::{CameraSpec, LookAtSpec};
+use relume_api::jobs::NewJob;
+use relume_api::renders::{EnvironmentSpec, RenderRequest};
+use relume_capture::{SyntheticOptions, synthetic, write_archive};
+use relume_spec::rendering::FrameFormat;
+use relume_spec::rendering::Output;
+use relume_spec::training::{Preset, TrainOverrides};
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {

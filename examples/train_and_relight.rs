@@ -10,10 +10,11 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use relume::capture::{SyntheticOptions, builtin, synthetic};
-use relume::formats::exr_frame::{self, ColourDepth, FrameAttributes, FrameLayer, FrameLayers};
-use relume::formats::image_file::encode_png;
-use relume::formats::primaries::Primaries;
+use relume_capture::{SyntheticOptions, builtin, synthetic};
+use relume_capture::formats::exr_frame::{self, FrameAttributes, FrameLayer, FrameLayers};
+use relume_spec::rendering::ColourDepth;
+use relume_capture::formats::image_file::encode_png;
+use relume_spec::rendering::Primaries;
 use relume::{
     Capture, Device, Frame, ImportOptions, Model, Output, Preset, Renderer, Tier, TrainConfig,
     TrainOverrides, Trainer, import,

@@ -16,7 +16,7 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use crate::client::Client;
+use relume_client::Client;
 use crate::server::{ServeError, ServerConfig, run};
 use crate::store::DatabaseUrl;
 

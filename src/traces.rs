@@ -52,7 +52,7 @@ impl fmt::Display for TraceParent {
 
 /// Makes a new span, which nothing has entered yet, a child of `parent`. Without traces nothing happens.
 #[cfg(feature = "otlp")]
-pub(crate) fn adopt(span: &Span, parent: &TraceParent) {
+pub(crate) fn link_parent(span: &Span, parent: &TraceParent) {
     use opentelemetry::Context;
     use opentelemetry::trace::{SpanContext, SpanId, TraceContextExt, TraceFlags, TraceId, TraceState};
     use tracing_opentelemetry::OpenTelemetrySpanExt;
@@ -71,11 +71,11 @@ pub(crate) fn adopt(span: &Span, parent: &TraceParent) {
 
 /// Makes a new span, which nothing has entered yet, a child of `parent`. Without traces nothing happens.
 #[cfg(not(feature = "otlp"))]
-pub(crate) fn adopt(_span: &Span, _parent: &TraceParent) {}
+pub(crate) fn link_parent(_span: &Span, _parent: &TraceParent) {}
 
 /// The span as others name it; `None` when it is part of no trace.
 #[cfg(feature = "otlp")]
-pub(crate) fn parent_of_children(span: &Span) -> Option<TraceParent> {
+pub(crate) fn as_parent(span: &Span) -> Option<TraceParent> {
     use opentelemetry::trace::TraceContextExt;
     use tracing_opentelemetry::OpenTelemetrySpanExt;
 
@@ -90,28 +90,28 @@ pub(crate) fn parent_of_children(span: &Span) -> Option<TraceParent> {
 
 /// The span as others name it; `None` when it is part of no trace.
 #[cfg(not(feature = "otlp"))]
-pub(crate) fn parent_of_children(_span: &Span) -> Option<TraceParent> {
+pub(crate) fn as_parent(_span: &Span) -> Option<TraceParent> {
     None
 }
 
 /// Says with which status a request was answered; 500 and above are errors.
 #[cfg(feature = "otlp")]
-pub(crate) fn answered(span: &Span, status: u16) {
+pub(crate) fn record_status(span: &Span, status: u16) {
     use tracing_opentelemetry::OpenTelemetrySpanExt;
 
     span.set_attribute("http.response.status_code", i64::from(status));
     if status >= 500 {
-        failed(span, "the server failed");
+        record_error(span, "the server failed");
     }
 }
 
 /// Says with which status a request was answered; 500 and above are errors.
 #[cfg(not(feature = "otlp"))]
-pub(crate) fn answered(_span: &Span, _status: u16) {}
+pub(crate) fn record_status(_span: &Span, _status: u16) {}
 
 /// Marks what a span stands for as failed.
 #[cfg(feature = "otlp")]
-pub(crate) fn failed(span: &Span, why: &'static str) {
+pub(crate) fn record_error(span: &Span, why: &'static str) {
     use opentelemetry::trace::Status;
     use tracing_opentelemetry::OpenTelemetrySpanExt;
 
@@ -120,7 +120,7 @@ pub(crate) fn failed(span: &Span, why: &'static str) {
 
 /// Marks what a span stands for as failed.
 #[cfg(not(feature = "otlp"))]
-pub(crate) fn failed(_span: &Span, _why: &'static str) {}
+pub(crate) fn record_error(_span: &Span, _why: &'static str) {}
 
 #[cfg(test)]
 mod tests {
@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn without_a_collector_a_span_is_part_of_no_trace() {
         let span = tracing::info_span!("request");
-        adopt(&span, &TraceParent::parse(VALID).unwrap());
-        assert_eq!(parent_of_children(&span), None);
+        link_parent(&span, &TraceParent::parse(VALID).unwrap());
+        assert_eq!(as_parent(&span), None);
     }
 }

@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use relume::api::jobs::JobState;
-use relume::client::Client;
+use relume_api::jobs::JobState;
+use relume_client::Client;
 use relume::testing;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -102,7 +102,7 @@ async fn a_job_whose_checkpoint_goes_before_it_is_copied_starts_over() {
     assert!(String::from_utf8_lossy(&backup.stdout).contains("1 jobs will start over"));
     succeeds(&restore(&out.path().join("b"), &elsewhere));
     let store = relume::store::Store::open(&elsewhere).await.unwrap();
-    let restored = store.job(&relume::api::TenantId::of_operator(), &job.id).await.unwrap().unwrap();
+    let restored = store.job(&relume_api::TenantId::of_operator(), &job.id).await.unwrap().unwrap();
     let checkpoint = (restored.checkpoint, restored.checkpoint_step, restored.progress.step);
     assert_eq!((restored.state, checkpoint), (JobState::Queued, (None, None, 0)));
     store.close().await;

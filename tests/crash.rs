@@ -6,9 +6,9 @@ use std::time::Duration;
 use futures::TryStreamExt;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume::api::JobId;
-use relume::api::jobs::JobState;
-use relume::client::{Client, JobEvent};
+use relume_api::JobId;
+use relume_api::jobs::JobState;
+use relume_client::{Client, JobEvent};
 use reqwest::Method;
 use tempfile::TempDir;
 

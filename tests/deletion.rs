@@ -4,14 +4,14 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume::api::TenantId;
-use relume::api::jobs::{JobState, NewJob};
-use relume::api::{CaptureId, Problem, ResourceKind, ResourceName};
-use relume::client::{Client, ClientError};
+use relume_api::TenantId;
+use relume_api::jobs::{JobState, NewJob};
+use relume_api::{CaptureId, Problem, ResourceKind, ResourceName};
+use relume_client::{Client, ClientError};
 use relume::jobs::ManualClock;
 use relume::store::{Deletion, Retention, StoreError};
 use relume::testing::{self, TestServer};
-use relume::train::{KnownLight, LightExposure};
+use relume_spec::training::{KnownLight, LightExposure};
 use reqwest::Method;
 use tempfile::TempDir;
 

@@ -5,16 +5,17 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use glam::DVec3;
-use relume::capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
+use relume_capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::cli::eval::{EvalArgs, QualityArgs, run};
-use relume::engine::Device;
-use relume::engine::DeviceChoice;
-use relume::eval::{
+use relume_engine::Device;
+use relume_engine::DeviceChoice;
+use relume_train::eval::{
     DisplayImage, EvalError, EvalOptions, Lpips, Report, TruthLayer, attribute, contact_sheet, evaluate,
 };
-use relume::formats::model_file;
-use relume::render::{Frame, Output, Renderer, Tier};
-use relume::scene::{
+use relume_capture::formats::model_file;
+use relume_train::render::{Frame, Renderer};
+use relume_spec::rendering::{Output, Tier};
+use relume_scene::{
     BitDepth, Camera, EnvMap, Field, Gaussians, ImageRgba, Model, PackedImage, Plane, ShadeAt, ShadingOptions,
 };
 
@@ -73,7 +74,7 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
     let renderer = Renderer::new(model.clone());
     let lamp = EnvMap::from_fn(32, 16, |d| [0.4 + 0.5 * d.z.max(0.0) as f32, 0.5, 0.6]);
     let (own, lamp_light) =
-        (renderer.prepare_light(&model.environment()).unwrap(), renderer.prepare_light(&lamp).unwrap());
+        (renderer.prepare_light(model.recovered_light()).unwrap(), renderer.prepare_light(&lamp).unwrap());
     let layers = [
         Output::Rgb,
         Output::Albedo,

@@ -10,7 +10,7 @@ use axum::extract::State;
 use axum::http::{StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
-use relume::api::uploads::CaptureSource;
+use relume_api::uploads::CaptureSource;
 use relume::server::ServerConfig;
 use relume::testing::{self, TestServer};
 use reqwest::Method;
@@ -138,13 +138,13 @@ async fn nothing_is_fetched_from_where_the_operator_does_not_let_it() {
     let open = server(&source.origin, |_| {}).await;
     let none = testing::spawn().await.unwrap();
     for (server, url, status, word) in [
-        (&none, format!("{}/capture.zip", source.origin), 422, "fetches nothing"),
-        (&open, format!("{}/capture.zip", other.origin), 422, "none from which"),
-        (&open, format!("{by_name}/capture.zip"), 422, "none from which"),
-        (&open, source.origin.replace("http:", "https:") + "/capture.zip", 422, "none from which"),
-        (&open, source.origin.replace("//", "//user@") + "/capture.zip", 422, "no user"),
-        (&open, "file:///etc/passwd".to_owned(), 422, "no URL"),
-        (&strict, format!("{by_name}/capture.zip"), 502, "not public"),
+        (&none, format!("{}/capture.zip", source.origin), 422, "fetching is not configured"),
+        (&open, format!("{}/capture.zip", other.origin), 422, "not among the origins"),
+        (&open, format!("{by_name}/capture.zip"), 422, "not among the origins"),
+        (&open, source.origin.replace("http:", "https:") + "/capture.zip", 422, "not among the origins"),
+        (&open, source.origin.replace("//", "//user@") + "/capture.zip", 422, "user name"),
+        (&open, "file:///etc/passwd".to_owned(), 422, "must be a URL"),
+        (&strict, format!("{by_name}/capture.zip"), 502, "no public address"),
     ] {
         let refused = make(server, json!({"url": url})).await;
         assert_eq!(refused.0, status, "{url}: {refused:?}");
@@ -169,8 +169,8 @@ async fn what_cannot_be_fetched_says_why_and_nothing_is_left() {
         ("/moved", 502, "redirects are not followed"),
         ("/never", 502, "did not answer in time"),
         ("/silent", 502, "in time"),
-        ("/cut", 502, "broke off"),
-        ("/packed", 502, "encoded"),
+        ("/cut", 502, "the connection broke"),
+        ("/packed", 502, "encoding"),
         ("/endless", 413, "1048576"),
         ("/long", 413, "1048576"),
         ("/junk", 422, "archive"),

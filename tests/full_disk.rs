@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use relume::api::jobs::JobState;
-use relume::api::{CaptureId, Problem};
-use relume::client::{Client, ClientError};
+use relume_api::jobs::JobState;
+use relume_api::{CaptureId, Problem};
+use relume_client::{Client, ClientError};
 use reqwest::Method;
 use tempfile::TempDir;
 
@@ -39,7 +39,7 @@ fn is_507<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> bool {
     error.problem().map(kind) == Some((507, "urn:relume:problem:insufficient-storage".to_owned()))
 }
 
-async fn start_job(client: &Client, steps: u32) -> relume::api::jobs::JobView {
+async fn start_job(client: &Client, steps: u32) -> relume_api::jobs::JobView {
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
     client.create_job(&small_job(&capture.id, steps, 200), None).await.unwrap()
 }
@@ -192,7 +192,7 @@ async fn a_training_pauses_at_its_last_checkpoint_while_the_disk_is_full() {
     std::fs::remove_file(small.filler()).unwrap();
     let next = client.create_job(&small_job(&job.capture, 5, 5), None).await.unwrap();
     assert_eq!(readiness(client).await.0, 200);
-    let going_on = |view: &relume::api::jobs::JobView| {
+    let going_on = |view: &relume_api::jobs::JobView| {
         view.state == JobState::Running && view.progress.step > paused.progress.step
     };
     assert_eq!(until(client, &job.id, going_on).await.attempts, 2);

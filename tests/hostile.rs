@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use relume::client::Client;
-use relume::formats::exr_image;
+use relume_client::Client;
+use relume_capture::formats::exr_image;
 use relume::testing::{self, TestServer};
 use reqwest::{Method, header};
 use serde_json::{Value, json};

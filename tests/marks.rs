@@ -3,11 +3,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume::api::TenantId;
-use relume::api::jobs::{JobChange, NewJob};
-use relume::api::marks::{Marks, MarksChange};
-use relume::capture::CaptureReport;
-use relume::client::Client;
+use relume_api::TenantId;
+use relume_api::jobs::{JobChange, NewJob};
+use relume_api::metadata::{ResourceMetadata, MetadataChange};
+use relume_spec::CaptureReport;
+use relume_client::Client;
 use relume::jobs::ManualClock;
 use relume::store::{CaptureRecord, EnvironmentRecord, Retention, StoreError};
 use relume::testing;
@@ -42,15 +42,15 @@ async fn upload(client: &Client, path: &str, file: Vec<u8>) -> (u16, Value) {
 }
 
 fn map() -> Vec<u8> {
-    relume::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap()
+    relume_capture::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap()
 }
 
 /// What a thing is called.
-fn marks(of: &Value) -> Value {
+fn metadata(of: &Value) -> Value {
     json!([of["name"], of["external_id"], of["labels"]])
 }
 
-fn change(body: Value) -> MarksChange {
+fn change(body: Value) -> MetadataChange {
     serde_json::from_value(body).unwrap()
 }
 
@@ -61,9 +61,9 @@ async fn things_are_called_what_was_said_when_they_were_made_and_a_model_what_it
     let query = "name=Lion%20head&external_id=asset-7&labels=show:alpha,shot:sc-010";
     let called = json!(["Lion head", "asset-7", { "show": "alpha", "shot": "sc-010" }]);
     let (status, capture) = upload(client, &format!("/v1/captures?{query}"), capture_zip()).await;
-    assert_eq!((status, marks(&capture)), (201, called.clone()));
+    assert_eq!((status, metadata(&capture)), (201, called.clone()));
     let (status, light) = upload(client, &format!("/v1/environments?{query}"), map()).await;
-    assert_eq!((status, marks(&light)), (201, called.clone()));
+    assert_eq!((status, metadata(&light)), (201, called.clone()));
     let id = capture["id"].as_str().unwrap();
     let job = NewJob {
         name: Some("Lion head".into()),
@@ -88,7 +88,7 @@ async fn things_are_called_what_was_said_when_they_were_made_and_a_model_what_it
     let (status, again) = upload(client, "/v1/captures?labels=take:2", capture_zip()).await;
     assert_eq!((status, &again["id"]), (200, &capture["id"]));
     let labels = json!({ "show": "alpha", "shot": "sc-010", "take": "2" });
-    assert_eq!(marks(&again), json!(["Lion head", "asset-7", labels]));
+    assert_eq!(metadata(&again), json!(["Lion head", "asset-7", labels]));
     let (_, again) = upload(client, "/v1/captures", capture_zip()).await;
     assert_eq!(again["labels"], labels);
 }
@@ -98,25 +98,25 @@ async fn a_capture_and_a_map_are_written_down_together_with_what_they_are_called
     let folder = TempDir::new().unwrap();
     let store = open_store(folder.path()).await;
     let tenant = TenantId::of_operator();
-    let called = |count: usize, prefix: &str| Marks {
+    let called = |count: usize, prefix: &str| ResourceMetadata {
         name: Some(prefix.to_owned()),
         external_id: Some(format!("asset-{prefix}")),
         labels: (0..count).map(|n| (format!("{prefix}{n}"), "x".to_owned())).collect(),
     };
-    let capture = |id: &str, marks: Marks| CaptureRecord {
+    let capture = |id: &str, metadata: ResourceMetadata| CaptureRecord {
         id: id.into(),
         sha256: "00".into(),
         bytes: 1,
         artifact: "captures/00".into(),
-        marks,
+        metadata,
         report: CaptureReport::default(),
         made_of: None,
         created_ms: 0,
     };
-    let map = |id: &str, marks: Marks| EnvironmentRecord {
+    let map = |id: &str, metadata: ResourceMetadata| EnvironmentRecord {
         id: id.into(),
         sha256: "00".into(),
-        marks,
+        metadata,
         bytes: 1,
         artifact: "environments/00".into(),
         width: 4,
@@ -129,19 +129,19 @@ async fn a_capture_and_a_map_are_written_down_together_with_what_they_are_called
     let stored = async || {
         let capture = store.capture(&tenant, &"c".into()).await.unwrap().unwrap();
         let map = store.environment(&tenant, &"e".into()).await.unwrap().unwrap();
-        [capture.marks, map.marks]
+        [capture.metadata, map.metadata]
     };
     assert_eq!(stored().await, [called(10, "a"), called(10, "a")]);
     // Who comes second with the same content, at the same moment, calls the first one so, or nothing is changed.
     let refused = store.insert_capture(&tenant, &capture("d", called(7, "b")), None).await;
-    assert!(matches!(refused, Err(StoreError::BadMarks { field: "labels", .. })), "{refused:?}");
+    assert!(matches!(refused, Err(StoreError::InvalidMetadata { field: "labels", .. })), "{refused:?}");
     let refused = store.insert_environment(&tenant, &map("f", called(7, "b"))).await;
-    assert!(matches!(refused, Err(StoreError::BadMarks { field: "labels", .. })), "{refused:?}");
+    assert!(matches!(refused, Err(StoreError::InvalidMetadata { field: "labels", .. })), "{refused:?}");
     assert_eq!(stored().await, [called(10, "a"), called(10, "a")]);
     let second = store.insert_capture(&tenant, &capture("d", called(6, "b")), None).await.unwrap();
-    assert_eq!((second.id.as_str(), second.marks.name.as_deref()), ("c", Some("b")));
+    assert_eq!((second.id.as_str(), second.metadata.name.as_deref()), ("c", Some("b")));
     let second = store.insert_environment(&tenant, &map("f", called(6, "b"))).await.unwrap();
-    assert_eq!((second.id.as_str(), second.marks.labels.len()), ("e", 16));
+    assert_eq!((second.id.as_str(), second.metadata.labels.len()), ("e", 16));
     let [capture, map] = stored().await;
     assert_eq!((capture.labels.len(), capture), (16, map));
     store.close().await;
@@ -236,7 +236,7 @@ async fn what_a_thing_may_not_be_called_is_refused_by_field_and_changes_nothing(
         let (status, refused) = ask(client, Method::PATCH, &path, Some(body)).await;
         assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!(pointer)), "{refused}");
     }
-    assert_eq!(marks(&get(client, &path).await), json!([null, null, { "a": "1" }]));
+    assert_eq!(metadata(&get(client, &path).await), json!([null, null, { "a": "1" }]));
     let job = json!({ "capture": capture["id"], "labels": { "a": "" } });
     let (status, refused) = ask(client, Method::POST, "/v1/jobs", Some(job)).await;
     assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!("/labels")), "{refused}");

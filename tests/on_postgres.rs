@@ -6,12 +6,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::future::join_all;
-use relume::api::TenantId;
-use relume::api::jobs::{JobState, NewJob};
-use relume::client::Client;
+use relume_api::TenantId;
+use relume_api::jobs::{JobState, NewJob};
+use relume_client::Client;
 use relume::jobs::{Jobs, LeasePolicy, Origin, RandomIds, SystemClock};
 use relume::server::{ServeError, ServerConfig, WebhookPolicy};
-use relume::store::{self, CopiedTable, DatabasePlace, DatabaseUrl, StoreError};
+use relume::store::{self, CopiedTable, DatabaseLocation, DatabaseUrl, StoreError};
 use relume::testing::{self, database_name, database_of};
 use reqwest::Method;
 use serde_json::{Value, json};
@@ -68,7 +68,7 @@ async fn on_postgres_everything_moves_there_and_back_and_a_copy_onto_something_i
     let data = server.stop().await.unwrap();
 
     let url = database(data.path()).await;
-    let (file, there) = (DatabasePlace::DataDir(data.path().to_owned()), DatabasePlace::Url(url));
+    let (file, there) = (DatabaseLocation::DataDir(data.path().to_owned()), DatabaseLocation::Url(url));
     let copied = store::copy_database(&file, &there).await.unwrap();
     let rows = |table: &str| copied.iter().find(|copied| copied.name == table).unwrap().rows;
     assert_eq!((rows("captures"), rows("models"), rows("webhooks")), (1, 1, 1));

@@ -95,7 +95,7 @@ fn cameras_of_files_make_frames_and_what_makes_none_is_refused_before() {
     succeeds(at, &[&path[..], &["--resolution", "64x32", "--out", "g/%d.png"]].concat());
     assert_eq!(names(&at.join("g")), ["1.png", "2.png"]);
     let picture = |name: &str| {
-        relume::formats::image_file::decode(&fs::read(at.join("g").join(name)).unwrap(), 1 << 20).unwrap()
+        relume_capture::formats::image_file::decode(&fs::read(at.join("g").join(name)).unwrap(), 1 << 20).unwrap()
     };
     assert_eq!((picture("1.png").width, picture("1.png").height), (64, 32));
     assert_ne!(picture("1.png"), picture("2.png"));

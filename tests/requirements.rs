@@ -5,8 +5,8 @@
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
-use relume::engine::Device;
-use relume::engine::gpu::{Adapters, Gpu, GpuOptions};
+use relume_engine::Device;
+use relume_engine::gpu::{Adapters, Gpu, GpuOptions};
 
 /// The first usable adapter, software or not, with garbage in fresh buffers. Shared by all tests.
 pub fn gpu_device() -> &'static Device {

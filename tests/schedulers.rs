@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-use relume::formats::model_file;
+use relume_capture::formats::model_file;
 use serde_json::Value;
 use tempfile::TempDir;
 

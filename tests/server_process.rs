@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use relume::client::Client;
+use relume_client::Client;
 
 /// A server process; dying with the test.
 pub struct Server {

@@ -1,13 +1,13 @@
 //! The service from outside: upload, train, look, download, render.
 
-use relume::api::CaptureId;
-use relume::api::cameras::{CameraSpec, LookAtSpec};
-use relume::api::jobs::{JobState, NewJob};
-use relume::api::renders::RenderRequest;
-use relume::engine::Device;
-use relume::engine::DeviceChoice;
-use relume::formats::image_file;
-use relume::render::{Background, ColourDepth, FrameFormat, Output, ToneCurve};
+use relume_api::CaptureId;
+use relume_api::cameras::{CameraSpec, LookAtSpec};
+use relume_api::jobs::{JobState, NewJob};
+use relume_api::renders::RenderRequest;
+use relume_engine::Device;
+use relume_engine::DeviceChoice;
+use relume_capture::formats::image_file;
+use relume_spec::rendering::{Background, ColourDepth, FrameFormat, Output, ToneCurve};
 use relume::server::ServerConfig;
 use relume::testing;
 
@@ -123,7 +123,7 @@ async fn a_server_without_a_gpu_refuses_jobs_that_ask_for_one_and_one_that_has_n
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
     let mut job = small_job(&capture.id, 10, 5);
-    job.device = relume::api::jobs::JobDevice::Gpu;
+    job.device = relume_api::jobs::JobDevice::Gpu;
     let refusal = client.create_job(&job, None).await.unwrap_err().to_string();
     assert!(refusal.contains("/device") || refusal.contains("no GPU"), "{refusal}");
     server.stop().await.unwrap();

@@ -1,7 +1,7 @@
 //! What the headers of answers and the times of events tell.
 
-use relume::formats::environment;
-use relume::scene::EnvMap;
+use relume_capture::formats::environment;
+use relume_scene::EnvMap;
 use relume::testing;
 use reqwest::{Method, RequestBuilder, StatusCode, header};
 use serde_json::Value;

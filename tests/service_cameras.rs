@@ -1,6 +1,6 @@
 //! The cameras of a capture, and frames for cameras that are written in each convention.
 
-use relume::api::cameras::{CameraConvention, CaptureCameras};
+use relume_api::cameras::{CameraConvention, CaptureCameras};
 use relume::testing;
 use reqwest::{Method, StatusCode, header};
 use serde_json::{Value, json};

@@ -3,11 +3,12 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use relume::capture::ImportLimits;
-use relume::capture::{ImportOptions, inspect};
-use relume::engine::Device;
-use relume::formats::{image_file, model_file};
-use relume::train::{Preset, Room, TrainConfig, TrainOverrides, Trainer, import_for_training};
+use relume_capture::ImportLimits;
+use relume_capture::{ImportOptions, inspect};
+use relume_engine::Device;
+use relume_capture::formats::{image_file, model_file};
+use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
+use relume_train::{Room, Trainer, import_for_training};
 
 use tempfile::TempDir;
 

@@ -6,9 +6,9 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use relume::api::exports::{ExportState, ExportView, FramesExport, NewExport, Package};
-use relume::api::{ExportId, ModelId};
-use relume::client::Client;
+use relume_api::exports::{ExportState, ExportView, FramesExport, NewExport, Package};
+use relume_api::{ExportId, ModelId};
+use relume_client::Client;
 use relume::server::ServerConfig;
 use relume::store::Quota;
 use relume::testing::{self, TestServer};

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::channel::mpsc::UnboundedSender;
-use relume::api::TenantId;
-use relume::api::keys::Scope;
-use relume::client::Client;
+use relume_api::TenantId;
+use relume_api::keys::Scope;
+use relume_client::Client;
 use relume::jobs::ManualClock;
 use relume::server::{ApiKeys, ServerConfig};
 use relume::store::{NewKeyRecord, Quota, Store};
@@ -51,9 +51,9 @@ fn told(answer: &Response, name: &str) -> String {
 }
 
 /// The status and kind of a refusal.
-fn refusal<T: std::fmt::Debug>(result: Result<T, relume::client::ClientError>) -> (u16, String) {
+fn refusal<T: std::fmt::Debug>(result: Result<T, relume_client::ClientError>) -> (u16, String) {
     match result.unwrap_err() {
-        relume::client::ClientError::Problem(problem) => {
+        relume_client::ClientError::Problem(problem) => {
             (problem.status, problem.kind.replace("urn:relume:problem:", ""))
         }
         other => panic!("{other}"),
@@ -149,7 +149,7 @@ async fn a_tenant_stores_no_more_than_it_may() {
     let before = files_under(server.data_dir());
     assert_eq!(refusal(a.upload_capture_bytes(other).await), (507, "quota-exceeded".to_owned()));
     assert_eq!(files_under(server.data_dir()), before, "nothing is left of it");
-    let map = relume::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap();
+    let map = relume_capture::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap();
     assert!(map.len() > 100);
     assert_eq!(refusal(a.upload_environment(map).await).0, 507);
     assert_eq!(
@@ -238,7 +238,7 @@ async fn a_tenant_takes_half_of_the_places_for_uploads_and_no_more() {
     let refused = streamed(&a, "/v1/captures").1.await.unwrap().unwrap();
     assert_eq!((refused.status().as_u16(), told(&refused, "retry-after")), (503, "1".to_owned()));
     let text = refused.text().await.unwrap();
-    assert!(text.contains("your tenant has 32"), "{text}");
+    assert!(text.contains("maximum of 32"), "{text}");
     b.upload_capture_bytes(capture_zip()).await.unwrap();
     for (pieces, upload) in held {
         drop(pieces);
@@ -264,7 +264,7 @@ async fn what_all_tenants_store_is_told_to_the_operator_alone() {
     assert!(!to_a.contains(|c: char| c.is_ascii_digit()), "{to_a}");
     let (of_a, of_operator) = (a.usage().await.unwrap(), operator.usage().await.unwrap());
     assert_eq!((of_operator.limit_bytes, of_operator.free_bytes.is_some()), (Some(size + 10), true));
-    assert_eq!(of_a, relume::api::usage::Usage::default(), "nothing but what it has");
+    assert_eq!(of_a, relume_api::usage::Usage::default(), "nothing but what it has");
     // An administrator of the operator's tenant, not everybody in it.
     let body = serde_json::json!({ "name": "x", "tenant": "default", "scopes": ["read"] });
     let request = operator.request(Method::POST, "/v1/keys").unwrap().json(&body).send().await.unwrap();

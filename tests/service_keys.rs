@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::service_support::open_store;
-use relume::api::keys::Scope;
-use relume::api::{KeyId, TenantId};
+use relume_api::keys::Scope;
+use relume_api::{KeyId, TenantId};
 use relume::jobs::ManualClock;
 use relume::server::{ApiKeys, ServerConfig};
 use relume::store::{NewKeyRecord, StoreError, has_keys};
@@ -195,7 +195,7 @@ async fn no_key_is_made_by_one_that_is_revoked_meanwhile() {
     store.create_key(&key(Some(parent.clone())), 0).await.unwrap();
     store.revoke_key(None, &parent, 1).await.unwrap();
     let late = store.create_key(&key(Some(parent)), 2).await;
-    assert!(matches!(late, Err(StoreError::KeyEnded)), "{late:?}");
+    assert!(matches!(late, Err(StoreError::KeyRevoked)), "{late:?}");
     store.close().await;
 }
 
@@ -229,7 +229,7 @@ async fn only_a_key_with_the_scope_comes_before_others_and_only_the_operator_giv
     let (status, refused) = post(&submits, "/v1/keys", key(&["priority"])).await;
     assert_eq!(status, 403, "a tenant does not raise itself above others: {refused}");
 
-    let client = relume::client::Client::new(server.client().base().as_str(), Some(submits.clone())).unwrap();
+    let client = relume_client::Client::new(server.client().base().as_str(), Some(submits.clone())).unwrap();
     let capture = client.upload_capture_bytes(crate::service_support::capture_zip()).await.unwrap().id;
     let job = |priority: i64| json!({ "capture": capture, "priority": priority, "overrides": { "iterations": 100_000 } });
     let (status, refused) = post(&submits, "/v1/jobs", job(1)).await;

@@ -1,6 +1,6 @@
 //! Lists, page by page.
 
-use relume::api::JobId;
+use relume_api::JobId;
 use relume::testing;
 use reqwest::Method;
 use serde_json::{Value, json};

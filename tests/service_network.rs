@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use relume::client::Client;
+use relume_client::Client;
 use relume::server::{ConnectionLimits, raise_file_limit};
 use relume::testing::{self, TestServer};
 use tempfile::TempDir;

@@ -1,10 +1,10 @@
 //! The photographs of a capture over HTTP: which there are, and how they look.
 
-use relume::api::CaptureId;
-use relume::api::cameras::CameraConvention;
-use relume::api::photographs::{CapturePhotographs, CapturedPhotograph};
-use relume::client::Client;
-use relume::formats::image_file::encode_png;
+use relume_api::CaptureId;
+use relume_api::cameras::CameraConvention;
+use relume_api::photographs::{CapturePhotographs, CapturedPhotograph};
+use relume_client::Client;
+use relume_capture::formats::image_file::encode_png;
 use relume::testing;
 use reqwest::{Method, Response, header};
 use serde_json::{Value, json};

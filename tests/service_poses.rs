@@ -8,13 +8,13 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use relume::api::CaptureId;
-use relume::api::cameras::CameraConvention;
-use relume::api::captures::{CaptureState, CaptureSummary, PosesStage};
-use relume::api::jobs::NewJob;
-use relume::capture::{ImportLimits, cameras};
-use relume::client::Client;
-use relume::eval::PoseErrors;
+use relume_api::CaptureId;
+use relume_api::cameras::CameraConvention;
+use relume_api::captures::{CaptureState, CaptureSummary, PosesStage};
+use relume_api::jobs::NewJob;
+use relume_capture::{ImportLimits, cameras};
+use relume_client::Client;
+use relume_train::eval::PoseErrors;
 use relume::server::PosesPolicy;
 use relume::store::hex;
 use relume::testing::{self, TestServer};
@@ -135,7 +135,7 @@ async fn photographs_become_a_posed_capture_that_is_made_once() {
         "{:?}",
         made.problem
     );
-    assert_eq!((&made.id, made.marks.name.as_deref()), (&begun.id, Some("Lion")));
+    assert_eq!((&made.id, made.metadata.name.as_deref()), (&begun.id, Some("Lion")));
     assert_eq!(made.report.train_images + made.report.test_images, PHOTOGRAPHS);
     let sent = hex(&Sha256::digest(&archive));
     assert_eq!(made.made_of.as_ref(), Some(&sent));
@@ -389,7 +389,7 @@ async fn colmap_finds_the_poses_of_photographs_by_a_phone_for_the_server() {
         .into_iter()
         .map(|c| (bare(&c.name), c.camera))
         .collect();
-    let camera = |c: &relume::api::cameras::CapturedCamera| c.camera.camera((c.width, c.height)).unwrap();
+    let camera = |c: &relume_api::cameras::CapturedCamera| c.camera.camera((c.width, c.height)).unwrap();
     let pairs: Vec<_> = listed.iter().map(|c| (camera(c), stated[&bare(&c.name)])).collect();
     let (found, mut truth): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
     let (rotation, position) = PoseErrors::of(&found, &truth).unwrap().medians();

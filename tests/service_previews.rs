@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use relume::api::JobId;
-use relume::api::jobs::{JobState, JobView};
-use relume::client::Client;
+use relume_api::JobId;
+use relume_api::jobs::{JobState, JobView};
+use relume_client::Client;
 use relume::testing::{self, TestServer};
 use reqwest::{Method, Response, StatusCode, header};
 use serde_json::Value;

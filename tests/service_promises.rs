@@ -3,11 +3,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume::api::jobs::{JobProgress, JobState, NewJob};
-use relume::api::marks::Marks;
-use relume::api::quality::{Figures, QualityGate};
-use relume::api::{JobId, TenantId};
-use relume::capture::CaptureReport;
+use relume_api::jobs::{JobProgress, JobState, NewJob};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::quality::{Figures, QualityGate};
+use relume_api::{JobId, TenantId};
+use relume_spec::CaptureReport;
 use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, Origin, SequentialIds};
 use relume::store::{
     CancelOutcome, CaptureRecord, Filter, IdempotencyKey, LeaseStatus, ModelFile, ModelRecord, Page, Release,
@@ -40,7 +40,7 @@ impl Bench {
             sha256: "00".into(),
             bytes: 1,
             artifact: "captures/00".into(),
-            marks: Marks::default(),
+            metadata: ResourceMetadata::default(),
             report: CaptureReport::default(),
             made_of: None,
             created_ms: 0,
@@ -102,7 +102,7 @@ fn model_of(lease: &Lease, id: &str) -> (ModelRecord, Vec<ModelFile>) {
         job_id: lease.job().id.clone(),
         capture_id: "capture".into(),
         gaussians: 1,
-        marks: Marks::default(),
+        metadata: ResourceMetadata::default(),
         card: serde_json::json!({}),
         created_ms: 0,
     };
@@ -185,9 +185,9 @@ async fn a_job_that_waits_for_room_says_so_and_spends_no_attempt() {
     lease.checkpoint(10, vec![1; 100]).await.unwrap();
     lease.release(Release::NoRoom).await.unwrap();
     assert_eq!(bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap().progress.step, 10);
-    bench.jobs.store().room().note_shortage(1 << 60);
-    assert!(matches!(bench.submit_with(0, None).await, Err(StoreError::NoRoom { .. })));
-    bench.jobs.store().room().forget_shortage();
+    bench.jobs.store().disk_space().note_shortage(1 << 60);
+    assert!(matches!(bench.submit_with(0, None).await, Err(StoreError::NoDiskSpace { .. })));
+    bench.jobs.store().disk_space().forget_shortage();
     bench.submit(0).await;
 }
 
@@ -363,7 +363,7 @@ async fn a_repeated_key_queues_one_job_and_another_body_is_refused() {
     let (first, second) = tokio::join!(bench.submit_with(0, Some(&one)), bench.submit_with(0, Some(&two)));
     assert_eq!(first.unwrap(), second.unwrap());
     let refused = bench.submit_with(0, Some(&key("b"))).await;
-    assert!(matches!(refused, Err(StoreError::KeyReused)));
+    assert!(matches!(refused, Err(StoreError::IdempotencyKeyReused)));
     assert_eq!(
         bench
             .jobs
@@ -436,7 +436,7 @@ async fn a_shutdown_checkpoints_and_the_next_server_goes_on_from_there() {
 }
 
 /// The whole history of a job.
-async fn history(server: &testing::TestServer, id: &JobId) -> Vec<relume::client::JobEvent> {
+async fn history(server: &testing::TestServer, id: &JobId) -> Vec<relume_client::JobEvent> {
     let mut events = Vec::new();
     server.client().wait(id, |event| events.push(event.clone())).await.unwrap();
     events

@@ -4,10 +4,10 @@ use std::process::Command;
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume::api::exports::{NewExport, SplatsExport, SplatsKind};
-use relume::api::jobs::JobView;
-use relume::client::Client;
-use relume::formats::image_file;
+use relume_api::exports::{NewExport, SplatsExport, SplatsKind};
+use relume_api::jobs::JobView;
+use relume_client::Client;
+use relume_capture::formats::image_file;
 use relume::jobs::ManualClock;
 use relume::server::{ApiKeys, ServerConfig};
 use relume::testing::{self, TestServer};

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use relume::api::ModelId;
-use relume::api::keys::Scope;
-use relume::client::Client;
+use relume_api::ModelId;
+use relume_api::keys::Scope;
+use relume_client::Client;
 use relume::server::ApiKeys;
 use relume::store;
 use relume::testing::{self, TestServer};

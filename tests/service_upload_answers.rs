@@ -3,9 +3,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume::api::UploadId;
-use relume::api::uploads::UploadState;
-use relume::client::Client;
+use relume_api::UploadId;
+use relume_api::uploads::UploadState;
+use relume_client::Client;
 use relume::jobs::ManualClock;
 use relume::server::ServerConfig;
 use relume::testing;

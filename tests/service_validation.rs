@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
 use std::time::Duration;
 
-use relume::api::captures::{CaptureState, CaptureSummary};
-use relume::api::jobs::NewJob;
-use relume::api::marks::{Marks, MarksChange};
-use relume::api::uploads::CaptureSource;
-use relume::client::Client;
-use relume::formats::image_file::encode_png;
+use relume_api::captures::{CaptureState, CaptureSummary};
+use relume_api::jobs::NewJob;
+use relume_api::metadata::{ResourceMetadata, MetadataChange};
+use relume_api::uploads::CaptureSource;
+use relume_client::Client;
+use relume_capture::formats::image_file::encode_png;
 use relume::store::hex;
 use relume::testing;
 use reqwest::{Method, Response};
@@ -179,7 +179,7 @@ async fn kill_9_in_mid_validation_loses_nothing() {
     panic!("{:?}", stored());
 }
 
-fn change(body: serde_json::Value) -> MarksChange {
+fn change(body: serde_json::Value) -> MetadataChange {
     serde_json::from_value(body).unwrap()
 }
 
@@ -190,27 +190,27 @@ async fn a_capture_that_is_validated_later_is_called_what_was_said_by_then() {
     let archive = slow_zip();
     let query = "?name=Lion&external_id=asset-7&labels=show:alpha,take:1";
     let begun = accepted(post_called(&server.client, query, archive.clone()).await).await;
-    assert_eq!((begun.marks.name.as_deref(), begun.marks.labels.len()), (Some("Lion"), 2));
+    assert_eq!((begun.metadata.name.as_deref(), begun.metadata.labels.len()), (Some("Lion"), 2));
     // While it is validating; what is not said stays, also with the server's death.
     let called = change(json!({ "name": "Lion head", "labels": { "take": null, "keep": "true" } }));
     let changed = server.client.change_capture(&begun.id, &called).await.unwrap();
     let labels = [("keep", "true"), ("show", "alpha")].map(|(k, v)| (k.to_owned(), v.to_owned()));
-    let expected = Marks {
+    let expected = ResourceMetadata {
         name: Some("Lion head".to_owned()),
         external_id: Some("asset-7".to_owned()),
         labels: labels.into(),
     };
-    assert_eq!((changed.state, &changed.marks), (CaptureState::Validating, &expected));
+    assert_eq!((changed.state, &changed.metadata), (CaptureState::Validating, &expected));
     server.kill();
     server = Server::start(data.path());
     let again = accepted(post_called(&server.client, "?external_id=asset-8", archive).await).await;
-    let expected = Marks { external_id: Some("asset-8".to_owned()), ..expected };
-    assert_eq!((&again.id, &again.marks), (&begun.id, &expected), "a repetition says it anew");
+    let expected = ResourceMetadata { external_id: Some("asset-8".to_owned()), ..expected };
+    assert_eq!((&again.id, &again.metadata), (&begun.id, &expected), "a repetition says it anew");
     let many: BTreeMap<String, &str> = (0..15).map(|n| (n.to_string(), "x")).collect();
     let refused = server.client.change_capture(&begun.id, &change(json!({ "labels": many }))).await;
     assert_eq!(refused.unwrap_err().problem().unwrap().status, 422);
     let ready = validated(&server.client, &begun).await;
-    assert_eq!((ready.state, &ready.marks), (CaptureState::Ready, &expected));
+    assert_eq!((ready.state, &ready.metadata), (CaptureState::Ready, &expected));
     let listed = server.client.captures().await.unwrap().items;
     assert_eq!(listed, [ready], "and so it is in the list");
 }
@@ -227,9 +227,9 @@ async fn of_an_upload_in_pieces_a_capture_is_made_later_and_called_so() {
         request.header("prefer", "respond-async").json(&CaptureSource::upload(id)).send().await.unwrap();
     let begun = accepted(answer).await;
     let ready = validated(client, &begun).await;
-    assert_eq!((ready.state, ready.marks.name.as_deref()), (CaptureState::Ready, Some("Lion")));
+    assert_eq!((ready.state, ready.metadata.name.as_deref()), (CaptureState::Ready, Some("Lion")));
     // What is invalid is called something, too, for as long as it is known.
     let begun = accepted(post_called(client, "?name=broken", b"no archive".to_vec()).await).await;
     let found = validated(client, &begun).await;
-    assert_eq!((found.state, found.marks.name.as_deref()), (CaptureState::Invalid, Some("broken")));
+    assert_eq!((found.state, found.metadata.name.as_deref()), (CaptureState::Invalid, Some("broken")));
 }

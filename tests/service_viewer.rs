@@ -1,9 +1,9 @@
 //! Streams for viewers: cached by their tags, the same Gaussians in both, signed, and bounded in memory.
 
-use relume::api::ModelId;
-use relume::api::signed_urls::NewSignedUrl;
-use relume::client::Client;
-use relume::scene::EnvMap;
+use relume_api::ModelId;
+use relume_api::signed_urls::NewSignedUrl;
+use relume_client::Client;
+use relume_scene::EnvMap;
 use relume::server::ApiKeys;
 use relume::testing;
 use reqwest::header::{CACHE_CONTROL, ETAG, IF_NONE_MATCH};
@@ -41,7 +41,7 @@ async fn both_streams_have_a_record_for_each_gaussian() {
     let gaussians = server.client().model(&model).await.unwrap().summary.gaussians;
     let stream = server.client().viewer_stream(&model).await.unwrap();
     let sky = EnvMap::from_fn(128, 64, |d| [if d.z > 0.998 { 900.0 } else { 1.0 }; 3]);
-    let sky = relume::formats::exr_image::encode_rgb(128, 64, sky.texels()).unwrap();
+    let sky = relume_capture::formats::exr_image::encode_rgb(128, 64, sky.texels()).unwrap();
     let sky = server.client().upload_environment(sky).await.unwrap().id;
     let light =
         server.client().viewer_light(&model, &format!("environment={sky}&rotation=40")).await.unwrap();

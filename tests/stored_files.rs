@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-use relume::api::Problem;
-use relume::api::jobs::JobState;
+use relume_api::Problem;
+use relume_api::jobs::JobState;
 use relume::testing::{self, TestServer};
 use reqwest::Method;
 use reqwest::header::{CONTENT_TYPE, ETAG, IF_NONE_MATCH};
@@ -124,7 +124,7 @@ async fn a_damaged_checkpoint_is_not_gone_on_from() {
     damage(&data.path().join(name.expect("the shutdown made a checkpoint").0));
     let server = testing::spawn_with(data, |_| {}).await.unwrap();
     let mut warnings = Vec::new();
-    let listen = |event: &relume::client::JobEvent| {
+    let listen = |event: &relume_client::JobEvent| {
         if event.kind == "warning" {
             warnings.push(event.data["message"].to_string());
         }

@@ -1,8 +1,8 @@
 //! How much is stored, and that no more is stored than may be.
 
-use relume::api::TenantId;
-use relume::api::usage::StoredKind;
-use relume::client::ClientError;
+use relume_api::TenantId;
+use relume_api::usage::StoredKind;
+use relume_client::ClientError;
 use relume::server::ServerConfig;
 use relume::testing::{self, TestServer};
 use tempfile::TempDir;
@@ -66,7 +66,7 @@ async fn beyond_the_limit_uploads_and_jobs_are_refused_with_the_numbers() {
     let large = large.zip();
     // Its length is known, or it is not: then it shows on the way.
     let said = beyond(client.upload_capture_bytes(large.clone()).await);
-    assert!(said.contains(&format!("at most {limit} bytes may be stored: 0 are")), "{said}");
+    assert!(said.contains(&format!("the storage limit is {limit} bytes: 0 are stored")), "{said}");
     let pieces = futures::stream::iter(
         large.chunks(10_000).map(|c| Ok::<_, std::io::Error>(c.to_vec())).collect::<Vec<_>>(),
     );
@@ -83,7 +83,7 @@ async fn beyond_the_limit_uploads_and_jobs_are_refused_with_the_numbers() {
         testing::spawn_with(server.stop().await.unwrap(), limited(small.len() as u64)).await.unwrap();
     let client = server.client();
     let said = beyond(client.create_job(&small_job(&capture.id, 5, 5), None).await);
-    assert!(said.contains(&format!("{} are, and 1 more", small.len())), "{said}");
+    assert!(said.contains(&format!("{} are stored and 1 more", small.len())), "{said}");
     // Who makes room goes on.
     client.delete_capture(&capture.id, false).await.unwrap();
     // The file goes first, then what counts it.

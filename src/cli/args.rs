@@ -3,8 +3,8 @@
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use crate::render::{Quality, Tier};
-use crate::train::TrainOverrides;
+use relume_spec::rendering::{Quality, Tier};
+use relume_spec::training::TrainOverrides;
 
 /// The tier to render with.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -40,13 +40,14 @@ pub(super) fn named<T: DeserializeOwned>(name: &str) -> Result<T, String> {
     serde_json::from_value(Value::String(name.to_owned())).map_err(|e| e.to_string())
 }
 
-/// Overrides from flags and `--set key=value` pairs; a value that is not JSON is a string. A flag wins over a pair.
+/// Overrides from flags and `--set key=value` pairs. A key may lead into a group: `weights.smoothness`. A value that is not JSON
+/// is a string. A flag wins over a pair, and a later pair over an earlier one.
 pub(super) fn overrides(flags: &[(&str, Option<Value>)], set: &[String]) -> Result<TrainOverrides, String> {
     let mut fields = Map::new();
     for pair in set {
         let (key, value) = pair.split_once('=').ok_or_else(|| format!("--set {pair}: must be key=value"))?;
         let value = serde_json::from_str(value).unwrap_or_else(|_| Value::String(value.to_owned()));
-        fields.insert(key.trim().to_owned(), value);
+        insert(&mut fields, key.trim(), value).map_err(|reason| format!("--set {pair}: {reason}"))?;
     }
     for (key, value) in flags {
         if let Some(value) = value {
@@ -55,6 +56,18 @@ pub(super) fn overrides(flags: &[(&str, Option<Value>)], set: &[String]) -> Resu
     }
     serde_path_to_error::deserialize(Value::Object(fields))
         .map_err(|e| format!("--set {}: {}", e.path(), e.inner()))
+}
+
+/// Sets `key`, a name or names with dots between them, to `value`.
+fn insert(fields: &mut Map<String, Value>, key: &str, value: Value) -> Result<(), String> {
+    let Some((group, rest)) = key.split_once('.') else {
+        fields.insert(key.to_owned(), value);
+        return Ok(());
+    };
+    match fields.entry(group).or_insert_with(|| Value::Object(Map::new())) {
+        Value::Object(inner) => insert(inner, rest, value),
+        _ => Err(format!("{group} has a value already and is no group")),
+    }
 }
 
 #[cfg(test)]
@@ -66,7 +79,20 @@ mod tests {
         let set = ["labels=both".to_owned(), "seed=3".to_owned()];
         let overrides = overrides(&[("seed", Some(4.into())), ("resolution", None)], &set).unwrap();
         assert_eq!(overrides.seed, Some(4));
-        assert_eq!(overrides.labels, Some(crate::train::LabelSource::Both));
+        assert_eq!(overrides.labels, Some(relume_spec::training::LabelSource::Both));
+    }
+
+    #[test]
+    fn dotted_keys_set_single_fields_of_a_group() {
+        let set = ["weights.smoothness=0.02", "weights.l1=0.5", "rates.mean=1e-3"].map(str::to_owned);
+        let overrides = overrides(&[], &set).unwrap();
+        let weights = overrides.weights.unwrap();
+        assert_eq!((weights.smoothness, weights.l1, weights.ssim), (Some(0.02), Some(0.5), None));
+        assert_eq!(overrides.rates.unwrap().mean, Some(1e-3));
+        for wrong in [&["weights.smoothnes=1"][..], &["seed=3", "seed.x=1"], &["weights.l1.x=1"]] {
+            let wrong: Vec<String> = wrong.iter().map(|pair| (*pair).to_owned()).collect();
+            assert!(super::overrides(&[], &wrong).unwrap_err().contains("--set"), "{wrong:?}");
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Where artifacts are when they are not in the data directory alone.
 
-use crate::store::{ArtifactsPlace, ArtifactsUrl};
+use crate::store::{ObjectStoreConfig, ArtifactsUrl};
 
 /// Where artifacts are.
 #[derive(Debug, clap::Args)]
@@ -14,7 +14,7 @@ pub(super) struct ArtifactsArgs {
 
 impl ArtifactsArgs {
     /// The object store, with the settings of the environment.
-    pub(super) fn place(&self) -> Option<ArtifactsPlace> {
-        self.url.clone().map(ArtifactsPlace::from_env)
+    pub(super) fn place(&self) -> Option<ObjectStoreConfig> {
+        self.url.clone().map(ObjectStoreConfig::from_env)
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::cli::CommandResult;
 use crate::jobs::{Clock, DatabaseClock, SystemClock};
 use crate::server::ServerConfig;
-use crate::store::{self, DatabasePlace, DatabaseUrl};
+use crate::store::{self, DatabaseLocation, DatabaseUrl};
 
 /// Where a server's metadata are.
 #[derive(Debug, clap::Args)]
@@ -43,9 +43,9 @@ enum DbCommand {
 #[derive(Debug, clap::Args)]
 struct CopyArgs {
     /// A data directory, for the SQLite file in it, or `postgres://user:password@host:5432/name`.
-    from: DatabasePlace,
+    from: DatabaseLocation,
     /// A data directory or `postgres://...`, likewise; what it knows must be nothing.
-    to: DatabasePlace,
+    to: DatabaseLocation,
 }
 
 pub(super) fn run(args: &DbArgs) -> CommandResult {

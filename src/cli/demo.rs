@@ -9,21 +9,21 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::api::cameras::{CameraConvention, CameraSpec};
-use crate::api::jobs::NewJob;
-use crate::api::renders::{EnvironmentSpec, RenderRequest};
-use crate::api::{CaptureId, EnvironmentId, ModelId};
-use crate::capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
+use relume_api::cameras::{CameraConvention, CameraSpec};
+use relume_api::jobs::NewJob;
+use relume_api::renders::{EnvironmentSpec, RenderRequest};
+use relume_api::{CaptureId, EnvironmentId, ModelId};
+use relume_capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
 use crate::cli::output;
-use crate::client::{Client, ClientError, JobEvent};
-use crate::eval::sheet::Sheet;
-use crate::eval::{DisplayImage, EvalError, EvalOptions, Report, evaluate, photograph, truth_layers};
-use crate::formats::environment::{self, EnvironmentFileError};
-use crate::formats::model_file::{self, ModelFileError};
-use crate::render::{FrameFormat, Output};
+use relume_client::{Client, ClientError, JobEvent};
+use relume_train::eval::sheet::Sheet;
+use relume_train::eval::{DisplayImage, EvalError, EvalOptions, Report, evaluate, photograph, truth_layers};
+use relume_capture::formats::environment::{self, EnvironmentFileError};
+use relume_capture::formats::model_file::{self, ModelFileError};
+use relume_spec::rendering::{FrameFormat, Output};
 use crate::server::ServeError;
 use crate::testing;
-use crate::train::{Preset, TrainOverrides};
+use relume_spec::training::{Preset, TrainOverrides};
 
 /// Test views on the contact sheet, two rows each.
 const SHEET_VIEWS: usize = 3;

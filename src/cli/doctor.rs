@@ -3,13 +3,10 @@
 
 use std::path::{Path, PathBuf};
 
-#[cfg(feature = "server")]
 use crate::cli::artifacts::ArtifactsArgs;
-#[cfg(feature = "server")]
 use crate::cli::database::DatabaseArgs;
 use crate::cli::error::CommandResult;
-use crate::engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
-#[cfg(feature = "server")]
+use relume_engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
 use crate::store::{Store, inspect_with};
 
 /// Options of `relume doctor`.
@@ -18,10 +15,8 @@ pub(super) struct DoctorArgs {
     /// The data directory to look at.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
-    #[cfg(feature = "server")]
     #[command(flatten)]
     artifacts: ArtifactsArgs,
-    #[cfg(feature = "server")]
     #[command(flatten)]
     database: DatabaseArgs,
     /// The device to look for: `auto`, `cpu`, `gpu` or `gpu:N`.
@@ -39,12 +34,10 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
         println!("gpus          none: no Vulkan, Metal or DX12 driver found");
     }
     adapters.iter().for_each(describe);
-    #[cfg(feature = "server")]
     if args.database.database_url.is_none() {
         println!("database      {}", database_version()?);
     }
     println!("data dir      {}", data_dir(&args.data_dir)?);
-    #[cfg(feature = "server")]
     let faults = stored(args)?;
     let chosen = choose_adapter(&adapters, args.device)?;
     println!("device        {}", verdict(args.device, chosen, &adapters));
@@ -53,7 +46,6 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
         Device::open(DeviceChoice::Gpu(Some(index)))?;
         println!("self-test     passed");
     }
-    #[cfg(feature = "server")]
     if faults > 0 {
         return Err(format!("{}: {faults} faults, see above", args.data_dir.display()).into());
     }
@@ -61,7 +53,6 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
 }
 
 /// Says what is stored in a data directory and what is wrong with it; the number of faults.
-#[cfg(feature = "server")]
 fn stored(args: &DoctorArgs) -> CommandResult<usize> {
     let (path, url, place) = (&args.data_dir, args.database.database_url.as_ref(), args.artifacts.place());
     if url.is_none() && !path.exists() {
@@ -139,7 +130,6 @@ fn features() -> Vec<&'static str> {
 }
 
 /// Opens a database with the service's schema in a temporary folder.
-#[cfg(feature = "server")]
 fn database_version() -> CommandResult<String> {
     let folder = tempfile::tempdir()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;

@@ -5,14 +5,14 @@ use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::capture::{Capture, ImportOptions, import};
+use relume_capture::{Capture, ImportOptions, import};
 pub use crate::cli::args::QualityArgs;
 use crate::cli::error::CommandResult;
 use crate::cli::light::read_rotations;
 use crate::cli::{input, output};
-use crate::engine::Device;
-use crate::engine::DeviceChoice;
-use crate::eval::{EvalOptions, Lpips, contact_sheet, evaluate};
+use relume_engine::Device;
+use relume_engine::DeviceChoice;
+use relume_train::eval::{EvalOptions, Lpips, contact_sheet, evaluate};
 
 /// Side of a contact sheet's cells, pixels.
 const CELL: u32 = 200;

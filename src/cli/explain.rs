@@ -6,8 +6,8 @@ use serde_json::Value;
 
 use crate::cli::error::CommandResult;
 use crate::cli::input;
-use crate::formats::model_file;
-use crate::scene::Model;
+use relume_capture::formats::model_file;
+use relume_scene::Model;
 
 /// Options of `relume explain`.
 #[derive(Debug, clap::Args)]

@@ -7,10 +7,9 @@ use crate::cli::error::CommandResult;
 use crate::cli::light::named_light;
 use crate::cli::render::{finite, up_to};
 use crate::cli::{input, output};
-use crate::render::{
-    MOST_BAKED_DEGREE, MeshOptions, Shown, SplatFile, encode_mesh_file, encode_splat_file, relit,
-};
-use crate::scene::Model;
+use relume_spec::rendering::{MOST_BAKED_DEGREE, Shown};
+use relume_train::render::{MeshOptions, SplatFile, encode_mesh_file, encode_splat_file, relit};
+use relume_scene::Model;
 
 /// Options of `relume export`.
 #[derive(Debug, clap::Args)]
@@ -76,11 +75,11 @@ impl ExportArgs {
     /// The model with the colours it has under the light that is asked for.
     fn relit(&self, model: Model) -> CommandResult<Model> {
         let light = match self.env.as_deref() {
-            None | Some("recovered") => model.environment(),
-            Some(name) => named_light(name, "recovered ")?,
+            None | Some("recovered") => model.recovered_light(),
+            Some(name) => named_light(name, "recovered ")?.into(),
         };
         let light = light.rotated_and_scaled(self.rotation, self.exposure.exp2() as f32);
-        Ok(relit(model, &light, self.relit_degree as usize)?)
+        Ok(relit(model, light, self.relit_degree as usize)?)
     }
 
     fn encode_mesh(&self, kind: SplatFile, model: Model) -> CommandResult<Vec<u8>> {

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use crate::cli::error::CommandResult;
 use crate::cli::light::named_light;
 use crate::cli::{input, output};
-use crate::formats::{model_file, ply_import};
-use crate::scene::softplus_inverse;
+use relume_capture::formats::{model_file, ply_import};
+use relume_scene::softplus_inverse;
 
 /// Columns and rows of the light that a model gets.
 const LIGHT_SIZE: (usize, usize) = (64, 32);

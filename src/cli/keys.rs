@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use crate::api::keys::{NewKey, Scope};
-use crate::api::{KeyId, TenantId};
+use relume_api::keys::{NewKey, Scope};
+use relume_api::{KeyId, TenantId};
 use crate::cli::CommandResult;
 use crate::cli::database::DatabaseArgs;
 use crate::jobs::{Clock, SystemClock};
 use crate::server::rotate_signing_secret;
-use crate::store::{DatabaseUrl, KeyRecord, NewKeyRecord, NodeLock, Page, Placed, Store, StoreError};
+use crate::store::{DatabaseUrl, KeyRecord, NewKeyRecord, DataDirLock, Page, Paginated, Store, StoreError};
 
 /// Options of `relume keys`.
 #[derive(Debug, Args)]
@@ -86,7 +86,7 @@ async fn create(args: CreateArgs) -> CommandResult {
     let tenant = TenantId::from(args.tenant);
     let expires_in = args.expires_in_days.map(|days| days * 24 * 3600);
     let key = NewKey { name: args.name, tenant: Some(tenant.clone()), scopes: args.scopes, expires_in };
-    if let Some((field, why)) = key.fault(&tenant) {
+    if let Some((field, why)) = key.validation_error(&tenant) {
         return Err(format!("--{field}: {why}").into());
     }
     let now_ms = SystemClock.now_ms();
@@ -113,7 +113,7 @@ async fn list(store: &Store) -> CommandResult {
         let keys = store.keys(None, &page).await?;
         keys.iter().for_each(|key| print(key, now_ms));
         match keys.last() {
-            Some(last) if keys.len() == page.limit as usize => page.before = Some(last.place()),
+            Some(last) if keys.len() == page.limit as usize => page.before = Some(last.cursor()),
             _ => break,
         }
     }
@@ -164,9 +164,9 @@ async fn existing(place: &Place) -> CommandResult<Store> {
 
 /// The store of a data directory: brought up to date where no server runs on it, as it is where one does.
 async fn open(data_dir: &Path, url: Option<&DatabaseUrl>) -> CommandResult<Store> {
-    match NodeLock::acquire(data_dir) {
+    match DataDirLock::acquire(data_dir) {
         Ok(_until_it_is_open) => Ok(Store::open_with(data_dir, url).await?),
-        Err(StoreError::Locked(_)) => Ok(Store::join(data_dir, url).await?),
+        Err(StoreError::Locked(_)) => Ok(Store::open_existing(data_dir, url).await?),
         Err(error) => Err(error.into()),
     }
 }

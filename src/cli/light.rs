@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::Path;
 
-use crate::capture::{BUILTIN, Capture, builtin};
-use crate::formats::environment;
-use crate::scene::EnvMap;
-use crate::train::TrainConfig;
+use relume_capture::{BUILTIN, Capture, builtin};
+use relume_capture::formats::environment;
+use relume_scene::EnvMap;
+use relume_spec::training::TrainConfig;
 
 /// A built-in map or the contents of a `.hdr` or `.exr` file. The error lists the allowed names; `others` are further
 /// ones that the caller accepts.
@@ -35,7 +35,7 @@ pub(super) fn read_rotations(file: &Path) -> Result<BTreeMap<String, f64>, Strin
 /// Sets the measured light of `capture` that `config` names, if it names one.
 pub(super) fn illuminate(capture: &mut Capture, config: &TrainConfig) -> Result<(), String> {
     if let Some(known) = &config.light {
-        known.illuminate(capture, named_light(&known.environment, "")?);
+        relume_train::illuminate(known, capture, named_light(&known.environment, "")?);
     }
     Ok(())
 }
@@ -43,8 +43,8 @@ pub(super) fn illuminate(capture: &mut Capture, config: &TrainConfig) -> Result<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::{SyntheticOptions, synthetic};
-    use crate::train::{Preset, TrainOverrides};
+    use relume_capture::{SyntheticOptions, synthetic};
+    use relume_spec::training::{Preset, TrainOverrides};
 
     fn lit_by(overrides: &str) -> Result<Option<EnvMap>, String> {
         let overrides: TrainOverrides = serde_json::from_str(overrides).unwrap();

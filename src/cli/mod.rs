@@ -1,15 +1,11 @@
 //! The command line, one file for each command.
 
 mod args;
-#[cfg(feature = "server")]
 mod artifacts;
-#[cfg(feature = "server")]
 mod backup;
 mod bench;
 mod capture;
-#[cfg(feature = "server")]
 mod database;
-#[cfg(all(feature = "server", feature = "client"))]
 pub mod demo;
 mod doctor;
 mod error;
@@ -18,9 +14,7 @@ mod explain;
 mod export;
 mod import;
 mod input;
-#[cfg(feature = "client")]
 mod key;
-#[cfg(feature = "server")]
 mod keys;
 mod light;
 mod logs;
@@ -28,19 +22,14 @@ mod output;
 mod progress;
 mod render;
 mod sample;
-#[cfg(feature = "server")]
 mod serve;
-#[cfg(feature = "server")]
 mod size;
 mod stop;
 #[cfg(feature = "otlp")]
 mod traces;
 mod train;
-#[cfg(all(feature = "server", feature = "client"))]
 mod worker;
-#[cfg(all(feature = "server", feature = "client"))]
 mod worker_progress;
-#[cfg(feature = "client")]
 mod workers;
 
 use std::process::ExitCode;
@@ -62,16 +51,12 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    #[cfg(all(feature = "server", feature = "client"))]
     /// See it work: train on a synthetic capture, relight it, measure it against the exact truth.
     Demo(demo::DemoArgs),
-    #[cfg(feature = "server")]
     /// Run the HTTP service.
     Serve(Box<serve::ServeArgs>),
-    #[cfg(all(feature = "server", feature = "client"))]
     /// Train jobs of a server elsewhere.
     Worker(worker::WorkerArgs),
-    #[cfg(feature = "client")]
     /// List the workers of a server, and drain them.
     Workers(workers::WorkersArgs),
     /// Look at photographs before a training, or find their poses.
@@ -94,19 +79,14 @@ enum Command {
     Import(import::ImportArgs),
     /// Show this machine's devices and check that the service can run on it.
     Doctor(doctor::DoctorArgs),
-    #[cfg(feature = "server")]
     /// Make, list and revoke API keys, also while the server runs.
     Keys(keys::KeysArgs),
-    #[cfg(feature = "server")]
     /// Copy what a server has stored, also while it runs.
     Backup(backup::BackupArgs),
-    #[cfg(feature = "server")]
     /// Make a data directory from a backup.
     Restore(backup::RestoreArgs),
-    #[cfg(feature = "server")]
     /// Move what a server knows between SQLite and PostgreSQL.
     Db(database::DbArgs),
-    #[cfg(feature = "server")]
     /// Print the description of the HTTP API.
     Openapi,
 }
@@ -115,9 +95,7 @@ impl Command {
     /// Whether it serves others until it is told to stop.
     fn is_service(&self) -> bool {
         match self {
-            #[cfg(feature = "server")]
             Self::Serve(_) => true,
-            #[cfg(all(feature = "server", feature = "client"))]
             Self::Worker(_) => true,
             _ => false,
         }
@@ -135,13 +113,9 @@ pub fn main() -> ExitCode {
 
 fn run(command: Command) -> ExitCode {
     let outcome = match command {
-        #[cfg(all(feature = "server", feature = "client"))]
         Command::Demo(args) => demo::run(&args).map_err(Into::into),
-        #[cfg(feature = "server")]
         Command::Serve(args) => serve::run(*args),
-        #[cfg(all(feature = "server", feature = "client"))]
         Command::Worker(args) => return exit(worker::run(args)),
-        #[cfg(feature = "client")]
         Command::Workers(args) => workers::run(&args),
         Command::Capture(args) => return exit(capture::run(&args)),
         Command::Train(args) => return exit(train::run(&args)),
@@ -153,15 +127,10 @@ fn run(command: Command) -> ExitCode {
         Command::Export(args) => export::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Doctor(args) => doctor::run(&args),
-        #[cfg(feature = "server")]
         Command::Keys(args) => keys::run(args),
-        #[cfg(feature = "server")]
         Command::Backup(args) => backup::backup(&args),
-        #[cfg(feature = "server")]
         Command::Restore(args) => backup::restore(&args),
-        #[cfg(feature = "server")]
         Command::Db(args) => database::run(&args),
-        #[cfg(feature = "server")]
         Command::Openapi => openapi(),
     };
     exit(outcome.map(|()| ExitCode::SUCCESS))
@@ -178,7 +147,6 @@ fn exit(outcome: CommandResult<ExitCode>) -> ExitCode {
     }
 }
 
-#[cfg(feature = "server")]
 fn openapi() -> CommandResult {
     println!("{}", crate::server::openapi().to_pretty_json()?);
     Ok(())

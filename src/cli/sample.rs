@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::capture::{SyntheticOptions, synthetic, write_archive};
+use relume_capture::{SyntheticOptions, synthetic, write_archive};
 use crate::cli::error::CommandResult;
 use crate::cli::output;
 

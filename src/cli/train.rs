@@ -4,7 +4,8 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use crate::capture::{Capture, GreyCard, ImportLimits};
+use relume_capture::{Capture, ImportLimits};
+use relume_spec::training::GreyCard;
 use crate::cli::args::{named, overrides};
 use crate::cli::capture::{PoseArgs, posed};
 use crate::cli::error::{CommandResult, EXIT_CODES, STOPPED};
@@ -12,13 +13,11 @@ use crate::cli::light::{named_light, read_rotations};
 use crate::cli::output;
 use crate::cli::progress::{Progress, ProgressKind, Step};
 use crate::cli::stop::Stop;
-use crate::engine::Device;
-use crate::engine::DeviceChoice;
-use crate::formats::model_file;
-use crate::train::{
-    Crop, KnownLight, LightExposure, MemoryNeed, Method, PhotographSizes, Preset, Room, TrainConfig,
-    TrainOverrides, Trainer, WhiteBalance, import_for_training,
-};
+use relume_engine::Device;
+use relume_engine::DeviceChoice;
+use relume_capture::formats::model_file;
+use relume_spec::training::{Crop, KnownLight, LightExposure, Method, Preset, TrainConfig, TrainOverrides, WhiteBalance};
+use relume_train::{MemoryNeed, PhotographSizes, Room, Trainer, import_for_training};
 
 /// Options of `relume train`.
 #[derive(Debug, clap::Args)]
@@ -108,7 +107,7 @@ fn run_with(args: &TrainArgs, progress: &mut Progress) -> CommandResult<ExitCode
     let room = Room::beside(&device);
     let mut capture = import_for_training(&path, &config, &ImportLimits::default(), room)?;
     if let (Some(known), Some(map)) = (&config.light, light) {
-        known.illuminate(&mut capture, map);
+        relume_train::illuminate(known, &mut capture, map);
     }
     for warning in &capture.warnings {
         progress.warning(warning);

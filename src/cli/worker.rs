@@ -8,17 +8,17 @@ use sysinfo::System;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-use crate::api::work::{WorkerHello, fault_of_labels};
+use relume_api::work::{WorkerHello, validate_labels};
 use crate::cli::error::{CommandResult, STOPPED};
 use crate::cli::key::key;
 use crate::cli::progress::ProgressKind;
 use crate::cli::size::size;
 use crate::cli::worker_progress::teller;
-use crate::client::Client;
-use crate::engine::DeviceChoice;
-use crate::farm::{FileCache, RemoteJobs};
+use relume_client::Client;
+use relume_engine::DeviceChoice;
+use crate::remote_worker::{FileCache, RemoteJobs};
 use crate::jobs::{Ids, RandomIds, SystemClock};
-use crate::worker::{self, Ended, OpenedDevice, TrainingOptions};
+use crate::worker::{self, JobOutcome, OpenedDevice, TrainingOptions};
 
 /// Exit code of `--once` when the job failed.
 const JOB_FAILED: u8 = 3;
@@ -60,7 +60,7 @@ pub(super) fn run(args: WorkerArgs) -> CommandResult<ExitCode> {
 }
 
 async fn work(args: WorkerArgs) -> CommandResult<ExitCode> {
-    if let Some(why) = fault_of_labels(&args.labels) {
+    if let Some(why) = validate_labels(&args.labels) {
         return Err(format!("--labels: {why}").into());
     }
     let client = Client::new(&args.server, key(args.key_file.as_deref())?)?;
@@ -82,9 +82,9 @@ async fn work(args: WorkerArgs) -> CommandResult<ExitCode> {
     let thread = worker::start_training(Arc::new(source), device, options, stop)?;
     let ended = tokio::task::spawn_blocking(move || thread.join()).await?;
     match ended.map_err(|_| "the training thread did not end well")? {
-        Some(Ended::Refused) => Err("the server gives this worker no jobs; the log says why".into()),
-        Some(Ended::GivenBack) => Ok(ExitCode::from(STOPPED)),
-        Some(Ended::Failed) if args.once => Ok(ExitCode::from(JOB_FAILED)),
+        Some(JobOutcome::Refused) => Err("the server gives this worker no jobs; the log says why".into()),
+        Some(JobOutcome::Requeued) => Ok(ExitCode::from(STOPPED)),
+        Some(JobOutcome::Failed) if args.once => Ok(ExitCode::from(JOB_FAILED)),
         _ => Ok(ExitCode::SUCCESS),
     }
 }

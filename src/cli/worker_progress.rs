@@ -2,9 +2,9 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::api::jobs::JobProgress;
+use relume_api::jobs::JobProgress;
 use crate::cli::progress::{Progress, ProgressKind, Step};
-use crate::farm::{Observer, Told};
+use crate::remote_worker::{Observer, WorkerEvent};
 
 /// Tells whoever reads `kind`.
 pub(super) fn teller(kind: ProgressKind) -> Observer {
@@ -15,7 +15,7 @@ pub(super) fn teller(kind: ProgressKind) -> Observer {
     let progress: Mutex<Option<Progress>> = Mutex::default();
     Arc::new(move |told| {
         let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
-        if matches!(told, Told::Claimed(_)) || progress.is_none() {
+        if matches!(told, WorkerEvent::Claimed(_)) || progress.is_none() {
             *progress = Progress::new(kind).ok();
         }
         if let Some(progress) = progress.as_mut() {
@@ -24,30 +24,30 @@ pub(super) fn teller(kind: ProgressKind) -> Observer {
     })
 }
 
-fn log(told: Told<'_>) {
+fn log(told: WorkerEvent<'_>) {
     match told {
-        Told::Claimed(task) => tracing::info!(job = %task.job, attempt = task.attempt, "took a job"),
-        Told::Progress(progress) => tracing::debug!(step = progress.step, total = progress.total, "trains"),
-        Told::Warning(message) => tracing::warn!("{message}"),
-        Told::Published => tracing::info!("published the model"),
-        Told::Failed(detail) => tracing::warn!(detail, "the job failed"),
-        Told::Released => tracing::info!("gave the job back"),
-        Told::Cancelled => tracing::info!("the job was cancelled"),
+        WorkerEvent::Claimed(task) => tracing::info!(job = %task.job, attempt = task.attempt, "took a job"),
+        WorkerEvent::Progress(progress) => tracing::debug!(step = progress.step, total = progress.total, "trains"),
+        WorkerEvent::Warning(message) => tracing::warn!("{message}"),
+        WorkerEvent::Published => tracing::info!("published the model"),
+        WorkerEvent::Failed(detail) => tracing::warn!(detail, "the job failed"),
+        WorkerEvent::Released => tracing::info!("gave the job back"),
+        WorkerEvent::Cancelled => tracing::info!("the job was cancelled"),
     }
 }
 
-fn say(progress: &mut Progress, told: Told<'_>) {
+fn say(progress: &mut Progress, told: WorkerEvent<'_>) {
     match told {
-        Told::Claimed(task) => progress.status(&format!("job {}, attempt {}", task.job, task.attempt)),
-        Told::Progress(report) => match step(report) {
+        WorkerEvent::Claimed(task) => progress.status(&format!("job {}, attempt {}", task.job, task.attempt)),
+        WorkerEvent::Progress(report) => match step(report) {
             Some(step) => progress.step(&step),
             None => progress.status(report.message.as_deref().unwrap_or("working")),
         },
-        Told::Warning(message) => progress.warning(message),
-        Told::Published => progress.done("the model, which is published"),
-        Told::Failed(detail) => progress.fail(detail),
-        Told::Released => progress.stopped("gave the job back"),
-        Told::Cancelled => progress.stopped("the job was cancelled"),
+        WorkerEvent::Warning(message) => progress.warning(message),
+        WorkerEvent::Published => progress.done("the model, which is published"),
+        WorkerEvent::Failed(detail) => progress.fail(detail),
+        WorkerEvent::Released => progress.stopped("gave the job back"),
+        WorkerEvent::Cancelled => progress.stopped("the job was cancelled"),
     }
 }
 

@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use crate::api::WorkerId;
-use crate::api::work::{WorkerChange, WorkerView};
+use relume_api::WorkerId;
+use relume_api::work::{WorkerChange, WorkerView};
 use crate::cli::error::CommandResult;
 use crate::cli::key::key;
-use crate::client::Client;
+use relume_client::Client;
 
 /// Options of `relume workers`.
 #[derive(Debug, clap::Args)]

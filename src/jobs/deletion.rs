@@ -1,8 +1,8 @@
 //! Deletion, with word of it to workers and listeners.
 
-use crate::api::{ResourceName, TenantId};
+use relume_api::{ResourceName, TenantId};
 use crate::jobs::queue::Jobs;
-use crate::store::{Deletion, Discarded, Retention, StoreError};
+use crate::store::{Deletion, DeletionReport, Retention, StoreError};
 
 impl Jobs {
     /// Deletes a capture, an environment, a job or a model of a tenant; see [`crate::store::Store::delete`]. On a full disk the reserve is
@@ -17,7 +17,7 @@ impl Jobs {
         cascade: bool,
     ) -> Result<Deletion, StoreError> {
         let deleted = match self.store.delete(tenant, what, cascade, self.now_ms()).await {
-            Err(StoreError::Full) if self.store.room().spend_reserve() => {
+            Err(StoreError::Full) if self.store.disk_space().spend_reserve() => {
                 self.store.delete(tenant, what, cascade, self.now_ms()).await
             }
             deleted => deleted,
@@ -30,10 +30,10 @@ impl Jobs {
     ///
     /// # Errors
     /// When the database or a file operation fails.
-    pub async fn tidy(&self, retention: &Retention) -> Result<Discarded, StoreError> {
+    pub async fn collect_garbage(&self, retention: &Retention) -> Result<DeletionReport, StoreError> {
         let now_ms = self.now_ms();
         self.store.expire(retention, now_ms).await?;
         self.store.expire_uploads(now_ms).await?;
-        self.store.sweep_deleted(now_ms).await
+        self.store.remove_deleted_files(now_ms).await
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::api::EnvironmentId;
+use relume_api::EnvironmentId;
 use crate::jobs::lease::Lease;
 use crate::store::StoreError;
 

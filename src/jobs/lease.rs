@@ -3,16 +3,16 @@
 
 use std::time::Duration;
 
-use crate::api::JobId;
-use crate::api::jobs::{JobProgress, JobState};
-use crate::api::quality::Figures;
-use crate::api::work::{LeaseStatus, Release, Task};
+use relume_api::JobId;
+use relume_api::jobs::{JobProgress, JobState};
+use relume_api::quality::Figures;
+use relume_api::work::{LeaseStatus, Release, Task};
 use crate::jobs::queue::Jobs;
-use crate::store::{Claimant, Incoming, JobRecord, Measured, ModelFile, ModelRecord, StoreError};
+use crate::store::{Claimant, StagedUpload, JobRecord, QualityResult, ModelFile, ModelRecord, StoreError};
 
 /// How often a worker tries again what the database could not be reached for, and how long it waits in between.
-const PATIENCE: u32 = 60;
-const AGAIN: Duration = Duration::from_secs(1);
+const MAX_RETRIES: u32 = 60;
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// One attempt at one job.
 pub struct Lease {
@@ -99,7 +99,7 @@ impl Lease {
         let now = self.jobs.now_ms();
         let until = self.jobs.lease_end(now);
         let record = || self.jobs.store.record_progress(&self.job.id, &self.token, progress, now, until);
-        let status = patiently(record).await?;
+        let status = with_retries(record).await?;
         self.jobs.announce();
         Ok(status)
     }
@@ -111,7 +111,7 @@ impl Lease {
     pub async fn warn(&self, message: &str) -> Result<LeaseStatus, StoreError> {
         let now = self.jobs.now_ms();
         let record = || self.jobs.store.record_warning(&self.job.id, &self.token, message, now);
-        let status = patiently(record).await?;
+        let status = with_retries(record).await?;
         self.jobs.announce();
         Ok(status)
     }
@@ -128,14 +128,14 @@ impl Lease {
             Ok(sha256) => self.adopt_checkpoint(step, key, sha256).await,
             Err(error) => Err(error),
         };
-        self.told_of_room(stored, size)
+        self.note_disk_shortage(stored, size)
     }
 
     /// As [`Self::checkpoint`], of bytes that have arrived already.
     ///
     /// # Errors
     /// As [`Self::checkpoint`].
-    pub async fn take_checkpoint(&self, step: i64, bytes: Incoming) -> Result<LeaseStatus, StoreError> {
+    pub async fn take_checkpoint(&self, step: i64, bytes: StagedUpload) -> Result<LeaseStatus, StoreError> {
         let (key, sha256) = (self.checkpoint_key(step), bytes.sha256.clone());
         self.jobs.store.artifacts().publish(bytes, &key).await?;
         self.adopt_checkpoint(step, key, sha256).await
@@ -156,7 +156,7 @@ impl Lease {
         let store = &self.jobs.store;
         let (artifact, now) = ((key.as_str(), sha256.as_str()), self.jobs.now_ms());
         let record = || store.record_checkpoint(&self.job.id, &self.token, artifact, step, now);
-        let recorded = patiently(record).await;
+        let recorded = with_retries(record).await;
         if matches!(recorded, Err(StoreError::Full)) {
             store.artifacts().remove(&key).await;
         }
@@ -182,7 +182,7 @@ impl Lease {
         files: &[ModelFile],
         figures: Figures,
     ) -> Result<LeaseStatus, StoreError> {
-        let measured = Measured::new(figures, &self.job.request.quality_gate);
+        let measured = QualityResult::new(figures, &self.job.request.quality_gate);
         let now = self.jobs.now_ms();
         let checkpoint = self.current_checkpoint().await?;
         let status = self.jobs.store.publish_model(&self.token, model, files, &measured, now).await?;
@@ -227,9 +227,9 @@ impl Lease {
     }
 
     /// Where no room was left for `size` bytes, nothing is claimed until there is.
-    pub(super) fn told_of_room<T>(&self, stored: Result<T, StoreError>, size: u64) -> Result<T, StoreError> {
+    pub(super) fn note_disk_shortage<T>(&self, stored: Result<T, StoreError>, size: u64) -> Result<T, StoreError> {
         if matches!(stored, Err(StoreError::Full)) {
-            self.jobs.store.room().note_shortage(size);
+            self.jobs.store.disk_space().note_shortage(size);
         }
         stored
     }
@@ -256,13 +256,13 @@ impl Lease {
     }
 }
 
-/// Does what can be done twice, and again while the database cannot be reached, for [`PATIENCE`] tries.
-async fn patiently<T, F: Future<Output = Result<T, StoreError>>>(
+/// Does what can be done twice, and again while the database cannot be reached, for [`MAX_RETRIES`] tries.
+async fn with_retries<T, F: Future<Output = Result<T, StoreError>>>(
     act: impl Fn() -> F,
 ) -> Result<T, StoreError> {
-    for _ in 0..PATIENCE {
+    for _ in 0..MAX_RETRIES {
         match act().await {
-            Err(StoreError::DatabaseUnreachable(_)) => tokio::time::sleep(AGAIN).await,
+            Err(StoreError::DatabaseUnreachable(_)) => tokio::time::sleep(RETRY_INTERVAL).await,
             done => return done,
         }
     }

@@ -13,10 +13,10 @@
 
 mod clock;
 mod deletion;
-mod finishing;
+mod model_publication;
 mod inputs;
 mod lease;
-mod presence;
+mod heartbeat;
 mod queue;
 
 pub use clock::{Clock, DatabaseClock, Ids, ManualClock, RandomIds, SequentialIds, SystemClock};

@@ -6,16 +6,16 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 
-use crate::api::jobs::{JobState, NewJob};
-use crate::api::{JobId, TenantId};
+use relume_api::jobs::{JobState, NewJob};
+use relume_api::{JobId, TenantId};
 use crate::jobs::clock::{Clock, Ids};
 use crate::store::{
-    CancelOutcome, EventRecord, Filter, IdempotencyKey, JobRecord, MOST_BEFORE, Page, Store, StoreError,
+    CancelOutcome, EventRecord, Filter, IdempotencyKey, JobRecord, MAX_QUEUE_POSITION, Page, Store, StoreError,
     Submitted,
 };
 
 /// Time between two attempts to hear of what others write.
-const AGAIN: Duration = Duration::from_secs(1);
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// How leases behave.
 #[derive(Debug, Clone, Copy)]
@@ -25,7 +25,7 @@ pub struct LeasePolicy {
     /// Attempts without a new checkpoint before a job is given up.
     pub max_idle_attempts: u32,
     /// How long a worker may be silent before its jobs are given to others.
-    pub worker_silence: Duration,
+    pub heartbeat_timeout: Duration,
 }
 
 impl Default for LeasePolicy {
@@ -34,7 +34,7 @@ impl Default for LeasePolicy {
         Self {
             duration: Duration::from_secs(600),
             max_idle_attempts: 5,
-            worker_silence: Duration::from_secs(60),
+            heartbeat_timeout: Duration::from_secs(60),
         }
     }
 }
@@ -78,7 +78,7 @@ impl Jobs {
     ///
     /// # Errors
     /// When the database does not answer.
-    pub async fn follow_time(&self) -> Result<(), StoreError> {
+    pub async fn sync_clock(&self) -> Result<(), StoreError> {
         if let Some(now_ms) = self.store.database_time().await? {
             self.clock.set(now_ms);
         }
@@ -97,19 +97,19 @@ impl Jobs {
 
     /// Wakes subscribers also when somebody else who shares the database has written about a job. Never ends; while the database
     /// cannot be reached, everybody looks at it by themselves.
-    pub async fn follow_others(&self) {
+    pub async fn listen_for_changes(&self) {
         loop {
-            if let Err(error) = self.hear_others().await {
+            if let Err(error) = self.forward_changes().await {
                 tracing::warn!(%error, "changes by others are not heard of for now");
             }
-            tokio::time::sleep(AGAIN).await;
+            tokio::time::sleep(RETRY_INTERVAL).await;
         }
     }
 
-    async fn hear_others(&self) -> Result<(), StoreError> {
+    async fn forward_changes(&self) -> Result<(), StoreError> {
         let mut listener = self.store.listen().await?;
         loop {
-            listener.heard().await?;
+            listener.wait_for_change().await?;
             self.announce();
         }
     }
@@ -117,7 +117,7 @@ impl Jobs {
     /// Queues a job of `total` steps for a tenant; see [`Store::submit_job`].
     ///
     /// # Errors
-    /// [`StoreError::KeyReused`] when the key came with another request before.
+    /// [`StoreError::IdempotencyKeyReused`] when the key came with another request before.
     pub async fn submit(
         &self,
         tenant: &TenantId,
@@ -167,7 +167,7 @@ impl Jobs {
         self.store.jobs(tenant, state, filter, page).await
     }
 
-    /// How many jobs run before each of these that waits, at most [`MOST_BEFORE`].
+    /// How many jobs run before each of these that waits, at most [`MAX_QUEUE_POSITION`].
     ///
     /// # Errors
     /// When the database fails.
@@ -178,7 +178,7 @@ impl Jobs {
             return Ok(HashMap::new());
         }
         let head = self.store.head_of_queue().await?;
-        let place = |id: &JobId| head.get(id).copied().unwrap_or(MOST_BEFORE);
+        let place = |id: &JobId| head.get(id).copied().unwrap_or(MAX_QUEUE_POSITION);
         Ok(waiting.into_iter().map(|id| (id.clone(), place(&id))).collect())
     }
 
@@ -186,7 +186,7 @@ impl Jobs {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn any_waits(&self) -> Result<bool, StoreError> {
+    pub async fn has_queued_jobs(&self) -> Result<bool, StoreError> {
         Ok(self.store.job_counts().await?.iter().any(|(state, _)| *state == JobState::Queued))
     }
 
@@ -248,7 +248,7 @@ impl Jobs {
 
     async fn reclaim(&self, expired_ms: i64) -> Result<Vec<JobRecord>, StoreError> {
         let max_idle = i64::from(self.policy.max_idle_attempts);
-        let (now, alive) = (self.now_ms(), self.alive_ms());
+        let (now, alive) = (self.now_ms(), self.heartbeat_cutoff_ms());
         let jobs = self.store.reclaim_leases((expired_ms, alive), max_idle, now).await?;
         for job in &jobs {
             tracing::info!(job = %job.id, state = job.state.name(), "took a lease back");

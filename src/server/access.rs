@@ -7,12 +7,12 @@ use axum::http::{Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use crate::api::Problem;
-use crate::api::keys::Scope::{self, Admin, Metrics, Read, Render, Submit, Work};
+use crate::server::problem::Problem;
+use relume_api::keys::Scope::{self, Admin, Metrics, Read, Render, Submit, Work};
 use crate::server::caller::Caller;
 use crate::server::keyring::Keyring;
-use crate::server::rates::{Rates, Standing};
-use crate::server::signing::{Signed, Subject};
+use crate::server::rate_limiter::{RateLimiter, RateLimitStatus};
+use crate::server::signing::{SignedQuery, SignedResource};
 use crate::server::signing_secret::{SigningSecret, digest};
 #[cfg(feature = "web")]
 use crate::server::web;
@@ -126,49 +126,49 @@ fn access_of(request: &Request) -> Option<Access> {
 }
 
 /// Who may make requests.
-pub(super) struct Gate {
+pub(super) struct AccessControl {
     pub(super) keys: Arc<Keyring>,
     /// Under which URLs are signed.
     pub(super) signing: SigningSecret,
     /// How many requests they may make.
-    pub(super) rates: Rates,
+    pub(super) rate_limiter: RateLimiter,
 }
 
 /// Finds out who makes a request and lets it through if they may.
-pub(super) async fn check(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
+pub(super) async fn check(State(access_control): State<Arc<AccessControl>>, request: Request, next: Next) -> Response {
     let access = access_of(&request);
     if access == Some(Open) {
         return next.run(request).await;
     }
-    let mut standing = None;
-    let mut response = match gate.admit(access, request, &mut standing).await {
+    let mut rate_limit = None;
+    let mut response = match access_control.admit(access, request, &mut rate_limit).await {
         Ok(request) => next.run(request).await,
         Err(problem) => problem.into_response(),
     };
-    if let Some(standing) = standing {
-        standing.tell(response.headers_mut());
+    if let Some(rate_limit) = rate_limit {
+        rate_limit.write_headers(response.headers_mut());
     }
     response
 }
 
-impl Gate {
-    /// The request with its caller; how the caller's key stands is in `standing` from then on.
+impl AccessControl {
+    /// The request with its caller; how the caller's key stands is in `rate_limit` from then on.
     async fn admit(
         &self,
         access: Option<Access>,
         mut request: Request,
-        standing: &mut Option<Standing>,
+        rate_limit: &mut Option<RateLimitStatus>,
     ) -> Result<Request, Problem> {
-        let caller = match Signed::is_meant(request.uri().query()) {
+        let caller = match SignedQuery::is_present(request.uri().query()) {
             true => self.signer(&mut request).await?,
             false => self.keys.caller(bearer(&request)).await?.ok_or_else(Problem::unauthorized)?,
         };
-        caller.tell_the_log();
-        *standing = self.rates.take(&caller, self.keys.now_ms());
-        standing.as_ref().map_or(Ok(()), Standing::check)?;
+        caller.record_in_span();
+        *rate_limit = self.rate_limiter.take(&caller, self.keys.now_ms());
+        rate_limit.as_ref().map_or(Ok(()), RateLimitStatus::check)?;
         match access {
-            Some(Needs(scope)) => caller.needs(scope)?,
-            Some(Operator(scope)) => caller.needs_operator(scope)?,
+            Some(Needs(scope)) => caller.require_scope(scope)?,
+            Some(Operator(scope)) => caller.require_operator(scope)?,
             Some(Open) => {}
             // No such route, or not with this method: it is refused without asking who calls.
             None => return Ok(request),
@@ -180,22 +180,22 @@ impl Gate {
     /// Whoever signed the URL of a request, with leave to read and nothing else. What signing added is taken off the URL.
     async fn signer(&self, request: &mut Request) -> Result<Caller, Problem> {
         let uri = request.uri().clone();
-        let signed = Signed::parse(uri.query()).ok_or_else(badly_signed)?;
+        let signed = SignedQuery::parse(uri.query()).ok_or_else(invalid_signature)?;
         let reads = matches!(*request.method(), Method::GET | Method::HEAD);
-        if !reads || Subject::of(uri.path()).is_none() {
-            return Err(badly_signed());
+        if !reads || SignedResource::of(uri.path()).is_none() {
+            return Err(invalid_signature());
         }
         let secret = self.signing.read().await.map_err(Problem::internal)?;
         let caller = self.keys.bearer_of(signed.key).await?;
-        let (Some(secret), Some(caller)) = (secret, caller) else { return Err(badly_signed()) };
+        let (Some(secret), Some(caller)) = (secret, caller) else { return Err(invalid_signature()) };
         let is_over = self.keys.now_ms() / 1000 >= signed.expires;
-        if is_over || !signed.is_by(&caller, &secret, uri.path()) {
-            return Err(badly_signed());
+        if is_over || !signed.is_valid_for(&caller, &secret, uri.path()) {
+            return Err(invalid_signature());
         }
-        caller.needs(Read)?;
+        caller.require_scope(Read)?;
         let query = signed.query.map_or_else(String::new, |query| format!("?{query}"));
         *request.uri_mut() = format!("{}{query}", uri.path()).parse().map_err(Problem::internal)?;
-        self.keys.note_signed(&caller);
+        self.keys.record_signed_use(&caller);
         let until = signed.expires.saturating_mul(1000);
         let expires_ms = Some(caller.expires_ms.map_or(until, |key| key.min(until)));
         let signed_under = Some(digest(&secret));
@@ -203,9 +203,9 @@ impl Gate {
     }
 }
 
-fn badly_signed() -> Problem {
-    Problem::new(StatusCode::FORBIDDEN, "bad-signature", "The signed URL is not good, or no longer").detail(
-        "it has expired, was changed, is of another secret, or its key was revoked; ask /v1/signed-urls for another",
+fn invalid_signature() -> Problem {
+    Problem::new(StatusCode::FORBIDDEN, "bad-signature", "The signed URL is not valid").detail(
+        "it has expired, was changed, was signed with another secret, or its key was revoked; get a new one from /v1/signed-urls",
     )
 }
 

@@ -6,25 +6,25 @@ use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 
-use crate::capture::ImportLimits;
+use relume_capture::ImportLimits;
 use crate::jobs::Jobs;
 use crate::server::decoders::Decoders;
 use crate::server::encoders::Encoders;
-use crate::server::exports::ExportDesk;
+use crate::server::exports::ExportQueue;
 use crate::server::fetching::Fetcher;
 use crate::server::keyring::Keyring;
-use crate::server::memory::{MemoryBudget, half_of_the_machine};
+use crate::server::memory::{MemoryBudget, default_budget};
 use crate::server::opened_captures::OpenedCaptures;
-use crate::server::poses::Desk;
+use crate::server::poses::PoseQueue;
 use crate::server::signing_secret::SigningSecret;
 use crate::server::thumbnail_cache::ThumbnailCache;
-use crate::server::turns::Turns;
+use crate::server::keyed_locks::KeyedLocks;
 use crate::server::webhooks::WebhookPolicy;
 use crate::store::{Store, UploadLimits};
 use crate::worker::DeviceHandle;
 
 /// What handlers share.
-pub(super) type Shared = Arc<App>;
+pub(super) type AppState = Arc<App>;
 
 /// Bounds on what a request may bring.
 #[derive(Debug, Clone, Copy)]
@@ -45,7 +45,7 @@ impl Default for RequestLimits {
             capture_bytes: 16 << 30,
             environment_bytes: 256 << 20,
             disk_bytes: None,
-            memory_bytes: half_of_the_machine(),
+            memory_bytes: default_budget(),
         }
     }
 }
@@ -66,17 +66,17 @@ pub(super) struct App {
     /// Thumbnails of models that were rendered, and of photographs.
     pub(super) thumbnails: ThumbnailCache,
     /// Thumbnails that are being made, by digest.
-    pub(super) thumbnail_turns: Turns,
+    pub(super) thumbnail_locks: KeyedLocks,
     /// Captures whose photographs are being looked at.
     pub(super) opened: OpenedCaptures,
     /// Poses for photographs that come without.
-    pub(super) poses: Desk,
+    pub(super) poses: PoseQueue,
     /// Where frames are encoded.
     pub(super) encoders: Encoders,
     /// Where uploads are decoded.
     pub(super) decoders: Decoders,
     /// Where requests and the exporter meet.
-    pub(super) exports: ExportDesk,
+    pub(super) exports: ExportQueue,
     /// Who may make requests.
     pub(super) keys: Arc<Keyring>,
     /// Under which URLs are signed.
@@ -86,7 +86,7 @@ pub(super) struct App {
     /// What webhooks may do.
     pub(super) webhooks: WebhookPolicy,
     /// Wakes whoever removes the files of what was deleted.
-    pub(super) tidy: Arc<Notify>,
+    pub(super) gc_wake: Arc<Notify>,
     /// Cancelled when the server begins to shut down.
     pub(super) stop: CancellationToken,
     /// The description of the API.

@@ -25,19 +25,19 @@ impl ApiKeys {
     }
 
     /// The hash of a key.
-    pub(super) fn hash(&self, place: usize) -> Option<&[u8; 32]> {
-        self.hashes.get(place)
+    pub(super) fn hash(&self, index: usize) -> Option<&[u8; 32]> {
+        self.hashes.get(index)
     }
 
     /// Which of the keys this is. Compares with every hash, whichever matches, so that the time it takes does not depend on
     /// the key.
-    pub(super) fn place(&self, key: &str) -> Option<usize> {
+    pub(super) fn index(&self, key: &str) -> Option<usize> {
         let presented: [u8; 32] = Sha256::digest(key).into();
         let mut found = u64::MAX;
-        for (place, hash) in (0u64..).zip(self.hashes.iter()) {
-            found.conditional_assign(&place, hash.ct_eq(&presented));
+        for (index, hash) in (0u64..).zip(self.hashes.iter()) {
+            found.conditional_assign(&index, hash.ct_eq(&presented));
         }
-        usize::try_from(found).ok().filter(|place| *place < self.hashes.len())
+        usize::try_from(found).ok().filter(|index| *index < self.hashes.len())
     }
 }
 
@@ -53,8 +53,8 @@ mod tests {
     #[test]
     fn only_a_known_key_is_admitted() {
         let keys = ApiKeys::new(["first", "second"]);
-        assert_eq!(["first", "second", "secon", ""].map(|k| keys.place(k)), [Some(0), Some(1), None, None]);
-        assert_eq!(ApiKeys::default().place("first"), None);
+        assert_eq!(["first", "second", "secon", ""].map(|k| keys.index(k)), [Some(0), Some(1), None, None]);
+        assert_eq!(ApiKeys::default().index("first"), None);
     }
 
     #[test]

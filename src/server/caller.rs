@@ -4,8 +4,9 @@ use axum::extract::FromRequestParts;
 use axum::http::StatusCode;
 use axum::http::request::Parts;
 
-use crate::api::keys::Scope;
-use crate::api::{KeyId, Problem, TenantId};
+use relume_api::keys::Scope;
+use relume_api::{KeyId, TenantId};
+use crate::server::problem::Problem;
 use crate::store::StoreError;
 
 /// What stands for a key where there is none.
@@ -54,7 +55,7 @@ impl Caller {
     }
 
     /// Adds the key's identifier and the tenant to every line of the log about this request.
-    pub(super) fn tell_the_log(&self) {
+    pub(super) fn record_in_span(&self) {
         let span = tracing::Span::current();
         span.record("key", self.key.as_str());
         span.record("tenant", self.tenant.as_str());
@@ -62,11 +63,11 @@ impl Caller {
 
     /// # Errors
     /// 403 that names the scope that is missing.
-    pub(super) fn needs(&self, scope: Scope) -> Result<(), Problem> {
+    pub(super) fn require_scope(&self, scope: Scope) -> Result<(), Problem> {
         if self.scopes.contains(&scope) {
             return Ok(());
         }
-        Err(Self::lacks(format!("this needs a key with the scope {scope:?}", scope = scope.name())))
+        Err(Self::missing_permission(format!("this operation requires a key with the scope {scope:?}", scope = scope.name())))
     }
 
     /// Whether this is an administrator of the tenant of whoever runs the server.
@@ -75,8 +76,8 @@ impl Caller {
     }
 
     /// What the store's refusal is to this caller: only whoever runs the server is told how much all tenants store.
-    pub(super) fn told(&self, error: StoreError) -> Problem {
-        let numbers = matches!(error, StoreError::OverLimit { .. }) && self.is_operator();
+    pub(super) fn problem_for(&self, error: StoreError) -> Problem {
+        let numbers = matches!(error, StoreError::StorageLimitExceeded { .. }) && self.is_operator();
         let detail = numbers.then(|| error.to_string());
         let problem = Problem::from(error);
         match detail {
@@ -87,18 +88,18 @@ impl Caller {
 
     /// # Errors
     /// 403 unless this has the scope, or `admin`, of the tenant of whoever runs the server.
-    pub(super) fn needs_operator(&self, scope: Scope) -> Result<(), Problem> {
+    pub(super) fn require_operator(&self, scope: Scope) -> Result<(), Problem> {
         let permits = self.scopes.iter().any(|own| [scope, Scope::Admin].contains(own));
         if permits && self.tenant.is_operator() {
             return Ok(());
         }
         let tenant = TenantId::of_operator();
         let scope = scope.name();
-        Err(Self::lacks(format!("this needs a key with the scope {scope:?} of the tenant \"{tenant}\"")))
+        Err(Self::missing_permission(format!("this operation requires a key with the scope {scope:?} of the tenant \"{tenant}\"")))
     }
 
-    fn lacks(what: String) -> Problem {
-        Problem::new(StatusCode::FORBIDDEN, "forbidden", "The key does not permit it").detail(what)
+    fn missing_permission(what: String) -> Problem {
+        Problem::new(StatusCode::FORBIDDEN, "forbidden", "The key does not permit this operation").detail(what)
     }
 }
 
@@ -107,6 +108,6 @@ impl<S: Send + Sync> FromRequestParts<S> for Caller {
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
         let caller = parts.extensions.get::<Self>().cloned();
-        caller.ok_or_else(|| Problem::internal("a route without a line in the table of access"))
+        caller.ok_or_else(|| Problem::internal("a route without an entry in the access table"))
     }
 }

@@ -10,17 +10,18 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::cameras::{CameraConvention, CameraSpec, CaptureCameras, CapturedCamera};
-use crate::api::{CaptureId, Problem};
-use crate::capture::{self, CaptureError, ImportLimits, PhotoCamera};
-use crate::server::app::Shared;
+use relume_api::cameras::{CameraConvention, CameraSpec, CaptureCameras, CapturedCamera};
+use relume_api::CaptureId;
+use crate::server::problem::Problem;
+use relume_capture::{self, CaptureError, ImportLimits, PhotoCamera};
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
 use crate::store::{StoreError, hex};
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(get_cameras))
 }
 
@@ -29,26 +30,29 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct CamerasQuery {
-    /// `opengl` (the default), `opencv` or `colmap`.
+    /// Convention of the poses: `opengl`, `opencv` or `colmap`. Omitted: `opengl`.
     #[serde(default)]
     #[param(value_type = Option<String>, pattern = "^(opengl|opencv|colmap)$")]
     pub convention: CameraConvention,
 }
 
-/// Get a capture's cameras
+/// List the cameras of a capture
 ///
-/// One for each photograph, distortion removed, at its stored size. `camera`, `width` and `height` are fields of a render
-/// request: the frame shows what the photograph shows. The convention says how poses are written; it changes no frame.
+/// Returns one camera per photograph, after removal of lens distortion, at the stored size. `camera`, `width`
+/// and `height` are fields of a render request; a frame rendered with them shows the same view as the
+/// photograph. The convention changes only the form of the poses.
 #[utoipa::path(
-    get, path = "/v1/captures/{id}/cameras", tag = "captures", params(("id" = String, Path), CamerasQuery),
+    get, path = "/v1/captures/{id}/cameras", tag = "captures",
+    params(("id" = String, Path, description = "Capture identifier"), CamerasQuery),
     responses(
-        (status = 200, body = CaptureCameras), (status = 304, description = "The caller has it already"),
-        (status = 404, body = Problem, description = "There is no such capture, or it is not ready yet"),
+        (status = 200, body = CaptureCameras),
+        (status = 304, description = "Not modified: the caller has the current version"),
+        (status = 404, body = Problem, description = "The capture does not exist or is not ready"),
         (status = 422, body = Problem)
     )
 )]
 async fn get_cameras(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
     QueryString(CamerasQuery { convention }): QueryString<CamerasQuery>,
@@ -69,7 +73,7 @@ async fn get_cameras(
             sound => sound?,
         }
         let path = app.store.artifacts().local_path(&record.artifact);
-        let read = move || capture::cameras(&path, &ImportLimits::default());
+        let read = move || relume_capture::cameras(&path, &ImportLimits::default());
         let failed = |error: CaptureError| match error.is_users_fault() {
             true => Problem::internal(error),
             false => Problem::storage_failed(error),

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use crate::api::Problem;
+use crate::server::problem::Problem;
 
 /// Bytes that decoding one photograph takes at most: as it is stored, as floats, and reduced.
 const ONE_PHOTOGRAPH: u64 = 1600 << 20;

@@ -9,19 +9,20 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{CaptureId, Problem, ResourceKind, ResourceName};
-use crate::server::app::Shared;
+use relume_api::{CaptureId, ResourceKind, ResourceName};
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::poses;
 use crate::store::Deletion;
 
 /// How often, and how many times, it is asked whether work that was cancelled has ended.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
-const LOOKS: u32 = 200;
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+const MAX_POLLS: u32 = 200;
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(delete_capture))
         .routes(routes!(delete_environment))
@@ -29,12 +30,12 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(delete_model))
 }
 
-/// What to delete beside the thing itself.
+/// Scope of a deletion.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 struct DeleteQuery {
-    /// `true`: delete what needs it as well; a job that runs is cancelled. `false` when absent.
+    /// `true`: also deletes the resources that need this one, and cancels running jobs. Omitted: `false`.
     #[serde(default)]
     #[param(required = false)]
     cascade: bool,
@@ -42,17 +43,18 @@ struct DeleteQuery {
 
 /// Delete a capture
 ///
-/// Jobs that wait, run or may be run again need it. Models that were made of it stay. The search for the poses of its photographs is
-/// ended.
+/// Jobs of the capture that are queued, running or retryable need it; the server then answers 409 unless
+/// `cascade` is `true`. Models of the capture remain. A running pose estimation is cancelled.
 #[utoipa::path(
-    delete, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path), DeleteQuery),
+    delete, path = "/v1/captures/{id}", tag = "captures",
+    params(("id" = String, Path, description = "Capture identifier"), DeleteQuery),
     responses(
-        (status = 204, description = "Deleted"), (status = 404, body = Problem, description = "There is none, or no longer"),
-        (status = 409, body = Problem, description = "Needed; `needed_by` says by what")
+        (status = 204, description = "Deleted"), (status = 404, body = Problem, description = "Not found"),
+        (status = 409, body = Problem, description = "In use; `needed_by` lists the dependent resources")
     )
 )]
 async fn delete_capture(
-    app: State<Shared>,
+    app: State<AppState>,
     caller: Caller,
     id: UrlPath<String>,
     query: QueryString<DeleteQuery>,
@@ -62,16 +64,18 @@ async fn delete_capture(
 
 /// Delete an environment map
 ///
-/// Jobs that wait, run or may be run again need it if they hold it as a known light.
+/// Jobs that use the map as a known light and are queued, running or retryable need it; the server then
+/// answers 409 unless `cascade` is `true`.
 #[utoipa::path(
-    delete, path = "/v1/environments/{id}", tag = "environments", params(("id" = String, Path), DeleteQuery),
+    delete, path = "/v1/environments/{id}", tag = "environments",
+    params(("id" = String, Path, description = "Environment map identifier"), DeleteQuery),
     responses(
-        (status = 204, description = "Deleted"), (status = 404, body = Problem, description = "There is none, or no longer"),
-        (status = 409, body = Problem, description = "Needed; `needed_by` says by what")
+        (status = 204, description = "Deleted"), (status = 404, body = Problem, description = "Not found"),
+        (status = 409, body = Problem, description = "In use; `needed_by` lists the dependent resources")
     )
 )]
 async fn delete_environment(
-    app: State<Shared>,
+    app: State<AppState>,
     caller: Caller,
     id: UrlPath<String>,
     query: QueryString<DeleteQuery>,
@@ -81,16 +85,18 @@ async fn delete_environment(
 
 /// Delete a job
 ///
-/// With its history and its checkpoint; its model stays. A job that runs is deleted with `cascade` only.
+/// Deletes the job with its events and its checkpoint. The model remains. For a running job the server
+/// answers 409 unless `cascade` is `true`; then it cancels the job first.
 #[utoipa::path(
-    delete, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path), DeleteQuery),
+    delete, path = "/v1/jobs/{id}", tag = "jobs",
+    params(("id" = String, Path, description = "Job identifier"), DeleteQuery),
     responses(
-        (status = 204, description = "Deleted"), (status = 404, body = Problem, description = "There is none, or no longer"),
-        (status = 409, body = Problem, description = "It is running")
+        (status = 204, description = "Deleted"), (status = 404, body = Problem, description = "Not found"),
+        (status = 409, body = Problem, description = "The job is running")
     )
 )]
 async fn delete_job(
-    app: State<Shared>,
+    app: State<AppState>,
     caller: Caller,
     id: UrlPath<String>,
     query: QueryString<DeleteQuery>,
@@ -100,15 +106,17 @@ async fn delete_job(
 
 /// Delete a model
 ///
-/// With its files. Its job stays and says when this happened. Nothing needs a model.
+/// Deletes the model with its files. The job remains and records the time in `model_deleted_at`. No other
+/// resource needs a model, so `cascade` has no effect.
 #[utoipa::path(
-    delete, path = "/v1/models/{id}", tag = "models", params(("id" = String, Path), DeleteQuery),
+    delete, path = "/v1/models/{id}", tag = "models",
+    params(("id" = String, Path, description = "Model identifier"), DeleteQuery),
     responses(
-        (status = 204, description = "Deleted"), (status = 404, body = Problem, description = "There is none, or no longer")
+        (status = 204, description = "Deleted"), (status = 404, body = Problem, description = "Not found")
     )
 )]
 async fn delete_model(
-    app: State<Shared>,
+    app: State<AppState>,
     caller: Caller,
     id: UrlPath<String>,
     query: QueryString<DeleteQuery>,
@@ -117,7 +125,7 @@ async fn delete_model(
 }
 
 async fn delete(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: &Caller,
     kind: ResourceKind,
     UrlPath(id): UrlPath<String>,
@@ -126,11 +134,11 @@ async fn delete(
     let what = ResourceName::new(kind, id);
     match app.jobs.delete(&caller.tenant, &what, query.cascade).await? {
         Deletion::Done => {
-            app.tidy.notify_one();
+            app.gc_wake.notify_one();
             Ok(StatusCode::NO_CONTENT)
         }
         Deletion::NotFound if kind == ResourceKind::Capture => {
-            delete_unmade(&app, caller, what.id.into()).await
+            delete_unfinished_capture(&app, caller, what.id.into()).await
         }
         Deletion::NotFound => Err(Problem::not_found(kind.name(), &what.id)),
         Deletion::InUse(needed_by) => Err(Problem::in_use(&what, needed_by)),
@@ -138,17 +146,17 @@ async fn delete(
 }
 
 /// Deletes a capture that could not be made, or that poses are being found for, with its upload.
-pub(super) async fn delete_unmade(
-    app: &Shared,
+pub(super) async fn delete_unfinished_capture(
+    app: &AppState,
     caller: &Caller,
     id: CaptureId,
 ) -> Result<StatusCode, Problem> {
     let missing = || Problem::not_found("capture", id.as_str());
-    let upload = app.store.upload_for(&caller.tenant, &id).await?.ok_or_else(missing)?;
+    let upload = app.store.upload_of_capture(&caller.tenant, &id).await?.ok_or_else(missing)?;
     let ends_soon = app.poses.cancel(&id);
-    for _ in 0..LOOKS {
+    for _ in 0..MAX_POLLS {
         if app.store.drop_invalid(&upload).await? {
-            poses::remove_of(&app.store, &id).await;
+            poses::remove_folder(&app.store, &id).await;
             // It may have become one meanwhile.
             let what = ResourceName::new(ResourceKind::Capture, id.to_string());
             app.jobs.delete(&caller.tenant, &what, false).await?;
@@ -157,7 +165,7 @@ pub(super) async fn delete_unmade(
         if !ends_soon {
             break;
         }
-        tokio::time::sleep(LOOK_EVERY).await;
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
-    Err(Problem::conflict("capture-validating", "the capture is being validated").retry_after(5))
+    Err(Problem::conflict("capture-validating", "the server is validating the capture").retry_after(5))
 }

@@ -5,9 +5,10 @@ use std::sync::Arc;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use crate::api::Problem;
-use crate::render::{EncodedFrame, Finish, Frame, FrameFormat, Output, encode_wanted_frame};
-use crate::server::memory::Loan;
+use crate::server::problem::Problem;
+use relume_train::render::{EncodedFrame, Finish, Frame, encode_wanted_frame};
+use relume_spec::rendering::{FrameFormat, Output};
+use crate::server::memory::MemoryPermit;
 
 /// Most values of a frame that is encoded at once, whatever else is: 512 x 512 pixels of colour and alpha.
 const AT_ONCE: u64 = 1 << 20;
@@ -33,9 +34,9 @@ impl Encoders {
         outputs: Vec<Output>,
         format: FrameFormat,
         finish: Finish,
-        memory: Loan,
+        memory: MemoryPermit,
     ) -> Result<EncodedFrame, Problem> {
-        let turn = match values(&frame, &outputs) > AT_ONCE {
+        let permit = match values(&frame, &outputs) > AT_ONCE {
             true => Some(self.0.clone().acquire_owned().await.map_err(Problem::internal)?),
             false => None,
         };
@@ -45,7 +46,7 @@ impl Encoders {
         let work = move || {
             let _span = span.entered();
             // Both are held until the work has ended, not only while somebody waits for it.
-            let _held = (memory, turn);
+            let _held = (memory, permit);
             encode_wanted_frame(&frame, &outputs, format, &finish, &|| !gone.is_cancelled())
         };
         tokio::task::spawn_blocking(work).await.map_err(Problem::internal)?.map_err(Problem::internal)
@@ -71,7 +72,7 @@ mod tests {
     }
 
     async fn encode(encoders: &Encoders, side: u32) -> Result<EncodedFrame, Problem> {
-        let memory = MemoryBudget::new(1 << 30).borrow(1).await.unwrap();
+        let memory = MemoryBudget::new(1 << 30).reserve(1).await.unwrap();
         encoders.encode(frame(side), vec![Output::Rgb], FrameFormat::Exr, Finish::default(), memory).await
     }
 

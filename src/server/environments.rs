@@ -8,62 +8,65 @@ use tokio::io::AsyncReadExt;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::environments::{EnvironmentList, EnvironmentView};
-use crate::api::marks::{Marks, MarksChange};
-use crate::api::problem::ContentError;
-use crate::api::{EnvironmentId, Problem, ResourceKind, ResourceName, TenantId};
-use crate::capture::BUILTIN;
-use crate::formats::environment::{self, EnvironmentFileError, LoadedEnvironment};
-use crate::server::app::Shared;
+use relume_api::environments::{EnvironmentList, EnvironmentView};
+use relume_api::metadata::{ResourceMetadata, MetadataChange};
+use relume_api::problem::ContentError;
+use relume_api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
+use crate::server::problem::Problem;
+use relume_capture::BUILTIN;
+use relume_capture::formats::environment::{self, EnvironmentFileError, LoadedEnvironment};
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::{EnvironmentForm, File};
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::rfc3339;
-use crate::server::marks::{self, MarkedPageQuery, MarksQuery};
-use crate::server::upload::{self, Expected};
-use crate::store::{EnvironmentRecord, Incoming};
+use crate::server::metadata::{self, FilteredPageQuery, MetadataQuery};
+use crate::server::file_body::{self, AcceptedBody};
+use crate::store::{EnvironmentRecord, StagedUpload};
 
 /// Bytes from a file's begin that hold its header.
 const HEAD: u64 = 1 << 20;
 
 /// The routes of this file that take no maps.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(list_environments))
         .routes(routes!(get_environment, change_environment))
 }
 
 /// The route of this file that takes a map.
-pub(super) fn uploads() -> OpenApiRouter<Shared> {
+pub(super) fn uploads() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(upload_environment))
 }
 
 /// Upload an environment map
 ///
-/// An equirectangular Radiance `.hdr` or OpenEXR, as the raw body or as the multipart field `environment`. Row 0
-/// looks along world +Z. NaN and infinity are refused; negative values are set to 0 with a warning.
+/// Accepts an equirectangular Radiance `.hdr` or OpenEXR file, as the raw body or as the multipart field
+/// `environment`. Row 0 is the direction world +Z. The server refuses NaN and infinity, and sets negative
+/// values to 0 with a warning. If the tenant already has a map with the same content, the server answers 200
+/// with that map.
 #[utoipa::path(
-    post, path = "/v1/environments", tag = "environments", params(MarksQuery),
+    post, path = "/v1/environments", tag = "environments", params(MetadataQuery),
     request_body(content(
         (File = "image/vnd.radiance"), (File = "image/x-exr"), (EnvironmentForm = "multipart/form-data")
     )),
     responses(
         (status = 201, body = EnvironmentView),
-        (status = 200, body = EnvironmentView, description = "Stored before"),
+        (status = 200, body = EnvironmentView, description = "Already stored"),
         (status = 413, body = Problem), (status = 415, body = Problem), (status = 422, body = Problem)
     )
 )]
 async fn upload_environment(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
-    QueryString(query): QueryString<MarksQuery>,
+    QueryString(query): QueryString<MetadataQuery>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let marks = query.marks()?;
+    let metadata = query.metadata()?;
     let mut incoming = receive(&app, &caller, request).await?;
     if let Some(known) = app.store.environment_by_hash(&caller.tenant, &incoming.sha256).await? {
-        let known = marked(&app, &caller.tenant, known, marks.clone()).await?;
-        match app.store.mend(incoming, &known.artifact).await? {
+        let known = with_metadata(&app, &caller.tenant, known, metadata.clone()).await?;
+        match app.store.repair_artifact(incoming, &known.artifact).await? {
             None => return Ok(Json(view(known)).into_response()),
             // It was deleted meanwhile.
             Some(given_back) => incoming = given_back,
@@ -73,7 +76,7 @@ async fn upload_environment(
     let record = EnvironmentRecord {
         id: app.jobs.fresh_id(),
         sha256: incoming.sha256.clone(),
-        marks,
+        metadata,
         bytes: i64::try_from(incoming.bytes).unwrap_or(i64::MAX),
         artifact: format!("environments/{}", incoming.sha256),
         width,
@@ -82,36 +85,38 @@ async fn upload_environment(
         created_ms: app.jobs.now_ms(),
     };
     let stored =
-        app.store.keep_environment(incoming, &caller.tenant, &record).await.map_err(marks::refused)?;
+        app.store.publish_environment(incoming, &caller.tenant, &record).await.map_err(metadata::refused)?;
     let location = format!("/v1/environments/{}", stored.id);
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
 }
 
 /// A map that is known, called what its sender calls it.
-async fn marked(
-    app: &Shared,
+async fn with_metadata(
+    app: &AppState,
     tenant: &TenantId,
     mut map: EnvironmentRecord,
-    given: Marks,
+    given: ResourceMetadata,
 ) -> Result<EnvironmentRecord, Problem> {
     let what = ResourceName::new(ResourceKind::Environment, map.id.to_string());
-    map.marks = marks::mark(app, tenant, what, given, map.marks).await?;
+    map.metadata = metadata::apply_metadata(app, tenant, what, given, map.metadata).await?;
     Ok(map)
 }
 
 /// List environment maps
+///
+/// Returns the names of the built-in maps, and the uploaded maps of the caller's tenant, newest first.
 #[utoipa::path(
-    get, path = "/v1/environments", tag = "environments", params(MarkedPageQuery),
+    get, path = "/v1/environments", tag = "environments", params(FilteredPageQuery),
     responses((status = 200, body = EnvironmentList))
 )]
 async fn list_environments(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
-    QueryString(query): QueryString<MarkedPageQuery>,
+    QueryString(query): QueryString<FilteredPageQuery>,
 ) -> Result<Json<EnvironmentList>, Problem> {
     let (page, filter) = query.parts()?;
     let page = page.page(async |id| app.store.environment(&caller.tenant, &id.into()).await).await?;
-    let maps = app.store.environments(&caller.tenant, &filter, &page.of_store()).await?;
+    let maps = app.store.environments(&caller.tenant, &filter, &page.store_page()).await?;
     Ok(Json(EnvironmentList {
         builtin: BUILTIN.iter().map(|&name| name.to_owned()).collect(),
         uploaded: page.list(maps, view),
@@ -119,54 +124,60 @@ async fn list_environments(
 }
 
 /// Get an environment map
+///
+/// Returns an uploaded map. Built-in maps have a name but no identifier.
 #[utoipa::path(
-    get, path = "/v1/environments/{id}", tag = "environments", params(("id" = String, Path)),
+    get, path = "/v1/environments/{id}", tag = "environments",
+    params(("id" = String, Path, description = "Environment map identifier")),
     responses((status = 200, body = EnvironmentView), (status = 404, body = Problem))
 )]
 async fn get_environment(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<EnvironmentId>,
 ) -> Result<Json<EnvironmentView>, Problem> {
     find(&app, &caller.tenant, &id).await.map(Json)
 }
 
-async fn find(app: &Shared, tenant: &TenantId, id: &EnvironmentId) -> Result<EnvironmentView, Problem> {
+async fn find(app: &AppState, tenant: &TenantId, id: &EnvironmentId) -> Result<EnvironmentView, Problem> {
     let record = app.store.environment(tenant, id).await?;
     record.map(view).ok_or_else(|| Problem::not_found("environment", id.as_str()))
 }
 
-/// Change what an environment map is called
+/// Change the metadata of an environment map
 ///
-/// A JSON merge patch: what is absent stays, what is null goes.
+/// A JSON merge patch (RFC 7396) of name, external identifier and labels. Omitted fields are unchanged; null
+/// clears a field.
 #[utoipa::path(
-    patch, path = "/v1/environments/{id}", tag = "environments", params(("id" = String, Path)), request_body = MarksChange,
+    patch, path = "/v1/environments/{id}", tag = "environments",
+    params(("id" = String, Path, description = "Environment map identifier")),
+    request_body = MetadataChange,
     responses((status = 200, body = EnvironmentView), (status = 404, body = Problem), (status = 422, body = Problem))
 )]
 async fn change_environment(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<EnvironmentId>,
-    JsonBody(change): JsonBody<MarksChange>,
+    JsonBody(change): JsonBody<MetadataChange>,
 ) -> Result<Json<EnvironmentView>, Problem> {
-    marks::change(&app, &caller.tenant, ResourceKind::Environment, id.as_str(), &change).await?;
+    metadata::change(&app, &caller.tenant, ResourceKind::Environment, id.as_str(), &change).await?;
     find(&app, &caller.tenant, &id).await.map(Json)
 }
 
-async fn receive(app: &Shared, caller: &Caller, request: Request) -> Result<Incoming, Problem> {
+async fn receive(app: &AppState, caller: &Caller, request: Request) -> Result<StagedUpload, Problem> {
     const MEDIA_TYPES: &[&str] =
         &["image/vnd.radiance", "image/x-hdr", "image/x-exr", "image/aces", "application/octet-stream"];
     let limit = app.limits.environment_bytes;
-    let expected = Expected { field: "environment", media_types: MEDIA_TYPES, takes_files: false, limit };
-    upload::receive(app, caller, request, &expected).await
+    let expected = AcceptedBody { field: "environment", media_types: MEDIA_TYPES, takes_files: false, limit };
+    file_body::receive(app, caller, request, &expected).await
 }
 
-async fn validate(app: &Shared, incoming: &Incoming) -> Result<(i64, i64, Vec<String>), Problem> {
+async fn validate(app: &AppState, incoming: &StagedUpload) -> Result<(i64, i64, Vec<String>), Problem> {
     let file = tokio::fs::File::open(&incoming.path).await.map_err(Problem::storage_failed)?;
     let mut head = Vec::new();
     file.take(HEAD).read_to_end(&mut head).await.map_err(Problem::storage_failed)?;
     let needed = environment::decoding_bytes(&head).map_err(refused)?;
-    let _memory = app.memory.borrow(needed.saturating_add(incoming.bytes)).await?;
+    let _memory = app.memory.reserve(needed.saturating_add(incoming.bytes)).await?;
     let bytes = tokio::fs::read(&incoming.path).await.map_err(Problem::storage_failed)?;
     let decoded = app.decoders.run(move || environment::decode(&bytes)).await?;
     let LoadedEnvironment { map, warnings } = decoded.map_err(refused)?;
@@ -174,8 +185,8 @@ async fn validate(app: &Shared, incoming: &Incoming) -> Result<(i64, i64, Vec<St
 }
 
 /// Decodes a map that came with a request, with memory for it borrowed meanwhile.
-pub(super) async fn decode(app: &Shared, bytes: Vec<u8>) -> Result<LoadedEnvironment, Problem> {
-    let _texels = app.memory.borrow(environment::decoding_bytes(&bytes).map_err(refused)?).await?;
+pub(super) async fn decode(app: &AppState, bytes: Vec<u8>) -> Result<LoadedEnvironment, Problem> {
+    let _texels = app.memory.reserve(environment::decoding_bytes(&bytes).map_err(refused)?).await?;
     app.decoders.run(move || environment::decode(&bytes)).await?.map_err(refused)
 }
 
@@ -187,7 +198,7 @@ fn refused(error: EnvironmentFileError) -> Problem {
 fn view(record: EnvironmentRecord) -> EnvironmentView {
     EnvironmentView {
         id: record.id,
-        marks: record.marks,
+        metadata: record.metadata,
         sha256: record.sha256,
         bytes: record.bytes,
         width: record.width,

@@ -15,8 +15,9 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{JobId, KeyId, Problem, TenantId};
-use crate::server::app::Shared;
+use relume_api::{JobId, KeyId, TenantId};
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::listing::rfc3339;
@@ -29,34 +30,42 @@ const POLL: Duration = Duration::from_secs(2);
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(job_events))
 }
 
-/// Where to begin.
+/// Start of the stream.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 struct EventQuery {
-    /// Only events numbered above this; `Last-Event-ID` takes precedence.
+    /// Number of an event. The stream starts after it. `Last-Event-ID` takes precedence. Omitted: from the
+    /// first event.
     after: Option<i64>,
 }
 
-/// Stream a job's events
+/// Stream the events of a job
 ///
-/// Every event since `Last-Event-ID` (or since the beginning), then new ones as they happen, until the job is in a
-/// terminal state, or the caller's key or signed URL ends, also when all signed URLs are ended. Kinds: `state`, `progress`, `checkpoint`, `warning`; data is a JSON object, in which
-/// `at` says when, RFC 3339. Numbers only grow, also across restarts of the server. The last `state` of a job that made a model
-/// has its `figures`, too.
+/// Server-sent events: all events after `Last-Event-ID`, or from the beginning, then new events as they
+/// happen. The stream ends when the job is in a final state, when the caller's key or signed URL expires or
+/// is revoked, or when the operator replaces the signing secret.
+///
+/// Event types: `state`, `progress`, `checkpoint` and `warning`. The data is a JSON object with the time
+/// `at`, RFC 3339. Event numbers increase, also across restarts of the server. The last `state` event of a
+/// job with a model contains its `figures`.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/events", tag = "jobs",
-    params(("id" = String, Path), EventQuery, ("Last-Event-ID" = Option<i64>, Header)),
+    params(
+        ("id" = String, Path, description = "Job identifier"),
+        EventQuery,
+        ("Last-Event-ID" = Option<i64>, Header, description = "Number of the last received event")
+    ),
     responses(
         (status = 200, content_type = "text/event-stream", body = String), (status = 404, body = Problem)
     )
 )]
 async fn job_events(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<JobId>,
     QueryString(query): QueryString<EventQuery>,
@@ -72,7 +81,7 @@ async fn job_events(
         })?,
     };
     let changes = app.jobs.subscribe();
-    let listener = Listener {
+    let listener = JobEventStream {
         app,
         tenant: caller.tenant,
         key: caller.key,
@@ -98,8 +107,8 @@ fn sse(event: EventRecord) -> Event {
 }
 
 /// Follows one job. Events come from the database; the channel only says when to query it.
-struct Listener {
-    app: Shared,
+struct JobEventStream {
+    app: AppState,
     tenant: TenantId,
     key: KeyId,
     /// When the key or the signed URL expires.
@@ -112,7 +121,7 @@ struct Listener {
     waiting: VecDeque<EventRecord>,
 }
 
-impl Listener {
+impl JobEventStream {
     /// The next event; `None` when there will be none.
     async fn next(&mut self) -> Option<Event> {
         loop {

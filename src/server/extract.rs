@@ -12,24 +12,24 @@ use serde_json::error::Category;
 use serde_path_to_error::Segment;
 use tower_http::timeout::TimeoutError;
 
-use crate::api::Problem;
-use crate::server::app::Shared;
-use crate::server::memory::Loan;
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
+use crate::server::memory::MemoryPermit;
 
 /// A JSON body of at most `LIMIT` bytes.
 pub(super) struct JsonBody<T, const LIMIT: usize = 65_536>(pub(super) T);
 
 /// A JSON body of at most `LIMIT` bytes, with the memory borrowed that it takes until this is dropped.
-pub(super) struct LargeJson<T, const LIMIT: usize>(pub(super) T, pub(super) Loan);
+pub(super) struct LargeJson<T, const LIMIT: usize>(pub(super) T, pub(super) MemoryPermit);
 
-impl<T: DeserializeOwned, const LIMIT: usize> FromRequest<Shared> for LargeJson<T, LIMIT> {
+impl<T: DeserializeOwned, const LIMIT: usize> FromRequest<AppState> for LargeJson<T, LIMIT> {
     type Rejection = Problem;
 
-    async fn from_request(request: Request, app: &Shared) -> Result<Self, Problem> {
+    async fn from_request(request: Request, app: &AppState) -> Result<Self, Problem> {
         let length = content_length(request.headers()).unwrap_or(LIMIT as u64).min(LIMIT as u64);
-        let loan = app.memory.borrow_body(length).await?;
+        let permit = app.memory.reserve_body(length).await?;
         let bytes = json_bytes(request, LIMIT).await?;
-        Ok(Self(parse(&bytes)?, loan))
+        Ok(Self(parse(&bytes)?, permit))
     }
 }
 
@@ -121,7 +121,7 @@ fn body_broken(error: &axum::Error, limit: usize) -> Problem {
 }
 
 /// What is said of a body that stopped arriving.
-pub(super) const STALLED: &str = "no more of the body arrived in time";
+pub(super) const STALLED: &str = "the rest of the body did not arrive in time";
 
 /// True when an error of type `E` is among the causes.
 pub(super) fn caused_by<E: Error + 'static>(error: &(dyn Error + 'static)) -> bool {

@@ -10,11 +10,11 @@ use futures::{Stream, TryStreamExt, stream};
 use tokio::io::{AsyncReadExt, AsyncSeekExt, AsyncWriteExt};
 use tower_http::timeout::TimeoutError;
 
-use crate::api::Problem;
-use crate::server::app::Shared;
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{STALLED, caused_by};
-use crate::store::{Incoming, StoreError};
+use crate::store::{StagedUpload, StoreError};
 
 /// Name of the form's fields.
 pub(super) const FIELD: &str = "files";
@@ -25,23 +25,23 @@ const CHUNK: usize = 1 << 18;
 
 /// Why no tar could be made.
 #[derive(Debug, thiserror::Error)]
-enum Fault {
+enum FormError {
     #[error("{}", .0.body_text())]
     Form(#[from] MultipartError),
     #[error(transparent)]
     Disk(#[from] io::Error),
     #[error("{detail}")]
     File { pointer: String, detail: String },
-    #[error("{name}: more than the {limit} bytes that a file may have")]
+    #[error("{name}: exceeds the maximum file size of {limit} bytes")]
     TooLarge { name: String, limit: u64 },
 }
 
-impl Fault {
+impl FormError {
     fn problem(self, caller: &Caller) -> Problem {
         match self {
             Self::Form(error) if caused_by::<TimeoutError>(&error) => Problem::timeout(STALLED),
             Self::Form(error) => Problem::malformed_form(error.body_text()),
-            Self::Disk(error) if error.kind() == io::ErrorKind::StorageFull => caller.told(StoreError::Full),
+            Self::Disk(error) if error.kind() == io::ErrorKind::StorageFull => caller.problem_for(StoreError::Full),
             Self::Disk(error) => Problem::storage_failed(error),
             Self::File { pointer, detail } => Problem::invalid_field(pointer, detail),
             Self::TooLarge { limit, .. } => Problem::too_large(limit).detail(self.to_string()),
@@ -60,7 +60,7 @@ pub(super) struct Spooled {
 }
 
 /// What comes next of the tar.
-enum Next {
+enum TarState {
     Header(Spooled),
     Content(Spooled),
     File,
@@ -77,12 +77,12 @@ struct Spool {
 /// Receives the files of a form as a tar of them in their order: `first`, and what `form` has beside it. After an error nothing
 /// of it is left on disk.
 pub(super) async fn receive(
-    app: &Shared,
+    app: &AppState,
     caller: &Caller,
     first: Spooled,
     form: Multipart,
     limit: u64,
-) -> Result<Incoming, Problem> {
+) -> Result<StagedUpload, Problem> {
     let mut fault = None;
     let body = tar(first, form, Spool::of(app)).map_err(|found| {
         let text = found.to_string();
@@ -93,55 +93,55 @@ pub(super) async fn receive(
     let received = app.store.receive(&caller.tenant, &name, body, limit).await;
     received.map_err(|error| match fault {
         Some(fault) => fault.problem(caller),
-        None => caller.told(error),
+        None => caller.problem_for(error),
     })
 }
 
 /// Takes the first file of a form in.
-pub(super) async fn first(app: &Shared, caller: &Caller, field: Field<'_>) -> Result<Spooled, Problem> {
+pub(super) async fn first(app: &AppState, caller: &Caller, field: Field<'_>) -> Result<Spooled, Problem> {
     Spool::of(app).take(field).await.map_err(|fault| fault.problem(caller))
 }
 
 /// The files of a form as the bytes of a tar. The same files in the same order give the same bytes.
-fn tar(first: Spooled, form: Multipart, spool: Spool) -> impl Stream<Item = Result<Bytes, Fault>> {
-    stream::try_unfold((Next::Header(first), form, spool), async |(next, mut form, spool)| {
+fn tar(first: Spooled, form: Multipart, spool: Spool) -> impl Stream<Item = Result<Bytes, FormError>> {
+    stream::try_unfold((TarState::Header(first), form, spool), async |(next, mut form, spool)| {
         let next = match (next, &mut form) {
-            (Next::File, form) => match form.next_field().await? {
-                Some(field) => Next::Header(spool.take(field).await?),
-                None => Next::Trailer,
+            (TarState::File, form) => match form.next_field().await? {
+                Some(field) => TarState::Header(spool.take(field).await?),
+                None => TarState::Trailer,
             },
             (next, _) => next,
         };
         let (bytes, next) = match next {
-            Next::Header(spooled) => (header(&spooled)?, Next::Content(spooled)),
-            Next::Content(mut spooled) => {
+            TarState::Header(spooled) => (header(&spooled)?, TarState::Content(spooled)),
+            TarState::Content(mut spooled) => {
                 let bytes = spooled.chunk().await?;
-                (bytes, if spooled.left > 0 { Next::Content(spooled) } else { Next::File })
+                (bytes, if spooled.left > 0 { TarState::Content(spooled) } else { TarState::File })
             }
             // Two empty records end a tar.
-            Next::Trailer | Next::File => (vec![0; 2 * RECORD], Next::End),
-            Next::End => return Ok(None),
+            TarState::Trailer | TarState::File => (vec![0; 2 * RECORD], TarState::End),
+            TarState::End => return Ok(None),
         };
         Ok(Some((Bytes::from(bytes), (next, form, spool))))
     })
 }
 
 impl Spool {
-    fn of(app: &Shared) -> Self {
+    fn of(app: &AppState) -> Self {
         let folder = app.store.artifacts().local_path("incoming");
         Self { folder, limit: app.import_limits.max_entry_bytes }
     }
 
     /// Takes a file in, to its end.
-    async fn take(&self, mut field: Field<'_>) -> Result<Spooled, Fault> {
+    async fn take(&self, mut field: Field<'_>) -> Result<Spooled, FormError> {
         let name = field.name().unwrap_or_default();
-        let wrong = |detail: &str| Fault::File { pointer: format!("/{name}"), detail: detail.to_owned() };
+        let wrong = |detail: &str| FormError::File { pointer: format!("/{name}"), detail: detail.to_owned() };
         if name != FIELD {
-            return Err(wrong(&format!("a form of files has no field but {FIELD:?}")));
+            return Err(wrong(&format!("is not allowed; a form of files has only the field {FIELD:?}")));
         }
         let path = field.file_name().unwrap_or_default().to_owned();
         if path.is_empty() {
-            return Err(wrong("the file has no name; it says which photograph this is"));
+            return Err(wrong("the file name is missing; it must be the path of the file in the capture"));
         }
         tokio::fs::create_dir_all(&self.folder).await?;
         let mut file = tokio::fs::File::from_std(tempfile::tempfile_in(&self.folder)?);
@@ -149,7 +149,7 @@ impl Spool {
         while let Some(chunk) = field.chunk().await? {
             bytes += chunk.len() as u64;
             if bytes > self.limit {
-                return Err(Fault::TooLarge { name: path, limit: self.limit });
+                return Err(FormError::TooLarge { name: path, limit: self.limit });
             }
             file.write_all(&chunk).await?;
         }
@@ -161,7 +161,7 @@ impl Spool {
 
 impl Spooled {
     /// The next of its bytes, after the last of which its last record is filled with zeros.
-    async fn chunk(&mut self) -> Result<Vec<u8>, Fault> {
+    async fn chunk(&mut self) -> Result<Vec<u8>, FormError> {
         let take = self.left.min(CHUNK as u64) as usize;
         let mut bytes = vec![0; take];
         self.file.read_exact(&mut bytes).await?;
@@ -174,15 +174,15 @@ impl Spooled {
 }
 
 /// The header of a file in a tar, and what comes before it where its name is long.
-fn header(spooled: &Spooled) -> Result<Vec<u8>, Fault> {
+fn header(spooled: &Spooled) -> Result<Vec<u8>, FormError> {
     let mut header = tar::Header::new_gnu();
     header.set_size(spooled.bytes);
     header.set_mode(0o644);
     header.set_mtime(0);
     let mut tar = tar::Builder::new(Vec::new());
-    tar.append_data(&mut header, &spooled.name, io::empty()).map_err(|error| Fault::File {
+    tar.append_data(&mut header, &spooled.name, io::empty()).map_err(|error| FormError::File {
         pointer: format!("/{FIELD}"),
-        detail: format!("{:?} names no file of a capture: {error}", spooled.name),
+        detail: format!("{:?} is not a valid path of a file in a capture: {error}", spooled.name),
     })?;
     // `into_inner` ends the tar with two empty records.
     let mut bytes = tar.into_inner()?;

@@ -13,58 +13,62 @@ use base64::engine::general_purpose::STANDARD;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{ModelId, Problem};
-use crate::server::app::Shared;
+use relume_api::ModelId;
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::UrlPath;
 use crate::store::ModelFile;
 
 /// How long a URL of the object store lets a caller begin to read.
-const SIGNED_FOR: Duration = Duration::from_secs(900);
+const SIGNED_URL_LIFETIME: Duration = Duration::from_secs(900);
 const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(get_file))
 }
 
 /// Download a file of a model
 ///
-/// Answers `Range` (one range), `If-Range` and `If-None-Match`. The `ETag` is the sha256 of the file. A server whose artifacts are in
-/// an object store may send the caller there (307), unless it is a browser.
+/// Supports `Range` with one range, `If-Range` and `If-None-Match`. The `ETag` is the SHA-256 of the file. If
+/// files are in an object store, the server can redirect callers other than browsers to it (307).
 #[utoipa::path(
     get, path = "/v1/models/{id}/files/{name}", tag = "models",
-    params(("id" = String, Path), ("name" = String, Path)),
+    params(
+        ("id" = String, Path, description = "Model identifier"),
+        ("name" = String, Path, description = "File name")
+    ),
     responses(
         (status = 200, content_type = "application/octet-stream", body = File),
         (status = 206, content_type = "application/octet-stream", body = File),
-        (status = 304, description = "The caller has it already"),
-        (status = 307, description = "The object store has it, at a URL that holds for minutes"),
+        (status = 304, description = "Not modified: the caller has the current version"),
+        (status = 307, description = "Redirect to the object store; the URL is valid for some minutes"),
         (status = 404, body = Problem), (status = 416, body = Problem)
     )
 )]
 async fn get_file(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath((id, name)): UrlPath<(ModelId, String)>,
-    asked: Asked,
+    asked: FileRequest,
 ) -> Result<Response, Problem> {
     let missing = || Problem::not_found("file", &format!("{id}/{name}"));
     let file = app.store.model_file(&caller.tenant, &id, &name).await?.ok_or_else(missing)?;
     send(&app, &asked, &file, async || {
-        app.store.sound_model_file(&caller.tenant, &id, &name).await?.map(drop).ok_or_else(missing)
+        app.store.verified_model_file(&caller.tenant, &id, &name).await?.map(drop).ok_or_else(missing)
     })
     .await
 }
 
 /// How a file is asked for.
-pub(super) struct Asked {
+pub(super) struct FileRequest {
     method: Method,
     headers: HeaderMap,
 }
 
-impl<S: Sync> FromRequestParts<S> for Asked {
+impl<S: Sync> FromRequestParts<S> for FileRequest {
     type Rejection = std::convert::Infallible;
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Self::Rejection> {
@@ -72,10 +76,10 @@ impl<S: Sync> FromRequestParts<S> for Asked {
     }
 }
 
-impl Asked {
+impl FileRequest {
     /// Whether the caller goes on where an answer leads. A browser is served from here: scripts may ask this server alone, and a file
     /// from elsewhere would be saved under the name that it has there. What an object store signs is for `GET`.
-    fn may_go_elsewhere(&self) -> bool {
+    fn accepts_redirect(&self) -> bool {
         self.method == Method::GET && !self.headers.contains_key("sec-fetch-mode")
     }
 }
@@ -86,8 +90,8 @@ impl Asked {
 /// # Errors
 /// Those of `check`; when the file cannot be read.
 pub(super) async fn send(
-    app: &Shared,
-    asked: &Asked,
+    app: &AppState,
+    asked: &FileRequest,
     file: &ModelFile,
     check: impl AsyncFnOnce() -> Result<(), Problem>,
 ) -> Result<Response, Problem> {
@@ -103,10 +107,10 @@ pub(super) async fn send(
         Requested::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
         Requested::Unsatisfiable => return Ok(unsatisfiable(size)),
     };
-    if asked.may_go_elsewhere()
-        && let Some(url) = app.store.artifacts().signed_url(&file.artifact, SIGNED_FOR).await?
+    if asked.accepts_redirect()
+        && let Some(url) = app.store.artifacts().signed_url(&file.artifact, SIGNED_URL_LIFETIME).await?
     {
-        return elsewhere(file, &etag, &url);
+        return redirect(file, &etag, &url);
     }
     check().await?;
     let stream = app.store.artifacts().stream(&file.artifact, range.clone()).await?;
@@ -122,7 +126,7 @@ pub(super) async fn send(
 }
 
 /// Where the object store has a file. The validator and the digest are those of the file: whoever follows can compare.
-fn elsewhere(file: &ModelFile, etag: &str, url: &str) -> Result<Response, Problem> {
+fn redirect(file: &ModelFile, etag: &str, url: &str) -> Result<Response, Problem> {
     let mut response = StatusCode::TEMPORARY_REDIRECT.into_response();
     describe(response.headers_mut(), file, etag);
     let entries = [(header::LOCATION, url), (header::CACHE_CONTROL, "no-store")];

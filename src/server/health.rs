@@ -10,15 +10,15 @@ use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::Problem;
-use crate::api::jobs::JobState;
-use crate::api::work::WorkerState;
-use crate::server::app::Shared;
-use crate::server::observe;
+use crate::server::problem::Problem;
+use relume_api::jobs::JobState;
+use relume_api::work::WorkerState;
+use crate::server::app::AppState;
+use crate::server::telemetry;
 use crate::store::StoreError;
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(healthz))
         .routes(routes!(readyz))
@@ -27,28 +27,33 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 }
 
 /// Check that the process runs
+///
+/// Liveness probe. Always answers 200.
 #[utoipa::path(get, path = "/healthz", tag = "operations", responses((status = 200, body = String)))]
 async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Check that the server can work
+/// Check that the server is ready
+///
+/// Readiness probe. Checks the render thread, the database, the object store, the disk space and the data
+/// directory.
 #[utoipa::path(
     get, path = "/readyz", tag = "operations",
     responses(
         (status = 200, body = String),
-        (status = 503, body = Problem, description = "The detail says why, e.g. a full disk")
+        (status = 503, body = Problem, description = "Not ready; `detail` has the reason, e.g. a full disk or a shutdown")
     )
 )]
-async fn readyz(State(app): State<Shared>) -> Result<&'static str, Problem> {
+async fn readyz(State(app): State<AppState>) -> Result<&'static str, Problem> {
     let not_ready = |why: &str| {
-        Problem::new(StatusCode::SERVICE_UNAVAILABLE, "not-ready", "The server cannot work").detail(why)
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, "not-ready", "The server is not ready").detail(why)
     };
     if app.stop.is_cancelled() {
-        return Err(not_ready("it is shutting down"));
+        return Err(not_ready("the server is shutting down"));
     }
     if !app.device.is_alive() {
-        return Err(not_ready("the thread that renders has ended"));
+        return Err(not_ready("the render thread has ended"));
     }
     app.store.ping().await.map_err(|error| {
         tracing::error!(%error, "the database does not answer");
@@ -56,13 +61,13 @@ async fn readyz(State(app): State<Shared>) -> Result<&'static str, Problem> {
     })?;
     app.store.artifacts().ping().await.map_err(|error| {
         tracing::error!(%error, "the object store does not answer");
-        not_ready("the object store of artifacts does not answer").retry_after(10)
+        not_ready("the object store does not answer").retry_after(10)
     })?;
-    app.store.check_room().await.map_err(|error| {
+    app.store.check_disk_space().await.map_err(|error| {
         tracing::warn!(%error, "not ready");
         match error {
-            StoreError::NoRoom { bytes } => {
-                not_ready(&format!("the disk is full: there is no room for {bytes} more bytes"))
+            StoreError::NoDiskSpace { bytes } => {
+                not_ready(&format!("the disk is full: {bytes} more bytes do not fit"))
                     .retry_after(10)
             }
             error => not_ready(&format!("the data directory cannot be written: {error}")),
@@ -71,25 +76,28 @@ async fn readyz(State(app): State<Shared>) -> Result<&'static str, Problem> {
     Ok("ready\n")
 }
 
-/// Metrics for Prometheus
+/// Get metrics
+///
+/// Metrics in the Prometheus text format. Requires a key of the tenant `default` with the scope `metrics` or
+/// `admin`.
 #[utoipa::path(get, path = "/metrics", tag = "operations", responses((status = 200, body = String)))]
-async fn prometheus(State(app): State<Shared>) -> Result<Response, Problem> {
+async fn prometheus(State(app): State<AppState>) -> Result<Response, Problem> {
     let counts = app.store.job_counts().await?;
     for state in JobState::ALL {
         let count = counts.iter().find(|(s, _)| *s == state).map_or(0, |(_, n)| *n);
         metrics::gauge!("relume_jobs", "state" => state.name()).set(count as f64);
     }
-    tell_of_workers(&app).await?;
-    let text = observe::metrics_handle().render();
+    record_worker_metrics(&app).await?;
+    let text = telemetry::metrics_handle().render();
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response())
 }
 
 /// How the fleet stands, and how long the queue has been waiting for it.
-async fn tell_of_workers(app: &Shared) -> Result<(), Problem> {
+async fn record_worker_metrics(app: &AppState) -> Result<(), Problem> {
     let asked = Instant::now();
     app.store.ping().await?;
     metrics::gauge!("relume_database_ping_seconds").set(asked.elapsed().as_secs_f64());
-    let alive = app.jobs.alive_ms();
+    let alive = app.jobs.heartbeat_cutoff_ms();
     let workers = app.store.workers().await?;
     let states: Vec<WorkerState> = workers.into_iter().map(|worker| worker.view(alive).state).collect();
     for state in WorkerState::ALL {
@@ -102,8 +110,10 @@ async fn tell_of_workers(app: &Shared) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Get this description
+/// Get the API description
+///
+/// Returns this OpenAPI document.
 #[utoipa::path(get, path = "/v1/openapi.json", tag = "operations", responses((status = 200, body = Object)))]
-async fn description(State(app): State<Shared>) -> Json<OpenApi> {
+async fn description(State(app): State<AppState>) -> Json<OpenApi> {
     Json(app.description.clone())
 }

@@ -1,11 +1,11 @@
 //! What a job may ask of this server's device. Preparing and single steps cannot be interrupted, so that one job must not
 //! be able to keep the device from all others for minutes.
 
-use crate::api::Problem;
-use crate::train::TrainConfig;
+use crate::server::problem::Problem;
+use relume_spec::training::TrainConfig;
 
 /// The most a job may ask of an engine.
-struct Most {
+struct JobLimits {
     engine: &'static str,
     gaussians: u32,
     resolution: u32,
@@ -13,8 +13,8 @@ struct Most {
     rays: u64,
 }
 
-const CPU: Most = Most { engine: "CPU", gaussians: 200_000, resolution: 4096, rays: 32 << 20 };
-const GPU: Most = Most { engine: "GPU", gaussians: 4_000_000, resolution: 8192, rays: 512 << 20 };
+const CPU: JobLimits = JobLimits { engine: "CPU", gaussians: 200_000, resolution: 4096, rays: 32 << 20 };
+const GPU: JobLimits = JobLimits { engine: "GPU", gaussians: 4_000_000, resolution: 8192, rays: 512 << 20 };
 
 /// # Errors
 /// Names the override that asks for too much.
@@ -29,7 +29,7 @@ pub(super) fn check(config: &TrainConfig, on_gpu: bool) -> Result<(), Problem> {
     for (field, value, most_here) in asked {
         if u64::from(value) > most_here {
             let detail =
-                format!("at most {most_here} on the {} with these settings, got {value}", most.engine);
+                format!("must be at most {most_here} on the {} with these settings, got {value}", most.engine);
             return Err(Problem::invalid_field(format!("/overrides/{field}"), detail));
         }
     }
@@ -39,7 +39,7 @@ pub(super) fn check(config: &TrainConfig, on_gpu: bool) -> Result<(), Problem> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::train::{Preset, TrainOverrides};
+    use relume_spec::training::{Preset, TrainOverrides};
 
     fn refused(overrides: TrainOverrides, on_gpu: bool) -> Option<String> {
         let config = TrainConfig::new(Preset::Standard, &overrides).unwrap();

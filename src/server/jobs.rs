@@ -9,26 +9,27 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::jobs::{JobChange, JobDevice, JobState, JobView, NewJob};
-use crate::api::keys::Scope;
-use crate::api::work::fault_of_labels;
-use crate::api::{EnvironmentId, JobId, List, Problem, ResourceKind, TenantId};
-use crate::capture::BUILTIN;
+use relume_api::jobs::{JobChange, JobDevice, JobState, JobView, NewJob};
+use relume_api::keys::Scope;
+use relume_api::work::validate_labels;
+use relume_api::{EnvironmentId, JobId, List, ResourceKind, TenantId};
+use crate::server::problem::Problem;
+use relume_capture::BUILTIN;
 use crate::jobs::Origin;
-use crate::server::app::Shared;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::PageQuery;
-use crate::server::{idempotency, job_bounds, marks, observe, quality_gate, validation};
+use crate::server::{idempotency, job_bounds, metadata, telemetry, quality_gate, validation};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted};
-use crate::train::{ConfigError, KnownLight, TrainConfig};
+use relume_spec::training::{ConfigError, KnownLight, TrainConfig};
 
 /// Where jobs are.
 const JOBS: &str = "/v1/jobs";
 const PRIORITIES: std::ops::RangeInclusive<i64> = -100..=100;
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(create_job, list_jobs))
         .routes(routes!(get_job, change_job))
@@ -36,46 +37,53 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(retry_job))
 }
 
-/// Which jobs to list.
+/// Filter and page of a list of jobs.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 struct JobQuery {
     /// Only jobs in this state.
     state: Option<JobState>,
-    /// Only those with this name.
+    /// Only jobs with this name.
     #[param(min_length = 1, max_length = 200)]
     name: Option<String>,
-    /// Only those that another system calls so.
+    /// Only jobs with this external identifier.
     #[param(min_length = 1, max_length = 200)]
     external_id: Option<String>,
-    /// Only those with this label, `key:value`; with several, separated by commas, those that have all.
+    /// Only jobs with this label, written `key:value`. Several labels are separated by commas; a job must
+    /// have all of them.
     #[param(min_length = 3)]
     label: Option<String>,
-    /// Most items, 1 to 200; 50 when absent.
+    /// Maximum number of items, 1 to 200. Omitted: 50.
     #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
-    /// Only what comes after: the `next` of the page before, or the identifier of an item.
+    /// Cursor: the `next` of the previous page, or the identifier of an item. The page starts after that
+    /// item. Omitted: the first page.
     #[param(min_length = 1)]
     before: Option<String>,
 }
 
 /// Queue a training
 ///
-/// With an `Idempotency-Key` header, a repetition of the same request within 24 hours is answered with the first
-/// answer (and the header `Idempotent-Replayed: true`) and queues nothing. 202 means that the job is durable. A server trains
-/// at most 200,000 Gaussians at 4,096 pixels on the CPU engine. At the end the model is compared with at most 8 of the capture's
-/// held-out views; a job with a `quality_gate` that it misses ends as `rejected`, with its model.
+/// The server answers 202 when the job is durable. If the request has the header `Idempotency-Key`, the
+/// server answers a repetition of the request within 24 hours with the first answer and the header
+/// `Idempotent-Replayed: true`, and queues no second job.
+///
+/// On the CPU engine a job can have at most 200,000 Gaussians and a resolution of 4,096 pixels. At the end of
+/// the training the worker compares the model with at most 8 held-out views of the capture. A job whose model
+/// misses its `quality_gate` ends in the state `rejected` and keeps the model.
 #[utoipa::path(
     post, path = "/v1/jobs", tag = "jobs", request_body = NewJob,
-    params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible characters")),
+    params(
+        ("Idempotency-Key" = Option<String>, Header, description = "Key of the request, 1 to 255 visible ASCII characters")
+    ),
     responses(
         (status = 202, body = JobView),
-        (status = 422, body = Problem, description = "A field is wrong, or the key came with another body")
+        (status = 422, body = Problem, description = "A field is invalid, or the idempotency key was used with another body")
     )
 )]
 async fn create_job(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     headers: HeaderMap,
     JsonBody(job): JsonBody<NewJob>,
@@ -88,16 +96,16 @@ async fn create_job(
         return idempotency::accepted(answer, true, JOBS);
     }
     let config = TrainConfig::new(job.preset, &job.overrides).map_err(|e| override_refused(&e))?;
-    if let Some((field, why)) = job.marks().fault() {
+    if let Some((field, why)) = job.metadata().validation_error() {
         return Err(Problem::invalid_field(format!("/{field}"), why));
     }
     check_priority(&caller, job.priority)?;
-    if let Some(why) = fault_of_labels(&job.requires) {
+    if let Some(why) = validate_labels(&job.requires) {
         return Err(Problem::invalid_field("/requires", why));
     }
     job_bounds::check(&config, on_gpu(&app, job.device).await?)?;
     let Some(capture) = app.store.capture(&caller.tenant, &job.capture).await? else {
-        return Err(validation::why_not(&app, &caller, &job.capture).await?);
+        return Err(validation::unavailable_reason(&app, &caller, &job.capture).await?);
     };
     quality_gate::check(&job.quality_gate, &capture.report, &config)?;
     if let Some(light) = &config.light {
@@ -107,20 +115,22 @@ async fn create_job(
 }
 
 /// List jobs
+///
+/// Returns the jobs of the caller's tenant, newest first.
 #[utoipa::path(
     get, path = "/v1/jobs", tag = "jobs", params(JobQuery),
     responses((status = 200, body = List<JobView>))
 )]
 async fn list_jobs(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     QueryString(query): QueryString<JobQuery>,
 ) -> Result<Json<List<JobView>>, Problem> {
-    let filter = marks::filter(query.name, query.external_id, query.label.as_deref())?;
+    let filter = metadata::filter(query.name, query.external_id, query.label.as_deref())?;
     let page = PageQuery { limit: query.limit, before: query.before }
         .page(async |id| app.store.job(&caller.tenant, &id.into()).await)
         .await?;
-    let jobs = app.jobs.list(&caller.tenant, query.state, &filter, &page.of_store()).await?;
+    let jobs = app.jobs.list(&caller.tenant, query.state, &filter, &page.store_page()).await?;
     let (jobs, next) = page.cut(jobs);
     let positions = app.jobs.positions(&jobs).await?;
     let view = |job: JobRecord| {
@@ -131,12 +141,14 @@ async fn list_jobs(
 }
 
 /// Get a job
+///
+/// Returns state, progress and, after the end, figures and model of a job.
 #[utoipa::path(
-    get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
+    get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path, description = "Job identifier")),
     responses((status = 200, body = JobView), (status = 404, body = Problem))
 )]
 async fn get_job(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<JobId>,
 ) -> Result<Json<JobView>, Problem> {
@@ -145,17 +157,20 @@ async fn get_job(
 
 /// Change a job
 ///
-/// What it is called, at any time; its priority while it waits. A JSON merge patch: what is absent stays, what is null goes.
-/// A job with the label `keep:true` is not deleted by age.
+/// A JSON merge patch (RFC 7396). Omitted fields are unchanged; null clears a field. Name, external
+/// identifier and labels can change in any state, the priority only in the state `queued`. The server does
+/// not delete a job with the label `keep:true` because of its age.
 #[utoipa::path(
-    patch, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)), request_body = JobChange,
+    patch, path = "/v1/jobs/{id}", tag = "jobs",
+    params(("id" = String, Path, description = "Job identifier")),
+    request_body = JobChange,
     responses(
         (status = 200, body = JobView), (status = 404, body = Problem),
-        (status = 409, body = Problem, description = "It is not queued any more")
+        (status = 409, body = Problem, description = "The priority cannot change because the job is not queued")
     )
 )]
 async fn change_job(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<JobId>,
     JsonBody(change): JsonBody<JobChange>,
@@ -165,7 +180,7 @@ async fn change_job(
         // Before anything is changed.
         must_wait(&current(&app, &caller.tenant, &id).await?)?;
     }
-    marks::change(&app, &caller.tenant, ResourceKind::Job, id.as_str(), &change.marks()).await?;
+    metadata::change(&app, &caller.tenant, ResourceKind::Job, id.as_str(), &change.metadata()).await?;
     let moved = match change.priority {
         Some(priority) => app.jobs.set_priority(&caller.tenant, &id, priority).await?,
         None => true,
@@ -183,66 +198,67 @@ fn must_wait(job: &JobView) -> Result<(), Problem> {
     if job.state == JobState::Queued {
         return Ok(());
     }
-    let detail = format!("the job is {}; only a queued one has a place in the queue", job.state.name());
+    let detail = format!("the job is {}; only the priority of a queued job can change", job.state.name());
     Err(Problem::conflict("job-not-queued", detail))
 }
 
 /// Cancel a job
 ///
-/// A queued job is cancelled at once; a running one becomes `cancelling` and stops before its next step. Asking
-/// again changes nothing.
+/// A queued job becomes `cancelled` at once. A running job becomes `cancelling` and stops before its next
+/// step. A repeated request has no effect.
 #[utoipa::path(
-    post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = String, Path)),
+    post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = String, Path, description = "Job identifier")),
     responses(
         (status = 200, body = JobView), (status = 404, body = Problem),
-        (status = 409, body = Problem, description = "It succeeded, was rejected or failed before")
+        (status = 409, body = Problem, description = "The job is already in another final state")
     )
 )]
 async fn cancel_job(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<JobId>,
 ) -> Result<Json<JobView>, Problem> {
     match app.jobs.cancel(&caller.tenant, &id).await? {
         CancelOutcome::Accepted(job) => Ok(Json(job.view(None))),
         CancelOutcome::AlreadyFinished(job) => {
-            let detail = format!("the job has {}; terminal states never change", job.state.name());
+            let detail = format!("the job is already in the final state {}", job.state.name());
             Err(Problem::conflict("job-finished", detail))
         }
         CancelOutcome::NotFound => Err(Problem::not_found("job", id.as_str())),
     }
 }
 
-/// Run a failed or cancelled job again
+/// Retry a failed or cancelled job
 ///
-/// Queues a new job with the same capture and settings; `retry_of` names the old one, which stays as it is. A priority above 0 becomes 0 for a key without the scope `priority`.
+/// Queues a new job with the same capture and settings. `retry_of` of the new job is the identifier of the
+/// old job, which is unchanged. If the key lacks the scope `priority`, a priority above 0 becomes 0.
 #[utoipa::path(
-    post, path = "/v1/jobs/{id}/retry", tag = "jobs", params(("id" = String, Path)),
+    post, path = "/v1/jobs/{id}/retry", tag = "jobs", params(("id" = String, Path, description = "Job identifier")),
     responses(
         (status = 202, body = JobView), (status = 404, body = Problem),
-        (status = 409, body = Problem, description = "It neither failed nor was cancelled")
+        (status = 409, body = Problem, description = "The job is neither failed nor cancelled")
     )
 )]
 async fn retry_job(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<JobId>,
 ) -> Result<Response, Problem> {
     let job =
         app.store.job(&caller.tenant, &id).await?.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
     if !matches!(job.state, JobState::Failed | JobState::Cancelled) {
-        let detail = format!("the job is {}; only a failed or cancelled one runs again", job.state.name());
+        let detail = format!("the job is {}; only a failed or cancelled job can be retried", job.state.name());
         return Err(Problem::conflict("job-not-retryable", detail));
     }
     let mut request = job.request;
-    if caller.needs(Scope::Priority).is_err() {
+    if caller.require_scope(Scope::Priority).is_err() {
         request.priority = request.priority.min(0);
     }
     submit(&app, &caller, request, job.progress.total, Some(job.id), None).await
 }
 
 async fn submit(
-    app: &Shared,
+    app: &AppState,
     caller: &Caller,
     request: NewJob,
     total: i64,
@@ -253,28 +269,28 @@ async fn submit(
     app.store.admit_bytes_of(&caller.tenant, 0).await?;
     let answer =
         |job: &JobRecord, position| serde_json::to_string(&job.clone().view(position)).unwrap_or_default();
-    let origin = Origin { retry_of, traceparent: observe::traceparent() };
+    let origin = Origin { retry_of, traceparent: telemetry::traceparent() };
     let submitted = app.jobs.submit(&caller.tenant, request, total, origin, key, answer).await;
-    let (text, replayed) = match submitted.map_err(|error| caller.told(error))? {
+    let (text, replayed) = match submitted.map_err(|error| caller.problem_for(error))? {
         Submitted::Created(text) => (text, false),
         Submitted::Replayed(text) => (text, true),
     };
     idempotency::accepted(text, replayed, JOBS)
 }
 
-pub(super) async fn current(app: &Shared, tenant: &TenantId, id: &JobId) -> Result<JobView, Problem> {
+pub(super) async fn current(app: &AppState, tenant: &TenantId, id: &JobId) -> Result<JobView, Problem> {
     let found = app.jobs.get(tenant, id).await?;
     let (job, position) = found.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
     Ok(job.view(position))
 }
 
 /// A known light must be one that the worker will find.
-async fn check_light(app: &Shared, tenant: &TenantId, light: &KnownLight) -> Result<(), Problem> {
+async fn check_light(app: &AppState, tenant: &TenantId, light: &KnownLight) -> Result<(), Problem> {
     let name = light.environment.as_str();
     if BUILTIN.contains(&name) || app.store.environment(tenant, &EnvironmentId::from(name)).await?.is_some() {
         return Ok(());
     }
-    let detail = format!("{name:?} is no uploaded environment and none of {}", BUILTIN.join(", "));
+    let detail = format!("{name:?} is neither the identifier of an uploaded environment map nor one of {}", BUILTIN.join(", "));
     Err(Problem::invalid_field("/overrides/light/environment", detail))
 }
 
@@ -282,8 +298,8 @@ async fn check_light(app: &Shared, tenant: &TenantId, light: &KnownLight) -> Res
 ///
 /// # Errors
 /// 422 for a job that asks for one in vain.
-async fn on_gpu(app: &Shared, asked: JobDevice) -> Result<bool, Problem> {
-    let there = app.device.has_gpu() || !app.trains || app.store.has_gpu_worker(app.jobs.alive_ms()).await?;
+async fn on_gpu(app: &AppState, asked: JobDevice) -> Result<bool, Problem> {
+    let there = app.device.has_gpu() || !app.trains || app.store.has_gpu_worker(app.jobs.heartbeat_cutoff_ms()).await?;
     if asked == JobDevice::Gpu && !there {
         return Err(Problem::invalid_field("/device", "neither this server nor a worker has a GPU"));
     }
@@ -295,7 +311,7 @@ fn check_priority(caller: &Caller, priority: i64) -> Result<(), Problem> {
     if !PRIORITIES.contains(&priority) {
         return Err(Problem::invalid_field("/priority", format!("must be -100 to 100, got {priority}")));
     }
-    if priority > 0 { caller.needs(Scope::Priority) } else { Ok(()) }
+    if priority > 0 { caller.require_scope(Scope::Priority) } else { Ok(()) }
 }
 
 /// The trainer's refusals begin with the name of the field.

@@ -6,15 +6,15 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use subtle::ConstantTimeEq;
 
-use crate::api::keys::Scope;
-use crate::api::{KeyId, TenantId};
+use relume_api::keys::Scope;
+use relume_api::{KeyId, TenantId};
 use crate::jobs::Clock;
 use crate::server::auth::ApiKeys;
 use crate::server::caller::{CONFIGURED, Caller, NO_KEY};
 use crate::store::{KeyRecord, KeyToken, Store, StoreError, hex};
 
 /// The use of a key is written down once in this time.
-const NOTE_EVERY_MS: i64 = 60_000;
+const RECORD_INTERVAL_MS: i64 = 60_000;
 
 /// All keys of a server.
 pub(super) struct Keyring {
@@ -24,13 +24,13 @@ pub(super) struct Keyring {
     /// True once a key was seen. Keys are never removed, so that a server does not become open while it runs.
     has_keys: AtomicBool,
     /// When the use of a key was last written down.
-    noted: Mutex<HashMap<KeyId, i64>>,
+    recorded_uses: Mutex<HashMap<KeyId, i64>>,
 }
 
 impl Keyring {
     pub(super) fn new(configured: ApiKeys, store: Store, clock: Arc<dyn Clock>) -> Self {
         let has_keys = AtomicBool::new(!configured.is_empty());
-        Self { configured, store, clock, has_keys, noted: Mutex::default() }
+        Self { configured, store, clock, has_keys, recorded_uses: Mutex::default() }
     }
 
     /// True while everybody is let in: until the first key is made.
@@ -43,8 +43,8 @@ impl Keyring {
 
     /// Who sends this key, or none.
     pub(super) async fn caller(&self, key: Option<&str>) -> Result<Option<Caller>, StoreError> {
-        if let Some(place) = key.and_then(|key| self.configured.place(key)) {
-            return Ok(self.configured(place));
+        if let Some(index) = key.and_then(|key| self.configured.index(key)) {
+            return Ok(self.configured(index));
         }
         if let Some(token) = key.and_then(KeyToken::parse)
             && let Some(record) = self.store.key_of_caller(&token.id).await?
@@ -52,7 +52,7 @@ impl Keyring {
             let now_ms = self.clock.now_ms();
             let same: bool = record.secret_sha256.as_bytes().ct_eq(token.sha256.as_bytes()).into();
             return Ok((same && record.is_valid(now_ms)).then(|| {
-                self.note_use(&record.id, record.last_used_ms, now_ms);
+                self.record_use(&record.id, record.last_used_ms, now_ms);
                 stored(record)
             }));
         }
@@ -62,8 +62,8 @@ impl Keyring {
     /// Whose key has this identifier, if it can be used.
     pub(super) async fn bearer_of(&self, id: &str) -> Result<Option<Caller>, StoreError> {
         if let Some(number) = id.strip_prefix(CONFIGURED) {
-            let place = number.parse().ok().and_then(|number: usize| number.checked_sub(1));
-            return Ok(place.and_then(|place| self.configured(place)));
+            let index = number.parse().ok().and_then(|number: usize| number.checked_sub(1));
+            return Ok(index.and_then(|index| self.configured(index)));
         }
         if id == NO_KEY {
             return Ok(self.is_open().await?.then(Caller::without_key));
@@ -73,9 +73,9 @@ impl Keyring {
     }
 
     /// Writes down that a URL is used that a key has signed.
-    pub(super) fn note_signed(&self, caller: &Caller) {
+    pub(super) fn record_signed_use(&self, caller: &Caller) {
         if caller.has_stored_key() {
-            self.note_use(&caller.key, None, self.clock.now_ms());
+            self.record_use(&caller.key, None, self.clock.now_ms());
         }
     }
 
@@ -84,12 +84,12 @@ impl Keyring {
     }
 
     /// The bearer of a key that the server was started with.
-    fn configured(&self, place: usize) -> Option<Caller> {
+    fn configured(&self, index: usize) -> Option<Caller> {
         Some(Caller {
             tenant: TenantId::of_operator(),
             scopes: Scope::ALL.to_vec(),
-            key: format!("{CONFIGURED}{}", place + 1).into(),
-            key_hash: hex(self.configured.hash(place)?),
+            key: format!("{CONFIGURED}{}", index + 1).into(),
+            key_hash: hex(self.configured.hash(index)?),
             expires_ms: None,
             has_key: true,
             signed_under: None,
@@ -97,16 +97,16 @@ impl Keyring {
     }
 
     /// Writes down that a key is used, at most once a minute and without keeping its caller waiting.
-    fn note_use(&self, id: &KeyId, last_used_ms: Option<i64>, now_ms: i64) {
-        let mut noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner);
-        let last = noted.get(id).copied().max(last_used_ms);
-        if last.is_some_and(|last| now_ms - last < NOTE_EVERY_MS) {
+    fn record_use(&self, id: &KeyId, last_used_ms: Option<i64>, now_ms: i64) {
+        let mut recorded_uses = self.recorded_uses.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = recorded_uses.get(id).copied().max(last_used_ms);
+        if last.is_some_and(|last| now_ms - last < RECORD_INTERVAL_MS) {
             return;
         }
-        noted.insert(id.clone(), now_ms);
+        recorded_uses.insert(id.clone(), now_ms);
         let (store, id) = (self.store.clone(), id.clone());
         tokio::spawn(async move {
-            if let Err(error) = store.note_key_use(&id, now_ms).await {
+            if let Err(error) = store.record_key_use(&id, now_ms).await {
                 tracing::warn!(%error, key = %id, "the use of a key cannot be written down");
             }
         });

@@ -7,26 +7,31 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::keys::{CreatedKey, KeyView, NewKey, RevokedKey, Scope};
-use crate::api::{KeyId, List, Problem, TenantId};
-use crate::server::app::Shared;
+use relume_api::keys::{CreatedKey, KeyView, NewKey, RevokedKey, Scope};
+use relume_api::{KeyId, List, TenantId};
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::{PageQuery, rfc3339};
 use crate::store::{KeyRecord, NewKeyRecord};
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(list_keys, create_key))
         .routes(routes!(get_key))
         .routes(routes!(revoke_key))
 }
 
-/// Make an API key
+/// Create an API key
 ///
-/// The answer has the key itself, which is shown this once. The first key of a server is made by `relume keys create`. Administrators of the tenant `default` make keys for any
-/// tenant, others for their own, without the scope `priority`. Only keys of `default` have the scope `metrics`. A key that a key made expires with it at the latest, and is revoked with it.
+/// The answer contains the complete key, which the server shows once. The command `relume keys create`
+/// creates the first key of a server.
+///
+/// Administrators of the tenant `default` create keys for any tenant. Other administrators create keys for
+/// their own tenant, without the scope `priority`. Only keys of the tenant `default` can have the scopes
+/// `metrics` and `work`. A key expires at the latest with the key that created it, and is revoked with it.
 #[utoipa::path(
     post, path = "/v1/keys", tag = "keys", request_body = NewKey,
     responses(
@@ -34,26 +39,26 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
     )
 )]
 async fn create_key(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     JsonBody(key): JsonBody<NewKey>,
 ) -> Result<Response, Problem> {
-    if let Some((field, why)) = key.fault(&caller.tenant) {
+    if let Some((field, why)) = key.validation_error(&caller.tenant) {
         return Err(Problem::invalid_field(format!("/{field}"), why));
     }
     if !caller.has_key {
         // The first key locks out everybody else, for good.
         let detail =
-            "the first key of a server is made by whoever may write its data directory: `relume keys create`";
-        return Err(Problem::new(StatusCode::FORBIDDEN, "forbidden", "The first key is not made by HTTP")
+            "create the first key of a server on its machine with `relume keys create`";
+        return Err(Problem::new(StatusCode::FORBIDDEN, "forbidden", "The first key cannot be created over HTTP")
             .detail(detail));
     }
     if key.tenant.as_ref().is_some_and(|tenant| *tenant != caller.tenant) {
-        caller.needs_operator(Scope::Admin)?;
+        caller.require_operator(Scope::Admin)?;
     }
     if key.scopes.contains(&Scope::Priority) {
         // Jobs of all tenants wait for one device.
-        caller.needs_operator(Scope::Admin)?;
+        caller.require_operator(Scope::Admin)?;
     }
     let now_ms = app.jobs.now_ms();
     let expires_ms = key.expires_in.map(|s| now_ms.saturating_add_unsigned(s.saturating_mul(1000)));
@@ -76,30 +81,33 @@ async fn create_key(
 
 /// List API keys
 ///
-/// Without their secrets; revoked and expired ones too.
+/// Returns all keys, including revoked and expired keys, without their secrets, newest first. Administrators
+/// of the tenant `default` see the keys of all tenants, others those of their own tenant.
 #[utoipa::path(
     get, path = "/v1/keys", tag = "keys", params(PageQuery),
     responses((status = 200, body = List<KeyView>), (status = 403, body = Problem))
 )]
 async fn list_keys(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<KeyView>>, Problem> {
     let page = query.page(async |id| app.store.key(visible(&caller), &id.into()).await).await?;
-    let keys = app.store.keys(visible(&caller), &page.of_store()).await?;
+    let keys = app.store.keys(visible(&caller), &page.store_page()).await?;
     Ok(Json(page.list(keys, view)))
 }
 
 /// Get an API key
+///
+/// Returns the key without its secret.
 #[utoipa::path(
-    get, path = "/v1/keys/{id}", tag = "keys", params(("id" = String, Path)),
+    get, path = "/v1/keys/{id}", tag = "keys", params(("id" = String, Path, description = "Key identifier")),
     responses(
         (status = 200, body = KeyView), (status = 403, body = Problem), (status = 404, body = Problem)
     )
 )]
 async fn get_key(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<KeyId>,
 ) -> Result<Json<KeyView>, Problem> {
@@ -109,15 +117,16 @@ async fn get_key(
 
 /// Revoke an API key
 ///
-/// It is refused from the next request on, and stays in lists; so are the keys that it made, and those that these made. Asking again changes nothing.
+/// Revokes the key and all keys that it created, directly or through other keys. The server refuses them from
+/// the next request on. Revoked keys remain in lists. A repeated request has no effect.
 #[utoipa::path(
-    post, path = "/v1/keys/{id}/revoke", tag = "keys", params(("id" = String, Path)),
+    post, path = "/v1/keys/{id}/revoke", tag = "keys", params(("id" = String, Path, description = "Key identifier")),
     responses(
         (status = 200, body = RevokedKey), (status = 403, body = Problem), (status = 404, body = Problem)
     )
 )]
 async fn revoke_key(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<KeyId>,
 ) -> Result<Json<RevokedKey>, Problem> {

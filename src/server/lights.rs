@@ -6,17 +6,18 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use sha2::{Digest, Sha256};
 
-use crate::api::renders::EnvironmentSpec;
-use crate::api::{EnvironmentId, Problem, TenantId};
-use crate::capture::BUILTIN;
-use crate::server::app::Shared;
+use relume_api::renders::EnvironmentSpec;
+use relume_api::{EnvironmentId, TenantId};
+use crate::server::problem::Problem;
+use relume_capture::BUILTIN;
+use crate::server::app::AppState;
 use crate::server::environments;
 use crate::store::{StoreError, hex};
 use crate::worker::LightSource;
 
 /// The light of a render request; a stored map is not read yet.
 pub(super) async fn light(
-    app: &Shared,
+    app: &AppState,
     tenant: &TenantId,
     spec: &EnvironmentSpec,
 ) -> Result<LightSource, Problem> {
@@ -33,7 +34,7 @@ pub(super) async fn light(
             Problem::invalid_field("/environment/builtin", detail)
         }),
         (None, None, Some(text)) => inline_light(app, text).await,
-        _ => Err(Problem::invalid_field("/environment", "must have one of id, builtin and inline_base64")),
+        _ => Err(Problem::invalid_field("/environment", "must have at most one of id, builtin and inline_base64")),
     }
 }
 
@@ -42,7 +43,7 @@ pub(super) async fn light(
 /// # Errors
 /// 422 that names `parameter` when there is none of that name.
 pub(super) async fn named_light(
-    app: &Shared,
+    app: &AppState,
     tenant: &TenantId,
     name: &str,
     parameter: &str,
@@ -56,7 +57,7 @@ pub(super) async fn named_light(
 
 /// An uploaded map of a tenant.
 async fn stored_light(
-    app: &Shared,
+    app: &AppState,
     tenant: &TenantId,
     id: &EnvironmentId,
 ) -> Result<Option<LightSource>, Problem> {
@@ -79,13 +80,13 @@ fn builtin_light(name: &str) -> Option<LightSource> {
     }
 }
 
-async fn inline_light(app: &Shared, text: &str) -> Result<LightSource, Problem> {
+async fn inline_light(app: &AppState, text: &str) -> Result<LightSource, Problem> {
     let bytes = STANDARD
         .decode(text.trim())
-        .map_err(|e| Problem::invalid_field("/environment/inline_base64", format!("is not base64: {e}")))?;
+        .map_err(|e| Problem::invalid_field("/environment/inline_base64", format!("is not Base64: {e}")))?;
     let sha256 = hex(&Sha256::digest(&bytes));
     let loaded = environments::decode(app, bytes).await?;
-    Ok(LightSource::Inline { sha256, map: Arc::new(LightSource::to_working_size(loaded.map)) })
+    Ok(LightSource::Inline { sha256, map: Arc::new(LightSource::downscaled(loaded.map)) })
 }
 
 fn check_exposure(spec: &EnvironmentSpec) -> Result<(), Problem> {

@@ -2,15 +2,13 @@
 
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
-use crate::train;
-
 /// Bytes that this process may take: of the machine, the container or its control group (`MemoryMax` of a systemd unit), whichever
 /// is least.
 pub(super) fn memory() -> u64 {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let system = System::new_with_specifics(memory);
     let container = system.cgroup_limits().map(|limits| limits.total_memory);
-    [container, train::own_group_limit()].into_iter().flatten().fold(system.total_memory(), u64::min)
+    [container, relume_train::own_group_limit()].into_iter().flatten().fold(system.total_memory(), u64::min)
 }
 
 #[cfg(test)]

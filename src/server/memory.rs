@@ -1,6 +1,6 @@
 //! The memory that requests may take together. Decoding, encoding and large bodies borrow from it before they begin.
 //!
-//! A request may hold the loan of its body while it waits for that of its frame. Bodies have a share of their own, so that
+//! A request may hold the permit of its body while it waits for that of its frame. Bodies have a pool of their own, so that
 //! no request waits for what another one holds that waits as well.
 
 use std::sync::Arc;
@@ -9,20 +9,20 @@ use std::time::Duration;
 use axum::http::StatusCode;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-use crate::api::Problem;
-use crate::render::{Output, Quality};
+use crate::server::problem::Problem;
+use relume_spec::rendering::{Output, Quality};
 use crate::server::machine;
 
 /// What one permit stands for.
 const UNIT: u64 = 1 << 20;
 /// Least budget, bytes: below it not even a small frame fits.
-const LEAST: u64 = 64 << 20;
+const MIN_BUDGET: u64 = 64 << 20;
 /// Loans of at most one in so many of the bytes kept for small ones are small: they never wait for larger ones.
 const SMALL: u64 = 8;
 /// Bodies of at most this many bytes count nothing.
 const SMALL_BODY: u64 = 65_536;
-/// How long a loan may wait for others to end.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// How long a permit may wait for others to end.
+const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(20);
 /// Bytes a value of a frame's planes takes, and of the file that grows beside it.
 const FRAME_VALUE: u64 = 9;
 /// Bytes a pixel, in a band of the CPU engine, of a pass that blends colour alone.
@@ -32,30 +32,30 @@ const FULL_PIXEL: u64 = 48 * 4 + 20 * 4;
 
 /// The budget.
 pub(super) struct MemoryBudget {
-    bodies: Share,
-    small: Share,
-    large: Share,
+    bodies: MemoryPool,
+    small: MemoryPool,
+    large: MemoryPool,
 }
 
 /// A part of the budget.
-struct Share {
+struct MemoryPool {
     bytes: u64,
     free: Arc<Semaphore>,
 }
 
 /// Memory that is borrowed until this is dropped.
 #[derive(Debug)]
-pub(super) struct Loan(#[allow(dead_code, reason = "given back when dropped")] OwnedSemaphorePermit);
+pub(super) struct MemoryPermit(#[allow(dead_code, reason = "given back when dropped")] OwnedSemaphorePermit);
 
 impl MemoryBudget {
     /// A budget of `total` bytes, at least 64 MiB.
     pub(super) fn new(total: u64) -> Self {
-        let total = total.max(LEAST);
+        let total = total.max(MIN_BUDGET);
         let (bodies, small) = (total / 4, total / 8);
         Self {
-            bodies: Share::new(bodies),
-            small: Share::new(small),
-            large: Share::new(total - bodies - small),
+            bodies: MemoryPool::new(bodies),
+            small: MemoryPool::new(small),
+            large: MemoryPool::new(total - bodies - small),
         }
     }
 
@@ -63,31 +63,31 @@ impl MemoryBudget {
     ///
     /// # Errors
     /// 413 when they never fit, 503 when they did not fit in time.
-    pub(super) async fn borrow(&self, bytes: u64) -> Result<Loan, Problem> {
-        let share = if bytes <= self.small.bytes / SMALL { &self.small } else { &self.large };
-        share.borrow(bytes).await
+    pub(super) async fn reserve(&self, bytes: u64) -> Result<MemoryPermit, Problem> {
+        let pool = if bytes <= self.small.bytes / SMALL { &self.small } else { &self.large };
+        pool.reserve(bytes).await
     }
 
     /// Borrows for a JSON body of `length` bytes: as it came, as text, and what the text encodes. Small ones take nothing.
     ///
     /// # Errors
     /// As [`Self::borrow`].
-    pub(super) async fn borrow_body(&self, length: u64) -> Result<Loan, Problem> {
+    pub(super) async fn reserve_body(&self, length: u64) -> Result<MemoryPermit, Problem> {
         let bytes = if length <= SMALL_BODY { 0 } else { length.saturating_mul(3) };
-        self.bodies.borrow(bytes).await
+        self.bodies.reserve(bytes).await
     }
 }
 
-impl Share {
+impl MemoryPool {
     fn new(bytes: u64) -> Self {
         let units = usize::try_from(bytes / UNIT).unwrap_or(usize::MAX);
         Self { bytes, free: Arc::new(Semaphore::new(units.min(Semaphore::MAX_PERMITS))) }
     }
 
-    async fn borrow(&self, bytes: u64) -> Result<Loan, Problem> {
+    async fn reserve(&self, bytes: u64) -> Result<MemoryPermit, Problem> {
         if bytes > self.bytes {
             let detail = format!(
-                "this needs about {} MiB of memory; such a request may take {} MiB here",
+                "the request needs about {} MiB of memory; this server allows {} MiB for such requests",
                 bytes.div_ceil(UNIT),
                 self.bytes / UNIT
             );
@@ -95,10 +95,10 @@ impl Share {
             return Err(Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "needs-memory", title).detail(detail));
         }
         let units = u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX);
-        match tokio::time::timeout(PATIENCE, self.free.clone().acquire_many_owned(units)).await {
-            Ok(permit) => permit.map(Loan).map_err(Problem::internal),
+        match tokio::time::timeout(ACQUIRE_TIMEOUT, self.free.clone().acquire_many_owned(units)).await {
+            Ok(permit) => permit.map(MemoryPermit).map_err(Problem::internal),
             Err(_) => {
-                let title = "Other requests take the memory that this one needs";
+                let title = "Other requests use the memory that this request needs";
                 Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", title).retry_after(5))
             }
         }
@@ -106,12 +106,12 @@ impl Share {
 }
 
 /// Half of what this process may take, bytes.
-pub(super) fn half_of_the_machine() -> u64 {
+pub(super) fn default_budget() -> u64 {
     machine::memory() / 2
 }
 
 /// Bytes that a frame takes from its G-buffer to its file.
-pub(super) fn of_frame(pixels: u64, outputs: &[Output]) -> u64 {
+pub(super) fn frame_bytes(pixels: u64, outputs: &[Output]) -> u64 {
     let values: usize = outputs.iter().map(|o| o.channels()).sum();
     let is_colour = outputs.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
     let of_pass = if is_colour { COLOUR_PIXEL } else { FULL_PIXEL };
@@ -121,20 +121,20 @@ pub(super) fn of_frame(pixels: u64, outputs: &[Output]) -> u64 {
 }
 
 /// Bytes that the stream of a model takes from its file of `size` bytes on: the file, the model, its columns, the stream.
-pub(super) fn of_stream(size: u64) -> u64 {
+pub(super) fn stream_bytes(size: u64) -> u64 {
     4 * size
 }
 
 /// Bytes that an export takes from a model file of `size` bytes on: the file, the model twice, the file that is made. With a mesh of
 /// `cells` also its distances, its textures and the views that they are made of.
-pub(super) fn of_export(size: u64, cells: usize) -> u64 {
+pub(super) fn export_bytes(size: u64, cells: usize) -> u64 {
     let cells = cells as u64;
     let mesh = if cells == 0 { 0 } else { (256 << 20) + 12 * cells.pow(3) + 2048 * cells.pow(2) };
     5 * size + mesh
 }
 
 /// Bytes that the stream of a light takes: tables and a map in their columns and their bytes, and so for each Gaussian.
-pub(super) fn of_light(gaussians: i64) -> u64 {
+pub(super) fn light_bytes(gaussians: i64) -> u64 {
     (8 << 20) + 100 * gaussians.max(0).unsigned_abs()
 }
 
@@ -145,15 +145,15 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn what_never_fits_is_refused_and_what_does_not_fit_now_waits() {
         let budget = MemoryBudget::new(1 << 30);
-        let never = budget.borrow(1 << 30).await.unwrap_err();
+        let never = budget.reserve(1 << 30).await.unwrap_err();
         assert_eq!((never.status, never.kind.ends_with("needs-memory")), (413, true));
-        let loan = budget.borrow(500 << 20).await.unwrap();
-        let busy = budget.borrow(500 << 20).await.unwrap_err();
+        let permit = budget.reserve(500 << 20).await.unwrap();
+        let busy = budget.reserve(500 << 20).await.unwrap_err();
         assert_eq!((busy.status, busy.retry_after), (503, Some(5)));
-        let waiting = budget.borrow(500 << 20);
+        let waiting = budget.reserve(500 << 20);
         let (second, ()) = tokio::join!(waiting, async {
-            tokio::time::sleep(PATIENCE / 2).await;
-            drop(loan);
+            tokio::time::sleep(ACQUIRE_TIMEOUT / 2).await;
+            drop(permit);
         });
         second.unwrap();
     }
@@ -161,32 +161,32 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn small_loans_do_not_wait_for_large_ones() {
         let budget = MemoryBudget::new(1 << 30);
-        let _large = budget.borrow(640 << 20).await.unwrap();
-        let small: Vec<_> = futures::future::join_all((0..8).map(|_| budget.borrow(16 << 20))).await;
+        let _large = budget.reserve(640 << 20).await.unwrap();
+        let small: Vec<_> = futures::future::join_all((0..8).map(|_| budget.reserve(16 << 20))).await;
         assert!(small.iter().all(Result::is_ok));
-        assert!(budget.borrow(16 << 20).await.is_err(), "the control: they have a bound, too");
+        assert!(budget.reserve(16 << 20).await.is_err(), "the control: they have a bound, too");
     }
 
     #[tokio::test(start_paused = true)]
     async fn bodies_that_wait_for_frames_take_nothing_from_them() {
         let budget = MemoryBudget::new(64 << 20);
-        let bodies: Vec<_> = futures::future::join_all((0..5).map(|_| budget.borrow_body(1 << 20))).await;
+        let bodies: Vec<_> = futures::future::join_all((0..5).map(|_| budget.reserve_body(1 << 20))).await;
         assert!(bodies.iter().all(Result::is_ok));
-        assert!(budget.borrow_body(1 << 20).await.is_err(), "the control: they have a bound");
-        budget.borrow(40 << 20).await.unwrap();
-        budget.borrow_body(SMALL_BODY).await.unwrap();
+        assert!(budget.reserve_body(1 << 20).await.is_err(), "the control: they have a bound");
+        budget.reserve(40 << 20).await.unwrap();
+        budget.reserve_body(SMALL_BODY).await.unwrap();
     }
 
     #[test]
     fn sizes_are_those_that_were_measured() {
         let all = [Output::Rgb, Output::Albedo, Output::Normal, Output::Depth, Output::Alpha];
-        let large = of_frame(4096 * 4096, &all);
+        let large = frame_bytes(4096 * 4096, &all);
         // 2,185 MiB of a whole process with a model of 60,000 Gaussians.
         assert!((1900 << 20..2200u64 << 20).contains(&large), "{large}");
-        assert!(of_frame(256 * 256, &[Output::Rgb]) < 4 << 20, "a thumbnail is small in any budget");
-        assert!(half_of_the_machine() > LEAST);
+        assert!(frame_bytes(256 * 256, &[Output::Rgb]) < 4 << 20, "a thumbnail is small in any budget");
+        assert!(default_budget() > MIN_BUDGET);
         // 62 bytes a Gaussian of a stream and as many floats, of a file of 140 floats a Gaussian; 16 and ten floats of a light.
-        assert!(of_stream(560_000) > 560_000 + 560_000 + 1000 * (62 + 40 * 4));
-        assert!(of_light(1000) - of_light(0) >= 1000 * (16 + 2 * 40) && of_light(-1) == of_light(0));
+        assert!(stream_bytes(560_000) > 560_000 + 560_000 + 1000 * (62 + 40 * 4));
+        assert!(light_bytes(1000) - light_bytes(0) >= 1000 * (16 + 2 * 40) && light_bytes(-1) == light_bytes(0));
     }
 }

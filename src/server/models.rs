@@ -5,14 +5,15 @@ use axum::extract::State;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::marks::MarksChange;
-use crate::api::models::{FileView, ModelSummary, ModelView};
-use crate::api::{List, ModelId, Problem, ResourceKind, TenantId};
-use crate::server::app::Shared;
+use relume_api::metadata::MetadataChange;
+use relume_api::models::{FileView, ModelSummary, ModelView};
+use relume_api::{List, ModelId, ResourceKind, TenantId};
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::rfc3339;
-use crate::server::marks::{self, MarkedPageQuery};
+use crate::server::metadata::{self, FilteredPageQuery};
 use crate::store::{ModelFile, ModelRecord};
 use crate::worker::{ModelContent, ModelSource};
 
@@ -20,7 +21,7 @@ use crate::worker::{ModelContent, ModelSource};
 pub(super) const MODEL_FILE: &str = "model.safetensors";
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(list_models))
         .routes(routes!(get_model, change_model))
@@ -28,27 +29,31 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 }
 
 /// List models
+///
+/// Returns the models of the caller's tenant, newest first.
 #[utoipa::path(
-    get, path = "/v1/models", tag = "models", params(MarkedPageQuery),
+    get, path = "/v1/models", tag = "models", params(FilteredPageQuery),
     responses((status = 200, body = List<ModelSummary>))
 )]
 async fn list_models(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
-    QueryString(query): QueryString<MarkedPageQuery>,
+    QueryString(query): QueryString<FilteredPageQuery>,
 ) -> Result<Json<List<ModelSummary>>, Problem> {
     let (page, filter) = query.parts()?;
     let page = page.page(async |id| app.store.model(&caller.tenant, &id.into()).await).await?;
-    Ok(Json(page.list(app.store.models(&caller.tenant, &filter, &page.of_store()).await?, summary)))
+    Ok(Json(page.list(app.store.models(&caller.tenant, &filter, &page.store_page()).await?, summary)))
 }
 
-/// Get a model and its files
+/// Get a model
+///
+/// Returns the model with its files and its model card.
 #[utoipa::path(
-    get, path = "/v1/models/{id}", tag = "models", params(("id" = String, Path)),
+    get, path = "/v1/models/{id}", tag = "models", params(("id" = String, Path, description = "Model identifier")),
     responses((status = 200, body = ModelView), (status = 404, body = Problem))
 )]
 async fn get_model(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
 ) -> Result<Json<ModelView>, Problem> {
@@ -59,48 +64,54 @@ async fn get_model(
     Ok(Json(ModelView { summary: summary(model), files, card }))
 }
 
-/// Change what a model is called
+/// Change the metadata of a model
 ///
-/// A JSON merge patch: what is absent stays, what is null goes. One with the label `keep:true` is not deleted by age.
-/// A model begins with what its job was called when it ended.
+/// A JSON merge patch (RFC 7396) of name, external identifier and labels. Omitted fields are unchanged; null
+/// clears a field. A new model has the metadata of its job at the end of the training. The server does not
+/// delete a model with the label `keep:true` because of its age.
 #[utoipa::path(
-    patch, path = "/v1/models/{id}", tag = "models", params(("id" = String, Path)), request_body = MarksChange,
+    patch, path = "/v1/models/{id}", tag = "models",
+    params(("id" = String, Path, description = "Model identifier")),
+    request_body = MetadataChange,
     responses((status = 200, body = ModelSummary), (status = 404, body = Problem), (status = 422, body = Problem))
 )]
 async fn change_model(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
-    JsonBody(change): JsonBody<MarksChange>,
+    JsonBody(change): JsonBody<MetadataChange>,
 ) -> Result<Json<ModelSummary>, Problem> {
-    marks::change(&app, &caller.tenant, ResourceKind::Model, id.as_str(), &change).await?;
+    metadata::change(&app, &caller.tenant, ResourceKind::Model, id.as_str(), &change).await?;
     Ok(Json(summary(find(&app, &caller.tenant, &id).await?)))
 }
 
-/// Get a model's card
+/// Get the model card
+///
+/// Returns the model card: training input, settings, and decisions with their evidence.
 #[utoipa::path(
-    get, path = "/v1/models/{id}/card", tag = "models", params(("id" = String, Path)),
+    get, path = "/v1/models/{id}/card", tag = "models",
+    params(("id" = String, Path, description = "Model identifier")),
     responses((status = 200, body = Object), (status = 404, body = Problem))
 )]
 async fn get_card(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
 ) -> Result<Json<serde_json::Value>, Problem> {
     Ok(Json(find(&app, &caller.tenant, &id).await?.card))
 }
 
-async fn find(app: &Shared, tenant: &TenantId, id: &ModelId) -> Result<ModelRecord, Problem> {
+async fn find(app: &AppState, tenant: &TenantId, id: &ModelId) -> Result<ModelRecord, Problem> {
     app.store.model(tenant, id).await?.ok_or_else(|| Problem::not_found("model", id.as_str()))
 }
 
 /// The model as the thread of frames takes it, and its content hash.
 pub(super) async fn source(
-    app: &Shared,
+    app: &AppState,
     tenant: &TenantId,
     id: &ModelId,
 ) -> Result<(ModelSource, String), Problem> {
-    let file = app.store.sound_model_file(tenant, id, MODEL_FILE).await?;
+    let file = app.store.verified_model_file(tenant, id, MODEL_FILE).await?;
     let file = file.ok_or_else(|| Problem::not_found("model", id.as_str()))?;
     let path = app.store.artifacts().local_path(&file.artifact);
     Ok((ModelSource { id: id.clone(), content: ModelContent::File(path) }, file.sha256))
@@ -112,7 +123,7 @@ fn summary(model: ModelRecord) -> ModelSummary {
         job: model.job_id,
         capture: model.capture_id,
         gaussians: model.gaussians,
-        marks: model.marks,
+        metadata: model.metadata,
         created_at: rfc3339(model.created_ms),
     }
 }

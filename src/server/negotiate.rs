@@ -2,8 +2,8 @@
 
 use axum::http::{HeaderMap, StatusCode, header};
 
-use crate::api::Problem;
-use crate::render::FrameFormat;
+use crate::server::problem::Problem;
+use relume_spec::rendering::FrameFormat;
 
 /// The kind of file that `Accept` prefers; PNG when there is no such header.
 ///

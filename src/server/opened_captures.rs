@@ -6,33 +6,33 @@ use std::time::Duration;
 
 use lru::LruCache;
 
-use crate::api::Problem;
-use crate::capture::Photographs;
-use crate::server::memory::Loan;
-use crate::server::turns::Turns;
+use crate::server::problem::Problem;
+use relume_capture::Photographs;
+use crate::server::memory::MemoryPermit;
+use crate::server::keyed_locks::KeyedLocks;
 
 /// Captures that are open at once.
-const AT_ONCE: NonZeroUsize = NonZeroUsize::new(4).unwrap();
+const MAX_OPEN_CAPTURES: NonZeroUsize = NonZeroUsize::new(4).unwrap();
 /// How long one stays open, whoever asks for it.
-const KEPT: Duration = Duration::from_secs(30);
+const KEEP_OPEN: Duration = Duration::from_secs(30);
 
 /// A capture that is open.
 pub(super) struct Opened {
     pub(super) photographs: Photographs,
     /// What was borrowed for it.
-    pub(super) _memory: Option<Loan>,
+    pub(super) _memory: Option<MemoryPermit>,
 }
 
 /// The captures that are open, by the hash of their archives. Clones share them.
 #[derive(Clone)]
 pub(super) struct OpenedCaptures {
     open: Arc<Mutex<LruCache<String, Arc<Opened>>>>,
-    turns: Turns,
+    keyed_locks: KeyedLocks,
 }
 
 impl Default for OpenedCaptures {
     fn default() -> Self {
-        Self { open: Arc::new(Mutex::new(LruCache::new(AT_ONCE))), turns: Turns::default() }
+        Self { open: Arc::new(Mutex::new(LruCache::new(MAX_OPEN_CAPTURES))), keyed_locks: KeyedLocks::default() }
     }
 }
 
@@ -47,7 +47,7 @@ impl OpenedCaptures {
         open: impl AsyncFnOnce() -> Result<Opened, Problem>,
     ) -> Result<Arc<Opened>, Problem> {
         // Whoever comes second finds it open.
-        let _turn = self.turns.take(sha256).await;
+        let _key_guard = self.keyed_locks.take(sha256).await;
         if let Some(opened) = self.lock().get(sha256) {
             return Ok(opened.clone());
         }
@@ -60,7 +60,7 @@ impl OpenedCaptures {
         self.lock().put(sha256.to_owned(), opened.clone());
         let (kept, sha256, opened) = (self.clone(), sha256.to_owned(), Arc::downgrade(opened));
         tokio::spawn(async move {
-            tokio::time::sleep(KEPT).await;
+            tokio::time::sleep(KEEP_OPEN).await;
             let mut open = kept.lock();
             // It may have been opened anew since.
             if open.peek(&sha256).is_some_and(|now| std::ptr::eq(Arc::as_ptr(now), opened.as_ptr())) {

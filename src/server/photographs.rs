@@ -12,12 +12,14 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::photographs::{CapturePhotographs, CapturedPhotograph};
-use crate::api::{CaptureId, Problem};
-use crate::capture::{CaptureError, Photographs, PictureOptions};
-use crate::formats::{image_file, srgb};
-use crate::scene::ImageRgba;
-use crate::server::app::Shared;
+use relume_api::photographs::{CapturePhotographs, CapturedPhotograph};
+use relume_api::CaptureId;
+use crate::server::problem::Problem;
+use relume_capture::{CaptureError, Photographs, PictureOptions};
+use relume_capture::formats::image_file;
+use relume_scene::srgb;
+use relume_scene::ImageRgba;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::cameras::{self, CamerasQuery};
 use crate::server::description::File;
@@ -33,29 +35,31 @@ const CACHED_WIDTH: u32 = 1024;
 const QUALITY: u8 = 90;
 
 /// The route that reads archives.
-pub(super) fn lists() -> OpenApiRouter<Shared> {
+pub(super) fn lists() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(list_photographs))
 }
 
 /// The route that answers with pictures.
-pub(super) fn pictures() -> OpenApiRouter<Shared> {
+pub(super) fn pictures() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(get_photograph))
 }
 
-/// List a capture's photographs
+/// List the photographs of a capture
 ///
-/// All of them, each with its camera as `/v1/captures/{id}/cameras` has it, whether trainings hold it out, what the validation
-/// found in it, and where its picture is.
+/// Returns all photographs, each with its camera as in `GET /v1/captures/{id}/cameras`, its use as a held-out
+/// view, the warnings of the validation and the path of the image.
 #[utoipa::path(
-    get, path = "/v1/captures/{id}/photographs", tag = "captures", params(("id" = String, Path), CamerasQuery),
+    get, path = "/v1/captures/{id}/photographs", tag = "captures",
+    params(("id" = String, Path, description = "Capture identifier"), CamerasQuery),
     responses(
-        (status = 200, body = CapturePhotographs), (status = 304, description = "The caller has it already"),
-        (status = 404, body = Problem, description = "There is no such capture, or it is not ready yet"),
+        (status = 200, body = CapturePhotographs),
+        (status = 304, description = "Not modified: the caller has the current version"),
+        (status = 404, body = Problem, description = "The capture does not exist or is not ready"),
         (status = 422, body = Problem)
     )
 )]
 async fn list_photographs(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
     QueryString(CamerasQuery { convention }): QueryString<CamerasQuery>,
@@ -82,15 +86,16 @@ async fn list_photographs(
     Ok(response)
 }
 
-/// How a photograph is shown.
+/// Size and distortion of an image.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 struct PhotographQuery {
-    /// Most pixels from left to right, 16 to 4096; as stored when absent. A picture is never enlarged.
+    /// Maximum width, 16 to 4096 pixels. Images are never enlarged. Omitted: the stored width.
     #[param(minimum = 16, maximum = 4096)]
     width: Option<u32>,
-    /// Whether the distortion of the lens is removed: the picture then lies on a frame that is rendered for its camera.
+    /// `true`: removes lens distortion, so that the image matches a frame rendered with the photograph's
+    /// camera. Omitted: `false`.
     #[serde(default)]
     #[param(value_type = Option<bool>)]
     undistorted: bool,
@@ -98,20 +103,25 @@ struct PhotographQuery {
 
 /// Get a photograph
 ///
-/// A JPEG of a photograph that the capture's cameras name, over white where it is transparent. The name is one segment of the path:
-/// `images/1.jpg` is `images%2F1.jpg`. Its bytes never change, so it may be kept; the `ETag` is known without decoding it.
+/// Returns a photograph of the capture as JPEG, with transparent pixels over white. `name` is one path
+/// segment: write `images/1.jpg` as `images%2F1.jpg`. The bytes never change, so caches can keep them. The
+/// server computes the `ETag` without decoding the photograph.
 #[utoipa::path(
     get, path = "/v1/captures/{id}/photographs/{name}", tag = "captures",
-    params(("id" = String, Path), ("name" = String, Path), PhotographQuery),
+    params(
+        ("id" = String, Path, description = "Capture identifier"),
+        ("name" = String, Path, description = "Name of the photograph in the capture, percent-encoded as one path segment"),
+        PhotographQuery
+    ),
     responses(
         (status = 200, content_type = "image/jpeg", body = File),
-        (status = 304, description = "The caller has it already"),
-        (status = 404, body = Problem, description = "There is no such capture or photograph, or it is not ready yet"),
+        (status = 304, description = "Not modified: the caller has the current version"),
+        (status = 404, body = Problem, description = "The capture or the photograph does not exist, or the capture is not ready"),
         (status = 413, body = Problem), (status = 422, body = Problem), (status = 503, body = Problem)
     )
 )]
 async fn get_photograph(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath((id, name)): UrlPath<(CaptureId, String)>,
     QueryString(query): QueryString<PhotographQuery>,
@@ -128,7 +138,7 @@ async fn get_photograph(
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
-        let picture = Picture { caller: &caller, capture: &capture, name: &name, options, digest: &digest };
+        let picture = PhotographRequest { caller: &caller, capture: &capture, name: &name, options, digest: &digest };
         let body = picture.found_or_made(&app, method == Method::HEAD).await?;
         ([(header::CONTENT_TYPE, "image/jpeg")], body).into_response()
     };
@@ -139,7 +149,7 @@ async fn get_photograph(
 }
 
 /// A picture that is asked for.
-struct Picture<'a> {
+struct PhotographRequest<'a> {
     caller: &'a Caller,
     capture: &'a CaptureRecord,
     name: &'a str,
@@ -148,13 +158,13 @@ struct Picture<'a> {
     digest: &'a str,
 }
 
-impl Picture<'_> {
+impl PhotographRequest<'_> {
     /// The file as it is cached, or made and cached; nothing of it where only its head is asked for.
-    async fn found_or_made(&self, app: &Shared, head: bool) -> Result<Vec<u8>, Problem> {
+    async fn found_or_made(&self, app: &AppState, head: bool) -> Result<Vec<u8>, Problem> {
         let id = self.capture.id.as_str();
         let is_small = self.options.width.is_some_and(|width| width <= CACHED_WIDTH);
         // Equal pictures that are asked for together are made once.
-        let _turn = app.thumbnail_turns.take(self.digest).await;
+        let _key_guard = app.thumbnail_locks.take(self.digest).await;
         if is_small && let Some(bytes) = app.thumbnails.get(id, self.digest).await {
             return Ok(bytes);
         }
@@ -166,7 +176,7 @@ impl Picture<'_> {
             return Ok(Vec::new());
         }
         let bytes = self.make(app, opened).await?;
-        if is_small && !app.store.room().is_short() {
+        if is_small && !app.store.disk_space().is_short() {
             app.thumbnails.put(id, self.digest, bytes.clone()).await;
             // It may have been deleted meanwhile, and its pictures swept before this one was there.
             if !matches!(app.store.capture(&self.caller.tenant, &self.capture.id).await, Ok(Some(_))) {
@@ -176,10 +186,10 @@ impl Picture<'_> {
         Ok(bytes)
     }
 
-    async fn make(&self, app: &Shared, opened: Arc<Opened>) -> Result<Vec<u8>, Problem> {
+    async fn make(&self, app: &AppState, opened: Arc<Opened>) -> Result<Vec<u8>, Problem> {
         let (options, name, of) = (self.options, self.name.to_owned(), opened.clone());
         let needed = app.decoders.run(move || of.photographs.picture_bytes(&name, &options)).await?;
-        let memory = app.memory.borrow(needed.map_err(|error| unreadable(&error))?).await?;
+        let memory = app.memory.reserve(needed.map_err(|error| unreadable(&error))?).await?;
         let name = self.name.to_owned();
         let work = move || {
             // Held until the work has ended, not only while somebody waits for it.
@@ -192,13 +202,13 @@ impl Picture<'_> {
 }
 
 /// A capture of the caller that is ready.
-async fn find(app: &Shared, caller: &Caller, id: &CaptureId) -> Result<CaptureRecord, Problem> {
+async fn find(app: &AppState, caller: &Caller, id: &CaptureId) -> Result<CaptureRecord, Problem> {
     let found = app.store.capture(&caller.tenant, id).await?;
     found.ok_or_else(|| Problem::not_found("capture", id.as_str()))
 }
 
 /// Opens a capture whose file is sound.
-async fn open(app: &Shared, caller: &Caller, capture: &CaptureRecord) -> Result<Arc<Opened>, Problem> {
+async fn open(app: &AppState, caller: &Caller, capture: &CaptureRecord) -> Result<Arc<Opened>, Problem> {
     match app.store.artifacts().verify(&capture.artifact, &capture.sha256).await {
         // It was deleted meanwhile.
         Err(StoreError::Missing(_)) => {
@@ -212,13 +222,13 @@ async fn open(app: &Shared, caller: &Caller, capture: &CaptureRecord) -> Result<
     }
 }
 
-async fn open_archive(app: &Shared, capture: &CaptureRecord) -> Result<Opened, Problem> {
+async fn open_archive(app: &AppState, capture: &CaptureRecord) -> Result<Opened, Problem> {
     let path = app.store.artifacts().local_path(&capture.artifact);
     let limits = app.import_limits;
     let open = move || Photographs::open(&path, &limits);
     let photographs = app.decoders.run(open).await?.map_err(|error| unreadable(&error))?;
     let held = photographs.held_bytes();
-    let memory = if held > 0 { Some(app.memory.borrow(held).await?) } else { None };
+    let memory = if held > 0 { Some(app.memory.reserve(held).await?) } else { None };
     Ok(Opened { photographs, _memory: memory })
 }
 
@@ -233,7 +243,7 @@ fn digest(capture: &CaptureRecord, what: &str) -> String {
 }
 
 /// A picture as a file, over white where it is transparent.
-fn jpeg(image: &ImageRgba) -> Result<Vec<u8>, crate::formats::ImageFileError> {
+fn jpeg(image: &ImageRgba) -> Result<Vec<u8>, relume_capture::formats::ImageFileError> {
     let over_white = |&[r, g, b, a]: &[f32; 4]| [r, g, b].map(|v| srgb::to_u8(v * a + 1.0 - a));
     let pixels: Vec<[u8; 3]> = image.pixels.iter().map(over_white).collect();
     image_file::encode_jpeg(image.width, image.height, &pixels, QUALITY)

@@ -9,10 +9,12 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::jobs::{JobState, JobView};
-use crate::api::{JobId, ModelId, Problem};
-use crate::render::{Finish, FrameFormat, Orbit, Output, Tier, Viewpoint};
-use crate::server::app::Shared;
+use relume_api::jobs::{JobState, JobView};
+use relume_api::{JobId, ModelId};
+use crate::server::problem::Problem;
+use relume_train::render::{Finish, Orbit, Viewpoint};
+use relume_spec::rendering::{FrameFormat, Output, Tier};
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{QueryString, UrlPath};
@@ -25,7 +27,7 @@ use crate::worker::{LightSource, ModelContent, ModelSource, Preview, RenderTask}
 const SOON: u32 = 2;
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(preview))
 }
 
@@ -34,33 +36,36 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 struct PreviewQuery {
-    /// Side, 16 to 1024 pixels; 256 when absent.
+    /// Side of the square image, 16 to 1024 pixels. Omitted: 256.
     #[param(minimum = 16, maximum = 1024)]
     size: Option<u32>,
-    /// Degrees counter-clockwise seen from above, as of a thumbnail.
+    /// Azimuth of the camera, degrees counter-clockwise seen from above. Omitted: as in a thumbnail.
     azimuth: Option<f64>,
-    /// Degrees above the horizon, -90 to 90, as of a thumbnail.
+    /// Elevation of the camera, degrees above the horizon, -90 to 90. Omitted: as in a thumbnail.
     #[param(minimum = -90, maximum = 90)]
     elevation: Option<f64>,
 }
 
-/// Watch a training
+/// Get a preview of a running training
 ///
-/// A PNG of the model as it stood a few seconds ago, under its own light; before its materials are trained, in the colours of the
-/// photographs. A training is looked at while somebody asks, so the first answer is 404 with `Retry-After`. The `ETag` changes with the
-/// step that is shown, which the header `Relume-Step` names. Once the job has a model the answer is 303 to that model's thumbnail.
+/// Returns a PNG of the model as it was a few seconds ago, under the recovered light. Before the training of
+/// materials, it shows the colours of the photographs. The worker makes previews only while a client requests
+/// them, so the first answer is 404 with `Retry-After`. The header `Relume-Step` is the training step of the
+/// image; the `ETag` changes with it. When the job has a model, the server redirects to the model's thumbnail
+/// (303).
 #[utoipa::path(
-    get, path = "/v1/jobs/{id}/preview", tag = "jobs", params(("id" = String, Path), PreviewQuery),
+    get, path = "/v1/jobs/{id}/preview", tag = "jobs",
+    params(("id" = String, Path, description = "Job identifier"), PreviewQuery),
     responses(
         (status = 200, content_type = "image/png", body = File),
-        (status = 303, description = "The job has a model: its thumbnail"),
-        (status = 304, description = "The caller has it already"),
-        (status = 404, body = Problem, description = "No such job, or no picture of it; the detail says why"),
+        (status = 303, description = "Redirect to the thumbnail of the job's model"),
+        (status = 304, description = "Not modified: the caller has the current version"),
+        (status = 404, body = Problem, description = "The job does not exist or has no preview; `detail` has the reason"),
         (status = 422, body = Problem), (status = 503, body = Problem)
     )
 )]
 async fn preview(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<JobId>,
     QueryString(query): QueryString<PreviewQuery>,
@@ -138,16 +143,16 @@ fn task(id: &JobId, preview: &Preview, orbit: Orbit) -> RenderTask {
 /// Why there is no picture of a job without a model.
 fn no_preview(job: &JobView) -> Problem {
     let problem = |why: &str| {
-        Problem::new(StatusCode::NOT_FOUND, "no-preview", "There is no picture of this training").detail(why)
+        Problem::new(StatusCode::NOT_FOUND, "no-preview", "The training has no preview").detail(why)
     };
     match job.state {
         JobState::Queued => problem("the job waits in the queue").retry_after(SOON),
         JobState::Running => {
-            problem("the training was not looked at yet; the first picture comes after its next step")
+            problem("no preview was requested before; the first one is available after the next step")
                 .retry_after(SOON)
         }
         JobState::Cancelling => problem("the job is being cancelled"),
-        JobState::Failed | JobState::Cancelled => problem("the job has ended without a model"),
+        JobState::Failed | JobState::Cancelled => problem("the job ended without a model"),
         JobState::Succeeded | JobState::Rejected => problem("the job's model was deleted"),
     }
 }

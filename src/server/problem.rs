@@ -3,26 +3,75 @@
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
-use crate::api::problem::{ContentError, FieldError, TYPE_PREFIX};
-use crate::api::{Problem, ResourceKind, ResourceName};
-use crate::server::observe;
+use relume_api::problem::{ContentError, FieldError, TYPE_PREFIX};
+use relume_api::{ResourceKind, ResourceName};
+use crate::server::telemetry;
 use crate::store::StoreError;
 use crate::worker::RenderFailure;
+
+/// A problem that a handler answers with: the wire type with constructors for each kind, and its response.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Problem(relume_api::Problem);
+
+impl std::ops::DerefMut for Problem {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.0
+    }
+}
+
+impl std::ops::Deref for Problem {
+    type Target = relume_api::Problem;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl From<relume_api::Problem> for Problem {
+    fn from(problem: relume_api::Problem) -> Self {
+        Self(problem)
+    }
+}
+
+impl From<Problem> for relume_api::Problem {
+    fn from(problem: Problem) -> Self {
+        problem.0
+    }
+}
+
+/// The schema is that of the wire type.
+impl utoipa::PartialSchema for Problem {
+    fn schema() -> utoipa::openapi::RefOr<utoipa::openapi::schema::Schema> {
+        relume_api::Problem::schema()
+    }
+}
+
+impl utoipa::ToSchema for Problem {
+    fn name() -> std::borrow::Cow<'static, str> {
+        relume_api::Problem::name()
+    }
+
+    fn schemas(
+        schemas: &mut Vec<(String, utoipa::openapi::RefOr<utoipa::openapi::schema::Schema>)>,
+    ) {
+        relume_api::Problem::schemas(schemas);
+    }
+}
 
 impl Problem {
     /// A problem of a stable kind.
     pub fn new(status: StatusCode, kind: &str, title: &str) -> Self {
-        Self {
+        Self(relume_api::Problem {
             kind: format!("{TYPE_PREFIX}{kind}"),
             title: title.to_owned(),
             status: status.as_u16(),
             detail: None,
-            request_id: observe::request_id(),
+            request_id: telemetry::request_id(),
             errors: Vec::new(),
             content: None,
             needed_by: Vec::new(),
             retry_after: None,
-        }
+        })
     }
 
     /// A form that cannot be read.
@@ -34,26 +83,26 @@ impl Problem {
     /// With a description of this occurrence.
     #[must_use]
     pub fn detail(mut self, detail: impl Into<String>) -> Self {
-        self.detail = Some(detail.into());
+        self.0.detail = Some(detail.into());
         self
     }
 
     /// With the time after which to try again, seconds.
     #[must_use]
     pub fn retry_after(mut self, seconds: u32) -> Self {
-        self.retry_after = Some(seconds);
+        self.0.retry_after = Some(seconds);
         self
     }
 
     /// 401.
     pub fn unauthorized() -> Self {
-        Self::new(StatusCode::UNAUTHORIZED, "unauthorized", "An API key is needed")
+        Self::new(StatusCode::UNAUTHORIZED, "unauthorized", "An API key is required")
             .detail("send Authorization: Bearer <key>, with a key that is neither revoked nor expired")
     }
 
     /// 404.
     pub fn not_found(what: &str, id: &str) -> Self {
-        Self::new(StatusCode::NOT_FOUND, "not-found", "There is no such thing")
+        Self::new(StatusCode::NOT_FOUND, "not-found", "The resource does not exist")
             .detail(format!("{what} {id:?} does not exist"))
     }
 
@@ -61,24 +110,24 @@ impl Problem {
     pub fn invalid_field(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
         let (pointer, detail) = (pointer.into(), detail.into());
         let mut problem =
-            Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid-field", "A field cannot be accepted")
+            Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid-field", "A field is invalid")
                 .detail(format!("{pointer}: {detail}"));
-        problem.errors.push(FieldError { pointer, detail });
+        problem.0.errors.push(FieldError { pointer, detail });
         problem
     }
 
     /// 422 for an uploaded file that was understood as far as needed to refuse it.
     pub fn invalid_content(content: ContentError, detail: impl Into<String>) -> Self {
         let status = StatusCode::UNPROCESSABLE_ENTITY;
-        let mut problem = Self::new(status, "invalid-content", "The uploaded file cannot be accepted");
-        problem.content = Some(content);
+        let mut problem = Self::new(status, "invalid-content", "The uploaded file is invalid");
+        problem.0.content = Some(content);
         problem.detail(detail)
     }
 
     /// 413.
     pub fn too_large(limit: u64) -> Self {
         Self::new(StatusCode::PAYLOAD_TOO_LARGE, "too-large", "The body is too large")
-            .detail(format!("at most {limit} bytes are accepted here"))
+            .detail(format!("at most {limit} bytes are accepted"))
     }
 
     /// 408.
@@ -96,14 +145,14 @@ impl Problem {
         Self::new(
             StatusCode::UNSUPPORTED_MEDIA_TYPE,
             "unsupported-media-type",
-            "The content type is not accepted here",
+            "The content type is not supported",
         )
         .detail(format!("expected {expected}"))
     }
 
     /// 409.
     pub fn conflict(kind: &str, detail: impl Into<String>) -> Self {
-        Self::new(StatusCode::CONFLICT, kind, "The state of the resource forbids it").detail(detail)
+        Self::new(StatusCode::CONFLICT, kind, "The state of the resource does not allow the request").detail(detail)
     }
 
     /// 409 for what was to be deleted and is needed.
@@ -111,13 +160,13 @@ impl Problem {
         let count = needed_by.len();
         needed_by.truncate(100);
         let detail = match needed_by.as_slice() {
-            [it] if it == what => format!("{what} is running; cancel it first, or ask with ?cascade=true"),
+            [it] if it == what => format!("{what} is running; cancel it first, or use ?cascade=true"),
             _ => format!(
-                "{what} is needed by jobs that wait, run or may be run again ({count}); delete them first, or ask with ?cascade=true"
+                "{what} is needed by {count} queued, running or retryable jobs; delete them first, or use ?cascade=true"
             ),
         };
         let mut problem = Self::conflict("in-use", detail);
-        problem.needed_by = needed_by;
+        problem.0.needed_by = needed_by;
         problem
     }
 
@@ -125,21 +174,21 @@ impl Problem {
     pub fn internal(cause: impl std::fmt::Display) -> Self {
         tracing::error!(%cause, "internal error");
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed")
-            .detail("the server's log has the cause under this request_id")
+            .detail("the cause is in the server's log under this request_id")
     }
 
     /// 500 for a disk that fails. The cause goes to the log, never to the client.
     pub fn storage_failed(cause: impl std::fmt::Display) -> Self {
         tracing::error!(%cause, "the disk failed");
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "storage-failed", "The storage failed")
-            .detail("the server's log has the cause under this request_id; once it is mended, ask again")
+            .detail("the cause is in the server's log under this request_id; retry after it is fixed")
     }
 }
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
         let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-        let body = serde_json::to_vec(&self).unwrap_or_default();
+        let body = serde_json::to_vec(&self.0).unwrap_or_default();
         let mut response = (status, body).into_response();
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
@@ -157,28 +206,28 @@ impl IntoResponse for Problem {
 impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
         match error {
-            StoreError::Full | StoreError::NoRoom { .. } => {
-                Self::new(StatusCode::INSUFFICIENT_STORAGE, "insufficient-storage", "There is no room left")
-                    .detail("nothing was stored")
+            StoreError::Full | StoreError::NoDiskSpace { .. } => {
+                Self::new(StatusCode::INSUFFICIENT_STORAGE, "insufficient-storage", "The disk is full")
+                    .detail("the server stored nothing")
                     .retry_after(60)
             }
-            StoreError::QuotaOfJobs { .. }
-            | StoreError::QuotaOfUploads { .. }
-            | StoreError::QuotaOfExports { .. } => {
-                let title = "Your tenant may have no more of these";
+            StoreError::JobQuotaExceeded { .. }
+            | StoreError::UploadQuotaExceeded { .. }
+            | StoreError::ExportQuotaExceeded { .. } => {
+                let title = "The quota of the tenant is exhausted";
                 Self::new(StatusCode::TOO_MANY_REQUESTS, "quota-exceeded", title)
                     .detail(error.to_string())
                     .retry_after(60)
             }
-            StoreError::QuotaOfBytes { .. } => {
-                let title = "Your tenant may have no more of these";
+            StoreError::ByteQuotaExceeded { .. } => {
+                let title = "The quota of the tenant is exhausted";
                 Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", title).detail(error.to_string())
             }
-            StoreError::BadMarks { field, why } => Self::invalid_field(format!("/{field}"), why),
+            StoreError::InvalidMetadata { field, why } => Self::invalid_field(format!("/{field}"), why),
             StoreError::TooManyWebhooks { .. } => Self::conflict("quota-exceeded", error.to_string()),
-            StoreError::OverLimit { .. } => {
-                Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-limit", "The server may store no more")
-                    .detail("all tenants together store as much as they may; nothing of this was stored")
+            StoreError::StorageLimitExceeded { .. } => {
+                Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-limit", "The storage limit of the server is reached")
+                    .detail("all tenants together have reached the storage limit; the server stored nothing of this request")
             }
             StoreError::TooLarge { limit } => Self::too_large(limit),
             StoreError::Body(reason) => {
@@ -195,13 +244,13 @@ impl From<StoreError> for Problem {
                 ),
                 kind => Self::not_found(kind.name(), &what.id),
             },
-            StoreError::KeyEnded => Self::unauthorized(),
-            StoreError::KeyReused => Self::new(
+            StoreError::KeyRevoked => Self::unauthorized(),
+            StoreError::IdempotencyKeyReused => Self::new(
                 StatusCode::UNPROCESSABLE_ENTITY,
                 "idempotency-key-reused",
-                "The idempotency key belongs to another request",
+                "The idempotency key was used for another request",
             )
-            .detail("use a fresh Idempotency-Key for a different body"),
+            .detail("use a new Idempotency-Key for a different body"),
             StoreError::Damaged(_) | StoreError::Missing(_) => {
                 tracing::error!(%error, "a stored file cannot be used");
                 Self::new(
@@ -210,7 +259,7 @@ impl From<StoreError> for Problem {
                     "A stored file is damaged or missing",
                 )
                 .detail(
-                    "its bytes are not those that were stored; `relume doctor` on the server names the file",
+                    "its bytes differ from the stored hash; `relume doctor` on the server names the file",
                 )
             }
             StoreError::DatabaseUnreachable(_) => {
@@ -218,15 +267,15 @@ impl From<StoreError> for Problem {
                 let title = "The database cannot be reached";
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, "database-unreachable", title)
                     .detail(
-                        "nothing was changed, as far as is known; ask again with the same Idempotency-Key",
+                        "probably nothing was changed; retry with the same Idempotency-Key",
                     )
                     .retry_after(5)
             }
             StoreError::ArtifactsUnreachable(_) => {
                 tracing::error!(%error, "the object store does not answer");
-                let title = "The store of files cannot be reached";
+                let title = "The object store cannot be reached";
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, "artifacts-unreachable", title)
-                    .detail("nothing was stored, as far as is known; ask again with the same Idempotency-Key")
+                    .detail("probably nothing was stored; retry with the same Idempotency-Key")
                     .retry_after(5)
             }
             StoreError::Artifacts(_) | StoreError::File(_) => Self::storage_failed(error),

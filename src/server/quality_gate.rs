@@ -1,9 +1,9 @@
 //! Whether what a job asks of its model can be measured at all.
 
-use crate::api::Problem;
-use crate::api::quality::QualityGate;
-use crate::capture::CaptureReport;
-use crate::train::TrainConfig;
+use crate::server::problem::Problem;
+use relume_api::quality::QualityGate;
+use relume_spec::CaptureReport;
+use relume_spec::training::TrainConfig;
 
 /// # Errors
 /// Names the entry that is no figure, cannot be understood, or cannot be measured on this capture and training.
@@ -21,7 +21,7 @@ pub(super) fn check(
     match figures.into_iter().find(|figure| config.warm_up >= 1.0 && figure.needs_materials()) {
         Some(figure) => Err(Problem::invalid_field(
             at(figure.name()),
-            "cannot be measured: with these settings the model is trained for colour alone",
+            "cannot be measured: with these settings the model has no materials",
         )),
         None => Ok(()),
     }
@@ -30,7 +30,7 @@ pub(super) fn check(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::train::Preset;
+    use relume_spec::training::Preset;
 
     fn refused(gate: &str, held_out: usize, warm_up: f32) -> Option<String> {
         let gate: QualityGate = serde_json::from_str(gate).unwrap();

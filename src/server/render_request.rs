@@ -1,15 +1,16 @@
 //! From the fields of a render request to a camera and a quality; a refusal names the field.
 
-use crate::api::Problem;
-use crate::api::renders::RenderRequest;
-use crate::render::{Finish, FrameFormat, Output, Quality, RenderError, Tier, is_colour};
-use crate::scene::Camera;
+use crate::server::problem::Problem;
+use relume_api::renders::RenderRequest;
+use relume_train::render::{Finish, RenderError};
+use relume_spec::rendering::{FrameFormat, Output, Quality, Tier, is_colour};
+use relume_scene::Camera;
 
 /// Longest side of a frame, pixels.
 const MAX_SIDE: u32 = 4096;
 /// Most queries through the Gaussians a frame of the Monte-Carlo tier may cost: on the CPU engine, where they take some seconds, and on
 /// a GPU.
-const MOST_QUERIES: [u64; 2] = [1 << 21, 1 << 27];
+const MAX_QUERIES: [u64; 2] = [1 << 21, 1 << 27];
 
 /// The tier and samples asked for of a frame of `size`, width and height in pixels; refuses one that would occupy a thread of
 /// frames for too long.
@@ -21,7 +22,7 @@ pub(super) fn quality(
     on_gpu: bool,
 ) -> Result<Quality, Problem> {
     let quality = Quality { tier, samples: samples.unwrap_or(Quality::SAMPLES), seed: seed.unwrap_or(0) };
-    let queries = MOST_QUERIES[usize::from(on_gpu)];
+    let queries = MAX_QUERIES[usize::from(on_gpu)];
     let most = match tier {
         Tier::MonteCarlo => queries / (u64::from(size.0) * u64::from(size.1)).max(1),
         _ => u64::MAX,
@@ -29,8 +30,8 @@ pub(super) fn quality(
     let most = most.min(u64::from(Quality::MOST_SAMPLES));
     if !(1..=most).contains(&u64::from(quality.samples)) {
         let detail = match most {
-            0 => format!("the tier monte_carlo takes pictures of at most {queries} pixels"),
-            most => format!("must be 1 to {most} at this tier and size, got {}", quality.samples),
+            0 => format!("the tier monte_carlo renders images of at most {queries} pixels"),
+            most => format!("must be 1 to {most} for this tier and size, got {}", quality.samples),
         };
         return Err(Problem::invalid_field("/samples", detail));
     }
@@ -41,16 +42,16 @@ pub(super) fn quality(
 pub(super) fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(), Problem> {
     let refuse = |why: &str| Err(Problem::invalid_field("/outputs", why));
     if let Some(i) = (1..outputs.len()).find(|&i| outputs[..i].contains(&outputs[i])) {
-        return Err(Problem::invalid_field(format!("/outputs/{i}"), "is named twice"));
+        return Err(Problem::invalid_field(format!("/outputs/{i}"), "is listed twice"));
     }
     match (outputs, format) {
-        ([], _) => refuse("must name at least one output"),
+        ([], _) => refuse("must contain at least one output"),
         ([_], FrameFormat::Png) | (_, FrameFormat::Exr) => Ok(()),
         ([one], FrameFormat::Jpeg) if is_colour(*one) => Ok(()),
         ([_], FrameFormat::Jpeg) => {
-            refuse("is data, which JPEG would spoil; accept image/png or image/x-exr")
+            refuse("is not a colour and cannot be stored as JPEG; accept image/png or image/x-exr")
         }
-        _ => refuse("only image/x-exr holds several outputs"),
+        _ => refuse("only image/x-exr can hold several outputs"),
     }
 }
 

@@ -6,16 +6,18 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::renders::RenderRequest;
-use crate::api::{ModelId, Problem};
-use crate::render::{Background, EncodedFrame, Finish, FrameFormat, FrameNotes, Viewpoint};
-use crate::scene::Camera;
-use crate::server::app::Shared;
+use relume_api::renders::RenderRequest;
+use relume_api::ModelId;
+use crate::server::problem::Problem;
+use relume_spec::rendering::{Background, FrameFormat};
+use relume_train::render::{EncodedFrame, Finish, FrameNotes, Viewpoint};
+use relume_scene::Camera;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{LargeJson, UrlPath};
 use crate::server::lights::light;
-use crate::server::memory::of_frame;
+use crate::server::memory::frame_bytes;
 use crate::server::render_request::{camera, quality};
 use crate::server::{models, negotiate, render_request};
 use crate::worker::RenderTask;
@@ -25,28 +27,33 @@ const BODY_LIMIT: usize = 64 << 20;
 const DEPTH_RANGE: HeaderName = HeaderName::from_static("relume-depth-range");
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(render))
 }
 
 /// Render a frame
 ///
-/// `Accept` chooses between `image/png` (the default), `image/jpeg` and `image/x-exr`. A PNG of a colour is
-/// display-referred (`tone_curve`, straight alpha); of `normal` it is 16-bit `(n + 1) / 2`; of `depth` 16-bit
-/// grey between the two depths in the header `relume-depth-range`, 65535 where nothing is; of anything else 8-bit
-/// linear grey. An EXR is multi-part and linear, with every output asked for; colours are
-/// premultiplied, and attributes name camera (`worldToCamera`), model and light.
+/// The header `Accept` selects `image/png` (default), `image/jpeg` or `image/x-exr`.
+///
+/// The content of a PNG depends on the output. Colours: display-referred with `tone_curve` and straight
+/// alpha. `normal`: 16-bit, `(n + 1) / 2`. `depth`: 16-bit grey between the two depths in the header
+/// `relume-depth-range`; 65535 where there is no surface. Other outputs: 8-bit linear grey.
+///
+/// An EXR is multi-part and linear and contains every requested output. Colours are premultiplied. Its
+/// attributes contain the camera (`worldToCamera`), the model and the light.
 #[utoipa::path(
-    post, path = "/v1/models/{id}/render", tag = "models", params(("id" = String, Path)),
+    post, path = "/v1/models/{id}/render", tag = "models",
+    params(("id" = String, Path, description = "Model identifier")),
     request_body = RenderRequest,
     responses(
         (status = 200, content_type = "image/png", body = File),
         (status = 404, body = Problem), (status = 406, body = Problem), (status = 413, body = Problem),
-        (status = 422, body = Problem), (status = 503, body = Problem, description = "Busy; try again")
+        (status = 422, body = Problem),
+        (status = 503, body = Problem, description = "The server is busy; retry after `Retry-After`")
     )
 )]
 async fn render(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
     headers: HeaderMap,
@@ -104,27 +111,27 @@ impl TimedFrame {
 ///
 /// # Errors
 /// As [`render_frame`].
-pub(super) async fn render_behind(
-    app: &Shared,
+pub(super) async fn render_in_background(
+    app: &AppState,
     task: RenderTask,
     format: FrameFormat,
     finish: Finish,
 ) -> Result<Vec<u8>, Problem> {
-    let memory = app.memory.borrow(of_frame(task.pixels(), &task.outputs)).await?;
+    let memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs)).await?;
     let outputs = task.outputs.clone();
-    let rendered = app.device.render_behind(task).await?;
+    let rendered = app.device.render_in_background(task).await?;
     Ok(app.encoders.encode(rendered.answer, outputs, format, finish, memory).await?.bytes)
 }
 
 /// Renders on the thread of frames and encodes off it.
 pub(super) async fn render_frame(
-    app: &Shared,
+    app: &AppState,
     task: RenderTask,
     format: FrameFormat,
     finish: Finish,
 ) -> Result<TimedFrame, Problem> {
     // Held from before the queue to the encoded file.
-    let memory = app.memory.borrow(of_frame(task.pixels(), &task.outputs)).await?;
+    let memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs)).await?;
     let outputs = task.outputs.clone();
     let rendered = app.device.render(task).await?;
     let ms = |d: std::time::Duration| d.as_secs_f64() * 1e3;

@@ -5,11 +5,11 @@ use axum::http::{Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use crate::api::Problem;
+use crate::server::problem::Problem;
 
 /// What the first server alone does, all methods of a path where none is named: what brings files in, makes them in the background, or
 /// takes them away.
-const OF_THE_FIRST: &[(Option<Method>, &str)] = &[
+const PRIMARY_ONLY: &[(Option<Method>, &str)] = &[
     (Some(Method::POST), "/v1/captures"),
     (Some(Method::DELETE), "/v1/captures/{id}"),
     (None, "/v1/captures/{id}/log"),
@@ -23,19 +23,19 @@ const OF_THE_FIRST: &[(Option<Method>, &str)] = &[
     (None, "/v1/uploads/{id}"),
 ];
 
-fn is_of_the_first(method: &Method, path: &str) -> bool {
-    OF_THE_FIRST.iter().any(|(of, route)| *route == path && of.as_ref().is_none_or(|of| of == method))
+fn is_primary_only(method: &Method, path: &str) -> bool {
+    PRIMARY_ONLY.iter().any(|(of, route)| *route == path && of.as_ref().is_none_or(|of| of == method))
 }
 
 /// Refuses what is the first server's.
 pub(super) async fn check(request: Request, next: Next) -> Response {
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-    if !is_of_the_first(request.method(), route) {
+    if !is_primary_only(request.method(), route) {
         return next.run(request).await;
     }
-    let title = "The first server does this";
+    let title = "Only the first server supports this request";
     Problem::new(StatusCode::MISDIRECTED_REQUEST, "first-server-only", title)
-        .detail("this server only answers, renders and trains; send uploads, exports and deletions to the first one")
+        .detail("this server is a replica that reads, renders and trains; send uploads, exports and deletions to the first server")
         .into_response()
 }
 
@@ -47,7 +47,7 @@ mod tests {
     #[test]
     fn every_path_of_the_list_is_one_of_the_api() {
         let description = serde_json::to_value(openapi()).unwrap();
-        for (method, path) in OF_THE_FIRST {
+        for (method, path) in PRIMARY_ONLY {
             let item = &description["paths"][path];
             let there =
                 method.as_ref().map_or(item.is_object(), |m| item[m.as_str().to_lowercase()].is_object());
@@ -57,15 +57,15 @@ mod tests {
 
     #[test]
     fn reading_rendering_and_training_are_not_the_first_servers() {
-        assert!(is_of_the_first(&Method::DELETE, "/v1/models/{id}"));
-        assert!(is_of_the_first(&Method::HEAD, "/v1/uploads/{id}"));
+        assert!(is_primary_only(&Method::DELETE, "/v1/models/{id}"));
+        assert!(is_primary_only(&Method::HEAD, "/v1/uploads/{id}"));
         for (method, path) in [
             (Method::GET, "/v1/models/{id}"),
             (Method::POST, "/v1/models/{id}/render"),
             (Method::POST, "/v1/jobs"),
             (Method::POST, "/v1/work/claims"),
         ] {
-            assert!(!is_of_the_first(&method, path), "{method} {path}");
+            assert!(!is_primary_only(&method, path), "{method} {path}");
         }
     }
 }

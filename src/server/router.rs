@@ -5,9 +5,9 @@ use axum::http::{Method, StatusCode, Uri};
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 
-use crate::api::Problem;
-use crate::server::app::Shared;
-use crate::server::stack::{self, QUERIES, RENDERS, StackConfig, THUMBNAILS, UPLOADS, bounded};
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
+use crate::server::middleware::{self, QUERIES, RENDERS, MiddlewareConfig, THUMBNAILS, UPLOADS, with_limits};
 #[cfg(feature = "web")]
 use crate::server::web;
 use crate::server::{
@@ -16,7 +16,7 @@ use crate::server::{
     workers,
 };
 
-fn families() -> OpenApiRouter<Shared> {
+fn families() -> OpenApiRouter<AppState> {
     // What takes or reads archives, which may be large.
     let taking = captures::uploads()
         .merge(cameras::routes())
@@ -40,10 +40,10 @@ fn families() -> OpenApiRouter<Shared> {
         .merge(webhooks::routes())
         .merge(workers::routes());
     OpenApiRouter::with_openapi(description::preamble())
-        .merge(bounded(taking, &UPLOADS))
-        .merge(bounded(queries, &QUERIES))
-        .merge(bounded(renders::routes(), &RENDERS))
-        .merge(bounded(
+        .merge(with_limits(taking, &UPLOADS))
+        .merge(with_limits(queries, &QUERIES))
+        .merge(with_limits(renders::routes(), &RENDERS))
+        .merge(with_limits(
             thumbnails::routes()
                 .merge(photographs::pictures())
                 .merge(previews::routes())
@@ -60,12 +60,12 @@ pub fn openapi() -> OpenApi {
 }
 
 /// The whole service.
-pub(super) fn router(app: Shared, config: StackConfig) -> Router {
+pub(super) fn router(app: AppState, config: MiddlewareConfig) -> Router {
     let routes = families().split_for_parts().0;
     #[cfg(feature = "web")]
     let routes = routes.merge(web::routes());
     let routes = routes.method_not_allowed_fallback(method_not_allowed).fallback(no_such_path);
-    stack::around(routes, config).with_state(app)
+    middleware::with_middleware(routes, config).with_state(app)
 }
 
 async fn no_such_path(uri: Uri) -> Problem {
@@ -73,6 +73,6 @@ async fn no_such_path(uri: Uri) -> Problem {
 }
 
 async fn method_not_allowed(method: Method, uri: Uri) -> Problem {
-    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", "The method is not allowed here")
-        .detail(format!("{} does not take {method}", uri.path()))
+    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", "The method is not allowed")
+        .detail(format!("{} does not support {method}", uri.path()))
 }

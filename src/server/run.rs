@@ -10,33 +10,33 @@ use tokio::net::TcpListener;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
-use crate::engine::DeviceError;
+use relume_engine::DeviceError;
 use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
-use crate::server::access::Gate;
-use crate::server::app::{App, RequestLimits, Shared};
+use crate::server::access::AccessControl;
+use crate::server::app::{App, RequestLimits, AppState};
 use crate::server::auth::{ApiKeys, may_listen};
 use crate::server::connections::{self, ConnectionLimits};
-use crate::server::crew::{self, Crew, CrewError, CrewPlan, RollCall, Trainers};
+use crate::server::local_workers::{self, LocalWorkers, LocalWorkersError, LocalWorkersConfig, WorkerRegistry, Trainers};
 use crate::server::decoders::Decoders;
 use crate::server::encoders::Encoders;
-use crate::server::exports::{ExportDesk, ExportPolicy};
+use crate::server::exports::{ExportQueue, ExportPolicy};
 use crate::server::fetching::{FetchPolicy, Fetcher};
-use crate::server::housekeeping::Housekeeping;
+use crate::server::background_tasks::BackgroundTasks;
 use crate::server::keyring::Keyring;
 use crate::server::memory::MemoryBudget;
-use crate::server::observe;
+use crate::server::telemetry;
 use crate::server::opened_captures::OpenedCaptures;
 use crate::server::origins::CorsOrigin;
-use crate::server::poses::{Desk, PosesPolicy};
-use crate::server::rates::Rates;
+use crate::server::poses::{PoseQueue, PosesPolicy};
+use crate::server::rate_limiter::RateLimiter;
 use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
-use crate::server::stack::StackConfig;
+use crate::server::middleware::MiddlewareConfig;
 use crate::server::thumbnail_cache::ThumbnailCache;
-use crate::server::turns::Turns;
+use crate::server::keyed_locks::KeyedLocks;
 use crate::server::webhooks::WebhookPolicy;
 use crate::store::{
-    ArtifactsPlace, DatabaseUrl, NodeLock, Quota, Retention, ServerLock, Store, StoreError, UploadLimits,
+    ObjectStoreConfig, DatabaseUrl, DataDirLock, Quota, Retention, ServerLock, Store, StoreError, UploadLimits,
     has_keys,
 };
 use crate::worker::{DeviceHandle, WorkerOptions};
@@ -59,7 +59,7 @@ pub struct ServerConfig {
     /// exports and deletes nothing. Needs a `database`, and artifacts that both reach.
     pub replica: bool,
     /// The object store that has artifacts, of which the data directory is a cache then.
-    pub artifacts: Option<ArtifactsPlace>,
+    pub artifacts: Option<ObjectStoreConfig>,
     /// Accepted keys beside those in the database; without any at all, everyone is accepted, on loopback only.
     pub api_keys: ApiKeys,
     /// Origins whose web pages may call the API.
@@ -161,12 +161,12 @@ pub enum ServeError {
     Io(#[from] std::io::Error),
 }
 
-impl From<CrewError> for ServeError {
-    fn from(error: CrewError) -> Self {
+impl From<LocalWorkersError> for ServeError {
+    fn from(error: LocalWorkersError) -> Self {
         match error {
-            CrewError::Device(error) => Self::Device(error),
-            CrewError::Store(error) => Self::Store(error),
-            CrewError::Io(error) => Self::Io(error),
+            LocalWorkersError::Device(error) => Self::Device(error),
+            LocalWorkersError::Store(error) => Self::Store(error),
+            LocalWorkersError::Io(error) => Self::Io(error),
         }
     }
 }
@@ -183,28 +183,28 @@ pub async fn run(
 ) -> Result<(), ServeError> {
     let address = listener.local_addr()?;
     let is_open = check_openness(&config, address).await?;
-    observe::metrics_handle();
-    let mut lock = NodeLock::acquire(&config.data_dir)?;
+    telemetry::metrics_handle();
+    let mut lock = DataDirLock::acquire(&config.data_dir)?;
     let name = lock.name(|| config.ids.fresh())?;
     let store = open(&config).await?;
     let first = if config.replica { None } else { Some(store.lock_database().await?) };
     let jobs = Jobs::new(store.clone(), config.clock.clone(), config.ids.clone(), config.lease);
-    jobs.follow_time().await?;
+    jobs.sync_clock().await?;
     if first.is_some() {
         recover(&store, &jobs, &name).await?;
     } else {
-        jobs.forget_workers(Some(name.as_str())).await?;
+        jobs.remove_workers(Some(name.as_str())).await?;
     }
     let stop = CancellationToken::new();
-    let Crew { device, threads, roll } = crew::start(plan(&config), &jobs, &name, &stop).await?;
-    let maintenance = tokio::spawn(maintain(jobs.clone(), roll, first, stop.clone()));
-    let settling = (!config.replica).then(|| tokio::spawn(settle(store.clone())));
+    let LocalWorkers { device, threads, registry } = local_workers::start(plan(&config), &jobs, &name, &stop).await?;
+    let maintenance = tokio::spawn(maintain(jobs.clone(), registry, first, stop.clone()));
+    let reconciliation = (!config.replica).then(|| tokio::spawn(reconcile(store.clone())));
     let others = jobs.clone();
-    let listening = tokio::spawn(async move { others.follow_others().await });
-    let tidy = Arc::new(Notify::new());
+    let listening = tokio::spawn(async move { others.listen_for_changes().await });
+    let gc_wake = Arc::new(Notify::new());
     let thumbnails = open_thumbnails(&config).await?;
-    let (service, app) = service(&config, is_open, jobs.clone(), device, thumbnails, tidy, stop.clone())?;
-    let housekeeping = (!config.replica).then(|| Housekeeping::begin(&app, config.retention));
+    let (service, app) = service(&config, is_open, jobs.clone(), device, thumbnails, gc_wake, stop.clone())?;
+    let background_tasks = (!config.replica).then(|| BackgroundTasks::begin(&app, config.retention));
     tracing::info!(%address, replica = config.replica, data_dir = %config.data_dir.display(), "serving");
     serve(listener, service, config.connections, shutdown, stop.clone()).await;
 
@@ -212,14 +212,14 @@ pub async fn run(
     threads.join().await;
     app.poses.idle().await;
     maintenance.abort();
-    if let Some(settling) = settling {
-        settling.abort();
+    if let Some(reconciliation) = reconciliation {
+        reconciliation.abort();
     }
     listening.abort();
-    if let Some(housekeeping) = housekeeping {
-        housekeeping.end().await;
+    if let Some(background_tasks) = background_tasks {
+        background_tasks.end().await;
     }
-    if let Err(error) = jobs.forget_workers(Some(name.as_str())).await {
+    if let Err(error) = jobs.remove_workers(Some(name.as_str())).await {
         tracing::warn!(%error, "the workers of this server stay on the list until the next start");
     }
     store.close().await;
@@ -228,12 +228,12 @@ pub async fn run(
 }
 
 /// What trains and renders.
-fn plan(config: &ServerConfig) -> CrewPlan {
-    CrewPlan {
+fn plan(config: &ServerConfig) -> LocalWorkersConfig {
+    LocalWorkersConfig {
         options: config.worker,
         trainers: config.trainers.clone(),
         labels: config.worker_labels.clone(),
-        silence: config.lease.worker_silence,
+        heartbeat_timeout: config.lease.heartbeat_timeout,
     }
 }
 
@@ -256,7 +256,7 @@ async fn check_openness(config: &ServerConfig, address: SocketAddr) -> Result<bo
 async fn open(config: &ServerConfig) -> Result<Store, ServeError> {
     let (root, url) = (&config.data_dir, config.database.as_ref());
     let store =
-        if config.replica { Store::join(root, url).await? } else { Store::open_with(root, url).await? };
+        if config.replica { Store::open_existing(root, url).await? } else { Store::open_with(root, url).await? };
     let mut store = store.with_quota(config.quota);
     if let Some(place) = &config.artifacts {
         store = store.with_artifacts(place)?;
@@ -281,13 +281,13 @@ fn service(
     jobs: Jobs,
     device: DeviceHandle,
     thumbnails: ThumbnailCache,
-    tidy: Arc<Notify>,
+    gc_wake: Arc<Notify>,
     stop: CancellationToken,
-) -> Result<(axum::Router, Shared), ServeError> {
+) -> Result<(axum::Router, AppState), ServeError> {
     let store = jobs.store().clone();
     let signing = SigningSecret::of(&config.data_dir);
     let keys = Arc::new(Keyring::new(config.api_keys.clone(), store.clone(), config.clock.clone()));
-    let rates = Rates::new(config.requests_per_minute, config.requests_per_minute_of_tenant);
+    let rate_limiter = RateLimiter::new(config.requests_per_minute, config.requests_per_minute_of_tenant);
     let app = App {
         store,
         jobs,
@@ -298,22 +298,22 @@ fn service(
         upload_limits: config.uploads,
         import_limits: config.worker.import_limits,
         memory: MemoryBudget::new(config.limits.memory_bytes),
-        thumbnail_turns: Turns::default(),
+        thumbnail_locks: KeyedLocks::default(),
         opened: OpenedCaptures::default(),
-        poses: Desk::new(config.poses.clone()),
+        poses: PoseQueue::new(config.poses.clone()),
         encoders: Encoders::new(),
         decoders: Decoders::start(config.limits.memory_bytes)?,
-        exports: ExportDesk::new(config.exports.clone(), Decoders::start(config.limits.memory_bytes)?),
+        exports: ExportQueue::new(config.exports.clone(), Decoders::start(config.limits.memory_bytes)?),
         keys: keys.clone(),
         signing: signing.clone(),
         fetcher: Fetcher::new(config.fetching.clone()),
         webhooks: config.webhooks,
-        tidy,
+        gc_wake,
         stop,
         description: openapi(),
     };
-    let stack = StackConfig {
-        gate: Arc::new(Gate { keys, signing, rates }),
+    let stack = MiddlewareConfig {
+        access_control: Arc::new(AccessControl { keys, signing, rate_limiter }),
         is_replica: config.replica,
         is_open,
         origins: config.cors_origins.clone(),
@@ -327,19 +327,19 @@ fn service(
 
 /// Takes back what a server that died left. The caller holds the node lock, so no other process works here.
 async fn recover(store: &Store, jobs: &Jobs, server: &str) -> Result<(), StoreError> {
-    store.artifacts().sweep_incoming()?;
+    store.artifacts().clean_up_incoming()?;
     store.recover_uploads().await?;
     let exports = store.requeue_exports(None).await?;
     if exports > 0 {
         tracing::info!(exports, "goes on with exports of a server that ended");
     }
     let take_back = async || {
-        jobs.begin_roll_call(server).await?;
+        jobs.reset_worker_registry(server).await?;
         jobs.reclaim_all().await
     };
     let recovered = match take_back().await {
         // A crash on a full disk leaves a job that has to be taken back on a full disk.
-        Err(StoreError::Full) if store.room().spend_reserve() => take_back().await?,
+        Err(StoreError::Full) if store.disk_space().spend_reserve() => take_back().await?,
         recovered => recovered?,
     };
     if !recovered.is_empty() {
@@ -349,7 +349,7 @@ async fn recover(store: &Store, jobs: &Jobs, server: &str) -> Result<(), StoreEr
     if let Err(error) = store.finish_deletions(jobs.now_ms()).await {
         tracing::error!(%error, "what was deleted cannot be swept yet");
     }
-    if let Err(error) = store.sweep_orphans(SystemTime::now()).await {
+    if let Err(error) = store.clean_up_orphans(SystemTime::now()).await {
         tracing::error!(%error, "left-overs cannot be swept");
     }
     Ok(())
@@ -375,16 +375,16 @@ async fn serve(
 }
 
 /// Sends to the object store what only this machine has and clears up there, once it can be reached.
-async fn settle(store: Store) {
-    while let Err(error) = store.settle_artifacts(SystemTime::now()).await {
+async fn reconcile(store: Store) {
+    while let Err(error) = store.reconcile_artifacts(SystemTime::now()).await {
         tracing::error!(%error, "the object store of artifacts is not settled yet");
         tokio::time::sleep(MAINTENANCE_INTERVAL).await;
     }
 }
 
-async fn maintain(jobs: Jobs, mut roll: RollCall, mut first: Option<ServerLock>, stop: CancellationToken) {
+async fn maintain(jobs: Jobs, mut registry: WorkerRegistry, mut first: Option<ServerLock>, stop: CancellationToken) {
     while !stop.is_cancelled() {
-        match first.as_mut().map(ServerLock::keep) {
+        match first.as_mut().map(ServerLock::renew) {
             None => {}
             Some(kept) => match kept.await {
                 Ok(()) => {}
@@ -397,17 +397,17 @@ async fn maintain(jobs: Jobs, mut roll: RollCall, mut first: Option<ServerLock>,
                 }
             },
         }
-        if let Err(error) = jobs.follow_time().await {
+        if let Err(error) = jobs.sync_clock().await {
             tracing::error!(%error, "the time of the database is not known for now");
         }
-        if let Err(error) = roll.call(&jobs).await {
+        if let Err(error) = registry.heartbeat(&jobs).await {
             tracing::error!(%error, "expired leases cannot be taken back");
         }
-        if let Err(error) = jobs.store().check_room().await {
+        if let Err(error) = jobs.store().check_disk_space().await {
             tracing::error!(%error, "there is no room to work");
         }
         jobs.store().artifacts().trim().await;
-        observe::metrics_handle().run_upkeep();
-        tokio::time::sleep(MAINTENANCE_INTERVAL.min(roll.interval())).await;
+        telemetry::metrics_handle().run_upkeep();
+        tokio::time::sleep(MAINTENANCE_INTERVAL.min(registry.interval())).await;
     }
 }

@@ -11,7 +11,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tower_http::csrf::{CsrfLayer, ProtectionError};
 
-use crate::api::Problem;
+use crate::server::problem::Problem;
 use crate::server::origins::CorsOrigin;
 
 /// Names beside loopback by which the server may be called.
@@ -44,7 +44,7 @@ pub(super) async fn check_host(State(hosts): State<TrustedHosts>, request: Reque
     }
     let name = called.map(|c| c.to_string()).unwrap_or_default();
     let detail = format!(
-        "a server without an API key answers to localhost and 127.0.0.1, not to {name:?}; see --allow-host"
+        "a server without an API key accepts the hosts localhost and 127.0.0.1, not {name:?}; see --allow-host"
     );
     Problem::forbidden("foreign-host", detail).into_response()
 }
@@ -66,7 +66,7 @@ pub(super) fn csrf(
         }
     }
     layer.with_rejection_response(|_| {
-        Problem::forbidden("foreign-origin", "the origin is not among --cors-origin").into_response()
+        Problem::forbidden("foreign-origin", "the origin is not one of --cors-origin").into_response()
     })
 }
 

@@ -6,7 +6,7 @@ use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
 use subtle::ConstantTimeEq;
 
-use crate::api::{ExportId, JobId, ModelId};
+use relume_api::{ExportId, JobId, ModelId};
 use crate::server::caller::Caller;
 use crate::store::hex;
 
@@ -15,7 +15,7 @@ const RESERVED: [&str; 3] = ["key", "expires", "signature"];
 
 /// What a URL that may be signed is about. These are all: `GET`s that a page lets the browser make.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Subject {
+pub(super) enum SignedResource {
     /// A thumbnail of a model, its stream for viewers, or a light of that.
     Picture(ModelId),
     /// A file of a model.
@@ -26,7 +26,7 @@ pub(super) enum Subject {
     Events(JobId),
 }
 
-impl Subject {
+impl SignedResource {
     /// What a path is about, if it may be signed.
     pub(super) fn of(path: &str) -> Option<Self> {
         let parts: Vec<&str> = path.strip_prefix("/v1/")?.split('/').collect();
@@ -42,7 +42,7 @@ impl Subject {
 
 /// The query of a signed URL, taken apart.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Signed<'a> {
+pub(super) struct SignedQuery<'a> {
     /// The query that was signed.
     pub(super) query: Option<&'a str>,
     /// Whose key signed.
@@ -52,9 +52,9 @@ pub(super) struct Signed<'a> {
     signature: &'a str,
 }
 
-impl<'a> Signed<'a> {
+impl<'a> SignedQuery<'a> {
     /// Whether a query has a signature, good or not.
-    pub(super) fn is_meant(query: Option<&str>) -> bool {
+    pub(super) fn is_present(query: Option<&str>) -> bool {
         names(query).any(|name| name == "signature")
     }
 
@@ -71,7 +71,7 @@ impl<'a> Signed<'a> {
     }
 
     /// Whether the signature is that of `caller` for this path. Takes as long whichever character is wrong.
-    pub(super) fn is_by(&self, caller: &Caller, secret: &[u8], path: &str) -> bool {
+    pub(super) fn is_valid_for(&self, caller: &Caller, secret: &[u8], path: &str) -> bool {
         let expected = signature(secret, caller, path, self.query, self.expires);
         let same = |good: String| good.as_bytes().ct_eq(self.signature.as_bytes()).into();
         self.key == caller.key.as_str() && expected.is_some_and(same)
@@ -133,20 +133,20 @@ mod tests {
         for query in [None, Some("size=16"), Some("size=16&env=a%20b"), Some("")] {
             let url = sign(&me, b"secret", path, query, 100).unwrap();
             let (signed_path, rest) = url.split_once('?').unwrap();
-            let signed = Signed::parse(Some(rest)).unwrap();
+            let signed = SignedQuery::parse(Some(rest)).unwrap();
             assert_eq!((signed_path, signed.query, signed.key, signed.expires), (path, query, "k", 100));
-            assert!(signed.is_by(&me, b"secret", path), "{url}");
+            assert!(signed.is_valid_for(&me, b"secret", path), "{url}");
             for other in [caller("u", "k", "h"), caller("t", "l", "h"), caller("t", "k", "i")] {
-                assert!(!signed.is_by(&other, b"secret", path), "{other:?}");
+                assert!(!signed.is_valid_for(&other, b"secret", path), "{other:?}");
             }
-            assert!(!signed.is_by(&me, b"Secret", path));
-            assert!(!signed.is_by(&me, b"secret", "/v1/models/n/thumbnail"));
+            assert!(!signed.is_valid_for(&me, b"Secret", path));
+            assert!(!signed.is_valid_for(&me, b"secret", "/v1/models/n/thumbnail"));
             // Every byte counts.
             for at in 0..rest.len() {
                 let mut changed = rest.as_bytes().to_vec();
                 changed[at] = if changed[at] == b'1' { b'2' } else { b'1' };
                 let changed = String::from_utf8(changed).unwrap();
-                let good = Signed::parse(Some(&changed)).is_some_and(|s| s.is_by(&me, b"secret", path));
+                let good = SignedQuery::parse(Some(&changed)).is_some_and(|s| s.is_valid_for(&me, b"secret", path));
                 assert!(!good, "{changed}");
             }
             for changed in [
@@ -156,7 +156,7 @@ mod tests {
                 rest.replace("=100", "=+100"),
                 rest.replace("=100", "=0100"),
             ] {
-                let good = Signed::parse(Some(&changed)).is_some_and(|s| s.is_by(&me, b"secret", path));
+                let good = SignedQuery::parse(Some(&changed)).is_some_and(|s| s.is_valid_for(&me, b"secret", path));
                 assert!(!good, "{changed}");
             }
         }
@@ -167,10 +167,10 @@ mod tests {
 
     #[test]
     fn only_what_a_browser_loads_by_itself_is_signed() {
-        assert_eq!(Subject::of("/v1/models/m/thumbnail"), Some(Subject::Picture("m".into())));
-        assert_eq!(Subject::of("/v1/models/m/files/a.b"), Some(Subject::File("m".into(), "a.b".into())));
-        assert_eq!(Subject::of("/v1/jobs/j/events"), Some(Subject::Events("j".into())));
-        assert_eq!(Subject::of("/v1/exports/e/file"), Some(Subject::Export("e".into())));
+        assert_eq!(SignedResource::of("/v1/models/m/thumbnail"), Some(SignedResource::Picture("m".into())));
+        assert_eq!(SignedResource::of("/v1/models/m/files/a.b"), Some(SignedResource::File("m".into(), "a.b".into())));
+        assert_eq!(SignedResource::of("/v1/jobs/j/events"), Some(SignedResource::Events("j".into())));
+        assert_eq!(SignedResource::of("/v1/exports/e/file"), Some(SignedResource::Export("e".into())));
         for other in [
             "/v1/exports/e",
             "/v1/models/m",
@@ -180,7 +180,7 @@ mod tests {
             "/v1/keys/k",
             "/metrics",
         ] {
-            assert_eq!(Subject::of(other), None, "{other}");
+            assert_eq!(SignedResource::of(other), None, "{other}");
         }
     }
 }

@@ -26,9 +26,9 @@ const BLOCK: u64 = 4096;
 
 /// The cache of one data directory. Clones share it.
 #[derive(Clone)]
-pub(super) struct ThumbnailCache(Arc<Inner>);
+pub(super) struct ThumbnailCache(Arc<ThumbnailCacheInner>);
 
-struct Inner {
+struct ThumbnailCacheInner {
     folder: PathBuf,
     /// Most bytes of all files; 0 for no cache.
     most: u64,
@@ -58,7 +58,7 @@ impl ThumbnailCache {
             dropped.extend(files.add(&name, length, most));
         }
         remove(&folder, &dropped);
-        Self(Arc::new(Inner { folder, most, files: Mutex::new(files) }))
+        Self(Arc::new(ThumbnailCacheInner { folder, most, files: Mutex::new(files) }))
     }
 
     /// The picture of a model with this tag's digest, and counts whether there is one.
@@ -114,7 +114,7 @@ impl ThumbnailCache {
     }
 }
 
-impl Inner {
+impl ThumbnailCacheInner {
     fn files(&self) -> std::sync::MutexGuard<'_, Files> {
         // Each change of it is one that cannot panic halfway.
         self.files.lock().unwrap_or_else(PoisonError::into_inner)

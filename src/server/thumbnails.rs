@@ -9,9 +9,11 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{ModelId, Problem, TenantId};
-use crate::render::{Background, Finish, FrameFormat, Orbit, Output, Tier, ToneCurve, Viewpoint};
-use crate::server::app::Shared;
+use relume_api::{ModelId, TenantId};
+use crate::server::problem::Problem;
+use relume_spec::rendering::{Background, FrameFormat, Output, Tier, ToneCurve};
+use relume_train::render::{Finish, Orbit, Viewpoint};
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{QueryString, UrlPath};
@@ -22,7 +24,7 @@ use crate::store::hex;
 use crate::worker::{LightSource, RenderTask};
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(thumbnail))
 }
 
@@ -31,45 +33,50 @@ pub(super) fn routes() -> OpenApiRouter<Shared> {
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ThumbnailQuery {
-    /// Name of a built-in map, identifier of an uploaded one, or `recovered` (the default).
+    /// Light: name of a built-in map, identifier of an uploaded map, or `recovered`. Omitted: `recovered`.
     pub env: Option<String>,
-    /// Side, 16 to 1024 pixels; 256 when absent.
+    /// Side of the square image, 16 to 1024 pixels. Omitted: 256.
     #[param(minimum = 16, maximum = 1024)]
     pub size: Option<u32>,
-    /// Degrees counter-clockwise seen from above; 0, on the +x side, when absent, but of a capture without masks that in the middle of
-    /// its photographs: elsewhere, what was not photographed may hide it.
+    /// Azimuth of the camera, degrees counter-clockwise seen from above; 0 is the +x side. Omitted: 0; for a
+    /// capture without masks, the direction from the middle of its photographs, because from other sides
+    /// unphotographed areas can occlude the scene.
     pub azimuth: Option<f64>,
-    /// Degrees above the horizon, -90 to 90; 20 when absent, but of a capture without masks as `azimuth`.
+    /// Elevation of the camera, degrees above the horizon, -90 to 90. Omitted: 20; for a capture without
+    /// masks, as for `azimuth`.
     #[param(minimum = -90, maximum = 90)]
     pub elevation: Option<f64>,
-    /// `preview` (the default), `standard` or `high`.
+    /// Quality tier: `preview`, `standard` or `high`. Omitted: `preview`.
     #[param(value_type = Option<String>)]
     pub tier: Option<Tier>,
-    /// `png` (the default, with alpha) or `jpeg` (over white).
+    /// File format: `png` (with alpha) or `jpeg` (over white). Omitted: `png`.
     #[param(value_type = Option<String>, pattern = "^(png|jpeg)$")]
     pub format: Option<FrameFormat>,
-    /// `transparent` (the default; JPEG shows white), `environment` (the light) or a colour like `f4f4f4`.
+    /// Background: `transparent` (JPEG shows white), `environment` (the light) or a colour such as `f4f4f4`.
+    /// Omitted: `transparent`.
     #[param(value_type = Option<String>)]
     pub background: Option<Background>,
-    /// `srgb` (the default), `neutral` or `agx`.
+    /// Tone curve: `srgb`, `neutral` or `agx`. Omitted: `srgb`.
     #[param(value_type = Option<String>, pattern = "^(srgb|neutral|agx)$")]
     pub tone_curve: Option<ToneCurve>,
 }
 
 /// Get a thumbnail
 ///
-/// The same URL always gives the same picture, so it may be cached; the `ETag` is known before rendering. HEAD answers with it and
-/// renders nothing. A picture that was rendered before may be answered from the server's disk.
+/// Renders a square image of the model. The same URL always gives the same image, so caches can keep it. The
+/// server computes the `ETag` without rendering; `HEAD` returns it and renders nothing. The server caches
+/// images on its disk.
 #[utoipa::path(
-    get, path = "/v1/models/{id}/thumbnail", tag = "models", params(("id" = String, Path), ThumbnailQuery),
+    get, path = "/v1/models/{id}/thumbnail", tag = "models",
+    params(("id" = String, Path, description = "Model identifier"), ThumbnailQuery),
     responses(
         (status = 200, content_type = "image/png", body = File),
-        (status = 304, description = "The caller has it already"),
+        (status = 304, description = "Not modified: the caller has the current version"),
         (status = 404, body = Problem), (status = 422, body = Problem), (status = 503, body = Problem)
     )
 )]
 async fn thumbnail(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
     QueryString(query): QueryString<ThumbnailQuery>,
@@ -101,7 +108,7 @@ async fn thumbnail(
             quality: tier.into(),
             outputs,
         };
-        let picture = Picture { tenant: &caller.tenant, digest: &digest, format };
+        let picture = ThumbnailRequest { tenant: &caller.tenant, digest: &digest, format };
         found_or_rendered(&app, task, finish, &picture).await?
     };
     let out = response.headers_mut();
@@ -112,7 +119,7 @@ async fn thumbnail(
 }
 
 /// What a thumbnail is kept as.
-struct Picture<'a> {
+struct ThumbnailRequest<'a> {
     tenant: &'a TenantId,
     digest: &'a str,
     format: FrameFormat,
@@ -120,20 +127,20 @@ struct Picture<'a> {
 
 /// The picture as it is cached, or rendered and cached. Whoever asks may see the model.
 async fn found_or_rendered(
-    app: &Shared,
+    app: &AppState,
     task: RenderTask,
     finish: Finish,
-    &Picture { tenant, digest, format }: &Picture<'_>,
+    &ThumbnailRequest { tenant, digest, format }: &ThumbnailRequest<'_>,
 ) -> Result<Response, Problem> {
     let model = task.model.id.clone();
     // Equal pictures that are asked for together are rendered once.
-    let _turn = app.thumbnail_turns.take(digest).await;
+    let _key_guard = app.thumbnail_locks.take(digest).await;
     if let Some(bytes) = app.thumbnails.get(model.as_str(), digest).await {
         return Ok(([(header::CONTENT_TYPE, format.media_type())], bytes).into_response());
     }
     let frame = renders::render_frame(app, task, format, finish).await?;
     // What is needed for work comes before what spares some.
-    if !app.store.room().is_short() {
+    if !app.store.disk_space().is_short() {
         app.thumbnails.put(model.as_str(), digest, frame.bytes().to_vec()).await;
         // It may have been deleted meanwhile, and its pictures swept before this one was there.
         if !matches!(app.store.model(tenant, &model).await, Ok(Some(_))) {

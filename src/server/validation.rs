@@ -7,38 +7,40 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use tokio::sync::Mutex;
 
-use crate::api::captures::{CaptureState, CaptureSummary};
-use crate::api::marks::Marks;
-use crate::api::problem::{ContentError, TYPE_PREFIX};
-use crate::api::{CaptureId, Problem, ResourceKind, ResourceName, TenantId};
-use crate::capture::{self, CaptureError, CaptureReport, ImportOptions};
-use crate::server::app::Shared;
+use relume_api::captures::{CaptureState, CaptureSummary};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::problem::{ContentError, TYPE_PREFIX};
+use relume_api::{CaptureId, ResourceKind, ResourceName, TenantId};
+use crate::server::problem::Problem;
+use relume_capture::{self, CaptureError, ImportOptions};
+use relume_spec::CaptureReport;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::listing::rfc3339;
-use crate::server::marks;
-use crate::server::poses::{self, Ticket};
+use crate::server::metadata;
+use crate::server::poses::{self, PoseJob};
 use crate::server::uploads;
-use crate::store::{CaptureRecord, Incoming, StoreError, UploadRecord};
+use crate::store::{CaptureRecord, StagedUpload, StoreError, UploadRecord};
 
 const APPLIED: HeaderName = HeaderName::from_static("preference-applied");
 const ASYNC: &str = "respond-async";
 /// Until what was promised is tried again, while the object store of artifacts is away.
-const AGAIN: Duration = Duration::from_secs(2);
+const RETRY_INTERVAL: Duration = Duration::from_secs(2);
 /// Requests that bring the same content find each other.
-static ENTERING: Mutex<()> = Mutex::const_new(());
+static ENQUEUE_LOCK: Mutex<()> = Mutex::const_new(());
 
 /// Whether the caller would rather ask again than wait.
-pub(super) fn is_preferred(headers: &HeaderMap) -> bool {
+pub(super) fn prefers_async(headers: &HeaderMap) -> bool {
     let values = headers.get_all("prefer").iter().filter_map(|value| value.to_str().ok());
     let mut preferences = values.flat_map(|value| value.split(','));
     preferences.any(|p| p.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(ASYNC))
 }
 
 /// Decodes everything to see whether it can be decoded.
-pub(super) async fn validate(app: &Shared, incoming: &Incoming) -> Result<CaptureReport, Problem> {
+pub(super) async fn validate(app: &AppState, incoming: &StagedUpload) -> Result<CaptureReport, Problem> {
     let path = incoming.path.clone();
     let options = ImportOptions { limits: app.import_limits, ..ImportOptions::default() };
-    let inspect = move || capture::inspect(&path, &options);
+    let inspect = move || relume_capture::inspect(&path, &options);
     let error = match app.decoders.run(inspect).await? {
         Ok(report) => return Ok(report),
         Err(error) => error,
@@ -47,41 +49,41 @@ pub(super) async fn validate(app: &Shared, incoming: &Incoming) -> Result<Captur
     if matches!(error, CaptureError::UnknownLayout { .. })
         && let Some(reason) = poses::refusal(app, incoming).await?
     {
-        problem.detail = problem.detail.map(|detail| format!("{detail}; {reason}"));
+        problem.detail = problem.detail.take().map(|detail| format!("{detail}; {reason}"));
     }
     Err(problem)
 }
 
 /// Makes the capture `id` of a tenant of photographs without poses.
-async fn make_posed(
-    app: &Shared,
+async fn make_with_poses(
+    app: &AppState,
     tenant: &TenantId,
     id: CaptureId,
-    photographs: Incoming,
-    ticket: Ticket,
+    photographs: StagedUpload,
+    pose_job: PoseJob,
 ) -> Result<CaptureRecord, Problem> {
     let made_of = photographs.sha256.clone();
-    let posed = poses::find(app, tenant, &id, photographs, ticket).await?;
-    make_record(app, tenant, id, posed, Marks::default(), Some(made_of)).await
+    let posed = poses::find(app, tenant, &id, photographs, pose_job).await?;
+    make_record(app, tenant, id, posed, ResourceMetadata::default(), Some(made_of)).await
 }
 
 /// Makes the capture `id` of a tenant, called so, or finds the one of the same content that was there first.
 pub(super) async fn make(
-    app: &Shared,
+    app: &AppState,
     tenant: &TenantId,
     id: CaptureId,
-    incoming: Incoming,
-    marks: Marks,
+    incoming: StagedUpload,
+    metadata: ResourceMetadata,
 ) -> Result<CaptureRecord, Problem> {
-    make_record(app, tenant, id, incoming, marks, None).await
+    make_record(app, tenant, id, incoming, metadata, None).await
 }
 
 async fn make_record(
-    app: &Shared,
+    app: &AppState,
     tenant: &TenantId,
     id: CaptureId,
-    incoming: Incoming,
-    marks: Marks,
+    incoming: StagedUpload,
+    metadata: ResourceMetadata,
     made_of: Option<String>,
 ) -> Result<CaptureRecord, Problem> {
     let report = validate(app, &incoming).await?;
@@ -90,17 +92,17 @@ async fn make_record(
         sha256: incoming.sha256.clone(),
         bytes: i64::try_from(incoming.bytes).unwrap_or(i64::MAX),
         artifact: format!("captures/{}", incoming.sha256),
-        marks,
+        metadata,
         report,
         created_ms: app.jobs.now_ms(),
         made_of,
     };
-    app.store.keep_capture(incoming, tenant, &record).await.map_err(marks::refused)
+    app.store.publish_capture(incoming, tenant, &record).await.map_err(metadata::refused)
 }
 
 /// How a capture is made after the answer.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Later {
+pub(super) struct AsyncOptions {
     /// Whether the caller had rather ask again than wait.
     pub(super) was_preferred: bool,
     /// Whether these are photographs whose poses are found first.
@@ -108,61 +110,61 @@ pub(super) struct Later {
 }
 
 /// What became of a request for a capture that is made after the answer.
-pub(super) enum Begun {
+pub(super) enum AsyncOutcome {
     /// A capture is being made, and this says where to ask for it.
     Answered(Response),
     /// The same content became a capture while this came in: nothing is made of it.
-    Made(Box<Incoming>),
+    Made(Box<StagedUpload>),
 }
 
 /// Answers where to ask for the capture that is being made from now on; for the one that is being made of the same content
 /// already, if there is one.
 pub(super) async fn begin(
-    app: &Shared,
+    app: &AppState,
     caller: &Caller,
-    incoming: Incoming,
-    marks: Marks,
-    how: Later,
-) -> Result<Begun, Problem> {
+    incoming: StagedUpload,
+    metadata: ResourceMetadata,
+    how: AsyncOptions,
+) -> Result<AsyncOutcome, Problem> {
     let (app, tenant) = (app.clone(), caller.tenant.clone());
     // On a task of its own: what was written down is worked on, also when the caller has gone meanwhile.
     let entering = app.clone();
     let entered =
-        tokio::spawn(async move { enter(&entering, tenant, incoming, marks, how.finds_poses).await });
+        tokio::spawn(async move { enqueue(&entering, tenant, incoming, metadata, how.finds_poses).await });
     Ok(match entered.await.map_err(Problem::internal)?? {
-        Entered::Making(upload) => Begun::Answered(accepted(view(&app, &upload), how.was_preferred)),
-        Entered::Made(incoming) => Begun::Made(incoming),
+        Enqueued::Making(upload) => AsyncOutcome::Answered(accepted(view(&app, &upload), how.was_preferred)),
+        Enqueued::Made(incoming) => AsyncOutcome::Made(incoming),
     })
 }
 
-enum Entered {
+enum Enqueued {
     Making(Box<UploadRecord>),
-    Made(Box<Incoming>),
+    Made(Box<StagedUpload>),
 }
 
 /// Writes down that a capture is to be made and starts to make it.
-async fn enter(
-    app: &Shared,
+async fn enqueue(
+    app: &AppState,
     tenant: TenantId,
-    mut incoming: Incoming,
-    marks: Marks,
+    mut incoming: StagedUpload,
+    metadata: ResourceMetadata,
     finds_poses: bool,
-) -> Result<Entered, Problem> {
-    let _one_by_one = ENTERING.lock().await;
+) -> Result<Enqueued, Problem> {
+    let _one_by_one = ENQUEUE_LOCK.lock().await;
     // In this order: what is being made becomes a capture, never the other way.
     if let Some(mut same) = app.store.validating(&tenant, &incoming.sha256).await? {
         let id = same.capture_id.clone().unwrap_or_default().to_string();
         let what = ResourceName::new(ResourceKind::Capture, id);
-        same.marks = marks::mark(app, &tenant, what, marks, same.marks).await?;
-        return Ok(Entered::Making(Box::new(same)));
+        same.capture_metadata = metadata::apply_metadata(app, &tenant, what, metadata, same.capture_metadata).await?;
+        return Ok(Enqueued::Making(Box::new(same)));
     }
     if capture_of(app, &tenant, &incoming).await?.is_some() {
-        return Ok(Entered::Made(Box::new(incoming)));
+        return Ok(Enqueued::Made(Box::new(incoming)));
     }
     let capture: CaptureId = app.jobs.fresh_id();
     let bytes = i64::try_from(incoming.bytes).map_err(Problem::internal)?;
-    if incoming.came_in_pieces() {
-        app.store.begin_validation(&incoming, &capture, &marks).await?;
+    if incoming.is_from_upload() {
+        app.store.begin_validation(&incoming, &capture, &metadata).await?;
     } else {
         let upload = UploadRecord {
             id: app.jobs.fresh_id(),
@@ -173,57 +175,57 @@ async fn enter(
             created_ms: app.jobs.now_ms(),
             expires_ms: uploads::expiry(app),
             capture_id: Some(capture.clone()),
-            marks,
+            capture_metadata: metadata,
             sha256: Some(incoming.sha256.clone()),
             problem: None,
         };
-        app.store.park(&mut incoming, &upload, app.upload_limits.each).await?;
+        app.store.persist_upload(&mut incoming, &upload, app.upload_limits.each).await?;
     }
-    let missing = || Problem::internal("an upload that was stored is not there");
-    let upload = app.store.upload_for(&tenant, &capture).await?.ok_or_else(missing)?;
+    let missing = || Problem::internal("a stored upload is missing");
+    let upload = app.store.upload_of_capture(&tenant, &capture).await?.ok_or_else(missing)?;
     // Before the answer: whoever has it may end the search.
-    let ticket = finds_poses.then(|| app.poses.enter(&capture));
-    start(app, tenant, capture, incoming, ticket);
-    Ok(Entered::Making(Box::new(upload)))
+    let pose_job = finds_poses.then(|| app.poses.enqueue(&capture));
+    start(app, tenant, capture, incoming, pose_job);
+    Ok(Enqueued::Making(Box::new(upload)))
 }
 
 /// Goes on with what a server that ended was making.
-pub(super) async fn resume(app: Shared) -> Result<(), StoreError> {
-    for upload in app.store.unvalidated().await? {
-        let (Some(capture), Some(hold)) = (upload.capture_id.clone(), app.store.hold_upload(&upload.id))
+pub(super) async fn resume(app: AppState) -> Result<(), StoreError> {
+    for upload in app.store.pending_validations().await? {
+        let (Some(capture), Some(lock)) = (upload.capture_id.clone(), app.store.lock_upload(&upload.id))
         else {
             continue;
         };
         let name: String = app.jobs.fresh_id();
-        let incoming = app.store.take_upload(hold, &upload, &name).await?;
+        let incoming = app.store.finalise_upload(lock, &upload, &name).await?;
         start(&app, upload.tenant, capture, incoming, None);
     }
     Ok(())
 }
 
 /// Makes a capture while others are served; a shutdown leaves it to the next server.
-fn start(app: &Shared, tenant: TenantId, capture: CaptureId, incoming: Incoming, ticket: Option<Ticket>) {
+fn start(app: &AppState, tenant: TenantId, capture: CaptureId, incoming: StagedUpload, pose_job: Option<PoseJob>) {
     let app = app.clone();
     tokio::spawn(async move {
         tokio::select! {
             () = app.stop.cancelled() => {}
-            () = finish(&app, &tenant, capture, incoming, ticket) => {}
+            () = finish(&app, &tenant, capture, incoming, pose_job) => {}
         }
     });
 }
 
 async fn finish(
-    app: &Shared,
+    app: &AppState,
     tenant: &TenantId,
     capture: CaptureId,
-    incoming: Incoming,
-    ticket: Option<Ticket>,
+    incoming: StagedUpload,
+    pose_job: Option<PoseJob>,
 ) {
-    let mut made = finished(app, tenant, &capture, incoming, ticket).await;
+    let mut made = try_finish(app, tenant, &capture, incoming, pose_job).await;
     while made.as_ref().is_err_and(is_outage) && !app.stop.is_cancelled() {
-        tokio::time::sleep(AGAIN).await;
-        made = match again(app, tenant, &capture).await {
-            Ok(Some(incoming)) => finished(app, tenant, &capture, incoming, None).await,
+        tokio::time::sleep(RETRY_INTERVAL).await;
+        made = match reopen_upload(app, tenant, &capture).await {
+            Ok(Some(incoming)) => try_finish(app, tenant, &capture, incoming, None).await,
             // Somebody gave it up.
             Ok(None) => return,
             Err(error) => Err(error.into()),
@@ -233,7 +235,7 @@ async fn finish(
         // The next server goes on.
         return;
     }
-    poses::tidy(&app.store, &capture, made.is_err()).await;
+    poses::clean_up(&app.store, &capture, made.is_err()).await;
     if let Err(problem) = made {
         tracing::info!(%capture, kind = problem.kind, "no capture could be made of an upload");
         let until = uploads::expiry(app);
@@ -249,40 +251,40 @@ fn is_outage(problem: &Problem) -> bool {
 }
 
 /// The bytes again that a capture is being made of; `None` when there is no such upload any more.
-async fn again(app: &Shared, tenant: &TenantId, capture: &CaptureId) -> Result<Option<Incoming>, StoreError> {
-    let Some(upload) = app.store.upload_for(tenant, capture).await? else { return Ok(None) };
-    let Some(hold) = app.store.hold_upload(&upload.id) else { return Ok(None) };
+async fn reopen_upload(app: &AppState, tenant: &TenantId, capture: &CaptureId) -> Result<Option<StagedUpload>, StoreError> {
+    let Some(upload) = app.store.upload_of_capture(tenant, capture).await? else { return Ok(None) };
+    let Some(lock) = app.store.lock_upload(&upload.id) else { return Ok(None) };
     let name: String = app.jobs.fresh_id();
-    app.store.take_upload(hold, &upload, &name).await.map(Some)
+    app.store.finalise_upload(lock, &upload, &name).await.map(Some)
 }
 
-async fn finished(
-    app: &Shared,
+async fn try_finish(
+    app: &AppState,
     tenant: &TenantId,
     capture: &CaptureId,
-    incoming: Incoming,
-    mut ticket: Option<Ticket>,
+    incoming: StagedUpload,
+    mut pose_job: Option<PoseJob>,
 ) -> Result<(), Problem> {
     // Another request made it meanwhile.
     if let Some(same) = capture_of(app, tenant, &incoming).await? {
-        return Err(stored_before(&same));
+        return Err(duplicate_capture(&same));
     }
     // What it is called by then is written down with its upload.
-    if ticket.is_none() && poses::are_wanted(app, &incoming).await? {
-        ticket = Some(app.poses.enter(capture));
+    if pose_job.is_none() && poses::needs_poses(app, &incoming).await? {
+        pose_job = Some(app.poses.enqueue(capture));
     }
-    let made = match ticket {
-        Some(ticket) => make_posed(app, tenant, capture.clone(), incoming, ticket).await?,
-        None => make(app, tenant, capture.clone(), incoming, Marks::default()).await?,
+    let made = match pose_job {
+        Some(pose_job) => make_with_poses(app, tenant, capture.clone(), incoming, pose_job).await?,
+        None => make(app, tenant, capture.clone(), incoming, ResourceMetadata::default()).await?,
     };
-    if made.id == *capture { Ok(()) } else { Err(stored_before(&made)) }
+    if made.id == *capture { Ok(()) } else { Err(duplicate_capture(&made)) }
 }
 
 /// The capture of a tenant that has this content, or was made of it.
 async fn capture_of(
-    app: &Shared,
+    app: &AppState,
     tenant: &TenantId,
-    incoming: &Incoming,
+    incoming: &StagedUpload,
 ) -> Result<Option<CaptureRecord>, StoreError> {
     match app.store.capture_by_hash(tenant, &incoming.sha256).await? {
         Some(same) => Ok(Some(same)),
@@ -290,19 +292,19 @@ async fn capture_of(
     }
 }
 
-fn stored_before(same: &CaptureRecord) -> Problem {
+fn duplicate_capture(same: &CaptureRecord) -> Problem {
     Problem::conflict("stored-before", format!("the capture {:?} has the same content", same.id.as_str()))
 }
 
 /// Why there is no capture `id` to work on: a job names it.
-pub(super) async fn why_not(app: &Shared, caller: &Caller, id: &CaptureId) -> Result<Problem, Problem> {
-    Ok(match app.store.upload_for(&caller.tenant, id).await? {
+pub(super) async fn unavailable_reason(app: &AppState, caller: &Caller, id: &CaptureId) -> Result<Problem, Problem> {
+    Ok(match app.store.upload_of_capture(&caller.tenant, id).await? {
         Some(UploadRecord { problem: None, .. }) => Problem::conflict(
             "capture-validating",
-            "the capture is being validated; ask when its state is ready",
+            "the server is validating the capture; wait until its state is ready",
         )
         .retry_after(5),
-        Some(_) => Problem::invalid_field("/capture", format!("{:?} is invalid; it says why", id.as_str())),
+        Some(_) => Problem::invalid_field("/capture", format!("{:?} is invalid; its problem has the reason", id.as_str())),
         None => Problem::invalid_field("/capture", format!("{:?} does not exist", id.as_str())),
     })
 }
@@ -317,12 +319,12 @@ fn accepted(view: CaptureSummary, was_preferred: bool) -> Response {
 }
 
 /// A capture that is being made, or could not be.
-pub(super) fn view(app: &Shared, upload: &UploadRecord) -> CaptureSummary {
+pub(super) fn view(app: &AppState, upload: &UploadRecord) -> CaptureSummary {
     CaptureSummary {
         id: upload.capture_id.clone().unwrap_or_default(),
         sha256: upload.sha256.clone().unwrap_or_default(),
         bytes: upload.length,
-        marks: upload.marks.clone(),
+        metadata: upload.capture_metadata.clone(),
         created_at: rfc3339(upload.created_ms),
         state: if upload.problem.is_some() { CaptureState::Invalid } else { CaptureState::Validating },
         problem: upload.problem.clone(),
@@ -361,7 +363,7 @@ mod tests {
             values.iter().map(pair).for_each(|(name, value)| {
                 headers.append(name, value);
             });
-            is_preferred(&headers)
+            prefers_async(&headers)
         };
         for yes in [&["respond-async"][..], &["wait=5, Respond-Async"], &["wait=5", "respond-async; x=1"]] {
             assert!(prefers(yes), "{yes:?}");

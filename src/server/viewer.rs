@@ -9,10 +9,11 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{ModelId, Problem};
-use crate::formats::{model_file, viewer_stream};
-use crate::render::stream_gaussians;
-use crate::server::app::Shared;
+use relume_api::ModelId;
+use crate::server::problem::Problem;
+use relume_capture::formats::{model_file, viewer_stream};
+use relume_train::render::stream_gaussians;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{QueryString, UrlPath};
@@ -29,24 +30,25 @@ const FOR_EVER: &str = "max-age=31536000, immutable";
 const AN_HOUR: &str = "max-age=3600";
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(stream)).routes(routes!(light))
 }
 
-/// Get a model for a viewer
+/// Get the Gaussians of a model for a viewer
 ///
-/// What the shaders of a viewer read of each Gaussian, quantised, the most important Gaussians first: a picture of the first tenth
-/// of the bytes shows the thing already. The layout is in docs/viewer-stream.md.
+/// Returns the quantised shader inputs of each Gaussian, in order of importance: the first tenth of the bytes
+/// is enough for a recognisable image. The documentation of the viewer stream describes the binary layout.
 #[utoipa::path(
-    get, path = "/v1/models/{id}/stream", tag = "models", params(("id" = String, Path)),
+    get, path = "/v1/models/{id}/stream", tag = "models",
+    params(("id" = String, Path, description = "Model identifier")),
     responses(
         (status = 200, content_type = "application/octet-stream", body = File),
-        (status = 304, description = "The caller has it already"),
+        (status = 304, description = "Not modified: the caller has the current version"),
         (status = 404, body = Problem), (status = 503, body = Problem)
     )
 )]
 async fn stream(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
     method: Method,
@@ -58,41 +60,43 @@ async fn stream(
     let bytes = match answer_without_bytes(&method, &headers, &tag) {
         Some(response) => return described(response, &tag, &caller, FOR_EVER),
         None => {
-            app.store.sound_model_file(&caller.tenant, &id, MODEL_FILE).await?.ok_or_else(missing)?;
+            app.store.verified_model_file(&caller.tenant, &id, MODEL_FILE).await?.ok_or_else(missing)?;
             encoded(&app, &file).await?
         }
     };
     described(bytes.into_response(), &tag, &caller, FOR_EVER)
 }
 
-/// Which light.
+/// The light.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct LightQuery {
-    /// Name of a built-in map, identifier of an uploaded one, or `recovered` (the default).
+    /// Light: name of a built-in map, identifier of an uploaded map, or `recovered`. Omitted: `recovered`.
     environment: Option<String>,
-    /// Turn about world +Z, degrees counter-clockwise seen from above; 0 when absent.
+    /// Rotation about world +Z, degrees, counter-clockwise seen from above. Omitted: 0.
     rotation: Option<f64>,
-    /// Whether a picture of the light comes with it, to stand behind the model.
+    /// `true`: includes an image of the light as background. Omitted: `false`.
     map: Option<bool>,
 }
 
-/// Get a light for a viewer
+/// Get a prepared light for a viewer
 ///
-/// What the standard tier prepares to shade a model under a light: tables of the light, strong small lights beside them, and what
-/// reaches each Gaussian, in the order of the model's stream. Exposure is a factor on all of it. The layout is in
-/// docs/viewer-stream.md.
+/// Returns the data with which the tier `standard` shades the model under a light: tables of the light, the
+/// separated strong small lights, and the light that reaches each Gaussian, in the order of the model's
+/// stream. Exposure is a common factor of all values. The documentation of the viewer stream describes the
+/// binary layout.
 #[utoipa::path(
-    get, path = "/v1/models/{id}/light", tag = "models", params(("id" = String, Path), LightQuery),
+    get, path = "/v1/models/{id}/light", tag = "models",
+    params(("id" = String, Path, description = "Model identifier"), LightQuery),
     responses(
         (status = 200, content_type = "application/octet-stream", body = File),
-        (status = 304, description = "The caller has it already"),
+        (status = 304, description = "Not modified: the caller has the current version"),
         (status = 404, body = Problem), (status = 422, body = Problem), (status = 503, body = Problem)
     )
 )]
 async fn light(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
     QueryString(query): QueryString<LightQuery>,
@@ -114,7 +118,7 @@ async fn light(
     let found = app.store.model(&caller.tenant, &id).await?;
     let gaussians = found.ok_or_else(|| Problem::not_found("model", id.as_str()))?.gaussians;
     // Held from before the queue until the bytes are on their way.
-    let _loan = app.memory.borrow(memory::of_light(gaussians)).await?;
+    let _permit = app.memory.reserve(memory::light_bytes(gaussians)).await?;
     let served = app.device.light(LightTask { model, light, rotation_deg, with_map }).await?;
     described(served.answer.into_response(), &tag, &caller, AN_HOUR)
 }
@@ -144,9 +148,9 @@ fn described(mut response: Response, tag: &str, caller: &Caller, age: &str) -> R
 }
 
 /// Reads a model and encodes it, off the threads that answer requests.
-async fn encoded(app: &Shared, file: &ModelFile) -> Result<Vec<u8>, Problem> {
+async fn encoded(app: &AppState, file: &ModelFile) -> Result<Vec<u8>, Problem> {
     let size = u64::try_from(file.bytes).map_err(Problem::internal)?;
-    let _loan = app.memory.borrow(memory::of_stream(size)).await?;
+    let _permit = app.memory.reserve(memory::stream_bytes(size)).await?;
     let path = app.store.artifacts().local_path(&file.artifact);
     let encode = move || -> Result<Vec<u8>, String> {
         let bytes = std::fs::read(&path).map_err(|e| e.to_string())?;

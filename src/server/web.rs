@@ -13,14 +13,14 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use rust_embed::RustEmbed;
 
-use crate::api::Problem;
+use crate::server::problem::Problem;
 use crate::server::files::{etag, matches_etag};
 use crate::store::hex;
 
 /// What `npm run build` in `web/` made.
 #[derive(RustEmbed)]
 #[folder = "web/dist"]
-struct Built;
+struct EmbeddedAssets;
 
 /// Routes of pages. Everybody may load them: what they show comes from the API, which asks for a key.
 pub(super) const ROUTES: [&str; 4] = ["/", "/favicon.svg", "/relume-viewer.js", "/assets/{name}"];
@@ -30,7 +30,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
                       connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// A file of the web app, ready to be sent.
-struct File {
+struct WebAsset {
     /// Its path below the root.
     path: Cow<'static, str>,
     bytes: Cow<'static, [u8]>,
@@ -40,17 +40,17 @@ struct File {
 }
 
 /// Every file; compressed when the first is asked for.
-static FILES: LazyLock<Vec<File>> = LazyLock::new(|| Built::iter().filter_map(File::read).collect());
+static WEB_ASSETS: LazyLock<Vec<WebAsset>> = LazyLock::new(|| EmbeddedAssets::iter().filter_map(WebAsset::read).collect());
 
-impl File {
+impl WebAsset {
     fn read(path: Cow<'static, str>) -> Option<Self> {
-        let file = Built::get(&path)?;
+        let file = EmbeddedAssets::get(&path)?;
         let gzip = gzip(&file.data).filter(|packed| packed.len() < file.data.len());
         Some(Self { path, gzip, sha256: hex(&file.metadata.sha256_hash()), bytes: file.data })
     }
 
     fn find(path: &str) -> Option<&'static Self> {
-        FILES.iter().find(|file| file.path == path)
+        WEB_ASSETS.iter().find(|file| file.path == path)
     }
 
     fn media_type(&self) -> &'static str {
@@ -117,7 +117,7 @@ pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
 }
 
 fn send(path: &str, headers: HeaderMap) -> Response {
-    match File::find(path) {
+    match WebAsset::find(path) {
         Some(file) => file.respond(&headers),
         None => Problem::not_found("path", &format!("/{path}")).into_response(),
     }
@@ -155,12 +155,12 @@ mod tests {
 
     #[test]
     fn every_file_is_served_under_a_route() {
-        assert!(File::find("index.html").is_some() && File::find("relume-viewer.js").is_some());
+        assert!(WebAsset::find("index.html").is_some() && WebAsset::find("relume-viewer.js").is_some());
         let known = |path: &str| {
             path == "index.html" || path.starts_with("assets/") || ROUTES.contains(&&*format!("/{path}"))
         };
-        let lost: Vec<_> = FILES.iter().map(|file| &*file.path).filter(|path| !known(path)).collect();
+        let lost: Vec<_> = WEB_ASSETS.iter().map(|file| &*file.path).filter(|path| !known(path)).collect();
         assert!(lost.is_empty(), "{lost:?}");
-        assert!(FILES.iter().all(|file| file.media_type() != "application/octet-stream"));
+        assert!(WEB_ASSETS.iter().all(|file| file.media_type() != "application/octet-stream"));
     }
 }

@@ -1,6 +1,6 @@
 //! Refuses what a tenant would have beyond its quota.
 
-use crate::api::TenantId;
+use relume_api::TenantId;
 use crate::store::sql::{self, Tx};
 use crate::store::usage::Allowance;
 use crate::store::{Quota, Store, StoreError};
@@ -16,7 +16,7 @@ impl Store {
     /// Refuses `asked` more bytes of a tenant beyond its quota, uploads in progress included; any more at all when it is reached.
     ///
     /// # Errors
-    /// [`StoreError::QuotaOfBytes`] with the numbers.
+    /// [`StoreError::ByteQuotaExceeded`] with the numbers.
     pub async fn admit_bytes_of(&self, tenant: &TenantId, asked: u64) -> Result<(), StoreError> {
         self.quota_allowance(tenant).await?.admit(asked.max(1))
     }
@@ -27,7 +27,7 @@ impl Store {
             return Ok(Allowance { limit: u64::MAX, taken: 0, of_tenant: true });
         };
         let taken: i64 = sql::query_scalar(BYTES).bind(tenant).fetch_one(self.pool()).await?;
-        let taken = u64::try_from(taken).unwrap_or(0).saturating_add(self.ledger.of(tenant));
+        let taken = u64::try_from(taken).unwrap_or(0).saturating_add(self.pending_quota.of(tenant));
         Ok(Allowance { limit, taken, of_tenant: true })
     }
 
@@ -35,7 +35,7 @@ impl Store {
     pub(super) async fn admit_job_of(&self, tx: &mut Tx, tenant: &TenantId) -> Result<(), StoreError> {
         let Some(most) = self.quota.jobs else { return Ok(()) };
         let active: i64 = sql::query_scalar(JOBS).bind(tenant).fetch_one(&mut *tx).await?;
-        if active >= i64::from(most) { Err(StoreError::QuotaOfJobs { most }) } else { Ok(()) }
+        if active >= i64::from(most) { Err(StoreError::JobQuotaExceeded { most }) } else { Ok(()) }
     }
 }
 

@@ -2,9 +2,9 @@
 
 use sqlx::types::Json;
 
-use crate::api::marks::Marks;
-use crate::api::{CaptureId, ResourceKind, ResourceName, TenantId, UploadId};
-use crate::store::marks::{change_within, filtered, listed};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::{CaptureId, ResourceKind, ResourceName, TenantId, UploadId};
+use crate::store::metadata::{change_metadata_in_tx, filtered, listed};
 use crate::store::sql;
 use crate::store::{CaptureRecord, Filter, Page, Store, StoreError};
 
@@ -14,7 +14,7 @@ impl Store {
     /// returned. A capture that was promised before is called what its upload says by now.
     ///
     /// # Errors
-    /// [`StoreError::BadMarks`] when the one that was there may not be called so, or when the database fails.
+    /// [`StoreError::InvalidMetadata`] when the one that was there may not be called so, or when the database fails.
     pub async fn insert_capture(
         &self,
         tenant: &TenantId,
@@ -22,13 +22,13 @@ impl Store {
         made_of: Option<&UploadId>,
     ) -> Result<CaptureRecord, StoreError> {
         let mut tx = self.write().await?;
-        let promised: Option<Marks> =
+        let promised: Option<ResourceMetadata> =
             sql::query_as("SELECT name, external_id, labels FROM uploads WHERE id = $1 AND capture_id = $2")
                 .bind(made_of)
                 .bind(&capture.id)
                 .fetch_optional(&mut tx)
                 .await?;
-        let marks = promised.as_ref().unwrap_or(&capture.marks);
+        let metadata = promised.as_ref().unwrap_or(&capture.metadata);
         sql::query(
             "INSERT INTO captures
                  (id, sha256, bytes, artifact, report, created_ms, tenant, name, external_id, labels, made_of)
@@ -41,9 +41,9 @@ impl Store {
         .bind(Json(&capture.report))
         .bind(capture.created_ms)
         .bind(tenant)
-        .bind(&marks.name)
-        .bind(&marks.external_id)
-        .bind(Json(&marks.labels))
+        .bind(&metadata.name)
+        .bind(&metadata.external_id)
+        .bind(Json(&metadata.labels))
         .bind(&capture.made_of)
         .execute(&mut tx)
         .await?;
@@ -55,8 +55,8 @@ impl Store {
                 .await?;
         if stored.id != capture.id {
             let what = ResourceName::new(ResourceKind::Capture, stored.id.to_string());
-            let change = capture.marks.clone().into();
-            stored.marks = change_within(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.marks);
+            let change = capture.metadata.clone().into();
+            stored.metadata = change_metadata_in_tx(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.metadata);
         }
         // One that another capture was promised of stays, to say what came of that.
         sql::query("DELETE FROM uploads WHERE id = $1 AND (capture_id IS NULL OR capture_id = $2)")

@@ -3,8 +3,8 @@
 
 use serde_json::json;
 
-use crate::api::jobs::JobState;
-use crate::api::{JobId, ResourceKind, ResourceName, TenantId};
+use relume_api::jobs::JobState;
+use relume_api::{JobId, ResourceKind, ResourceName, TenantId};
 use crate::store::exports::delete_exports_of;
 use crate::store::sql::{self, Tx};
 use crate::store::{JobRecord, Store, StoreError, events};
@@ -45,16 +45,16 @@ impl Store {
             return Ok(Deletion::InUse(needed_by));
         }
         for job in &needed_by {
-            mark_job(&mut tx, &job.id, now_ms).await?;
+            soft_delete_job(&mut tx, &job.id, now_ms).await?;
         }
-        mark(&mut tx, what, now_ms).await?;
+        soft_delete(&mut tx, what, now_ms).await?;
         tx.commit().await?;
         Ok(Deletion::Done)
     }
 }
 
 /// Refuses a job whose capture, known light or predecessor was deleted after the request was checked.
-pub(super) async fn check_still_there(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
+pub(super) async fn check_not_deleted(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
     let light = job.request.overrides.light.as_ref().map(|light| light.environment.clone());
     let named = [
         (ResourceKind::Capture, Some(job.request.capture.to_string())),
@@ -111,10 +111,10 @@ async fn needed_by(tx: &mut Tx, what: &ResourceName) -> Result<Vec<ResourceName>
     Ok(jobs.into_iter().map(|id| ResourceName::new(ResourceKind::Job, id)).collect())
 }
 
-async fn mark(tx: &mut Tx, what: &ResourceName, now_ms: i64) -> Result<(), StoreError> {
+async fn soft_delete(tx: &mut Tx, what: &ResourceName, now_ms: i64) -> Result<(), StoreError> {
     // The hash is free from now on for another upload of the same content.
     let update = match what.kind {
-        ResourceKind::Job => return mark_job(tx, &what.id, now_ms).await,
+        ResourceKind::Job => return soft_delete_job(tx, &what.id, now_ms).await,
         ResourceKind::Capture => {
             "UPDATE captures SET deleted_ms = $2, sha256 = 'deleted ' || id WHERE id = $1"
         }
@@ -132,8 +132,8 @@ async fn mark(tx: &mut Tx, what: &ResourceName, now_ms: i64) -> Result<(), Store
     Ok(())
 }
 
-/// Marks a job. One that waits is cancelled, one that runs is asked to stop.
-async fn mark_job(tx: &mut Tx, id: &str, now_ms: i64) -> Result<(), StoreError> {
+/// Soft-deletes a job. One that waits is cancelled, one that runs is asked to stop.
+async fn soft_delete_job(tx: &mut Tx, id: &str, now_ms: i64) -> Result<(), StoreError> {
     let before: Option<JobState> =
         sql::query_scalar("SELECT state FROM jobs WHERE id = $1").bind(id).fetch_optional(&mut *tx).await?;
     let after: Option<JobState> = sql::query_scalar(

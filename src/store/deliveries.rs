@@ -7,19 +7,19 @@ use serde::{Deserialize, Serialize};
 use sqlx::FromRow;
 use sqlx::types::Json;
 
-use crate::api::webhooks::{DeliveryState, WebhookData, WebhookEvent, WebhookMessage};
-use crate::api::{DeliveryId, JobId, TenantId, WebhookId};
+use relume_api::webhooks::{DeliveryState, WebhookData, WebhookEvent, WebhookMessage};
+use relume_api::{DeliveryId, JobId, TenantId, WebhookId};
 use crate::store::job_view::rfc3339;
-use crate::store::page::placed;
+use crate::store::page::paginated;
 use crate::store::sql::{self, Tx};
 use crate::store::{JobRecord, Page, Store, StoreError, WebhookRecord};
 
 /// Attempts that are kept of a delivery.
-const LOGGED: usize = 20;
+const MAX_LOGGED_ATTEMPTS: usize = 20;
 /// Deliveries that were entered this long ago are forgotten, whatever became of them.
-const KEEP: Duration = Duration::from_secs(30 * 24 * 3600);
+const DELIVERY_RETENTION: Duration = Duration::from_secs(30 * 24 * 3600);
 /// A webhook is switched off when nothing could be delivered for this long.
-const PATIENCE: Duration = Duration::from_secs(3 * 24 * 3600);
+const DISABLE_AFTER: Duration = Duration::from_secs(3 * 24 * 3600);
 
 /// A message to a webhook.
 #[derive(Debug, Clone, FromRow)]
@@ -46,14 +46,14 @@ pub struct DeliveryRecord {
     pub tries: i64,
     /// What was tried, oldest first.
     #[sqlx(json)]
-    pub attempts: Vec<Attempt>,
+    pub attempts: Vec<DeliveryAttempt>,
 }
 
-placed!(DeliveryRecord: seq);
+paginated!(DeliveryRecord: seq);
 
 /// An attempt to deliver.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Attempt {
+pub struct DeliveryAttempt {
     /// When.
     pub at_ms: i64,
     /// The status of the answer, if there was one.
@@ -62,7 +62,7 @@ pub struct Attempt {
     pub error: Option<String>,
 }
 
-impl Attempt {
+impl DeliveryAttempt {
     /// 410 says that nobody will listen there again.
     fn is_gone(&self) -> bool {
         self.status == Some(410)
@@ -82,20 +82,20 @@ pub enum Replay {
 
 /// A webhook that is on, and what it wants to hear of.
 #[derive(FromRow)]
-struct Listening {
+struct ActiveWebhook {
     id: WebhookId,
     #[sqlx(json)]
     events: Vec<WebhookEvent>,
 }
 
 /// Enters the messages about a job that has just ended, for the webhooks of its tenant that want them.
-pub(super) async fn enter(
+pub(super) async fn enqueue(
     tx: &mut Tx,
     job: &JobId,
     event: WebhookEvent,
     now_ms: i64,
 ) -> Result<(), StoreError> {
-    let listening: Vec<Listening> = sql::query_as(
+    let listening: Vec<ActiveWebhook> = sql::query_as(
         "SELECT webhooks.id, webhooks.events FROM webhooks JOIN jobs ON jobs.tenant = webhooks.tenant
          WHERE jobs.id = $1 AND enabled ORDER BY webhooks.created_ms, webhooks.id",
     )
@@ -147,12 +147,12 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn webhook_to_send_to(&self, id: &WebhookId) -> Result<Option<WebhookRecord>, StoreError> {
+    pub async fn active_webhook(&self, id: &WebhookId) -> Result<Option<WebhookRecord>, StoreError> {
         let query = sql::query_as("SELECT * FROM webhooks WHERE id = $1 AND enabled");
         Ok(query.bind(id).fetch_optional(self.pool()).await?)
     }
 
-    /// Writes down what became of an attempt: delivered, to be tried again at `again_ms`, or given up where that is none.
+    /// Writes down what became of an attempt: delivered, to be tried again at `retry_at_ms`, or given up where that is none.
     /// A webhook that could not be reached for days, or is gone, is switched off.
     ///
     /// # Errors
@@ -160,30 +160,30 @@ impl Store {
     pub async fn record_attempt(
         &self,
         delivery: &DeliveryRecord,
-        attempt: Attempt,
-        again_ms: Option<i64>,
+        attempt: DeliveryAttempt,
+        retry_at_ms: Option<i64>,
     ) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
         let failed = attempt.error.is_some();
-        let state = match again_ms {
+        let state = match retry_at_ms {
             _ if !failed => DeliveryState::Delivered,
             Some(_) if !attempt.is_gone() => DeliveryState::Pending,
             _ => DeliveryState::Failed,
         };
         let mut attempts = delivery.attempts.clone();
         attempts.push(attempt.clone());
-        attempts.drain(..attempts.len().saturating_sub(LOGGED));
+        attempts.drain(..attempts.len().saturating_sub(MAX_LOGGED_ATTEMPTS));
         sql::query(
             "UPDATE deliveries SET state = $2, due_ms = $3, tries = tries + 1, attempts = $4 WHERE id = $1",
         )
         .bind(&delivery.id)
         .bind(state)
-        .bind(again_ms.unwrap_or(attempt.at_ms))
+        .bind(retry_at_ms.unwrap_or(attempt.at_ms))
         .bind(Json(&attempts))
         .execute(&mut tx)
         .await?;
         if failed {
-            failed_at(&mut tx, &delivery.webhook_id, &attempt).await?;
+            record_failure(&mut tx, &delivery.webhook_id, &attempt).await?;
         } else {
             let query = sql::query("UPDATE webhooks SET failing_since_ms = NULL WHERE id = $1");
             query.bind(&delivery.webhook_id).execute(&mut tx).await?;
@@ -261,8 +261,8 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn forget_old_deliveries(&self, now_ms: i64) -> Result<(), StoreError> {
-        let before = now_ms.saturating_sub(ms(KEEP));
+    pub async fn delete_old_deliveries(&self, now_ms: i64) -> Result<(), StoreError> {
+        let before = now_ms.saturating_sub(ms(DELIVERY_RETENTION));
         let old = sql::query_scalar("SELECT EXISTS (SELECT 1 FROM deliveries WHERE created_ms < $1)");
         if !old.bind(before).fetch_one(self.pool()).await? {
             return Ok(());
@@ -275,7 +275,7 @@ impl Store {
 }
 
 /// Counts a failure against a webhook.
-async fn failed_at(tx: &mut Tx, webhook: &WebhookId, attempt: &Attempt) -> Result<(), StoreError> {
+async fn record_failure(tx: &mut Tx, webhook: &WebhookId, attempt: &DeliveryAttempt) -> Result<(), StoreError> {
     let since: Option<i64> = sql::query_scalar(
         "UPDATE webhooks SET failing_since_ms = COALESCE(failing_since_ms, $2)
          WHERE id = $1 AND enabled RETURNING failing_since_ms",
@@ -287,9 +287,9 @@ async fn failed_at(tx: &mut Tx, webhook: &WebhookId, attempt: &Attempt) -> Resul
     let Some(since) = since else { return Ok(()) };
     let last = attempt.error.as_deref().unwrap_or_default();
     let why = if attempt.is_gone() {
-        "it answered 410: nobody listens there any more".to_owned()
-    } else if attempt.at_ms.saturating_sub(since) >= ms(PATIENCE) {
-        format!("nothing could be delivered since {}; at last: {last}", rfc3339(since))
+        "the receiver answered 410 Gone".to_owned()
+    } else if attempt.at_ms.saturating_sub(since) >= ms(DISABLE_AFTER) {
+        format!("every delivery since {} failed; last error: {last}", rfc3339(since))
     } else {
         return Ok(());
     };

@@ -5,12 +5,12 @@ use std::collections::HashSet;
 
 use crate::store::artifacts::is_key;
 use crate::store::sql;
-use crate::store::sweep::prune;
+use crate::store::orphan_cleanup::prune;
 use crate::store::{Store, StoreError};
 
 /// What a sweep of deleted things did.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Discarded {
+pub struct DeletionReport {
     /// Things whose files were removed.
     pub things: usize,
     /// Things whose files are still in use.
@@ -22,7 +22,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database or a file operation fails; the next sweep goes on from there.
-    pub async fn sweep_deleted(&self, now_ms: i64) -> Result<Discarded, StoreError> {
+    pub async fn remove_deleted_files(&self, now_ms: i64) -> Result<DeletionReport, StoreError> {
         let things = self.discard_exports().await?
             + self.discard_models().await?
             + self.discard_jobs(now_ms).await?
@@ -38,15 +38,15 @@ impl Store {
         )
         .fetch_one(self.pool())
         .await?;
-        Ok(Discarded { things, waiting: usize::try_from(waiting).unwrap_or(0) })
+        Ok(DeletionReport { things, waiting: usize::try_from(waiting).unwrap_or(0) })
     }
 
-    /// As [`Store::sweep_deleted`], also of what a server that died had swept.
+    /// As [`Store::remove_deleted_files`], also of what a server that died had swept.
     ///
     /// # Errors
-    /// See [`Store::sweep_deleted`].
+    /// See [`Store::remove_deleted_files`].
     pub async fn finish_deletions(&self, now_ms: i64) -> Result<(), StoreError> {
-        self.sweep_deleted(now_ms).await?;
+        self.remove_deleted_files(now_ms).await?;
         self.purge_deleted().await
     }
 
@@ -123,7 +123,7 @@ impl Store {
                  (SELECT 1 FROM jobs WHERE capture_id = captures.id AND state IN ('queued', 'running', 'cancelling'))";
         let captures: Vec<(String, String)> = sql::query_as(query).fetch_all(self.pool()).await?;
         for (capture, artifact) in &captures {
-            let _shelf = self.shelf.lock().await;
+            let _publish_guard = self.publish_lock.lock().await;
             let others = "SELECT EXISTS
                  (SELECT 1 FROM captures WHERE artifact = $1 AND id <> $2 AND swept_ms IS NULL)";
             if !sql::query_scalar(others).bind(artifact).bind(capture).fetch_one(self.pool()).await? {
@@ -145,7 +145,7 @@ impl Store {
                       AND state IN ('queued', 'running', 'cancelling'))";
         let environments: Vec<(String, String)> = sql::query_as(query).fetch_all(self.pool()).await?;
         for (environment, artifact) in &environments {
-            let _shelf = self.shelf.lock().await;
+            let _publish_guard = self.publish_lock.lock().await;
             let others = "SELECT EXISTS (SELECT 1 FROM environments WHERE artifact = $1 AND id <> $2)";
             if !sql::query_scalar(others).bind(artifact).bind(environment).fetch_one(self.pool()).await? {
                 self.artifacts.discard(artifact).await?;

@@ -2,8 +2,8 @@
 
 use sqlx::types::Json;
 
-use crate::api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
-use crate::store::marks::{change_within, filtered, listed};
+use relume_api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
+use crate::store::metadata::{change_metadata_in_tx, filtered, listed};
 use crate::store::sql;
 use crate::store::{EnvironmentRecord, Filter, Page, Store, StoreError};
 
@@ -12,7 +12,7 @@ impl Store {
     /// called.
     ///
     /// # Errors
-    /// [`StoreError::BadMarks`] when the one that was there may not be called so, or when the database fails.
+    /// [`StoreError::InvalidMetadata`] when the one that was there may not be called so, or when the database fails.
     pub async fn insert_environment(
         &self,
         tenant: &TenantId,
@@ -26,7 +26,7 @@ impl Store {
         )
         .bind(&env.id)
         .bind(&env.sha256)
-        .bind(&env.marks.name)
+        .bind(&env.metadata.name)
         .bind(env.bytes)
         .bind(&env.artifact)
         .bind(env.width)
@@ -34,8 +34,8 @@ impl Store {
         .bind(Json(&env.warnings))
         .bind(env.created_ms)
         .bind(tenant)
-        .bind(&env.marks.external_id)
-        .bind(Json(&env.marks.labels))
+        .bind(&env.metadata.external_id)
+        .bind(Json(&env.metadata.labels))
         .execute(&mut tx)
         .await?;
         let mut stored: EnvironmentRecord =
@@ -46,8 +46,8 @@ impl Store {
                 .await?;
         if stored.id != env.id {
             let what = ResourceName::new(ResourceKind::Environment, stored.id.to_string());
-            let change = env.marks.clone().into();
-            stored.marks = change_within(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.marks);
+            let change = env.metadata.clone().into();
+            stored.metadata = change_metadata_in_tx(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.metadata);
         }
         tx.commit().await?;
         Ok(stored)

@@ -3,7 +3,7 @@
 use std::error::Error;
 use std::io::ErrorKind;
 
-use crate::api::ResourceName;
+use relume_api::ResourceName;
 
 /// Why the store refused.
 #[derive(Debug, thiserror::Error)]
@@ -13,13 +13,13 @@ pub enum StoreError {
     Full,
     /// The disk is too full to work.
     #[error("the disk has no room for {bytes} more bytes")]
-    NoRoom {
+    NoDiskSpace {
         /// What is asked for.
         bytes: u64,
     },
     /// No more may be stored.
-    #[error("at most {limit} bytes may be stored: {taken} are, and {asked} more were asked for")]
-    OverLimit {
+    #[error("the storage limit is {limit} bytes: {taken} are stored and {asked} more were requested")]
+    StorageLimitExceeded {
         /// What may be stored, bytes.
         limit: u64,
         /// What is stored.
@@ -46,14 +46,14 @@ pub enum StoreError {
     #[error("the data directory {0} is in use by another server")]
     Locked(String),
     /// A tenant has as many jobs as it may.
-    #[error("{most} jobs may wait and run at once")]
-    QuotaOfJobs {
+    #[error("at most {most} jobs can be queued or running at once")]
+    JobQuotaExceeded {
         /// How many.
         most: u32,
     },
     /// A tenant has as much as it may.
-    #[error("at most {most} bytes may be stored: {taken} are, and {asked} more were asked for")]
-    QuotaOfBytes {
+    #[error("the storage limit of the tenant is {most} bytes: {taken} are stored and {asked} more were requested")]
+    ByteQuotaExceeded {
         /// How much.
         most: u64,
         /// What there is.
@@ -62,14 +62,14 @@ pub enum StoreError {
         asked: u64,
     },
     /// A tenant has as many unfinished uploads as it may.
-    #[error("{most} uploads may be unfinished at once; finish some, make captures of them, or delete them")]
-    QuotaOfUploads {
+    #[error("at most {most} uploads can be open at once; complete some and create captures of them, or delete some")]
+    UploadQuotaExceeded {
         /// How many.
         most: u32,
     },
     /// A tenant has as many exports that wait or run as it may.
-    #[error("{most} exports may wait and run at once; wait for some, or delete them")]
-    QuotaOfExports {
+    #[error("at most {most} exports can be queued or running at once; wait for some, or delete some")]
+    ExportQuotaExceeded {
         /// How many.
         most: u32,
     },
@@ -81,24 +81,24 @@ pub enum StoreError {
     Deleted(ResourceName),
     /// A thing may not be called so.
     #[error("{field}: {why}")]
-    BadMarks {
+    InvalidMetadata {
         /// The field that is wrong.
         field: &'static str,
         /// What is wrong with it.
         why: String,
     },
     /// A tenant has as many webhooks as it may.
-    #[error("a tenant has at most {most} webhooks")]
+    #[error("a tenant can have at most {most} webhooks")]
     TooManyWebhooks {
         /// How many.
         most: i64,
     },
     /// The key that asks was revoked meanwhile.
     #[error("the key was revoked")]
-    KeyEnded,
+    KeyRevoked,
     /// The same idempotency key came with another request.
     #[error("the idempotency key was used with a different request")]
-    KeyReused,
+    IdempotencyKeyReused,
     /// There are artifacts and no database.
     #[error(
         "{0} has stored files but no database: relume.db was moved, removed or not mounted; put it back, restore a backup, or use another data directory"

@@ -2,9 +2,9 @@
 
 use serde_json::Value;
 
-use crate::api::jobs::JobState;
-use crate::api::webhooks::WebhookEvent;
-use crate::api::{JobId, TenantId};
+use relume_api::jobs::JobState;
+use relume_api::webhooks::WebhookEvent;
+use relume_api::{JobId, TenantId};
 use crate::store::sql::{self, Tx};
 use crate::store::{EventRecord, Store, StoreError, deliveries};
 
@@ -39,7 +39,7 @@ pub(super) async fn append_state(
 ) -> Result<(), StoreError> {
     append(tx, job, now_ms, "state", data).await?;
     match WebhookEvent::of(state) {
-        Some(event) => deliveries::enter(tx, job, event, now_ms).await,
+        Some(event) => deliveries::enqueue(tx, job, event, now_ms).await,
         None => Ok(()),
     }
 }

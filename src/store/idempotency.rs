@@ -1,7 +1,7 @@
 //! Idempotency keys. A key is written in the transaction of the change it guards, so there is no moment at which
 //! the key exists and the change does not: a second request waits for the first and then sees its answer.
 
-use crate::api::TenantId;
+use relume_api::TenantId;
 use crate::store::sql::{self, Tx};
 use crate::store::{Store, StoreError};
 
@@ -40,7 +40,7 @@ pub(super) async fn replay(
 /// The answer of the `known` fingerprint and response of a key.
 fn answer(known: Option<(String, String)>, key: &IdempotencyKey) -> Result<Option<String>, StoreError> {
     match known {
-        Some((fingerprint, _)) if fingerprint != key.fingerprint => Err(StoreError::KeyReused),
+        Some((fingerprint, _)) if fingerprint != key.fingerprint => Err(StoreError::IdempotencyKeyReused),
         known => Ok(known.map(|(_, response)| response)),
     }
 }
@@ -49,7 +49,7 @@ impl Store {
     /// The answer that `key` of a tenant was given before.
     ///
     /// # Errors
-    /// [`StoreError::KeyReused`] when it came with another request.
+    /// [`StoreError::IdempotencyKeyReused`] when it came with another request.
     pub async fn replayed(
         &self,
         tenant: &TenantId,

@@ -4,12 +4,12 @@ use std::collections::HashSet;
 use std::fs::File;
 use std::path::Path;
 
-use crate::store::artifacts::{Remote, stays_here};
-use crate::store::database::{self, Database, Looked};
+use crate::store::artifacts::{Remote, is_never_uploaded};
+use crate::store::database::{self, Database, ReadOnlyDatabase};
 use crate::store::hash::hash_file;
-use crate::store::references::{Reference, is_ours, references, stored};
+use crate::store::references::{Reference, is_artifact_name, references, artifact_keys};
 use crate::store::sql::Pool;
-use crate::store::{ArtifactsPlace, DatabaseUrl, StoreError, has_artifacts};
+use crate::store::{ObjectStoreConfig, DatabaseUrl, StoreError, has_artifacts};
 
 const SCHEMA: &str = "SELECT MAX(version) FROM _sqlx_migrations";
 
@@ -41,7 +41,7 @@ pub async fn inspect(root: &Path) -> Result<Inspection, StoreError> {
 pub async fn inspect_with(
     root: &Path,
     url: Option<&DatabaseUrl>,
-    place: Option<&ArtifactsPlace>,
+    config: Option<&ObjectStoreConfig>,
 ) -> Result<Inspection, StoreError> {
     let mut found = Inspection::default();
     if url.is_none() && !root.join(database::FILE).exists() {
@@ -50,8 +50,8 @@ pub async fn inspect_with(
         }
         return Ok(found);
     }
-    let remote = place.map(Remote::open).transpose()?;
-    match look(root, url, remote.as_ref(), &mut found).await {
+    let remote = config.map(Remote::open).transpose()?;
+    match inspect_database(root, url, remote.as_ref(), &mut found).await {
         // A server that is away is no fault of what it has.
         Err(error @ (StoreError::Database(_) | StoreError::DatabaseDamaged(_))) if url.is_none() => {
             found.faults.push(error.to_string());
@@ -61,20 +61,20 @@ pub async fn inspect_with(
     Ok(found)
 }
 
-async fn look(
+async fn inspect_database(
     root: &Path,
     url: Option<&DatabaseUrl>,
     remote: Option<&Remote>,
     found: &mut Inspection,
 ) -> Result<(), StoreError> {
-    let looked = Database::open_to_look(root, url).await?;
-    let done = look_with(&looked, root, remote, found).await;
+    let looked = Database::open_read_only(root, url).await?;
+    let done = inspect_artifacts(&looked, root, remote, found).await;
     looked.pool.close().await;
     done
 }
 
 /// Looks at the database itself; whether its tables are those that this program knows.
-async fn look_at_schema(looked: &Looked, found: &mut Inspection) -> Result<bool, StoreError> {
+async fn inspect_schema(looked: &ReadOnlyDatabase, found: &mut Inspection) -> Result<bool, StoreError> {
     let schema = match &looked.pool {
         Pool::Sqlite(pool) => {
             let check = sqlx::query_scalar("PRAGMA integrity_check(10)");
@@ -101,20 +101,20 @@ async fn look_at_schema(looked: &Looked, found: &mut Inspection) -> Result<bool,
     Ok(schema == looked.known)
 }
 
-async fn look_with(
-    looked: &Looked,
+async fn inspect_artifacts(
+    looked: &ReadOnlyDatabase,
     root: &Path,
     remote: Option<&Remote>,
     found: &mut Inspection,
 ) -> Result<(), StoreError> {
-    if !look_at_schema(looked, found).await? {
+    if !inspect_schema(looked, found).await? {
         return Ok(());
     }
     let mut named = references(&looked.pool).await?;
     found.artifacts = named.len();
     if let Some(remote) = remote {
         // What is here of it is a copy, which is fetched anew when it is damaged.
-        let (elsewhere, here) = named.into_iter().partition(|reference| !stays_here(&reference.artifact));
+        let (elsewhere, here) = named.into_iter().partition(|reference| !is_never_uploaded(&reference.artifact));
         named = here;
         compare_remote(remote, elsewhere, found).await?;
     }
@@ -135,7 +135,7 @@ async fn compare_remote(
 ) -> Result<(), StoreError> {
     let names: HashSet<&str> = named.iter().map(|reference| reference.artifact.as_str()).collect();
     let objects = remote.list("").await?.into_iter().map(|object| object.key);
-    found.orphans = objects.filter(|key| is_ours(key) && !names.contains(key.as_str())).collect();
+    found.orphans = objects.filter(|key| is_artifact_name(key) && !names.contains(key.as_str())).collect();
     for Reference { artifact, sha256, owner } in &named {
         match (remote.hash(artifact).await, sha256) {
             (Ok(actual), Some(expected)) if actual != *expected => found.faults.push(format!(
@@ -159,9 +159,9 @@ fn compare(
 ) -> std::io::Result<(Vec<String>, Vec<String>)> {
     let faults = named.iter().filter_map(|reference| fault(artifacts, reference)).collect();
     let names: HashSet<&str> = named.iter().map(|reference| reference.artifact.as_str()).collect();
-    let orphans = stored(artifacts)?
+    let orphans = artifact_keys(artifacts)?
         .into_iter()
-        .filter(|key| (is_all || stays_here(key)) && !names.contains(key.as_str()))
+        .filter(|key| (is_all || is_never_uploaded(key)) && !names.contains(key.as_str()))
         .collect();
     Ok((faults, orphans))
 }

@@ -1,6 +1,6 @@
 //! A job as the API shows it.
 
-use crate::api::jobs::{JobError, JobView};
+use relume_api::jobs::{JobError, JobView};
 use crate::store::JobRecord;
 
 impl JobRecord {
@@ -9,7 +9,7 @@ impl JobRecord {
         let detail = self.error_detail.unwrap_or_default();
         JobView {
             id: self.id,
-            marks: self.request.marks(),
+            metadata: self.request.metadata(),
             capture: self.request.capture,
             retry_of: self.retry_of,
             preset: self.request.preset,

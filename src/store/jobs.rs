@@ -5,11 +5,11 @@ use std::collections::HashMap;
 use serde_json::json;
 use sqlx::types::Json;
 
-use crate::api::jobs::JobState;
-use crate::api::{JobId, TenantId};
-use crate::store::deletion::check_still_there;
+use relume_api::jobs::JobState;
+use relume_api::{JobId, TenantId};
+use crate::store::deletion::check_not_deleted;
 use crate::store::idempotency::{remember, replay};
-use crate::store::marks::{filtered, listed};
+use crate::store::metadata::{filtered, listed};
 use crate::store::sql::{self, Tx};
 use crate::store::{Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, events};
 
@@ -39,7 +39,7 @@ impl Store {
     /// `answer` turns the new job and its place in the queue into the response text.
     ///
     /// # Errors
-    /// [`StoreError::KeyReused`] when the key came with another request before.
+    /// [`StoreError::IdempotencyKeyReused`] when the key came with another request before.
     pub async fn submit_job(
         &self,
         job: &JobRecord,
@@ -54,13 +54,13 @@ impl Store {
             tx.commit().await?;
             return Ok(Submitted::Replayed(response));
         }
-        check_still_there(&mut tx, job).await?;
+        check_not_deleted(&mut tx, job).await?;
         self.admit_job_of(&mut tx, &job.tenant).await?;
         insert(&mut tx, job).await?;
         let queued = json!({ "state": JobState::Queued });
         events::append_state(&mut tx, &job.id, now_ms, JobState::Queued, queued).await?;
         let position =
-            sql::query_scalar(POSITION).bind(&job.id).bind(MOST_BEFORE).fetch_optional(&mut tx).await?;
+            sql::query_scalar(POSITION).bind(&job.id).bind(MAX_QUEUE_POSITION).fetch_optional(&mut tx).await?;
         let response = answer(job, position);
         if let Some(key) = key {
             remember(&mut tx, &job.tenant, key, &response, now_ms).await?;
@@ -103,20 +103,20 @@ impl Store {
         Ok(query.bind(page.at()).fetch_all(self.pool()).await?)
     }
 
-    /// How many queued jobs, of whichever tenant, run before this one, at most [`MOST_BEFORE`]; `None` when it is not queued.
+    /// How many queued jobs, of whichever tenant, run before this one, at most [`MAX_QUEUE_POSITION`]; `None` when it is not queued.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn queue_position(&self, id: &JobId) -> Result<Option<i64>, StoreError> {
-        Ok(sql::query_scalar(POSITION).bind(id).bind(MOST_BEFORE).fetch_optional(self.pool()).await?)
+        Ok(sql::query_scalar(POSITION).bind(id).bind(MAX_QUEUE_POSITION).fetch_optional(self.pool()).await?)
     }
 
-    /// As [`Store::queue_position`] of all that are queued, but for those with [`MOST_BEFORE`] or more before them.
+    /// As [`Store::queue_position`] of all that are queued, but for those with [`MAX_QUEUE_POSITION`] or more before them.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn head_of_queue(&self) -> Result<HashMap<JobId, i64>, StoreError> {
-        let query = sql::query_as::<(JobId, i64)>(HEAD).bind(MOST_BEFORE);
+        let query = sql::query_as::<(JobId, i64)>(HEAD).bind(MAX_QUEUE_POSITION);
         Ok(query.fetch_all(self.pool()).await?.into_iter().collect())
     }
 
@@ -188,7 +188,7 @@ impl Store {
 }
 
 /// Farther back in the queue nobody counts: it would take longer, the longer the queue is.
-pub const MOST_BEFORE: i64 = 1000;
+pub const MAX_QUEUE_POSITION: i64 = 1000;
 
 /// The first jobs of the queue, and how many run before each.
 macro_rules! head {

@@ -3,7 +3,7 @@
 
 use sha2::{Digest, Sha256};
 
-use crate::api::KeyId;
+use relume_api::KeyId;
 use crate::store::StoreError;
 use crate::store::hash::hex;
 

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use sqlx::types::Json;
 
-use crate::api::keys::Scope;
-use crate::api::{KeyId, TenantId};
+use relume_api::keys::Scope;
+use relume_api::{KeyId, TenantId};
 use crate::store::database::{self, DatabaseFile, DatabaseServer, DatabaseUrl};
 use crate::store::sql;
 use crate::store::{KeyRecord, KeyToken, Page, Store, StoreError};
@@ -30,7 +30,7 @@ impl Store {
     /// Makes a key. The text is what its bearer sends; only a hash of it is kept.
     ///
     /// # Errors
-    /// [`StoreError::KeyEnded`] when the key that makes it is revoked; when the database or the operating system's source of random bits fails.
+    /// [`StoreError::KeyRevoked`] when the key that makes it is revoked; when the database or the operating system's source of random bits fails.
     pub async fn create_key(
         &self,
         key: &NewKeyRecord,
@@ -54,7 +54,7 @@ impl Store {
         .bind(&key.made_by)
         .fetch_optional(&mut tx)
         .await?
-        .ok_or(StoreError::KeyEnded)?;
+        .ok_or(StoreError::KeyRevoked)?;
         tx.commit().await?;
         Ok((stored, text))
     }
@@ -126,7 +126,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn note_key_use(&self, id: &KeyId, now_ms: i64) -> Result<(), StoreError> {
+    pub async fn record_key_use(&self, id: &KeyId, now_ms: i64) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
         let query = sql::query("UPDATE keys SET last_used_ms = $2 WHERE id = $1");
         query.bind(id).bind(now_ms).execute(&mut tx).await?;
@@ -155,7 +155,7 @@ pub async fn has_keys(root: &Path, database: Option<&DatabaseUrl>) -> Result<boo
     if !root.join(database::FILE).exists() {
         return Ok(false);
     }
-    let pool = DatabaseFile::open_to_look(root).await?;
+    let pool = DatabaseFile::open_read_only(root).await?;
     let table = "SELECT EXISTS (SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'keys')";
     let found = async {
         let there: bool = sql::query_scalar(table).fetch_one(&pool).await?;

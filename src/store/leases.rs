@@ -3,11 +3,11 @@
 use serde_json::json;
 use sqlx::types::Json;
 
-use crate::api::jobs::{JobProgress, JobState};
-use crate::api::work::{LeaseStatus, Release};
-use crate::api::{JobId, WorkerId};
+use relume_api::jobs::{JobProgress, JobState};
+use relume_api::work::{LeaseStatus, Release};
+use relume_api::{JobId, WorkerId};
 use crate::store::sql::{self, Sql, Tx};
-use crate::store::{JobRecord, Measured, ModelFile, ModelRecord, Store, StoreError, events};
+use crate::store::{JobRecord, QualityResult, ModelFile, ModelRecord, Store, StoreError, events};
 
 /// Who asks for a job.
 #[derive(Debug, Clone, Default)]
@@ -178,7 +178,7 @@ impl Store {
         token: &str,
         model: &ModelRecord,
         files: &[ModelFile],
-        measured: &Measured,
+        measured: &QualityResult,
         now_ms: i64,
     ) -> Result<LeaseStatus, StoreError> {
         let mut tx = self.write().await?;

@@ -14,22 +14,22 @@ mod environments;
 mod error;
 mod events;
 mod exports;
-mod figures;
+mod quality_result;
 mod folder;
 mod hash;
 mod idempotency;
-mod incoming;
+mod staged_upload;
 mod inspection;
 mod job_view;
 mod jobs;
 mod key_token;
 mod keys;
 mod leases;
-mod ledger;
-mod marks;
+mod pending_quota;
+mod metadata;
 mod models;
-mod moving;
-mod node_lock;
+mod database_copy;
+mod data_dir_lock;
 mod page;
 mod quota;
 mod receive;
@@ -37,11 +37,11 @@ mod records;
 mod references;
 mod reservation;
 mod retention;
-mod room;
-mod settling;
-mod shelf;
+mod disk_space;
+mod reconciliation;
+mod publish;
 mod sql;
-mod sweep;
+mod orphan_cleanup;
 mod uploads;
 mod usage;
 mod verification;
@@ -55,43 +55,43 @@ use std::sync::atomic::AtomicU64;
 use tokio::sync::Mutex;
 
 use database::{Database, DatabaseFile, DatabaseServer};
-use ledger::Ledger;
+use pending_quota::PendingQuota;
 use sql::{Pool, Sql, Tx};
-use uploads::Holds;
+use uploads::UploadLocks;
 
-pub use crate::api::work::{LeaseStatus, Release};
-pub use artifacts::{Artifacts, ArtifactsPlace, ArtifactsRedirect, ArtifactsUrl};
+pub use relume_api::work::{LeaseStatus, Release};
+pub use artifacts::{Artifacts, ObjectStoreConfig, ArtifactsRedirect, ArtifactsUrl};
 pub use backup::{Backup, backup, backup_with, restore};
-pub use database::{DatabaseUrl, Listener, ServerLock};
+pub use database::{DatabaseUrl, JobChangeListener, ServerLock};
 pub use deletion::Deletion;
-pub use deliveries::{Attempt, DeliveryRecord, Replay};
-pub use discard::Discarded;
+pub use deliveries::{DeliveryAttempt, DeliveryRecord, Replay};
+pub use discard::DeletionReport;
 pub use error::StoreError;
 pub use exports::{ClaimedExport, ExportDeletion, ExportRecord, ExportedFile};
-pub use figures::Measured;
+pub use quality_result::QualityResult;
 pub use folder::make_private;
 pub use hash::hex;
 pub use idempotency::IdempotencyKey;
-pub use incoming::Incoming;
+pub use staged_upload::StagedUpload;
 pub use inspection::{Inspection, inspect, inspect_with};
 pub use job_view::rfc3339;
-pub use jobs::{CancelOutcome, MOST_BEFORE, Submitted};
+pub use jobs::{CancelOutcome, MAX_QUEUE_POSITION, Submitted};
 pub use key_token::KeyToken;
 pub use keys::{NewKeyRecord, has_keys};
 pub use leases::Claimant;
-pub use marks::Filter;
-pub use moving::{CopiedTable, DatabasePlace, copy_database};
-pub use node_lock::NodeLock;
-pub use page::{NoPlace, Page, Place, Placed};
+pub use metadata::Filter;
+pub use database_copy::{CopiedTable, DatabaseLocation, copy_database};
+pub use data_dir_lock::DataDirLock;
+pub use page::{InvalidCursor, Page, PageCursor, Paginated};
 pub use quota::Quota;
 pub use records::{
     CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, KeyRecord, ModelFile, ModelRecord,
 };
 pub use retention::Retention;
-pub use room::Room;
-pub use settling::Settled;
-pub use sweep::Swept;
-pub use uploads::{Checksum, Hold, Piece, UploadLimits, UploadRecord};
+pub use disk_space::DiskSpace;
+pub use reconciliation::ReconciliationReport;
+pub use orphan_cleanup::OrphanCleanup;
+pub use uploads::{Checksum, UploadLock, Piece, UploadLimits, UploadRecord};
 pub use webhooks::WebhookRecord;
 pub use workers::WorkerRecord;
 
@@ -100,17 +100,17 @@ pub use workers::WorkerRecord;
 pub struct Store {
     database: Database,
     artifacts: Artifacts,
-    room: Room,
+    disk_space: DiskSpace,
     quota: Quota,
     root: PathBuf,
     /// Most bytes that are stored; `u64::MAX` when the disk alone is the limit.
     disk_limit: Arc<AtomicU64>,
     /// Held while a file and the row that names it are made or removed together.
-    shelf: Arc<Mutex<()>>,
+    publish_lock: Arc<Mutex<()>>,
     /// What is on its way to it.
-    ledger: Ledger,
+    pending_quota: PendingQuota,
     /// Which uploads somebody works on.
-    holds: Holds,
+    upload_locks: UploadLocks,
 }
 
 impl Store {
@@ -136,13 +136,13 @@ impl Store {
         Ok(Self {
             database,
             artifacts: Artifacts::open(root)?,
-            room: Room::new(root),
+            disk_space: DiskSpace::new(root),
             quota: Quota::default(),
             root: root.to_owned(),
             disk_limit: Arc::new(AtomicU64::new(u64::MAX)),
-            shelf: Arc::default(),
-            ledger: Ledger::default(),
-            holds: Holds::default(),
+            publish_lock: Arc::default(),
+            pending_quota: PendingQuota::default(),
+            upload_locks: UploadLocks::default(),
         })
     }
 
@@ -150,8 +150,8 @@ impl Store {
     ///
     /// # Errors
     /// When a setting of it is missing or wrong, or the folder cannot be read.
-    pub fn with_artifacts(mut self, place: &ArtifactsPlace) -> Result<Self, StoreError> {
-        self.artifacts = self.artifacts.shared(place)?;
+    pub fn with_artifacts(mut self, config: &ObjectStoreConfig) -> Result<Self, StoreError> {
+        self.artifacts = self.artifacts.with_object_store(config)?;
         Ok(self)
     }
 
@@ -159,7 +159,7 @@ impl Store {
     ///
     /// # Errors
     /// As [`Store::open`]; [`StoreError::OlderServer`] when the server would not understand this version's schema.
-    pub async fn join(root: &Path, url: Option<&DatabaseUrl>) -> Result<Self, StoreError> {
+    pub async fn open_existing(root: &Path, url: Option<&DatabaseUrl>) -> Result<Self, StoreError> {
         let (found, known) = match url {
             Some(url) => (DatabaseServer::schema_of(url).await?, database::server_schema()),
             None => (DatabaseFile::schema_of(root).await?, database::schema()),
@@ -176,25 +176,25 @@ impl Store {
         &self.artifacts
     }
 
-    /// Room on the disk.
-    pub fn room(&self) -> &Room {
-        &self.room
+    /// Disk space.
+    pub fn disk_space(&self) -> &DiskSpace {
+        &self.disk_space
     }
 
-    /// As [`Room::check`], off the async threads.
+    /// As [`DiskSpace::check`], off the async threads.
     ///
     /// # Errors
-    /// See [`Room::check`].
-    pub async fn check_room(&self) -> Result<(), StoreError> {
-        let room = self.room.clone();
-        let checked = tokio::task::spawn_blocking(move || room.check()).await;
+    /// See [`DiskSpace::check`].
+    pub async fn check_disk_space(&self) -> Result<(), StoreError> {
+        let disk_space = self.disk_space.clone();
+        let checked = tokio::task::spawn_blocking(move || disk_space.check()).await;
         checked.unwrap_or_else(|error| Err(std::io::Error::other(error).into()))
     }
 
     /// Refuses new work while there is no room for the work that waits, or no more may be stored.
     async fn admit(&self) -> Result<(), StoreError> {
         self.admit_bytes(0).await?;
-        if self.room.is_short() { self.check_room().await } else { Ok(()) }
+        if self.disk_space.is_short() { self.check_disk_space().await } else { Ok(()) }
     }
 
     /// The data directory.
@@ -257,7 +257,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database cannot be reached.
-    pub async fn listen(&self) -> Result<Listener, StoreError> {
+    pub async fn listen(&self) -> Result<JobChangeListener, StoreError> {
         self.database.listen().await
     }
 
@@ -286,5 +286,5 @@ const RESTORING: &str = "relume.db.restoring";
 
 /// True when there are artifacts in a data directory, or a backup was half restored to it.
 fn has_artifacts(root: &Path) -> Result<bool, StoreError> {
-    Ok(root.join(RESTORING).exists() || !references::stored(&root.join("artifacts"))?.is_empty())
+    Ok(root.join(RESTORING).exists() || !references::artifact_keys(&root.join("artifacts"))?.is_empty())
 }

@@ -2,8 +2,8 @@
 
 use std::collections::HashSet;
 
-use crate::api::{ModelId, TenantId};
-use crate::store::marks::{filtered, listed};
+use relume_api::{ModelId, TenantId};
+use crate::store::metadata::{filtered, listed};
 use crate::store::sql;
 use crate::store::{Filter, ModelFile, ModelRecord, Page, Store, StoreError};
 
@@ -45,7 +45,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn shown_ids(&self) -> Result<HashSet<String>, StoreError> {
+    pub async fn ids_with_thumbnails(&self) -> Result<HashSet<String>, StoreError> {
         let query = sql::query_scalar(
             "SELECT id FROM models WHERE deleted_ms IS NULL
              UNION SELECT id FROM captures WHERE deleted_ms IS NULL",
@@ -71,7 +71,7 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Damaged`] and [`StoreError::Missing`] when they are not, or when the database fails.
-    pub async fn sound_model_file(
+    pub async fn verified_model_file(
         &self,
         tenant: &TenantId,
         id: &ModelId,

@@ -1,4 +1,4 @@
-//! Parts of lists. A part begins at a place, not at an item: the item may be gone by the time the next part is asked for.
+//! Parts of lists. A part begins at a cursor, not at an item: the item may be gone by the time the next part is asked for.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,13 +8,13 @@ use std::str::FromStr;
 pub struct Page {
     /// Most items to return.
     pub limit: u32,
-    /// Only items that come after this place.
-    pub before: Option<Place>,
+    /// Only items that come after this cursor.
+    pub before: Option<PageCursor>,
 }
 
-/// A place in a list, right after an item. As text: the item's identifier, a point, and a number.
+/// A cursor in a list, right after an item. As text: the item's identifier, a point, and a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Place {
+pub struct PageCursor {
     /// What the list is ordered by, largest first: milliseconds since 1970, or a number of its own.
     pub at: i64,
     /// Identifier of the item, which orders those of the same time.
@@ -24,53 +24,53 @@ pub struct Place {
 impl Page {
     /// Identifier of the item that the part comes after.
     pub(super) fn id(&self) -> Option<&str> {
-        self.before.as_ref().map(|place| place.id.as_str())
+        self.before.as_ref().map(|cursor| cursor.id.as_str())
     }
 
     /// Time of that item.
     pub(super) fn at(&self) -> Option<i64> {
-        self.before.as_ref().map(|place| place.at)
+        self.before.as_ref().map(|cursor| cursor.at)
     }
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for PageCursor {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}.{}", self.id, self.at)
     }
 }
 
-impl FromStr for Place {
-    type Err = NoPlace;
+impl FromStr for PageCursor {
+    type Err = InvalidCursor;
 
-    fn from_str(text: &str) -> Result<Self, NoPlace> {
-        let (id, at) = text.rsplit_once('.').ok_or(NoPlace)?;
-        let place = Self { at: at.parse().map_err(|_| NoPlace)?, id: id.to_owned() };
-        // One text a place: no signs, no zeros in front.
-        if place.to_string() == text && !id.is_empty() { Ok(place) } else { Err(NoPlace) }
+    fn from_str(text: &str) -> Result<Self, InvalidCursor> {
+        let (id, at) = text.rsplit_once('.').ok_or(InvalidCursor)?;
+        let cursor = Self { at: at.parse().map_err(|_| InvalidCursor)?, id: id.to_owned() };
+        // One text a cursor: no signs, no zeros in front.
+        if cursor.to_string() == text && !id.is_empty() { Ok(cursor) } else { Err(InvalidCursor) }
     }
 }
 
-/// The text is no place.
+/// The text is no cursor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct NoPlace;
+pub struct InvalidCursor;
 
 /// What stands in a list.
-pub trait Placed {
+pub trait Paginated {
     /// Where.
-    fn place(&self) -> Place;
+    fn cursor(&self) -> PageCursor;
 }
 
 /// Records that stand in lists, by the field that orders them.
-macro_rules! placed {
+macro_rules! paginated {
     ($($record:ty: $at:ident),+) => {$(
-        impl $crate::store::Placed for $record {
-            fn place(&self) -> $crate::store::Place {
-                $crate::store::Place { at: self.$at, id: self.id.to_string() }
+        impl $crate::store::Paginated for $record {
+            fn cursor(&self) -> $crate::store::PageCursor {
+                $crate::store::PageCursor { at: self.$at, id: self.id.to_string() }
             }
         }
     )+};
 }
-pub(super) use placed;
+pub(super) use paginated;
 
 #[cfg(test)]
 mod tests {
@@ -78,11 +78,11 @@ mod tests {
 
     #[test]
     fn a_place_reads_back_from_its_text_and_nothing_else_does() {
-        for place in [Place { at: 0, id: "a-1".to_owned() }, Place { at: i64::MAX, id: "b.2".to_owned() }] {
-            assert_eq!(place.to_string().parse(), Ok(place));
+        for cursor in [PageCursor { at: 0, id: "a-1".to_owned() }, PageCursor { at: i64::MAX, id: "b.2".to_owned() }] {
+            assert_eq!(cursor.to_string().parse(), Ok(cursor));
         }
         for text in ["", "a", "a.", ".5", "a.+5", "a.05", "a.x", "a.99999999999999999999"] {
-            assert_eq!(text.parse::<Place>(), Err(NoPlace), "{text}");
+            assert_eq!(text.parse::<PageCursor>(), Err(InvalidCursor), "{text}");
         }
     }
 }

@@ -8,10 +8,10 @@ use object_store::{ObjectStoreExt, WriteMultipart};
 use sha2::{Digest, Sha256};
 use tokio_util::bytes::Bytes;
 
-use crate::api::TenantId;
+use relume_api::TenantId;
 use crate::store::hash::hex;
-use crate::store::incoming::{INCOMING, Incoming};
-use crate::store::ledger::Reservation;
+use crate::store::staged_upload::{INCOMING, StagedUpload};
+use crate::store::pending_quota::Reservation;
 use crate::store::{Store, StoreError};
 
 impl Store {
@@ -20,14 +20,14 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::TooLarge`] beyond `limit` bytes, [`StoreError::Body`] when the sender fails, [`StoreError::Full`] when the disk
-    /// is full, [`StoreError::QuotaOfBytes`] and [`StoreError::OverLimit`] as soon as no more may be stored.
+    /// is full, [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] as soon as no more may be stored.
     pub async fn receive<E: std::fmt::Display>(
         &self,
         tenant: &TenantId,
         name: &str,
         body: impl Stream<Item = Result<Bytes, E>>,
         limit: u64,
-    ) -> Result<Incoming, StoreError> {
+    ) -> Result<StagedUpload, StoreError> {
         let key = Key::from(format!("{INCOMING}/{name}"));
         let body = std::pin::pin!(body);
         let mut upload = WriteMultipart::new(self.artifacts.files().put_multipart(&key).await?);
@@ -37,7 +37,7 @@ impl Store {
                 upload.finish().await?;
                 reserved.shrink_to(bytes);
                 let path = self.artifacts.local_path(key.as_ref());
-                Ok(Incoming { key, published: false, path, sha256, bytes, upload: None, reserved })
+                Ok(StagedUpload { key, published: false, path, sha256, bytes, upload: None, reserved })
             }
             Err(error) => {
                 upload.abort().await.ok();

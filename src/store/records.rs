@@ -2,13 +2,13 @@
 
 use sqlx::FromRow;
 
-use crate::api::jobs::{JobProgress, JobState, NewJob};
-use crate::api::keys::Scope;
-use crate::api::marks::Marks;
-use crate::api::quality::Figures;
-use crate::api::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId, WorkerId};
-use crate::capture::CaptureReport;
-use crate::store::page::placed;
+use relume_api::jobs::{JobProgress, JobState, NewJob};
+use relume_api::keys::Scope;
+use relume_api::metadata::ResourceMetadata;
+use relume_api::quality::Figures;
+use relume_api::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId, WorkerId};
+use relume_spec::CaptureReport;
+use crate::store::page::paginated;
 
 /// An uploaded, validated archive.
 #[derive(Debug, Clone, FromRow)]
@@ -23,7 +23,7 @@ pub struct CaptureRecord {
     pub artifact: String,
     /// What it is called.
     #[sqlx(flatten)]
-    pub marks: Marks,
+    pub metadata: ResourceMetadata,
     /// What validation found.
     #[sqlx(json)]
     pub report: CaptureReport,
@@ -42,7 +42,7 @@ pub struct EnvironmentRecord {
     pub sha256: String,
     /// What it is called.
     #[sqlx(flatten)]
-    pub marks: Marks,
+    pub metadata: ResourceMetadata,
     /// Size of the file.
     pub bytes: i64,
     /// Key of the file in the artifact store.
@@ -165,7 +165,7 @@ pub struct ModelRecord {
     pub gaussians: i64,
     /// What it is called.
     #[sqlx(flatten)]
-    pub marks: Marks,
+    pub metadata: ResourceMetadata,
     /// The model card.
     #[sqlx(json)]
     pub card: serde_json::Value,
@@ -221,5 +221,5 @@ impl KeyRecord {
     }
 }
 
-placed!(CaptureRecord: created_ms, EnvironmentRecord: created_ms, JobRecord: created_ms);
-placed!(ModelRecord: created_ms, KeyRecord: created_ms);
+paginated!(CaptureRecord: created_ms, EnvironmentRecord: created_ms, JobRecord: created_ms);
+paginated!(ModelRecord: created_ms, KeyRecord: created_ms);

@@ -48,20 +48,20 @@ pub(super) async fn names<'c>(on: impl Into<On<'c>>) -> Result<Vec<String>, Stor
 }
 
 /// The keys of all files under `artifacts` that have a name which only this program gives. Blocks.
-pub(super) fn stored(artifacts: &Path) -> std::io::Result<Vec<String>> {
+pub(super) fn artifact_keys(artifacts: &Path) -> std::io::Result<Vec<String>> {
     let mut keys = Vec::new();
     for family in ["captures", "environments", UPLOADS, EXPORTS] {
         files(&artifacts.join(family), family, 0, &mut keys)?;
     }
     // attempts/JOB/NUMBER/FILE
     files(&artifacts.join("attempts"), "attempts", 2, &mut keys)?;
-    keys.retain(|key| is_ours(key));
+    keys.retain(|key| is_artifact_name(key));
     keys.sort();
     Ok(keys)
 }
 
 /// Whether only this program gives such a name.
-pub(super) fn is_ours(key: &str) -> bool {
+pub(super) fn is_artifact_name(key: &str) -> bool {
     let parts: Vec<&str> = key.split('/').collect();
     match parts[..] {
         ["captures" | "environments", name] => is_hash(name),

@@ -1,35 +1,35 @@
 //! Bytes that are on their way count as stored before they are, so that uploads together do not pass what one alone may not.
 
-use crate::api::TenantId;
-use crate::store::ledger::Reservation;
+use relume_api::TenantId;
+use crate::store::pending_quota::Reservation;
 use crate::store::{Store, StoreError};
 
 /// Bytes that are reserved ahead of those that arrived.
-const AHEAD: u64 = 16 << 20;
+const RESERVE_AHEAD_BYTES: u64 = 16 << 20;
 
 impl Store {
     /// A reservation of nothing yet.
     pub(super) fn reservation(&self, tenant: &TenantId) -> Reservation {
-        self.ledger.open(tenant)
+        self.pending_quota.open(tenant)
     }
 
     /// Makes sure that at least `bytes` are reserved.
     ///
     /// # Errors
-    /// [`StoreError::QuotaOfBytes`] and [`StoreError::OverLimit`] when that is more than may be; nothing changes then.
+    /// [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] when that is more than may be; nothing changes then.
     pub(super) async fn reserve(&self, held: &mut Reservation, bytes: u64) -> Result<(), StoreError> {
         let asked = bytes.saturating_sub(held.bytes());
         if asked == 0 {
             return Ok(());
         }
-        // What arrives gets its place on the shelf and leaves the ledger at once: it is seen here once, never twice.
-        let _shelf = self.shelf.lock().await;
+        // What arrives gets published and leaves the pending quota at once: it is seen here once, never twice.
+        let _publish_guard = self.publish_lock.lock().await;
         let quota = self.quota_allowance(held.tenant()).await?;
         let disk = self.disk_allowance().await?;
         quota.admit(asked).and_then(|()| disk.admit(asked))?;
         // Where little is left, little is taken ahead of others.
         let left = quota.left().min(disk.left()) - asked;
-        held.set(bytes + AHEAD.min(left / 64));
+        held.set(bytes + RESERVE_AHEAD_BYTES.min(left / 64));
         Ok(())
     }
 }
@@ -51,21 +51,21 @@ mod tests {
         held[0].shrink_to(60);
         let refused = store.reserve(&mut held[1], 41).await;
         assert!(
-            matches!(refused, Err(StoreError::QuotaOfBytes { most: 100, taken: 60, asked: 41 })),
+            matches!(refused, Err(StoreError::ByteQuotaExceeded { most: 100, taken: 60, asked: 41 })),
             "{refused:?}"
         );
         store.reserve(&mut held[1], 40).await.unwrap();
         assert!(store.admit_bytes_of(&a, 1).await.is_err(), "an upload that has not begun, too");
         let refused = store.reserve(&mut held[2], 51).await;
         assert!(
-            matches!(refused, Err(StoreError::OverLimit { limit: 150, taken: 100, asked: 51 })),
+            matches!(refused, Err(StoreError::StorageLimitExceeded { limit: 150, taken: 100, asked: 51 })),
             "{refused:?}"
         );
-        assert_eq!((store.ledger.all(), store.ledger.of(&b)), (100, 0), "what is refused takes nothing");
+        assert_eq!((store.pending_quota.all(), store.pending_quota.of(&b)), (100, 0), "what is refused takes nothing");
         drop(held);
-        assert_eq!((store.ledger.all(), store.ledger.of(&a)), (0, 0));
+        assert_eq!((store.pending_quota.all(), store.pending_quota.of(&a)), (0, 0));
         let mut alone = store.reservation(&a);
         store.reserve(&mut alone, 20).await.unwrap();
-        assert_eq!(store.ledger.of(&a), 21, "some is reserved ahead, and little where little is left");
+        assert_eq!(store.pending_quota.of(&a), 21, "some is reserved ahead, and little where little is left");
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::api::{ResourceKind, ResourceName, TenantId};
+use relume_api::{ResourceKind, ResourceName, TenantId};
 use crate::store::sql;
 use crate::store::{Deletion, Store, StoreError};
 

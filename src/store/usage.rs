@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::Ordering;
 
-use crate::api::TenantId;
-use crate::api::usage::{StoredKind, Usage};
+use relume_api::TenantId;
+use relume_api::usage::{StoredKind, Usage};
 use crate::store::references::references;
 use crate::store::sql;
 use crate::store::{Store, StoreError};
@@ -32,8 +32,8 @@ impl Allowance {
         let (limit, taken) = (self.limit, self.taken);
         match self.of_tenant {
             _ if asked <= self.left() => Ok(()),
-            true => Err(StoreError::QuotaOfBytes { most: limit, taken, asked }),
-            false => Err(StoreError::OverLimit { limit, taken, asked }),
+            true => Err(StoreError::ByteQuotaExceeded { most: limit, taken, asked }),
+            false => Err(StoreError::StorageLimitExceeded { limit, taken, asked }),
         }
     }
 }
@@ -112,7 +112,7 @@ impl Store {
     /// Refuses `asked` more bytes beyond the limit, uploads in progress included; nothing more at all when it is reached.
     ///
     /// # Errors
-    /// [`StoreError::OverLimit`] with the numbers.
+    /// [`StoreError::StorageLimitExceeded`] with the numbers.
     pub async fn admit_bytes(&self, asked: u64) -> Result<(), StoreError> {
         self.disk_allowance().await?.admit(asked.max(1))
     }
@@ -122,7 +122,7 @@ impl Store {
         let limit = self.disk_limit();
         let taken = match limit {
             u64::MAX => 0,
-            _ => self.kept_bytes().await?.saturating_add(self.ledger.all()),
+            _ => self.stored_bytes().await?.saturating_add(self.pending_quota.all()),
         };
         Ok(Allowance { limit, taken, of_tenant: false })
     }
@@ -132,7 +132,7 @@ impl Store {
     }
 
     /// Bytes of what is stored, with what was deleted and is not removed yet.
-    async fn kept_bytes(&self) -> Result<u64, StoreError> {
+    async fn stored_bytes(&self) -> Result<u64, StoreError> {
         let bytes: i64 = sql::query_scalar(
             "SELECT CAST(
                     COALESCE((SELECT SUM(bytes) FROM

@@ -12,21 +12,21 @@ use crate::store::hash::hash_file;
 
 /// What tells one content of a file from another without reading it: size, modification time in ns, and inode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Stamp(u64, i64, i64, u64);
+struct FileFingerprint(u64, i64, i64, u64);
 
-impl Stamp {
+impl FileFingerprint {
     fn of(file: &Metadata) -> Self {
         Self(file.size(), file.mtime(), file.mtime_nsec(), file.ino())
     }
 }
 
 /// A file's hash and the stamp it had then. The lock is held while the file is hashed, so that many readers hash it once.
-type Known = Arc<tokio::sync::Mutex<Option<(Stamp, String)>>>;
+type CachedHash = Arc<tokio::sync::Mutex<Option<(FileFingerprint, String)>>>;
 
 /// The hashes of files that were read by this process.
 #[derive(Clone, Default)]
 pub(super) struct Verification {
-    files: Arc<Mutex<HashMap<String, Known>>>,
+    files: Arc<Mutex<HashMap<String, CachedHash>>>,
 }
 
 impl Verification {
@@ -34,7 +34,7 @@ impl Verification {
     pub(super) async fn check(&self, key: &str, path: &Path, sha256: &str) -> Result<(), StoreError> {
         let known = self.lock().entry(key.to_owned()).or_default().clone();
         let mut known = known.lock().await;
-        let stamp = Stamp::of(&tokio::fs::metadata(path).await.map_err(|e| absent(e, key))?);
+        let stamp = FileFingerprint::of(&tokio::fs::metadata(path).await.map_err(|e| absent(e, key))?);
         if known.as_ref().is_none_or(|(then, _)| *then != stamp) {
             let path = path.to_owned();
             let hashed =
@@ -54,7 +54,7 @@ impl Verification {
     pub(super) async fn learn(&self, key: &str, path: &Path, sha256: &str) -> Result<(), StoreError> {
         let known = self.lock().entry(key.to_owned()).or_default().clone();
         let mut known = known.lock().await;
-        let stamp = Stamp::of(&tokio::fs::metadata(path).await?);
+        let stamp = FileFingerprint::of(&tokio::fs::metadata(path).await?);
         *known = Some((stamp, sha256.to_owned()));
         Ok(())
     }
@@ -64,7 +64,7 @@ impl Verification {
         self.lock().remove(key);
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<String, Known>> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<String, CachedHash>> {
         self.files.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -77,9 +77,9 @@ fn absent(error: std::io::Error, key: &str) -> StoreError {
 }
 
 /// The hash of a file, and its stamp from before it was read: a change meanwhile shows at the next check.
-fn hash(path: &Path) -> std::io::Result<(Stamp, String)> {
+fn hash(path: &Path) -> std::io::Result<(FileFingerprint, String)> {
     let mut file = File::open(path)?;
-    let stamp = Stamp::of(&file.metadata()?);
+    let stamp = FileFingerprint::of(&file.metadata()?);
     Ok((stamp, hash_file(&mut file)?))
 }
 

@@ -3,14 +3,14 @@
 use sqlx::FromRow;
 use sqlx::types::Json;
 
-use crate::api::webhooks::{WebhookChange, WebhookEvent};
-use crate::api::{KeyId, TenantId, WebhookId};
-use crate::store::page::placed;
+use relume_api::webhooks::{WebhookChange, WebhookEvent};
+use relume_api::{KeyId, TenantId, WebhookId};
+use crate::store::page::paginated;
 use crate::store::sql;
 use crate::store::{Page, Store, StoreError};
 
 /// Most webhooks of a tenant.
-const MOST: i64 = 16;
+const MAX_WEBHOOKS: i64 = 16;
 
 /// A webhook.
 #[derive(Clone, FromRow)]
@@ -46,7 +46,7 @@ pub struct WebhookRecord {
     pub switched_off_because: Option<String>,
 }
 
-placed!(WebhookRecord: created_ms);
+paginated!(WebhookRecord: created_ms);
 
 impl WebhookRecord {
     /// What signs at a time: the secret, and the one before for as long as it does.
@@ -90,10 +90,10 @@ impl Store {
         .bind(&webhook.made_by)
         .bind(webhook.created_ms)
         .bind(webhook.enabled)
-        .bind(MOST)
+        .bind(MAX_WEBHOOKS)
         .fetch_optional(&mut tx)
         .await?
-        .ok_or(StoreError::TooManyWebhooks { most: MOST })?;
+        .ok_or(StoreError::TooManyWebhooks { most: MAX_WEBHOOKS })?;
         tx.commit().await?;
         Ok(made)
     }

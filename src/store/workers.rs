@@ -3,8 +3,8 @@
 use sqlx::FromRow;
 use sqlx::types::Json;
 
-use crate::api::work::{WorkerHello, WorkerState, WorkerView};
-use crate::api::{JobId, WorkerId};
+use relume_api::work::{WorkerHello, WorkerState, WorkerView};
+use relume_api::{JobId, WorkerId};
 use crate::store::{Store, StoreError, rfc3339, sql};
 
 /// A worker.
@@ -36,9 +36,9 @@ pub struct WorkerRecord {
 }
 
 impl WorkerRecord {
-    /// As the API shows it; one that was not seen since `alive_ms` is lost.
-    pub fn view(self, alive_ms: i64) -> WorkerView {
-        let state = match (self.seen_ms < alive_ms, self.draining, &self.job) {
+    /// As the API shows it; one that was not seen since `heartbeat_cutoff_ms` is lost.
+    pub fn view(self, heartbeat_cutoff_ms: i64) -> WorkerView {
+        let state = match (self.seen_ms < heartbeat_cutoff_ms, self.draining, &self.job) {
             (true, _, _) => WorkerState::Lost,
             (false, true, _) => WorkerState::Draining,
             (false, false, Some(_)) => WorkerState::Working,
@@ -74,7 +74,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn note_worker(
+    pub async fn record_worker_heartbeat(
         &self,
         hello: &WorkerHello,
         server: Option<&str>,
@@ -99,7 +99,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn see_worker_of(&self, job: &JobId, token: &str, now_ms: i64) -> Result<(), StoreError> {
+    pub async fn record_lease_heartbeat(&self, job: &JobId, token: &str, now_ms: i64) -> Result<(), StoreError> {
         let mut tx = self.write_row().await?;
         let query = "UPDATE workers SET seen_ms = $3
              WHERE id = (SELECT worker FROM jobs WHERE id = $1 AND lease_token = $2)";
@@ -111,7 +111,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn excuse_workers(&self, now_ms: i64) -> Result<(), StoreError> {
+    pub async fn reset_heartbeats(&self, now_ms: i64) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
         sql::query("UPDATE workers SET seen_ms = $1").bind(now_ms).execute(&mut tx).await?;
         Ok(tx.commit().await?)
@@ -121,7 +121,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn forget_workers(&self, server: Option<&str>, seen_ms: i64) -> Result<(), StoreError> {
+    pub async fn remove_workers(&self, server: Option<&str>, seen_ms: i64) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
         let query = sql::query("DELETE FROM workers WHERE server = $1 OR seen_ms < $2");
         query.bind(server).bind(seen_ms).execute(&mut tx).await?;

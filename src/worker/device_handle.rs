@@ -6,11 +6,11 @@ use std::time::Duration;
 
 use tokio_util::sync::DropGuard;
 
-use crate::api::JobId;
-use crate::render::Frame;
+use relume_api::JobId;
+use relume_train::render::Frame;
 use crate::worker::previews::{Preview, Previews};
-use crate::worker::queued::{Queued, Request, Served};
-use crate::worker::render_queue::{Rank, RenderQueue};
+use crate::worker::queued::{Queued, Request, TimedAnswer};
+use crate::worker::render_queue::{RenderPriority, RenderQueue};
 use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
 
 /// How long a render may wait for its turn and run: long enough for the first preparation of a light.
@@ -49,34 +49,34 @@ impl DeviceHandle {
     ///
     /// # Errors
     /// [`RenderFailure::Busy`] when too many wait already, otherwise what the renderer said.
-    pub async fn render(&self, task: RenderTask) -> Result<Served<Frame>, RenderFailure> {
-        self.ask(task, Rank::Interactive, Request::Frame).await
+    pub async fn render(&self, task: RenderTask) -> Result<TimedAnswer<Frame>, RenderFailure> {
+        self.ask(task, RenderPriority::Interactive, Request::Frame).await
     }
 
     /// Renders while nobody else waits for a frame.
     ///
     /// # Errors
     /// As [`Self::render`].
-    pub async fn render_behind(&self, task: RenderTask) -> Result<Served<Frame>, RenderFailure> {
-        self.ask(task, Rank::Background, Request::Frame).await
+    pub async fn render_in_background(&self, task: RenderTask) -> Result<TimedAnswer<Frame>, RenderFailure> {
+        self.ask(task, RenderPriority::Background, Request::Frame).await
     }
 
     /// The stream of a light, made between frames. When it is not waited for any more, nothing is prepared.
     ///
     /// # Errors
     /// As [`Self::render`].
-    pub async fn light(&self, task: LightTask) -> Result<Served<Vec<u8>>, RenderFailure> {
-        self.ask(task, Rank::Interactive, Request::Light).await
+    pub async fn light(&self, task: LightTask) -> Result<TimedAnswer<Vec<u8>>, RenderFailure> {
+        self.ask(task, RenderPriority::Interactive, Request::Light).await
     }
 
     async fn ask<Task, Answer>(
         &self,
         task: Task,
-        rank: Rank,
+        priority: RenderPriority,
         request: impl FnOnce(Queued<Task, Answer>) -> Request,
-    ) -> Result<Served<Answer>, RenderFailure> {
+    ) -> Result<TimedAnswer<Answer>, RenderFailure> {
         let (queued, answer) = Queued::new(task, self.steps.load(Ordering::SeqCst));
-        let _place = self.requests.push(request(queued), rank).ok_or(RenderFailure::Busy)?;
+        let _slot = self.requests.push(request(queued), priority).ok_or(RenderFailure::Busy)?;
         match tokio::time::timeout(RENDER_TIMEOUT, answer).await {
             Ok(Ok(result)) => result,
             Ok(Err(_)) | Err(_) => Err(RenderFailure::Busy),

@@ -3,7 +3,7 @@
 //! The first steps are the cheapest ones, at half resolution, without shading and with few Gaussians: their mean pace says
 //! little about the rest.
 
-use crate::train::{LabelSource, TrainConfig};
+use relume_spec::training::{LabelSource, TrainConfig};
 
 /// What a pixel costs beside a Gaussian. This and the three below were measured on the CPU engine; only ratios count.
 const PIXEL: f64 = 0.45;
@@ -133,7 +133,7 @@ impl Eta {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::train::{Preset, TrainOverrides};
+    use relume_spec::training::{Preset, TrainOverrides};
 
     /// Milliseconds of every step of a training on a machine that is none of ours: pixels cost less beside Gaussians, shading
     /// and measuring more, each step a little more or less than that, and the machine is busy for a while.

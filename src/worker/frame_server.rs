@@ -2,13 +2,13 @@
 
 use std::panic::AssertUnwindSafe;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
-use crate::render::Frame;
+use relume_train::render::Frame;
 use crate::worker::opened_device::OpenedDevice;
 use crate::worker::panics::panic_message;
 use crate::worker::queued::Request;
-use crate::worker::render_queue::WaitingRenders;
+use crate::worker::render_queue::RenderReceiver;
 use crate::worker::renders::{LightTask, RenderCache, RenderFailure, RenderTask};
 
 /// Most frames that come at once; and between two bands of a dear one.
@@ -17,9 +17,9 @@ const BATCH: usize = 8;
 /// A device with the frames that wait for it, and the models and lights they use.
 pub(super) struct FrameServer {
     device: OpenedDevice,
-    waiting: WaitingRenders,
+    waiting: RenderReceiver,
     /// Shared with other threads of frames on the device.
-    cache: Arc<Mutex<RenderCache>>,
+    cache: Arc<RenderCache>,
     /// Training steps done.
     steps: Arc<AtomicU64>,
 }
@@ -27,11 +27,11 @@ pub(super) struct FrameServer {
 impl FrameServer {
     pub(super) fn new(
         device: OpenedDevice,
-        waiting: WaitingRenders,
+        waiting: RenderReceiver,
         cache: RenderCache,
         steps: Arc<AtomicU64>,
     ) -> Self {
-        Self { device, waiting, cache: Arc::new(Mutex::new(cache)), steps }
+        Self { device, waiting, cache: Arc::new(cache), steps }
     }
 
     /// Whether frames are rendered by a GPU.
@@ -45,16 +45,11 @@ impl FrameServer {
         Self { device: self.device.shared(), waiting, cache, steps }
     }
 
-    /// A frame that panicked leaves the cache cleared.
-    fn cache(&self) -> MutexGuard<'_, RenderCache> {
-        self.cache.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Ends when a frame waits, or the device has failed elsewhere.
     pub(super) async fn arrival(&mut self) {
         tokio::select! {
             () = self.waiting.arrival() => {}
-            () = self.device.failed_elsewhere() => {}
+            () = self.device.device_replaced() => {}
         }
     }
 
@@ -62,7 +57,7 @@ impl FrameServer {
     /// its memory be needed.
     pub(super) fn serve_waiting(&mut self) {
         if self.device.renew() {
-            self.cache().clear();
+            self.cache.clear();
         }
         for _ in 0..BATCH {
             match self.waiting.try_recv() {
@@ -75,7 +70,7 @@ impl FrameServer {
     /// Opens the device again after it failed; nothing on a failed device can be used. If it cannot be opened, the CPU
     /// engine replaces it.
     fn reopen(&mut self) {
-        self.cache().clear();
+        self.cache.clear();
         self.device.reopen();
     }
 
@@ -102,7 +97,7 @@ impl FrameServer {
     ) -> Result<T, RenderFailure> {
         let answer = std::panic::catch_unwind(AssertUnwindSafe(|| serve(self)));
         let answer = answer.unwrap_or_else(|panic| {
-            self.cache().clear();
+            self.cache.clear();
             Err(RenderFailure::Internal(panic_message(panic.as_ref())))
         });
         if matches!(answer, Err(RenderFailure::Device(_))) {
@@ -112,13 +107,13 @@ impl FrameServer {
     }
 
     fn light(&mut self, task: &LightTask, is_wanted: &dyn Fn() -> bool) -> Result<Vec<u8>, RenderFailure> {
-        let lit = self.cache().lit_model(task, self.device.device(), is_wanted)?;
+        let lit = self.cache.lit_model(task, self.device.device(), is_wanted)?;
         Ok(lit.stream(task.with_map))
     }
 
     /// Renders a task, and between the bands of a dear one those that wait and have a single band.
     fn render(&mut self, task: &RenderTask, is_wanted: &dyn Fn() -> bool) -> Result<Frame, RenderFailure> {
-        let scene = self.cache().scene(task, self.device.device(), is_wanted)?;
+        let scene = self.cache.scene(task, self.device.device(), is_wanted)?;
         scene.render(task, || {
             for _ in 0..BATCH {
                 match self.waiting.try_recv_cheap() {

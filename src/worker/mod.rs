@@ -14,20 +14,19 @@ mod progress;
 mod queued;
 mod render_queue;
 mod renders;
-mod source;
+mod job_source;
 mod start;
-mod stored;
+mod local_jobs;
 mod thread;
 mod training;
-mod verdict;
+mod failure_report;
 
 pub use device_handle::DeviceHandle;
 pub use opened_device::OpenedDevice;
 pub use previews::Preview;
 pub use renders::{LightSource, LightTask, ModelContent, ModelSource, RenderFailure, RenderTask};
-#[cfg(feature = "client")]
-pub use source::{Claim, TrainedModel};
-pub use source::{Claimed, Source, SourceError};
+pub use job_source::{Claim, TrainedModel};
+pub use job_source::{ClaimOutcome, JobSource, JobSourceError};
 pub use start::{TrainingOptions, WorkerOptions, start, start_training};
-pub use stored::StoredJobs;
-pub use thread::Ended;
+pub use local_jobs::LocalJobs;
+pub use thread::JobOutcome;

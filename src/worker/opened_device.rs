@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tokio::sync::watch;
 
-use crate::engine::{Device, DeviceChoice, DeviceError};
+use relume_engine::{Device, DeviceChoice, DeviceError};
 
 /// A device that is ready. Several threads may share one.
 pub struct OpenedDevice {
@@ -13,7 +13,7 @@ pub struct OpenedDevice {
     device: Device,
     /// What the threads that share it have opened last; said again each time that one of them failed.
     latest: Arc<watch::Sender<Device>>,
-    said: watch::Receiver<Device>,
+    updates: watch::Receiver<Device>,
 }
 
 impl OpenedDevice {
@@ -34,14 +34,14 @@ impl OpenedDevice {
     }
 
     fn of(choice: DeviceChoice, device: Device) -> Self {
-        let (latest, said) = watch::channel(device.clone());
-        Self { choice, device, latest: Arc::new(latest), said }
+        let (latest, updates) = watch::channel(device.clone());
+        Self { choice, device, latest: Arc::new(latest), updates }
     }
 
     /// The same device for another thread.
     pub(super) fn shared(&self) -> Self {
-        let (latest, said) = (self.latest.clone(), self.latest.subscribe());
-        Self { choice: self.choice, device: self.device.clone(), latest, said }
+        let (latest, updates) = (self.latest.clone(), self.latest.subscribe());
+        Self { choice: self.choice, device: self.device.clone(), latest, updates }
     }
 
     /// The device.
@@ -62,20 +62,20 @@ impl OpenedDevice {
             });
             tracing::warn!(device = latest.name(), "device opened again");
         });
-        self.device = self.said.borrow_and_update().clone();
+        self.device = self.updates.borrow_and_update().clone();
     }
 
     /// Goes over to the device that another thread has opened. True after a failure there: nothing should be kept on it then.
     pub(super) fn renew(&mut self) -> bool {
-        let has_failed = self.said.has_changed().unwrap_or(false);
-        self.device = self.said.borrow_and_update().clone();
+        let has_failed = self.updates.has_changed().unwrap_or(false);
+        self.device = self.updates.borrow_and_update().clone();
         has_failed
     }
 
     /// Ends when [`Self::renew`] would be true.
-    pub(super) async fn failed_elsewhere(&self) {
-        let mut said = self.said.clone();
-        if said.changed().await.is_err() {
+    pub(super) async fn device_replaced(&self) {
+        let mut updates = self.updates.clone();
+        if updates.changed().await.is_err() {
             std::future::pending().await
         }
     }
@@ -84,7 +84,7 @@ impl OpenedDevice {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::gpu::Gpu;
+    use relume_engine::gpu::Gpu;
 
     #[test]
     fn a_failure_on_one_thread_is_heard_of_once_on_the_other() {

@@ -3,11 +3,11 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::api::JobId;
-use crate::scene::Model;
+use relume_api::JobId;
+use relume_scene::Model;
 
 /// How long somebody who asked counts as watching.
-const WATCHING: Duration = Duration::from_secs(60);
+const WATCH_TIMEOUT: Duration = Duration::from_secs(60);
 /// Least time between two looks at a training.
 const INTERVAL: Duration = Duration::from_secs(2);
 
@@ -24,7 +24,7 @@ pub struct Preview {
 
 /// What is kept of the training that runs.
 #[derive(Default)]
-struct Kept {
+struct PreviewState {
     /// The job that trains.
     job: Option<JobId>,
     latest: Option<Preview>,
@@ -36,14 +36,14 @@ struct Kept {
 
 /// The looks of the training that runs, between the thread that trains and those who ask.
 #[derive(Default)]
-pub(super) struct Previews(Mutex<Kept>);
+pub(super) struct Previews(Mutex<PreviewState>);
 
 impl Previews {
     /// From now on `job` trains, until what this returns is dropped.
-    pub(super) fn of(self: &Arc<Self>, job: &JobId) -> Shown {
+    pub(super) fn of(self: &Arc<Self>, job: &JobId) -> PreviewPublisher {
         let mut kept = self.lock();
         (kept.job, kept.latest, kept.taken) = (Some(job.clone()), None, None);
-        Shown(self.clone())
+        PreviewPublisher(self.clone())
     }
 
     /// How `job` looked last, if it trains. Whoever asks is watching.
@@ -53,22 +53,22 @@ impl Previews {
         kept.latest.clone().filter(|_| kept.job.as_ref() == Some(job))
     }
 
-    fn lock(&self) -> MutexGuard<'_, Kept> {
+    fn lock(&self) -> MutexGuard<'_, PreviewState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// The training that is shown.
-pub(super) struct Shown(Arc<Previews>);
+pub(super) struct PreviewPublisher(Arc<Previews>);
 
-impl Shown {
+impl PreviewPublisher {
     /// Whether somebody watches and has not seen the training for a while.
     pub(super) fn is_due(&self) -> bool {
         let kept = self.0.lock();
         let is_watched = kept
             .asked
             .as_ref()
-            .is_some_and(|(job, at)| kept.job.as_ref() == Some(job) && at.elapsed() < WATCHING);
+            .is_some_and(|(job, at)| kept.job.as_ref() == Some(job) && at.elapsed() < WATCH_TIMEOUT);
         is_watched && kept.taken.is_none_or(|at| at.elapsed() >= INTERVAL)
     }
 
@@ -79,7 +79,7 @@ impl Shown {
     }
 }
 
-impl Drop for Shown {
+impl Drop for PreviewPublisher {
     fn drop(&mut self) {
         let mut kept = self.0.lock();
         (kept.job, kept.latest) = (None, None);
@@ -89,7 +89,7 @@ impl Drop for Shown {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Gaussians, ShadingOptions};
+    use relume_scene::{Gaussians, ShadingOptions};
 
     fn preview(step: u32) -> Preview {
         let model = Model {

@@ -1,21 +1,21 @@
 //! From step reports to progress events: at most two a second, each with the expected time to the end.
 
-use crate::api::jobs::JobProgress;
-use crate::train::{Progress, StepReport};
+use relume_api::jobs::JobProgress;
+use relume_train::{Progress, StepReport};
 use crate::worker::eta::Eta;
-use crate::worker::source::{Claim, SourceError};
+use crate::worker::job_source::{Claim, JobSourceError};
 
 /// Least time between two progress events.
 const INTERVAL_MS: i64 = 500;
 
 /// Decides when progress is reported.
-pub(super) struct Reporter {
+pub(super) struct ProgressReporter {
     eta: Eta,
     reported_ms: i64,
     last: JobProgress,
 }
 
-impl Reporter {
+impl ProgressReporter {
     pub(super) fn new(eta: Eta) -> Self {
         Self { eta, reported_ms: i64::MIN, last: JobProgress::default() }
     }
@@ -57,7 +57,7 @@ impl Reporter {
 }
 
 /// Reports what the worker does before the first step; the steps of earlier attempts stay.
-pub(super) async fn announce(claim: &dyn Claim, message: &str) -> Result<(), SourceError> {
+pub(super) async fn announce(claim: &dyn Claim, message: &str) -> Result<(), JobSourceError> {
     let task = claim.task();
     let update = JobProgress {
         step: task.checkpoint_step.unwrap_or(0),
@@ -71,7 +71,7 @@ pub(super) async fn announce(claim: &dyn Claim, message: &str) -> Result<(), Sou
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::train::{Preset, TrainConfig};
+    use relume_spec::training::{Preset, TrainConfig};
 
     fn step(step: u32) -> (StepReport, Progress) {
         let report =
@@ -82,7 +82,7 @@ mod tests {
     #[test]
     fn events_are_throttled_but_the_last_step_is_always_told() {
         let config = TrainConfig { iterations: 100, ..TrainConfig::preset(Preset::Draft) };
-        let mut reporter = Reporter::new(Eta::new(&config, 1.0, 0, 0));
+        let mut reporter = ProgressReporter::new(Eta::new(&config, 1.0, 0, 0));
         let mut at = |ms, n| {
             let (report, progress) = step(n);
             reporter.report(ms, &report, progress).is_some()

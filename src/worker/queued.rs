@@ -5,12 +5,13 @@ use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 use tracing::Span;
 
-use crate::render::{Frame, Quality};
+use relume_train::render::Frame;
+use relume_spec::rendering::Quality;
 use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
 
 /// An answer and what it cost to get it.
 #[derive(Debug, Clone)]
-pub struct Served<T> {
+pub struct TimedAnswer<T> {
     /// What was asked for.
     pub answer: T,
     /// Time in the queue.
@@ -24,7 +25,7 @@ pub struct Served<T> {
 /// A task and where its answer goes.
 pub(super) struct Queued<Task, Answer> {
     pub(super) task: Task,
-    reply: oneshot::Sender<Result<Served<Answer>, RenderFailure>>,
+    reply: oneshot::Sender<Result<TimedAnswer<Answer>, RenderFailure>>,
     queued: Instant,
     /// Training steps done when it was queued.
     steps_at_start: u64,
@@ -35,7 +36,7 @@ pub(super) struct Queued<Task, Answer> {
 }
 
 /// Where the answer to a task arrives; it fails when nobody serves it.
-type Reply<Answer> = oneshot::Receiver<Result<Served<Answer>, RenderFailure>>;
+type Reply<Answer> = oneshot::Receiver<Result<TimedAnswer<Answer>, RenderFailure>>;
 
 impl<Task, Answer> Queued<Task, Answer> {
     /// A task that is queued now, and where its answer arrives.
@@ -57,7 +58,7 @@ impl<Task, Answer> Queued<Task, Answer> {
         let begin = Instant::now();
         let steps_waited = steps_now - self.steps_at_start;
         let answer = self.span.in_scope(|| serve(&self.task, &|| !self.reply.is_closed()));
-        let served = answer.map(|answer| Served { answer, waited, steps_waited, took: begin.elapsed() });
+        let served = answer.map(|answer| TimedAnswer { answer, waited, steps_waited, took: begin.elapsed() });
         let _ = self.reply.send(served);
     }
 }

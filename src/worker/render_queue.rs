@@ -5,15 +5,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::Notify;
 
-use crate::render::Quality;
+use relume_spec::rendering::Quality;
 use crate::worker::queued::Request;
 
 /// Younger frames that may overtake one because they are cheaper.
-const PATIENCE: u32 = 16;
+const MAX_OVERTAKES: u32 = 16;
 
 /// Who waits for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Rank {
+pub(super) enum RenderPriority {
     /// Somebody who looks.
     Interactive,
     /// An export: it is rendered while nobody else waits.
@@ -22,64 +22,64 @@ pub(super) enum Rank {
 
 /// The side of the queue that asks for frames.
 #[derive(Clone)]
-pub(super) struct RenderQueue(Arc<Shared>);
+pub(super) struct RenderQueue(Arc<QueueInner>);
 
 /// The side of the queue that renders, for one thread or several. When the last is dropped, whoever waits is answered that the
 /// device is busy.
 #[derive(Clone)]
-pub(super) struct WaitingRenders {
-    queue: Arc<Shared>,
-    _last: Arc<Closing>,
+pub(super) struct RenderReceiver {
+    queue: Arc<QueueInner>,
+    _last: Arc<CloseOnDrop>,
 }
 
 /// Closes the queue when it is dropped.
-struct Closing(Arc<Shared>);
+struct CloseOnDrop(Arc<QueueInner>);
 
 /// A caller's place in the queue. A frame whose caller drops it is not rendered.
-pub(super) struct Place {
-    queue: Arc<Shared>,
+pub(super) struct QueueSlot {
+    queue: Arc<QueueInner>,
     id: u64,
 }
 
-struct Shared {
+struct QueueInner {
     capacity: usize,
-    state: Mutex<State>,
+    state: Mutex<QueueState>,
     arrived: Notify,
 }
 
 #[derive(Default)]
-struct State {
+struct QueueState {
     next: u64,
     closed: bool,
     /// In the order in which they came.
-    waiting: Vec<Entry>,
+    waiting: Vec<QueueEntry>,
 }
 
-struct Entry {
+struct QueueEntry {
     id: u64,
     cost: u64,
-    rank: Rank,
+    priority: RenderPriority,
     /// Younger ones that were rendered before it.
     overtaken: u32,
     request: Request,
 }
 
 /// A queue of at most `capacity` frames.
-pub(super) fn render_queue(capacity: usize) -> (RenderQueue, WaitingRenders) {
-    let shared = Arc::new(Shared { capacity, state: Mutex::default(), arrived: Notify::new() });
-    let waiting = WaitingRenders { queue: shared.clone(), _last: Arc::new(Closing(shared.clone())) };
+pub(super) fn render_queue(capacity: usize) -> (RenderQueue, RenderReceiver) {
+    let shared = Arc::new(QueueInner { capacity, state: Mutex::default(), arrived: Notify::new() });
+    let waiting = RenderReceiver { queue: shared.clone(), _last: Arc::new(CloseOnDrop(shared.clone())) };
     (RenderQueue(shared), waiting)
 }
 
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
+impl QueueInner {
+    fn lock(&self) -> MutexGuard<'_, QueueState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl RenderQueue {
     /// Queues a request; `None` when too many wait or nobody renders any more.
-    pub(super) fn push(&self, request: Request, rank: Rank) -> Option<Place> {
+    pub(super) fn push(&self, request: Request, priority: RenderPriority) -> Option<QueueSlot> {
         let mut state = self.0.lock();
         if state.closed || state.waiting.len() >= self.0.capacity {
             return None;
@@ -87,9 +87,9 @@ impl RenderQueue {
         let id = state.next;
         state.next += 1;
         let cost = request.cost();
-        state.waiting.push(Entry { id, cost, rank, overtaken: 0, request });
+        state.waiting.push(QueueEntry { id, cost, priority, overtaken: 0, request });
         self.0.arrived.notify_one();
-        Some(Place { queue: self.0.clone(), id })
+        Some(QueueSlot { queue: self.0.clone(), id })
     }
 
     /// True when nobody renders any more.
@@ -98,7 +98,7 @@ impl RenderQueue {
     }
 }
 
-impl WaitingRenders {
+impl RenderReceiver {
     /// Ends when a frame waits.
     pub(super) async fn arrival(&mut self) {
         while self.queue.lock().waiting.is_empty() {
@@ -111,9 +111,9 @@ impl WaitingRenders {
     pub(super) fn try_recv(&mut self) -> Option<Request> {
         let mut state = self.queue.lock();
         let waiting = &mut state.waiting;
-        let patient = waiting.iter().position(|e| e.rank == Rank::Interactive && e.overtaken >= PATIENCE);
+        let patient = waiting.iter().position(|e| e.priority == RenderPriority::Interactive && e.overtaken >= MAX_OVERTAKES);
         let cheapest =
-            || (0..waiting.len()).min_by_key(|&i| (waiting[i].rank == Rank::Background, waiting[i].cost));
+            || (0..waiting.len()).min_by_key(|&i| (waiting[i].priority == RenderPriority::Background, waiting[i].cost));
         let next = patient.or_else(cheapest)?;
         waiting[..next].iter_mut().for_each(|entry| entry.overtaken += 1);
         Some(waiting.remove(next).request)
@@ -123,13 +123,13 @@ impl WaitingRenders {
     pub(super) fn try_recv_cheap(&mut self) -> Option<Request> {
         let mut state = self.queue.lock();
         let waiting = &mut state.waiting;
-        let looked_at = (0..waiting.len()).filter(|&i| waiting[i].rank == Rank::Interactive);
+        let looked_at = (0..waiting.len()).filter(|&i| waiting[i].priority == RenderPriority::Interactive);
         let cheapest = looked_at.min_by_key(|&i| waiting[i].cost)?;
         (waiting[cheapest].cost <= Quality::CPU_BAND_COST).then(|| waiting.remove(cheapest).request)
     }
 }
 
-impl Drop for Closing {
+impl Drop for CloseOnDrop {
     fn drop(&mut self) {
         let mut state = self.0.lock();
         state.closed = true;
@@ -137,7 +137,7 @@ impl Drop for Closing {
     }
 }
 
-impl Drop for Place {
+impl Drop for QueueSlot {
     fn drop(&mut self) {
         self.queue.lock().waiting.retain(|entry| entry.id != self.id);
     }
@@ -146,7 +146,8 @@ impl Drop for Place {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::{Orbit, Output, Tier, Viewpoint};
+    use relume_train::render::{Orbit, Viewpoint};
+    use relume_spec::rendering::{Output, Tier};
     use crate::worker::queued::Queued;
     use crate::worker::{LightSource, LightTask, ModelContent, ModelSource, RenderTask};
 
@@ -169,12 +170,12 @@ mod tests {
     }
 
     /// Queues a frame of a size; its caller is the place.
-    fn push(queue: &RenderQueue, size: u32) -> Option<Place> {
-        push_as(queue, size, Rank::Interactive)
+    fn push(queue: &RenderQueue, size: u32) -> Option<QueueSlot> {
+        push_as(queue, size, RenderPriority::Interactive)
     }
 
-    fn push_as(queue: &RenderQueue, size: u32, rank: Rank) -> Option<Place> {
-        queue.push(Request::Frame(Queued::new(task(size, Tier::Standard), 0).0), rank)
+    fn push_as(queue: &RenderQueue, size: u32, priority: RenderPriority) -> Option<QueueSlot> {
+        queue.push(Request::Frame(Queued::new(task(size, Tier::Standard), 0).0), priority)
     }
 
     /// Side of a frame; none of a light.
@@ -185,7 +186,7 @@ mod tests {
         }
     }
 
-    fn next_size(waiting: &mut WaitingRenders) -> u32 {
+    fn next_size(waiting: &mut RenderReceiver) -> u32 {
         size_of(&waiting.try_recv().unwrap()).unwrap()
     }
 
@@ -209,7 +210,7 @@ mod tests {
         let (queue, mut waiting) = render_queue(9);
         let _places = [2048, 128, 64].map(|size| push(&queue, size).unwrap());
         let (light, _answer) = Queued::new(light(), 0);
-        let _light = queue.push(Request::Light(light), Rank::Interactive).unwrap();
+        let _light = queue.push(Request::Light(light), RenderPriority::Interactive).unwrap();
         let mut next = || waiting.try_recv_cheap().as_ref().map(size_of);
         assert_eq!([(); 3].map(|()| next()), [Some(Some(64)), Some(Some(128)), None]);
         assert_eq!(size_of(&waiting.try_recv().unwrap()), None, "a light waits for its turn");
@@ -219,9 +220,9 @@ mod tests {
     #[test]
     fn a_frame_that_nobody_looks_at_comes_after_all_others_and_between_no_bands() {
         let (queue, mut waiting) = render_queue(99);
-        let _export = push_as(&queue, 32, Rank::Background).unwrap();
+        let _export = push_as(&queue, 32, RenderPriority::Background).unwrap();
         assert!(waiting.try_recv_cheap().is_none(), "not between the bands of another");
-        for _ in 0..3 * PATIENCE {
+        for _ in 0..3 * MAX_OVERTAKES {
             let _looked_at = push(&queue, 1024).unwrap();
             assert_eq!(next_size(&mut waiting), 1024, "however cheap it is and however long it waits");
         }
@@ -242,7 +243,7 @@ mod tests {
             }
             before += 1;
         }
-        assert_eq!(before, PATIENCE);
+        assert_eq!(before, MAX_OVERTAKES);
     }
 
     #[tokio::test]
@@ -261,7 +262,7 @@ mod tests {
     async fn when_the_renderer_ends_whoever_waits_is_told() {
         let (queue, waiting) = render_queue(2);
         let (render, frame) = Queued::new(task(64, Tier::Standard), 0);
-        let _place = queue.push(Request::Frame(render), Rank::Interactive).unwrap();
+        let _place = queue.push(Request::Frame(render), RenderPriority::Interactive).unwrap();
         let other = waiting.clone();
         drop(waiting);
         assert!(!queue.is_closed(), "the control: another one renders");

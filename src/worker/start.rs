@@ -7,8 +7,8 @@ use std::thread::JoinHandle;
 
 use tokio_util::sync::CancellationToken;
 
-use crate::capture::ImportLimits;
-use crate::engine::DeviceChoice;
+use relume_capture::ImportLimits;
+use relume_engine::DeviceChoice;
 use crate::worker::device_handle::DeviceHandle;
 use crate::worker::frame_server::FrameServer;
 use crate::worker::frame_thread;
@@ -16,8 +16,8 @@ use crate::worker::opened_device::OpenedDevice;
 use crate::worker::previews::Previews;
 use crate::worker::render_queue::render_queue;
 use crate::worker::renders::RenderCache;
-use crate::worker::source::Source;
-use crate::worker::thread::{Ended, Worker};
+use crate::worker::job_source::JobSource;
+use crate::worker::thread::{JobOutcome, Worker};
 
 /// Sizes of the worker's queue and caches.
 #[derive(Debug, Clone, Copy)]
@@ -54,7 +54,7 @@ impl Default for WorkerOptions {
 /// # Errors
 /// When the operating system refuses a thread.
 pub fn start(
-    source: Arc<dyn Source>,
+    source: Arc<dyn JobSource>,
     device: OpenedDevice,
     options: WorkerOptions,
     stop: CancellationToken,
@@ -113,11 +113,11 @@ pub struct TrainingOptions {
 /// # Errors
 /// When the operating system refuses a thread.
 pub fn start_training(
-    source: Arc<dyn Source>,
+    source: Arc<dyn JobSource>,
     device: OpenedDevice,
     options: TrainingOptions,
     stop: CancellationToken,
-) -> io::Result<JoinHandle<Option<Ended>>> {
+) -> io::Result<JoinHandle<Option<JobOutcome>>> {
     let changes = source.changes();
     let worker = Worker {
         source,

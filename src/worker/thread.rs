@@ -10,13 +10,13 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use tracing::{Instrument, Span};
 
-use crate::capture::ImportLimits;
-use crate::engine::Device;
+use relume_capture::ImportLimits;
+use relume_engine::Device;
 use crate::traces::{self, TraceParent};
 use crate::worker::opened_device::OpenedDevice;
 use crate::worker::panics::panic_message;
 use crate::worker::previews::Previews;
-use crate::worker::source::{Claim, Claimed, Source, SourceError};
+use crate::worker::job_source::{Claim, ClaimOutcome, JobSource, JobSourceError};
 use crate::worker::training::outcome::AttemptEnd;
 
 /// How long an idle worker sleeps before it asks for a job unprompted.
@@ -24,32 +24,32 @@ const IDLE: Duration = Duration::from_secs(1);
 
 /// How work on a job ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ended {
+pub enum JobOutcome {
     /// Its model is published.
     Published,
     /// It has failed.
     Failed,
     /// It was cancelled, or another worker has it.
-    TakenAway,
+    LeaseLost,
     /// It is in the queue again.
-    GivenBack,
+    Requeued,
     /// There was none: the worker may not have any.
     Refused,
 }
 
-impl From<AttemptEnd> for Ended {
+impl From<AttemptEnd> for JobOutcome {
     fn from(end: AttemptEnd) -> Self {
         match end {
             AttemptEnd::Published => Self::Published,
-            AttemptEnd::Cancelled | AttemptEnd::Lost => Self::TakenAway,
-            AttemptEnd::Stopped => Self::GivenBack,
+            AttemptEnd::Cancelled | AttemptEnd::Lost => Self::LeaseLost,
+            AttemptEnd::Stopped => Self::Requeued,
         }
     }
 }
 
 /// A thread that trains.
 pub(super) struct Worker {
-    pub(super) source: Arc<dyn Source>,
+    pub(super) source: Arc<dyn JobSource>,
     /// What trains where a job does not say.
     pub(super) device: OpenedDevice,
     /// Training steps done.
@@ -68,23 +68,23 @@ pub(super) struct Worker {
 
 impl Worker {
     /// Works until it is to stop. Returns how the last job ended, if there was one.
-    pub(super) async fn run(mut self) -> Option<Ended> {
+    pub(super) async fn run(mut self) -> Option<JobOutcome> {
         let mut last = None;
         while !self.stop.is_cancelled() {
             self.changes.mark_unchanged();
             match self.source.clone().claim().await {
-                Ok(Claimed::Job(claim)) => {
+                Ok(ClaimOutcome::Job(claim)) => {
                     last = Some(self.work(claim.as_ref()).await);
                     if self.once {
                         break;
                     }
                 }
-                Ok(Claimed::Draining) => break,
-                Ok(Claimed::Nothing) if self.once => break,
-                Ok(Claimed::Nothing) => self.wait().await,
-                Err(SourceError::Refused(why)) => {
+                Ok(ClaimOutcome::Draining) => break,
+                Ok(ClaimOutcome::Nothing) if self.once => break,
+                Ok(ClaimOutcome::Nothing) => self.wait().await,
+                Err(JobSourceError::Refused(why)) => {
                     tracing::error!(why, "no job is given to this worker");
-                    return Some(Ended::Refused);
+                    return Some(JobOutcome::Refused);
                 }
                 Err(error) => {
                     tracing::error!(%error, "no job can be claimed");
@@ -111,7 +111,7 @@ impl Worker {
     }
 
     /// Makes one attempt at a job and records how it ended, also when it panics.
-    async fn work(&mut self, claim: &dyn Claim) -> Ended {
+    async fn work(&mut self, claim: &dyn Claim) -> JobOutcome {
         let span = self.span_of(claim);
         self.attempt(claim).instrument(span).await
     }
@@ -123,12 +123,12 @@ impl Worker {
         let device = self.device_of(claim).map_or_else(|_| self.device().name(), Device::name);
         let span = tracing::info_span!("attempt", job = %task.job, number = task.attempt, worker, device);
         if let Some(parent) = task.traceparent.as_deref().and_then(TraceParent::parse) {
-            traces::adopt(&span, &parent);
+            traces::link_parent(&span, &parent);
         }
         span
     }
 
-    async fn attempt(&mut self, claim: &dyn Claim) -> Ended {
+    async fn attempt(&mut self, claim: &dyn Claim) -> JobOutcome {
         self.device.renew();
         tracing::info!("started");
         let outcome = AssertUnwindSafe(self.train(claim)).catch_unwind().await;
@@ -139,7 +139,7 @@ impl Worker {
             }
             Ok(Err(failure)) => {
                 tracing::warn!(code = failure.code, detail = failure.detail, "failed");
-                traces::failed(&Span::current(), failure.code);
+                traces::record_error(&Span::current(), failure.code);
                 if failure.is_device_failure() {
                     self.device.reopen();
                 }
@@ -148,7 +148,7 @@ impl Worker {
             Err(panic) => {
                 let detail = panic_message(panic.as_ref());
                 tracing::error!(detail, "the attempt panicked");
-                traces::failed(&Span::current(), "panic");
+                traces::record_error(&Span::current(), "panic");
                 self.record_panic(claim).await
             }
         }

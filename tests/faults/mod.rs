@@ -3,10 +3,10 @@
 
 mod disk;
 
-use relume::api::cameras::CameraConvention;
-use relume::api::jobs::{JobState, JobView};
-use relume::api::{ModelId, Problem};
-use relume::client::{Client, ClientError};
+use relume_api::cameras::CameraConvention;
+use relume_api::jobs::{JobState, JobView};
+use relume_api::{ModelId, Problem};
+use relume_client::{Client, ClientError};
 use reqwest::Method;
 
 use crate::captures::small_set::{blender, gzip, tar};

@@ -8,16 +8,16 @@ use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume::api::jobs::{JobChange, NewJob};
-use relume::api::keys::NewKey;
-use relume::api::marks::{MarksChange, parse_labels};
-use relume::api::renders::RenderRequest;
-use relume::api::uploads::CaptureSource;
-use relume::api::webhooks::{NewWebhook, WebhookChange};
-use relume::api::{Problem, TenantId};
-use relume::capture::{self, ImportLimits, ImportOptions};
-use relume::formats::{environment, exr_image, image_file, model_file, ply_points};
-use relume::train::TrainConfig;
+use relume_api::jobs::{JobChange, NewJob};
+use relume_api::keys::NewKey;
+use relume_api::metadata::{MetadataChange, parse_labels};
+use relume_api::renders::RenderRequest;
+use relume_api::uploads::CaptureSource;
+use relume_api::webhooks::{NewWebhook, WebhookChange};
+use relume_api::{Problem, TenantId};
+use relume_capture::{self, ImportLimits, ImportOptions};
+use relume_capture::formats::{environment, exr_image, image_file, model_file, ply_points};
+use relume_spec::training::TrainConfig;
 use reqwest::{Method, header};
 use tempfile::NamedTempFile;
 
@@ -113,13 +113,13 @@ fn changed_bodies_make_no_reader_panic() {
     fuzz("bodies", &seeds::bodies(), |bytes| {
         if let Ok(job) = serde_json::from_slice::<NewJob>(bytes) {
             let _ = TrainConfig::new(job.preset, &job.overrides);
-            let _ = (job.marks().fault(), serde_json::to_vec(&job).unwrap());
+            let _ = (job.metadata().validation_error(), serde_json::to_vec(&job).unwrap());
         }
-        if let Ok(change) = serde_json::from_slice::<MarksChange>(bytes) {
-            let _ = relume::api::marks::Marks::default().changed(&change).fault();
+        if let Ok(change) = serde_json::from_slice::<MetadataChange>(bytes) {
+            let _ = relume_api::metadata::ResourceMetadata::default().changed(&change).validation_error();
         }
         if let Ok(key) = serde_json::from_slice::<NewKey>(bytes) {
-            let _ = key.fault(&TenantId::of_operator());
+            let _ = key.validation_error(&TenantId::of_operator());
         }
         let _ = serde_json::from_slice::<JobChange>(bytes);
         let _ = serde_json::from_slice::<RenderRequest>(bytes);

@@ -3,8 +3,8 @@
 use std::io::Cursor;
 
 use image::ImageEncoder;
-use relume::formats::{environment, exr_image, image_file, model_file, ply_model};
-use relume::scene::EnvMap;
+use relume_capture::formats::{environment, exr_image, image_file, model_file, ply_model};
+use relume_scene::EnvMap;
 use serde_json::json;
 
 use crate::captures::small_set::{Files, blender, camera, colmap, nerfstudio, picture};

@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume::api::jobs::{JobProgress, JobState, NewJob};
-use relume::api::marks::Marks;
-use relume::api::quality::{Figures, QualityGate};
-use relume::api::{JobId, ResourceKind, ResourceName, TenantId};
-use relume::capture::CaptureReport;
+use relume_api::jobs::{JobProgress, JobState, NewJob};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::quality::{Figures, QualityGate};
+use relume_api::{JobId, ResourceKind, ResourceName, TenantId};
+use relume_spec::CaptureReport;
 use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, Origin, SequentialIds};
 use relume::store::{
     CancelOutcome, CaptureRecord, Deletion, IdempotencyKey, LeaseStatus, ModelRecord, Release, Store,
@@ -96,7 +96,7 @@ impl Bench {
             sha256: "00".into(),
             bytes: 1,
             artifact: "captures/00".into(),
-            marks: Marks::default(),
+            metadata: ResourceMetadata::default(),
             report: CaptureReport::default(),
             made_of: None,
             created_ms: 0,
@@ -189,7 +189,7 @@ impl History<'_> {
                 let job = self.ids.iter().position(|known| known.as_str() == id);
                 Submission::Replayed(job.ok_or("an answer of another history")?)
             }
-            Err(StoreError::KeyReused) => Submission::KeyReused,
+            Err(StoreError::IdempotencyKeyReused) => Submission::IdempotencyKeyReused,
             Err(StoreError::Deleted(_)) => Submission::PredecessorDeleted,
             Err(error) => return Err(failed(error)),
         };
@@ -386,7 +386,7 @@ async fn publish(lease: &Lease, id: &str, psnr: f64) -> Result<LeaseStatus, Stor
         job_id: lease.job().id.clone(),
         capture_id: "capture".into(),
         gaussians: 1,
-        marks: Marks::default(),
+        metadata: ResourceMetadata::default(),
         card: serde_json::json!({}),
         created_ms: 0,
     };

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use relume::api::jobs::JobState;
+use relume_api::jobs::JobState;
 use relume::store::{LeaseStatus, Release};
 
 /// Steps of every job.
@@ -82,7 +82,7 @@ pub type Event = (usize, String, Option<String>);
 pub enum Submission {
     Created,
     Replayed(usize),
-    KeyReused,
+    IdempotencyKeyReused,
     PredecessorDeleted,
 }
 
@@ -140,7 +140,7 @@ impl Model {
         if let Some((key, request)) = key
             && let Some((known, job, _)) = self.keys.get(key)
         {
-            return if *known == request { Submission::Replayed(*job) } else { Submission::KeyReused };
+            return if *known == request { Submission::Replayed(*job) } else { Submission::IdempotencyKeyReused };
         }
         if retry_of.is_some_and(|job| self.jobs[job].deleted) {
             return Submission::PredecessorDeleted;

@@ -4,11 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume::api::jobs::{JobChange, JobState, JobView, NewJob};
-use relume::api::keys::{NewKey, Scope};
-use relume::api::marks::MarksChange;
-use relume::api::webhooks::{NewWebhook, WebhookEvent};
-use relume::client::{Client, ClientError};
+use relume_api::jobs::{JobChange, JobState, JobView, NewJob};
+use relume_api::keys::{NewKey, Scope};
+use relume_api::metadata::MetadataChange;
+use relume_api::webhooks::{NewWebhook, WebhookEvent};
+use relume_client::{Client, ClientError};
 use reqwest::Method;
 
 use super::known::{Fate, Kind, Thing};
@@ -349,7 +349,7 @@ impl Requests {
         let name = Some(format!("name {}", self.made));
         self.things[place].names.insert(name.clone());
         let id = self.things[place].id.as_str();
-        let change = MarksChange { name: Some(name.clone()), ..MarksChange::default() };
+        let change = MetadataChange { name: Some(name.clone()), ..MetadataChange::default() };
         let answer = match kind {
             Kind::Capture => client.change_capture(&id.into(), &change).await.map(drop),
             Kind::Environment => client.change_environment(&id.into(), &change).await.map(drop),
@@ -373,15 +373,15 @@ impl Requests {
             let (is_there, name) = match thing.kind {
                 Kind::Capture => {
                     let view = found(client.capture(&id.into()).await)?;
-                    (view.is_some(), view.and_then(|view| view.marks.name))
+                    (view.is_some(), view.and_then(|view| view.metadata.name))
                 }
                 Kind::Environment => {
                     let view = maps.uploaded.items.iter().find(|view| view.id.as_str() == id);
-                    (view.is_some(), view.and_then(|view| view.marks.name.clone()))
+                    (view.is_some(), view.and_then(|view| view.metadata.name.clone()))
                 }
                 Kind::Model => {
                     let view = found(client.model(&id.into()).await)?;
-                    (view.is_some(), view.and_then(|view| view.summary.marks.name))
+                    (view.is_some(), view.and_then(|view| view.summary.metadata.name))
                 }
                 Kind::Upload => {
                     let view = found(client.upload(&id.into()).await)?;
@@ -437,7 +437,7 @@ impl Requests {
 
     fn verify_job(&mut self, place: usize, view: JobView) -> Result<(), Stop> {
         let job = &mut self.things[place];
-        job.settle_name(view.marks.name.clone()).map_err(Stop::Wrong)?;
+        job.settle_name(view.metadata.name.clone()).map_err(Stop::Wrong)?;
         let ended_before = job.ended.is_some();
         job.settle_state(view.state).map_err(Stop::Wrong)?;
         let parent = job.parent.clone();

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use relume::api::jobs::JobState;
+use relume_api::jobs::JobState;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume::client::Client;
+use relume_client::Client;
 use relume::store::{Inspection, inspect};
 use tempfile::TempDir;
 

@@ -15,7 +15,7 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::TokioIo;
-use relume::store::ArtifactsPlace;
+use relume::store::ObjectStoreConfig;
 use s3s::auth::SimpleAuth;
 use s3s::service::{S3Service, S3ServiceBuilder};
 use s3s_fs::FileSystem;
@@ -110,11 +110,11 @@ impl Bucket {
     }
 
     /// As servers are told of it, less patient than they are.
-    pub fn place(&self) -> ArtifactsPlace {
-        let place = ArtifactsPlace::new(Self::url().parse().unwrap(), self.settings());
-        ArtifactsPlace {
-            patience: Duration::from_millis(700),
-            silence: Duration::from_secs(2),
+    pub fn place(&self) -> ObjectStoreConfig {
+        let place = ObjectStoreConfig::new(Self::url().parse().unwrap(), self.settings());
+        ObjectStoreConfig {
+            retry_timeout: Duration::from_millis(700),
+            stall_timeout: Duration::from_secs(2),
             part_bytes: 5 << 20,
             ..place
         }

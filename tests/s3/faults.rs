@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use relume::api::ModelId;
-use relume::api::captures::{CaptureState, CaptureSummary};
-use relume::api::exports::NewExport;
-use relume::api::jobs::JobState;
+use relume_api::ModelId;
+use relume_api::captures::{CaptureState, CaptureSummary};
+use relume_api::exports::NewExport;
+use relume_api::jobs::JobState;
 use relume::testing::TestServer;
 use reqwest::Method;
 use tempfile::TempDir;

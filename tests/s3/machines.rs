@@ -4,8 +4,8 @@ use std::path::Path;
 use std::process::{Command, Output};
 use std::time::Duration;
 
-use relume::api::cameras::CameraConvention;
-use relume::api::jobs::JobState;
+use relume_api::cameras::CameraConvention;
+use relume_api::jobs::JobState;
 use relume::testing;
 use tempfile::TempDir;
 

@@ -8,11 +8,11 @@ mod redirects;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
-use relume::api::ModelId;
-use relume::api::cameras::CameraConvention;
-use relume::api::exports::NewExport;
-use relume::api::jobs::JobState;
-use relume::client::{Client, ClientError};
+use relume_api::ModelId;
+use relume_api::cameras::CameraConvention;
+use relume_api::exports::NewExport;
+use relume_api::jobs::JobState;
+use relume_client::{Client, ClientError};
 use relume::server::ServerConfig;
 use relume::store::Store;
 use relume::testing::{self, TestServer};
@@ -140,7 +140,7 @@ async fn uploads_in_pieces_stay_on_the_machine_until_they_are_captures() {
 /// A bound under which no file stays for longer than it was used.
 fn tiny(config: &mut ServerConfig, stays: Duration) {
     let place = config.artifacts.as_mut().unwrap();
-    (place.cache_bytes, place.stays) = (1, stays);
+    (place.cache_bytes, place.cache_min_age) = (1, stays);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -213,7 +213,7 @@ async fn what_nothing_refers_to_goes_from_the_bucket_after_a_day_and_not_before(
     let store = Store::open(data.path()).await.unwrap().with_artifacts(&bucket.place()).unwrap();
     let day = |days: u64| SystemTime::now() + Duration::from_secs(days * 24 * 3600 + 60);
     let settled = async |at| {
-        let settled = store.settle_artifacts(at).await.unwrap();
+        let settled = store.reconcile_artifacts(at).await.unwrap();
         (settled.sent, settled.removed, settled.set_aside)
     };
     assert_eq!(settled(SystemTime::now()).await, (0, 0, 0), "another machine may be writing it");

@@ -1,6 +1,6 @@
 //! Callers who are sent to the bucket for files.
 
-use relume::api::jobs::JobState;
+use relume_api::jobs::JobState;
 use relume::server::ServerConfig;
 use relume::store::ArtifactsRedirect;
 use relume::testing::TestServer;

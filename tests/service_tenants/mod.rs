@@ -4,10 +4,10 @@ mod operations;
 
 use std::collections::BTreeSet;
 
-use relume::api::exports::{NewExport, SplatsExport, SplatsKind};
-use relume::api::keys::Scope::{self, Admin, Metrics, Work};
-use relume::api::{CaptureId, JobId, ModelId, TenantId, UploadId};
-use relume::client::Client;
+use relume_api::exports::{NewExport, SplatsExport, SplatsKind};
+use relume_api::keys::Scope::{self, Admin, Metrics, Work};
+use relume_api::{CaptureId, JobId, ModelId, TenantId, UploadId};
+use relume_client::Client;
 use relume::server::{ApiKeys, ServerConfig};
 use relume::store::{Filter, Page, Store};
 use relume::testing::{self, TestServer};
@@ -46,7 +46,7 @@ impl Tenant {
         let job = trained(&client).await;
         let delivery = client.deliveries(&webhook).await.unwrap().items.remove(0).id;
         let delivery = format!("{webhook}/deliveries/{delivery}");
-        let map = relume::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap();
+        let map = relume_capture::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap();
         let environment = client.upload_environment(map).await.unwrap().id.to_string();
         let key = bearer(server, name, &[Scope::Read]).await.1;
         let upload = client.begin_upload(9).await.unwrap();
@@ -333,7 +333,7 @@ async fn former_database(data: &TempDir) {
     let url = format!("sqlite:{}?mode=rwc", data.path().join("relume.db").display());
     let pool = sqlx::SqlitePool::connect(&url).await.unwrap();
     Migrator::new(former.path()).await.unwrap().run(&pool).await.unwrap();
-    let report = serde_json::to_string(&relume::capture::CaptureReport::default()).unwrap();
+    let report = serde_json::to_string(&relume_spec::CaptureReport::default()).unwrap();
     let insert = "INSERT INTO captures VALUES ('c', 'cc', 1, 'captures/cc', ?1, 5)";
     sqlx::query(insert).bind(report).execute(&pool).await.unwrap();
     for statement in [

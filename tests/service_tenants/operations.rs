@@ -1,6 +1,6 @@
 //! Every operation of the API, what it is about and who may ask.
 
-use relume::api::keys::Scope;
+use relume_api::keys::Scope;
 
 /// What an operation names or answers with.
 #[derive(Clone, Copy, PartialEq)]

@@ -5,9 +5,9 @@ mod collector;
 #[cfg(feature = "otlp")]
 mod sent;
 
-use relume::api::TenantId;
-use relume::api::jobs::NewJob;
-use relume::client::Client;
+use relume_api::TenantId;
+use relume_api::jobs::NewJob;
+use relume_client::Client;
 use relume::testing::spawn_with;
 use reqwest::Method;
 use serde_json::Value;

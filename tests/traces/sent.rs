@@ -4,9 +4,9 @@ use std::io::Read;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use relume::api::JobId;
-use relume::api::jobs::JobState;
-use relume::client::Client;
+use relume_api::JobId;
+use relume_api::jobs::JobState;
+use relume_client::Client;
 use reqwest::Method;
 use serde_json::json;
 use tempfile::TempDir;
@@ -139,7 +139,7 @@ async fn kernels(filter: &str) -> usize {
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 async fn batches_of_kernels_are_sent_where_they_are_asked_for() {
-    assert!(kernels("relume=info,relume::engine=debug").await >= 10, "one for each step at the least");
+    assert!(kernels("relume=info,relume_engine=debug").await >= 10, "one for each step at the least");
     assert_eq!(kernels("relume=info").await, 0, "the control");
 }
 

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume::api::webhooks::{DeliveryState, DeliveryView, NewWebhook, WebhookChange, WebhookEvent};
-use relume::client::ClientError;
+use relume_api::webhooks::{DeliveryState, DeliveryView, NewWebhook, WebhookChange, WebhookEvent};
+use relume_client::ClientError;
 use relume::jobs::{Clock, ManualClock};
 use relume::server::{ServerConfig, WebhookPolicy};
 use relume::testing::{self, TestServer};
@@ -116,7 +116,7 @@ async fn what_fails_is_tried_again_after_growing_gaps_with_the_same_identifier()
     for attempts in [1, 2] {
         let log = after(attempts).await;
         assert_eq!(log.state, DeliveryState::Pending);
-        assert!(log.attempts[attempts - 1].error.as_ref().unwrap().contains("it answered 50"), "{log:?}");
+        assert!(log.attempts[attempts - 1].error.as_ref().unwrap().contains("the receiver answered 50"), "{log:?}");
         assert!(client.webhook(&made.webhook.id).await.unwrap().failing_since.is_some());
         assert!(receiver.is_silent(), "not before its time");
         waited.push(wait_out(&clock, &log).as_secs());
@@ -170,7 +170,7 @@ async fn one_that_never_answers_keeps_no_other_waiting_and_an_endless_answer_is_
     cancelled(&server).await;
     tokio::join!(slow.next(), endless.next());
     let log = newest(client, &slow_one, |d| d.attempts.len() == 1).await;
-    assert_eq!(log.attempts[0].error.as_deref(), Some("it did not answer in time"));
+    assert_eq!(log.attempts[0].error.as_deref(), Some("the receiver did not answer in time"));
     let log = newest(client, &endless_one, |d| d.attempts.len() == 1).await;
     assert_eq!(
         (log.state, log.attempts[0].status),
@@ -198,7 +198,7 @@ async fn a_webhook_that_fails_for_days_is_switched_off_and_says_why() {
     let webhook = client.webhook(&id).await.unwrap();
     assert!(!webhook.enabled && webhook.switched_off_at.is_some(), "{webhook:?}");
     let why = webhook.switched_off_because.unwrap();
-    assert!(why.contains("2023-11-14T22:13:20Z") && why.contains("it answered 500"), "{why}");
+    assert!(why.contains("2023-11-14T22:13:20Z") && why.contains("the receiver answered 500"), "{why}");
     let given_up = newest(client, &id, |d| d.state == DeliveryState::Failed).await;
 
     // Nothing is entered any more, and nothing replayed.

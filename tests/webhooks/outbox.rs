@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use relume::api::jobs::JobState;
-use relume::api::webhooks::WebhookEvent;
-use relume::api::{JobId, ResourceKind, ResourceName, TenantId, WebhookId};
-use relume::store::{Attempt, Page, Store, WebhookRecord};
+use relume_api::jobs::JobState;
+use relume_api::webhooks::WebhookEvent;
+use relume_api::{JobId, ResourceKind, ResourceName, TenantId, WebhookId};
+use relume::store::{DeliveryAttempt, Page, Store, WebhookRecord};
 
 use crate::service_promises::{Bench, publish};
 
@@ -120,14 +120,14 @@ async fn messages_are_forgotten_after_a_month_and_with_their_webhook() {
         bench.jobs.cancel(&tenant, &id).await.unwrap();
         bench.clock.advance(Duration::from_secs(20 * 24 * 3600));
     }
-    store.forget_old_deliveries(bench.jobs.now_ms()).await.unwrap();
+    store.delete_old_deliveries(bench.jobs.now_ms()).await.unwrap();
     assert_eq!(entered(store, "default", "a").await.len(), 1, "the first is 40 days old, the second 20");
     // What comes of an attempt after the webhook was deleted is nobody's business.
     let due = store.due_deliveries(bench.jobs.now_ms()).await.unwrap().remove(0);
     assert!(!store.delete_webhook(&"b".into(), &"a".into()).await.unwrap(), "not by another tenant");
     assert_eq!(entered(store, "default", "a").await.len(), 1);
     assert!(store.delete_webhook(&tenant, &"a".into()).await.unwrap());
-    let attempt = Attempt { at_ms: 0, status: Some(200), error: None };
+    let attempt = DeliveryAttempt { at_ms: 0, status: Some(200), error: None };
     store.record_attempt(&due, attempt, None).await.unwrap();
     assert!(store.due_deliveries(i64::MAX).await.unwrap().is_empty());
 }

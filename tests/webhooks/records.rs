@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use relume::api::webhooks::{DeliveryState, NewWebhook, WebhookChange, WebhookEvent};
-use relume::client::{Client, ClientError};
+use relume_api::webhooks::{DeliveryState, NewWebhook, WebhookChange, WebhookEvent};
+use relume_client::{Client, ClientError};
 use relume::server::{ServerConfig, WebhookPolicy};
 use relume::testing;
 use reqwest::Method;
@@ -72,7 +72,7 @@ async fn an_address_is_checked_each_time_and_not_only_when_the_webhook_is_made()
     strict.client().replay_delivery(&id, &delivery).await.unwrap();
     let log = newest(strict.client(), &id, |d| d.attempts.len() == 2).await;
     let error = log.attempts[1].error.as_deref().unwrap();
-    assert!(error.contains("not public") && log.attempts[1].status.is_none(), "{error}");
+    assert!(error.contains("no public address") && log.attempts[1].status.is_none(), "{error}");
     assert!(receiver.is_silent());
 }
 

@@ -9,9 +9,9 @@ use std::time::{Duration, SystemTime};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume::api::JobId;
-use relume::api::jobs::JobState;
-use relume::client::Client;
+use relume_api::JobId;
+use relume_api::jobs::JobState;
+use relume_client::Client;
 use relume::testing::{database_name, database_of, spawn_with};
 use tempfile::TempDir;
 
@@ -46,7 +46,7 @@ async fn on_postgres_and_s3_jobs_end_once_whatever_is_killed_or_cut() {
     let data = run(Some(&bucket)).await;
     let store = open_store(data.path()).await.with_artifacts(&bucket.place()).unwrap();
     let after_a_day = SystemTime::now() + Duration::from_secs(25 * 3600);
-    store.settle_artifacts(after_a_day).await.unwrap();
+    store.reconcile_artifacts(after_a_day).await.unwrap();
     let keys = bucket.keys();
     assert_eq!(keys.len(), 1 + 2 * count(), "the capture, and two files a job: {keys:?}");
 }

@@ -2,18 +2,18 @@
 
 use std::time::Duration;
 
-use relume::api::jobs::{JobProgress, JobState};
-use relume::api::quality::Figures;
-use relume::api::work::{FinishedModel, LeaseStatus, Release, WorkEnd};
-use relume::client::ClientError;
-use relume::client::work::Work;
+use relume_api::jobs::{JobProgress, JobState};
+use relume_api::quality::Figures;
+use relume_api::work::{FinishedModel, LeaseStatus, Release, WorkEnd};
+use relume_client::ClientError;
+use relume_client::work::LeasedJob;
 use relume::testing::spawn_with;
 
 use crate::service_support::until;
 use crate::workers::fleet::{claimed, hello, short_job, spawn_server, upload, without_workers};
 
 /// Sends a model of two files and publishes it.
-async fn publish(work: &Work, bytes: &'static str) -> Result<LeaseStatus, ClientError> {
+async fn publish(work: &LeasedJob, bytes: &'static str) -> Result<LeaseStatus, ClientError> {
     let files = vec![
         work.put_file("model.safetensors", bytes.into()).await?,
         work.put_file("model.ply", bytes.into()).await?,
@@ -30,18 +30,18 @@ async fn a_lease_that_was_stolen_publishes_nothing_and_the_one_that_stands_does(
     let capture = upload(client).await;
     let id = client.create_job(&short_job(&capture), None).await.unwrap().id;
     let first = claimed(client, &hello("worker-1")).await;
-    let stale = client.work(id.clone(), first.lease.unwrap());
-    assert_eq!(stale.beat().await.unwrap().status, LeaseStatus::Held);
+    let stale = client.leased_job(id.clone(), first.lease.unwrap());
+    assert_eq!(stale.heartbeat().await.unwrap().status, LeaseStatus::Held);
     let sent = stale.put_file("model.safetensors", "stale".into()).await.unwrap();
     // The first worker falls silent for longer than it may.
     let second = claimed(client, &hello("worker-2")).await;
     assert_eq!(second.task.unwrap().attempt, 2);
-    let standing = client.work(id.clone(), second.lease.unwrap());
+    let standing = client.leased_job(id.clone(), second.lease.unwrap());
 
     let figures = Figures::default();
     let model = FinishedModel { gaussians: 1, card: serde_json::json!({}), figures, files: vec![sent] };
     let refused = [
-        stale.beat().await.map(drop),
+        stale.heartbeat().await.map(drop),
         stale.progress(&JobProgress::default()).await.map(drop),
         stale.warn("too late").await.map(drop),
         stale.put_checkpoint(30, "stale".into()).await.map(drop),
@@ -72,7 +72,7 @@ async fn a_model_whose_files_are_not_as_they_were_sent_is_not_published() {
     let capture = upload(client).await;
     let id = client.create_job(&short_job(&capture), None).await.unwrap().id;
     let claim = claimed(client, &hello("worker-1")).await;
-    let work = client.work(id.clone(), claim.lease.unwrap());
+    let work = client.leased_job(id.clone(), claim.lease.unwrap());
     let mut file = work.put_file("model.safetensors", "bytes".into()).await.unwrap();
     file.sha256 = "0".repeat(64);
     let model = |files| FinishedModel {
@@ -98,7 +98,7 @@ async fn what_was_sent_before_the_server_started_again_is_published_after_it() {
     let capture = upload(server.client()).await;
     let id = server.client().create_job(&short_job(&capture), None).await.unwrap().id;
     let lease = claimed(server.client(), &hello("worker-1")).await.lease.unwrap();
-    let work = server.client().work(id.clone(), lease.clone());
+    let work = server.client().leased_job(id.clone(), lease.clone());
     let sent = work.put_file("model.safetensors", "bytes".into()).await.unwrap();
     let data = server.stop().await.unwrap();
     // The control: of an attempt that is over.
@@ -107,7 +107,7 @@ async fn what_was_sent_before_the_server_started_again_is_published_after_it() {
     std::fs::write(&left, "left").unwrap();
 
     let server = spawn_with(data, without_workers).await.unwrap();
-    let work = server.client().work(id.clone(), lease);
+    let work = server.client().leased_job(id.clone(), lease);
     let (card, figures) = (serde_json::json!({}), Figures::default());
     let model = FinishedModel { gaussians: 1, card, figures, files: vec![sent] };
     assert_eq!(work.publish(&model).await.unwrap().status, LeaseStatus::Held);
@@ -125,10 +125,10 @@ async fn a_worker_that_lives_keeps_its_job_and_a_silent_one_loses_it() {
     let id = client.create_job(&short_job(&capture), None).await.unwrap().id;
     let claim = claimed(client, &hello("worker-1")).await;
     assert!(claim.beat_ms > 0 && claim.beat_ms < 2000);
-    let work = client.work(id.clone(), claim.lease.unwrap());
+    let work = client.leased_job(id.clone(), claim.lease.unwrap());
     for _ in 0..20 {
         tokio::time::sleep(Duration::from_millis(claim.beat_ms)).await;
-        assert_eq!(work.beat().await.unwrap().status, LeaseStatus::Held);
+        assert_eq!(work.heartbeat().await.unwrap().status, LeaseStatus::Held);
     }
     let job = until(client, &id, |job| job.state == JobState::Queued).await;
     assert_eq!(job.attempts, 1);

@@ -4,10 +4,10 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
-use relume::api::jobs::{JobState, NewJob};
-use relume::api::work::{Claimed, WorkerHello};
-use relume::api::{CaptureId, JobId};
-use relume::client::Client;
+use relume_api::jobs::{JobState, NewJob};
+use relume_api::work::{Claimed, WorkerHello};
+use relume_api::{CaptureId, JobId};
+use relume_client::Client;
 use relume::server::{ServerConfig, Trainers};
 use relume::testing::{TestServer, spawn_with};
 use tempfile::TempDir;
@@ -17,7 +17,7 @@ use crate::service_support::{capture_zip, ended, small_job};
 /// A server whose jobs workers elsewhere train, and which notices soon when one of them falls silent.
 pub fn without_workers(config: &mut ServerConfig) {
     config.trainers = Trainers::None;
-    config.lease.worker_silence = Duration::from_secs(2);
+    config.lease.heartbeat_timeout = Duration::from_secs(2);
 }
 
 /// Starts such a server.

@@ -1,6 +1,6 @@
 //! `relume worker` as operators run it: to the end, killed, asked to stop, refused.
 
-use relume::api::jobs::JobState;
+use relume_api::jobs::JobState;
 use relume::server::ApiKeys;
 use relume::testing::spawn_with;
 use tempfile::TempDir;

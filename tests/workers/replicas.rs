@@ -1,6 +1,6 @@
 //! Servers beside the first one of a database, on one bucket: a capture in at one, trained by another's worker, rendered by a third.
 
-use relume::api::jobs::JobState;
+use relume_api::jobs::JobState;
 use relume::server::{ServeError, ServerConfig};
 use relume::store::{DatabaseUrl, StoreError};
 use relume::testing::{TestServer, database_of, spawn_with};

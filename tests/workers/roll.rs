@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use relume::api::jobs::{JobDevice, JobState};
-use relume::api::keys::{NewKey, Scope};
-use relume::api::work::{WorkerChange, WorkerState};
-use relume::client::Client;
+use relume_api::jobs::{JobDevice, JobState};
+use relume_api::keys::{NewKey, Scope};
+use relume_api::work::{WorkerChange, WorkerState};
+use relume_client::Client;
 use relume::testing::spawn_with;
 use reqwest::Method;
 use tempfile::TempDir;
@@ -161,11 +161,11 @@ async fn claimed_by_nobody(admin: &Client) {
     admin.create_job(&short_job(&capture), None).await.unwrap();
     let mine = claimed(admin, &hello("worker-1")).await;
     let task = mine.task.unwrap();
-    let work = admin.work(task.job.clone(), mine.lease.unwrap());
+    let work = admin.leased_job(task.job.clone(), mine.lease.unwrap());
     for name in ["..", ".hidden", "checkpoint-00000010-x.safetensors"] {
         let refused = work.put_file(name, "bytes".into()).await.unwrap_err();
         assert!(refused.problem().is_none_or(|p| matches!(p.status, 404 | 405 | 422)), "{name}: {refused}");
     }
-    let foreign = admin.work(task.job, "a-lease-that-nobody-has".to_owned());
-    assert_eq!(foreign.beat().await.unwrap_err().problem().unwrap().status, 409);
+    let foreign = admin.leased_job(task.job, "a-lease-that-nobody-has".to_owned());
+    assert_eq!(foreign.heartbeat().await.unwrap_err().problem().unwrap().status, 409);
 }

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use crate::cli::bench::input::{BenchModel, read_capture};
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
-use crate::eval::TruthLayer::{self, Albedo, Alpha, Material, Normal, Occlusion};
-use crate::eval::{attribute, figure};
+use relume_train::eval::TruthLayer::{self, Albedo, Alpha, Material, Normal, Occlusion};
+use relume_train::eval::{attribute, figure};
 
 /// Options of `relume bench attribution`.
 #[derive(Debug, clap::Args)]

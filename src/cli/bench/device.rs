@@ -4,16 +4,18 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::capture::{Capture, SyntheticOptions, builtin, synthetic};
+use relume_capture::{Capture, SyntheticOptions, builtin, synthetic};
 use crate::cli::bench::table::{head, machine, publish, row};
 use crate::cli::error::CommandResult;
-use crate::engine::Device;
-use crate::engine::DeviceChoice;
-use crate::engine::gpu::{Counts, StageTime};
-use crate::eval::figure;
-use crate::render::{Output, Quality, Renderer, Tier};
-use crate::scene::{Camera, Model};
-use crate::train::{Preset, TrainConfig, TrainOverrides, Trainer};
+use relume_engine::Device;
+use relume_engine::DeviceChoice;
+use relume_engine::gpu::{Counts, StageTime};
+use relume_train::eval::figure;
+use relume_spec::rendering::{Output, Quality, Tier};
+use relume_train::render::Renderer;
+use relume_scene::{Camera, Model};
+use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
+use relume_train::Trainer;
 
 /// Steps before the measurement, in which pipelines are compiled and buffers grow to their size.
 const WARM_UP: usize = 5;
@@ -164,8 +166,8 @@ fn frames(
 ) -> CommandResult<Vec<(String, f64)>> {
     let renderer = Renderer::on(Arc::new(model), device)?;
     // A light of which a part is taken out, to cast a shadow.
-    let light = builtin("sunset").unwrap_or_else(|| renderer.model().environment());
-    let light = renderer.prepare_light(&light)?;
+    let light = builtin("sunset").map_or_else(|| renderer.model().recovered_light(), Into::into);
+    let light = renderer.prepare_light(light)?;
     let mut qualities: Vec<Quality> = [Tier::Preview, Tier::Standard, Tier::High].map(Quality::from).to_vec();
     qualities.extend((args.samples > 0).then(|| Quality::monte_carlo(args.samples)));
     let mut out = Vec::new();

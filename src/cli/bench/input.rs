@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::capture::{Capture, CaptureError, ImportOptions, import};
+use relume_capture::{Capture, CaptureError, ImportOptions, import};
 use crate::cli::input;
-use crate::scene::Model;
+use relume_scene::Model;
 
 /// A capture with its ground truth, its longest image side at most `resolution` pixels.
 pub(super) fn read_capture(path: &Path, resolution: u32) -> Result<Capture, CaptureError> {

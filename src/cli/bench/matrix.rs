@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
-use crate::capture::Capture;
+use relume_capture::Capture;
 use crate::cli::args::named;
 use crate::cli::bench::input::{file_name, read_capture};
 use crate::cli::bench::table::{head, row};
@@ -13,10 +13,10 @@ use crate::cli::bench::training::{Trained, train_and_evaluate};
 use crate::cli::error::CommandResult;
 use crate::cli::light::illuminate;
 use crate::cli::output;
-use crate::engine::{Device, DeviceChoice};
-use crate::eval::figure;
-use crate::formats::model_file;
-use crate::train::{Method, Preset, TrainConfig, TrainOverrides};
+use relume_engine::{Device, DeviceChoice};
+use relume_train::eval::figure;
+use relume_capture::formats::model_file;
+use relume_spec::training::{Method, Preset, TrainConfig, TrainOverrides};
 
 /// Options of `relume bench matrix`.
 #[derive(Debug, clap::Args)]
@@ -223,7 +223,7 @@ fn methods() -> Vec<Variant> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::{SyntheticOptions, synthetic};
+    use relume_capture::{SyntheticOptions, synthetic};
 
     #[test]
     fn every_built_in_variant_is_a_configuration_of_its_own() {

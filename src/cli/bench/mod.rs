@@ -7,13 +7,8 @@ mod device;
 mod input;
 mod matrix;
 mod poses;
-#[cfg(feature = "gpu")]
-mod precision;
-#[cfg(feature = "server")]
 mod quantiles;
-#[cfg(feature = "server")]
 mod queue;
-#[cfg(all(feature = "server", feature = "client"))]
 mod service;
 mod shadow;
 mod table;
@@ -41,15 +36,10 @@ enum What {
     Attribution(attribution::AttributionArgs),
     /// Poses that COLMAP finds for photographs, against those that their capture states.
     Poses(poses::PosesArgs),
-    #[cfg(feature = "gpu")]
-    /// Error of a device's engine against f64, stage by stage.
-    Precision(precision::PrecisionArgs),
-    #[cfg(feature = "server")]
     /// How fast jobs go through the queue when no worker computes anything, and what they leave in the database.
     Queue(queue::QueueArgs),
     /// Size, time and accuracy of trainings with all model features and with those that the scene requires.
     Complexity(complexity::ComplexityArgs),
-    #[cfg(all(feature = "server", feature = "client"))]
     /// How long thumbnails take beside a training, uploads, renders and half-sent requests, and the memory of each.
     Service(service::ServiceArgs),
     /// What is left of the cast shadows of the photographs in the albedo of models.
@@ -67,12 +57,8 @@ pub(super) fn run(args: &BenchArgs) -> CommandResult {
         What::Matrix(args) => matrix::run(args),
         What::Attribution(args) => attribution::run(args),
         What::Poses(args) => poses::run(args),
-        #[cfg(feature = "gpu")]
-        What::Precision(args) => precision::run(args),
-        #[cfg(feature = "server")]
         What::Queue(args) => queue::run(args),
         What::Complexity(args) => complexity::run(args),
-        #[cfg(all(feature = "server", feature = "client"))]
         What::Service(args) => service::run(args),
         What::Shadow(args) => shadow::run(args),
         What::Tradeoff(args) => tradeoff::run(args),

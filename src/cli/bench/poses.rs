@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use crate::capture::poses::{PoseOptions, Watch, find_poses};
-use crate::capture::{ImportLimits, PhotoCamera, Unposed, cameras};
+use relume_capture::poses::{PoseOptions, Watch, find_poses};
+use relume_capture::{ImportLimits, PhotoCamera, Unposed, cameras};
 use crate::cli::bench::input::file_name;
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
-use crate::eval::PoseErrors;
-use crate::scene::Camera;
+use relume_train::eval::PoseErrors;
+use relume_scene::Camera;
 
 /// Options of `relume bench poses`.
 #[derive(Debug, clap::Args)]

@@ -9,11 +9,11 @@ use futures::future::try_join_all;
 use tempfile::TempDir;
 use tokio::task::JoinHandle;
 
-use crate::api::jobs::{JobProgress, NewJob};
-use crate::api::marks::Marks;
-use crate::api::quality::Figures;
-use crate::api::{CaptureId, TenantId};
-use crate::capture::CaptureReport;
+use relume_api::jobs::{JobProgress, NewJob};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::quality::Figures;
+use relume_api::{CaptureId, TenantId};
+use relume_spec::CaptureReport;
 use crate::cli::bench::quantiles::Quantiles;
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
@@ -133,7 +133,7 @@ async fn insert_capture(store: &Store) -> Result<CaptureId, StoreError> {
         bytes: 0,
         artifact: "captures/none".to_owned(),
         made_of: None,
-        marks: Marks::default(),
+        metadata: ResourceMetadata::default(),
         report: CaptureReport::default(),
         created_ms: 0,
     };
@@ -170,7 +170,7 @@ async fn work(jobs: Jobs, reports: i64, published: Arc<AtomicU64>) -> Result<[Ve
             job_id: lease.job().id.clone(),
             capture_id: lease.job().request.capture.clone(),
             gaussians: 1,
-            marks: Marks::default(),
+            metadata: ResourceMetadata::default(),
             card: serde_json::Value::Null,
             created_ms: jobs.now_ms(),
         };

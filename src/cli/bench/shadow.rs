@@ -2,13 +2,14 @@
 
 use std::path::PathBuf;
 
-use crate::capture::CaptureView;
+use relume_capture::CaptureView;
 use crate::cli::bench::input::{BenchModel, read_capture};
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
-use crate::engine::cpu::linear_from_srgb;
-use crate::render::{Output, Renderer, Tier};
-use crate::scene::EnvMap;
+use relume_engine::cpu::linear_from_srgb;
+use relume_spec::rendering::{Output, Tier};
+use relume_train::render::Renderer;
+use relume_scene::EnvMap;
 
 /// Cosine to +Z of normals that face up: one plane, which only shadows divide.
 const UP: f32 = 0.95;

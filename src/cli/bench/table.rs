@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::path::Path;
 
 use crate::cli::output;
-use crate::engine::Device;
+use relume_engine::Device;
 
 /// A row of a table, with its newline.
 pub(super) fn row<T: Display>(cells: impl IntoIterator<Item = T>) -> String {

@@ -3,12 +3,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::capture::Capture;
+use relume_capture::Capture;
 use crate::cli::error::CommandResult;
-use crate::engine::Device;
-use crate::eval::{EvalOptions, Report, evaluate};
-use crate::scene::Model;
-use crate::train::{TrainConfig, Trainer};
+use relume_engine::Device;
+use relume_train::eval::{EvalOptions, Report, evaluate};
+use relume_scene::Model;
+use relume_spec::training::TrainConfig;
+use relume_train::Trainer;
 
 /// A trained model and its scores.
 pub(super) struct Trained {

@@ -4,18 +4,19 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 
-use crate::capture::{Capture, CaptureView};
+use relume_capture::{Capture, CaptureView};
 use crate::cli::bench::input::{BenchModel, read_capture};
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
-use crate::engine::channel::Channels;
-use crate::engine::constants::EarlyStop;
-use crate::engine::cpu::{AttributeSource, Occluders, Pass, Surface, surface_at, surface_point};
-use crate::engine::{RasterCamera, fibonacci_sphere};
-use crate::eval::evenly_spaced;
-use crate::light::sh_eval;
-use crate::render::{Output, Renderer, Tier};
-use crate::scene::{EnvMap, Field, Model, VisibilityForm};
+use relume_layout::channel::Channels;
+use relume_layout::constants::EarlyStop;
+use relume_engine::cpu::{AttributeSource, Occluders, Pass, Surface, surface_at, surface_point};
+use relume_engine::{RasterCamera, fibonacci_sphere};
+use relume_train::eval::evenly_spaced;
+use relume_scene::light::sh_eval;
+use relume_spec::rendering::{Output, Tier};
+use relume_train::render::Renderer;
+use relume_scene::{EnvMap, Field, Model, VisibilityForm};
 
 /// Least coverage of a surface point; pixels of less coverage are edges, which blend several surfaces.
 const SOLID: f32 = 0.9;

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use crate::capture::check::{PhotoFacts, PhotographsReport, check_photographs};
-use crate::capture::{ImportLimits, Unposed};
+use relume_capture::check::{PhotoFacts, PhotographsReport, check_photographs};
+use relume_capture::{ImportLimits, Unposed};
 use crate::cli::error::CommandResult;
 
 /// Names of photographs that a line shows.

@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::capture::poses::{
+use relume_capture::poses::{
     ClipOptions, PoseOptions, PoseProgress, PoseStage, Watch, find_poses, frames_of_clip, is_clip,
 };
-use crate::capture::{ImportLimits, Unposed};
+use relume_capture::{ImportLimits, Unposed};
 use crate::cli::error::CommandResult;
 
 /// How poses are found where photographs have none.

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use super::frame_list::FrameList;
 use crate::cli::args::{QualityArgs, named};
-use crate::engine::DeviceChoice;
-use crate::render::{AlphaMode, Background, ColourDepth, Output, Primaries, ToneCurve};
-use crate::scene::Model;
+use relume_engine::DeviceChoice;
+use relume_spec::rendering::{AlphaMode, Background, ColourDepth, Output, Primaries, ToneCurve};
+use relume_scene::Model;
 
 /// Options of `relume render`.
 #[derive(Debug, clap::Args)]

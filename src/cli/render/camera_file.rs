@@ -5,11 +5,12 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::args::CameraArgs;
-use crate::api::camera_path::{NerfstudioWorld, path_views, photo_view};
-use crate::api::problem::FieldError;
-use crate::capture::{ImportLimits, cameras_of_colmap};
+use crate::camera_path::{path_views, photo_view};
+use relume_api::NerfstudioWorld;
+use relume_api::problem::FieldError;
+use relume_capture::{ImportLimits, cameras_of_colmap};
 use crate::cli::input;
-use crate::render::{View, resized};
+use relume_train::render::{View, resized};
 
 /// Most frames of a file.
 const MOST_FRAMES: usize = 100_000;

@@ -11,7 +11,7 @@ mod views;
 use std::path::Path;
 
 use crate::cli::error::CommandResult;
-use crate::render::FrameFormat;
+use relume_spec::rendering::FrameFormat;
 
 pub(super) use args::{RenderArgs, finite, up_to};
 use numbering::Numbering;

@@ -10,7 +10,7 @@ use super::numbering::Numbering;
 use super::studio::Studio;
 use crate::cli::error::CommandResult;
 use crate::cli::output;
-use crate::render::View;
+use relume_train::render::View;
 
 /// Writes one picture.
 pub(super) fn single(studio: &Studio, view: &View, out: &Path) -> CommandResult {

@@ -7,18 +7,16 @@ use super::args::RenderArgs;
 use crate::cli::error::CommandResult;
 use crate::cli::input;
 use crate::cli::light::named_light;
-use crate::engine::Device;
-use crate::render::{
-    Background, Finish, FrameFormat, FrameNotes, Output, PreparedLight, Quality, Renderer, Tier, View,
-    encode_frame,
-};
-use crate::scene::{EnvMap, Model};
+use relume_engine::Device;
+use relume_spec::rendering::{Background, FrameFormat, Output, Quality, Tier};
+use relume_train::render::{Finish, FrameNotes, PreparedLight, Renderer, View, encode_frame};
+use relume_scene::{Illumination, Model};
 
 /// A model and a light, ready to be rendered many times.
 pub(super) struct Studio {
     renderer: Renderer,
     /// With its exposure, not turned.
-    map: EnvMap,
+    light: Illumination,
     quality: Quality,
     outputs: Vec<Output>,
     format: FrameFormat,
@@ -56,13 +54,13 @@ impl Studio {
         let model = Arc::new(input::read_model(&args.model)?);
         let outputs = args.outputs(&model)?;
         finish.check(&outputs, format)?;
-        let map = match args.env.as_str() {
-            "recovered" => model.environment(),
-            name => named_light(name, "recovered ")?,
+        let light = match args.env.as_str() {
+            "recovered" => model.recovered_light(),
+            name => named_light(name, "recovered ")?.into(),
         };
-        let map = map.rotated_and_scaled(0.0, args.exposure.exp2() as f32);
+        let light = light.rotated_and_scaled(0.0, args.exposure.exp2() as f32);
         let renderer = Renderer::on(model, &Device::open(args.device)?)?;
-        Ok(Self { renderer, map, quality, outputs, format, finish })
+        Ok(Self { renderer, light, quality, outputs, format, finish })
     }
 
     pub(super) fn model(&self) -> &Model {
@@ -76,8 +74,8 @@ impl Studio {
         let light = light.insert(match kept {
             Some(light) => light,
             None => {
-                let map = self.map.rotated_and_scaled(rotation_deg, 1.0);
-                TurnedLight { rotation_deg, prepared: self.renderer.prepare_light(&map)? }
+                let turned = self.light.rotated_and_scaled(rotation_deg, 1.0);
+                TurnedLight { rotation_deg, prepared: self.renderer.prepare_light(turned)? }
             }
         });
         let View { camera, .. } = view;

@@ -1,6 +1,6 @@
 //! Options about what trains in a server.
 
-use crate::engine::{AdapterReport, DeviceChoice, adapters};
+use relume_engine::{AdapterReport, DeviceChoice, adapters};
 use crate::server::{ServerConfig, Trainers};
 
 /// Options about what trains in a server.
@@ -28,7 +28,7 @@ impl CrewArgs {
     /// # Errors
     /// When a device is none, or there is no card.
     pub(super) fn apply(self, config: &mut ServerConfig) -> Result<(), String> {
-        if let Some(why) = crate::api::work::fault_of_labels(&self.worker_labels) {
+        if let Some(why) = relume_api::work::validate_labels(&self.worker_labels) {
             return Err(format!("--worker-labels: {why}"));
         }
         config.worker_labels = self.worker_labels;

@@ -10,7 +10,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use crate::cli::CommandResult;
 use crate::cli::artifacts::ArtifactsArgs;
 use crate::cli::database::DatabaseArgs;
-use crate::engine::DeviceChoice;
+use relume_engine::DeviceChoice;
 use crate::server::{self, CorsOrigin, ServerConfig};
 
 mod crew;
@@ -111,7 +111,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     args.crew.apply(&mut config)?;
     config.worker.import_limits.max_image_pixels = args.max_photo_megapixels * 1_000_000;
     config.lease.max_idle_attempts = args.max_attempts;
-    config.lease.worker_silence = Duration::from_secs(args.worker_silence);
+    config.lease.heartbeat_timeout = Duration::from_secs(args.worker_silence);
     let listener = TcpListener::bind(args.listen).await?;
     // With port 0 this line is how users and scripts learn the address.
     println!("listening on http://{}", listener.local_addr()?);

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 pub(super) use crate::cli::size::size;
-use crate::store::{ArtifactsPlace, ArtifactsRedirect, Retention};
+use crate::store::{ObjectStoreConfig, ArtifactsRedirect, Retention};
 
 /// Options about what is stored and for how long.
 #[derive(Debug, clap::Args)]
@@ -51,8 +51,8 @@ impl StorageArgs {
     }
 
     /// An object store of which no more than the bound is kept here.
-    pub(super) fn bounded(&self, place: ArtifactsPlace) -> ArtifactsPlace {
-        ArtifactsPlace {
+    pub(super) fn bounded(&self, place: ObjectStoreConfig) -> ObjectStoreConfig {
+        ObjectStoreConfig {
             cache_bytes: self.artifacts_cache,
             redirect: self.artifacts_redirect.clone(),
             ..place

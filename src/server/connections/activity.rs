@@ -8,10 +8,10 @@ use tokio::time::Instant;
 use crate::server::connections::ConnectionLimits;
 
 /// What one connection does.
-pub(super) struct Activity(watch::Sender<State>);
+pub(super) struct Activity(watch::Sender<ActivityState>);
 
 #[derive(Debug, Clone, Copy)]
-struct State {
+struct ActivityState {
     /// Requests that are being answered.
     requests: u32,
     /// True when part of a request's head has arrived.
@@ -20,7 +20,7 @@ struct State {
     since: Instant,
 }
 
-impl State {
+impl ActivityState {
     fn deadline(&self, limits: &ConnectionLimits) -> Option<Instant> {
         let allowed = if self.in_head { limits.head } else { limits.idle };
         (self.requests == 0).then(|| self.since + allowed)
@@ -30,7 +30,7 @@ impl State {
 impl Activity {
     /// A connection that was just opened.
     pub(super) fn new() -> Arc<Self> {
-        Arc::new(Self(watch::Sender::new(State { requests: 0, in_head: false, since: Instant::now() })))
+        Arc::new(Self(watch::Sender::new(ActivityState { requests: 0, in_head: false, since: Instant::now() })))
     }
 
     /// Bytes arrived. Between requests they begin the head of the next.
@@ -38,7 +38,7 @@ impl Activity {
         self.0.send_if_modified(|state| {
             let begins = state.requests == 0 && !state.in_head;
             if begins {
-                *state = State { in_head: true, since: Instant::now(), ..*state };
+                *state = ActivityState { in_head: true, since: Instant::now(), ..*state };
             }
             begins
         });
@@ -46,7 +46,7 @@ impl Activity {
 
     /// A request's head is complete; the connection is busy until the result is dropped.
     pub(super) fn begin(self: &Arc<Self>) -> Busy {
-        self.0.send_modify(|state| *state = State { requests: state.requests + 1, in_head: false, ..*state });
+        self.0.send_modify(|state| *state = ActivityState { requests: state.requests + 1, in_head: false, ..*state });
         Busy(self.clone())
     }
 
@@ -78,7 +78,7 @@ pub(super) struct Busy(Arc<Activity>);
 impl Drop for Busy {
     fn drop(&mut self) {
         self.0.0.send_modify(|state| {
-            *state = State { requests: state.requests - 1, in_head: false, since: Instant::now() };
+            *state = ActivityState { requests: state.requests - 1, in_head: false, since: Instant::now() };
         });
     }
 }

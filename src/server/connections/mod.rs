@@ -1,7 +1,7 @@
 //! Connections: how many there may be and how long a client may keep one waiting.
 //!
 //! hyper speaks HTTP/1.1 on each. Its own header timeout also runs while a connection idles between two requests, so it
-//! cannot tell a slow request from a quiet client; [`Activity`] can. [`Unread`] tells
+//! cannot tell a slow request from a quiet client; [`Activity`] can. [`UnreadBody`] tells
 //! what a request leaves behind.
 
 mod activity;
@@ -34,19 +34,19 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
-use crate::api::Problem;
+use crate::server::problem::Problem;
 use activity::Activity;
 pub use limits::{ConnectionLimits, raise_file_limit};
-use registry::{Registry, Ticket};
-use unread::Unread;
+use registry::{Registry, ConnectionSlot};
+use unread::UnreadBody;
 
 /// Pause after the operating system gave no socket, e.g. because this process may open no more files.
-const NO_SOCKET_PAUSE: Duration = Duration::from_millis(50);
+const ACCEPT_RETRY_PAUSE: Duration = Duration::from_millis(50);
 
 /// Longest time for which a client that was answered before it had sent its request is read from.
 const LINGER: Duration = Duration::from_secs(60);
 /// Longest time for which it may send nothing meanwhile.
-const SILENCE: Duration = Duration::from_secs(5);
+const LINGER_IDLE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Serves connections until `stop` is cancelled, then closes the waiting ones and lets requests end for at most `drain`.
 /// Returns whether all ended in time.
@@ -67,12 +67,12 @@ pub(super) async fn serve(
         };
         match accepted {
             Ok((stream, peer)) => match registry.admit(peer.ip()) {
-                Some(ticket) => {
-                    connections.spawn(connection(stream, peer, routes.clone(), limits, ticket, stop.clone()));
+                Some(slot) => {
+                    connections.spawn(connection(stream, peer, routes.clone(), limits, slot, stop.clone()));
                 }
-                None => turn_away(&stream, peer),
+                None => reject(&stream, peer),
             },
-            Err(error) => after_no_socket(&error, &registry).await,
+            Err(error) => handle_accept_error(&error, &registry).await,
         }
     }
     drop(listener);
@@ -86,23 +86,23 @@ async fn connection(
     peer: SocketAddr,
     routes: Router,
     limits: ConnectionLimits,
-    ticket: Ticket,
+    slot: ConnectionSlot,
     stop: CancellationToken,
 ) {
-    let activity = ticket.activity.clone();
+    let activity = slot.activity.clone();
     let io = TokioIo::new(watched(stream, limits, activity.clone()));
     let is_cut = AtomicBool::new(false);
     let service = service_fn(|request| Box::pin(answer(routes.clone(), request, activity.clone(), &is_cut)));
     let mut serving = http1::Builder::new().serve_connection(io, service);
     let ended = tokio::select! {
         result = poll_fn(|context| serving.poll_without_shutdown(context)) => Some(result),
-        () = ticket.activity.overdue(&limits) => return tracing::debug!(%peer, "sent no request in time"),
-        () = ticket.close.cancelled() => return tracing::debug!(%peer, "closed to make room"),
+        () = slot.activity.overdue(&limits) => return tracing::debug!(%peer, "sent no request in time"),
+        () = slot.close.cancelled() => return tracing::debug!(%peer, "closed to make room"),
         () = stop.cancelled() => None,
     };
     let result = match ended {
         Some(result) => result,
-        None if ticket.activity.waiting_since().is_some() => return,
+        None if slot.activity.waiting_since().is_some() => return,
         None => {
             Pin::new(&mut serving).graceful_shutdown();
             poll_fn(|context| serving.poll_without_shutdown(context)).await
@@ -114,7 +114,7 @@ async fn connection(
     let stream = serving.into_parts().io.into_inner();
     tokio::select! {
         () = close(stream, is_cut.into_inner()) => {}
-        () = ticket.close.cancelled() => tracing::debug!(%peer, "closed to make room"),
+        () = slot.close.cancelled() => tracing::debug!(%peer, "closed to make room"),
         () = stop.cancelled() => {}
     }
 }
@@ -128,7 +128,7 @@ async fn close(mut stream: impl AsyncRead + AsyncWrite + Unpin, is_cut: bool) {
     let flows = async {
         let mut piece = vec![0; 16 << 10];
         // Whichever way this ends, nobody is told more.
-        while let Ok(Ok(1..)) = tokio::time::timeout(SILENCE, stream.read(&mut piece)).await {}
+        while let Ok(Ok(1..)) = tokio::time::timeout(LINGER_IDLE_TIMEOUT, stream.read(&mut piece)).await {}
     };
     let _ = tokio::time::timeout(LINGER, flows).await;
 }
@@ -159,9 +159,9 @@ async fn answer(
 ) -> Result<Response, Infallible> {
     let busy = activity.begin();
     let (head, body) = request.into_parts();
-    let (unread, body) = Unread::lend(&head.headers, body);
+    let (unread, body) = UnreadBody::lend(&head.headers, body);
     let mut response = routes.oneshot(hyper::Request::from_parts(head, body)).await?;
-    if !unread.settle().await {
+    if !unread.drain_body().await {
         response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
         is_cut.store(true, Ordering::Relaxed);
     }
@@ -174,10 +174,10 @@ async fn answer(
 }
 
 /// Tells a client that there is no room, as far as that can be done without waiting for it.
-fn turn_away(stream: &TcpStream, peer: SocketAddr) {
+fn reject(stream: &TcpStream, peer: SocketAddr) {
     tracing::warn!(%peer, "no room for another connection");
     let problem = Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "Too many connections are open");
-    let body = serde_json::to_string(&problem.retry_after(1)).unwrap_or_default();
+    let body = serde_json::to_string(&*problem.retry_after(1)).unwrap_or_default();
     let length = body.len();
     let answer = format!(
         "HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/problem+json\r\nretry-after: 1\r\n\
@@ -188,14 +188,14 @@ fn turn_away(stream: &TcpStream, peer: SocketAddr) {
 }
 
 /// A waiting connection gives its socket up; the next try comes after a pause, so that this does not spin.
-async fn after_no_socket(error: &std::io::Error, registry: &Registry) {
+async fn handle_accept_error(error: &std::io::Error, registry: &Registry) {
     use std::io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     if matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset) {
         return;
     }
     tracing::error!(%error, "no socket for another connection");
-    registry.make_room();
-    tokio::time::sleep(NO_SOCKET_PAUSE).await;
+    registry.close_longest_waiting();
+    tokio::time::sleep(ACCEPT_RETRY_PAUSE).await;
 }
 
 #[cfg(test)]

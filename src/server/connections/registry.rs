@@ -12,23 +12,23 @@ use crate::server::connections::activity::Activity;
 /// The open connections.
 pub(super) struct Registry {
     limits: ConnectionLimits,
-    open: Mutex<Open>,
+    open: Mutex<OpenConnections>,
 }
 
 #[derive(Default)]
-struct Open {
+struct OpenConnections {
     next: u64,
-    connections: HashMap<u64, Entry>,
+    connections: HashMap<u64, ConnectionEntry>,
 }
 
-struct Entry {
+struct ConnectionEntry {
     address: IpAddr,
     activity: Arc<Activity>,
     close: CancellationToken,
 }
 
 /// A connection's place; given up when it is dropped.
-pub(super) struct Ticket {
+pub(super) struct ConnectionSlot {
     registry: Arc<Registry>,
     id: u64,
     pub(super) activity: Arc<Activity>,
@@ -42,9 +42,9 @@ impl Registry {
     }
 
     /// A place for a connection from `address`; `None` when all are taken by requests that are being answered.
-    pub(super) fn admit(self: &Arc<Self>, address: IpAddr) -> Option<Ticket> {
+    pub(super) fn admit(self: &Arc<Self>, address: IpAddr) -> Option<ConnectionSlot> {
         let mut open = self.lock();
-        let same = |entry: &Entry| entry.address == address;
+        let same = |entry: &ConnectionEntry| entry.address == address;
         let of_address = open.connections.values().filter(|e| same(e)).count();
         if !address.is_loopback() && of_address >= self.limits.per_address && !open.evict(same) {
             return None;
@@ -53,26 +53,26 @@ impl Registry {
             return None;
         }
         let (activity, close) = (Activity::new(), CancellationToken::new());
-        let entry = Entry { address, activity: activity.clone(), close: close.clone() };
+        let entry = ConnectionEntry { address, activity: activity.clone(), close: close.clone() };
         let id = open.next;
         open.next += 1;
         open.connections.insert(id, entry);
-        Some(Ticket { registry: self.clone(), id, activity, close })
+        Some(ConnectionSlot { registry: self.clone(), id, activity, close })
     }
 
     /// Closes the connection that has waited longest, if one waits.
-    pub(super) fn make_room(&self) {
+    pub(super) fn close_longest_waiting(&self) {
         self.lock().evict(|_| true);
     }
 
-    fn lock(&self) -> MutexGuard<'_, Open> {
+    fn lock(&self) -> MutexGuard<'_, OpenConnections> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Open {
+impl OpenConnections {
     /// Closes the connection that has waited longest among those that match; false when none of them waits.
-    fn evict(&mut self, matches: impl Fn(&Entry) -> bool) -> bool {
+    fn evict(&mut self, matches: impl Fn(&ConnectionEntry) -> bool) -> bool {
         let waiting = self.connections.iter().filter(|(_, entry)| matches(entry));
         let waiting = waiting.filter_map(|(id, entry)| Some((entry.activity.waiting_since()?, *id)));
         let Some((_, id)) = waiting.min() else { return false };
@@ -83,7 +83,7 @@ impl Open {
     }
 }
 
-impl Drop for Ticket {
+impl Drop for ConnectionSlot {
     fn drop(&mut self) {
         self.registry.lock().connections.remove(&self.id);
     }
@@ -97,7 +97,7 @@ mod tests {
         Arc::new(Registry::new(ConnectionLimits { connections, per_address, ..ConnectionLimits::default() }))
     }
 
-    fn from(registry: &Arc<Registry>, last: u8) -> Option<Ticket> {
+    fn from(registry: &Arc<Registry>, last: u8) -> Option<ConnectionSlot> {
         registry.admit(IpAddr::from([192, 0, 2, last]))
     }
 

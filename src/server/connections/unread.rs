@@ -14,34 +14,34 @@ use hyper::body::{Frame, SizeHint};
 use tokio::sync::oneshot;
 
 /// Most bytes that are taken in vain.
-const MOST_IN_VAIN: usize = 64 << 10;
+const MAX_DRAINED_BYTES: usize = 64 << 10;
 /// Longest time for which that is done.
-const LONGEST_IN_VAIN: Duration = Duration::from_millis(100);
+const DRAIN_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// A body that comes back to where it was lent from when it is dropped.
-struct Lent<B> {
+struct LentBody<B> {
     body: Option<B>,
     is_begun: bool,
     is_over: bool,
-    back: Option<oneshot::Sender<Returned<B>>>,
+    back: Option<oneshot::Sender<ReturnedBody<B>>>,
 }
 
 /// A body that whoever was to read it has dropped.
-struct Returned<B> {
+struct ReturnedBody<B> {
     body: B,
     is_begun: bool,
     is_over: bool,
 }
 
 /// A request's body while it is with its handler.
-pub(super) struct Unread<B> {
+pub(super) struct UnreadBody<B> {
     /// None where there is no body.
-    back: Option<oneshot::Receiver<Returned<B>>>,
+    back: Option<oneshot::Receiver<ReturnedBody<B>>>,
     /// Whether the client sends only after it was told to go on, which the first look at its body does.
     waits: bool,
 }
 
-impl<B> Unread<B>
+impl<B> UnreadBody<B>
 where
     B: HttpBody<Data = Bytes> + Send + Unpin + 'static,
     B::Error: Into<axum::BoxError>,
@@ -53,12 +53,12 @@ where
         }
         let waits = headers.contains_key(header::EXPECT);
         let (sender, receiver) = oneshot::channel();
-        let lent = Lent { body: Some(body), is_begun: false, is_over: false, back: Some(sender) };
+        let lent = LentBody { body: Some(body), is_begun: false, is_over: false, back: Some(sender) };
         (Self { back: Some(receiver), waits }, Body::new(lent))
     }
 
     /// Takes the little that may be left of the body. Returns whether nothing more of it may come.
-    pub(super) async fn settle(self) -> bool {
+    pub(super) async fn drain_body(self) -> bool {
         match self.back.map(|mut back| back.try_recv()) {
             None => true,
             Some(Ok(rest)) if rest.is_over => true,
@@ -71,7 +71,7 @@ where
 
 /// Takes a body, within bounds. Returns whether that was all of it.
 async fn take<B: HttpBody<Data = Bytes> + Unpin>(mut body: B) -> bool {
-    let mut left = MOST_IN_VAIN;
+    let mut left = MAX_DRAINED_BYTES;
     let all = async {
         while let Some(frame) = body.frame().await {
             let Ok(frame) = frame else { return false };
@@ -82,10 +82,10 @@ async fn take<B: HttpBody<Data = Bytes> + Unpin>(mut body: B) -> bool {
         }
         true
     };
-    tokio::time::timeout(LONGEST_IN_VAIN, all).await.unwrap_or(false)
+    tokio::time::timeout(DRAIN_TIMEOUT, all).await.unwrap_or(false)
 }
 
-impl<B: HttpBody<Data = Bytes> + Unpin> HttpBody for Lent<B> {
+impl<B: HttpBody<Data = Bytes> + Unpin> HttpBody for LentBody<B> {
     type Data = Bytes;
     type Error = B::Error;
 
@@ -109,11 +109,11 @@ impl<B: HttpBody<Data = Bytes> + Unpin> HttpBody for Lent<B> {
     }
 }
 
-impl<B> Drop for Lent<B> {
+impl<B> Drop for LentBody<B> {
     fn drop(&mut self) {
         if let (Some(back), Some(body)) = (self.back.take(), self.body.take()) {
             // Where the request is gone, so is its body.
-            let _ = back.send(Returned { body, is_begun: self.is_begun, is_over: self.is_over });
+            let _ = back.send(ReturnedBody { body, is_begun: self.is_begun, is_over: self.is_over });
         }
     }
 }
@@ -125,47 +125,47 @@ mod tests {
     use futures::StreamExt;
 
     /// Whether nothing is left of a body of `pieces` of 1,000 bytes of which `read` were read.
-    async fn settled(pieces: usize, read: usize, headers: &HeaderMap) -> bool {
+    async fn drained(pieces: usize, read: usize, headers: &HeaderMap) -> bool {
         let pieces = (0..pieces).map(|_| Ok::<_, std::io::Error>(Bytes::from(vec![0; 1000])));
-        let (unread, lent) = Unread::lend(headers, Body::from_stream(futures::stream::iter(pieces)));
+        let (unread, lent) = UnreadBody::lend(headers, Body::from_stream(futures::stream::iter(pieces)));
         let mut lent = lent.into_data_stream();
         for _ in 0..read {
             lent.next().await;
         }
         drop(lent);
-        unread.settle().await
+        unread.drain_body().await
     }
 
     #[tokio::test]
     async fn a_little_that_is_left_of_a_body_is_taken_and_much_is_not() {
         let none = HeaderMap::new();
         for (pieces, read) in [(0, 0), (3, 0), (3, 2), (3, 4), (60, 0), (2000, 1950), (2000, 2001)] {
-            assert!(settled(pieces, read, &none).await, "{read} of {pieces} read");
+            assert!(drained(pieces, read, &none).await, "{read} of {pieces} read");
         }
         for (pieces, read) in [(2000, 0), (2000, 1900)] {
-            assert!(!settled(pieces, read, &none).await, "{read} of {pieces} read");
+            assert!(!drained(pieces, read, &none).await, "{read} of {pieces} read");
         }
     }
 
     #[tokio::test]
     async fn a_client_that_waits_for_leave_to_send_is_not_told_to_send_in_vain() {
         let expect = HeaderMap::from_iter([(header::EXPECT, HeaderValue::from_static("100-continue"))]);
-        assert!(!settled(3, 0, &expect).await);
-        assert!(settled(3, 1, &expect).await, "it sends already");
+        assert!(!drained(3, 0, &expect).await);
+        assert!(drained(3, 1, &expect).await, "it sends already");
     }
 
     #[tokio::test(start_paused = true)]
     async fn a_body_that_does_not_come_is_not_waited_for() {
         let never = Body::from_stream(futures::stream::pending::<Result<Bytes, std::io::Error>>());
-        let (unread, lent) = Unread::lend(&HeaderMap::new(), never);
+        let (unread, lent) = UnreadBody::lend(&HeaderMap::new(), never);
         drop(lent);
-        assert!(!unread.settle().await);
+        assert!(!unread.drain_body().await);
     }
 
     #[tokio::test]
     async fn a_body_that_somebody_still_reads_may_have_more() {
-        let (unread, lent) = Unread::lend(&HeaderMap::new(), Body::from("all"));
-        assert!(!unread.settle().await);
+        let (unread, lent) = UnreadBody::lend(&HeaderMap::new(), Body::from("all"));
+        assert!(!unread.drain_body().await);
         drop(lent);
     }
 }

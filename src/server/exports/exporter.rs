@@ -5,10 +5,10 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tracing::Instrument;
 
-use crate::api::ExportId;
-use crate::api::exports::NewExport;
-use crate::server::app::Shared;
-use crate::server::exports::ended::{Ended, Patience};
+use relume_api::ExportId;
+use relume_api::exports::NewExport;
+use crate::server::app::AppState;
+use crate::server::exports::export_error::{ExportError, BusyRetry};
 use crate::server::exports::{frames, splats};
 use crate::store::{ClaimedExport, ExportedFile, StoreError};
 
@@ -16,12 +16,12 @@ use crate::store::{ClaimedExport, ExportedFile, StoreError};
 const INTERVAL: Duration = Duration::from_secs(10);
 
 /// Makes exports until the server stops.
-pub(in crate::server) async fn work(app: Shared) {
+pub(in crate::server) async fn work(app: AppState) {
     tokio::join!(lane(&app, true), lane(&app, false));
 }
 
 /// Makes those of frames, or all others, one after another.
-async fn lane(app: &Shared, frames: bool) {
+async fn lane(app: &AppState, frames: bool) {
     while !app.stop.is_cancelled() {
         // What was cancelled or has failed leaves its folder to this.
         if frames && let Err(error) = app.store.clear_export_folders().await {
@@ -38,34 +38,34 @@ async fn lane(app: &Shared, frames: bool) {
         }
         tokio::select! {
             () = app.stop.cancelled() => {}
-            () = app.exports.woken(frames) => {}
+            () = app.exports.wait_for_wake(frames) => {}
             () = tokio::time::sleep(INTERVAL) => {}
         }
     }
 }
 
 /// Makes one, and writes down what came of it.
-async fn run(app: &Shared, export: ClaimedExport) {
+async fn run(app: &AppState, export: ClaimedExport) {
     let id = export.record.id.clone();
     let token = app.stop.child_token();
     app.exports.begin(&id, token.clone());
     let made = tokio::select! {
         biased;
-        () = token.cancelled() => Err(Ended::Unwanted),
+        () = token.cancelled() => Err(ExportError::Unwanted),
         made = make(app, &export, &token) => made,
     };
     app.exports.end(&id);
     // Whatever still works on it aside ends soon.
     token.cancel();
     let kept = match made {
-        Ok(file) => keep(app, &id, file).await,
-        Err(Ended::Unwanted) if app.stop.is_cancelled() => {
-            app.store.requeue_exports(Some(&id)).await.map(drop).map_err(Ended::from)
+        Ok(file) => publish(app, &id, file).await,
+        Err(ExportError::Unwanted) if app.stop.is_cancelled() => {
+            app.store.requeue_exports(Some(&id)).await.map(drop).map_err(ExportError::from)
         }
-        Err(Ended::Unwanted) => Ok(()),
+        Err(ExportError::Unwanted) => Ok(()),
         Err(failed) => Err(failed),
     };
-    if let Err(Ended::Failed { code, detail }) = kept {
+    if let Err(ExportError::Failed { code, detail }) = kept {
         tracing::info!(export = %id, code, detail, "an export cannot be made");
         if let Err(error) = app.store.fail_export(&id, &code, &detail, app.jobs.now_ms()).await {
             tracing::error!(%error, export = %id, "the next start makes an export again");
@@ -74,23 +74,23 @@ async fn run(app: &Shared, export: ClaimedExport) {
 }
 
 /// Keeps the file of one, once the object store is there.
-async fn keep(app: &Shared, id: &ExportId, file: ExportedFile) -> Result<(), Ended> {
-    let patience = Patience::new();
+async fn publish(app: &AppState, id: &ExportId, file: ExportedFile) -> Result<(), ExportError> {
+    let busy_retry = BusyRetry::new();
     loop {
-        match app.store.keep_export(id, file.clone(), app.jobs.now_ms()).await {
+        match app.store.publish_export(id, file.clone(), app.jobs.now_ms()).await {
             // The next server makes it again of what is there.
             Err(StoreError::ArtifactsUnreachable(_)) if app.stop.is_cancelled() => return Ok(()),
-            Err(error @ StoreError::ArtifactsUnreachable(_)) => patience.wait(error.into()).await?,
+            Err(error @ StoreError::ArtifactsUnreachable(_)) => busy_retry.wait(error.into()).await?,
             kept => return Ok(kept.map(drop)?),
         }
     }
 }
 
 async fn make(
-    app: &Shared,
+    app: &AppState,
     export: &ClaimedExport,
     token: &CancellationToken,
-) -> Result<ExportedFile, Ended> {
+) -> Result<ExportedFile, ExportError> {
     match &export.request {
         NewExport::Frames(spec) => frames::make(app, &export.record, spec, token).await,
         NewExport::Splats(spec) => splats::make(app, &export.record, spec).await,

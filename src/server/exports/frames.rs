@@ -7,10 +7,11 @@ use std::sync::Arc;
 use tokio::io::AsyncWriteExt;
 use tokio_util::sync::CancellationToken;
 
-use crate::api::exports::{FramesExport, Package};
-use crate::render::{Background, Finish, FrameFormat, View, Viewpoint};
-use crate::server::app::Shared;
-use crate::server::exports::ended::{Ended, Patience};
+use relume_api::exports::{FramesExport, Package};
+use relume_spec::rendering::{Background, FrameFormat};
+use relume_train::render::{Finish, View, Viewpoint};
+use crate::server::app::AppState;
+use crate::server::exports::export_error::{ExportError, BusyRetry};
 use crate::server::exports::plan::FramesPlan;
 use crate::server::exports::{splats, video, zip};
 use crate::server::{models, renders};
@@ -22,11 +23,11 @@ const FPS: u32 = 24;
 
 /// Makes the frames that are not there yet, and a zip or a video of all.
 pub(super) async fn make(
-    app: &Shared,
+    app: &AppState,
     export: &ExportRecord,
     spec: &FramesExport,
     token: &CancellationToken,
-) -> Result<ExportedFile, Ended> {
+) -> Result<ExportedFile, ExportError> {
     let plan = FramesPlan::of(app, &export.tenant, spec).await?;
     let (model, _) = models::source(app, &export.tenant, &export.model_id).await?;
     let plan = Arc::new(plan);
@@ -47,8 +48,8 @@ pub(super) async fn make(
             write_whole(&file, &frame).await?;
             bytes += size;
             let done = i64::try_from(index + 1).unwrap_or(i64::MAX);
-            if !app.store.note_export(&export.id, done, bytes).await? {
-                return Err(Ended::Unwanted);
+            if !app.store.record_export_progress(&export.id, done, bytes).await? {
+                return Err(ExportError::Unwanted);
             }
         }
         names.push(name);
@@ -64,22 +65,22 @@ fn frame_name(index: usize, format: FrameFormat) -> String {
 }
 
 /// Where the cameras stand. A turntable takes that from the model, which is read for it.
-async fn views(app: &Shared, plan: &Arc<FramesPlan>, source: &ModelSource) -> Result<Vec<View>, Ended> {
+async fn views(app: &AppState, plan: &Arc<FramesPlan>, source: &ModelSource) -> Result<Vec<View>, ExportError> {
     if !plan.needs_model() {
         return Ok(plan.path_views());
     }
     let plan = plan.clone();
-    splats::with_model(app, source, 0, move |model| plan.views(&model).map_err(Ended::from)).await
+    splats::with_model(app, source, 0, move |model| plan.views(&model).map_err(ExportError::from)).await
 }
 
 /// Renders and encodes one frame, once nobody else waits for one.
 async fn frame(
-    app: &Shared,
+    app: &AppState,
     model: &ModelSource,
     plan: &FramesPlan,
     spec: &FramesExport,
     view: &View,
-) -> Result<Vec<u8>, Ended> {
+) -> Result<Vec<u8>, ExportError> {
     let task = RenderTask {
         model: model.clone(),
         light: plan.light.clone(),
@@ -93,11 +94,11 @@ async fn frame(
     let mut notes = renders::notes(&task, Some(view.camera));
     notes.frames_per_second = spec.frames_per_second;
     let finish = Finish { notes, ..plan.finish.clone() };
-    let patience = Patience::new();
+    let busy_retry = BusyRetry::new();
     loop {
-        match renders::render_behind(app, task.clone(), plan.format, finish.clone()).await {
+        match renders::render_in_background(app, task.clone(), plan.format, finish.clone()).await {
             Ok(bytes) => return Ok(bytes),
-            Err(refusal) => patience.wait(refusal).await?,
+            Err(refusal) => busy_retry.wait(refusal).await?,
         }
     }
 }
@@ -112,33 +113,33 @@ async fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
 }
 
 async fn package(
-    app: &Shared,
+    app: &AppState,
     export: &ExportRecord,
     spec: &FramesExport,
     folder: &Path,
     names: Vec<String>,
     token: &CancellationToken,
-) -> Result<ExportedFile, Ended> {
+) -> Result<ExportedFile, ExportError> {
     let (model, from, token) = (&export.model_id, folder.to_owned(), token.clone());
     let is_wanted = move || !token.is_cancelled();
     match spec.package {
         Package::Zip => {
             let path = folder.join("frames.zip");
             let to = path.clone();
-            aside(move || Ok(zip::pack(&from, &names, &to, &is_wanted)?)).await?;
+            run_blocking(move || Ok(zip::pack(&from, &names, &to, &is_wanted)?)).await?;
             Ok(ExportedFile { path, name: format!("{model}.zip"), content_type: "application/zip" })
         }
         Package::Mp4 => {
             let path = folder.join("frames.mp4");
             let (to, ffmpeg) = (path.clone(), app.exports.policy.ffmpeg.clone());
             let (extension, fps) = (spec.format.extension(), spec.frames_per_second.unwrap_or(FPS));
-            aside(move || video::encode(&ffmpeg, &from, extension, fps, &to, &is_wanted)).await?;
+            run_blocking(move || video::encode(&ffmpeg, &from, extension, fps, &to, &is_wanted)).await?;
             Ok(ExportedFile { path, name: format!("{model}.mp4"), content_type: "video/mp4" })
         }
     }
 }
 
 /// Runs work that blocks.
-async fn aside(work: impl FnOnce() -> Result<(), Ended> + Send + 'static) -> Result<(), Ended> {
+async fn run_blocking(work: impl FnOnce() -> Result<(), ExportError> + Send + 'static) -> Result<(), ExportError> {
     tokio::task::spawn_blocking(work).await.map_err(std::io::Error::other)?
 }

@@ -1,8 +1,9 @@
 //! The light of an export.
 
-use crate::api::renders::EnvironmentSpec;
-use crate::api::{Problem, TenantId};
-use crate::server::app::Shared;
+use relume_api::renders::EnvironmentSpec;
+use crate::server::problem::Problem;
+use relume_api::TenantId;
+use crate::server::app::AppState;
 use crate::server::lights;
 use crate::worker::LightSource;
 
@@ -11,12 +12,12 @@ use crate::worker::LightSource;
 /// # Errors
 /// 422 that names the field.
 pub(super) async fn light(
-    app: &Shared,
+    app: &AppState,
     tenant: &TenantId,
     spec: &EnvironmentSpec,
 ) -> Result<LightSource, Problem> {
     if spec.inline_base64.is_some() {
-        let detail = "is not taken by exports; upload the map to /v1/environments and name its id";
+        let detail = "is not accepted by exports; upload the map to /v1/environments and use its id";
         return Err(Problem::invalid_field("/environment/inline_base64", detail));
     }
     lights::light(app, tenant, spec).await

@@ -3,8 +3,8 @@
 //! `routes.rs` checks and queues them, `exporter.rs` is the task that makes them: frames one at a time behind those that somebody looks
 //! at, other files beside that, one at a time, too.
 
-mod desk;
-mod ended;
+mod queue;
+mod export_error;
 mod exporter;
 mod frames;
 mod light;
@@ -15,7 +15,7 @@ mod splats;
 mod video;
 mod zip;
 
-pub(super) use desk::ExportDesk;
-pub use desk::ExportPolicy;
+pub(super) use queue::ExportQueue;
+pub use queue::ExportPolicy;
 pub(super) use exporter::work;
 pub(super) use routes::routes;

@@ -1,14 +1,13 @@
 //! A sequence of frames as it was asked for: cameras, light, quality and finish, checked.
 
-use crate::api::camera_path::path_views;
-use crate::api::exports::{FramesExport, Package, TurntableSpec};
-use crate::api::{Problem, TenantId};
-use crate::render::{
-    Background, Finish, FrameFormat, FrameNotes, Quality, ToneCurve, Turntable, View, is_colour, resized,
-    turn_light,
-};
-use crate::scene::Model;
-use crate::server::app::Shared;
+use crate::camera_path::path_views;
+use relume_api::exports::{FramesExport, Package, TurntableSpec};
+use crate::server::problem::Problem;
+use relume_api::TenantId;
+use relume_spec::rendering::{Background, FrameFormat, Quality, ToneCurve, is_colour};
+use relume_train::render::{Finish, FrameNotes, Turntable, View, resized, turn_light};
+use relume_scene::Model;
+use crate::server::app::AppState;
 use crate::server::exports::light::light;
 use crate::server::exports::video;
 use crate::server::render_request::{check_finish, check_outputs, check_sides, quality};
@@ -40,7 +39,7 @@ enum Cameras {
 impl FramesPlan {
     /// # Errors
     /// 422 that names the field.
-    pub(super) async fn of(app: &Shared, tenant: &TenantId, spec: &FramesExport) -> Result<Self, Problem> {
+    pub(super) async fn of(app: &AppState, tenant: &TenantId, spec: &FramesExport) -> Result<Self, Problem> {
         let cameras = cameras(spec)?;
         check_outputs(&spec.outputs, spec.format)?;
         if !spec.environment_turn_deg.is_finite() {
@@ -87,7 +86,7 @@ impl FramesPlan {
     /// 422 for a turntable without cameras.
     pub(super) fn views(&self, model: &Model) -> Result<Vec<View>, Problem> {
         let Cameras::Turntable(turntable) = &self.cameras else { return Ok(self.path_views()) };
-        let refused = |error: crate::scene::CameraError| {
+        let refused = |error: relume_scene::CameraError| {
             Problem::invalid_field(format!("/turntable/{}", error.field), error.reason)
         };
         Ok(self.turned(turntable.views(model).map_err(refused)?))
@@ -117,15 +116,15 @@ fn cameras(spec: &FramesExport) -> Result<Cameras, Problem> {
     let size = match (spec.width, spec.height) {
         (None, None) => None,
         (Some(width), Some(height)) => Some((width, height)),
-        (None, Some(_)) => return Err(Problem::invalid_field("/width", "goes with height")),
-        (Some(_), None) => return Err(Problem::invalid_field("/height", "goes with width")),
+        (None, Some(_)) => return Err(Problem::invalid_field("/width", "is required with height")),
+        (Some(_), None) => return Err(Problem::invalid_field("/height", "is required with width")),
     };
     size.map_or(Ok(()), check_sides)?;
     match (&spec.turntable, &spec.path) {
         (Some(table), None) => turntable(table, size.unwrap_or(SIZE)).map(Cameras::Turntable),
         (None, Some(_)) => path(spec, size).map(Cameras::Path),
-        (Some(_), Some(_)) => Err(Problem::invalid_field("/path", "goes without turntable")),
-        (None, None) => Err(Problem::invalid_field("/turntable", "must be there, or path")),
+        (Some(_), Some(_)) => Err(Problem::invalid_field("/path", "must not be combined with turntable")),
+        (None, None) => Err(Problem::invalid_field("/turntable", "either turntable or path is required")),
     }
 }
 
@@ -156,7 +155,7 @@ fn path(spec: &FramesExport, size: Option<(u32, u32)>) -> Result<Vec<View>, Prob
     let views = path_views(json, size.unwrap_or(SIZE), spec.path_world.as_ref());
     let views = views.map_err(|error| refused(error.pointer, error.detail))?;
     if !(1..=MOST_FRAMES).contains(&views.len()) {
-        let why = format!("has {} cameras; 1 to {MOST_FRAMES} are rendered", views.len());
+        let why = format!("must have 1 to {MOST_FRAMES} cameras, got {}", views.len());
         return Err(refused(String::new(), why));
     }
     let views = match size {
@@ -188,33 +187,33 @@ fn finish(spec: &FramesExport) -> Finish {
     }
 }
 
-fn check_video(app: &Shared, spec: &FramesExport, cameras: &Cameras) -> Result<(), Problem> {
+fn check_video(app: &AppState, spec: &FramesExport, cameras: &Cameras) -> Result<(), Problem> {
     let refused = |field: &str, why: &str| Err(Problem::invalid_field(field, why));
     if video::find(&app.exports.policy.ffmpeg).is_none() {
         let why =
-            "mp4 needs ffmpeg, which this server does not have; take zip, or ask its operator to install it";
+            "mp4 requires ffmpeg, which is not installed on this server; use zip, or ask the operator to install ffmpeg";
         return refused("/package", why);
     }
     if spec.format == FrameFormat::Exr {
-        return refused("/format", "a video is made of png or jpeg frames");
+        return refused("/format", "must be png or jpeg for a video");
     }
     if spec.tone_curve == ToneCurve::Linear {
-        return refused("/tone_curve", "linear is not for displays, and so not for a video");
+        return refused("/tone_curve", "must not be linear for a video");
     }
     if spec.frames_per_second.is_some_and(|fps| fps > MOST_FPS) {
-        return refused("/frames_per_second", &format!("of a video must be 1 to {MOST_FPS}"));
+        return refused("/frames_per_second", &format!("must be 1 to {MOST_FPS} for a video"));
     }
     let (width, height) = cameras.largest();
     let is_stated = spec.width.is_some() || spec.turntable.is_some();
     for (field, side) in [("/width", width), ("/height", height)] {
         if !side.is_multiple_of(2) {
-            return refused(if is_stated { field } else { "/path" }, "of a video must be even");
+            return refused(if is_stated { field } else { "/path" }, "must be even for a video");
         }
     }
     if let Cameras::Path(views) = cameras
         && views.iter().any(|view| (view.camera.width, view.camera.height) != (width, height))
     {
-        return refused("/path", "has cameras of several sizes; a video has one: state width and height");
+        return refused("/path", "has cameras of different sizes, but a video has one size: set width and height");
     }
     Ok(())
 }

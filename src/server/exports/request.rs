@@ -2,10 +2,11 @@
 
 use serde_json::Value;
 
-use crate::api::exports::{NewExport, SplatsExport};
-use crate::api::{Problem, TenantId};
-use crate::render::{MOST_BAKED_DEGREE, Shown};
-use crate::server::app::Shared;
+use relume_api::exports::{NewExport, SplatsExport};
+use crate::server::problem::Problem;
+use relume_api::TenantId;
+use relume_spec::rendering::{MOST_BAKED_DEGREE, Shown};
+use crate::server::app::AppState;
 use crate::server::exports::light::light;
 use crate::server::exports::plan::FramesPlan;
 use crate::server::extract;
@@ -27,7 +28,7 @@ pub(super) fn read(body: Value) -> Result<NewExport, Problem> {
 ///
 /// # Errors
 /// 422 that names the field.
-pub(super) async fn check(app: &Shared, tenant: &TenantId, export: &NewExport) -> Result<i64, Problem> {
+pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport) -> Result<i64, Problem> {
     match export {
         NewExport::Frames(frames) => {
             let plan = FramesPlan::of(app, tenant, frames).await?;
@@ -61,6 +62,6 @@ pub(super) fn shown(splats: &SplatsExport) -> Result<Option<Shown>, Problem> {
     match (splats.layer, &splats.environment) {
         (layer, None) => Ok(layer),
         (Some(Shown::Relit) | None, Some(_)) => Ok(Some(Shown::Relit)),
-        (Some(_), Some(_)) => Err(Problem::invalid_field("/environment", "goes with the layer relit alone")),
+        (Some(_), Some(_)) => Err(Problem::invalid_field("/environment", "is allowed only with the layer relit")),
     }
 }

@@ -10,14 +10,15 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::exports::{ExportState, ExportView, NewExport};
-use crate::api::{ExportId, List, ModelId, Problem, TenantId};
-use crate::server::app::Shared;
+use relume_api::exports::{ExportState, ExportView, NewExport};
+use relume_api::{ExportId, List, ModelId, TenantId};
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::exports::request;
 use crate::server::extract::{LargeJson, QueryString, UrlPath};
-use crate::server::files::{self, Asked};
+use crate::server::files::{self, FileRequest};
 use crate::server::idempotency;
 use crate::server::listing::PageQuery;
 use crate::store::{ExportDeletion, ExportRecord, ModelFile, StoreError, Submitted};
@@ -28,7 +29,7 @@ const EXPORTS: &str = "/v1/exports";
 const BODY_LIMIT: usize = 8 << 20;
 
 /// The routes of this file.
-pub(in crate::server) fn routes() -> OpenApiRouter<Shared> {
+pub(in crate::server) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(create_export))
         .routes(routes!(list_exports))
@@ -38,25 +39,28 @@ pub(in crate::server) fn routes() -> OpenApiRouter<Shared> {
 
 /// Queue an export
 ///
-/// `kind` says what is made: `frames` (a zip of images, or an mp4 by ffmpeg), `gltf`, `usd`, `usdz`, `ply`, or `mesh` (a `.glb` of
-/// triangles with textures). The options are those of `relume render` and `relume export`, and so are the bytes. Frames are rendered
-/// one at a time while nobody else waits for a frame; a server that is stopped goes on with those that are there. With an
-/// `Idempotency-Key` header as `POST /v1/jobs`.
+/// `kind` selects the result: `frames` (a zip of images, or an mp4 made with ffmpeg), `gltf`, `usd`, `usdz`,
+/// `ply`, or `mesh` (a `.glb` with a textured triangle mesh). Options and output bytes are the same as those
+/// of `relume render` and `relume export`.
+///
+/// The server renders the frames of an export one at a time while no other request waits for a frame. After a
+/// restart it continues with the completed frames. The header `Idempotency-Key` has the same meaning as for
+/// `POST /v1/jobs`.
 #[utoipa::path(
     post, path = "/v1/models/{id}/exports", tag = "exports", request_body = NewExport,
     params(
-        ("id" = String, Path),
-        ("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible characters")
+        ("id" = String, Path, description = "Model identifier"),
+        ("Idempotency-Key" = Option<String>, Header, description = "Key of the request, 1 to 255 visible ASCII characters")
     ),
     responses(
         (status = 202, body = ExportView),
         (status = 404, body = Problem), (status = 413, body = Problem),
-        (status = 422, body = Problem, description = "A field is wrong, or the key came with another body"),
-        (status = 429, body = Problem, description = "As many wait or run as may")
+        (status = 422, body = Problem, description = "A field is invalid, or the idempotency key was used with another body"),
+        (status = 429, body = Problem, description = "The tenant has the maximum number of queued and running exports")
     )
 )]
 async fn create_export(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(model): UrlPath<ModelId>,
     headers: HeaderMap,
@@ -79,7 +83,7 @@ async fn create_export(
     let answer = |export: &ExportRecord| serde_json::to_string(&export.clone().view()).unwrap_or_default();
     let most = app.exports.policy.each;
     let submitted = app.store.submit_export(&export, &request, key.as_ref(), most, answer).await;
-    let (text, replayed) = match submitted.map_err(|error| caller.told(error))? {
+    let (text, replayed) = match submitted.map_err(|error| caller.problem_for(error))? {
         Submitted::Created(text) => (text, false),
         Submitted::Replayed(text) => (text, true),
     };
@@ -87,49 +91,54 @@ async fn create_export(
     idempotency::accepted(text, replayed, EXPORTS)
 }
 
-/// Which exports to list.
+/// Filter and page of a list of exports.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 struct ExportQuery {
-    /// Only those of this model.
+    /// Only exports of this model.
     #[param(value_type = Option<String>)]
     model: Option<ModelId>,
-    /// Only those in this state.
+    /// Only exports in this state.
     state: Option<ExportState>,
-    /// Most items, 1 to 200; 50 when absent.
+    /// Maximum number of items, 1 to 200. Omitted: 50.
     #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
-    /// Only what comes after: the `next` of the page before, or the identifier of an item.
+    /// Cursor: the `next` of the previous page, or the identifier of an item. The page starts after that
+    /// item. Omitted: the first page.
     #[param(min_length = 1)]
     before: Option<String>,
 }
 
 /// List exports
+///
+/// Returns the exports of the caller's tenant, newest first.
 #[utoipa::path(
     get, path = "/v1/exports", tag = "exports", params(ExportQuery),
     responses((status = 200, body = List<ExportView>))
 )]
 async fn list_exports(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     QueryString(query): QueryString<ExportQuery>,
 ) -> Result<Json<List<ExportView>>, Problem> {
     let page = PageQuery { limit: query.limit, before: query.before }
         .page(async |id| app.store.export(&caller.tenant, &id.into()).await)
         .await?;
-    let (model, asked) = (query.model.as_ref(), page.of_store());
+    let (model, asked) = (query.model.as_ref(), page.store_page());
     let exports = app.store.exports(&caller.tenant, model, query.state, &asked).await?;
     Ok(Json(page.list(exports, ExportRecord::view)))
 }
 
 /// Get an export
+///
+/// Returns state and progress of an export, and the file in the state `succeeded`.
 #[utoipa::path(
-    get, path = "/v1/exports/{id}", tag = "exports", params(("id" = String, Path)),
+    get, path = "/v1/exports/{id}", tag = "exports", params(("id" = String, Path, description = "Export identifier")),
     responses((status = 200, body = ExportView), (status = 404, body = Problem))
 )]
 async fn get_export(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<ExportId>,
 ) -> Result<Json<ExportView>, Problem> {
@@ -138,17 +147,18 @@ async fn get_export(
 
 /// Cancel or delete an export
 ///
-/// One that waits or runs is cancelled, and stays in the list as `cancelled` without its frames; one that has ended is deleted with its
-/// file.
+/// Cancels a queued or running export: the server deletes its frames, and the export remains in the list with
+/// the state `cancelled`. Deletes an export in a final state with its file.
 #[utoipa::path(
-    delete, path = "/v1/exports/{id}", tag = "exports", params(("id" = String, Path)),
+    delete, path = "/v1/exports/{id}", tag = "exports",
+    params(("id" = String, Path, description = "Export identifier")),
     responses(
         (status = 200, body = ExportView, description = "Cancelled"),
         (status = 204, description = "Deleted"), (status = 404, body = Problem)
     )
 )]
 async fn delete_export(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<ExportId>,
 ) -> Result<Response, Problem> {
@@ -159,32 +169,34 @@ async fn delete_export(
             Ok(Json(export.view()).into_response())
         }
         ExportDeletion::Deleted => {
-            app.tidy.notify_one();
+            app.gc_wake.notify_one();
             Ok(StatusCode::NO_CONTENT.into_response())
         }
         ExportDeletion::NotFound => Err(Problem::not_found("export", id.as_str())),
     }
 }
 
-/// Download an export
+/// Download the file of an export
 ///
-/// Answers `Range` (one range), `If-Range` and `If-None-Match`. The `ETag` is the sha256 of the file.
+/// Supports `Range` with one range, `If-Range` and `If-None-Match`. The `ETag` is the SHA-256 of the file. If
+/// files are in an object store, the server can redirect callers other than browsers to it (307).
 #[utoipa::path(
-    get, path = "/v1/exports/{id}/file", tag = "exports", params(("id" = String, Path)),
+    get, path = "/v1/exports/{id}/file", tag = "exports",
+    params(("id" = String, Path, description = "Export identifier")),
     responses(
         (status = 200, content_type = "application/octet-stream", body = File),
         (status = 206, content_type = "application/octet-stream", body = File),
-        (status = 304, description = "The caller has it already"),
-        (status = 307, description = "The object store has it, at a URL that holds for minutes"),
-        (status = 404, body = Problem, description = "There is no such export, or no file of it yet"),
+        (status = 304, description = "Not modified: the caller has the current version"),
+        (status = 307, description = "Redirect to the object store; the URL is valid for some minutes"),
+        (status = 404, body = Problem, description = "The export does not exist or has no file yet"),
         (status = 416, body = Problem)
     )
 )]
 async fn get_export_file(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<ExportId>,
-    asked: Asked,
+    asked: FileRequest,
 ) -> Result<Response, Problem> {
     let export = find(&app, &caller.tenant, &id).await?;
     let file = file_of(export).ok_or_else(|| Problem::not_found("file of export", id.as_str()))?;
@@ -205,7 +217,7 @@ async fn get_export_file(
     Ok(response)
 }
 
-async fn find(app: &Shared, tenant: &TenantId, id: &ExportId) -> Result<ExportRecord, Problem> {
+async fn find(app: &AppState, tenant: &TenantId, id: &ExportId) -> Result<ExportRecord, Problem> {
     let missing = || Problem::not_found("export", id.as_str());
     app.store.export(tenant, id).await?.ok_or_else(missing)
 }

@@ -1,25 +1,26 @@
 //! Makes files of other programs.
 
-use crate::api::exports::{ExportKind, MeshExport, SplatsExport};
-use crate::api::renders::EnvironmentSpec;
-use crate::formats::model_file;
-use crate::render::{Shown, SplatFile, SplatFileError, encode_mesh_file, encode_splat_file, relit};
-use crate::scene::Model;
-use crate::server::app::Shared;
-use crate::server::exports::ended::{Ended, Patience};
+use relume_api::exports::{ExportKind, MeshExport, SplatsExport};
+use relume_api::renders::EnvironmentSpec;
+use relume_capture::formats::model_file;
+use relume_spec::rendering::Shown;
+use relume_train::render::{SplatFile, SplatFileError, encode_mesh_file, encode_splat_file, relit};
+use relume_scene::{Illumination, Model};
+use crate::server::app::AppState;
+use crate::server::exports::export_error::{ExportError, BusyRetry};
 use crate::server::exports::light::light;
 use crate::server::exports::request;
-use crate::server::memory::of_export;
+use crate::server::memory::export_bytes;
 use crate::server::models;
 use crate::store::{ExportRecord, ExportedFile, make_private};
 use crate::worker::{LightSource, ModelContent, ModelSource};
 
 /// Makes a file of Gaussians.
 pub(super) async fn make(
-    app: &Shared,
+    app: &AppState,
     export: &ExportRecord,
     spec: &SplatsExport,
-) -> Result<ExportedFile, Ended> {
+) -> Result<ExportedFile, ExportError> {
     let shown = request::shown(spec)?;
     let environment = spec.environment.clone().unwrap_or_default();
     let light = match shown {
@@ -31,7 +32,7 @@ pub(super) async fn make(
     let (source, _) = models::source(app, &export.tenant, &export.model_id).await?;
     let bytes = with_model(app, &source, 0, move |mut model| {
         if let Some(light) = light {
-            model = under(model, &light, &environment, degree)?;
+            model = relight(model, &light, &environment, degree)?;
         }
         encode_splat_file(&model, file, shown, flatten).map_err(refused)
     })
@@ -43,10 +44,10 @@ pub(super) async fn make(
 
 /// Makes a surface.
 pub(super) async fn make_mesh(
-    app: &Shared,
+    app: &AppState,
     export: &ExportRecord,
     spec: &MeshExport,
-) -> Result<ExportedFile, Ended> {
+) -> Result<ExportedFile, ExportError> {
     let cells = spec.cells as usize;
     let (source, _) = models::source(app, &export.tenant, &export.model_id).await?;
     let bytes =
@@ -58,42 +59,40 @@ pub(super) async fn make_mesh(
 /// Reads a model and works with it on threads of its own, with the memory borrowed that it takes; `cells` as in a mesh, 0 for
 /// anything else. The work goes on to its end when nobody waits for it any more.
 pub(super) async fn with_model<T: Send + 'static>(
-    app: &Shared,
+    app: &AppState,
     source: &ModelSource,
     cells: usize,
-    work: impl FnOnce(Model) -> Result<T, Ended> + Send + 'static,
-) -> Result<T, Ended> {
+    work: impl FnOnce(Model) -> Result<T, ExportError> + Send + 'static,
+) -> Result<T, ExportError> {
     let ModelContent::File(path) = source.content.clone() else {
-        return Err(Ended::failed("the model is not a file"));
+        return Err(ExportError::failed("the model is not a file"));
     };
     let size = tokio::fs::metadata(&path).await?.len();
-    let patience = Patience::new();
+    let busy_retry = BusyRetry::new();
     let memory = loop {
-        match app.memory.borrow(of_export(size, cells)).await {
+        match app.memory.reserve(export_bytes(size, cells)).await {
             Ok(memory) => break memory,
-            Err(refusal) => patience.wait(refusal).await?,
+            Err(refusal) => busy_retry.wait(refusal).await?,
         }
     };
-    let made = app.exports.makers.run(move || {
+    let made = app.exports.file_threads.run(move || {
         let _held = memory;
         let model = model_file::decode(&std::fs::read(&path)?);
-        work(model.map_err(|error| Ended::failed(format!("the model cannot be read: {error}")))?)
+        work(model.map_err(|error| ExportError::failed(format!("the model cannot be read: {error}")))?)
     });
     made.await?
 }
 
 /// The model under a light.
-fn under(model: Model, light: &LightSource, spec: &EnvironmentSpec, degree: usize) -> Result<Model, Ended> {
-    let map = light.map().map_err(|why| Ended::failed(format!("the environment cannot be read: {why}")))?;
-    let map = match map {
-        Some(map) => map.rotated_and_scaled(spec.rotation_deg, spec.exposure_ev.exp2() as f32),
-        None => model.environment().rotated_and_scaled(spec.rotation_deg, spec.exposure_ev.exp2() as f32),
-    };
-    relit(model, &map, degree).map_err(|error| Ended::failed(error.to_string()))
+fn relight(model: Model, light: &LightSource, spec: &EnvironmentSpec, degree: usize) -> Result<Model, ExportError> {
+    let map = light.map().map_err(|why| ExportError::failed(format!("the environment cannot be read: {why}")))?;
+    let light = map.map_or_else(|| model.recovered_light(), |map| Illumination::from(&*map));
+    let light = light.rotated_and_scaled(spec.rotation_deg, spec.exposure_ev.exp2() as f32);
+    relit(model, light, degree).map_err(|error| ExportError::failed(error.to_string()))
 }
 
-fn refused(error: SplatFileError) -> Ended {
-    Ended::failed(error.to_string())
+fn refused(error: SplatFileError) -> ExportError {
+    ExportError::failed(error.to_string())
 }
 
 /// The file of a kind, its extension and its media type.
@@ -121,12 +120,12 @@ fn layer_name(shown: Shown) -> &'static str {
 
 /// Writes a file into the work folder, as far as the tenant may store it.
 async fn write(
-    app: &Shared,
+    app: &AppState,
     export: &ExportRecord,
     name: String,
     content_type: &'static str,
     bytes: Vec<u8>,
-) -> Result<ExportedFile, Ended> {
+) -> Result<ExportedFile, ExportError> {
     let size = bytes.len() as u64;
     app.store.admit_bytes_of(&export.tenant, size).await?;
     app.store.admit_bytes(size).await?;

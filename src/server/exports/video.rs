@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use crate::server::exports::ended::Ended;
+use crate::server::exports::export_error::ExportError;
 
 /// How often the program is looked after.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Where a program is: a path, or a name that is looked for on PATH.
 pub(super) fn find(program: &Path) -> Option<PathBuf> {
@@ -30,8 +30,8 @@ pub(super) fn encode(
     frames_per_second: u32,
     to: &Path,
     is_wanted: &dyn Fn() -> bool,
-) -> Result<(), Ended> {
-    let ffmpeg = find(ffmpeg).ok_or_else(|| Ended::failed("ffmpeg is not installed any more"))?;
+) -> Result<(), ExportError> {
+    let ffmpeg = find(ffmpeg).ok_or_else(|| ExportError::failed("ffmpeg is no longer installed"))?;
     let log = folder.join("ffmpeg.log");
     let mut command = Command::new(ffmpeg);
     command.args([
@@ -53,12 +53,12 @@ pub(super) fn encode(
     command.args(["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-map_metadata", "-1"]);
     command.args(["-fflags", "+bitexact", "-flags:v", "+bitexact", "-f", "mp4"]).arg(to);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(File::create(&log)?);
-    let mut running = Running(command.spawn()?);
+    let mut running = ChildGuard(command.spawn()?);
     let status = loop {
         match running.0.try_wait()? {
             Some(status) => break status,
-            None if !is_wanted() => return Err(Ended::Unwanted),
-            None => std::thread::sleep(LOOK_EVERY),
+            None if !is_wanted() => return Err(ExportError::Unwanted),
+            None => std::thread::sleep(POLL_INTERVAL),
         }
     };
     if status.success() {
@@ -66,13 +66,13 @@ pub(super) fn encode(
     }
     let said = std::fs::read_to_string(&log).unwrap_or_default();
     tracing::error!(%status, said = said.trim_end(), "ffmpeg failed");
-    Err(Ended::failed(format!("ffmpeg failed ({status}); the server's log has its words")))
+    Err(ExportError::failed(format!("ffmpeg failed ({status}); its output is in the server's log")))
 }
 
 /// A program that ends when this goes.
-struct Running(Child);
+struct ChildGuard(Child);
 
-impl Drop for Running {
+impl Drop for ChildGuard {
     fn drop(&mut self) {
         // Both fail only where it has ended already.
         let _ = self.0.kill();

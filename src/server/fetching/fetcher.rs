@@ -6,9 +6,9 @@ use futures::{Stream, StreamExt};
 use http_body_util::{BodyStream, Empty};
 use tokio::time::{Instant, timeout, timeout_at};
 
-use crate::api::Problem;
+use crate::server::problem::Problem;
 use crate::server::fetching::policy::{FetchOrigin, FetchPolicy};
-use crate::server::outbound::{self, Answer, Target, Tls};
+use crate::server::outbound::{self, Answer, OutboundTarget, Tls};
 
 /// From where captures are fetched, and over which TLS.
 pub(in crate::server) struct Fetcher {
@@ -22,28 +22,28 @@ impl Fetcher {
     }
 
     /// Where a URL leads, if it may be fetched.
-    pub(super) fn target(&self, url: &str) -> Result<Target, Problem> {
+    pub(super) fn target(&self, url: &str) -> Result<OutboundTarget, Problem> {
         let refused = |why: &str| Problem::invalid_field("/url", why);
-        let target = Target::parse(url, true).map_err(|why| refused(&why))?;
+        let target = OutboundTarget::parse(url, true).map_err(|why| refused(&why))?;
         match self.policy.origins.contains(&FetchOrigin::of(&target)) {
             true => Ok(target),
-            false if self.policy.origins.is_empty() => Err(refused("this server fetches nothing")),
-            false => Err(refused("its scheme, host and port are none from which this server fetches")),
+            false if self.policy.origins.is_empty() => Err(refused("fetching is not configured on this server")),
+            false => Err(refused("its scheme, host and port are not among the origins from which this server fetches")),
         }
     }
 
     /// The answer with the file.
-    pub(super) async fn ask(&self, target: &Target) -> Result<Answer, Problem> {
+    pub(super) async fn ask(&self, target: &OutboundTarget) -> Result<Answer, Problem> {
         let request = Request::builder().body(Empty::<Bytes>::new()).map_err(Problem::internal)?;
         let asked = outbound::ask(target, self.policy.allow_private, &self.tls, request);
         let answer = timeout(self.policy.stall, asked).await;
-        let answer = answer.map_err(|_| failed("it did not answer in time"))?.map_err(|why| failed(&why))?;
+        let answer = answer.map_err(|_| failed("the host did not answer in time"))?.map_err(|why| failed(&why))?;
         match answer.response.status() {
             StatusCode::OK => Ok(answer),
             status if status.is_redirection() => {
-                Err(failed(&format!("it answered {}; redirects are not followed", status.as_u16())))
+                Err(failed(&format!("the host answered {}; redirects are not followed", status.as_u16())))
             }
-            status => Err(failed(&format!("it answered {}", status.as_u16()))),
+            status => Err(failed(&format!("the host answered {}", status.as_u16()))),
         }
     }
 
@@ -56,11 +56,11 @@ impl Fetcher {
         let (until, stall) = (begun + self.policy.timeout, self.policy.stall);
         futures::stream::try_unfold(answer, move |mut answer| async move {
             let mut body = BodyStream::new(answer.response.body_mut());
-            let late = || "nothing more came in time".to_owned();
+            let late = || "the rest of the file did not arrive in time".to_owned();
             let next = timeout_at(until.min(Instant::now() + stall), body.next());
             match next.await.map_err(|_| late())? {
                 None => Ok(None),
-                Some(Err(error)) => Err(format!("it broke off: {error}")),
+                Some(Err(error)) => Err(format!("the connection broke: {error}")),
                 Some(Ok(frame)) => Ok(Some((frame.into_data().unwrap_or_default(), answer))),
             }
         })
@@ -69,5 +69,5 @@ impl Fetcher {
 
 /// A file that could not be fetched.
 pub(super) fn failed(why: &str) -> Problem {
-    Problem::new(StatusCode::BAD_GATEWAY, "fetch-failed", "The file could not be fetched").detail(why)
+    Problem::new(StatusCode::BAD_GATEWAY, "fetch-failed", "The server could not fetch the file").detail(why)
 }

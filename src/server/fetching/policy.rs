@@ -3,7 +3,7 @@
 use std::str::FromStr;
 use std::time::Duration;
 
-use crate::server::outbound::Target;
+use crate::server::outbound::OutboundTarget;
 
 /// From where captures may be fetched.
 #[derive(Debug, Clone)]
@@ -36,7 +36,7 @@ pub struct FetchOrigin {
 
 impl FetchOrigin {
     /// The origin of a URL.
-    pub(super) fn of(target: &Target) -> Self {
+    pub(super) fn of(target: &OutboundTarget) -> Self {
         Self { is_https: target.is_https, host: target.host.to_ascii_lowercase(), port: target.port }
     }
 }
@@ -45,7 +45,7 @@ impl FromStr for FetchOrigin {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let target = Target::parse(text, true).map_err(|why| format!("{text:?} {why}"))?;
+        let target = OutboundTarget::parse(text, true).map_err(|why| format!("{text:?} {why}"))?;
         match text.trim_end_matches('/').matches('/').count() {
             2 if !text.contains('?') => Ok(Self::of(&target)),
             _ => Err(format!("{text:?} must be an origin like https://scans.example.org, without a path")),
@@ -60,7 +60,7 @@ mod tests {
     #[test]
     fn an_origin_is_scheme_host_and_port_and_nothing_else() {
         let origin = |text: &str| text.parse::<FetchOrigin>();
-        let of = |url: &str| FetchOrigin::of(&Target::parse(url, true).unwrap());
+        let of = |url: &str| FetchOrigin::of(&OutboundTarget::parse(url, true).unwrap());
         assert_eq!(origin("https://a.example"), Ok(of("https://A.example:443/x/y.zip?z=1")));
         assert_eq!(origin("http://127.0.0.1:9000/"), Ok(of("http://127.0.0.1:9000/x")));
         for other in

@@ -14,7 +14,7 @@ use tokio::net::TcpStream;
 use tokio_util::either::Either;
 use tokio_util::task::AbortOnDropHandle;
 
-pub(super) use target::Target;
+pub(super) use target::OutboundTarget;
 pub(super) use tls::Tls;
 
 const USER_AGENT: &str = concat!("relume/", env!("CARGO_PKG_VERSION"));
@@ -30,7 +30,7 @@ pub(super) struct Answer {
 /// # Errors
 /// Why there is no answer.
 pub(super) async fn ask<B>(
-    target: &Target,
+    target: &OutboundTarget,
     allow_private: bool,
     tls: &Tls,
     mut request: Request<B>,
@@ -42,7 +42,7 @@ where
     // Looked up once: what was checked is what is connected to.
     let addresses = target.addresses(allow_private).await?;
     let connected = TcpStream::connect(addresses.as_slice()).await;
-    let stream = connected.map_err(|error| format!("no connection: {error}"))?;
+    let stream = connected.map_err(|error| format!("the connection failed: {error}"))?;
     let stream = match target.is_https {
         true => Either::Left(tls.over(stream, &target.host).await?),
         false => Either::Right(stream),
@@ -56,7 +56,7 @@ where
     ] {
         request.headers_mut().insert(name, value);
     }
-    let failed = |error: hyper::Error| format!("no answer: {error}");
+    let failed = |error: hyper::Error| format!("the request failed: {error}");
     let (mut sender, connection) = handshake(TokioIo::new(stream)).await.map_err(failed)?;
     let _connection = AbortOnDropHandle::new(tokio::spawn(connection));
     let response = sender.send_request(request.map(Body::new)).await.map_err(failed)?;

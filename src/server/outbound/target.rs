@@ -8,7 +8,7 @@ const LONGEST: usize = 2048;
 
 /// A URL, taken apart.
 #[derive(Debug, PartialEq, Eq)]
-pub(in crate::server) struct Target {
+pub(in crate::server) struct OutboundTarget {
     pub(in crate::server) is_https: bool,
     /// A name or an address, without brackets.
     pub(in crate::server) host: String,
@@ -19,35 +19,35 @@ pub(in crate::server) struct Target {
     pub(in crate::server) path: String,
 }
 
-impl Target {
+impl OutboundTarget {
     /// # Errors
     /// What is wrong with the URL.
     pub(in crate::server) fn parse(url: &str, allow_http: bool) -> Result<Self, String> {
         let is_whole = |url: &&str| url.len() <= LONGEST && !url.contains('#');
         let uri: Option<Uri> = Some(url).filter(is_whole).and_then(|url| url.parse().ok());
-        let uri = uri.ok_or("is no URL of at most 2048 characters without a fragment")?;
+        let uri = uri.ok_or("must be a URL of at most 2048 characters without a fragment")?;
         let is_https = match uri.scheme_str() {
             Some("https") => true,
             Some("http") if allow_http => false,
             _ => return Err("must begin with https://".to_owned()),
         };
-        let (authority, host) = uri.authority().map(|a| (a.as_str(), a.host())).ok_or("names no host")?;
+        let (authority, host) = uri.authority().map(|a| (a.as_str(), a.host())).ok_or("has no host")?;
         if authority.contains('@') {
-            return Err("must name no user".to_owned());
+            return Err("must not contain a user name".to_owned());
         }
         let host = host.trim_start_matches('[').trim_end_matches(']');
         let port = match uri.port() {
             Some(port) => port.as_u16(),
             // A port that is no number.
             None if authority.trim_end_matches(']').rsplit(']').next().is_some_and(|a| a.contains(':')) => {
-                host.parse::<Ipv6Addr>().map_err(|_| "has a port that is no number")?;
+                host.parse::<Ipv6Addr>().map_err(|_| "has an invalid port")?;
                 if is_https { 443 } else { 80 }
             }
             None if is_https => 443,
             None => 80,
         };
         if host.is_empty() || port == 0 {
-            return Err("names no host, or a port that nobody has".to_owned());
+            return Err("has no host, or port 0".to_owned());
         }
         let path = uri.path_and_query().map_or("/", |path| path.as_str());
         let path = if path.starts_with('/') { path.to_owned() } else { format!("/{path}") };
@@ -70,7 +70,7 @@ impl Target {
         if !found.is_empty() && found.iter().all(is_good) {
             return Ok(found);
         }
-        Err("its host has no address, or one that is not public".to_owned())
+        Err("its host has no public address".to_owned())
     }
 }
 
@@ -117,17 +117,17 @@ mod tests {
 
     #[test]
     fn a_url_is_taken_apart_or_refused() {
-        let target = Target::parse("https://example.org/a?b=c", false).unwrap();
+        let target = OutboundTarget::parse("https://example.org/a?b=c", false).unwrap();
         assert_eq!((target.host.as_str(), target.port, target.path.as_str()), ("example.org", 443, "/a?b=c"));
-        let target = Target::parse("https://example.org:8443", false).unwrap();
+        let target = OutboundTarget::parse("https://example.org:8443", false).unwrap();
         assert_eq!(
             (target.port, target.authority.as_str(), target.path.as_str()),
             (8443, "example.org:8443", "/")
         );
-        let target = Target::parse("https://example.org?a=b", false).unwrap();
+        let target = OutboundTarget::parse("https://example.org?a=b", false).unwrap();
         assert_eq!(target.path, "/?a=b");
         for (url, port) in [("https://[2606:4700::1]/", 443), ("https://[2606:4700::1]:8443/", 8443)] {
-            let target = Target::parse(url, false).unwrap();
+            let target = OutboundTarget::parse(url, false).unwrap();
             assert_eq!((target.host.as_str(), target.port), ("2606:4700::1", port));
         }
         for wrong in [
@@ -149,9 +149,9 @@ mod tests {
             "https://example.org/\r\nhost: other",
             &format!("https://example.org/{}", "a".repeat(2048)),
         ] {
-            assert!(Target::parse(wrong, false).is_err(), "{wrong}");
+            assert!(OutboundTarget::parse(wrong, false).is_err(), "{wrong}");
         }
-        assert!(!Target::parse("http://example.org", true).unwrap().is_https);
+        assert!(!OutboundTarget::parse("http://example.org", true).unwrap().is_https);
     }
 
     #[test]
@@ -225,13 +225,13 @@ mod tests {
     #[tokio::test]
     async fn a_host_with_an_address_of_the_inside_is_refused_however_it_is_written() {
         for host in ["127.0.0.1", "localhost", "[::1]", "[::ffff:127.0.0.1]", "0x7f.1", "2130706433", "0"] {
-            let target = Target::parse(&format!("https://{host}/"), false).unwrap();
+            let target = OutboundTarget::parse(&format!("https://{host}/"), false).unwrap();
             assert!(target.addresses(false).await.is_err(), "{host}");
         }
-        let target = Target::parse("https://localhost:9/", false).unwrap();
+        let target = OutboundTarget::parse("https://localhost:9/", false).unwrap();
         let found = target.addresses(true).await.unwrap();
         assert!(found.iter().all(|a| a.ip().is_loopback() && a.port() == 9), "the control: {found:?}");
-        let target = Target::parse("https://8.8.8.8/", false).unwrap();
+        let target = OutboundTarget::parse("https://8.8.8.8/", false).unwrap();
         assert_eq!(target.addresses(false).await.unwrap(), ["8.8.8.8:443".parse().unwrap()]);
     }
 }

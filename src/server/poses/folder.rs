@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::api::CaptureId;
+use relume_api::CaptureId;
 use crate::store::{Store, StoreError};
 
 /// The folder of all of them.
@@ -18,11 +18,11 @@ pub(super) fn of(store: &Store, id: &CaptureId) -> PathBuf {
 }
 
 /// Removes what was needed to make a capture: all of it, but for the log where none could be made and somebody may read why.
-pub(in crate::server) async fn tidy(store: &Store, id: &CaptureId, failed: bool) {
+pub(in crate::server) async fn clean_up(store: &Store, id: &CaptureId, failed: bool) {
     let folder = of(store, id);
     let kept = failed && matches!(tokio::task::spawn_blocking(move || keep_log(&folder)).await, Ok(Ok(())));
     if !kept {
-        remove_of(store, id).await;
+        remove_folder(store, id).await;
     }
 }
 
@@ -40,7 +40,7 @@ fn keep_log(folder: &Path) -> io::Result<()> {
 }
 
 /// Removes the folder of a capture; that there is none is no error.
-pub(in crate::server) async fn remove_of(store: &Store, id: &CaptureId) {
+pub(in crate::server) async fn remove_folder(store: &Store, id: &CaptureId) {
     let folder = of(store, id);
     let removed = tokio::task::spawn_blocking(move || remove(&folder)).await;
     if let Err(error) = removed.unwrap_or_else(|error| Err(io::Error::other(error))) {
@@ -52,7 +52,7 @@ pub(in crate::server) async fn remove_of(store: &Store, id: &CaptureId) {
 ///
 /// # Errors
 /// When the database fails.
-pub(in crate::server) async fn remove_left_over(store: &Store) -> Result<(), StoreError> {
+pub(in crate::server) async fn remove_leftovers(store: &Store) -> Result<(), StoreError> {
     let root = store.root().join(FOLDER);
     // Listed before the database is asked: what is entered later has no folder yet.
     let found = match std::fs::read_dir(&root) {
@@ -61,9 +61,9 @@ pub(in crate::server) async fn remove_left_over(store: &Store) -> Result<(), Sto
         Err(error) => return Err(error.into()),
     };
     let found: Vec<String> = found.collect();
-    let unmade: HashSet<String> = store.unmade().await?;
-    for name in found.into_iter().filter(|name| !unmade.contains(name)) {
-        remove_of(store, &name.into()).await;
+    let unfinished_captures: HashSet<String> = store.unfinished_captures().await?;
+    for name in found.into_iter().filter(|name| !unfinished_captures.contains(name)) {
+        remove_folder(store, &name.into()).await;
     }
     Ok(())
 }

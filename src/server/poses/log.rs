@@ -1,4 +1,4 @@
-//! `/v1/captures/{id}/log`: what COLMAP said.
+//! `/v1/captures/{id}/log`: the output of COLMAP.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -11,9 +11,10 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::folder::{self, LOG};
-use crate::api::{CaptureId, Problem};
-use crate::capture::Source;
-use crate::server::app::Shared;
+use relume_api::CaptureId;
+use crate::server::problem::Problem;
+use relume_capture::Source;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{NoQuery, QueryString, UrlPath};
 
@@ -21,23 +22,25 @@ use crate::server::extract::{NoQuery, QueryString, UrlPath};
 const LONGEST: u64 = 1 << 20;
 
 /// The routes of this file.
-pub(in crate::server) fn routes() -> OpenApiRouter<Shared> {
+pub(in crate::server) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(get_log))
 }
 
-/// Read the log of a capture
+/// Get the pose estimation log of a capture
 ///
-/// What COLMAP said while it found the poses of the photographs, or their end where that is more than a MiB: while it works, after it
-/// failed, and of the capture that was made. That of a capture that came with poses is empty.
+/// Returns the output of COLMAP from the estimation of the camera poses, at most the last MiB. The log is
+/// available while COLMAP works, after a failure, and for the resulting capture. The log of a capture that
+/// was uploaded with poses is empty.
 #[utoipa::path(
-    get, path = "/v1/captures/{id}/log", tag = "captures", params(("id" = String, Path)),
+    get, path = "/v1/captures/{id}/log", tag = "captures",
+    params(("id" = String, Path, description = "Capture identifier")),
     responses(
         (status = 200, content_type = "text/plain", body = String),
-        (status = 404, body = Problem, description = "There is no such capture")
+        (status = 404, body = Problem, description = "The capture does not exist")
     )
 )]
 async fn get_log(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
     _: QueryString<NoQuery>,
@@ -54,9 +57,9 @@ async fn get_log(
             String::from_utf8_lossy(&bytes).into_owned()
         }
         None => {
-            app.store.upload_for(&caller.tenant, &id).await?.ok_or_else(missing)?;
+            app.store.upload_of_capture(&caller.tenant, &id).await?.ok_or_else(missing)?;
             let folder = folder::of(&app.store, &id);
-            let read = tokio::task::spawn_blocking(move || end_of_log(&folder)).await;
+            let read = tokio::task::spawn_blocking(move || log_tail(&folder)).await;
             // It is not there before COLMAP begins.
             read.map_err(Problem::internal)?.unwrap_or_default()
         }
@@ -67,17 +70,17 @@ async fn get_log(
 }
 
 /// The end of the log in a folder, without the name of that folder: where the server keeps things is its own affair.
-pub(super) fn end_of_log(folder: &Path) -> io::Result<String> {
+pub(super) fn log_tail(folder: &Path) -> io::Result<String> {
     let mut file = File::open(folder.join(LOG))?;
     let length = file.metadata()?.len();
     file.seek(SeekFrom::Start(length.saturating_sub(LONGEST)))?;
     let mut bytes = Vec::new();
     file.take(LONGEST).read_to_end(&mut bytes)?;
-    Ok(without(&String::from_utf8_lossy(&bytes), folder))
+    Ok(redact_folder(&String::from_utf8_lossy(&bytes), folder))
 }
 
 /// A text without the name of a folder of the server.
-pub(super) fn without(text: &str, folder: &Path) -> String {
+pub(super) fn redact_folder(text: &str, folder: &Path) -> String {
     let whole = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let names = [whole, folder.to_owned()].map(|path| path.display().to_string());
     names

@@ -1,14 +1,14 @@
 //! Poses for photographs that come without: a stage of the validation of a capture.
 
-mod desk;
+mod queue;
 mod folder;
 mod log;
 mod pack;
 mod policy;
 mod stage;
 
-pub(super) use desk::{Desk, Ticket};
-pub(super) use folder::{remove_left_over, remove_of, tidy};
+pub(super) use queue::{PoseQueue, PoseJob};
+pub(super) use folder::{remove_leftovers, remove_folder, clean_up};
 pub(super) use log::routes;
 pub use policy::PosesPolicy;
-pub(super) use stage::{are_wanted, find, refusal};
+pub(super) use stage::{needs_poses, find, refusal};

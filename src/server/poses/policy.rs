@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::capture::poses::PoseOptions;
-use crate::server::memory::half_of_the_machine;
+use relume_capture::poses::PoseOptions;
+use crate::server::memory::default_budget;
 
 /// Whether and how poses are found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,7 +40,7 @@ impl PosesPolicy {
         PoseOptions {
             program: self.program.clone(),
             threads: self.threads,
-            memory: Some(self.memory.unwrap_or_else(half_of_the_machine)),
+            memory: Some(self.memory.unwrap_or_else(default_budget)),
             makes_way: true,
             ..PoseOptions::default()
         }

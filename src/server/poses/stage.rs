@@ -10,32 +10,33 @@ use flate2::read::MultiGzDecoder;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::sync::CancellationToken;
 
-use super::desk::Ticket;
+use super::queue::PoseJob;
 use super::{folder, log, pack};
-use crate::api::problem::ContentError;
-use crate::api::{CaptureId, Problem, TenantId};
-use crate::capture::poses::{PoseError, Watch, find_poses};
-use crate::capture::{ImportLimits, Unposed};
-use crate::server::app::Shared;
-use crate::store::Incoming;
+use relume_api::problem::ContentError;
+use relume_api::{CaptureId, TenantId};
+use crate::server::problem::Problem;
+use relume_capture::poses::{PoseError, Watch, find_poses};
+use relume_capture::{ImportLimits, Unposed};
+use crate::server::app::AppState;
+use crate::store::StagedUpload;
 
 /// Whether an upload is one of photographs without poses, and this server finds them.
-pub(in crate::server) async fn are_wanted(app: &Shared, incoming: &Incoming) -> Result<bool, Problem> {
-    Ok(app.poses.policy.is_on && are_photographs(app, incoming).await? && app.poses.is_able().await.is_ok())
+pub(in crate::server) async fn needs_poses(app: &AppState, incoming: &StagedUpload) -> Result<bool, Problem> {
+    Ok(app.poses.policy.is_on && are_photographs(app, incoming).await? && app.poses.check_available().await.is_ok())
 }
 
 /// Why this server finds no poses for an upload; `None` where it is not one of photographs without poses.
-pub(in crate::server) async fn refusal(app: &Shared, incoming: &Incoming) -> Result<Option<String>, Problem> {
+pub(in crate::server) async fn refusal(app: &AppState, incoming: &StagedUpload) -> Result<Option<String>, Problem> {
     if !are_photographs(app, incoming).await? {
         return Ok(None);
     }
-    Ok(Some(match app.poses.is_able().await {
-        Ok(()) => "this server finds them for what POST /v1/captures is sent".to_owned(),
-        Err(reason) => format!("this server finds none: {reason}"),
+    Ok(Some(match app.poses.check_available().await {
+        Ok(()) => "this server finds poses for photographs sent to POST /v1/captures".to_owned(),
+        Err(reason) => format!("this server does not find poses: {reason}"),
     }))
 }
 
-async fn are_photographs(app: &Shared, incoming: &Incoming) -> Result<bool, Problem> {
+async fn are_photographs(app: &AppState, incoming: &StagedUpload) -> Result<bool, Problem> {
     let (path, limits) = (incoming.path.clone(), app.import_limits);
     // What cannot be opened is refused by the validation, with its reason.
     app.decoders.run(move || matches!(Unposed::open(&path, &limits), Ok(Some(_)))).await
@@ -44,62 +45,62 @@ async fn are_photographs(app: &Shared, incoming: &Incoming) -> Result<bool, Prob
 /// Finds the poses of the photographs of an upload: gives the posed capture in its place. What COLMAP makes on the way is kept for
 /// the next server where this one ends, and its log where it fails.
 pub(in crate::server) async fn find(
-    app: &Shared,
+    app: &AppState,
     tenant: &TenantId,
     id: &CaptureId,
-    photographs: Incoming,
-    ticket: Ticket,
-) -> Result<Incoming, Problem> {
+    photographs: StagedUpload,
+    pose_job: PoseJob,
+) -> Result<StagedUpload, Problem> {
     // What could not be stored in the end is not begun.
     app.store.admit_bytes_of(tenant, photographs.bytes).await?;
     app.store.admit_bytes(photographs.bytes).await?;
-    let ticket = Arc::new(ticket);
-    let turn = tokio::select! {
-        () = ticket.cancelled.cancelled() => return Err(no_poses("cancelled", "it was cancelled")),
-        turn = app.poses.turn() => turn?,
+    let pose_job = Arc::new(pose_job);
+    let colmap_permit = tokio::select! {
+        () = pose_job.cancelled.cancelled() => return Err(no_poses("cancelled", "the pose estimation was cancelled")),
+        colmap_permit = app.poses.colmap_permit() => colmap_permit?,
     };
     let folder = folder::of(&app.store, id);
-    let work = Work {
+    let work = PoseTask {
         app: app.clone(),
         folder: folder.clone(),
-        ticket: ticket.clone(),
-        turn,
+        pose_job: pose_job.clone(),
+        colmap_permit,
         stop: app.stop.clone(),
     };
     let path = photographs.path.clone();
     let found = tokio::task::spawn_blocking(move || work.run(&path)).await.map_err(Problem::internal)?;
     found.map_err(|error| told(&error, &folder))?;
-    if ticket.cancelled.is_cancelled() {
-        return Err(no_poses("cancelled", "it was cancelled"));
+    if pose_job.cancelled.is_cancelled() {
+        return Err(no_poses("cancelled", "the pose estimation was cancelled"));
     }
     let at = folder.clone();
-    let log = tokio::task::spawn_blocking(move || log::end_of_log(&at)).await.map_err(Problem::internal)?;
+    let log = tokio::task::spawn_blocking(move || log::log_tail(&at)).await.map_err(Problem::internal)?;
     let body = pack::tar(folder, log.map_err(Problem::storage_failed)?);
     let name: String = app.jobs.fresh_id();
     let received = app.store.receive(tenant, &name, body, app.limits.capture_bytes).await;
-    Ok(received?.in_place_of(photographs))
+    Ok(received?.replacing(photographs))
 }
 
 /// What runs on a thread that may block.
-struct Work {
-    app: Shared,
+struct PoseTask {
+    app: AppState,
     folder: std::path::PathBuf,
-    ticket: Arc<Ticket>,
+    pose_job: Arc<PoseJob>,
     /// Held until COLMAP has ended, not only while somebody waits for it.
-    turn: OwnedSemaphorePermit,
+    colmap_permit: OwnedSemaphorePermit,
     stop: CancellationToken,
 }
 
-impl Work {
+impl PoseTask {
     fn run(self, upload: &Path) -> Result<(), PoseError> {
-        let _turn = &self.turn;
+        let _colmap_permit = &self.colmap_permit;
         let policy = &self.app.poses.policy;
         let limits: ImportLimits = self.app.import_limits;
         let plain = self.folder.join("photographs.tar");
         let upload = if unpack(upload, &plain, limits.max_gzip_bytes)? { &plain } else { upload };
         let Some(photographs) = Unposed::open(upload, &limits)? else { return Ok(()) };
-        let mut progress = |progress| self.ticket.tell(progress);
-        let is_cancelled = || self.ticket.cancelled.is_cancelled() || self.stop.is_cancelled();
+        let mut progress = |progress| self.pose_job.set_progress(progress);
+        let is_cancelled = || self.pose_job.cancelled.is_cancelled() || self.stop.is_cancelled();
         let mut watch = Watch::new(policy.timeout, &mut progress, &is_cancelled);
         let found = find_poses(&photographs, &self.folder, &policy.options(), &mut watch)?;
         let placed = found.photographs - found.unplaced.len();
@@ -129,20 +130,20 @@ fn unpack(upload: &Path, plain: &Path, limit: u64) -> Result<bool, PoseError> {
 fn told(error: &PoseError, folder: &Path) -> Problem {
     let detail = match error {
         PoseError::TooFewPlaced { placed, photographs, .. } => format!(
-            "COLMAP placed {placed} of {photographs} photographs, fewer than half: take them with more overlap, sharp and evenly \
-             lit, of things with texture; the log of the capture has its output"
+            "COLMAP placed {placed} of {photographs} photographs, fewer than half: take sharp, evenly lit photographs of textured \
+             objects with more overlap; the log of the capture has the output of COLMAP"
         ),
         PoseError::TimedOut { program, minutes, .. } => format!(
-            "`{program}` was stopped: this server lets COLMAP work for {minutes} minutes; send fewer photographs, or find the poses \
-             by `relume capture poses`"
+            "the server stopped `{program}` after the time limit of {minutes} minutes; send fewer photographs, or find the poses \
+             with `relume capture poses`"
         ),
         PoseError::Failed { program, status, end, .. } => {
             format!(
-                "`{program}` failed ({status}); the end of the log of the capture:\n{}",
-                log::without(end, folder)
+                "`{program}` failed ({status}); end of the log of the capture:\n{}",
+                log::redact_folder(end, folder)
             )
         }
-        other => log::without(&other.to_string(), folder),
+        other => log::redact_folder(&other.to_string(), folder),
     };
     match error {
         PoseError::TooFewPlaced { .. } => no_poses("too-few-placed", &detail),
@@ -150,7 +151,7 @@ fn told(error: &PoseError, folder: &Path) -> Problem {
         PoseError::Failed { .. } | PoseError::NotInstalled { .. } | PoseError::TooOld { .. } => {
             no_poses("program-failed", &detail)
         }
-        PoseError::Cancelled => no_poses("cancelled", "it was cancelled"),
+        PoseError::Cancelled => no_poses("cancelled", "the pose estimation was cancelled"),
         PoseError::Capture(error) if error.is_users_fault() => {
             let (file, field) = (error.file().map(str::to_owned), error.field().map(str::to_owned));
             Problem::invalid_content(ContentError { code: error.code().to_owned(), file, field }, detail)
@@ -162,7 +163,7 @@ fn told(error: &PoseError, folder: &Path) -> Problem {
 }
 
 fn no_poses(code: &str, detail: &str) -> Problem {
-    let title = "No poses were found for the photographs";
+    let title = "The server found no poses for the photographs";
     let mut problem = Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "no-poses", title).detail(detail);
     problem.content = Some(ContentError { code: code.to_owned(), file: None, field: None });
     problem

@@ -2,42 +2,43 @@
 
 use axum::http::StatusCode;
 
-use crate::api::{Problem, UploadId};
-use crate::server::app::Shared;
+use crate::server::problem::Problem;
+use relume_api::UploadId;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
-use crate::store::{Hold, UploadRecord};
+use crate::store::{UploadLock, UploadRecord};
 
 /// The media type of a piece.
 pub(super) const PIECE: &str = "application/offset+octet-stream";
 
 /// When an upload expires to which nothing more comes from now on.
-pub(in crate::server) fn expiry(app: &Shared) -> i64 {
+pub(in crate::server) fn expiry(app: &AppState) -> i64 {
     let life = i64::try_from(app.upload_limits.life.as_millis()).unwrap_or(i64::MAX);
     app.jobs.now_ms().saturating_add(life)
 }
 
 /// The upload of the caller's tenant.
-pub(super) async fn find(app: &Shared, caller: &Caller, id: &UploadId) -> Result<UploadRecord, Problem> {
+pub(super) async fn find(app: &AppState, caller: &Caller, id: &UploadId) -> Result<UploadRecord, Problem> {
     let missing = || Problem::not_found("upload", id.as_str());
     let upload = app.store.upload(&caller.tenant, id).await?.ok_or_else(missing)?;
     if upload.expires_ms <= app.jobs.now_ms() {
         let problem = Problem::new(StatusCode::GONE, "upload-expired", "The upload has expired");
-        return Err(problem.detail("nothing came for too long; begin another one"));
+        return Err(problem.detail("no bytes arrived before the expiry time; create a new upload"));
     }
     Ok(upload)
 }
 
 /// The same for this request alone, as it is now.
-pub(super) async fn held(
-    app: &Shared,
+pub(super) async fn find_locked(
+    app: &AppState,
     caller: &Caller,
     id: &UploadId,
-) -> Result<(Hold, UploadRecord), Problem> {
+) -> Result<(UploadLock, UploadRecord), Problem> {
     find(app, caller, id).await?;
-    let Some(hold) = app.store.hold_upload(id) else {
+    let Some(lock) = app.store.lock_upload(id) else {
         let problem =
-            Problem::new(StatusCode::LOCKED, "upload-locked", "Another request works on the upload");
-        return Err(problem.detail("ask where it is when that has ended").retry_after(1));
+            Problem::new(StatusCode::LOCKED, "upload-locked", "Another request uses the upload");
+        return Err(problem.detail("wait until it has ended, then get the offset").retry_after(1));
     };
-    Ok((hold, find(app, caller, id).await?))
+    Ok((lock, find(app, caller, id).await?))
 }

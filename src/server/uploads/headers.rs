@@ -4,8 +4,8 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use crate::api::Problem;
-use crate::api::problem::FieldError;
+use crate::server::problem::Problem;
+use relume_api::problem::FieldError;
 use crate::store::{Checksum, UploadRecord};
 
 pub(super) const RESUMABLE: HeaderName = HeaderName::from_static("tus-resumable");
@@ -28,7 +28,7 @@ const METADATA_BYTES: usize = 4096;
 /// 400 that names a header.
 pub(super) fn wrong(name: &str, detail: impl Into<String>) -> Problem {
     let (pointer, detail) = (format!("header/{name}"), detail.into());
-    let mut problem = Problem::new(StatusCode::BAD_REQUEST, "invalid-header", "A header cannot be accepted")
+    let mut problem = Problem::new(StatusCode::BAD_REQUEST, "invalid-header", "A header is invalid")
         .detail(format!("{name}: {detail}"));
     problem.errors.push(FieldError { pointer, detail });
     problem
@@ -44,14 +44,14 @@ fn bytes(headers: &HeaderMap, name: &HeaderName, shown: &str) -> Result<u64, Pro
     let number = text(headers, name).filter(digits).and_then(|t| t.parse().ok());
     // Nothing is longer than what the database can count.
     let number = number.filter(|n| *n <= i64::MAX as u64);
-    number.ok_or_else(|| wrong(shown, "must be there, a whole number of bytes"))
+    number.ok_or_else(|| wrong(shown, "is required and must be a whole number of bytes"))
 }
 
 /// The length of an upload that begins.
 pub(super) fn length(headers: &HeaderMap) -> Result<u64, Problem> {
     for (name, shown) in [(DEFER, "Upload-Defer-Length"), (CONCAT, "Upload-Concat")] {
         if headers.contains_key(name) {
-            return Err(wrong(shown, "this extension is not among Tus-Extension"));
+            return Err(wrong(shown, "belongs to an extension that is not in Tus-Extension"));
         }
     }
     bytes(headers, &LENGTH, "Upload-Length")
@@ -70,7 +70,7 @@ pub(super) fn metadata(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     let refused = |why: &str| wrong("Upload-Metadata", why);
     let sent = text(headers, &METADATA).ok_or_else(|| refused("must be ASCII"))?;
     if sent.len() > METADATA_BYTES {
-        return Err(refused("may have 4096 bytes"));
+        return Err(refused("must have at most 4096 bytes"));
     }
     let is_pair = |pair: &str| {
         let (key, value) = pair.split_once(' ').unwrap_or((pair, ""));
@@ -79,7 +79,7 @@ pub(super) fn metadata(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     let is_good = sent.is_empty() || sent.split(',').map(str::trim).all(is_pair);
     is_good
         .then(|| Some(sent.to_owned()))
-        .ok_or_else(|| refused("must be keys and Base64 values, as: filename Yy56aXA=,filetype YQ=="))
+        .ok_or_else(|| refused("must be keys and Base64 values, e.g. filename Yy56aXA=,filetype YQ=="))
 }
 
 /// The file name among what an uploader said.
@@ -102,7 +102,7 @@ pub(super) fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, Problem>
 }
 
 /// Says where an upload is and until when it is kept.
-pub(super) fn tell(headers: &mut HeaderMap, upload: &UploadRecord) {
+pub(super) fn write_headers(headers: &mut HeaderMap, upload: &UploadRecord) {
     headers.insert(OFFSET, HeaderValue::from(upload.offset()));
     if let Ok(until) = HeaderValue::from_str(&http_date(upload.expires_ms)) {
         headers.insert(EXPIRES, until);

@@ -1,10 +1,10 @@
-//! `/v1/uploads`: uploads that arrive in pieces and go on where they broke off (tus 1.0.0).
+//! `/v1/uploads`: resumable uploads (tus 1.0.0).
 
 mod finding;
 mod headers;
 mod protocol;
 mod receiving;
-mod taking;
+mod finalise;
 
 use axum::Json;
 use axum::extract::{Request, State};
@@ -14,44 +14,45 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::marks::Marks;
-use crate::api::uploads::{UploadState, UploadView};
-use crate::api::{List, Problem, UploadId};
-use crate::server::app::Shared;
+use relume_api::metadata::ResourceMetadata;
+use relume_api::uploads::{UploadState, UploadView};
+use relume_api::{List, UploadId};
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::deletion;
 use crate::server::description::File;
 use crate::server::extract::{NoQuery, QueryString, UrlPath, content_length, media_type};
 use crate::server::listing::{PageQuery, rfc3339};
-use crate::server::uploads::finding::{PIECE, find, held};
+use crate::server::uploads::finding::{PIECE, find, find_locked};
 use crate::store::UploadRecord;
 
 pub(super) use finding::expiry;
 pub(super) use protocol::advertise;
-pub(super) use taking::take;
+pub(super) use finalise::finalise;
 
 /// The routes of this file that take no pieces.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(describe_protocol, list_uploads))
         .routes(routes!(head_upload, get_upload, delete_upload))
-        .layer(middleware::from_fn(protocol::speak))
+        .layer(middleware::from_fn(protocol::check_version))
 }
 
 /// The routes of this file that take pieces.
-pub(super) fn uploads() -> OpenApiRouter<Shared> {
+pub(super) fn uploads() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(create_upload))
         .routes(routes!(append_to_upload, override_method))
-        .layer(middleware::from_fn(protocol::speak))
+        .layer(middleware::from_fn(protocol::check_version))
 }
 
-/// Ask what of tus is spoken
+/// Get the supported tus options
 ///
-/// In the headers `Tus-Version`, `Tus-Extension`, `Tus-Max-Size` and `Tus-Checksum-Algorithm`.
+/// Returns the headers `Tus-Version`, `Tus-Extension`, `Tus-Max-Size` and `Tus-Checksum-Algorithm`.
 #[utoipa::path(
     options, path = "/v1/uploads", tag = "uploads",
-    responses((status = 204, description = "The headers say it"))
+    responses((status = 204, description = "Success; see the headers"))
 )]
 async fn describe_protocol() -> StatusCode {
     StatusCode::NO_CONTENT
@@ -59,49 +60,53 @@ async fn describe_protocol() -> StatusCode {
 
 /// List uploads
 ///
-/// Those that no capture was made of and that have not expired, also those of captures that are being validated or were found
-/// invalid. This is not part of tus: no version need be named.
+/// Returns the uploads of the caller's tenant that have not expired and have not become a capture, newest
+/// first. Uploads of captures in the states `validating` and `invalid` are included. This operation is not
+/// part of tus and does not need the header `Tus-Resumable`.
 #[utoipa::path(
     get, path = "/v1/uploads", tag = "uploads", params(PageQuery),
     responses((status = 200, body = List<UploadView>))
 )]
 async fn list_uploads(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<UploadView>>, Problem> {
     let page = query.page(async |id| app.store.upload(&caller.tenant, &id.into()).await).await?;
-    let uploads = app.store.uploads(&caller.tenant, app.jobs.now_ms(), &page.of_store()).await?;
+    let uploads = app.store.uploads(&caller.tenant, app.jobs.now_ms(), &page.store_page()).await?;
     Ok(Json(page.list(uploads, |upload| view(&upload))))
 }
 
-/// Begin an upload
+/// Create an upload
 ///
-/// As tus 1.0.0 says, without a query: `Upload-Length` is the length of the whole file, `Upload-Metadata` may name it. The answer's `Location` is where
-/// its pieces go. The first piece may come as the body. When it is complete, `POST /v1/captures` with `{"upload": "ID"}` makes a
-/// capture of it; what that is called is said there.
+/// Creates a resumable upload according to tus 1.0.0. `Upload-Length` is the size of the whole file.
+/// `Upload-Metadata` can contain its file name. The body can contain the first part of the file. The header
+/// `Location` of the answer is the URL for further parts.
+///
+/// When the upload is complete, `POST /v1/captures` with `{"upload": "ID"}` creates a capture. That request
+/// sets name, external identifier and labels; this one accepts no query.
 #[utoipa::path(
     post, path = "/v1/uploads", tag = "uploads",
     params(
-        ("Tus-Resumable" = String, Header, description = "1.0.0"),
-        ("Upload-Length" = u64, Header, description = "Bytes of the whole file"),
-        ("Upload-Metadata" = Option<String>, Header, description = "Keys and Base64 values, e.g. `filename c2Nhbi56aXA=`"),
-        ("Upload-Checksum" = Option<String>, Header, description = "Of the body: `sha1` or `sha256`, a space, Base64")
+        ("Tus-Resumable" = String, Header, description = "Version of tus, `1.0.0`"),
+        ("Upload-Length" = u64, Header, description = "Size of the whole file, bytes"),
+        ("Upload-Metadata" = Option<String>, Header, description = "Keys and Base64 values, at most 4096 bytes, e.g. `filename c2Nhbi56aXA=`"),
+        ("Upload-Checksum" = Option<String>, Header, description = "Checksum of the body: `sha1` or `sha256`, a space, and the digest in Base64")
     ),
     request_body(content = Option<File>, content_type = "application/offset+octet-stream"),
     responses(
-        (status = 201, description = "`Location` says where; `Upload-Offset` how much of it is there"),
-        (status = 400, body = Problem, description = "A header is wrong"),
-        (status = 412, body = Problem, description = "Another version of tus"),
-        (status = 413, body = Problem, description = "Longer than Tus-Max-Size"),
-        (status = 422, body = Problem, description = "There is a query"),
+        (status = 201, description = "Created; `Location` is the URL of the upload, `Upload-Offset` the number of stored bytes"),
+        (status = 400, body = Problem, description = "Invalid header"),
+        (status = 412, body = Problem, description = "Unsupported version of tus"),
+        (status = 413, body = Problem, description = "Larger than `Tus-Max-Size`"),
+        (status = 422, body = Problem, description = "The request has a query"),
         (status = 429, body = Problem, description = "Too many unfinished uploads"),
-        (status = 460, body = Problem, description = "The checksum is not that of the body; nothing was begun"),
-        (status = 507, body = Problem, description = "There is no room for all of it")
+        (status = 460, body = Problem, description = "Checksum mismatch; the server created no upload"),
+        (status = 507, body = Problem, description = "Not enough disk space for the whole file")
     )
 )]
 async fn create_upload(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     _: QueryString<NoQuery>,
     request: Request,
@@ -124,47 +129,52 @@ async fn create_upload(
         created_ms: app.jobs.now_ms(),
         expires_ms: expiry(&app),
         capture_id: None,
-        marks: Marks::default(),
+        capture_metadata: ResourceMetadata::default(),
         sha256: None,
         problem: None,
     };
-    app.store.begin_upload(&upload, app.upload_limits.each).await.map_err(|error| caller.told(error))?;
+    app.store.begin_upload(&upload, app.upload_limits.each).await.map_err(|error| caller.problem_for(error))?;
     if brings_piece {
         upload = receiving::first_piece(&app, &caller, upload, request).await?;
     }
     let location = format!("/v1/uploads/{}", upload.id);
     let mut response = (StatusCode::CREATED, [(header::LOCATION, location)]).into_response();
-    headers::tell(response.headers_mut(), &upload);
+    headers::write_headers(response.headers_mut(), &upload);
     Ok(response)
 }
 
-/// Ask how much of an upload is there
+/// Get the offset of an upload
 ///
-/// In the headers `Upload-Offset` and `Upload-Length`. What is counted is on disk and survives the server's death.
+/// Returns the headers `Upload-Offset` and `Upload-Length`. The bytes before the offset are durable on disk.
 #[utoipa::path(
     head, path = "/v1/uploads/{id}", tag = "uploads",
-    params(("id" = String, Path), ("Tus-Resumable" = String, Header, description = "1.0.0")),
+    params(
+        ("id" = String, Path, description = "Upload identifier"),
+        ("Tus-Resumable" = String, Header, description = "Version of tus, `1.0.0`")
+    ),
     responses(
-        (status = 200, description = "The headers say it"), (status = 404, description = "There is none"),
-        (status = 410, description = "It has expired"), (status = 412, description = "Another version of tus")
+        (status = 200, description = "Success; see the headers"), (status = 404, description = "Not found"),
+        (status = 410, description = "The upload has expired"),
+        (status = 412, description = "Unsupported version of tus")
     )
 )]
-async fn head_upload(app: State<Shared>, caller: Caller, id: UrlPath<UploadId>) -> Result<Response, Problem> {
+async fn head_upload(app: State<AppState>, caller: Caller, id: UrlPath<UploadId>) -> Result<Response, Problem> {
     get_upload(app, caller, id).await
 }
 
 /// Get an upload
 ///
-/// What `HEAD` says, as JSON too. This is not part of tus: no version need be named.
+/// Returns the upload as JSON, with the headers of `HEAD`. This operation is not part of tus and does not
+/// need the header `Tus-Resumable`.
 #[utoipa::path(
-    get, path = "/v1/uploads/{id}", tag = "uploads", params(("id" = String, Path)),
+    get, path = "/v1/uploads/{id}", tag = "uploads", params(("id" = String, Path, description = "Upload identifier")),
     responses(
         (status = 200, body = UploadView), (status = 404, body = Problem),
-        (status = 410, body = Problem, description = "It has expired")
+        (status = 410, body = Problem, description = "The upload has expired")
     )
 )]
 async fn get_upload(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<UploadId>,
 ) -> Result<Response, Problem> {
@@ -176,67 +186,68 @@ async fn get_upload(
     if let Some(metadata) = upload.metadata.as_ref().and_then(|text| HeaderValue::from_str(text).ok()) {
         told.insert(headers::METADATA, metadata);
     }
-    headers::tell(told, &upload);
+    headers::write_headers(told, &upload);
     Ok(response)
 }
 
-/// Send a piece of an upload
+/// Append a part to an upload
 ///
-/// It begins at `Upload-Offset`, which must be where the upload is. When the connection breaks, what arrived is kept; with
-/// `Upload-Checksum` the piece is kept whole or not at all.
+/// `Upload-Offset` must equal the current offset of the upload. If the connection breaks, the server keeps
+/// the received bytes. With `Upload-Checksum` it keeps the part only as a whole.
 #[utoipa::path(
     patch, path = "/v1/uploads/{id}", tag = "uploads",
     params(
-        ("id" = String, Path),
-        ("Tus-Resumable" = String, Header, description = "1.0.0"),
-        ("Upload-Offset" = u64, Header, description = "Where the piece begins"),
-        ("Upload-Checksum" = Option<String>, Header, description = "Of the piece: `sha1` or `sha256`, a space, Base64")
+        ("id" = String, Path, description = "Upload identifier"),
+        ("Tus-Resumable" = String, Header, description = "Version of tus, `1.0.0`"),
+        ("Upload-Offset" = u64, Header, description = "Offset of the part, bytes"),
+        ("Upload-Checksum" = Option<String>, Header, description = "Checksum of the part: `sha1` or `sha256`, a space, and the digest in Base64")
     ),
     request_body(content = File, content_type = "application/offset+octet-stream"),
     responses(
-        (status = 204, description = "Stored; `Upload-Offset` says how much is there now"),
-        (status = 400, body = Problem, description = "A header is wrong"),
+        (status = 204, description = "Stored; `Upload-Offset` is the new offset"),
+        (status = 400, body = Problem, description = "Invalid header"),
         (status = 404, body = Problem),
-        (status = 409, body = Problem, description = "The upload is somewhere else"),
-        (status = 410, body = Problem, description = "It has expired"),
-        (status = 412, body = Problem, description = "Another version of tus"),
-        (status = 413, body = Problem, description = "The piece goes past the upload's length"),
+        (status = 409, body = Problem, description = "`Upload-Offset` is not the current offset"),
+        (status = 410, body = Problem, description = "The upload has expired"),
+        (status = 412, body = Problem, description = "Unsupported version of tus"),
+        (status = 413, body = Problem, description = "The part exceeds the size of the upload"),
         (status = 415, body = Problem),
-        (status = 423, body = Problem, description = "Another request works on it"),
-        (status = 460, body = Problem, description = "The checksum is not that of the piece; nothing of it was kept"),
-        (status = 507, body = Problem, description = "There is no room")
+        (status = 423, body = Problem, description = "Another request uses the upload"),
+        (status = 460, body = Problem, description = "Checksum mismatch; the server discarded the part"),
+        (status = 507, body = Problem, description = "Not enough disk space")
     )
 )]
 async fn append_to_upload(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<UploadId>,
     request: Request,
 ) -> Result<Response, Problem> {
     let upload = receiving::piece(&app, &caller, &id, request).await?;
     let mut response = StatusCode::NO_CONTENT.into_response();
-    headers::tell(response.headers_mut(), &upload);
+    headers::write_headers(response.headers_mut(), &upload);
     Ok(response)
 }
 
-/// Send a piece of an upload, or delete it, where only GET and POST pass
+/// Append to or delete an upload through POST
 ///
-/// `X-HTTP-Method-Override` says `PATCH` or `DELETE`; all else is as there.
+/// For networks that allow only GET and POST. The header `X-HTTP-Method-Override` selects `PATCH` or
+/// `DELETE`. All other headers, the body and the answers are those of the selected method.
 #[utoipa::path(
     post, path = "/v1/uploads/{id}", tag = "uploads",
     params(
-        ("id" = String, Path),
-        ("Tus-Resumable" = String, Header, description = "1.0.0"),
+        ("id" = String, Path, description = "Upload identifier"),
+        ("Tus-Resumable" = String, Header, description = "Version of tus, `1.0.0`"),
         ("X-HTTP-Method-Override" = String, Header, description = "`PATCH` or `DELETE`")
     ),
     request_body(content = Option<File>, content_type = "application/offset+octet-stream"),
     responses(
-        (status = 204, description = "Done"), (status = 400, body = Problem, description = "A header is wrong"),
-        (status = 404, body = Problem), (status = 412, body = Problem, description = "Another version of tus")
+        (status = 204, description = "Success"), (status = 400, body = Problem, description = "Invalid header"),
+        (status = 404, body = Problem), (status = 412, body = Problem, description = "Unsupported version of tus")
     )
 )]
 async fn override_method(
-    app: State<Shared>,
+    app: State<AppState>,
     caller: Caller,
     id: UrlPath<UploadId>,
     request: Request,
@@ -248,31 +259,34 @@ async fn override_method(
     }
 }
 
-/// Give an upload up
+/// Delete an upload
 ///
-/// With what has arrived of it.
+/// Deletes the upload and its stored bytes.
 #[utoipa::path(
     delete, path = "/v1/uploads/{id}", tag = "uploads",
-    params(("id" = String, Path), ("Tus-Resumable" = String, Header, description = "1.0.0")),
+    params(
+        ("id" = String, Path, description = "Upload identifier"),
+        ("Tus-Resumable" = String, Header, description = "Version of tus, `1.0.0`")
+    ),
     responses(
-        (status = 204, description = "Given up"), (status = 404, body = Problem),
-        (status = 410, body = Problem, description = "It has expired"),
-        (status = 412, body = Problem, description = "Another version of tus"),
-        (status = 423, body = Problem, description = "Another request works on it")
+        (status = 204, description = "Deleted"), (status = 404, body = Problem),
+        (status = 410, body = Problem, description = "The upload has expired"),
+        (status = 412, body = Problem, description = "Unsupported version of tus"),
+        (status = 423, body = Problem, description = "Another request uses the upload")
     )
 )]
 async fn delete_upload(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<UploadId>,
 ) -> Result<StatusCode, Problem> {
     let upload = find(&app, &caller, &id).await?;
     // Whose poses are being found is deleted as a capture is.
     if let Some(capture) = upload.capture_id.filter(|capture| app.poses.progress(capture).is_some()) {
-        return deletion::delete_unmade(&app, &caller, capture).await;
+        return deletion::delete_unfinished_capture(&app, &caller, capture).await;
     }
-    let (hold, _) = held(&app, &caller, &id).await?;
-    app.store.drop_upload(&hold).await?;
+    let (lock, _) = find_locked(&app, &caller, &id).await?;
+    app.store.drop_upload(&lock).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

@@ -5,29 +5,29 @@ use axum::http::{HeaderValue, Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use crate::api::Problem;
+use crate::server::problem::Problem;
 use crate::server::uploads::headers::{ALGORITHMS, EXTENSION, MAX_SIZE, RESUMABLE, VERSION};
 
-const SPOKEN: HeaderValue = HeaderValue::from_static("1.0.0");
+const PROTOCOL_VERSION: HeaderValue = HeaderValue::from_static("1.0.0");
 const EXTENSIONS: HeaderValue =
     HeaderValue::from_static("creation,creation-with-upload,checksum,expiration,termination");
 const CHECKSUMS: HeaderValue = HeaderValue::from_static("sha1,sha256");
 
 /// Refuses requests of another version. `GET` and `OPTIONS` need not name one: the first is not part of the protocol.
-pub(super) async fn speak(request: Request, next: Next) -> Response {
+pub(super) async fn check_version(request: Request, next: Next) -> Response {
     let needs_none = matches!(*request.method(), Method::GET | Method::OPTIONS);
     let mut response = match request.headers().get(RESUMABLE) {
-        Some(version) if version == SPOKEN => next.run(request).await,
+        Some(version) if version == PROTOCOL_VERSION => next.run(request).await,
         None if needs_none => next.run(request).await,
         _ => {
-            let title = "Another version of the tus protocol is spoken here";
+            let title = "The version of the tus protocol is not supported";
             let problem = Problem::new(StatusCode::PRECONDITION_FAILED, "tus-version", title);
             let mut response = problem.detail("send the header Tus-Resumable: 1.0.0").into_response();
-            response.headers_mut().insert(VERSION, SPOKEN);
+            response.headers_mut().insert(VERSION, PROTOCOL_VERSION);
             response
         }
     };
-    response.headers_mut().insert(RESUMABLE, SPOKEN);
+    response.headers_mut().insert(RESUMABLE, PROTOCOL_VERSION);
     response
 }
 
@@ -40,8 +40,8 @@ pub(in crate::server) async fn advertise(State(most): State<u64>, request: Reque
         let headers = response.headers_mut();
         let most = HeaderValue::from(most);
         for (name, value) in [
-            (RESUMABLE, SPOKEN),
-            (VERSION, SPOKEN),
+            (RESUMABLE, PROTOCOL_VERSION),
+            (VERSION, PROTOCOL_VERSION),
             (EXTENSION, EXTENSIONS),
             (MAX_SIZE, most),
             (ALGORITHMS, CHECKSUMS),

@@ -5,17 +5,18 @@ use axum::http::StatusCode;
 use futures::TryStreamExt;
 use tower_http::timeout::TimeoutError;
 
-use crate::api::{Problem, UploadId};
-use crate::server::app::Shared;
+use crate::server::problem::Problem;
+use relume_api::UploadId;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{STALLED, caused_by, content_length, media_type};
-use crate::server::uploads::finding::{PIECE, expiry, held};
+use crate::server::uploads::finding::{PIECE, expiry, find_locked};
 use crate::server::uploads::headers;
-use crate::store::{Checksum, Hold, Piece, StoreError, UploadRecord};
+use crate::store::{Checksum, UploadLock, Piece, StoreError, UploadRecord};
 
 /// Takes the piece that a request brings; the upload as it is then.
 pub(super) async fn piece(
-    app: &Shared,
+    app: &AppState,
     caller: &Caller,
     id: &UploadId,
     request: Request,
@@ -25,39 +26,39 @@ pub(super) async fn piece(
     }
     let offset = headers::offset(request.headers())?;
     let checksum = headers::checksum(request.headers())?;
-    let (hold, upload) = held(app, caller, id).await?;
+    let (lock, upload) = find_locked(app, caller, id).await?;
     if offset != upload.offset() {
-        let detail = format!("the upload is at {} bytes, the piece begins at {offset}", upload.received);
+        let detail = format!("the offset of the upload is {}, the offset of the part is {offset}", upload.received);
         return Err(Problem::conflict("offset-mismatch", detail));
     }
-    append(app, caller, hold, upload, checksum, request).await
+    append(app, caller, lock, upload, checksum, request).await
 }
 
 /// Takes the piece that came with an upload's creation. Nothing is left of the upload when that fails: nobody was told its name.
 pub(super) async fn first_piece(
-    app: &Shared,
+    app: &AppState,
     caller: &Caller,
     upload: UploadRecord,
     request: Request,
 ) -> Result<UploadRecord, Problem> {
     let id = upload.id.clone();
-    let received = match (headers::checksum(request.headers()), app.store.hold_upload(&id)) {
-        (Ok(checksum), Some(hold)) => append(app, caller, hold, upload, checksum, request).await,
+    let received = match (headers::checksum(request.headers()), app.store.lock_upload(&id)) {
+        (Ok(checksum), Some(lock)) => append(app, caller, lock, upload, checksum, request).await,
         (Err(problem), _) => Err(problem),
-        (_, None) => Err(Problem::internal("an upload that nobody knows is in use")),
+        (_, None) => Err(Problem::internal("a new upload is locked")),
     };
     if received.is_err()
-        && let Some(hold) = app.store.hold_upload(&id)
+        && let Some(lock) = app.store.lock_upload(&id)
     {
-        app.store.drop_upload(&hold).await?;
+        app.store.drop_upload(&lock).await?;
     }
     received
 }
 
 async fn append(
-    app: &Shared,
+    app: &AppState,
     caller: &Caller,
-    hold: Hold,
+    lock: UploadLock,
     upload: UploadRecord,
     checksum: Option<Checksum>,
     request: Request,
@@ -71,7 +72,7 @@ async fn append(
     let appending = tokio::spawn(async move {
         let mut stalled = false;
         let body = body.inspect_err(|error| stalled = caused_by::<TimeoutError>(error));
-        let piece = Piece { upload, hold: &hold, checksum, expires_ms: &|| expiry(&app) };
+        let piece = Piece { upload, lock: &lock, checksum, expires_ms: &|| expiry(&app) };
         let appended = app.store.append(piece, body).await;
         (appended, stalled)
     });
@@ -80,13 +81,13 @@ async fn append(
         Ok(upload) => Ok(upload),
         Err(_) if stalled => Err(Problem::timeout(STALLED)),
         Err(StoreError::ChecksumMismatch) => Err(mismatch()),
-        Err(error) => Err(caller.told(error)),
+        Err(error) => Err(caller.problem_for(error)),
     }
 }
 
 /// 460, a status of the tus protocol.
 fn mismatch() -> Problem {
     let status = StatusCode::from_u16(460).unwrap_or(StatusCode::BAD_REQUEST);
-    Problem::new(status, "checksum-mismatch", "The checksum is not that of the piece")
-        .detail("nothing of the piece was kept; send it again")
+    Problem::new(status, "checksum-mismatch", "The checksum does not match the part")
+        .detail("the server discarded the part; send it again")
 }

@@ -9,28 +9,29 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::webhooks::{
+use relume_api::webhooks::{
     AttemptView, CreatedWebhook, DeliveryState, DeliveryView, NewWebhook, WebhookChange, WebhookView,
-    fault_of,
+    validate_webhook,
 };
-use crate::api::{DeliveryId, List, Problem, WebhookId};
-use crate::server::app::Shared;
+use relume_api::{DeliveryId, List, WebhookId};
+use crate::server::problem::Problem;
+use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::{PageQuery, rfc3339};
-use crate::server::outbound::Target;
+use crate::server::outbound::OutboundTarget;
 use crate::server::webhooks::policy::WebhookPolicy;
-use crate::server::webhooks::signature::{fresh_secret, written};
+use crate::server::webhooks::signature::{fresh_secret, encode_secret};
 use crate::store::{DeliveryRecord, Replay, WebhookRecord};
 
 /// How long the address of a new webhook may take to be found.
-const LOOK_UP: Duration = Duration::from_secs(5);
+const DNS_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// How long a secret signs after it was replaced.
-const FORMER_SIGNS_MS: i64 = 24 * 3600 * 1000;
+const FORMER_SECRET_VALID_MS: i64 = 24 * 3600 * 1000;
 
 /// The routes of this file.
-pub(in crate::server) fn routes() -> OpenApiRouter<Shared> {
+pub(in crate::server) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(create_webhook, list_webhooks))
         .routes(routes!(get_webhook, change_webhook, delete_webhook))
@@ -39,26 +40,29 @@ pub(in crate::server) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(replay_delivery))
 }
 
-/// Make a webhook
+/// Create a webhook
 ///
-/// From then on it is sent a `POST` whenever a job of the tenant ends in one of the ways that it names, signed as
-/// [Standard Webhooks](https://www.standardwebhooks.com) has it: `webhook-id`, `webhook-timestamp`, `webhook-signature`. The body is
-/// `{"type": "job.succeeded", "timestamp": "...", "data": {"job": {...}}}`. The answer has the secret, which is shown this once.
-/// A tenant has at most 16. It stays when the key that made it ends.
+/// The server sends a `POST` to the URL for each selected event of the tenant's jobs. It signs messages
+/// according to [Standard Webhooks](https://www.standardwebhooks.com) with the headers `webhook-id`,
+/// `webhook-timestamp` and `webhook-signature`. The body is
+/// `{"type": "job.succeeded", "timestamp": "...", "data": {"job": {...}}}`.
+///
+/// The answer contains the secret, which the server shows once. A tenant can have at most 16 webhooks. A
+/// webhook remains when the key that created it expires or is revoked.
 #[utoipa::path(
     post, path = "/v1/webhooks", tag = "webhooks", request_body = NewWebhook,
     responses(
         (status = 201, body = CreatedWebhook),
-        (status = 409, body = Problem, description = "The tenant has as many as it may"),
-        (status = 422, body = Problem, description = "A field is wrong, or the host has no address that is public")
+        (status = 409, body = Problem, description = "The tenant has the maximum number of webhooks"),
+        (status = 422, body = Problem, description = "A field is invalid, or the host has no public address")
     )
 )]
 async fn create_webhook(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     JsonBody(webhook): JsonBody<NewWebhook>,
 ) -> Result<Response, Problem> {
-    check(Some(&webhook.url), fault_of(Some(&webhook.events), webhook.name.as_deref()), &app.webhooks)
+    check(Some(&webhook.url), validate_webhook(Some(&webhook.events), webhook.name.as_deref()), &app.webhooks)
         .await?;
     let secret = fresh_secret().map_err(Problem::internal)?;
     let record = WebhookRecord {
@@ -83,34 +87,37 @@ async fn create_webhook(
         (header::LOCATION, HeaderValue::from_str(&location).map_err(Problem::internal)?),
         (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
     ];
-    let created = CreatedWebhook { secret: written(&made.secret), webhook: view(made) };
+    let created = CreatedWebhook { secret: encode_secret(&made.secret), webhook: view(made) };
     Ok((StatusCode::CREATED, headers, Json(created)).into_response())
 }
 
 /// List webhooks
 ///
-/// Without their secrets.
+/// Returns the webhooks of the caller's tenant without their secrets, newest first.
 #[utoipa::path(
     get, path = "/v1/webhooks", tag = "webhooks", params(PageQuery),
     responses((status = 200, body = List<WebhookView>))
 )]
 async fn list_webhooks(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     QueryString(query): QueryString<PageQuery>,
 ) -> Result<Json<List<WebhookView>>, Problem> {
     let page = query.page(async |id| app.store.webhook(&caller.tenant, &id.into()).await).await?;
-    let found = app.store.webhooks(&caller.tenant, &page.of_store()).await?;
+    let found = app.store.webhooks(&caller.tenant, &page.store_page()).await?;
     Ok(Json(page.list(found, view)))
 }
 
 /// Get a webhook
+///
+/// Returns the webhook without its secret.
 #[utoipa::path(
-    get, path = "/v1/webhooks/{id}", tag = "webhooks", params(("id" = String, Path)),
+    get, path = "/v1/webhooks/{id}", tag = "webhooks",
+    params(("id" = String, Path, description = "Webhook identifier")),
     responses((status = 200, body = WebhookView), (status = 404, body = Problem))
 )]
 async fn get_webhook(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<WebhookId>,
 ) -> Result<Json<WebhookView>, Problem> {
@@ -119,54 +126,60 @@ async fn get_webhook(
 
 /// Change a webhook
 ///
-/// `{"enabled": true}` switches one on again that the server had switched off; what waited for it is sent then.
+/// Omitted fields are unchanged. `{"enabled": true}` also enables a webhook that the server disabled, and
+/// sends its queued messages.
 #[utoipa::path(
-    patch, path = "/v1/webhooks/{id}", tag = "webhooks", params(("id" = String, Path)), request_body = WebhookChange,
+    patch, path = "/v1/webhooks/{id}", tag = "webhooks",
+    params(("id" = String, Path, description = "Webhook identifier")),
+    request_body = WebhookChange,
     responses((status = 200, body = WebhookView), (status = 404, body = Problem), (status = 422, body = Problem))
 )]
 async fn change_webhook(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<WebhookId>,
     JsonBody(change): JsonBody<WebhookChange>,
 ) -> Result<Json<WebhookView>, Problem> {
     found(app.store.webhook(&caller.tenant, &id).await?, &id)?;
-    let fault = fault_of(change.events.as_deref(), change.name.as_deref());
+    let fault = validate_webhook(change.events.as_deref(), change.name.as_deref());
     check(change.url.as_deref(), fault, &app.webhooks).await?;
     let changed = app.store.change_webhook(&caller.tenant, &id, &change).await?;
     found(changed, &id).map(|webhook| Json(view(webhook)))
 }
 
-/// Give a webhook a new secret
+/// Rotate the secret of a webhook
 ///
-/// The answer has it; it is shown this once. For 24 hours messages have two signatures, by the new secret and by the one before, so
-/// that the receiver can take the new one over without missing a message. A secret that was replaced before ends at once.
+/// The answer contains the new secret, which the server shows once. For 24 hours the server signs messages
+/// with both the new and the previous secret, so that the receiver can change to the new secret without
+/// missing messages. Older secrets become invalid at once.
 #[utoipa::path(
-    post, path = "/v1/webhooks/{id}/rotate-secret", tag = "webhooks", params(("id" = String, Path)),
+    post, path = "/v1/webhooks/{id}/rotate-secret", tag = "webhooks",
+    params(("id" = String, Path, description = "Webhook identifier")),
     responses((status = 200, body = CreatedWebhook), (status = 404, body = Problem))
 )]
 async fn rotate_webhook_secret(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<WebhookId>,
 ) -> Result<Response, Problem> {
     let secret = fresh_secret().map_err(Problem::internal)?;
-    let former_until_ms = app.jobs.now_ms().saturating_add(FORMER_SIGNS_MS);
+    let former_until_ms = app.jobs.now_ms().saturating_add(FORMER_SECRET_VALID_MS);
     let rotated = app.store.rotate_webhook_secret(&caller.tenant, &id, &secret, former_until_ms).await?;
     let rotated = found(rotated, &id)?;
-    let shown = CreatedWebhook { secret: written(&rotated.secret), webhook: view(rotated) };
+    let shown = CreatedWebhook { secret: encode_secret(&rotated.secret), webhook: view(rotated) };
     Ok(([(header::CACHE_CONTROL, HeaderValue::from_static("no-store"))], Json(shown)).into_response())
 }
 
 /// Delete a webhook
 ///
-/// With what waits for it and what was sent to it.
+/// Deletes the webhook with its queued and sent deliveries.
 #[utoipa::path(
-    delete, path = "/v1/webhooks/{id}", tag = "webhooks", params(("id" = String, Path)),
+    delete, path = "/v1/webhooks/{id}", tag = "webhooks",
+    params(("id" = String, Path, description = "Webhook identifier")),
     responses((status = 204, description = "Deleted"), (status = 404, body = Problem))
 )]
 async fn delete_webhook(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<WebhookId>,
 ) -> Result<StatusCode, Problem> {
@@ -174,15 +187,17 @@ async fn delete_webhook(
     found(deleted.then_some(StatusCode::NO_CONTENT), &id)
 }
 
-/// List what was sent to a webhook
+/// List the deliveries of a webhook
 ///
-/// And what waits to be sent, newest first, with each attempt. Kept for 30 days.
+/// Returns sent and queued deliveries with their attempts, newest first. The server keeps deliveries for 30
+/// days.
 #[utoipa::path(
-    get, path = "/v1/webhooks/{id}/deliveries", tag = "webhooks", params(("id" = String, Path), PageQuery),
+    get, path = "/v1/webhooks/{id}/deliveries", tag = "webhooks",
+    params(("id" = String, Path, description = "Webhook identifier"), PageQuery),
     responses((status = 200, body = List<DeliveryView>), (status = 404, body = Problem))
 )]
 async fn list_deliveries(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<WebhookId>,
     QueryString(query): QueryString<PageQuery>,
@@ -190,23 +205,27 @@ async fn list_deliveries(
     found(app.store.webhook(&caller.tenant, &id).await?, &id)?;
     let page =
         query.page(async |before| app.store.delivery(&caller.tenant, &id, &before.into()).await).await?;
-    let deliveries = app.store.deliveries(&caller.tenant, &id, &page.of_store()).await?;
+    let deliveries = app.store.deliveries(&caller.tenant, &id, &page.store_page()).await?;
     Ok(Json(page.list(deliveries, delivery_view)))
 }
 
-/// Send a message again
+/// Replay a delivery
 ///
-/// At once, with the same `webhook-id` and the same body, whether it was delivered before or not.
+/// Sends the message again at once, with the same `webhook-id` and the same body, whether or not it was
+/// delivered before.
 #[utoipa::path(
     post, path = "/v1/webhooks/{id}/deliveries/{delivery}/replay", tag = "webhooks",
-    params(("id" = String, Path), ("delivery" = String, Path)),
+    params(
+        ("id" = String, Path, description = "Webhook identifier"),
+        ("delivery" = String, Path, description = "Delivery identifier")
+    ),
     responses(
         (status = 202, body = DeliveryView), (status = 404, body = Problem),
-        (status = 409, body = Problem, description = "The webhook is switched off")
+        (status = 409, body = Problem, description = "The webhook is disabled")
     )
 )]
 async fn replay_delivery(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     caller: Caller,
     UrlPath((id, delivery)): UrlPath<(WebhookId, DeliveryId)>,
 ) -> Result<(StatusCode, Json<DeliveryView>), Problem> {
@@ -214,7 +233,7 @@ async fn replay_delivery(
         Replay::Accepted(delivery) => Ok((StatusCode::ACCEPTED, Json(delivery_view(delivery)))),
         Replay::SwitchedOff => Err(Problem::conflict(
             "webhook-off",
-            "the webhook is switched off: PATCH it with {\"enabled\": true}",
+            "the webhook is disabled; enable it with PATCH {\"enabled\": true}",
         )),
         Replay::NotFound => Err(Problem::not_found("delivery", &format!("{id}/deliveries/{delivery}"))),
     }
@@ -232,9 +251,9 @@ async fn check(
     }
     let Some(url) = url else { return Ok(()) };
     let wrong = |why: String| Problem::invalid_field("/url", why);
-    let target = Target::parse(url, policy.allow_http).map_err(wrong)?;
-    let looked_up = tokio::time::timeout(LOOK_UP, target.addresses(policy.allow_private)).await;
-    looked_up.unwrap_or_else(|_| Err("its host was not found in time".to_owned())).map_err(wrong)?;
+    let target = OutboundTarget::parse(url, policy.allow_http).map_err(wrong)?;
+    let looked_up = tokio::time::timeout(DNS_TIMEOUT, target.addresses(policy.allow_private)).await;
+    looked_up.unwrap_or_else(|_| Err("the address of its host was not found in time".to_owned())).map_err(wrong)?;
     Ok(())
 }
 

@@ -4,18 +4,18 @@ use std::time::Duration;
 
 use sha2::{Digest, Sha256};
 
-use crate::api::DeliveryId;
+use relume_api::DeliveryId;
 
 /// Seconds before the second attempt, before the third, ...: three days in all.
-const GAPS: [u64; 9] = [5, 300, 1800, 7200, 18_000, 36_000, 50_400, 72_000, 86_400];
+const RETRY_DELAYS_S: [u64; 9] = [5, 300, 1800, 7200, 18_000, 36_000, 50_400, 72_000, 86_400];
 
 /// How long to wait after `tries` attempts; none when it is given up. Up to a fifth is added, by the identifier, so that what
 /// failed together is not tried together.
-pub(super) fn gap(id: &DeliveryId, tries: i64) -> Option<Duration> {
+pub(super) fn retry_delay(id: &DeliveryId, tries: i64) -> Option<Duration> {
     let place = usize::try_from(tries).ok()?.checked_sub(1)?;
-    let gap = Duration::from_secs(*GAPS.get(place)?);
+    let retry_delay = Duration::from_secs(*RETRY_DELAYS_S.get(place)?);
     let drawn = Sha256::digest(format!("{id} {tries}"))[0];
-    Some(gap + gap.mul_f64(0.2 * f64::from(drawn) / 255.0))
+    Some(retry_delay + retry_delay.mul_f64(0.2 * f64::from(drawn) / 255.0))
 }
 
 #[cfg(test)]
@@ -27,14 +27,14 @@ mod tests {
     #[test]
     fn gaps_grow_for_three_days_and_differ_from_message_to_message() {
         for id in ["a", "b", "c"].map(DeliveryId::from) {
-            let gaps: Vec<Duration> = (1..=9).map(|tries| gap(&id, tries).unwrap()).collect();
+            let gaps: Vec<Duration> = (1..=9).map(|tries| retry_delay(&id, tries).unwrap()).collect();
             assert!(gaps.is_sorted(), "{gaps:?}");
             assert!(gaps.iter().sum::<Duration>() > Duration::from_secs(3 * 24 * 3600));
-            assert_eq!(gap(&id, 10), None);
-            assert_eq!(gap(&id, 0), None);
-            assert_eq!(gap(&id, 4), gap(&id, 4), "the same each time");
+            assert_eq!(retry_delay(&id, 10), None);
+            assert_eq!(retry_delay(&id, 0), None);
+            assert_eq!(retry_delay(&id, 4), retry_delay(&id, 4), "the same each time");
         }
-        let drawn: BTreeSet<Duration> = (0..64).map(|n| gap(&n.to_string().into(), 3).unwrap()).collect();
+        let drawn: BTreeSet<Duration> = (0..64).map(|n| retry_delay(&n.to_string().into(), 3).unwrap()).collect();
         assert!(drawn.len() > 32);
         let bounds = (Duration::from_secs(1800), Duration::from_secs(2160));
         assert!(*drawn.first().unwrap() >= bounds.0 && *drawn.last().unwrap() <= bounds.1, "{drawn:?}");

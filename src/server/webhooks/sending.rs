@@ -4,11 +4,11 @@ use axum::body::Bytes;
 use axum::http::{HeaderValue, Method, Request, StatusCode, header};
 use http_body_util::{BodyExt, Full, Limited};
 
-use crate::server::outbound::{self, Target, Tls};
+use crate::server::outbound::{self, OutboundTarget, Tls};
 use crate::server::webhooks::policy::WebhookPolicy;
 
 /// Most that is read of an answer's body. Nothing of it is kept.
-const MOST_OF_ANSWER: usize = 64 << 10;
+const MAX_RESPONSE_BYTES: usize = 64 << 10;
 
 /// A message that is signed.
 pub(super) struct Message {
@@ -20,23 +20,23 @@ pub(super) struct Message {
 }
 
 /// What came of an attempt: the status of the answer if there was one, and what is wrong with it.
-pub(super) struct Outcome {
+pub(super) struct DeliveryOutcome {
     pub(super) status: Option<u16>,
     pub(super) error: Option<String>,
 }
 
 /// Sends a message.
-pub(super) async fn send(url: &str, message: Message, policy: &WebhookPolicy, tls: &Tls) -> Outcome {
+pub(super) async fn send(url: &str, message: Message, policy: &WebhookPolicy, tls: &Tls) -> DeliveryOutcome {
     let answered = tokio::time::timeout(policy.timeout, attempt(url, message, policy, tls)).await;
-    let answered = answered.unwrap_or_else(|_| Err("it did not answer in time".to_owned()));
+    let answered = answered.unwrap_or_else(|_| Err("the receiver did not answer in time".to_owned()));
     match answered {
-        Ok(status) if status.is_success() => Outcome { status: Some(status.as_u16()), error: None },
+        Ok(status) if status.is_success() => DeliveryOutcome { status: Some(status.as_u16()), error: None },
         Ok(status) => {
             let why = if status.is_redirection() { "; redirects are not followed" } else { "" };
-            let error = Some(format!("it answered {}{why}", status.as_u16()));
-            Outcome { status: Some(status.as_u16()), error }
+            let error = Some(format!("the receiver answered {}{why}", status.as_u16()));
+            DeliveryOutcome { status: Some(status.as_u16()), error }
         }
-        Err(error) => Outcome { status: None, error: Some(error) },
+        Err(error) => DeliveryOutcome { status: None, error: Some(error) },
     }
 }
 
@@ -46,11 +46,11 @@ async fn attempt(
     policy: &WebhookPolicy,
     tls: &Tls,
 ) -> Result<StatusCode, String> {
-    let target = Target::parse(url, policy.allow_http).map_err(|why| format!("the URL {why}"))?;
+    let target = OutboundTarget::parse(url, policy.allow_http).map_err(|why| format!("the URL {why}"))?;
     let request = request(message).map_err(|error| error.to_string())?;
     let mut answer = outbound::ask(&target, policy.allow_private, tls, request).await?;
     // The status counts, whatever follows: the body is only taken so that the receiver is not cut off.
-    let _ = Limited::new(answer.response.body_mut(), MOST_OF_ANSWER).collect().await;
+    let _ = Limited::new(answer.response.body_mut(), MAX_RESPONSE_BYTES).collect().await;
     Ok(answer.response.status())
 }
 

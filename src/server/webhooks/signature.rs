@@ -19,7 +19,7 @@ pub(super) fn fresh_secret() -> std::io::Result<Vec<u8>> {
 }
 
 /// A secret as its owner gets it.
-pub(super) fn written(secret: &[u8]) -> String {
+pub(super) fn encode_secret(secret: &[u8]) -> String {
     format!("whsec_{}", STANDARD.encode(secret))
 }
 
@@ -58,7 +58,7 @@ mod tests {
         let signed =
             signature(&secret, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, r#"{"test": 2432232314}"#);
         assert_eq!(signed.unwrap(), "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE=");
-        assert_eq!(written(&secret), "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw");
+        assert_eq!(encode_secret(&secret), "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw");
         assert_ne!(fresh_secret().unwrap(), fresh_secret().unwrap());
     }
 }

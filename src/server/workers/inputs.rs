@@ -6,40 +6,44 @@ use serde::Deserialize;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::{EnvironmentId, Problem};
+use relume_api::EnvironmentId;
+use crate::server::problem::Problem;
 use crate::jobs::{InputFile, Lease};
-use crate::server::app::Shared;
+use crate::server::app::AppState;
 use crate::server::description::File;
 use crate::server::extract::UrlPath;
-use crate::server::files::{self, Asked};
+use crate::server::files::{self, FileRequest};
 use crate::server::workers::lease::Held;
 use crate::store::ModelFile;
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(get_capture_of_work))
         .routes(routes!(get_environment_of_work))
         .routes(routes!(get_checkpoint_of_work))
 }
 
-/// Fetch the capture of a job
+/// Download the capture of a job
 ///
-/// For workers. Answers `Range` and `If-None-Match`; the `ETag` is the sha256 of the archive.
+/// For workers. Supports `Range` and `If-None-Match`. The `ETag` is the SHA-256 of the archive.
 #[utoipa::path(
     get, path = "/v1/work/{job}/capture", tag = "workers",
-    params(("job" = String, Path), ("Relume-Lease" = String, Header)),
+    params(
+        ("job" = String, Path, description = "Job identifier"),
+        ("Relume-Lease" = String, Header, description = "Lease token of the job")
+    ),
     responses(
         (status = 200, content_type = "application/octet-stream", body = File), (status = 404, body = Problem),
         (status = 206, content_type = "application/octet-stream", body = File),
-        (status = 307, description = "The object store has it, at a URL that holds for minutes"),
-        (status = 409, body = Problem, description = "The lease is lost")
+        (status = 307, description = "Redirect to the object store; the URL is valid for some minutes"),
+        (status = 409, body = Problem, description = "The lease is no longer valid")
     )
 )]
 async fn get_capture_of_work(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     Held(lease): Held,
-    asked: Asked,
+    asked: FileRequest,
 ) -> Result<Response, Problem> {
     let file = lease.capture().await?;
     send(&app, &lease, &asked, file.ok_or_else(|| Problem::not_found("capture", "of the job"))?).await
@@ -50,54 +54,62 @@ struct EnvironmentOfWork {
     environment: EnvironmentId,
 }
 
-/// Fetch an environment map of a job's tenant
+/// Download an environment map for a job
 ///
-/// For workers; as the capture.
+/// For workers. Returns an environment map of the job's tenant. Supports `Range` and `If-None-Match`. The
+/// `ETag` is the SHA-256 of the file.
 #[utoipa::path(
     get, path = "/v1/work/{job}/environments/{environment}", tag = "workers",
-    params(("job" = String, Path), ("environment" = String, Path), ("Relume-Lease" = String, Header)),
+    params(
+        ("job" = String, Path, description = "Job identifier"),
+        ("environment" = String, Path, description = "Environment map identifier"),
+        ("Relume-Lease" = String, Header, description = "Lease token of the job")
+    ),
     responses(
         (status = 200, content_type = "application/octet-stream", body = File), (status = 404, body = Problem),
         (status = 206, content_type = "application/octet-stream", body = File),
-        (status = 307, description = "The object store has it, at a URL that holds for minutes"),
-        (status = 409, body = Problem, description = "The lease is lost")
+        (status = 307, description = "Redirect to the object store; the URL is valid for some minutes"),
+        (status = 409, body = Problem, description = "The lease is no longer valid")
     )
 )]
 async fn get_environment_of_work(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     Held(lease): Held,
     UrlPath(path): UrlPath<EnvironmentOfWork>,
-    asked: Asked,
+    asked: FileRequest,
 ) -> Result<Response, Problem> {
     let file = lease.environment(&path.environment).await?;
     let missing = || Problem::not_found("environment", path.environment.as_str());
     send(&app, &lease, &asked, file.ok_or_else(missing)?).await
 }
 
-/// Fetch the checkpoint that a job goes on from
+/// Download the last checkpoint of a job
 ///
-/// For workers; as the capture.
+/// For workers. Supports `Range` and `If-None-Match`. The `ETag` is the SHA-256 of the file.
 #[utoipa::path(
     get, path = "/v1/work/{job}/checkpoint", tag = "workers",
-    params(("job" = String, Path), ("Relume-Lease" = String, Header)),
+    params(
+        ("job" = String, Path, description = "Job identifier"),
+        ("Relume-Lease" = String, Header, description = "Lease token of the job")
+    ),
     responses(
         (status = 200, content_type = "application/octet-stream", body = File), (status = 404, body = Problem),
         (status = 206, content_type = "application/octet-stream", body = File),
-        (status = 307, description = "The object store has it, at a URL that holds for minutes"),
-        (status = 409, body = Problem, description = "The lease is lost")
+        (status = 307, description = "Redirect to the object store; the URL is valid for some minutes"),
+        (status = 409, body = Problem, description = "The lease is no longer valid")
     )
 )]
 async fn get_checkpoint_of_work(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     Held(lease): Held,
-    asked: Asked,
+    asked: FileRequest,
 ) -> Result<Response, Problem> {
     let file = lease.last_checkpoint();
     send(&app, &lease, &asked, file.ok_or_else(|| Problem::not_found("checkpoint", "of the job"))?).await
 }
 
 /// A file, whose bytes are compared with their hash before any are sent from here.
-async fn send(app: &Shared, lease: &Lease, asked: &Asked, file: InputFile) -> Result<Response, Problem> {
+async fn send(app: &AppState, lease: &Lease, asked: &FileRequest, file: InputFile) -> Result<Response, Problem> {
     let missing = || Problem::not_found("file", "of the job");
     let size = app.store.artifacts().size(&file.artifact).await?.ok_or_else(missing)?;
     let described = ModelFile {

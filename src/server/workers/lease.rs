@@ -4,10 +4,11 @@ use axum::extract::{FromRequestParts, Path};
 use axum::http::request::Parts;
 use serde::Deserialize;
 
-use crate::api::work::LeaseView;
-use crate::api::{JobId, Problem};
+use relume_api::work::LeaseView;
+use relume_api::JobId;
+use crate::server::problem::Problem;
 use crate::jobs::Lease;
-use crate::server::app::Shared;
+use crate::server::app::AppState;
 use crate::store::{LeaseStatus, StoreError};
 
 /// The header with the lease's token.
@@ -17,29 +18,29 @@ pub(super) const LEASE: &str = "relume-lease";
 pub(super) struct Held(pub(super) Lease);
 
 #[derive(Deserialize)]
-struct OfJob {
+struct JobPath {
     job: JobId,
 }
 
-impl FromRequestParts<Shared> for Held {
+impl FromRequestParts<AppState> for Held {
     type Rejection = Problem;
 
-    async fn from_request_parts(parts: &mut Parts, app: &Shared) -> Result<Self, Problem> {
-        let path = Path::<OfJob>::from_request_parts(parts, app).await;
-        let Path(OfJob { job }) = path.map_err(Problem::internal)?;
+    async fn from_request_parts(parts: &mut Parts, app: &AppState) -> Result<Self, Problem> {
+        let path = Path::<JobPath>::from_request_parts(parts, app).await;
+        let Path(JobPath { job }) = path.map_err(Problem::internal)?;
         let token = parts.headers.get(LEASE).and_then(|value| value.to_str().ok());
-        let token = token.ok_or_else(|| Problem::invalid_field("header/Relume-Lease", "it is missing"))?;
+        let token = token.ok_or_else(|| Problem::invalid_field("header/Relume-Lease", "is missing"))?;
         app.jobs.lease(&job, token).await?.map(Self).ok_or_else(lost)
     }
 }
 
 /// 409 for a worker whose job was given to another, was cancelled or has ended.
 fn lost() -> Problem {
-    Problem::conflict("lease-lost", "the job is not this worker's any more: stop, and publish nothing")
+    Problem::conflict("lease-lost", "the worker no longer holds the job: stop, and publish nothing")
 }
 
 /// The answer to a worker's message; 409 when the lease was lost meanwhile.
-pub(super) fn standing(status: Result<LeaseStatus, StoreError>) -> Result<LeaseView, Problem> {
+pub(super) fn lease_view(status: Result<LeaseStatus, StoreError>) -> Result<LeaseView, Problem> {
     match status? {
         LeaseStatus::Lost => Err(lost()),
         status => Ok(LeaseView { status }),

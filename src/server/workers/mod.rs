@@ -4,18 +4,18 @@ mod inputs;
 mod lease;
 mod reports;
 mod results;
-mod roll;
+mod registry;
 
 use utoipa_axum::router::OpenApiRouter;
 
-use crate::server::app::Shared;
+use crate::server::app::AppState;
 
 /// Small bodies and queries.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
-    roll::routes().merge(reports::routes())
+pub(super) fn routes() -> OpenApiRouter<AppState> {
+    registry::routes().merge(reports::routes())
 }
 
 /// Files, which may be large.
-pub(super) fn transfers() -> OpenApiRouter<Shared> {
+pub(super) fn transfers() -> OpenApiRouter<AppState> {
     inputs::routes().merge(results::routes())
 }

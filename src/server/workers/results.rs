@@ -7,17 +7,17 @@ use serde::Deserialize;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::api::Problem;
-use crate::api::work::{LeaseView, SentFile};
+use crate::server::problem::Problem;
+use relume_api::work::{LeaseView, SentFile};
 use crate::jobs::Lease;
-use crate::server::app::Shared;
+use crate::server::app::AppState;
 use crate::server::description::File;
 use crate::server::extract::UrlPath;
-use crate::server::workers::lease::{Held, standing};
-use crate::store::Incoming;
+use crate::server::workers::lease::{Held, lease_view};
+use crate::store::StagedUpload;
 
 /// The routes of this file.
-pub(super) fn routes() -> OpenApiRouter<Shared> {
+pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(put_checkpoint)).routes(routes!(put_file_of_work))
 }
 
@@ -26,23 +26,28 @@ struct CheckpointPath {
     step: u32,
 }
 
-/// Send a checkpoint
+/// Upload a checkpoint
 ///
-/// For workers: what the next attempt goes on from. It replaces the one before once all of it has arrived.
+/// For workers. The next attempt continues from the checkpoint. It replaces the previous checkpoint when it
+/// is complete.
 #[utoipa::path(
     put, path = "/v1/work/{job}/checkpoints/{step}", tag = "workers",
     request_body(content((File = "application/octet-stream"))),
-    params(("job" = String, Path), ("step" = u32, Path), ("Relume-Lease" = String, Header)),
-    responses((status = 200, body = LeaseView), (status = 409, body = Problem, description = "The lease is lost"))
+    params(
+        ("job" = String, Path, description = "Job identifier"),
+        ("step" = u32, Path, description = "Training step of the checkpoint"),
+        ("Relume-Lease" = String, Header, description = "Lease token of the job")
+    ),
+    responses((status = 200, body = LeaseView), (status = 409, body = Problem, description = "The lease is no longer valid"))
 )]
 async fn put_checkpoint(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     Held(lease): Held,
     UrlPath(path): UrlPath<CheckpointPath>,
     request: Request,
 ) -> Result<Json<LeaseView>, Problem> {
     let bytes = receive(&app, &lease, request).await?;
-    standing(lease.take_checkpoint(i64::from(path.step), bytes).await).map(Json)
+    lease_view(lease.take_checkpoint(i64::from(path.step), bytes).await).map(Json)
 }
 
 #[derive(Deserialize)]
@@ -50,17 +55,22 @@ struct FilePath {
     name: String,
 }
 
-/// Send a file of a model
+/// Upload a file of a model
 ///
-/// For workers, before the model is published.
+/// For workers, before the model is published. File names have 1 to 64 characters of A-Z, a-z, 0-9, `.`, `_`
+/// and `-`, and start neither with `.` nor with `checkpoint`.
 #[utoipa::path(
     put, path = "/v1/work/{job}/files/{name}", tag = "workers",
     request_body(content((File = "application/octet-stream"))),
-    params(("job" = String, Path), ("name" = String, Path), ("Relume-Lease" = String, Header)),
-    responses((status = 200, body = SentFile), (status = 409, body = Problem, description = "The lease is lost"))
+    params(
+        ("job" = String, Path, description = "Job identifier"),
+        ("name" = String, Path, description = "File name"),
+        ("Relume-Lease" = String, Header, description = "Lease token of the job")
+    ),
+    responses((status = 200, body = SentFile), (status = 409, body = Problem, description = "The lease is no longer valid"))
 )]
 async fn put_file_of_work(
-    State(app): State<Shared>,
+    State(app): State<AppState>,
     Held(lease): Held,
     UrlPath(path): UrlPath<FilePath>,
     request: Request,
@@ -78,12 +88,12 @@ pub(super) fn check_name(name: &str, pointer: &str) -> Result<(), Problem> {
     if is_name && !name.starts_with("checkpoint") {
         return Ok(());
     }
-    let why = "must have 1 to 64 of A-Z, a-z, 0-9, `.`, `_` and `-` and begin neither with `.` nor with `checkpoint`";
+    let why = "must have 1 to 64 characters of A-Z, a-z, 0-9, `.`, `_` and `-`, and must not start with `.` or `checkpoint`";
     Err(Problem::invalid_field(pointer, why))
 }
 
 /// Streams a body to disk, counted for the job's tenant.
-async fn receive(app: &Shared, lease: &Lease, request: Request) -> Result<Incoming, Problem> {
+async fn receive(app: &AppState, lease: &Lease, request: Request) -> Result<StagedUpload, Problem> {
     let body = request.into_body().into_data_stream().map_err(|error| error.to_string());
     let name: String = app.jobs.fresh_id();
     Ok(app.store.receive(&lease.job().tenant, &name, body, app.limits.capture_bytes).await?)

@@ -6,29 +6,29 @@ use std::time::{Duration, SystemTime};
 
 /// A file on this machine.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Copy {
+pub(super) struct CachedFile {
     pub(super) bytes: u64,
     /// When it was used last.
     pub(super) used: SystemTime,
     /// Whether the object store is known to have it.
-    pub(super) is_elsewhere: bool,
+    pub(super) is_in_object_store: bool,
 }
 
 /// The copies and the bound on them.
 pub(super) struct Cache {
     most: u64,
-    stays: Duration,
-    copies: Mutex<HashMap<String, Copy>>,
+    min_age: Duration,
+    copies: Mutex<HashMap<String, CachedFile>>,
 }
 
 impl Cache {
-    pub(super) fn new(most: u64, stays: Duration, found: HashMap<String, Copy>) -> Self {
-        Self { most, stays, copies: Mutex::new(found) }
+    pub(super) fn new(most: u64, min_age: Duration, found: HashMap<String, CachedFile>) -> Self {
+        Self { most, min_age, copies: Mutex::new(found) }
     }
 
     /// A file was written that the object store has.
     pub(super) fn add(&self, key: &str, bytes: u64) {
-        self.lock().insert(key.to_owned(), Copy { bytes, used: SystemTime::now(), is_elsewhere: true });
+        self.lock().insert(key.to_owned(), CachedFile { bytes, used: SystemTime::now(), is_in_object_store: true });
     }
 
     /// A file is used.
@@ -39,15 +39,15 @@ impl Cache {
     }
 
     /// The object store is known to have this file.
-    pub(super) fn is_elsewhere(&self, key: &str) {
+    pub(super) fn is_in_object_store(&self, key: &str) {
         if let Some(copy) = self.lock().get_mut(key) {
-            copy.is_elsewhere = true;
+            copy.is_in_object_store = true;
         }
     }
 
     /// Whether the object store may not have a file that is here.
-    pub(super) fn is_only_here(&self, key: &str) -> bool {
-        self.lock().get(key).is_some_and(|copy| !copy.is_elsewhere)
+    pub(super) fn is_local_only(&self, key: &str) -> bool {
+        self.lock().get(key).is_some_and(|copy| !copy.is_in_object_store)
     }
 
     pub(super) fn forget(&self, key: &str) {
@@ -55,13 +55,13 @@ impl Cache {
     }
 
     /// A file that may go now: it was not used for as long as files stay.
-    pub(super) fn idle(&self, key: &str) -> Option<Copy> {
+    pub(super) fn idle(&self, key: &str) -> Option<CachedFile> {
         let found = self.lock().get(key).copied();
         found.filter(|copy| self.is_idle(copy))
     }
 
     /// The files that are to go, for all to be within the bound: those used longest ago first, and none that was used lately.
-    pub(super) fn surplus(&self) -> Vec<String> {
+    pub(super) fn evictable(&self) -> Vec<String> {
         let copies = self.lock();
         let mut excess = copies.values().map(|copy| copy.bytes).sum::<u64>().saturating_sub(self.most);
         if excess == 0 {
@@ -77,12 +77,12 @@ impl Cache {
         goes.map(|(key, _)| key.clone()).collect()
     }
 
-    fn is_idle(&self, copy: &Copy) -> bool {
+    fn is_idle(&self, copy: &CachedFile) -> bool {
         // A time that lies ahead was written by another clock.
-        copy.used.elapsed().map_or(true, |since| since >= self.stays)
+        copy.used.elapsed().map_or(true, |since| since >= self.min_age)
     }
 
-    fn lock(&self) -> MutexGuard<'_, HashMap<String, Copy>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, CachedFile>> {
         self.copies.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -91,30 +91,30 @@ impl Cache {
 mod tests {
     use super::*;
 
-    fn cache(most: u64, stays: Duration) -> Cache {
-        let cache = Cache::new(most, stays, HashMap::new());
+    fn cache(most: u64, min_age: Duration) -> Cache {
+        let cache = Cache::new(most, min_age, HashMap::new());
         for (key, ago) in [("a", 300), ("b", 200), ("c", 100)] {
             let used = SystemTime::now() - Duration::from_secs(ago);
-            cache.lock().insert(key.to_owned(), Copy { bytes: 10, used, is_elsewhere: true });
+            cache.lock().insert(key.to_owned(), CachedFile { bytes: 10, used, is_in_object_store: true });
         }
         cache
     }
 
     #[test]
     fn what_was_used_longest_ago_goes_first_and_only_what_is_too_much() {
-        assert!(cache(30, Duration::ZERO).surplus().is_empty());
-        assert_eq!(cache(29, Duration::ZERO).surplus(), ["a"]);
+        assert!(cache(30, Duration::ZERO).evictable().is_empty());
+        assert_eq!(cache(29, Duration::ZERO).evictable(), ["a"]);
         let cache = cache(15, Duration::ZERO);
         cache.touch("a");
-        assert_eq!(cache.surplus(), ["b", "c"]);
+        assert_eq!(cache.evictable(), ["b", "c"]);
         cache.forget("b");
-        assert_eq!(cache.surplus(), ["c"]);
+        assert_eq!(cache.evictable(), ["c"]);
     }
 
     #[test]
     fn what_was_used_lately_stays_whatever_the_bound() {
         let cache = cache(0, Duration::from_secs(150));
-        assert_eq!(cache.surplus(), ["a", "b"]);
+        assert_eq!(cache.evictable(), ["a", "b"]);
         assert!(cache.idle("c").is_none() && cache.idle("b").is_some() && cache.idle("d").is_none());
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Component, Path};
 
-use crate::store::incoming::INCOMING;
+use crate::store::staged_upload::INCOMING;
 use crate::store::uploads::UPLOADS;
 
 /// Whether `key` stays within the folder of artifacts.
@@ -11,7 +11,7 @@ pub(in crate::store) fn is_key(key: &str) -> bool {
 }
 
 /// Whether an artifact never leaves this machine: an upload that is not complete, or that nothing was made of yet.
-pub(in crate::store) fn stays_here(key: &str) -> bool {
+pub(in crate::store) fn is_never_uploaded(key: &str) -> bool {
     matches!(key.split('/').next(), None | Some("" | INCOMING | UPLOADS))
 }
 
@@ -21,8 +21,8 @@ mod tests {
 
     #[test]
     fn what_is_under_way_stays_here_and_what_is_made_does_not() {
-        assert!(["uploads/x", "incoming/y", ""].into_iter().all(stays_here));
+        assert!(["uploads/x", "incoming/y", ""].into_iter().all(is_never_uploaded));
         let made = ["captures/00", "environments/00", "attempts/j/1/model.ply", "exports/e", "uploadsx/y"];
-        assert!(!made.into_iter().any(stays_here));
+        assert!(!made.into_iter().any(is_never_uploaded));
     }
 }

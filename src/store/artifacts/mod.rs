@@ -8,10 +8,10 @@
 
 mod cache;
 mod key;
-mod place;
+mod object_store_config;
 mod remote;
-mod shared;
-mod turns;
+mod cached_store;
+mod artifact_locks;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -27,15 +27,15 @@ use tokio_util::bytes::Bytes;
 
 use crate::store::StoreError;
 use crate::store::hash::hex;
-use crate::store::incoming::{INCOMING, Incoming};
+use crate::store::staged_upload::{INCOMING, StagedUpload};
 use crate::store::references::of_job;
 use crate::store::verification::Verification;
 
-use shared::Shared;
+use cached_store::CachedStore;
 
-pub(super) use key::{is_key, stays_here};
-pub use place::{ArtifactsPlace, ArtifactsRedirect, ArtifactsUrl};
-pub(super) use remote::{Remote, Stored, fetch_to};
+pub(super) use key::{is_key, is_never_uploaded};
+pub use object_store_config::{ObjectStoreConfig, ArtifactsRedirect, ArtifactsUrl};
+pub(super) use remote::{Remote, RemoteObject, fetch_to};
 
 /// The artifact store of one data directory.
 #[derive(Clone)]
@@ -43,7 +43,7 @@ pub struct Artifacts {
     files: Arc<LocalFileSystem>,
     root: PathBuf,
     verification: Verification,
-    shared: Option<Arc<Shared>>,
+    cached_store: Option<Arc<CachedStore>>,
 }
 
 impl Artifacts {
@@ -55,15 +55,15 @@ impl Artifacts {
         let root = root.join("artifacts");
         std::fs::create_dir_all(&root)?;
         let files = LocalFileSystem::new_with_prefix(&root)?.with_fsync(true);
-        Ok(Self { files: Arc::new(files), root, verification: Verification::default(), shared: None })
+        Ok(Self { files: Arc::new(files), root, verification: Verification::default(), cached_store: None })
     }
 
     /// The same folder as a cache of an object store. Nothing is asked of that yet.
     ///
     /// # Errors
     /// When a setting of it is missing or wrong, or the folder cannot be read.
-    pub(super) fn shared(mut self, place: &ArtifactsPlace) -> Result<Self, StoreError> {
-        self.shared = Some(Arc::new(Shared::open(&self.root, place, self.verification.clone())?));
+    pub(super) fn with_object_store(mut self, config: &ObjectStoreConfig) -> Result<Self, StoreError> {
+        self.cached_store = Some(Arc::new(CachedStore::open(&self.root, config, self.verification.clone())?));
         Ok(self)
     }
 
@@ -71,7 +71,7 @@ impl Artifacts {
     ///
     /// # Errors
     /// When a left-over cannot be removed.
-    pub fn sweep_incoming(&self) -> Result<(), StoreError> {
+    pub fn clean_up_incoming(&self) -> Result<(), StoreError> {
         match std::fs::remove_dir_all(self.incoming()) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
             _ => Ok(()),
@@ -83,33 +83,33 @@ impl Artifacts {
     ///
     /// # Errors
     /// [`StoreError::ArtifactsUnreachable`] when it cannot be stored.
-    pub(super) async fn send_ahead(&self, path: &Path, key: &str) -> Result<(), StoreError> {
-        match self.shared_of(key) {
-            Some(shared) => shared.remote.put_file(key, path).await,
+    pub(super) async fn upload_file(&self, path: &Path, key: &str) -> Result<(), StoreError> {
+        match self.cached_store_for(key) {
+            Some(cached_store) => cached_store.remote.put_file(key, path).await,
             None => Ok(()),
         }
     }
 
     /// Moves a complete upload to its key. Content-addressed keys may exist already: the bytes are the same. What
-    /// [`Artifacts::send_ahead`] has sent is not sent again, unless somebody has removed it since.
+    /// [`Artifacts::upload_file`] has sent is not sent again, unless somebody has removed it since.
     ///
     /// # Errors
     /// When the move fails; the upload is then deleted.
-    pub async fn publish(&self, mut incoming: Incoming, key: &str) -> Result<(), StoreError> {
+    pub async fn publish(&self, mut incoming: StagedUpload, key: &str) -> Result<(), StoreError> {
         // Only a key that is made of the hash says what is there.
-        let is_there = async |shared: &Shared| match key.ends_with(&incoming.sha256) {
-            true => Ok::<_, StoreError>(shared.remote.size(key).await? == Some(incoming.bytes)),
+        let is_there = async |cached_store: &CachedStore| match key.ends_with(&incoming.sha256) {
+            true => Ok::<_, StoreError>(cached_store.remote.size(key).await? == Some(incoming.bytes)),
             false => Ok(false),
         };
-        if let Some(shared) = self.shared_of(key)
-            && !is_there(shared).await?
+        if let Some(cached_store) = self.cached_store_for(key)
+            && !is_there(cached_store).await?
         {
-            shared.remote.put_file(key, &incoming.path).await?;
+            cached_store.remote.put_file(key, &incoming.path).await?;
         }
-        let _turn = self.turn(key).await;
+        let _key_lock = self.key_lock(key).await;
         self.files.rename(&incoming.key, &Key::from(key)).await?;
         incoming.published = true;
-        self.hold(key, incoming.bytes);
+        self.add_to_cache(key, incoming.bytes);
         // Where both were names of one file already, a rename leaves both.
         match tokio::fs::remove_file(&incoming.path).await {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
@@ -123,20 +123,20 @@ impl Artifacts {
     /// [`StoreError::Full`] when the disk is full; nothing is at `key` then.
     pub async fn put(&self, key: &str, bytes: Vec<u8>) -> Result<String, StoreError> {
         let sha256 = hex(&Sha256::digest(&bytes));
-        let Some(shared) = self.shared_of(key) else {
+        let Some(cached_store) = self.cached_store_for(key) else {
             self.files.put(&Key::from(key), PutPayload::from(bytes)).await?;
             return Ok(sha256);
         };
         let bytes = Bytes::from(bytes);
-        shared.remote.put(key, bytes.clone()).await?;
+        cached_store.remote.put(key, bytes.clone()).await?;
         let size = bytes.len() as u64;
-        let turn = self.turn(key).await;
+        let key_lock = self.key_lock(key).await;
         match self.files.put(&Key::from(key), PutPayload::from(bytes)).await {
-            Ok(_) => self.hold(key, size),
+            Ok(_) => self.add_to_cache(key, size),
             // It is stored all the same.
             Err(error) => tracing::warn!(%error, key, "no copy of an artifact is kept on this machine"),
         }
-        drop(turn);
+        drop(key_lock);
         self.trim().await;
         Ok(sha256)
     }
@@ -149,20 +149,20 @@ impl Artifacts {
     /// [`StoreError::ArtifactsUnreachable`] when it is elsewhere and cannot be fetched.
     pub async fn verify(&self, key: &str, sha256: &str) -> Result<(), StoreError> {
         let path = self.local_path(key);
-        let Some(shared) = self.shared_of(key) else {
+        let Some(cached_store) = self.cached_store_for(key) else {
             return self.verification.check(key, &path, sha256).await;
         };
-        let turn = self.turn(key).await;
+        let key_lock = self.key_lock(key).await;
         match self.verification.check(key, &path, sha256).await {
             Err(StoreError::Damaged(_) | StoreError::Missing(_)) => {
-                shared.fetch(key, sha256, &self.incoming(), &path).await?;
+                cached_store.fetch(key, sha256, &self.incoming(), &path).await?;
             }
             checked => {
-                shared.cache.touch(key);
+                cached_store.cache.touch(key);
                 return checked;
             }
         }
-        drop(turn);
+        drop(key_lock);
         self.trim().await;
         Ok(())
     }
@@ -173,8 +173,8 @@ impl Artifacts {
     /// [`StoreError::Missing`] when there is none.
     pub async fn get(&self, key: &str) -> Result<Bytes, StoreError> {
         let here = async { Ok(self.files.get(&Key::from(key)).await?.bytes().await?) };
-        match (here.await, self.shared_of(key)) {
-            (Err(StoreError::Missing(_)), Some(shared)) => shared.remote.get(key).await,
+        match (here.await, self.cached_store_for(key)) {
+            (Err(StoreError::Missing(_)), Some(cached_store)) => cached_store.remote.get(key).await,
             (here, _) => here,
         }
     }
@@ -185,8 +185,8 @@ impl Artifacts {
     /// # Errors
     /// [`StoreError::ArtifactsUnreachable`] when credentials cannot be had.
     pub async fn signed_url(&self, key: &str, lasts: Duration) -> Result<Option<String>, StoreError> {
-        match self.shared_of(key) {
-            Some(shared) if !shared.cache.is_only_here(key) => shared.remote.signed(key, lasts).await,
+        match self.cached_store_for(key) {
+            Some(cached_store) if !cached_store.cache.is_local_only(key) => cached_store.remote.signed(key, lasts).await,
             _ => Ok(None),
         }
     }
@@ -205,8 +205,8 @@ impl Artifacts {
         }
         let options = GetOptions { range: Some(GetRange::Bounded(range.clone())), ..GetOptions::default() };
         let here = self.files.get_opts(&Key::from(key), options).await.map_err(StoreError::from);
-        match (here, self.shared_of(key)) {
-            (Err(StoreError::Missing(_)), Some(shared)) => shared.remote.stream(key, range).await,
+        match (here, self.cached_store_for(key)) {
+            (Err(StoreError::Missing(_)), Some(cached_store)) => cached_store.remote.stream(key, range).await,
             (here, _) => Ok(here?.into_stream().map_err(StoreError::from).boxed()),
         }
     }
@@ -216,22 +216,22 @@ impl Artifacts {
     /// # Errors
     /// [`StoreError::ArtifactsUnreachable`] when it is not here and cannot be asked for elsewhere.
     pub async fn size(&self, key: &str) -> Result<Option<u64>, StoreError> {
-        match (tokio::fs::metadata(self.local_path(key)).await, self.shared_of(key)) {
+        match (tokio::fs::metadata(self.local_path(key)).await, self.cached_store_for(key)) {
             (Ok(file), _) => Ok(Some(file.len())),
-            (Err(_), Some(shared)) => shared.remote.size(key).await,
+            (Err(_), Some(cached_store)) => cached_store.remote.size(key).await,
             (Err(_), None) => Ok(None),
         }
     }
 
     /// Removes an artifact that nothing refers to; that it is missing already is no error.
     pub async fn remove(&self, key: &str) {
-        let _turn = self.turn(key).await;
+        let _key_lock = self.key_lock(key).await;
         self.forget(key);
         if let Err(error) = self.files.delete(&Key::from(key)).await {
             tracing::debug!(%error, key, "an artifact was not removed");
         }
-        if let Some(shared) = self.shared_of(key)
-            && let Err(error) = shared.remote.remove(key).await
+        if let Some(cached_store) = self.cached_store_for(key)
+            && let Err(error) = cached_store.remote.remove(key).await
         {
             tracing::warn!(%error, key, "an artifact stays in the object store until a server starts");
         }
@@ -245,10 +245,10 @@ impl Artifacts {
         if !is_key(key) {
             return Err(StoreError::Damaged(key.to_owned()));
         }
-        if let Some(shared) = self.shared_of(key) {
-            shared.remote.remove(key).await?;
+        if let Some(cached_store) = self.cached_store_for(key) {
+            cached_store.remote.remove(key).await?;
         }
-        let _turn = self.turn(key).await;
+        let _key_lock = self.key_lock(key).await;
         self.forget(key);
         // Not through the object store: it has no name for a file that it had not written to the end.
         match tokio::fs::remove_file(self.local_path(key)).await {
@@ -259,9 +259,9 @@ impl Artifacts {
 
     /// Removes copies that are too many. What cannot be removed now goes another time.
     pub async fn trim(&self) {
-        let Some(shared) = &self.shared else { return };
-        for key in shared.cache.surplus() {
-            if let Err(error) = shared.drop_copy(&key, &self.local_path(&key)).await {
+        let Some(cached_store) = &self.cached_store else { return };
+        for key in cached_store.cache.evictable() {
+            if let Err(error) = cached_store.drop_copy(&key, &self.local_path(&key)).await {
                 tracing::warn!(%error, key, "a copy of an artifact cannot be removed yet");
             }
         }
@@ -272,15 +272,15 @@ impl Artifacts {
     /// # Errors
     /// [`StoreError::ArtifactsUnreachable`] when it does not.
     pub async fn ping(&self) -> Result<(), StoreError> {
-        match &self.shared {
-            Some(shared) => shared.remote.ping().await,
+        match &self.cached_store {
+            Some(cached_store) => cached_store.remote.ping().await,
             None => Ok(()),
         }
     }
 
     /// The object store, if there is one.
     pub(super) fn remote(&self) -> Option<&Remote> {
-        self.shared.as_deref().map(|shared| &shared.remote)
+        self.cached_store.as_deref().map(|cached_store| &cached_store.remote)
     }
 
     /// The files themselves.
@@ -302,14 +302,14 @@ impl Artifacts {
     ///
     /// # Errors
     /// [`StoreError::Damaged`] when its bytes are others than were stored, [`StoreError::ArtifactsUnreachable`].
-    pub(super) async fn send_own(&self, key: &str, sha256: Option<&str>) -> Result<bool, StoreError> {
-        let Some(shared) = self.shared_of(key) else { return Ok(false) };
-        let (path, _turn) = (self.local_path(key), self.turn(key).await);
+    pub(super) async fn upload_local(&self, key: &str, sha256: Option<&str>) -> Result<bool, StoreError> {
+        let Some(cached_store) = self.cached_store_for(key) else { return Ok(false) };
+        let (path, _key_lock) = (self.local_path(key), self.key_lock(key).await);
         if let Some(sha256) = sha256 {
             self.verification.check(key, &path, sha256).await?;
         }
-        shared.remote.put_file(key, &path).await?;
-        shared.cache.is_elsewhere(key);
+        cached_store.remote.put_file(key, &path).await?;
+        cached_store.cache.is_in_object_store(key);
         Ok(true)
     }
 
@@ -321,8 +321,8 @@ impl Artifacts {
         let (root, id) = (self.root.clone(), job.to_owned());
         let here = tokio::task::spawn_blocking(move || of_job(&root, &id)).await;
         let mut keys = here.map_err(std::io::Error::other)??;
-        if let Some(shared) = &self.shared {
-            let there = shared.remote.list(&format!("attempts/{job}")).await?;
+        if let Some(cached_store) = &self.cached_store {
+            let there = cached_store.remote.list(&format!("attempts/{job}")).await?;
             keys.extend(there.into_iter().map(|object| object.key));
             keys.sort();
             keys.dedup();
@@ -331,35 +331,35 @@ impl Artifacts {
     }
 
     /// The object store is known to have this file.
-    pub(super) fn is_elsewhere(&self, key: &str) {
-        if let Some(shared) = self.shared_of(key) {
-            shared.cache.is_elsewhere(key);
+    pub(super) fn is_in_object_store(&self, key: &str) {
+        if let Some(cached_store) = self.cached_store_for(key) {
+            cached_store.cache.is_in_object_store(key);
         }
     }
 
     /// A file that was written here is stored elsewhere, too.
-    pub(super) fn hold(&self, key: &str, bytes: u64) {
-        if let Some(shared) = self.shared_of(key) {
-            shared.cache.add(key, bytes);
+    pub(super) fn add_to_cache(&self, key: &str, bytes: u64) {
+        if let Some(cached_store) = self.cached_store_for(key) {
+            cached_store.cache.add(key, bytes);
         }
     }
 
     fn forget(&self, key: &str) {
         self.verification.forget(key);
-        if let Some(shared) = self.shared_of(key) {
-            shared.cache.forget(key);
+        if let Some(cached_store) = self.cached_store_for(key) {
+            cached_store.cache.forget(key);
         }
     }
 
     /// Nobody else writes or removes the copy of `key` meanwhile.
-    async fn turn(&self, key: &str) -> Option<tokio::sync::OwnedMutexGuard<()>> {
-        match self.shared_of(key) {
-            Some(shared) => Some(shared.turns.take(key).await),
+    async fn key_lock(&self, key: &str) -> Option<tokio::sync::OwnedMutexGuard<()>> {
+        match self.cached_store_for(key) {
+            Some(cached_store) => Some(cached_store.artifact_locks.take(key).await),
             None => None,
         }
     }
 
-    fn shared_of(&self, key: &str) -> Option<&Shared> {
-        self.shared.as_deref().filter(|_| !stays_here(key))
+    fn cached_store_for(&self, key: &str) -> Option<&CachedStore> {
+        self.cached_store.as_deref().filter(|_| !is_never_uploaded(key))
     }
 }

@@ -18,30 +18,30 @@ use tokio::io::{AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio_util::bytes::{Bytes, BytesMut};
 
 use crate::store::StoreError;
-use crate::store::artifacts::place::ArtifactsPlace;
+use crate::store::artifacts::object_store_config::ObjectStoreConfig;
 use crate::store::hash::hex;
 
 /// Parts of a file that are under way at once.
-const PARTS: usize = 4;
+const CONCURRENT_PARTS: usize = 4;
 /// Parts that a file may have: a little less than the 10,000 of S3.
-const MOST_PARTS: u64 = 9_000;
+const MAX_PARTS: u64 = 9_000;
 /// How often a file is gone on with that brought nothing since the last time.
-const TRIES: u32 = 3;
+const MAX_STALLED_RESUMES: u32 = 3;
 /// How often one is gone on with at all.
-const CUTS: u32 = 1_000;
+const MAX_RESUMES: u32 = 1_000;
 /// Between two tries.
-const AGAIN: Duration = Duration::from_millis(200);
+const RETRY_INTERVAL: Duration = Duration::from_millis(200);
 /// How long a look may take that is only to tell whether there is an answer.
-const LOOK: Duration = Duration::from_secs(3);
+const PING_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// An object.
-pub(in crate::store) struct Stored {
+pub(in crate::store) struct RemoteObject {
     pub(in crate::store) key: String,
     pub(in crate::store) bytes: u64,
     pub(in crate::store) written: SystemTime,
 }
 
-impl From<ObjectMeta> for Stored {
+impl From<ObjectMeta> for RemoteObject {
     fn from(meta: ObjectMeta) -> Self {
         Self { key: meta.location.to_string(), bytes: meta.size, written: meta.last_modified.into() }
     }
@@ -57,7 +57,7 @@ pub(in crate::store) struct Remote {
 }
 
 /// What has come of a file.
-struct Coming {
+struct PartialDownload {
     hasher: Sha256,
     bytes: u64,
     /// Its whole size, once that is known.
@@ -65,10 +65,10 @@ struct Coming {
 }
 
 impl Remote {
-    pub(in crate::store) fn open(place: &ArtifactsPlace) -> Result<Self, StoreError> {
-        let prefix = place.prefix().clone();
-        let objects = PrefixStore::new(place.connect()?.objects, prefix.clone());
-        Ok(Self { objects, part: place.part_bytes, prefix, signer: place.signer()? })
+    pub(in crate::store) fn open(config: &ObjectStoreConfig) -> Result<Self, StoreError> {
+        let prefix = config.prefix().clone();
+        let objects = PrefixStore::new(config.connect()?.objects, prefix.clone());
+        Ok(Self { objects, part: config.part_bytes, prefix, signer: config.signer()? })
     }
 
     /// Stores bytes, in place of what was there.
@@ -106,7 +106,7 @@ impl Remote {
     }
 
     async fn begin(&self, to: &Key, size: u64) -> Result<WriteMultipart, StoreError> {
-        let part = usize::try_from(size / MOST_PARTS).unwrap_or(usize::MAX).max(self.part);
+        let part = usize::try_from(size / MAX_PARTS).unwrap_or(usize::MAX).max(self.part);
         let upload = self.objects.put_multipart(to).await.map_err(failed)?;
         Ok(WriteMultipart::new_with_chunk_size(upload, part))
     }
@@ -120,47 +120,47 @@ impl Remote {
         key: &str,
         to: &mut (impl AsyncWrite + Unpin),
     ) -> Result<(String, u64), StoreError> {
-        let mut coming = Coming { hasher: Sha256::new(), bytes: 0, size: None };
+        let mut partial = PartialDownload { hasher: Sha256::new(), bytes: 0, size: None };
         let mut fruitless = 0;
-        for _ in 0..CUTS {
-            let before = coming.bytes;
-            match self.go_on(key, &mut coming, to).await {
+        for _ in 0..MAX_RESUMES {
+            let before = partial.bytes;
+            match self.resume(key, &mut partial, to).await {
                 Ok(()) => break,
                 Err(error @ StoreError::ArtifactsUnreachable(_)) => {
-                    fruitless = if coming.bytes > before { 0 } else { fruitless + 1 };
+                    fruitless = if partial.bytes > before { 0 } else { fruitless + 1 };
                     // One that never answered has been asked again for long enough.
-                    if fruitless == TRIES || coming.size.is_none() {
+                    if fruitless == MAX_STALLED_RESUMES || partial.size.is_none() {
                         return Err(error);
                     }
-                    tracing::info!(%error, key, bytes = coming.bytes, "goes on with an artifact that was cut off");
+                    tracing::info!(%error, key, bytes = partial.bytes, "goes on with an artifact that was cut off");
                 }
                 Err(error) => return Err(error),
             }
-            tokio::time::sleep(AGAIN).await;
+            tokio::time::sleep(RETRY_INTERVAL).await;
         }
         to.flush().await?;
-        Ok((hex(&coming.hasher.finalize()), coming.bytes))
+        Ok((hex(&partial.hasher.finalize()), partial.bytes))
     }
 
-    async fn go_on(
+    async fn resume(
         &self,
         key: &str,
-        coming: &mut Coming,
+        partial: &mut PartialDownload,
         to: &mut (impl AsyncWrite + Unpin),
     ) -> Result<(), StoreError> {
-        if coming.size == Some(coming.bytes) {
+        if partial.size == Some(partial.bytes) {
             return Ok(());
         }
-        let range = (coming.bytes > 0).then_some(GetRange::Offset(coming.bytes));
+        let range = (partial.bytes > 0).then_some(GetRange::Offset(partial.bytes));
         let options = GetOptions { range, ..GetOptions::default() };
         let found = self.objects.get_opts(&Key::from(key), options).await.map_err(|e| of(key, e))?;
-        coming.size = Some(found.meta.size);
+        partial.size = Some(found.meta.size);
         let mut body = found.into_stream();
         while let Some(chunk) = body.next().await {
             let chunk = chunk.map_err(failed)?;
             to.write_all(&chunk).await?;
-            coming.hasher.update(&chunk);
-            coming.bytes += chunk.len() as u64;
+            partial.hasher.update(&chunk);
+            partial.bytes += chunk.len() as u64;
         }
         Ok(())
     }
@@ -222,14 +222,14 @@ impl Remote {
     }
 
     /// Every object in a folder, `""` for all.
-    pub(in crate::store) async fn list(&self, folder: &str) -> Result<Vec<Stored>, StoreError> {
-        let found = self.objects.list(Some(&Key::from(folder))).map_ok(Stored::from);
+    pub(in crate::store) async fn list(&self, folder: &str) -> Result<Vec<RemoteObject>, StoreError> {
+        let found = self.objects.list(Some(&Key::from(folder))).map_ok(RemoteObject::from);
         found.map_err(failed).try_collect().await
     }
 
     /// Answers when the object store does, and soon.
     pub(in crate::store) async fn ping(&self) -> Result<(), StoreError> {
-        let look = tokio::time::timeout(LOOK, self.size("captures/none")).await;
+        let look = tokio::time::timeout(PING_TIMEOUT, self.size("captures/none")).await;
         look.map_err(|_| StoreError::ArtifactsUnreachable("it does not answer".to_owned()))?.map(drop)
     }
 }
@@ -241,7 +241,7 @@ async fn send(file: &mut File, upload: &mut WriteMultipart) -> Result<(), StoreE
         if file.read_buf(&mut buffer).await? == 0 {
             return Ok(());
         }
-        upload.wait_for_capacity(PARTS).await.map_err(failed)?;
+        upload.wait_for_capacity(CONCURRENT_PARTS).await.map_err(failed)?;
         upload.put(buffer.split().freeze());
     }
 }

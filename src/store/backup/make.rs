@@ -12,13 +12,13 @@ use crate::store::backup::files::{CopiedFile, claim, clear, copy};
 use crate::store::backup::manifest::{DATABASE, Manifest, artifact_path};
 use crate::store::database::{self, Database, DatabaseFile, DatabaseUrl};
 use crate::store::hash::hash_file;
-use crate::store::moving::copy_to_file;
+use crate::store::database_copy::copy_to_file;
 use crate::store::references::{Reference, references};
 use crate::store::sql;
-use crate::store::{ArtifactsPlace, StoreError};
+use crate::store::{ObjectStoreConfig, StoreError};
 
 /// Copies of the database, until one is found whose artifacts are all there.
-const TRIES: usize = 5;
+const MAX_DATABASE_COPIES: usize = 5;
 
 /// Copies a data directory to a new folder, every artifact compared with its hash, with the database at `url` where that is not in
 /// the directory: in a backup it is a file of SQLite in any case. A server may work meanwhile.
@@ -42,7 +42,7 @@ pub async fn backup(
 pub async fn backup_with(
     root: &Path,
     url: Option<&DatabaseUrl>,
-    artifacts: Option<&ArtifactsPlace>,
+    artifacts: Option<&ObjectStoreConfig>,
     out: &Path,
     now_ms: i64,
 ) -> Result<Backup, StoreError> {
@@ -60,33 +60,33 @@ pub async fn backup_with(
 async fn make(
     root: &Path,
     url: Option<&DatabaseUrl>,
-    artifacts: Option<&ArtifactsPlace>,
+    artifacts: Option<&ObjectStoreConfig>,
     out: &Path,
     now_ms: i64,
 ) -> Result<Backup, StoreError> {
     let remote = artifacts.map(Remote::open).transpose()?;
     let source = match url {
-        None => Source::File(DatabaseFile::open_to_copy(root).await?),
-        Some(_) => Source::Server(Database::open(root, url).await?),
+        None => BackupSource::File(DatabaseFile::open_to_copy(root).await?),
+        Some(_) => BackupSource::Server(Database::open(root, url).await?),
     };
     let copies = Copies { root: root.to_owned(), remote, out: out.to_owned(), files: HashMap::new() };
     let made = copy_all(&source, copies, now_ms).await;
     match source {
-        Source::File(pool) => pool.close().await,
-        Source::Server(database) => database.close().await,
+        BackupSource::File(pool) => pool.close().await,
+        BackupSource::Server(database) => database.close().await,
     }
     made
 }
 
 /// The database that is copied.
-enum Source {
+enum BackupSource {
     File(SqlitePool),
     Server(Database),
 }
 
-async fn copy_all(source: &Source, mut copies: Copies, now_ms: i64) -> Result<Backup, StoreError> {
+async fn copy_all(source: &BackupSource, mut copies: Copies, now_ms: i64) -> Result<Backup, StoreError> {
     let file = copies.out.join(DATABASE);
-    for _ in 1..TRIES {
+    for _ in 1..MAX_DATABASE_COPIES {
         let named = copy_database(source, &file).await?;
         let missing = copies.add(named).await?;
         if missing.is_empty() {
@@ -100,17 +100,17 @@ async fn copy_all(source: &Source, mut copies: Copies, now_ms: i64) -> Result<Ba
 }
 
 /// Copies the database as it is at one moment, without unfinished uploads and exports; what that copy names.
-async fn copy_database(source: &Source, to: &Path) -> Result<Vec<Reference>, StoreError> {
+async fn copy_database(source: &BackupSource, to: &Path) -> Result<Vec<Reference>, StoreError> {
     if to.exists() {
         std::fs::remove_file(to)?;
     }
     match source {
-        Source::File(pool) => {
+        BackupSource::File(pool) => {
             let path = to.to_str();
             let path = path.ok_or_else(|| std::io::Error::other("the path of a backup must be Unicode"))?;
             sql::query("VACUUM INTO $1").bind(path).execute(pool).await?;
         }
-        Source::Server(database) => copy_to_file(database, to).await?,
+        BackupSource::Server(database) => copy_to_file(database, to).await?,
     }
     // What has arrived of unfinished uploads is not copied: their uploaders have it still.
     let copy = DatabaseFile::open_copy(to, false).await?;

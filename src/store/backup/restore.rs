@@ -10,7 +10,7 @@ use crate::store::backup::manifest::{DATABASE, Manifest, artifact_path};
 use crate::store::database::{self, DatabaseFile};
 use crate::store::references::{names, references};
 use crate::store::sql;
-use crate::store::{NodeLock, RESTORING, StoreError};
+use crate::store::{DataDirLock, RESTORING, StoreError};
 
 /// Makes a data directory from a backup, every file compared with its hash. Blocks while it copies.
 ///
@@ -24,7 +24,7 @@ pub async fn restore(backup: &Path, root: &Path) -> Result<Backup, StoreError> {
     }
     let was_there = root.exists();
     claim(root)?;
-    let lock = NodeLock::acquire(root)?;
+    let lock = DataDirLock::acquire(root)?;
     let restored = fill(&manifest, backup, root).await;
     drop(lock);
     if restored.is_err() {

@@ -24,7 +24,7 @@ impl ServerLock {
     ///
     /// # Errors
     /// [`StoreError::DatabaseLocked`] when another server has it by now; when the database cannot be reached.
-    pub async fn keep(&mut self) -> Result<(), StoreError> {
+    pub async fn renew(&mut self) -> Result<(), StoreError> {
         match &mut self.0 {
             Some((server, held)) => server.keep(held).await,
             None => Ok(()),
@@ -33,15 +33,15 @@ impl ServerLock {
 }
 
 /// Hears of what others write about jobs.
-pub struct Listener(Option<PgListener>);
+pub struct JobChangeListener(Option<PgListener>);
 
-impl Listener {
+impl JobChangeListener {
     /// Waits until something was written, or the connection was lost and is there again: then something may have been. A file of
     /// SQLite has one process that writes, so there it waits for ever.
     ///
     /// # Errors
     /// When the database cannot be reached.
-    pub async fn heard(&mut self) -> Result<(), StoreError> {
+    pub async fn wait_for_change(&mut self) -> Result<(), StoreError> {
         match &mut self.0 {
             None => std::future::pending().await,
             Some(listener) => Ok(listener.try_recv().await.map(drop)?),
@@ -50,7 +50,7 @@ impl Listener {
 }
 
 /// A database that is only looked at.
-pub(super) struct Looked {
+pub(super) struct ReadOnlyDatabase {
     pub(super) pool: Pool,
     /// Number of the schema that this program knows for it.
     pub(super) known: i64,
@@ -73,13 +73,13 @@ impl Database {
     }
 
     /// What is there already, by one connection that changes nothing: `root/relume.db`, or the server at `url`.
-    pub(super) async fn open_to_look(root: &Path, url: Option<&DatabaseUrl>) -> Result<Looked, StoreError> {
+    pub(super) async fn open_read_only(root: &Path, url: Option<&DatabaseUrl>) -> Result<ReadOnlyDatabase, StoreError> {
         Ok(match url {
             None => {
-                let pool = DatabaseFile::open_to_look(root).await?;
-                Looked { pool: Pool::Sqlite(pool), known: schema() }
+                let pool = DatabaseFile::open_read_only(root).await?;
+                ReadOnlyDatabase { pool: Pool::Sqlite(pool), known: schema() }
             }
-            Some(url) => Looked { pool: DatabaseServer::open_to_look(url).await?, known: server_schema() },
+            Some(url) => ReadOnlyDatabase { pool: DatabaseServer::open_read_only(url).await?, known: server_schema() },
         })
     }
 
@@ -138,10 +138,10 @@ impl Database {
     }
 
     /// Who is told when somebody writes about a job.
-    pub(super) async fn listen(&self) -> Result<Listener, StoreError> {
+    pub(super) async fn listen(&self) -> Result<JobChangeListener, StoreError> {
         match self {
-            Self::File(_) => Ok(Listener(None)),
-            Self::Server(server) => Ok(Listener(Some(server.listen().await?))),
+            Self::File(_) => Ok(JobChangeListener(None)),
+            Self::Server(server) => Ok(JobChangeListener(Some(server.listen().await?))),
         }
     }
 

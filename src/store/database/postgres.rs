@@ -17,15 +17,15 @@ static MIGRATIONS: Migrator = sqlx::migrate!("migrations/postgres");
 const READERS: u32 = 8;
 const WRITERS: u32 = 8;
 /// How long somebody waits for one.
-const PATIENCE: Duration = Duration::from_secs(10);
+const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Key of the advisory lock that makes writers wait for each other: "relume" in ASCII.
-const WRITING: i64 = 0x7265_6c75_6d65;
+const WRITER_LOCK_KEY: i64 = 0x7265_6c75_6d65;
 /// Key of the advisory lock of the server that works on a database.
-const SERVERS: i64 = WRITING + 1;
+const SERVER_LOCK_KEY: i64 = WRITER_LOCK_KEY + 1;
 
 /// How often a lost lock is asked for that somebody seems to have, and how long to wait in between.
-const TRIES: u32 = 20;
-const AGAIN: Duration = Duration::from_millis(250);
+const MAX_LOCK_ATTEMPTS: u32 = 20;
+const LOCK_RETRY_INTERVAL: Duration = Duration::from_millis(250);
 
 /// The lock of the first server, and the end of its connection in the database.
 pub(super) struct HeldLock {
@@ -46,7 +46,7 @@ pub(in crate::store) struct DatabaseServer {
 impl DatabaseServer {
     /// Connects to `url` and migrates the schema.
     pub(super) async fn open(url: &DatabaseUrl) -> Result<Self, StoreError> {
-        let pool = |size| PgPoolOptions::new().max_connections(size).acquire_timeout(PATIENCE);
+        let pool = |size| PgPoolOptions::new().max_connections(size).acquire_timeout(ACQUIRE_TIMEOUT);
         let connections = pool(WRITERS).connect_with((*url.0).clone()).await?;
         MIGRATIONS.run(&connections).await.map_err(|error| match error {
             MigrateError::VersionMissing(found) if found > schema() => {
@@ -60,9 +60,9 @@ impl DatabaseServer {
     }
 
     /// One connection to the database at `url`, which changes nothing.
-    pub(super) async fn open_to_look(url: &DatabaseUrl) -> Result<Pool, StoreError> {
+    pub(super) async fn open_read_only(url: &DatabaseUrl) -> Result<Pool, StoreError> {
         let options = (*url.0).clone().options([("default_transaction_read_only", "on")]);
-        let pool = PgPoolOptions::new().max_connections(1).acquire_timeout(PATIENCE);
+        let pool = PgPoolOptions::new().max_connections(1).acquire_timeout(ACQUIRE_TIMEOUT);
         Ok(Pool::Postgres(pool.connect_with(options).await?))
     }
 
@@ -102,7 +102,7 @@ impl DatabaseServer {
     pub(super) async fn write(&self) -> Result<Tx, StoreError> {
         let waited = self.writing.clone().lock_owned().await;
         let mut tx = self.connections.begin().await?;
-        sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(WRITING).execute(&mut *tx).await?;
+        sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(WRITER_LOCK_KEY).execute(&mut *tx).await?;
         Ok(Tx::Postgres(tx, Some(waited)))
     }
 
@@ -128,7 +128,7 @@ impl DatabaseServer {
         // A connection of its own, which no pool takes back.
         let mut connection = self.connections.acquire().await?.detach();
         let query = sqlx::query_scalar("SELECT pg_try_advisory_lock($1)");
-        if !query.bind(SERVERS).fetch_one(&mut connection).await? {
+        if !query.bind(SERVER_LOCK_KEY).fetch_one(&mut connection).await? {
             return Err(StoreError::DatabaseLocked);
         }
         let query =
@@ -140,15 +140,15 @@ impl DatabaseServer {
     /// Takes the lock again if its connection was lost. The database may not know of that yet and hold the lock for it: its end is ended
     /// there, too.
     pub(super) async fn keep(&self, held: &mut HeldLock) -> Result<(), StoreError> {
-        if let Ok(Ok(())) = tokio::time::timeout(PATIENCE, held.connection.ping()).await {
+        if let Ok(Ok(())) = tokio::time::timeout(ACQUIRE_TIMEOUT, held.connection.ping()).await {
             return Ok(());
         }
         let end = "SELECT COUNT(pg_terminate_backend(pid)) FROM pg_stat_activity
              WHERE pid = $1 AND CAST(backend_start AS TEXT) = $2";
         sqlx::query(end).bind(held.pid).bind(&held.started).execute(&self.connections).await?;
-        for _ in 0..TRIES {
+        for _ in 0..MAX_LOCK_ATTEMPTS {
             match self.lock().await {
-                Err(StoreError::DatabaseLocked) => tokio::time::sleep(AGAIN).await,
+                Err(StoreError::DatabaseLocked) => tokio::time::sleep(LOCK_RETRY_INTERVAL).await,
                 lock => {
                     *held = lock?;
                     return Ok(());

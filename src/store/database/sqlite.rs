@@ -38,14 +38,14 @@ impl DatabaseFile {
     }
 
     /// One connection to the `root/relume.db` that is there, which changes nothing.
-    pub(in crate::store) async fn open_to_look(root: &Path) -> Result<SqlitePool, StoreError> {
+    pub(in crate::store) async fn open_read_only(root: &Path) -> Result<SqlitePool, StoreError> {
         let options = options(&root.join(FILE)).pragma("query_only", "ON");
         Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
     }
 
     /// Number of the schema of the `root/relume.db` that is there.
     pub(in crate::store) async fn schema_of(root: &Path) -> Result<i64, StoreError> {
-        let pool = Self::open_to_look(root).await?;
+        let pool = Self::open_read_only(root).await?;
         let query = sqlx::query_scalar("SELECT MAX(version) FROM _sqlx_migrations");
         let found = query.fetch_one(&pool).await;
         pool.close().await;
@@ -58,8 +58,8 @@ impl DatabaseFile {
     }
 
     /// One connection to a copy of a database, which nobody else uses.
-    pub(in crate::store) async fn open_copy(file: &Path, to_look: bool) -> Result<SqlitePool, StoreError> {
-        let options = SqliteConnectOptions::new().filename(file).read_only(to_look).immutable(to_look);
+    pub(in crate::store) async fn open_copy(file: &Path, read_only: bool) -> Result<SqlitePool, StoreError> {
+        let options = SqliteConnectOptions::new().filename(file).read_only(read_only).immutable(read_only);
         Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
     }
 

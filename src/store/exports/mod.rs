@@ -1,14 +1,14 @@
 //! Exports: files that are made of models in the background. One that runs is claimed by one conditional UPDATE; every later write is
 //! of one that is still `running`, so that what was cancelled or deleted meanwhile stays so.
 
-mod making;
+mod lifecycle;
 mod record;
 mod removal;
 
 use sqlx::types::Json;
 
-use crate::api::exports::{ExportState, NewExport};
-use crate::api::{ExportId, ModelId, ResourceKind, ResourceName, TenantId};
+use relume_api::exports::{ExportState, NewExport};
+use relume_api::{ExportId, ModelId, ResourceKind, ResourceName, TenantId};
 use crate::store::idempotency::{remember, replay};
 use crate::store::sql::{self, Tx};
 use crate::store::{IdempotencyKey, Page, Store, StoreError, Submitted};
@@ -32,7 +32,7 @@ impl Store {
     /// or run.
     ///
     /// # Errors
-    /// [`StoreError::KeyReused`] when the key came with another request before, [`StoreError::QuotaOfExports`] beyond `most`,
+    /// [`StoreError::IdempotencyKeyReused`] when the key came with another request before, [`StoreError::ExportQuotaExceeded`] beyond `most`,
     /// [`StoreError::Deleted`] when the model is gone.
     pub async fn submit_export(
         &self,
@@ -57,7 +57,7 @@ impl Store {
             let model = ResourceName::new(ResourceKind::Model, export.model_id.to_string());
             return Err(StoreError::Deleted(model));
         }
-        admit_one_more(&mut tx, &export.tenant, most).await?;
+        check_export_quota(&mut tx, &export.tenant, most).await?;
         sql::query(
             "INSERT INTO exports (id, tenant, model_id, kind, request, state, total, created_ms)
              VALUES ($1, $2, $3, $4, $5, $6, $7, $8)",
@@ -118,9 +118,9 @@ impl Store {
 }
 
 /// Refuses one more of a tenant that has `most` which wait or run.
-async fn admit_one_more(tx: &mut Tx, tenant: &TenantId, most: u32) -> Result<(), StoreError> {
+async fn check_export_quota(tx: &mut Tx, tenant: &TenantId, most: u32) -> Result<(), StoreError> {
     let counting = "SELECT COUNT(*) FROM exports
                         WHERE tenant = $1 AND state IN ('queued', 'running') AND deleted_ms IS NULL";
     let count: i64 = sql::query_scalar(counting).bind(tenant).fetch_one(&mut *tx).await?;
-    if count >= i64::from(most) { Err(StoreError::QuotaOfExports { most }) } else { Ok(()) }
+    if count >= i64::from(most) { Err(StoreError::ExportQuotaExceeded { most }) } else { Ok(()) }
 }

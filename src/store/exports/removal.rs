@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
-use crate::api::{ExportId, TenantId};
+use relume_api::{ExportId, TenantId};
 use crate::store::artifacts::is_key;
 use crate::store::exports::{EXPORTS, ExportRecord, columns};
 use crate::store::sql::{self, Tx};

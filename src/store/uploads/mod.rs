@@ -1,22 +1,22 @@
 //! Uploads that arrive in pieces, over several requests and lives of the server. How much of one has arrived is in the database;
 //! it is written there after the bytes are on disk.
 
-mod holds;
+mod upload_locks;
 mod piece;
 mod record;
-mod taking;
+mod finalise;
 mod validating;
 
 use std::path::Path;
 
 use sqlx::types::Json;
 
-use crate::api::{TenantId, UploadId};
+use relume_api::{TenantId, UploadId};
 use crate::store::sql::{self, Tx};
 use crate::store::uploads::record::key;
 use crate::store::{Page, Store, StoreError};
 
-pub use holds::{Hold, Holds};
+pub use upload_locks::{UploadLock, UploadLocks};
 pub use piece::{Checksum, Piece};
 pub(super) use record::UPLOADS;
 pub use record::{UploadLimits, UploadRecord};
@@ -25,7 +25,7 @@ impl Store {
     /// Begins an upload; a tenant may have `most`.
     ///
     /// # Errors
-    /// [`StoreError::QuotaOfUploads`] beyond that, [`StoreError::QuotaOfBytes`] and [`StoreError::OverLimit`] when it could not be
+    /// [`StoreError::UploadQuotaExceeded`] beyond that, [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] when it could not be
     /// stored as a whole, or when the database or the file system fails.
     pub async fn begin_upload(&self, upload: &UploadRecord, most: u32) -> Result<(), StoreError> {
         self.admit_bytes_of(&upload.tenant, upload.total()).await?;
@@ -47,7 +47,7 @@ impl Store {
             .bind(upload.created_ms)
             .fetch_one(&mut *tx)
             .await?;
-        if count >= i64::from(most) { Err(StoreError::QuotaOfUploads { most }) } else { Ok(()) }
+        if count >= i64::from(most) { Err(StoreError::UploadQuotaExceeded { most }) } else { Ok(()) }
     }
 
     async fn insert_upload(&self, tx: &mut Tx, upload: &UploadRecord) -> Result<(), StoreError> {
@@ -66,9 +66,9 @@ impl Store {
         .bind(upload.expires_ms)
         .bind(&upload.capture_id)
         .bind(&upload.sha256)
-        .bind(&upload.marks.name)
-        .bind(&upload.marks.external_id)
-        .bind(Json(&upload.marks.labels))
+        .bind(&upload.capture_metadata.name)
+        .bind(&upload.capture_metadata.external_id)
+        .bind(Json(&upload.capture_metadata.labels))
         .execute(&mut *tx)
         .await?;
         Ok(())
@@ -111,19 +111,19 @@ impl Store {
     }
 
     /// Takes hold of an upload; `None` while somebody else has it.
-    pub fn hold_upload(&self, id: &UploadId) -> Option<Hold> {
-        self.holds.take(id)
+    pub fn lock_upload(&self, id: &UploadId) -> Option<UploadLock> {
+        self.upload_locks.take(id)
     }
 
     /// Gives an upload up. Should the server die before its file is removed, the next start does that.
     ///
     /// # Errors
     /// When the database or the file system fails.
-    pub async fn drop_upload(&self, hold: &Hold) -> Result<(), StoreError> {
+    pub async fn drop_upload(&self, lock: &UploadLock) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
-        sql::query("DELETE FROM uploads WHERE id = $1").bind(hold.id()).execute(&mut tx).await?;
+        sql::query("DELETE FROM uploads WHERE id = $1").bind(lock.id()).execute(&mut tx).await?;
         tx.commit().await?;
-        self.artifacts.discard(&key(hold.id())).await
+        self.artifacts.discard(&key(lock.id())).await
     }
 
     /// Gives up what has expired and is not being written to; how many.
@@ -136,12 +136,12 @@ impl Store {
         let ids: Vec<UploadId> = sql::query_scalar(query).bind(now_ms).fetch_all(self.pool()).await?;
         let mut dropped = 0;
         for id in ids {
-            let Some(hold) = self.hold_upload(&id) else { continue };
+            let Some(lock) = self.lock_upload(&id) else { continue };
             // A piece may have come since.
             let query = "SELECT expires_ms FROM uploads WHERE id = $1";
             let expires: Option<i64> = sql::query_scalar(query).bind(&id).fetch_optional(self.pool()).await?;
             if expires.is_some_and(|at| at <= now_ms) {
-                self.drop_upload(&hold).await?;
+                self.drop_upload(&lock).await?;
                 tracing::info!(upload = %id, "gave up an upload that has expired");
                 dropped += 1;
             }
@@ -171,8 +171,8 @@ impl Store {
                 }
                 _ => {
                     tracing::warn!(upload = %upload.id, "forgot an upload whose bytes are missing");
-                    if let Some(hold) = self.hold_upload(&upload.id) {
-                        self.drop_upload(&hold).await?;
+                    if let Some(lock) = self.lock_upload(&upload.id) {
+                        self.drop_upload(&lock).await?;
                     }
                 }
             }

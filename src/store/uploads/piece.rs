@@ -9,14 +9,14 @@ use tokio::fs::File;
 use tokio::io::{AsyncSeekExt, AsyncWriteExt};
 use tokio_util::bytes::Bytes;
 
-use crate::store::ledger::Reservation;
+use crate::store::pending_quota::Reservation;
 use crate::store::sql;
-use crate::store::uploads::holds::Hold;
+use crate::store::uploads::upload_locks::UploadLock;
 use crate::store::uploads::record::UploadRecord;
 use crate::store::{Store, StoreError};
 
 /// Bytes after which a piece that goes on is brought to disk and written down: what `kill -9` costs at most.
-const STEP: u64 = 16 << 20;
+const SYNC_INTERVAL_BYTES: u64 = 16 << 20;
 
 /// What a piece must hash to.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -32,7 +32,7 @@ pub struct Piece<'a> {
     /// The upload, as it is in the database now.
     pub upload: UploadRecord,
     /// Nobody else writes to it meanwhile.
-    pub hold: &'a Hold,
+    pub lock: &'a UploadLock,
     /// With it the whole piece is kept or nothing, without it what arrived.
     pub checksum: Option<Checksum>,
     /// When the upload expires if nothing more comes from now on.
@@ -55,7 +55,7 @@ impl Hashing {
         }
     }
 
-    fn holds(self) -> bool {
+    fn matches(self) -> bool {
         match self {
             Self::Nothing => true,
             Self::Sha1(hasher, expected) => hasher.finalize().as_slice() == expected.as_slice(),
@@ -69,7 +69,7 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::TooLarge`] beyond the upload's length, [`StoreError::ChecksumMismatch`], [`StoreError::Body`] when the sender
-    /// fails, [`StoreError::Full`], [`StoreError::QuotaOfBytes`] and [`StoreError::OverLimit`] when no more may be stored.
+    /// fails, [`StoreError::Full`], [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] when no more may be stored.
     pub async fn append<E: Display>(
         &self,
         piece: Piece<'_>,
@@ -116,7 +116,7 @@ impl Writing<'_> {
         let in_steps = matches!(hashing, Hashing::Nothing);
         let copied = self.copy(body, &mut hashing, in_steps).await;
         match copied {
-            Ok(()) if !hashing.holds() => return Err(StoreError::ChecksumMismatch),
+            Ok(()) if !hashing.matches() => return Err(StoreError::ChecksumMismatch),
             Ok(()) => self.keep().await?,
             Err(_) if in_steps => self.keep().await?,
             Err(_) => {}
@@ -142,7 +142,7 @@ impl Writing<'_> {
             hashing.update(&chunk);
             self.file.write_all(&chunk).await?;
             self.written = written;
-            if in_steps && self.written - self.kept >= STEP {
+            if in_steps && self.written - self.kept >= SYNC_INTERVAL_BYTES {
                 self.keep().await?;
             }
         }
@@ -154,12 +154,12 @@ impl Writing<'_> {
         self.file.flush().await?;
         self.file.sync_data().await?;
         // What arrived counts as stored and no longer as on its way.
-        let _shelf = self.store.shelf.lock().await;
+        let _publish_guard = self.store.publish_lock.lock().await;
         let received = i64::try_from(self.written).unwrap_or(i64::MAX);
         let expires_ms = (self.piece.expires_ms)();
         let mut tx = self.store.write().await?;
         sql::query("UPDATE uploads SET received = $2, expires_ms = $3 WHERE id = $1")
-            .bind(self.piece.hold.id())
+            .bind(self.piece.lock.id())
             .bind(received)
             .bind(expires_ms)
             .execute(&mut tx)

@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use sqlx::FromRow;
 
-use crate::api::marks::Marks;
-use crate::api::{CaptureId, Problem, TenantId, UploadId};
-use crate::store::page::placed;
+use relume_api::metadata::ResourceMetadata;
+use relume_api::{CaptureId, Problem, TenantId, UploadId};
+use crate::store::page::paginated;
 
 /// The folder of uploads that arrive in pieces.
 pub(in crate::store) const UPLOADS: &str = "uploads";
@@ -47,7 +47,7 @@ pub struct UploadRecord {
     pub capture_id: Option<CaptureId>,
     /// What that capture is called.
     #[sqlx(flatten)]
-    pub marks: Marks,
+    pub capture_metadata: ResourceMetadata,
     /// Hash of its bytes, lower-case hex, once a capture is being made of it.
     pub sha256: Option<String>,
     /// Why no capture could be made of it.
@@ -55,7 +55,7 @@ pub struct UploadRecord {
     pub problem: Option<Problem>,
 }
 
-placed!(UploadRecord: created_ms);
+paginated!(UploadRecord: created_ms);
 
 impl UploadRecord {
     /// Bytes that are on disk.

@@ -4,26 +4,26 @@ use std::collections::HashSet;
 
 use sqlx::types::Json;
 
-use crate::api::marks::Marks;
-use crate::api::{CaptureId, Problem, TenantId};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::{CaptureId, Problem, TenantId};
 use crate::store::sql;
 use crate::store::uploads::record::UploadRecord;
-use crate::store::{Incoming, Store, StoreError};
+use crate::store::{StagedUpload, Store, StoreError};
 
 impl Store {
     /// Makes `upload`, of which a capture is to be made, of a complete body. It is counted with the upload from then on.
     ///
     /// # Errors
-    /// [`StoreError::QuotaOfUploads`] when the tenant has `most`, or when the database or the file system fails.
-    pub async fn park(
+    /// [`StoreError::UploadQuotaExceeded`] when the tenant has `most`, or when the database or the file system fails.
+    pub async fn persist_upload(
         &self,
-        incoming: &mut Incoming,
+        incoming: &mut StagedUpload,
         upload: &UploadRecord,
         most: u32,
     ) -> Result<(), StoreError> {
         let in_use = || std::io::Error::other("an upload that nobody knows is in use");
-        let hold = self.hold_upload(&upload.id).ok_or_else(in_use)?;
-        let _shelf = self.shelf.lock().await;
+        let lock = self.lock_upload(&upload.id).ok_or_else(in_use)?;
+        let _publish_guard = self.publish_lock.lock().await;
         let mut tx = self.write().await?;
         self.admit_upload_of(&mut tx, upload, most).await?;
         // The file comes first: without its row the next start removes it.
@@ -38,7 +38,7 @@ impl Store {
         self.insert_upload(&mut tx, upload).await?;
         tx.commit().await?;
         incoming.reserved.set(0);
-        incoming.upload = Some(hold);
+        incoming.upload = Some(lock);
         Ok(())
     }
 
@@ -48,20 +48,20 @@ impl Store {
     /// When the database fails.
     pub async fn begin_validation(
         &self,
-        incoming: &Incoming,
+        incoming: &StagedUpload,
         capture: &CaptureId,
-        marks: &Marks,
+        metadata: &ResourceMetadata,
     ) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
         let query = "UPDATE uploads SET capture_id = $2, sha256 = $3, problem = NULL,
                          name = $4, external_id = $5, labels = $6 WHERE id = $1";
         sql::query(query)
-            .bind(incoming.upload.as_ref().map(|hold| hold.id()))
+            .bind(incoming.upload.as_ref().map(|lock| lock.id()))
             .bind(capture)
             .bind(&incoming.sha256)
-            .bind(&marks.name)
-            .bind(&marks.external_id)
-            .bind(Json(&marks.labels))
+            .bind(&metadata.name)
+            .bind(&metadata.external_id)
+            .bind(Json(&metadata.labels))
             .execute(&mut tx)
             .await?;
         Ok(tx.commit().await?)
@@ -91,7 +91,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn upload_for(
+    pub async fn upload_of_capture(
         &self,
         tenant: &TenantId,
         capture: &CaptureId,
@@ -120,7 +120,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn unvalidated(&self) -> Result<Vec<UploadRecord>, StoreError> {
+    pub async fn pending_validations(&self) -> Result<Vec<UploadRecord>, StoreError> {
         let query = "SELECT * FROM uploads WHERE capture_id IS NOT NULL AND problem IS NULL
                      ORDER BY created_ms, id";
         Ok(sql::query_as(query).fetch_all(self.pool()).await?)
@@ -130,7 +130,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn unmade(&self) -> Result<HashSet<String>, StoreError> {
+    pub async fn unfinished_captures(&self) -> Result<HashSet<String>, StoreError> {
         let query = sql::query_scalar("SELECT capture_id FROM uploads WHERE capture_id IS NOT NULL");
         let ids: Vec<String> = query.fetch_all(self.pool()).await?;
         Ok(ids.into_iter().collect())
@@ -141,8 +141,8 @@ impl Store {
     /// # Errors
     /// When the database or the file system fails.
     pub async fn drop_invalid(&self, upload: &UploadRecord) -> Result<bool, StoreError> {
-        match self.hold_upload(&upload.id) {
-            Some(hold) => self.drop_upload(&hold).await.map(|()| true),
+        match self.lock_upload(&upload.id) {
+            Some(lock) => self.drop_upload(&lock).await.map(|()| true),
             None => Ok(false),
         }
     }

@@ -1,20 +1,22 @@
 //! Renders on the thread of frames, with a cache of models and prepared lights.
 
 use std::fmt;
+use std::hash::Hash;
 use std::io::ErrorKind;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
 
-use crate::api::ModelId;
-use crate::capture::builtin;
-use crate::engine::Device;
-use crate::engine::DeviceError;
-use crate::formats::{environment, model_file};
-use crate::render::{Frame, Output, PreparedLight, Quality, RenderError, Renderer, Viewpoint};
-use crate::scene::{Camera, EnvMap, Model};
+use relume_api::ModelId;
+use relume_capture::builtin;
+use relume_engine::Device;
+use relume_engine::DeviceError;
+use relume_capture::formats::{environment, model_file};
+use relume_train::render::{Frame, PreparedLight, RenderError, Renderer, Viewpoint};
+use relume_spec::rendering::{Output, Quality};
+use relume_scene::{Camera, EnvMap, Illumination, Model};
 
 /// Why there is no frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -86,7 +88,7 @@ impl fmt::Debug for ModelContent {
 }
 
 /// Most rows of a map that frames are made of: texels of 0.18 degrees, a third of the sun.
-const WORKING_ROWS: usize = 1024;
+const MAX_MAP_ROWS: usize = 1024;
 
 /// A light to render under.
 #[derive(Debug, Clone)]
@@ -122,8 +124,8 @@ impl LightSource {
     }
 
     /// A map as small as it makes no difference to any tier.
-    pub fn to_working_size(map: EnvMap) -> EnvMap {
-        map.at_most_rows(WORKING_ROWS)
+    pub fn downscaled(map: EnvMap) -> EnvMap {
+        map.at_most_rows(MAX_MAP_ROWS)
     }
 
     /// The map; `None` for the recovered light, which is a model's.
@@ -140,7 +142,7 @@ impl LightSource {
             Self::Stored { path, .. } => {
                 let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
                 let loaded = environment::decode(&bytes).map_err(|e| e.to_string())?;
-                Ok(Some(Arc::new(Self::to_working_size(loaded.map))))
+                Ok(Some(Arc::new(Self::downscaled(loaded.map))))
             }
         }
     }
@@ -198,40 +200,45 @@ impl RenderTask {
 /// Model, light and rotation by its bits. Not the exposure: it is a factor on what the light makes.
 type LightKey = (ModelId, String, u64);
 
-/// The models and lights that were used last.
+/// An entry of a cache. Its lock is held while the entry is made, so that two threads do not make the same one.
+type Slot<T> = Arc<Mutex<Option<Arc<T>>>>;
+
+/// The models and lights that were used last. Threads share it: while one loads a model or prepares a light, the others find
+/// what is ready.
 pub(super) struct RenderCache {
-    models: LruCache<ModelId, Arc<Renderer>>,
-    lights: LruCache<LightKey, Arc<PreparedLight>>,
+    models: Mutex<LruCache<ModelId, Slot<Renderer>>>,
+    lights: Mutex<LruCache<LightKey, Slot<PreparedLight>>>,
 }
 
 impl RenderCache {
     pub(super) fn new(models: usize, lights: usize) -> Self {
         let capacity = |wanted| NonZeroUsize::new(wanted).unwrap_or(NonZeroUsize::MIN);
-        Self { models: LruCache::new(capacity(models)), lights: LruCache::new(capacity(lights)) }
+        let (models, lights) = (LruCache::new(capacity(models)), LruCache::new(capacity(lights)));
+        Self { models: Mutex::new(models), lights: Mutex::new(lights) }
     }
 
-    pub(super) fn clear(&mut self) {
-        self.models.clear();
-        self.lights.clear();
+    pub(super) fn clear(&self) {
+        lock(&self.models).clear();
+        lock(&self.lights).clear();
     }
 
     /// What a task shows; gives up between loading and preparing when it is not wanted any more.
     pub(super) fn scene(
-        &mut self,
+        &self,
         task: &RenderTask,
         device: &Device,
         is_wanted: &dyn Fn() -> bool,
-    ) -> Result<Scene, RenderFailure> {
+    ) -> Result<RenderScene, RenderFailure> {
         let renderer = self.model(&task.model, device, is_wanted)?;
         let camera = task.viewpoint.camera(renderer.model());
         let camera = camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
         let light = self.light(&renderer, &task.model, (&task.light, task.rotation_deg), is_wanted)?;
-        Ok(Scene { lit: LitModel { renderer, light }, camera })
+        Ok(RenderScene { lit: LitModel { renderer, light }, camera })
     }
 
     /// The model and the light of a task; gives up likewise.
     pub(super) fn lit_model(
-        &mut self,
+        &self,
         task: &LightTask,
         device: &Device,
         is_wanted: &dyn Fn() -> bool,
@@ -242,38 +249,66 @@ impl RenderCache {
     }
 
     fn model(
-        &mut self,
+        &self,
         source: &ModelSource,
         device: &Device,
         is_wanted: &dyn Fn() -> bool,
     ) -> Result<Arc<Renderer>, RenderFailure> {
-        go_on(is_wanted)?;
+        check_wanted(is_wanted)?;
         // One in memory would drive out those that are asked for again.
         if let ModelContent::Memory(_) = source.content {
             return load(source, device);
         }
-        self.models.try_get_or_insert(source.id.clone(), || load(source, device)).cloned()
+        get_or_make(&self.models, &source.id, || load(source, device))
     }
 
     fn light(
-        &mut self,
+        &self,
         renderer: &Renderer,
         model: &ModelSource,
         (light, rotation_deg): (&LightSource, f64),
         is_wanted: &dyn Fn() -> bool,
     ) -> Result<Arc<PreparedLight>, RenderFailure> {
-        go_on(is_wanted)?;
+        check_wanted(is_wanted)?;
         if let ModelContent::Memory(_) = model.content {
             return prepare(renderer, light, rotation_deg);
         }
         let key = (model.id.clone(), light.key(), rotation_deg.to_bits());
-        let light = self.lights.try_get_or_insert(key, || prepare(renderer, light, rotation_deg)).cloned()?;
-        go_on(is_wanted)?;
+        let light = get_or_make(&self.lights, &key, || prepare(renderer, light, rotation_deg))?;
+        check_wanted(is_wanted)?;
         Ok(light)
     }
 }
 
-fn go_on(is_wanted: &dyn Fn() -> bool) -> Result<(), RenderFailure> {
+/// The entry of `key`. The cache is not locked while `make` runs; an entry that could not be made is not kept.
+fn get_or_make<K: Clone + Eq + Hash, T>(
+    cache: &Mutex<LruCache<K, Slot<T>>>,
+    key: &K,
+    make: impl FnOnce() -> Result<Arc<T>, RenderFailure>,
+) -> Result<Arc<T>, RenderFailure> {
+    let slot = lock(cache).get_or_insert(key.clone(), Slot::default).clone();
+    let mut entry = lock(&slot);
+    if let Some(ready) = &*entry {
+        return Ok(ready.clone());
+    }
+    match make() {
+        Ok(made) => Ok(entry.insert(made).clone()),
+        Err(failure) => {
+            let mut cache = lock(cache);
+            if cache.peek(key).is_some_and(|kept| Arc::ptr_eq(kept, &slot)) {
+                cache.pop(key);
+            }
+            Err(failure)
+        }
+    }
+}
+
+/// Locks; a thread that panicked leaves a cache whole and an entry empty.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn check_wanted(is_wanted: &dyn Fn() -> bool) -> Result<(), RenderFailure> {
     if is_wanted() { Ok(()) } else { Err(RenderFailure::Abandoned) }
 }
 
@@ -291,12 +326,12 @@ impl LitModel {
 }
 
 /// The same before a camera.
-pub(super) struct Scene {
+pub(super) struct RenderScene {
     lit: LitModel,
     camera: Camera,
 }
 
-impl Scene {
+impl RenderScene {
     /// The frame of `task`. `between` is called between the bands of a dear one, and may end it.
     pub(super) fn render(
         &self,
@@ -367,12 +402,12 @@ fn prepare(
         }
         _ => internal(error),
     })?;
-    let map = map.unwrap_or_else(|| Arc::new(renderer.model().environment()));
-    let map = match rotation_deg {
-        0.0 => map,
-        turn => Arc::new(map.rotated_and_scaled(turn, 1.0)),
+    let light = map.map_or_else(|| renderer.model().recovered_light(), |map| Illumination::from(&*map));
+    let light = match rotation_deg {
+        0.0 => light,
+        turn => light.rotated_and_scaled(turn, 1.0),
     };
-    Ok(Arc::new(renderer.prepare_light(&map)?))
+    Ok(Arc::new(renderer.prepare_light(light)?))
 }
 
 #[cfg(test)]

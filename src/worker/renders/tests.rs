@@ -1,8 +1,9 @@
 use super::*;
-use crate::render::{Orbit, Tier};
-use crate::scene::{Field, Gaussians, Model, ShadingOptions};
+use relume_train::render::Orbit;
+use relume_spec::rendering::Tier;
+use relume_scene::{Field, Gaussians, Model, ShadingOptions};
 
-fn render(cache: &mut RenderCache, task: &RenderTask) -> Result<Frame, RenderFailure> {
+fn render(cache: &RenderCache, task: &RenderTask) -> Result<Frame, RenderFailure> {
     cache.scene(task, &Device::Cpu, &|| true)?.render(task, || Ok(()))
 }
 
@@ -14,7 +15,7 @@ fn model(folder: &tempfile::TempDir) -> ModelSource {
         gaussians.row_mut(Field::LogScale, i).fill(0.2f32.ln());
         gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
         gaussians.row_mut(Field::OpacityLogit, i)[0] = 4.0;
-        gaussians.row_mut(Field::Visibility, i)[0] = crate::light::FULLY_OPEN;
+        gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::FULLY_OPEN;
     }
     let model = Model {
         gaussians,
@@ -51,9 +52,9 @@ fn task(model: &ModelSource, tier: Tier, exposure_ev: f64) -> RenderTask {
 fn exposure_is_a_factor_on_the_frame_and_prepares_no_light() {
     let folder = tempfile::TempDir::new().unwrap();
     let model = model(&folder);
-    let mut cache = RenderCache::new(1, 4);
+    let cache = RenderCache::new(1, 4);
     for tier in Tier::ALL {
-        let mut at = |ev| render(&mut cache, &task(&model, tier, ev)).unwrap();
+        let mut at = |ev| render(&cache, &task(&model, tier, ev)).unwrap();
         let (plain, bright) = (at(0.0), at(2.0));
         for (output, plane) in &plain.planes {
             let lit = matches!(output, Output::Rgb | Output::Diffuse | Output::Specular);
@@ -61,7 +62,7 @@ fn exposure_is_a_factor_on_the_frame_and_prepares_no_light() {
             let expected: Vec<f32> = plane.iter().map(|v| if lit { v * 4.0 } else { *v }).collect();
             assert_eq!(bright.planes[output], expected, "{tier:?} {output:?}");
         }
-        assert_eq!(cache.lights.len(), 1);
+        assert_eq!(lock(&cache.lights).len(), 1);
     }
 }
 
@@ -71,7 +72,7 @@ fn a_scaled_frame_is_that_of_a_scaled_light() {
     let model = model(&folder);
     for tier in Tier::ALL {
         let task = task(&model, tier, 1.5);
-        let frame = render(&mut RenderCache::new(1, 1), &task).unwrap();
+        let frame = render(&RenderCache::new(1, 1), &task).unwrap();
         let renderer = load(&model, &Device::Cpu).unwrap();
         let map = task.light.map().unwrap().unwrap().rotated_and_scaled(30.0, 1.5f32.exp2());
         let camera = task.viewpoint.camera(renderer.model()).unwrap();
@@ -89,7 +90,7 @@ fn the_light_behind_a_model_is_turned_and_exposed_as_the_light_on_it() {
     let model = model(&folder);
     let at = |shows_environment, exposure_ev| {
         let task = RenderTask { shows_environment, ..task(&model, Tier::Preview, exposure_ev) };
-        render(&mut RenderCache::new(1, 1), &task).unwrap()
+        render(&RenderCache::new(1, 1), &task).unwrap()
     };
     let (without, with, bright) = (at(false, 0.0), at(true, 0.0), at(true, 1.0));
     let task = task(&model, Tier::Preview, 0.0);
@@ -110,12 +111,12 @@ fn what_nobody_waits_for_stops_at_the_next_seam() {
     let folder = tempfile::TempDir::new().unwrap();
     let task = task(&model(&folder), Tier::Preview, 0.0);
     for (asked, models, lights) in [(1, 0, 0), (2, 1, 0), (3, 1, 1)] {
-        let mut cache = RenderCache::new(1, 1);
+        let cache = RenderCache::new(1, 1);
         let left = std::cell::Cell::new(asked);
         let is_wanted = || left.replace(left.get() - 1) > 1;
         let ended = cache.scene(&task, &Device::Cpu, &is_wanted);
         assert!(matches!(ended, Err(RenderFailure::Abandoned)));
-        assert_eq!((cache.models.len(), cache.lights.len()), (models, lights));
+        assert_eq!((lock(&cache.models).len(), lock(&cache.lights).len()), (models, lights));
     }
 }
 
@@ -149,7 +150,7 @@ fn a_dear_frame_ends_between_two_bands_when_its_caller_has_gone() {
 fn what_was_deleted_before_its_turn_is_gone_and_not_a_failure_of_the_server() {
     let folder = tempfile::TempDir::new().unwrap();
     let model = model(&folder);
-    let render = |task: &RenderTask| render(&mut RenderCache::new(1, 1), task).map(drop);
+    let render = |task: &RenderTask| render(&RenderCache::new(1, 1), task).map(drop);
     let mut lit = task(&model, Tier::Preview, 0.0);
     lit.light = LightSource::Stored { sha256: "00".to_owned(), path: folder.path().join("no-map") };
     assert_eq!(render(&lit), Err(RenderFailure::Gone { what: "environment", id: "00".to_owned() }));
@@ -167,15 +168,59 @@ fn the_light_of_a_viewer_is_that_of_frames_and_is_not_made_for_nobody() {
     let folder = tempfile::TempDir::new().unwrap();
     let task = task(&model(&folder), Tier::Standard, 0.0);
     let RenderTask { model, light, rotation_deg, .. } = task.clone();
-    let mut cache = RenderCache::new(1, 2);
+    let cache = RenderCache::new(1, 2);
     let frame = cache.scene(&task, &Device::Cpu, &|| true).unwrap();
     let asked = LightTask { model, light, rotation_deg, with_map: false };
     let lit = cache.lit_model(&asked, &Device::Cpu, &|| true).unwrap();
-    assert!(Arc::ptr_eq(&lit.light, &frame.lit.light) && cache.lights.len() == 1);
+    assert!(Arc::ptr_eq(&lit.light, &frame.lit.light) && lock(&cache.lights).len() == 1);
     assert!(lit.stream(true).len() > lit.stream(false).len() + 6 * 2 * 64 * 32);
     let other = LightTask { rotation_deg: 31.0, ..asked };
     let nobody = cache.lit_model(&other, &Device::Cpu, &|| false);
-    assert!(matches!(nobody, Err(RenderFailure::Abandoned)) && cache.lights.len() == 1);
+    assert!(matches!(nobody, Err(RenderFailure::Abandoned)) && lock(&cache.lights).len() == 1);
     cache.lit_model(&other, &Device::Cpu, &|| true).unwrap();
-    assert_eq!(cache.lights.len(), 2, "the control: somebody waits for it");
+    assert_eq!(lock(&cache.lights).len(), 2, "the control: somebody waits for it");
+}
+
+/// A model whose file is a pipe: loading it lasts until somebody writes.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_ready_model_renders_while_another_one_loads() {
+    use std::io::Write as _;
+    use std::time::Duration;
+
+    let folder = tempfile::TempDir::new().unwrap();
+    let ready = model(&folder);
+    let ModelContent::File(file) = &ready.content else { panic!("a file") };
+    let bytes = std::fs::read(file).unwrap();
+    let pipe = folder.path().join("pipe");
+    let mode = rustix::fs::Mode::from_raw_mode(0o600);
+    rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, mode, 0).unwrap();
+    let loading = ModelSource { id: "loading".into(), content: ModelContent::File(pipe.clone()) };
+    let cache = Arc::new(RenderCache::new(2, 2));
+    let task_of = |model: &ModelSource| task(model, Tier::Preview, 0.0);
+    let first = render(&cache, &task_of(&ready)).unwrap();
+
+    let (slow_cache, slow_task) = (cache.clone(), task_of(&loading));
+    let slow = std::thread::spawn(move || render(&slow_cache, &slow_task));
+    // Opening a pipe returns when the other side has opened it: the other thread is inside the load.
+    let mut writer = std::fs::OpenOptions::new().write(true).open(&pipe).unwrap();
+    let (done, frames) = std::sync::mpsc::channel();
+    let (quick_cache, quick_task) = (cache.clone(), task_of(&ready));
+    std::thread::spawn(move || done.send(render(&quick_cache, &quick_task)));
+    let frame = frames.recv_timeout(Duration::from_secs(60)).expect("the ready model waits for the other");
+    assert_eq!(frame.unwrap().planes, first.planes);
+    writer.write_all(&bytes).unwrap();
+    drop(writer);
+    assert_eq!(slow.join().unwrap().unwrap().planes, first.planes);
+}
+
+#[test]
+fn a_model_that_cannot_be_loaded_is_not_kept() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let ready = model(&folder);
+    let missing = ModelSource { id: "missing".into(), content: ModelContent::File(folder.path().join("none")) };
+    let cache = RenderCache::new(2, 2);
+    render(&cache, &task(&ready, Tier::Preview, 0.0)).unwrap();
+    assert!(render(&cache, &task(&missing, Tier::Preview, 0.0)).is_err());
+    assert_eq!(lock(&cache.models).len(), 1);
 }

@@ -2,15 +2,15 @@
 
 use std::sync::Arc;
 
-use crate::api::quality::{Figures, Similarity};
-use crate::capture::{Capture, CaptureView};
-use crate::engine::Device;
-use crate::eval::{EvalError, NovelViews};
-use crate::render::Tier;
-use crate::scene::Model;
+use relume_api::quality::{Figures, Similarity};
+use relume_capture::{Capture, CaptureView};
+use relume_engine::Device;
+use relume_train::eval::{EvalError, NovelViews};
+use relume_spec::rendering::Tier;
+use relume_scene::Model;
 
 /// Most views that are compared.
-const MOST_VIEWS: usize = 8;
+const MAX_VIEWS: usize = 8;
 /// What is said of a capture without any.
 pub(super) const NO_VIEWS: &str = "the capture has no held-out views: nothing was compared";
 
@@ -30,7 +30,7 @@ impl Comparison {
     /// Of views of `capture`, evenly spaced.
     pub fn new(capture: Capture, with_turns: bool) -> Self {
         let views = capture.test;
-        let (all, count) = (views.len(), views.len().min(MOST_VIEWS));
+        let (all, count) = (views.len(), views.len().min(MAX_VIEWS));
         let is_chosen = |i: usize| (0..count).any(|k| k * all / count == i);
         let chosen = views.into_iter().enumerate().filter(|(i, _)| is_chosen(*i));
         let as_trained = |(_, mut view): (usize, CaptureView)| {
@@ -86,7 +86,7 @@ impl Comparison {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::{SyntheticOptions, synthetic};
+    use relume_capture::{SyntheticOptions, synthetic};
 
     fn capture(test_views: usize) -> Capture {
         let options =

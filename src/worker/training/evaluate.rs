@@ -4,28 +4,28 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use crate::api::quality::Figures;
-use crate::api::work::LeaseStatus;
-use crate::eval::EvalError;
-use crate::render::RenderError;
-use crate::scene::Model;
-use crate::train::TrainError;
+use relume_api::quality::Figures;
+use relume_api::work::LeaseStatus;
+use relume_train::eval::EvalError;
+use relume_train::render::RenderError;
+use relume_scene::Model;
+use relume_train::TrainError;
 use crate::worker::thread::Worker;
 use crate::worker::training::comparison::{Comparison, NO_VIEWS};
-use crate::worker::training::outcome::{AttemptEnd, AttemptError, settle};
-use crate::worker::training::{Attempt, held_or_unknown};
+use crate::worker::training::outcome::{AttemptEnd, AttemptError, stop_attempt};
+use crate::worker::training::{TrainingAttempt, held_or_unknown};
 
 impl Worker {
     /// What the model of a finished training is found to be.
     pub(super) async fn measure(
         &mut self,
-        attempt: &mut Attempt<'_>,
+        attempt: &mut TrainingAttempt<'_>,
         model: &Arc<Model>,
         mut comparison: Comparison,
     ) -> Result<ControlFlow<AttemptEnd, Figures>, AttemptError> {
         let claim = attempt.claim;
         if comparison.count == 0 {
-            attempt.tell(NO_VIEWS).await;
+            attempt.record_warning(NO_VIEWS).await;
         }
         while let Some(view) = comparison.waiting.next() {
             if self.stop.is_cancelled() {
@@ -35,7 +35,7 @@ impl Worker {
             let message = format!("comparing held-out view {number} of {}", comparison.count);
             let update = attempt.reporter.after_training(attempt.trainer.progress(), message);
             if held_or_unknown(claim.progress(&update).await) != LeaseStatus::Held {
-                return Ok(ControlFlow::Break(settle(claim).await?));
+                return Ok(ControlFlow::Break(stop_attempt(claim).await?));
             }
             comparison.compare(&view, model, self.device_of(claim)?).map_err(failed)?;
         }

@@ -4,12 +4,13 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::api::EnvironmentId;
-use crate::capture::{BUILTIN, Capture, ImportLimits};
-use crate::train::{MemoryNeed, PhotographSizes, Room, TrainConfig, import_for_training};
+use relume_api::EnvironmentId;
+use relume_capture::{BUILTIN, Capture, ImportLimits};
+use relume_train::{MemoryNeed, PhotographSizes, Room, import_for_training};
+use relume_spec::training::TrainConfig;
 use crate::worker::progress::announce;
 use crate::worker::renders::LightSource;
-use crate::worker::source::{Claim, SourceError};
+use crate::worker::job_source::{Claim, JobSourceError};
 use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, ENVIRONMENT_MISSING};
 
@@ -22,7 +23,7 @@ impl Worker {
     ) -> Result<ControlFlow<AttemptEnd, Capture>, AttemptError> {
         announce(claim, "reading the capture").await?;
         let path = claim.capture().await.map_err(|error| match error {
-            SourceError::Gone => AttemptError::new("capture_missing", "the capture is gone"),
+            JobSourceError::Gone => AttemptError::new("capture_missing", "the capture is gone"),
             error => error.into(),
         })?;
         let light = known_light(claim, config).await?;
@@ -30,7 +31,7 @@ impl Worker {
         // What is taken now may be free when the job is tried again; what the machine does not have never is.
         let room = Room::of_machine(self.device_of(claim)?);
         let read = move || load(&path, &config, &limits, room, light.as_ref());
-        let capture = match self.aside(claim, read).await? {
+        let capture = match self.run_in_background(claim, read).await? {
             ControlFlow::Continue(capture) => capture?,
             ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
         };
@@ -51,7 +52,7 @@ async fn known_light(claim: &dyn Claim, config: &TrainConfig) -> Result<Option<L
     }
     let found = claim.environment(&EnvironmentId::from(light.environment.as_str())).await;
     let (path, sha256) = found.map_err(|error| match error {
-        SourceError::Gone => AttemptError::new(ENVIRONMENT_MISSING, "the known light is gone"),
+        JobSourceError::Gone => AttemptError::new(ENVIRONMENT_MISSING, "the known light is gone"),
         error => error.into(),
     })?;
     Ok(Some(LightSource::Stored { sha256, path }))
@@ -73,7 +74,7 @@ fn load(
             .map()
             .map_err(|e| AttemptError::new(ENVIRONMENT_MISSING, format!("the known light: {e}")))?;
         if let Some(map) = map {
-            known.illuminate(&mut capture, Arc::unwrap_or_clone(map));
+            relume_train::illuminate(known, &mut capture, Arc::unwrap_or_clone(map));
         }
     }
     Ok(capture)

@@ -1,6 +1,6 @@
 //! One attempt at a job: import, train step by step, checkpoint, compare with held-out views, publish.
 
-mod aside;
+mod background;
 mod comparison;
 mod evaluate;
 mod import;
@@ -14,29 +14,30 @@ use std::sync::atomic::Ordering;
 
 use tracing::{Instrument, Span, info_span};
 
-use crate::api::jobs::JobDevice;
-use crate::api::work::{LeaseStatus, Release};
-use crate::capture::Capture;
-use crate::engine::Device;
-use crate::scene::Model;
-use crate::train::{TrainConfig, Trainer};
+use relume_api::jobs::JobDevice;
+use relume_api::work::{LeaseStatus, Release};
+use relume_capture::Capture;
+use relume_engine::Device;
+use relume_scene::Model;
+use relume_spec::training::TrainConfig;
+use relume_train::Trainer;
 use crate::worker::eta::Eta;
-use crate::worker::previews::{Preview, Shown};
-use crate::worker::progress::Reporter;
-use crate::worker::source::{Claim, Source, SourceError};
+use crate::worker::previews::{Preview, PreviewPublisher};
+use crate::worker::progress::ProgressReporter;
+use crate::worker::job_source::{Claim, JobSource, JobSourceError};
 use crate::worker::thread::Worker;
 use comparison::Comparison;
-use outcome::{AttemptEnd, AttemptError, settle};
+use outcome::{AttemptEnd, AttemptError, stop_attempt};
 
 /// The state of one attempt between steps.
-struct Attempt<'a> {
-    source: Arc<dyn Source>,
+struct TrainingAttempt<'a> {
+    source: Arc<dyn JobSource>,
     claim: &'a dyn Claim,
     trainer: Trainer,
-    reporter: Reporter,
+    reporter: ProgressReporter,
     checkpoint_every: u32,
     /// The span of the steps since the last report.
-    stretch: Span,
+    steps_span: Span,
 }
 
 impl Worker {
@@ -52,15 +53,15 @@ impl Worker {
             ControlFlow::Break(ending) => return Ok(ending),
         };
         let (now_ms, step) = (self.source.now_ms(), trainer.progress().step);
-        let reporter = Reporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
+        let reporter = ProgressReporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
         let comparison = Comparison::new(Arc::unwrap_or_clone(capture), trainer.config().light_rotations);
-        let mut attempt = Attempt {
+        let mut attempt = TrainingAttempt {
             source: self.source.clone(),
             claim,
             trainer,
             reporter,
             checkpoint_every,
-            stretch: Span::none(),
+            steps_span: Span::none(),
         };
         let shown = self.previews.of(&claim.task().job);
         while !attempt.trainer.is_done() {
@@ -70,13 +71,13 @@ impl Worker {
             if self.changes.has_changed().unwrap_or(false) {
                 self.changes.mark_unchanged();
                 if held_or_unknown(claim.check().await) != LeaseStatus::Held {
-                    return Ok(settle(claim).await?);
+                    return Ok(stop_attempt(claim).await?);
                 }
             }
             let status = attempt.step().await?;
             self.steps.fetch_add(1, Ordering::SeqCst);
             if status != LeaseStatus::Held {
-                return Ok(settle(claim).await?);
+                return Ok(stop_attempt(claim).await?);
             }
             if shown.is_due() {
                 let model = Arc::new(attempt.trainer.model()?);
@@ -119,24 +120,24 @@ impl Worker {
     }
 }
 
-impl Attempt<'_> {
+impl TrainingAttempt<'_> {
     /// Takes one step and reports it.
     async fn step(&mut self) -> Result<LeaseStatus, AttemptError> {
-        if self.stretch.is_none() {
+        if self.steps_span.is_none() {
             let first = self.trainer.progress().step + 1;
-            self.stretch = info_span!("steps", first, last = tracing::field::Empty);
+            self.steps_span = info_span!("steps", first, last = tracing::field::Empty);
         }
-        let report = self.stretch.in_scope(|| self.trainer.step())?;
+        let report = self.steps_span.in_scope(|| self.trainer.step())?;
         metrics::counter!("relume_training_steps_total").increment(1);
         if let Some(warning) = &report.warning {
-            self.tell(warning).await;
+            self.record_warning(warning).await;
         }
         let progress = self.trainer.progress();
         let mut status = LeaseStatus::Held;
         let now_ms = self.source.now_ms();
         if let Some(update) = self.reporter.report(now_ms, &report, progress) {
-            self.stretch.record("last", progress.step);
-            self.stretch = Span::none();
+            self.steps_span.record("last", progress.step);
+            self.steps_span = Span::none();
             status = held_or_unknown(self.claim.progress(&update).await);
         }
         if progress.step.is_multiple_of(self.checkpoint_every) && !self.trainer.is_done() {
@@ -157,22 +158,22 @@ impl Attempt<'_> {
     async fn store_checkpoint(&mut self, step: i64, bytes: Vec<u8>) -> Result<(), AttemptError> {
         match self.claim.checkpoint(step, bytes).await {
             Ok(_) => {}
-            Err(error @ SourceError::Full) => return Err(error.into()),
+            Err(error @ JobSourceError::Full) => return Err(error.into()),
             Err(error) => {
                 tracing::error!(%error, step, "a checkpoint could not be stored");
-                self.tell("a checkpoint could not be stored; training goes on").await;
+                self.record_warning("a checkpoint could not be stored; training goes on").await;
             }
         }
         Ok(())
     }
 
     /// Shows whoever watches the model as it is now.
-    fn show(&self, shown: &Shown, model: Arc<Model>) {
+    fn show(&self, shown: &PreviewPublisher, model: Arc<Model>) {
         let (step, is_relightable) = (self.trainer.progress().step, self.trainer.is_relightable());
         shown.show(Preview { step, model, is_relightable });
     }
 
-    async fn tell(&self, warning: &str) {
+    async fn record_warning(&self, warning: &str) {
         if let Err(error) = self.claim.warn(warning).await {
             tracing::warn!(%error, warning, "a warning could not be recorded");
         }
@@ -186,7 +187,7 @@ impl Attempt<'_> {
         }
         match self.claim.release(Release::Shutdown).await? {
             LeaseStatus::Held => Ok(AttemptEnd::Stopped),
-            LeaseStatus::Cancelling | LeaseStatus::Lost => Ok(settle(self.claim).await?),
+            LeaseStatus::Cancelling | LeaseStatus::Lost => Ok(stop_attempt(self.claim).await?),
         }
     }
 }
@@ -199,7 +200,7 @@ fn pixels_of(capture: &Capture) -> f64 {
 
 /// A source that fails for a while, e.g. on a full disk, is no reason to throw hours of training away: whether the
 /// lease still stands shows at the next write that succeeds, and nothing is published without one.
-fn held_or_unknown(status: Result<LeaseStatus, SourceError>) -> LeaseStatus {
+fn held_or_unknown(status: Result<LeaseStatus, JobSourceError>) -> LeaseStatus {
     status.unwrap_or_else(|error| {
         tracing::error!(%error, "what keeps the jobs failed under a running one");
         LeaseStatus::Held

@@ -1,9 +1,9 @@
 //! How an attempt at a job ends.
 
-use crate::api::work::LeaseStatus;
-use crate::engine::DeviceError;
-use crate::train::TrainError;
-use crate::worker::source::{Claim, SourceError};
+use relume_api::work::LeaseStatus;
+use relume_engine::DeviceError;
+use relume_train::TrainError;
+use crate::worker::job_source::{Claim, JobSourceError};
 
 /// How an attempt ended without a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,15 +56,15 @@ impl AttemptError {
     }
 }
 
-impl From<SourceError> for AttemptError {
-    fn from(error: SourceError) -> Self {
+impl From<JobSourceError> for AttemptError {
+    fn from(error: JobSourceError) -> Self {
         tracing::error!(%error, "what keeps the jobs failed under one");
         match error {
-            SourceError::Full => Self::new(STORAGE_FULL, "the disk is full"),
-            SourceError::Unreachable(why) => Self::new(UNREACHABLE, why),
-            SourceError::Damaged => Self::new("artifact_damaged", error.to_string()),
-            SourceError::Gone => Self::new("artifact_damaged", "something that the job needs is gone"),
-            SourceError::Failed(_) | SourceError::Refused(_) => {
+            JobSourceError::Full => Self::new(STORAGE_FULL, "the disk is full"),
+            JobSourceError::Unreachable(why) => Self::new(UNREACHABLE, why),
+            JobSourceError::Damaged => Self::new("artifact_damaged", error.to_string()),
+            JobSourceError::Gone => Self::new("artifact_damaged", "something that the job needs is gone"),
+            JobSourceError::Failed(_) | JobSourceError::Refused(_) => {
                 Self::new("storage_failed", "the store failed; the server's log says how")
             }
         }
@@ -87,7 +87,7 @@ impl From<TrainError> for AttemptError {
 }
 
 /// Ends an attempt whose lease is lost or whose job is to be cancelled.
-pub(in crate::worker) async fn settle(claim: &dyn Claim) -> Result<AttemptEnd, SourceError> {
+pub(in crate::worker) async fn stop_attempt(claim: &dyn Claim) -> Result<AttemptEnd, JobSourceError> {
     match claim.check().await? {
         LeaseStatus::Cancelling => {
             claim.confirm_cancel().await?;

@@ -5,10 +5,11 @@ use std::sync::Arc;
 
 use tokio_util::bytes::Bytes;
 
-use crate::capture::Capture;
-use crate::train::{Preparation, TrainConfig, TrainError, Trainer};
+use relume_capture::Capture;
+use relume_train::{Preparation, TrainError, Trainer};
+use relume_spec::training::TrainConfig;
 use crate::worker::progress::announce;
-use crate::worker::source::{Claim, SourceError};
+use crate::worker::job_source::{Claim, JobSourceError};
 use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError};
 
@@ -24,14 +25,14 @@ impl Worker {
         let checkpoint = match claim.task().checkpoint_step {
             Some(_) => match claim.last_checkpoint().await {
                 // It is there and will be had again.
-                Err(error @ SourceError::Unreachable(_)) => return Err(error.into()),
+                Err(error @ JobSourceError::Unreachable(_)) => return Err(error.into()),
                 read => Some(read),
             },
             None => None,
         };
         let capture = capture.clone();
         let (preparation, lost) =
-            match self.aside(claim, move || prepare(&capture, config, checkpoint)).await? {
+            match self.run_in_background(claim, move || prepare(&capture, config, checkpoint)).await? {
                 ControlFlow::Continue(prepared) => prepared?,
                 ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
             };
@@ -47,7 +48,7 @@ impl Worker {
 fn prepare(
     capture: &Capture,
     config: TrainConfig,
-    checkpoint: Option<Result<Bytes, SourceError>>,
+    checkpoint: Option<Result<Bytes, JobSourceError>>,
 ) -> Result<(Preparation, Option<TrainError>), TrainError> {
     let Some(checkpoint) = checkpoint else { return Ok((Preparation::new(capture, config)?, None)) };
     let bytes = checkpoint.map_err(|error| TrainError::Checkpoint(error.to_string()));

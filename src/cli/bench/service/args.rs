@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::engine::DeviceChoice;
+use relume_engine::DeviceChoice;
 
 /// A load.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

@@ -14,7 +14,7 @@ use tempfile::TempDir;
 
 use crate::cli::bench::table::{head, machine, publish, row};
 use crate::cli::error::CommandResult;
-use crate::engine::Device;
+use relume_engine::Device;
 use crate::server::raise_file_limit;
 use crate::testing;
 use args::Load;
@@ -57,7 +57,7 @@ async fn measure(args: &ServiceArgs) -> CommandResult<String> {
     Ok(rows)
 }
 
-async fn measure_on(client: crate::client::Client, args: &ServiceArgs) -> CommandResult<String> {
+async fn measure_on(client: relume_client::Client, args: &ServiceArgs) -> CommandResult<String> {
     eprintln!("training a model to render");
     let subject = Subject::train(client, args).await?;
     let mut thumbnails = Thumbnails::new(&subject, args.size);

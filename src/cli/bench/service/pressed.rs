@@ -8,14 +8,14 @@ use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 use tokio::task::JoinSet;
 
-use crate::api::cameras::{CameraSpec, LookAtSpec};
-use crate::api::renders::RenderRequest;
-use crate::api::{JobId, ModelId};
+use relume_api::cameras::{CameraSpec, LookAtSpec};
+use relume_api::renders::RenderRequest;
+use relume_api::{JobId, ModelId};
 use crate::cli::bench::service::args::{Load, ServiceArgs};
 use crate::cli::bench::service::subject::{Subject, photographs};
 use crate::cli::error::CommandResult;
-use crate::client::Client;
-use crate::render::{FrameFormat, Output};
+use relume_client::Client;
+use relume_spec::rendering::{FrameFormat, Output};
 
 /// More steps than are waited for.
 const ENDLESS: u32 = 1_000_000;

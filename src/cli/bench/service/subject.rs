@@ -8,13 +8,13 @@ use tokio_util::bytes::Bytes;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use crate::api::jobs::{JobState, NewJob};
-use crate::api::{CaptureId, ModelId};
-use crate::capture::{SyntheticOptions, synthetic, write_archive};
+use relume_api::jobs::{JobState, NewJob};
+use relume_api::{CaptureId, ModelId};
+use relume_capture::{SyntheticOptions, synthetic, write_archive};
 use crate::cli::bench::service::args::ServiceArgs;
 use crate::cli::error::CommandResult;
-use crate::client::Client;
-use crate::train::{Preset, TrainOverrides};
+use relume_client::Client;
+use relume_spec::training::{Preset, TrainOverrides};
 
 /// Side of the photographs that are trained on, pixels.
 const SIDE: u32 = 64;

@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use crate::api::ModelId;
+use relume_api::ModelId;
 use crate::cli::bench::quantiles::Quantiles;
 use crate::cli::bench::service::subject::Subject;
-use crate::client::Client;
+use relume_client::Client;
 
 /// How long one thumbnail is waited for.
 const PATIENCE: Duration = Duration::from_secs(30);

@@ -8,7 +8,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::row::{Row, exponents};
 use crate::cli::error::CommandResult;
-use crate::render::Tier;
+use relume_spec::rendering::Tier;
 
 /// Width and height of a panel, pixels.
 const PANEL: (u32, u32) = (420, 340);
@@ -181,7 +181,7 @@ impl Panel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::Quality;
+    use relume_spec::rendering::Quality;
 
     #[test]
     fn ticks_are_one_two_and_five_within_the_range() {

@@ -1,6 +1,6 @@
 //! The figures that the table, the CSV and the plot show.
 
-use crate::render::{Quality, Tier};
+use relume_spec::rendering::{Quality, Tier};
 
 /// The figures of a model on a device with one quality, over all views and lights.
 pub(super) struct Row {

@@ -1,0 +1,289 @@
+//! `relume-bench precision`: the error of an f32 engine against the f64 reference, stage by stage, by kind of scene.
+
+use std::path::PathBuf;
+
+use glam::DVec3;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use relume_compare::{largest_difference, relative_error, worst};
+
+use crate::BoxError;
+use relume_engine::Device;
+use relume_engine::cpu::objective::image::Target;
+use relume_engine::gpu::objective::{ImageTerm, LOSS_SLOTS, LossSlot};
+use relume_engine::gpu::{CameraUniform, Gpu, photo_pixel};
+use relume_reference::parity::{
+    LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, steady_pixels,
+};
+use relume_reference::{Array, Tape, losses};
+use relume_engine::{DeviceChoice, DeviceError, ImageWeights, RasterCamera};
+use relume_scene::light::TableResolution;
+use relume_scene::{Camera, Field, Gaussians, Model, ShadingOptions};
+
+const SIZE: (u32, u32) = (24, 16);
+const GAUSSIANS: usize = 24;
+const ENVIRONMENT: (usize, usize) = (16, 8);
+const ORDER: usize = 2;
+/// Pixels with a splat this close (relative) to a threshold of alpha are left out: an f32 engine may decide the threshold
+/// otherwise without an error in its digits.
+const MARGIN: f64 = 2e-3;
+/// Weights of the image term (docs/MODEL.md section 5).
+const IMAGE_WEIGHTS: [f32; 2] = [1.0, 0.25];
+
+/// Options of `relume-bench precision`.
+#[derive(Debug, clap::Args)]
+pub(super) struct PrecisionArgs {
+    /// The engine that is measured: `auto`, `cpu`, `gpu` or `gpu:N`.
+    #[arg(long, default_value = "cpu")]
+    device: DeviceChoice,
+    /// First seed of the scenes.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Scenes of each kind.
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    scenes: u64,
+    /// The Markdown file to write; printed in any case.
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+/// Kinds of scenes, by what makes them hard in f32.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Kind {
+    /// Soft Gaussians about the origin.
+    Ordinary,
+    /// A thousand times as long as thick, larger than the image.
+    Needles,
+    /// A hundred thousand scene radii away.
+    FarCamera,
+    /// Nearly opaque flat Gaussians, most of them hidden.
+    NearOpaque,
+}
+
+const KINDS: [(Kind, &str); 4] = [
+    (Kind::Ordinary, "ordinary"),
+    (Kind::Needles, "needles 1000 : 1"),
+    (Kind::FarCamera, "camera 1e5 away"),
+    (Kind::NearOpaque, "nearly opaque"),
+];
+
+const STAGES: [&str; 9] = [
+    "projected mean, of the image's width",
+    "conic, of its largest entry",
+    "coverage",
+    "radiance branch (blending)",
+    "shaded image",
+    "gradient of L1 + SSIM by the image",
+    "gradients by geometry",
+    "gradients by material",
+    "gradients by light, visibility and radiance",
+];
+
+pub(super) fn run(args: &PrecisionArgs) -> Result<(), BoxError> {
+    let device = Device::open(args.device)?;
+    let resolution = TableResolution::TRAINING;
+    let light = LightShape::new(ENVIRONMENT.0, ENVIRONMENT.1, ORDER, resolution);
+    let mut columns = Vec::new();
+    for (kind, name) in KINDS {
+        eprintln!("{name}");
+        let mut errors = [0.0f64; STAGES.len()];
+        for seed in args.seed..args.seed + args.scenes {
+            let found = measure(&device, &light, kind, seed)?;
+            errors.iter_mut().zip(found).for_each(|(e, f)| *e = worst([*e, f]));
+        }
+        columns.push(errors);
+    }
+    let report = report(args, &device, &columns);
+    println!("{report}");
+    match &args.out {
+        Some(path) => std::fs::write(path, &report).map_err(|e| format!("{}: {e}", path.display()).into()),
+        None => Ok(()),
+    }
+}
+
+fn report(args: &PrecisionArgs, device: &Device, columns: &[[f64; STAGES.len()]]) -> String {
+    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let names = KINDS.map(|(_, name)| name).join(" | ");
+    let mut text = format!(
+        "Device: {}; host with {threads} threads.\nLargest error against f64, relative to the largest value of the image or \
+         parameter: seeds {} to {}, {GAUSSIANS} Gaussians, {}x{} pixels.\n\n| stage | {names} |\n|---|{}\n",
+        device.name(),
+        args.seed,
+        args.seed + args.scenes - 1,
+        SIZE.0,
+        SIZE.1,
+        "---:|".repeat(KINDS.len())
+    );
+    for (stage, name) in STAGES.iter().enumerate() {
+        let errors = columns.iter().map(|c| format!("{:.1e}", c[stage]));
+        text += &format!("| {name} | {} |\n", errors.collect::<Vec<_>>().join(" | "));
+    }
+    text
+}
+
+/// A model of this kind and a camera that sees it.
+fn scene(kind: Kind, seed: u64) -> Result<(Model, Camera), BoxError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut gaussians = Gaussians::zeroed(GAUSSIANS, 4, ORDER, 2);
+    for (field, centre, spread) in [
+        (Field::Mean, 0.0, 0.7),
+        (Field::LogScale, -1.7, 0.7),
+        (Field::Quaternion, 0.0, 1.0),
+        (Field::OpacityLogit, if kind == Kind::NearOpaque { 6.0 } else { 0.3 }, 1.5),
+        (Field::Normal, 0.0, 0.3),
+        (Field::MetalLogit, -0.5, 1.5),
+        (Field::RoughLogit, 0.0, 1.5),
+        (Field::Sheen, 0.3, 0.8),
+        (Field::ProtoLogits, 0.0, 1.5),
+        (Field::Residual, 0.0, 0.1),
+        (Field::Visibility, 0.0, 0.2),
+        (Field::Radiance, 0.0, 0.3),
+    ] {
+        let values = gaussians.field_mut(field).iter_mut();
+        values.for_each(|v| *v = centre + spread * rng.random_range(-1.0f32..1.0));
+    }
+    for i in 0..GAUSSIANS {
+        gaussians.row_mut(Field::Visibility, i)[0] += 2.2;
+        let scale = gaussians.row_mut(Field::LogScale, i);
+        match kind {
+            Kind::Needles => scale.copy_from_slice(&[2.3 + scale[0], -4.6 + scale[1], -4.6 + scale[2]]),
+            Kind::NearOpaque => scale.copy_from_slice(&[1.2 + scale[0], 1.2 + scale[1], -4.0]),
+            Kind::Ordinary | Kind::FarCamera => {}
+        }
+    }
+    let mut triples = |count: usize, centre: f32| -> Vec<[f32; 3]> {
+        let mut one = || centre + 0.4 * rng.random_range(-1.0f32..1.0);
+        (0..count).map(|_| [one(), one(), one()]).collect()
+    };
+    let model = Model {
+        prototypes: triples(4, 0.5),
+        env_raw: triples(ENVIRONMENT.0 * ENVIRONMENT.1, -0.6),
+        gaussians,
+        env_width: ENVIRONMENT.0,
+        env_height: ENVIRONMENT.1,
+        lights: Default::default(),
+        shading: ShadingOptions::default(),
+        world_scale: 1.0,
+        world_offset: DVec3::ZERO,
+        framing: None,
+        card: serde_json::Value::Null,
+    };
+    let distance = if kind == Kind::FarCamera { 1e5 } else { 3.0 };
+    let (sine, cosine) = (seed as f64 * 1.3).sin_cos();
+    let eye = DVec3::new(cosine, sine, 0.3).normalize() * distance;
+    let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 2.0 * (1.0 / distance).atan(), SIZE)?;
+    Ok((model, camera))
+}
+
+/// The error of each of [`STAGES`] on one scene.
+fn measure(device: &Device, light: &LightShape, kind: Kind, seed: u64) -> Result<[f64; STAGES.len()]> {
+    let (model, camera) = scene(kind, seed)?;
+    let mut question = ParityCase::new(&model, &camera, [0.25, 0.5, 0.75], light, seed);
+    let kept = steady_pixels(&question, MARGIN);
+    question.keep(&kept);
+    let expected = by_reference(&question);
+    let (found, loss) = match device {
+        Device::Cpu => (by_cpu(&question), loss_gradient_cpu(&expected, seed)),
+        Device::Gpu(gpu) => (by_gpu(gpu, &question)?, loss_gradient_gpu(gpu, &question, &expected, seed)?),
+    };
+    let [mean, conic] = projection_errors(&found, &expected);
+    let steady = |rows: &[[f64; 3]]| -> Vec<f64> {
+        rows.iter().zip(&kept).filter(|(_, kept)| **kept).flat_map(|(p, _)| *p).collect()
+    };
+    let covered = |a: &ParityResult| -> Vec<f64> {
+        a.coverage.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(c, _)| *c).collect()
+    };
+    let gradients = |names: &[&str]| {
+        worst(names.iter().map(|n| relative_error(found.gradients[n].data(), expected.gradients[n].data())))
+    };
+    Ok([
+        mean,
+        conic,
+        relative_error(&covered(&found), &covered(&expected)),
+        relative_error(&steady(&found.radiance), &steady(&expected.radiance)),
+        relative_error(&steady(&found.physical), &steady(&expected.physical)),
+        relative_error(&loss, &loss_gradient_reference(&expected, seed)),
+        gradients(&["means", "log_scales", "quats", "opacity_logit"]),
+        gradients(&["normals_raw", "metal_logit", "rough_logit", "proto_logits", "residual", "prototypes"]),
+        gradients(&["occ_sh", "radiance_sh", "env_raw"]),
+    ])
+}
+
+/// Largest errors of the projected means, in image widths, and of the conics, relative to their largest entry.
+fn projection_errors(found: &ParityResult, expected: &ParityResult) -> [f64; 2] {
+    let mut errors = [0.0f64; 2];
+    for theirs in &expected.splats {
+        // Gaussians that no pixel can see are not drawn by the engine.
+        let Ok(at) = found.splats.binary_search_by_key(&theirs.gaussian, |s| s.gaussian) else { continue };
+        let ours = &found.splats[at];
+        let mean = largest_difference(&ours.mean, &theirs.mean) / f64::from(SIZE.0);
+        let conic = relative_error(&ours.conic, &theirs.conic);
+        errors = [worst([errors[0], mean]), worst([errors[1], conic])];
+    }
+    errors
+}
+
+/// A photograph of noise, of levels of 16 bits.
+fn photograph(seed: u64) -> Vec<[f32; 3]> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xf070);
+    (0..SIZE.0 * SIZE.1).map(|_| std::array::from_fn(|_| f32::from(rng.random::<u16>()) / 65_535.0)).collect()
+}
+
+/// The image that the terms are taken of, the same for every engine.
+fn rendered(answer: &ParityResult) -> Vec<[f32; 3]> {
+    answer.physical.iter().map(|p| p.map(|v| v as f32)).collect()
+}
+
+fn loss_gradient_reference(expected: &ParityResult, seed: u64) -> Vec<f64> {
+    let shape = [SIZE.1 as usize, SIZE.0 as usize, 3];
+    let wide =
+        |rows: &[[f32; 3]]| Array::new(&shape, rows.as_flattened().iter().map(|v| f64::from(*v)).collect());
+    let tape = Tape::new();
+    let (image, photo) = (tape.input(wide(&rendered(expected))), tape.input(wide(&photograph(seed))));
+    let window = losses::gaussian_window(11, 1.5);
+    let [l1, ssim] = IMAGE_WEIGHTS.map(f64::from);
+    let total = losses::mean_absolute_error(image, photo) * l1
+        + losses::structural_dissimilarity(image, photo, &window) * ssim;
+    tape.gradients(total).of(image).data().to_vec()
+}
+
+fn loss_gradient_cpu(expected: &ParityResult, seed: u64) -> Vec<f64> {
+    let pixels = photograph(seed);
+    let target = Target::new(SIZE.0 as usize, SIZE.1 as usize, &pixels);
+    let [l1, ssim] = IMAGE_WEIGHTS;
+    let gradient = target.compare(&rendered(expected), ImageWeights { l1, ssim }).gradient;
+    gradient.as_flattened().iter().map(|v| f64::from(*v)).collect()
+}
+
+fn loss_gradient_gpu(
+    gpu: &Gpu,
+    question: &ParityCase<'_>,
+    expected: &ParityResult,
+    seed: u64,
+) -> Result<Vec<f64>, DeviceError> {
+    let padded =
+        |rows: &[[f32; 3]]| -> Vec<[f32; 4]> { rows.iter().map(|[r, g, b]| [*r, *g, *b, 1.0]).collect() };
+    let pixels = (SIZE.0 * SIZE.1) as usize;
+    let image = gpu.upload("image", &padded(&rendered(expected)))?;
+    let photo: Vec<_> = padded(&photograph(seed)).into_iter().map(photo_pixel).collect();
+    let photo = gpu.upload("photograph", &photo)?;
+    let partials = gpu.buffer("partials", 3 * pixels)?;
+    let by_image = gpu.buffer("by image", pixels)?;
+    let losses = gpu.buffer("losses", LOSS_SLOTS)?;
+    let view = CameraUniform::new(&RasterCamera::new(question.camera, &question.model.shading));
+    let [l1, ssim] = IMAGE_WEIGHTS;
+    let term = ImageTerm {
+        camera: &view,
+        image: &image,
+        photo: &photo,
+        slot: LossSlot::PhysicalL1,
+        weights: ImageWeights { l1, ssim },
+        partials: &partials,
+    };
+    let mut recorder = gpu.record();
+    recorder.clear(&losses);
+    term.record(&mut recorder, &by_image, &losses);
+    recorder.submit()?;
+    let rows: Vec<[f32; 4]> = gpu.read(&by_image, 0..pixels)?;
+    Ok(rows.iter().flat_map(|p| [p[0], p[1], p[2]]).map(f64::from).collect())
+}

@@ -1,0 +1,182 @@
+//! Estimates position and size of the subject from the cameras and the sparse points.
+
+use glam::{DMat3, DVec3};
+
+use crate::{CaptureView, Scene3dBounds};
+use relume_scene::{Camera, Framing};
+
+/// Radius of the subject relative to the ball that a camera sees completely.
+const CORNER_MARGIN: f64 = 1.15;
+
+/// The region of interest.
+///
+/// - With points: the centre is their median. The radius is the distance within which 90 % of them lie, at most
+///   twice that of the farthest camera, so that a few very distant points do not decide.
+/// - Without points, with masks: the centre is the point nearest to all optical axes. The radius is that of the
+///   ball that the median camera just sees completely, times [`CORNER_MARGIN`], since tightly framed subjects
+///   reach into the image's corners. For NeRF-synthetic this gives the origin and radius 1.57.
+/// - Without points and masks: the same centre. The radius is the distance of the median camera, since the
+///   surroundings are in the photographs too.
+pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_alpha: bool) -> Scene3dBounds {
+    let cameras: Vec<&Camera> = views.iter().map(|v| &v.camera).collect();
+    if points.len() >= 16 {
+        return from_points(&cameras, points);
+    }
+    let centre = nearest_to_axes(&cameras);
+    let radius = |camera: &&Camera| {
+        let distance = (camera.centre() - centre).length();
+        if has_alpha { seen_radius(camera, centre).map_or(distance, |r| r * CORNER_MARGIN) } else { distance }
+    };
+    let radius = quantile(cameras.iter().map(radius).collect(), 0.5);
+    Scene3dBounds { centre, radius: positive(radius) }
+}
+
+/// Where cameras look: the point nearest to all optical axes, and the radius of the ball around it that fills the longer side of
+/// the median camera's picture. What people walk around rarely lies in the middle of every picture, nor is it smaller than that.
+pub fn looked_at(cameras: &[&Camera]) -> (DVec3, f64) {
+    let centre = nearest_to_axes(cameras);
+    let radius = |camera: &&Camera| {
+        let half_angle = f64::max(
+            (0.5 * f64::from(camera.width) / camera.fx).atan(),
+            (0.5 * f64::from(camera.height) / camera.fy).atan(),
+        );
+        (camera.centre() - centre).length() * half_angle.sin()
+    };
+    (centre, positive(quantile(cameras.iter().map(radius).collect(), 0.5)))
+}
+
+/// The photograph nearest to the middle of all, turned to what they look at: its shorter side is the field of view. `None` where
+/// that camera stands in what it looks at.
+pub fn framing(cameras: &[&Camera]) -> Option<Framing> {
+    let target = nearest_to_axes(cameras);
+    let direction = |camera: &Camera| (camera.centre() - target).normalize_or_zero();
+    let middle = cameras.iter().map(|camera| direction(camera)).sum::<DVec3>();
+    let nearness = |camera: &Camera| direction(camera).dot(middle);
+    let camera = cameras.iter().max_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
+    let half_angle = f64::min(
+        (0.5 * f64::from(camera.width) / camera.fx).atan(),
+        (0.5 * f64::from(camera.height) / camera.fy).atan(),
+    );
+    Framing { eye: camera.centre(), target, fov_deg: 2.0 * half_angle.to_degrees() }.checked()
+}
+
+fn from_points(cameras: &[&Camera], points: &[(DVec3, [f32; 3])]) -> Scene3dBounds {
+    let median = |axis: usize| quantile(points.iter().map(|(p, _)| p[axis]).collect(), 0.5);
+    let centre = DVec3::new(median(0), median(1), median(2));
+    let reach = quantile(points.iter().map(|(p, _)| (*p - centre).length()).collect(), 0.9);
+    let farthest = cameras.iter().map(|c| (c.centre() - centre).length()).fold(0.0, f64::max);
+    Scene3dBounds { centre, radius: positive(reach.min(2.0 * farthest)) }
+}
+
+fn positive(radius: f64) -> f64 {
+    if radius.is_finite() && radius > 0.0 { radius } else { 1.0 }
+}
+
+/// The `q`-quantile of `values`, nearest rank; 0 when there are none.
+fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let index = ((values.len() - 1) as f64 * q).round() as usize;
+    *values.select_nth_unstable_by(index, f64::total_cmp).1
+}
+
+/// The point with the least summed squared distance to the optical axes. When the axes are nearly parallel, so
+/// that this point is not well defined: the mean of the points one unit in front of the cameras.
+fn nearest_to_axes(cameras: &[&Camera]) -> DVec3 {
+    let mut normal = DMat3::ZERO;
+    let mut moment = DVec3::ZERO;
+    for camera in cameras {
+        let d = camera.forward();
+        let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+        normal += across;
+        moment += across * camera.centre();
+    }
+    let count = cameras.len().max(1) as f64;
+    if normal.determinant() > 1e-6 * count.powi(3) {
+        return normal.inverse() * moment;
+    }
+    let ahead = |c: &&Camera| c.centre() + c.forward();
+    cameras.iter().map(ahead).sum::<DVec3>() / count
+}
+
+/// Radius of the largest ball around `centre` inside the camera's frustum; `None` when the centre is outside.
+fn seen_radius(camera: &Camera, centre: DVec3) -> Option<f64> {
+    let p = camera.rotation * centre + camera.translation;
+    let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+    // Each side plane contains the camera's centre and one image edge, which gives its inward normal.
+    let sides = [
+        DVec3::new(camera.fx, 0.0, camera.cx),
+        DVec3::new(-camera.fx, 0.0, w - camera.cx),
+        DVec3::new(0.0, camera.fy, camera.cy),
+        DVec3::new(0.0, -camera.fy, h - camera.cy),
+    ];
+    let radius = sides.iter().map(|n| n.normalize().dot(p)).fold(f64::INFINITY, f64::min);
+    (radius > 0.0).then_some(radius)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::GroundTruthView;
+    use relume_scene::{BitDepth, ImageRgba, PackedImage};
+
+    fn ring(centre: DVec3, distance: f64) -> Vec<CaptureView> {
+        let nothing = ImageRgba { width: 1, height: 1, pixels: vec![[0.0; 4]] };
+        let view = |i: usize| {
+            let angle = i as f64 * 0.7;
+            let eye = centre + distance * DVec3::new(angle.cos(), angle.sin(), 0.5).normalize();
+            CaptureView {
+                name: format!("{i}"),
+                camera: Camera::look_at(eye, centre, DVec3::Z, 0.691_111_2, (80, 80)).unwrap(),
+                image: PackedImage::new(&nothing, BitDepth::Eight),
+                light_rotation_deg: 0.0,
+                truth: GroundTruthView::default(),
+            }
+        };
+        (0..9).map(view).collect()
+    }
+
+    #[test]
+    fn a_cut_out_subject_lies_in_the_ball_that_all_cameras_see() {
+        let centre = DVec3::new(1.0, -2.0, 0.5);
+        let b = bounds(&ring(centre, 4.031), &[], true);
+        assert!((b.centre - centre).length() < 1e-9);
+        let whole = 4.031 * (0.5f64 * 0.691_111_2).sin();
+        assert!((b.radius - CORNER_MARGIN * whole).abs() < 1e-9, "{}", b.radius);
+        assert!((bounds(&ring(centre, 4.031), &[], false).radius - 4.031).abs() < 1e-9);
+    }
+
+    #[test]
+    fn stray_points_do_not_move_the_bounds() {
+        let mut points: Vec<_> = (0..100).map(|i| (DVec3::splat(i as f64 * 1e-2), [0.0; 3])).collect();
+        let before = bounds(&ring(DVec3::ZERO, 3.0), &points, false);
+        points.extend([(DVec3::splat(1e6), [0.0; 3]); 3]);
+        let after = bounds(&ring(DVec3::ZERO, 3.0), &points, false);
+        assert!(
+            (before.centre - after.centre).length() < 0.05 && (before.radius - after.radius).abs() < 0.05
+        );
+        points.extend([(DVec3::splat(1e6), [0.0; 3]); 60]);
+        assert!(bounds(&ring(DVec3::ZERO, 3.0), &points, false).radius <= 6.0 + 2.0);
+    }
+
+    #[test]
+    fn a_scene_is_framed_from_the_middle_of_its_photographs() {
+        let centre = DVec3::new(1.0, -2.0, 0.5);
+        let views = ring(centre, 3.0);
+        // Five photographs of a fan; the third is in its middle.
+        let fan: Vec<&Camera> = views[..5].iter().map(|view| &view.camera).collect();
+        let framing = framing(&fan).unwrap();
+        assert!((framing.eye - fan[2].centre()).length() < 1e-9);
+        assert!((framing.target - centre).length() < 1e-9);
+        assert!((framing.fov_deg - 0.691_111_2f64.to_degrees()).abs() < 1e-9);
+        assert_eq!(super::framing(&[]), None);
+    }
+
+    #[test]
+    fn parallel_axes_still_give_finite_bounds() {
+        let view = &ring(DVec3::ZERO, 3.0)[0];
+        let b = bounds(&[view.clone(), view.clone()], &[], true);
+        assert!(b.centre.is_finite() && b.radius > 0.0);
+    }
+}

@@ -1,0 +1,100 @@
+//! The cameras of a capture, without its pixels.
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use crate::photos::{self, PhotoEntry, Split};
+use crate::truth::TruthFiles;
+use crate::{CaptureError, ImportLimits, Source, colmap, import, transforms};
+use relume_scene::Camera;
+
+/// The camera of a photograph.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhotoCamera {
+    /// The image's name in the capture, e.g. `train_007/rgba.png`.
+    pub name: String,
+    /// Whether trainings leave it out, to be judged by it.
+    pub is_held_out: bool,
+    /// Pose and intrinsics at the stored size, distortion removed.
+    pub camera: Camera,
+    /// Turn of the light about +Z against the other photographs, degrees counter-clockwise seen from above.
+    pub light_rotation_deg: f64,
+}
+
+/// The cameras of a folder, zip, tar or tar.gz, in the order in which it names them: those of [`crate::import`] at full
+/// resolution. Of the images only the headers are decoded.
+///
+/// # Errors
+/// [`CaptureError`] names the file and field at fault.
+pub fn cameras(path: &Path, limits: &ImportLimits) -> Result<Vec<PhotoCamera>, CaptureError> {
+    let source = Source::open(path, limits)?;
+    let (_, photos, _) = import::read_layout(&source, &mut Vec::new())?;
+    of_photos(&source, &photos)
+}
+
+/// The cameras of photographs, in their order.
+///
+/// # Errors
+/// As [`cameras`].
+pub(super) fn of_photos(source: &Source, photos: &[PhotoEntry]) -> Result<Vec<PhotoCamera>, CaptureError> {
+    let cameras: Vec<_> = photos.par_iter().map(|photo| photos::stored_camera(source, photo)).collect();
+    let described = photos.iter().zip(import::splits(photos)).zip(cameras);
+    let described = described.map(|((photo, split), camera)| {
+        let (is_held_out, light_rotation_deg) = (split == Split::Test, photo.light_rotation_deg);
+        Ok(PhotoCamera { name: photo.image.clone(), is_held_out, camera: camera?, light_rotation_deg })
+    });
+    described.collect()
+}
+
+/// The cameras that a `transforms*.json` states, without its photographs, in the order of its frames.
+///
+/// # Errors
+/// [`CaptureError`] names the field at fault; `w,h` where the file states no size and `size` is none.
+pub fn cameras_of_transforms(
+    file: &str,
+    bytes: &[u8],
+    size: Option<(u32, u32)>,
+) -> Result<Vec<PhotoCamera>, CaptureError> {
+    let set = transforms::parse(file, bytes, &ImportLimits::default())?;
+    let photos = set.frames.into_iter().map(|frame| PhotoEntry {
+        image: frame.path,
+        mask: None,
+        pose: frame.pose,
+        lens: frame.lens,
+        light_rotation_deg: frame.light_rotation_deg,
+        stated_in: file.to_owned(),
+        field: frame.field,
+        split: Split::Train,
+        truth: TruthFiles::default(),
+    });
+    photos.map(|photo| stated_camera(photo, size)).collect()
+}
+
+/// The cameras of a folder or archive with a COLMAP model, without its photographs, in the order of their names. The world is that
+/// of the capture: COLMAP's, turned so that the mean up of these cameras is +Z.
+///
+/// # Errors
+/// [`CaptureError`] names the file and field at fault, or says that there is no model.
+pub fn cameras_of_colmap(path: &Path, limits: &ImportLimits) -> Result<Vec<PhotoCamera>, CaptureError> {
+    let source = Source::open(path, limits)?;
+    let reason = "has no COLMAP model (cameras and images, .bin or .txt)".to_owned();
+    let files = colmap::find(&source)
+        .ok_or_else(|| CaptureError::File { file: source.label().to_owned(), reason })?;
+    let mut photos = colmap::stated(&source, files, &mut Vec::new())?;
+    photos.sort_by(|a, b| a.image.cmp(&b.image));
+    photos.into_iter().map(|photo| stated_camera(photo, None)).collect()
+}
+
+/// The camera of a photograph that need not be there, at the size that its lens states, else at `size`.
+fn stated_camera(photo: PhotoEntry, size: Option<(u32, u32)>) -> Result<PhotoCamera, CaptureError> {
+    let pixels = |side: f64| (1.0..=1e6).contains(&side).then_some(side.round() as u32);
+    let stated = photo.lens.size.and_then(|(width, height)| pixels(width).zip(pixels(height)));
+    let size = stated.or(size).ok_or_else(|| {
+        let reason = "no image size is stated, and there is no photograph to take it from";
+        CaptureError::at_field(&photo.stated_in, format!("{}.w,h", photo.field), reason)
+    })?;
+    let camera = photos::camera_at(&photo, size)?;
+    let light_rotation_deg = photo.light_rotation_deg;
+    Ok(PhotoCamera { name: photo.image, is_held_out: photo.split == Split::Test, camera, light_rotation_deg })
+}

@@ -1,0 +1,65 @@
+//! What an import sees of photographs on its way, and what a photographer should know of it.
+
+use std::sync::{Mutex, PoisonError};
+
+use super::findings::{self, Finding};
+use super::overlap::{self, Thumbnail};
+use super::photo::{self, PhotoFacts};
+use crate::sharpness;
+use crate::formats::exif_facts::ExifFacts;
+use relume_scene::ImageRgba;
+
+/// Photographs that were looked at, in any order.
+#[derive(Default)]
+pub(crate) struct Looks(Mutex<Vec<(PhotoFacts, Thumbnail)>>);
+
+impl Looks {
+    /// Longest side of the images that are looked at, pixels.
+    pub(crate) const SIDE: u32 = sharpness::SIDE;
+
+    /// Looks at a photograph of `stored` pixels, reduced to at most [`Self::SIDE`].
+    pub(crate) fn add(&self, name: &str, image: &ImageRgba, stored: (u32, u32)) {
+        let facts = photo::facts(name, image, stored, ExifFacts::default());
+        let look = (facts, Thumbnail::of(image));
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(look);
+    }
+
+    /// What is to be said of single photographs; they are named in their order.
+    pub(crate) fn findings(self) -> Vec<Finding> {
+        let mut looks = self.0.into_inner().unwrap_or_else(PoisonError::into_inner);
+        looks.sort_by(|a, b| a.0.name.cmp(&b.0.name));
+        let (mut facts, thumbnails): (Vec<_>, Vec<_>) = looks.into_iter().unzip();
+        for (facts, similarity) in facts.iter_mut().zip(overlap::with_nearest(&thumbnails)) {
+            facts.overlap = similarity;
+        }
+        let mut found = findings::findings(&facts, &[]);
+        found.retain(|finding| !finding.photos.is_empty());
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_photograph_that_is_dark_is_named_and_its_transparent_part_does_not_count() {
+        let image = |shade: f32, alpha: f32| {
+            let pixel = |i: usize| match i % 2 {
+                0 => [shade, shade, shade, 1.0],
+                _ => [0.0, 0.0, 0.0, alpha],
+            };
+            ImageRgba { width: 32, height: 32, pixels: (0..1024).map(pixel).collect() }
+        };
+        let looks = Looks::default();
+        for i in 0..8 {
+            looks.add(&format!("{i}.jpg"), &image(0.12, 0.0), (4000, 3000));
+        }
+        looks.add("dark.jpg", &image(0.12, 1.0), (4000, 3000));
+        let found = looks.findings();
+        let dark: Vec<_> = found.iter().filter(|finding| finding.text.contains("are dark")).collect();
+        assert_eq!(dark.len(), 1, "{found:?}");
+        assert_eq!(dark[0].photos, ["dark.jpg"], "the control: the others have the same pixels, but a mask");
+        assert!(found.iter().all(|finding| !finding.text.contains("too few")), "that is about none of them");
+    }
+}

@@ -1,0 +1,167 @@
+//! COLMAP sparse models: posed images with their cameras, and the sparse points.
+
+mod binary;
+mod model;
+#[cfg(test)]
+mod tests;
+mod text;
+
+use glam::{DMat3, DMat4, DQuat, DVec3};
+
+use self::binary::ByteReader;
+use self::model::{PosedImage, SparseModel};
+use self::text::TextFile;
+use crate::photos::{PhotoEntry, Split, check_missing};
+use crate::truth::TruthFiles;
+use crate::upright::upright;
+use crate::{CaptureError, Source, masks};
+use crate::formats::ply_points::Point;
+
+/// Folders that may hold a sparse model; the first that does is used.
+const FOLDERS: [&str; 5] = ["sparse/0/", "sparse/", "colmap/sparse/0/", "0/", ""];
+/// Folders that may hold its photographs; the first that has a file of the name is used.
+const IMAGE_FOLDERS: [&str; 6] = ["images/", "", "input/", "images_2/", "images_4/", "images_8/"];
+
+/// How the files of a model are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Encoding {
+    Binary,
+    Text,
+}
+
+/// The files of a sparse model.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ModelFiles {
+    folder: &'static str,
+    encoding: Encoding,
+}
+
+impl ModelFiles {
+    fn path(self, name: &str) -> String {
+        let ending = match self.encoding {
+            Encoding::Binary => "bin",
+            Encoding::Text => "txt",
+        };
+        format!("{}{name}.{ending}", self.folder)
+    }
+}
+
+/// The files of a sparse model, if there is one.
+pub(super) fn find(source: &Source) -> Option<ModelFiles> {
+    let encodings = [Encoding::Binary, Encoding::Text];
+    let mut candidates =
+        FOLDERS.iter().flat_map(|folder| encodings.map(|encoding| ModelFiles { folder, encoding }));
+    candidates.find(|files| ["cameras", "images"].iter().all(|name| source.contains(&files.path(name))))
+}
+
+/// The photographs and points, in a world turned so that the cameras' mean up is +Z.
+///
+/// # Errors
+/// Names the model file and the field at fault, or counts the images when too few are there.
+pub(super) fn read(
+    source: &Source,
+    files: ModelFiles,
+    warnings: &mut Vec<String>,
+) -> Result<(Vec<PhotoEntry>, Vec<Point>), CaptureError> {
+    let model = read_model(source, files)?;
+    let turn = upright(model.images.iter().map(up), "COLMAP", warnings);
+    let images_file = files.path("images");
+    let (mut photos, mut missing) = (Vec::new(), Vec::new());
+    for image in &model.images {
+        match locate(source, &image.name) {
+            Some(path) => photos.push(photo(source, &model, image, path, turn, &images_file)?),
+            None => missing.push(image.name.clone()),
+        }
+    }
+    check_missing(&images_file, photos.len(), missing, warnings)?;
+    let points = model.points.into_iter().map(|(p, colour)| (turn * p, colour)).collect();
+    Ok((photos, points))
+}
+
+/// The photographs that a model names, whether or not they are there, in the world of [`read`].
+///
+/// # Errors
+/// Names the model file and the field at fault.
+pub(super) fn stated(
+    source: &Source,
+    files: ModelFiles,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<PhotoEntry>, CaptureError> {
+    let model = read_model(source, files)?;
+    let turn = upright(model.images.iter().map(up), "COLMAP", warnings);
+    let images_file = files.path("images");
+    let of = |image: &PosedImage| photo(source, &model, image, image.name.clone(), turn, &images_file);
+    model.images.iter().map(of).collect()
+}
+
+/// Reads `cameras`, `images` and, if it exists, `points3D`.
+///
+/// # Errors
+/// Names the file, and the entry whose value is unusable.
+fn read_model(source: &Source, files: ModelFiles) -> Result<SparseModel, CaptureError> {
+    let [in_cameras, in_images, in_points] = &["cameras", "images", "points3D"].map(|name| files.path(name));
+    let limits = source.limits();
+    let (cameras, images) = (source.read(in_cameras)?, source.read(in_images)?);
+    let points = source.contains(in_points).then(|| source.read(in_points)).transpose()?;
+    match files.encoding {
+        Encoding::Binary => Ok(SparseModel {
+            lenses: binary::cameras(ByteReader::new(in_cameras, &cameras))?,
+            images: binary::images(ByteReader::new(in_images, &images), limits.max_images)?,
+            points: points.map_or(Ok(Vec::new()), |bytes| {
+                binary::points(ByteReader::new(in_points, &bytes), limits.max_points)
+            })?,
+        }),
+        Encoding::Text => Ok(SparseModel {
+            lenses: text::cameras(&TextFile::new(in_cameras, &cameras)?)?,
+            images: text::images(&TextFile::new(in_images, &images)?, limits.max_images)?,
+            points: points.map_or(Ok(Vec::new()), |bytes| {
+                text::points(&TextFile::new(in_points, &bytes)?, limits.max_points)
+            })?,
+        }),
+    }
+}
+
+fn locate(source: &Source, name: &str) -> Option<String> {
+    IMAGE_FOLDERS.iter().map(|folder| format!("{folder}{name}")).find(|path| source.contains(path))
+}
+
+fn photo(
+    source: &Source,
+    model: &SparseModel,
+    image: &PosedImage,
+    path: String,
+    turn: DQuat,
+    stated_in: &str,
+) -> Result<PhotoEntry, CaptureError> {
+    let field = format!("images[{}]", image.name);
+    let lens = model.lenses.get(&image.camera).ok_or_else(|| {
+        let reason = format!("there is no camera {}", image.camera);
+        CaptureError::at_field(stated_in, format!("{field}.camera_id"), reason)
+    })?;
+    Ok(PhotoEntry {
+        mask: masks::beside(source, &path),
+        image: path,
+        pose: pose(image, turn),
+        lens: *lens,
+        light_rotation_deg: 0.0,
+        stated_in: stated_in.to_owned(),
+        field,
+        split: Split::Train,
+        truth: TruthFiles::default(),
+    })
+}
+
+/// The up direction of a camera.
+fn up(image: &PosedImage) -> DVec3 {
+    image.rotation.inverse() * -DVec3::Y
+}
+
+/// Camera-to-world with OpenGL axes, in the turned world.
+fn pose(image: &PosedImage, turn: DQuat) -> DMat4 {
+    let to_world = DMat3::from_quat(turn * image.rotation.inverse());
+    let centre = -(to_world * image.translation);
+    let axes = DMat3::from_cols(to_world.x_axis, -to_world.y_axis, -to_world.z_axis);
+    let mut pose = DMat4::from_mat3(axes);
+    pose.w_axis = centre.extend(1.0);
+    pose
+}

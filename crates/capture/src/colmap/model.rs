@@ -1,0 +1,138 @@
+//! A COLMAP model in memory, and the checks that both encodings share. Errors name the file and the field at fault.
+
+use std::collections::BTreeMap;
+
+use glam::{DQuat, DVec3};
+
+use crate::CaptureError;
+use crate::lens::{Distortion, Lens};
+use crate::formats::ply_points::Point;
+use relume_scene::srgb;
+
+/// A sparse model as stored: world-to-camera poses, OpenCV axes, COLMAP's own world.
+#[derive(Debug)]
+pub(super) struct SparseModel {
+    /// Lenses by camera id.
+    pub lenses: BTreeMap<u32, Lens>,
+    /// Images in file order.
+    pub images: Vec<PosedImage>,
+    /// Points with linear colours.
+    pub points: Vec<Point>,
+}
+
+/// One registered image.
+#[derive(Debug, Clone)]
+pub(super) struct PosedImage {
+    /// Path below the image folder.
+    pub name: String,
+    /// Camera id.
+    pub camera: u32,
+    /// World-to-camera rotation, unit.
+    pub rotation: DQuat,
+    /// World-to-camera translation.
+    pub translation: DVec3,
+}
+
+/// Name and number of parameters of the supported camera models, by COLMAP's id.
+pub(super) const CAMERA_MODELS: [(&str, usize); 6] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+];
+
+/// A lens from a model's name, image size in pixels and parameters.
+pub(super) fn lens(
+    file: &str,
+    id: u32,
+    model: &str,
+    size: (f64, f64),
+    p: &[f64],
+) -> Result<Lens, CaptureError> {
+    let field = |name: &str| format!("cameras[{id}].{name}");
+    if !p.iter().all(|v| v.is_finite()) {
+        return Err(CaptureError::at_field(file, field("params"), "must be finite"));
+    }
+    let radial = |k1, k2| Distortion::RadialTangential { k: [k1, k2, 0.0, 0.0], p: [0.0; 2] };
+    let (focal, centre, distortion) = match (model, p) {
+        ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], Distortion::None),
+        ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], Distortion::None),
+        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], radial(k, 0.0)),
+        ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], radial(k1, k2)),
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
+            let lens = Distortion::RadialTangential { k: [k1, k2, 0.0, 0.0], p: [p1, p2] };
+            ([fx, fy], [cx, cy], lens)
+        }
+        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
+            ([fx, fy], [cx, cy], Distortion::Fisheye { k: [k1, k2, k3, k4] })
+        }
+        _ => {
+            let known = CAMERA_MODELS.map(|(name, count)| format!("{name} ({count})")).join(", ");
+            let reason = format!("{model} with {} parameters is not supported; these are: {known}", p.len());
+            return Err(CaptureError::at_field(file, field("model"), reason));
+        }
+    };
+    Ok(Lens {
+        size: Some(size),
+        focal: focal.map(Some),
+        angle: [None; 2],
+        centre: centre.map(Some),
+        distortion: distortion.simplified(),
+    })
+}
+
+/// A checked pose from quaternion w x y z and translation, world-to-camera.
+pub(super) fn posed(
+    file: &str,
+    name: String,
+    camera: u32,
+    q: [f64; 4],
+    t: [f64; 3],
+) -> Result<PosedImage, CaptureError> {
+    let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
+    let length = rotation.length();
+    if !(length.is_finite() && length > 1e-6) {
+        return Err(CaptureError::at_field(file, format!("images[{name}].qvec"), "is no rotation"));
+    }
+    let translation = DVec3::from(t);
+    if !translation.is_finite() {
+        return Err(CaptureError::at_field(
+            file,
+            format!("images[{name}].tvec"),
+            "has a value that is not finite",
+        ));
+    }
+    Ok(PosedImage { name, camera, rotation: rotation.normalize(), translation })
+}
+
+/// A checked point; `colour` is sRGB.
+pub(super) fn coloured(
+    file: &str,
+    index: usize,
+    position: DVec3,
+    colour: [u8; 3],
+) -> Result<Point, CaptureError> {
+    if !position.is_finite() {
+        return Err(CaptureError::at_field(
+            file,
+            format!("points3D[{index}].xyz"),
+            "has a value that is not finite",
+        ));
+    }
+    Ok((position, colour.map(|c| srgb::decode(f32::from(c) / 255.0))))
+}
+
+/// Refuses more than `allowed` entries; `limit` is the field of [`crate::ImportLimits`].
+pub(super) fn check_count(
+    file: &str,
+    limit: &'static str,
+    count: usize,
+    allowed: usize,
+) -> Result<(), CaptureError> {
+    if count <= allowed {
+        return Ok(());
+    }
+    Err(CaptureError::over_limit(file, limit, format!("{count}, {allowed} allowed")))
+}

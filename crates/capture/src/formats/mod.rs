@@ -1,0 +1,20 @@
+//! Bytes to plain data and back.
+
+pub mod environment;
+mod error;
+pub mod exif_facts;
+pub mod exr_frame;
+mod exr_header;
+pub mod exr_image;
+pub mod gltf;
+pub mod image_file;
+pub mod model_file;
+pub mod ply_import;
+pub mod ply_model;
+pub mod ply_points;
+mod ply_table;
+pub mod splats;
+pub mod usd;
+pub mod viewer_stream;
+
+pub use error::ImageFileError;

@@ -1,0 +1,154 @@
+//! Reading one image of a capture.
+
+use crate::{CaptureError, ImportOptions, Source};
+use crate::formats::{ImageFileError, exif_facts, image_file};
+use relume_scene::{BitDepth, ImageRgba};
+
+/// Decodes an image and reduces it as the options ask; also returns its stored size, pixels.
+///
+/// # Errors
+/// [`CaptureError::OverLimit`] for too many pixels, [`CaptureError::Image`] when it cannot be decoded.
+pub(super) fn load_image(
+    source: &Source,
+    path: &str,
+    options: &ImportOptions,
+) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
+    decode(path, &source.read(path)?, options)
+}
+
+/// A photograph that was decoded.
+#[derive(Debug)]
+pub(super) struct Loaded {
+    /// Its pixels, reduced as the options ask.
+    pub image: ImageRgba,
+    /// Its stored size, pixels.
+    pub stored: (u32, u32),
+    /// The depth that holds what the file has.
+    pub depth: BitDepth,
+}
+
+/// [`load_image`] of a photograph whose lens is stated for `lens_size`: where only the picture as EXIF turns it has that size, it is
+/// turned, and so is the size that is returned. Otherwise poses are those of the pixels as they are stored.
+///
+/// # Errors
+/// As [`load_image`].
+pub(super) fn load_photo(
+    source: &Source,
+    path: &str,
+    lens_size: Option<(f64, f64)>,
+    options: &ImportOptions,
+) -> Result<Loaded, CaptureError> {
+    let bytes = source.read(path)?;
+    let (image, stored) = decode(path, &bytes, options)?;
+    let depth = image_file::bit_depth(&bytes).map_err(|error| CaptureError::image(path, error))?;
+    Ok(match turn(&bytes, stored, lens_size) {
+        Some(turn) => Loaded { image: turned(&image, turn), stored: (stored.1, stored.0), depth },
+        None => Loaded { image, stored, depth },
+    })
+}
+
+/// The size that [`load_photo`] returns, from the headers alone.
+///
+/// # Errors
+/// [`CaptureError::Image`] when the header cannot be read.
+pub(super) fn photo_size(
+    source: &Source,
+    path: &str,
+    lens_size: Option<(f64, f64)>,
+) -> Result<(u32, u32), CaptureError> {
+    let bytes = source.read(path)?;
+    let stored = image_file::dimensions(&bytes).map_err(|error| CaptureError::image(path, error))?;
+    Ok(if turn(&bytes, stored, lens_size).is_some() { (stored.1, stored.0) } else { stored })
+}
+
+fn decode(
+    path: &str,
+    bytes: &[u8],
+    options: &ImportOptions,
+) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
+    let reduce = |stored| options.reduced_size(stored);
+    image_file::decode_reduced(bytes, options.limits.max_image_pixels, reduce).map_err(|error| match error {
+        ImageFileError::TooManyPixels { .. } => {
+            CaptureError::over_limit(path, "max_image_pixels", error.to_string())
+        }
+        other => CaptureError::image(path, other),
+    })
+}
+
+/// A turn of EXIF that swaps the sides, where the lens is for a picture with swapped sides.
+fn turn(bytes: &[u8], (width, height): (u32, u32), lens_size: Option<(f64, f64)>) -> Option<u8> {
+    let (lens_width, lens_height) = lens_size?;
+    let fits = |width: u32, height: u32| {
+        let ratio = lens_width / lens_height * f64::from(height) / f64::from(width);
+        (ratio - 1.0).abs() <= 0.02
+    };
+    if fits(width, height) || !fits(height, width) {
+        return None;
+    }
+    exif_facts::read(bytes).orientation.filter(|turn| (5..=8).contains(turn))
+}
+
+/// The image as EXIF's orientation `turn`, 5 to 8, shows it.
+fn turned(image: &ImageRgba, turn: u8) -> ImageRgba {
+    let (width, height) = (image.height, image.width);
+    let last = (image.width as usize - 1, image.height as usize - 1);
+    let stored = |x: usize, y: usize| match turn {
+        5 => (y, x),
+        6 => (y, last.1 - x),
+        7 => (last.0 - y, last.1 - x),
+        _ => (last.0 - y, x),
+    };
+    let pixel = |i: usize| {
+        let (x, y) = stored(i % width as usize, i / width as usize);
+        image.pixels[y * image.width as usize + x]
+    };
+    let pixels = (0..image.pixels.len()).map(pixel).collect();
+    ImageRgba { width, height, pixels }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A JPEG header with EXIF's orientation, which is all that is read of it.
+    fn noting(orientation: u8) -> Vec<u8> {
+        let tiff = [
+            b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".as_slice(),
+            &[orientation, 0, 0, 0, 0, 0, 0, 0],
+        ];
+        let tiff = tiff.concat();
+        let length = ((tiff.len() + 8) as u16).to_be_bytes();
+        [b"\xff\xd8\xff\xe1".as_slice(), &length, b"Exif\0\0", &tiff, b"\xff\xd9"].concat()
+    }
+
+    #[test]
+    fn a_picture_is_turned_only_where_its_lens_is_for_the_turned_one() {
+        let upright = Some((480.0, 640.0));
+        assert_eq!(turn(&noting(6), (640, 480), upright), Some(6));
+        assert_eq!(
+            turn(&noting(6), (640, 480), Some((640.0, 480.0))),
+            None,
+            "poses are of the stored pixels"
+        );
+        assert_eq!(turn(&noting(6), (640, 480), None), None);
+        assert_eq!(turn(&noting(3), (640, 480), upright), None, "half a turn swaps nothing");
+        assert_eq!(turn(b"", (640, 480), upright), None, "nothing is noted");
+        assert_eq!(turn(&noting(6), (640, 480), Some((100.0, 640.0))), None, "neither fits");
+    }
+
+    #[test]
+    fn each_turn_shows_what_exif_says() {
+        let pixel = |v: u8| [f32::from(v), 0.0, 0.0, 1.0];
+        let image = ImageRgba { width: 3, height: 2, pixels: [1, 2, 3, 4, 5, 6].map(pixel).to_vec() };
+        for (turn, wanted) in [
+            (5, [1, 4, 2, 5, 3, 6]),
+            (6, [4, 1, 5, 2, 6, 3]),
+            (7, [6, 3, 5, 2, 4, 1]),
+            (8, [3, 6, 2, 5, 1, 4]),
+        ] {
+            let shown = turned(&image, turn);
+            assert_eq!((shown.width, shown.height), (2, 3));
+            assert_eq!(shown.pixels, wanted.map(pixel), "{turn}");
+        }
+    }
+}

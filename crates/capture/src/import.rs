@@ -1,0 +1,229 @@
+//! Imports a folder or an archive as a [`Capture`].
+
+use std::path::Path;
+
+use crate::check::{Finding, Looks};
+use crate::photos::{self, PhotoEntry, Split};
+use crate::{
+    Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, llff, nerfstudio,
+    truth,
+};
+use relume_spec::{CaptureReport, PhotographNote};
+use crate::formats::image_file;
+use crate::formats::ply_points::Point;
+
+/// One in this many views, by sorted name, is held out where the set names no test views.
+const HOLD_OUT_EVERY: usize = 8;
+
+/// Imports a folder, zip, tar or tar.gz, whatever supported layout it holds.
+///
+/// # Errors
+/// [`CaptureError`] names the file and field at fault.
+pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureError> {
+    Undecoded::open(path, options)?.decode()
+}
+
+/// A capture whose photographs were found and not decoded yet.
+#[derive(Debug)]
+pub struct Undecoded {
+    source: Source,
+    options: ImportOptions,
+    layout: Layout,
+    warnings: Vec<String>,
+    sizes: Vec<(u32, u32)>,
+}
+
+impl Undecoded {
+    /// Reads poses and the headers of all photographs.
+    ///
+    /// # Errors
+    /// As [`import`].
+    pub fn open(path: &Path, options: &ImportOptions) -> Result<Self, CaptureError> {
+        let source = Source::open(path, &options.limits)?;
+        let mut warnings = Vec::new();
+        let layout = read_layout(&source, &mut warnings)?;
+        let sizes = photos::sizes(&source, &layout.1, options)?;
+        Ok(Self { source, options: *options, layout, warnings, sizes })
+    }
+
+    /// Widths and heights of the photographs after reduction, pixels, held-out ones too; those that cannot be read have none.
+    pub fn sizes(&self) -> &[(u32, u32)] {
+        &self.sizes
+    }
+
+    /// How many photographs are held out.
+    pub fn held_out(&self) -> usize {
+        splits(&self.layout.1).iter().filter(|split| **split == Split::Test).count()
+    }
+
+    /// Bytes of memory that a pixel takes at least, with its mask, in the first photograph, the last one and one between; 0 where
+    /// there is none.
+    ///
+    /// # Errors
+    /// As [`import`], of those photographs.
+    pub fn bytes_a_pixel(&self) -> Result<f64, CaptureError> {
+        let photos = &self.layout.1;
+        let looked_at = photos.iter().step_by((photos.len() / 2).max(1)).chain(photos.last());
+        let looked_at: Vec<_> = looked_at.cloned().collect();
+        let options = ImportOptions { load_truth: false, ..self.options };
+        let views = photos::load(&self.source, &looked_at, &options, None)?;
+        let bytes = views.iter().map(|view| view.image.bytes() as f64 / view.image.len().max(1) as f64);
+        Ok(bytes.reduce(f64::min).unwrap_or(0.0))
+    }
+
+    /// Decodes the photographs.
+    ///
+    /// # Errors
+    /// As [`import`].
+    pub fn decode(self) -> Result<Capture, CaptureError> {
+        Ok(self.decode_looked_at(None)?.0)
+    }
+
+    /// Decodes the photographs, and has `looks` look at each; the files they came from are returned as well.
+    fn decode_looked_at(self, looks: Option<&Looks>) -> Result<(Capture, Source), CaptureError> {
+        let Self { source, options, layout: (layout, photos, points), mut warnings, .. } = self;
+        let views = photos::load(&source, &photos, &options, looks)?;
+        let (train, test) = split(&photos, views);
+        let has_alpha = train.iter().any(|v| !v.image.is_opaque());
+        let bounds = bounds::bounds(&train, &points, has_alpha);
+        let lights = truth::lights(&source, &test, &mut warnings)?;
+        let (lit_by, grey_card) = (None, None);
+        let capture =
+            Capture { layout, train, test, points, bounds, has_alpha, lights, lit_by, grey_card, warnings };
+        Ok((capture, source))
+    }
+}
+
+/// Reports what an import would find. Every file is decoded and checked as by [`import`], but images are reduced
+/// to thumbnails at once, so that a capture of any size needs little memory; `options.max_side` is ignored.
+///
+/// # Errors
+/// As [`import`], except that the limit on all pixels together cannot be reached.
+pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, CaptureError> {
+    let looks = Looks::default();
+    let undecoded = Undecoded::open(path, &ImportOptions { max_side: Some(THUMBNAIL), ..*options })?;
+    let (capture, source) = undecoded.decode_looked_at(Some(&looks))?;
+    let mut report = capture.report();
+    let noted = |finding: Finding| PhotographNote { text: finding.text, photographs: finding.photos };
+    report.notes = looks.findings().into_iter().map(noted).collect();
+    if let Some(view) = capture.train.first() {
+        let stored = image_file::dimensions(&source.read(&view.name)?);
+        (report.width, report.height) = stored.map_err(|e| CaptureError::image(&view.name, e))?;
+    }
+    Ok(report)
+}
+
+/// Longest side of the images that [`inspect`] keeps, pixels.
+const THUMBNAIL: u32 = 64;
+
+/// The layout's name, its photographs and its points.
+pub(super) type Layout = (String, Vec<PhotoEntry>, Vec<Point>);
+
+pub(super) fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
+    if source.contains(blender::MARKER) {
+        let photos = blender::read(source, warnings)?;
+        let in_own_folders = photos.iter().all(|p| p.image.contains("/rgba"));
+        let layout = if in_own_folders { "tensoir" } else { "nerf-synthetic" };
+        return Ok((layout.to_owned(), photos, Vec::new()));
+    }
+    if source.contains(nerfstudio::MARKER) {
+        let (photos, points) = nerfstudio::read(source, warnings)?;
+        return Ok(("nerfstudio".to_owned(), photos, points));
+    }
+    if let Some(files) = colmap::find(source) {
+        let (photos, points) = colmap::read(source, files, warnings)?;
+        return Ok(("colmap".to_owned(), photos, points));
+    }
+    if source.contains(llff::MARKER) {
+        return Ok(("llff".to_owned(), llff::read(source, warnings)?, Vec::new()));
+    }
+    let first: Vec<&str> = source.paths().take(5).collect();
+    let reason = if first.is_empty() {
+        "there are no files".to_owned()
+    } else {
+        format!("the files begin with {}", first.join(", "))
+    };
+    Err(CaptureError::UnknownLayout { reason })
+}
+
+/// Whether some layout is there, sound or not.
+pub(super) fn has_layout(source: &Source) -> bool {
+    let markers = [blender::MARKER, nerfstudio::MARKER, llff::MARKER];
+    markers.iter().any(|marker| source.contains(marker)) || colmap::find(source).is_some()
+}
+
+/// What each photograph is used for: as the set says, else every [`HOLD_OUT_EVERY`]th by sorted name is held out.
+pub(super) fn splits(photos: &[PhotoEntry]) -> Vec<Split> {
+    let mut splits: Vec<Split> = photos.iter().map(|p| p.split).collect();
+    if !splits.contains(&Split::Test) {
+        let mut by_name: Vec<usize> = (0..photos.len()).collect();
+        by_name.sort_by(|&a, &b| photos[a].image.cmp(&photos[b].image));
+        by_name.iter().step_by(HOLD_OUT_EVERY).for_each(|&i| splits[i] = Split::Test);
+    }
+    splits
+}
+
+/// Training and held-out views.
+fn split(photos: &[PhotoEntry], views: Vec<CaptureView>) -> (Vec<CaptureView>, Vec<CaptureView>) {
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for (view, split) in views.into_iter().zip(splits(photos)) {
+        match split {
+            Split::Train => train.push(view),
+            Split::Test => test.push(view),
+        }
+    }
+    (train, test)
+}
+
+impl Capture {
+    /// A summary of the capture, without notes about its photographs.
+    pub fn report(&self) -> CaptureReport {
+        let (width, height) = self.train.first().map_or((0, 0), |v| (v.image.width, v.image.height));
+        CaptureReport {
+            layout: self.layout.clone(),
+            train_images: self.train.len(),
+            test_images: self.test.len(),
+            width,
+            height,
+            points: self.points.len(),
+            has_alpha: self.has_alpha,
+            has_ground_truth: self.test.iter().any(|v| v.truth != Default::default()),
+            lights: self.lights.keys().cloned().collect(),
+            centre: self.bounds.centre.to_array(),
+            radius: self.bounds.radius,
+            warnings: self.warnings.clone(),
+            notes: Vec::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_report_tells_what_is_about_a_photograph_and_nothing_of_others() {
+        let note = |text: &str, photographs: &[&str]| PhotographNote {
+            text: text.to_owned(),
+            photographs: photographs.iter().map(|&name| name.to_owned()).collect(),
+        };
+        let report = CaptureReport {
+            notes: vec![note("blurred", &["a/1.jpg", "a/2.jpg"]), note("dark", &["a/2.jpg"])],
+            warnings: [
+                "a/1.jpg: is odd",
+                "2 are missing: b/1.jpg, a/1.jpg.",
+                "a/1.jpg.png is odd",
+                "xa/1.jpg",
+            ]
+            .map(str::to_owned)
+            .to_vec(),
+            ..CaptureReport::default()
+        };
+        assert_eq!(
+            report.about("a/1.jpg"),
+            ["blurred", "a/1.jpg: is odd", "2 are missing: b/1.jpg, a/1.jpg."]
+        );
+        assert_eq!(report.about("a/2.jpg"), ["blurred", "dark"]);
+        assert_eq!(report.about("1.jpg"), [""; 0], "the control: another file");
+    }
+}

@@ -1,0 +1,140 @@
+//! Intrinsics as capture files state them, and their conversion to the size of an image.
+
+use crate::CaptureError;
+
+/// How a lens deviates from a pinhole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Distortion {
+    /// None: a pinhole.
+    None,
+    /// Brown-Conrady: radial `k1 k2 k3 k4`, tangential `p1 p2` (OpenCV's and COLMAP's definition).
+    RadialTangential {
+        /// Radial coefficients of r^2, r^4, r^6, r^8.
+        k: [f64; 4],
+        /// Tangential coefficients.
+        p: [f64; 2],
+    },
+    /// Equidistant fisheye with `theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)`.
+    Fisheye {
+        /// Coefficients of theta^2, theta^4, theta^6, theta^8.
+        k: [f64; 4],
+    },
+}
+
+impl Distortion {
+    /// The same lens; [`Distortion::None`] when all coefficients are 0.
+    #[must_use]
+    pub fn simplified(self) -> Self {
+        match self {
+            Self::RadialTangential { k: [0.0, 0.0, 0.0, 0.0], p: [0.0, 0.0] } => Self::None,
+            other => other,
+        }
+    }
+}
+
+/// Intrinsics; what a capture file may leave out is optional.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lens {
+    /// Image size of the intrinsics, pixels; `None` means the stored image's own.
+    pub size: Option<(f64, f64)>,
+    /// Focal lengths, pixels.
+    pub focal: [Option<f64>; 2],
+    /// Full fields of view along x and y, radians; used where a focal length is absent.
+    pub angle: [Option<f64>; 2],
+    /// Principal point, pixels; `None` means the centre of the image.
+    pub centre: [Option<f64>; 2],
+    /// The lens's distortion.
+    pub distortion: Distortion,
+}
+
+/// Focal lengths and principal point at an image's size, pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Intrinsics {
+    /// Focal lengths along x and y.
+    pub focal: (f64, f64),
+    /// Principal point.
+    pub centre: (f64, f64),
+}
+
+impl Lens {
+    /// The intrinsics scaled to an image of `(width, height)` pixels.
+    ///
+    /// # Errors
+    /// Names `w,h`, `fl_x` or `camera_angle_x` when the size does not fit or no focal length follows.
+    pub fn resolve(&self, file: &str, (width, height): (u32, u32)) -> Result<Intrinsics, CaptureError> {
+        let bad = |field: &str, reason: String| CaptureError::at_field(file, field, reason);
+        let image = (f64::from(width), f64::from(height));
+        let stated = self.size.unwrap_or(image);
+        if !(stated.0 >= 1.0 && stated.1 >= 1.0 && stated.0.is_finite() && stated.1.is_finite()) {
+            return Err(bad("w,h", format!("{}x{} is no image size", stated.0, stated.1)));
+        }
+        let scale = (image.0 / stated.0, image.1 / stated.1);
+        if (scale.0 / scale.1 - 1.0).abs() > 0.02 {
+            let reason = format!("{}x{} does not fit an image of {width}x{height}", stated.0, stated.1);
+            return Err(bad("w,h", reason));
+        }
+        let by_angle = |angle: Option<f64>, side: f64| angle.map(|a| 0.5 * side / (0.5 * a).tan());
+        let fx = self.focal[0].or_else(|| by_angle(self.angle[0], stated.0));
+        let fy = self.focal[1].or_else(|| by_angle(self.angle[1], stated.1));
+        // Pixels are square unless two focal lengths say otherwise.
+        let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
+            return Err(bad("fl_x", "is missing, and so is camera_angle_x: no focal length is known".into()));
+        };
+        if !(fx.is_finite() && fx > 0.0 && fy.is_finite() && fy > 0.0) {
+            let field = if self.focal[0].is_some() { "fl_x,fl_y" } else { "camera_angle_x" };
+            return Err(bad(field, format!("gives focal lengths {fx}, {fy}, which must be positive")));
+        }
+        let cx = self.centre[0].unwrap_or(0.5 * stated.0);
+        let cy = self.centre[1].unwrap_or(0.5 * stated.1);
+        if !(cx.is_finite() && cy.is_finite()) {
+            return Err(bad("cx,cy", "must be finite".into()));
+        }
+        Ok(Intrinsics { focal: (fx * scale.0, fy * scale.1), centre: (cx * scale.0, cy * scale.1) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BARE: Lens = Lens {
+        size: None,
+        focal: [None; 2],
+        angle: [None; 2],
+        centre: [None; 2],
+        distortion: Distortion::None,
+    };
+
+    #[test]
+    fn a_field_of_view_gives_the_blender_focal_length() {
+        let lens = Lens { angle: [Some(0.691_111_2), None], ..BARE };
+        let i = lens.resolve("t.json", (800, 800)).unwrap();
+        assert!((i.focal.0 - 1111.1).abs() < 0.1 && i.focal.0 == i.focal.1);
+        assert_eq!(i.centre, (400.0, 400.0));
+    }
+
+    #[test]
+    fn intrinsics_scale_to_a_smaller_image_of_the_same_shape_only() {
+        let lens = Lens {
+            size: Some((1000.0, 500.0)),
+            focal: [Some(800.0), Some(700.0)],
+            centre: [Some(510.0), None],
+            ..BARE
+        };
+        let i = lens.resolve("t.json", (500, 250)).unwrap();
+        assert_eq!((i.focal, i.centre), ((400.0, 350.0), (255.0, 125.0)));
+        let error = lens.resolve("t.json", (500, 500)).unwrap_err();
+        assert_eq!(error.field(), Some("w,h"));
+    }
+
+    #[test]
+    fn missing_and_absurd_focal_lengths_are_named() {
+        assert_eq!(BARE.resolve("t.json", (8, 8)).unwrap_err().field(), Some("fl_x"));
+        for angle in [0.0, -1.0, f64::NAN, 4.0] {
+            let lens = Lens { angle: [Some(angle), None], ..BARE };
+            assert_eq!(lens.resolve("t.json", (8, 8)).unwrap_err().field(), Some("camera_angle_x"));
+        }
+        let lens = Lens { focal: [Some(-5.0), Some(5.0)], ..BARE };
+        assert_eq!(lens.resolve("t.json", (8, 8)).unwrap_err().field(), Some("fl_x,fl_y"));
+    }
+}

@@ -1,0 +1,48 @@
+//! Posed photographs: archives and importers, and the synthetic scene.
+
+mod archive;
+mod blender;
+mod bounds;
+mod cameras;
+pub mod check;
+mod colmap;
+mod error;
+pub mod formats;
+mod grey_card;
+mod images;
+mod import;
+mod json;
+mod lens;
+mod light_rotations;
+mod lights;
+mod llff;
+mod masks;
+mod nerfstudio;
+mod options;
+mod photographs;
+mod photos;
+pub mod poses;
+mod sharpness;
+mod source;
+mod synthetic;
+mod transforms;
+mod truth;
+mod types;
+mod undistort;
+mod unposed;
+mod upright;
+mod write_archive;
+
+pub use bounds::{framing, looked_at};
+pub use cameras::{PhotoCamera, cameras, cameras_of_colmap, cameras_of_transforms};
+pub use error::CaptureError;
+pub use import::{Undecoded, import, inspect};
+pub use lens::{Distortion, Intrinsics, Lens};
+pub use lights::{BUILTIN, builtin};
+pub use options::{ImportLimits, ImportOptions};
+pub use photographs::{Photographs, PictureOptions};
+pub use source::Source;
+pub use synthetic::{SyntheticOptions, SyntheticScene, synthetic};
+pub use types::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
+pub use unposed::Unposed;
+pub use write_archive::write_archive;

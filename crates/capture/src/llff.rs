@@ -1,0 +1,186 @@
+//! LLFF: `poses_bounds.npy` beside `images/`, one row for each photograph in the order of their names.
+
+use glam::{DMat3, DMat4, DVec3};
+
+use crate::lens::{Distortion, Lens};
+use crate::photos::{PhotoEntry, Split, check_missing};
+use crate::truth::TruthFiles;
+use crate::upright::upright;
+use crate::{CaptureError, Source, masks};
+
+/// The file that marks this layout.
+pub(super) const MARKER: &str = "poses_bounds.npy";
+/// Folders that may hold the photographs; the first that has any is used. Poses are scaled to the size of the images.
+const IMAGE_FOLDERS: [&str; 4] = ["images", "images_2", "images_4", "images_8"];
+/// Numbers of a row: a 3 x 5 matrix, nearest and farthest depth.
+const COLUMNS: usize = 17;
+
+/// The photographs, in a world turned so that the cameras' mean up is +Z. Lens distortion is not part of this layout.
+///
+/// # Errors
+/// Names the row at fault, or says that poses and photographs are not equally many.
+pub(super) fn read(source: &Source, warnings: &mut Vec<String>) -> Result<Vec<PhotoEntry>, CaptureError> {
+    let rows = rows(&source.read(MARKER)?).map_err(|reason| file_error(&reason))?;
+    let images = images(source);
+    if images.len() != rows.len() {
+        let reason = format!("has {} poses for {} images in images/", rows.len(), images.len());
+        return Err(file_error(&reason));
+    }
+    check_missing(MARKER, images.len(), Vec::new(), warnings)?;
+    let poses = rows.iter().enumerate().map(|(i, row)| pose(i, row)).collect::<Result<Vec<_>, _>>()?;
+    let turn = DMat4::from_quat(upright(poses.iter().map(|pose| pose.y_axis.truncate()), "LLFF", warnings));
+    let photo = |(i, ((image, row), pose)): (usize, ((String, &[f64; COLUMNS]), DMat4))| {
+        let [height, width, focal] = [row[4], row[9], row[14]];
+        PhotoEntry {
+            mask: masks::beside(source, &image),
+            image,
+            pose: turn * pose,
+            lens: Lens {
+                size: Some((width, height)),
+                focal: [Some(focal); 2],
+                angle: [None; 2],
+                centre: [None; 2],
+                distortion: Distortion::None,
+            },
+            light_rotation_deg: 0.0,
+            stated_in: MARKER.to_owned(),
+            field: format!("[{i}]"),
+            split: Split::Train,
+            truth: TruthFiles::default(),
+        }
+    };
+    Ok(images.into_iter().zip(&rows).zip(poses).enumerate().map(photo).collect())
+}
+
+fn file_error(reason: &str) -> CaptureError {
+    CaptureError::File { file: MARKER.to_owned(), reason: reason.to_owned() }
+}
+
+/// The photographs by name.
+fn images(source: &Source) -> Vec<String> {
+    let is_photo = |path: &&str| {
+        let lower = path.to_ascii_lowercase();
+        [".jpg", ".jpeg", ".png"].iter().any(|ending| lower.ends_with(ending))
+            && !lower.ends_with("_mask.png")
+    };
+    let of =
+        |folder: &&str| source.paths_under(folder).filter(is_photo).map(str::to_owned).collect::<Vec<_>>();
+    IMAGE_FOLDERS.iter().map(of).find(|images| !images.is_empty()).unwrap_or_default()
+}
+
+/// Camera-to-world, OpenGL axes. A row has the camera's down, right and backwards axes and its centre as columns.
+fn pose(index: usize, row: &[f64; COLUMNS]) -> Result<DMat4, CaptureError> {
+    let column = |k: usize| DVec3::new(row[k], row[5 + k], row[10 + k]);
+    let [down, right, back, centre] = [0, 1, 2, 3].map(column);
+    let axes = DMat3::from_cols(right, -down, back);
+    if !(axes.is_finite() && centre.is_finite() && axes.determinant() > 1e-9) {
+        return Err(CaptureError::at_field(MARKER, format!("[{index}]"), "is no pose"));
+    }
+    let mut pose = DMat4::from_mat3(axes);
+    pose.w_axis = centre.extend(1.0);
+    Ok(pose)
+}
+
+/// The rows of an array of 17 little-endian f64 columns in NumPy's file format.
+fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
+    let cut = || "is cut short".to_owned();
+    let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("is no .npy file")?;
+    let (&[major, _], rest) = rest.split_first_chunk::<2>().ok_or_else(cut)?;
+    let (length, rest) = match major {
+        1 => {
+            let (length, rest) = rest.split_first_chunk::<2>().ok_or_else(cut)?;
+            (usize::from(u16::from_le_bytes(*length)), rest)
+        }
+        _ => {
+            let (length, rest) = rest.split_first_chunk::<4>().ok_or_else(cut)?;
+            (u32::from_le_bytes(*length) as usize, rest)
+        }
+    };
+    let (header, data) = rest.split_at_checked(length).ok_or_else(cut)?;
+    let header = String::from_utf8_lossy(header).replace(' ', "");
+    if !header.contains("'descr':'<f8'") || !header.contains("'fortran_order':False") {
+        return Err("must hold little-endian 64-bit floats, row by row".to_owned());
+    }
+    let shape = header.split_once("'shape':(").and_then(|(_, rest)| rest.split_once(')'));
+    let shape: Vec<&str> = shape.map(|(shape, _)| shape.split(',').collect()).unwrap_or_default();
+    let [count, "17"] = shape[..] else {
+        return Err(format!("must have 17 columns, its shape is ({})", shape.join(",")));
+    };
+    let (values, rest) = data.as_chunks::<8>();
+    if !rest.is_empty()
+        || Some(values.len()) != count.parse().ok().and_then(|n: usize| n.checked_mul(COLUMNS))
+    {
+        return Err("holds another number of values than its header says".to_owned());
+    }
+    let values: Vec<f64> = values.iter().map(|value| f64::from_le_bytes(*value)).collect();
+    Ok(values.as_chunks::<COLUMNS>().0.to_vec())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{ImportOptions, import};
+    use crate::formats::image_file::encode_png;
+    use relume_scene::Camera;
+
+    fn npy(shape: &str, values: &[f64]) -> Vec<u8> {
+        let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({shape}), }}\n");
+        let mut out = b"\x93NUMPY\x01\x00".to_vec();
+        out.extend((header.len() as u16).to_le_bytes());
+        out.extend(header.bytes());
+        out.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+        out
+    }
+
+    fn camera(i: u32) -> Camera {
+        let eye = DVec3::new(3.0, f64::from(i) - 1.0, 1.0);
+        Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, (8, 6)).unwrap()
+    }
+
+    fn row(camera: &Camera) -> Vec<f64> {
+        let m = camera.to_opengl();
+        let columns = [-m.y_axis, m.x_axis, m.z_axis, m.w_axis];
+        let size = [6.0, 8.0, camera.fy];
+        let rows = (0..3).flat_map(|r| columns.iter().map(|c| c[r]).chain([size[r]]).collect::<Vec<_>>());
+        rows.chain([1.0, 9.0]).collect()
+    }
+
+    #[test]
+    fn a_set_is_imported_with_the_cameras_that_it_states() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let images = folder.path().join("images");
+        std::fs::create_dir(&images).unwrap();
+        for i in 0..3 {
+            let png = encode_png(8, 6, &[[9u8 * i, 0, 0]; 48]).unwrap();
+            std::fs::write(images.join(format!("{i}.png")), png).unwrap();
+        }
+        std::fs::write(images.join("2_mask.png"), encode_png(8, 6, &[[255u8]; 48]).unwrap()).unwrap();
+        let cameras = [0, 1, 2].map(camera);
+        let values: Vec<f64> = cameras.iter().flat_map(row).collect();
+        std::fs::write(folder.path().join(MARKER), npy("3, 17", &values)).unwrap();
+        let capture = import(folder.path(), &ImportOptions::default()).unwrap();
+        assert_eq!((capture.layout.as_str(), capture.train.len(), capture.test.len()), ("llff", 2, 1));
+        // The mean up of the cameras is turned to +Z, so what is compared is how they stand to each other.
+        for (view, camera) in capture.train.iter().zip(&cameras[1..]) {
+            let seen = view.camera.forward().dot(capture.test[0].camera.forward());
+            let stated = camera.forward().dot(cameras[0].forward());
+            assert!((seen - stated).abs() < 1e-9, "{}", view.name);
+            assert!((view.camera.fx - camera.fx).abs() < 1e-9);
+        }
+        std::fs::write(folder.path().join(MARKER), npy("2, 17", &values[..34])).unwrap();
+        let error = import(folder.path(), &ImportOptions::default()).unwrap_err().to_string();
+        assert!(error.contains("2 poses for 3 images"), "{error}");
+    }
+
+    #[test]
+    fn arrays_of_another_kind_are_refused() {
+        let good = npy("1, 17", &[0.5; 17]);
+        assert_eq!(rows(&good).unwrap(), [[0.5; 17]]);
+        assert!(rows(&good[..good.len() - 1]).is_err() && rows(&good[..9]).is_err() && rows(b"PK").is_err());
+        assert!(rows(&npy("1, 16", &[0.5; 16])).unwrap_err().contains("17"));
+        assert!(rows(&npy("9, 17", &[0.5; 17])).is_err());
+        let single = String::from_utf8_lossy(&good).replace("<f8", "<f4").into_bytes();
+        assert!(rows(&single).is_err());
+        assert!(pose(0, &[0.0; 17]).is_err() && pose(0, &[f64::NAN; 17]).is_err());
+    }
+}

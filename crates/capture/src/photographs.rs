@@ -1,0 +1,119 @@
+//! A capture that is opened to look at single photographs of it.
+
+use std::path::Path;
+
+use crate::cameras::{self, PhotoCamera};
+use crate::photos::{self, PhotoEntry};
+use crate::{CaptureError, ImportLimits, ImportOptions, Source, images, import};
+use relume_scene::ImageRgba;
+
+/// Bytes a pixel of a decoded file, at most: floats with alpha.
+const STORED_PIXEL: u64 = 16;
+/// Bytes a pixel of a picture: as floats, twice while distortion is removed, and as a file.
+const PICTURE_PIXEL: u64 = 40;
+
+/// The photographs of a capture.
+#[derive(Debug)]
+pub struct Photographs {
+    source: Source,
+    photos: Vec<PhotoEntry>,
+}
+
+/// How a photograph is shown.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct PictureOptions {
+    /// Most pixels from left to right; the stored ones when absent. A picture is never enlarged.
+    pub width: Option<u32>,
+    /// Whether the distortion of the lens is removed, as trainings do: the picture is that of a pinhole.
+    pub undistorted: bool,
+}
+
+impl Photographs {
+    /// Opens a folder, zip, tar or tar.gz with a supported layout. No photograph is decoded.
+    ///
+    /// # Errors
+    /// [`CaptureError`] names the file and field at fault.
+    pub fn open(path: &Path, limits: &ImportLimits) -> Result<Self, CaptureError> {
+        let source = Source::open(path, limits)?;
+        let (_, photos, _) = import::read_layout(&source, &mut Vec::new())?;
+        Ok(Self { source, photos })
+    }
+
+    /// Bytes of memory that it takes while it is open: those of a gzipped tar; what else is there stays on disk.
+    pub fn held_bytes(&self) -> u64 {
+        self.source.held_bytes()
+    }
+
+    /// Their cameras, in the order in which the capture names them: those of [`crate::cameras`].
+    ///
+    /// # Errors
+    /// [`CaptureError`] names the file and field at fault.
+    pub fn cameras(&self) -> Result<Vec<PhotoCamera>, CaptureError> {
+        cameras::of_photos(&self.source, &self.photos)
+    }
+
+    /// Whether a photograph of the capture is called so. Other files of the archive are none.
+    pub fn contains(&self, name: &str) -> bool {
+        self.photos.iter().any(|photo| photo.image == name)
+    }
+
+    /// Bytes of memory that [`Self::picture`] takes at most, from the photograph's header.
+    ///
+    /// # Errors
+    /// As [`Self::picture`].
+    pub fn picture_bytes(&self, name: &str, options: &PictureOptions) -> Result<u64, CaptureError> {
+        let photo = self.find(name)?;
+        let stored = images::photo_size(&self.source, name, photo.lens.size)?;
+        let shown = reduction(options, stored).reduced_size(stored);
+        let pixels = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
+        Ok(pixels(stored) * STORED_PIXEL + pixels(shown) * PICTURE_PIXEL)
+    }
+
+    /// A photograph, turned as its camera has it, without a mask that lies beside it.
+    ///
+    /// # Errors
+    /// [`CaptureError::File`] when no photograph of the capture is called so; else names what is unusable.
+    pub fn picture(&self, name: &str, options: &PictureOptions) -> Result<ImageRgba, CaptureError> {
+        let photo = self.find(name)?;
+        let stored = images::photo_size(&self.source, name, photo.lens.size)?;
+        let limits = *self.source.limits();
+        let reduced = ImportOptions { limits, ..reduction(options, stored) };
+        photos::picture(&self.source, photo, &reduced, options.undistorted)
+    }
+
+    fn find(&self, name: &str) -> Result<&PhotoEntry, CaptureError> {
+        let missing = || CaptureError::File { file: name.to_owned(), reason: "is missing".to_owned() };
+        self.photos.iter().find(|photo| photo.image == name).ok_or_else(missing)
+    }
+}
+
+/// Options of an import that bring a photograph of `stored` pixels to the width that is asked for.
+fn reduction(options: &PictureOptions, (width, height): (u32, u32)) -> ImportOptions {
+    let longest = |wanted: u32| {
+        let height = f64::from(height) * f64::from(wanted) / f64::from(width.max(1));
+        wanted.max(height.round() as u32)
+    };
+    let max_side = options.width.filter(|wanted| *wanted < width).map(longest);
+    ImportOptions { max_side, ..ImportOptions::default() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_is_as_wide_as_asked_for_and_never_enlarged() {
+        let size = |width, stored| {
+            let options = PictureOptions { width, undistorted: false };
+            reduction(&options, stored).reduced_size(stored)
+        };
+        assert_eq!(size(Some(100), (400, 300)), (100, 75));
+        assert_eq!(size(Some(100), (300, 400)), (100, 133), "upright");
+        assert_eq!(size(Some(64), (3024, 4032)), (64, 85));
+        assert_eq!(size(Some(1000), (400, 300)), (400, 300));
+        assert_eq!(size(None, (400, 300)), (400, 300));
+        for width in 16..=200 {
+            assert_eq!(size(Some(width), (3000, 4001)).0, width);
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! From a list of named, posed photographs to loaded views; all layouts share this step.
+
+use glam::DMat4;
+use rayon::prelude::*;
+
+use crate::check::Looks;
+use crate::error::name_list;
+use crate::images::{Loaded, load_image, load_photo, photo_size};
+use crate::lens::{Distortion, Intrinsics, Lens};
+use crate::truth::TruthFiles;
+use crate::{CaptureError, CaptureView, GroundTruthView, ImportOptions, Source, undistort};
+use crate::formats::image_file;
+use relume_scene::{Camera, ImageRgba, PackedImage};
+
+/// A photograph an importer has found, before its pixels are read.
+#[derive(Debug, Clone)]
+pub(super) struct PhotoEntry {
+    /// Path of the image in the capture.
+    pub image: String,
+    /// Path of a mask, black = not the subject.
+    pub mask: Option<String>,
+    /// Camera-to-world, OpenGL axes, in the world of the [`crate::Capture`].
+    pub pose: DMat4,
+    /// Intrinsics.
+    pub lens: Lens,
+    /// Turn of the light about +Z, degrees counter-clockwise.
+    pub light_rotation_deg: f64,
+    /// The file that states pose and lens, for errors.
+    pub stated_in: String,
+    /// The entry in that file, e.g. `frames[3]`, for errors.
+    pub field: String,
+    /// What the set uses it for.
+    pub split: Split,
+    /// Ground-truth layers beside it.
+    pub truth: TruthFiles,
+}
+
+/// What a set uses a photograph for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Split {
+    /// To train on, unless the set names no test views at all.
+    Train,
+    /// Held out by the set itself.
+    Test,
+}
+
+/// Fewest photographs that make a capture.
+pub(super) const MIN_IMAGES: usize = 3;
+
+/// Names the listed images that are absent in a warning.
+///
+/// # Errors
+/// [`CaptureError::TooFewImages`] when fewer than [`MIN_IMAGES`] remain.
+pub(super) fn check_missing(
+    file: &str,
+    usable: usize,
+    missing: Vec<String>,
+    warnings: &mut Vec<String>,
+) -> Result<(), CaptureError> {
+    if usable < MIN_IMAGES {
+        return Err(CaptureError::TooFewImages {
+            file: file.to_owned(),
+            usable,
+            required: MIN_IMAGES,
+            missing,
+        });
+    }
+    if !missing.is_empty() {
+        warnings.push(format!(
+            "{file} names {} images that are missing, {usable} remain: {}",
+            missing.len(),
+            name_list(&missing)
+        ));
+    }
+    Ok(())
+}
+
+/// The image a `file_path` means: the path as written, or with a file ending or light name added.
+pub(super) fn locate(source: &Source, path: &str) -> Option<String> {
+    if source.contains(path) {
+        return Some(path.to_owned());
+    }
+    const ENDINGS: [&str; 9] =
+        [".png", ".jpg", ".jpeg", ".webp", ".exr", ".JPG", ".PNG", "_sunset.png", "_sunset_000.png"];
+    ENDINGS.iter().map(|e| format!("{path}{e}")).find(|p| source.contains(p))
+}
+
+/// Loads the photographs in parallel, and has `looks` look at each. Their order, and which error is returned, depend on the list alone.
+///
+/// # Errors
+/// The first photograph in the list whose image, mask, pose or lens is unusable.
+pub(super) fn load(
+    source: &Source,
+    photos: &[PhotoEntry],
+    options: &ImportOptions,
+    looks: Option<&Looks>,
+) -> Result<Vec<CaptureView>, CaptureError> {
+    let views: Vec<_> = photos.par_iter().map(|photo| load_one(source, photo, options, looks)).collect();
+    views.into_iter().collect()
+}
+
+/// The sizes to which photographs are reduced, pixels, from their headers: a capture too large for memory is refused before it is
+/// decoded. Every file is read twice, which is cheap compared with decoding it once. Of what cannot be read there is no size;
+/// decoding it returns an error with its name.
+///
+/// # Errors
+/// [`CaptureError::OverLimit`] for more pixels together than are allowed.
+pub(super) fn sizes(
+    source: &Source,
+    photos: &[PhotoEntry],
+    options: &ImportOptions,
+) -> Result<Vec<(u32, u32)>, CaptureError> {
+    let size = |photo: &PhotoEntry| {
+        let bytes = source.read(&photo.image).ok()?;
+        Some(options.reduced_size(image_file::dimensions(&bytes).ok()?))
+    };
+    let sizes: Vec<(u32, u32)> = photos.par_iter().filter_map(size).collect();
+    let total: u64 = sizes.iter().map(|(w, h)| u64::from(*w) * u64::from(*h)).sum();
+    let limit = options.limits.max_total_pixels;
+    if total > limit {
+        let reason = format!("{total} pixels in all, {limit} allowed; reduce the resolution");
+        return Err(CaptureError::over_limit(source.label(), "max_total_pixels", reason));
+    }
+    Ok(sizes)
+}
+
+fn load_one(
+    source: &Source,
+    photo: &PhotoEntry,
+    options: &ImportOptions,
+    looks: Option<&Looks>,
+) -> Result<CaptureView, CaptureError> {
+    let Loaded { mut image, stored, depth } = match looks {
+        None => load_photo(source, &photo.image, photo.lens.size, options)?,
+        Some(looks) => load_looked_at(source, photo, options, looks)?,
+    };
+    if let Some(mask) = &photo.mask {
+        apply_mask(source, mask, &mut image, options)?;
+    }
+    let (camera, image) = undistorted(photo, stored, image)?;
+    let image = PackedImage::new(&image, depth);
+    let truth = if options.load_truth {
+        photo.truth.load(source, (image.width, image.height), options)?
+    } else {
+        GroundTruthView::default()
+    };
+    let light_rotation_deg = photo.light_rotation_deg;
+    Ok(CaptureView { name: photo.image.clone(), camera, image, light_rotation_deg, truth })
+}
+
+/// [`load_photo`] by way of an image that is large enough to be looked at.
+fn load_looked_at(
+    source: &Source,
+    photo: &PhotoEntry,
+    options: &ImportOptions,
+    looks: &Looks,
+) -> Result<Loaded, CaptureError> {
+    let side = options.max_side.map_or(Looks::SIDE, |side| side.max(Looks::SIDE));
+    let larger = ImportOptions { max_side: Some(side), ..*options };
+    let loaded = load_photo(source, &photo.image, photo.lens.size, &larger)?;
+    looks.add(&photo.image, &loaded.image, loaded.stored);
+    let (width, height) = options.reduced_size(loaded.stored);
+    Ok(Loaded { image: loaded.image.resized(width, height), ..loaded })
+}
+
+/// The photograph alone, without its mask; `straight` removes the lens's distortion.
+///
+/// # Errors
+/// Names the image, or the file and field of an unusable pose or lens.
+pub(super) fn picture(
+    source: &Source,
+    photo: &PhotoEntry,
+    options: &ImportOptions,
+    straight: bool,
+) -> Result<ImageRgba, CaptureError> {
+    let Loaded { image, stored, .. } = load_photo(source, &photo.image, photo.lens.size, options)?;
+    if straight { Ok(undistorted(photo, stored, image)?.1) } else { Ok(image) }
+}
+
+/// An image of a photograph of `stored` pixels without the distortion of its lens, and its camera.
+fn undistorted(
+    photo: &PhotoEntry,
+    stored: (u32, u32),
+    image: ImageRgba,
+) -> Result<(Camera, ImageRgba), CaptureError> {
+    let intrinsics = photo.lens.resolve(&photo.stated_in, stored)?;
+    let camera = camera(photo, intrinsics, stored)?.resized(image.width, image.height);
+    match photo.lens.distortion {
+        Distortion::None => Ok((camera, image)),
+        distortion => {
+            undistort::undistort(&camera, &distortion, &image).map_err(|reason| bent(photo, reason))
+        }
+    }
+}
+
+/// The camera of a photograph at its stored size, distortion removed; of the image only the header is read.
+///
+/// # Errors
+/// Names the image, or the file and field of an unusable pose or lens.
+pub(super) fn stored_camera(source: &Source, photo: &PhotoEntry) -> Result<Camera, CaptureError> {
+    camera_at(photo, photo_size(source, &photo.image, photo.lens.size)?)
+}
+
+/// The camera of a photograph of `stored` pixels, distortion removed.
+///
+/// # Errors
+/// Names the file and field of an unusable pose or lens.
+pub(super) fn camera_at(photo: &PhotoEntry, stored: (u32, u32)) -> Result<Camera, CaptureError> {
+    let camera = camera(photo, photo.lens.resolve(&photo.stated_in, stored)?, stored)?;
+    match photo.lens.distortion {
+        Distortion::None => Ok(camera),
+        distortion => undistort::pinhole(&camera, &distortion).map_err(|reason| bent(photo, reason)),
+    }
+}
+
+/// A lens that cannot be made a pinhole.
+fn bent(photo: &PhotoEntry, reason: String) -> CaptureError {
+    CaptureError::at_field(&photo.stated_in, format!("{}.k1", photo.field), reason)
+}
+
+fn camera(photo: &PhotoEntry, intrinsics: Intrinsics, stored: (u32, u32)) -> Result<Camera, CaptureError> {
+    let camera = Camera::from_opengl(&photo.pose, stored, intrinsics.focal, intrinsics.centre);
+    camera.map_err(|error| {
+        CaptureError::at_field(&photo.stated_in, format!("{}.{}", photo.field, error.field), error.reason)
+    })
+}
+
+/// Multiplies the image's alpha by the mask's brightness.
+fn apply_mask(
+    source: &Source,
+    path: &str,
+    image: &mut ImageRgba,
+    options: &ImportOptions,
+) -> Result<(), CaptureError> {
+    let (mask, _) = load_image(source, path, options)?;
+    let mask = if (mask.width, mask.height) == (image.width, image.height) {
+        mask
+    } else {
+        mask.resized(image.width, image.height)
+    };
+    for (pixel, m) in image.pixels.iter_mut().zip(&mask.pixels) {
+        pixel[3] *= m[0] * m[3];
+    }
+    Ok(())
+}

@@ -1,0 +1,165 @@
+//! What a program of others may take, and which one was left running by a process that was killed.
+
+use std::path::PathBuf;
+#[cfg(not(target_os = "linux"))]
+use std::process::Child;
+
+/// What a program may take. Only Linux can hold it to that.
+#[derive(Debug, Default)]
+pub(super) struct Bounds {
+    /// Bytes of memory; any number when absent.
+    pub memory: Option<u64>,
+    /// Whether others go first where processors are scarce.
+    pub makes_way: bool,
+    /// A file that says which process runs: where this process is killed, the next one ends what it left.
+    pub marker: Option<PathBuf>,
+}
+
+#[cfg(target_os = "linux")]
+mod linux {
+    use std::process::Child;
+
+    use rustix::process::{Pid, Resource, Rlimit, Signal};
+
+    use super::Bounds;
+
+    /// How far a program that makes way steps back, of 19.
+    const NICE: i32 = 10;
+
+    impl Bounds {
+        /// Holds a program to the bounds that has just begun.
+        pub(in super::super) fn put_on(&self, child: &Child) -> std::io::Result<()> {
+            let Some(pid) = Pid::from_raw(child.id().cast_signed()) else { return Ok(()) };
+            if let Some(marker) = &self.marker {
+                std::fs::write(marker, child.id().to_string())?;
+            }
+            // A program that has ended by now needs no bounds.
+            if self.makes_way {
+                let _ = rustix::process::setpriority_process(Some(pid), NICE);
+            }
+            if let Some(bytes) = self.memory {
+                let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
+                let _ = rustix::process::prlimit(Some(pid), Resource::Data, limit);
+            }
+            Ok(())
+        }
+
+        /// Ends the program that an earlier process left, if the marker still names it: its command line names the folder of the
+        /// marker.
+        pub(in super::super) fn end_earlier(&self) {
+            let named = || {
+                let marker = self.marker.as_ref()?;
+                let pid: i32 = std::fs::read_to_string(marker).ok()?.trim().parse().ok()?;
+                let command = std::fs::read(format!("/proc/{pid}/cmdline")).ok()?;
+                let folder = marker.parent()?.to_str()?;
+                String::from_utf8_lossy(&command).contains(folder).then(|| Pid::from_raw(pid)).flatten()
+            };
+            if let Some(pid) = named() {
+                let _ = rustix::process::kill_process(pid, Signal::KILL);
+                while rustix::process::test_kill_process(pid).is_ok() && named() == Some(pid) {
+                    std::thread::sleep(std::time::Duration::from_millis(20));
+                }
+            }
+            self.forget();
+        }
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+impl Bounds {
+    /// Holds a program to the bounds that has just begun: not here.
+    pub(super) fn put_on(&self, _: &Child) -> std::io::Result<()> {
+        let _ = (self.memory, self.makes_way);
+        Ok(())
+    }
+
+    /// Ends the program that an earlier process left: not here.
+    pub(super) fn end_earlier(&self) {}
+}
+
+impl Bounds {
+    /// Forgets a program that has ended.
+    pub(super) fn forget(&self) {
+        if let Some(marker) = &self.marker {
+            let _ = std::fs::remove_file(marker);
+        }
+    }
+}
+
+#[cfg(test)]
+#[cfg(target_os = "linux")]
+mod tests {
+    use std::path::Path;
+    use std::process::Command;
+    use std::time::Duration;
+
+    use super::*;
+    use crate::poses::process::Program;
+    use crate::poses::watch::Watch;
+
+    /// What `sh -c script` writes under these bounds.
+    fn said(bounds: Bounds, script: &str, folder: &Path) -> Vec<String> {
+        let (log, mut lines, mut ignored) = (folder.join("x.log"), Vec::new(), |_| {});
+        let program = Program { name: "sh".as_ref(), install: "", log: &log, folder: None, bounds };
+        let mut watch = Watch::new(Duration::from_secs(60), &mut ignored, &|| false);
+        let arguments = ["-c".as_ref(), script.as_ref()];
+        program.run(&arguments, &mut watch, &mut |line, _| lines.push(line.to_owned())).unwrap();
+        lines
+    }
+
+    #[test]
+    fn a_program_is_held_to_its_memory_and_steps_back() {
+        let folder = tempfile::TempDir::new().unwrap();
+        // The bounds come right after its start.
+        let script = "sleep 0.5; ulimit -d; nice";
+        let bounds = Bounds { memory: Some(64 << 20), makes_way: true, marker: None };
+        let held = said(bounds, script, folder.path());
+        let free = said(Bounds::default(), script, folder.path());
+        assert_eq!(held[0], "65536", "KiB");
+        assert_ne!((&held[0], &held[1]), (&free[0], &free[1]), "the control");
+        let nice = |lines: &[String]| lines[1].parse::<i32>().unwrap();
+        assert_eq!(nice(&held), (nice(&free) + 10).min(19));
+    }
+
+    /// A program that runs until it is ended, with `argument` in the command line that others read by now: a parent goes on
+    /// before the kernel has written that of its child.
+    fn start_looping(argument: &Path) -> std::process::Child {
+        let script = ["-c", "while :; do sleep 0.1; done"];
+        let child = Command::new("sh").args(script).arg(argument).spawn().unwrap();
+        let command_line = format!("/proc/{}/cmdline", child.id());
+        let is_named = || {
+            String::from_utf8_lossy(&std::fs::read(&command_line).unwrap())
+                .contains(argument.to_str().unwrap())
+        };
+        while !is_named() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        child
+    }
+
+    #[test]
+    fn what_was_left_running_is_ended_and_others_are_not() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let marker = folder.path().join("process");
+        for (argument, is_ours) in [(folder.path(), true), (Path::new("/elsewhere"), false)] {
+            let mut child = start_looping(argument);
+            std::fs::write(&marker, child.id().to_string()).unwrap();
+            let reaped = std::thread::scope(|scope| {
+                let bounds = Bounds { marker: Some(marker.clone()), ..Bounds::default() };
+                let ending = scope.spawn(move || bounds.end_earlier());
+                // A process that has ended is there until its parent, which is this one, asks for it.
+                let polls = if is_ours { 3000 } else { 50 };
+                let reaped = (0..polls).any(|_| {
+                    std::thread::sleep(Duration::from_millis(10));
+                    child.try_wait().unwrap().is_some()
+                });
+                ending.join().unwrap();
+                reaped
+            });
+            assert_eq!(reaped, is_ours, "{}", argument.display());
+            assert!(!marker.exists());
+            child.kill().ok();
+            child.wait().unwrap();
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! The sharpest frame of each interval of a clip, by ffmpeg.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::bounds::Bounds;
+use super::error::PoseError;
+use super::process::Program;
+use super::watch::{PoseProgress, PoseStage, Watch};
+use crate::{CaptureError, sharpness};
+use crate::formats::image_file;
+
+const INSTALL: &str = "apt-get install ffmpeg, brew install ffmpeg, or https://ffmpeg.org/download.html";
+/// The oldest release whose options are those that are used here; what tells no release is taken for newer.
+const LEAST_VERSION: u32 = 4;
+/// Frames of an interval that are compared.
+const CANDIDATES: usize = 5;
+/// Most frames a second that are kept: neighbours beyond are the same photograph.
+const MOST_PER_SECOND: f64 = 5.0;
+/// Files that are taken for clips.
+const ENDINGS: [&str; 7] = ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mts"];
+
+/// How frames are taken from a clip.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ClipOptions {
+    /// Programs: names to be looked for on PATH, or paths.
+    pub ffmpeg: PathBuf,
+    /// ffmpeg's program that tells how long a clip is.
+    pub ffprobe: PathBuf,
+    /// Frames to keep, at least 3; fewer of a short clip.
+    pub frames: usize,
+}
+
+impl Default for ClipOptions {
+    fn default() -> Self {
+        Self { ffmpeg: "ffmpeg".into(), ffprobe: "ffprobe".into(), frames: 80 }
+    }
+}
+
+/// True for a file whose name ends as that of a clip.
+pub fn is_clip(path: &Path) -> bool {
+    let ending = path.extension().and_then(OsStr::to_str).unwrap_or_default().to_ascii_lowercase();
+    ENDINGS.contains(&ending.as_str()) && path.is_file()
+}
+
+/// Writes the sharpest frame of each interval of `clip` into the folder `into`, which must not be there, as `0001.jpg` and so on,
+/// upright. Returns their number. The folder is there when it is complete; ffmpeg's output is in its `ffmpeg.log`.
+///
+/// # Errors
+/// [`PoseError`]; what was made on the way stays in `into` with `.part` at its end, for its log, and is made anew the next time.
+pub fn frames_of_clip(
+    clip: &Path,
+    into: &Path,
+    options: &ClipOptions,
+    watch: &mut Watch<'_>,
+) -> Result<usize, PoseError> {
+    let clip = clip.canonicalize().map_err(PoseError::io(clip))?;
+    let mut part = into.as_os_str().to_owned();
+    part.push(".part");
+    let part = PathBuf::from(part);
+    if part.is_dir() {
+        fs::remove_dir_all(&part).map_err(PoseError::io(&part))?;
+    }
+    fs::create_dir_all(&part).map_err(PoseError::io(&part))?;
+    let part = part.canonicalize().map_err(PoseError::io(&part))?;
+    let seconds = duration(&clip, &part, options, watch)?;
+    let frames = options.frames.max(3).min((seconds * MOST_PER_SECOND).ceil().max(1.0) as usize);
+    let candidates = extract(&clip, &part, frames, seconds, options, watch)?;
+    let chosen = sharpest(&candidates)?;
+    for (index, candidate) in chosen.iter().enumerate() {
+        let name = part.join(format!("{:04}.jpg", index + 1));
+        fs::rename(&candidates[*candidate], name).map_err(PoseError::io(&candidates[*candidate]))?;
+    }
+    for file in candidates.iter().filter(|file| file.exists()) {
+        fs::remove_file(file).map_err(PoseError::io(file))?;
+    }
+    fs::rename(&part, into).map_err(PoseError::io(into))?;
+    Ok(chosen.len())
+}
+
+/// Length of a clip, seconds.
+fn duration(
+    clip: &Path,
+    part: &Path,
+    options: &ClipOptions,
+    watch: &mut Watch<'_>,
+) -> Result<f64, PoseError> {
+    let log = part.join("ffmpeg.log");
+    let name = options.ffprobe.as_os_str();
+    let ffprobe = Program { name, install: INSTALL, log: &log, folder: None, bounds: Bounds::default() };
+    let mut release = None;
+    ffprobe.run(&["-version".as_ref()], watch, &mut |line, _| release = release.or(version(line)))?;
+    if let Some(found) = release.filter(|release| *release < LEAST_VERSION) {
+        return Err(PoseError::TooOld {
+            program: options.ffprobe.display().to_string(),
+            found: found.to_string(),
+            least: "4",
+            install: INSTALL,
+        });
+    }
+    let asked = ["-v", "error", "-show_entries", "format=duration", "-of", "csv=p=0"].map(OsStr::new);
+    let mut seconds = None;
+    ffprobe.run(&[&asked[..], &[clip.as_os_str()]].concat(), watch, &mut |line, _| {
+        seconds = seconds.or(line.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0));
+    })?;
+    seconds.ok_or_else(|| {
+        let reason = "is no clip of a known length".to_owned();
+        CaptureError::File { file: clip.display().to_string(), reason }.into()
+    })
+}
+
+/// Frames of the clip, [`CANDIDATES`] for each that is kept, in their order.
+fn extract(
+    clip: &Path,
+    part: &Path,
+    frames: usize,
+    seconds: f64,
+    options: &ClipOptions,
+    watch: &mut Watch<'_>,
+) -> Result<Vec<PathBuf>, PoseError> {
+    let wanted = frames * CANDIDATES;
+    let log = part.join("ffmpeg.log");
+    // In the folder itself, since a percent sign in its name would be taken for the place of a number.
+    let ffmpeg = Program {
+        name: options.ffmpeg.as_os_str(),
+        install: INSTALL,
+        log: &log,
+        folder: Some(part),
+        bounds: Bounds::default(),
+    };
+    let (rate, most) = (format!("fps={}", wanted as f64 / seconds), wanted.to_string());
+    let before = ["-nostdin", "-hide_banner", "-nostats", "-progress", "pipe:1", "-i"].map(OsStr::new);
+    let after = ["-vf", &rate, "-frames:v", &most, "-q:v", "2", "candidate_%06d.jpg"].map(OsStr::new);
+    ffmpeg.run(&[&before[..], &[clip.as_os_str()], &after].concat(), watch, &mut |line, watch| {
+        if let Some(done) = line.strip_prefix("frame=").and_then(|n| n.trim().parse().ok()) {
+            (watch.progress)(PoseProgress { stage: PoseStage::Frames, done, total: wanted as u64 });
+        }
+    })?;
+    let candidate = |i: usize| part.join(format!("candidate_{i:06}.jpg"));
+    Ok((1..=wanted).map(candidate).take_while(|file| file.is_file()).collect())
+}
+
+/// Of each [`CANDIDATES`] files in a row the index of the sharpest.
+fn sharpest(candidates: &[PathBuf]) -> Result<Vec<usize>, PoseError> {
+    let sharpness = |file: &PathBuf| {
+        let bytes = fs::read(file).map_err(PoseError::io(file))?;
+        let reduced = |size| crate::ImportOptions::at_most(sharpness::SIDE).reduced_size(size);
+        let image = image_file::decode_reduced(&bytes, image_file::DEFAULT_MAX_PIXELS, reduced);
+        let (image, _) = image.map_err(|error| CaptureError::image(&file.display().to_string(), error))?;
+        Ok::<_, PoseError>(sharpness::sharpness(&image))
+    };
+    let values: Vec<_> = candidates.par_iter().map(sharpness).collect();
+    let values = values.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let sharpest = |(group, values): (usize, &[f64])| {
+        let (best, _) = values.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
+        Some(group * CANDIDATES + best)
+    };
+    Ok(values.chunks(CANDIDATES).enumerate().filter_map(sharpest).collect())
+}
+
+/// The release in a line like `ffprobe version 5.1.6-0+deb12u1 Copyright ...`.
+fn version(line: &str) -> Option<u32> {
+    let (_, rest) = line.split_once(" version ")?;
+    let digits = rest.trim_start_matches('n').split(|c: char| !c.is_ascii_digit()).next()?;
+    // Builds of no release tell a date.
+    digits.parse().ok().filter(|release| *release < 1000)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::image_file::encode_jpeg;
+
+    #[test]
+    fn the_sharpest_of_each_interval_is_kept() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let file = |i: usize| {
+            // Stripes of one width whose contrast is highest for frames 3, 6 and 11.
+            let contrast = if [3, 6, 11].contains(&i) { 90 } else { 20 };
+            let grey = |x: usize| if (x / 2).is_multiple_of(2) { 128 - contrast } else { 128 + contrast };
+            let pixels: Vec<[u8; 3]> = (0..24 * 24).map(|p| [grey(p % 24); 3]).collect();
+            let path = folder.path().join(format!("{i}.jpg"));
+            fs::write(&path, encode_jpeg(24, 24, &pixels, 95).unwrap()).unwrap();
+            path
+        };
+        let candidates: Vec<PathBuf> = (0..12).map(file).collect();
+        assert_eq!(sharpest(&candidates).unwrap(), [3, 6, 11]);
+        fs::write(&candidates[4], "no picture").unwrap();
+        assert!(sharpest(&candidates).is_err());
+    }
+
+    #[test]
+    fn clips_and_releases_are_told() {
+        assert_eq!(version("ffprobe version 5.1.6-0+deb12u1 Copyright (c) 2007"), Some(5));
+        assert_eq!(version("ffmpeg version n7.0 Copyright"), Some(7));
+        assert_eq!(version("ffmpeg version 20240101-git"), None);
+        assert_eq!(version("built with gcc 12"), None);
+        let folder = tempfile::TempDir::new().unwrap();
+        let clip = folder.path().join("a.MP4");
+        assert!(!is_clip(&clip), "it is not there");
+        fs::write(&clip, "x").unwrap();
+        assert!(is_clip(&clip) && !is_clip(folder.path()));
+    }
+}

@@ -1,0 +1,329 @@
+//! COLMAP, stage by stage: features, matches, poses.
+
+use std::ffi::{OsStr, OsString};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use super::bounds::Bounds;
+use super::error::PoseError;
+use super::process::Program;
+use super::watch::{PoseProgress, PoseStage, Watch};
+use super::workspace::Workspace;
+use crate::{ImportLimits, Unposed, cameras_of_colmap};
+
+/// The oldest COLMAP whose options are those that are used here.
+const LEAST_VERSION: (u32, u32) = (3, 6);
+/// How long it may take to tell its version.
+const HELP_TIME: Duration = Duration::from_secs(60);
+const INSTALL: &str = "apt-get install colmap, brew install colmap, or https://colmap.github.io/install.html; \
+                       or give a capture that has poses";
+
+/// How poses are found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PoseOptions {
+    /// COLMAP's program: a name to be looked for on PATH, or a path.
+    pub program: PathBuf,
+    /// Features are looked for in photographs of at most so many pixels on the longer side.
+    pub max_side: u32,
+    /// Most features of a photograph.
+    pub max_features: u32,
+    /// Threads of COLMAP; as many as there are processors when absent.
+    pub threads: Option<u32>,
+    /// Bytes of memory that COLMAP may take (on Linux); any number when absent.
+    pub memory: Option<u64>,
+    /// Whether COLMAP works where nobody else wants a processor (on Linux).
+    pub makes_way: bool,
+}
+
+impl Default for PoseOptions {
+    fn default() -> Self {
+        Self {
+            program: "colmap".into(),
+            max_side: 1600,
+            max_features: 4096,
+            threads: None,
+            memory: None,
+            makes_way: false,
+        }
+    }
+}
+
+/// What came of it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Poses {
+    /// Photographs in all.
+    pub photographs: usize,
+    /// Names of those without a pose; they are left out of the capture.
+    pub unplaced: Vec<String>,
+    /// True when an earlier run had found them.
+    pub were_there: bool,
+}
+
+/// Finds the poses of `photographs` and makes a capture of them in the folder `into`: `images/`, `masks/`, `sparse/0/` and
+/// COLMAP's output in `colmap.log`. A run that was ended goes on where it was, and one that is complete is not made again.
+///
+/// # Errors
+/// [`PoseError`]. The folder is no capture then, but holds the log.
+pub fn find_poses(
+    photographs: &Unposed,
+    into: &Path,
+    options: &PoseOptions,
+    watch: &mut Watch<'_>,
+) -> Result<Poses, PoseError> {
+    let workspace = Workspace::fill(into, photographs)?;
+    let were_there = workspace.is_done();
+    if !were_there {
+        let colmap = Colmap::open(&workspace, options, watch)?;
+        colmap.features(photographs, watch)?;
+        colmap.matches(watch)?;
+        let model = colmap.model(photographs, watch)?;
+        workspace.finish(&model)?;
+    }
+    let placed = placed(into)?;
+    let is_unplaced = |name: &&str| !placed.iter().any(|p| p == name);
+    let unplaced: Vec<String> = photographs.photos().filter(is_unplaced).map(str::to_owned).collect();
+    Ok(Poses { photographs: photographs.photos().len(), unplaced, were_there })
+}
+
+/// The version of COLMAP that is installed; what it says is added to the file `log`.
+///
+/// # Errors
+/// [`PoseError::NotInstalled`], [`PoseError::TooOld`] for one that [`find_poses`] does not work with, or why it does not run.
+pub fn colmap_version(options: &PoseOptions, log: &Path) -> Result<(u32, u32), PoseError> {
+    let mut progress = |_| {};
+    let mut watch = Watch::new(HELP_TIME, &mut progress, &|| false);
+    let name = options.program.as_os_str();
+    let program = Program { name, install: INSTALL, log, folder: None, bounds: Bounds::default() };
+    checked_version(&program, &mut watch)
+}
+
+/// The version that a COLMAP tells, if it is one that will do.
+fn checked_version(colmap: &Program<'_>, watch: &mut Watch<'_>) -> Result<(u32, u32), PoseError> {
+    let mut told = Vec::new();
+    colmap.run(&["help".as_ref()], watch, &mut |line, _| told.push(line.to_owned()))?;
+    let found = told.iter().find_map(|line| version(line));
+    found.filter(|version| *version >= LEAST_VERSION).ok_or_else(|| PoseError::TooOld {
+        program: colmap.name.display().to_string(),
+        found: found.map_or("unknown".to_owned(), |(major, minor)| format!("{major}.{minor}")),
+        least: "3.6",
+        install: INSTALL,
+    })
+}
+
+/// The names of the photographs that a model has poses for.
+fn placed(folder: &Path) -> Result<Vec<String>, PoseError> {
+    let cameras = cameras_of_colmap(folder, &ImportLimits::default())?;
+    Ok(cameras.into_iter().map(|camera| camera.name).collect())
+}
+
+/// COLMAP on a workspace.
+struct Colmap<'a> {
+    options: &'a PoseOptions,
+    workspace: &'a Workspace,
+    log: PathBuf,
+    database: PathBuf,
+    /// What options of the features are called from version 3.13 on, or before.
+    groups: OptionGroups,
+}
+
+/// The first words of options that were renamed.
+struct OptionGroups {
+    extraction: &'static str,
+    matching: &'static str,
+}
+
+impl<'a> Colmap<'a> {
+    /// Looks for the program and makes the scratch folder.
+    fn open(
+        workspace: &'a Workspace,
+        options: &'a PoseOptions,
+        watch: &mut Watch<'_>,
+    ) -> Result<Self, PoseError> {
+        let (log, scratch) = (workspace.log(), workspace.scratch());
+        fs::create_dir_all(&scratch).map_err(PoseError::io(&scratch))?;
+        let groups = OptionGroups { extraction: "SiftExtraction", matching: "SiftMatching" };
+        let mut colmap = Self { options, workspace, log, database: scratch.join("database.db"), groups };
+        checked_version(&colmap.program(), watch)?;
+        let mut renamed = false;
+        colmap.run(&["feature_extractor".as_ref(), "-h".as_ref()], watch, &mut |line, _| {
+            renamed |= line.contains("--FeatureExtraction.use_gpu");
+        })?;
+        if renamed {
+            colmap.groups = OptionGroups { extraction: "FeatureExtraction", matching: "FeatureMatching" };
+        }
+        Ok(colmap)
+    }
+
+    fn run(
+        &self,
+        arguments: &[&OsStr],
+        watch: &mut Watch<'_>,
+        line: &mut dyn FnMut(&str, &mut Watch<'_>),
+    ) -> Result<(), PoseError> {
+        self.program().run(arguments, watch, line)
+    }
+
+    fn program(&self) -> Program<'_> {
+        let PoseOptions { memory, makes_way, .. } = *self.options;
+        let bounds = Bounds { memory, makes_way, marker: Some(self.workspace.marker()) };
+        let name = self.options.program.as_os_str();
+        Program { name, install: INSTALL, log: &self.log, folder: None, bounds }
+    }
+
+    /// The option that bounds the threads of a command.
+    fn threads(&self, group: &str) -> Option<(String, OsString)> {
+        Some((format!("{group}.num_threads"), self.options.threads?.to_string().into()))
+    }
+
+    /// Runs one of its commands with options, each with its value; `[done/total]` after `counted` in its output is progress.
+    fn stage(
+        &self,
+        stage: PoseStage,
+        command: &str,
+        options: &[(String, OsString)],
+        counted: &str,
+        watch: &mut Watch<'_>,
+    ) -> Result<(), PoseError> {
+        let flags: Vec<String> = options.iter().map(|(name, _)| format!("--{name}")).collect();
+        let pairs =
+            flags.iter().zip(options).flat_map(|(flag, (_, value))| [flag.as_ref(), value.as_os_str()]);
+        let arguments: Vec<&OsStr> = std::iter::once(command.as_ref()).chain(pairs).collect();
+        self.run(&arguments, watch, &mut |line, watch| {
+            if let Some((done, total)) = count(line, counted) {
+                (watch.progress)(PoseProgress { stage, done, total });
+            }
+        })
+    }
+
+    fn features(&self, photographs: &Unposed, watch: &mut Watch<'_>) -> Result<(), PoseError> {
+        let sift = &self.groups.extraction;
+        let one_size = photographs.have_one_size()?;
+        let mut options = vec![
+            ("database_path".to_owned(), self.database.clone().into()),
+            ("image_path".to_owned(), self.workspace.images().into()),
+            ("ImageReader.single_camera".to_owned(), u8::from(one_size).to_string().into()),
+            ("ImageReader.camera_model".to_owned(), "SIMPLE_RADIAL".into()),
+        ];
+        options.extend([
+            (format!("{sift}.use_gpu"), "0".into()),
+            (format!("{sift}.max_image_size"), self.options.max_side.to_string().into()),
+            ("SiftExtraction.max_num_features".to_owned(), self.options.max_features.to_string().into()),
+        ]);
+        options.extend(self.threads(sift));
+        self.stage(PoseStage::Features, "feature_extractor", &options, "Processed file", watch)
+    }
+
+    fn matches(&self, watch: &mut Watch<'_>) -> Result<(), PoseError> {
+        // Blocks of photographs, so that progress is seen: COLMAP's own default has one block of fifty.
+        const BLOCK: &str = "10";
+        let mut options = vec![
+            ("database_path".to_owned(), self.database.clone().into()),
+            (format!("{}.use_gpu", self.groups.matching), "0".into()),
+            ("ExhaustiveMatching.block_size".to_owned(), BLOCK.into()),
+        ];
+        options.extend(self.threads(self.groups.matching));
+        self.stage(PoseStage::Matching, "exhaustive_matcher", &options, "Matching block", watch)
+    }
+
+    /// Places the photographs; of the models that COLMAP makes, the folder of the one with the most.
+    fn model(&self, photographs: &Unposed, watch: &mut Watch<'_>) -> Result<PathBuf, PoseError> {
+        let models = self.workspace.scratch().join("models");
+        if models.is_dir() {
+            fs::remove_dir_all(&models).map_err(PoseError::io(&models))?;
+        }
+        fs::create_dir_all(&models).map_err(PoseError::io(&models))?;
+        let least = photographs.photos().len().min(10).to_string();
+        let threads =
+            self.threads("Mapper").map(|(name, value)| (OsString::from(format!("--{name}")), value));
+        let images = self.workspace.images().into_os_string();
+        let mut arguments: Vec<&OsStr> = vec![
+            "mapper".as_ref(),
+            "--database_path".as_ref(),
+            self.database.as_os_str(),
+            "--image_path".as_ref(),
+            &images,
+            "--output_path".as_ref(),
+            models.as_os_str(),
+            "--Mapper.min_model_size".as_ref(),
+            least.as_ref(),
+        ];
+        arguments.extend(threads.iter().flat_map(|(name, value)| [name.as_os_str(), value.as_os_str()]));
+        let total = photographs.photos().len() as u64;
+        self.run(&arguments, watch, &mut |line, watch| {
+            if let Some(done) = registered(line) {
+                let progress = PoseProgress { stage: PoseStage::Mapping, done: done.min(total), total };
+                (watch.progress)(progress);
+            }
+        })?;
+        let mut largest: Option<(usize, PathBuf)> = None;
+        let mut folders = Vec::new();
+        for entry in fs::read_dir(&models).map_err(PoseError::io(&models))? {
+            folders.push(entry.map_err(PoseError::io(&models))?.path());
+        }
+        folders.sort();
+        for folder in folders.into_iter().filter(|folder| folder.is_dir()) {
+            let placed = placed(&folder)?.len();
+            if largest.as_ref().is_none_or(|(most, _)| placed > *most) {
+                largest = Some((placed, folder));
+            }
+        }
+        let photographs = photographs.photos().len();
+        let placed = largest.as_ref().map_or(0, |(placed, _)| *placed);
+        match largest.filter(|_| placed >= 3 && 2 * placed >= photographs) {
+            Some((_, folder)) => Ok(folder),
+            None => Err(PoseError::TooFewPlaced { placed, photographs, log: self.log.clone() }),
+        }
+    }
+}
+
+/// Major and minor version in a line like `COLMAP 3.8 -- ...`.
+fn version(line: &str) -> Option<(u32, u32)> {
+    let (_, rest) = line.split_once("COLMAP ")?;
+    let mut numbers = rest.split(|c: char| !c.is_ascii_digit());
+    Some((numbers.next()?.parse().ok()?, numbers.next()?.parse().ok()?))
+}
+
+/// Done and total of a line like `Processed file [3/24]`. A matrix of blocks, `Matching block [1/3, 2/3]`, counts row by row.
+fn count(line: &str, counted: &str) -> Option<(u64, u64)> {
+    let (_, rest) = line.split_once(counted)?;
+    let (counts, _) = rest.split_once('[')?.1.split_once(']')?;
+    let pair = |text: &str| -> Option<(u64, u64)> {
+        let (done, total) = text.trim().split_once('/')?;
+        Some((done.parse().ok()?, total.parse().ok()?))
+    };
+    match counts.split_once(',') {
+        None => pair(counts),
+        Some((rows, columns)) => {
+            let ((row, rows), (column, columns)) = (pair(rows)?, pair(columns)?);
+            Some((row.checked_sub(1)?.checked_mul(columns)?.checked_add(column)?, rows.checked_mul(columns)?))
+        }
+    }
+}
+
+/// Photographs that are placed, from a line like `Registering image #5 (6)`.
+fn registered(line: &str) -> Option<u64> {
+    let (_, rest) = line.split_once("Registering image #")?;
+    rest.split_once('(')?.1.split(|c: char| !c.is_ascii_digit()).find(|s| !s.is_empty())?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_and_counts_are_read_from_what_colmap_says() {
+        assert_eq!(version("COLMAP 3.8 -- Structure-from-Motion and Multi-View Stereo"), Some((3, 8)));
+        assert_eq!(version("COLMAP 3.12.1 (Commit b1b2 on 2025-07-01 with CUDA)"), Some((3, 12)));
+        assert_eq!(version("COLMAP 4.0.0.dev0"), Some((4, 0)));
+        assert_eq!(version("colmap: command not found"), None);
+        assert_eq!(count("Processed file [3/24]", "Processed file"), Some((3, 24)));
+        let logged = "I20250701 1 feature_matching.cc:46] Matching block [2/3, 1/3]";
+        assert_eq!(count(logged, "Matching block"), Some((4, 9)));
+        assert_eq!(count("Matching block [0/3, 1/3]", "Matching block"), None);
+        assert_eq!(count("Processed file", "Processed file"), None);
+        assert_eq!(registered("Registering image #71 (12)"), Some(12));
+        assert_eq!(registered("Registering image #7 (num_reg_frames=9)"), Some(9));
+        assert_eq!(registered("  => Image sees 300 / 400 points"), None);
+    }
+}

@@ -1,0 +1,112 @@
+//! The folder that becomes a capture: `images/`, `masks/` and, at the end, `sparse/0/`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::error::PoseError;
+use crate::Unposed;
+
+/// The folder of a capture in the making.
+pub(super) struct Workspace {
+    root: PathBuf,
+}
+
+impl Workspace {
+    /// Copies photographs and masks into `root`, which is made. What an earlier run began there is gone on with.
+    ///
+    /// # Errors
+    /// [`PoseError::OfOthers`] when there are other photographs.
+    pub(super) fn fill(root: &Path, photographs: &Unposed) -> Result<Self, PoseError> {
+        let workspace = Self { root: root.to_owned() };
+        let wanted: Vec<PathBuf> = photographs.photos().map(|name| workspace.images().join(name)).collect();
+        for other in files_below(&workspace.images())?.into_iter().filter(|file| !wanted.contains(file)) {
+            // What was being copied when an earlier run ended.
+            if other.extension().is_some_and(|e| e == PARTIAL) {
+                fs::remove_file(&other).map_err(PoseError::io(&other))?;
+            } else {
+                return Err(PoseError::OfOthers(root.to_owned()));
+            }
+        }
+        if workspace.is_done() && wanted.iter().any(|file| !file.is_file()) {
+            return Err(PoseError::OfOthers(root.to_owned()));
+        }
+        for (name, file) in photographs.photos().zip(&wanted) {
+            keep(file, &photographs.read(name)?).map_err(|error| match error {
+                PoseError::OfOthers(_) => PoseError::OfOthers(root.to_owned()),
+                other => other,
+            })?;
+        }
+        for (mask, of) in photographs.masks() {
+            keep(&root.join("masks").join(format!("{of}.png")), &photographs.read(mask)?)?;
+        }
+        Ok(workspace)
+    }
+
+    /// The folder with the photographs.
+    pub(super) fn images(&self) -> PathBuf {
+        self.root.join("images")
+    }
+
+    /// The sparse model, whole once it is there.
+    pub(super) fn model(&self) -> PathBuf {
+        self.root.join("sparse").join("0")
+    }
+
+    /// COLMAP's output.
+    pub(super) fn log(&self) -> PathBuf {
+        self.root.join("colmap.log")
+    }
+
+    /// Says which COLMAP works here.
+    pub(super) fn marker(&self) -> PathBuf {
+        self.scratch().join("process")
+    }
+
+    /// What COLMAP needs on the way and nobody afterwards.
+    pub(super) fn scratch(&self) -> PathBuf {
+        self.root.join("colmap")
+    }
+
+    /// True when an earlier run came to its end.
+    pub(super) fn is_done(&self) -> bool {
+        self.model().is_dir()
+    }
+
+    /// Makes `model`, a folder in the scratch folder, the result, and removes what is not needed any more.
+    pub(super) fn finish(&self, model: &Path) -> Result<(), PoseError> {
+        let sparse = self.root.join("sparse");
+        fs::create_dir_all(&sparse).map_err(PoseError::io(&sparse))?;
+        fs::rename(model, self.model()).map_err(PoseError::io(model))?;
+        fs::remove_dir_all(self.scratch()).map_err(PoseError::io(&self.scratch()))
+    }
+}
+
+/// The ending of a file that is being written.
+const PARTIAL: &str = "relume-tmp";
+
+/// Writes a file, whole or not at all; one that is there must hold the same.
+fn keep(file: &Path, bytes: &[u8]) -> Result<(), PoseError> {
+    if file.is_file() {
+        let same = fs::read(file).map_err(PoseError::io(file))? == bytes;
+        return if same { Ok(()) } else { Err(PoseError::OfOthers(file.to_owned())) };
+    }
+    if let Some(folder) = file.parent() {
+        fs::create_dir_all(folder).map_err(PoseError::io(folder))?;
+    }
+    let mut partial = file.as_os_str().to_owned();
+    partial.push(format!(".{PARTIAL}"));
+    fs::write(&partial, bytes).map_err(PoseError::io(Path::new(&partial)))?;
+    fs::rename(&partial, file).map_err(PoseError::io(file))
+}
+
+/// Every file under a folder that need not be there.
+fn files_below(folder: &Path) -> Result<Vec<PathBuf>, PoseError> {
+    let (mut files, mut open) = (Vec::new(), vec![folder.to_owned()]);
+    while let Some(folder) = open.pop().filter(|folder| folder.is_dir()) {
+        for entry in fs::read_dir(&folder).map_err(PoseError::io(&folder))? {
+            let path = entry.map_err(PoseError::io(&folder))?.path();
+            if path.is_dir() { open.push(path) } else { files.push(path) }
+        }
+    }
+    Ok(files)
+}

@@ -1,0 +1,140 @@
+//! Photographs without poses: what becomes a capture once poses are found.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use crate::{CaptureError, ImportLimits, Source, import, masks};
+use crate::formats::image_file;
+
+/// Endings of photographs that COLMAP reads.
+const ENDINGS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "webp"];
+
+/// The photographs of a folder or an archive that states no poses.
+#[derive(Debug)]
+pub struct Unposed {
+    source: Source,
+    /// Photographs, each with its mask.
+    photos: BTreeMap<String, Option<String>>,
+}
+
+impl Unposed {
+    /// Opens a folder, zip, tar or tar.gz. `None` where a layout with poses is there, or no photograph.
+    ///
+    /// # Errors
+    /// [`CaptureError`] when it cannot be opened or is over a limit.
+    pub fn open(path: &Path, limits: &ImportLimits) -> Result<Option<Self>, CaptureError> {
+        let source = Source::open(path, limits)?;
+        Ok(if import::has_layout(&source) { None } else { Self::of(source) })
+    }
+
+    /// The photographs of `path`, whether or not poses are stated beside them. `None` where there is none.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn ignoring_poses(path: &Path, limits: &ImportLimits) -> Result<Option<Self>, CaptureError> {
+        Ok(Self::of(Source::open(path, limits)?))
+    }
+
+    fn of(source: Source) -> Option<Self> {
+        let is_photo = |path: &&str| is_photograph(path) && !is_mask(&source, path);
+        let photos: BTreeMap<_, _> = source
+            .paths()
+            .filter(is_photo)
+            .map(|path| (path.to_owned(), masks::beside(&source, path)))
+            .collect();
+        (!photos.is_empty()).then_some(Self { source, photos })
+    }
+
+    /// The names of the photographs, sorted.
+    pub fn photos(&self) -> impl ExactSizeIterator<Item = &str> {
+        self.photos.keys().map(String::as_str)
+    }
+
+    /// Masks, each with the photograph that it belongs to.
+    pub(super) fn masks(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.photos.iter().filter_map(|(photo, mask)| Some((mask.as_deref()?, photo.as_str())))
+    }
+
+    /// The bytes of a photograph or mask.
+    ///
+    /// # Errors
+    /// [`CaptureError`] when it cannot be read.
+    pub fn read(&self, name: &str) -> Result<Vec<u8>, CaptureError> {
+        self.source.read(name)
+    }
+
+    /// Whether all photographs have the same width and height: one camera, one lens.
+    ///
+    /// # Errors
+    /// [`CaptureError::Image`] names the first that is no image.
+    pub(super) fn have_one_size(&self) -> Result<bool, CaptureError> {
+        let names: Vec<&str> = self.photos().collect();
+        let size = |name: &&str| {
+            image_file::dimensions(&self.read(name)?).map_err(|error| CaptureError::image(name, error))
+        };
+        let sizes: Vec<_> = names.par_iter().map(size).collect();
+        let sizes = sizes.into_iter().collect::<Result<Vec<_>, _>>()?;
+        Ok(sizes.windows(2).all(|pair| pair[0] == pair[1]))
+    }
+}
+
+fn is_photograph(path: &str) -> bool {
+    let ending = path.rsplit_once('.').map(|(_, ending)| ending.to_ascii_lowercase());
+    ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
+}
+
+/// True for files of `masks/` and for `NAME_mask.png` beside a photograph called so.
+fn is_mask(source: &Source, path: &str) -> bool {
+    let in_folder = path.split('/').rev().skip(1).any(|folder| folder == "masks" || folder == "mask");
+    let of = masks::stem(path).strip_suffix("_mask");
+    let has_photo = |stem: &str| {
+        let endings = ENDINGS.iter().flat_map(|e| [(*e).to_owned(), e.to_ascii_uppercase()]);
+        endings.map(|ending| format!("{stem}.{ending}")).any(|photo| source.contains(&photo))
+    };
+    in_folder || of.is_some_and(has_photo)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Names of photographs, and masks with what they are of.
+    type Names = (Vec<String>, Vec<(String, String)>);
+
+    fn names(files: &[&str]) -> Option<Names> {
+        let folder = tempfile::TempDir::new().unwrap();
+        for file in files {
+            let path = folder.path().join(file);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, b"x").unwrap();
+        }
+        let found = Unposed::open(folder.path(), &ImportLimits::default()).unwrap()?;
+        let masks = found.masks().map(|(mask, of)| (mask.to_owned(), of.to_owned())).collect();
+        Some((found.photos().map(str::to_owned).collect(), masks))
+    }
+
+    #[test]
+    fn photographs_and_their_masks_are_told_apart() {
+        let files =
+            ["images/a.JPG", "images/b.png", "images/b_mask.png", "masks/a.png", "notes.txt", "x_mask.png"];
+        let (photos, masks) = names(&files).unwrap();
+        assert_eq!(
+            photos,
+            ["images/a.JPG", "images/b.png", "x_mask.png"],
+            "a mask of nothing is a photograph"
+        );
+        let pair = |a: &str, b: &str| (a.to_owned(), b.to_owned());
+        assert_eq!(masks, [pair("masks/a.png", "images/a.JPG"), pair("images/b_mask.png", "images/b.png")]);
+    }
+
+    #[test]
+    fn a_capture_with_poses_is_not_taken_for_photographs() {
+        assert!(names(&["images/a.jpg", "transforms.json"]).is_none());
+        assert!(names(&["images/a.jpg", "sparse/0/cameras.bin", "sparse/0/images.bin"]).is_none());
+        assert!(names(&["images/a.jpg", "poses_bounds.npy"]).is_none());
+        assert!(names(&["notes.txt"]).is_none());
+        assert!(names(&["images/a.jpg", "sparse/0/cameras.bin"]).is_some(), "the control: half a model");
+    }
+}

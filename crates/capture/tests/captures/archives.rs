@@ -1,0 +1,222 @@
+//! Archives: all kinds give the same capture; attacks and damaged files are refused.
+
+use std::io::{Cursor, Write};
+
+use proptest::prelude::*;
+
+use super::small_set::{Files, blender, colmap, gzip, import_bytes, import_folder, nerfstudio, tar, zip};
+use crate::fuzz::cases_or;
+use relume_capture::{CaptureError, ImportLimits, ImportOptions, import};
+
+fn refusal(bytes: &[u8]) -> CaptureError {
+    import_bytes(bytes).unwrap_err()
+}
+
+/// Imports with limits changed by `edit`.
+fn limited(bytes: &[u8], edit: impl FnOnce(&mut ImportLimits)) -> CaptureError {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), bytes).unwrap();
+    let mut options = ImportOptions::default();
+    edit(&mut options.limits);
+    import(file.path(), &options).unwrap_err()
+}
+
+/// Replaces every occurrence of a name by another of the same length, in a stored archive's bytes.
+fn renamed(mut bytes: Vec<u8>, from: &str, to: &str) -> Vec<u8> {
+    assert_eq!(from.len(), to.len());
+    let places: Vec<usize> = bytes
+        .windows(from.len())
+        .enumerate()
+        .filter(|(_, w)| *w == from.as_bytes())
+        .map(|(i, _)| i)
+        .collect();
+    assert!(!places.is_empty());
+    places.into_iter().for_each(|i| bytes[i..i + to.len()].copy_from_slice(to.as_bytes()));
+    bytes
+}
+
+fn with(name: &str) -> Files {
+    let mut files = blender();
+    files.insert(name.to_owned(), b"x".to_vec());
+    files
+}
+
+#[test]
+fn folder_zip_tar_and_gzipped_tar_give_the_same_capture() {
+    let files = blender();
+    let folder = import_folder(&files).unwrap();
+    for bytes in [zip(&files), tar(&files), gzip(&tar(&files))] {
+        assert_eq!(import_bytes(&bytes).unwrap(), folder);
+    }
+}
+
+#[test]
+fn every_truncation_is_refused() {
+    let files = blender();
+    for whole in [zip(&files), gzip(&tar(&files))] {
+        for cut in (0..whole.len()).step_by(7).chain([whole.len() - 1]) {
+            assert!(refusal(&whole[..cut]).is_users_fault(), "cut at {cut} of {}", whole.len());
+        }
+    }
+    // A tar ends in a kilobyte of zeros; any cut that takes all of the mark is noticed.
+    let whole = tar(&files);
+    for cut in (0..whole.len() - 1024).step_by(100) {
+        assert_eq!(refusal(&whole[..cut]).code(), "capture_archive_damaged", "cut at {cut}");
+    }
+}
+
+#[test]
+fn bombs_are_refused_by_ratio_size_and_count() {
+    let mut files = blender();
+    files.insert("bomb.bin".into(), vec![0; 8 << 20]);
+    for bytes in [zip(&files), gzip(&tar(&files))] {
+        let error = refusal(&bytes);
+        assert_eq!((error.code(), error.field()), ("capture_over_limit", Some("max_ratio")), "{error}");
+    }
+    for bytes in [zip(&blender()), tar(&blender())] {
+        assert_eq!(limited(&bytes, |l| l.max_entries = 3).field(), Some("max_entries"));
+        assert_eq!(limited(&bytes, |l| l.max_entry_bytes = 50).field(), Some("max_entry_bytes"));
+        assert_eq!(limited(&bytes, |l| l.max_total_bytes = 500).field(), Some("max_total_bytes"));
+    }
+    assert_eq!(limited(&gzip(&tar(&blender())), |l| l.max_gzip_bytes = 5000).field(), Some("max_gzip_bytes"));
+    assert_eq!(limited(&zip(&blender()), |l| l.max_total_pixels = 100).field(), Some("max_total_pixels"));
+    assert_eq!(limited(&zip(&blender()), |l| l.max_images = 2).field(), Some("max_images"));
+}
+
+#[test]
+fn a_size_that_lies_is_found_out_when_the_entry_is_read() {
+    let bytes = zip(&blender());
+    // The uncompressed size of each central entry lies 24 bytes behind its signature.
+    let at = bytes.windows(4).position(|w| w == b"PK\x01\x02").unwrap() + 24;
+    let mut lying = bytes.clone();
+    lying[at] = lying[at].wrapping_sub(9);
+    assert_eq!(refusal(&lying).code(), "capture_archive_damaged");
+}
+
+#[test]
+fn paths_that_escape_are_refused() {
+    for (honest, evil) in [
+        ("aa/x.png", "../x.png"),
+        ("b/cc/x.png", "b/../x.png"),
+        ("a/x.png", "//x.png"),
+        ("cc/x.png", "C:/x.png"),
+        ("ab/x.png", "..\\x.png"),
+    ] {
+        let error = refusal(&renamed(zip(&with(honest)), honest, evil));
+        assert_eq!((error.code(), error.file()), ("capture_archive_unsafe", Some(evil)), "{error}");
+    }
+    let mut builder = tar::Builder::new(Vec::new());
+    let mut header = tar::Header::new_gnu();
+    header.as_old_mut().name[..9].copy_from_slice(b"../../etc");
+    header.set_size(1);
+    header.set_cksum();
+    builder.append(&header, &b"x"[..]).unwrap();
+    assert_eq!(refusal(&builder.into_inner().unwrap()).code(), "capture_archive_unsafe");
+}
+
+#[test]
+fn duplicates_are_refused() {
+    let twice = renamed(zip(&with("train/r_9.png")), "train/r_9.png", "train/r_1.png");
+    assert_eq!(refusal(&twice).code(), "capture_archive_unsafe");
+    let twice: Vec<u8> = {
+        let mut builder = tar::Builder::new(Vec::new());
+        for name in ["a.txt", "./a.txt"] {
+            let mut header = tar::Header::new_gnu();
+            header.set_size(1);
+            builder.append_data(&mut header, name, &b"x"[..]).unwrap();
+        }
+        builder.into_inner().unwrap()
+    };
+    assert_eq!((refusal(&twice).code(), refusal(&twice).file()), ("capture_archive_unsafe", Some("a.txt")));
+}
+
+#[test]
+fn links_devices_and_encryption_are_refused() {
+    let mut writer = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    writer.add_symlink("link", "/etc/passwd", zip::write::SimpleFileOptions::default()).unwrap();
+    let error = refusal(&writer.finish().unwrap().into_inner());
+    assert_eq!((error.code(), error.file()), ("capture_archive_unsafe", Some("link")));
+    for kind in [tar::EntryType::Symlink, tar::EntryType::Link, tar::EntryType::Char, tar::EntryType::Fifo] {
+        let mut builder = tar::Builder::new(Vec::new());
+        let mut header = tar::Header::new_gnu();
+        header.set_entry_type(kind);
+        header.set_size(0);
+        header.set_path("link").unwrap();
+        header.set_link_name("/etc/passwd").unwrap();
+        header.set_cksum();
+        builder.append(&header, &b""[..]).unwrap();
+        let error = refusal(&builder.into_inner().unwrap());
+        assert_eq!((error.code(), error.file()), ("capture_archive_unsafe", Some("link")), "{kind:?}");
+    }
+    let mut locked = zip(&blender());
+    let central = locked.windows(4).position(|w| w == b"PK\x01\x02").unwrap();
+    locked[central + 8] |= 1;
+    locked[6] |= 1;
+    assert_eq!(refusal(&locked).code(), "capture_archive_unsafe");
+}
+
+#[test]
+fn nothing_is_left_on_disk_by_a_refused_archive() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("evil.zip");
+    std::fs::write(&path, renamed(zip(&with("aa/x.png")), "aa/x.png", "../x.png")).unwrap();
+    import(&path, &ImportOptions::default()).unwrap_err();
+    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(left, ["evil.zip"]);
+    assert!(!folder.path().parent().unwrap().join("x.png").exists());
+}
+
+#[test]
+fn what_is_no_archive_or_no_capture_says_so() {
+    assert_eq!(refusal(b"").code(), "capture_archive_damaged");
+    assert_eq!(refusal(b"just some text").code(), "capture_archive_damaged");
+    assert_eq!(refusal(&[0; 4096]).code(), "capture_layout_unknown");
+    let noise: Vec<u8> = (0..2048u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let said = refusal(&noise).to_string();
+    assert!(
+        said.contains("not a readable zip") && said.chars().all(|c| (' '..='~').contains(&c)),
+        "{said:?}"
+    );
+    let files = Files::from([("holiday.jpg".to_owned(), vec![1])]);
+    let error = refusal(&zip(&files));
+    assert_eq!(error.code(), "capture_layout_unknown");
+    assert!(error.to_string().contains("holiday.jpg"), "{error}");
+    let nowhere = import(std::path::Path::new("/no/such/capture.zip"), &ImportOptions::default());
+    assert_eq!(nowhere.unwrap_err().code(), "capture_io");
+}
+
+fn flipped(mut bytes: Vec<u8>, flips: &[(usize, u8)]) -> Vec<u8> {
+    for &(at, with) in flips {
+        let at = at % bytes.len();
+        bytes[at] ^= with;
+    }
+    bytes
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: cases_or(300), failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn no_flipped_bytes_in_an_archive_make_the_importer_panic(
+        which in 0usize..4,
+        flips in prop::collection::vec((any::<usize>(), 1u8..), 1..6),
+    ) {
+        let bytes = match which {
+            0 => zip(&blender()),
+            1 => tar(&nerfstudio(|set| set["k1"] = serde_json::json!(0.1))),
+            2 => tar(&colmap()),
+            _ => gzip(&tar(&blender())),
+        };
+        let _ = import_bytes(&flipped(bytes, &flips));
+    }
+
+    #[test]
+    fn no_garbage_behind_a_magic_number_makes_the_importer_panic(
+        magic in prop::sample::select(vec![&b"PK\x03\x04"[..], b"\x1f\x8b\x08\x00", b"ustar"]),
+        garbage in prop::collection::vec(any::<u8>(), 0..2000),
+    ) {
+        let mut bytes = magic.to_vec();
+        bytes.write_all(&garbage).unwrap();
+        prop_assert!(import_bytes(&bytes).is_err());
+    }
+}

@@ -1,0 +1,46 @@
+//! Deletion.
+
+use reqwest::Method;
+
+use relume_api::{CaptureId, EnvironmentId, JobId, ModelId};
+use crate::connection::{Client, checked};
+use crate::error::Result;
+
+impl Client {
+    /// Deletes a capture; with `cascade` also the jobs that need it.
+    ///
+    /// # Errors
+    /// The server's refusal, which names what needs it, or what failed on the way.
+    pub async fn delete_capture(&self, id: &CaptureId, cascade: bool) -> Result<()> {
+        self.delete(&format!("/v1/captures/{id}"), cascade).await
+    }
+
+    /// Deletes an environment map; with `cascade` also the jobs that need it.
+    ///
+    /// # Errors
+    /// The server's refusal, which names what needs it, or what failed on the way.
+    pub async fn delete_environment(&self, id: &EnvironmentId, cascade: bool) -> Result<()> {
+        self.delete(&format!("/v1/environments/{id}"), cascade).await
+    }
+
+    /// Deletes a job; with `cascade` also one that runs, which is cancelled. Its model stays.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn delete_job(&self, id: &JobId, cascade: bool) -> Result<()> {
+        self.delete(&format!("/v1/jobs/{id}"), cascade).await
+    }
+
+    /// Deletes a model. Its job stays.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn delete_model(&self, id: &ModelId) -> Result<()> {
+        self.delete(&format!("/v1/models/{id}"), false).await
+    }
+
+    async fn delete(&self, path: &str, cascade: bool) -> Result<()> {
+        let path = if cascade { format!("{path}?cascade=true") } else { path.to_owned() };
+        checked(self.request(Method::DELETE, &path)?).await.map(drop)
+    }
+}

@@ -1,0 +1,46 @@
+//! Why a call of the client failed.
+
+use relume_api::Problem;
+
+/// Why a call failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// The server refused; the problem says why.
+    #[error("{}: {} ({})", .0.title, .0.detail.as_deref().unwrap_or_default(), .0.status)]
+    Problem(Box<Problem>),
+    /// The server could not be reached or broke off.
+    #[error("transport: {0}")]
+    Transport(#[from] reqwest::Error),
+    /// The answer was not what the API promises.
+    #[error("unexpected answer: {0}")]
+    Unexpected(String),
+    /// The server's address is no URL.
+    #[error("address: {0}")]
+    Address(String),
+    /// A local file failed.
+    #[error("file: {0}")]
+    File(#[from] std::io::Error),
+}
+
+impl ClientError {
+    /// The problem, when the server refused.
+    pub fn problem(&self) -> Option<&Problem> {
+        match self {
+            Self::Problem(problem) => Some(problem),
+            _ => None,
+        }
+    }
+}
+
+impl From<sse_stream::Error> for ClientError {
+    fn from(error: sse_stream::Error) -> Self {
+        let sse_stream::Error::Body(source) = error else { return Self::Unexpected(error.to_string()) };
+        match source.downcast::<reqwest::Error>() {
+            Ok(transport) => Self::Transport(*transport),
+            Err(other) => Self::Unexpected(other.to_string()),
+        }
+    }
+}
+
+/// The result of a call.
+pub(super) type Result<T> = std::result::Result<T, ClientError>;

@@ -1,0 +1,102 @@
+//! Models, their files and frames of them.
+
+use std::path::Path;
+
+use reqwest::Method;
+use reqwest::header::ACCEPT;
+use tokio_util::bytes::Bytes;
+
+use relume_api::metadata::MetadataChange;
+use relume_api::models::{ModelSummary, ModelView};
+use relume_api::renders::RenderRequest;
+use relume_api::{List, ModelId};
+use crate::connection::{Client, checked, json};
+use crate::download::Download;
+use crate::error::Result;
+use relume_spec::rendering::FrameFormat;
+
+impl Client {
+    /// A model, its files and its card.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn model(&self, id: &ModelId) -> Result<ModelView> {
+        json(self.request(Method::GET, &format!("/v1/models/{id}"))?).await
+    }
+
+    /// Changes what a model is called.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn change_model(&self, id: &ModelId, change: &MetadataChange) -> Result<ModelSummary> {
+        json(self.request(Method::PATCH, &format!("/v1/models/{id}"))?.json(change)).await
+    }
+
+    /// The newest models.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn models(&self) -> Result<List<ModelSummary>> {
+        json(self.request(Method::GET, "/v1/models")?).await
+    }
+
+    /// A file of a model, in memory.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn file(&self, model: &ModelId, name: &str) -> Result<Bytes> {
+        let request = self.request(Method::GET, &format!("/v1/models/{model}/files/{name}"))?;
+        Download::begin(request).await?.whole().await
+    }
+
+    /// Downloads a file of a model to `path`.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way; an incomplete file may then be at `path`.
+    pub async fn download(&self, model: &ModelId, name: &str, path: &Path) -> Result<()> {
+        let request = self.request(Method::GET, &format!("/v1/models/{model}/files/{name}"))?;
+        Download::begin(request).await?.save(path).await
+    }
+
+    /// A rendered frame as an image file.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn render(
+        &self,
+        model: &ModelId,
+        request: &RenderRequest,
+        format: FrameFormat,
+    ) -> Result<Bytes> {
+        let post = self.request(Method::POST, &format!("/v1/models/{model}/render"))?;
+        let response = checked(post.header(ACCEPT, format.media_type()).json(request)).await?;
+        Ok(response.bytes().await?)
+    }
+
+    /// A model's stream for viewers (docs/viewer-stream.md).
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn viewer_stream(&self, model: &ModelId) -> Result<Bytes> {
+        let request = self.request(Method::GET, &format!("/v1/models/{model}/stream"))?;
+        Ok(checked(request).await?.bytes().await?)
+    }
+
+    /// A light's stream for viewers of a model; `query` as in the API, e.g. `environment=studio&rotation=30`.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn viewer_light(&self, model: &ModelId, query: &str) -> Result<Bytes> {
+        let request = self.request(Method::GET, &format!("/v1/models/{model}/light?{query}"))?;
+        Ok(checked(request).await?.bytes().await?)
+    }
+
+    /// A thumbnail; `query` as in the API, e.g. `env=studio&size=128`.
+    ///
+    /// # Errors
+    /// The server's refusal, or what failed on the way.
+    pub async fn thumbnail(&self, model: &ModelId, query: &str) -> Result<Bytes> {
+        let request = self.request(Method::GET, &format!("/v1/models/{model}/thumbnail?{query}"))?;
+        Ok(checked(request).await?.bytes().await?)
+    }
+}

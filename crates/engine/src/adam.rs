@@ -1,0 +1,79 @@
+//! What both engines' Adam (Kingma and Ba 2015) share: groups of parameters, step sizes and bias corrections.
+
+use relume_layout::constants::{ADAM_BETA1, ADAM_BETA2};
+use relume_scene::Field;
+
+/// Share of the radiance step that coefficients beyond degree 0 take.
+pub const HIGHER_DEGREE_SHARE: f32 = 0.05;
+/// Steps after which a bias correction is 1 in f32.
+const MOST_STEPS: u32 = 100_000;
+
+/// Parameters that begin to train together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FieldGroup {
+    /// Shape, opacity and the radiance branch: from the first step.
+    Geometry,
+    /// What only the physically based branch trains; prototypes and environment belong to it too.
+    Material,
+}
+
+impl FieldGroup {
+    /// The group of `field`.
+    pub fn of(field: Field) -> Self {
+        use Field::{Indirect, MetalLogit, Normal, ProtoLogits, Residual, RoughLogit, Sheen, Visibility};
+        match field {
+            Normal | MetalLogit | RoughLogit | Sheen | ProtoLogits | Residual | Visibility | Indirect => {
+                Self::Material
+            }
+            _ => Self::Geometry,
+        }
+    }
+}
+
+/// Share of its field's step size that float `k` of a row takes.
+pub fn share_of_step(field: Field, k: usize) -> f32 {
+    if field == Field::Radiance && k >= 3 { HIGHER_DEGREE_SHARE } else { 1.0 }
+}
+
+/// Step sizes of one step; zero leaves a field and its moments alone.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct StepSizes {
+    /// By [`Field`] discriminant.
+    pub fields: [f32; Field::COUNT],
+    /// Albedo prototypes.
+    pub prototypes: f32,
+    /// Raw environment texels.
+    pub environment: f32,
+}
+
+impl StepSizes {
+    /// All sizes times `factor`.
+    #[must_use]
+    pub fn scaled(mut self, factor: f32) -> Self {
+        self.fields.iter_mut().for_each(|f| *f *= factor);
+        self.prototypes *= factor;
+        self.environment *= factor;
+        self
+    }
+}
+
+/// How many steps each [`FieldGroup`] has trained, the present one included: at least 1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StepCounts {
+    /// Geometry and radiance.
+    pub geometry: u32,
+    /// Material, visibility and light.
+    pub material: u32,
+}
+
+impl StepCounts {
+    /// Bias corrections of a group: `1 - beta_1^t` of the first moment, the root of `1 - beta_2^t` of the second.
+    pub fn corrections(self, group: FieldGroup) -> [f32; 2] {
+        let steps = match group {
+            FieldGroup::Geometry => self.geometry,
+            FieldGroup::Material => self.material,
+        };
+        let correction = |beta: f32| 1.0 - beta.powi(steps.clamp(1, MOST_STEPS) as i32);
+        [correction(ADAM_BETA1), correction(ADAM_BETA2).sqrt()]
+    }
+}

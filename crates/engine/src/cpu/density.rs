@@ -1,0 +1,64 @@
+//! Density control on CPU arrays: what a round is planned from, and the rebuilding of the model as planned.
+
+use relume_layout::constants::{HALF_OPACITY_EXPONENT, HALF_SCALE_ACROSS, HALF_SCALE_ALONG};
+use crate::cpu::{rotation, sigmoid};
+use crate::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin, TrainState};
+use relume_scene::{Field, Gaussians};
+
+/// What a round is planned from.
+pub fn signals(state: &TrainState) -> DensitySignals {
+    let g = &state.model.gaussians;
+    let rows = |field: Field| g.field(field).as_chunks::<3>().0.to_vec();
+    DensitySignals {
+        means: rows(Field::Mean),
+        log_scales: rows(Field::LogScale),
+        opacity_logits: g.field(Field::OpacityLogit).to_vec(),
+        stats: state.density.clone(),
+    }
+}
+
+/// Rebuilds the model and its moments as `plan` says, and clears the statistics.
+pub fn rebuild(state: &mut TrainState, plan: &DensityPlan) {
+    let kept = |g: &PlannedGaussian| (g.origin == SplitOrigin::Keep).then_some(g.source as usize);
+    state.moments.gather(&plan.gaussians.iter().map(kept).collect::<Vec<_>>());
+    state.density = DensityStats::zeroed(plan.gaussians.len());
+    state.model.gaussians = rebuilt(&state.model.gaussians, plan);
+}
+
+fn rebuilt(old: &Gaussians, plan: &DensityPlan) -> Gaussians {
+    let sources: Vec<usize> = plan.gaussians.iter().map(|g| g.source as usize).collect();
+    let mut new = old.gathered(&sources);
+    for (i, planned) in plan.gaussians.iter().enumerate() {
+        match planned.origin {
+            SplitOrigin::Keep => {}
+            SplitOrigin::UpperHalf => halve(&mut new, i, 1.0),
+            SplitOrigin::LowerHalf => halve(&mut new, i, -1.0),
+        }
+    }
+    new
+}
+
+/// Turns Gaussian `i` into one half of itself: moved by half a standard deviation along its longest axis (`side` is 1 or
+/// -1), shorter there, and with less opacity, so that both halves together cover what the whole covered.
+fn halve(g: &mut Gaussians, i: usize, side: f32) {
+    let scale: [f32; 3] = g.get(Field::LogScale, i);
+    let axis = if scale[0] >= scale[1] && scale[0] >= scale[2] {
+        0
+    } else if scale[1] >= scale[2] {
+        1
+    } else {
+        2
+    };
+    let q = rotation(g.get(Field::Quaternion, i));
+    let step = side * 0.5 * scale[axis].exp();
+    for (r, m) in g.row_mut(Field::Mean, i).iter_mut().enumerate() {
+        *m += step * q[r][axis];
+    }
+    for (k, s) in g.row_mut(Field::LogScale, i).iter_mut().enumerate() {
+        *s += if k == axis { HALF_SCALE_ALONG.ln() } else { HALF_SCALE_ACROSS.ln() };
+    }
+    let opacity = &mut g.row_mut(Field::OpacityLogit, i)[0];
+    let o = sigmoid(*opacity);
+    let halved = (1.0 - (1.0 - o).powf(HALF_OPACITY_EXPONENT)).clamp(0.01, 0.98);
+    *opacity = (halved / (1.0 - halved)).ln();
+}

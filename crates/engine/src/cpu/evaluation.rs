@@ -1,0 +1,169 @@
+//! What a training state shows and measures, without a gradient: what decisions on the host are made from.
+
+use std::borrow::Cow;
+
+use relume_layout::channel::Channels;
+use relume_layout::constants::EarlyStop;
+use crate::cpu::training::environment_radiance;
+use crate::cpu::{
+    self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance, training,
+};
+use crate::step::{Branches, Photo};
+use crate::{LightTurn, LightTurns, NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
+use relume_scene::light::{EnvOperators, LightTables};
+use relume_scene::{Camera, ColumnTurn, MAX_LIGHTS, SplitLight};
+
+/// A state as the kernels read it, without learned indirect light and under the light unturned.
+pub fn source(state: &TrainState) -> AttributeSource<'_> {
+    training::source(state, &NO_INDIRECT_BASIS, LightTurn::default())
+}
+
+/// The physically based branch as `photo` would show it, display-referred.
+pub fn physical_image(
+    state: &TrainState,
+    operators: &EnvOperators,
+    photo: &Photo,
+    branches: Branches,
+    background: [f32; 3],
+) -> Vec<[f32; 3]> {
+    let model = &state.model;
+    let turn = ColumnTurn::new(photo.light.radians, model.env_width);
+    let tables = operators.apply(&turn.apply(&environment_radiance(model)));
+    let basis = indirect_basis(&tables);
+    let order = model.gaussians.visibility_order();
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
+    let source = training::source(state, &basis, photo.light).under(shader);
+    let channels = branches.channels(&model.gaussians, &model.shading).blended;
+    let pass = Pass::forward(
+        &source,
+        RasterCamera::new(&photo.camera, source.options),
+        channels,
+        EarlyStop::WhenSaturated,
+    );
+    shader.images(&pass, background).physical
+}
+
+/// Mean squared error of the physically based branch on one photograph.
+pub fn physical_error(
+    state: &TrainState,
+    operators: &EnvOperators,
+    photo: &Photo,
+    branches: Branches,
+    background: [f32; 3],
+) -> f32 {
+    mean_squared_error(&physical_image(state, operators, photo, branches, background), photo)
+}
+
+/// The radiance branch as a photograph of `camera` would show it, display-referred.
+pub fn radiance(state: &TrainState, camera: &Camera, background: [f32; 3]) -> Vec<[f32; 3]> {
+    radiance_image(&colour_pass(state, camera), background)
+}
+
+/// Mean squared error of the radiance branch on one photograph.
+pub fn radiance_error(state: &TrainState, photo: &Photo, background: [f32; 3]) -> f32 {
+    mean_squared_error(&radiance(state, &photo.camera, background), photo)
+}
+
+/// Summed blending weight, in pixels, that each Gaussian has in one photograph of `camera`.
+pub fn blending_weights(state: &TrainState, camera: &Camera) -> Vec<f32> {
+    let pass = colour_pass(state, camera);
+    let mut out = vec![0.0; state.model.gaussians.len()];
+    for (splat, label) in pass.splats.iter().zip(cpu::backward_labels(&pass)) {
+        out[splat.gaussian as usize] = label.weight;
+    }
+    out
+}
+
+/// Outward unit normals of all Gaussians, as the last measurement of visibility has them.
+pub fn normals(state: &TrainState) -> Vec<[f32; 3]> {
+    outward_normals(&source(state))
+}
+
+/// Share of each of `lights` that arrives at every Gaussian.
+pub fn arriving(state: &TrainState, lights: &[SplitLight]) -> Vec<[f32; MAX_LIGHTS]> {
+    cpu::arriving(&source(state), lights)
+}
+
+/// Exponent of the display curve's middle part: what a mean of displayed colours is a mean of.
+const DISPLAY_EXPONENT: f32 = 1.0 / 2.2;
+
+/// Irradiance of every Gaussian along its normal in `normals`: the sky through its visibility, and what is gathered.
+///
+/// Where the light turns, it is the irradiance under which a matte surface would show the mean of the colours, as
+/// displayed, that it shows in the photographs.
+pub fn irradiance(
+    state: &TrainState,
+    operators: &EnvOperators,
+    turns: &LightTurns,
+    normals: &[[f32; 3]],
+) -> Vec<[f32; 3]> {
+    if let [turn] = turns.blocks[..] {
+        return irradiance_under(state, operators, LightTurn { radians: turn, block: 0 }, normals);
+    }
+    let mut means = vec![[0.0f32; 3]; normals.len()];
+    for (block, (radians, share)) in turns.blocks.iter().zip(&turns.shares).enumerate() {
+        let light = LightTurn { radians: *radians, block };
+        for (mean, e) in means.iter_mut().zip(irradiance_under(state, operators, light, normals)) {
+            (0..3).for_each(|c| mean[c] += share * e[c].max(0.0).powf(DISPLAY_EXPONENT));
+        }
+    }
+    means.into_iter().map(|mean| mean.map(|m| m.powf(1.0 / DISPLAY_EXPONENT))).collect()
+}
+
+fn irradiance_under(
+    state: &TrainState,
+    operators: &EnvOperators,
+    light: LightTurn,
+    normals: &[[f32; 3]],
+) -> Vec<[f32; 3]> {
+    let turn = ColumnTurn::new(light.radians, state.model.env_width);
+    let tables = operators.apply(&turn.apply(&environment_radiance(&state.model)));
+    let source = training::source(state, &NO_INDIRECT_BASIS, light);
+    let of = |i: usize| -> [f32; 3] {
+        let sky = sky_irradiance(&source, &tables, normals[i], i);
+        let gathered = source.gathered.get(i).map_or([0.0; 6], |g| *g);
+        std::array::from_fn(|c| sky[c] + gathered[c])
+    };
+    (0..state.model.gaussians.len()).map(of).collect()
+}
+
+/// Tables of the mean light of the photographs: tables are linear in the light.
+pub fn mean_tables(state: &TrainState, operators: &EnvOperators, turns: &LightTurns) -> LightTables {
+    let model = &state.model;
+    let radiance = environment_radiance(model);
+    let turned = turns.blocks.iter().map(|t| ColumnTurn::new(*t, model.env_width).apply(&radiance));
+    operators.apply(&weighted_sum(turned, &turns.shares))
+}
+
+/// Gathered light, the mean over the photographs, `[Gaussian]`; empty where none was measured.
+pub fn mean_gathered(state: &TrainState, turns: &LightTurns) -> Vec<[f32; 6]> {
+    let blocks = (0..turns.blocks.len()).map(|block| Cow::Borrowed(state.gathered_in(block)));
+    weighted_sum(blocks, &turns.shares)
+}
+
+/// The sum of `weights[k]` times the `k`-th list, entry by entry.
+fn weighted_sum<'a, const N: usize>(
+    lists: impl Iterator<Item = Cow<'a, [[f32; N]]>>,
+    weights: &[f32],
+) -> Vec<[f32; N]> {
+    let mut sum: Vec<[f32; N]> = Vec::new();
+    for (list, weight) in lists.zip(weights) {
+        sum.resize(sum.len().max(list.len()), [0.0; N]);
+        for (sum, value) in sum.iter_mut().zip(list.iter()) {
+            (0..N).for_each(|c| sum[c] += weight * value[c]);
+        }
+    }
+    sum
+}
+
+fn colour_pass(state: &TrainState, camera: &Camera) -> Pass {
+    let source = source(state);
+    let view = RasterCamera::new(camera, source.options);
+    Pass::forward(&source, view, Channels::Colour, EarlyStop::WhenSaturated)
+}
+
+fn mean_squared_error(image: &[[f32; 3]], photo: &Photo) -> f32 {
+    let squares = image.iter().zip(&photo.pixels);
+    let sum: f64 = squares.flat_map(|(a, b)| (0..3).map(move |c| f64::from(a[c] - b[c]).powi(2))).sum();
+    (sum / (3 * photo.pixels.len()).max(1) as f64) as f32
+}

@@ -1,0 +1,84 @@
+//! Backward transmittance as a pseudo label (article Eq. 14-15): how empty the ray behind each Gaussian is.
+
+use multiversion::multiversion;
+use rayon::prelude::*;
+
+use relume_layout::constants::{EarlyStop, TILE};
+use crate::cpu::blend::{BlendScratch, TileJob, capped};
+use crate::cpu::lanes::{LANES, Lanes};
+use crate::cpu::pass::Pass;
+
+/// A Gaussian's label: mean backward transmittance over the pixels it contributes to, and their summed weight.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct BackwardLabel {
+    /// `sum w That / sum w`, or 0 without weight.
+    pub transmittance: f32,
+    /// `sum w`.
+    pub weight: f32,
+}
+
+/// Labels by splat. All splats count, whatever early stop the pass itself used.
+pub fn backward_labels(pass: &Pass) -> Vec<BackwardLabel> {
+    let per_tile: Vec<Vec<[f32; 2]>> = (0..pass.tiles.len())
+        .into_par_iter()
+        .map_init(BlendScratch::default, |scratch, tile| {
+            let members = pass.tiles.members(tile);
+            let job = TileJob {
+                splats: &pass.splats,
+                members,
+                attributes: &pass.attributes,
+                stored: pass.channels.stored(),
+                origin: pass.tiles.origin(tile),
+                early_stop: EarlyStop::Never,
+            };
+            let mut out = vec![[0.0f32; 2]; members.len()];
+            let (x0, y0) = job.origin;
+            let columns = pass.view.width.saturating_sub(x0).min(LANES);
+            let rows = pass.view.height.saturating_sub(y0).min(TILE);
+            label_tile(&job, columns, rows, scratch, &mut out);
+            out
+        })
+        .collect();
+    (0..pass.splats.len())
+        .map(|splat| {
+            let mut sums = [0.0f32; 2];
+            for &slot in pass.tiles.slots_of_splat(splat) {
+                let slot = slot as usize;
+                let tile = pass.tiles.first_slot.partition_point(|first| *first as usize <= slot) - 1;
+                let local = slot - pass.tiles.first_slot[tile] as usize;
+                (0..2).for_each(|k| sums[k] += per_tile[tile][local][k]);
+            }
+            let transmittance = if sums[1] > 0.0 { sums[0] / sums[1] } else { 0.0 };
+            BackwardLabel { transmittance, weight: sums[1] }
+        })
+        .collect()
+}
+
+/// Adds `[sum w That, sum w]` over the tile's pixels inside the image.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+fn label_tile(
+    job: &TileJob<'_>,
+    columns: usize,
+    rows: usize,
+    scratch: &mut BlendScratch,
+    out: &mut [[f32; 2]],
+) {
+    scratch.gather(job);
+    for row in 0..rows {
+        scratch.find_entries(job.origin.0, job.origin.1 + row, EarlyStop::Never);
+        // From back to front, the running product is That (Eq. 14): nothing is divided.
+        let mut behind = Lanes::ONE;
+        for e in scratch.entries.iter().rev() {
+            let mut sums = [0.0f32; 2];
+            for i in 0..columns {
+                let alpha = capped(e.alpha.0[i]);
+                let w = e.transmittance.0[i] * alpha;
+                sums[0] += w * behind.0[i];
+                sums[1] += w;
+                behind.0[i] *= 1.0 - alpha;
+            }
+            let target = &mut out[e.local as usize];
+            (0..2).for_each(|k| target[k] += sums[k]);
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! Where in the world the surface is that a pixel sees.
+
+use relume_layout::channel;
+use relume_layout::constants::{ALPHA_MAX, FARTHEST_MEAN, FARTHEST_PLANE, LIFT, TILE};
+use crate::cpu::occluder::{Vec3, dot};
+use crate::cpu::pass::Pass;
+use crate::cpu::project::{Splat, normalise};
+
+/// The world point that pixel (`x`, `y`) of a pass with normals sees: on the plane of the Gaussian that brings coverage
+/// to half of what the pixel has. At an edge the mean depth is between two surfaces and on neither; this is on one of
+/// them. The camera's centre where there is nothing.
+pub fn surface_point(pass: &Pass, x: usize, y: usize) -> [f32; 3] {
+    let (ray, depth) = (pass.view.ray(x, y), surface_depth(pass, x, y));
+    std::array::from_fn(|k| pass.view.centre[k] + depth * ray[k])
+}
+
+/// World points that `places` in pixel (`x`, `y`), pixels from its centre, see: on the pixel's mean plane, a little before
+/// it. The mean is smoother than any Gaussian. Where it is not near [`surface_point`] all are at the depth of that.
+pub fn surface_points<const N: usize>(
+    pass: &Pass,
+    (x, y): (usize, usize),
+    places: [[f32; 2]; N],
+) -> [[f32; 3]; N] {
+    let seen = surface_depth(pass, x, y);
+    let blended: Vec3 = std::array::from_fn(|k| pass.at(x, y, channel::NORMAL.start + k));
+    let distance = pass.at(x, y, channel::PLANE);
+    let (normal, _) = normalise(blended);
+    let to_camera = if dot(normal, pass.view.ray(x, y)) > 0.0 { -LIFT } else { LIFT };
+    places.map(|[dx, dy]| {
+        let ray = pass.view.ray_through([x as f32 + 0.5 + dx, y as f32 + 0.5 + dy]);
+        let mean = distance / dot(blended, ray);
+        // NaN and infinity are not near.
+        let depth = if (mean - seen).abs() <= FARTHEST_MEAN * seen { mean } else { seen };
+        std::array::from_fn(|k| pass.view.centre[k] + depth * ray[k] + to_camera * normal[k])
+    })
+}
+
+/// Camera depth of [`surface_point`].
+fn surface_depth(pass: &Pass, x: usize, y: usize) -> f32 {
+    let half = 1.0 - 0.5 * pass.at(x, y, channel::COVERAGE);
+    let ray = pass.view.ray(x, y);
+    let mut left = 1.0f32;
+    let mut depth = 0.0;
+    for index in pass.tiles.members(y / TILE * pass.tiles.columns + x / TILE) {
+        let splat = &pass.splats[*index as usize];
+        let alpha = alpha(splat, x, y);
+        if alpha > 0.0 {
+            left *= 1.0 - alpha;
+            depth = depth_on_plane(pass, *index as usize, splat.depth, ray);
+        }
+        if left <= half {
+            break;
+        }
+    }
+    depth
+}
+
+/// What `splat` takes from the centre of pixel (`x`, `y`).
+fn alpha(splat: &Splat, x: usize, y: usize) -> f32 {
+    let (dx, dy) = (x as f32 + 0.5 - splat.mean[0], y as f32 + 0.5 - splat.mean[1]);
+    let [xx, xy, yy] = splat.conic;
+    let power = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy;
+    if power <= splat.reach { (splat.opacity * (-power).exp()).min(ALPHA_MAX) } else { 0.0 }
+}
+
+/// Depth at which `ray` meets the plane of a Gaussian, or its centre's depth where the plane is seen edge-on.
+fn depth_on_plane(pass: &Pass, splat: usize, centre: f32, ray: [f32; 3]) -> f32 {
+    let row = &pass.attributes[splat * pass.channels.stored()..];
+    let along: f32 = (0..3).map(|k| row[channel::NORMAL.start + k] * ray[k]).sum();
+    let depth = row[channel::PLANE] / along;
+    // NaN and infinity are edge-on too.
+    if (depth - centre).abs() <= FARTHEST_PLANE * centre { depth } else { centre }
+}

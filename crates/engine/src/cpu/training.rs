@@ -1,0 +1,300 @@
+//! A training on the CPU engine: objective, gradients, Adam, measured visibility.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use relume_layout::constants::EarlyStop;
+use crate::cpu::adam::adam_step;
+use crate::cpu::objective::image::Target;
+use crate::cpu::objective::{aggregation, geometry, parameters};
+use crate::cpu::{
+    AttributeSource, BranchImages, BufferGradient, Pass, Probes, SurfaceShader, Transport, arriving, density,
+    outward_normals, radiance_image, radiance_image_backward,
+};
+use crate::density::{DensityPlan, DensitySignals};
+use crate::step::{FieldUpdate, PhotoId, ProbeMeasurement, Step, StepSums};
+use crate::training;
+use crate::{
+    DeviceError, Gradients, LightTurn, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights,
+    TrainState, fibonacci_sphere, indirect_basis,
+};
+use relume_scene::light::{EnvOperators, LightTables};
+use relume_scene::{ColumnTurn, Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
+
+/// The state with the operators of its light, and the snapshot of both to return to.
+pub struct Training {
+    state: TrainState,
+    operators: Arc<EnvOperators>,
+    snapshot: (TrainState, Arc<EnvOperators>),
+}
+
+/// Value and gradients of the objective.
+pub struct Outcome {
+    /// The objective.
+    pub loss: f32,
+    /// Mean squared error of the leading branch.
+    pub mse: f32,
+    /// By every parameter.
+    pub gradients: Gradients,
+}
+
+/// What the kernels read of a state.
+pub(super) fn source<'a>(
+    state: &'a TrainState,
+    basis: &'a [[f32; 3]; 16],
+    light: LightTurn,
+) -> AttributeSource<'a> {
+    let Model { gaussians, prototypes, shading, .. } = &state.model;
+    AttributeSource {
+        gaussians,
+        prototypes,
+        options: shading,
+        gathered: state.gathered_in(light.block),
+        arriving: &state.arriving,
+        indirect_basis: basis,
+        light: None,
+    }
+}
+
+/// Radiance of the environment's texels, as the model has them.
+pub(super) fn environment_radiance(model: &Model) -> Vec<[f32; 3]> {
+    model.env_raw.iter().map(|t| t.map(softplus)).collect()
+}
+
+impl Training {
+    /// Takes a training over.
+    pub fn new(state: TrainState, operators: &Arc<EnvOperators>) -> Self {
+        Self { snapshot: (state.clone(), operators.clone()), state, operators: operators.clone() }
+    }
+}
+
+impl training::Training for Training {
+    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepSums>, DeviceError> {
+        let outcome = objective(step, &self.state, &self.operators);
+        let finite = outcome.loss.is_finite() && outcome.gradients.is_finite();
+        if finite {
+            let TrainState { model, moments, density, .. } = &mut self.state;
+            density.record(&outcome.gradients);
+            adam_step(model, moments, &outcome.gradients, &step.sizes, step.counts);
+        }
+        Ok(Some(StepSums { loss: outcome.loss, mse: outcome.mse, finite }))
+    }
+
+    fn holds(&self, _: PhotoId) -> bool {
+        false
+    }
+
+    fn finish(&mut self) -> Result<Option<StepSums>, DeviceError> {
+        Ok(None)
+    }
+
+    fn measure(&mut self, how: &ProbeMeasurement<'_>) -> Result<(), DeviceError> {
+        measure(&mut self.state, &self.operators, how);
+        Ok(())
+    }
+
+    fn density_signals(&self) -> Result<DensitySignals, DeviceError> {
+        Ok(density::signals(&self.state))
+    }
+
+    fn rebuild(&mut self, plan: &DensityPlan) -> Result<(), DeviceError> {
+        density::rebuild(&mut self.state, plan);
+        Ok(())
+    }
+
+    fn load(&mut self, state: TrainState) -> Result<(), DeviceError> {
+        self.state = state;
+        Ok(())
+    }
+
+    fn reshape(&mut self, state: TrainState, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
+        self.operators = operators.clone();
+        self.snapshot = (state.clone(), operators.clone());
+        self.state = state;
+        Ok(())
+    }
+
+    fn light(&mut self, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
+        self.operators = operators.clone();
+        self.state.model.lights = operators.split().clone();
+        self.state.arriving = Vec::new();
+        Ok(())
+    }
+
+    fn snapshot(&mut self) -> Result<bool, DeviceError> {
+        let finite = self.state.model.gaussians.is_finite();
+        if finite {
+            self.snapshot = (self.state.clone(), self.operators.clone());
+        }
+        Ok(finite)
+    }
+
+    fn roll_back(&mut self) -> Result<(), DeviceError> {
+        (self.state, self.operators) = self.snapshot.clone();
+        Ok(())
+    }
+
+    fn gaussians(&self) -> usize {
+        self.state.model.gaussians.len()
+    }
+
+    fn state(&self) -> Result<Cow<'_, TrainState>, DeviceError> {
+        Ok(Cow::Borrowed(&self.state))
+    }
+
+    fn engine(&self) -> &'static str {
+        "cpu"
+    }
+}
+
+/// The objective of `step` (docs/MODEL.md section 5) and its gradients; `operators` belong to the state's light.
+pub fn objective(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) -> Outcome {
+    match step.branches.is_physical() {
+        true => both_branches(step, state, operators),
+        false => radiance_branch(step, state),
+    }
+}
+
+/// The objective of the radiance branch and the geometry.
+fn radiance_branch(step: &Step<'_>, state: &TrainState) -> Outcome {
+    let (photo, w) = (step.photo, &step.weights);
+    let source = source(state, &NO_INDIRECT_BASIS, photo.light);
+    let channels = step.branches.channels(source.gaussians, source.options).differentiated;
+    let view = RasterCamera::new(&photo.camera, source.options);
+    let pass = Pass::forward(&source, view, channels, EarlyStop::WhenSaturated);
+    let image = radiance_image(&pass, step.background);
+    let target = Target::new(view.width, view.height, &photo.pixels);
+    let fit = target.compare(&image, w.radiance);
+    let mut by_buffers = vec![BufferGradient::default(); image.len()];
+    let mut loss = fit.value(w.radiance);
+    loss += surface_terms(step, &pass, &mut by_buffers);
+    let count = channels.count();
+    let by_gbuffer = radiance_image_backward(&pass, step.background, &fit.gradient, &by_buffers, count);
+    let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, None);
+    gradients.env_raw = vec![[0.0; 3]; state.model.env_raw.len()];
+    loss += parameters::flatness(source.gaussians, w.parameters.flatness, &mut gradients);
+    Outcome { loss, mse: fit.mse, gradients }
+}
+
+/// The whole objective (Eq. 29 and additions).
+fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) -> Outcome {
+    let (photo, w, model) = (step.photo, &step.weights, &state.model);
+    let radiance = environment_radiance(model);
+    let turn = ColumnTurn::new(photo.light.radians, model.env_width);
+    let tables = operators.apply(&turn.apply(&radiance));
+    let basis = indirect_basis(&tables);
+    let order = model.gaussians.visibility_order();
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
+    let source = source(state, &basis, photo.light).under(shader);
+    let view = RasterCamera::new(&photo.camera, source.options);
+    let channels = step.branches.channels(&model.gaussians, &model.shading);
+    let pass = Pass::forward(&source, view, channels.blended, EarlyStop::WhenSaturated);
+    let images = shader.images(&pass, step.background);
+    let target = Target::new(view.width, view.height, &photo.pixels);
+    let (physical, plain) = rayon::join(
+        || target.compare(&images.physical, w.physical),
+        || target.compare(&images.radiance, w.radiance),
+    );
+    let mut loss = physical.value(w.physical) + plain.value(w.radiance);
+    let mut by_buffers = vec![BufferGradient::default(); photo.pixels.len()];
+    loss += surface_terms(step, &pass, &mut by_buffers);
+    let by_images = BranchImages { physical: physical.gradient, radiance: plain.gradient };
+    let count = channels.differentiated.count();
+    let (by_gbuffer, mut by_tables) =
+        shader.images_backward(&pass, step.background, &by_images, &by_buffers, count);
+    let mut gradients =
+        pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, Some(&mut by_tables));
+    let by_turned = operators.apply_transposed(&by_tables);
+    let mut by_radiance = turn.apply_transposed(&by_turned).into_owned();
+    loss += light_terms(step, model, &radiance, &mut by_radiance);
+    gradients.env_raw = by_radiance
+        .iter()
+        .zip(&model.env_raw)
+        .map(|(g, raw)| std::array::from_fn(|c| g[c] / (1.0 + (-raw[c]).exp())))
+        .collect();
+    loss += parameter_terms(w, &source, &pass, &state.labels, &mut gradients);
+    Outcome { loss, mse: physical.mse, gradients }
+}
+
+/// Terms on the G-buffer: adds their gradients, returns their value.
+fn surface_terms(step: &Step<'_>, pass: &Pass, by_buffers: &mut [BufferGradient]) -> f32 {
+    let w = &step.weights.surface;
+    let mut loss = 0.0;
+    if w.coverage != 0.0 {
+        loss += geometry::coverage(pass, &step.photo.alpha, w.coverage, by_buffers);
+    }
+    loss += geometry::depth_normal(pass, w.depth_normal, by_buffers);
+    loss + geometry::smoothness(pass, &step.photo.pixels, w.smoothness, by_buffers)
+}
+
+/// Terms on the light: adds their gradients by radiance, returns their value.
+fn light_terms(step: &Step<'_>, model: &Model, radiance: &[[f32; 3]], by_radiance: &mut [[f32; 3]]) -> f32 {
+    let w = &step.weights.light;
+    let texels = texel_directions(model.env_width, model.env_height);
+    let terms = [
+        parameters::light_neutrality(radiance, w.neutrality),
+        parameters::exposure(radiance, &texels, w.exposure),
+        parameters::light_colour(radiance, &texels, w.colour, w.wanted),
+    ];
+    for (_, by_term) in &terms {
+        by_radiance.iter_mut().zip(by_term).for_each(|(g, term)| (0..3).for_each(|c| g[c] += term[c]));
+    }
+    terms.iter().map(|(value, _)| value).sum()
+}
+
+/// Terms on the parameters: adds their gradients, returns their value.
+fn parameter_terms(
+    weights: &StepWeights,
+    source: &AttributeSource<'_>,
+    pass: &Pass,
+    labels: &[f32],
+    gradients: &mut Gradients,
+) -> f32 {
+    let (w, g, form) = (&weights.parameters, source.gaussians, source.options.visibility);
+    let mut loss = aggregation::aggregation(g, w.aggregation, gradients);
+    loss += parameters::residual(g, w.residual, gradients);
+    loss += parameters::flatness(g, w.flatness, gradients);
+    if form != VisibilityForm::Off && w.view_labels != 0.0 {
+        loss += parameters::backward_labels(g, pass, form, w.view_labels, gradients);
+    }
+    if form != VisibilityForm::Off && w.probe_labels != 0.0 {
+        loss += parameters::probe_labels(g, labels, w.probe_labels, gradients);
+    }
+    loss
+}
+
+/// Measures visibility and gathers light anew (docs/MODEL.md section 6).
+fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurement<'_>) {
+    let gathers = how.bounces > 0 && state.model.shading.indirect == IndirectForm::Gathered;
+    if state.model.shading.visibility == VisibilityForm::Off && !gathers {
+        return;
+    }
+    let radiance = environment_radiance(&state.model);
+    let turned =
+        |turn: &f64| operators.apply(&ColumnTurn::new(*turn, state.model.env_width).apply(&radiance));
+    let tables: Vec<LightTables> = if gathers { how.turns.iter().map(turned).collect() } else { Vec::new() };
+    let order = state.model.gaussians.visibility_order();
+    for _ in 0..how.repeats {
+        let source = source(state, &NO_INDIRECT_BASIS, LightTurn::default());
+        let directions = fibonacci_sphere(how.directions);
+        let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
+        let labels = probes.coefficients(order);
+        let arriving = arriving(&source, &operators.split().lights);
+        let source = AttributeSource { arriving: &arriving, ..source };
+        if gathers {
+            let transport = Transport::new(&probes, outward_normals(&source));
+            let gathered = tables.iter().flat_map(|tables| transport.gather(&source, tables, how.bounces));
+            state.gathered = gathered.collect();
+        }
+        state.arriving = arriving;
+        let replaces = match how.field {
+            FieldUpdate::Replace => true,
+            FieldUpdate::Start => state.labels.is_empty(),
+            FieldUpdate::Keep => false,
+        };
+        if replaces {
+            state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&labels);
+        }
+        state.labels = labels;
+    }
+}

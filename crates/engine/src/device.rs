@@ -1,0 +1,127 @@
+//! The device that trains and renders.
+
+use std::sync::Arc;
+
+#[cfg(feature = "gpu")]
+use crate::adapter::choose_adapter;
+#[cfg(feature = "gpu")]
+use crate::gpu::{self, Adapters, Gpu, GpuOptions};
+use crate::{
+    AdapterReport, DeviceChoice, DeviceError, Frames, TrainState, Training, TrainingLimits, cpu,
+};
+use relume_scene::light::EnvOperators;
+use relume_scene::Model;
+
+/// An engine that is ready to use.
+#[derive(Debug, Clone, Default)]
+pub enum Device {
+    /// The CPU engine.
+    #[default]
+    Cpu,
+    /// The GPU engine on an open device.
+    #[cfg(feature = "gpu")]
+    Gpu(Gpu),
+}
+
+/// The graphics adapters of this machine, software ones too; none in a build without the feature `gpu`.
+pub fn adapters() -> Vec<AdapterReport> {
+    #[cfg(feature = "gpu")]
+    return Adapters::find().reports().to_vec();
+    #[cfg(not(feature = "gpu"))]
+    Vec::new()
+}
+
+impl Device {
+    /// Opens what `choice` means on this machine.
+    ///
+    /// # Errors
+    /// [`DeviceError::Unavailable`] when a GPU is asked for and cannot be had.
+    pub fn open(choice: DeviceChoice) -> Result<Self, DeviceError> {
+        if choice == DeviceChoice::Cpu {
+            return Ok(Self::Cpu);
+        }
+        match (Self::open_gpu(choice), choice) {
+            (Err(error), DeviceChoice::Auto) => {
+                tracing::warn!(%error, "the GPU cannot be used; the CPU engine is");
+                Ok(Self::Cpu)
+            }
+            (opened, _) => opened,
+        }
+    }
+
+    #[cfg(feature = "gpu")]
+    fn open_gpu(choice: DeviceChoice) -> Result<Self, DeviceError> {
+        let adapters = Adapters::find();
+        let Some(index) = choose_adapter(adapters.reports(), choice)? else { return Ok(Self::Cpu) };
+        let gpu = Gpu::open(&adapters, index, GpuOptions::from_env())?;
+        // Nothing is built on a device that cannot add.
+        gpu.self_test()?;
+        Ok(Self::Gpu(gpu))
+    }
+
+    #[cfg(not(feature = "gpu"))]
+    fn open_gpu(choice: DeviceChoice) -> Result<Self, DeviceError> {
+        match choice {
+            DeviceChoice::Auto | DeviceChoice::Cpu => Ok(Self::Cpu),
+            DeviceChoice::Gpu(_) => Err(DeviceError::Unavailable(
+                "device: this build has no GPU engine (feature `gpu`)".to_owned(),
+            )),
+        }
+    }
+
+    /// False once the device has failed: nothing on it can be used.
+    pub fn is_sound(&self) -> bool {
+        match self {
+            Self::Cpu => true,
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => gpu.healthy().is_ok(),
+        }
+    }
+
+    /// True on the GPU engine.
+    pub fn is_gpu(&self) -> bool {
+        !matches!(self, Self::Cpu)
+    }
+
+    /// What it is, for people.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Cpu => "cpu".to_owned(),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => format!("gpu:{} {}", gpu.report().index, gpu.report().name),
+        }
+    }
+
+    /// Takes a training over from `state`; `limits` says how large it may become.
+    ///
+    /// # Errors
+    /// [`DeviceError::TooLarge`] or [`DeviceError::OutOfMemory`] when it does not fit the device.
+    #[cfg_attr(not(feature = "gpu"), expect(unused_variables, reason = "the CPU engine has no limits"))]
+    pub fn training(
+        &self,
+        state: TrainState,
+        operators: &Arc<EnvOperators>,
+        limits: &TrainingLimits,
+    ) -> Result<Box<dyn Training>, DeviceError> {
+        match self {
+            Self::Cpu => Ok(Box::new(cpu::Training::new(state, operators))),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => Ok(Box::new(gpu::Training::new(gpu, state, operators, limits)?)),
+        }
+    }
+
+    /// Takes a checked model in, to be rendered.
+    ///
+    /// # Errors
+    /// When the device cannot hold it.
+    pub fn frames(&self, model: Arc<Model>) -> Result<Frames, DeviceError> {
+        match self {
+            Self::Cpu => Ok(Frames::on_cpu_only(model)),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => {
+                let device = gpu::Frames::new(gpu, &model)?;
+                Ok(Frames::beside(model, Box::new(device)))
+            }
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! The seam between a renderer and the engine that makes its frames: a model on a device, lights prepared for it, and the
+//! frames that are shaded from tables of the light.
+
+use std::sync::{Arc, OnceLock};
+
+use crate::frame_job::{DeviceFrames, DeviceLight, FrameJob};
+use crate::{DeviceError, Frame, RayLight, cpu};
+use relume_scene::light::{LightTables, rendering_tables, split_tables, tables_of_split};
+use relume_scene::{Illumination, Model, ShadeAt};
+
+/// A model on its device. The CPU engine can render it beside any device, for tiers that only it has.
+pub struct Frames {
+    cpu: cpu::Frames,
+    device: Option<Box<dyn DeviceFrames>>,
+}
+
+/// A light prepared for a model on its device.
+pub struct FrameLight {
+    device: Option<DeviceLight>,
+    cpu: OnceLock<cpu::FrameLight>,
+}
+
+impl FrameLight {
+    /// The light on the CPU engine, where it was prepared there.
+    pub fn on_cpu(&self) -> Option<&cpu::FrameLight> {
+        self.cpu.get()
+    }
+}
+
+impl Frames {
+    /// Takes a checked model in, for the CPU engine.
+    pub fn on_cpu_only(model: Arc<Model>) -> Self {
+        Self { cpu: cpu::Frames::new(model), device: None }
+    }
+
+    /// Takes a checked model in that `device` holds too.
+    pub fn beside(model: Arc<Model>, device: Box<dyn DeviceFrames>) -> Self {
+        Self { cpu: cpu::Frames::new(model), device: Some(device) }
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Model {
+        self.cpu.model()
+    }
+
+    /// Whether a device other than the CPU engine holds the model.
+    pub fn has_device(&self) -> bool {
+        self.device.is_some()
+    }
+
+    /// The same model on the CPU engine.
+    pub fn on_cpu(&self) -> &cpu::Frames {
+        &self.cpu
+    }
+
+    /// Makes `light` ready for this model, light that bounces between its surfaces included.
+    ///
+    /// # Errors
+    /// When the device failed.
+    pub fn prepare_light(&self, light: &Illumination) -> Result<FrameLight, DeviceError> {
+        let tables = self.tables(light);
+        Ok(match &self.device {
+            Some(device) => FrameLight { device: Some(device.prepare_light(&tables)?), cpu: OnceLock::new() },
+            None => FrameLight { device: None, cpu: OnceLock::from(self.cpu.prepare_light(tables)) },
+        })
+    }
+
+    /// The light on the CPU engine, made of `source` where it was prepared on another device.
+    pub fn light_on_cpu<'a>(&self, light: &'a FrameLight, source: &Illumination) -> &'a cpu::FrameLight {
+        light.cpu.get_or_init(|| self.cpu.prepare_light(self.tables(source)))
+    }
+
+    /// Renders on the device.
+    ///
+    /// # Errors
+    /// [`DeviceError::Misuse`] for a light that was prepared for another device, otherwise when the device failed.
+    pub fn render(&self, job: &FrameJob<'_>, light: &FrameLight) -> Result<Frame, DeviceError> {
+        match (&self.device, &light.device, light.cpu.get()) {
+            (Some(device), Some(light), _) => device.render(job, light),
+            (None, None, Some(light)) => Ok(self.cpu.render(job, light)),
+            _ => Err(DeviceError::Misuse("the light was prepared for another device".to_owned())),
+        }
+    }
+
+    /// Renders on a device other than the CPU engine with light that is looked for along `rays`, which are those of the
+    /// environment that `light` was prepared of.
+    ///
+    /// # Errors
+    /// As [`Self::render`], and without such a device.
+    pub fn render_by_rays(
+        &self,
+        job: &FrameJob<'_>,
+        light: &FrameLight,
+        rays: &RayLight<'_>,
+    ) -> Result<Frame, DeviceError> {
+        let (Some(device), Some(light)) = (&self.device, &light.device) else {
+            return Err(DeviceError::Misuse(
+                "rays on a device: the light was prepared for another".to_owned(),
+            ));
+        };
+        device.render_by_rays(job, light, rays, &|| self.cpu.occluders().tree())
+    }
+
+    /// Tables of the environment, and beside them the lights that cast a shadow each, where Gaussians are shaded.
+    fn tables(&self, light: &Illumination) -> LightTables {
+        let (environment, order) = (&light.environment, self.model().gaussians.visibility_order());
+        match (self.model().shading.shade_at, &light.split) {
+            (ShadeAt::Pixel, _) => rendering_tables(environment, order),
+            (ShadeAt::Gaussian, Some(split)) => tables_of_split(environment, split, order),
+            (ShadeAt::Gaussian, None) => split_tables(environment, order),
+        }
+    }
+}

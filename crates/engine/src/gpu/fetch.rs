@@ -1,0 +1,249 @@
+//! What comes back from the device: ranges of buffers, copied behind the work that fills them and awaited on their own, so
+//! that nobody waits for what others submitted later.
+
+use std::marker::PhantomData;
+use std::ops::Range;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+use bytemuck::Pod;
+
+use crate::DeviceError;
+use crate::gpu::buffer::Buffer;
+use crate::gpu::device::{Gpu, PATIENCE};
+use crate::gpu::lock::locked;
+
+/// Bytes of staging buffers kept for later fetches.
+const KEPT: u64 = 256 << 20;
+/// Bytes of the smallest staging buffer.
+const LEAST_STAGING: u64 = 4096;
+/// Where a range may start in a staging buffer, bytes.
+const ALIGNMENT: u64 = 16;
+
+/// A claim to a range of a buffer that a submission brings back.
+#[derive(Debug)]
+pub struct Ticket<T> {
+    /// First byte in the staging buffer.
+    start: usize,
+    len: usize,
+    element: PhantomData<fn() -> T>,
+}
+
+/// Copies that end a recording.
+#[derive(Default)]
+pub(super) struct Fetches {
+    copies: Vec<(wgpu::Buffer, Range<u64>, u64)>,
+    bytes: u64,
+}
+
+impl Fetches {
+    /// Adds elements of a buffer; what would lie beyond its end is left out.
+    pub(super) fn add<T>(&mut self, buffer: &Buffer<T>, range: Range<usize>) -> Ticket<T> {
+        let range = range.start.min(buffer.len())..range.end.min(buffer.len());
+        if range.is_empty() {
+            return Ticket { start: 0, len: 0, element: PhantomData };
+        }
+        let (first, end) = (range.start * size_of::<T>(), range.end * size_of::<T>());
+        // Copies are in units of four bytes.
+        let copied = (first / 4 * 4) as u64..end.next_multiple_of(4) as u64;
+        let at = self.bytes.next_multiple_of(ALIGNMENT);
+        self.bytes = at + copied.end - copied.start;
+        self.copies.push((buffer.raw().clone(), copied, at));
+        Ticket { start: at as usize + first % 4, len: range.len(), element: PhantomData }
+    }
+
+    /// Records the copies; gives the staging buffer they go to, if there are any.
+    ///
+    /// # Errors
+    /// [`DeviceError::OutOfMemory`] when there is no memory for it.
+    pub(super) fn record(
+        self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Result<Option<Staging>, DeviceError> {
+        if self.copies.is_empty() {
+            return Ok(None);
+        }
+        let buffer = gpu.staging(self.bytes)?;
+        for (from, range, at) in &self.copies {
+            encoder.copy_buffer_to_buffer(from, range.start, &buffer, *at, range.end - range.start);
+        }
+        Ok(Some(Staging { buffer, bytes: self.bytes }))
+    }
+}
+
+/// A staging buffer with copies on their way.
+pub(super) struct Staging {
+    buffer: wgpu::Buffer,
+    bytes: u64,
+}
+
+/// Work that was handed to the device.
+pub struct Submission {
+    gpu: Gpu,
+    index: wgpu::SubmissionIndex,
+    /// Number among the submissions of the device.
+    number: u64,
+    fetched: Option<(Staging, Receiver<Result<(), wgpu::BufferAsyncError>>)>,
+}
+
+impl Submission {
+    /// The submission with `index`, that brings back what was copied to `staging`.
+    pub(super) fn new(
+        gpu: &Gpu,
+        index: wgpu::SubmissionIndex,
+        number: u64,
+        staging: Option<Staging>,
+    ) -> Self {
+        let fetched = staging.map(|staging| {
+            let (sender, receiver) = channel();
+            staging.buffer.map_async(wgpu::MapMode::Read, ..staging.bytes, move |result| {
+                let _ = sender.send(result);
+            });
+            (staging, receiver)
+        });
+        Self { gpu: gpu.clone(), index, number, fetched }
+    }
+
+    /// Waits until the device has done it, but not for what was submitted later.
+    ///
+    /// # Errors
+    /// As [`Gpu::wait`].
+    pub fn wait(&self) -> Result<(), DeviceError> {
+        self.gpu.wait_for(Some(self.index.clone()))?;
+        self.gpu.inner.tally.completed.fetch_max(self.number, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Waits likewise; gives what it brought back.
+    ///
+    /// # Errors
+    /// Whatever went wrong on the device meanwhile.
+    pub fn arrive(self) -> Result<Arrival, DeviceError> {
+        self.wait()?;
+        let gpu = self.gpu;
+        let Some((staging, mapped)) = self.fetched else { return Ok(Arrival { gpu, staging: None }) };
+        // The callback may run in another thread that waits too, a moment after this one's wait is over.
+        match mapped.recv_timeout(Duration::from_secs(PATIENCE)) {
+            Ok(Ok(())) => Ok(Arrival { gpu, staging: Some(staging) }),
+            other => Err(gpu.failure(format!("a buffer could not be read: {other:?}"))),
+        }
+    }
+}
+
+/// What a submission brought back, in memory that the device wrote.
+pub struct Arrival {
+    gpu: Gpu,
+    staging: Option<Staging>,
+}
+
+impl Arrival {
+    /// Shows the elements of a ticket of this submission to `look`.
+    ///
+    /// # Errors
+    /// Whatever went wrong on the device meanwhile.
+    pub fn with<T: Pod, R>(
+        &self,
+        ticket: &Ticket<T>,
+        look: impl FnOnce(&[T]) -> R,
+    ) -> Result<R, DeviceError> {
+        let Some(staging) = self.staging.as_ref().filter(|_| ticket.len > 0) else { return Ok(look(&[])) };
+        let mapped =
+            staging.buffer.get_mapped_range(..staging.bytes).map_err(|e| self.gpu.failure(e.to_string()))?;
+        let bytes = mapped.get(ticket.start..ticket.start + ticket.len * size_of::<T>());
+        let elements = bytes.and_then(|bytes| bytemuck::try_cast_slice(bytes).ok());
+        let elements = elements
+            .ok_or_else(|| DeviceError::Misuse("a ticket of another submission was shown".to_owned()))?;
+        let seen = look(elements);
+        self.gpu.healthy()?;
+        Ok(seen)
+    }
+
+    /// The elements of a ticket of this submission.
+    ///
+    /// # Errors
+    /// As [`Self::with`].
+    pub fn read<T: Pod>(&self, ticket: &Ticket<T>) -> Result<Vec<T>, DeviceError> {
+        self.with(ticket, <[T]>::to_vec)
+    }
+}
+
+impl Drop for Arrival {
+    fn drop(&mut self) {
+        let Some(staging) = self.staging.take() else { return };
+        staging.buffer.unmap();
+        let mut kept = locked(&self.gpu.inner.staging);
+        kept.push(staging.buffer);
+        // Those that were used longest ago make room.
+        while kept.iter().map(wgpu::Buffer::size).sum::<u64>() > KEPT {
+            kept.remove(0);
+        }
+    }
+}
+
+/// Keeps a thread's work close to the device: of what went through it, two submissions at most are not done.
+#[derive(Default)]
+pub struct Pace(Option<Submission>);
+
+impl Pace {
+    /// Waits for the submission before this one.
+    ///
+    /// # Errors
+    /// As [`Submission::wait`].
+    pub fn follow(&mut self, submission: Submission) -> Result<(), DeviceError> {
+        match self.0.replace(submission) {
+            Some(earlier) => earlier.wait(),
+            None => Ok(()),
+        }
+    }
+
+    /// Waits for the last submission.
+    ///
+    /// # Errors
+    /// As [`Submission::wait`].
+    pub fn finish(&mut self) -> Result<(), DeviceError> {
+        self.0.take().map_or(Ok(()), |last| last.wait())
+    }
+}
+
+impl Gpu {
+    /// Copies elements to the host; waits for the device.
+    ///
+    /// # Errors
+    /// Whatever went wrong on the device meanwhile.
+    pub fn read<T: Pod>(&self, buffer: &Buffer<T>, range: Range<usize>) -> Result<Vec<T>, DeviceError> {
+        self.healthy()?;
+        let mut recorder = self.record();
+        let ticket = recorder.fetch(buffer, range);
+        if ticket.len == 0 {
+            return Ok(Vec::new());
+        }
+        recorder.submit()?.arrive()?.read(&ticket)
+    }
+
+    /// The smallest of the kept staging buffers that is large enough, or a new one.
+    fn staging(&self, bytes: u64) -> Result<wgpu::Buffer, DeviceError> {
+        let mut kept = locked(&self.inner.staging);
+        let fitting = (0..kept.len()).filter(|&i| kept[i].size() >= bytes).min_by_key(|&i| kept[i].size());
+        if let Some(i) = fitting {
+            return Ok(kept.remove(i));
+        }
+        drop(kept);
+        let most = self.inner.report.max_buffer;
+        if bytes > most {
+            return Err(DeviceError::TooLarge { what: "what is read back".to_owned(), needs: bytes, most });
+        }
+        let scope = self.inner.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let buffer = self.inner.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("staging"),
+            size: bytes.next_power_of_two().max(LEAST_STAGING).min(most),
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        match pollster::block_on(scope.pop()) {
+            Some(_) => Err(DeviceError::OutOfMemory { what: "what is read back".to_owned(), bytes }),
+            None => Ok(buffer),
+        }
+    }
+}

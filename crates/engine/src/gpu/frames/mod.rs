@@ -1,0 +1,306 @@
+//! Rendered frames of a finished model on the device.
+
+mod light;
+mod traced;
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, OnceLock};
+
+use rayon::prelude::*;
+
+use relume_layout::channel::Channels;
+use relume_layout::constants::EarlyStop;
+use crate::gpu::frame::{FrameBranches, FramePass};
+use crate::gpu::frames::light::FrameLight;
+use crate::gpu::gather::{LightProbes, gather, ungathered};
+use crate::gpu::light::{Constants, LightBuffers};
+use crate::gpu::lock::locked;
+use crate::gpu::model::LayoutUniform;
+use crate::gpu::permutations::groups;
+use crate::gpu::probes::{self, ProbeBuffers};
+use crate::gpu::raster::{Projected, Raster};
+use crate::gpu::rays::{RayMemory, TreeBuffers};
+use crate::gpu::resolve::{LightFrom, Planes};
+use crate::gpu::shading::Shading;
+use crate::gpu::{Arrival, AttributeSource, Buffer, CameraUniform, Gpu, Recorder, Ticket};
+use crate::{BOUNCES, DeviceError, DeviceFrames, DeviceLight, Frame, FrameJob, PROBE_DIRECTIONS, ProbeSettings, RasterCamera, RayLight, RayTree, ShadeColour, fibonacci_sphere, indirect_basis};
+use relume_scene::Output;
+use relume_scene::light::LightTables;
+use relume_scene::{IndirectForm, Model, ShadingOptions, SplitLight};
+
+/// Fewest pixels of a frame that a thread takes apart.
+const SPLIT: usize = 1 << 14;
+
+/// Memory that frames use one after the other.
+struct Scratch {
+    raster: Raster,
+    planes: Option<Planes>,
+    rays: RayMemory,
+    /// What hides what, once it was needed: it does not depend on the light.
+    probes: Option<ProbeBuffers>,
+}
+
+/// A finished model in device memory. Shared between threads.
+pub struct Frames {
+    gpu: Gpu,
+    /// The model without indirect light.
+    source: AttributeSource,
+    options: ShadingOptions,
+    order: usize,
+    constants: Constants,
+    scratch: Mutex<Scratch>,
+    /// What hides what along a ray, once it was needed.
+    tree: OnceLock<TreeBuffers>,
+}
+
+impl Frames {
+    /// Uploads `model`.
+    ///
+    /// # Errors
+    /// [`DeviceError::TooLarge`] or [`DeviceError::OutOfMemory`] when it does not fit.
+    pub fn new(gpu: &Gpu, model: &Model) -> Result<Self, DeviceError> {
+        let source = AttributeSource {
+            layout: LayoutUniform::new(&model.gaussians, &model.shading),
+            params: gpu.upload_gaussians(&model.gaussians)?,
+            globals: gpu.upload("prototypes", model.prototypes.as_flattened())?,
+            gathered: None,
+            indirect_basis: None,
+        };
+        Ok(Self {
+            source,
+            options: model.shading,
+            order: model.gaussians.visibility_order(),
+            constants: Constants::upload(gpu)?,
+            scratch: Mutex::new(Scratch {
+                raster: Raster::new(gpu)?,
+                planes: None,
+                rays: RayMemory::default(),
+                probes: None,
+            }),
+            tree: OnceLock::new(),
+            gpu: gpu.clone(),
+        })
+    }
+
+    fn measure_probes(&self) -> Result<ProbeBuffers, DeviceError> {
+        let settings = ProbeSettings::of(&self.options);
+        let directions = fibonacci_sphere(PROBE_DIRECTIONS);
+        let AttributeSource { params, layout, .. } = &self.source;
+        probes::measure(&self.gpu, params, layout, settings, &directions, self.order)
+    }
+
+    /// All channels of the model.
+    fn full(&self) -> Channels {
+        Channels::Full(self.source.layout.n_visibility as usize)
+    }
+
+    /// The model under `light`.
+    fn lit_source(&self, light: &FrameLight) -> AttributeSource {
+        AttributeSource {
+            gathered: light.gathered.clone(),
+            indirect_basis: Some(light.buffers.indirect_basis.clone()),
+            ..self.source.clone()
+        }
+    }
+
+    fn shading(&self, light: &LightBuffers) -> Shading {
+        Shading {
+            options: self.options,
+            background: [0.0; 3],
+            light: light.clone(),
+            constants: self.constants.clone(),
+        }
+    }
+
+    /// What `draw` makes of a projected view of `source`, drawn again where the view's lists were short. Another thread may
+    /// record its frame while this one waits for the device.
+    fn draw(
+        &self,
+        view: &RasterCamera,
+        source: &AttributeSource,
+        draw: impl Fn(&mut Recorder<'_>, Projected<'_>, Kept<'_>) -> Result<Drawn, DeviceError>,
+    ) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+        loop {
+            let mut scratch = locked(&self.scratch);
+            let Scratch { raster, planes, rays, .. } = &mut *scratch;
+            let mut recorder = self.gpu.record();
+            let projected = raster.record(&mut recorder, &CameraUniform::new(view), source)?;
+            let listed = recorder.fetch(projected.listed(), 0..projected.listed().len());
+            let drawn = draw(&mut recorder, projected, Kept { planes, rays })?;
+            let submission = recorder.submit()?;
+            // The device works in the order of submissions: what the next frame writes, this one has brought back.
+            drop(scratch);
+            let arrival = submission.arrive()?;
+            if locked(&self.scratch).raster.settle(&arrival.read(&listed)?)? {
+                return drawn.planes(&arrival);
+            }
+        }
+    }
+
+    /// A picture whose G-buffer no binding holds is made band by band: `band` gives the outputs of a view and is told its first
+    /// row.
+    fn in_bands(
+        &self,
+        view: &RasterCamera,
+        groups: usize,
+        band: impl Fn(&RasterCamera, usize) -> Result<Vec<(Output, Vec<f32>)>, DeviceError>,
+    ) -> Result<Frame, DeviceError> {
+        let report = self.gpu.report();
+        let row_bytes = (view.width * groups * 16).max(1) as u64;
+        let rows = (report.max_binding.min(report.max_buffer) / row_bytes).max(1) as usize;
+        let mut frame =
+            Frame { width: view.width as u32, height: view.height as u32, planes: BTreeMap::new() };
+        for first in (0..view.height).step_by(rows) {
+            let mut part = *view;
+            part.height = rows.min(view.height - first);
+            part.centre_px[1] -= first as f32;
+            for (output, mut values) in band(&part, first)? {
+                frame.planes.entry(output).or_default().append(&mut values);
+            }
+        }
+        Ok(frame)
+    }
+
+    /// Coverage and colour from Gaussians that are shaded before they are blended.
+    fn colours(
+        &self,
+        recorder: &mut Recorder<'_>,
+        projected: Projected<'_>,
+        shading: &Shading,
+    ) -> Result<Drawn, DeviceError> {
+        let shaded = projected.attributes(recorder, Channels::Material)?.colours(recorder, shading)?;
+        let frame = shaded.blend(recorder, EarlyStop::WhenSaturated)?;
+        let pixels = frame.camera().pixels();
+        Ok(Drawn::Colours(recorder.fetch(frame.gbuffer(), 0..pixels)))
+    }
+
+    fn outputs(
+        &self,
+        recorder: &mut Recorder<'_>,
+        projected: Projected<'_>,
+        shading: &Shading,
+        planes: &mut Option<Planes>,
+        job: &FrameJob<'_>,
+    ) -> Result<Drawn, DeviceError> {
+        let pass = FramePass {
+            channels: self.full(),
+            blending: EarlyStop::WhenSaturated,
+            branches: FrameBranches::Both(Box::new(shading.clone())),
+        };
+        let frame = pass.forward(recorder, projected)?;
+        self.resolved(recorder, frame.camera(), frame.gbuffer(), (shading, LightFrom::Tables), planes, job)
+    }
+
+    /// The outputs of a G-buffer.
+    fn resolved(
+        &self,
+        recorder: &mut Recorder<'_>,
+        camera: &CameraUniform,
+        gbuffer: &Buffer<[f32; 4]>,
+        (shading, light): (&Shading, LightFrom<'_>),
+        planes: &mut Option<Planes>,
+        job: &FrameJob<'_>,
+    ) -> Result<Drawn, DeviceError> {
+        if !planes.as_ref().is_some_and(|p| p.fits(camera.pixels(), job.outputs)) {
+            *planes = None;
+        }
+        let planes = match planes {
+            Some(planes) => planes,
+            none => none.insert(Planes::new(&self.gpu, camera.pixels(), job.outputs)?),
+        };
+        recorder.stage("resolve");
+        planes.resolve(recorder, camera, shading, gbuffer, light, job.depth_scale)?;
+        Ok(Drawn::Outputs(planes.fetch(recorder)))
+    }
+}
+
+/// Memory of [`Scratch`] that a drawing takes.
+struct Kept<'a> {
+    planes: &'a mut Option<Planes>,
+    rays: &'a mut RayMemory,
+}
+
+/// What a submission brings back of a frame.
+enum Drawn {
+    /// Coverage and colour of each pixel.
+    Colours(Ticket<[f32; 4]>),
+    /// Each output by itself.
+    Outputs(Vec<(Output, Ticket<f32>)>),
+}
+
+impl Drawn {
+    fn planes(self, arrival: &Arrival) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+        match self {
+            Self::Colours(pixels) => arrival.with(&pixels, |pixels: &[[f32; 4]]| {
+                let (mut rgb, mut alpha) = (vec![[0.0; 3]; pixels.len()], vec![0.0; pixels.len()]);
+                pixels.par_iter().zip(&mut rgb).zip(&mut alpha).with_min_len(SPLIT).for_each(
+                    |((pixel, rgb), alpha)| {
+                        let [a, r, g, b] = *pixel;
+                        (*alpha, *rgb) = (a, [r, g, b]);
+                    },
+                );
+                vec![(Output::Rgb, rgb.into_flattened()), (Output::Alpha, alpha)]
+            }),
+            Self::Outputs(planes) => {
+                planes.into_iter().map(|(output, values)| Ok((output, arrival.read(&values)?))).collect()
+            }
+        }
+    }
+}
+
+impl DeviceFrames for Frames {
+    fn prepare_light(&self, tables: &LightTables) -> Result<DeviceLight, DeviceError> {
+        let buffers = LightBuffers::upload(&self.gpu, tables, self.order, &indirect_basis(tables))?;
+        let mut scratch = locked(&self.scratch);
+        let AttributeSource { params, layout, .. } = &self.source;
+        let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
+        let lights = LightProbes::measure(&self.gpu, params, layout, &self.options, &lights)?;
+        if self.options.indirect != IndirectForm::Gathered {
+            let mut recorder = self.gpu.record();
+            let arriving = match &lights {
+                Some(_) => Some(ungathered(&mut recorder, layout.n as usize, lights.as_ref())?),
+                None => None,
+            };
+            recorder.submit()?;
+            return Ok(Box::new(FrameLight::new(buffers, arriving)));
+        }
+        let probes = match &mut scratch.probes {
+            Some(probes) => probes,
+            none => none.insert(self.measure_probes()?),
+        };
+        let mut recorder = self.gpu.record();
+        let gathered = gather(&mut recorder, probes, &self.source, &buffers, BOUNCES, lights.as_ref())?;
+        recorder.submit()?;
+        Ok(Box::new(FrameLight::new(buffers, Some(gathered))))
+    }
+
+    fn render(&self, job: &FrameJob<'_>, light: &DeviceLight) -> Result<Frame, DeviceError> {
+        let light = prepared_here(light)?;
+        let groups = match job.colour {
+            ShadeColour::Alone => 1,
+            ShadeColour::WithGBuffer => groups(self.full()),
+        };
+        let (source, shading) = (self.lit_source(light), self.shading(&light.buffers));
+        self.in_bands(&job.view, groups, |band, _| {
+            self.draw(band, &source, |recorder, projected, kept| match job.colour {
+                ShadeColour::Alone => self.colours(recorder, projected, &shading),
+                ShadeColour::WithGBuffer => self.outputs(recorder, projected, &shading, kept.planes, job),
+            })
+        })
+    }
+
+    fn render_by_rays(
+        &self,
+        job: &FrameJob<'_>,
+        light: &DeviceLight,
+        rays: &RayLight<'_>,
+        tree: &dyn Fn() -> RayTree,
+    ) -> Result<Frame, DeviceError> {
+        self.trace(job, prepared_here(light)?, rays, tree)
+    }
+}
+
+fn prepared_here(light: &DeviceLight) -> Result<&FrameLight, DeviceError> {
+    let foreign = || DeviceError::Misuse("the light was prepared for another device".to_owned());
+    light.downcast_ref::<FrameLight>().ok_or_else(foreign)
+}

@@ -1,0 +1,108 @@
+//! Bounced light on the device: the port of [`crate::cpu::Transport`] (docs/MODEL.md section 6).
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::DeviceError;
+use crate::gpu::light::LightBuffers;
+use crate::gpu::probes::{ProbeBuffers, direction_weight};
+use crate::gpu::{AttributeSource, Buffer, Groups, Recorder, shaders, uniform};
+
+mod lights;
+#[cfg(test)]
+mod tests;
+
+pub use lights::{GATHERED, LightProbes, ungathered};
+
+/// `GatherSize` of `shared/gather.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+struct GatherSize {
+    n: u32,
+    n_directions: u32,
+    weight: f32,
+    pad: u32,
+}
+
+/// Gathered irradiance and mean blocked radiance after `bounces` rounds: six floats a Gaussian, and behind those of all of
+/// them what arrives of the lights of `lights`, where they were measured ([`ungathered`]).
+///
+/// `probes` are of the same model; what hides what does not depend on the light, so one measurement serves any number
+/// of lights. The environment is seen through the visibility field that the parameters hold now.
+///
+/// # Errors
+/// [`DeviceError::Misuse`] for probes of another model or buffers that are too short, or as
+/// [`Gpu::buffer`](crate::gpu::Gpu::buffer).
+pub fn gather(
+    rec: &mut Recorder<'_>,
+    probes: &ProbeBuffers,
+    source: &AttributeSource,
+    light: &LightBuffers,
+    bounces: usize,
+    lights: Option<&LightProbes>,
+) -> Result<Buffer<f32>, DeviceError> {
+    let n = probes.n;
+    check(probes, source, light)?;
+    rec.stage("gather");
+    let gpu = rec.gpu();
+    let gathered = ungathered(rec, n, lights)?;
+    if bounces == 0 {
+        return Ok(gathered);
+    }
+    let direct: Buffer<[f32; 4]> = gpu.buffer("light from the sky", n)?;
+    let diffuse: Buffer<[f32; 4]> = gpu.buffer("diffuse reflectance", n)?;
+    let emitted: Buffer<[f32; 4]> = gpu.buffer("light sent back", n)?;
+    let n_directions = probes.directions.len();
+    let size = GatherSize {
+        n: n as u32,
+        n_directions: n_directions as u32,
+        weight: direction_weight(n_directions),
+        pad: 0,
+    };
+    let bindings = [
+        uniform(&source.layout),
+        uniform(&light.layout),
+        (&source.params).into(),
+        (&source.globals).into(),
+        (&light.values).into(),
+        (&probes.normals).into(),
+        (&direct).into(),
+        (&diffuse).into(),
+        (&gathered).into(),
+    ];
+    rec.dispatch(&shaders::GATHER_DIRECT, Groups::Linear(n), &bindings);
+    for _ in 0..bounces {
+        let bindings =
+            [uniform(&size), (&direct).into(), (&diffuse).into(), (&gathered).into(), (&emitted).into()];
+        rec.dispatch(&shaders::GATHER_EMIT, Groups::Linear(n), &bindings);
+        let bindings = [
+            uniform(&size),
+            (&probes.directions).into(),
+            (&probes.normals).into(),
+            (&probes.transmittance).into(),
+            (&probes.hit).into(),
+            (&emitted).into(),
+            (&gathered).into(),
+        ];
+        rec.dispatch(&shaders::GATHER_BOUNCE, Groups::Linear(n), &bindings);
+    }
+    Ok(gathered)
+}
+
+fn check(probes: &ProbeBuffers, source: &AttributeSource, light: &LightBuffers) -> Result<(), DeviceError> {
+    let (edge, coefficients) = (light.layout.diffuse_n as usize, light.layout.coefficients as usize);
+    let wrong = if source.layout.n as usize != probes.n {
+        Some("probes")
+    } else if source.globals.len() < 3 * source.layout.n_scores as usize {
+        Some("prototypes")
+    } else if edge < 2 || coefficients == 0 {
+        Some("light tables' shape")
+    } else if light.values.len() < 18 * edge * edge * coefficients {
+        Some("light tables")
+    } else {
+        None
+    };
+    match wrong {
+        Some(what) => Err(DeviceError::Misuse(format!("gathered light: the {what} do not fit"))),
+        None => Ok(()),
+    }
+}

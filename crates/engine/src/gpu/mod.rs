@@ -1,0 +1,55 @@
+//! The GPU engine: the model of `docs/MODEL.md` in WGSL (`shaders/`), on any Vulkan, Metal or DX12 device.
+//!
+//! One module a family of kernels; each holds the buffers its kernels work on and the tests that hold them against the
+//! CPU engine. Data layouts are written down where the shaders declare them (`shaders/shared/`).
+
+mod adapter;
+mod attribute_source;
+mod bind_groups;
+mod buffer;
+mod camera;
+mod density;
+mod device;
+mod fetch;
+pub mod frame;
+pub mod frames;
+pub mod gather;
+mod grow;
+pub mod light;
+mod lock;
+pub mod model;
+pub mod objective;
+mod permutations;
+mod photo_pixel;
+pub mod probes;
+pub mod raster;
+pub mod rays;
+mod recorder;
+pub mod resolve;
+mod scan;
+mod self_test;
+pub mod shaders;
+pub mod shading;
+mod sort;
+mod tally;
+#[cfg(test)]
+mod tests;
+mod timing;
+pub mod training;
+mod trusted;
+pub mod update;
+
+pub use adapter::Adapters;
+pub use attribute_source::AttributeSource;
+pub use buffer::Buffer;
+pub use camera::{CameraUniform, TILE};
+pub use device::{Gpu, GpuOptions};
+pub use fetch::{Arrival, Pace, Submission, Ticket};
+pub use frames::Frames;
+pub use permutations::groups;
+pub use photo_pixel::{PhotoPixel, photo_pixel};
+pub use raster::Raster;
+pub use recorder::{Bind, Groups, Recorder, uniform};
+pub use tally::Counts;
+pub use timing::StageTime;
+pub use training::Training;

@@ -1,0 +1,126 @@
+//! From parameters to splats and the lists of those each tile shows.
+
+use crate::DeviceError;
+use crate::gpu::grow::grow;
+use crate::gpu::raster::memory::Raster;
+use crate::gpu::raster::records::{LISTED_WORDS, RasterCounts, SplatRecord, Words};
+use crate::gpu::raster::tiles::TileLists;
+use crate::gpu::{AttributeSource, Buffer, CameraUniform, Groups, Recorder, TILE, shaders, uniform};
+
+/// A view whose splats and tile lists are known.
+#[derive(Debug)]
+pub struct Projected<'r> {
+    pub(super) raster: &'r mut Raster,
+    pub(in crate::gpu) camera: CameraUniform,
+    pub(in crate::gpu) source: AttributeSource,
+    /// By Gaussian.
+    pub(in crate::gpu) splats: Buffer<SplatRecord>,
+    pub(in crate::gpu) tiles: TileLists,
+    pub(super) counts: RasterCounts,
+}
+
+impl Projected<'_> {
+    /// What the view shows, or the one before it as long as that is not known.
+    pub fn counts(&self) -> RasterCounts {
+        self.counts
+    }
+
+    /// What [`Raster::settle`] asks for.
+    pub fn listed(&self) -> &Buffer<u32> {
+        &self.raster.listed
+    }
+
+    /// Gaussians of the model.
+    pub(super) fn gaussians(&self) -> usize {
+        self.source.layout.n as usize
+    }
+
+    /// (splat, pixel) pairs of all tiles.
+    pub(super) fn pairs(&self) -> u64 {
+        self.counts.instances as u64 * u64::from(TILE * TILE)
+    }
+}
+
+impl Raster {
+    /// Records projection and tile lists of a view of `source`. Nobody waits for the device: whether the lists are whole is
+    /// known later ([`Self::settle`]), and until then the counts are those of an earlier view.
+    ///
+    /// # Errors
+    /// As [`Gpu::buffer`](crate::gpu::Gpu::buffer).
+    pub fn record(
+        &mut self,
+        rec: &mut Recorder<'_>,
+        camera: &CameraUniform,
+        source: &AttributeSource,
+    ) -> Result<Projected<'_>, DeviceError> {
+        let (splats, gaussian_of_rank) = self.project(rec, camera, source)?;
+        let n = source.layout.n as usize;
+        let room = self.room_for(n);
+        let tiles = match self.list(rec, camera, &splats, &gaussian_of_rank, (n, room)) {
+            // There may be memory for the last view's lists where there is none for more.
+            Err(DeviceError::TooLarge { .. } | DeviceError::OutOfMemory { .. }) if self.spare_nothing() => {
+                self.list(rec, camera, &splats, &gaussian_of_rank, (n, self.room))?
+            }
+            listed => listed?,
+        };
+        let (camera, source, counts) = (*camera, source.clone(), self.last);
+        Ok(Projected { raster: self, camera, source, splats, tiles, counts })
+    }
+
+    /// Projects and lists on the spot, with lists that are whole and counts that are this view's. Waits for the device.
+    ///
+    /// # Errors
+    /// As [`Self::record`] and [`Self::settle`].
+    pub fn prepare(
+        &mut self,
+        camera: &CameraUniform,
+        source: &AttributeSource,
+    ) -> Result<Projected<'_>, DeviceError> {
+        let gpu = self.gpu.clone();
+        loop {
+            let mut rec = gpu.record();
+            let Projected { splats, tiles, .. } = self.record(&mut rec, camera, source)?;
+            let listed = rec.fetch(&self.listed, 0..LISTED_WORDS);
+            let listed = rec.submit()?.arrive()?.read(&listed)?;
+            if self.settle(&listed)? {
+                let (camera, source, counts) = (*camera, source.clone(), self.last);
+                return Ok(Projected { raster: self, camera, source, splats, tiles, counts });
+            }
+        }
+    }
+
+    /// Records projection, depth order and the first instance of each rank; gives the splats, and the
+    /// Gaussians nearest first, invisible ones last.
+    pub(super) fn project(
+        &mut self,
+        rec: &mut Recorder<'_>,
+        camera: &CameraUniform,
+        source: &AttributeSource,
+    ) -> Result<(Buffer<SplatRecord>, Buffer<u32>), DeviceError> {
+        let (gpu, n) = (&self.gpu, source.layout.n as usize);
+        let splats = grow(gpu, "splats", &mut self.splats, n)?;
+        let keys = grow(gpu, "depth keys", &mut self.depth_keys, n)?;
+        let gaussians = grow(gpu, "Gaussian indices", &mut self.gaussians, n)?;
+        let n_tiles = grow(gpu, "tiles by rank", &mut self.n_tiles_of_rank, n)?;
+        let first = grow(gpu, "first instances", &mut self.first_instance, n + 1)?;
+        rec.stage("project");
+        rec.clear(&self.counts);
+        let bindings = [
+            uniform(camera),
+            uniform(&source.layout),
+            (&source.params).into(),
+            (&splats).into(),
+            (&keys).into(),
+            (&gaussians).into(),
+            (&self.counts).into(),
+        ];
+        rec.dispatch(&shaders::PROJECT, Groups::Linear(n), &bindings);
+        rec.stage("sort");
+        let sorted = self.depth_sorter.sort(rec, &keys, &gaussians, n, u32::BITS)?.values;
+        let size = Words([n as u32, 0, 0, 0]);
+        let bindings = [uniform(&size), (&splats).into(), (&sorted).into(), (&n_tiles).into()];
+        rec.dispatch(&shaders::TILE_COUNT, Groups::Linear(n), &bindings);
+        self.scan.exclusive(rec, &n_tiles, &first, n)?;
+        Ok((splats, sorted))
+    }
+}

@@ -1,0 +1,133 @@
+//! A whole environment in every pixel, by Monte-Carlo.
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::DeviceError;
+use crate::gpu::grow::grow;
+use crate::gpu::raster::Blended;
+use crate::gpu::rays::{RayMemory, TreeBuffers};
+use crate::gpu::{Buffer, Gpu, Recorder, shaders, uniform};
+use relume_scene::light::{EnvSampler, Shares};
+
+/// Most samples of a dispatch: a device that is shared with a display must not be kept for long, and Mesa's software drivers end a
+/// thread's loops after 65,535 rounds, which are boxes here.
+const MOST_SAMPLES: u32 = 8;
+
+/// `MonteCarlo` of `shaders/monte_carlo.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+struct MonteCarloUniform {
+    seed: [u32; 2],
+    pixels_before: u32,
+    first_sample: u32,
+    end_sample: u32,
+    n_light: u32,
+    n_cosine: u32,
+    n_lobe: u32,
+    width: u32,
+    height: u32,
+    pad_a: u32,
+    pad_b: u32,
+}
+
+/// An [`EnvSampler`] in device memory.
+#[derive(Debug, Clone)]
+pub struct EnvironmentBuffers {
+    width: u32,
+    height: u32,
+    texels: Buffer<[f32; 4]>,
+    sums: Buffer<f32>,
+}
+
+impl EnvironmentBuffers {
+    /// Uploads `sampler`.
+    ///
+    /// # Errors
+    /// When it does not fit.
+    pub fn upload(gpu: &Gpu, sampler: &EnvSampler) -> Result<Self, DeviceError> {
+        let tables = sampler.tables();
+        Ok(Self {
+            width: tables.width as u32,
+            height: tables.height as u32,
+            texels: gpu.upload("texels to draw from", &tables.texels)?,
+            sums: gpu.upload("sums of texels", &tables.sums)?,
+        })
+    }
+}
+
+/// Which directions are drawn.
+#[derive(Debug, Clone, Copy)]
+pub struct Samples {
+    /// How many, each way.
+    pub shares: Shares,
+    /// Of all of them.
+    pub seed: u64,
+    /// Pixels of the frame before the first one of the view.
+    pub pixels_before: u64,
+}
+
+impl RayMemory {
+    /// What each pixel of a full frame of unshaded Gaussians sends of `environment`: diffuse and specular part, planar, times
+    /// coverage.
+    ///
+    /// # Errors
+    /// As [`Gpu::buffer`].
+    pub fn monte_carlo(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        frame: &Blended<'_>,
+        tree: &TreeBuffers,
+        environment: &EnvironmentBuffers,
+        samples: &Samples,
+    ) -> Result<Buffer<[f32; 4]>, DeviceError> {
+        let depths = self.surface_depths(recorder, frame)?;
+        let camera = frame.camera();
+        let sent = grow(recorder.gpu(), "light sent", &mut self.sent, 2 * camera.pixels())?;
+        let Samples { shares, seed, pixels_before } = *samples;
+        let all = shares.light + shares.cosine + shares.lobe;
+        for first in (0..all).step_by(MOST_SAMPLES as usize) {
+            let sampling = MonteCarloUniform {
+                seed: [seed as u32, (seed >> 32) as u32],
+                pixels_before: pixels_before as u32,
+                first_sample: first,
+                end_sample: all.min(first + MOST_SAMPLES),
+                n_light: shares.light,
+                n_cosine: shares.cosine,
+                n_lobe: shares.lobe,
+                width: environment.width,
+                height: environment.height,
+                pad_a: 0,
+                pad_b: 0,
+            };
+            let bindings = [
+                uniform(camera),
+                uniform(&sampling),
+                uniform(&tree.rules),
+                frame.gbuffer().into(),
+                (&depths).into(),
+                (&tree.nodes).into(),
+                (&tree.members).into(),
+                (&environment.texels).into(),
+                (&environment.sums).into(),
+                (&sent).into(),
+            ];
+            recorder.stage("monte carlo");
+            recorder.dispatch(&shaders::MONTE_CARLO, camera.tile_groups(), &bindings);
+        }
+        Ok(sent)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::shaders::assert_layout;
+
+    #[test]
+    fn samples_are_laid_out_as_the_shader_reads_them() {
+        assert_layout!(
+            MonteCarloUniform as "MonteCarlo" in shaders::MONTE_CARLO;
+            seed, pixels_before, first_sample, end_sample, n_light, n_cosine, n_lobe, width, height, pad_a, pad_b
+        );
+    }
+}

@@ -1,0 +1,106 @@
+//! From a G-buffer to the outputs that were asked for.
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::DeviceError;
+use relume_scene::Output;
+use crate::gpu::permutations::by_coefficients;
+use crate::gpu::shading::Shading;
+use crate::gpu::{Buffer, CameraUniform, Gpu, Recorder, Ticket, shaders, uniform};
+
+#[cfg(test)]
+mod tests;
+
+/// `Resolve` of `shaders/resolve.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+struct ResolveUniform {
+    /// First float of each output, in the order of [`Output`].
+    first: [u32; 12],
+    depth_scale: f32,
+    /// Bits: 1 from the tables, 2 from what was asked for along rays.
+    light: u32,
+    pad_a: u32,
+    pad_b: u32,
+}
+
+/// Where the light of a frame comes from.
+#[derive(Debug, Clone, Copy)]
+pub enum LightFrom<'a> {
+    /// Tables.
+    Tables,
+    /// Tables, and what each pixel sends besides: diffuse and specular part, planar, times coverage.
+    TablesAnd(&'a Buffer<[f32; 4]>),
+    /// That alone.
+    Alone(&'a Buffer<[f32; 4]>),
+}
+
+/// Outputs of one view in device memory, one after another.
+#[derive(Debug, Clone)]
+pub struct Planes {
+    wanted: Vec<Output>,
+    /// First float of each output, and the end.
+    first: Vec<usize>,
+    values: Buffer<f32>,
+    /// For a binding without data.
+    nothing: Buffer<[f32; 4]>,
+}
+
+impl Planes {
+    /// Memory for `wanted` (each at most once) of `pixels` pixels.
+    ///
+    /// # Errors
+    /// [`DeviceError::TooLarge`] with the numbers, [`DeviceError::OutOfMemory`].
+    pub fn new(gpu: &Gpu, pixels: usize, wanted: &[Output]) -> Result<Self, DeviceError> {
+        let mut first = vec![0];
+        let mut end = 0;
+        for output in wanted {
+            end += output.channels() * pixels;
+            first.push(end);
+        }
+        let (values, nothing) = (gpu.buffer("the outputs", end)?, gpu.buffer("nothing", 1)?);
+        Ok(Self { wanted: wanted.to_vec(), first, values, nothing })
+    }
+
+    /// True when this is memory for exactly `wanted` of `pixels` pixels.
+    pub fn fits(&self, pixels: usize, wanted: &[Output]) -> bool {
+        self.wanted == wanted
+            && self.values.len() == pixels * wanted.iter().map(|p| p.channels()).sum::<usize>()
+    }
+
+    /// Computes the outputs from a full G-buffer, `[group][pixel]`; `depth_scale` turns model units into capture units.
+    ///
+    /// # Errors
+    /// When there is no kernel for the number of visibility coefficients.
+    pub fn resolve(
+        &self,
+        recorder: &mut Recorder<'_>,
+        camera: &CameraUniform,
+        shading: &Shading,
+        gbuffer: &Buffer<[f32; 4]>,
+        light: LightFrom<'_>,
+        depth_scale: f32,
+    ) -> Result<(), DeviceError> {
+        use shaders::*;
+        let all = [&RESOLVE_1, &RESOLVE_4, &RESOLVE_9, &RESOLVE_16, &RESOLVE_25, &RESOLVE_36, &RESOLVE_49];
+        let kernel = by_coefficients(shading.coefficients(), all)?;
+        let (light, sent) = match light {
+            LightFrom::Tables => (1, &self.nothing),
+            LightFrom::TablesAnd(sent) => (3, sent),
+            LightFrom::Alone(sent) => (2, sent),
+        };
+        let mut wanted = ResolveUniform { first: [u32::MAX; 12], depth_scale, light, pad_a: 0, pad_b: 0 };
+        for (output, first) in self.wanted.iter().zip(&self.first) {
+            wanted.first[*output as usize] = *first as u32;
+        }
+        let rest = vec![uniform(&wanted), gbuffer.into(), (&self.values).into(), sent.into()];
+        shading.dispatch(recorder, camera, kernel, camera.tile_groups(), rest);
+        Ok(())
+    }
+
+    /// Brings the outputs to the host, in the order they were asked for.
+    pub fn fetch(&self, recorder: &mut Recorder<'_>) -> Vec<(Output, Ticket<f32>)> {
+        let ranges = self.first.windows(2).map(|w| w[0]..w[1]);
+        self.wanted.iter().zip(ranges).map(|(p, range)| (*p, recorder.fetch(&self.values, range))).collect()
+    }
+}

@@ -1,0 +1,34 @@
+//! A step as the device takes it.
+
+use relume_layout::channel::StepChannels;
+use crate::gpu::{Buffer, CameraUniform, PhotoPixel, Submission, Ticket};
+use crate::light_turn::LightTurn;
+use crate::{Branches, StepCounts, StepSizes, StepWeights};
+
+/// A step with its photograph in device memory, so that it can be recorded again.
+#[derive(Debug, Clone)]
+pub(super) struct DeviceStep {
+    pub(super) camera: CameraUniform,
+    pub(super) photo: Buffer<PhotoPixel>,
+    pub(super) light: LightTurn,
+    pub(super) channels: StepChannels,
+    pub(super) background: [f32; 3],
+    pub(super) branches: Branches,
+    pub(super) weights: StepWeights,
+    pub(super) sizes: StepSizes,
+    pub(super) counts: StepCounts,
+}
+
+/// A step that was submitted.
+pub(super) struct Pending {
+    pub(super) step: DeviceStep,
+    pub(super) submission: Submission,
+    pub(super) losses: Ticket<f32>,
+    pub(super) listed: Ticket<u32>,
+}
+
+impl std::fmt::Debug for Pending {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Pending").field("step", &self.step).finish_non_exhaustive()
+    }
+}

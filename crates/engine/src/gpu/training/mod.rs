@@ -1,0 +1,268 @@
+//! A training on the device.
+//!
+//! A step is one submission, which ends with a read of its sums; the host waits for those of the step before, so that the
+//! device always has a step to work on. Between steps everything that is learned stays in device memory.
+
+mod canvas;
+mod device_step;
+mod photos;
+mod size;
+mod state;
+mod steps;
+#[cfg(test)]
+mod tests;
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use crate::gpu::density;
+use crate::gpu::gather::{LightProbes, gather, ungathered};
+use crate::gpu::light::{Constants, TrainingLight};
+use crate::gpu::objective::LOSS_SLOTS;
+use crate::gpu::probes;
+use crate::gpu::raster::Raster;
+use crate::gpu::training::canvas::Canvas;
+use crate::gpu::training::device_step::Pending;
+use crate::gpu::training::photos::PhotoCache;
+use crate::gpu::training::state::DeviceState;
+use crate::gpu::update::{STATUS_WORDS, Updater};
+use crate::gpu::{AttributeSource, Buffer, Gpu, Pace};
+use crate::{
+    DensityPlan, DensitySignals, DeviceError, FieldUpdate, LightWeights, PhotoId, ProbeMeasurement,
+    ProbeSettings, Step, StepSums, TrainState, TrainingLimits, fibonacci_sphere, training,
+};
+use relume_scene::light::EnvOperators;
+use relume_scene::{IndirectForm, Model, VisibilityForm};
+
+/// Slot of the sums that carries the status of the update: the last one, which no term has.
+const STATUS_SLOT: usize = LOSS_SLOTS - 1;
+
+/// A training on the device.
+#[derive(Debug)]
+pub struct Training {
+    gpu: Gpu,
+    /// Shape, options and card of the model; its parameters are those of the last load.
+    shape: Model,
+    state: DeviceState,
+    /// The operators of the light.
+    operators: Arc<EnvOperators>,
+    /// With the operators of its light.
+    snapshot: Option<(DeviceState, Arc<EnvOperators>)>,
+    /// Degree of the measured visibility.
+    order: usize,
+    raster: Raster,
+    light: TrainingLight,
+    constants: Constants,
+    updater: Updater,
+    photos: PhotoCache,
+    canvas: Option<Canvas>,
+    losses: Buffer<f32>,
+    /// Gradient of prototypes and raw environment.
+    globals_gradient: Buffer<f32>,
+    status: Buffer<u32>,
+    /// The last step, as long as nobody knows what it came to.
+    pending: Option<Pending>,
+}
+
+impl Training {
+    /// Takes a training over and makes `state` its first snapshot.
+    ///
+    /// # Errors
+    /// [`DeviceError::TooLarge`] or [`DeviceError::OutOfMemory`] when it does not fit.
+    pub fn new(
+        gpu: &Gpu,
+        state: TrainState,
+        operators: &Arc<EnvOperators>,
+        limits: &TrainingLimits,
+    ) -> Result<Self, DeviceError> {
+        limits.check(gpu, &state.model.gaussians)?;
+        let on_device = DeviceState::upload(gpu, &state)?;
+        let mut training = Self {
+            order: operators.order(),
+            raster: Raster::new(gpu)?,
+            light: TrainingLight::new(gpu, operators)?,
+            constants: Constants::upload(gpu)?,
+            updater: Updater::new(gpu)?,
+            photos: PhotoCache::default(),
+            canvas: None,
+            losses: gpu.buffer("losses", LOSS_SLOTS)?,
+            globals_gradient: gpu.buffer("gradient of what is shared", on_device.model.globals.len())?,
+            status: gpu.buffer("status", STATUS_WORDS)?,
+            gpu: gpu.clone(),
+            shape: state.model,
+            state: on_device,
+            operators: operators.clone(),
+            snapshot: None,
+            pending: None,
+        };
+        training.take_snapshot()?;
+        Ok(training)
+    }
+
+    fn take_snapshot(&mut self) -> Result<(), DeviceError> {
+        // The old copy goes first: three states at once may not fit.
+        self.snapshot = None;
+        self.snapshot = Some((self.state.copied(&self.gpu)?, self.operators.clone()));
+        Ok(())
+    }
+
+    /// Takes other operators of the light and the lights that are theirs.
+    fn change_operators(&mut self, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
+        self.light = TrainingLight::new(&self.gpu, operators)?;
+        self.shape.lights = operators.split().clone();
+        self.operators = operators.clone();
+        Ok(())
+    }
+
+    /// # Errors
+    /// When a step is not done: what is asked for would be of the state before it, or after.
+    fn check_finished(&self) -> Result<(), DeviceError> {
+        match self.pending {
+            Some(_) => Err(DeviceError::Misuse("a step of the training is not finished".to_owned())),
+            None => Ok(()),
+        }
+    }
+
+    /// Measures visibility, and gathers light over `bounces` rounds.
+    fn measure_once(
+        &mut self,
+        how: &ProbeMeasurement<'_>,
+        bounces: Option<usize>,
+    ) -> Result<(), DeviceError> {
+        let (gpu, model) = (&self.gpu, &self.state.model);
+        let settings = ProbeSettings::of(&self.shape.shading);
+        let directions = fibonacci_sphere(how.directions);
+        let probes = probes::measure(gpu, &model.params, &model.layout, settings, &directions, self.order)?;
+        let lights = &self.operators.split().lights;
+        let lights = LightProbes::measure(gpu, &model.params, &model.layout, &self.shape.shading, lights)?;
+        let mut pace = Pace::default();
+        if let Some(bounces) = bounces {
+            let source = AttributeSource::new(model);
+            self.state.measured.gathered.clear();
+            for turn in how.turns {
+                let mut recorder = gpu.record();
+                self.light.apply(&mut recorder, model, *turn, &LightWeights::default(), &self.losses);
+                let gathered =
+                    gather(&mut recorder, &probes, &source, &self.light.light, bounces, lights.as_ref())?;
+                self.state.measured.gathered.push(gathered);
+                pace.follow(recorder.submit()?)?;
+            }
+        } else if lights.is_some() {
+            let mut recorder = gpu.record();
+            self.state.measured.gathered = vec![ungathered(&mut recorder, model.len(), lights.as_ref())?];
+            pace.follow(recorder.submit()?)?;
+        }
+        let replaces = match how.field {
+            FieldUpdate::Keep => false,
+            FieldUpdate::Start => !self.state.measured.ever,
+            FieldUpdate::Replace => true,
+        };
+        if replaces {
+            let mut recorder = gpu.record();
+            probes.store(&mut recorder, &model.params, &model.layout)?;
+            pace.follow(recorder.submit()?)?;
+        }
+        pace.finish()?;
+        self.state.measured.labels = Some(probes.coefficients);
+        self.state.measured.ever = true;
+        Ok(())
+    }
+}
+
+impl training::Training for Training {
+    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepSums>, DeviceError> {
+        let step = self.device_step(step)?;
+        let submitted = self.submit(step)?;
+        match self.pending.replace(submitted) {
+            Some(earlier) => self.settle(earlier).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    fn holds(&self, photo: PhotoId) -> bool {
+        self.photos.holds(photo)
+    }
+
+    fn finish(&mut self) -> Result<Option<StepSums>, DeviceError> {
+        self.pending.take().map(|pending| self.settle(pending)).transpose()
+    }
+
+    fn measure(&mut self, how: &ProbeMeasurement<'_>) -> Result<(), DeviceError> {
+        self.check_finished()?;
+        let gathers = how.bounces > 0 && self.shape.shading.indirect == IndirectForm::Gathered;
+        if self.shape.shading.visibility == VisibilityForm::Off && !gathers {
+            return Ok(());
+        }
+        for _ in 0..how.repeats {
+            self.measure_once(how, gathers.then_some(how.bounces))?;
+        }
+        Ok(())
+    }
+
+    fn density_signals(&self) -> Result<DensitySignals, DeviceError> {
+        self.check_finished()?;
+        density::read_signals(&self.gpu, &self.state.model, &self.state.density)
+    }
+
+    fn rebuild(&mut self, plan: &DensityPlan) -> Result<(), DeviceError> {
+        self.check_finished()?;
+        let mut recorder = self.gpu.record();
+        self.state.model = density::gather(&mut recorder, &self.state.model, plan)?;
+        self.state.density = self.gpu.buffer("density statistics", plan.gaussians.len())?;
+        recorder.clear(&self.state.density);
+        recorder.submit()?;
+        self.state.measured.forget_values();
+        Ok(())
+    }
+
+    fn load(&mut self, state: TrainState) -> Result<(), DeviceError> {
+        self.pending = None;
+        self.state = DeviceState::upload(&self.gpu, &state)?;
+        self.shape = state.model;
+        Ok(())
+    }
+
+    fn reshape(&mut self, state: TrainState, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
+        // The snapshot has the old shape.
+        self.snapshot = None;
+        self.load(state)?;
+        self.order = operators.order();
+        self.change_operators(operators)?;
+        self.globals_gradient =
+            self.gpu.buffer("gradient of what is shared", self.state.model.globals.len())?;
+        self.take_snapshot()
+    }
+
+    fn light(&mut self, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
+        self.check_finished()?;
+        self.change_operators(operators)?;
+        self.state.forget_arriving(&self.gpu)
+    }
+
+    fn snapshot(&mut self) -> Result<bool, DeviceError> {
+        self.check_finished()?;
+        self.take_snapshot().map(|()| true)
+    }
+
+    fn roll_back(&mut self) -> Result<(), DeviceError> {
+        self.pending = None;
+        let missing = || DeviceError::Misuse("there is no snapshot to return to".to_owned());
+        let (state, operators) = self.snapshot.as_ref().ok_or_else(missing)?;
+        let (state, operators) = (state.copied(&self.gpu)?, operators.clone());
+        self.state = state;
+        if Arc::ptr_eq(&operators, &self.operators) { Ok(()) } else { self.change_operators(&operators) }
+    }
+
+    fn gaussians(&self) -> usize {
+        self.state.model.len()
+    }
+
+    fn state(&self) -> Result<Cow<'_, TrainState>, DeviceError> {
+        self.check_finished()?;
+        self.state.download(&self.gpu, &self.shape).map(Cow::Owned)
+    }
+
+    fn engine(&self) -> &'static str {
+        "gpu"
+    }
+}

@@ -1,0 +1,72 @@
+//! Photographs in device memory.
+
+use std::collections::HashMap;
+
+use rayon::prelude::*;
+
+use crate::DeviceError;
+use crate::gpu::{Buffer, Gpu, PhotoPixel, photo_pixel};
+use crate::{Photo, PhotoId, PhotoSize};
+
+/// Device memory that photographs may take, bytes; more of them are sent anew each step.
+const PHOTO_BYTES: usize = 4 << 30;
+
+/// Fewest pixels that a thread packs.
+const SPLIT: usize = 1 << 14;
+
+/// Pixels of one revision of a photograph.
+#[derive(Debug)]
+struct CachedPhoto {
+    revision: usize,
+    pixels: Buffer<PhotoPixel>,
+}
+
+/// Photographs that stay in device memory, rgb and mask a pixel.
+#[derive(Debug, Default)]
+pub(super) struct PhotoCache {
+    /// By index and size.
+    photos: HashMap<(usize, PhotoSize), CachedPhoto>,
+    bytes: usize,
+}
+
+impl PhotoCache {
+    /// True when the photograph is in device memory.
+    pub(super) fn holds(&self, id: PhotoId) -> bool {
+        self.held(id).is_some()
+    }
+
+    fn held(&self, id: PhotoId) -> Option<&Buffer<PhotoPixel>> {
+        let found = self.photos.get(&(id.index, id.size)).filter(|found| found.revision == id.revision);
+        found.map(|found| &found.pixels)
+    }
+
+    /// The photograph in device memory; it stays there while the memory for photographs lasts. Of one that is held no pixel
+    /// is read.
+    pub(super) fn upload(
+        &mut self,
+        gpu: &Gpu,
+        id: PhotoId,
+        photo: &Photo,
+    ) -> Result<Buffer<PhotoPixel>, DeviceError> {
+        if let Some(held) = self.held(id) {
+            return Ok(held.clone());
+        }
+        let (width, height) = (photo.camera.width as usize, photo.camera.height as usize);
+        if photo.pixels.len() != width * height {
+            return Err(DeviceError::Misuse(format!("photograph {} without its pixels", id.index)));
+        }
+        let alpha = |i: usize| photo.alpha.get(i).copied().unwrap_or(1.0);
+        let pixels = photo.pixels.par_iter().enumerate().with_min_len(SPLIT);
+        let pixels: Vec<_> = pixels.map(|(i, [r, g, b])| photo_pixel([*r, *g, *b, alpha(i)])).collect();
+        let buffer = gpu.upload("a photograph", &pixels)?;
+        let bytes = size_of_val(&pixels[..]);
+        let key = (id.index, id.size);
+        // One of another revision has the same size and gives way.
+        if self.photos.contains_key(&key) || self.bytes + bytes <= PHOTO_BYTES {
+            let cached = CachedPhoto { revision: id.revision, pixels: buffer.clone() };
+            let earlier = self.photos.insert(key, cached);
+            self.bytes += if earlier.is_none() { bytes } else { 0 };
+        }
+        Ok(buffer)
+    }
+}

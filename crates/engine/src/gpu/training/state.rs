@@ -1,0 +1,169 @@
+//! All that a training has learned, in device memory.
+
+use crate::DeviceError;
+use crate::gpu::density::read_stats;
+use crate::gpu::gather::GATHERED;
+use crate::gpu::light::TrainingLight;
+use crate::gpu::model::{ModelBuffers, planar};
+use crate::gpu::{AttributeSource, Buffer, Gpu};
+use crate::{LightTurn, Moments, TrainState};
+use relume_scene::{IndirectForm, MAX_LIGHTS, Model};
+
+/// What is measured, not learned.
+#[derive(Debug, Clone)]
+pub(super) struct Measured {
+    /// Probe labels, `[Gaussian][coefficient]`.
+    pub(super) labels: Option<Buffer<f32>>,
+    /// Gathered light by turn of the light, each with what arrives of the model's lights, as [`AttributeSource::gathered`].
+    pub(super) gathered: Vec<Buffer<f32>>,
+    /// True once anything was measured, also for Gaussians that are gone.
+    pub(super) ever: bool,
+}
+
+impl Measured {
+    /// Drops what was measured of Gaussians that are gone.
+    pub(super) fn forget_values(&mut self) {
+        self.labels = None;
+        self.gathered.clear();
+    }
+}
+
+/// What a host has measured of light by turn of the light, each in the order of the device's buffer.
+fn measured_light(state: &TrainState) -> Vec<Vec<f32>> {
+    let floats = GATHERED * state.model.gaussians.len();
+    let mut blocks: Vec<Vec<f32>> =
+        state.gathered.as_flattened().chunks(floats.max(1)).map(<[f32]>::to_vec).collect();
+    if !state.arriving.is_empty() {
+        if blocks.is_empty() {
+            blocks.push(vec![0.0; floats]);
+        }
+        blocks.iter_mut().for_each(|block| block.extend(state.arriving.as_flattened()));
+    }
+    blocks
+}
+
+/// All that a training has learned and measured.
+#[derive(Debug)]
+pub(super) struct DeviceState {
+    /// Parameters and moments.
+    pub(super) model: ModelBuffers,
+    /// Sum of absgrad and steps on screen, by Gaussian.
+    pub(super) density: Buffer<[f32; 2]>,
+    pub(super) measured: Measured,
+}
+
+impl DeviceState {
+    /// A host's state in device memory.
+    pub(super) fn upload(gpu: &Gpu, state: &TrainState) -> Result<Self, DeviceError> {
+        let model = ModelBuffers::upload(gpu, &state.model)?;
+        for (buffer, moments) in
+            [&model.first, &model.second].into_iter().zip([&state.moments.first, &state.moments.second])
+        {
+            gpu.write(buffer, 0, &planar(moments));
+        }
+        for (buffer, moments) in
+            [&model.globals_first, &model.globals_second].into_iter().zip(&state.moments.globals)
+        {
+            gpu.write(buffer, 0, moments.as_flattened());
+        }
+        let stats = state.density.absgrad.iter().zip(&state.density.seen);
+        let stats: Vec<[f32; 2]> = stats.map(|(sum, seen)| [*sum, *seen]).collect();
+        let some = |data: &[f32], label: &str| {
+            if data.is_empty() { Ok(None) } else { gpu.upload(label, data).map(Some) }
+        };
+        let measured = measured_light(state);
+        let measured = Measured {
+            labels: some(&state.labels, "probe labels")?,
+            gathered: measured
+                .iter()
+                .map(|block| gpu.upload("gathered light", block))
+                .collect::<Result<_, _>>()?,
+            ever: !state.labels.is_empty(),
+        };
+        Ok(Self { model, density: gpu.upload("density statistics", &stats)?, measured })
+    }
+
+    /// The state on the host; `shape` gives all of the model but its parameters.
+    pub(super) fn download(&self, gpu: &Gpu, shape: &Model) -> Result<TrainState, DeviceError> {
+        let buffers = &self.model;
+        let gaussians = |buffer| buffers.read_gaussians(gpu, buffer, &shape.gaussians);
+        let globals = |buffer| -> Result<Vec<[f32; 3]>, DeviceError> {
+            Ok(buffers.read_globals(gpu, buffer)?.concat())
+        };
+        let read = |buffer: &Option<Buffer<f32>>| match buffer {
+            Some(buffer) => gpu.read(buffer, 0..buffer.len()),
+            None => Ok(Vec::new()),
+        };
+        let mut model = shape.clone();
+        model.gaussians = gaussians(&buffers.params)?;
+        [model.prototypes, model.env_raw] = buffers.read_globals(gpu, &buffers.globals)?;
+        let (mut gathered, mut arriving) = (Vec::new(), Vec::new());
+        for block in &self.measured.gathered {
+            let mut light = gpu.read(block, 0..block.len())?;
+            arriving = light.split_off(light.len().min(GATHERED * buffers.len()));
+            gathered.extend(light);
+        }
+        // Where nothing is gathered, the zeros in front of what arrives are no measurement.
+        let gathers = shape.shading.indirect == IndirectForm::Gathered;
+        Ok(TrainState {
+            arriving: arriving.as_chunks::<MAX_LIGHTS>().0.to_vec(),
+            model,
+            moments: Moments {
+                first: gaussians(&buffers.first)?,
+                second: gaussians(&buffers.second)?,
+                globals: [globals(&buffers.globals_first)?, globals(&buffers.globals_second)?],
+            },
+            density: read_stats(gpu, &self.density)?,
+            labels: read(&self.measured.labels)?,
+            gathered: if gathers { gathered.as_chunks::<GATHERED>().0.to_vec() } else { Vec::new() },
+        })
+    }
+
+    /// The same state in memory of its own.
+    pub(super) fn copied(&self, gpu: &Gpu) -> Result<Self, DeviceError> {
+        let mut recorder = gpu.record();
+        let mut copy = |buffer: &Buffer<f32>| -> Result<Buffer<f32>, DeviceError> {
+            let out = gpu.buffer("copied state", buffer.len())?;
+            recorder.copy(buffer, 0, &out, 0, buffer.len());
+            Ok(out)
+        };
+        let model = ModelBuffers {
+            params: copy(&self.model.params)?,
+            first: copy(&self.model.first)?,
+            second: copy(&self.model.second)?,
+            globals: copy(&self.model.globals)?,
+            globals_first: copy(&self.model.globals_first)?,
+            globals_second: copy(&self.model.globals_second)?,
+            ..self.model.clone()
+        };
+        let density = copy(&self.density.cast())?.cast();
+        let measured = Measured {
+            labels: self.measured.labels.as_ref().map(&mut copy).transpose()?,
+            gathered: self.measured.gathered.iter().map(&mut copy).collect::<Result<_, _>>()?,
+            ever: self.measured.ever,
+        };
+        recorder.submit()?;
+        Ok(Self { model, density, measured })
+    }
+
+    /// Drops what was measured of lights that are the model's no longer.
+    pub(super) fn forget_arriving(&mut self, gpu: &Gpu) -> Result<(), DeviceError> {
+        let floats = GATHERED * self.model.len();
+        let mut recorder = gpu.record();
+        for measured in self.measured.gathered.iter_mut().filter(|g| g.len() > floats) {
+            let gathered = gpu.buffer("gathered light", floats)?;
+            recorder.copy(measured, 0, &gathered, 0, floats);
+            *measured = gathered;
+        }
+        recorder.submit().map(drop)
+    }
+
+    /// The model as frames read it, under the light of the training as it stood in a photograph.
+    pub(super) fn source(&self, light: &TrainingLight, turn: LightTurn) -> AttributeSource {
+        AttributeSource {
+            gathered: self.measured.gathered.get(turn.block).cloned(),
+            indirect_basis: Some(light.light.indirect_basis.clone()),
+            ..AttributeSource::new(&self.model)
+        }
+    }
+}

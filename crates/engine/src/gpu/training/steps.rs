@@ -1,0 +1,161 @@
+//! Steps of a training: recorded, submitted, and taken in when what they came to arrives.
+
+use relume_layout::constants::EarlyStop;
+use crate::gpu::frame::{FrameBranches, FrameGradients, FramePass};
+use crate::gpu::objective::{LOSS_SLOTS, LossSlot, objective};
+use crate::gpu::raster::Differentiated;
+use crate::gpu::shading::Shading;
+use crate::gpu::training::canvas::Canvas;
+use crate::gpu::training::device_step::{DeviceStep, Pending};
+use crate::gpu::training::state::DeviceState;
+use crate::gpu::training::{STATUS_SLOT, Training};
+use crate::gpu::update::{StepInput, Sums, Updater, Upstream};
+use crate::gpu::{CameraUniform, Recorder};
+use crate::{DeviceError, RasterCamera, Step, StepSums};
+use relume_scene::{IndirectForm, Model, VisibilityForm};
+
+impl Training {
+    /// `step` with its photograph in device memory.
+    pub(super) fn device_step(&mut self, step: &Step<'_>) -> Result<DeviceStep, DeviceError> {
+        let shading = &self.shape.shading;
+        Ok(DeviceStep {
+            camera: CameraUniform::new(&RasterCamera::new(&step.photo.camera, shading)),
+            photo: self.photos.upload(&self.gpu, step.photo_id, step.photo)?,
+            light: step.photo.light,
+            channels: step.branches.channels(&self.shape.gaussians, shading),
+            background: step.background,
+            branches: step.branches,
+            weights: step.weights,
+            sizes: step.sizes,
+            counts: step.counts,
+        })
+    }
+
+    /// Hands a step to the device. If its tile lists are short, neither it nor any step behind it changes anything until
+    /// [`Self::settle`] has seen that.
+    pub(super) fn submit(&mut self, step: DeviceStep) -> Result<Pending, DeviceError> {
+        let gpu = self.gpu.clone();
+        let pass = self.pass(&step);
+        let canvas = Canvas::at(&mut self.canvas, &gpu, step.camera.pixels())?;
+        let source = self.state.source(&self.light, step.light);
+        let mut recorder = gpu.record();
+        recorder.clear(&self.losses);
+        recorder.clear(&self.globals_gradient);
+        recorder.clear(&self.status);
+        let projected = self.raster.record(&mut recorder, &step.camera, &source)?;
+        let listed = projected.listed().clone();
+        if step.branches.is_physical() {
+            let (turn, weights) = (step.light.radians, &step.weights.light);
+            self.light.apply(&mut recorder, &self.state.model, turn, weights, &self.losses);
+        }
+        let frame = pass.forward(&mut recorder, projected)?;
+        pass.images(&mut recorder, &frame, &canvas.images)?;
+        canvas.terms(&mut recorder, &step, step.channels.blended, &step.photo, &frame, &self.losses);
+        let gradients = FrameGradients {
+            by_images: &canvas.by_images,
+            by_buffers: &canvas.by_buffers,
+            by_tables: &self.light.tables_gradient,
+            differentiated: step.channels.differentiated,
+        };
+        let frame = pass.backward(&mut recorder, frame, &gradients)?;
+        let sums = Sums {
+            globals_gradient: &self.globals_gradient,
+            losses: &self.losses,
+            density: &self.state.density,
+            listed: &listed,
+            status: &self.status,
+        };
+        let (shape, state, updater) = (&self.shape, &self.state, &self.updater);
+        let update = Update { shape, state, light: &self.light, updater, sums };
+        update.record(&mut recorder, &step, frame)?;
+        recorder.copy(&self.status.cast(), 0, &self.losses, STATUS_SLOT, 1);
+        let losses = recorder.fetch(&self.losses, 0..LOSS_SLOTS);
+        let listed = recorder.fetch(&listed, 0..listed.len());
+        Ok(Pending { step, submission: recorder.submit()?, losses, listed })
+    }
+
+    /// Waits for a step and gives what it came to. Where its tile lists were short, it is submitted again with more memory, and so
+    /// is the step behind it, which changed nothing either.
+    pub(super) fn settle(&mut self, mut pending: Pending) -> Result<StepSums, DeviceError> {
+        loop {
+            let arrival = pending.submission.arrive()?;
+            let (listed, sums) = (arrival.read(&pending.listed)?, arrival.read(&pending.losses)?);
+            if self.raster.settle(&listed)? {
+                return Ok(step_sums(&pending.step, &sums));
+            }
+            pending = self.submit(pending.step)?;
+            if let Some(behind) = self.pending.take() {
+                self.pending = Some(self.submit(behind.step)?);
+            }
+        }
+    }
+
+    /// What the frame of a step shows.
+    fn pass(&self, step: &DeviceStep) -> FramePass {
+        let branches = match step.branches.is_physical() {
+            false => FrameBranches::Radiance(step.background),
+            true => FrameBranches::Both(Box::new(Shading {
+                options: self.shape.shading,
+                background: step.background,
+                light: self.light.light.clone(),
+                constants: self.constants.clone(),
+            })),
+        };
+        FramePass { channels: step.channels.blended, blending: EarlyStop::WhenSaturated, branches }
+    }
+}
+
+/// What a step came to, from its sums and the status in their last slot.
+fn step_sums(step: &DeviceStep, sums: &[f32]) -> StepSums {
+    let poisoned = sums[STATUS_SLOT].to_bits() != 0;
+    let loss = objective(sums, &step.weights);
+    let physical = step.branches.is_physical();
+    let leading = if physical { LossSlot::PhysicalSquared } else { LossSlot::RadianceSquared };
+    StepSums { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned }
+}
+
+/// What the parameter side of a step works on.
+struct Update<'a> {
+    shape: &'a Model,
+    state: &'a DeviceState,
+    light: &'a crate::gpu::light::TrainingLight,
+    updater: &'a Updater,
+    sums: Sums<'a>,
+}
+
+impl Update<'_> {
+    /// From the splats' gradients to new parameters; to new prototypes and light where the physically based branch trains.
+    fn record(
+        &self,
+        recorder: &mut Recorder<'_>,
+        step: &DeviceStep,
+        mut frame: Differentiated<'_>,
+    ) -> Result<(), DeviceError> {
+        let (physical, sums) = (step.branches.is_physical(), self.sums);
+        let mut weights = step.weights.parameters;
+        if self.shape.shading.visibility == VisibilityForm::Off {
+            (weights.probe_labels, weights.view_labels) = (0.0, 0.0);
+        }
+        let view_labels = match weights.view_labels {
+            0.0 => None,
+            _ => Some(frame.backward_labels(recorder)?),
+        };
+        let indirect = if physical { self.shape.shading.indirect } else { IndirectForm::Off };
+        let basis = (&self.light.light.indirect_basis, &self.light.basis_gradient);
+        let upstream = Upstream {
+            indirect_basis: (indirect == IndirectForm::Learned).then_some(basis),
+            probe_labels: self.state.measured.labels.as_ref(),
+            view_labels: view_labels.as_ref(),
+            ..Upstream::new(&frame)
+        };
+        let model = &self.state.model;
+        let input = StepInput { model, upstream, sums, weights };
+        self.updater.step(recorder, &input, &step.sizes, step.counts);
+        if physical {
+            let (turn, weights) = (step.light.radians, &step.weights.light);
+            self.light.backward(recorder, model, turn, weights, indirect, sums.globals_gradient);
+            self.updater.step_globals(recorder, model, &sums, &step.sizes, step.counts);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,50 @@
+//! The differentiable renderer. `docs/MODEL.md` says what every engine computes; [`mod@reference`] computes it in f64,
+//! [`cpu`] fast on any machine, [`gpu`] on a graphics card.
+//!
+//! [`Device`] opens an engine. [`Training`] and [`Frames`] are all that a trainer and a renderer ask of it.
+
+pub mod adam;
+mod adapter;
+mod camera;
+pub mod cpu;
+mod density;
+mod device;
+mod error;
+mod frame;
+mod frame_job;
+mod frames;
+#[cfg(feature = "gpu")]
+pub mod gpu;
+mod gradients;
+mod indirect;
+mod light_turn;
+mod objective;
+mod probing;
+mod ray_job;
+mod state;
+mod step;
+mod training;
+mod zeros;
+
+pub use adam::{StepCounts, StepSizes};
+pub use adapter::{AdapterReport, DeviceChoice, choose_adapter};
+pub use camera::RasterCamera;
+pub use relume_layout::constants::TILE;
+pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin};
+pub use device::{Device, adapters};
+pub use error::DeviceError;
+pub use frame::Frame;
+pub use frame_job::{BOUNCES, DeviceFrames, DeviceLight, FrameJob, PROBE_DIRECTIONS, ShadeColour};
+pub use frames::{FrameLight, Frames};
+pub use gradients::{Gradients, RowLayout};
+pub use indirect::{NO_INDIRECT_BASIS, indirect_basis, indirect_basis_backward};
+pub use light_turn::{LightTurn, LightTurns};
+pub use objective::{
+    ImageWeights, LightWeights, ParameterWeights, StepWeights, SurfaceWeights, upward_share,
+};
+pub use probing::{ProbeSettings, fibonacci_sphere, towards_light};
+pub use ray_job::{RayLight, RayTree};
+pub use state::{Moments, TrainState};
+pub use step::{Branches, FieldUpdate, Photo, PhotoId, PhotoSize, ProbeMeasurement, Step, StepSums};
+pub use training::{Training, TrainingLimits};
+pub use zeros::zeros;

@@ -1,0 +1,70 @@
+//! Transmittance probes as both engines measure them: their directions and how they keep clear of their own surface
+//! (docs/MODEL.md section 6).
+
+use glam::Vec3;
+
+use relume_scene::{ShadingOptions, SplitLight};
+
+/// `n` directions spread evenly over the sphere (Fibonacci spiral).
+pub fn fibonacci_sphere(n: usize) -> Vec<[f32; 3]> {
+    let golden = std::f64::consts::PI * (1.0 + 5.0f64.sqrt());
+    (0..n)
+        .map(|i| {
+            let z = 1.0 - 2.0 * (i as f64 + 0.5) / n as f64;
+            let r = (1.0 - z * z).max(0.0).sqrt();
+            let phi = golden * (i as f64 + 0.5);
+            [(r * phi.cos()) as f32, (r * phi.sin()) as f32, z as f32]
+        })
+        .collect()
+}
+
+/// Angular radius up to which a light is as small as a point, radians.
+const POINT: f32 = 0.5 * std::f32::consts::PI / 180.0;
+
+/// Directions over which the transmittance towards a light is averaged: its centre, and around it six of its disc where
+/// it is wide enough for a soft edge. Their mean square distance from the centre is that of the disc.
+pub fn towards_light(light: &SplitLight) -> Vec<[f32; 3]> {
+    let centre = light.direction;
+    if !(light.radius > POINT) {
+        return vec![centre];
+    }
+    let [z, x, y] = {
+        let z = Vec3::from(centre);
+        let (x, y) = z.any_orthonormal_pair();
+        [z, x, y]
+    };
+    let ring = light.radius.min(1.0) * (7.0f32 / 12.0).sqrt();
+    let around = (0..6).map(|k| {
+        let (sin, cos) = (k as f32 * std::f32::consts::FRAC_PI_3).sin_cos();
+        (z + ring.tan() * (cos * x + sin * y)).normalize().to_array()
+    });
+    std::iter::once(centre).chain(around).collect()
+}
+
+/// How a query keeps clear of the surface it starts from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ProbeSettings {
+    /// Start this many standard deviations along the outward normal.
+    pub offset: f32,
+    /// Start this much further along the outward normal, world units.
+    pub lift: f32,
+    /// An occluder must be this many of its own standard deviations further along the direction.
+    pub clearance: f32,
+    /// And this much besides, world units.
+    pub bias: f32,
+    /// And no further than this, world units.
+    pub reach: f32,
+}
+
+impl ProbeSettings {
+    /// The settings a model is trained and rendered with.
+    pub fn of(options: &ShadingOptions) -> Self {
+        Self { reach: options.occluder_reach.unwrap_or(f32::INFINITY), ..Self::default() }
+    }
+}
+
+impl Default for ProbeSettings {
+    fn default() -> Self {
+        Self { offset: 1.0, lift: 0.0, clearance: 2.0, bias: 0.03, reach: f32::INFINITY }
+    }
+}

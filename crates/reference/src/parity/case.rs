@@ -1,0 +1,127 @@
+//! What is computed by every engine, and what comes of it.
+
+use relume_engine::cpu::BufferGradient;
+use crate::{Arrays, TableOperators};
+use relume_scene::light::{EnvOperators, TableResolution};
+use relume_scene::{Camera, LightSplit, MAX_LIGHTS, Model};
+
+/// Tables of environments of one size, for the reference and for the others.
+pub struct LightShape {
+    pub(super) tables: TableOperators,
+    pub(super) operators: EnvOperators,
+}
+
+impl LightShape {
+    /// For environments of `width` x `height` texels and visibility of degree `order`.
+    pub fn new(width: usize, height: usize, order: usize, resolution: TableResolution) -> Self {
+        Self {
+            tables: TableOperators::new(width, height, resolution),
+            operators: EnvOperators::new(width, height, order, resolution),
+        }
+    }
+
+    /// The same with lights taken out, as `split` says.
+    #[must_use]
+    pub fn with_lights(&self, split: &LightSplit) -> Self {
+        Self { tables: self.tables.with_lights(split), operators: self.operators.with_lights(split) }
+    }
+}
+
+/// A view, and the weights of the number whose gradient is asked for: a sum over both images and over the normal, plane,
+/// metalness, roughness and coverage buffers. The GPU engine leaves learned indirect light out.
+pub struct ParityCase<'a> {
+    /// What is rendered.
+    pub model: &'a Model,
+    /// From where, in the model's world.
+    pub camera: &'a Camera,
+    /// Display-referred.
+    pub background: [f32; 3],
+    /// Measured indirect light per Gaussian; empty = none.
+    pub gathered: &'a [[f32; 6]],
+    /// Share of each of the light's own lights that arrives per Gaussian; empty = all of it.
+    pub arriving: &'a [[f32; MAX_LIGHTS]],
+    /// Fits the model's environment.
+    pub light: &'a LightShape,
+    /// Weights of the physically based image, row-major.
+    pub physical: Vec<[f32; 3]>,
+    /// Weights of the radiance branch.
+    pub radiance: Vec<[f32; 3]>,
+    /// Weights of the buffers (blended, not divided by coverage).
+    pub buffers: Vec<BufferGradient>,
+}
+
+/// A splat in front of the camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SplatSeen {
+    /// Which Gaussian.
+    pub gaussian: usize,
+    /// Projected mean, pixels.
+    pub mean: [f64; 2],
+    /// Inverse screen covariance xx, xy, yy.
+    pub conic: [f64; 3],
+}
+
+/// An engine's result.
+#[derive(Debug, Clone)]
+pub struct ParityResult {
+    /// The physically based image, display-referred.
+    pub physical: Vec<[f64; 3]>,
+    /// The radiance branch, display-referred.
+    pub radiance: Vec<[f64; 3]>,
+    /// Accumulated alpha.
+    pub coverage: Vec<f64>,
+    /// By parameter name, as the reference names them.
+    pub gradients: Arrays,
+    /// Splats that are drawn, by Gaussian.
+    pub splats: Vec<SplatSeen>,
+}
+
+impl ParityResult {
+    /// True when every pixel and gradient is a finite number.
+    pub fn is_finite(&self) -> bool {
+        let images = self.physical.iter().chain(&self.radiance).flatten().chain(&self.coverage);
+        let gradients = self.gradients.values().flat_map(|a| a.data());
+        images.chain(gradients).all(|v| v.is_finite())
+    }
+}
+
+impl<'a> ParityCase<'a> {
+    /// The case with seeded weights in [-1, 1); without gathered light.
+    pub fn new(
+        model: &'a Model,
+        camera: &'a Camera,
+        background: [f32; 3],
+        light: &'a LightShape,
+        seed: u64,
+    ) -> Self {
+        let mut state = seed ^ 0x5eed;
+        let mut next = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f32 / 8_388_608.0 - 1.0
+        };
+        let pixels = camera.width as usize * camera.height as usize;
+        let mut triple = || [next(), next(), next()];
+        let physical = (0..pixels).map(|_| triple()).collect();
+        let radiance = (0..pixels).map(|_| triple()).collect();
+        let buffers = (0..pixels)
+            .map(|_| {
+                let (normal, [plane, metal, rough]) = (triple(), triple());
+                BufferGradient { normal, plane, metal, rough, coverage: metal - rough }
+            })
+            .collect();
+        Self { model, camera, background, gathered: &[], arriving: &[], light, physical, radiance, buffers }
+    }
+
+    /// Leaves the pixels out that are false in `counted`.
+    pub fn keep(&mut self, counted: &[bool]) {
+        for (i, _) in counted.iter().enumerate().filter(|(_, counted)| !**counted) {
+            self.physical[i] = [0.0; 3];
+            self.radiance[i] = [0.0; 3];
+            self.buffers[i] = BufferGradient::default();
+        }
+    }
+
+    pub(super) fn pixels(&self) -> usize {
+        self.physical.len()
+    }
+}

@@ -1,0 +1,247 @@
+//! One case on three engines: the CPU and the GPU engine are compared with the f64 reference.
+
+use std::sync::LazyLock;
+
+use glam::DVec3;
+use relume_compare::relative_error;
+use relume_engine::Device;
+use relume_reference::parity::{
+    LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, steady_pixels,
+};
+use relume_scene::light::TableResolution;
+use relume_scene::{Camera, Field, Gaussians, Model, ShadingOptions};
+
+pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
+pub(super) const ENV: (usize, usize) = (8, 4);
+pub(super) const ORDER: usize = 2;
+pub(super) const TABLES: TableResolution = TableResolution { diffuse: 5, sharp: 7, rough: 5 };
+/// How far from a threshold of alpha a splat must be in a pixel for the pixel to count.
+const MARGIN: f64 = 2e-3;
+/// A parameter's gradient is measured against its largest entry, but at least against this share of the largest of all:
+/// where the true gradient is nothing, what is left of cancelled terms is no error.
+const LEAST_SHARE: f64 = 1e-5;
+
+pub(super) static LIGHT: LazyLock<LightShape> =
+    LazyLock::new(|| LightShape::new(ENV.0, ENV.1, ORDER, TABLES));
+
+/// A reproducible stream of numbers in [-1, 1).
+pub(super) struct Noise(pub(super) u64);
+
+impl Noise {
+    pub(super) fn next(&mut self) -> f32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 40) as f32 / 8_388_608.0 - 1.0
+    }
+}
+
+/// `n` ordinary Gaussians around the origin under an ordinary light.
+pub fn model(n: usize, seed: u64) -> Model {
+    let mut noise = Noise(seed);
+    let mut gaussians = Gaussians::zeroed(n, 3, ORDER, 2);
+    for (field, centre, spread) in [
+        (Field::Mean, 0.0, 0.6),
+        (Field::LogScale, -1.5, 0.6),
+        (Field::Quaternion, 0.1, 1.0),
+        (Field::OpacityLogit, 0.3, 1.5),
+        (Field::Normal, 0.0, 0.3),
+        (Field::MetalLogit, -0.5, 1.5),
+        (Field::RoughLogit, 0.0, 1.5),
+        (Field::Sheen, 0.3, 0.8),
+        (Field::ProtoLogits, 0.0, 1.5),
+        (Field::Residual, 0.0, 0.1),
+        (Field::Visibility, 0.0, 0.2),
+        (Field::Radiance, 0.0, 0.3),
+    ] {
+        gaussians.field_mut(field).iter_mut().for_each(|v| *v = centre + spread * noise.next());
+    }
+    for i in 0..n {
+        gaussians.row_mut(Field::Visibility, i)[0] += 2.2;
+    }
+    let mut triples = |count: usize, centre: f32| {
+        (0..count).map(|_| std::array::from_fn(|_| centre + 0.4 * noise.next())).collect()
+    };
+    Model {
+        gaussians,
+        prototypes: triples(3, 0.5),
+        env_raw: triples(ENV.0 * ENV.1, -0.6),
+        env_width: ENV.0,
+        env_height: ENV.1,
+        lights: Default::default(),
+        shading: ShadingOptions::default(),
+        world_scale: 1.0,
+        world_offset: DVec3::ZERO,
+        framing: None,
+        card: serde_json::Value::Null,
+    }
+}
+
+/// Sets every row of `field` in turn.
+pub(super) fn set<const W: usize>(model: &mut Model, field: Field, rows: &[[f32; W]]) {
+    for (i, row) in rows.iter().enumerate() {
+        model.gaussians.row_mut(field, i).copy_from_slice(row);
+    }
+}
+
+/// Looks at the origin from `eye`, 34 degrees high.
+pub(super) fn looking_from(eye: [f64; 3], size: (u32, u32)) -> Camera {
+    Camera::look_at(eye.into(), DVec3::ZERO, DVec3::Z, 0.6, size).unwrap()
+}
+
+/// From (0, -3, 0): depth is exactly y + 3.
+pub(super) fn in_front(size: (u32, u32)) -> Camera {
+    looking_from([0.0, -3.0, 0.0], size)
+}
+
+/// Makes two tests of each function that takes a `&Device`: one on the CPU engine, one on the GPU engine.
+macro_rules! on_each_engine {
+    ($($case:ident),* $(,)?) => {
+        mod on_cpu {
+            $(#[test]
+            fn $case() {
+                super::$case(&relume_engine::Device::Cpu);
+            })*
+        }
+        mod on_gpu {
+            $(#[test]
+            #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+            fn $case() {
+                super::$case(crate::requirements::gpu_device());
+            })*
+        }
+    };
+}
+pub(super) use on_each_engine;
+
+/// What is allowed, relative to the largest value of an image and to the largest gradient of a parameter.
+#[derive(Clone, Copy)]
+pub(super) struct Bounds {
+    pub(super) image: f64,
+    pub(super) gradient: f64,
+}
+
+/// Ordinary digits of f32.
+pub(super) const TIGHT: Bounds = Bounds { image: 1e-5, gradient: 3e-5 };
+
+/// Worst relative errors of an answer, and the parameter with the worst gradient.
+pub(super) struct Errors {
+    pub(super) image: f64,
+    pub(super) gradient: f64,
+    pub(super) worst: &'static str,
+}
+
+pub(super) fn errors(found: &ParityResult, expected: &ParityResult, kept: &[bool]) -> Errors {
+    let steady = |rows: &[[f64; 3]]| -> Vec<f64> {
+        rows.iter().zip(kept).filter(|(_, kept)| **kept).flat_map(|(p, _)| *p).collect()
+    };
+    let images = [(&found.physical, &expected.physical), (&found.radiance, &expected.radiance)];
+    let image = images.map(|(a, b)| relative_error(&steady(a), &steady(b)));
+    let most = |name| expected.gradients[name].data().iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let overall = expected.gradients.keys().map(&most).fold(0.0, f64::max);
+    let (mut gradient, mut worst) = (0.0, "none");
+    for (name, theirs) in &expected.gradients {
+        let own = most(name).max(1e-9);
+        let error = relative_error(found.gradients[name].data(), theirs.data()) * own
+            / own.max(LEAST_SHARE * overall);
+        if !(error <= gradient) {
+            (gradient, worst) = (error, *name);
+        }
+    }
+    Errors { image: image[0].max(image[1]), gradient, worst }
+}
+
+/// Cases of one test on one engine. Failures are collected, so that one run names them all.
+pub(super) struct Suite<'d> {
+    device: &'d Device,
+    failures: Vec<String>,
+    ended: bool,
+}
+
+impl<'d> Suite<'d> {
+    pub(super) fn on(device: &'d Device) -> Self {
+        Self { device, failures: Vec::new(), ended: false }
+    }
+
+    /// The engine against the reference.
+    pub(super) fn check(&mut self, name: &str, model: &Model, camera: &Camera, bounds: Bounds) {
+        let mut question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
+        let kept = steady_pixels(&question, MARGIN);
+        question.keep(&kept);
+        let expected = by_reference(&question);
+        if !expected.is_finite() {
+            self.failures.push(format!("{name}: the reference itself is not finite"));
+        }
+        let found = self.finite(name, &question);
+        let Errors { image, gradient, worst } = errors(&found, &expected, &kept);
+        let steady = kept.iter().filter(|k| **k).count();
+        eprintln!(
+            "{name}: image {image:.1e}, gradient {gradient:.1e} ({worst}), {steady}/{} pixels",
+            kept.len()
+        );
+        if !(image < bounds.image && gradient < bounds.gradient) {
+            self.failures.push(format!("{name}: image {image:e}, gradient {gradient:e} of {worst}"));
+        }
+    }
+
+    /// Where f64 has no answer, or too slow a one: the engine's answer is finite, and the GPU engine draws the same
+    /// Gaussians as the CPU engine and agrees with it to `bound`.
+    pub(super) fn alike(&mut self, name: &str, model: &Model, camera: &Camera, bound: f64) -> ParityResult {
+        let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
+        let found = self.finite(name, &question);
+        if let Device::Gpu(_) = self.device {
+            let cpu = by_cpu(&question);
+            let drawn = |a: &ParityResult| a.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>();
+            if drawn(&found) != drawn(&cpu) {
+                self.failures.push(format!("{name}: draws other Gaussians than the CPU engine"));
+            }
+            let image = relative_error(found.radiance.as_flattened(), cpu.radiance.as_flattened());
+            eprintln!("{name}: {image:.1e} from the CPU engine");
+            if !(image <= bound) {
+                self.failures.push(format!("{name}: {image:e} from the CPU engine"));
+            }
+        }
+        found
+    }
+
+    fn finite(&mut self, name: &str, question: &ParityCase<'_>) -> ParityResult {
+        let found = answer(self.device, question);
+        if !found.is_finite() {
+            self.failures.push(format!("{name}: not finite"));
+        }
+        found
+    }
+
+    pub(super) fn finish(mut self) {
+        self.ended = true;
+        assert!(self.failures.is_empty(), "{}", self.failures.join("\n"));
+    }
+}
+
+impl Drop for Suite<'_> {
+    fn drop(&mut self) {
+        assert!(self.ended || std::thread::panicking(), "a suite must be finished");
+    }
+}
+
+pub(super) fn answer(device: &Device, question: &ParityCase<'_>) -> ParityResult {
+    match device {
+        Device::Cpu => by_cpu(question),
+        Device::Gpu(gpu) => by_gpu(gpu, question).unwrap(),
+    }
+}
+
+#[test]
+fn the_harness_notices_a_changed_image_a_changed_gradient_and_nan() {
+    let (plain, camera) = (model(8, 1), in_front((16, 12)));
+    let question = ParityCase::new(&plain, &camera, BACKGROUND, &LIGHT, 7);
+    let kept = vec![true; 192];
+    let expected = by_reference(&question);
+    let mut other = plain.clone();
+    other.gaussians.field_mut(Field::RoughLogit)[2] += 0.2;
+    let found = by_cpu(&ParityCase::new(&other, &camera, BACKGROUND, &LIGHT, 7));
+    let e = errors(&found, &expected, &kept);
+    assert!(e.image > TIGHT.image && e.gradient > TIGHT.gradient, "{:e} {:e}", e.image, e.gradient);
+    let mut poisoned = by_cpu(&question);
+    poisoned.radiance[3][1] = f64::NAN;
+    assert!(!poisoned.is_finite());
+    assert_eq!(errors(&poisoned, &expected, &kept).image, f64::INFINITY);
+}

@@ -1,0 +1,150 @@
+//! The Gaussians of a model: one flat array per parameter, so that optimiser, density control and files treat all
+//! parameters in the same way.
+
+use relume_layout::{Field, FieldWidth};
+
+/// Number of real SH coefficients up to degree `order`.
+pub const fn sh_count(order: usize) -> usize {
+    (order + 1) * (order + 1)
+}
+
+/// N Gaussians as arrays of raw (pre-activation) parameters, `field(f)[i * width(f) ..][.. width(f)]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gaussians {
+    len: usize,
+    prototypes: usize,
+    visibility_order: usize,
+    radiance_order: usize,
+    data: [Vec<f32>; Field::COUNT],
+}
+
+impl Gaussians {
+    /// `len` zeroed Gaussians with K = `prototypes`, visibility order L and radiance order d.
+    pub fn zeroed(len: usize, prototypes: usize, visibility_order: usize, radiance_order: usize) -> Self {
+        let mut out = Self { len, prototypes, visibility_order, radiance_order, data: Default::default() };
+        for field in Field::ALL {
+            out.data[field as usize] = vec![0.0; len * out.width(field)];
+        }
+        out
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// True when there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Number of albedo prototypes K a Gaussian mixes.
+    pub fn prototypes(&self) -> usize {
+        self.prototypes
+    }
+
+    /// Highest SH degree of the visibility field.
+    pub fn visibility_order(&self) -> usize {
+        self.visibility_order
+    }
+
+    /// Highest SH degree of the radiance branch.
+    pub fn radiance_order(&self) -> usize {
+        self.radiance_order
+    }
+
+    /// Floats a Gaussian has in `field`.
+    pub fn width(&self, field: Field) -> usize {
+        match field.width() {
+            FieldWidth::Fixed(floats) => floats,
+            FieldWidth::Prototypes => self.prototypes,
+            FieldWidth::Visibility => sh_count(self.visibility_order),
+            FieldWidth::Radiance => 3 * sh_count(self.radiance_order),
+        }
+    }
+
+    /// The whole array of `field`, `len * width` floats.
+    pub fn field(&self, field: Field) -> &[f32] {
+        &self.data[field as usize]
+    }
+
+    /// The whole array of `field`, to be written.
+    pub fn field_mut(&mut self, field: Field) -> &mut [f32] {
+        &mut self.data[field as usize]
+    }
+
+    /// All arrays at once, in [`Field::ALL`] order, each with its width.
+    pub fn fields_mut(&mut self) -> impl Iterator<Item = (Field, usize, &mut Vec<f32>)> {
+        let widths = Field::ALL.map(|f| self.width(f));
+        Field::ALL.into_iter().zip(widths).zip(self.data.iter_mut()).map(|((f, w), d)| (f, w, d))
+    }
+
+    /// The floats of Gaussian `i` in `field`.
+    pub fn row(&self, field: Field, i: usize) -> &[f32] {
+        let w = self.width(field);
+        &self.data[field as usize][i * w..(i + 1) * w]
+    }
+
+    /// The floats of Gaussian `i` in `field`, to be written.
+    pub fn row_mut(&mut self, field: Field, i: usize) -> &mut [f32] {
+        let w = self.width(field);
+        &mut self.data[field as usize][i * w..(i + 1) * w]
+    }
+
+    /// The floats of Gaussian `i` as an array; `W` must be the field's width.
+    pub fn get<const W: usize>(&self, field: Field, i: usize) -> [f32; W] {
+        let mut out = [0.0; W];
+        out.copy_from_slice(self.row(field, i));
+        out
+    }
+
+    /// A copy holding the Gaussians named by `indices`, in that order; an index may repeat.
+    #[must_use]
+    pub fn gathered(&self, indices: &[usize]) -> Self {
+        let mut out = Self { len: indices.len(), data: Default::default(), ..*self };
+        for field in Field::ALL {
+            let rows = indices.iter().flat_map(|&i| self.row(field, i).iter().copied());
+            out.data[field as usize] = rows.collect();
+        }
+        out
+    }
+
+    /// The same with other coefficients of radiance, of degree `order`: `3 (order + 1)^2` a Gaussian, zeros where
+    /// `coefficients` has fewer.
+    #[must_use]
+    pub fn with_radiance(mut self, order: usize, mut coefficients: Vec<f32>) -> Self {
+        self.radiance_order = order;
+        coefficients.resize(self.len * self.width(Field::Radiance), 0.0);
+        self.data[Field::Radiance as usize] = coefficients;
+        self
+    }
+
+    /// True when every float is finite.
+    pub fn is_finite(&self) -> bool {
+        self.data.iter().flatten().all(|v| v.is_finite())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gathering_repeats_and_reorders_rows() {
+        let mut g = Gaussians::zeroed(3, 2, 1, 0);
+        for i in 0..3 {
+            g.row_mut(Field::Mean, i).fill(i as f32);
+        }
+        let picked = g.gathered(&[2, 0, 2]);
+        assert_eq!(picked.field(Field::Mean), &[2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 2.0, 2.0, 2.0]);
+        assert_eq!(picked.field(Field::ProtoLogits).len(), 6);
+    }
+
+    #[test]
+    fn one_nan_anywhere_is_noticed() {
+        let mut g = Gaussians::zeroed(2, 2, 4, 1);
+        assert!(g.is_finite());
+        g.field_mut(Field::Visibility)[30] = f32::NAN;
+        assert!(!g.is_finite());
+    }
+}

@@ -1,0 +1,29 @@
+//! The data of a relightable model: Gaussians, materials, environment, camera, images. No GPU, no input or output.
+
+mod camera;
+mod column_turn;
+mod environment;
+mod gaussians;
+mod illumination;
+mod image;
+pub mod light;
+mod model;
+mod output;
+mod packed_image;
+pub mod srgb;
+
+pub use camera::{Camera, CameraError};
+pub use column_turn::ColumnTurn;
+pub use environment::{
+    BRIGHTEST, EnvMap, EnvMapError, EnvMapStats, direction_to_uv, texel_directions, uv_to_direction,
+};
+pub use gaussians::{Gaussians, sh_count};
+pub use illumination::Illumination;
+pub use image::{ImageRgba, Plane};
+pub use model::{
+    DiffuseForm, Framing, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions,
+    VisibilityForm, softplus, softplus_inverse,
+};
+pub use output::Output;
+pub use packed_image::{BitDepth, PackedImage};
+pub use relume_layout::{Field, FieldWidth, LightSplit, MAX_LIGHTS, SplitLight};

@@ -1,0 +1,39 @@
+//! Light: spherical harmonics, the split-sum BRDF table, and the linear operators that turn an environment
+//! into what a pixel looks up.
+
+mod brdf;
+mod colour;
+mod dominant;
+mod grid;
+mod lobe;
+mod operators;
+mod prefilter;
+mod reflectance;
+mod reflector;
+mod sampler;
+mod sh;
+mod sheen;
+mod split_tables;
+mod tables;
+
+/// Colour of the light under an open sky, linear Rec.709 of mean 1.
+pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
+
+pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
+pub use colour::{LightColour, luminance};
+pub use relume_layout::light::{
+    CLAMPED_COSINE, DIELECTRIC_F0, FULLY_OPEN, LOBE_ORDERS, LUMINANCE, MOST_SHEEN, SPECULAR_LEVELS,
+    UPWARD_LUMINANCE, nrsh_factor,
+};
+pub use dominant::{DominantLight, SplitEnvironment};
+pub use grid::{CubeGrid, Taps};
+pub use lobe::{LobeAttenuation, LobeSample};
+pub use operators::{CompressedRows, EnvOperators, LevelPosition, TableResolution};
+pub use prefilter::rendering_tables;
+pub use reflectance::reflectance_tables;
+pub use reflector::{Reflected, Reflector};
+pub use sampler::{EnvSampler, SamplerTables, Shares, estimate};
+pub use sh::{nrsh, sh_eval, sh_eval_with_gradient};
+pub use sheen::Sheen;
+pub use split_tables::{split_tables, tables_of_split};
+pub use tables::{LightTables, TABLE_LANES, TableLight, padded};

@@ -1,0 +1,244 @@
+//! Light tables for rendering under a posted map of any size, built once a map.
+//!
+//! The training operators are explicit matrices over few texels. A 4k map would need matrices of gigabytes, so here the
+//! same kernels are evaluated on the fly: the diffuse transfer by quadrature over a reduced map, the specular levels by
+//! importance sampling of the lobe with each sample read from the map's pyramid at the sample's own solid angle.
+
+use std::f32::consts::TAU;
+use std::f64::consts::PI;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
+use crate::{EnvMap, sh_count, texel_directions};
+
+/// Rows of the map the diffuse transfer is integrated over.
+const DIFFUSE_ROWS: usize = 32;
+/// Nodes along a cube edge: normals, then each specular level.
+const DIFFUSE_NODES: usize = 17;
+const SPECULAR_NODES: [usize; SPECULAR_LEVELS.len()] = [65, 33, 33, 17, 17, 17];
+/// Lobe samples a node.
+const SAMPLES: u32 = 192;
+
+/// The tables of `map` for visibility fields of degree `order`.
+pub fn rendering_tables(map: &EnvMap, order: usize) -> LightTables {
+    let diffuse_grid = CubeGrid::new(DIFFUSE_NODES);
+    let pyramid = Pyramid::new(map);
+    let specular_grids = SPECULAR_NODES.map(CubeGrid::new);
+    let specular = std::array::from_fn(|k| {
+        let alpha = f64::from(SPECULAR_LEVELS[k]).powi(2);
+        let lobe = pyramid.taps(&lobe_samples(alpha));
+        specular_grids[k].directions().into_par_iter().map(|r| pyramid.filtered(r, &lobe)).collect()
+    });
+    LightTables {
+        diffuse_grid,
+        coefficients: padded(sh_count(order)),
+        diffuse: diffuse_transfer(&diffuse_grid, map, order),
+        specular_grids,
+        specular,
+        lights: Vec::new(),
+    }
+}
+
+/// `T_j(n) = int Y_j L (n . w)+ dw` at each node.
+fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, order: usize) -> Vec<f32> {
+    let small;
+    let map = if map.height() > DIFFUSE_ROWS {
+        small = map.resampled(2 * DIFFUSE_ROWS, DIFFUSE_ROWS);
+        &small
+    } else {
+        map
+    };
+    let n = padded(sh_count(order));
+    let directions = texel_directions(map.width(), map.height());
+    let products: Vec<f32> = directions
+        .iter()
+        .zip(map.texels())
+        .flat_map(|((d, w), l)| {
+            let mut y = vec![0.0f32; n];
+            sh_eval(order, d.to_array().map(|v| v as f32), &mut y);
+            let weight = *w as f32;
+            let l = *l;
+            (0..3).flat_map(move |c| y.clone().into_iter().map(move |y| y * l[c] * weight))
+        })
+        .collect();
+    let nodes = grid.directions();
+    let mut out = vec![0.0f32; nodes.len() * 3 * n];
+    out.par_chunks_mut(3 * n).zip(&nodes).for_each(|(row, node)| {
+        for ((d, _), light) in directions.iter().zip(products.chunks_exact(3 * n)) {
+            let cos = node.dot(*d) as f32;
+            if cos > 0.0 {
+                row.iter_mut().zip(light).for_each(|(o, v)| *o += cos * v);
+            }
+        }
+    });
+    out
+}
+
+/// One sample of the lobe around +Z: direction, weight, solid angle.
+struct LobeDirection {
+    direction: DVec3,
+    weight: f64,
+    solid_angle: f64,
+}
+
+/// Samples of `D(half) cos` with N = V = R, weights summing to 1.
+fn lobe_samples(alpha: f64) -> Vec<LobeDirection> {
+    let mut out: Vec<LobeDirection> = (0..SAMPLES)
+        .filter_map(|i| {
+            let u1 = (f64::from(i) + 0.5) / f64::from(SAMPLES);
+            let u2 = (f64::from(i.reverse_bits()) + 0.5) / 4_294_967_296.0;
+            let cos_h = ((1.0 - u2) / (1.0 + (alpha * alpha - 1.0) * u2)).sqrt();
+            let sin_h = (1.0 - cos_h * cos_h).max(0.0).sqrt();
+            let phi = 2.0 * PI * u1;
+            let h = DVec3::new(sin_h * phi.cos(), sin_h * phi.sin(), cos_h);
+            let direction = 2.0 * cos_h * h - DVec3::Z;
+            // The density of the reflected direction is D(h) cos_h / (4 cos_h).
+            let density = 0.25 * ggx_d(cos_h, alpha);
+            let solid_angle = 1.0 / (f64::from(SAMPLES) * density.max(1e-12));
+            (direction.z > 0.0).then_some(LobeDirection { direction, weight: direction.z, solid_angle })
+        })
+        .collect();
+    let total: f64 = out.iter().map(|s| s.weight).sum();
+    out.iter_mut().for_each(|s| s.weight /= total);
+    out
+}
+
+/// A map and its reductions by two.
+struct Pyramid {
+    levels: Vec<EnvMap>,
+}
+
+/// A sample of a lobe, read between level `low` of a pyramid and the next coarser one.
+struct Tap {
+    direction: Vec3,
+    weight: f32,
+    low: usize,
+    fraction: f32,
+}
+
+impl Pyramid {
+    fn new(map: &EnvMap) -> Self {
+        let mut levels = vec![map.clone()];
+        while let Some(last) = levels.last() {
+            if last.height() <= 4 {
+                break;
+            }
+            let next = last.resampled((last.width() / 2).max(1), (last.height() / 2).max(1));
+            levels.push(next);
+        }
+        Self { levels }
+    }
+
+    /// Where each sample of `lobe` is read.
+    fn taps(&self, lobe: &[LobeDirection]) -> Vec<Tap> {
+        let texel = 4.0 * PI / (self.levels[0].width() * self.levels[0].height()) as f64;
+        let tap = |s: &LobeDirection| {
+            // One level coarser than the sample's own footprint, so that neighbours overlap.
+            let level =
+                (0.5 * (s.solid_angle / texel).log2() + 1.0).clamp(0.0, (self.levels.len() - 1) as f64);
+            let (low, fraction) = (level as usize, level.fract() as f32);
+            Tap { direction: s.direction.as_vec3(), weight: s.weight as f32, low, fraction }
+        };
+        lobe.iter().map(tap).collect()
+    }
+
+    /// Mean radiance of the lobe turned to `r`.
+    fn filtered(&self, r: DVec3, lobe: &[Tap]) -> [f32; 3] {
+        let r = r.as_vec3();
+        let (u, v) = r.any_orthonormal_pair();
+        let mut sum = Vec3::ZERO;
+        for tap in lobe {
+            let uv = to_uv(tap.direction.x * u + tap.direction.y * v + tap.direction.z * r);
+            let fine = bilinear(&self.levels[tap.low], uv);
+            let coarse = bilinear(&self.levels[(tap.low + 1).min(self.levels.len() - 1)], uv);
+            sum += tap.weight * fine.lerp(coarse, tap.fraction);
+        }
+        sum.to_array()
+    }
+}
+
+/// [`direction_to_uv`](crate::direction_to_uv) in single precision: a ten-thousandth of a texel of the largest maps.
+fn to_uv(d: Vec3) -> [f32; 2] {
+    [0.5 - d.y.atan2(d.x) / TAU, d.z.clamp(-1.0, 1.0).acos() / (0.5 * TAU)]
+}
+
+/// [`EnvMap::sample`] in single precision, at `u` in [0, 1] and `v` in [0, 1].
+fn bilinear(map: &EnvMap, [u, v]: [f32; 2]) -> Vec3 {
+    let (width, height) = (map.width(), map.height());
+    let x = u * width as f32 + (width as f32 - 0.5);
+    let y = (v * height as f32 - 0.5).clamp(0.0, (height - 1) as f32);
+    let (left, top) = (x as usize, y as usize);
+    let (fx, fy) = (x - left as f32, y - top as f32);
+    let around = |x: usize| if x >= width { x - width } else { x };
+    let left = around(left);
+    let (right, bottom) = (around(left + 1), (top + 1).min(height - 1));
+    let at = |x: usize, y: usize| Vec3::from(map.texels()[y * width + x]);
+    let upper = at(left, top).lerp(at(right, top), fx);
+    upper.lerp(at(left, bottom).lerp(at(right, bottom), fx), fy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::{EnvOperators, TableResolution};
+    use relume_compare::{largest_difference, worst};
+
+    fn map() -> EnvMap {
+        EnvMap::from_fn(64, 32, |d| {
+            let sun = (40.0 * (d.dot(DVec3::new(0.6, 0.0, 0.8)) - 1.0)).exp();
+            [(8.0 * sun + 0.3) as f32, (5.0 * sun + 0.4) as f32, (0.6 + 0.4 * d.z) as f32]
+        })
+    }
+
+    #[test]
+    fn importance_sampling_agrees_with_the_explicit_operators() {
+        let fast = rendering_tables(&map(), 4);
+        let exact = EnvOperators::new(64, 32, 4, TableResolution { diffuse: 9, sharp: 9, rough: 9 });
+        let exact = exact.apply(map().texels());
+        for k in 2..SPECULAR_LEVELS.len() {
+            for (node, d) in exact.specular_grids[k].directions().iter().enumerate() {
+                let taps = fast.specular_grids[k].lookup(d.to_array().map(|v| v as f32));
+                for c in 0..3 {
+                    let got: f32 = (0..4).map(|j| taps.weight[j] * fast.specular[k][taps.node[j]][c]).sum();
+                    let want = exact.specular[k][node][c];
+                    assert!((got - want).abs() < 0.06 * want + 0.02, "level {k} {d} {got} {want}");
+                }
+            }
+        }
+        for (node, d) in exact.diffuse_grid.directions().iter().enumerate() {
+            let taps = fast.diffuse_grid.lookup(d.to_array().map(|v| v as f32));
+            for c in 0..3 {
+                let rows = taps.node.map(|n| fast.diffuse_rows(n)[c][0]);
+                let got: f32 = (0..4).map(|j| taps.weight[j] * rows[j]).sum();
+                let want = exact.diffuse_rows(node)[c][0];
+                assert!((got - want).abs() < 0.01 * want, "{d} {got} {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_pyramid_is_read_as_a_map_is() {
+        let map =
+            EnvMap::from_fn(61, 31, |d| [(9.0 * d.x).sin() as f32 + 1.5, d.y as f32 + 1.5, d.z as f32 + 1.5]);
+        let error = |turn: f64| {
+            let directions = crate::texel_directions(80, 40).into_iter();
+            let differences = directions.map(|(d, _)| {
+                let expected = map.sample(glam::DQuat::from_rotation_z(turn) * d);
+                largest_difference(&bilinear(&map, to_uv(d.as_vec3())).to_array(), &expected)
+            });
+            worst(differences)
+        };
+        assert!(error(0.0) < 1e-3, "{}", error(0.0));
+        assert!(error(0.01) > 1e-2, "the control: half a degree shows");
+    }
+
+    #[test]
+    fn another_light_gives_other_tables() {
+        let turned = map().rotated_and_scaled(120.0, 1.0);
+        let (a, b) = (rendering_tables(&map(), 0), rendering_tables(&turned, 0));
+        let most = largest_difference(&a.diffuse, &b.diffuse);
+        assert!(most.is_finite() && most > 0.1, "{most}");
+    }
+}

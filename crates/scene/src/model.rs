@@ -1,0 +1,276 @@
+//! A whole relightable model: Gaussians, albedo prototypes, the recovered environment and how to shade them.
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use crate::{EnvMap, Field, Gaussians, Illumination, LightSplit};
+
+/// Form of the visibility field. `linear`: the sum of coefficients times basis functions, clamped to [0, 1].
+/// `sigmoid`: the sigmoid of that sum. `off`: no occlusion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum VisibilityForm {
+    /// `V = sum c Y` (article Eq. 13), clamped to [0, 1] where it is used. V = 1 gives AO = 1 exactly.
+    #[default]
+    Linear,
+    /// `V = sigmoid(sum c Y)`, as in the article's listing.
+    Sigmoid,
+    /// No occlusion: V = 1 everywhere.
+    Off,
+}
+
+/// Form of the diffuse term. `ambient_occlusion`: diffuse light times ambient occlusion. `directional`: the
+/// integral of visibility, light and cosine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DiffuseForm {
+    /// The article's `AO * L_diff(n)` (Eq. 21).
+    AmbientOcclusion,
+    /// `E(n) = sum_j c_j T_j(n)`: the integral of visibility x light x cosine (docs/MODEL.md, section 4).
+    #[default]
+    Directional,
+}
+
+/// Place of shading. `pixel`: in the pixel, from blended attributes (deferred shading). `gaussian`: at each
+/// Gaussian, from its own attributes; the resulting radiance is blended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ShadeAt {
+    /// In the pixel, from blended attributes (deferred shading, as in the article).
+    Pixel,
+    /// At each Gaussian, from its own attributes; the resulting radiance is blended.
+    #[default]
+    Gaussian,
+}
+
+/// Source of the normals. `free`: the normal field itself, normalised. `shortest_axis`: the shortest axis of
+/// the Gaussian, turned towards the camera, plus the normal field as an offset.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum NormalForm {
+    /// The `Normal` field itself, normalised (as in the article's listing).
+    Free,
+    /// The shortest axis, turned towards the camera, plus the `Normal` field as an offset.
+    #[default]
+    ShortestAxis,
+}
+
+/// Light from directions that are not visible. `off`: none. `learned`: 16 learned SH weights on the
+/// low-frequency environment, specular only. `gathered`: irradiance gathered from the occluding Gaussians,
+/// diffuse and specular.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum IndirectForm {
+    /// No light.
+    Off,
+    /// 16 learned SH weights on the low-frequency environment, specular only (Eq. 19-20).
+    Learned,
+    /// Irradiance gathered from the occluding Gaussians, diffuse and specular (docs/MODEL.md, section 6).
+    #[default]
+    Gathered,
+}
+
+/// Options of the forward model. They are stored with the model, because its parameters are valid only with
+/// them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(utoipa::ToSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ShadingOptions {
+    /// Form of the visibility field.
+    pub visibility: VisibilityForm,
+    /// Form of the diffuse term.
+    pub diffuse: DiffuseForm,
+    /// Place of shading.
+    // Files of version 2 had the diffuse term at the Gaussians alone, under this name.
+    #[serde(alias = "diffuse_at")]
+    pub shade_at: ShadeAt,
+    /// Source of normals.
+    pub normal: NormalForm,
+    /// Indirect light.
+    pub indirect: IndirectForm,
+    /// Screen-space low-pass added to the projected covariance, px^2.
+    pub low_pass: f32,
+    /// Scales the opacity so that the low-pass does not change the total weight of a splat (Mip-Splatting).
+    /// Without it, splats become too wide in small images, which costs 4 to 6 dB at half the trained size.
+    pub low_pass_compensation: bool,
+    /// Maximum distance of an occluder, world units. Absent: any distance. Captures without masks include
+    /// their surroundings; distant surroundings are a source of light, not an occluder.
+    pub occluder_reach: Option<f32>,
+    /// True: images are clamped and sRGB-encoded. False: images are only clamped, as in the article's
+    /// listing.
+    pub srgb: bool,
+}
+
+impl ShadingOptions {
+    /// Whether surfaces are shaded with lights that cast shadows of their own.
+    pub fn shades_lights(&self) -> bool {
+        self.shade_at == ShadeAt::Gaussian && self.visibility != VisibilityForm::Off
+    }
+}
+
+impl Default for ShadingOptions {
+    fn default() -> Self {
+        Self {
+            visibility: VisibilityForm::default(),
+            diffuse: DiffuseForm::default(),
+            shade_at: ShadeAt::default(),
+            normal: NormalForm::default(),
+            indirect: IndirectForm::default(),
+            low_pass: 0.3,
+            low_pass_compensation: true,
+            occluder_reach: None,
+            srgb: true,
+        }
+    }
+}
+
+/// A view that is near to photographs: elsewhere, what was not photographed may hide the scene. Capture units.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Framing {
+    /// Where the camera stands.
+    pub eye: DVec3,
+    /// What it looks at.
+    pub target: DVec3,
+    /// Field of view of a square picture, degrees.
+    pub fov_deg: f64,
+}
+
+impl Framing {
+    /// The same if it is a view.
+    pub fn checked(self) -> Option<Self> {
+        let distance = (self.eye - self.target).length();
+        let is_view = distance.is_finite() && distance > 0.0 && self.fov_deg > 0.0 && self.fov_deg < 180.0;
+        is_view.then_some(self)
+    }
+}
+
+/// A relightable model in a normalised world: the scene fills about the unit ball around the origin.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    /// The Gaussians.
+    pub gaussians: Gaussians,
+    /// K albedo prototypes, linear Rec.709 (Eq. 23).
+    pub prototypes: Vec<[f32; 3]>,
+    /// Raw environment of the capture, before softplus, row-major `env_height x env_width`.
+    pub env_raw: Vec<[f32; 3]>,
+    /// Columns of the environment.
+    pub env_width: usize,
+    /// Rows of the environment.
+    pub env_height: usize,
+    /// Strong small lights of that environment whose shadows are measured one by one.
+    pub lights: LightSplit,
+    /// The forward model these parameters were fitted under.
+    pub shading: ShadingOptions,
+    /// Capture to model: `x_model = scale * (x_capture + offset)`.
+    pub world_scale: f64,
+    /// See `world_scale`; capture units.
+    pub world_offset: DVec3,
+    /// How photographs without masks show the scene; absent where masks cut the subject out, which lies in the unit ball then.
+    pub framing: Option<Framing>,
+    /// What was trained, how, and what was decided on what evidence (the model card).
+    pub card: serde_json::Value,
+}
+
+/// Why a model cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("model: {field}: {reason}")]
+pub struct ModelError {
+    /// The array or option at fault.
+    pub field: &'static str,
+    /// What is wrong.
+    pub reason: String,
+}
+
+impl Model {
+    /// The recovered environment as radiance (softplus of the raw values).
+    pub fn environment(&self) -> EnvMap {
+        let texels = self.env_raw.iter().map(|t| t.map(softplus)).collect();
+        match EnvMap::new(self.env_width, self.env_height, texels) {
+            Ok((map, _)) => map,
+            // Unreachable for a checked model; a black map has no light.
+            Err(_) => EnvMap::constant(self.env_width, self.env_height, [0.0; 3]),
+        }
+    }
+
+    /// The light of the photographs, with the small lights that the training found in it.
+    pub fn recovered_light(&self) -> Illumination {
+        let split = (!self.lights.is_empty()).then(|| self.lights.clone());
+        Illumination { environment: self.environment(), split }
+    }
+
+    /// False for a model of colour alone, by its card: trained as one, or imported from a file without materials. It
+    /// cannot be relit.
+    pub fn has_materials(&self) -> bool {
+        let warm_up = self.card.pointer("/config/warm_up").and_then(serde_json::Value::as_f64);
+        let imported = self.card.pointer("/imported/materials").and_then(serde_json::Value::as_bool);
+        warm_up.is_none_or(|share| share < 1.0) && imported != Some(false)
+    }
+
+    /// Checks lengths and finiteness, for models that come from a file.
+    ///
+    /// # Errors
+    /// Names the first array that is at fault.
+    pub fn check(&self) -> Result<(), ModelError> {
+        let err = |field, reason: &str| Err(ModelError { field, reason: reason.to_owned() });
+        if self.prototypes.len() != self.gaussians.prototypes() {
+            return err("prototypes", "their number differs from the Gaussians' K");
+        }
+        if self.env_raw.len() != self.env_width * self.env_height || self.env_raw.is_empty() {
+            return err("environment", "its size does not fit its texels");
+        }
+        if let Some(reason) = self.lights.fault(self.env_raw.len()) {
+            return err("lights", reason);
+        }
+        for field in Field::ALL {
+            check_values(field.name(), self.gaussians.field(field))?;
+        }
+        check_values("prototypes", self.prototypes.as_flattened())?;
+        check_values("environment", self.env_raw.as_flattened())?;
+        if !(self.world_scale.is_finite() && self.world_scale > 0.0 && self.world_offset.is_finite()) {
+            return err("world_scale,world_offset", "must be finite and the scale positive");
+        }
+        if self.framing.is_some_and(|framing| framing.checked().is_none()) {
+            return err("framing", "must look from one point at another, with 0 to 180 degrees");
+        }
+        Ok(())
+    }
+}
+
+/// Largest magnitude of a parameter in a file: its square, and sums of many, stay finite in f32.
+const LARGEST_VALUE: f32 = 1e18;
+
+fn check_values(field: &'static str, values: &[f32]) -> Result<(), ModelError> {
+    let err = |reason: String| Err(ModelError { field, reason });
+    match values.iter().position(|v| !(v.abs() <= LARGEST_VALUE)) {
+        Some(at) if values[at].is_finite() => err(format!("value {at} is beyond {LARGEST_VALUE:e}")),
+        Some(at) => err(format!("value {at} is not finite")),
+        None => Ok(()),
+    }
+}
+
+/// `ln(1 + e^x)` without overflow.
+pub fn softplus(x: f32) -> f32 {
+    if x > 20.0 { x } else { x.exp().ln_1p() }
+}
+
+/// The `x` with `softplus(x) = y`, for y > 0.
+pub fn softplus_inverse(y: f32) -> f32 {
+    if y > 20.0 { y } else { y.max(1e-12).exp_m1().ln() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn softplus_inverts_from_dim_to_half_float_max() {
+        for y in [1e-6f32, 0.1, 1.0, 15.0, 6e4] {
+            assert!((softplus(softplus_inverse(y)) / y - 1.0).abs() < 1e-3, "{y}");
+        }
+    }
+}

@@ -1,0 +1,232 @@
+//! Photographs as they stay in memory: integers of 8 or 16 bits a channel, decoded when they are read.
+
+use std::sync::Arc;
+
+use crate::ImageRgba;
+
+/// Bits of a channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BitDepth {
+    /// Levels of 1/255.
+    Eight,
+    /// Levels of 1/65535.
+    Sixteen,
+}
+
+/// A display-referred image with 3 channels where it is opaque and 4 elsewhere. A clone shares the pixels.
+///
+/// A value that is a level of its depth, as those of an image file are, comes back bit for bit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PackedImage {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    samples: Samples,
+}
+
+/// Row-major pixels.
+#[derive(Debug, Clone, PartialEq)]
+enum Samples {
+    Rgb8(Arc<[[u8; 3]]>),
+    Rgba8(Arc<[[u8; 4]]>),
+    Rgb16(Arc<[[u16; 3]]>),
+    Rgba16(Arc<[[u16; 4]]>),
+}
+
+/// The value of each level of 8 bits.
+const LEVELS8: [f32; 256] = {
+    let mut levels = [0.0; 256];
+    let mut i = 0;
+    while i < 256 {
+        levels[i] = i as f32 / 255.0;
+        i += 1;
+    }
+    levels
+};
+
+/// The nearest level of 8 bits; NaN is 0.
+fn level8(v: f32) -> u8 {
+    (v * 255.0).round() as u8
+}
+
+/// The nearest level of 16 bits; NaN is 0.
+fn level16(v: f32) -> u16 {
+    (v * 65_535.0).round() as u16
+}
+
+fn value8(level: u8) -> f32 {
+    LEVELS8[usize::from(level)]
+}
+
+fn value16(level: u16) -> f32 {
+    f32::from(level) / 65_535.0
+}
+
+impl PackedImage {
+    /// `image` rounded to levels of `depth`, clamped to [0, 1]. It is opaque where every alpha rounds to 1.
+    pub fn new(image: &ImageRgba, depth: BitDepth) -> Self {
+        let is_opaque = match depth {
+            BitDepth::Eight => image.pixels.iter().all(|p| level8(p[3]) == u8::MAX),
+            BitDepth::Sixteen => image.pixels.iter().all(|p| level16(p[3]) == u16::MAX),
+        };
+        let pixels = image.pixels.iter();
+        let samples = match (depth, is_opaque) {
+            (BitDepth::Eight, true) => {
+                Samples::Rgb8(pixels.map(|&[r, g, b, _]| [r, g, b].map(level8)).collect())
+            }
+            (BitDepth::Eight, false) => Samples::Rgba8(pixels.map(|p| p.map(level8)).collect()),
+            (BitDepth::Sixteen, true) => {
+                Samples::Rgb16(pixels.map(|&[r, g, b, _]| [r, g, b].map(level16)).collect())
+            }
+            (BitDepth::Sixteen, false) => Samples::Rgba16(pixels.map(|p| p.map(level16)).collect()),
+        };
+        Self { width: image.width, height: image.height, samples }
+    }
+
+    /// Bits of a channel.
+    pub fn depth(&self) -> BitDepth {
+        match self.samples {
+            Samples::Rgb8(_) | Samples::Rgba8(_) => BitDepth::Eight,
+            Samples::Rgb16(_) | Samples::Rgba16(_) => BitDepth::Sixteen,
+        }
+    }
+
+    /// True when no pixel is transparent.
+    pub fn is_opaque(&self) -> bool {
+        matches!(self.samples, Samples::Rgb8(_) | Samples::Rgb16(_))
+    }
+
+    /// Number of pixels.
+    pub fn len(&self) -> usize {
+        match &self.samples {
+            Samples::Rgb8(pixels) => pixels.len(),
+            Samples::Rgba8(pixels) => pixels.len(),
+            Samples::Rgb16(pixels) => pixels.len(),
+            Samples::Rgba16(pixels) => pixels.len(),
+        }
+    }
+
+    /// True when there are no pixels.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Bytes of memory that the pixels take, all clones together.
+    pub fn bytes(&self) -> usize {
+        match &self.samples {
+            Samples::Rgb8(pixels) => size_of_val(&pixels[..]),
+            Samples::Rgba8(pixels) => size_of_val(&pixels[..]),
+            Samples::Rgb16(pixels) => size_of_val(&pixels[..]),
+            Samples::Rgba16(pixels) => size_of_val(&pixels[..]),
+        }
+    }
+
+    /// True when both are clones of one image, whose pixels are in memory once.
+    pub fn shares_pixels_with(&self, other: &Self) -> bool {
+        match (&self.samples, &other.samples) {
+            (Samples::Rgb8(a), Samples::Rgb8(b)) => Arc::ptr_eq(a, b),
+            (Samples::Rgba8(a), Samples::Rgba8(b)) => Arc::ptr_eq(a, b),
+            (Samples::Rgb16(a), Samples::Rgb16(b)) => Arc::ptr_eq(a, b),
+            (Samples::Rgba16(a), Samples::Rgba16(b)) => Arc::ptr_eq(a, b),
+            _ => false,
+        }
+    }
+
+    /// Pixel `i`, row-major: `r g b a`, straight alpha, in [0, 1].
+    #[inline]
+    pub fn pixel(&self, i: usize) -> [f32; 4] {
+        match &self.samples {
+            Samples::Rgb8(pixels) => opaque(pixels[i].map(value8)),
+            Samples::Rgba8(pixels) => pixels[i].map(value8),
+            Samples::Rgb16(pixels) => opaque(pixels[i].map(value16)),
+            Samples::Rgba16(pixels) => pixels[i].map(value16),
+        }
+    }
+
+    /// All pixels in order, as [`Self::pixel`] has them.
+    pub fn pixels(&self) -> impl ExactSizeIterator<Item = [f32; 4]> + '_ {
+        (0..self.len()).map(|i| self.pixel(i))
+    }
+
+    /// The alpha channel, row-major.
+    pub fn alpha(&self) -> Vec<f32> {
+        self.pixels().map(|p| p[3]).collect()
+    }
+
+    /// The image as floats.
+    pub fn decoded(&self) -> ImageRgba {
+        ImageRgba { width: self.width, height: self.height, pixels: self.pixels().collect() }
+    }
+
+    /// The image reduced to `width` x `height` by area averaging with premultiplied alpha, at the same depth. It shares its
+    /// pixels with this one where that is its size.
+    #[must_use]
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        if (width, height) == (self.width, self.height) {
+            return self.clone();
+        }
+        let reduced = ImageRgba::reduced((self.width, self.height), (width, height), |i| self.pixel(i));
+        Self::new(&reduced, self.depth())
+    }
+}
+
+fn opaque([r, g, b]: [f32; 3]) -> [f32; 4] {
+    [r, g, b, 1.0]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use relume_compare::{largest_difference, worst};
+
+    /// One row whose red is every level of `levels`, with an alpha of one level less than whole in the first pixel if asked for.
+    fn ramp(levels: u32, transparent: bool) -> ImageRgba {
+        let last = (levels - 1) as f32;
+        let value = |n: u32| n as f32 / last;
+        let pixel = |n: u32| {
+            let alpha = if transparent && n == 0 { value(levels - 2) } else { 1.0 };
+            [value(n), value(levels - 1 - n), value(n / 2), alpha]
+        };
+        ImageRgba { width: levels, height: 1, pixels: (0..levels).map(pixel).collect() }
+    }
+
+    #[test]
+    fn levels_of_a_file_come_back_bit_for_bit() {
+        for transparent in [false, true] {
+            let (eight, sixteen) = (ramp(256, transparent), ramp(65_536, transparent));
+            assert_eq!(PackedImage::new(&eight, BitDepth::Eight).decoded(), eight);
+            assert_eq!(PackedImage::new(&sixteen, BitDepth::Sixteen).decoded(), sixteen);
+            let coarse = PackedImage::new(&sixteen, BitDepth::Eight).decoded();
+            assert_ne!(coarse, sixteen, "the control: 8 bits do not hold 16");
+            let error = largest_difference(coarse.pixels.as_flattened(), sixteen.pixels.as_flattened());
+            assert!(error <= 0.5 / 255.0 + 1e-6, "{error}");
+        }
+    }
+
+    #[test]
+    fn an_opaque_image_takes_three_channels_and_another_four() {
+        let bytes = |transparent, depth| PackedImage::new(&ramp(256, transparent), depth).bytes() / 256;
+        assert_eq!(bytes(false, BitDepth::Eight), 3);
+        assert_eq!(bytes(true, BitDepth::Eight), 4);
+        assert_eq!([bytes(false, BitDepth::Sixteen), bytes(true, BitDepth::Sixteen)], [6, 8]);
+    }
+
+    #[test]
+    fn values_outside_are_clamped_and_what_is_no_number_is_black() {
+        let image = ImageRgba { width: 1, height: 1, pixels: vec![[-1.0, 2.0, f32::NAN, 1.0]] };
+        for depth in [BitDepth::Eight, BitDepth::Sixteen] {
+            assert_eq!(PackedImage::new(&image, depth).pixel(0), [0.0, 1.0, 0.0, 1.0]);
+        }
+    }
+
+    #[test]
+    fn a_reduced_image_is_that_of_the_floats_to_half_a_level_and_one_of_the_same_size_is_shared() {
+        let packed = PackedImage::new(&ramp(256, true), BitDepth::Eight);
+        let (small, exact) = (packed.resized(64, 1), packed.decoded().resized(64, 1));
+        let error = worst(small.pixels().zip(&exact.pixels).map(|(a, b)| largest_difference(&a, b)));
+        assert!(error > 0.0 && error <= 0.5 / 255.0 + 1e-6, "{error}");
+        assert!(packed.resized(256, 1).shares_pixels_with(&packed));
+        assert!(!small.shares_pixels_with(&packed), "the control");
+    }
+}

@@ -1,0 +1,55 @@
+//! Rectangle of a photograph that shows a grey card.
+
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// Rectangle of a photograph that shows a white or grey surface which receives all of the light.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GreyCard {
+    /// The photograph: its path in the capture, or the end of that path.
+    pub photo: String,
+    /// Left edge, in pixels of the stored photograph.
+    pub x: u32,
+    /// Upper edge, in pixels of the stored photograph.
+    pub y: u32,
+    /// Width in pixels, at least 1.
+    pub width: u32,
+    /// Height in pixels, at least 1.
+    pub height: u32,
+}
+
+/// `PHOTO:X,Y,WIDTH,HEIGHT`.
+impl FromStr for GreyCard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let read = || {
+            let (photo, rectangle) = text.rsplit_once(':')?;
+            let numbers: Vec<u32> =
+                rectangle.split(',').map(|n| n.trim().parse().ok()).collect::<Option<_>>()?;
+            let [x, y, width, height] = numbers[..] else { return None };
+            Some(Self { photo: photo.to_owned(), x, y, width, height })
+        };
+        read().ok_or_else(|| {
+            "must be PHOTO:X,Y,WIDTH,HEIGHT in pixels, e.g. IMG_7.jpg:1200,800,90,60".to_owned()
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_card_is_read_from_text() {
+        let read = |text: &str| text.parse::<GreyCard>();
+        assert_eq!(read("a.png:5,2,2,3").unwrap(), GreyCard { photo: "a.png".into(), x: 5, y: 2, width: 2, height: 3 });
+        assert_eq!(read("C:/x/a.png: 5, 2, 2, 3").unwrap().photo, "C:/x/a.png");
+        for bad in ["a.png", "5,2,2,3", "a.png:5,2,2", "a.png:5,2,2,-3", "a.png:0.1,0.2,0.3,0.4"] {
+            assert!(read(bad).unwrap_err().contains("WIDTH"), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,184 @@
+use super::*;
+use relume_scene::IndirectForm;
+
+#[test]
+fn overrides_change_only_what_they_name() {
+    let overrides = TrainOverrides { iterations: Some(7), ..Default::default() };
+    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    assert_eq!(TrainConfig { iterations: 1_500, ..config }, TrainConfig::preset(Preset::Draft));
+}
+
+#[test]
+fn what_a_caller_names_is_forced_and_nothing_else_is() {
+    let forced = |o: TrainOverrides| TrainConfig::new(Preset::Draft, &o).unwrap().forced;
+    assert_eq!(
+        forced(TrainOverrides { visibility_order: Some(3), ..Default::default() }),
+        [ComplexitySetting::Visibility]
+    );
+    let shading = forced(TrainOverrides { shading: Some(ShadingOptions::default().into()), ..Default::default() });
+    assert_eq!(shading, [ComplexitySetting::Visibility, ComplexitySetting::Indirect]);
+    assert!(forced(TrainOverrides { iterations: Some(9), ..Default::default() }).is_empty());
+}
+
+#[test]
+fn what_is_forced_has_the_order_of_stored_files() {
+    let overrides = TrainOverrides {
+        prototypes: Some(4),
+        bounces: Some(1),
+        sheen: Some(true),
+        shading: Some(ShadingOptions::default().into()),
+        ..Default::default()
+    };
+    let forced = TrainConfig::new(Preset::Draft, &overrides).unwrap().forced;
+    let json = serde_json::to_value(forced).unwrap();
+    assert_eq!(json, serde_json::json!(["visibility", "indirect", "sheen", "prototypes"]));
+}
+
+#[test]
+fn what_is_out_of_range_is_named() {
+    let refused = |o: TrainOverrides| TrainConfig::new(Preset::Draft, &o).unwrap_err();
+    let none = refused(TrainOverrides { iterations: Some(0), ..Default::default() });
+    assert_eq!((none.field.as_str(), none.reason.as_str()), ("iterations", "0 is outside 1 to 1000000"));
+    let share = refused(TrainOverrides { warm_up: Some(f32::NAN), ..Default::default() });
+    assert_eq!(share.to_string(), "warm_up: NaN is outside 0 to 1");
+    let rates = LearningRates { mean: f32::INFINITY, ..Default::default() };
+    let rate = refused(TrainOverrides { rates: Some(rates.into()), ..Default::default() });
+    assert_eq!(rate.to_string(), "rates.mean: must lie in 0 to 1000");
+    let unknown = serde_json::from_str::<TrainOverrides>(r#"{"iterration": 5}"#).unwrap_err();
+    assert!(unknown.to_string().contains("iterration"));
+}
+
+#[test]
+fn the_documented_ranges_are_those_that_are_checked() {
+    let ranges: Vec<_> = documented().into_iter().filter(|(.., range)| !range.is_empty()).collect();
+    assert_eq!(ranges.len(), 17);
+    for (name, documentation, range) in ranges {
+        let plain = documentation.replace(',', "");
+        assert!(plain.contains(&format!(" {}", range[0])), "{name}: {documentation:?}, {range:?}");
+    }
+}
+
+#[test]
+fn a_configuration_reads_back_and_an_older_one_reads_without_the_newer_settings() {
+    let overrides: TrainOverrides =
+        serde_json::from_str(r#"{"seed": 3, "light": {"environment": "studio"}, "bounces": 1}"#).unwrap();
+    let config = TrainConfig::new(Preset::High, &overrides).unwrap();
+    let mut json = serde_json::to_value(&config).unwrap();
+    assert_eq!(serde_json::from_value::<TrainConfig>(json.clone()).unwrap(), config);
+    let newer = ["albedo_rounds", "metalness", "sheen", "complexity", "forced", "light", "light_rotations"];
+    newer.iter().for_each(|name| drop(json.as_object_mut().unwrap().remove(*name)));
+    let old: TrainConfig = serde_json::from_value(json.clone()).unwrap();
+    assert_eq!((old.albedo_rounds, old.metalness, old.sheen, old.light_rotations), (0, true, true, true));
+    assert_eq!((old.complexity, old.forced, old.light), (Complexity::Full, Vec::new(), None));
+    json.as_object_mut().unwrap().remove("seed");
+    assert!(serde_json::from_value::<TrainConfig>(json).is_err(), "the control: every file has a seed");
+}
+
+#[test]
+fn an_estimated_colour_holds_until_the_second_restart() {
+    let config = TrainConfig::preset(Preset::Draft);
+    let first = config.warm_up_steps();
+    let is_round = |step: &u32| config.is_albedo_round(*step);
+    let second = (first..config.iterations).filter(is_round).nth(1).unwrap();
+    let weight = |step: u32| config.light_colour_weight(step as f32 / config.iterations as f32);
+    assert_eq!(weight(first), config.weights.light_colour);
+    assert_eq!(weight(second - 2), config.weights.light_colour);
+    assert_eq!(weight(second + 2), 0.0);
+}
+
+#[test]
+fn the_radiance_branch_weighs_more_without_masks() {
+    let config = TrainConfig::preset(Preset::Draft);
+    assert_eq!(config.radiance_weight(true), config.weights.radiance);
+    assert!(config.radiance_weight(false) > config.weights.radiance);
+}
+
+#[test]
+fn restarts_come_at_odd_tenths_of_the_material_steps() {
+    let config = TrainConfig { albedo_rounds: 3, ..TrainConfig::preset(Preset::Draft) };
+    let steps: Vec<u32> = (0..config.iterations).filter(|s| config.is_albedo_round(*s)).collect();
+    assert_eq!(steps, [375 + 112, 375 + 337, 375 + 562]);
+    let none = TrainConfig { albedo_rounds: 0, ..config };
+    assert!(!(0..none.iterations).any(|s| none.is_albedo_round(s)), "the control");
+}
+
+/// The configuration of `method`, with the method's name taken off it.
+fn of_method(method: Method, overrides: TrainOverrides) -> TrainConfig {
+    let overrides = TrainOverrides { method: Some(method), ..overrides };
+    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    assert_eq!(config.method, method);
+    TrainConfig { method: Method::Relume, ..config }
+}
+
+#[test]
+fn every_method_is_a_model_of_its_own_and_ours_changes_nothing() {
+    let ours = TrainConfig::preset(Preset::Draft);
+    assert_eq!(of_method(Method::Relume, TrainOverrides::default()), ours);
+    let mut seen = Vec::new();
+    for method in Method::ALL {
+        let config = of_method(method, TrainOverrides::default());
+        assert!(!seen.contains(&config), "{method:?} repeats another");
+        assert_eq!(config == ours, method == Method::Relume, "{method:?}");
+        assert_eq!(config.warm_up < 1.0, method != Method::Splatting, "{method:?}");
+        let learns_indirect = config.shading.indirect == IndirectForm::Learned;
+        assert!(
+            !learns_indirect || config.labels != LabelSource::Probes,
+            "{method:?}: nothing would train it"
+        );
+        seen.push(config);
+    }
+}
+
+#[test]
+fn a_caller_wins_over_the_method() {
+    let caller = TrainOverrides { prototypes: Some(5), seed: Some(3), ..Default::default() };
+    let config = of_method(Method::GaussianShader, caller);
+    assert_eq!((config.prototypes, config.seed, config.bounces), (5, 3, 0));
+    let alone = of_method(Method::GaussianShader, TrainOverrides::default());
+    assert_eq!(alone.prototypes, 1, "the control");
+    let forced = [
+        ComplexitySetting::Visibility,
+        ComplexitySetting::Indirect,
+        ComplexitySetting::Sheen,
+        ComplexitySetting::Prototypes,
+    ];
+    assert_eq!(alone.forced, forced);
+}
+
+#[test]
+fn files_without_a_method_are_ours_and_ours_writes_none() {
+    let json = serde_json::to_value(TrainConfig::preset(Preset::Draft)).unwrap();
+    assert!(json.get("method").is_none());
+    assert_eq!(serde_json::from_value::<TrainConfig>(json).unwrap().method, Method::Relume);
+    let other = TrainOverrides { method: Some(Method::GsIr), ..Default::default() };
+    let json = serde_json::to_value(TrainConfig::new(Preset::Draft, &other).unwrap()).unwrap();
+    assert_eq!(json["method"], "gs-ir", "the control");
+    let unknown = serde_json::from_str::<TrainOverrides>(r#"{"method": "nerf"}"#).unwrap_err();
+    assert!(unknown.to_string().contains("gaussian-shader"), "{unknown}");
+}
+
+#[test]
+fn changes_of_a_group_keep_what_the_method_set() {
+    let read = |json: &str| serde_json::from_str::<TrainOverrides>(json).unwrap();
+    let weights = |json: &str| TrainConfig::new(Preset::Draft, &read(json)).unwrap().weights;
+    let ours = LossWeights::default();
+    let alone = weights(r#"{"method": "3dgs"}"#);
+    assert_eq!((alone.depth_normal, alone.flatness), (0.0, 0.0));
+    let changed = weights(r#"{"method": "3dgs", "weights": {"smoothness": 0.02}}"#);
+    assert_eq!(changed, LossWeights { smoothness: 0.02, ..alone });
+    let own = weights(r#"{"weights": {"smoothness": 0.02}}"#);
+    assert_eq!(own, LossWeights { smoothness: 0.02, ..ours }, "the control: our method has these terms");
+    let shading = |json: &str| TrainConfig::new(Preset::Draft, &read(json)).unwrap().shading;
+    let article = shading(r#"{"method": "article"}"#);
+    let changed = shading(r#"{"method": "article", "shading": {"low_pass": 0.1}}"#);
+    assert_eq!(changed, ShadingOptions { low_pass: 0.1, ..article });
+    assert_ne!(article, ShadingOptions::default(), "the control");
+}
+
+#[test]
+fn whole_groups_of_stored_jobs_read_as_they_were() {
+    let whole = serde_json::to_value(LossWeights { l1: 0.5, ..Default::default() }).unwrap();
+    let overrides: TrainOverrides = serde_json::from_value(serde_json::json!({ "weights": whole })).unwrap();
+    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    assert_eq!(config.weights, LossWeights { l1: 0.5, ..Default::default() });
+}

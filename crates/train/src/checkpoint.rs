@@ -1,0 +1,253 @@
+//! Checkpoints: the whole state of a training as one safetensors file with a versioned header.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use rand_chacha::ChaCha8Rng;
+use safetensors::SafeTensors;
+use serde::{Deserialize, Serialize};
+
+use relume_engine::{DensityStats, Moments, TrainState};
+use relume_capture::formats::model_file::{self, Tensor, floats};
+use relume_scene::light::LightColour;
+use relume_scene::{Field, Gaussians, MAX_LIGHTS};
+use relume_spec::training::TrainConfig;
+use crate::complexity::state::ComplexityState;
+use crate::crop::{CutOut, Region, SILHOUETTE};
+use crate::dataset::Gain;
+use crate::error::TrainError;
+use crate::state::ScheduleState;
+
+const VERSION: u32 = 1;
+const HEADER_KEY: &str = "relume_checkpoint";
+/// Tensor of the summed absgrad; the name is that of all files of this version.
+const ABSGRAD_KEY: &str = "density.pull";
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    version: u32,
+    config: TrainConfig,
+    step: u32,
+    order: Vec<u32>,
+    cursor: u32,
+    rng: ChaCha8Rng,
+    rate_factor: f32,
+    seconds: f64,
+    #[serde(default)]
+    complexity: ComplexityState,
+    #[serde(default)]
+    light_colour: Option<LightColour>,
+    #[serde(default)]
+    gains: Vec<Vec<Gain>>,
+    #[serde(default)]
+    lights: Vec<f32>,
+    /// Region of the cut and Gaussians before it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    cut: Option<(Region, usize)>,
+    labels: usize,
+    gathered: usize,
+    /// Absent in checkpoints from before there were lights.
+    #[serde(default)]
+    arriving: usize,
+}
+
+/// Tensor of a field of the Gaussians before the cut.
+fn cut_key(field: Field) -> String {
+    format!("cut.{}", field.name())
+}
+
+fn bad(field: &str, reason: impl std::fmt::Display) -> TrainError {
+    TrainError::Checkpoint(format!("{field}: {reason}"))
+}
+
+/// The bytes of a checkpoint.
+///
+/// # Errors
+/// When a parameter is not finite.
+pub fn encode(
+    schedule: &ScheduleState,
+    state: &TrainState,
+    config: &TrainConfig,
+) -> Result<Vec<u8>, TrainError> {
+    if let Err(e) = state.model.check() {
+        return Err(bad(e.field, e.reason));
+    }
+    let header = Header {
+        version: VERSION,
+        config: config.clone(),
+        step: schedule.step,
+        order: schedule.order.clone(),
+        cursor: schedule.cursor,
+        rng: schedule.rng.clone(),
+        rate_factor: schedule.rate_factor,
+        seconds: schedule.seconds,
+        complexity: schedule.complexity.clone(),
+        light_colour: schedule.light_colour,
+        gains: schedule.gains.clone(),
+        lights: schedule.lights.clone(),
+        cut: schedule.cut.as_ref().map(|cut| (cut.region, cut.gaussians.len())),
+        labels: state.labels.len(),
+        gathered: state.gathered.len(),
+        arriving: state.arriving.len(),
+    };
+    let text = serde_json::to_string(&header).map_err(|e| bad("header", e))?;
+    let metadata = HashMap::from([
+        (HEADER_KEY.to_owned(), text),
+        ("relume".to_owned(), model_file::header(&state.model)),
+    ]);
+    let mut tensors = model_file::tensors(&state.model);
+    for (prefix, g) in [("first", &state.moments.first), ("second", &state.moments.second)] {
+        for field in Field::ALL {
+            let name = format!("{prefix}.{}", field.name());
+            tensors.push((name, Tensor::new([g.len(), g.width(field)], g.field(field))));
+        }
+    }
+    if let Some(cut) = &schedule.cut {
+        let g = &cut.gaussians;
+        let tensor = |f: Field| (cut_key(f), Tensor::new([g.len(), g.width(f)], g.field(f)));
+        tensors.extend(SILHOUETTE.map(tensor));
+    }
+    let mut flat =
+        |name: &str, data| tensors.push((name.to_owned(), Tensor::new([<[f32]>::len(data)], data)));
+    flat("first.globals", bytemuck::cast_slice(&state.moments.globals[0]));
+    flat("second.globals", bytemuck::cast_slice(&state.moments.globals[1]));
+    flat(ABSGRAD_KEY, &state.density.absgrad);
+    flat("density.seen", &state.density.seen);
+    flat("labels", &state.labels);
+    flat("gathered", bytemuck::cast_slice(&state.gathered));
+    if !state.arriving.is_empty() {
+        flat("arriving", state.arriving.as_flattened());
+    }
+    safetensors::serialize(tensors, Some(metadata)).map_err(|e| bad("container", e))
+}
+
+/// Reads a checkpoint that was made under the same configuration.
+///
+/// # Errors
+/// Names the part that is missing, damaged, or from another configuration.
+pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, TrainState), TrainError> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| bad("container", e))?;
+    let text = metadata.metadata().as_ref().and_then(|m| m.get(HEADER_KEY));
+    let text = text.ok_or_else(|| bad("header", "is missing: this is not a checkpoint"))?;
+    let header: Header = serde_json::from_str(text).map_err(|e| bad("header", e))?;
+    if header.version != VERSION {
+        return Err(bad("version", format!("is {}, this build reads {VERSION}", header.version)));
+    }
+    if header.config != *config {
+        return Err(bad("config", "differs from the one this training was asked for"));
+    }
+    let model = model_file::decode(bytes).map_err(|e| bad("model", e))?;
+    let file = SafeTensors::deserialize(bytes).map_err(|e| bad("container", e))?;
+    let read = |name: &str, count: usize| floats(&file, name, count).map_err(|e| bad(name, e));
+    let n = model.gaussians.len();
+    let moments = |prefix: &str| -> Result<Gaussians, TrainError> {
+        let g = &model.gaussians;
+        let name = |field: Field| format!("{prefix}.{}", field.name());
+        let mut out = Gaussians::zeroed(n, g.prototypes(), g.visibility_order(), g.radiance_order());
+        // Checkpoints of models without sheen have no moments of it.
+        let is_there = |field: Field| field != Field::Sheen || file.tensor(&name(field)).is_ok();
+        for (field, _, data) in out.fields_mut().filter(|(field, ..)| is_there(*field)) {
+            *data = read(&name(field), data.len())?;
+        }
+        Ok(out)
+    };
+    let globals = 3 * (model.prototypes.len() + model.env_raw.len());
+    let triples = |name: &str| read(name, globals).map(|values| values.as_chunks::<3>().0.to_vec());
+    let gathered = read("gathered", header.gathered.saturating_mul(6))?;
+    // Checkpoints without lights have no shares of them.
+    let arriving = match header.arriving {
+        0 => Vec::new(),
+        rows => read("arriving", rows.saturating_mul(MAX_LIGHTS))?,
+    };
+    let state = TrainState {
+        moments: Moments {
+            first: moments("first")?,
+            second: moments("second")?,
+            globals: [triples("first.globals")?, triples("second.globals")?],
+        },
+        density: DensityStats { absgrad: read(ABSGRAD_KEY, n)?, seen: read("density.seen", n)? },
+        labels: read("labels", header.labels)?,
+        gathered: gathered.as_chunks::<6>().0.to_vec(),
+        arriving: arriving.as_chunks::<MAX_LIGHTS>().0.to_vec(),
+        model,
+    };
+    let cut = |(region, gaussians): (Region, usize)| -> Result<Arc<CutOut>, TrainError> {
+        // Sizes are checked against the file's length before memory is allocated for them.
+        if gaussians.saturating_mul(3 * 4) > bytes.len() {
+            return Err(bad("cut", "names more Gaussians than the file holds"));
+        }
+        let mut silhouette = Gaussians::zeroed(gaussians, 1, 0, 0);
+        for field in SILHOUETTE {
+            let data = silhouette.field_mut(field);
+            data.copy_from_slice(&read(&cut_key(field), data.len())?);
+        }
+        Ok(Arc::new(CutOut { region, gaussians: silhouette }))
+    };
+    let schedule = ScheduleState {
+        step: header.step,
+        order: header.order,
+        cursor: header.cursor,
+        rng: header.rng,
+        rate_factor: header.rate_factor,
+        seconds: header.seconds,
+        complexity: header.complexity,
+        light_colour: header.light_colour,
+        gains: header.gains,
+        lights: header.lights,
+        cut: header.cut.map(cut).transpose()?,
+    };
+    Ok((schedule, state))
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+    use relume_scene::{LightSplit, Model, ShadingOptions, SplitLight};
+    use relume_spec::training::Preset;
+
+    fn state() -> TrainState {
+        TrainState::new(Model {
+            gaussians: Gaussians::zeroed(3, 2, 1, 0),
+            prototypes: vec![[0.5; 3]; 2],
+            env_raw: vec![[0.5; 3]; 8],
+            env_width: 4,
+            env_height: 2,
+            lights: LightSplit::default(),
+            shading: ShadingOptions::default(),
+            world_scale: 1.0,
+            world_offset: glam::DVec3::ZERO,
+            framing: None,
+            card: serde_json::Value::Null,
+        })
+    }
+
+    #[test]
+    fn lights_and_what_arrives_of_them_survive_and_checkpoints_without_them_have_none() {
+        let config = TrainConfig::new(Preset::Draft, &Default::default()).unwrap();
+        let schedule = ScheduleState {
+            step: 7,
+            order: vec![1, 0],
+            cursor: 1,
+            rng: ChaCha8Rng::seed_from_u64(3),
+            rate_factor: 1.0,
+            seconds: 0.0,
+            complexity: ComplexityState::default(),
+            light_colour: Some(LightColour { blue_over_red: 0.25, green: -0.5 }),
+            gains: vec![vec![[1.1, 1.0, 0.9]; 2]],
+            lights: vec![0.25],
+            cut: None,
+        };
+        let plain = state();
+        let bytes = encode(&schedule, &plain, &config).unwrap();
+        assert!(!String::from_utf8_lossy(&bytes).contains("light_shares"));
+        assert_eq!(decode(&bytes, &config).unwrap(), (schedule.clone(), plain));
+        let mut lit = state();
+        let light = SplitLight { direction: [0.0, 0.0, 1.0], radius: 0.02 };
+        lit.model.lights = LightSplit { lights: vec![light], shares: vec![[0.5, 0.0, 0.0, 0.0]; 8] };
+        lit.arriving = (0..3).map(|i| [0.25 * i as f32, 1.0, 1.0, 1.0]).collect();
+        let bytes = encode(&schedule, &lit, &config).unwrap();
+        assert_eq!(decode(&bytes, &config).unwrap(), (schedule, lit));
+    }
+}

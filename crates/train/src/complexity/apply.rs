@@ -1,0 +1,135 @@
+//! Makes a state smaller as decided, with its moments and statistics.
+
+use relume_engine::TrainState;
+use relume_engine::cpu::{sigmoid, softmax};
+use relume_scene::light::FULLY_OPEN;
+use relume_scene::{Field, Gaussians, IndirectForm, VisibilityForm, sh_count};
+use crate::complexity::decide::RequiredVisibility;
+use crate::complexity::evidence::Overlap;
+
+/// Metalness logit of a surface that is held at dielectric: a metalness of 1e-4.
+pub const DIELECTRIC: f32 = -9.0;
+
+/// The same Gaussians with `prototypes` scores (zero) and lower orders: the first coefficients of each.
+fn reshaped(g: &Gaussians, prototypes: usize, visibility: usize, radiance: usize) -> Gaussians {
+    let mut out = Gaussians::zeroed(g.len(), prototypes, visibility, radiance);
+    for (field, width, data) in out.fields_mut().filter(|(field, ..)| *field != Field::ProtoLogits) {
+        for (i, row) in data.chunks_exact_mut(width).enumerate() {
+            row.copy_from_slice(&g.row(field, i)[..width]);
+        }
+    }
+    if prototypes == g.prototypes() {
+        out.field_mut(Field::ProtoLogits).copy_from_slice(g.field(Field::ProtoLogits));
+    }
+    out
+}
+
+/// Cuts visibility and radiance, moments and labels with them.
+pub fn cut_orders(state: &mut TrainState, visibility: RequiredVisibility, radiance: usize) {
+    let old = state.model.gaussians.visibility_order();
+    let order = match visibility {
+        RequiredVisibility::Off => 0,
+        RequiredVisibility::Order(order) => order.min(old),
+    };
+    let cut = |g: &Gaussians| reshaped(g, g.prototypes(), order, radiance.min(g.radiance_order()));
+    state.model.gaussians = cut(&state.model.gaussians);
+    state.moments.first = cut(&state.moments.first);
+    state.moments.second = cut(&state.moments.second);
+    if visibility == RequiredVisibility::Off {
+        state.model.shading.visibility = VisibilityForm::Off;
+        state.model.gaussians.field_mut(Field::Visibility).fill(FULLY_OPEN);
+        state.labels = Vec::new();
+        state.arriving = Vec::new();
+    } else {
+        let rows = state.labels.chunks_exact(sh_count(old));
+        state.labels = rows.flat_map(|row| row[..sh_count(order)].iter().copied()).collect();
+    }
+}
+
+/// Leaves out bounced light.
+pub fn drop_indirect(state: &mut TrainState) {
+    state.model.shading.indirect = IndirectForm::Off;
+    state.gathered = Vec::new();
+}
+
+/// Mixed prototype colour of every Gaussian: its albedo without the residual (Eq. 23).
+fn mixed(state: &TrainState) -> Vec<[f32; 3]> {
+    let (g, colours) = (&state.model.gaussians, &state.model.prototypes);
+    let mut shares = vec![0.0; g.prototypes()];
+    let mix = |i: usize| {
+        softmax(g.row(Field::ProtoLogits, i), &mut shares);
+        let channel = |c: usize| shares.iter().zip(colours).map(|(p, a)| p * a[c].clamp(0.0, 1.0)).sum();
+        std::array::from_fn(channel)
+    };
+    (0..g.len()).map(mix).collect()
+}
+
+/// Adds to the residuals what the mixed prototypes lack of `wanted`.
+fn compensate(state: &mut TrainState, wanted: &[[f32; 3]]) {
+    let now = mixed(state);
+    for (i, (wanted, now)) in wanted.iter().zip(&now).enumerate() {
+        let residual = state.model.gaussians.row_mut(Field::Residual, i);
+        (0..3).for_each(|c| residual[c] += wanted[c] - now[c]);
+    }
+}
+
+/// Merges prototypes by `groups` (heaviest member first); no albedo changes.
+pub fn merge_prototypes(state: &mut TrainState, groups: &[Vec<usize>], overlap: &Overlap) {
+    let before = mixed(state);
+    let n = groups.len();
+    let merge = |g: &Gaussians, combine: &dyn Fn(&[f32], &[usize]) -> f32| {
+        let mut out = reshaped(g, n, g.visibility_order(), g.radiance_order());
+        for i in 0..g.len() {
+            let row = g.row(Field::ProtoLogits, i);
+            let target = out.row_mut(Field::ProtoLogits, i);
+            target.iter_mut().zip(groups).for_each(|(t, group)| *t = combine(row, group));
+        }
+        out
+    };
+    // Shares add up, so scores go by log-sum-exp; moments are those of the heaviest.
+    let log_sum = |row: &[f32], group: &[usize]| {
+        let top = group.iter().map(|k| row[*k]).fold(f32::NEG_INFINITY, f32::max);
+        top + group.iter().map(|k| (row[*k] - top).exp()).sum::<f32>().ln()
+    };
+    let heaviest = |row: &[f32], group: &[usize]| row[group[0]];
+    state.model.gaussians = merge(&state.model.gaussians, &log_sum);
+    state.moments.first = merge(&state.moments.first, &heaviest);
+    state.moments.second = merge(&state.moments.second, &heaviest);
+    let old = std::mem::take(&mut state.model.prototypes);
+    state.model.prototypes = groups.iter().map(|group| overlap.mean(&old, group)).collect();
+    for moments in &mut state.moments.globals {
+        let rest = moments.split_off(old.len());
+        *moments = groups.iter().map(|group| moments[group[0]]).chain(rest).collect();
+    }
+    // Without a merge the residuals stay bit for bit.
+    if n < old.len() {
+        compensate(state, &before);
+    }
+}
+
+/// Makes every surface dielectric and keeps its diffuse colour: albedo times one minus metalness becomes the albedo.
+pub fn make_dielectric(state: &mut TrainState) {
+    let metalness =
+        |state: &TrainState, i: usize| sigmoid(state.model.gaussians.row(Field::MetalLogit, i)[0]);
+    let n = state.model.gaussians.len();
+    let mean = (0..n).map(|i| metalness(state, i)).sum::<f32>() / n.max(1) as f32;
+    let mut wanted = mixed(state);
+    for (i, colour) in wanted.iter_mut().enumerate() {
+        let left = 1.0 - metalness(state, i);
+        let residual = state.model.gaussians.row_mut(Field::Residual, i);
+        residual.iter_mut().for_each(|r| *r *= left);
+        colour.iter_mut().for_each(|v| *v *= left);
+    }
+    // The mean of that factor goes into the prototypes, the rest into the residuals.
+    state.model.prototypes.iter_mut().flatten().for_each(|v| *v = v.clamp(0.0, 1.0) * (1.0 - mean));
+    compensate(state, &wanted);
+    hold_dielectric(state);
+}
+
+/// Sets metalness to none and its moments to zero.
+pub fn hold_dielectric(state: &mut TrainState) {
+    state.model.gaussians.field_mut(Field::MetalLogit).fill(DIELECTRIC);
+    for moments in [&mut state.moments.first, &mut state.moments.second] {
+        moments.field_mut(Field::MetalLogit).fill(0.0);
+    }
+}

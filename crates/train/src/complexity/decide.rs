@@ -1,0 +1,235 @@
+//! Decisions: from evidence to the smallest model within stated tolerances. Pure functions.
+
+use std::fmt;
+
+use crate::complexity::evidence::{Overlap, VisibilityErrors};
+
+/// Share of its hull that the silhouette of a convex object may leave empty, mean over the photographs.
+pub const CONVEX_TOLERANCE: f32 = 0.01;
+/// Mean change of ambient occlusion (0 to 1) that leaving visibility out may cause. It catches what silhouettes cannot show,
+/// such as a bowl: half of the sky is hidden from its inside. It is above the error of the measurement halfway through a
+/// training: 0.04 to 0.09 on a matte ball, 0.14 on a mirror, whose image is made of Gaussians inside it.
+pub const OFF_TOLERANCE: f32 = 0.18;
+/// Mean change of ambient occlusion that cutting degrees may cause.
+pub const AMBIENT_TOLERANCE: f32 = 0.005;
+/// Mean squared error of the field (0 to 1) that cutting degrees may cause.
+pub const FIELD_TOLERANCE: f32 = 0.01;
+/// Bounced over direct irradiance up to which bounced light is left out.
+pub const INDIRECT_TOLERANCE: f32 = 0.01;
+/// Display colour that the radiance branch may lose, root mean square.
+pub const RADIANCE_TOLERANCE: f32 = 0.01;
+/// Training PSNR that holding everything at dielectric may cost at once, dB.
+pub const METALNESS_TOLERANCE: f32 = 0.1;
+/// Training PSNR that leaving sheen out may cost at the end, dB.
+pub const SHEEN_TOLERANCE: f32 = 0.05;
+/// Linear albedo that merging prototypes may move into the residuals, root mean square.
+pub const PROTOTYPE_TOLERANCE: f32 = 0.08;
+/// Training PSNR that dropping Gaussians may cost at once, dB.
+pub const DROP_TOLERANCE: f32 = 0.05;
+/// Shares of the Gaussians, those of least weight, that are dropped in trials, in this order.
+pub const DROPPED_SHARES: [f32; 12] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7];
+/// Training PSNR per doubling of the Gaussians below which no more are added, dB.
+pub const FLAT: f32 = 0.2;
+/// Training PSNR beyond which no more Gaussians are added, dB: a root mean square error of 3.6 / 255.
+pub const ENOUGH: f32 = 37.0;
+
+/// The visibility field that a scene requires.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RequiredVisibility {
+    /// None: every surface sees all directions that it faces.
+    Off,
+    /// Degrees up to this.
+    Order(usize),
+}
+
+impl fmt::Display for RequiredVisibility {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Off => f.write_str("off"),
+            Self::Order(order) => write!(f, "degree {order}"),
+        }
+    }
+}
+
+/// What is known about the shape of a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Convexity {
+    /// It is convex: no surface hides the sky from another.
+    Convex,
+    /// It is not, or there is no evidence that it is.
+    Unproven,
+}
+
+/// The convexity by silhouettes (`concavity`, `None` without masks) and by measured visibility (`off`, the mean change of
+/// ambient occlusion without it).
+pub fn convexity(concavity: Option<f32>, off: f32) -> Convexity {
+    let is_convex = concavity.is_some_and(|c| c <= CONVEX_TOLERANCE) && off <= OFF_TOLERANCE;
+    if is_convex { Convexity::Convex } else { Convexity::Unproven }
+}
+
+/// The least visibility within tolerance; none for a convex object, unless gathered light stays.
+///
+/// Never degree 0 of a higher configured degree: degree 1 holds the open side of a surface.
+pub fn visibility(errors: &VisibilityErrors, convexity: Convexity, is_gathered: bool) -> RequiredVisibility {
+    if convexity == Convexity::Convex && !is_gathered {
+        return RequiredVisibility::Off;
+    }
+    let order = errors.field.len() - 1;
+    let fits = |l: &usize| errors.ambient[*l] <= AMBIENT_TOLERANCE && errors.field[*l] <= FIELD_TOLERANCE;
+    RequiredVisibility::Order((1..order).find(fits).unwrap_or(order))
+}
+
+/// The Gaussians left when `share` of them, those of least weight, are dropped: in order, at least one.
+pub fn heaviest(weights: &[f32], share: f32) -> Vec<usize> {
+    let mut by_weight: Vec<usize> = (0..weights.len()).collect();
+    by_weight.sort_unstable_by(|a, b| weights[*a].total_cmp(&weights[*b]).then(b.cmp(a)));
+    let dropped = ((share * weights.len() as f32) as usize).min(weights.len().saturating_sub(1));
+    let mut left = by_weight.split_off(dropped);
+    left.sort_unstable();
+    left
+}
+
+/// The least degree of the radiance branch whose loss is within tolerance.
+///
+/// Never degree 0 of a higher configured degree: degree 1 takes the part of the colour that depends on the direction, so
+/// that albedo restarts from the rest.
+pub fn radiance_order(residuals: &[f32]) -> usize {
+    let most = residuals.len().saturating_sub(1);
+    residuals.iter().position(|r| *r <= RADIANCE_TOLERANCE).unwrap_or(most).max(1).min(most)
+}
+
+/// The prototypes to merge: groups, the heaviest member first. The cheapest merge of each round is made while the albedo that
+/// moves into the residuals (root mean square, the second value) is within tolerance.
+///
+/// The cost is that of the mixtures of the Gaussians, not the distance of the prototypes' colours: all Gaussians may mix two
+/// distant colours in the same proportion, and a prototype may have no weight at all.
+pub fn prototypes(colours: &[[f32; 3]], overlap: &Overlap) -> (Vec<Vec<usize>>, f32) {
+    let shown: Vec<[f32; 3]> = colours.iter().map(|c| c.map(|v| v.clamp(0.0, 1.0))).collect();
+    let mut groups: Vec<Vec<usize>> = (0..shown.len()).map(|k| vec![k]).collect();
+    let mut moved = 0.0;
+    while let Some((a, b)) = cheapest_merge(&shown, &groups, overlap) {
+        let mut merged = groups.clone();
+        let second = merged.remove(b);
+        merged[a].extend(second);
+        let cost = overlap.moved(&shown, &merged);
+        if cost > PROTOTYPE_TOLERANCE {
+            break;
+        }
+        (groups, moved) = (merged, cost);
+    }
+    let heavier = |a: &usize, b: &usize| overlap.mass(*b).total_cmp(&overlap.mass(*a)).then(a.cmp(b));
+    groups.iter_mut().for_each(|group| group.sort_by(heavier));
+    groups.sort_by(|a, b| heavier(&a[0], &b[0]));
+    (groups, moved)
+}
+
+/// The two groups, in order, whose means are nearest, weighted as in Ward's method: the cost of merging them if no Gaussian
+/// mixes the two.
+fn cheapest_merge(colours: &[[f32; 3]], groups: &[Vec<usize>], overlap: &Overlap) -> Option<(usize, usize)> {
+    let of: Vec<_> = groups.iter().map(|g| (overlap.mean(colours, g), overlap.mass_of(g))).collect();
+    let cost = |(a, b): &(usize, usize)| {
+        let (([p, q], [m, n]), sum) = (([of[*a].0, of[*b].0], [of[*a].1, of[*b].1]), of[*a].1 + of[*b].1);
+        m * n / sum.max(1e-12) * (0..3).map(|c| (p[c] - q[c]).powi(2)).sum::<f32>()
+    };
+    let pairs = (0..groups.len()).flat_map(|a| (a + 1..groups.len()).map(move |b| (a, b)));
+    pairs.min_by(|x, y| cost(x).total_cmp(&cost(y)))
+}
+
+/// Whether more Gaussians no longer improve the result, from `(Gaussians, training PSNR)` after each round of density control.
+///
+/// Judged on two rounds in a row: the PSNR of one is a mean over some photographs, not over all.
+pub fn is_enough(history: &[(u32, f32)]) -> bool {
+    let [.., a, b, c] = history else { return false };
+    let is_flat = |from: &(u32, f32), to: &(u32, f32)| {
+        let doublings = (to.0 as f32 / from.0.max(1) as f32).log2();
+        doublings > 0.0 && to.1 - from.1 < FLAT * doublings
+    };
+    (is_flat(a, b) && is_flat(b, c)) || (b.1 > ENOUGH && c.1 > ENOUGH)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Convexity::{Convex, Unproven};
+    use super::*;
+
+    fn errors(off: f32, ambient: [f32; 5], field: [f32; 5]) -> VisibilityErrors {
+        VisibilityErrors { off, ambient: ambient.into(), field: field.into() }
+    }
+
+    #[test]
+    fn visibility_is_the_least_within_both_tolerances() {
+        let flat = [0.0; 5];
+        assert_eq!(visibility(&errors(0.01, flat, flat), Convex, false), RequiredVisibility::Off);
+        assert_eq!(visibility(&errors(0.01, flat, flat), Convex, true), RequiredVisibility::Order(1));
+        assert_eq!(visibility(&errors(0.01, flat, flat), Unproven, false), RequiredVisibility::Order(1));
+        assert_eq!(convexity(Some(0.0), 0.05), Convex);
+        assert_eq!(convexity(Some(0.0), 0.3), Unproven, "a bowl looks convex from outside");
+        assert_eq!([convexity(Some(0.2), 0.0), convexity(None, 0.0)], [Unproven; 2], "no masks, no evidence");
+        let needs_two = [0.5, 0.1, 0.001, 0.0, 0.0];
+        assert_eq!(visibility(&errors(0.2, needs_two, flat), Unproven, false), RequiredVisibility::Order(2));
+        assert_eq!(visibility(&errors(0.2, flat, needs_two), Unproven, false), RequiredVisibility::Order(2));
+        let needs_all = [0.5, 0.4, 0.3, 0.2, 0.0];
+        assert_eq!(visibility(&errors(0.2, flat, needs_all), Unproven, false), RequiredVisibility::Order(4));
+    }
+
+    /// Mixtures of equally heavy Gaussians.
+    fn mixed<const K: usize>(shares: &[[f32; K]]) -> Overlap {
+        let mut g = relume_scene::Gaussians::zeroed(shares.len(), K, 0, 0);
+        for (i, shares) in shares.iter().enumerate() {
+            let row = g.row_mut(relume_scene::Field::ProtoLogits, i);
+            row.iter_mut().zip(shares).for_each(|(score, p)| *score = p.max(1e-9).ln());
+        }
+        Overlap::of(&g, &vec![1.0; shares.len()])
+    }
+
+    #[test]
+    fn similar_prototypes_merge_and_unused_ones_join_them() {
+        let colours = [[0.5; 3], [0.52; 3], [0.9; 3], [0.1; 3]];
+        let pure = mixed(&[[0.4, 0.6, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+        let (groups, moved) = prototypes(&colours, &pure);
+        assert_eq!(groups, [vec![1, 0, 3], vec![2]]);
+        assert!(moved > 0.0 && moved < 0.01, "{moved}");
+        let (apart, moved) = prototypes(&colours[2..], &mixed(&[[1.0, 0.0], [0.0, 1.0]]));
+        assert_eq!((apart, moved), (vec![vec![0], vec![1]], 0.0), "the control: far apart and used");
+        assert_eq!(prototypes(&colours[..1], &mixed(&[[1.0]])).0, [vec![0]], "one always stays");
+        assert_eq!(prototypes(&[], &mixed::<0>(&[])).0, Vec::<Vec<usize>>::new());
+    }
+
+    #[test]
+    fn colours_far_apart_that_all_surfaces_mix_alike_are_one() {
+        let colours = [[0.2; 3], [0.8; 3]];
+        assert_eq!(prototypes(&colours, &mixed(&[[0.5, 0.5], [0.49, 0.51]])).0.len(), 1);
+        assert_eq!(prototypes(&colours, &mixed(&[[0.7, 0.3], [0.3, 0.7]])).0.len(), 2, "the control");
+    }
+
+    #[test]
+    fn growth_ends_when_twice_flat_or_beyond_the_highest_psnr() {
+        assert!(is_enough(&[(1000, 30.0), (1200, 30.01), (1400, 30.0)]));
+        assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.3)]), "once is not twice");
+        assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.6)]));
+        assert!(
+            !is_enough(&[(1000, 30.0), (1000, 30.0), (1000, 30.0)]),
+            "nothing was added, nothing is known"
+        );
+        assert!(is_enough(&[(1000, 42.5), (1200, 43.0), (1400, 43.5)]));
+        assert!(!is_enough(&[(1200, 30.0), (1400, 30.0)]));
+    }
+
+    #[test]
+    fn what_adds_least_goes_first_and_something_always_stays() {
+        let weights = [0.5, 0.0, 3.0, 0.0, 1.0];
+        assert_eq!(heaviest(&weights, 0.0), [0, 1, 2, 3, 4]);
+        assert_eq!(heaviest(&weights, 0.2), [0, 1, 2, 4], "of equals the later one");
+        assert_eq!(heaviest(&weights, 0.7), [2, 4]);
+        assert_eq!(heaviest(&weights, 1.0), [2]);
+        assert!(heaviest(&[], 0.5).is_empty());
+    }
+
+    #[test]
+    fn the_radiance_branch_keeps_what_matters() {
+        assert_eq!(radiance_order(&[0.005, 0.001, 0.0]), 1);
+        assert_eq!(radiance_order(&[0.0]), 0, "what is not there cannot stay");
+        assert_eq!(radiance_order(&[0.05, 0.004, 0.0]), 1);
+        assert_eq!(radiance_order(&[0.05, 0.04, 0.0]), 2);
+    }
+}

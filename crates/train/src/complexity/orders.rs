@@ -1,0 +1,136 @@
+//! Decisions on degrees and on bounced light, from the first measurement of visibility.
+
+use relume_engine::TrainState;
+use relume_engine::cpu::evaluation;
+use relume_scene::{Field, IndirectForm, LightSplit, VisibilityForm};
+use relume_spec::training::ComplexitySetting;
+use crate::complexity::decide::{self, Convexity, RequiredVisibility};
+use crate::complexity::photographs::DecisionContext;
+use crate::complexity::state::ComplexityState;
+use crate::complexity::{apply, evidence};
+
+/// What the photographs show.
+#[derive(Debug, Clone)]
+pub struct Shown {
+    /// Mean blending weight of each Gaussian, pixels.
+    pub weights: Vec<f32>,
+    /// Mean share of the silhouettes' convex hulls that is empty; `None` without masks.
+    pub concavity: Option<f32>,
+}
+
+/// Decides on bounced light, visibility and radiance, in this order, and applies it.
+pub fn decide(
+    complexity: &mut ComplexityState,
+    context: &DecisionContext<'_>,
+    shown: &Shown,
+    state: &mut TrainState,
+) {
+    let g = &state.model.gaussians;
+    let order = g.visibility_order();
+    let errors = (!state.labels.is_empty()).then(|| {
+        let open = evidence::open_directions(&state.labels, order);
+        evidence::visibility(&state.labels, order, &open, &shown.weights)
+    });
+    let convexity =
+        errors.as_ref().map_or(Convexity::Unproven, |e| decide::convexity(shown.concavity, e.off));
+    let residuals = evidence::radiance_residuals(g, &shown.weights);
+    let is_gathered = decide_indirect(complexity, context, shown, convexity, state);
+    let visibility = decide_visibility(complexity, context, shown, errors, (convexity, is_gathered), state);
+    let radiance = decide_radiance(complexity, context, &residuals);
+    apply::cut_orders(state, visibility, radiance);
+}
+
+/// The degree of the radiance branch, from what each degree loses; `residuals` has one more value than that degree.
+fn decide_radiance(
+    complexity: &mut ComplexityState,
+    context: &DecisionContext<'_>,
+    residuals: &[f32],
+) -> usize {
+    let old = residuals.len() - 1;
+    if context.is_forced(ComplexitySetting::Radiance) {
+        complexity.note_forced(ComplexitySetting::Radiance, context.steps, format!("degree {old}"));
+        return old;
+    }
+    let degree = decide::radiance_order(residuals);
+    let figures = [
+        ("lost_rms", residuals[degree]),
+        ("lost_rms_one_less", residuals[degree.saturating_sub(1)]),
+        ("tolerance", decide::RADIANCE_TOLERANCE),
+    ];
+    let (was, is) = (format!("degree {old}"), format!("degree {degree}"));
+    complexity.note(ComplexitySetting::Radiance, context.steps, was, is, &figures);
+    degree
+}
+
+fn decide_visibility(
+    complexity: &mut ComplexityState,
+    context: &DecisionContext<'_>,
+    shown: &Shown,
+    errors: Option<evidence::VisibilityErrors>,
+    (convexity, is_gathered): (Convexity, bool),
+    state: &TrainState,
+) -> RequiredVisibility {
+    let is_off = state.model.shading.visibility == VisibilityForm::Off;
+    let old = state.model.gaussians.visibility_order();
+    let configured = if is_off { RequiredVisibility::Off } else { RequiredVisibility::Order(old) };
+    if context.is_forced(ComplexitySetting::Visibility) {
+        complexity.note_forced(ComplexitySetting::Visibility, context.steps, configured.to_string());
+        return configured;
+    }
+    let Some(errors) = errors.filter(|_| !is_off) else { return configured };
+    let required = decide::visibility(&errors, convexity, is_gathered);
+    let mut figures = vec![
+        ("ao_error_off", errors.off),
+        ("tolerance_off", decide::OFF_TOLERANCE),
+        ("tolerance_concavity", decide::CONVEX_TOLERANCE),
+    ];
+    figures.extend(shown.concavity.map(|c| ("concavity", c)));
+    if let RequiredVisibility::Order(order) = required {
+        figures.push(("ao_error", errors.ambient[order]));
+        figures.push(("tolerance_ao", decide::AMBIENT_TOLERANCE));
+        figures.push(("field_error", errors.field[order]));
+        figures.push(("field_error_one_less", errors.field[order.saturating_sub(1)]));
+        figures.push(("tolerance_field", decide::FIELD_TOLERANCE));
+    }
+    let (was, is) = (configured.to_string(), required.to_string());
+    complexity.note(ComplexitySetting::Visibility, context.steps, was, is, &figures);
+    required
+}
+
+/// Whether bounced light stays: on a convex object there is none, and a small share of it may be left out.
+fn decide_indirect(
+    complexity: &mut ComplexityState,
+    context: &DecisionContext<'_>,
+    shown: &Shown,
+    convexity: Convexity,
+    state: &mut TrainState,
+) -> bool {
+    let is_gathered = state.model.shading.indirect == IndirectForm::Gathered && context.config().bounces > 0;
+    if context.is_forced(ComplexitySetting::Indirect) {
+        let value = if is_gathered { "gathered" } else { "as configured" };
+        complexity.note_forced(ComplexitySetting::Indirect, context.steps, value.to_owned());
+        return is_gathered;
+    }
+    if !is_gathered || state.gathered.is_empty() {
+        return is_gathered;
+    }
+    let whole = context.step.operators.with_lights(&LightSplit::default());
+    let tables = evaluation::mean_tables(state, &whole, context.step.turns);
+    let gathered = evaluation::mean_gathered(state, context.step.turns);
+    let field = state.model.gaussians.field(Field::Visibility);
+    let normals = evaluation::normals(state);
+    let share = evidence::indirect_share(&gathered, field, &normals, &tables, &shown.weights);
+    let is_convex = convexity == Convexity::Convex;
+    let stays = !is_convex && share > decide::INDIRECT_TOLERANCE;
+    let figures = [
+        ("bounced_over_direct", share),
+        ("tolerance", decide::INDIRECT_TOLERANCE),
+        ("is_convex", f32::from(u8::from(is_convex))),
+    ];
+    let (was, is) = ("gathered".to_owned(), if stays { "gathered" } else { "off" }.to_owned());
+    complexity.note(ComplexitySetting::Indirect, context.steps, was, is, &figures);
+    if !stays {
+        apply::drop_indirect(state);
+    }
+    stays
+}

@@ -1,0 +1,84 @@
+//! Evidence from photographs: what they show of each Gaussian, and how well a state explains them.
+
+use relume_engine::cpu::evaluation;
+use relume_engine::{Photo, PhotoSize, TrainState};
+use crate::complexity::evidence;
+use crate::context::StepContext;
+use crate::dataset::Dataset;
+use relume_spec::training::{ComplexitySetting, TrainConfig};
+
+/// Photographs from which blending weights are taken where a rough figure is enough.
+pub const FEW_VIEWS: usize = 12;
+/// The same where single Gaussians are judged.
+pub const MANY_VIEWS: usize = 64;
+/// Photographs on which the model is tried without one of its parts.
+const TRIALS: usize = 8;
+
+/// What a decision is made from besides the state of the training.
+#[derive(Debug, Clone, Copy)]
+pub struct DecisionContext<'a> {
+    /// Configuration, operators and background.
+    pub step: &'a StepContext<'a>,
+    /// Steps done.
+    pub steps: u32,
+    /// The training photographs.
+    pub photos: &'a Dataset,
+}
+
+impl<'a> DecisionContext<'a> {
+    /// The configuration.
+    pub fn config(&self) -> &'a TrainConfig {
+        self.step.config
+    }
+
+    /// Whether a caller has set what would be decided.
+    pub fn is_forced(&self, setting: ComplexitySetting) -> bool {
+        self.step.config.forced.contains(&setting)
+    }
+
+    /// Mean blending weight a photograph, pixels, of each Gaussian over at most `most` photographs.
+    pub fn blending_weights(&self, state: &TrainState, most: usize) -> Vec<f32> {
+        let mut sums = vec![0.0f32; state.model.gaussians.len()];
+        for i in self.evenly_spaced(most) {
+            let camera = self.photos.camera(i, PhotoSize::Full);
+            sums.iter_mut().zip(evaluation::blending_weights(state, camera)).for_each(|(sum, w)| *sum += w);
+        }
+        let count = self.photos.len().min(most).max(1) as f32;
+        sums.iter_mut().for_each(|sum| *sum /= count);
+        sums
+    }
+
+    /// PSNR of the physically based branch on some of the photographs, dB.
+    pub fn physical_psnr(&self, state: &TrainState) -> f32 {
+        self.psnr(|photo| self.step.physical_error(state, photo))
+    }
+
+    /// PSNR of the radiance branch on some of the photographs, dB.
+    pub fn radiance_psnr(&self, state: &TrainState) -> f32 {
+        self.psnr(|photo| self.step.radiance_error(state, photo))
+    }
+
+    /// PSNR by the mean squared error that `error` finds on one photograph.
+    fn psnr(&self, error: impl Fn(&Photo) -> f32) -> f32 {
+        let looks = self.evenly_spaced(TRIALS).map(|i| self.photos.look(i, PhotoSize::Full));
+        let errors = looks.map(|photo| (error(&photo), 1.0));
+        -10.0 * evidence::weighted_mean(errors).max(1e-10).log10()
+    }
+
+    /// Mean share of the convex hulls of the silhouettes that the silhouettes leave empty; `None` without masks.
+    pub fn concavity(&self) -> Option<f32> {
+        if !self.step.has_alpha {
+            return None;
+        }
+        let each = self.evenly_spaced(MANY_VIEWS).map(|i| self.photos.look(i, PhotoSize::Full));
+        let all: Vec<f32> =
+            each.filter_map(|p| evidence::concavity(&p.alpha, p.camera.width as usize)).collect();
+        (!all.is_empty()).then(|| all.iter().sum::<f32>() / all.len() as f32)
+    }
+
+    /// Indices of at most `most` photographs.
+    fn evenly_spaced(&self, most: usize) -> impl Iterator<Item = usize> + use<> {
+        let (all, count) = (self.photos.len(), self.photos.len().min(most));
+        (0..count).map(move |i| i * all / count.max(1))
+    }
+}

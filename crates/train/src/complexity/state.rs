@@ -1,0 +1,250 @@
+//! The record of decisions: what was decided so far, and when the next decisions are due.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use crate::complexity::decide;
+use relume_spec::training::{Complexity, ComplexitySetting, TrainConfig};
+
+/// Earliest share of the steps at which a state is evidence.
+const EARLIEST: f32 = 0.2;
+
+/// One decision with its evidence.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Finding {
+    /// What was decided on.
+    pub setting: ComplexitySetting,
+    /// Steps done.
+    pub step: u32,
+    /// The value before.
+    pub was: String,
+    /// The value since.
+    pub is: String,
+    /// True when a caller set the value, so that there was nothing to decide.
+    pub forced: bool,
+    /// Measured figures, and the tolerances they were compared with.
+    pub evidence: BTreeMap<String, f32>,
+}
+
+/// The rounds of density control so far, for [`decide::is_enough`].
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+struct Growth {
+    /// Sum of the PSNRs of the steps since the last round, dB.
+    sum: f32,
+    steps: u32,
+    phase: u32,
+    /// Gaussians and mean PSNR of each round.
+    history: Vec<(u32, f32)>,
+}
+
+/// What was decided so far, and what the next decisions need; part of every checkpoint.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct ComplexityState {
+    /// Decisions in order.
+    pub findings: Vec<Finding>,
+    /// True when metalness is held at dielectric.
+    pub is_dielectric: bool,
+    /// The most Gaussians, once more were found not to improve the result.
+    pub most_gaussians: Option<u32>,
+    /// Decision points passed.
+    pub(super) points: u8,
+    growth: Growth,
+}
+
+/// When decisions are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DecisionPoint {
+    /// Visibility was measured for the first time.
+    Measured,
+    /// The step before [`DecisionPoint::HalfWay`]: materials restart there by default, and are trained here.
+    Trained,
+    /// Half of the time between the first point and the end.
+    HalfWay,
+    /// All steps are done.
+    End,
+}
+
+impl ComplexityState {
+    /// The decisions that are due after `steps` steps.
+    pub fn due(&self, config: &TrainConfig, steps: u32) -> Option<DecisionPoint> {
+        if config.complexity == Complexity::Full {
+            return None;
+        }
+        let total = config.iterations;
+        let first = config.warm_up_steps().max((EARLIEST * total as f32) as u32);
+        let second = first + total.saturating_sub(first) / 2;
+        match self.points {
+            0 if steps >= first && steps < total => Some(DecisionPoint::Measured),
+            1 if steps + 1 >= second && steps < total => Some(DecisionPoint::Trained),
+            2 if steps >= second && steps < total => Some(DecisionPoint::HalfWay),
+            3 if steps >= total => Some(DecisionPoint::End),
+            _ => None,
+        }
+    }
+
+    /// Adds the PSNR of a step, dB. `phase` tells apart what it was measured on: figures of different phases cannot be
+    /// compared.
+    pub fn record(&mut self, phase: u32, psnr: f32) {
+        let growth = &mut self.growth;
+        if growth.phase != phase {
+            *growth = Growth { phase, ..Growth::default() };
+        }
+        growth.sum += psnr.clamp(0.0, 100.0);
+        growth.steps += 1;
+    }
+
+    /// Before a round of density control with `gaussians` so far: decides whether more may be added.
+    pub fn before_round(&mut self, config: &TrainConfig, steps: u32, gaussians: usize) {
+        let is_open = self.most_gaussians.is_none() && !config.forced.contains(&ComplexitySetting::Gaussians);
+        if config.complexity == Complexity::Full || !is_open || self.growth.steps == 0 {
+            return;
+        }
+        let growth = &mut self.growth;
+        growth.history.push((gaussians as u32, growth.sum / growth.steps as f32));
+        (growth.sum, growth.steps) = (0.0, 0);
+        if !decide::is_enough(&growth.history) {
+            return;
+        }
+        let [.., from, to] = growth.history[..] else { return };
+        let evidence = [
+            ("psnr_before", from.1),
+            ("psnr", to.1),
+            ("gaussians_before", from.0 as f32),
+            ("tolerance_db_per_doubling", decide::FLAT),
+            ("enough_db", decide::ENOUGH),
+        ];
+        self.most_gaussians = Some(to.0);
+        let was = format!("at most {}", config.max_gaussians);
+        self.note(ComplexitySetting::Gaussians, steps, was, format!("at most {}", to.0), &evidence);
+    }
+
+    /// Records a decision on `setting`.
+    pub(super) fn note(
+        &mut self,
+        setting: ComplexitySetting,
+        step: u32,
+        was: String,
+        is: String,
+        evidence: &[(&str, f32)],
+    ) {
+        let named = |(name, value): &(&str, f32)| ((*name).to_owned(), value.clamp(-1e9, 1e9));
+        let evidence = evidence.iter().map(named).collect();
+        self.findings.push(Finding { setting, step, was, is, forced: false, evidence });
+    }
+
+    /// Records that a caller had set `setting`.
+    pub(super) fn note_forced(&mut self, setting: ComplexitySetting, step: u32, value: String) {
+        let evidence = BTreeMap::new();
+        self.findings.push(Finding { setting, step, was: value.clone(), is: value, forced: true, evidence });
+    }
+
+    /// The part of the model card about decisions.
+    pub fn card(&self, config: &TrainConfig) -> Value {
+        let finding = |f: &Finding| {
+            let evidence: BTreeMap<&String, f64> = f.evidence.iter().map(|(k, v)| (k, rounded(*v))).collect();
+            json!({
+                "setting": f.setting, "step": f.step, "was": f.was, "is": f.is,
+                "forced": f.forced, "evidence": evidence,
+            })
+        };
+        json!({
+            "mode": config.complexity,
+            "findings": self.findings.iter().map(finding).collect::<Vec<_>>(),
+        })
+    }
+}
+
+/// Four significant digits: the measurements are no more accurate than that.
+fn rounded(value: f32) -> f64 {
+    format!("{value:.3e}").parse().unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use relume_spec::training::{Preset, TrainOverrides};
+
+    fn config(overrides: &TrainOverrides) -> TrainConfig {
+        TrainConfig { complexity: Complexity::Auto, ..TrainConfig::new(Preset::Draft, overrides).unwrap() }
+    }
+
+    #[test]
+    fn the_record_of_a_stored_checkpoint_reads() {
+        let stored = json!({
+            "findings": [{
+                "setting": "visibility", "step": 7, "was": "degree 4", "is": "off", "forced": false,
+                "evidence": {"ao_error_off": 0.05},
+            }],
+            "is_dielectric": true, "most_gaussians": 1200, "points": 2,
+            "growth": {"sum": 30.0, "steps": 1, "phase": 3, "history": [[1000, 29.5]]},
+        });
+        let state: ComplexityState = serde_json::from_value(stored.clone()).unwrap();
+        assert_eq!(state.findings[0].setting, ComplexitySetting::Visibility);
+        assert_eq!((state.points, &state.growth.history[..]), (2, &[(1000, 29.5)][..]));
+        let keys = |v: &Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+        let written = serde_json::to_value(&state).unwrap();
+        assert_eq!((keys(&written), keys(&written["growth"])), (keys(&stored), keys(&stored["growth"])));
+        let mut cut = stored;
+        cut.as_object_mut().unwrap().remove("points");
+        assert!(serde_json::from_value::<ComplexityState>(cut).is_err(), "the control: a key is missing");
+    }
+
+    #[test]
+    fn decisions_come_once_each_in_order_and_only_if_asked_for() {
+        let auto = config(&TrainOverrides { iterations: Some(100), ..Default::default() });
+        let mut complexity = ComplexityState::default();
+        assert_eq!(complexity.due(&auto, 24), None);
+        assert_eq!(complexity.due(&auto, 25), Some(DecisionPoint::Measured));
+        complexity.points = 1;
+        assert_eq!(
+            (complexity.due(&auto, 60), complexity.due(&auto, 61)),
+            (None, Some(DecisionPoint::Trained))
+        );
+        complexity.points = 2;
+        assert_eq!(
+            (complexity.due(&auto, 61), complexity.due(&auto, 62)),
+            (None, Some(DecisionPoint::HalfWay))
+        );
+        complexity.points = 3;
+        assert_eq!((complexity.due(&auto, 99), complexity.due(&auto, 100)), (None, Some(DecisionPoint::End)));
+        let full = TrainConfig { complexity: Complexity::Full, ..auto };
+        assert_eq!(complexity.due(&full, 100), None);
+    }
+
+    #[test]
+    fn metalness_is_judged_when_it_has_trained_and_not_just_after_a_restart() {
+        for iterations in [100, 801, 1500] {
+            let auto = config(&TrainOverrides { iterations: Some(iterations), ..Default::default() });
+            let when = |points, point| {
+                let complexity = ComplexityState { points, ..ComplexityState::default() };
+                (0..iterations).find(|step| complexity.due(&auto, *step) == Some(point)).unwrap()
+            };
+            let (trained, half_way) = (when(1, DecisionPoint::Trained), when(2, DecisionPoint::HalfWay));
+            let anew = (0..=trained).rfind(|step| auto.is_albedo_round(*step)).unwrap();
+            assert!(
+                trained - anew > (iterations - auto.warm_up_steps()) / 6,
+                "{anew}, {trained} of {iterations}"
+            );
+            assert!(auto.is_albedo_round(half_way), "the control: the next decisions come after a start");
+        }
+    }
+
+    #[test]
+    fn growth_ends_when_it_brings_nothing_unless_the_number_was_named() {
+        let rounds = |config: &TrainConfig| {
+            let mut complexity = ComplexityState::default();
+            for round in 0..4u32 {
+                (0..10).for_each(|_| complexity.record(0, 30.0));
+                complexity.before_round(config, 100 * round, 1000 + 100 * round as usize);
+            }
+            complexity.most_gaussians
+        };
+        assert_eq!(rounds(&config(&TrainOverrides::default())), Some(1200));
+        assert_eq!(
+            rounds(&config(&TrainOverrides { max_gaussians: Some(5000), ..Default::default() })),
+            None
+        );
+    }
+}

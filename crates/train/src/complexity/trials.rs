@@ -1,0 +1,111 @@
+//! Decisions by trial: the photographs are rendered without a part of the model, which stays if they get worse.
+
+use relume_engine::TrainState;
+use relume_scene::Field;
+use relume_spec::training::ComplexitySetting;
+use crate::complexity::photographs::{DecisionContext, MANY_VIEWS};
+use crate::complexity::state::ComplexityState;
+use crate::complexity::{apply, decide};
+
+/// A learned part that the model is tried without.
+struct Trial {
+    setting: ComplexitySetting,
+    /// The setting's value without it.
+    without: &'static str,
+    /// Names of the training PSNR with and without it, in the model card.
+    figures: [&'static str; 2],
+    /// What it may cost, dB.
+    tolerance: f32,
+}
+
+/// Drops the Gaussians that contribute least, as many as the photographs allow.
+///
+/// Judged by the radiance branch: a restart of albedo a few steps before makes the physically based one too inaccurate to show
+/// the loss.
+pub fn drop_least(complexity: &mut ComplexityState, context: &DecisionContext<'_>, state: &mut TrainState) {
+    let n = state.model.gaussians.len();
+    if context.is_forced(ComplexitySetting::Gaussians) {
+        return complexity.note_forced(ComplexitySetting::Gaussians, context.steps, n.to_string());
+    }
+    let weights = context.blending_weights(state, MANY_VIEWS);
+    let with = context.radiance_psnr(state);
+    let mut best = (state.clone(), with);
+    for share in decide::DROPPED_SHARES {
+        let mut without = state.clone();
+        without.select(&decide::heaviest(&weights, share));
+        let psnr = context.radiance_psnr(&without);
+        if with - psnr > decide::DROP_TOLERANCE {
+            break;
+        }
+        best = (without, psnr);
+    }
+    let (smaller, without) = best;
+    let left = smaller.model.gaussians.len();
+    let figures = [
+        ("psnr", with),
+        ("psnr_without", without),
+        ("tolerance_db", decide::DROP_TOLERANCE),
+        ("share_dropped", 1.0 - left as f32 / n.max(1) as f32),
+    ];
+    let (was, is) = (n.to_string(), left.to_string());
+    complexity.note(ComplexitySetting::Gaussians, context.steps, was, is, &figures);
+    *state = smaller;
+}
+
+/// Renders the photographs with and without metalness.
+pub fn decide_metalness(
+    complexity: &mut ComplexityState,
+    context: &DecisionContext<'_>,
+    state: &mut TrainState,
+) {
+    if context.is_forced(ComplexitySetting::Metalness) {
+        let value = if context.config().metalness { "learned" } else { "dielectric" };
+        return complexity.note_forced(ComplexitySetting::Metalness, context.steps, value.to_owned());
+    }
+    let mut without = state.clone();
+    apply::make_dielectric(&mut without);
+    let trial = Trial {
+        setting: ComplexitySetting::Metalness,
+        without: "dielectric",
+        figures: ["psnr_learned", "psnr_dielectric"],
+        tolerance: decide::METALNESS_TOLERANCE,
+    };
+    complexity.is_dielectric = try_without(&trial, complexity, context, state, without);
+}
+
+/// Renders the photographs with and without sheen.
+pub fn decide_sheen(complexity: &mut ComplexityState, context: &DecisionContext<'_>, state: &mut TrainState) {
+    if context.is_forced(ComplexitySetting::Sheen) {
+        let value = if context.config().sheen { "learned" } else { "none" };
+        return complexity.note_forced(ComplexitySetting::Sheen, context.steps, value.to_owned());
+    }
+    let mut without = state.clone();
+    without.model.gaussians.field_mut(Field::Sheen).fill(0.0);
+    let trial = Trial {
+        setting: ComplexitySetting::Sheen,
+        without: "none",
+        figures: ["psnr", "psnr_without"],
+        tolerance: decide::SHEEN_TOLERANCE,
+    };
+    try_without(&trial, complexity, context, state, without);
+}
+
+/// Replaces `state` by the one without the part if the photographs allow it; says whether it did.
+fn try_without(
+    trial: &Trial,
+    complexity: &mut ComplexityState,
+    context: &DecisionContext<'_>,
+    state: &mut TrainState,
+    without: TrainState,
+) -> bool {
+    let [with, bare] = [&*state, &without].map(|state| context.physical_psnr(state));
+    let is_needed = with - bare > trial.tolerance;
+    let [name, name_without] = trial.figures;
+    let figures = [(name, with), (name_without, bare), ("tolerance_db", trial.tolerance)];
+    let is = if is_needed { "learned" } else { trial.without };
+    complexity.note(trial.setting, context.steps, "learned".to_owned(), is.to_owned(), &figures);
+    if !is_needed {
+        *state = without;
+    }
+    !is_needed
+}

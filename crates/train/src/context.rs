@@ -1,0 +1,43 @@
+//! What decisions about a training are made from: its configuration, its light operators, how far it is.
+
+use relume_engine::cpu::evaluation;
+use relume_engine::{Branches, LightTurns, Photo, TrainState};
+use relume_scene::light::EnvOperators;
+use relume_spec::training::TrainConfig;
+use crate::schedule;
+
+/// What is the same for every step of a training, and how far it is.
+#[derive(Debug, Clone, Copy)]
+pub struct StepContext<'a> {
+    /// The configuration.
+    pub config: &'a TrainConfig,
+    /// Operators of the training environment.
+    pub operators: &'a EnvOperators,
+    /// Turns of the photographs' light.
+    pub turns: &'a LightTurns,
+    /// Display-referred background.
+    pub background: [f32; 3],
+    /// Whether the capture has masks.
+    pub has_alpha: bool,
+}
+
+impl StepContext<'_> {
+    /// The physically based branch as one photograph would show it, display-referred.
+    pub fn physical_image(&self, state: &TrainState, photo: &Photo) -> Vec<[f32; 3]> {
+        evaluation::physical_image(state, self.operators, photo, self.branches(), self.background)
+    }
+
+    /// Mean squared error of the physically based branch on one photograph.
+    pub fn physical_error(&self, state: &TrainState, photo: &Photo) -> f32 {
+        evaluation::physical_error(state, self.operators, photo, self.branches(), self.background)
+    }
+
+    /// Mean squared error of the radiance branch on one photograph.
+    pub fn radiance_error(&self, state: &TrainState, photo: &Photo) -> f32 {
+        evaluation::radiance_error(state, photo, self.background)
+    }
+
+    fn branches(&self) -> Branches {
+        schedule::branches(self.config, self.config.iterations)
+    }
+}

@@ -1,0 +1,75 @@
+//! The region of a crop.
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use relume_engine::{PhotoSize, TrainState};
+use relume_scene::{Field, Gaussians};
+use relume_spec::training::{Crop, NamedCrop};
+use crate::crop::ground;
+use crate::dataset::Dataset;
+
+/// Standard deviation from which a Gaussian is haze that explains surroundings, ball radii.
+const HAZE: f64 = 0.2;
+
+/// A ball, and what lies above the ground in it. Normalised world of the training before the cut.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Region {
+    /// Centre of the ball.
+    pub centre: [f64; 3],
+    /// Radius of the ball.
+    pub radius: f64,
+    /// Upward unit normal of the ground and its height along it; what lies below is outside.
+    pub ground: Option<[f64; 4]>,
+}
+
+impl Region {
+    /// The region that `crop` names; `None` for everything.
+    pub fn of(crop: Crop, state: &TrainState, data: &Dataset) -> Option<Self> {
+        match crop {
+            Crop::Named(NamedCrop::None) => None,
+            Crop::Named(NamedCrop::Auto) => {
+                let (centre, radius) = relume_capture::looked_at(&data.cameras(PhotoSize::Full));
+                let ground = ground::find(state, &data.cameras(PhotoSize::Half), centre, radius);
+                Some(Self { centre: centre.to_array(), radius, ground })
+            }
+            Crop::Ball([x, y, z, radius]) => {
+                let centre = (DVec3::new(x, y, z) + data.offset) * data.scale;
+                Some(Self { centre: centre.to_array(), radius: radius * data.scale, ground: None })
+            }
+        }
+    }
+
+    /// Whether the Gaussian `i` of `g` lies inside and is no haze.
+    pub fn contains(&self, g: &Gaussians, i: usize) -> bool {
+        let p = DVec3::from_array(std::array::from_fn(|k| f64::from(g.row(Field::Mean, i)[k])));
+        let above = self.ground.is_none_or(|[x, y, z, height]| DVec3::new(x, y, z).dot(p) > height);
+        above && !self.is_haze(g, i) && (p - DVec3::from(self.centre)).length() < self.radius
+    }
+
+    /// Whether the Gaussian `i` of `g` is too large to be a part of the subject, or of anything that stands before it.
+    pub fn is_haze(&self, g: &Gaussians, i: usize) -> bool {
+        let largest = g.row(Field::LogScale, i).iter().fold(f32::NEG_INFINITY, |most, s| most.max(*s));
+        f64::from(largest).exp() >= HAZE * self.radius
+    }
+
+    /// Scale and offset to the world after the cut, `x' = scale * (x + offset)`: the ball becomes the unit ball.
+    pub fn world(&self) -> (f64, DVec3) {
+        (1.0 / self.radius, -DVec3::from(self.centre))
+    }
+
+    /// Brings a state to the world after the cut.
+    pub fn normalise(&self, state: &mut TrainState) {
+        let (scale, offset) = self.world();
+        let model = &mut state.model;
+        for mean in model.gaussians.field_mut(Field::Mean).as_chunks_mut::<3>().0 {
+            (0..3).for_each(|k| mean[k] = ((f64::from(mean[k]) + offset[k]) * scale) as f32);
+        }
+        model.gaussians.field_mut(Field::LogScale).iter_mut().for_each(|s| *s += scale.ln() as f32);
+        // Gradients by position shrink as the world grows.
+        state.moments.first.field_mut(Field::Mean).iter_mut().for_each(|m| *m /= scale as f32);
+        state.moments.second.field_mut(Field::Mean).iter_mut().for_each(|m| *m /= (scale * scale) as f32);
+        model.world_offset += offset / model.world_scale;
+        model.world_scale *= scale;
+    }
+}

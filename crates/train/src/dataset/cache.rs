@@ -1,0 +1,292 @@
+//! Decoded photographs, bounded in bytes, and threads that decode what is needed next.
+//!
+//! What is decoded does not depend on who decodes it or when, so that neither the bound nor the threads show in a result.
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use relume_engine::{Photo, PhotoSize};
+use crate::dataset::stored_photo::StoredPhoto;
+
+/// Threads that decode ahead.
+const THREADS: usize = 2;
+
+/// Names a photograph: its index and size.
+pub type Key = (usize, PhotoSize);
+
+/// What was decoded for the steps of a training, and how long they waited for it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct DecodingStats {
+    /// Photographs asked for.
+    pub asked: u64,
+    /// Photographs decoded.
+    pub decoded: u64,
+    /// Times a photograph was not ready when it was asked for.
+    pub waits: u64,
+    /// Time spent in those.
+    pub waited: Duration,
+}
+
+/// The cache. The least recently used photograph goes first.
+#[derive(Debug)]
+pub struct PhotoCache {
+    shared: Arc<Shared>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    state: Mutex<State>,
+    /// Signalled when something was decoded, when something is to be decoded, and at the end.
+    changed: Condvar,
+}
+
+#[derive(Debug)]
+struct State {
+    most: usize,
+    entries: HashMap<Key, Entry>,
+    /// Bytes of all entries, those that are being decoded included.
+    bytes: usize,
+    /// To be decoded ahead, in order.
+    wanted: VecDeque<(Key, Arc<StoredPhoto>)>,
+    /// Counts uses, so that the least recent one is known.
+    clock: u64,
+    /// Counts the times that everything was forgotten: what was being decoded then is not kept.
+    generation: u64,
+    stats: DecodingStats,
+    ends: bool,
+}
+
+#[derive(Debug)]
+struct Entry {
+    bytes: usize,
+    used: u64,
+    /// Absent while it is being decoded.
+    photo: Option<Arc<Photo>>,
+}
+
+impl PhotoCache {
+    /// Keeps at most `most` bytes of decoded photographs, beside those that callers hold.
+    pub fn new(most: usize) -> Self {
+        let state = State {
+            most,
+            entries: HashMap::new(),
+            bytes: 0,
+            wanted: VecDeque::new(),
+            clock: 0,
+            generation: 0,
+            stats: DecodingStats::default(),
+            ends: false,
+        };
+        let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
+        let start = |k: usize| {
+            let shared = shared.clone();
+            std::thread::Builder::new()
+                .name(format!("relume-photos-{k}"))
+                .spawn(move || shared.decode_ahead())
+        };
+        // Without threads photographs are decoded when they are asked for.
+        let threads = (0..THREADS).filter_map(|k| start(k).ok()).collect();
+        Self { shared, threads }
+    }
+
+    /// The photograph, decoded here unless it is ready or nearly so.
+    pub fn get(&self, key: Key, stored: &StoredPhoto) -> Arc<Photo> {
+        let mut state = self.shared.lock();
+        state.stats.asked += 1;
+        if let Some(photo) = state.ready(key) {
+            return photo;
+        }
+        let start = Instant::now();
+        state.wanted.retain(|(wanted, _)| *wanted != key);
+        let photo = self.shared.decoded(state, key, stored);
+        let mut state = self.shared.lock();
+        state.stats.waits += 1;
+        state.stats.waited += start.elapsed();
+        photo
+    }
+
+    /// The photograph if it is ready; nothing is counted.
+    pub fn peek(&self, key: Key) -> Option<Arc<Photo>> {
+        self.shared.lock().entries.get(&key)?.photo.clone()
+    }
+
+    /// Has what is asked for next, in this order, decoded meanwhile, as far as the bound allows.
+    pub fn expect(&self, next: impl Iterator<Item = (Key, Arc<StoredPhoto>)>) {
+        let mut state = self.shared.lock();
+        state.wanted.clear();
+        let mut room = state.most;
+        for (key, stored) in next {
+            let bytes = stored.decoded_bytes(key.1);
+            if bytes > room {
+                break;
+            }
+            room -= bytes;
+            if state.entries.contains_key(&key) {
+                state.touch(key);
+            } else {
+                state.wanted.push_back((key, stored));
+            }
+        }
+        drop(state);
+        self.shared.changed.notify_all();
+    }
+
+    /// Forgets everything: photographs have changed.
+    pub fn clear(&self) {
+        let mut state = self.shared.lock();
+        state.generation += 1;
+        state.wanted.clear();
+        state.entries.clear();
+        state.bytes = 0;
+        drop(state);
+        self.shared.changed.notify_all();
+    }
+
+    /// Bytes of what is kept, and of what is being decoded.
+    #[cfg(test)]
+    pub fn held(&self) -> usize {
+        self.shared.lock().bytes
+    }
+
+    /// What was decoded and waited for so far.
+    pub fn stats(&self) -> DecodingStats {
+        self.shared.lock().stats
+    }
+}
+
+impl Drop for PhotoCache {
+    fn drop(&mut self) {
+        self.shared.lock().ends = true;
+        self.shared.changed.notify_all();
+        for thread in self.threads.drain(..) {
+            // One that panicked has nothing left to do.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn wait<'a>(&'a self, state: MutexGuard<'a, State>) -> MutexGuard<'a, State> {
+        self.changed.wait(state).unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The work of one thread: decodes what is wanted until the end.
+    fn decode_ahead(&self) {
+        let mut state = self.lock();
+        while !state.ends {
+            let Some((key, stored)) = state.wanted.pop_front() else {
+                state = self.wait(state);
+                continue;
+            };
+            if state.entries.contains_key(&key) || !state.make_room(stored.decoded_bytes(key.1)) {
+                continue;
+            }
+            self.decode_into(state, key, &stored);
+            state = self.lock();
+        }
+    }
+
+    /// A photograph that is not ready: waits for the thread that decodes it, or decodes it.
+    fn decoded<'a>(&'a self, mut state: MutexGuard<'a, State>, key: Key, stored: &StoredPhoto) -> Arc<Photo> {
+        while state.entries.contains_key(&key) {
+            if let Some(photo) = state.ready(key) {
+                return photo;
+            }
+            state = self.wait(state);
+        }
+        if state.make_room(stored.decoded_bytes(key.1)) {
+            return self.decode_into(state, key, stored);
+        }
+        state.stats.decoded += 1;
+        drop(state);
+        Arc::new(stored.decoded(key.1))
+    }
+
+    /// Decodes into an entry of its own, for which there is room.
+    fn decode_into(&self, mut state: MutexGuard<'_, State>, key: Key, stored: &StoredPhoto) -> Arc<Photo> {
+        let bytes = stored.decoded_bytes(key.1);
+        state.bytes += bytes;
+        state.clock += 1;
+        let used = state.clock;
+        state.entries.insert(key, Entry { bytes, used, photo: None });
+        state.stats.decoded += 1;
+        let pending = Pending { shared: self, key, generation: state.generation };
+        drop(state);
+        let photo = Arc::new(stored.decoded(key.1));
+        pending.finish(photo.clone());
+        photo
+    }
+}
+
+impl State {
+    /// The photograph if it is decoded; it becomes the one that was used last.
+    fn ready(&mut self, key: Key) -> Option<Arc<Photo>> {
+        self.touch(key);
+        self.entries.get(&key)?.photo.clone()
+    }
+
+    fn touch(&mut self, key: Key) {
+        self.clock += 1;
+        if let Some(entry) = self.entries.get_mut(&key) {
+            entry.used = self.clock;
+        }
+    }
+
+    /// Drops the least recently used photographs until there is room for `bytes`; false where there cannot be.
+    fn make_room(&mut self, bytes: usize) -> bool {
+        if bytes > self.most {
+            return false;
+        }
+        while self.bytes + bytes > self.most {
+            let decoded = self.entries.iter().filter(|(_, entry)| entry.photo.is_some());
+            let Some(oldest) = decoded.min_by_key(|(_, entry)| entry.used).map(|(key, _)| *key) else {
+                return false;
+            };
+            self.remove(oldest);
+        }
+        true
+    }
+
+    fn remove(&mut self, key: Key) {
+        if let Some(entry) = self.entries.remove(&key) {
+            self.bytes -= entry.bytes;
+        }
+    }
+}
+
+/// An entry that is being decoded; it goes where decoding ends in a panic, so that nobody waits for ever.
+struct Pending<'a> {
+    shared: &'a Shared,
+    key: Key,
+    generation: u64,
+}
+
+impl Pending<'_> {
+    fn finish(self, photo: Arc<Photo>) {
+        let mut state = self.shared.lock();
+        if state.generation == self.generation
+            && let Some(entry) = state.entries.get_mut(&self.key)
+        {
+            entry.photo = Some(photo);
+        }
+    }
+}
+
+impl Drop for Pending<'_> {
+    fn drop(&mut self) {
+        let mut state = self.shared.lock();
+        let is_undecoded = state.entries.get(&self.key).is_some_and(|entry| entry.photo.is_none());
+        if state.generation == self.generation && is_undecoded {
+            state.remove(self.key);
+        }
+        drop(state);
+        self.shared.changed.notify_all();
+    }
+}

@@ -1,0 +1,20 @@
+//! What a camera that chose exposure and white balance itself multiplied one photograph by.
+
+use relume_engine::Photo;
+use relume_engine::cpu::{linear_from_srgb, srgb};
+
+/// Linear gain of a photograph, by channel.
+pub type Gain = [f32; 3];
+
+/// Divides what `photo` shows of its subject by `gain`.
+pub fn divide(photo: &mut Photo, gain: Gain, background: [f32; 3]) {
+    let Photo { pixels, alpha, .. } = photo;
+    for (i, pixel) in pixels.iter_mut().enumerate() {
+        let a = alpha.get(i).copied().unwrap_or(1.0);
+        for c in 0..3 {
+            let behind = (1.0 - a) * background[c];
+            let shown = ((pixel[c] - behind) / a.max(1e-3)).clamp(0.0, 1.0);
+            pixel[c] = srgb((linear_from_srgb(shown) / gain[c]).min(1.0)) * a + behind;
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! The training photographs with their cameras: in the normalised world, at two resolutions, composited when they are decoded.
+
+mod cache;
+mod gain;
+mod stored_photo;
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use relume_capture::{Capture, CaptureView};
+use relume_engine::{LightTurn, LightTurns, Photo, PhotoSize};
+use relume_scene::Camera;
+use relume_spec::training::TrainConfig;
+use cache::PhotoCache;
+use stored_photo::StoredPhoto;
+
+pub use cache::DecodingStats;
+pub use gain::Gain;
+#[cfg(test)]
+pub use gain::divide;
+
+/// Background of masked photographs: what relighting benchmarks composite over.
+pub const WHITE: [f32; 3] = [1.0; 3];
+
+/// Bytes of decoded photographs that are kept, if that is enough for the largest one and the next.
+const CACHE_BYTES: usize = 512 << 20;
+
+/// All training photographs.
+#[derive(Debug)]
+pub struct Dataset {
+    photos: Vec<Arc<StoredPhoto>>,
+    cache: PhotoCache,
+    /// Capture to normalised world: `x' = scale * (x + offset)`.
+    pub scale: f64,
+    /// See `scale`.
+    pub offset: glam::DVec3,
+    /// Background the photographs are composited over.
+    pub background: [f32; 3],
+    /// Turns of the photographs' light.
+    pub turns: LightTurns,
+    /// True when the photographs have masks.
+    pub has_alpha: bool,
+    /// Names of the photographs.
+    pub names: Vec<String>,
+}
+
+impl Dataset {
+    /// Prepares the training views as `config` asks for them. Those that have its resolution share their pixels with `capture`.
+    pub fn new(capture: &Capture, config: &TrainConfig) -> Self {
+        let scale = 1.0 / capture.bounds.radius.max(1e-12);
+        let offset = -capture.bounds.centre;
+        let has_alpha = capture.has_alpha;
+        // Without a mask nothing shows through.
+        let background = if has_alpha { WHITE } else { [0.0; 3] };
+        let degrees = |view: &CaptureView| if config.light_rotations { view.light_rotation_deg } else { 0.0 };
+        let (turns, lights) = LightTurns::of(&capture.train.iter().map(degrees).collect::<Vec<_>>());
+        let photo = |(view, light): (&CaptureView, &LightTurn)| {
+            let sizes = [2, 1].map(|divisor| reduced_size(view, config.resolution, divisor));
+            let camera =
+                |(width, height)| view.camera.resized(width, height).in_normalised_world(scale, offset);
+            let image = view.image.resized(sizes[1].0, sizes[1].1);
+            let (cameras, light, mask, gains) = (sizes.map(camera), *light, None, Vec::new());
+            Arc::new(StoredPhoto { image, cameras, light, mask, gains, background, has_alpha })
+        };
+        let photos: Vec<_> = capture.train.par_iter().zip(&lights).map(photo).collect();
+        let names = capture.train.iter().map(|view| view.name.clone()).collect();
+        let cache = PhotoCache::new(cache_bytes(photos.iter().map(|p| p.decoded_bytes(PhotoSize::Full))));
+        Self { photos, cache, scale, offset, background, turns, has_alpha, names }
+    }
+
+    /// Opaque photographs whose pixels a test has made, at 16 bits.
+    #[cfg(test)]
+    pub fn of_photos(photos: &[Photo]) -> Self {
+        use relume_scene::{BitDepth, ImageRgba, PackedImage};
+        let stored = |Photo { camera, pixels, light, .. }: &Photo| {
+            let pixels = pixels.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect();
+            let image = ImageRgba { width: camera.width, height: camera.height, pixels };
+            let image = PackedImage::new(&image, BitDepth::Sixteen);
+            let half = camera.resized(camera.width.div_ceil(2), camera.height.div_ceil(2));
+            let (mask, gains, background) = (None, Vec::new(), WHITE);
+            let (cameras, light, has_alpha) = ([half, *camera], *light, false);
+            Arc::new(StoredPhoto { image, cameras, light, mask, gains, background, has_alpha })
+        };
+        Self {
+            photos: photos.iter().map(stored).collect(),
+            cache: PhotoCache::new(CACHE_BYTES),
+            scale: 1.0,
+            offset: glam::DVec3::ZERO,
+            background: WHITE,
+            turns: LightTurns::default(),
+            has_alpha: false,
+            names: Vec::new(),
+        }
+    }
+
+    /// Bounds what is kept decoded, bytes.
+    pub fn bound(&mut self, bytes: usize) {
+        self.cache = PhotoCache::new(bytes);
+    }
+
+    /// Number of photographs.
+    pub fn len(&self) -> usize {
+        self.photos.len()
+    }
+
+    /// Divides each photograph by its gain.
+    pub fn divide(&mut self, gains: &[Gain]) {
+        self.photos.iter_mut().zip(gains).for_each(|(photo, gain)| Arc::make_mut(photo).gains.push(*gain));
+        self.cache.clear();
+    }
+
+    /// Makes the photographs those of a subject before white. `mask` has the share of each of the camera's pixels that the
+    /// subject covers; `scale` and `offset` bring cameras to the subject's world.
+    pub fn cut_out(&mut self, (scale, offset): (f64, glam::DVec3), mask: impl Fn(&Camera) -> Vec<f32>) {
+        (self.has_alpha, self.background) = (true, WHITE);
+        for photo in &mut self.photos {
+            let levels = mask(photo.camera(PhotoSize::Full)).into_iter().map(|a| (a * 255.0).round() as u8);
+            let photo = Arc::make_mut(photo);
+            photo.mask = Some(levels.collect());
+            photo.cameras = photo.cameras.map(|camera| camera.in_normalised_world(scale, offset));
+            (photo.has_alpha, photo.background) = (true, WHITE);
+        }
+        self.cache.clear();
+    }
+
+    /// Photograph `index` at `size`, for a step.
+    pub fn photo(&self, index: usize, size: PhotoSize) -> Arc<Photo> {
+        self.cache.get((index, size), &self.photos[index])
+    }
+
+    /// Photograph `index` at `size` without its pixels.
+    pub fn outline(&self, index: usize, size: PhotoSize) -> Photo {
+        self.photos[index].outline(size)
+    }
+
+    /// Has the photographs that the next steps need decoded meanwhile.
+    pub fn expect(&self, next: impl Iterator<Item = (usize, PhotoSize)>) {
+        self.cache.expect(next.map(|key| (key, self.photos[key.0].clone())));
+    }
+
+    /// Photograph `index` at `size`, for a look: it is not kept.
+    pub fn look(&self, index: usize, size: PhotoSize) -> Arc<Photo> {
+        self.cache.peek((index, size)).unwrap_or_else(|| Arc::new(self.photos[index].decoded(size)))
+    }
+
+    /// Shows `act` all photographs at `size`, in order. As many as there are threads are decoded at a time.
+    pub fn walk(&self, size: PhotoSize, mut act: impl FnMut(usize, &Photo)) {
+        let at_once = rayon::current_num_threads().max(1);
+        for first in (0..self.len()).step_by(at_once) {
+            let indices = first..self.len().min(first + at_once);
+            let photos: Vec<_> = indices.into_par_iter().map(|i| self.look(i, size)).collect();
+            photos.iter().enumerate().for_each(|(k, photo)| act(first + k, photo));
+        }
+    }
+
+    /// Camera of photograph `index` at `size`, normalised world.
+    pub fn camera(&self, index: usize, size: PhotoSize) -> &Camera {
+        self.photos[index].camera(size)
+    }
+
+    /// All cameras at `size`, normalised world.
+    pub fn cameras(&self, size: PhotoSize) -> Vec<&Camera> {
+        self.photos.iter().map(|photo| photo.camera(size)).collect()
+    }
+
+    /// Camera centres, normalised world.
+    pub fn camera_centres(&self) -> Vec<[f32; 3]> {
+        let centre = |camera: &Camera| camera.centre().as_vec3().to_array();
+        self.cameras(PhotoSize::Full).into_iter().map(centre).collect()
+    }
+
+    /// Pixels of the largest photograph.
+    pub fn largest(&self) -> usize {
+        self.photos.iter().map(|photo| photo.image.len()).max().unwrap_or(0)
+    }
+
+    /// Bytes of memory that the photographs take while they are not decoded, with those that a capture shares.
+    pub fn bytes(&self) -> usize {
+        self.photos.iter().map(|photo| photo.bytes()).sum()
+    }
+
+    /// What was decoded for steps, and how long they waited for it.
+    pub fn decoding(&self) -> DecodingStats {
+        self.cache.stats()
+    }
+}
+
+/// Bytes of decoded photographs that are kept of photographs that take `decoded` bytes each.
+pub fn cache_bytes(decoded: impl Iterator<Item = usize>) -> usize {
+    decoded.max().unwrap_or(0).saturating_mul(2).max(CACHE_BYTES)
+}
+
+/// Size of a view whose longest side is `resolution` over `divisor` pixels; it is never enlarged.
+fn reduced_size(view: &CaptureView, resolution: u32, divisor: u32) -> (u32, u32) {
+    let longest = view.image.width.max(view.image.height);
+    let target = (resolution.min(longest) / divisor).max(1);
+    let side = |s: u32| (u64::from(s) * u64::from(target)).div_ceil(u64::from(longest)).max(1) as u32;
+    (side(view.image.width), side(view.image.height))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,145 @@
+use super::cache::Key;
+use super::*;
+use relume_capture::{SyntheticOptions, synthetic};
+use relume_compare::largest_difference;
+use relume_scene::{BitDepth, PackedImage};
+use relume_spec::training::{Preset, TrainOverrides};
+
+const VIEWS: usize = 6;
+const SIDE: u32 = 24;
+/// Bytes of a decoded photograph with a mask.
+const FULL: usize = (SIDE * SIDE) as usize * 16;
+
+/// Photographs as files of 8 bits have them.
+fn capture(has_alpha: bool) -> Capture {
+    let options =
+        SyntheticOptions { train_views: VIEWS, test_views: 1, size: SIDE, paths: 4, ..Default::default() };
+    let mut capture = synthetic(&options).unwrap();
+    for view in &mut capture.train {
+        let mut image = view.image.decoded();
+        if !has_alpha {
+            image.pixels.iter_mut().for_each(|p| p[3] = 1.0);
+        }
+        view.image = PackedImage::new(&image, BitDepth::Eight);
+    }
+    capture.has_alpha = has_alpha;
+    capture
+}
+
+fn dataset(capture: &Capture, resolution: u32) -> Dataset {
+    let overrides = TrainOverrides { resolution: Some(resolution), ..Default::default() };
+    Dataset::new(capture, &TrainConfig::new(Preset::Draft, &overrides).unwrap())
+}
+
+#[test]
+fn photographs_take_at_most_four_bytes_a_pixel_together_with_their_capture() {
+    for (has_alpha, most) in [(false, 3), (true, 4)] {
+        let capture = capture(has_alpha);
+        let data = dataset(&capture, SIDE);
+        let shared = data.photos.iter().zip(&capture.train);
+        assert!(shared.clone().all(|(photo, view)| photo.image.shares_pixels_with(&view.image)));
+        assert_eq!(data.bytes(), VIEWS * (SIDE * SIDE) as usize * most);
+        let smaller = dataset(&capture, SIDE - 2);
+        assert!(!smaller.photos[0].image.shares_pixels_with(&capture.train[0].image), "the control");
+    }
+    let mut cut = dataset(&capture(false), SIDE);
+    cut.cut_out((1.0, glam::DVec3::ZERO), |camera| vec![0.5; (camera.width * camera.height) as usize]);
+    assert_eq!(cut.bytes(), VIEWS * (SIDE * SIDE) as usize * 4, "a mask that was made takes one");
+}
+
+#[test]
+fn photographs_have_the_floats_of_their_files() {
+    let capture = capture(true);
+    let data = dataset(&capture, SIDE);
+    for (i, view) in capture.train.iter().enumerate() {
+        let image = view.image.decoded();
+        assert_eq!(data.photo(i, PhotoSize::Full).pixels, image.over(WHITE));
+        assert_eq!(data.look(i, PhotoSize::Half).pixels, image.resized(SIDE / 2, SIDE / 2).over(WHITE));
+        assert_eq!(data.camera(i, PhotoSize::Half).width, SIDE / 2);
+    }
+    let mut seen = Vec::new();
+    data.walk(PhotoSize::Full, |i, photo| seen.push((i, photo.pixels.clone())));
+    assert_eq!(seen.len(), VIEWS);
+    assert!(seen.iter().enumerate().all(|(i, (k, _))| i == *k));
+    assert_eq!(seen[4].1, data.photo(4, PhotoSize::Full).pixels);
+    assert_ne!(seen[4].1, seen[3].1, "the control");
+}
+
+#[test]
+fn a_reduced_photograph_is_that_of_the_floats_to_half_a_level() {
+    let capture = capture(true);
+    let (small, data) = (SIDE * 2 / 3, dataset(&capture, SIDE * 2 / 3));
+    let found = data.photo(0, PhotoSize::Full);
+    let exact = capture.train[0].image.decoded().resized(small, small).over(WHITE);
+    let error = |photo: &Photo| largest_difference(photo.pixels.as_flattened(), exact.as_flattened());
+    // Half a level of the colour and, over white, half a level of alpha.
+    assert!(error(&found) <= 1.01 / 255.0, "{}", error(&found));
+    let control = error(&data.photo(1, PhotoSize::Full));
+    assert!(control.is_finite() && control > 0.1, "the control, another photograph: {control}");
+}
+
+/// Asks for photographs in this order, with what comes next expected, and says what was decoded; no entry may be beyond the bound.
+fn asked(order: &[usize], bound: usize) -> DecodingStats {
+    let mut data = dataset(&capture(true), SIDE);
+    data.bound(bound);
+    let exact: Vec<Photo> = data.photos.iter().map(|photo| photo.decoded(PhotoSize::Full)).collect();
+    for (at, i) in order.iter().enumerate() {
+        assert_eq!(data.photo(*i, PhotoSize::Full).pixels, exact[*i].pixels);
+        data.expect(order[at + 1..].iter().take(3).map(|next| (*next, PhotoSize::Full)));
+        assert!(data.cache.held() <= bound);
+    }
+    data.decoding()
+}
+
+#[test]
+fn nothing_is_decoded_twice_where_all_fits_and_the_bound_holds_where_it_does_not() {
+    let order = [0, 1, 2, 3, 4, 5, 3, 1, 5, 0, 2, 4, 4, 0];
+    let whole = asked(&order, VIEWS * FULL);
+    assert_eq!((whole.asked, whole.decoded), (14, VIEWS as u64));
+    let narrow = asked(&order, 2 * FULL);
+    assert!(narrow.decoded > VIEWS as u64, "the control: {narrow:?}");
+    for bound in [0, FULL - 1, FULL, 3 * FULL] {
+        let stats = asked(&order, bound);
+        assert!(stats.decoded >= VIEWS as u64, "{bound}: {stats:?}");
+    }
+    assert_eq!(asked(&order, 0).waits, 14, "nothing is kept, so that each is waited for");
+}
+
+#[test]
+fn the_one_that_was_not_used_for_longest_goes_first() {
+    let mut data = dataset(&capture(true), SIDE);
+    data.bound(2 * FULL);
+    let key = |i: usize| -> Key { (i, PhotoSize::Full) };
+    for i in [0, 1, 0, 2] {
+        data.photo(i, PhotoSize::Full);
+    }
+    assert!(data.cache.peek(key(0)).is_some() && data.cache.peek(key(2)).is_some());
+    assert!(data.cache.peek(key(1)).is_none());
+}
+
+#[test]
+fn what_is_expected_is_decoded_without_being_asked_for() {
+    let data = dataset(&capture(true), SIDE);
+    let start = std::time::Instant::now();
+    data.expect([(3, PhotoSize::Half)].into_iter());
+    while data.cache.peek((3, PhotoSize::Half)).is_none() {
+        assert!(start.elapsed().as_secs() < 60, "nobody decodes it");
+        std::thread::yield_now();
+    }
+    data.photo(3, PhotoSize::Half);
+    assert_eq!((data.decoding().decoded, data.decoding().waits), (1, 0));
+    data.photo(2, PhotoSize::Half);
+    assert_eq!((data.decoding().decoded, data.decoding().waits), (2, 1), "the control");
+}
+
+#[test]
+fn photographs_that_changed_are_decoded_anew() {
+    let mut data = dataset(&capture(true), SIDE);
+    let before = data.photo(0, PhotoSize::Full);
+    data.divide(&[[2.0; 3]; VIEWS]);
+    let after = data.photo(0, PhotoSize::Full);
+    let mut expected = (*before).clone();
+    divide(&mut expected, [2.0; 3], WHITE);
+    assert_eq!(after.pixels, expected.pixels);
+    assert_ne!(after.pixels, before.pixels, "the control");
+}

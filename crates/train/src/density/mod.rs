@@ -1,0 +1,69 @@
+//! Density control: plans where Gaussians are added and dropped, up to a budget.
+//!
+//! The signal is that of AbsGS: the magnitude of the gradient by the projected mean, summed pixel by pixel. The budget goes
+//! to the Gaussians of largest signal. Each of them splits in two along its longest axis: one rule and no random draw, and
+//! the rendered image hardly changes.
+
+mod order;
+
+use relume_engine::cpu::sigmoid;
+use relume_engine::{DensityPlan, DensitySignals, PlannedGaussian, SplitOrigin};
+
+/// Mean absgrad (half image widths) above which a Gaussian may be split.
+const SPLIT_ABSGRAD: f32 = 4e-4;
+/// Opacity below which a Gaussian is dropped.
+const LEAST_OPACITY: f32 = 0.008;
+/// Standard deviation above which a Gaussian is dropped, scene radii.
+const MOST_SCALE: f32 = 0.5;
+/// Without masks, distance to a camera below which a Gaussian is dropped, scene radii.
+const CAMERA_CLEARANCE: f32 = 0.2;
+/// Most growth of one round, as a share.
+const MOST_GROWTH: f32 = 0.25;
+
+/// Drops Gaussians of little opacity or excessive size, and splits those of largest absgrad while the budget lasts. The next
+/// generation is in the order of [`order`]; where `signals` have no means, in that of the sources, second halves last.
+///
+/// `camera_centres` (normalised world): of a scene without masks. Such a scene keeps its large background Gaussians, and
+/// drops those close in front of a camera, where no other view can correct them; `signals` must have the means then.
+pub fn plan(signals: &DensitySignals, budget: usize, camera_centres: Option<&[[f32; 3]]>) -> DensityPlan {
+    let n = signals.opacity_logits.len();
+    let stats = &signals.stats;
+    let kept: Vec<usize> = (0..n).filter(|&i| !is_dropped(signals, i, camera_centres)).collect();
+    let growth = budget.saturating_sub(kept.len()).min((kept.len() as f32 * MOST_GROWTH) as usize + 8);
+    let mut candidates: Vec<(f32, usize)> = kept
+        .iter()
+        .map(|&i| (stats.absgrad[i] / stats.seen[i].max(1.0), i))
+        .filter(|(absgrad, _)| *absgrad > SPLIT_ABSGRAD)
+        .collect();
+    candidates.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    candidates.truncate(growth);
+    let mut is_split = vec![false; n];
+    candidates.iter().for_each(|&(_, i)| is_split[i] = true);
+    let planned = |i: &usize, origin| PlannedGaussian { source: *i as u32, origin };
+    let first = |i| planned(i, if is_split[*i] { SplitOrigin::UpperHalf } else { SplitOrigin::Keep });
+    let second = |i| planned(i, SplitOrigin::LowerHalf);
+    let halves = kept.iter().filter(|i| is_split[**i]).map(second);
+    let mut gaussians: Vec<PlannedGaussian> = kept.iter().map(first).chain(halves).collect();
+    let codes = order::morton_codes(&signals.means);
+    // Stable: halves of a Gaussian keep their order.
+    gaussians.sort_by_key(|planned| codes.get(planned.source as usize).copied());
+    DensityPlan { gaussians }
+}
+
+fn is_dropped(signals: &DensitySignals, i: usize, camera_centres: Option<&[[f32; 3]]>) -> bool {
+    let largest = signals.log_scales[i].into_iter().fold(f32::NEG_INFINITY, f32::max);
+    let is_misplaced = match camera_centres {
+        None => largest > MOST_SCALE.ln(),
+        Some(centres) => {
+            let mean = signals.means[i];
+            let is_near = |centre: &[f32; 3]| {
+                (0..3).map(|k| (mean[k] - centre[k]).powi(2)).sum::<f32>() < CAMERA_CLEARANCE.powi(2)
+            };
+            centres.iter().any(is_near)
+        }
+    };
+    sigmoid(signals.opacity_logits[i]) < LEAST_OPACITY || is_misplaced
+}
+
+#[cfg(test)]
+mod tests;

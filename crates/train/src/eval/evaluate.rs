@@ -1,0 +1,403 @@
+//! The evaluation of a model against a capture's held-out views and whatever ground truth they carry.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use relume_capture::{Capture, CaptureView};
+use relume_engine::Device;
+use relume_engine::DeviceError;
+use crate::eval::exposure::matched;
+use crate::eval::layers::albedo_psnr;
+use crate::eval::lpips::Lpips;
+use crate::eval::report::{AlbedoScores, ImageScores, RelitScores, Report};
+use crate::eval::totals::{ImageTotals, LayerTotals, Mean};
+use crate::eval::views::{OwnLight, ViewLayers, is_cropped, photograph, relit, shown_by, with_scaled_albedo};
+use relume_spec::rendering::{Output, Quality, Tier};
+use crate::render::{RenderError, Renderer};
+use relume_scene::{ImageRgba, Model, Plane};
+
+/// How to evaluate.
+pub struct EvalOptions<'a> {
+    /// LPIPS with its weights; without it the LPIPS figures are null and the report says so.
+    pub lpips: Option<&'a Lpips>,
+    /// Compare only this many test views, evenly spaced; all when `None`.
+    pub views: Option<usize>,
+    /// The tier whose pictures are compared.
+    pub quality: Quality,
+    /// Least wall-clock time to spend on the frame rate of each tier; zero leaves frame rates out.
+    pub frame_rate_time: Duration,
+    /// Where to render.
+    pub device: &'a Device,
+    /// Called after each rendered view with the number of views done and their total.
+    pub progress: &'a dyn Fn(usize, usize),
+}
+
+impl EvalOptions<'_> {
+    /// The tier where none is asked for: shadows of strong small lights are as sharp as those of the photographs.
+    pub const TIER: Tier = Tier::High;
+}
+
+impl Default for EvalOptions<'_> {
+    fn default() -> Self {
+        Self {
+            lpips: None,
+            views: None,
+            quality: Self::TIER.into(),
+            frame_rate_time: Duration::from_secs(1),
+            device: &Device::Cpu,
+            progress: &|_, _| {},
+        }
+    }
+}
+
+/// Why an evaluation failed.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum EvalError {
+    /// The capture has no test views.
+    #[error("the capture has no held-out views to evaluate on")]
+    NoTestViews,
+    /// An image or layer of a view is not of its camera's size.
+    #[error("view {view}: {layer} is {found}, its camera {expected} pixels")]
+    Size {
+        /// The view.
+        view: String,
+        /// The image or layer.
+        layer: String,
+        /// Its size.
+        found: String,
+        /// The camera's size.
+        expected: String,
+    },
+    /// A view could not be rendered.
+    #[error("view {view}: {source}")]
+    Render {
+        /// The view.
+        view: String,
+        /// The renderer's error.
+        source: RenderError,
+    },
+    /// The device failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+}
+
+/// Compares a model with a capture: novel views (both branches), relit views of each light, material and geometry
+/// layers. Pictures have the size of the capture's views and a white background.
+///
+/// # Errors
+/// [`EvalError`] names the view and layer that cannot be compared. A missing *kind* of truth is no error: its
+/// figures are null and [`Report::notes`] says why.
+pub fn evaluate(
+    model: Arc<Model>,
+    capture: &Capture,
+    options: &EvalOptions<'_>,
+) -> Result<Report, EvalError> {
+    let views = evenly_spaced(&capture.test, options.views);
+    if views.is_empty() {
+        return Err(EvalError::NoTestViews);
+    }
+    views.iter().try_for_each(|view| check_sizes(view))?;
+    let lights = lights_of(&views, capture);
+    let mut run = Evaluation { capture, options, views, lights, done: std::cell::Cell::new(0) };
+    run.evaluate(model)
+}
+
+/// One evaluation: what is compared and how.
+struct Evaluation<'a> {
+    capture: &'a Capture,
+    options: &'a EvalOptions<'a>,
+    views: Vec<&'a CaptureView>,
+    /// Lights with both truth and a map.
+    lights: Vec<&'a str>,
+    done: std::cell::Cell<usize>,
+}
+
+impl Evaluation<'_> {
+    fn evaluate(&mut self, model: Arc<Model>) -> Result<Report, EvalError> {
+        let renderer = Renderer::on(model.clone(), self.options.device)?;
+        let mut report = Report {
+            protocol: self.protocol(),
+            views: self.views.len(),
+            gaussians: model.gaussians.len(),
+            training_seconds: model.card.get("training_seconds").and_then(serde_json::Value::as_f64),
+            ..Report::default()
+        };
+        self.own_light(&renderer, &mut report)?;
+        let has_materials = model.has_materials();
+        if has_materials {
+            report.relit = self.relit(&renderer)?;
+        } else {
+            forget_materials(&mut report);
+        }
+        if let Some(scale) = report.albedo.scale {
+            let aligned = Renderer::on(Arc::new(with_scaled_albedo(&model, scale)), self.options.device)?;
+            self.aligned_albedo(&aligned, &mut report)?;
+            report.relit_aligned = self.relit(&aligned)?;
+        }
+        self.frame_rates(&renderer, &mut report)?;
+        self.explain_absences(&mut report);
+        if is_cropped(&model) {
+            explain_crop(&mut report);
+        }
+        if !has_materials {
+            explain_no_materials(&mut report);
+        }
+        Ok(report)
+    }
+
+    /// Novel views and layers under the light the model recovered, turned as it stood in each photograph.
+    fn own_light(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
+        let mut own = OwnLight::default();
+        let (mut shaded, mut radiance) = (ImageTotals::default(), ImageTotals::default());
+        let (mut shaded_matched, mut radiance_matched) = (ImageTotals::default(), ImageTotals::default());
+        let mut totals = LayerTotals::default();
+        for view in &self.views {
+            let light = own.of(renderer, view)?;
+            let layers = ViewLayers::render(renderer, &view.camera, light, self.options.quality)
+                .map_err(|source| refused(view, source))?;
+            let truth = shown_by(renderer.model(), view, &layers.alpha);
+            shaded.add(&layers.shaded, &truth, self.options.lpips);
+            radiance.add(&layers.radiance, &truth, self.options.lpips);
+            let at_its_exposure = |picture| matched(picture, &layers.alpha, &truth);
+            shaded_matched.add(&at_its_exposure(&layers.shaded), &truth, self.options.lpips);
+            radiance_matched.add(&at_its_exposure(&layers.radiance), &truth, self.options.lpips);
+            totals.add(&layers, view);
+            self.step();
+        }
+        report.novel_view = shaded.scores();
+        report.novel_view_radiance = radiance.scores();
+        report.novel_view_matched = shaded_matched.scores();
+        report.novel_view_radiance_matched = radiance_matched.scores();
+        totals.write(report);
+        Ok(())
+    }
+
+    /// Albedo after alignment: the aligned model's own albedo, so nothing is scaled twice.
+    fn aligned_albedo(&self, aligned: &Renderer, report: &mut Report) -> Result<(), EvalError> {
+        let light = aligned.prepare_light(aligned.model().recovered_light())?;
+        let (mut whole, mut foreground) = (Mean::default(), Mean::default());
+        for view in &self.views {
+            let Some(truth) = &view.truth.albedo else { continue };
+            let frame = aligned
+                .render(&view.camera, &light, self.options.quality, &[Output::Albedo])
+                .map_err(|source| refused(view, source))?;
+            let plane = |o| frame.planes.get(&o).map_or(&[][..], |p| p.as_slice());
+            let (albedo, alpha) = (plane(Output::Albedo).as_chunks::<3>().0, plane(Output::Alpha));
+            let [all, inside] = albedo_psnr((albedo, alpha), truth, &view.image);
+            whole.add(all);
+            foreground.add(inside);
+            self.step();
+        }
+        report.albedo.psnr_aligned = whole.value();
+        report.albedo.psnr_aligned_foreground = foreground.value();
+        Ok(())
+    }
+
+    /// Relit pictures against their truth, light by light.
+    fn relit(&self, renderer: &Renderer) -> Result<RelitScores, EvalError> {
+        let mut scores = RelitScores::default();
+        for &name in &self.lights {
+            let light = renderer.prepare_light(&self.capture.lights[name])?;
+            let mut totals = ImageTotals::default();
+            for view in &self.views {
+                let Some(truth) = view.truth.relit.get(name) else { continue };
+                let picture = relit(renderer, &view.camera, &light, self.options.quality)
+                    .map_err(|source| refused(view, source))?;
+                totals.add(&picture, &photograph(truth), self.options.lpips);
+                self.step();
+            }
+            scores.lights.insert(name.to_owned(), totals.scores());
+        }
+        let mean = |pick: fn(&ImageScores) -> Option<f64>| {
+            let mut mean = Mean::default();
+            scores.lights.values().for_each(|s| mean.add(pick(s)));
+            mean.value()
+        };
+        scores.mean =
+            ImageScores { psnr: mean(|s| s.psnr), ssim: mean(|s| s.ssim), lpips: mean(|s| s.lpips) };
+        Ok(scores)
+    }
+
+    /// Relit frames a second of every tier, over the test cameras in turn, after one frame to warm up.
+    fn frame_rates(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
+        if self.options.frame_rate_time.is_zero() {
+            return Ok(());
+        }
+        let recovered = || renderer.model().recovered_light();
+        let light = self.lights.first().map_or_else(recovered, |name| (&self.capture.lights[*name]).into());
+        let light = renderer.prepare_light(light)?;
+        for tier in [Tier::Preview, Tier::Standard, Tier::High] {
+            let draw = |view: &CaptureView| {
+                let frame = renderer.render(&view.camera, &light, tier, &[Output::Rgb]);
+                frame.map(drop).map_err(|source| refused(view, source))
+            };
+            draw(self.views[0])?;
+            let (start, mut frames) = (Instant::now(), 0u32);
+            while frames < 3 || start.elapsed() < self.options.frame_rate_time {
+                draw(self.views[frames as usize % self.views.len()])?;
+                frames += 1;
+            }
+            let rate = f64::from(frames) / start.elapsed().as_secs_f64().max(1e-9);
+            report.render_fps.insert(tier.name().to_owned(), rate);
+        }
+        Ok(())
+    }
+
+    /// Counts one view rendering; the total assumes that albedo can be aligned when any view knows it.
+    fn step(&self) {
+        let albedo = usize::from(self.views.iter().any(|v| v.truth.albedo.is_some()));
+        let passes = 1 + albedo + self.lights.len() * (1 + albedo);
+        self.done.set(self.done.get() + 1);
+        (self.options.progress)(self.done.get(), passes * self.views.len());
+    }
+
+    fn protocol(&self) -> String {
+        let sizes: BTreeSet<String> =
+            self.views.iter().map(|v| format!("{}x{}", v.camera.width, v.camera.height)).collect();
+        let sizes = sizes.into_iter().collect::<Vec<_>>().join(", ");
+        let tier = match self.options.quality {
+            Quality { tier: tier @ Tier::MonteCarlo, samples, .. } => {
+                format!("{} ({samples} samples)", tier.name())
+            }
+            Quality { tier, .. } => tier.name().to_owned(),
+        };
+        format!(
+            "{} of {} held-out views at {sizes} px, tier {tier}; whole image on white, \
+             srgb(clamp(rgb/alpha,0,1))*alpha+1-alpha against the stored sRGB pixels, 32-bit predictions, no \
+             ground-truth mask, no scaling of pictures; every figure per image, then averaged (relit.mean over \
+             lights); exposure matched: times one gain per channel and picture, least squares in linear light; PSNR peak 1; SSIM 11x11 Gaussian window, sigma 1.5, valid region, per channel (TensoIR); \
+             LPIPS v0.1 AlexNet; relit uses the recovered albedo as it is, relit_aligned multiplies prototypes and \
+             residuals (the renderer holds albedo at 1) by albedo.scale = per-channel median of truth/prediction (prediction >= 1e-6) over all \
+             compared views where ground-truth alpha > 0.5; albedo compared linear, on white over the whole image \
+             and apart over the foreground; normal foreground where ground-truth alpha > 0.5, all_pixels as TensoIR \
+             with both sides blended with (0,0,1) by alpha; AO, roughness, metalness, depth MAE over the foreground (depth where both know one)",
+            self.views.len(),
+            self.capture.test.len(),
+        )
+    }
+
+    /// Writes a note on each figure that is null.
+    fn explain_absences(&self, report: &mut Report) {
+        let mut notes = std::mem::take(&mut report.notes);
+        let mut note = |absent: bool, key: &str, reason: &str| {
+            if absent {
+                notes.insert(key.to_owned(), reason.to_owned());
+            }
+        };
+        let lpips = match self.options.lpips {
+            None => "no LPIPS weights were given",
+            Some(_) => "the views are smaller than 31 pixels a side",
+        };
+        for (group, scores) in [
+            ("novel_view", &report.novel_view),
+            ("novel_view_radiance", &report.novel_view_radiance),
+            ("novel_view_matched", &report.novel_view_matched),
+            ("novel_view_radiance_matched", &report.novel_view_radiance_matched),
+            ("relit.mean", &report.relit.mean),
+            ("relit_aligned.mean", &report.relit_aligned.mean),
+        ] {
+            let none = scores.psnr.is_none();
+            note(none, group, "no light has both a map and relit ground truth");
+            note(
+                !none && scores.ssim.is_none(),
+                &format!("{group}.ssim"),
+                "the views are below 11 pixels a side",
+            );
+            note(!none && scores.lpips.is_none(), &format!("{group}.lpips"), lpips);
+        }
+        let unaligned = report.albedo.scale.is_none() && report.relit.mean.psnr.is_some();
+        note(unaligned, "relit_aligned.mean", "needs ground-truth albedo");
+        let absent = "the capture has no such ground-truth layer, or no foreground in it";
+        note(report.albedo.psnr_raw.is_none(), "albedo", absent);
+        note(report.normal_mae_deg.foreground.is_none(), "normal_mae_deg", absent);
+        note(report.ao_mae.is_none(), "ao_mae", absent);
+        note(report.roughness_mae.is_none(), "roughness_mae", absent);
+        note(report.metallic_mae.is_none(), "metallic_mae", absent);
+        note(report.depth_mae.is_none(), "depth_mae", absent);
+        note(report.training_seconds.is_none(), "training_seconds", "the model card has none");
+        note(report.render_fps.is_empty(), "render_fps", "was not asked for");
+        for name in self.views.iter().flat_map(|v| v.truth.relit.keys()) {
+            let unknown = !self.capture.lights.contains_key(name);
+            note(unknown, &format!("relit.{name}"), "the capture brings no map for this light");
+        }
+        report.notes = notes;
+    }
+}
+
+/// Takes back what was measured on materials that were never trained.
+fn forget_materials(report: &mut Report) {
+    report.novel_view = ImageScores::default();
+    report.novel_view_matched = ImageScores::default();
+    report.albedo = AlbedoScores::default();
+    (report.ao_mae, report.roughness_mae, report.metallic_mae) = (None, None, None);
+}
+
+fn explain_no_materials(report: &mut Report) {
+    let figures = [
+        "novel_view",
+        "novel_view_matched",
+        "relit.mean",
+        "relit_aligned.mean",
+        "albedo",
+        "ao_mae",
+        "roughness_mae",
+        "metallic_mae",
+    ];
+    let reason = "the model was trained for colour alone and has no materials";
+    report.notes.extend(figures.map(|figure| (figure.to_owned(), reason.to_owned())));
+}
+
+fn explain_crop(report: &mut Report) {
+    let reason = "of the cropped subject: photographs are compared where the model covers them";
+    let figures = ["novel_view", "novel_view_radiance", "novel_view_matched", "novel_view_radiance_matched"];
+    report.notes.extend(figures.map(|figure| (figure.to_owned(), reason.to_owned())));
+}
+
+pub(crate) fn refused(view: &CaptureView, source: RenderError) -> EvalError {
+    EvalError::Render { view: view.name.clone(), source }
+}
+
+/// `count` of the views, evenly spaced over the list; all of them when there are no more.
+pub fn evenly_spaced(views: &[CaptureView], count: Option<usize>) -> Vec<&CaptureView> {
+    let count = count.unwrap_or(views.len()).min(views.len());
+    (0..count).map(|i| &views[i * views.len() / count]).collect()
+}
+
+/// Names of the lights that some view has truth for and the capture a map.
+pub fn lights_of<'a>(views: &[&'a CaptureView], capture: &Capture) -> Vec<&'a str> {
+    let named: BTreeSet<&str> = views.iter().flat_map(|v| v.truth.relit.keys()).map(String::as_str).collect();
+    named.into_iter().filter(|name| capture.lights.contains_key(*name)).collect()
+}
+
+/// Every image and layer must be of the camera's size, or pixels would be compared with other pixels.
+pub(crate) fn check_sizes(view: &CaptureView) -> Result<(), EvalError> {
+    let camera = (view.camera.width, view.camera.height);
+    let check = |layer: &str, size: (u32, u32), count: usize| {
+        if size == camera && count == camera.0 as usize * camera.1 as usize {
+            return Ok(());
+        }
+        Err(EvalError::Size {
+            view: view.name.clone(),
+            layer: layer.to_owned(),
+            found: format!("{}x{} ({count} values)", size.0, size.1),
+            expected: format!("{}x{}", camera.0, camera.1),
+        })
+    };
+    let image = |name: &str, i: &ImageRgba| check(name, (i.width, i.height), i.pixels.len());
+    fn extent<const C: usize>(p: &Plane<C>) -> ((u32, u32), usize) {
+        ((p.width, p.height), p.values.len())
+    }
+    check("image", (view.image.width, view.image.height), view.image.len())?;
+    view.truth.relit.iter().try_for_each(|(name, i)| image(&format!("relit {name}"), i))?;
+    let truth = &view.truth;
+    let planes = [
+        ("albedo", truth.albedo.as_ref().map(extent)),
+        ("normal", truth.normal.as_ref().map(extent)),
+        ("metallic_roughness", truth.metallic_roughness.as_ref().map(extent)),
+        ("ambient_occlusion", truth.ambient_occlusion.as_ref().map(extent)),
+        ("depth", truth.depth.as_ref().map(extent)),
+    ];
+    let present = planes.into_iter().filter_map(|(name, plane)| plane.map(|(size, n)| (name, size, n)));
+    present.into_iter().try_for_each(|(name, size, n)| check(name, size, n))
+}

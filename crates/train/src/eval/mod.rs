@@ -1,0 +1,33 @@
+//! Metrics against ground truth, reports and contact sheets.
+//!
+//! The main protocol is TensoIR's: whole image on white, no mask, sRGB curve, no scaling of pictures. Every report states
+//! it in full in [`Report::protocol`].
+
+mod attribution;
+mod contact;
+mod conv;
+mod evaluate;
+mod exposure;
+mod image;
+mod layers;
+mod lpips;
+mod novel_views;
+mod pose_error;
+mod report;
+pub mod sheet;
+mod totals;
+mod views;
+
+pub use attribution::{TruthLayer, attribute};
+pub use contact::{contact_sheet, truth_layers};
+pub use evaluate::{EvalError, EvalOptions, evaluate};
+pub use evaluate::{evenly_spaced, lights_of};
+pub use image::{DisplayImage, PSNR_CAP, mean_squared_error, psnr, psnr_of, ssim};
+pub use layers::{NormalErrors, RatioMedian, normal_errors};
+pub use lpips::{Lpips, LpipsError};
+pub use novel_views::{NovelViewScores, NovelViews};
+pub use pose_error::PoseErrors;
+pub use report::figure;
+pub use report::{AlbedoScores, ImageScores, NormalScores, RelitScores, Report};
+pub use views::on_white;
+pub use views::photograph;

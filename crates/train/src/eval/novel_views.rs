@@ -1,0 +1,79 @@
+//! Novel views alone, one at a time, for callers that have something else to do in between.
+
+use std::sync::Arc;
+
+use relume_capture::CaptureView;
+use relume_engine::Device;
+use crate::eval::EvalError;
+use crate::eval::evaluate::{check_sizes, refused};
+use crate::eval::exposure::matched;
+use crate::eval::report::ImageScores;
+use crate::eval::totals::ImageTotals;
+use crate::eval::views::{OwnLight, ViewLayers, shown_by};
+use relume_spec::rendering::Quality;
+use crate::render::Renderer;
+use relume_scene::Model;
+
+/// A comparison of a model with photographs, as in [`crate::eval::evaluate`], without LPIPS.
+pub struct NovelViews {
+    renderer: Renderer,
+    light: OwnLight,
+    quality: Quality,
+    has_materials: bool,
+    shaded: ImageTotals,
+    radiance: ImageTotals,
+    matched: ImageTotals,
+}
+
+/// Means over the views that were compared.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct NovelViewScores {
+    /// The physically based branch; empty for a model without materials.
+    pub shaded: ImageScores,
+    /// The radiance branch.
+    pub radiance: ImageScores,
+    /// As `shaded`, at the exposure and white balance of each photograph.
+    pub matched: ImageScores,
+}
+
+impl NovelViews {
+    /// Nothing is compared yet.
+    ///
+    /// # Errors
+    /// The device's.
+    pub fn new(model: Arc<Model>, quality: Quality, device: &Device) -> Result<Self, EvalError> {
+        Ok(Self {
+            has_materials: model.has_materials(),
+            renderer: Renderer::on(model, device)?,
+            light: OwnLight::default(),
+            quality,
+            shaded: ImageTotals::default(),
+            radiance: ImageTotals::default(),
+            matched: ImageTotals::default(),
+        })
+    }
+
+    /// Compares one view.
+    ///
+    /// # Errors
+    /// See [`EvalError`].
+    pub fn compare(&mut self, view: &CaptureView) -> Result<(), EvalError> {
+        check_sizes(view)?;
+        let light = self.light.of(&self.renderer, view)?;
+        let layers = ViewLayers::render(&self.renderer, &view.camera, light, self.quality)
+            .map_err(|source| refused(view, source))?;
+        let truth = shown_by(self.renderer.model(), view, &layers.alpha);
+        self.radiance.add(&layers.radiance, &truth, None);
+        if self.has_materials {
+            self.shaded.add(&layers.shaded, &truth, None);
+            self.matched.add(&matched(&layers.shaded, &layers.alpha, &truth), &truth, None);
+        }
+        Ok(())
+    }
+
+    /// What was found so far.
+    pub fn scores(&self) -> NovelViewScores {
+        let (shaded, radiance) = (self.shaded.scores(), self.radiance.scores());
+        NovelViewScores { shaded, radiance, matched: self.matched.scores() }
+    }
+}

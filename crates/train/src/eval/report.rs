@@ -1,0 +1,218 @@
+//! The report of an evaluation: JSON with stable keys, and a Markdown table of the same figures.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use serde::{Deserialize, Serialize};
+
+/// Similarity of two sets of pictures; each figure is computed per picture, then averaged.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct ImageScores {
+    /// Peak signal to noise ratio, dB.
+    pub psnr: Option<f64>,
+    /// Structural similarity.
+    pub ssim: Option<f64>,
+    /// LPIPS v0.1, AlexNet.
+    pub lpips: Option<f64>,
+}
+
+/// Relit scores by light name, and their mean over lights.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct RelitScores {
+    /// Mean over lights.
+    pub mean: ImageScores,
+    /// One entry a light.
+    #[serde(flatten)]
+    pub lights: BTreeMap<String, ImageScores>,
+}
+
+/// Albedo, linear.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct AlbedoScores {
+    /// PSNR as predicted, whole image on white, dB.
+    pub psnr_raw: Option<f64>,
+    /// PSNR after the per-channel median alignment, whole image on white, dB.
+    pub psnr_aligned: Option<f64>,
+    /// As `psnr_raw`, over foreground pixels only.
+    pub psnr_raw_foreground: Option<f64>,
+    /// As `psnr_aligned`, over foreground pixels only.
+    pub psnr_aligned_foreground: Option<f64>,
+    /// The alignment: per-channel median of truth / prediction.
+    pub scale: Option<[f32; 3]>,
+}
+
+/// Mean angular error of normals, degrees.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct NormalScores {
+    /// Inside the ground-truth mask.
+    pub foreground: Option<f64>,
+    /// TensoIR's mean over all pixels, empty ones included.
+    pub all_pixels: Option<f64>,
+}
+
+/// Everything `relume eval` measures. A quantity that could not be measured is null, and `notes` says why.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// What exactly was compared: sizes, window, masks, curve.
+    pub protocol: String,
+    /// Test views compared.
+    pub views: usize,
+    /// Held-out views, physically based branch under the recovered light.
+    pub novel_view: ImageScores,
+    /// Held-out views, radiance branch.
+    pub novel_view_radiance: ImageScores,
+    /// As `novel_view`, each picture brought to the exposure and white balance of its photograph by one gain per channel.
+    #[serde(default)]
+    pub novel_view_matched: ImageScores,
+    /// As `novel_view_radiance`, likewise.
+    #[serde(default)]
+    pub novel_view_radiance_matched: ImageScores,
+    /// Held-out views under lights never photographed, albedo as recovered.
+    pub relit: RelitScores,
+    /// The same after the albedo alignment.
+    pub relit_aligned: RelitScores,
+    /// Base colour.
+    pub albedo: AlbedoScores,
+    /// Shading normals.
+    pub normal_mae_deg: NormalScores,
+    /// Mean absolute error of ambient occlusion, foreground.
+    pub ao_mae: Option<f64>,
+    /// Mean absolute error of roughness, foreground.
+    pub roughness_mae: Option<f64>,
+    /// Mean absolute error of metalness, foreground.
+    pub metallic_mae: Option<f64>,
+    /// Mean absolute error of depth, capture units, foreground.
+    pub depth_mae: Option<f64>,
+    /// Training time from the model card, seconds.
+    pub training_seconds: Option<f64>,
+    /// Gaussians in the model.
+    pub gaussians: usize,
+    /// Relit frames a second by tier, at the size of the test views, tables prepared.
+    pub render_fps: BTreeMap<String, f64>,
+    /// Why a figure is null, by its key.
+    pub notes: BTreeMap<String, String>,
+}
+
+impl Report {
+    /// Enters a training time that the caller knows, e.g. from a job, where the model card has none.
+    pub fn note_training_seconds(&mut self, seconds: Option<f64>) {
+        if self.training_seconds.is_none() && seconds.is_some() {
+            self.training_seconds = seconds;
+            self.notes.remove("training_seconds");
+        }
+    }
+
+    /// The report as indented JSON with a newline at its end.
+    pub fn to_json(&self) -> String {
+        // Numbers and strings only: serialisation cannot fail.
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+
+    /// The report as Markdown: pictures in one table, single figures in another, then protocol and notes.
+    pub fn to_markdown(&self) -> String {
+        let mut out = String::from("| pictures | PSNR dB | SSIM | LPIPS |\n|---|---|---|---|\n");
+        let mut row = |name: &str, s: &ImageScores| {
+            let cells = [figure(s.psnr, 2), figure(s.ssim, 4), figure(s.lpips, 4)].join(" | ");
+            let _ = writeln!(out, "| {} | {cells} |", cell(name));
+        };
+        row("novel view", &self.novel_view);
+        row("novel view, radiance branch", &self.novel_view_radiance);
+        row("novel view, exposure matched", &self.novel_view_matched);
+        row("novel view, radiance branch, exposure matched", &self.novel_view_radiance_matched);
+        for (title, scores) in [("relit", &self.relit), ("relit, albedo aligned", &self.relit_aligned)] {
+            row(&format!("{title}, mean"), &scores.mean);
+            scores.lights.iter().for_each(|(light, s)| row(&format!("{title}, {light}"), s));
+        }
+        out.push_str("\n| figure | value |\n|---|---|\n");
+        for (name, value) in self.figures() {
+            let _ = writeln!(out, "| {name} | {value} |");
+        }
+        let _ = writeln!(out, "\nProtocol: {}", self.protocol);
+        for (key, reason) in &self.notes {
+            let _ = writeln!(out, "- `{key}`: {reason}");
+        }
+        out
+    }
+
+    fn figures(&self) -> Vec<(String, String)> {
+        let mut rows = vec![
+            ("albedo PSNR, raw (dB)", figure(self.albedo.psnr_raw, 2)),
+            ("albedo PSNR, median-aligned (dB)", figure(self.albedo.psnr_aligned, 2)),
+            ("albedo PSNR, raw, foreground (dB)", figure(self.albedo.psnr_raw_foreground, 2)),
+            ("albedo PSNR, median-aligned, foreground (dB)", figure(self.albedo.psnr_aligned_foreground, 2)),
+            ("normal MAE, foreground (deg)", figure(self.normal_mae_deg.foreground, 2)),
+            ("normal MAE, all pixels (deg)", figure(self.normal_mae_deg.all_pixels, 2)),
+            ("ambient occlusion MAE", figure(self.ao_mae, 4)),
+            ("roughness MAE", figure(self.roughness_mae, 4)),
+            ("metalness MAE", figure(self.metallic_mae, 4)),
+            ("depth MAE (capture units)", figure(self.depth_mae, 4)),
+            ("training time (s)", figure(self.training_seconds, 0)),
+            ("Gaussians", self.gaussians.to_string()),
+            ("test views", self.views.to_string()),
+        ];
+        rows.retain(|(_, value)| !value.is_empty());
+        let rows = rows.into_iter().map(|(name, value)| (name.to_owned(), value));
+        let fps = self.render_fps.iter().map(|(t, v)| (format!("frames a second, {t}"), figure(Some(*v), 1)));
+        rows.chain(fps).collect()
+    }
+}
+
+/// A number for a table with so many decimals, or a dash.
+pub fn figure(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "-".to_owned(), |v| format!("{v:.digits$}"))
+}
+
+/// A name with the characters escaped that would end its table cell.
+fn cell(name: &str) -> String {
+    name.replace('|', "\\|").replace('\n', " ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_json_has_the_stable_keys_and_null_for_what_is_absent() {
+        let mut report = Report::default();
+        report.relit.lights.insert("city".into(), ImageScores { psnr: Some(27.5), ..Default::default() });
+        report.render_fps.insert("standard".into(), 5.0);
+        let json: serde_json::Value = serde_json::from_str(&report.to_json()).unwrap();
+        assert_eq!(json["relit"]["city"]["psnr"], 27.5);
+        let pointers = [
+            "/novel_view/psnr",
+            "/novel_view/ssim",
+            "/novel_view/lpips",
+            "/relit/mean/psnr",
+            "/relit/city/lpips",
+            "/albedo/psnr_raw",
+            "/albedo/psnr_aligned",
+            "/normal_mae_deg/foreground",
+            "/normal_mae_deg/all_pixels",
+            "/ao_mae",
+            "/training_seconds",
+        ];
+        for pointer in pointers {
+            assert!(json.pointer(pointer).is_some(), "{pointer} is not there");
+        }
+        assert!(json["novel_view"]["lpips"].is_null() && json["ao_mae"].is_null());
+        assert_eq!(json["render_fps"]["standard"], 5.0);
+        assert!(json["protocol"].is_string() && json["gaussians"] == 0);
+    }
+
+    #[test]
+    fn the_report_survives_its_json() {
+        let mut report = Report { ao_mae: Some(0.125), ..Default::default() };
+        report.relit.lights.insert("night".into(), ImageScores { ssim: Some(0.5), ..Default::default() });
+        assert_eq!(serde_json::from_str::<Report>(&report.to_json()).unwrap(), report);
+    }
+
+    #[test]
+    fn markdown_shows_a_dash_for_what_is_absent_and_keeps_its_columns() {
+        let mut report = Report::default();
+        report.novel_view.psnr = Some(31.234);
+        report.relit.lights.insert("a|b".into(), ImageScores::default());
+        let text = report.to_markdown();
+        assert!(text.contains("| novel view | 31.23 | - | - |"), "{text}");
+        assert!(text.contains("| relit, a\\|b | - | - | - |"), "{text}");
+    }
+}

@@ -1,0 +1,224 @@
+//! A model's renderings of one test view, as pictures and layers that can be compared with ground truth.
+
+use relume_capture::CaptureView;
+use relume_engine::DeviceError;
+use crate::eval::image::DisplayImage;
+use relume_scene::srgb;
+use crate::render::{Frame, PreparedLight, RenderError, Renderer};
+use relume_spec::rendering::{Output, Quality};
+use relume_scene::{Camera, ImageRgba, Model, PackedImage, Plane};
+
+/// A test view under the model's own recovered light, with every layer that ground truth may know.
+pub(crate) struct ViewLayers {
+    /// The physically based branch on white, display-referred.
+    pub(crate) shaded: DisplayImage,
+    /// The radiance branch on white, display-referred.
+    pub(crate) radiance: DisplayImage,
+    pub(crate) alpha: Vec<f32>,
+    pub(crate) albedo: Vec<[f32; 3]>,
+    pub(crate) normal: Vec<[f32; 3]>,
+    pub(crate) metallic: Vec<f32>,
+    pub(crate) roughness: Vec<f32>,
+    pub(crate) visibility: Vec<f32>,
+    pub(crate) depth: Vec<f32>,
+}
+
+const LAYERS: [Output; 8] = [
+    Output::Rgb,
+    Output::Radiance,
+    Output::Albedo,
+    Output::Normal,
+    Output::Metallic,
+    Output::Roughness,
+    Output::Visibility,
+    Output::Depth,
+];
+
+/// The light a model recovered, as it stood in a test view.
+#[derive(Default)]
+pub(crate) struct OwnLight {
+    /// Degrees, and the light turned by them; that of the last view.
+    prepared: Option<(f64, PreparedLight)>,
+}
+
+impl OwnLight {
+    /// The light of `view`; prepared anew only where it stood otherwise in the view before.
+    ///
+    /// # Errors
+    /// The device's.
+    pub(crate) fn of(
+        &mut self,
+        renderer: &Renderer,
+        view: &CaptureView,
+    ) -> Result<&PreparedLight, DeviceError> {
+        let degrees = view.light_rotation_deg;
+        let (_, light) = match self.prepared.take().filter(|(turn, _)| *turn == degrees) {
+            Some(prepared) => self.prepared.insert(prepared),
+            None => {
+                let turned = renderer.model().recovered_light().rotated_and_scaled(degrees, 1.0);
+                self.prepared.insert((degrees, renderer.prepare_light(turned)?))
+            }
+        };
+        Ok(light)
+    }
+}
+
+impl ViewLayers {
+    /// Renders all layers of `camera`'s view under `light`.
+    ///
+    /// # Errors
+    /// The renderer's.
+    pub(crate) fn render(
+        renderer: &Renderer,
+        camera: &Camera,
+        light: &PreparedLight,
+        quality: Quality,
+    ) -> Result<Self, RenderError> {
+        let frame = renderer.render(camera, light, quality, &LAYERS)?;
+        Ok(Self {
+            shaded: on_white(&frame, Output::Rgb),
+            radiance: on_white(&frame, Output::Radiance),
+            albedo: colours(&frame, Output::Albedo),
+            normal: colours(&frame, Output::Normal),
+            metallic: scalars(&frame, Output::Metallic),
+            roughness: scalars(&frame, Output::Roughness),
+            visibility: scalars(&frame, Output::Visibility),
+            depth: scalars(&frame, Output::Depth),
+            alpha: scalars(&frame, Output::Alpha),
+        })
+    }
+}
+
+/// The relit picture of a view on white, display-referred.
+///
+/// # Errors
+/// The renderer's.
+pub(crate) fn relit(
+    renderer: &Renderer,
+    camera: &Camera,
+    light: &PreparedLight,
+    quality: Quality,
+) -> Result<DisplayImage, RenderError> {
+    Ok(on_white(&renderer.render(camera, light, quality, &[Output::Rgb])?, Output::Rgb))
+}
+
+/// A premultiplied linear colour plane, composited on white *after* the display curve, as photographs with
+/// straight alpha are: `srgb(clamp(rgb / alpha)) * alpha + 1 - alpha`.
+pub fn on_white(frame: &Frame, output: Output) -> DisplayImage {
+    let alpha = scalars(frame, Output::Alpha);
+    let pixel = |(c, a): (&[f32; 3], &f32)| {
+        let a = a.clamp(0.0, 1.0);
+        c.map(|v| srgb::encode(v / a.max(1e-6)) * a + 1.0 - a)
+    };
+    let values = colours(frame, output).iter().zip(&alpha).map(pixel).collect();
+    Plane { width: frame.width, height: frame.height, values }
+}
+
+fn scalars(frame: &Frame, output: Output) -> Vec<f32> {
+    frame.planes.get(&output).cloned().unwrap_or_default()
+}
+
+fn colours(frame: &Frame, output: Output) -> Vec<[f32; 3]> {
+    frame.planes.get(&output).map(|p| p.as_chunks::<3>().0.to_vec()).unwrap_or_default()
+}
+
+/// A photograph or relit truth on white, display-referred.
+pub fn photograph(image: &ImageRgba) -> DisplayImage {
+    Plane { width: image.width, height: image.height, values: image.over([1.0; 3]) }
+}
+
+/// A photograph on white as `model` could show it: of a subject that was cropped out of photographs without masks, only what
+/// the model's own `alpha` covers.
+pub(crate) fn shown_by(model: &Model, view: &CaptureView, alpha: &[f32]) -> DisplayImage {
+    let photograph = photograph(&view.image.decoded());
+    if is_cropped(model) { covered(photograph, alpha) } else { photograph }
+}
+
+/// What `alpha` covers of a picture, on white.
+fn covered(picture: DisplayImage, alpha: &[f32]) -> DisplayImage {
+    let pixel = |(p, a): (&[f32; 3], &f32)| p.map(|v| v * a + 1.0 - a);
+    let values = picture.values.iter().zip(alpha).map(pixel).collect();
+    Plane { values, ..picture }
+}
+
+/// Whether the model's subject was cropped out of photographs without masks.
+pub(crate) fn is_cropped(model: &Model) -> bool {
+    model.card.get("crop").is_some_and(|region| !region.is_null())
+}
+
+/// Ground truth's foreground: alpha above one half.
+pub(crate) fn foreground(image: &PackedImage) -> Vec<bool> {
+    image.pixels().map(|p| p[3] > 0.5).collect()
+}
+
+/// The model with its albedo multiplied per channel: albedo is linear in prototypes and residuals (article
+/// Eq. 23), so both take the factor and nothing else changes.
+pub(crate) fn with_scaled_albedo(model: &Model, scale: [f32; 3]) -> Model {
+    let mut scaled = model.clone();
+    for prototype in &mut scaled.prototypes {
+        (0..3).for_each(|k| prototype[k] *= scale[k]);
+    }
+    let residuals = scaled.gaussians.field_mut(relume_scene::Field::Residual);
+    residuals.iter_mut().enumerate().for_each(|(i, v)| *v *= scale[i % 3]);
+    scaled
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use relume_scene::{Field, Gaussians};
+
+    fn one_pixel(rgb: [f32; 3], alpha: f32) -> Frame {
+        let planes = [(Output::Rgb, rgb.to_vec()), (Output::Alpha, vec![alpha])].into();
+        Frame { width: 1, height: 1, planes }
+    }
+
+    #[test]
+    fn the_curve_is_applied_before_the_picture_is_laid_on_white() {
+        // Linear 0.25 at half coverage: premultiplied 0.125.
+        let shown = on_white(&one_pixel([0.125; 3], 0.5), Output::Rgb).values[0][0];
+        assert!((shown - (0.5 * srgb::encode(0.25) + 0.5)).abs() < 1e-6);
+        // Negative control: blending in linear light first is another number.
+        assert!((shown - srgb::encode(0.125 + 0.5)).abs() > 0.02);
+    }
+
+    #[test]
+    fn an_empty_pixel_is_white_and_an_overexposed_one_is_clamped() {
+        assert_eq!(on_white(&one_pixel([0.0; 3], 0.0), Output::Rgb).values[0], [1.0; 3]);
+        assert_eq!(on_white(&one_pixel([7.0; 3], 1.0), Output::Rgb).values[0], [1.0; 3]);
+    }
+
+    #[test]
+    fn what_is_not_covered_of_a_photograph_is_white() {
+        let picture = Plane { width: 3, height: 1, values: vec![[0.2, 0.4, 0.6]; 3] };
+        let shown = covered(picture, &[0.0, 0.5, 1.0]).values;
+        for (found, expected) in shown.iter().flatten().zip([1.0, 1.0, 1.0, 0.6, 0.7, 0.8, 0.2, 0.4, 0.6]) {
+            assert!((found - expected).abs() < 1e-6, "{shown:?}");
+        }
+    }
+
+    #[test]
+    fn scaling_albedo_scales_prototypes_and_residuals_and_nothing_else() {
+        let mut gaussians = Gaussians::zeroed(2, 1, 0, 0);
+        gaussians.fields_mut().for_each(|(_, _, d)| d.fill(1.0));
+        let model = Model {
+            gaussians,
+            prototypes: vec![[0.5; 3]],
+            env_raw: vec![[0.0; 3]; 2],
+            env_width: 2,
+            env_height: 1,
+            lights: Default::default(),
+            shading: Default::default(),
+            world_scale: 1.0,
+            world_offset: glam::DVec3::ZERO,
+            framing: None,
+            card: serde_json::Value::Null,
+        };
+        let mut scaled = with_scaled_albedo(&model, [2.0, 3.0, 4.0]);
+        assert_eq!(scaled.prototypes, vec![[1.0, 1.5, 2.0]]);
+        assert_eq!(scaled.gaussians.field(Field::Residual), &[2.0, 3.0, 4.0, 2.0, 3.0, 4.0]);
+        scaled.prototypes.clone_from(&model.prototypes);
+        scaled.gaussians.field_mut(Field::Residual).fill(1.0);
+        assert_eq!(scaled, model);
+    }
+}

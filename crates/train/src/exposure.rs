@@ -1,0 +1,152 @@
+//! Exposure and white balance of single photographs.
+//!
+//! A phone chooses both anew for each photograph. The physically based branch shows every photograph under one light, so that a
+//! photograph's median ratio to it is its gain. (The radiance branch would not do: it takes a gain for a change with the view.)
+//! Photographs are divided by their gains where these differ by more than a model's errors make them.
+
+use rayon::prelude::*;
+
+use relume_engine::cpu::linear_from_srgb;
+use relume_engine::{Photo, PhotoSize, TrainState};
+use relume_scene::Plane;
+use crate::context::StepContext;
+use crate::dataset::{Dataset, Gain};
+
+/// Longest side of the images that are compared, pixels.
+const SIDE: u32 = 96;
+/// Display-referred values that tell a ratio: neither noise nor clipped.
+const TELLING: (f32, f32) = (0.06, 0.94);
+/// Mask above which a pixel shows the subject alone.
+const WHOLE: f32 = 0.95;
+/// Fewest pixels that tell a gain.
+const LEAST_PIXELS: usize = 50;
+/// Standard deviation over the photographs, of `ln(gain)` in green or of that of red or blue over green, from which gains
+/// count. Scenes under one exposure stay below it (docs/decisions/0032).
+const LEAST_SPREAD: f32 = 0.045;
+/// Largest `|ln(gain)|` that is believed.
+const MOST: f32 = 1.0;
+
+/// Gains of the photographs of `data`, of geometric mean 1, by how much they differ from what the physically based branch shows.
+pub fn gains(state: &TrainState, context: &StepContext<'_>, data: &Dataset) -> Vec<Gain> {
+    let logs: Vec<[f32; 3]> = (0..data.len())
+        .into_par_iter()
+        .map(|i| {
+            let small = reduced(&data.look(i, PhotoSize::Full));
+            median_ratio(&small, &context.physical_image(state, &small))
+        })
+        .collect();
+    let n = logs.len().max(1) as f32;
+    let mean: [f32; 3] = std::array::from_fn(|c| logs.iter().map(|l| l[c]).sum::<f32>() / n);
+    let gain = |l: &[f32; 3]| std::array::from_fn(|c| (l[c] - mean[c]).clamp(-MOST, MOST).exp());
+    logs.iter().map(gain).collect()
+}
+
+/// True when `gains` differ by more than those of photographs under one exposure would.
+pub fn differ(gains: &[Gain]) -> bool {
+    spread(gains).iter().any(|spread| *spread > LEAST_SPREAD)
+}
+
+/// Standard deviations of the logarithms of green, and of red and blue over green.
+pub fn spread(gains: &[Gain]) -> [f32; 3] {
+    let n = gains.len().max(1) as f32;
+    let of = |value: fn(&Gain) -> f32| {
+        let mean = gains.iter().map(|g| value(g).ln()).sum::<f32>() / n;
+        (gains.iter().map(|g| (value(g).ln() - mean).powi(2)).sum::<f32>() / n).sqrt()
+    };
+    [of(|g| g[1]), of(|g| g[0] / g[1]), of(|g| g[2] / g[1])]
+}
+
+/// `photo` with a longest side of at most [`SIDE`].
+fn reduced(photo: &Photo) -> Photo {
+    let (width, height) = (photo.camera.width, photo.camera.height);
+    let longest = width.max(height);
+    let side = |s: u32| (u64::from(s) * u64::from(SIDE.min(longest))).div_ceil(u64::from(longest)) as u32;
+    let (w, h) = (side(width), side(height));
+    let pixels = Plane { width, height, values: photo.pixels.clone() }.resized(w, h).values;
+    let alpha = if photo.alpha.is_empty() {
+        Vec::new()
+    } else {
+        let values = photo.alpha.iter().map(|a| [*a]).collect();
+        Plane { width, height, values }.resized(w, h).values.into_flattened()
+    };
+    Photo { camera: photo.camera.resized(w, h), pixels, alpha, light: photo.light }
+}
+
+/// Median of `ln(photograph / image)` by channel, in linear light; 0 where too few pixels tell.
+fn median_ratio(photo: &Photo, image: &[[f32; 3]]) -> [f32; 3] {
+    let tells = |v: &f32| (TELLING.0..=TELLING.1).contains(v);
+    let whole = |i: usize| photo.alpha.get(i).is_none_or(|a| *a > WHOLE);
+    let used: Vec<usize> = (0..image.len())
+        .filter(|i| whole(*i) && photo.pixels[*i].iter().chain(&image[*i]).all(tells))
+        .collect();
+    if used.len() < LEAST_PIXELS {
+        return [0.0; 3];
+    }
+    std::array::from_fn(|c| {
+        let ratio = |i: &usize| (linear_from_srgb(photo.pixels[*i][c]) / linear_from_srgb(image[*i][c])).ln();
+        let mut ratios: Vec<f32> = used.iter().map(ratio).collect();
+        let middle = ratios.len() / 2;
+        *ratios.select_nth_unstable_by(middle, f32::total_cmp).1
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use relume_compare::largest_difference;
+    use relume_scene::Camera;
+    use crate::dataset::divide;
+
+    /// A photograph of a ramp of colours, half of it behind a mask.
+    fn photo(alpha: bool) -> Photo {
+        let camera =
+            Camera::look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, (40, 20)).unwrap();
+        let colour = |i: usize| std::array::from_fn(|c| 0.25 + 0.5 * ((i * 7 + c * 13) % 40) as f32 / 40.0);
+        let mask = |i: usize| if i % 40 < 20 { 1.0 } else { 0.25 };
+        let alpha: Vec<f32> = if alpha { (0..800).map(mask).collect() } else { Vec::new() };
+        let over = |(i, p): (usize, [f32; 3])| {
+            let a = alpha.get(i).copied().unwrap_or(1.0);
+            p.map(|v| v * a + 1.0 - a)
+        };
+        let pixels = (0..800).map(colour).enumerate().map(over).collect();
+        Photo { camera, pixels, alpha, light: Default::default() }
+    }
+
+    #[test]
+    fn a_gain_is_found_and_divided_out_and_the_background_stays() {
+        for alpha in [false, true] {
+            let (plain, mut taken) = (photo(alpha), photo(alpha));
+            let gain = [1.2f32, 1.1, 0.85];
+            divide(&mut taken, gain.map(|g| 1.0 / g), [1.0; 3]);
+            let found = median_ratio(&taken, &plain.pixels);
+            (0..3).for_each(|c| assert!((found[c] - gain[c].ln()).abs() < 1e-3, "{found:?}"));
+            divide(&mut taken, gain, [1.0; 3]);
+            assert!(largest_difference(taken.pixels.as_flattened(), plain.pixels.as_flattened()) < 1e-4);
+        }
+    }
+
+    #[test]
+    fn too_few_pixels_tell_nothing() {
+        let mut dark = photo(false);
+        dark.pixels.iter_mut().skip(LEAST_PIXELS - 1).for_each(|p| *p = [0.01; 3]);
+        let brighter: Vec<[f32; 3]> = dark.pixels.iter().map(|p| p.map(|v| v * 0.9)).collect();
+        assert_eq!(median_ratio(&dark, &brighter), [0.0; 3]);
+        assert!(
+            median_ratio(
+                &photo(false),
+                &photo(false).pixels.iter().map(|p| p.map(|v| v * 0.9)).collect::<Vec<_>>()
+            )[0] > 0.1
+        );
+    }
+
+    #[test]
+    fn gains_count_only_where_they_differ() {
+        let of = |step: f32| -> Vec<Gain> { (0..10).map(|i| [(step * (i % 2) as f32).exp(); 3]).collect() };
+        assert!(differ(&of(0.1)) && !differ(&of(0.08)) && !differ(&[]));
+        assert!(!differ(&[[1.3, 1.3, 1.3]; 5]), "the level of all of them is the light's");
+        let warmer: Vec<Gain> = (0..10).map(|i| [1.0 + 0.1 * (i % 2) as f32, 1.0, 1.0]).collect();
+        assert!(differ(&warmer));
+    }
+}

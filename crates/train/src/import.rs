@@ -1,0 +1,155 @@
+//! Captures as trainings load them.
+
+use std::path::Path;
+
+use relume_capture::{Capture, ImportLimits, ImportOptions, Undecoded};
+use crate::memory::{self, PhotographSizes, Room};
+use relume_spec::training::TrainConfig;
+use crate::TrainError;
+
+/// A capture at the resolution it will be trained at, without ground truth, so that memory holds no pixel in vain; with
+/// the turns of the light and the colour of the grey card that `config` gives.
+///
+/// # Errors
+/// [`TrainError::Capture`]: what the importer refuses, by file and field; a turn of the light of no photograph; a grey card that
+/// cannot be measured. [`TrainError::Memory`] where `room` has too little memory, by the sizes in the headers and one decoded
+/// photograph; after the import by all of them.
+pub fn import_for_training(
+    path: &Path,
+    config: &TrainConfig,
+    limits: &ImportLimits,
+    room: Room,
+) -> Result<Capture, TrainError> {
+    let options = ImportOptions { max_side: Some(config.resolution), limits: *limits, load_truth: false };
+    let undecoded = Undecoded::open(path, &options)?;
+    memory::check(&PhotographSizes::undecoded(&undecoded)?, config, room)?;
+    let mut capture = undecoded.decode()?;
+    memory::check(&PhotographSizes::of(&capture), config, room)?;
+    capture.turn_lights(&config.light_rotation_per_photo)?;
+    if let Some(card) = &config.grey_card {
+        capture.measure_grey_card(path, card, limits)?;
+    }
+    Ok(capture)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use relume_spec::training::GreyCard;
+    use relume_capture::{SyntheticOptions, synthetic, write_archive};
+    use relume_engine::Device;
+    use relume_scene::srgb;
+    use relume_scene::{BitDepth, PackedImage};
+    use relume_spec::training::{Preset, TrainOverrides, WhiteBalance};
+    use crate::Trainer;
+
+    const CARD: [f32; 3] = [0.5, 0.4, 0.2];
+
+    /// A capture of 32 x 32 pixels whose second photograph shows a card at (20, 4), 8 x 6 pixels.
+    fn capture_with_a_card() -> tempfile::NamedTempFile {
+        let options =
+            SyntheticOptions { size: 32, train_views: 3, test_views: 1, paths: 4, ..Default::default() };
+        let mut capture = synthetic(&options).unwrap();
+        let [r, g, b] = CARD.map(srgb::encode);
+        let mut image = capture.train[1].image.decoded();
+        for (x, y) in (4..10).flat_map(|y| (20..28).map(move |x| (x, y))) {
+            image.pixels[y * 32 + x] = [r, g, b, 1.0];
+        }
+        capture.train[1].image = PackedImage::new(&image, BitDepth::Sixteen);
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), write_archive(&capture).unwrap()).unwrap();
+        file
+    }
+
+    fn config(photo: &str, x: u32) -> TrainConfig {
+        let card = GreyCard { photo: photo.into(), x, y: 4, width: 8, height: 6 };
+        let overrides = TrainOverrides {
+            // Half of what is stored: the card is measured in the stored photograph all the same.
+            resolution: Some(16),
+            iterations: Some(4),
+            warm_up: Some(0.0),
+            initial_gaussians: Some(64),
+            max_gaussians: Some(64),
+            grey_card: Some(card),
+            ..Default::default()
+        };
+        TrainConfig::new(Preset::Draft, &overrides).unwrap()
+    }
+
+    #[test]
+    fn a_grey_card_is_measured_at_import_and_is_the_white_balance_of_the_training() {
+        let (file, config) = (capture_with_a_card(), config("train_001/rgba.png", 20));
+        let mut capture =
+            import_for_training(file.path(), &config, &ImportLimits::default(), Room::unbounded()).unwrap();
+        let colour = capture.grey_card.unwrap();
+        assert!((0..3).all(|c| (colour[c] - CARD[c]).abs() < 5e-3), "{colour:?}");
+        let trained = |config: &TrainConfig, capture: &Capture| {
+            let mut trainer = Trainer::new(capture, config.clone(), &Device::Cpu).unwrap();
+            trainer.step().unwrap();
+            let checkpoint = trainer.checkpoint().unwrap();
+            // A resumption is given the settings as the caller wrote them.
+            let mut trainer = Trainer::resume(capture, config.clone(), &checkpoint, &Device::Cpu).unwrap();
+            trainer.step().unwrap();
+            assert_eq!(trainer.config().colour_source() == "white_balance", capture.grey_card.is_some());
+            let mut model = trainer.model().unwrap();
+            model.card = serde_json::Value::Null;
+            model
+        };
+        let by_card = trained(&config, &capture);
+        let told =
+            TrainConfig { grey_card: None, white_balance: WhiteBalance::Colour(colour), ..config.clone() };
+        assert_eq!(by_card, trained(&told, &capture), "as if the colour had been given");
+        capture.grey_card = None;
+        let estimated = TrainConfig { grey_card: None, ..config.clone() };
+        assert_ne!(by_card, trained(&estimated, &capture), "the control");
+        let refused = Trainer::new(&capture, config, &Device::Cpu).err().unwrap();
+        assert!(matches!(refused, TrainError::Invalid(m) if m.starts_with("grey_card")));
+    }
+
+    #[test]
+    fn a_card_that_cannot_be_measured_is_refused_by_field() {
+        let file = capture_with_a_card();
+        for (photo, x, field) in [
+            ("train_009/rgba.png", 20, "grey_card.photo"),
+            ("rgba.png", 20, "grey_card.photo"),
+            ("train_001/rgba.png", 25, "grey_card.width"),
+        ] {
+            let imported = import_for_training(
+                file.path(),
+                &config(photo, x),
+                &ImportLimits::default(),
+                Room::unbounded(),
+            );
+            let Err(TrainError::Capture(error)) = imported else { panic!("must be refused: {imported:?}") };
+            assert_eq!((error.file(), error.field()), (Some(photo), Some(field)), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_capture_without_room_is_refused_before_it_is_decoded() {
+        let (file, config) = (capture_with_a_card(), config("train_001/rgba.png", 20));
+        let import = |available| {
+            let room = Room { on_device: false, available: Some(available) };
+            import_for_training(file.path(), &config, &ImportLimits::default(), room)
+        };
+        let refused = import(1000);
+        let Err(TrainError::Memory(why)) = &refused else { panic!("must be refused: {refused:?}") };
+        assert!(why.contains("4 photographs of up to 16x16"), "{why}");
+        assert!(import(1 << 30).is_ok(), "the control");
+    }
+
+    #[test]
+    fn a_card_is_refused_beside_a_white_balance_and_without_pixels() {
+        let refused = |overrides: &str| {
+            let overrides: TrainOverrides = serde_json::from_str(overrides).unwrap();
+            TrainConfig::new(Preset::Draft, &overrides).map_err(|error| error.field)
+        };
+        let card = |width: u32| {
+            format!(r#""grey_card": {{"photo": "a", "x": 0, "y": 0, "width": {width}, "height": 1}}"#)
+        };
+        assert_eq!(refused(&format!("{{{}}}", card(0))).unwrap_err(), "grey_card.width");
+        let both = format!(r#"{{"white_balance": "neutral", {}}}"#, card(1));
+        assert_eq!(refused(&both).unwrap_err(), "grey_card");
+        assert!(refused(&format!("{{{}}}", card(1))).is_ok(), "the control");
+    }
+}

@@ -1,0 +1,251 @@
+//! The first Gaussians: from the capture's points, from the hull of its masks, or at random inside its bounds.
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use relume_capture::Capture;
+use relume_engine::{Photo, PhotoSize, upward_share};
+use relume_scene::light::{LightColour, SplitEnvironment};
+use relume_scene::{
+    Camera, Field, Framing, Gaussians, LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse,
+    texel_directions,
+};
+use crate::dataset::Dataset;
+use crate::known_light::applied;
+use relume_spec::training::TrainConfig;
+use crate::{lights, materials};
+
+/// Voxels along an edge of the carved cube.
+const HULL_SIDE: usize = 80;
+/// Without masks, distance beyond which a Gaussian occludes nothing, scene radii: what is farther away counts as light.
+const SURROUNDINGS: f32 = 0.5;
+/// Nearest and farthest first Gaussian along a ray, in distances from the camera to the subject.
+const RAY_DEPTHS: [f64; 2] = [0.4, 4.0];
+/// Mean radiance of the first light, the same from everywhere.
+const FIRST_LIGHT: f32 = 0.6;
+/// Opacity of a new Gaussian.
+const OPACITY: f32 = 0.3;
+
+/// Position and display colour of a first Gaussian.
+type Seed = ([f32; 3], [f32; 3]);
+
+/// The model training starts from.
+pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut ChaCha8Rng) -> Model {
+    let wanted = config.initial_gaussians as usize;
+    let (seeds, spacing) = seeds(capture, data, wanted, rng);
+    let mut gaussians = Gaussians::zeroed(
+        seeds.len(),
+        config.prototypes as usize,
+        config.visibility_order as usize,
+        config.radiance_order as usize,
+    );
+    let logit = |p: f32| (p / (1.0 - p)).ln();
+    for (i, ((position, colour), spacing)) in seeds.iter().zip(&spacing).enumerate() {
+        gaussians.row_mut(Field::Mean, i).copy_from_slice(position);
+        gaussians.row_mut(Field::LogScale, i).fill(spacing.clamp(1e-4, 1.0).ln());
+        gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
+        gaussians.row_mut(Field::OpacityLogit, i)[0] = logit(OPACITY);
+        gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::FULLY_OPEN;
+        for (s, c) in gaussians.row_mut(Field::Radiance, i).iter_mut().zip(colour) {
+            *s = (c - 0.5) / 0.282_094_8;
+        }
+    }
+    materials::reset_surface(&mut gaussians);
+    let rows = config.environment_rows as usize;
+    let mut shading = config.shading;
+    if !data.has_alpha && shading.occluder_reach.is_none() {
+        shading.occluder_reach = Some(SURROUNDINGS);
+    }
+    Model {
+        gaussians,
+        prototypes: vec![[0.5; 3]; config.prototypes as usize],
+        env_raw: first_light(capture, config),
+        env_width: rows * 2,
+        env_height: rows,
+        lights: known_lights(capture, data, config),
+        shading,
+        world_scale: data.scale,
+        world_offset: data.offset,
+        framing: framing(capture),
+        card: serde_json::Value::Null,
+    }
+}
+
+/// How photographs without masks show the scene.
+fn framing(capture: &Capture) -> Option<Framing> {
+    let cameras: Vec<&Camera> = capture.train.iter().map(|view| &view.camera).collect();
+    if capture.has_alpha { None } else { relume_capture::framing(&cameras) }
+}
+
+/// Makes the environment the same from everywhere, of this colour.
+pub fn light_of_colour(model: &mut Model, colour: LightColour) {
+    model.env_raw.fill(colour.rgb().map(|c| softplus_inverse(FIRST_LIGHT * c)));
+}
+
+/// Colour of what the environment sends to a surface that faces up.
+pub fn colour_from_above(model: &Model) -> LightColour {
+    let texels = texel_directions(model.env_width, model.env_height);
+    let mut sum = [1e-6f32; 3];
+    for (raw, texel) in model.env_raw.iter().zip(&texels) {
+        (0..3).for_each(|c| sum[c] += upward_share(texel) * softplus(raw[c]));
+    }
+    LightColour::of(sum)
+}
+
+/// The environment that training starts from, before the softplus: the light of the photographs if it is known.
+fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
+    let rows = config.environment_rows as usize;
+    let (Some(map), Some(light)) = (&capture.lit_by, &config.light) else {
+        return vec![[softplus_inverse(FIRST_LIGHT); 3]; 2 * rows * rows];
+    };
+    applied(light, map).resampled(2 * rows, rows).texels().iter().map(|t| t.map(softplus_inverse)).collect()
+}
+
+/// The strong small lights of a light that is known.
+fn known_lights(capture: &Capture, data: &Dataset, config: &TrainConfig) -> LightSplit {
+    let (Some(map), Some(light)) = (&capture.lit_by, &config.light) else { return LightSplit::default() };
+    if config.lights == 0 || !config.shading.shades_lights() || !data.turns.stand_still() {
+        return LightSplit::default();
+    }
+    let rows = config.environment_rows as usize;
+    let found = SplitEnvironment::new(&applied(light, map), MAX_LIGHTS);
+    let lights: Vec<SplitLight> = found.lights.iter().map(SplitLight::from).collect();
+    lights::split(&lights, 2 * rows, rows)
+}
+
+/// Positions with display colours, and each one's standard deviation.
+fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng) -> (Vec<Seed>, Vec<f32>) {
+    let in_model = |p: glam::DVec3| ((p + data.offset) * data.scale).as_vec3().to_array();
+    let hull = if data.has_alpha { hull_surface(data) } else { Vec::new() };
+    let mut seeds: Vec<Seed> = if capture.points.len() >= 100 {
+        let step = (capture.points.len() as f64 / wanted as f64).max(1.0);
+        let count = capture.points.len().min(wanted);
+        let pick = |i: usize| &capture.points[(i as f64 * step) as usize];
+        let display = |c: [f32; 3]| c.map(|v| relume_engine::cpu::srgb(v.clamp(0.0, 1.0)));
+        (0..count).map(|i| (in_model(pick(i).0), display(pick(i).1))).collect()
+    } else if hull.is_empty() {
+        seeds_along_rays(data, wanted, rng)
+    } else {
+        let cell = 2.0 / HULL_SIDE as f32;
+        let jitter = |rng: &mut ChaCha8Rng| (rng.random::<f32>() - 0.5) * cell;
+        let centres = (0..wanted).map(|_| hull[rng.random_range(0..hull.len())]).collect::<Vec<_>>();
+        centres.into_iter().map(|c| (c.map(|v| v + jitter(rng)), [0.5; 3])).collect()
+    };
+    if capture.points.len() < 100 && !hull.is_empty() {
+        show_mean_colours(data, &mut seeds);
+    }
+    let spacing = nearest_neighbour_distance(&seeds);
+    (seeds, spacing)
+}
+
+/// Seeds along the rays of random pixels of random photographs, at log-uniform depths around the subject's distance:
+/// everywhere in the cameras' views and never close in front of one.
+fn seeds_along_rays(data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng) -> Vec<Seed> {
+    let mut seeds = Vec::with_capacity(wanted);
+    // By photograph: seeds, and the pixels that they lie behind.
+    let mut behind: Vec<Vec<(usize, usize)>> = vec![Vec::new(); data.len()];
+    for seed in 0..wanted {
+        let index = rng.random_range(0..data.len());
+        let camera = data.camera(index, PhotoSize::Half);
+        let (x, y) = (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
+        let [near, far] = RAY_DEPTHS;
+        let depth = camera.centre().length().max(1e-3) * near * (far / near).powf(rng.random::<f64>());
+        let position = camera.centre() + camera.ray(x, y) * depth;
+        seeds.push((position.as_vec3().to_array(), [0.0; 3]));
+        behind[index].push((seed, y as usize * camera.width as usize + x as usize));
+    }
+    data.walk(PhotoSize::Half, |index, photo| {
+        behind[index].iter().for_each(|(seed, pixel)| seeds[*seed].1 = photo.pixels[*pixel]);
+    });
+    seeds
+}
+
+/// Pixel of `photo` under a point, if it is in front and inside.
+fn pixel_of(photo: &Photo, p: [f32; 3]) -> Option<usize> {
+    let c = &photo.camera;
+    let x = c.rotation * glam::DVec3::new(p[0].into(), p[1].into(), p[2].into()) + c.translation;
+    if x.z < 0.05 {
+        return None;
+    }
+    let (u, v) = (c.fx * x.x / x.z + c.cx, c.fy * x.y / x.z + c.cy);
+    let inside = u >= 0.0 && v >= 0.0 && u < f64::from(c.width) && v < f64::from(c.height);
+    inside.then(|| v as usize * c.width as usize + u as usize)
+}
+
+/// Gives each seed the mean colour of the photographs' pixels over it.
+fn show_mean_colours(data: &Dataset, seeds: &mut [Seed]) {
+    let mut sums = vec![([0.0f32; 3], 0.0f32); seeds.len()];
+    data.walk(PhotoSize::Half, |_, photo| {
+        for ((sum, n), (p, _)) in sums.iter_mut().zip(seeds.iter()) {
+            if let Some(i) = pixel_of(photo, *p) {
+                (0..3).for_each(|k| sum[k] += photo.pixels[i][k]);
+                *n += 1.0;
+            }
+        }
+    });
+    for ((_, colour), (sum, n)) in seeds.iter_mut().zip(sums) {
+        *colour = if n > 0.0 { sum.map(|s| s / n) } else { [0.5; 3] };
+    }
+}
+
+/// Centres of the voxels on the surface of the visual hull, in the unit ball's cube (normalised world).
+fn hull_surface(data: &Dataset) -> Vec<[f32; 3]> {
+    use rayon::prelude::*;
+    let n = HULL_SIDE;
+    let centre = |i: usize| {
+        let at = |k: usize| -1.0 + (2 * k + 1) as f32 / n as f32;
+        [at(i % n), at(i / n % n), at(i / (n * n))]
+    };
+    // How many photographs see each voxel, and how many of them show nothing there.
+    let mut counts = vec![[0u32; 2]; n * n * n];
+    data.walk(PhotoSize::Half, |_, photo| {
+        counts.par_iter_mut().with_min_len(4096).enumerate().for_each(|(i, [seen, missed])| {
+            if let Some(pixel) = pixel_of(photo, centre(i)) {
+                *seen += 1;
+                *missed += u32::from(photo.alpha[pixel] < 0.3);
+            }
+        });
+    });
+    // A few misses are forgiven: masks are blurred at half resolution.
+    let solid: Vec<bool> = counts.iter().map(|[seen, missed]| *seen >= 3 && missed * 40 <= *seen).collect();
+    let open = |i: usize, axis: usize, step: isize| {
+        let stride = [1, n, n * n][axis];
+        let k = (i / stride % n) as isize + step;
+        if k < 0 || k >= n as isize { true } else { !solid[(i as isize + step * stride as isize) as usize] }
+    };
+    let surface = |i: &usize| (0..3).any(|a| open(*i, a, 1) || open(*i, a, -1));
+    (0..n * n * n).filter(|i| solid[*i]).filter(surface).map(centre).collect()
+}
+
+/// Distance of each seed to its third nearest neighbour, by a hash grid; the mean where there are too few.
+fn nearest_neighbour_distance(seeds: &[Seed]) -> Vec<f32> {
+    use rayon::prelude::*;
+    use std::collections::HashMap;
+    let extent = seeds.iter().flat_map(|(p, _)| p).fold(0.0f32, |m, v| m.max(v.abs())).max(1e-6);
+    let cell = (2.0 * extent / (seeds.len() as f32).cbrt()).max(1e-6);
+    let key = |p: &[f32; 3]| p.map(|v| (v / cell).floor() as i32);
+    let mut grid: HashMap<[i32; 3], Vec<usize>> = HashMap::new();
+    for (i, (p, _)) in seeds.iter().enumerate() {
+        grid.entry(key(p)).or_default().push(i);
+    }
+    seeds
+        .par_iter()
+        .enumerate()
+        .map(|(i, (p, _))| {
+            let k = key(p);
+            let mut nearest = [cell * cell; 3];
+            for offset in 0..27 {
+                let at = [k[0] + offset % 3 - 1, k[1] + offset / 3 % 3 - 1, k[2] + offset / 9 - 1];
+                // The order of a cell's members is the order of insertion, so this is deterministic.
+                for &j in grid.get(&at).into_iter().flatten() {
+                    let d = (0..3).map(|a| (p[a] - seeds[j].0[a]).powi(2)).sum::<f32>();
+                    if j != i && d < nearest[2] {
+                        nearest[2] = d;
+                        nearest.sort_unstable_by(f32::total_cmp);
+                    }
+                }
+            }
+            (nearest.iter().sum::<f32>() / 3.0).sqrt()
+        })
+        .collect()
+}

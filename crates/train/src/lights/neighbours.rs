@@ -1,0 +1,115 @@
+//! Pairs of neighbouring Gaussians.
+
+use std::collections::HashMap;
+
+use relume_scene::{Field, Gaussians};
+
+/// Neighbours that each Gaussian is compared with.
+const NEAREST: usize = 6;
+/// Rounds of smoothing: the colour of a pixel is that of several Gaussians, and one alone says little.
+const ROUNDS: usize = 2;
+
+/// Each Gaussian with its nearest ones.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Neighbours {
+    /// Two indices, and the smaller weight of both.
+    pairs: Vec<(u32, u32, f32)>,
+    /// Sum of the pairs' weights.
+    total: f64,
+    /// By Gaussian.
+    weights: Vec<f32>,
+}
+
+impl Neighbours {
+    /// Those among the Gaussians `used`, with `weights` of all.
+    pub fn of(g: &Gaussians, used: &[u32], weights: &[f32]) -> Self {
+        let mean = |i: u32| -> [f32; 3] { g.get(Field::Mean, i as usize) };
+        // Cells that hold a few Gaussians each where these lie on surfaces.
+        let cell = 3.0 / (used.len().max(1) as f32).sqrt();
+        let key = |p: [f32; 3]| p.map(|v| (v / cell).floor().clamp(-1e6, 1e6) as i32);
+        let mut cells: HashMap<[i32; 3], Vec<u32>> = HashMap::new();
+        used.iter().for_each(|&i| cells.entry(key(mean(i))).or_default().push(i));
+        let mut pairs = Vec::new();
+        for &i in used {
+            let (at, k) = (mean(i), key(mean(i)));
+            let mut near: Vec<(f32, u32)> = Vec::new();
+            for offset in 0..27 {
+                let cell = [k[0] + offset % 3 - 1, k[1] + offset / 3 % 3 - 1, k[2] + offset / 9 - 1];
+                let others = cells.get(&cell).into_iter().flatten().filter(|j| **j != i);
+                near.extend(others.map(|j| (square_distance(at, mean(*j)), *j)));
+            }
+            near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            let weight = |j: u32| weights[i as usize].min(weights[j as usize]);
+            pairs.extend(near.iter().take(NEAREST).map(|(_, j)| (i, *j, weight(*j))));
+        }
+        let total = pairs.iter().map(|(_, _, w)| f64::from(*w)).sum::<f64>().max(1e-12);
+        Self { pairs, total, weights: weights.to_vec() }
+    }
+
+    /// Replaces values by weighted means with their neighbours'.
+    pub fn smooth<const N: usize>(&self, values: &mut [[f32; N]]) {
+        for _ in 0..ROUNDS {
+            let own = values.iter().zip(&self.weights).map(|(v, w)| (v.map(|v| v * w), *w));
+            let mut sums: Vec<([f32; N], f32)> = own.collect();
+            for (i, j, _) in &self.pairs {
+                let (w, other) = (self.weights[*j as usize], values[*j as usize]);
+                let (sum, weight) = &mut sums[*i as usize];
+                (0..N).for_each(|c| sum[c] += w * other[c]);
+                *weight += w;
+            }
+            for (v, (sum, weight)) in values.iter_mut().zip(sums) {
+                if weight > 0.0 {
+                    *v = sum.map(|s| s / weight);
+                }
+            }
+        }
+    }
+
+    /// Weighted mean absolute difference of `values` between neighbours.
+    pub fn variation(&self, values: &[f32]) -> f32 {
+        let difference = |i: u32, j: u32| (values[i as usize] - values[j as usize]).abs();
+        let sum: f64 = self.pairs.iter().map(|(i, j, w)| f64::from(w * difference(*i, *j))).sum();
+        (sum / self.total) as f32
+    }
+}
+
+fn square_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
+    (0..3).map(|k| (a[k] - b[k]).powi(2)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A row of Gaussians 0.1 apart.
+    fn row(n: usize) -> Gaussians {
+        let mut g = Gaussians::zeroed(n, 1, 0, 0);
+        (0..n).for_each(|i| g.row_mut(Field::Mean, i)[0] = 0.1 * i as f32);
+        g
+    }
+
+    #[test]
+    fn an_edge_counts_once_for_each_pair_across_it() {
+        let g = row(60);
+        let used: Vec<u32> = (0..60).collect();
+        let pairs = Neighbours::of(&g, &used, &[1.0; 60]);
+        let step: Vec<f32> = (0..60).map(|i| f32::from(i >= 30)).collect();
+        let two: Vec<f32> = (0..60).map(|i| f32::from((20..40).contains(&i))).collect();
+        assert_eq!(pairs.variation(&[0.7; 60]), 0.0);
+        assert!(pairs.variation(&step) > 0.0);
+        assert!((pairs.variation(&two) / pairs.variation(&step) - 2.0).abs() < 0.2);
+    }
+
+    #[test]
+    fn smoothing_keeps_what_is_even_and_what_has_no_neighbour() {
+        let g = row(20);
+        let pairs = Neighbours::of(&g, &(0..19).collect::<Vec<_>>(), &[1.0; 20]);
+        let mut values: Vec<[f32; 1]> = (0..20).map(|i| [if i == 19 { 5.0 } else { 1.0 }]).collect();
+        pairs.smooth(&mut values);
+        assert!(values[..19].iter().all(|v| (v[0] - 1.0).abs() < 1e-6));
+        assert_eq!(values[19], [5.0], "not among those used");
+        let mut noise: Vec<[f32; 1]> = (0..20).map(|i| [(i % 2) as f32]).collect();
+        pairs.smooth(&mut noise);
+        assert!(noise[5..15].iter().all(|v| (v[0] - 0.5).abs() < 0.2), "{noise:?}");
+    }
+}

@@ -1,0 +1,92 @@
+use super::*;
+use relume_engine::ProbeSettings;
+use relume_engine::cpu::{Probes, srgb};
+use relume_scene::{LightSplit, Model, ShadingOptions};
+
+/// Towards the sun of the test scenes.
+const SUN: [f32; 3] = [0.48, 0.36, 0.8];
+
+/// A ground of flat Gaussians, closed from below, with a square plate above it, under a sky and a sun of `strength` times its irradiance whose
+/// shadow has a sharp edge; visibility is measured.
+fn plate(strength: f32) -> TrainState {
+    const SIDE: i32 = 36;
+    let mut points = Vec::new();
+    let at = |k: i32, reach: f32| reach * (2.0 * k as f32 / (SIDE - 1) as f32 - 1.0);
+    for i in 0..SIDE * SIDE {
+        points.push(([at(i % SIDE, 0.9), at(i / SIDE, 0.9), 0.0], 0.03));
+    }
+    for i in 0..SIDE * SIDE / 4 {
+        let at = |k: i32| 0.3 * (4.0 * k as f32 / (SIDE - 2) as f32 - 1.0);
+        points.push(([at(i % (SIDE / 2)), at(i / (SIDE / 2)), 0.35], 0.03));
+    }
+    for i in 0..SIDE * SIDE {
+        points.push(([at(i % SIDE, 1.4), at(i / SIDE, 1.4), -0.1], 0.05));
+    }
+    let mut g = Gaussians::zeroed(points.len(), 1, 4, 0);
+    for (i, (mean, width)) in points.iter().enumerate() {
+        g.row_mut(Field::Mean, i).copy_from_slice(mean);
+        g.row_mut(Field::LogScale, i).copy_from_slice(&[f32::ln(*width), f32::ln(*width), -7.0]);
+        g.row_mut(Field::Quaternion, i)[0] = 1.0;
+        g.row_mut(Field::OpacityLogit, i)[0] = 4.0;
+        g.row_mut(Field::Visibility, i)[0] = FULLY_OPEN;
+        g.row_mut(Field::Visibility, i)[2] = 0.5;
+    }
+    let model = Model {
+        gaussians: g,
+        prototypes: vec![[0.5; 3]],
+        env_raw: vec![[0.0; 3]; 32 * 16],
+        env_width: 32,
+        env_height: 16,
+        lights: LightSplit::default(),
+        shading: ShadingOptions::default(),
+        world_scale: 1.0,
+        world_offset: glam::DVec3::ZERO,
+        framing: None,
+        card: serde_json::Value::Null,
+    };
+    let mut state = TrainState::new(model);
+    let probes =
+        Probes::measure(&evaluation::source(&state), fibonacci_sphere(256), ProbeSettings::default());
+    let field = probes.coefficients(4);
+    state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&field);
+    let sun = evaluation::arriving(&state, &[SplitLight { direction: SUN, radius: 0.0 }]);
+    let sky = Scene::new(&state, &from_above(&state)).sky();
+    for i in 0..sky.len() {
+        let shown = srgb((0.1 * (sky[i][0] + strength * sun[i][0] * SUN[2])).min(0.9));
+        state.model.gaussians.row_mut(Field::Radiance, i).fill((shown - 0.5) / 0.282_094_8);
+    }
+    state
+}
+
+/// Pixels in which each Gaussian is seen: none from below.
+fn from_above(state: &TrainState) -> Vec<f32> {
+    let g = &state.model.gaussians;
+    (0..g.len()).map(|i| if g.row(Field::Mean, i)[2] < 0.0 { 0.0 } else { 9.0 }).collect()
+}
+
+fn angle(a: [f32; 3], b: [f32; 3]) -> f32 {
+    (0..3).map(|k| a[k] * b[k]).sum::<f32>().min(1.0).acos()
+}
+
+#[test]
+fn a_sun_is_found_by_its_shadow_and_without_one_there_is_none() {
+    let state = plate(2.0);
+    let seen = from_above(&state);
+    let found = search(&state, &seen, 1, &[]);
+    assert_eq!(found.len(), 1);
+    assert!(angle(found[0].light.direction, SUN) < 0.05, "{found:?}");
+    assert!(found[0].strength.iter().all(|s| (1.0..=4.0).contains(s)), "{found:?}");
+    let even = plate(0.0);
+    assert!(search(&even, &seen, 1, &[]).is_empty(), "the control: a sky alone");
+    assert!(search(&state, &seen, 0, &[]).is_empty());
+}
+
+#[test]
+fn a_light_stays_unless_it_is_clearly_better_elsewhere() {
+    let state = plate(2.0);
+    let seen = from_above(&state);
+    let near = search(&state, &seen, 1, &[])[0].light;
+    assert_eq!(search(&state, &seen, 1, &[near])[0].light, near);
+    let far = SplitLight { direction: [0.0, 0.0, 1.0], radius: 0.005 };
+    assert!(angle(search(&state, &seen, 1, &[far])[0].light.direction, SUN) < 0.05);
+}

@@ -1,0 +1,273 @@
+//! First values and restarts of the materials: albedo from the colours of the radiance branch, with the shading divided out.
+
+use relume_engine::cpu::{evaluation, linear_from_srgb, sigmoid};
+use relume_engine::{LightTurns, TrainState};
+use relume_scene::light::{EnvOperators, LightColour, UPWARD_LUMINANCE};
+use relume_scene::{Field, Gaussians};
+
+/// Rounds of k-means.
+const ROUNDS: usize = 12;
+/// Sharpness of the first prototype scores, per squared linear colour distance. Low, since the colours include the shading,
+/// and the light does not learn what albedo explains; above 0, or the normals learn the texture.
+const FIRST_SHARPNESS: f32 = 2.0;
+/// The same at a restart, with the shading divided out.
+const SHARPNESS: f32 = 60.0;
+/// Least irradiance that a colour is divided by.
+const LEAST_IRRADIANCE: f32 = 0.3;
+/// Range of a first albedo.
+const RANGE: (f32, f32) = (0.02, 0.95);
+/// First metalness: most surfaces are dielectrics, and under a wrong light a highlight looks like metal.
+const METALNESS: f32 = 0.03;
+/// First roughness.
+const ROUGHNESS: f32 = 0.5;
+
+fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
+    (0..3).map(|c| (a[c] - b[c]).powi(2)).sum()
+}
+
+/// Linear view-independent colour of Gaussian `i` in the radiance branch.
+pub fn colour(g: &Gaussians, i: usize) -> [f32; 3] {
+    let s = g.row(Field::Radiance, i);
+    std::array::from_fn(|c| linear_from_srgb((0.5 + 0.282_094_8 * s[c]).clamp(0.0, 1.0)))
+}
+
+/// The first materials: albedo from the Gaussians' view-independent colours, under a light of this colour.
+///
+/// Where the irradiance has the level that the exposure term asks for, a diffuse surface's colour is its albedo times that
+/// level and the light's colour.
+pub fn initialise(state: &mut TrainState, light: LightColour) {
+    let g = &state.model.gaussians;
+    let light = light.rgb().map(|c| UPWARD_LUMINANCE * c);
+    let albedo = |i: usize| {
+        let colour = colour(g, i);
+        std::array::from_fn(|c| colour[c] / light[c])
+    };
+    let albedos: Vec<[f32; 3]> = (0..g.len()).map(albedo).collect();
+    restart(state, &albedos, FIRST_SHARPNESS);
+}
+
+/// Restarts the materials from colours with the shading divided out: `albedo = colour pi / E`, `E` the irradiance of each
+/// Gaussian through its visibility plus what is gathered, over the `turns` of the light. `normals` are the outward ones of
+/// the measured visibility. Metalness and roughness, which a wrong light distorts, restart from their first values.
+///
+/// Light and albedo can explain the same shading, and gradient steps resolve this slowly; a restart acts like a step of
+/// alternating least squares.
+pub fn restart_albedo(
+    state: &mut TrainState,
+    operators: &EnvOperators,
+    turns: &LightTurns,
+    normals: &[[f32; 3]],
+) {
+    let irradiance = evaluation::irradiance(state, operators, turns, normals);
+    let albedo = |(i, irradiance): (usize, &[f32; 3])| -> [f32; 3] {
+        let colour = colour(&state.model.gaussians, i);
+        std::array::from_fn(|c| colour[c] * std::f32::consts::PI / irradiance[c].max(LEAST_IRRADIANCE))
+    };
+    let albedos: Vec<[f32; 3]> = irradiance.iter().enumerate().map(albedo).collect();
+    restart(state, &albedos, SHARPNESS);
+}
+
+/// Sets metalness and roughness to their first values.
+pub fn reset_surface(g: &mut Gaussians) {
+    for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
+        g.field_mut(field).fill((start / (1.0 - start)).ln());
+    }
+}
+
+/// Prototypes at the k-means centres of `albedos` less their residuals, scores by distance, metalness and roughness as
+/// at the start, moments zero. Residuals stay: with few prototypes they hold the texture.
+fn restart(state: &mut TrainState, albedos: &[[f32; 3]], sharpness: f32) {
+    let TrainState { model, moments, .. } = state;
+    let opacity = |i: usize| sigmoid(model.gaussians.row(Field::OpacityLogit, i)[0]);
+    let point = |(i, albedo): (usize, &[f32; 3])| {
+        let residual = model.gaussians.row(Field::Residual, i);
+        let rest = |c: usize| (albedo[c].clamp(RANGE.0, RANGE.1) - residual[c]).clamp(RANGE.0, RANGE.1);
+        (std::array::from_fn(rest), opacity(i))
+    };
+    let points: Vec<([f32; 3], f32)> = albedos.iter().enumerate().map(point).collect();
+    if points.is_empty() {
+        return;
+    }
+    let centres = k_means(&points, model.prototypes.len());
+    for (i, (albedo, _)) in points.iter().enumerate() {
+        let scores = model.gaussians.row_mut(Field::ProtoLogits, i);
+        for (score, centre) in scores.iter_mut().zip(&centres) {
+            *score = -sharpness * distance(*albedo, *centre);
+        }
+    }
+    reset_surface(&mut model.gaussians);
+    for moments in [&mut moments.first, &mut moments.second] {
+        for field in [Field::ProtoLogits, Field::MetalLogit, Field::RoughLogit] {
+            moments.field_mut(field).fill(0.0);
+        }
+    }
+    moments.globals.iter_mut().for_each(|moments| moments[..centres.len()].fill([0.0; 3]));
+    model.prototypes = centres;
+}
+
+/// K-means of weighted points: farthest-first start, then Lloyd's iterations; no random draw.
+fn k_means(points: &[([f32; 3], f32)], k: usize) -> Vec<[f32; 3]> {
+    let mut centres = vec![points[0].0];
+    let mut nearest: Vec<f32> = points.iter().map(|(p, _)| distance(*p, centres[0])).collect();
+    while centres.len() < k {
+        let score = |i: &usize| nearest[*i] * points[*i].1;
+        let next = (0..points.len()).max_by(|a, b| score(a).total_cmp(&score(b))).unwrap_or(0);
+        centres.push(points[next].0);
+        for (n, (p, _)) in nearest.iter_mut().zip(points) {
+            *n = n.min(distance(*p, points[next].0));
+        }
+    }
+    for _ in 0..ROUNDS {
+        let mut sums = vec![([0.0f64; 3], 0.0f64); k];
+        for (p, w) in points {
+            let best = (0..k).min_by(|a, b| distance(*p, centres[*a]).total_cmp(&distance(*p, centres[*b])));
+            let (sum, weight) = &mut sums[best.unwrap_or(0)];
+            (0..3).for_each(|c| sum[c] += f64::from(p[c] * w));
+            *weight += f64::from(*w);
+        }
+        for (centre, (sum, weight)) in centres.iter_mut().zip(sums) {
+            if weight > 0.0 {
+                *centre = sum.map(|s| (s / weight) as f32);
+            }
+        }
+    }
+    centres
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use relume_compare::{largest_difference, worst};
+    use relume_engine::cpu::{AttributeSource, srgb};
+    use relume_engine::fibonacci_sphere;
+    use relume_scene::light::TableResolution;
+    use relume_scene::{Model, ShadingOptions, VisibilityForm, softplus_inverse, texel_directions};
+    use relume_spec::training::{Preset, TrainConfig};
+
+    const DAYLIGHT_SKY: LightColour = LightColour { blue_over_red: 0.45, green: -0.13 };
+    const COLOURS: [[f32; 3]; 2] = [[0.6, 0.2, 0.1], [0.2, 0.3, 0.5]];
+
+    fn along(a: [f32; 3], b: [f32; 3]) -> f32 {
+        (0..3).map(|k| a[k] * b[k]).sum()
+    }
+
+    /// A ball whose Gaussians have one of two albedos in turn, lit from above, and the radiance that follows.
+    fn shaded_ball() -> (TrainState, EnvOperators, Vec<[f32; 3]>) {
+        ball_under([0.0, 0.0, 0.8], &[0.0])
+    }
+
+    /// The same under a sky of 1 + slope . d, photographed under it turned by each of `turns`, radians.
+    fn ball_under(slope: [f32; 3], turns: &[f64]) -> (TrainState, EnvOperators, Vec<[f32; 3]>) {
+        let config = TrainConfig::preset(Preset::Draft);
+        let normals = fibonacci_sphere(200);
+        let (rows, columns) = (8, 16);
+        let sky = texel_directions(columns, rows)
+            .into_iter()
+            .map(|(d, _)| [softplus_inverse(1.0 + along(slope, d.as_vec3().to_array())); 3]);
+        let shading = ShadingOptions { visibility: VisibilityForm::Off, ..config.shading };
+        let mut model = Model {
+            gaussians: Gaussians::zeroed(normals.len(), 2, 0, 0),
+            prototypes: vec![[0.5; 3]; 2],
+            env_raw: sky.collect(),
+            env_width: columns,
+            env_height: rows,
+            lights: Default::default(),
+            shading,
+            world_scale: 1.0,
+            world_offset: Default::default(),
+            framing: None,
+            card: serde_json::Value::Null,
+        };
+        for (i, n) in normals.iter().enumerate() {
+            // E = pi (1 + 2/3 slope . n) under a sky of 1 + slope . d.
+            let light = |turn: &f64| {
+                let (sin, cos) = (*turn as f32).sin_cos();
+                let slope = [cos * slope[0] - sin * slope[1], sin * slope[0] + cos * slope[1], slope[2]];
+                1.0 + 2.0 / 3.0 * along(slope, *n)
+            };
+            let radiance = model.gaussians.row_mut(Field::Radiance, i);
+            for (r, albedo) in radiance.iter_mut().zip(COLOURS[i % 2]) {
+                let shown = turns.iter().map(|turn| srgb(albedo * light(turn))).sum::<f32>();
+                *r = (shown / turns.len() as f32 - 0.5) / 0.282_094_8;
+            }
+        }
+        (TrainState::new(model), EnvOperators::new(columns, rows, 0, TableResolution::TRAINING), normals)
+    }
+
+    /// Largest difference of any Gaussian's albedo from the truth.
+    fn albedo_error(state: &TrainState) -> f64 {
+        let Model { gaussians, prototypes, shading, .. } = &state.model;
+        let source = AttributeSource {
+            gaussians,
+            prototypes,
+            options: shading,
+            gathered: &[],
+            arriving: &[],
+            indirect_basis: &[[0.0; 3]; 16],
+            light: None,
+        };
+        worst((0..gaussians.len()).map(|i| largest_difference(&source.albedo(i), &COLOURS[i % 2])))
+    }
+
+    #[test]
+    fn a_restart_removes_the_shading_from_albedo() {
+        let (mut state, operators, normals) = shaded_ball();
+        initialise(&mut state, DAYLIGHT_SKY);
+        let control = albedo_error(&state);
+        assert!(control.is_finite() && control > 0.1, "the control: colours as they are, {control}");
+        state.model.gaussians.field_mut(Field::Residual).fill(0.05);
+        state.moments.second.field_mut(Field::ProtoLogits).fill(1.0);
+        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
+        assert!(albedo_error(&state) < 0.01, "{}", albedo_error(&state));
+        assert!(state.moments.second.field(Field::ProtoLogits).iter().all(|m| *m == 0.0));
+    }
+
+    #[test]
+    fn a_restart_removes_the_shading_of_a_light_that_turns() {
+        let degrees = [0.0, 90.0];
+        let radians = degrees.map(f64::to_radians);
+        let (mut state, operators, normals) = ball_under([0.9, 0.0, 0.0], &radians);
+        restart_albedo(&mut state, &operators, &LightTurns::of(&degrees).0, &normals);
+        assert!(albedo_error(&state) < 0.015, "{}", albedo_error(&state));
+        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
+        let control = albedo_error(&state);
+        assert!(control.is_finite() && control > 0.02, "the control: as if the light stood still, {control}");
+    }
+
+    #[test]
+    fn a_grey_object_under_daylight_starts_grey() {
+        let (mut state, ..) = shaded_ball();
+        for radiance in state.model.gaussians.field_mut(Field::Radiance).chunks_mut(3) {
+            for (r, light) in radiance.iter_mut().zip(DAYLIGHT_SKY.rgb()) {
+                *r = (srgb(0.5 * UPWARD_LUMINANCE * light) - 0.5) / 0.282_094_8;
+            }
+        }
+        initialise(&mut state, DAYLIGHT_SKY);
+        assert!(state.model.prototypes.iter().flatten().all(|v| (v - 0.5).abs() < 1e-3));
+    }
+
+    #[test]
+    fn metalness_and_roughness_restart_with_albedo() {
+        let (mut state, operators, normals) = shaded_ball();
+        for field in [Field::MetalLogit, Field::RoughLogit] {
+            state.model.gaussians.field_mut(field).fill(4.0);
+            state.moments.first.field_mut(field).fill(1.0);
+        }
+        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
+        for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
+            let values = state.model.gaussians.field(field);
+            assert!(values.iter().all(|v| (sigmoid(*v) - start).abs() < 1e-6), "{field:?}: {}", values[0]);
+            assert!(state.moments.first.field(field).iter().all(|m| *m == 0.0));
+        }
+    }
+
+    #[test]
+    fn a_black_sky_and_a_white_colour_leave_albedo_in_its_range() {
+        let (mut state, operators, normals) = shaded_ball();
+        state.model.env_raw.fill([softplus_inverse(1e-6); 3]);
+        state.model.gaussians.field_mut(Field::Radiance).fill(10.0);
+        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
+        assert!(state.model.prototypes.iter().flatten().all(|v| (RANGE.0..=RANGE.1).contains(v)));
+        assert!(state.model.check().is_ok());
+    }
+}

@@ -1,0 +1,177 @@
+//! A model under one light as colour alone, for programs that show splats and know no materials.
+
+use rayon::prelude::*;
+
+use relume_engine::cpu::{AttributeSource, SurfaceShader};
+use relume_engine::fibonacci_sphere;
+use relume_scene::light::sh_eval;
+use crate::render::renderer::{PreparedLight, Renderer};
+use relume_spec::rendering::MOST_BAKED_DEGREE;
+use relume_scene::{Field, Model, VisibilityForm, sh_count};
+
+const MOST: usize = sh_count(MOST_BAKED_DEGREE);
+/// Directions in which each Gaussian is shaded.
+const DIRECTIONS: usize = 192;
+/// Weight of a direction from which a Gaussian is hidden, so that the fit stays determined.
+const LEAST_WEIGHT: f64 = 0.02;
+
+impl Renderer {
+    /// The model with a radiance branch that shows it under `light`: for each Gaussian the harmonics of `degree` (at most
+    /// [`MOST_BAKED_DEGREE`]) nearest to its sRGB-encoded shaded colour, in the mean over the directions from which it is seen.
+    pub fn baked(&self, light: &PreparedLight, degree: usize) -> Model {
+        let degree = degree.min(MOST_BAKED_DEGREE);
+        let frames = self.frames.on_cpu();
+        let on_cpu = self.light_on_cpu(light);
+        let (source, shader) = (frames.lit_source(on_cpu), frames.shader(&on_cpu.tables));
+        let directions = fibonacci_sphere(DIRECTIONS);
+        let count = sh_count(degree);
+        let mut coefficients = vec![0.0f32; source.gaussians.len() * 3 * count];
+        coefficients.par_chunks_mut(3 * count).enumerate().with_min_len(64).for_each(|(i, out)| {
+            fit(&source, &shader, i, &directions, degree, out);
+        });
+        let model = self.model();
+        Model { gaussians: model.gaussians.clone().with_radiance(degree, coefficients), ..model.clone() }
+    }
+}
+
+/// Weighted least squares for Gaussian `i`.
+fn fit(
+    source: &AttributeSource<'_>,
+    shader: &SurfaceShader<'_>,
+    i: usize,
+    directions: &[[f32; 3]],
+    degree: usize,
+    out: &mut [f32],
+) {
+    let count = sh_count(degree);
+    let (mut matrix, mut right) = ([[0.0f64; MOST]; MOST], [[0.0f64; 3]; MOST]);
+    for along in directions {
+        let sent = source.outgoing(i, *along, shader).total();
+        let shown = sent.map(|c| f64::from(relume_scene::srgb::encode(c)) - 0.5);
+        let weight = seen_from(source, i, along.map(|a| -a)).max(LEAST_WEIGHT);
+        let mut y = [0.0f64; MOST];
+        sh_eval(degree, along.map(f64::from), &mut y);
+        for j in 0..count {
+            (0..=j).for_each(|k| matrix[j][k] += weight * y[j] * y[k]);
+            (0..3).for_each(|c| right[j][c] += weight * y[j] * shown[c]);
+        }
+    }
+    solve(&mut matrix, &mut right, count);
+    out.as_chunks_mut::<3>().0.iter_mut().zip(&right).for_each(|(o, r)| *o = r.map(|v| v as f32));
+}
+
+/// How open Gaussian `i` is towards `direction`, 0 to 1.
+fn seen_from(source: &AttributeSource<'_>, i: usize, direction: [f32; 3]) -> f64 {
+    if source.options.visibility == VisibilityForm::Off {
+        return 1.0;
+    }
+    let coefficients = source.gaussians.row(Field::Visibility, i);
+    let mut y = [0.0f32; 81];
+    sh_eval(source.gaussians.visibility_order(), direction, &mut y);
+    let raw: f32 = coefficients.iter().zip(y).map(|(c, y)| c * y).sum();
+    f64::from(match source.options.visibility {
+        VisibilityForm::Sigmoid => 1.0 / (1.0 + (-raw).exp()),
+        _ => raw.clamp(0.0, 1.0),
+    })
+}
+
+/// Solves `matrix x = right` for the first `count` unknowns into `right`, by Cholesky's method; the lower half of a symmetric
+/// positive `matrix` is read.
+fn solve(matrix: &mut [[f64; MOST]; MOST], right: &mut [[f64; 3]; MOST], count: usize) {
+    for j in 0..count {
+        for k in 0..=j {
+            let below: f64 = (0..k).map(|n| matrix[j][n] * matrix[k][n]).sum();
+            let rest = matrix[j][k] - below;
+            matrix[j][k] = if j == k { rest.max(1e-12).sqrt() } else { rest / matrix[k][k] };
+        }
+    }
+    for c in 0..3 {
+        for j in 0..count {
+            let known: f64 = (0..j).map(|k| matrix[j][k] * right[k][c]).sum();
+            right[j][c] = (right[j][c] - known) / matrix[j][j];
+        }
+        for j in (0..count).rev() {
+            let known: f64 = (j + 1..count).map(|k| matrix[k][j] * right[k][c]).sum();
+            right[j][c] = (right[j][c] - known) / matrix[j][j];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use relume_compare::{largest_difference, worst};
+    use relume_engine::cpu::srgb;
+    use relume_scene::{EnvMap, Gaussians, IndirectForm, ShadingOptions};
+
+    /// One flat Gaussian of a reddish dielectric that nothing hides.
+    fn model() -> Model {
+        let mut g = Gaussians::zeroed(1, 1, 1, 0);
+        g.row_mut(Field::LogScale, 0).copy_from_slice(&[-2.0, -2.0, -5.0]);
+        g.row_mut(Field::Quaternion, 0)[0] = 1.0;
+        g.row_mut(Field::Residual, 0).copy_from_slice(&[0.5, 0.2, 0.1]);
+        g.row_mut(Field::MetalLogit, 0)[0] = -5.0;
+        g.row_mut(Field::RoughLogit, 0)[0] = 1.0;
+        let off = (VisibilityForm::Off, IndirectForm::Off);
+        let shading = ShadingOptions { visibility: off.0, indirect: off.1, ..ShadingOptions::default() };
+        Model {
+            gaussians: g,
+            prototypes: vec![[0.0; 3]],
+            env_raw: vec![[0.0; 3]; 2],
+            env_width: 2,
+            env_height: 1,
+            lights: Default::default(),
+            shading,
+            world_scale: 1.0,
+            world_offset: Default::default(),
+            framing: None,
+            card: serde_json::Value::Null,
+        }
+    }
+
+    /// Largest difference between the baked colour under an even light of radiance `baked` and the shaded one under `shaded`.
+    fn baking_error(baked: f32, shaded: f32) -> f64 {
+        let renderer = Renderer::new(Arc::new(model()));
+        let light = |level: f32| renderer.prepare_light(&EnvMap::constant(16, 8, [level; 3])).unwrap();
+        let model = renderer.baked(&light(baked), MOST_BAKED_DEGREE);
+        let light = light(shaded);
+        let on_cpu = renderer.light_on_cpu(&light);
+        let (frames, coefficients) = (renderer.frames.on_cpu(), model.gaussians.row(Field::Radiance, 0));
+        let source: AttributeSource<'_> = frames.lit_source(on_cpu);
+        let differs = |along: [f32; 3]| {
+            let sent = source.outgoing(0, along, &frames.shader(&on_cpu.tables)).total();
+            let mut y = [0.0f32; MOST];
+            sh_eval(MOST_BAKED_DEGREE, along, &mut y);
+            let shown: [f32; 3] = std::array::from_fn(|c| {
+                0.5 + (0..MOST).map(|j| coefficients[3 * j + c] * y[j]).sum::<f32>()
+            });
+            largest_difference(&shown, &sent.map(|v| srgb(v.clamp(0.0, 1.0))))
+        };
+        let directions = [[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.48, 0.64, 0.6]];
+        worst(directions.into_iter().map(differs))
+    }
+
+    #[test]
+    fn baked_colour_is_the_shaded_one() {
+        assert!(baking_error(0.7, 0.7) < 0.03, "{}", baking_error(0.7, 0.7));
+        let control = baking_error(0.7, 0.35);
+        assert!(control.is_finite() && control > 0.1, "the control: {control}");
+    }
+
+    #[test]
+    fn a_symmetric_system_is_solved() {
+        let (mut matrix, mut right) = ([[0.0; MOST]; MOST], [[0.0; 3]; MOST]);
+        let rows = [[4.0, 1.0, 0.5], [1.0, 3.0, -1.0], [0.5, -1.0, 2.0]];
+        let wanted = [[1.0, 0.0, 0.0], [-2.0, 0.0, 0.6], [3.0, 0.0, 0.8]];
+        for j in 0..3 {
+            matrix[j][..3].copy_from_slice(&rows[j]);
+            right[j] = std::array::from_fn(|c| (0..3).map(|k| rows[j][k] * wanted[k][c]).sum());
+        }
+        solve(&mut matrix, &mut right, 3);
+        for (found, wanted) in right.iter().zip(wanted) {
+            assert!(found.iter().zip(wanted).all(|(f, w)| (f - w).abs() < 1e-12), "{found:?}");
+        }
+    }
+}

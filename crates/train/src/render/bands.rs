@@ -1,0 +1,258 @@
+//! A frame in the making: rows of it at a time, so that what lies between model and frame takes bounded memory, and other
+//! frames can come in between.
+
+use std::collections::BTreeMap;
+
+use relume_engine::{DeviceError, FrameJob, RasterCamera, RayLight};
+use relume_layout::constants::TILE;
+use crate::render::error::RenderError;
+use crate::render::job::Job;
+use crate::render::renderer::{PreparedLight, Renderer};
+use crate::render::{Frame, high, monte_carlo};
+use relume_spec::rendering::{Output, Quality, Tier};
+use relume_scene::Camera;
+
+/// A frame in the making, see [`Renderer::bands`].
+pub struct Bands<'a> {
+    renderer: &'a Renderer,
+    light: &'a PreparedLight,
+    view: RasterCamera,
+    quality: Quality,
+    /// Sorted, without repetition, coverage among them.
+    outputs: Vec<Output>,
+    /// Rows of a band: whole tiles, so that no tile is blended twice.
+    rows: usize,
+    /// Rows that are done.
+    done: usize,
+    frame: Frame,
+}
+
+impl Renderer {
+    /// Renders `outputs` for a camera in capture coordinates, at a [`Tier`] or, with its samples and seed, a [`Quality`].
+    ///
+    /// # Errors
+    /// Names the field (of the camera, or `samples`) that cannot be rendered.
+    pub fn render(
+        &self,
+        camera: &Camera,
+        light: &PreparedLight,
+        quality: impl Into<Quality>,
+        outputs: &[Output],
+    ) -> Result<Frame, RenderError> {
+        let mut bands = self.bands(camera, light, quality.into(), outputs)?;
+        while bands.render_next()? {}
+        Ok(bands.into_frame())
+    }
+
+    /// The same band by band, for a caller with something else to do in between. The frame is the same.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    pub fn bands<'a>(
+        &'a self,
+        camera: &Camera,
+        light: &'a PreparedLight,
+        quality: Quality,
+        outputs: &[Output],
+    ) -> Result<Bands<'a>, RenderError> {
+        quality.check().map_err(|reason| RenderError::Refused { field: "samples", reason })?;
+        let mut outputs = outputs.to_vec();
+        outputs.push(Output::Alpha);
+        outputs.sort_unstable();
+        outputs.dedup();
+        let view = self.view(camera)?;
+        let (width, height) = (camera.width, camera.height);
+        let frame = Frame { width, height, planes: BTreeMap::new() };
+        let most = match (self.frames.has_device(), quality.tier) {
+            (false, _) => Quality::CPU_BAND_COST,
+            (true, Tier::MonteCarlo) => Quality::SAMPLED_BAND_COST,
+            (true, _) => Quality::BAND_COST,
+        };
+        let rows = rows(view.width, quality, most);
+        Ok(Bands { renderer: self, light, view, quality, outputs, rows, done: 0, frame })
+    }
+}
+
+impl Bands<'_> {
+    /// Renders the next band. False when the frame is complete.
+    ///
+    /// # Errors
+    /// When the device failed.
+    pub fn render_next(&mut self) -> Result<bool, RenderError> {
+        let first = self.done;
+        let mut view = self.view;
+        view.height = self.rows.min(self.view.height - first);
+        view.centre_px[1] -= first as f32;
+        let band = self.render(view, first)?;
+        self.done += view.height;
+        if first == 0 && self.done == self.view.height {
+            self.frame.planes = band.planes;
+            return Ok(false);
+        }
+        for (output, mut values) in band.planes {
+            let plane = self.frame.planes.entry(output).or_default();
+            if first == 0 {
+                plane.reserve_exact(self.view.width * self.view.height * output.channels());
+            }
+            plane.append(&mut values);
+        }
+        Ok(self.done < self.view.height)
+    }
+
+    /// The frame, as far as it is rendered.
+    pub fn into_frame(self) -> Frame {
+        self.frame
+    }
+
+    /// The rows from `first` on that `view` sees.
+    fn render(&self, view: RasterCamera, first: usize) -> Result<Frame, RenderError> {
+        let (renderer, light, quality) = (self.renderer, self.light, self.quality);
+        let job = FrameJob {
+            view,
+            outputs: &self.outputs,
+            colour: renderer.colour(quality.tier, &self.outputs),
+            depth_scale: (1.0 / renderer.model().world_scale) as f32,
+        };
+        Ok(match quality.tier {
+            Tier::Preview | Tier::Standard => renderer.frames.render(&job, &light.frame)?,
+            Tier::High | Tier::MonteCarlo if renderer.frames.has_device() => {
+                self.render_by_rays(&job, first)?
+            }
+            Tier::High => {
+                let split = light.split(renderer.model().gaussians.visibility_order());
+                high::render(&self.on_cpu(job), split, renderer.occluders())
+            }
+            Tier::MonteCarlo => {
+                let (job, sampler) = (self.on_cpu(job), light.sampler());
+                monte_carlo::render(&job, sampler, renderer.occluders(), quality, pixels_before(&view, first))
+            }
+        })
+    }
+
+    /// A band of the tiers that ask along rays, on the device.
+    fn render_by_rays(&self, job: &FrameJob<'_>, first: usize) -> Result<Frame, DeviceError> {
+        let (frames, light, quality) = (&self.renderer.frames, self.light, self.quality);
+        let rays = match quality.tier {
+            Tier::MonteCarlo => Some(RayLight::Sampled {
+                environment: light.sampler(),
+                samples: quality.samples,
+                seed: quality.seed,
+                pixels_before: pixels_before(&job.view, first),
+            }),
+            _ => light.split(frames.model().gaussians.visibility_order()).rays(),
+        };
+        match rays {
+            Some(rays) => frames.render_by_rays(job, &light.frame, &rays),
+            // No light is sharp.
+            None => frames.render(job, &light.frame),
+        }
+    }
+
+    fn on_cpu<'b>(&'b self, frame: FrameJob<'b>) -> Job<'b> {
+        let (cpu, light) = (self.renderer.frames.on_cpu(), self.renderer.light_on_cpu(self.light));
+        Job { source: cpu.lit_source(light), shader: cpu.shader(&light.tables), frame }
+    }
+}
+
+/// Pixels of a frame above row `first`.
+fn pixels_before(view: &RasterCamera, first: usize) -> u64 {
+    (first * view.width) as u64
+}
+
+/// Rows of a band of a frame: as many as cost at most `most`, a row of tiles at least.
+fn rows(width: usize, quality: Quality, most: u64) -> usize {
+    let pixels = most / quality.pixel_cost();
+    let rows = usize::try_from(pixels).unwrap_or(usize::MAX) / width.max(1);
+    (rows / TILE).max(1) * TILE
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::DVec3;
+
+    use super::*;
+    use relume_compare::rms_difference;
+    use relume_scene::{EnvMap, Field, Gaussians, Model, ShadingOptions};
+
+    /// A slanted row of balls, which goes through every band.
+    fn balls() -> Renderer {
+        let mut gaussians = Gaussians::zeroed(9, 1, 2, 0);
+        for i in 0..9 {
+            let along = i as f32 * 0.2 - 0.8;
+            gaussians.row_mut(Field::Mean, i).copy_from_slice(&[along * 0.5, 0.0, along]);
+            gaussians.row_mut(Field::LogScale, i).fill(0.12f32.ln());
+            gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
+            gaussians.row_mut(Field::OpacityLogit, i)[0] = 4.0;
+            gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::FULLY_OPEN;
+        }
+        Renderer::new(Arc::new(Model {
+            gaussians,
+            prototypes: vec![[0.5; 3]],
+            env_raw: vec![[0.0; 3]; 8],
+            env_width: 4,
+            env_height: 2,
+            lights: Default::default(),
+            shading: ShadingOptions::default(),
+            world_scale: 1.0,
+            world_offset: DVec3::ZERO,
+            framing: None,
+            card: serde_json::Value::Null,
+        }))
+    }
+
+    /// Root of the mean squared difference of two planes, over that of the first from its mean.
+    fn relative(a: &[f32], b: &[f32]) -> f64 {
+        let mean = a.iter().map(|v| f64::from(*v)).sum::<f64>() / a.len() as f64;
+        rms_difference(a, b) / rms_difference(a, &vec![mean; a.len()])
+    }
+
+    #[test]
+    fn a_frame_in_bands_is_the_frame_at_once() {
+        let renderer = balls();
+        let texel = |d: DVec3| if d.z > 0.9 { [9.0, 8.0, 7.0] } else { [0.4 + 0.3 * d.x as f32, 0.4, 0.5] };
+        let light = renderer.prepare_light(&EnvMap::from_fn(64, 32, texel)).unwrap();
+        let camera =
+            Camera::look_at(DVec3::new(0.2, -3.0, 0.4), DVec3::ZERO, DVec3::Z, 0.7, (50, 70)).unwrap();
+        let outputs = [Output::Rgb, Output::Normal, Output::Visibility];
+        for tier in Tier::ALL {
+            let quality = Quality { samples: 4, ..tier.into() };
+            let of = |rows: usize, seed: u64| {
+                let bands = renderer.bands(&camera, &light, Quality { seed, ..quality }, &outputs).unwrap();
+                let (mut bands, mut seams) = (Bands { rows, ..bands }, 0);
+                while bands.render_next().unwrap() {
+                    seams += 1;
+                }
+                (bands.into_frame(), seams)
+            };
+            let ((whole, none), (banded, seams)) = (of(80, 0), of(16, 0));
+            assert_eq!((none, seams, banded.planes.len()), (0, 4, 4));
+            for (output, plane) in &whole.planes {
+                let off = relative(plane, &banded.planes[output]);
+                assert!(off < 1e-3, "{tier:?} {output:?}: {off}");
+            }
+            let other = of(80, 1).0.planes.remove(&Output::Rgb).unwrap();
+            let noise = relative(&whole.planes[&Output::Rgb], &other);
+            assert!(noise.is_finite(), "{tier:?}");
+            assert_eq!(noise > 2e-3, tier == Tier::MonteCarlo, "the control, with other samples: {noise}");
+        }
+    }
+
+    #[test]
+    fn a_band_is_whole_tiles_and_costs_little() {
+        for (width, quality) in
+            [(4096, Quality::from(Tier::Standard)), (700, Tier::High.into()), (512, Quality::monte_carlo(64))]
+        {
+            let rows = rows(width, quality, Quality::BAND_COST);
+            assert!(rows.is_multiple_of(TILE) && rows > 0);
+            let cost = (rows * width) as u64 * quality.pixel_cost();
+            assert!(cost <= Quality::BAND_COST || rows == TILE, "{width} {quality:?}: {rows} rows");
+        }
+        assert_eq!(rows(1 << 16, Quality::monte_carlo(Quality::MOST_SAMPLES), Quality::BAND_COST), TILE);
+        assert!(
+            rows(1, Tier::Preview.into(), Quality::CPU_BAND_COST) >= 1 << 16,
+            "a narrow frame is one band"
+        );
+    }
+}

@@ -1,0 +1,105 @@
+//! Direct light of one small light in every pixel: what surfaces would send if nothing hid it, and how much of it arrives.
+
+use rayon::prelude::*;
+
+use relume_layout::channel::{COVERAGE, Channels, OutgoingRadiance, RowLight};
+use relume_layout::constants::{EarlyStop, LEAST_COVERAGE, SHADOW_PLACES};
+use relume_engine::cpu::{
+    AttributeSource, Occluders, Pass, Surface, attribute_rows, blended_radiance, normalise, reflector,
+    surface_at, surface_points,
+};
+use relume_engine::towards_light;
+use relume_scene::light::{DominantLight, Sheen, TableLight};
+use relume_scene::{Field, ShadeAt, SplitLight};
+
+/// What every pixel sends of one light that nothing hides.
+pub(super) enum Unhidden<'a> {
+    /// Reflected where Gaussians are, and blended.
+    AtGaussians(Box<Pass>),
+    /// Reflected by the surface that a pixel sees.
+    InPixels(&'a Pass, &'a DominantLight),
+}
+
+impl<'a> Unhidden<'a> {
+    /// Of `light`, where the model of `source` is shaded; `pass` has the G-buffer.
+    pub(super) fn new(source: &AttributeSource<'_>, pass: &'a Pass, light: &'a DominantLight) -> Self {
+        match source.options.shade_at {
+            ShadeAt::Gaussian => Self::AtGaussians(Box::new(blend_reflected(source, pass, light))),
+            ShadeAt::Pixel => Self::InPixels(pass, light),
+        }
+    }
+
+    /// Radiance of pixel (`x`, `y`); `None` where there is nothing to shade or the light is behind it.
+    pub(super) fn at(&self, (x, y): (usize, usize)) -> Option<OutgoingRadiance> {
+        let pass: &Pass = match self {
+            Self::AtGaussians(pass) => pass,
+            Self::InPixels(pass, _) => pass,
+        };
+        if !(pass.at(x, y, COVERAGE) >= LEAST_COVERAGE) {
+            return None;
+        }
+        let sent = match self {
+            Self::AtGaussians(pass) => blended_radiance(pass, (x, y)),
+            Self::InPixels(pass, light) => reflect(&surface_at(pass, x, y)?.0, light),
+        };
+        sent.total().iter().any(|v| *v > 0.0).then_some(sent)
+    }
+}
+
+/// A pass with nothing but the light that each Gaussian reflects.
+fn blend_reflected(source: &AttributeSource<'_>, pass: &Pass, light: &DominantLight) -> Pass {
+    let channels = Channels::Full(0);
+    let (view, stored) = (pass.view, channels.stored());
+    let splats = &pass.splats;
+    let mut rows = attribute_rows(source, &view, splats, channels, stored);
+    rows.par_chunks_mut(stored).zip(splats).with_min_len(64).for_each(|(row, splat)| {
+        let i = splat.gaussian as usize;
+        let mean: [f32; 3] = source.gaussians.get(Field::Mean, i);
+        let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - view.centre[k]));
+        let sent = reflect(&surface, light);
+        row[OutgoingRadiance::TOTAL].copy_from_slice(&sent.total());
+        row[OutgoingRadiance::SPECULAR].copy_from_slice(&sent.specular);
+    });
+    let binned = (splats.clone(), pass.tiles.clone());
+    Pass::blend(view, binned, channels, RowLight::Outgoing, rows, EarlyStop::WhenSaturated)
+}
+
+/// What `surface` sends of a light that nothing hides, sheen included.
+fn reflect(surface: &Surface, light: &DominantLight) -> OutgoingRadiance {
+    let Some(reflected) = reflector(surface).reflect(light.direction, light.radius) else {
+        return OutgoingRadiance::default();
+    };
+    let (normal, _) = normalise(surface.normal);
+    let nov = (0..3).map(|k| normal[k] * surface.view[k]).sum::<f32>().abs().min(1.0);
+    let gain = f64::from(Sheen::new(surface.sheen, nov).gain);
+    OutgoingRadiance {
+        diffuse: std::array::from_fn(|c| (light.irradiance[c] * reflected.diffuse[c] * gain) as f32),
+        specular: std::array::from_fn(|c| (light.irradiance[c] * reflected.specular[c]) as f32),
+    }
+}
+
+/// Which share of one light arrives at what a pixel sees.
+pub(super) struct PixelShadows<'a> {
+    pass: &'a Pass,
+    occluders: &'a Occluders,
+    directions: Vec<[f32; 3]>,
+}
+
+impl<'a> PixelShadows<'a> {
+    /// The shadows that the Gaussians of `occluders` cast under `light` on what `pass` shows.
+    pub(super) fn new(pass: &'a Pass, occluders: &'a Occluders, light: &DominantLight) -> Self {
+        let directions = towards_light(&SplitLight::from(&TableLight::from(light)));
+        Self { pass, occluders, directions }
+    }
+
+    /// Share in pixel (`x`, `y`), 0 to 1: the mean over rays from places within the pixel to places of the light.
+    pub(super) fn share(&self, (x, y): (usize, usize)) -> f32 {
+        let points = surface_points(self.pass, (x, y), SHADOW_PLACES);
+        let rays = self.directions.len().max(points.len());
+        let ray = |i: usize| {
+            let (point, direction) = (points[i % points.len()], self.directions[i % self.directions.len()]);
+            self.occluders.transmittance(point, direction)
+        };
+        (0..rays).map(ray).sum::<f32>() / rays as f32
+    }
+}

@@ -1,0 +1,333 @@
+//! Frames as image files.
+
+use std::borrow::Cow;
+
+use relume_capture::formats::ImageFileError;
+use relume_capture::formats::exr_frame::{self, FrameLayer, FrameLayers};
+use relume_capture::formats::image_file::{encode_jpeg, encode_png, encode_png16};
+use relume_scene::srgb;
+use relume_spec::rendering::{AlphaMode, Background, ColourDepth, FrameFormat, Output, Primaries, ToneCurve, is_colour};
+use crate::render::{Finish, Frame};
+
+const JPEG_QUALITY: u8 = 90;
+
+/// An encoded frame.
+#[derive(Debug)]
+pub struct EncodedFrame {
+    /// The file.
+    pub bytes: Vec<u8>,
+    /// For a depth PNG: the depths of levels 0 and 65,534, capture units; 65,535 is "nothing there".
+    pub depth_range: Option<[f32; 2]>,
+}
+
+/// Encodes a frame.
+///
+/// - Colours (`rgb`, `albedo`, `diffuse`, `specular`, `radiance`): tone curve (albedo: sRGB), 8 bit, straight alpha; 16 bit
+///   with [`ToneCurve::Linear`]. A background colour is blended on the display.
+/// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`: 8-bit grey, linear.
+/// - `depth`: 16-bit grey, linear between the nearest and farthest depth of the frame.
+/// - EXR: linear, colours in part `beauty` (`rgb` with alpha as `RGBA`), premultiplied unless [`Finish::alpha`] says otherwise,
+///   everything else in part `data`, 32-bit floats.
+///
+/// # Errors
+/// When the frame lacks an output, or the encoder fails.
+pub fn encode_frame(
+    frame: &Frame,
+    outputs: &[Output],
+    format: FrameFormat,
+    finish: &Finish,
+) -> Result<EncodedFrame, ImageFileError> {
+    encode_wanted_frame(frame, outputs, format, finish, &|| true)
+}
+
+/// The same, for a caller who may go away: an EXR, the one format that takes long, ends early once `is_wanted` says no.
+///
+/// # Errors
+/// As [`encode_frame`], and when the file is not wanted any more.
+pub fn encode_wanted_frame(
+    frame: &Frame,
+    outputs: &[Output],
+    format: FrameFormat,
+    finish: &Finish,
+    is_wanted: &dyn Fn() -> bool,
+) -> Result<EncodedFrame, ImageFileError> {
+    let bare = |bytes| EncodedFrame { bytes, depth_range: None };
+    let first = outputs.first().copied().unwrap_or(Output::Rgb);
+    match format {
+        FrameFormat::Exr => exr(frame, outputs, finish, is_wanted).map(bare),
+        FrameFormat::Png => png(frame, first, finish),
+        FrameFormat::Jpeg => {
+            let pixels = over_white(&colour::<u8>(frame, first, finish)?);
+            encode_jpeg(frame.width, frame.height, &pixels, JPEG_QUALITY).map(bare)
+        }
+    }
+}
+
+fn png(frame: &Frame, output: Output, finish: &Finish) -> Result<EncodedFrame, ImageFileError> {
+    let (w, h) = (frame.width, frame.height);
+    let bare = |bytes| EncodedFrame { bytes, depth_range: None };
+    if is_colour(output) {
+        return match finish.tone_curve {
+            ToneCurve::Linear => encode_png16(w, h, &colour::<u16>(frame, output, finish)?).map(bare),
+            _ => encode_png(w, h, &colour::<u8>(frame, output, finish)?).map(bare),
+        };
+    }
+    let values = plane(frame, output)?;
+    if output == Output::Depth {
+        let (levels, range) = depth_levels(values);
+        let bytes = encode_png16(w, h, &levels)?;
+        return Ok(EncodedFrame { bytes, depth_range: Some(range) });
+    }
+    if output.channels() == 3 {
+        let level = |v: f32| ((v * 0.5 + 0.5).clamp(0.0, 1.0) * 65535.0).round() as u16;
+        let pixels: Vec<[u16; 3]> = values.as_chunks::<3>().0.iter().map(|p| p.map(level)).collect();
+        return encode_png16(w, h, &pixels).map(bare);
+    }
+    let level = |v: &f32| [(v.clamp(0.0, 1.0) * 255.0).round() as u8];
+    encode_png(w, h, &values.iter().map(level).collect::<Vec<_>>()).map(bare)
+}
+
+fn plane(frame: &Frame, output: Output) -> Result<&[f32], ImageFileError> {
+    let plane = frame.planes.get(&output).map(Vec::as_slice);
+    plane.ok_or_else(|| ImageFileError::Encode(format!("the frame lacks {output:?}")))
+}
+
+/// A number of levels that a channel has.
+trait Level: Copy {
+    /// The level nearest to a value in [0, 1].
+    fn nearest(value: f32) -> Self;
+
+    /// The levels of a colour under a curve.
+    fn shown(colour: [f32; 3], curve: ToneCurve) -> [Self; 3] {
+        curve.apply(colour).map(Self::nearest)
+    }
+}
+
+impl Level for u8 {
+    fn nearest(value: f32) -> Self {
+        srgb::to_u8(value)
+    }
+
+    fn shown(colour: [f32; 3], curve: ToneCurve) -> [Self; 3] {
+        match curve {
+            ToneCurve::Linear => curve.apply(colour).map(Self::nearest),
+            curve => curve.light(colour).map(srgb::encode_u8),
+        }
+    }
+}
+
+impl Level for u16 {
+    fn nearest(value: f32) -> Self {
+        (value * 65535.0 + 0.5) as u16
+    }
+}
+
+/// A colour output as display-referred RGBA, straight alpha.
+fn colour<L: Level>(frame: &Frame, output: Output, finish: &Finish) -> Result<Vec<[L; 4]>, ImageFileError> {
+    let alpha = plane(frame, Output::Alpha)?;
+    let pixels = plane(frame, output)?.as_chunks::<3>().0;
+    // Albedo is the one colour that is not premultiplied, and the one that no light makes brighter than 1.
+    let curve = match (output, finish.tone_curve) {
+        (Output::Albedo, ToneCurve::Neutral | ToneCurve::Agx) => ToneCurve::Srgb,
+        (_, curve) => curve,
+    };
+    let pixel = |(&rgb, &alpha): (&[f32; 3], &f32)| {
+        let alpha = coverage(alpha, output, finish);
+        let divisor = if output == Output::Albedo { 1.0 } else { alpha.max(1e-6) };
+        let colour = rgb.map(|v| v / divisor);
+        let ([r, g, b], alpha) = match finish.background {
+            Background::Colour(behind) => {
+                let shown = over(curve.apply(colour), alpha, shown_as(behind, curve));
+                (shown.map(L::nearest), 1.0)
+            }
+            _ => (L::shown(colour, curve), alpha),
+        };
+        [r, g, b, L::nearest(alpha)]
+    };
+    Ok(pixels.iter().zip(alpha).map(pixel).collect())
+}
+
+/// How much of a pixel a colour covers.
+fn coverage(alpha: f32, output: Output, finish: &Finish) -> f32 {
+    match (output, finish.background) {
+        (Output::Rgb, Background::Environment) => 1.0,
+        _ => alpha.clamp(0.0, 1.0),
+    }
+}
+
+/// A colour over another: of display values, as browsers blend.
+fn over(shown: [f32; 3], alpha: f32, behind: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|k| shown[k] * alpha + behind[k] * (1.0 - alpha))
+}
+
+/// A display colour among the values of a curve.
+fn shown_as(colour: [u8; 3], curve: ToneCurve) -> [f32; 3] {
+    let display = colour.map(|v| f32::from(v) / 255.0);
+    if curve == ToneCurve::Linear { display.map(srgb::decode) } else { display }
+}
+
+/// Colours and measurements in parts of their own.
+fn exr(
+    frame: &Frame,
+    outputs: &[Output],
+    finish: &Finish,
+    is_wanted: &dyn Fn() -> bool,
+) -> Result<Vec<u8>, ImageFileError> {
+    let alpha = plane(frame, Output::Alpha)?;
+    let covered: Vec<f32> = alpha.iter().map(|a| coverage(*a, Output::Rgb, finish)).collect();
+    let mut colours = Vec::new();
+    for output in outputs.iter().filter(|output| is_colour(**output)) {
+        colours.push((*output, scene_referred(plane(frame, *output)?, alpha, *output, finish)));
+    }
+    let layer = |output: Output, values| {
+        let (name, suffixes) = layer_name(output);
+        FrameLayer { name, suffixes, values }
+    };
+    let mut colour: Vec<_> = colours.iter().map(|(output, values)| layer(*output, values)).collect();
+    if outputs.contains(&Output::Rgb) {
+        colour.push(FrameLayer { name: "", suffixes: "A", values: &covered });
+    }
+    let mut data = Vec::new();
+    for output in outputs.iter().filter(|output| !is_colour(**output)) {
+        data.push(layer(*output, plane(frame, *output)?));
+    }
+    let (width, height) = (frame.width, frame.height);
+    let attributes = &finish.notes.attributes(finish.background, finish.alpha.unwrap_or_default());
+    let primaries = finish.primaries.unwrap_or_default();
+    let layers = FrameLayers { width, height, colour: &colour, primaries, data: &data, attributes };
+    exr_frame::encode_while(&layers, finish.colour_depth.unwrap_or(ColourDepth::Full), is_wanted)
+}
+
+/// The names compositing tools expect.
+fn layer_name(output: Output) -> (&'static str, &'static str) {
+    match output {
+        Output::Rgb => ("", "RGB"),
+        Output::Albedo => ("albedo", "RGB"),
+        Output::Diffuse => ("diffuse", "RGB"),
+        Output::Specular => ("specular", "RGB"),
+        Output::Radiance => ("radiance", "RGB"),
+        Output::Normal => ("N", "XYZ"),
+        Output::Depth => ("", "Z"),
+        Output::Metallic => ("metallic", "Y"),
+        Output::Roughness => ("roughness", "Y"),
+        Output::Visibility => ("visibility", "Y"),
+        Output::Alpha => ("alpha", "Y"),
+    }
+}
+
+/// A colour output in the primaries and the alpha mode of `finish`.
+fn scene_referred<'a>(rgb: &'a [f32], alpha: &[f32], output: Output, finish: &Finish) -> Cow<'a, [f32]> {
+    let (mode, primaries) = (finish.alpha.unwrap_or_default(), finish.primaries.unwrap_or_default());
+    let as_rendered = (AlphaMode::Premultiplied, Primaries::Rec709) == (mode, primaries);
+    if as_rendered {
+        return Cow::Borrowed(rgb);
+    }
+    let mut values = Vec::with_capacity(rgb.len());
+    for (&colour, &alpha) in rgb.as_chunks::<3>().0.iter().zip(alpha) {
+        let alpha = coverage(alpha, output, finish);
+        // Base colour is the one that is not premultiplied as rendered.
+        let colour = if output == Output::Albedo { colour } else { mode.of_premultiplied(colour, alpha) };
+        values.extend(primaries.from_rec709(colour));
+    }
+    Cow::Owned(values)
+}
+
+fn over_white(pixels: &[[u8; 4]]) -> Vec<[u8; 3]> {
+    let blend = |c: u8, a: u8| ((u32::from(c) * u32::from(a) + 255 * (255 - u32::from(a)) + 127) / 255) as u8;
+    pixels.iter().map(|&[r, g, b, a]| [blend(r, a), blend(g, a), blend(b, a)]).collect()
+}
+
+/// Finite depths spread over 0 to 65,534; 65,535 where nothing is.
+fn depth_levels(values: &[f32]) -> (Vec<[u16; 1]>, [f32; 2]) {
+    let there = |v: &&f32| v.is_finite() && **v > 0.0;
+    let near = values.iter().filter(there).copied().reduce(f32::min).unwrap_or(0.0);
+    let far = values.iter().filter(there).copied().reduce(f32::max).unwrap_or(0.0);
+    let span = (far - near).max(f32::MIN_POSITIVE);
+    let level = |v: &f32| match there(&v) {
+        true => [((v - near) / span * 65534.0).round() as u16],
+        false => [u16::MAX],
+    };
+    (values.iter().map(level).collect(), [near, far])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_half_covered_pixel_keeps_its_albedo() {
+        let planes = [(Output::Albedo, vec![0.5; 3]), (Output::Alpha, vec![0.5])].into();
+        let frame = Frame { width: 1, height: 1, planes };
+        let finish = Finish { tone_curve: ToneCurve::Agx, ..Finish::default() };
+        assert_eq!(colour::<u8>(&frame, Output::Albedo, &finish).unwrap(), [[188, 188, 188, 128]]);
+        assert_eq!(over_white(&[[188, 188, 188, 128]]), [[221; 3]]);
+    }
+
+    #[test]
+    fn an_exr_holds_every_output_asked_for_and_depth_may_be_infinite() {
+        let outputs = [Output::Rgb, Output::Normal, Output::Depth, Output::Visibility, Output::Alpha];
+        let planes = outputs.map(|o| (o, vec![f32::INFINITY; o.channels()])).into();
+        let mut frame = Frame { width: 1, height: 1, planes };
+        frame.planes.insert(Output::Rgb, vec![0.25, 0.5, 2.0]);
+        frame.planes.insert(Output::Alpha, vec![1.0]);
+        let bytes = encode_frame(&frame, &outputs, FrameFormat::Exr, &Finish::default()).unwrap().bytes;
+        let (_, _, pixels) = relume_capture::formats::exr_image::decode_rgba(&bytes).unwrap();
+        assert_eq!(pixels, [[0.25, 0.5, 2.0, 1.0]], "linear and unclamped");
+        let names = ["N.X", "Z", "visibility.Y", "alpha.Y"];
+        let text = String::from_utf8_lossy(&bytes);
+        assert!(names.iter().all(|name| text.contains(name)) && !text.contains("albedo"));
+        assert!(
+            encode_frame(&frame, &[Output::Albedo], FrameFormat::Exr, &Finish::default()).is_err(),
+            "what is not there is not made up"
+        );
+    }
+
+    #[test]
+    fn an_exr_has_the_alpha_and_the_primaries_that_were_asked_for() {
+        let planes =
+            [(Output::Rgb, vec![0.25, 0.0, 0.0, 0.5, 0.5, 0.5]), (Output::Alpha, vec![0.5, 0.0])].into();
+        let frame = Frame { width: 2, height: 1, planes };
+        let pixels = |alpha, primaries| {
+            let finish = Finish { alpha, primaries, ..Finish::default() };
+            let file = encode_frame(&frame, &[Output::Rgb], FrameFormat::Exr, &finish).unwrap();
+            relume_capture::formats::exr_image::decode_rgba(&file.bytes).unwrap().2
+        };
+        let premultiplied = pixels(None, None);
+        assert_eq!(premultiplied, [[0.25, 0.0, 0.0, 0.5], [0.5, 0.5, 0.5, 0.0]]);
+        assert_eq!(pixels(Some(AlphaMode::Premultiplied), Some(Primaries::Rec709)), premultiplied);
+        let straight = pixels(Some(AlphaMode::Straight), None);
+        assert_eq!(straight, [[0.5, 0.0, 0.0, 0.5], [0.0; 4]]);
+        let [r, g, b] = Primaries::Acescg.from_rec709([0.5, 0.0, 0.0]);
+        assert_eq!(pixels(Some(AlphaMode::Straight), Some(Primaries::Acescg))[0], [r, g, b, 0.5]);
+        assert_ne!([r, g, b], [0.5, 0.0, 0.0], "the control");
+    }
+
+    #[test]
+    fn a_background_takes_the_place_of_alpha_and_coverage_stays_what_it_was() {
+        let planes = [(Output::Rgb, vec![0.25; 3]), (Output::Alpha, vec![0.5])].into();
+        let frame = Frame { width: 1, height: 1, planes };
+        let with = |background, tone_curve| Finish { background, tone_curve, ..Finish::default() };
+        let shown =
+            |background| colour::<u8>(&frame, Output::Rgb, &with(background, ToneCurve::Srgb)).unwrap()[0];
+        assert_eq!(shown(Background::Transparent), [188, 188, 188, 128]);
+        assert_eq!(shown(Background::Colour([0, 100, 255])), [94, 144, 221, 255]);
+        // The light behind is in the frame already.
+        assert_eq!(shown(Background::Environment), [137, 137, 137, 255]);
+        let linear = with(Background::Colour([128; 3]), ToneCurve::Linear);
+        let half_of_both = (0.5 * 0.5 + 0.5 * srgb::decode(128.0 / 255.0)) * 65535.0;
+        let pixel = colour::<u16>(&frame, Output::Rgb, &linear).unwrap()[0];
+        assert!((f32::from(pixel[0]) - half_of_both).abs() < 1.0, "{pixel:?}");
+        let linear = with(Background::Environment, ToneCurve::Linear);
+        assert_eq!(colour::<u16>(&frame, Output::Rgb, &linear).unwrap(), [[16384, 16384, 16384, 65535]]);
+        let bytes =
+            encode_frame(&frame, &[Output::Rgb, Output::Alpha], FrameFormat::Exr, &linear).unwrap().bytes;
+        assert_eq!(relume_capture::formats::exr_image::decode_rgba(&bytes).unwrap().2, [[0.25, 0.25, 0.25, 1.0]]);
+    }
+
+    #[test]
+    fn depth_keeps_its_range_and_marks_nothing() {
+        let (levels, range) = depth_levels(&[2.0, f32::INFINITY, 4.0, 3.0]);
+        assert_eq!(range, [2.0, 4.0]);
+        assert_eq!(levels, [[0], [65535], [65534], [32767]]);
+    }
+}

@@ -1,0 +1,19 @@
+//! Why there is no frame.
+
+use relume_engine::DeviceError;
+
+/// Why there is no frame.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RenderError {
+    /// The request cannot be rendered.
+    #[error("{field}: {reason}")]
+    Refused {
+        /// The request field at fault.
+        field: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The device failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+}

@@ -1,0 +1,104 @@
+//! How a frame becomes a file.
+
+use crate::render::error::RenderError;
+use relume_spec::rendering::{AlphaMode, Background, ColourDepth, FrameFormat, Output, Primaries, ToneCurve, is_colour};
+use crate::render::FrameNotes;
+
+/// How a frame becomes a file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Finish {
+    /// What stands behind the model. For [`Background::Environment`] the frame brings it
+    /// ([`Renderer::show_environment`](crate::render::Renderer::show_environment)).
+    pub background: Background,
+    /// How colours other than albedo come to a display; an EXR is scene-referred.
+    pub tone_curve: ToneCurve,
+    /// How an EXR stores colours; 32-bit floats when absent.
+    pub colour_depth: Option<ColourDepth>,
+    /// Whether the colours of an EXR are multiplied with alpha; those of a PNG are not.
+    pub alpha: Option<AlphaMode>,
+    /// The primaries of an EXR's colours; other files are sRGB.
+    pub primaries: Option<Primaries>,
+    /// What an EXR says of how it was made.
+    pub notes: FrameNotes,
+}
+
+impl Finish {
+    /// Refuses what a file of `format` cannot show.
+    ///
+    /// # Errors
+    /// Names the field of this type.
+    pub fn check(&self, outputs: &[Output], format: FrameFormat) -> Result<(), RenderError> {
+        use FrameFormat::{Exr, Jpeg, Png};
+        let refuse = |field, reason: &str| Err(RenderError::Refused { field, reason: reason.to_owned() });
+        match (self.background, format) {
+            (Background::Colour(_), Exr) => {
+                return refuse("background", "is a display colour; an EXR is scene-referred");
+            }
+            (Background::Colour(_), _) if !outputs.iter().any(|o| is_colour(*o)) => {
+                return refuse("background", "a colour applies only to colours, and the output is not a colour");
+            }
+            (Background::Environment, _) if !outputs.contains(&Output::Rgb) => {
+                return refuse("background", "environment requires the output rgb");
+            }
+            _ => {}
+        }
+        match (self.tone_curve, format) {
+            (ToneCurve::Neutral | ToneCurve::Agx, Exr) => {
+                return refuse("tone_curve", "does not apply to EXR, which is scene-referred");
+            }
+            (curve, Png) if curve != ToneCurve::Srgb && !outputs.iter().any(|o| is_colour(*o)) => {
+                return refuse("tone_curve", "applies only to colours, and the output is not a colour");
+            }
+            (ToneCurve::Linear, Jpeg) => {
+                return refuse("tone_curve", "linear requires 16 bits, which JPEG does not support");
+            }
+            _ => {}
+        }
+        if let (Some(_), Png | Jpeg) = (self.colour_depth, format) {
+            return refuse("colour_depth", "is allowed only for EXR");
+        }
+        match (self.alpha, self.primaries, format) {
+            (Some(_), _, Png | Jpeg) => refuse("alpha", "is allowed only for EXR; PNG has straight alpha"),
+            (_, Some(_), Png | Jpeg) => refuse("primaries", "is allowed only for EXR; other formats are sRGB"),
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_format_cannot_show_is_refused_by_its_field() {
+        let colour = Finish { background: Background::Colour([9; 3]), ..Finish::default() };
+        let environment = Finish { background: Background::Environment, ..Finish::default() };
+        let curve = |tone_curve| Finish { tone_curve, ..Finish::default() };
+        let straight = Finish { alpha: Some(AlphaMode::Straight), ..Finish::default() };
+        let acescg = Finish { primaries: Some(Primaries::Acescg), ..Finish::default() };
+        let half = Finish { colour_depth: Some(ColourDepth::Half), ..Finish::default() };
+        let refused = |finish: &Finish, output, format| match finish.check(&[output], format) {
+            Err(RenderError::Refused { field, .. }) => Some(field),
+            _ => None,
+        };
+        let (rgb, albedo, depth) = (Output::Rgb, Output::Albedo, Output::Depth);
+        for (finish, output, png, jpeg, exr) in [
+            (&Finish::default(), albedo, None, None, None),
+            (&colour, albedo, None, None, Some("background")),
+            (&Finish::default(), depth, None, None, None),
+            (&colour, depth, Some("background"), Some("background"), Some("background")),
+            (&curve(ToneCurve::Linear), depth, Some("tone_curve"), Some("tone_curve"), None),
+            (&environment, rgb, None, None, None),
+            (&environment, albedo, Some("background"), Some("background"), Some("background")),
+            (&curve(ToneCurve::Agx), rgb, None, None, Some("tone_curve")),
+            (&curve(ToneCurve::Linear), rgb, None, Some("tone_curve"), None),
+            (&half, rgb, Some("colour_depth"), Some("colour_depth"), None),
+            (&straight, rgb, Some("alpha"), Some("alpha"), None),
+            (&acescg, albedo, Some("primaries"), Some("primaries"), None),
+        ] {
+            let found =
+                [FrameFormat::Png, FrameFormat::Jpeg, FrameFormat::Exr].map(|f| refused(finish, output, f));
+            assert_eq!(found, [png, jpeg, exr], "{finish:?} {output:?}");
+        }
+    }
+}

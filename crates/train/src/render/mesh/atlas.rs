@@ -1,0 +1,121 @@
+//! Textures of a surface of quads: every quad has a square of texels of its own. Their sides are powers of two.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use relume_scene::Output;
+use relume_capture::formats::gltf::TexturedMesh;
+use relume_capture::formats::image_file::encode_png;
+use relume_capture::formats::ImageFileError;
+use relume_scene::srgb;
+use crate::render::mesh::surface::Surface;
+use crate::render::mesh::views::View;
+
+/// Texels along the side of a quad's square. Corners of the quad lie at the centres of its outermost texels, so that a reader's
+/// interpolation stays inside.
+const SIDE: usize = 4;
+/// Most texels along a texture.
+const MOST: usize = 8192;
+/// Cosine between surface and view below which a view does not count.
+const LEAST_COSINE: f32 = 0.2;
+
+/// What was seen of a texel, as weighted sums.
+#[derive(Debug, Clone, Copy, Default)]
+struct Texel {
+    place: Vec3,
+    facing: Vec3,
+    weight: f32,
+    normal: Vec3,
+    /// Albedo, metalness, roughness.
+    material: [f32; 5],
+}
+
+pub(super) struct Atlas {
+    /// Quad by quad, `SIDE * SIDE` each.
+    texels: Vec<Texel>,
+    /// Squares along a row of the texture.
+    columns: usize,
+}
+
+impl Atlas {
+    /// None when a texture would be too large.
+    pub(super) fn new(surface: &Surface) -> Option<Self> {
+        let columns = ((surface.quads.len() as f64).sqrt().ceil() as usize).next_power_of_two();
+        let texels = surface.quads.iter().flat_map(|quad| {
+            let [a, b, c, d] = quad.map(|v| surface.vertices[v as usize]);
+            let facing = (c - a).cross(d - b).normalize_or_zero();
+            (0..SIDE * SIDE).map(move |k| {
+                let [u, v] = [k % SIDE, k / SIDE].map(|t| t as f32 / (SIDE - 1) as f32);
+                Texel { place: a.lerp(b, u).lerp(d.lerp(c, u), v), facing, ..Texel::default() }
+            })
+        });
+        (columns * SIDE <= MOST).then(|| Self { texels: texels.collect(), columns })
+    }
+
+    /// Takes in what a view shows of points that it sees, within `tolerance` of what is nearest in it.
+    pub(super) fn add(&mut self, view: &View, tolerance: f32) {
+        let plane = |output| view.frame.planes.get(&output).map_or(&[][..], Vec::as_slice);
+        let (albedo, normals) =
+            (plane(Output::Albedo).as_chunks::<3>().0, plane(Output::Normal).as_chunks::<3>().0);
+        let (metallic, roughness) = (plane(Output::Metallic), plane(Output::Roughness));
+        self.texels.par_iter_mut().with_min_len(1024).for_each(|texel| {
+            let cosine = texel.facing.dot(view.towards(texel.place));
+            let Some(seen) = view.find(texel.place).filter(|_| cosine > LEAST_COSINE) else { return };
+            if (seen.depth - seen.z).abs() > tolerance {
+                return;
+            }
+            let (i, weight) = (seen.pixel, cosine * cosine);
+            let [r, g, b] = albedo[i];
+            texel.weight += weight;
+            texel.normal += weight * Vec3::from(normals[i]);
+            let shown = [r, g, b, metallic[i], roughness[i]];
+            texel.material.iter_mut().zip(shown).for_each(|(sum, v)| *sum += weight * v);
+        });
+    }
+
+    /// The mesh with its textures; `to_capture` brings points there.
+    pub(super) fn into_mesh(
+        self,
+        surface: &Surface,
+        to_capture: impl Fn(Vec3) -> Vec3,
+    ) -> Result<TexturedMesh, ImageFileError> {
+        let rows = surface.quads.len().div_ceil(self.columns);
+        let (width, height) = (self.columns * SIDE, (rows * SIDE).next_power_of_two());
+        let mut base_colour = vec![[0u8; 3]; width * height];
+        let mut metallic_roughness = vec![[0u8; 3]; width * height];
+        let mut out = TexturedMesh::default();
+        let everywhere = mean(&self.texels).unwrap_or([0.5, 0.5, 0.5, 0.0, 0.5]);
+        for (q, (quad, square)) in surface.quads.iter().zip(self.texels.chunks_exact(SIDE * SIDE)).enumerate()
+        {
+            let (column, row) = (q % self.columns * SIDE, q / self.columns * SIDE);
+            let here = mean(square).unwrap_or(everywhere);
+            for (k, texel) in square.iter().enumerate() {
+                let [r, g, b, metallic, roughness] = mean(std::slice::from_ref(texel)).unwrap_or(here);
+                let at = (row + k / SIDE) * width + column + k % SIDE;
+                base_colour[at] = [r, g, b].map(|v| srgb::to_u8(srgb::encode(v)));
+                metallic_roughness[at] = [1.0, roughness, metallic].map(|v| srgb::to_u8(v.clamp(0.0, 1.0)));
+            }
+            let first = out.positions.len() as u32;
+            for (corner, [i, j]) in
+                quad.iter().zip([[0, 0], [SIDE - 1, 0], [SIDE - 1, SIDE - 1], [0, SIDE - 1]])
+            {
+                let texel = &square[j * SIDE + i];
+                out.positions.push(to_capture(surface.vertices[*corner as usize]));
+                out.normals.push(texel.normal.try_normalize().unwrap_or(texel.facing));
+                let texture = [(column + i, width), (row + j, height)];
+                out.texture_coordinates.push(texture.map(|(at, of)| (at as f32 + 0.5) / of as f32));
+            }
+            out.triangles.extend([[0, 1, 2], [0, 2, 3]].map(|t| t.map(|k: u32| first + k)));
+        }
+        out.base_colour = encode_png(width as u32, height as u32, &base_colour)?;
+        out.metallic_roughness = encode_png(width as u32, height as u32, &metallic_roughness)?;
+        Ok(out)
+    }
+}
+
+/// Mean material of texels that were seen.
+fn mean(texels: &[Texel]) -> Option<[f32; 5]> {
+    let weight: f32 = texels.iter().map(|t| t.weight).sum();
+    (weight > 0.0)
+        .then(|| std::array::from_fn(|k| texels.iter().map(|t| t.material[k]).sum::<f32>() / weight))
+}

@@ -1,0 +1,67 @@
+//! The surface of a model as triangles with textures, for programs that know no splats: depths of many views are fused into
+//! one signed distance field, its zero is the surface, and materials are looked up in the same views.
+
+mod atlas;
+mod field;
+mod surface;
+mod views;
+
+use glam::Vec3;
+
+use relume_scene::Output;
+use relume_capture::formats::gltf::TexturedMesh;
+use crate::render::RenderError;
+use crate::render::mesh::atlas::Atlas;
+use crate::render::mesh::field::DistanceField;
+use crate::render::mesh::views::View;
+use crate::render::renderer::Renderer;
+
+/// How finely a surface is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MeshOptions {
+    /// Cells of the field along the unit ball of the model's world, 16 to 512.
+    pub cells: usize,
+    /// Views that the surface is looked at from.
+    pub views: usize,
+    /// Side of each, pixels.
+    pub size: u32,
+}
+
+impl Default for MeshOptions {
+    fn default() -> Self {
+        Self { cells: 192, views: 64, size: 512 }
+    }
+}
+
+impl Renderer {
+    /// The surface in the unit ball of the model's world, in capture coordinates. What no view shows has none: views are from
+    /// above the horizon and a little below, so what a thing stands on stays open.
+    ///
+    /// # Errors
+    /// When nothing is there, the options are out of range, or the device failed.
+    pub fn mesh(&self, options: MeshOptions) -> Result<TexturedMesh, RenderError> {
+        let refused = |field, reason: &str| RenderError::Refused { field, reason: reason.to_owned() };
+        if !(16..=512).contains(&options.cells) || options.views == 0 {
+            return Err(refused("cells", "must be 16 to 512, with a view or more"));
+        }
+        let cameras = views::around(self.model(), options.views, options.size)?;
+        let light = self.prepare_light(self.model().recovered_light())?;
+        let mut field = DistanceField::new(options.cells);
+        for camera in &cameras {
+            field.add(&View::new(self, &light, camera, &[Output::Depth])?);
+        }
+        let surface = surface::of(&field);
+        if surface.quads.is_empty() {
+            return Err(refused("model", "shows no surface"));
+        }
+        let mut atlas =
+            Atlas::new(&surface).ok_or_else(|| refused("cells", "are too many for one texture"))?;
+        let outputs = [Output::Depth, Output::Normal, Output::Albedo, Output::Metallic, Output::Roughness];
+        for camera in &cameras {
+            atlas.add(&View::new(self, &light, camera, &outputs)?, 2.0 * field.cell());
+        }
+        let model = self.model();
+        let to_capture = |p: Vec3| (p.as_dvec3() / model.world_scale - model.world_offset).as_vec3();
+        atlas.into_mesh(&surface, to_capture).map_err(|e| refused("mesh", &e.to_string()))
+    }
+}

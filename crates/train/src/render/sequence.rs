@@ -1,0 +1,85 @@
+//! Sequences of frames: a camera and a turn of the light for each.
+
+use crate::render::viewpoint::{Orbit, Viewpoint};
+use relume_scene::{Camera, CameraError, Model};
+
+/// What a frame of a sequence shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// From where, capture units.
+    pub camera: Camera,
+    /// Turn of the light about +Z beside what holds for all frames, degrees counter-clockwise.
+    pub light_turn_deg: f64,
+}
+
+/// Cameras on a circle around a model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Turntable {
+    /// How many.
+    pub frames: u32,
+    /// Where the first one stands, as in [`Orbit::azimuth_deg`].
+    pub azimuth_deg: Option<f64>,
+    /// How high they stand, as in [`Orbit::elevation_deg`].
+    pub elevation_deg: Option<f64>,
+    /// How far the camera turns from the first frame to after the last, degrees counter-clockwise.
+    pub camera_turn_deg: f64,
+    /// Width and height, pixels.
+    pub size: (u32, u32),
+}
+
+impl Turntable {
+    /// The views of `model`, in their order; the light stands still.
+    ///
+    /// # Errors
+    /// Names the field that does not make a camera.
+    pub fn views(&self, model: &Model) -> Result<Vec<View>, CameraError> {
+        let side = self.size.0.min(self.size.1);
+        let start = Orbit { azimuth_deg: self.azimuth_deg, elevation_deg: self.elevation_deg, size: side };
+        let start = start.azimuth_of(model);
+        let azimuth = |i: u32| start + self.camera_turn_deg * f64::from(i) / f64::from(self.frames);
+        let view = |i| {
+            let camera = orbit_camera(model, Some(azimuth(i)), self.elevation_deg, self.size)?;
+            Ok(View { camera, light_turn_deg: 0.0 })
+        };
+        (0..self.frames).map(view).collect()
+    }
+}
+
+/// A camera around a model, as [`Orbit`] has it. A picture that is not square shows more along its longer side.
+///
+/// # Errors
+/// Names the field that does not make a camera.
+pub fn orbit_camera(
+    model: &Model,
+    azimuth_deg: Option<f64>,
+    elevation_deg: Option<f64>,
+    (width, height): (u32, u32),
+) -> Result<Camera, CameraError> {
+    let orbit = Orbit { azimuth_deg, elevation_deg, size: width.min(height) };
+    let camera = Viewpoint::Orbit(orbit).camera(model)?;
+    Ok(Camera { width, height, cx: 0.5 * f64::from(width), cy: 0.5 * f64::from(height), ..camera })
+}
+
+/// Turns the light by `turn_deg` from the first view to after the last, beside how it stands in each.
+pub fn turn_light(views: &mut [View], turn_deg: f64) {
+    let frames = views.len() as f64;
+    for (i, view) in views.iter_mut().enumerate() {
+        view.light_turn_deg += turn_deg * i as f64 / frames;
+    }
+}
+
+/// Views at another size.
+///
+/// # Errors
+/// The index of the first view that this size would stretch by more than a hundredth, and why.
+pub fn resized(views: Vec<View>, (width, height): (u32, u32)) -> Result<Vec<View>, (usize, String)> {
+    let resized = |(i, view): (usize, View)| {
+        let Camera { width: w, height: h, .. } = view.camera;
+        let aspects = [(w, h), (width, height)].map(|(w, h)| f64::from(w) / f64::from(h));
+        if (aspects[0] / aspects[1] - 1.0).abs() > 0.01 {
+            return Err((i, format!("is of {w}x{h}, which {width}x{height} would stretch")));
+        }
+        Ok(View { camera: view.camera.resized(width, height), ..view })
+    };
+    views.into_iter().enumerate().map(resized).collect()
+}

@@ -1,0 +1,189 @@
+//! What each step trains, with which weights and step sizes: the configuration as a function of progress.
+
+use relume_engine::{
+    Branches, FieldUpdate, ImageWeights, LightTurns, LightWeights, ParameterWeights, PhotoSize,
+    ProbeMeasurement, StepSizes, StepWeights, SurfaceWeights,
+};
+use relume_scene::light::LightColour;
+use relume_scene::Field;
+use relume_spec::training::{LabelSource, TrainConfig};
+
+/// Progress from which depth-normal consistency acts: before, depth is noise.
+const NORMALS_FROM: f32 = 0.05;
+/// Factor on the weight of exposure where the light turns.
+const TURNING_EXPOSURE: f32 = 0.01;
+/// Progress from which sheen trains: earlier it explains what normals, roughness and light should.
+const SHEEN_FROM: f32 = 0.7;
+
+/// Steps in all beyond which materials, normals and light take smaller steps instead of travelling farther: what they would find on a
+/// longer way is noise of the photographs.
+const FARTHEST: f32 = 6000.0;
+
+/// What trains after `step` steps.
+pub fn branches(config: &TrainConfig, step: u32) -> Branches {
+    let progress = step as f32 / config.iterations as f32;
+    if step >= config.warm_up_steps() {
+        return match config.labels {
+            LabelSource::Probes => Branches::Both,
+            _ => Branches::BothWithVisibility,
+        };
+    }
+    match progress >= NORMALS_FROM && config.weights.depth_normal > 0.0 {
+        true => Branches::RadianceAndNormals,
+        false => Branches::Radiance,
+    }
+}
+
+/// Size of the photograph that is trained on after `step` steps.
+pub fn photo_size(config: &TrainConfig, step: u32) -> PhotoSize {
+    let progress = step as f32 / config.iterations as f32;
+    if progress < config.half_resolution { PhotoSize::Half } else { PhotoSize::Full }
+}
+
+/// Weights of the objective at `progress` in [0, 1].
+/// `light` is the colour that the light is held at.
+pub fn step_weights(
+    config: &TrainConfig,
+    branches: Branches,
+    progress: f32,
+    has_alpha: bool,
+    light: LightColour,
+) -> StepWeights {
+    let w = &config.weights;
+    let if_physical = |weight: f32| if branches.is_physical() { weight } else { 0.0 };
+    let share = if branches.is_physical() { config.radiance_weight(has_alpha) } else { 1.0 };
+    let labels = |sources: &[LabelSource]| {
+        if_physical(if sources.contains(&config.labels) { w.visibility } else { 0.0 })
+    };
+    StepWeights {
+        physical: ImageWeights { l1: if_physical(w.l1), ssim: if_physical(w.ssim) },
+        radiance: ImageWeights { l1: w.l1 * share, ssim: w.ssim * share },
+        surface: SurfaceWeights {
+            coverage: if has_alpha { w.coverage } else { 0.0 },
+            depth_normal: if branches == Branches::Radiance { 0.0 } else { w.depth_normal },
+            smoothness: w.smooth().map(if_physical),
+        },
+        light: LightWeights {
+            neutrality: if_physical(w.light),
+            exposure: if_physical(w.exposure),
+            colour: if_physical(config.light_colour_weight(progress)),
+            wanted: light,
+        },
+        parameters: ParameterWeights {
+            aggregation: if_physical(w.aggregation),
+            residual: if_physical(w.residual),
+            flatness: w.flatness,
+            probe_labels: labels(&[LabelSource::Both]),
+            view_labels: labels(&[LabelSource::Backward, LabelSource::Both]),
+        },
+    }
+}
+
+/// Weights of the terms on a light that turns between photographs: highlights that move tell its level, so that the term on
+/// it need only keep it from drifting.
+pub fn turning_light(weights: LightWeights) -> LightWeights {
+    LightWeights { exposure: weights.exposure * TURNING_EXPOSURE, ..weights }
+}
+
+/// Adam's step sizes at `progress` in [0, 1].
+///
+/// Over the second half shapes and radiance fall to a thirtieth; materials, normals and light over the last quarter to a tenth, and where
+/// there are more steps than `FARTHEST`, theirs are smaller in proportion.
+pub fn step_sizes(config: &TrainConfig, branches: Branches, progress: f32) -> StepSizes {
+    let rates = &config.rates;
+    let mean = rates.mean * (rates.mean_final / rates.mean.max(1e-20)).powf(progress);
+    let second_half = (2.0 * progress - 1.0).max(0.0);
+    let late = (1.0f32 / 30.0).powf(second_half);
+    let last_quarter = (4.0 * progress - 3.0).max(0.0);
+    let share = (FARTHEST / config.iterations as f32).min(1.0);
+    let on = if branches.is_physical() { share * 0.1f32.powf(last_quarter) } else { 0.0 };
+    let visibility = if branches == Branches::BothWithVisibility { rates.visibility * on } else { 0.0 };
+    let table = [
+        (Field::Mean, mean),
+        (Field::LogScale, rates.scale * late),
+        (Field::Quaternion, rates.rotation * late),
+        (Field::OpacityLogit, rates.opacity * late),
+        (Field::Normal, rates.normal * on),
+        (Field::MetalLogit, if config.metalness { rates.material * on } else { 0.0 }),
+        (Field::RoughLogit, rates.material * on),
+        (Field::Sheen, if config.sheen && progress >= SHEEN_FROM { rates.sheen * on } else { 0.0 }),
+        (Field::ProtoLogits, rates.scores * on),
+        (Field::Residual, rates.residual * on),
+        (Field::Visibility, visibility),
+        (Field::Indirect, visibility),
+        (Field::Radiance, rates.radiance * late),
+    ];
+    let mut fields = [0.0; Field::COUNT];
+    for (field, rate) in table {
+        fields[field as usize] = rate;
+    }
+    StepSizes { fields, prototypes: rates.prototypes * on, environment: rates.environment * on }
+}
+
+/// How visibility and gathered light are measured: `repeats` times in a row, under each of the `turns` of the light.
+pub fn measurement<'a>(config: &TrainConfig, turns: &'a LightTurns, repeats: usize) -> ProbeMeasurement<'a> {
+    ProbeMeasurement {
+        directions: config.probe_directions as usize,
+        bounces: config.bounces as usize,
+        turns: &turns.blocks,
+        field: match config.labels {
+            LabelSource::Probes => FieldUpdate::Replace,
+            LabelSource::Both => FieldUpdate::Start,
+            LabelSource::None | LabelSource::Backward => FieldUpdate::Keep,
+        },
+        repeats,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use relume_spec::training::Preset;
+
+    #[test]
+    fn materials_keep_their_step_sizes_to_the_last_quarter_and_sheen_trains_late() {
+        let config = TrainConfig::preset(Preset::Draft);
+        let rates = config.rates;
+        let size = |field: Field, progress: f32| {
+            step_sizes(&config, Branches::BothWithVisibility, progress).fields[field as usize]
+        };
+        assert_eq!(size(Field::RoughLogit, 0.75), rates.material);
+        assert!((size(Field::RoughLogit, 1.0) - 0.1 * rates.material).abs() < 1e-6);
+        assert_eq!(size(Field::Sheen, 0.69), 0.0);
+        assert_eq!(size(Field::Sheen, 0.71), rates.sheen);
+        assert!(size(Field::LogScale, 0.75) < 0.2 * rates.scale, "the control: shapes fall before");
+    }
+
+    #[test]
+    fn longer_trainings_take_materials_no_farther() {
+        let sizes = |iterations| {
+            let config = TrainConfig { iterations, ..TrainConfig::preset(Preset::High) };
+            step_sizes(&config, Branches::Both, 0.5)
+        };
+        let (short, usual, long) = (sizes(600), sizes(6000), sizes(30_000));
+        assert_eq!(short, usual);
+        for field in
+            [Field::Normal, Field::RoughLogit, Field::MetalLogit, Field::ProtoLogits, Field::Residual]
+        {
+            let [usual, long] = [&usual, &long].map(|sizes| sizes.fields[field as usize]);
+            assert!((5.0 * long / usual - 1.0).abs() < 1e-5, "{field:?}: {usual} {long}");
+        }
+        assert!((5.0 * long.environment / usual.environment - 1.0).abs() < 1e-5);
+        for field in [Field::Mean, Field::LogScale, Field::Radiance] {
+            assert_eq!(long.fields[field as usize], usual.fields[field as usize], "{field:?}");
+        }
+    }
+
+    #[test]
+    fn the_warm_up_trains_radiance_alone_then_normals_then_everything() {
+        let config = TrainConfig::preset(Preset::Draft);
+        let at = |step| branches(&config, step);
+        assert_eq!(
+            [at(0), at(75), at(375)],
+            [Branches::Radiance, Branches::RadianceAndNormals, Branches::Both]
+        );
+        let weights = |step| step_weights(&config, at(step), 0.5, true, LightColour::NEUTRAL);
+        assert_eq!(weights(75).physical, ImageWeights::default());
+        assert!(weights(375).physical.l1 > 0.0 && weights(375).radiance.l1 < weights(75).radiance.l1);
+    }
+}

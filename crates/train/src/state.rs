@@ -1,0 +1,104 @@
+//! Where a training stands in its schedule.
+
+use std::sync::Arc;
+
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
+use relume_scene::light::LightColour;
+use crate::complexity::state::ComplexityState;
+use crate::crop::CutOut;
+use crate::dataset::Gain;
+
+/// Where a training stands in its schedule; kept on the host whatever device trains.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScheduleState {
+    /// Steps done.
+    pub step: u32,
+    /// Order in which this epoch visits the photographs.
+    pub order: Vec<u32>,
+    /// Position in `order`.
+    pub cursor: u32,
+    /// Source of every random choice.
+    pub rng: ChaCha8Rng,
+    /// Factor on all step sizes, lowered after a roll-back.
+    pub rate_factor: f32,
+    /// Seconds spent in steps.
+    pub seconds: f64,
+    /// What was decided about the model's size so far.
+    pub complexity: ComplexityState,
+    /// Colour of the light that materials started from, once they train.
+    pub light_colour: Option<LightColour>,
+    /// Gains that photographs were divided by, one list a time; empty where they are under one exposure.
+    pub gains: Vec<Vec<Gain>>,
+    /// Of each strong small light: the share by which sharp shadows explain the photographs better than soft ones.
+    pub lights: Vec<f32>,
+    /// What was cut out of photographs without masks, after the warm-up.
+    pub cut: Option<Arc<CutOut>>,
+}
+
+impl ScheduleState {
+    /// The beginning of a training on so many photographs; its first epoch draws their order.
+    pub fn new(photographs: usize, rng: ChaCha8Rng) -> Self {
+        Self {
+            step: 0,
+            order: (0..photographs as u32).collect(),
+            cursor: photographs as u32,
+            rng,
+            rate_factor: 1.0,
+            seconds: 0.0,
+            complexity: ComplexityState::default(),
+            light_colour: None,
+            gains: Vec::new(),
+            lights: Vec::new(),
+            cut: None,
+        }
+    }
+
+    /// How often the photographs were changed.
+    pub fn revision(&self) -> usize {
+        self.gains.len() + usize::from(self.cut.is_some())
+    }
+
+    /// Takes the photograph of the next step. Each epoch visits all of them in another order.
+    pub fn next_photo(&mut self) -> usize {
+        if self.cursor as usize >= self.order.len() {
+            self.order.shuffle(&mut self.rng);
+            self.cursor = 0;
+        }
+        self.cursor += 1;
+        self.order[self.cursor as usize - 1] as usize
+    }
+
+    /// The photographs of the next `count` steps, none of them taken.
+    pub fn next_photos(&self, count: usize) -> Vec<usize> {
+        let at = self.cursor as usize;
+        if let Some(next) = self.order.get(at..at + count) {
+            return next.iter().map(|i| *i as usize).collect();
+        }
+        let mut ahead = self.clone();
+        (0..count).map(|_| ahead.next_photo()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    #[test]
+    fn the_next_photographs_are_known_beyond_the_end_of_an_epoch() {
+        let mut schedule = ScheduleState::new(5, ChaCha8Rng::seed_from_u64(3));
+        let known = schedule.next_photos(14);
+        let mut epochs = known.clone();
+        for at in 0..14 {
+            assert_eq!(schedule.next_photos(3.min(14 - at)), known[at..14.min(at + 3)]);
+            assert_eq!(schedule.next_photo(), known[at]);
+        }
+        epochs.truncate(10);
+        assert_ne!(epochs[..5], epochs[5..], "the control: each epoch has an order of its own");
+        epochs.sort_unstable();
+        assert_eq!(epochs, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]);
+    }
+}

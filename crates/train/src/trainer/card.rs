@@ -1,0 +1,72 @@
+//! The card of a model: what it was trained from, and what was found out on the way.
+
+use std::collections::BTreeMap;
+
+use relume_scene::light::LightColour;
+use relume_scene::{Model, SplitLight};
+use crate::TrainError;
+use crate::dataset::Gain;
+use crate::exposure;
+use crate::trainer::Trainer;
+
+impl Trainer {
+    /// The model as it is now, with its card.
+    ///
+    /// # Errors
+    /// [`TrainError::Device`] when the device failed.
+    pub fn model(&mut self) -> Result<Model, TrainError> {
+        self.catch_up_soundly()?;
+        let mut model = self.engine.state()?.model.clone();
+        model.card = serde_json::json!({
+            "relume_version": env!("CARGO_PKG_VERSION"),
+            "engine": self.engine.engine(),
+            "steps": self.schedule.step,
+            "gaussians": model.gaussians.len(),
+            "photographs": self.data.len(),
+            "has_alpha": self.data.has_alpha,
+            "complexity": self.schedule.complexity.card(&self.config),
+            "light": self.light_card(&model),
+            "exposures": self.exposures_card(),
+            "crop": self.crop_card(),
+            "config": self.config,
+        });
+        Ok(model)
+    }
+
+    /// What was found out about the light.
+    fn light_card(&self, model: &Model) -> serde_json::Value {
+        let of = |(k, light): (usize, &SplitLight)| {
+            serde_json::json!({
+                "direction": light.direction,
+                "radius_deg": light.radius.to_degrees(),
+                "sharp_over_soft_shadows": self.schedule.lights.get(k),
+            })
+        };
+        let lights: Vec<_> = model.lights.lights.iter().enumerate().map(of).collect();
+        serde_json::json!({
+            "colour": self.schedule.light_colour.map(LightColour::rgb),
+            "colour_from": self.config.colour_source(),
+            "lights": lights,
+        })
+    }
+
+    /// The region that was cut out, in units and axes of the capture; null where nothing was.
+    fn crop_card(&self) -> serde_json::Value {
+        let Some(cut) = &self.schedule.cut else { return serde_json::Value::Null };
+        let capture = self.capture_region(&cut.region);
+        serde_json::json!({ "ball": capture, "is_on_ground": cut.region.ground.is_some() })
+    }
+
+    /// What photographs were divided by in all, by name, and how much that differs; null where nothing was.
+    fn exposures_card(&self) -> serde_json::Value {
+        let mut rounds = self.schedule.gains.iter();
+        let Some(mut all) = rounds.next().cloned() else { return serde_json::Value::Null };
+        for round in rounds {
+            all.iter_mut().zip(round).for_each(|(all, gain)| (0..3).for_each(|c| all[c] *= gain[c]));
+        }
+        let gains: BTreeMap<&str, Gain> =
+            self.data.names.iter().map(String::as_str).zip(all.iter().copied()).collect();
+        let [green, red, blue] = exposure::spread(&all);
+        serde_json::json!({ "spread": { "green": green, "red_over_green": red, "blue_over_green": blue }, "gains": gains })
+    }
+}

@@ -1,0 +1,480 @@
+//! The trainer: one object that owns everything a step needs.
+
+mod card;
+mod crop;
+mod known_sums;
+mod photographs;
+mod preparation;
+mod sums;
+
+pub use preparation::Preparation;
+use preparation::operators_of;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use relume_capture::Capture;
+use relume_engine::cpu::evaluation;
+use relume_engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
+use relume_scene::light::{EnvOperators, LightColour};
+use relume_scene::{Field, SplitLight};
+use crate::complexity;
+use crate::context::StepContext;
+use crate::dataset::{Dataset, DecodingStats};
+use crate::error::{MOST_ROLLBACKS, TrainError};
+use crate::state::ScheduleState;
+use relume_spec::training::{LabelSource, TrainConfig};
+use crate::{checkpoint, density, exposure, initial, light_colour, lights, materials, schedule};
+
+/// Steps between the states a roll-back can return to.
+const SNAPSHOT_EVERY: u32 = 50;
+/// Steps between density rounds.
+const REFINE_EVERY: u32 = 100;
+
+/// What one step did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepReport {
+    /// Steps done so far.
+    pub step: u32,
+    /// The step that `loss` and `psnr` are of: this one, or the one before where the device is still at work on this one.
+    pub known_step: u32,
+    /// The objective of that step.
+    pub loss: f32,
+    /// PSNR on that step's photograph, dB: physically based branch, or the radiance branch during its warm-up.
+    pub psnr: f32,
+    /// Gaussians now.
+    pub gaussians: usize,
+    /// Something a user should know, e.g. a roll-back after a non-finite loss.
+    pub warning: Option<String>,
+}
+
+/// Where a training stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Progress {
+    /// Steps done.
+    pub step: u32,
+    /// Steps in all.
+    pub total: u32,
+}
+
+/// A training in progress. The same capture, configuration and seed give the same bytes on the CPU engine; on a GPU
+/// sums are taken in no fixed order, and the result agrees to the last digits only.
+pub struct Trainer {
+    config: TrainConfig,
+    data: Dataset,
+    operators: Arc<EnvOperators>,
+    schedule: ScheduleState,
+    snapshot: ScheduleState,
+    engine: Box<dyn Training>,
+    rollbacks: u32,
+    sums: known_sums::KnownSums,
+}
+
+impl Preparation {
+    /// The trainer, with its state on `device`.
+    ///
+    /// # Errors
+    /// [`TrainError::Device`] says what the device lacks.
+    pub fn on(self, device: &Device) -> Result<Trainer, TrainError> {
+        let Self { config, data, operators, schedule, state } = self;
+        let limits = TrainingLimits {
+            resolution: config.resolution,
+            pixels: data.largest(),
+            max_gaussians: config.max_gaussians.max(config.initial_gaussians),
+            probe_directions: config.probe_directions,
+        };
+        let engine = device.training(state, &operators, &limits)?;
+        Ok(Trainer {
+            snapshot: schedule.clone(),
+            config,
+            data,
+            operators,
+            schedule,
+            engine,
+            rollbacks: 0,
+            sums: Default::default(),
+        })
+    }
+}
+
+impl Trainer {
+    /// Starts from nothing.
+    ///
+    /// # Errors
+    /// [`TrainError::Invalid`] names what cannot be trained on, [`TrainError::Device`] what the device lacks.
+    pub fn new(capture: &Capture, config: TrainConfig, device: &Device) -> Result<Self, TrainError> {
+        Preparation::new(capture, config)?.on(device)
+    }
+
+    /// Goes on from [`Trainer::checkpoint`] bytes, on whatever device; on the CPU engine bit for bit.
+    ///
+    /// # Errors
+    /// [`TrainError::Checkpoint`] names what does not fit, [`TrainError::Invalid`] what cannot be trained on.
+    pub fn resume(
+        capture: &Capture,
+        config: TrainConfig,
+        bytes: &[u8],
+        device: &Device,
+    ) -> Result<Self, TrainError> {
+        Preparation::resume(capture, config, bytes)?.on(device)
+    }
+
+    fn context(&self) -> StepContext<'_> {
+        StepContext {
+            config: &self.config,
+            operators: &self.operators,
+            turns: &self.data.turns,
+            background: self.data.background,
+            has_alpha: self.data.has_alpha,
+        }
+    }
+
+    /// One optimisation step.
+    ///
+    /// A non-finite loss or gradient returns to the last good state with smaller steps and says so in the report.
+    ///
+    /// # Errors
+    /// [`TrainError::Diverged`] when that did not help either, [`TrainError::Device`] when the device failed.
+    pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        let start = Instant::now();
+        self.prepare_step()?;
+        if self.sums.unsound.is_some() {
+            return self.roll_back();
+        }
+        let photo = self.schedule.next_photo();
+        let progress = self.schedule.step as f32 / self.config.iterations as f32;
+        let branches = schedule::branches(&self.config, self.schedule.step);
+        let size = schedule::photo_size(&self.config, self.schedule.step);
+        let photo_id = PhotoId { index: photo, size, revision: self.schedule.revision() };
+        let photo = self.photograph(photo_id);
+        let mut sizes = schedule::step_sizes(&self.config, branches, progress);
+        if self.is_dielectric() {
+            sizes.fields[Field::MetalLogit as usize] = 0.0;
+        }
+        let light = self.schedule.light_colour.unwrap_or(LightColour::NEUTRAL);
+        let mut weights =
+            schedule::step_weights(&self.config, branches, progress, self.data.has_alpha, light);
+        if self.data.turns.is_several() {
+            weights.light = schedule::turning_light(weights.light);
+        }
+        let next = self.schedule.step + 1;
+        let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
+        let sums = self.engine.step(&Step {
+            photo: &photo,
+            photo_id,
+            background: self.data.background,
+            branches,
+            weights,
+            sizes: sizes.scaled(self.schedule.rate_factor),
+            counts: StepCounts { geometry: next, material },
+        })?;
+        let phase = u32::from(branches.is_physical()) + 2 * u32::from(size == PhotoSize::Half);
+        self.asked(phase, sums);
+        if self.sums.unsound.is_some() {
+            return self.roll_back();
+        }
+        self.schedule.step = next;
+        self.refine()?;
+        self.end()?;
+        self.schedule.seconds += start.elapsed().as_secs_f64();
+        self.take_snapshot()?;
+        if self.sums.unsound.is_some() {
+            return self.roll_back();
+        }
+        let known = self.known_sums()?;
+        Ok(StepReport {
+            step: self.schedule.step,
+            known_step: known.step,
+            loss: known.loss,
+            psnr: known.psnr,
+            gaussians: self.engine.gaussians(),
+            warning: self.sums.warning.take(),
+        })
+    }
+
+    /// The last decisions, once every step is done.
+    fn end(&mut self) -> Result<(), TrainError> {
+        if self.is_done() {
+            self.catch_up()?;
+            if self.sums.unsound.is_none() {
+                self.decide()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps the state to return to, where the step is one for that and sound.
+    fn take_snapshot(&mut self) -> Result<(), TrainError> {
+        if self.is_snapshot_step() {
+            self.catch_up()?;
+            if self.sums.unsound.is_none() {
+                if self.engine.snapshot()? {
+                    self.snapshot = self.schedule.clone();
+                    self.rollbacks = 0;
+                } else {
+                    self.sums.unsound = Some(self.schedule.step);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn is_snapshot_step(&self) -> bool {
+        let step = self.schedule.step;
+        step.is_multiple_of(SNAPSHOT_EVERY) || step.is_multiple_of(self.config.checkpoint_every)
+    }
+
+    fn roll_back(&mut self) -> Result<StepReport, TrainError> {
+        let failed = self.sums.roll_back().unwrap_or(self.schedule.step);
+        self.rollbacks += 1;
+        if self.rollbacks > MOST_ROLLBACKS {
+            return Err(TrainError::Diverged { step: failed });
+        }
+        self.engine.roll_back()?;
+        let lights = self.engine.state()?.model.lights.clone();
+        self.operators = Arc::new(self.operators.with_lights(&lights));
+        self.schedule = self.snapshot.clone();
+        self.schedule.rate_factor *= 0.5f32.powi(self.rollbacks as i32);
+        let factor = self.schedule.rate_factor;
+        let step = self.schedule.step;
+        Ok(StepReport {
+            step,
+            known_step: step,
+            loss: f32::MAX,
+            psnr: 0.0,
+            gaussians: self.engine.gaussians(),
+            warning: Some(format!(
+                "step {failed} was not finite: back to step {step} with step sizes at {factor} of the schedule"
+            )),
+        })
+    }
+
+    /// True when the training measures visibility, for labels or for the light that bounces.
+    fn measures(&self) -> bool {
+        let uses_probes = matches!(self.config.labels, LabelSource::Probes | LabelSource::Both);
+        uses_probes || self.config.bounces > 0
+    }
+
+    /// What has to happen before certain steps: materials start, probes are refreshed.
+    fn prepare_step(&mut self) -> Result<(), TrainError> {
+        let (step, warm_up) = (self.schedule.step, self.config.warm_up_steps());
+        let is_measured =
+            self.measures() && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every);
+        let is_round = self.config.is_exposure_round(step) || self.config.is_albedo_round(step);
+        if !(step == warm_up || is_measured || is_round || self.is_decision_due()) {
+            return Ok(());
+        }
+        self.catch_up()?;
+        if self.sums.unsound.is_some() {
+            return Ok(());
+        }
+        if step == warm_up {
+            self.cut_out()?;
+            let mut state = self.engine.state()?.into_owned();
+            self.start_light(&mut state);
+            if self.is_dielectric() {
+                complexity::hold_dielectric(&mut state);
+            }
+            self.engine.load(state)?;
+        }
+        if is_measured {
+            // The first measurement also finds each Gaussian's open side, which the second one starts from.
+            self.measure(if step == warm_up { 2 } else { 1 })?;
+        }
+        if self.config.is_exposure_round(step) {
+            self.match_exposures()?;
+        }
+        if self.config.is_albedo_round(step) {
+            self.restart_albedo()?;
+        }
+        self.decide()
+    }
+
+    /// The light and the materials that training starts them from: in the colour that is known, or estimated.
+    fn start_light(&mut self, state: &mut TrainState) {
+        let known = self.config.white_balance.known();
+        let colour = if self.config.light.is_some() {
+            initial::colour_from_above(&state.model)
+        } else {
+            let colour = known.unwrap_or_else(|| light_colour::estimate(&state.model.gaussians));
+            initial::light_of_colour(&mut state.model, colour);
+            colour
+        };
+        self.schedule.light_colour = Some(colour);
+        materials::initialise(state, colour);
+    }
+
+    /// Divides photographs by their gains, where these differ.
+    fn match_exposures(&mut self) -> Result<(), TrainError> {
+        let state = self.engine.state()?;
+        if !self.data.turns.stand_still() || state.model.check().is_err() {
+            return Ok(());
+        }
+        let gains = exposure::gains(&state, &self.context(), &self.data);
+        if !self.schedule.gains.is_empty() || exposure::differ(&gains) {
+            self.data.divide(&gains);
+            self.schedule.gains.push(gains);
+            // What was before was learned from other photographs.
+            if self.engine.snapshot()? {
+                self.snapshot = self.schedule.clone();
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes strong small lights that cast sharp shadows out of the environment.
+    fn find_lights(&mut self) -> Result<(), TrainError> {
+        let most = self.config.lights as usize;
+        if most == 0 || self.config.light.is_some() || !self.data.turns.stand_still() {
+            return Ok(());
+        }
+        let mut state = self.engine.state()?.into_owned();
+        if state.model.check().is_err() || !state.model.shading.shades_lights() {
+            // A state that is not finite: the next step rolls back, and comes past here again.
+            return Ok(());
+        }
+        let seen = lights::seen(&state, &self.data.cameras(PhotoSize::Half));
+        let before = state.model.lights.lights.clone();
+        let found = lights::search(&state, &seen, most, &before);
+        self.schedule.lights = found.iter().map(|f| f.gain).collect();
+        let now: Vec<SplitLight> = found.iter().map(|f| f.light).collect();
+        if now == before {
+            return Ok(());
+        }
+        let split = lights::split(&now, state.model.env_width, state.model.env_height);
+        // A light that is given up leaves its texels as they are.
+        if now.len() > before.len() {
+            lights::start(&mut state.model, &split, &found);
+            self.engine.load(state)?;
+        }
+        self.operators = Arc::new(self.operators.with_lights(&split));
+        Ok(self.engine.light(&self.operators)?)
+    }
+
+    /// Materials anew, from colours with the light divided out.
+    fn restart_albedo(&mut self) -> Result<(), TrainError> {
+        if self.measures() {
+            self.find_lights()?;
+            self.measure(1)?;
+        }
+        let state = self.engine.state()?;
+        if state.model.check().is_err() {
+            // The next step rolls back, and comes past here again.
+            return Ok(());
+        }
+        let mut state = state.into_owned();
+        let normals = evaluation::normals(&state);
+        materials::restart_albedo(&mut state, &self.operators, &self.data.turns, &normals);
+        if self.is_dielectric() {
+            complexity::hold_dielectric(&mut state);
+        }
+        Ok(self.engine.load(state)?)
+    }
+
+    /// True when metalness is not learned.
+    fn is_dielectric(&self) -> bool {
+        !self.config.metalness || self.schedule.complexity.is_dielectric
+    }
+
+    fn is_decision_due(&self) -> bool {
+        self.schedule.complexity.due(&self.config, self.schedule.step).is_some()
+    }
+
+    /// Makes the model as small as the scene allows, if a decision is due.
+    fn decide(&mut self) -> Result<(), TrainError> {
+        let steps = self.schedule.step;
+        let Some(point) = self.schedule.complexity.due(&self.config, steps) else { return Ok(()) };
+        let state = self.engine.state()?;
+        if state.model.check().is_err() {
+            // The next step rolls back, and comes past here again.
+            return Ok(());
+        }
+        let mut state = state.into_owned();
+        let mut decisions = self.schedule.complexity.clone();
+        decisions.decide(point, &self.context(), steps, &self.data, &mut state);
+        self.schedule.complexity = decisions;
+        if state.model.gaussians.visibility_order() != self.operators.order() {
+            self.operators = operators_of(&state.model);
+        }
+        self.engine.reshape(state, &self.operators)?;
+        self.snapshot = self.schedule.clone();
+        Ok(())
+    }
+
+    /// Measures visibility and gathered light, `repeats` times in a row.
+    fn measure(&mut self, repeats: usize) -> Result<(), TrainError> {
+        let _span = tracing::info_span!("measure", repeats).entered();
+        Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.turns, repeats))?)
+    }
+
+    fn refine(&mut self) -> Result<(), TrainError> {
+        let (step, total) = (self.schedule.step, self.config.iterations);
+        let last = (self.config.densify_until * total as f32) as u32;
+        let first = (total / 50).max(50);
+        if step < first || step > last || !step.is_multiple_of(REFINE_EVERY.min((total / 15).max(10))) {
+            return Ok(());
+        }
+        self.catch_up()?;
+        if self.sums.unsound.is_some() {
+            return Ok(());
+        }
+        // The budget opens with the square root of progress, so that early Gaussians settle first.
+        let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
+        let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
+        self.schedule.complexity.before_round(&self.config, step, self.engine.gaussians());
+        let most = self.schedule.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
+        let budget = ((low + (high - low) * share) as usize).min(most);
+        let centres = (!self.data.has_alpha).then(|| self.data.camera_centres());
+        let _span = tracing::info_span!("density", budget).entered();
+        let signals = self.engine.density_signals()?;
+        self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
+        if step > self.config.warm_up_steps() && self.measures() {
+            // New Gaussians need labels and light of their own.
+            self.measure(1)?;
+        }
+        Ok(())
+    }
+
+    /// Where it stands.
+    pub fn progress(&self) -> Progress {
+        Progress { step: self.schedule.step, total: self.config.iterations }
+    }
+
+    /// True when every step is done.
+    pub fn is_done(&self) -> bool {
+        self.schedule.step >= self.config.iterations
+    }
+
+    /// Whether materials are being trained or were: before that, and with a method of colour alone, a model cannot be relit.
+    pub fn is_relightable(&self) -> bool {
+        let step = self.schedule.step.min(self.config.iterations.saturating_sub(1));
+        schedule::branches(&self.config, step).is_physical()
+    }
+
+    /// The configuration in force.
+    pub fn config(&self) -> &TrainConfig {
+        &self.config
+    }
+
+    /// Everything a resume needs, as one safetensors file with a versioned header.
+    ///
+    /// # Errors
+    /// When the state is not finite (a poisoned checkpoint is never written) or the device failed.
+    pub fn checkpoint(&mut self) -> Result<Vec<u8>, TrainError> {
+        self.catch_up_soundly()?;
+        checkpoint::encode(&self.schedule, self.engine.state()?.as_ref(), &self.config)
+    }
+
+    /// What was decoded for the steps of this run, and how long they waited for it.
+    pub fn decoding(&self) -> DecodingStats {
+        self.data.decoding()
+    }
+
+    /// Seconds spent in steps so far, over all runs.
+    pub fn seconds(&self) -> f64 {
+        self.schedule.seconds
+    }
+}
+
+#[cfg(test)]
+mod tests;

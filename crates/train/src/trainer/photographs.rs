@@ -1,0 +1,33 @@
+//! The photographs of the steps: decoded in time, and only where the engine does not hold them.
+
+use std::sync::Arc;
+
+use relume_engine::{Photo, PhotoId};
+use crate::schedule;
+use crate::trainer::Trainer;
+
+/// Steps whose photographs are decoded ahead, as far as there is room for them.
+const AHEAD: u32 = 4;
+
+impl Trainer {
+    /// The photograph of a step; without pixels where the engine holds it. Those of the next steps are decoded meanwhile.
+    pub(super) fn photograph(&self, id: PhotoId) -> Arc<Photo> {
+        let photo = match self.engine.holds(id) {
+            true => Arc::new(self.data.outline(id.index, id.size)),
+            false => self.data.photo(id.index, id.size),
+        };
+        let missing = self.next_photos().into_iter().filter(|id| !self.engine.holds(*id));
+        self.data.expect(missing.map(|id| (id.index, id.size)));
+        photo
+    }
+
+    /// Photographs of the steps after the one that has taken its photograph.
+    fn next_photos(&self) -> Vec<PhotoId> {
+        let next = self.schedule.step + 1;
+        let steps = next..self.config.iterations.min(next + AHEAD);
+        let (photos, revision) = (self.schedule.next_photos(steps.len()), self.schedule.revision());
+        let named =
+            |(index, step)| PhotoId { index, size: schedule::photo_size(&self.config, step), revision };
+        photos.into_iter().zip(steps).map(named).collect()
+    }
+}

@@ -1,0 +1,187 @@
+use super::*;
+use relume_capture::{SyntheticOptions, synthetic};
+use relume_compare::worst;
+use relume_engine::gpu::Gpu;
+use relume_spec::training::{Preset, TrainOverrides};
+
+#[test]
+fn a_poisoned_step_is_rolled_back_with_smaller_steps_on_the_cpu() {
+    a_poisoned_step_is_rolled_back(&Device::Cpu);
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_poisoned_step_is_rolled_back_with_smaller_steps_on_a_gpu() {
+    a_poisoned_step_is_rolled_back(&Device::Gpu(Gpu::for_tests()));
+}
+
+/// Three photographs of 24 pixels, and a training of 64 Gaussians with materials from the first step on.
+fn small() -> (Capture, TrainConfig) {
+    let options = SyntheticOptions {
+        train_views: 3,
+        test_views: 1,
+        size: 24,
+        paths: 4,
+        relit: Default::default(),
+        ..Default::default()
+    };
+    let overrides = TrainOverrides {
+        resolution: Some(24),
+        initial_gaussians: Some(64),
+        max_gaussians: Some(64),
+        warm_up: Some(0.0),
+        probe_directions: Some(8),
+        ..Default::default()
+    };
+    let capture = synthetic(&options).unwrap();
+    let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    (capture, config)
+}
+
+fn a_poisoned_step_is_rolled_back(device: &Device) {
+    let (capture, config) = small();
+    let mut trainer = Trainer::new(&capture, config, device).unwrap();
+    assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
+    let mut state = trainer.engine.state().unwrap().into_owned();
+    state.model.env_raw[5] = [f32::NAN; 3];
+    trainer.engine.load(state).unwrap();
+    assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
+    // A device is a step behind.
+    let warning = (0..2).find_map(|_| trainer.step().unwrap().warning).unwrap();
+    assert!(warning.contains("back to step 0"), "{warning}");
+    assert_eq!(trainer.schedule.rate_factor, 0.5);
+    assert!(trainer.model().unwrap().check().is_ok());
+    assert_eq!(trainer.step().unwrap().warning, None, "and goes on");
+}
+
+#[test]
+fn a_step_that_was_not_finite_is_in_no_checkpoint_on_the_cpu() {
+    a_step_that_was_not_finite_is_in_no_checkpoint(&Device::Cpu);
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_step_that_was_not_finite_is_in_no_checkpoint_on_a_gpu() {
+    a_step_that_was_not_finite_is_in_no_checkpoint(&Device::Gpu(Gpu::for_tests()));
+}
+
+fn a_step_that_was_not_finite_is_in_no_checkpoint(device: &Device) {
+    let (capture, config) = small();
+    let mut trainer = Trainer::new(&capture, config.clone(), device).unwrap();
+    (0..2).for_each(|_| assert_eq!(trainer.step().unwrap().warning, None));
+    trainer.catch_up().unwrap();
+    let mut state = trainer.engine.state().unwrap().into_owned();
+    state.model.env_raw[5] = [f32::NAN; 3];
+    trainer.engine.load(state).unwrap();
+    // On a device nobody knows yet.
+    let known = trainer.step().unwrap().warning;
+    let bytes = trainer.checkpoint().unwrap();
+    assert_eq!(trainer.progress().step, 0, "it is rolled back");
+    let next = trainer.step().unwrap().warning;
+    assert!([known, next].into_iter().flatten().count() == 1, "and said once");
+    let mut resumed = Trainer::resume(&capture, config, &bytes, device).unwrap();
+    (0..3).for_each(|_| assert_eq!(resumed.step().unwrap().warning, None));
+}
+
+/// One field of a small training with `overrides`.
+fn learned(field: Field, overrides: TrainOverrides) -> Vec<f32> {
+    let options =
+        SyntheticOptions { train_views: 3, test_views: 1, size: 24, paths: 4, ..Default::default() };
+    let capture = synthetic(&options).unwrap();
+    let small = TrainOverrides {
+        resolution: Some(24),
+        iterations: Some(24),
+        initial_gaussians: Some(64),
+        max_gaussians: Some(64),
+        probe_directions: Some(8),
+        ..overrides
+    };
+    let config = TrainConfig::new(Preset::Draft, &small).unwrap();
+    let mut trainer = Trainer::new(&capture, config, &Device::Cpu).unwrap();
+    while !trainer.is_done() {
+        trainer.step().unwrap();
+    }
+    trainer.model().unwrap().gaussians.field(field).to_vec()
+}
+
+#[test]
+fn held_metalness_stays_held_when_materials_start_anew() {
+    let most = |metalness: bool| {
+        let overrides = TrainOverrides { metalness: Some(metalness), ..Default::default() };
+        learned(Field::MetalLogit, overrides).into_iter().fold(f32::NEG_INFINITY, f32::max)
+    };
+    assert_eq!(most(false), complexity::DIELECTRIC);
+    assert!(most(true) > complexity::DIELECTRIC, "the control");
+}
+
+#[test]
+fn sheen_is_learned_unless_it_is_left_out() {
+    let most = |sheen: bool| {
+        let overrides = TrainOverrides { sheen: Some(sheen), ..Default::default() };
+        worst(learned(Field::Sheen, overrides).into_iter().map(f32::abs))
+    };
+    assert_eq!(most(false), 0.0);
+    let control = most(true);
+    assert!(control.is_finite() && control > 0.0, "the control: {control}");
+}
+
+#[test]
+fn a_model_made_smaller_goes_on_training_on_the_cpu() {
+    a_model_made_smaller_goes_on_training(&Device::Cpu);
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_model_made_smaller_goes_on_training_on_a_gpu() {
+    a_model_made_smaller_goes_on_training(&Device::Gpu(Gpu::for_tests()));
+}
+
+fn a_model_made_smaller_goes_on_training(device: &Device) {
+    let options = SyntheticOptions {
+        scene: relume_capture::SyntheticScene::MatteBall,
+        train_views: 5,
+        test_views: 1,
+        size: 24,
+        paths: 8,
+        relit: Default::default(),
+        ..Default::default()
+    };
+    let capture = synthetic(&options).unwrap();
+    let overrides = TrainOverrides {
+        resolution: Some(24),
+        iterations: Some(24),
+        probe_directions: Some(16),
+        complexity: Some(relume_spec::training::Complexity::Auto),
+        ..Default::default()
+    };
+    let mut config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+    (config.initial_gaussians, config.max_gaussians) = (128, 160);
+    let mut trainer = Trainer::new(&capture, config, device).unwrap();
+    while !trainer.is_done() {
+        assert_eq!(trainer.step().unwrap().warning, None);
+    }
+    assert_eq!(trainer.schedule.complexity.due(&trainer.config, 24), None, "all decisions are made");
+    let model = trainer.model().unwrap();
+    assert!(model.check().is_ok());
+    assert_eq!(trainer.operators.order(), model.gaussians.visibility_order());
+    assert!(model.card["complexity"]["findings"].as_array().unwrap().len() >= 6, "{}", model.card);
+}
+
+/// How often photographs were decoded by nine steps on three of them, with no room to keep any decoded.
+fn decoded_by_nine_steps(device: &Device) -> u64 {
+    let (capture, config) = small();
+    let mut trainer = Trainer::new(&capture, config, device).unwrap();
+    trainer.data.bound(0);
+    let before = trainer.decoding().decoded;
+    for _ in 0..9 {
+        trainer.step().unwrap();
+    }
+    trainer.decoding().decoded - before
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn what_a_gpu_holds_is_decoded_once() {
+    assert_eq!(decoded_by_nine_steps(&Device::Gpu(Gpu::for_tests())), 3);
+    assert_eq!(decoded_by_nine_steps(&Device::Cpu), 9, "the control");
+}

@@ -1,0 +1,427 @@
+//! The GPU engine against the CPU engine from outside: the same frames, the same training, the same files.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, OnceLock};
+
+use relume_capture::{Capture, SyntheticOptions, synthetic};
+use relume_compare::{difference, largest_difference};
+use relume_engine::Device;
+use relume_engine::gpu::{Adapters, Gpu, GpuOptions};
+use relume_engine::{DeviceChoice, DeviceError};
+use relume_train::eval::{EvalOptions, Report, evaluate};
+use relume_spec::rendering::{Output, Quality, Tier};
+use relume_train::render::{PreparedLight, Renderer};
+use relume_scene::{EnvMap, Field, Model, ShadingOptions};
+use relume_spec::training::{LabelSource, LearningRates, LossWeights, Preset, TrainConfig, TrainOverrides};
+use relume_train::{TrainError, Trainer};
+
+use crate::requirements::gpu_device;
+use crate::tiers::sun;
+
+fn capture() -> &'static Capture {
+    static CAPTURE: OnceLock<Capture> = OnceLock::new();
+    CAPTURE.get_or_init(|| {
+        let lamp = EnvMap::from_fn(32, 16, |d| [0.3 + d.x.max(0.0) as f32, 0.5, 0.6]);
+        let options = SyntheticOptions {
+            train_views: 8,
+            test_views: 2,
+            size: 40,
+            paths: 16,
+            relit: BTreeMap::from([("lamp".to_owned(), lamp)]),
+            ..Default::default()
+        };
+        synthetic(&options).unwrap()
+    })
+}
+
+fn overrides() -> TrainOverrides {
+    TrainOverrides {
+        iterations: Some(60),
+        resolution: Some(40),
+        initial_gaussians: Some(300),
+        max_gaussians: Some(500),
+        probe_directions: Some(16),
+        probe_every: Some(13),
+        checkpoint_every: Some(17),
+        ..Default::default()
+    }
+}
+
+fn trainer(overrides: &TrainOverrides, device: &Device) -> Trainer {
+    Trainer::new(capture(), TrainConfig::new(Preset::Draft, overrides).unwrap(), device).unwrap()
+}
+
+/// Trains to the end and returns the losses.
+fn finish(trainer: &mut Trainer) -> Vec<f32> {
+    let mut losses = Vec::new();
+    while !trainer.is_done() {
+        losses.push(trainer.step().unwrap().loss);
+    }
+    losses
+}
+
+/// A model with everything in it: some steps of a training.
+fn model() -> Arc<Model> {
+    static MODEL: OnceLock<Arc<Model>> = OnceLock::new();
+    let made = MODEL.get_or_init(|| {
+        let mut trainer = trainer(&overrides(), &Device::Cpu);
+        finish(&mut trainer);
+        Arc::new(trainer.model().unwrap())
+    });
+    made.clone()
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn every_output_of_every_tier_is_that_of_the_cpu_engine() {
+    let device = gpu_device();
+    let all = [
+        Output::Rgb,
+        Output::Albedo,
+        Output::Normal,
+        Output::Metallic,
+        Output::Roughness,
+        Output::Visibility,
+        Output::Depth,
+        Output::Alpha,
+        Output::Diffuse,
+        Output::Specular,
+        Output::Radiance,
+    ];
+    let lamp = EnvMap::from_fn(64, 32, |d| [0.4 + d.z.max(0.0) as f32, 0.5, 0.3 + d.y.max(0.0) as f32]);
+    let (cpu, gpu) = (Renderer::new(model()), Renderer::on(model(), device).unwrap());
+    let lights = (cpu.prepare_light(&lamp).unwrap(), gpu.prepare_light(&lamp).unwrap());
+    let camera = &capture().test[0].camera;
+    for (tier, outputs) in [
+        (Tier::Standard, &all[..]),
+        (Tier::Preview, &all[..1]),
+        (Tier::Preview, &all[..3]),
+        (Tier::High, &all[..]),
+        // What is sampled is not the same from engine to engine (tests/gpu_rays.rs), the rest of the frame is.
+        (Tier::MonteCarlo, &[&all[1..8], &all[10..]].concat()),
+    ] {
+        let expected = cpu.render(camera, &lights.0, tier, outputs).unwrap();
+        let found = gpu.render(camera, &lights.1, tier, outputs).unwrap();
+        assert!(expected.planes.keys().eq(found.planes.keys()));
+        for (output, plane) in &expected.planes {
+            // The depth of nothing is infinite on both sides.
+            let error = largest_difference(plane, &found.planes[output]);
+            // A pixel's normal may tip over where two surfaces blend to nothing.
+            assert!(error < 2e-3, "{tier:?} {output:?}: {error}");
+        }
+    }
+    let other = gpu.prepare_light(&EnvMap::constant(8, 4, [1.0; 3])).unwrap();
+    let (a, b) = (&lights.1, &other);
+    let rgb = |light| {
+        gpu.render(camera, light, Tier::Standard, &[Output::Rgb]).unwrap().planes[&Output::Rgb].clone()
+    };
+    let control = largest_difference(&rgb(a), &rgb(b));
+    assert!(control.is_finite() && control > 0.05, "the control: another light is another picture");
+}
+
+/// The shared device's adapter, opened a second time.
+fn open_again(options: GpuOptions) -> Gpu {
+    let Device::Gpu(shared) = gpu_device() else { panic!("the device is a GPU") };
+    Gpu::open(&Adapters::find(), shared.report().index, options).unwrap()
+}
+
+/// The same, opened as if it could bind no more than `bytes`.
+fn narrow_device(bytes: u64) -> Device {
+    let options = GpuOptions { most_binding: Some(bytes), ..GpuOptions::from_env() };
+    Device::Gpu(open_again(options))
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_picture_too_large_for_one_binding_is_made_in_bands_without_a_seam() {
+    let narrow = narrow_device(4 << 20);
+    let renderers = [Renderer::on(model(), gpu_device()).unwrap(), Renderer::on(model(), &narrow).unwrap()];
+    let camera = capture().test[0].camera.resized(256, 256);
+    let frames = renderers.map(|r| {
+        let light = r.prepare_light(&EnvMap::constant(8, 4, [1.0; 3])).unwrap();
+        r.render(&camera, &light, Tier::Standard, &[Output::Rgb, Output::Depth]).unwrap()
+    });
+    for (output, plane) in &frames[0].planes {
+        // Projected means round differently in a band, and a splat at the threshold of alpha is then in or out: here
+        // and there a pixel by less than that threshold. A seam would be a row, one in 256.
+        let other = &frames[1].planes[output];
+        let pairs = plane.iter().zip(other);
+        let apart = pairs.filter(|(a, b)| difference((**a).into(), (**b).into()) > 1e-4).count();
+        assert!(apart * 1000 < plane.len(), "{output:?}: {apart} of {}", plane.len());
+        if *output != Output::Depth {
+            assert!(largest_difference(plane, other) < 1.0 / 255.0, "{output:?}");
+        }
+    }
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn frames_of_several_threads_are_those_of_one() {
+    const THREADS: usize = 3;
+    let sizes = [24, 40, 64, 33];
+    let views = |thread: usize| {
+        let turned = (0..sizes.len()).map(move |i| (thread + i) % sizes.len());
+        turned.map(move |i| (sizes[i], Tier::ALL[(thread + 2 * i) % Tier::ALL.len()]))
+    };
+    let render = |renderer: &Renderer, light: &PreparedLight, (size, tier): (u32, Tier)| {
+        let camera = capture().test[size as usize % 2].camera.resized(size, size);
+        let quality = Quality { samples: 3, ..tier.into() };
+        renderer.render(&camera, light, quality, &[Output::Rgb, Output::Normal]).unwrap()
+    };
+    let lone = Renderer::on(model(), gpu_device()).unwrap();
+    let light = lone.prepare_light(&sun()).unwrap();
+    // Fresh: the lists of its first views are short.
+    let shared = Renderer::on(model(), gpu_device()).unwrap();
+    let shared_light = shared.prepare_light(&sun()).unwrap();
+    std::thread::scope(|scope| {
+        let drawn =
+            |thread| views(thread).map(|view| render(&shared, &shared_light, view)).collect::<Vec<_>>();
+        let threads: Vec<_> = (0..THREADS).map(|thread| scope.spawn(move || drawn(thread))).collect();
+        for (thread, drawn) in threads.into_iter().enumerate() {
+            let alone = views(thread).map(|view| render(&lone, &light, view));
+            for ((found, expected), view) in drawn.join().unwrap().iter().zip(alone).zip(views(thread)) {
+                assert!(*found == expected, "{view:?} of thread {thread}");
+            }
+        }
+    });
+    let other = [Tier::Standard, Tier::High].map(|tier| render(&lone, &light, (40, tier)));
+    assert!(other[0] != other[1], "the control");
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_light_of_one_renderer_is_refused_by_another_and_bad_cameras_are_refused_alike() {
+    let device = gpu_device();
+    let (cpu, gpu) = (Renderer::new(model()), Renderer::on(model(), device).unwrap());
+    let light = EnvMap::constant(8, 4, [1.0; 3]);
+    let (on_cpu, on_gpu) = (cpu.prepare_light(&light).unwrap(), gpu.prepare_light(&light).unwrap());
+    let camera = capture().test[0].camera;
+    assert!(gpu.render(&camera, &on_cpu, Tier::Standard, &[Output::Rgb]).is_err());
+    let bad = relume_scene::Camera { fx: f64::NAN, ..camera };
+    let refusal =
+        |r: &Renderer, l| r.render(&bad, l, Tier::Standard, &[Output::Rgb]).unwrap_err().to_string();
+    assert_eq!(refusal(&gpu, &on_gpu), refusal(&cpu, &on_cpu));
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn the_first_steps_of_a_training_are_those_of_the_cpu_engine() {
+    let device = gpu_device();
+    let weights =
+        Some(LossWeights { smoothness: 0.0, smooth_roughness: 0.0, light: 0.01, ..LossWeights::default() });
+    // Adam's first step takes a texel without any gradient but rounding as far as all others: small steps of the light.
+    let overrides = || {
+        let rates = LearningRates { environment: 0.01, ..LearningRates::default() };
+        // Without compensation: it thins the small splats of a start until their gradients are next to nothing, and this
+        // test counts signs. Its own gradients are held to f64 in the engine's tests.
+        let shading = ShadingOptions { low_pass_compensation: false, ..ShadingOptions::default() };
+        TrainOverrides { rates: Some(rates), shading: Some(shading), ..overrides() }
+    };
+    let forms = [
+        overrides(),
+        TrainOverrides { warm_up: Some(0.0), weights, ..overrides() },
+        TrainOverrides { warm_up: Some(0.0), labels: Some(LabelSource::Both), ..overrides() },
+        TrainOverrides {
+            warm_up: Some(0.0),
+            labels: Some(LabelSource::Backward),
+            bounces: Some(0),
+            ..overrides()
+        },
+        TrainOverrides {
+            warm_up: Some(0.0),
+            visibility_order: Some(2),
+            prototypes: Some(3),
+            weights,
+            ..overrides()
+        },
+    ];
+    for form in &forms {
+        let (mut on_cpu, mut on_gpu) = (trainer(form, &Device::Cpu), trainer(form, device));
+        let losses = |trainer: &mut Trainer| -> BTreeMap<u32, f32> {
+            let reports = (0..6).map(|_| trainer.step().unwrap());
+            reports.map(|report| (report.known_step, report.loss)).collect()
+        };
+        let (a, b) = (losses(&mut on_cpu), losses(&mut on_gpu));
+        assert!(a.len() == 6 && b.len() >= 5, "a device is a step behind at most: {b:?}");
+        for (step, b) in b {
+            // From the second step on, what Adam made of gradients that are next to nothing shows.
+            let (a, allowed) = (a[&step], if step == 1 { 2e-5 } else { 5e-3 });
+            assert!((a - b).abs() < allowed * a, "{form:?} step {step}: {a} {b}");
+        }
+        if form.weights.is_none() {
+            // Smoothness goes by the sign of differences that are rounding at first.
+            continue;
+        }
+        let (a, b) = (on_cpu.model().unwrap(), on_gpu.model().unwrap());
+        let means = |m: &Model| m.gaussians.field(Field::Mean).to_vec();
+        // A centre whose gradient is next to nothing may go the other way for a step or two of the six.
+        let step = f64::from(step_size(on_cpu.config(), Field::Mean));
+        let moved = largest_difference(&means(&a), &means(&b)) / step;
+        assert!(moved < 2.5, "{form:?}: {moved} steps");
+        // Adam's first steps go by the sign of the gradient alone: where it is next to nothing, engines may disagree.
+        // Far is a fifth of what six steps can move.
+        let apart = |field| {
+            let pairs = a.gaussians.field(field).iter().zip(b.gaussians.field(field));
+            let far = pairs
+                .filter(|(a, b)| !((**a - **b).abs() <= 6.0 / 5.0 * step_size(on_cpu.config(), field)))
+                .count();
+            far as f64 / a.gaussians.field(field).len().max(1) as f64
+        };
+        // Round Gaussians, as they start, have no gradient by rotation but rounding.
+        for field in Field::ALL.into_iter().filter(|f| *f != Field::Quaternion) {
+            // Nor have they a shortest axis but by rounding, and the normal starts from it.
+            let allowed = if field == Field::Normal { 0.05 } else { 0.02 };
+            assert!(apart(field) < allowed, "{form:?} {field:?}: {}", apart(field));
+        }
+    }
+}
+
+/// What Adam moves an entry of `field` by in one of the first steps.
+fn step_size(config: &TrainConfig, field: Field) -> f32 {
+    let rates = &config.rates;
+    match field {
+        Field::Mean => rates.mean,
+        Field::LogScale => rates.scale,
+        Field::Quaternion => rates.rotation,
+        Field::OpacityLogit => rates.opacity,
+        Field::Normal => rates.normal,
+        Field::MetalLogit | Field::RoughLogit => rates.material,
+        Field::Sheen => rates.sheen,
+        Field::ProtoLogits => rates.scores,
+        Field::Residual => rates.residual,
+        Field::Visibility | Field::Indirect => rates.visibility,
+        Field::Radiance => rates.radiance,
+    }
+}
+
+fn report(model: Model) -> Report {
+    let options = EvalOptions { frame_rate_time: std::time::Duration::ZERO, ..EvalOptions::default() };
+    evaluate(Arc::new(model), capture(), &options).unwrap()
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn the_trained_result_is_that_of_the_cpu_engine() {
+    let device = gpu_device();
+    // Small steps: atomic sums come in no fixed order, and with large ones runs of this size scatter beyond what is allowed.
+    let rates = LearningRates {
+        mean: 3e-4,
+        scale: 5e-3,
+        rotation: 1e-3,
+        opacity: 0.03,
+        radiance: 2.5e-3,
+        ..LearningRates::default()
+    };
+    let long =
+        TrainOverrides { iterations: Some(300), probe_every: Some(50), rates: Some(rates), ..overrides() };
+    let (mut on_cpu, mut on_gpu) = (trainer(&long, &Device::Cpu), trainer(&long, device));
+    let (first, last) = (finish(&mut on_cpu), finish(&mut on_gpu));
+    assert_eq!(first.len(), last.len());
+    let (a, b) = (report(on_cpu.model().unwrap()), report(on_gpu.model().unwrap()));
+    let psnr = |r: &Report| [r.novel_view.psnr.unwrap(), r.relit.mean.psnr.unwrap()];
+    for (a, b) in psnr(&a).into_iter().zip(psnr(&b)) {
+        // So few pixels scatter: on the helmet at 400 px the engines are 0.02 dB apart (docs/results.md, "Precision").
+        assert!((a - b).abs() < 0.25, "{a} {b}");
+    }
+    let untrained = report(trainer(&long, device).model().unwrap());
+    assert!(psnr(&untrained)[0] < psnr(&b)[0] - 3.0, "the control: training is what makes them alike");
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn a_checkpoint_goes_from_engine_to_engine_and_back() {
+    let device = gpu_device();
+    let config = || TrainConfig::new(Preset::Draft, &overrides()).unwrap();
+    let mut first = trainer(&overrides(), &Device::Cpu);
+    (0..20).for_each(|_| drop(first.step().unwrap()));
+    let handed_over = first.checkpoint().unwrap();
+    let mut second = Trainer::resume(capture(), config(), &handed_over, device).unwrap();
+    let untouched = second.checkpoint().unwrap();
+    let five_steps_on = |bytes: &[u8]| {
+        let mut trainer = Trainer::resume(capture(), config(), bytes, &Device::Cpu).unwrap();
+        (0..5).for_each(|_| drop(trainer.step().unwrap()));
+        relume_capture::formats::model_file::encode(&trainer.model().unwrap()).unwrap()
+    };
+    assert!(
+        five_steps_on(&untouched) == five_steps_on(&handed_over),
+        "the device hands back what it was given"
+    );
+    assert_eq!(second.progress().step, 20);
+    (0..20).for_each(|_| drop(second.step().unwrap()));
+    let back = second.checkpoint().unwrap();
+    let mut third = Trainer::resume(capture(), config(), &back, &Device::Cpu).unwrap();
+    let (mut uninterrupted, mut psnr) = (trainer(&overrides(), &Device::Cpu), 0.0);
+    while !uninterrupted.is_done() {
+        psnr = uninterrupted.step().unwrap().psnr;
+    }
+    let mut changed = 0.0;
+    while !third.is_done() {
+        changed = third.step().unwrap().psnr;
+    }
+    assert!((psnr - changed).abs() < 0.3, "{psnr} {changed}");
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn trainings_too_large_for_the_device_are_refused_with_numbers() {
+    let narrow = narrow_device(64 << 20);
+    let refusal = |overrides: TrainOverrides| {
+        let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
+        match Trainer::new(capture(), config, &narrow) {
+            Err(TrainError::Device(DeviceError::TooLarge { what, needs, most })) => {
+                assert!(needs > most && most == 64 << 20, "{what} {needs} {most}");
+                what
+            }
+            Err(error) => panic!("another refusal: {error}"),
+            Ok(_) => panic!("must be refused"),
+        }
+    };
+    let many = refusal(TrainOverrides { max_gaussians: Some(4_000_000), ..overrides() });
+    assert!(many.contains("max_gaussians: 4000000 (at most"), "{many}");
+    trainer(&overrides(), &narrow).step().unwrap();
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn wild_step_sizes_end_in_a_finite_model_or_a_refusal() {
+    let device = gpu_device();
+    let rates = serde_json::from_value(serde_json::json!({
+        "mean": 1000.0, "mean_final": 1000.0, "scale": 1000.0, "opacity": 1000.0, "radiance": 1000.0
+    }));
+    let mut trainer = trainer(&TrainOverrides { rates: Some(rates.unwrap()), ..overrides() }, device);
+    while !trainer.is_done() {
+        match trainer.step() {
+            Ok(report) => assert!(report.warning.is_some() || report.loss.is_finite()),
+            Err(TrainError::Diverged { .. }) => return,
+            Err(error) => panic!("{error}"),
+        }
+    }
+    assert!(trainer.model().unwrap().gaussians.is_finite(), "a poisoned model must never be handed out");
+    trainer.checkpoint().unwrap();
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn after_a_lost_device_a_training_resumes_from_its_checkpoint_on_the_cpu() {
+    let own = open_again(GpuOptions::default());
+    let mut first = trainer(&overrides(), &Device::Gpu(own.clone()));
+    (0..5).for_each(|_| drop(first.step().unwrap()));
+    let checkpoint = first.checkpoint().unwrap();
+    own.destroy();
+    for _ in 0..2 {
+        let Err(TrainError::Device(DeviceError::Lost(_))) = first.step() else {
+            panic!("a lost device must be said")
+        };
+    }
+    assert!(first.checkpoint().is_err() && first.model().is_err(), "nothing can be read from it");
+    let config = TrainConfig::new(Preset::Draft, &overrides()).unwrap();
+    let mut second = Trainer::resume(capture(), config, &checkpoint, &Device::Cpu).unwrap();
+    finish(&mut second);
+    assert!(second.model().unwrap().gaussians.is_finite());
+}
+
+#[test]
+fn a_device_that_is_not_there_is_refused_by_name() {
+    let error = Device::open(DeviceChoice::Gpu(Some(99))).unwrap_err().to_string();
+    assert!(error.contains("gpu:99"), "{error}");
+}

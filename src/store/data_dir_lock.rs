@@ -1,0 +1,82 @@
+//! One server a data directory: an advisory lock that dies with its process.
+
+use std::fs::{File, TryLockError};
+use std::io::{Read, Write};
+use std::path::Path;
+
+use crate::store::StoreError;
+use crate::store::folder::make_private;
+
+/// Held as long as the server lives. Whoever holds it knows that whatever was a thread of this directory's server before is dead,
+/// and that its leases may be taken over at once.
+#[derive(Debug)]
+pub struct DataDirLock {
+    file: File,
+}
+
+impl DataDirLock {
+    /// Takes the data directory, creating it for its owner alone when it is missing.
+    ///
+    /// # Errors
+    /// [`StoreError::Locked`] while another process holds it.
+    pub fn acquire(root: &Path) -> Result<Self, StoreError> {
+        make_private(root)?;
+        let path = root.join("node.lock");
+        let file = File::options().create(true).truncate(false).read(true).write(true).open(path)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Self { file }),
+            Err(TryLockError::WouldBlock) => Err(StoreError::Locked(root.display().to_string())),
+            Err(TryLockError::Error(error)) => Err(error.into()),
+        }
+    }
+
+    /// The name of the data directory, by which others who share the database know its server. One that has none yet gets `fresh`.
+    ///
+    /// # Errors
+    /// When it can be neither read nor written.
+    pub fn name(&mut self, fresh: impl FnOnce() -> String) -> Result<String, StoreError> {
+        let mut name = String::new();
+        self.file.read_to_string(&mut name)?;
+        if name.is_empty() {
+            name = fresh();
+            self.file.write_all(name.as_bytes())?;
+        }
+        Ok(name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[test]
+    fn a_data_directory_has_one_owner_at_a_time() {
+        let dir = tempfile::tempdir().unwrap();
+        let first = DataDirLock::acquire(dir.path()).unwrap();
+        assert!(matches!(DataDirLock::acquire(dir.path()), Err(StoreError::Locked(_))));
+        drop(first);
+        DataDirLock::acquire(dir.path()).unwrap();
+    }
+
+    #[test]
+    fn a_data_directory_keeps_its_name() {
+        let dir = tempfile::tempdir().unwrap();
+        let named = |name: &str| DataDirLock::acquire(dir.path()).unwrap().name(|| name.to_owned()).unwrap();
+        assert_eq!([named("first"), named("second")], ["first", "first"]);
+    }
+
+    #[test]
+    fn a_data_directory_that_is_made_is_its_owners_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        let data = dir.path().join("above/data");
+        DataDirLock::acquire(&data).unwrap();
+        assert_eq!([mode(&data), mode(&dir.path().join("above"))], [0o700; 2]);
+        std::fs::set_permissions(&data, Permissions::from_mode(0o750)).unwrap();
+        DataDirLock::acquire(&data).unwrap();
+        assert_eq!(mode(&data), 0o750, "what its owner decided stays");
+    }
+}

@@ -1,0 +1,148 @@
+//! Artifacts that nothing refers to: what a server that died while it wrote has left.
+
+use std::collections::{HashMap, HashSet};
+use std::fs::File;
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use crate::store::exports::EXPORTS;
+use crate::store::references::{references, artifact_keys};
+use crate::store::sql;
+use crate::store::uploads::UPLOADS;
+use crate::store::{Store, StoreError};
+
+/// Where artifacts go that the database knows nothing of.
+pub(super) const ORPHANS: &str = "orphans";
+/// How long they stay there.
+pub(super) const ORPHAN_RETENTION: Duration = Duration::from_secs(7 * 24 * 3600);
+
+/// What a sweep did.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct OrphanCleanup {
+    /// Files that were removed.
+    pub removed: usize,
+    /// Files that were set aside.
+    pub set_aside: usize,
+}
+
+impl Store {
+    /// Removes what attempts of known jobs, uploads that ended and exports left, and sets aside for a week what the database knows nothing
+    /// of: it may be an old copy. What a worker elsewhere has sent of the model that it is about to publish stays, and so do files with
+    /// names that this program does not give. The caller must hold the node lock.
+    ///
+    /// # Errors
+    /// When the database or a file operation fails.
+    pub async fn clean_up_orphans(&self, now: SystemTime) -> Result<OrphanCleanup, StoreError> {
+        let named: HashSet<String> =
+            references(self.pool()).await?.into_iter().map(|reference| reference.artifact).collect();
+        let attempts =
+            "SELECT id, CASE WHEN state IN ('running', 'cancelling') THEN attempts ELSE 0 END FROM jobs";
+        let jobs: Vec<(String, i64)> = sql::query_as(attempts).fetch_all(self.pool()).await?;
+        let jobs: HashMap<String, i64> = jobs.into_iter().collect();
+        let root = self.artifacts.local_path("");
+        let swept = tokio::task::spawn_blocking(move || clean_up(&root, &named, &jobs, now)).await;
+        self.clear_export_folders().await?;
+        Ok(swept.map_err(std::io::Error::other)??)
+    }
+}
+
+/// `jobs` says of each job which attempt of it is on its way; 0 where none is.
+fn clean_up(
+    root: &Path,
+    named: &HashSet<String>,
+    jobs: &HashMap<String, i64>,
+    now: SystemTime,
+) -> std::io::Result<OrphanCleanup> {
+    let mut swept = OrphanCleanup::default();
+    for key in artifact_keys(root)?.into_iter().filter(|key| !named.contains(key)) {
+        let path = root.join(&key);
+        let can_be_had_again = key.starts_with(UPLOADS) || key.starts_with(EXPORTS);
+        let attempt = attempt_of(&key).map(|(job, number)| (jobs.get(job).copied(), number));
+        if let Some((Some(running), number)) = attempt
+            && number == running
+        {
+            continue;
+        }
+        if can_be_had_again || matches!(attempt, Some((Some(_), _))) {
+            tracing::info!(key, "removed what an attempt, an upload or an export left");
+            std::fs::remove_file(&path)?;
+            swept.removed += 1;
+        } else {
+            tracing::warn!(key, "set aside a file that the database does not know");
+            set_aside(&path, &root.join(ORPHANS).join(&key), now)?;
+            swept.set_aside += 1;
+        }
+    }
+    swept.removed += expire(&root.join(ORPHANS), now)?;
+    prune(&root.join("attempts"))?;
+    prune(&root.join(UPLOADS))?;
+    prune(&root.join(EXPORTS))?;
+    Ok(swept)
+}
+
+/// Job and number of the attempt that a file is of.
+fn attempt_of(key: &str) -> Option<(&str, i64)> {
+    let (job, rest) = key.strip_prefix("attempts/")?.split_once('/')?;
+    // A number that is none was never that of an attempt.
+    Some((job, rest.split('/').next()?.parse().unwrap_or(-1)))
+}
+
+/// Moves a file; its time of modification is that of the move from then on.
+fn set_aside(from: &Path, to: &Path, now: SystemTime) -> std::io::Result<()> {
+    if let Some(folder) = to.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    File::options().write(true).open(from)?.set_modified(now)?;
+    std::fs::rename(from, to)?;
+    // Where both were names of one file already, a rename leaves both: a capture of an upload that was set aside before.
+    match std::fs::remove_file(from) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// Removes the files that were set aside long ago.
+fn expire(folder: &Path, now: SystemTime) -> std::io::Result<usize> {
+    let mut removed = 0;
+    for entry in entries(folder)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            removed += expire(&entry.path(), now)?;
+        } else if now.duration_since(entry.metadata()?.modified()?).is_ok_and(|age| age > ORPHAN_RETENTION) {
+            std::fs::remove_file(entry.path())?;
+            removed += 1;
+        }
+    }
+    prune(folder)?;
+    Ok(removed)
+}
+
+/// Removes empty folders, innermost first.
+pub(super) fn prune(folder: &Path) -> std::io::Result<()> {
+    for entry in entries(folder)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            prune(&entry.path())?;
+        }
+    }
+    match std::fs::remove_dir(folder) {
+        Err(error)
+            if !matches!(
+                error.kind(),
+                std::io::ErrorKind::DirectoryNotEmpty | std::io::ErrorKind::NotFound
+            ) =>
+        {
+            Err(error)
+        }
+        _ => Ok(()),
+    }
+}
+
+/// What is in a folder; nothing when it is not there.
+fn entries(folder: &Path) -> std::io::Result<impl Iterator<Item = std::io::Result<std::fs::DirEntry>>> {
+    match std::fs::read_dir(folder) {
+        Ok(entries) => Ok(Some(entries).into_iter().flatten()),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None.into_iter().flatten()),
+        Err(error) => Err(error),
+    }
+}
