@@ -10,15 +10,15 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use relume_capture::{SyntheticOptions, builtin, synthetic};
-use relume_capture::formats::exr_frame::{self, FrameAttributes, FrameLayer, FrameLayers};
-use relume_spec::rendering::ColourDepth;
-use relume_capture::formats::image_file::encode_png;
-use relume_spec::rendering::Primaries;
 use relume::{
     Capture, Device, Frame, ImportOptions, Model, Output, Preset, Renderer, Tier, TrainConfig,
     TrainOverrides, Trainer, import,
 };
+use relume_capture::formats::exr_frame::{self, FrameAttributes, FrameLayer, FrameLayers};
+use relume_capture::formats::image_file::encode_png;
+use relume_capture::{SyntheticOptions, builtin, synthetic};
+use relume_spec::rendering::ColourDepth;
+use relume_spec::rendering::Primaries;
 
 const DEFAULT_STEPS: u32 = 300;
 /// Longest side of the photographs that are trained on, pixels.

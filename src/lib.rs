@@ -27,9 +27,9 @@
 mod camera_path;
 #[doc(hidden)]
 pub mod cli;
-pub(crate) mod remote_worker;
 #[doc(hidden)]
 pub mod jobs;
+pub(crate) mod remote_worker;
 pub mod server;
 #[doc(hidden)]
 pub mod store;

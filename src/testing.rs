@@ -16,9 +16,9 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use relume_client::Client;
 use crate::server::{ServeError, ServerConfig, run};
 use crate::store::DatabaseUrl;
+use relume_client::Client;
 
 /// A running server with a data directory of its own; both end when it is dropped.
 pub struct TestServer {

@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_valid_traceparent_is_read_and_written_as_it_came() {
+    fn valid_traceparent_is_parsed_and_written_back_unchanged() {
         assert_eq!(read(VALID).as_deref(), Some(VALID));
         let unsampled = VALID.replace("-01", "-00");
         assert_eq!(read(&unsampled), Some(unsampled));
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_traceparent_is_ignored() {
+    fn invalid_traceparents_are_ignored() {
         for wrong in [
             String::new(),
             "00".to_owned(),
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_collector_a_span_is_part_of_no_trace() {
+    fn without_a_collector_spans_have_no_trace_parent() {
         let span = tracing::info_span!("request");
         link_parent(&span, &TraceParent::parse(VALID).unwrap());
         assert_eq!(as_parent(&span), None);

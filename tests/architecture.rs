@@ -20,24 +20,37 @@ const LONGEST_FILE: usize = 600;
 const LONGEST_TEST_NAME: usize = 60;
 /// Folders with our own text.
 const FOLDERS: [&str; 12] = [
-    "src", "crates", "tests", "benches", "examples", "docs", "shaders", "migrations", "deploy", "docker", "clients", ".ci",
+    "src",
+    "crates",
+    "tests",
+    "benches",
+    "examples",
+    "docs",
+    "shaders",
+    "migrations",
+    "deploy",
+    "docker",
+    "clients",
+    ".ci",
 ];
 
 #[test]
-fn modules_of_the_service_import_one_way() {
+fn service_modules_import_only_in_the_allowed_direction() {
     let mut wrong = Vec::new();
     for file in files_under(&root().join("src"), &["rs"]) {
         let path = shown(&file);
         let module = path["src/".len()..].split(['/', '.']).next().unwrap_or_default().to_owned();
         if module != "lib" && module != "main" {
-            wrong.extend(forbidden(&module, &read(&file)).into_iter().map(|name| format!("{path} imports {name}")));
+            wrong.extend(
+                forbidden(&module, &read(&file)).into_iter().map(|name| format!("{path} imports {name}")),
+            );
         }
     }
     assert!(wrong.is_empty(), "imports that the table does not allow:\n{}", wrong.join("\n"));
 }
 
 #[test]
-fn a_forbidden_import_is_noticed() {
+fn a_forbidden_import_is_detected() {
     for code in ["use crate::server::run;", "fn f() { crate::cli::main() }", "use crate::cellar::x;"] {
         assert_eq!(forbidden("store", code).len(), 1, "{code}");
     }
@@ -48,7 +61,7 @@ fn a_forbidden_import_is_noticed() {
 }
 
 #[test]
-fn a_module_with_submodules_is_a_folder() {
+fn a_module_with_submodules_is_in_its_own_folder() {
     let beside: Vec<String> = ["src", "crates", "tests"]
         .iter()
         .flat_map(|folder| files_under(&root().join(folder), &["rs"]))
@@ -59,7 +72,7 @@ fn a_module_with_submodules_is_a_folder() {
 }
 
 #[test]
-fn no_source_file_is_too_long() {
+fn no_source_file_exceeds_the_line_limit() {
     let files = ["src", "crates"].map(|folder| files_under(&root().join(folder), &["rs"]));
     let lengths = files.iter().flatten().map(|file| (shown(file), read(file).lines().count()));
     let long: Vec<_> = lengths.filter(|(_, lines)| *lines > LONGEST_FILE).collect();
@@ -67,7 +80,7 @@ fn no_source_file_is_too_long() {
 }
 
 #[test]
-fn test_names_are_short() {
+fn no_test_name_exceeds_the_length_limit() {
     let mut long = Vec::new();
     for folder in ["src", "crates", "tests"] {
         for file in files_under(&root().join(folder), &["rs"]) {
@@ -80,7 +93,7 @@ fn test_names_are_short() {
 }
 
 #[test]
-fn no_text_names_a_folder_of_one_machine() {
+fn no_text_contains_a_machine_specific_path() {
     let mut found = Vec::new();
     for file in texts() {
         found.extend(machine_path(&read(&file)).map(|path| (shown(&file), path)));
@@ -94,7 +107,7 @@ fn no_text_names_a_folder_of_one_machine() {
 }
 
 #[test]
-fn every_file_that_a_text_names_exists() {
+fn every_file_named_in_a_text_exists() {
     let known = repository_files();
     let mut missing = Vec::new();
     for file in texts() {
@@ -109,14 +122,15 @@ fn every_file_that_a_text_names_exists() {
 }
 
 #[test]
-fn a_missing_file_is_noticed() {
+fn a_missing_file_is_detected() {
     let known: BTreeSet<String> =
         ["src/store/sql.rs", "shaders/blend.wgsl", "docs/MODEL.md"].map(str::to_owned).into();
     let missing = |path: &str, text: &str| {
         let names = named_files(path, text).into_iter();
         names.filter(|name| !exists(name, path, &known)).collect::<Vec<_>>()
     };
-    let text = "See `store/sql.rs`, docs/MODEL.md, [it](MODEL.md) and blend.wgsl; photographs/cat.png is yours.";
+    let text =
+        "See `store/sql.rs`, docs/MODEL.md, [it](MODEL.md) and blend.wgsl; photographs/cat.png is yours.";
     assert!(missing("docs/a.md", text).is_empty(), "{:?}", missing("docs/a.md", text));
     assert_eq!(missing("docs/a.md", "See `store/gone.rs`."), ["store/gone.rs"]);
     assert_eq!(missing("src/a.rs", "// losses.wgsl\nlet x = \"other.wgsl\";"), ["losses.wgsl"]);
@@ -124,7 +138,7 @@ fn a_missing_file_is_noticed() {
 }
 
 #[test]
-fn the_index_lists_every_decision() {
+fn decision_index_lists_every_record() {
     let folder = root().join("docs/decisions");
     let index = read(&folder.join("README.md"));
     let records = files_under(&folder, &["md"]).into_iter().map(|file| shown(&file));
@@ -135,7 +149,7 @@ fn the_index_lists_every_decision() {
 }
 
 #[test]
-fn every_dependency_has_its_line_in_the_architecture_document() {
+fn every_dependency_is_explained_in_the_architecture_document() {
     let document = read(&root().join("docs/ARCHITECTURE.md"));
     let names = dependencies(&read(&root().join("Cargo.toml")));
     assert!(names.len() > 5, "the manifest was not understood: {names:?}");
@@ -144,7 +158,7 @@ fn every_dependency_has_its_line_in_the_architecture_document() {
 }
 
 #[test]
-fn a_dependency_without_its_line_is_noticed() {
+fn an_unexplained_dependency_is_detected() {
     let manifest = "[package]\nname = \"x\"\n[workspace.dependencies]\nserde = \"1\"\n# a = \"1\"\n\
                     relume-x = { path = \"x\" }\nzip = { version = \"9\" }\n[dev-dependencies]\ndivan = \"1\"\n";
     assert_eq!(dependencies(manifest), ["serde", "zip"]);
@@ -163,7 +177,8 @@ fn forbidden(module: &str, code: &str) -> Vec<String> {
     let names = lines.flat_map(|line| line.split("crate::").skip(1)).map(|rest| {
         rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or_default().to_owned()
     });
-    let is_forbidden = |name: &String| !name.is_empty() && name != module && !allowed.contains(&name.as_str());
+    let is_forbidden =
+        |name: &String| !name.is_empty() && name != module && !allowed.contains(&name.as_str());
     names.filter(is_forbidden).collect()
 }
 
@@ -187,9 +202,13 @@ fn tests_of(code: &str) -> Vec<String> {
 /// Files that a text names: of code the comments count, of documents all of it.
 fn named_files(path: &str, text: &str) -> BTreeSet<String> {
     let is_code = path.ends_with(".rs") || path.ends_with(".wgsl");
-    let lines = text.lines().filter_map(|line| if is_code { line.split_once("//").map(|(_, c)| c) } else { Some(line) });
-    let words = lines.flat_map(|line| line.split(|c: char| !(c.is_ascii_alphanumeric() || "_./-".contains(c))));
-    let ends = |word: &str| [".rs", ".wgsl", ".md"].iter().any(|end| word.ends_with(end) && word.len() > end.len());
+    let lines = text
+        .lines()
+        .filter_map(|line| if is_code { line.split_once("//").map(|(_, c)| c) } else { Some(line) });
+    let words =
+        lines.flat_map(|line| line.split(|c: char| !(c.is_ascii_alphanumeric() || "_./-".contains(c))));
+    let ends =
+        |word: &str| [".rs", ".wgsl", ".md"].iter().any(|end| word.ends_with(end) && word.len() > end.len());
     words.map(|word| word.trim_matches('.')).filter(|word| ends(word)).map(str::to_owned).collect()
 }
 

@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+use relume::testing;
 use relume_api::jobs::JobState;
 use relume_client::Client;
-use relume::testing;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
@@ -51,7 +51,7 @@ async fn upload_for_ever(client: Client) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_backup_during_training_and_uploads_is_whole_and_the_job_goes_on() {
+async fn backup_during_training_and_uploads_is_complete() {
     let (data, folder) = (TempDir::new().unwrap(), TempDir::new().unwrap());
     let server = Server::start(data.path());
     let client = &server.client;
@@ -88,7 +88,7 @@ async fn a_backup_during_training_and_uploads_is_whole_and_the_job_goes_on() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_whose_checkpoint_goes_before_it_is_copied_starts_over() {
+async fn restored_job_without_its_checkpoint_starts_over() {
     let server = testing::spawn().await.unwrap();
     let capture = server.client().upload_capture_bytes(capture_zip()).await.unwrap();
     let job = server.client().create_job(&small_job(&capture.id, ENDLESS, 100), None).await.unwrap();
@@ -118,7 +118,7 @@ async fn backed_up() -> (TempDir, TempDir) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn half_a_backup_is_refused_and_so_is_a_damaged_one() {
+async fn an_incomplete_or_damaged_backup_is_refused() {
     let (_data, out) = backed_up().await;
     let folder = TempDir::new().unwrap();
     let elsewhere = folder.path().join("elsewhere");
@@ -155,7 +155,7 @@ async fn half_a_backup_is_refused_and_so_is_a_damaged_one() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn half_a_restoration_is_not_served() {
+async fn an_incomplete_restore_is_not_served() {
     let (_data, out) = backed_up().await;
     let data = TempDir::new().unwrap();
     std::fs::copy(out.path().join("backup.db"), data.path().join("relume.db.restoring")).unwrap();
@@ -167,7 +167,7 @@ async fn half_a_restoration_is_not_served() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_backed_up_is_named_and_nothing_is_left_of_the_backup() {
+async fn a_failed_backup_names_the_cause_and_leaves_nothing() {
     let (data, out) = backed_up().await;
     fails_with(&backup(data.path(), out.path()), "is not empty");
     fails_with(&backup(&data.path().join("nowhere"), &out.path().join("a")), "no data directory");
@@ -205,7 +205,7 @@ async fn tamper(backup: &Path, change: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_backup_that_names_files_elsewhere_is_refused() {
+async fn a_backup_with_paths_outside_itself_is_refused() {
     let (_data, out) = backed_up().await;
     let folder = TempDir::new().unwrap();
     let victim = folder.path().join("victim");

@@ -103,7 +103,7 @@ async fn an_accepted_job_and_its_capture_survive_kill_9() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn half_an_upload_of_a_killed_server_is_swept_away_and_nothing_else_is() {
+async fn startup_removes_only_the_partial_upload_of_a_killed_server() {
     let data = TempDir::new().unwrap();
     let server = Server::start(data.path());
     let (sender, receiver) = futures::channel::mpsc::unbounded::<Result<Vec<u8>, std::io::Error>>();
@@ -125,7 +125,7 @@ async fn half_an_upload_of_a_killed_server_is_swept_away_and_nothing_else_is() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn sigterm_checkpoints_releases_the_lease_and_ends_well() {
+async fn sigterm_writes_a_checkpoint_and_exits_successfully() {
     let data = TempDir::new().unwrap();
     let mut server = Server::start(data.path());
     let job = submit(&server.client, 200).await;
@@ -138,7 +138,7 @@ async fn sigterm_checkpoints_releases_the_lease_and_ends_well() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_full_disk_gives_507_and_no_corruption() {
+async fn a_full_disk_answers_507_without_corruption() {
     let data = TempDir::new().unwrap();
     // No file may grow beyond 1 MiB, which the server meets as it would meet a quota.
     let mut shell = Command::new("bash");

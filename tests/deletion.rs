@@ -4,13 +4,13 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use relume::jobs::ManualClock;
+use relume::store::{Deletion, Retention, StoreError};
+use relume::testing::{self, TestServer};
 use relume_api::TenantId;
 use relume_api::jobs::{JobState, NewJob};
 use relume_api::{CaptureId, Problem, ResourceKind, ResourceName};
 use relume_client::{Client, ClientError};
-use relume::jobs::ManualClock;
-use relume::store::{Deletion, Retention, StoreError};
-use relume::testing::{self, TestServer};
 use relume_spec::training::{KnownLight, LightExposure};
 use reqwest::Method;
 use tempfile::TempDir;
@@ -75,7 +75,7 @@ async fn status(server: &TestServer, path: &str) -> u16 {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_deleted_is_gone_and_nothing_of_it_is_left() {
+async fn deleted_resources_answer_404_and_leave_no_files_or_rows() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let job = trained(client).await;
@@ -125,7 +125,7 @@ async fn what_is_deleted_is_gone_and_nothing_of_it_is_left() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_deleted_job_leaves_its_model() {
+async fn deleting_a_job_keeps_its_model() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let job = trained(client).await;
@@ -146,7 +146,7 @@ async fn a_deleted_job_leaves_its_model() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_capture_that_jobs_need_is_in_use_and_cascade_takes_them_along() {
+async fn delete_of_a_used_capture_answers_409_or_cascades_to_jobs() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -183,7 +183,7 @@ async fn a_capture_that_jobs_need_is_in_use_and_cascade_takes_them_along() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_job_may_need_again_is_in_use() {
+async fn inputs_of_a_retryable_job_cannot_be_deleted() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -217,7 +217,7 @@ async fn with_capture() -> (TempDir, CaptureId) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_on_what_was_deleted_meanwhile_is_not_queued() {
+async fn a_job_on_a_just_deleted_capture_is_refused() {
     let (data, capture) = with_capture().await;
     let store = open_store(data.path()).await;
     let job =
@@ -232,7 +232,7 @@ async fn a_job_on_what_was_deleted_meanwhile_is_not_queued() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_server_that_died_after_a_deletion_is_followed_by_one_that_sweeps() {
+async fn startup_completes_a_deletion_interrupted_by_a_crash() {
     let (data, capture) = with_capture().await;
     let store = open_store(data.path()).await;
     store
@@ -267,7 +267,7 @@ async fn delete_everything(client: &Client) -> Result<(), ClientError> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn kills_while_things_are_deleted_leave_no_file_and_no_row() {
+async fn kills_during_deletion_leave_no_files_or_rows() {
     let data = TempDir::new().unwrap();
     for delay in [0, 5, 15, 40, 100, 250] {
         let server = Server::start(data.path());
@@ -297,7 +297,7 @@ async fn kills_while_things_are_deleted_leave_no_file_and_no_row() {
 const DAY: Duration = Duration::from_secs(24 * 3600);
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_kept_for_long_enough_goes_unless_it_is_needed() {
+async fn retention_deletes_old_resources_that_are_not_in_use() {
     let clock = Arc::new(ManualClock::default());
     clock.advance(1000 * DAY);
     let with = |days: [Option<u32>; 3]| {

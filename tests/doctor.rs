@@ -34,7 +34,7 @@ async fn used() -> TempDir {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn damaged_missing_and_unknown_artifacts_are_named() {
+async fn doctor_reports_damaged_missing_and_unknown_artifacts() {
     let data = used().await;
     let (sound, said) = doctor(data.path());
     assert!(sound && said.contains("3 named by the database, 0 not"), "{said}");
@@ -57,7 +57,7 @@ async fn damaged_missing_and_unknown_artifacts_are_named() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_damaged_database_is_named() {
+async fn doctor_reports_a_damaged_database() {
     let data = used().await;
     let path = data.path().join("relume.db");
     let sound = std::fs::read(&path).unwrap();
@@ -79,7 +79,7 @@ async fn a_damaged_database_is_named() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn artifacts_without_their_database_are_not_served() {
+async fn artifacts_without_a_database_are_not_served() {
     let data = used().await;
     std::fs::rename(data.path().join("relume.db"), data.path().join("elsewhere")).unwrap();
     let before = files_under(data.path());
@@ -92,7 +92,7 @@ async fn artifacts_without_their_database_are_not_served() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_database_of_a_newer_version_is_not_touched() {
+async fn a_database_with_a_newer_schema_is_refused() {
     let data = used().await;
     let path = data.path().join("relume.db");
     let pool = sqlx::SqlitePool::connect(&format!("sqlite:{}", path.display())).await.unwrap();

@@ -5,19 +5,19 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use glam::DVec3;
-use relume_capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume::cli::eval::{EvalArgs, QualityArgs, run};
+use relume_capture::formats::model_file;
+use relume_capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume_engine::Device;
 use relume_engine::DeviceChoice;
-use relume_train::eval::{
-    DisplayImage, EvalError, EvalOptions, Lpips, Report, TruthLayer, attribute, contact_sheet, evaluate,
-};
-use relume_capture::formats::model_file;
-use relume_train::render::{Frame, Renderer};
-use relume_spec::rendering::{Output, Tier};
 use relume_scene::{
     BitDepth, Camera, EnvMap, Field, Gaussians, ImageRgba, Model, PackedImage, Plane, ShadeAt, ShadingOptions,
 };
+use relume_spec::rendering::{Output, Tier};
+use relume_train::eval::{
+    DisplayImage, EvalError, EvalOptions, Lpips, Report, TruthLayer, attribute, contact_sheet, evaluate,
+};
+use relume_train::render::{Frame, Renderer};
 
 const SIDE: u32 = 40;
 
@@ -123,7 +123,7 @@ fn measured(model: &Arc<Model>, capture: &Capture) -> Report {
 }
 
 #[test]
-fn a_model_is_perfect_against_what_it_drew_itself() {
+fn a_model_scores_perfectly_on_its_own_renders() {
     let model = Arc::new(model());
     let report = measured(&model, &drawn_by(&model));
     assert!(report.novel_view.psnr.unwrap() > 80.0, "{:?}", report.novel_view);
@@ -140,7 +140,7 @@ fn a_model_is_perfect_against_what_it_drew_itself() {
 }
 
 #[test]
-fn every_figure_notices_when_its_own_truth_is_spoilt() {
+fn every_metric_responds_to_errors_in_its_own_ground_truth() {
     let model = Arc::new(model());
     let mut capture = drawn_by(&model);
     for view in &mut capture.test {
@@ -175,7 +175,7 @@ fn every_figure_notices_when_its_own_truth_is_spoilt() {
 }
 
 #[test]
-fn the_truth_in_place_of_the_one_spoilt_layer_repairs_the_picture() {
+fn ground_truth_in_place_of_a_corrupted_layer_restores_psnr() {
     let model = Arc::new(model());
     let capture = drawn_by(&model);
     let mut dark = (*model).clone();
@@ -206,7 +206,7 @@ fn the_truth_in_place_of_the_one_spoilt_layer_repairs_the_picture() {
 }
 
 #[test]
-fn what_cannot_be_measured_is_null_and_the_notes_say_why() {
+fn unavailable_metrics_are_null_with_an_explaining_note() {
     let model = Arc::new(Model { card: serde_json::Value::Null, ..model() });
     let mut capture = drawn_by(&model);
     capture.lights.clear();
@@ -238,7 +238,7 @@ fn frame_rates_are_reported_for_every_tier() {
 }
 
 #[test]
-fn a_layer_of_another_size_is_refused_by_view_and_layer() {
+fn a_layer_of_wrong_size_is_refused_with_view_and_layer_name() {
     let model = Arc::new(model());
     let mut capture = drawn_by(&model);
     let albedo = capture.test[1].truth.albedo.as_mut().unwrap();
@@ -261,7 +261,7 @@ fn a_capture_without_held_out_views_is_refused() {
 }
 
 #[test]
-fn the_contact_sheet_is_a_png_with_a_cell_a_column_and_a_band_a_view() {
+fn contact_sheet_is_a_png_with_a_row_per_view() {
     let model = Arc::new(model());
     let capture = drawn_by(&model);
     let sheet = contact_sheet(model, &capture, Tier::Standard, 2, &Device::Cpu).unwrap();
@@ -288,7 +288,7 @@ fn arguments(model: PathBuf, capture: PathBuf, json: PathBuf) -> EvalArgs {
 }
 
 #[test]
-fn the_command_names_the_file_at_fault_and_checks_outputs_first() {
+fn eval_command_names_the_bad_file_and_checks_outputs_first() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
     std::fs::write(file("model"), b"no model").unwrap();
@@ -309,7 +309,7 @@ fn the_command_names_the_file_at_fault_and_checks_outputs_first() {
 /// Tests on LPIPS weights and on a real scene.
 mod with_data {
     use super::*;
-    use crate::requirements::data;
+    use relume_fixtures::data;
 
     fn picture(path: PathBuf) -> DisplayImage {
         let image = image::open(path).unwrap().into_rgb32f();
@@ -319,7 +319,7 @@ mod with_data {
 
     #[test]
     #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
-    fn lpips_gives_its_authors_published_figures() {
+    fn lpips_matches_the_published_values() {
         let folder = data("lpips");
         let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
         let image = |name: &str| picture(folder.join("reference_images").join(name));
@@ -337,7 +337,7 @@ mod with_data {
 
     #[test]
     #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
-    fn lpips_of_pictures_too_small_for_the_network_is_absent() {
+    fn lpips_is_absent_for_images_too_small_for_the_network() {
         let folder = data("lpips");
         let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
         let flat =
@@ -349,7 +349,7 @@ mod with_data {
 
     #[test]
     #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
-    fn lpips_enters_the_report_when_its_weights_are_given() {
+    fn lpips_is_reported_when_weights_are_given() {
         let folder = data("lpips");
         let lpips = Lpips::read(&folder.join("lpips_alex_v0.1.safetensors")).unwrap();
         let model = Arc::new(model());
@@ -367,7 +367,7 @@ mod with_data {
 
     #[test]
     #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
-    fn the_command_writes_json_markdown_and_a_sheet_for_a_real_scene() {
+    fn eval_command_writes_json_markdown_and_contact_sheet() {
         let scene = data("scenes/helmet");
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);

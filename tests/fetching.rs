@@ -10,9 +10,9 @@ use axum::extract::State;
 use axum::http::{StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
-use relume_api::uploads::CaptureSource;
 use relume::server::ServerConfig;
 use relume::testing::{self, TestServer};
+use relume_api::uploads::CaptureSource;
 use reqwest::Method;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -86,7 +86,7 @@ async fn make(server: &TestServer, source: Value) -> (u16, Value) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_capture_is_fetched_once_and_is_what_was_asked_for() {
+async fn a_capture_is_fetched_once_from_a_url_and_hash_checked() {
     let source = Source::new().await;
     let server = server(&source.origin, |_| {}).await;
     let url = format!("{}/capture.zip?token=a", source.origin);
@@ -118,7 +118,7 @@ async fn a_capture_is_fetched_once_and_is_what_was_asked_for() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_upload_of_another_hash_is_refused_and_stays() {
+async fn an_upload_with_a_wrong_hash_is_refused_and_kept() {
     let server = testing::spawn().await.unwrap();
     let (client, archive) = (server.client(), capture_zip());
     let id = client.begin_upload(archive.len() as u64).await.unwrap();
@@ -131,7 +131,7 @@ async fn an_upload_of_another_hash_is_refused_and_stays() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nothing_is_fetched_from_where_the_operator_does_not_let_it() {
+async fn fetching_from_origins_that_are_not_allowed_is_refused() {
     let (source, other) = (Source::new().await, Source::new().await);
     let by_name = source.origin.replace("127.0.0.1", "localhost");
     let strict = server(&by_name, |config| config.fetching.allow_private = false).await;
@@ -161,7 +161,7 @@ async fn nothing_is_fetched_from_where_the_operator_does_not_let_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_fetched_says_why_and_nothing_is_left() {
+async fn a_failed_fetch_reports_the_cause_and_leaves_nothing() {
     let source = Source::new().await;
     let server = server(&source.origin, |config| config.limits.capture_bytes = 1 << 20).await;
     for (path, status, word) in [

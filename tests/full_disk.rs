@@ -52,7 +52,7 @@ fn let_files_grow(server: &Server, grow: bool) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn writes_that_failed_spoil_no_later_ones_and_a_training_goes_on() {
+async fn after_a_full_disk_writes_succeed_and_training_resumes() {
     let data = TempDir::new().unwrap();
     let mut shell = Command::new("bash");
     shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
@@ -90,7 +90,7 @@ async fn writes_that_failed_spoil_no_later_ones_and_a_training_goes_on() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_thumbnail_is_sent_while_the_disk_is_full_and_cached_once_it_is_not() {
+async fn thumbnails_are_served_but_not_cached_while_the_disk_is_full() {
     let data = TempDir::new().unwrap();
     let mut shell = Command::new("bash");
     shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
@@ -164,7 +164,7 @@ impl SmallDisk {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs Linux that lets users mount a tmpfs in a namespace of their own"]
-async fn a_training_pauses_at_its_last_checkpoint_while_the_disk_is_full() {
+async fn training_pauses_at_its_checkpoint_while_the_disk_is_full() {
     let small = SmallDisk::start();
     let client = &small.server.client;
     let job = start_job(client, ENDLESS).await;

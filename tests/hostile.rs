@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use relume_client::Client;
-use relume_capture::formats::exr_image;
 use relume::testing::{self, TestServer};
+use relume_capture::formats::exr_image;
+use relume_client::Client;
 use reqwest::{Method, header};
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -80,7 +80,7 @@ fn png_header(side: u32) -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn bad_archives_are_refused_by_name_and_leave_nothing_behind() {
+async fn invalid_archives_are_refused_with_a_code_and_leave_nothing() {
     let server = testing::spawn().await.unwrap();
     let zip = capture_zip();
     let damaged = "capture_archive_damaged";
@@ -98,7 +98,7 @@ async fn bad_archives_are_refused_by_name_and_leave_nothing_behind() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn bad_images_are_refused_by_name_and_leave_nothing_behind() {
+async fn invalid_images_are_refused_with_the_file_and_leave_nothing() {
     let server = testing::spawn().await.unwrap();
     let image = |bytes: Vec<u8>| spoiled(|c| c.images[3].1 = bytes);
     let named = "r_3.png";
@@ -110,7 +110,7 @@ async fn bad_images_are_refused_by_name_and_leave_nothing_behind() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn bad_cameras_are_refused_by_field_and_leave_nothing_behind() {
+async fn invalid_cameras_are_refused_with_the_field_and_leave_nothing() {
     let server = testing::spawn().await.unwrap();
     let singular = spoiled(|c| c.transforms["frames"][2]["transform_matrix"] = json!(vec![[0.0; 4]; 4]));
     refuse_capture(&server, singular, "capture_field_invalid", "transform_matrix").await;
@@ -127,7 +127,7 @@ async fn bad_cameras_are_refused_by_field_and_leave_nothing_behind() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn bad_environments_are_refused_and_leave_nothing_behind() {
+async fn invalid_environments_are_refused_and_leave_nothing() {
     let server = testing::spawn().await.unwrap();
     let mut texels = vec![[1.0f32; 3]; 8];
     texels[5][1] = f32::NAN;
@@ -143,7 +143,7 @@ async fn bad_environments_are_refused_and_leave_nothing_behind() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn forms_with_the_wrong_fields_are_refused_and_leave_nothing_behind() {
+async fn forms_with_wrong_fields_are_refused_and_leave_nothing() {
     let server = testing::spawn().await.unwrap();
     let form = |fields: &[&'static str]| {
         fields.iter().fold(reqwest::multipart::Form::new(), |form, name| {
@@ -203,7 +203,7 @@ async fn a_body_of_two_gigabytes_is_refused_before_it_is_sent() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_body_of_unknown_length_is_cut_off_at_the_limit() {
+async fn a_chunked_body_over_the_limit_answers_413() {
     let limits = |c: &mut relume::server::ServerConfig| c.limits.capture_bytes = 1 << 20;
     let server = testing::spawn_with(tempfile::tempdir().unwrap(), limits).await.unwrap();
     let head = "POST /v1/captures HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\n\
@@ -216,7 +216,7 @@ async fn a_body_of_unknown_length_is_cut_off_at_the_limit() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_upload_that_breaks_off_leaves_nothing_behind() {
+async fn an_interrupted_upload_leaves_nothing_behind() {
     let server = testing::spawn().await.unwrap();
     lives(&server).await;
     let before = files_under(server.data_dir());

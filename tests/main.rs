@@ -5,34 +5,26 @@
 
 mod architecture;
 mod backup;
-mod captures;
 mod crash;
 mod deletion;
 mod doctor;
 mod errors;
 mod eval;
-mod exposures;
-mod extremes;
 #[cfg(target_os = "linux")]
 mod faults;
 mod fetching;
 #[cfg(target_os = "linux")]
 mod full_disk;
 mod fuzz;
-mod gpu;
-mod gpu_rays;
 mod hostile;
 mod job_machine;
 mod kills;
-mod lights;
 mod marks;
 mod on_postgres;
 mod poses;
 mod promises;
 mod quality_gate;
-mod reference;
 mod render_sequence;
-mod requirements;
 mod s3;
 mod schedulers;
 mod server_process;
@@ -65,10 +57,7 @@ mod service_validation;
 mod service_viewer;
 mod service_web;
 mod stored_files;
-mod tiers;
 mod traces;
-mod training;
-mod turntable;
 mod usage;
 mod webhooks;
 mod workers;

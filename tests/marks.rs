@@ -3,14 +3,14 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume_api::TenantId;
-use relume_api::jobs::{JobChange, NewJob};
-use relume_api::metadata::{ResourceMetadata, MetadataChange};
-use relume_spec::CaptureReport;
-use relume_client::Client;
 use relume::jobs::ManualClock;
 use relume::store::{CaptureRecord, EnvironmentRecord, Retention, StoreError};
 use relume::testing;
+use relume_api::TenantId;
+use relume_api::jobs::{JobChange, NewJob};
+use relume_api::metadata::{MetadataChange, ResourceMetadata};
+use relume_client::Client;
+use relume_spec::CaptureReport;
 use reqwest::Method;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -55,7 +55,7 @@ fn change(body: Value) -> MetadataChange {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn things_are_called_what_was_said_when_they_were_made_and_a_model_what_its_job_is() {
+async fn resources_get_metadata_at_creation_and_models_from_their_job() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let query = "name=Lion%20head&external_id=asset-7&labels=show:alpha,shot:sc-010";
@@ -94,7 +94,7 @@ async fn things_are_called_what_was_said_when_they_were_made_and_a_model_what_it
 }
 
 #[tokio::test]
-async fn a_capture_and_a_map_are_written_down_together_with_what_they_are_called() {
+async fn resources_and_their_metadata_are_stored_in_one_transaction() {
     let folder = TempDir::new().unwrap();
     let store = open_store(folder.path()).await;
     let tenant = TenantId::of_operator();
@@ -148,7 +148,7 @@ async fn a_capture_and_a_map_are_written_down_together_with_what_they_are_called
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn lists_have_what_is_called_so_and_nothing_else() {
+async fn lists_can_be_filtered_by_metadata() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let (_, first) = upload(client, "/v1/captures?name=a&labels=show:x,shot:1", capture_zip()).await;
@@ -197,7 +197,7 @@ async fn lists_have_what_is_called_so_and_nothing_else() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_thing_may_not_be_called_is_refused_by_field_and_changes_nothing() {
+async fn invalid_metadata_is_refused_with_the_field_and_not_stored() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let long = "n".repeat(201);
@@ -250,7 +250,7 @@ async fn what_a_thing_may_not_be_called_is_refused_by_field_and_changes_nothing(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_nothing_can_be_called_is_not_looked_for() {
+async fn invalid_metadata_filters_are_refused() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let many: Vec<String> = (0..17).map(|n| format!("k{n}:v")).collect();
@@ -282,7 +282,7 @@ async fn what_nothing_can_be_called_is_not_looked_for() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_that_has_ended_changes_its_name_and_not_its_place() {
+async fn a_finished_job_can_change_its_name_but_not_its_priority() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -300,7 +300,7 @@ async fn a_job_that_has_ended_changes_its_name_and_not_its_place() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_labelled_to_be_kept_is_not_deleted_by_age() {
+async fn resources_with_the_keep_label_are_not_deleted_by_age() {
     let clock = Arc::new(ManualClock::default());
     let day = Duration::from_secs(24 * 3600);
     let with = |keep: Option<Duration>| {

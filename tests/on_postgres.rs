@@ -6,13 +6,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::future::join_all;
-use relume_api::TenantId;
-use relume_api::jobs::{JobState, NewJob};
-use relume_client::Client;
 use relume::jobs::{Jobs, LeasePolicy, Origin, RandomIds, SystemClock};
 use relume::server::{ServeError, ServerConfig, WebhookPolicy};
 use relume::store::{self, CopiedTable, DatabaseLocation, DatabaseUrl, StoreError};
 use relume::testing::{self, database_name, database_of};
+use relume_api::TenantId;
+use relume_api::jobs::{JobState, NewJob};
+use relume_client::Client;
 use reqwest::Method;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -49,7 +49,7 @@ async fn told(client: &Client) -> Vec<Value> {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL: .ci/postgres"]
-async fn on_postgres_everything_moves_there_and_back_and_a_copy_onto_something_is_refused() {
+async fn on_postgres_database_copy_round_trips_and_needs_empty_target() {
     let data = TempDir::new().unwrap();
     let hooks = WebhookPolicy { allow_http: true, allow_private: true, ..WebhookPolicy::default() };
     let change = |config: &mut ServerConfig| {
@@ -92,7 +92,7 @@ async fn on_postgres_everything_moves_there_and_back_and_a_copy_onto_something_i
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL: .ci/postgres"]
-async fn on_postgres_a_second_server_is_refused_until_the_first_has_ended() {
+async fn on_postgres_a_second_server_is_refused_until_the_first_stops() {
     let (data, other) = (TempDir::new().unwrap(), TempDir::new().unwrap());
     let url = database(data.path()).await;
     let first = testing::spawn_with(data, |_| {}).await.unwrap();
@@ -128,17 +128,17 @@ async fn cut_locks(data: &Path) -> i64 {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL: .ci/postgres"]
-async fn on_postgres_a_first_server_whose_lock_was_lost_takes_it_again_or_learns_who_has_it() {
+async fn on_postgres_a_lost_server_lock_is_retaken_if_still_free() {
     let data = TempDir::new().unwrap();
     let store = open_store(data.path()).await;
     let mut first = store.lock_database().await.unwrap();
-    first.keep().await.unwrap();
+    first.renew().await.unwrap();
     assert_eq!(cut_locks(data.path()).await, 1);
-    first.keep().await.unwrap();
+    first.renew().await.unwrap();
     assert!(matches!(store.lock_database().await, Err(StoreError::DatabaseLocked)), "it has the lock again");
     assert_eq!(cut_locks(data.path()).await, 1);
     let _second = store.lock_database().await.unwrap();
-    assert!(matches!(first.keep().await, Err(StoreError::DatabaseLocked)));
+    assert!(matches!(first.renew().await, Err(StoreError::DatabaseLocked)));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -178,7 +178,7 @@ async fn on_postgres_many_workers_claim_each_job_once_and_in_order() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL: .ci/postgres"]
-async fn on_postgres_a_training_outlives_its_database() {
+async fn on_postgres_training_survives_a_database_outage() {
     let data = TempDir::new().unwrap();
     let name = database_name(data.path());
     let server = testing::spawn_with(data, |_| {}).await.unwrap();
@@ -209,7 +209,7 @@ async fn on_postgres_a_training_outlives_its_database() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL: .ci/postgres"]
-async fn on_postgres_a_backup_is_one_of_sqlite_and_a_server_starts_on_it() {
+async fn on_postgres_a_backup_is_sqlite_and_can_be_restored() {
     let server = testing::spawn_with(TempDir::new().unwrap(), |_| {}).await.unwrap();
     let url = database(server.data_dir()).await;
     let client = server.client();
@@ -234,7 +234,7 @@ async fn on_postgres_a_backup_is_one_of_sqlite_and_a_server_starts_on_it() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL: .ci/postgres"]
-async fn on_postgres_doctor_reads_what_the_database_names() {
+async fn on_postgres_doctor_checks_files_named_in_the_database() {
     let server = testing::spawn_with(TempDir::new().unwrap(), |_| {}).await.unwrap();
     let url = std::env::var("RELUME_TEST_POSTGRES").unwrap();
     let url = format!("{}/{}", url.rsplit_once('/').unwrap().0, database_name(server.data_dir()));

@@ -4,16 +4,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::TryStreamExt;
+use relume::testing;
 use relume_api::JobId;
 use relume_api::jobs::{JobState, NewJob};
 use relume_api::quality::{Figures, QualityGate};
-use relume_capture::{self, ImportOptions};
+use relume_capture::ImportOptions;
+use relume_capture::formats::model_file;
 use relume_client::{Client, JobEvent};
 use relume_engine::Device;
-use relume_train::eval::{EvalOptions, Report, evaluate};
-use relume_capture::formats::model_file;
 use relume_spec::rendering::Tier;
-use relume::testing;
+use relume_train::eval::{EvalOptions, Report, evaluate};
 use reqwest::Method;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -39,7 +39,7 @@ fn evaluated(model: &[u8], archive: &[u8], tier: Tier) -> Report {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), archive).unwrap();
     let options = ImportOptions { max_side: Some(32), ..ImportOptions::default() };
-    let capture = capture::import(file.path(), &options).unwrap();
+    let capture = relume_capture::import(file.path(), &options).unwrap();
     let options = EvalOptions {
         quality: tier.into(),
         frame_rate_time: Duration::ZERO,
@@ -50,7 +50,7 @@ fn evaluated(model: &[u8], archive: &[u8], tier: Tier) -> Report {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_tells_what_its_model_reaches_on_held_out_views() {
+async fn a_job_reports_metrics_on_held_out_views() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     // Twice the size of the training, and one photograph is missing.
@@ -85,7 +85,7 @@ async fn a_job_tells_what_its_model_reaches_on_held_out_views() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_model_that_misses_its_gate_is_kept_and_its_job_rejected() {
+async fn a_job_that_misses_its_gate_is_rejected_and_keeps_its_model() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -128,7 +128,7 @@ async fn a_model_that_misses_its_gate_is_kept_and_its_job_rejected() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_gate_that_cannot_be_measured_is_refused_by_the_entry() {
+async fn a_gate_on_an_unknown_metric_is_refused_with_a_pointer() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -183,7 +183,7 @@ async fn told(client: &Client, job: &JobId) -> (usize, Vec<i64>) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_killed_while_its_model_is_compared_goes_on_from_its_checkpoint_and_ends_once() {
+async fn a_job_killed_during_evaluation_resumes_and_ends_once() {
     let data = TempDir::new().unwrap();
     let server = Server::start(data.path());
     let id = while_comparing(&server.client).await;
@@ -196,7 +196,7 @@ async fn a_job_killed_while_its_model_is_compared_goes_on_from_its_checkpoint_an
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_shutdown_while_a_model_is_compared_trains_no_step_twice() {
+async fn a_shutdown_during_evaluation_repeats_no_training_step() {
     let server = testing::spawn().await.unwrap();
     let id = while_comparing(server.client()).await;
     let server = testing::spawn_with(server.stop().await.unwrap(), |_| {}).await.unwrap();
@@ -206,7 +206,7 @@ async fn a_shutdown_while_a_model_is_compared_trains_no_step_twice() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_is_cancelled_while_its_model_is_compared() {
+async fn a_job_can_be_cancelled_during_evaluation() {
     let server = testing::spawn().await.unwrap();
     let id = while_comparing(server.client()).await;
     assert_eq!(server.client().cancel_job(&id).await.unwrap().state, JobState::Cancelling);

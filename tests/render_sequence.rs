@@ -43,7 +43,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn a_turntable_is_the_pictures_one_by_one_and_goes_on_where_it_was_stopped() {
+fn turntable_frames_equal_single_renders_and_can_be_resumed() {
     let folder = with_model();
     let at = folder.path();
     let light = ["render", "m.safetensors", "--env", "studio", "--device", "cpu", "--size", "24"];
@@ -83,7 +83,7 @@ fn a_turntable_is_the_pictures_one_by_one_and_goes_on_where_it_was_stopped() {
 }
 
 #[test]
-fn cameras_of_files_make_frames_and_what_makes_none_is_refused_before() {
+fn camera_files_are_rendered_and_invalid_ones_refused_first() {
     let folder = with_model();
     let at = folder.path();
     let look = |x: f64| json!({ "camera": { "look_at": { "eye": [x, 1, 1], "target": [0, 0, 0], "fov_y_deg": 40 } } });
@@ -95,7 +95,8 @@ fn cameras_of_files_make_frames_and_what_makes_none_is_refused_before() {
     succeeds(at, &[&path[..], &["--resolution", "64x32", "--out", "g/%d.png"]].concat());
     assert_eq!(names(&at.join("g")), ["1.png", "2.png"]);
     let picture = |name: &str| {
-        relume_capture::formats::image_file::decode(&fs::read(at.join("g").join(name)).unwrap(), 1 << 20).unwrap()
+        relume_capture::formats::image_file::decode(&fs::read(at.join("g").join(name)).unwrap(), 1 << 20)
+            .unwrap()
     };
     assert_eq!((picture("1.png").width, picture("1.png").height), (64, 32));
     assert_ne!(picture("1.png"), picture("2.png"));

@@ -29,7 +29,7 @@ fn events(output: &Output) -> Vec<Value> {
 }
 
 #[test]
-fn json_progress_is_an_object_a_line_and_the_last_one_names_the_file() {
+fn json_progress_writes_one_object_per_line() {
     let folder = TempDir::new().unwrap();
     let json = ["--iterations", "12", "--progress", "json", "--out", "m.safetensors"];
     let output = train(folder.path(), &json).output().unwrap();
@@ -55,7 +55,7 @@ fn json_progress_is_an_object_a_line_and_the_last_one_names_the_file() {
 }
 
 #[test]
-fn openjd_progress_is_lines_of_its_protocol() {
+fn openjd_progress_follows_the_openjd_protocol() {
     let folder = TempDir::new().unwrap();
     let openjd = ["--iterations", "12", "--progress", "openjd", "--out", "m.safetensors"];
     let output = train(folder.path(), &openjd).output().unwrap();
@@ -104,7 +104,7 @@ mod stops {
     }
 
     #[test]
-    fn a_stopped_training_is_kept_and_goes_on_to_the_same_model() {
+    fn a_stopped_training_resumes_to_the_same_model() {
         let folder = TempDir::new().unwrap();
         let at = folder.path();
         let steps = ["--iterations", "600", "--set", "checkpoint_every=100000"];
@@ -139,7 +139,7 @@ mod stops {
     }
 
     #[test]
-    fn without_a_checkpoint_a_signal_ends_a_training_at_once() {
+    fn without_a_checkpoint_path_a_signal_ends_training_at_once() {
         let folder = TempDir::new().unwrap();
         for (signal, number) in [("TERM", 15), ("INT", 2)] {
             let (mut child, _reader) = started(folder.path(), &["--iterations", "5000"]);
@@ -150,7 +150,7 @@ mod stops {
     }
 
     #[test]
-    fn the_second_signal_ends_it_at_once() {
+    fn a_second_signal_ends_training_at_once() {
         let folder = TempDir::new().unwrap();
         let code = || {
             let (mut child, _reader) = started(folder.path(), &["--iterations", "5000", "--checkpoint", "c"]);

@@ -1,15 +1,15 @@
 //! The service from outside: upload, train, look, download, render.
 
+use relume::server::ServerConfig;
+use relume::testing;
 use relume_api::CaptureId;
 use relume_api::cameras::{CameraSpec, LookAtSpec};
 use relume_api::jobs::{JobState, NewJob};
 use relume_api::renders::RenderRequest;
+use relume_capture::formats::image_file;
 use relume_engine::Device;
 use relume_engine::DeviceChoice;
-use relume_capture::formats::image_file;
 use relume_spec::rendering::{Background, ColourDepth, FrameFormat, Output, ToneCurve};
-use relume::server::ServerConfig;
-use relume::testing;
 
 use crate::service_support::{capture_zip, ended, small_job, trained, until};
 
@@ -85,7 +85,7 @@ async fn steps_waited_during(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_a_gpu_a_thumbnail_waits_for_no_training_step() {
+async fn without_a_gpu_thumbnails_do_not_wait_for_training_steps() {
     let folder = tempfile::TempDir::new().unwrap();
     let on_cpu = |config: &mut ServerConfig| config.worker.device = DeviceChoice::Cpu;
     let server = testing::spawn_with(folder, on_cpu).await.unwrap();
@@ -103,8 +103,8 @@ async fn without_a_gpu_a_thumbnail_waits_for_no_training_step() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-async fn thumbnails_during_a_training_on_a_gpu_wait_for_no_step_but_the_one_at_work() {
-    let Device::Gpu(gpu) = crate::requirements::gpu_device() else { panic!("the device is a GPU") };
+async fn on_a_gpu_thumbnails_wait_for_at_most_one_training_step() {
+    let Device::Gpu(gpu) = relume_reference::gpu_device() else { panic!("the device is a GPU") };
     let index = gpu.report().index;
     let folder = tempfile::TempDir::new().unwrap();
     let on_gpu = |config: &mut ServerConfig| config.worker.device = DeviceChoice::Gpu(Some(index));
@@ -117,7 +117,7 @@ async fn thumbnails_during_a_training_on_a_gpu_wait_for_no_step_but_the_one_at_w
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_server_without_a_gpu_refuses_jobs_that_ask_for_one_and_one_that_has_none_does_not_start() {
+async fn a_missing_gpu_refuses_gpu_jobs_and_stops_startup() {
     let folder = tempfile::TempDir::new().unwrap();
     let server = testing::spawn_with(folder, |c| c.worker.device = DeviceChoice::Cpu).await.unwrap();
     let client = server.client();
@@ -135,7 +135,7 @@ async fn a_server_without_a_gpu_refuses_jobs_that_ask_for_one_and_one_that_has_n
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_picture_is_finished_as_it_was_asked_for() {
+async fn background_tone_curve_and_colour_depth_are_applied() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let model = trained(client).await.model.unwrap();

@@ -1,15 +1,15 @@
 //! What the headers of answers and the times of events tell.
 
+use relume::testing;
 use relume_capture::formats::environment;
 use relume_scene::EnvMap;
-use relume::testing;
 use reqwest::{Method, RequestBuilder, StatusCode, header};
 use serde_json::Value;
 
 use crate::service_support::{capture_zip, small_job, trained};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn head_on_a_thumbnail_tells_its_tag_and_renders_nothing() {
+async fn head_of_a_thumbnail_returns_its_etag_without_rendering() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let id = trained(client).await.model.unwrap();
@@ -29,7 +29,7 @@ async fn head_on_a_thumbnail_tells_its_tag_and_renders_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_made_says_where_it_is_and_events_say_when() {
+async fn created_resources_have_a_location_and_events_a_time() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let location = async |request: RequestBuilder| {

@@ -1,14 +1,14 @@
 //! The HTTP conventions: problems, caching, ranges, keys, metrics.
 
+use relume::server::ApiKeys;
+use relume::testing;
 use relume_api::JobId;
 use relume_api::jobs::JobState;
 use relume_capture::builtin;
+use relume_capture::formats::model_file;
 use relume_client::Client;
 use relume_compare::worst;
-use relume_capture::formats::model_file;
 use relume_scene::EnvMap;
-use relume::server::ApiKeys;
-use relume::testing;
 use relume_spec::training::{KnownLight, LightExposure};
 use reqwest::{Method, RequestBuilder, StatusCode, header};
 use serde_json::{Value, json};
@@ -33,7 +33,7 @@ fn post_json(client: &Client, path: &str, body: &Value) -> RequestBuilder {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_error_is_a_problem_with_the_requests_identifier() {
+async fn every_error_is_a_problem_with_the_request_id() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let get = |path: &str| client.request(Method::GET, path).unwrap();
@@ -58,7 +58,7 @@ async fn every_error_is_a_problem_with_the_requests_identifier() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_with_a_wrong_field_is_refused_by_pointer() {
+async fn a_job_with_an_invalid_field_is_refused_with_a_pointer() {
     let server = testing::spawn().await.unwrap();
     let capture = server.client().upload_capture_bytes(capture_zip()).await.unwrap().id;
     let cases = [
@@ -120,7 +120,7 @@ async fn the_same_content_uploaded_twice_is_one_capture() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn validating_keeps_nothing() {
+async fn validating_a_capture_stores_nothing() {
     let server = testing::spawn().await.unwrap();
     let report = server.client().validate_capture_bytes(capture_zip()).await.unwrap();
     assert_eq!(report.train_images + report.test_images, 8);
@@ -129,7 +129,7 @@ async fn validating_keeps_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_repeated_submission_with_the_same_key_is_answered_with_the_same_bytes() {
+async fn a_repeated_idempotency_key_returns_the_same_response() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
@@ -149,7 +149,7 @@ async fn a_repeated_submission_with_the_same_key_is_answered_with_the_same_bytes
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_cancelled_job_runs_again_as_a_new_one() {
+async fn retrying_a_cancelled_job_creates_a_new_job() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
@@ -170,7 +170,7 @@ async fn a_cancelled_job_runs_again_as_a_new_one() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_listener_that_comes_back_misses_nothing_and_sees_nothing_twice() {
+async fn event_stream_resumes_without_gaps_or_duplicates() {
     let server = testing::spawn().await.unwrap();
     let job = trained(server.client()).await;
     let listen = async |after: Option<&str>| -> Vec<i64> {
@@ -193,7 +193,7 @@ async fn a_listener_that_comes_back_misses_nothing_and_sees_nothing_twice() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn files_answer_ranges_and_validators_and_match_their_digest() {
+async fn files_support_ranges_and_etags_and_match_their_digest() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let id = trained(client).await.model.unwrap();
@@ -221,7 +221,7 @@ async fn files_answer_ranges_and_validators_and_match_their_digest() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_thumbnails_tag_is_stable_and_tells_different_pictures_apart() {
+async fn thumbnail_etags_are_stable_and_differ_between_images() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let id = trained(client).await.model.unwrap();
@@ -259,7 +259,7 @@ async fn a_thumbnails_tag_is_stable_and_tells_different_pictures_apart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_render_is_refused_by_the_field_at_fault() {
+async fn an_invalid_render_request_is_refused_with_a_pointer() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let id = trained(client).await.model.unwrap();
@@ -331,7 +331,7 @@ async fn a_render_is_refused_by_the_field_at_fault() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn with_keys_only_their_bearers_are_let_in() {
+async fn with_api_keys_requests_without_a_valid_key_answer_401() {
     let keys =
         |config: &mut relume::server::ServerConfig| config.api_keys = ApiKeys::new(["one-long-api-key"]);
     let server = testing::spawn_with(tempfile::tempdir().unwrap(), keys).await.unwrap();
@@ -349,7 +349,7 @@ async fn with_keys_only_their_bearers_are_let_in() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn metrics_count_requests_by_route_and_never_by_path() {
+async fn metrics_count_requests_by_route_not_by_path() {
     let server = testing::spawn().await.unwrap();
     let get = async |path: &str| {
         server.client().request(Method::GET, path).unwrap().send().await.unwrap().text().await.unwrap()
@@ -365,7 +365,7 @@ async fn metrics_count_requests_by_route_and_never_by_path() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn environments_are_kept_once_and_mended_with_a_warning() {
+async fn environments_are_deduplicated_and_repaired_with_a_warning() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let mut texels = vec![[1.0f32; 3]; 8];
@@ -383,7 +383,7 @@ async fn environments_are_kept_once_and_mended_with_a_warning() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_holds_the_light_it_is_told() {
+async fn a_job_trains_with_the_given_light() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
@@ -416,7 +416,7 @@ async fn a_job_holds_the_light_it_is_told() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_path_that_is_no_text_is_a_problem_and_an_upload_is_named_as_the_caller_knows_it() {
+async fn invalid_utf8_paths_answer_400_and_upload_errors_name_archive() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let answer = client.request(Method::GET, "/v1/jobs/%F1%83").unwrap().send().await.unwrap();

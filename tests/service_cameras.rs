@@ -1,7 +1,7 @@
 //! The cameras of a capture, and frames for cameras that are written in each convention.
 
-use relume_api::cameras::{CameraConvention, CaptureCameras};
 use relume::testing;
+use relume_api::cameras::{CameraConvention, CaptureCameras};
 use reqwest::{Method, StatusCode, header};
 use serde_json::{Value, json};
 
@@ -11,7 +11,7 @@ const CONVENTIONS: [CameraConvention; 3] =
     [CameraConvention::Opengl, CameraConvention::Opencv, CameraConvention::Colmap];
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_camera_of_the_capture_gives_the_same_frame_in_every_convention() {
+async fn capture_cameras_give_the_same_frame_in_every_convention() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let job = trained(client).await;
@@ -57,7 +57,7 @@ fn numbers(rows: &Value) -> Vec<f64> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn cameras_are_read_once_by_who_keeps_their_tag_and_refused_by_name() {
+async fn cameras_have_etags_and_invalid_ones_are_refused_by_field() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let job = trained(client).await;

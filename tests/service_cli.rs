@@ -4,9 +4,9 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use relume_capture::ImportLimits;
+use relume_capture::formats::{image_file, model_file};
 use relume_capture::{ImportOptions, inspect};
 use relume_engine::Device;
-use relume_capture::formats::{image_file, model_file};
 use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
 use relume_train::{Room, Trainer, import_for_training};
 
@@ -32,7 +32,7 @@ fn fails_with(folder: &Path, args: &[&str], word: &str) {
 }
 
 #[test]
-fn a_folder_becomes_a_model_a_picture_and_a_ply() {
+fn cli_trains_renders_and_exports_a_capture() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();
     std::fs::write(at.join("scan.zip"), capture_zip()).unwrap();
@@ -77,7 +77,7 @@ fn a_folder_becomes_a_model_a_picture_and_a_ply() {
 }
 
 #[test]
-fn the_sample_is_a_small_capture_with_photographs_to_compare_with() {
+fn sample_is_a_small_reproducible_capture_with_held_out_views() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();
     succeeds(at, &["sample"]);
@@ -92,7 +92,7 @@ fn the_sample_is_a_small_capture_with_photographs_to_compare_with() {
 }
 
 #[test]
-fn a_light_on_another_scale_is_warned_of() {
+fn a_light_with_implausible_exposure_gives_a_warning() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();
     std::fs::write(at.join("scan.zip"), capture_zip()).unwrap();
@@ -107,7 +107,7 @@ fn a_light_on_another_scale_is_warned_of() {
 }
 
 #[test]
-fn a_training_goes_on_from_its_checkpoint_and_leaves_none() {
+fn cli_training_resumes_from_its_checkpoint_and_removes_it() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();
     std::fs::write(at.join("scan.zip"), capture_zip()).unwrap();
@@ -154,7 +154,7 @@ fn a_training_goes_on_from_its_checkpoint_and_leaves_none() {
 }
 
 #[test]
-fn doctor_and_openapi_tell_what_they_should() {
+fn doctor_reports_the_machine_and_openapi_the_description() {
     let folder = TempDir::new().unwrap();
     let report = succeeds(folder.path(), &["doctor"]);
     for line in ["cpu threads", "cpu features", "database      SQLite", "data dir"] {
@@ -167,7 +167,7 @@ fn doctor_and_openapi_tell_what_they_should() {
 }
 
 #[test]
-fn serve_refuses_to_be_open_to_the_network_and_weak_keys() {
+fn serve_refuses_open_network_access_and_weak_keys() {
     let folder = TempDir::new().unwrap();
     fails_with(folder.path(), &["serve", "--listen", "0.0.0.0:0"], "API key");
     fails_with(folder.path(), &["serve", "--listen", "0.0.0.0:0", "--api-key", "short"], "16 characters");

@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 #[test]
-fn every_answer_of_the_description_says_what_it_is() {
+fn every_openapi_response_has_a_description() {
     let description = serde_json::to_value(relume::server::openapi()).unwrap();
     let mut answers = 0;
     for (path, item) in description["paths"].as_object().unwrap() {
@@ -19,7 +19,7 @@ fn every_answer_of_the_description_says_what_it_is() {
 }
 
 #[test]
-fn every_reference_of_the_description_leads_somewhere() {
+fn every_openapi_ref_resolves() {
     let description = serde_json::to_value(relume::server::openapi()).unwrap();
     let text = description.to_string();
     let references: Vec<&str> =
@@ -31,7 +31,7 @@ fn every_reference_of_the_description_leads_somewhere() {
 }
 
 #[test]
-fn the_checked_in_description_is_what_the_code_says() {
+fn checked_in_openapi_file_matches_the_code() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json");
     let stored: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let generated = serde_json::to_value(relume::server::openapi()).unwrap();

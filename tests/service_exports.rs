@@ -6,12 +6,12 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use relume_api::exports::{ExportState, ExportView, FramesExport, NewExport, Package};
-use relume_api::{ExportId, ModelId};
-use relume_client::Client;
 use relume::server::ServerConfig;
 use relume::store::Quota;
 use relume::testing::{self, TestServer};
+use relume_api::exports::{ExportState, ExportView, FramesExport, NewExport, Package};
+use relume_api::{ExportId, ModelId};
+use relume_client::Client;
 use reqwest::{Method, Response, StatusCode, header};
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -82,7 +82,7 @@ fn entries(bytes: &[u8]) -> Vec<(String, Vec<u8>)> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn files_of_other_programs_are_those_of_the_command_line() {
+async fn exported_files_equal_those_of_the_command_line() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let model = trained(client).await.model.unwrap();
@@ -116,7 +116,7 @@ async fn files_of_other_programs_are_those_of_the_command_line() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_are_those_of_the_command_line() {
+async fn exported_frames_equal_those_of_the_command_line() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let model = trained(client).await.model.unwrap();
@@ -201,7 +201,7 @@ async fn frames_are_those_of_the_command_line() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_go_on_after_a_restart_and_none_is_made_twice() {
+async fn a_frame_export_resumes_after_a_restart_without_repeats() {
     let server = testing::spawn().await.unwrap();
     let model = trained(server.client()).await.model.unwrap();
     let body = json!({ "kind": "frames", "turntable": { "frames": 60 }, "width": 256, "height": 256, "tier": "high" });
@@ -248,7 +248,7 @@ fn long() -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_export_is_cancelled_first_and_then_deleted_and_leaves_nothing() {
+async fn delete_first_cancels_an_export_and_then_removes_it() {
     let change = |config: &mut ServerConfig| config.exports.each = 2;
     let server = testing::spawn_with(TempDir::new().unwrap(), change).await.unwrap();
     let client = server.client();
@@ -283,7 +283,7 @@ async fn an_export_is_cancelled_first_and_then_deleted_and_leaves_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn exports_go_with_their_model_and_stay_out_of_backups() {
+async fn exports_are_deleted_with_their_model_and_not_backed_up() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let model = trained(client).await.model.unwrap();
@@ -323,7 +323,7 @@ async fn exports_go_with_their_model_and_stay_out_of_backups() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_exports_take_counts_and_is_bounded() {
+async fn exports_count_towards_usage_and_quota() {
     let server = testing::spawn().await.unwrap();
     let model = trained(server.client()).await.model.unwrap();
     let (export, bytes) = made(server.client(), &model, &json!({ "kind": "ply" })).await;
@@ -349,7 +349,7 @@ async fn what_exports_take_counts_and_is_bounded() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_made_is_refused_by_its_field() {
+async fn an_invalid_export_request_is_refused_with_a_pointer() {
     let change = |config: &mut ServerConfig| config.exports.ffmpeg = "no-such-ffmpeg".into();
     let server = testing::spawn_with(TempDir::new().unwrap(), change).await.unwrap();
     let client = server.client();
@@ -402,7 +402,7 @@ async fn what_cannot_be_made_is_refused_by_its_field() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_repeated_key_makes_one_export_and_its_file_is_served_as_others_are() {
+async fn exports_are_idempotent_and_their_files_support_ranges() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let model = trained(client).await.model.unwrap();
@@ -444,7 +444,7 @@ async fn a_repeated_key_makes_one_export_and_its_file_is_served_as_others_are() 
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg with libx264, and ffprobe"]
-async fn a_video_has_the_frames_of_the_zip() {
+async fn a_video_export_shows_the_same_frames_as_the_zip() {
     let server: TestServer = testing::spawn().await.unwrap();
     let client = server.client();
     let model = trained(client).await.model.unwrap();

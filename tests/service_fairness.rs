@@ -6,13 +6,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::channel::mpsc::UnboundedSender;
-use relume_api::TenantId;
-use relume_api::keys::Scope;
-use relume_client::Client;
 use relume::jobs::ManualClock;
 use relume::server::{ApiKeys, ServerConfig};
 use relume::store::{NewKeyRecord, Quota, Store};
 use relume::testing::{self, TestServer};
+use relume_api::TenantId;
+use relume_api::keys::Scope;
+use relume_client::Client;
 use reqwest::{Method, Response, header};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -61,7 +61,7 @@ fn refusal<T: std::fmt::Debug>(result: Result<T, relume_client::ClientError>) ->
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_key_that_asks_too_often_is_told_when_to_ask_again_and_no_other_is() {
+async fn a_key_over_its_rate_limit_gets_429_with_retry_after() {
     let clock = Arc::new(ManualClock::default());
     let hands = clock.clone();
     let server = server(move |config| {
@@ -95,7 +95,7 @@ async fn a_key_that_asks_too_often_is_told_when_to_ask_again_and_no_other_is() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn making_keys_does_not_multiply_what_a_tenant_may_ask() {
+async fn more_keys_do_not_raise_the_rate_limit_of_a_tenant() {
     let clock = Arc::new(ManualClock::default());
     let hands = clock.clone();
     let server = server(move |config| {
@@ -118,7 +118,7 @@ async fn making_keys_does_not_multiply_what_a_tenant_may_ask() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_tenant_has_no_more_jobs_waiting_than_it_may_and_takes_no_other_tenants_places() {
+async fn job_quota_is_enforced_per_tenant() {
     let server = server(|config| config.quota = Quota { jobs: Some(2), bytes: None }).await;
     let (a, b) = (of_tenant(&server, "a").await, of_tenant(&server, "b").await);
     let capture = a.upload_capture_bytes(capture_zip()).await.unwrap().id;
@@ -139,7 +139,7 @@ async fn a_tenant_has_no_more_jobs_waiting_than_it_may_and_takes_no_other_tenant
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_tenant_stores_no_more_than_it_may() {
+async fn storage_quota_of_a_tenant_is_enforced() {
     let bytes = capture_zip().len() as u64;
     let quota = Quota { jobs: None, bytes: Some(bytes + 100) };
     let server = server(|config| config.quota = quota).await;
@@ -192,7 +192,7 @@ async fn until_on_disk(server: &TestServer, bytes: u64) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn uploads_on_their_way_stay_together_within_quota_and_limit() {
+async fn concurrent_uploads_together_respect_quota_and_disk_limit() {
     // Larger than the pieces in which uploads are written.
     const HALF: usize = 12 << 20;
     for (quota, limit) in [(Some(HALF as u64 * 3), None), (None, Some(HALF as u64 * 3))] {
@@ -222,7 +222,7 @@ async fn uploads_on_their_way_stay_together_within_quota_and_limit() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_tenant_takes_half_of_the_places_for_uploads_and_no_more() {
+async fn a_tenant_may_use_at_most_half_of_the_upload_slots() {
     let server = server(|_| {}).await;
     let (a, b) = (of_tenant(&server, "a").await, of_tenant(&server, "b").await);
     let mut held = Vec::new();
@@ -248,7 +248,7 @@ async fn a_tenant_takes_half_of_the_places_for_uploads_and_no_more() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_all_tenants_store_is_told_to_the_operator_alone() {
+async fn only_the_operator_sees_the_usage_of_all_tenants() {
     let size = capture_zip().len() as u64;
     let server = server(|config| config.limits.disk_bytes = Some(size + 10)).await;
     let (a, operator) = (of_tenant(&server, "a").await, bearer(&server, KEYS[0]));
@@ -274,7 +274,7 @@ async fn what_all_tenants_store_is_told_to_the_operator_alone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_log_names_the_key_and_its_tenant_and_never_the_secret() {
+async fn logs_contain_key_id_and_tenant_but_not_the_secret() {
     let data = TempDir::new().unwrap();
     let store = Store::open(data.path()).await.unwrap();
     let key = NewKeyRecord {

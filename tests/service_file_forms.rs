@@ -26,7 +26,7 @@ async fn send(server: &TestServer, path: &str, form: Form) -> (StatusCode, Value
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_capture_of_single_files_is_that_of_their_archive() {
+async fn a_capture_of_single_files_equals_that_of_their_archive() {
     let server = testing::spawn().await.unwrap();
     let archived = server.client().upload_capture_bytes(capture_zip()).await.unwrap();
     let (status, made) = send(&server, "/v1/captures", form(files())).await;
@@ -46,7 +46,7 @@ async fn a_capture_of_single_files_is_that_of_their_archive() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_form_of_files_that_is_wrong_says_where_and_leaves_nothing() {
+async fn an_invalid_file_form_is_refused_with_a_pointer() {
     let server = testing::spawn().await.unwrap();
     let before = files_under(server.data_dir());
     let nameless = form(files()).part("files", Part::bytes(vec![1; 10]));
@@ -70,7 +70,7 @@ async fn a_form_of_files_that_is_wrong_says_where_and_leaves_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn photographs_larger_than_the_server_allows_are_refused_by_name() {
+async fn photographs_over_the_pixel_limit_are_refused_by_file_name() {
     let small = |config: &mut relume::server::ServerConfig| {
         config.worker.import_limits.max_image_pixels = 16;
     };

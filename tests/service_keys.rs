@@ -6,12 +6,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::service_support::open_store;
-use relume_api::keys::Scope;
-use relume_api::{KeyId, TenantId};
 use relume::jobs::ManualClock;
 use relume::server::{ApiKeys, ServerConfig};
 use relume::store::{NewKeyRecord, StoreError, has_keys};
 use relume::testing::{self, TestServer};
+use relume_api::keys::Scope;
+use relume_api::{KeyId, TenantId};
 use reqwest::Method;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -59,7 +59,7 @@ async fn made(server: &TestServer, by: &str, body: Value) -> (String, String) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_key_admits_its_bearer_until_it_is_revoked_or_expires() {
+async fn a_key_is_valid_until_it_is_revoked_or_expires() {
     let (server, clock) = server().await;
     let (lasting, secret) = made(&server, OPERATOR, json!({ "name": "a", "scopes": ["read"] })).await;
     clock.advance(Duration::from_millis(1));
@@ -89,7 +89,7 @@ async fn a_key_admits_its_bearer_until_it_is_revoked_or_expires() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_key_that_is_made_wrong_is_refused_by_field() {
+async fn an_invalid_key_request_is_refused_with_a_pointer() {
     let (server, _) = server().await;
     let good = json!({ "name": "a", "scopes": ["read"] });
     for (field, value) in [
@@ -116,7 +116,7 @@ async fn a_key_that_is_made_wrong_is_refused_by_field() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn administrators_of_a_tenant_manage_its_keys_and_the_operator_those_of_all() {
+async fn tenant_admins_manage_own_keys_and_the_operator_all_keys() {
     let (server, _) = server().await;
     let admin = |tenant: &str| json!({ "name": tenant, "tenant": tenant, "scopes": ["admin"] });
     let (a, admin_of_a) = made(&server, OPERATOR, admin("a")).await;
@@ -146,7 +146,7 @@ async fn administrators_of_a_tenant_manage_its_keys_and_the_operator_those_of_al
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_key_made_ends_with_it_and_no_later() {
+async fn keys_expire_and_are_revoked_with_the_key_that_created_them() {
     let (server, clock) = server().await;
     let admin = json!({ "name": "admin", "tenant": "a", "scopes": ["admin", "read"], "expires_in": 100 });
     let (parent, parents) = made(&server, OPERATOR, admin).await;
@@ -181,7 +181,7 @@ async fn what_a_key_made_ends_with_it_and_no_later() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn no_key_is_made_by_one_that_is_revoked_meanwhile() {
+async fn a_revoked_key_cannot_create_keys() {
     let data = TempDir::new().unwrap();
     let store = open_store(data.path()).await;
     let key = |made_by: Option<KeyId>| NewKeyRecord {
@@ -200,7 +200,7 @@ async fn no_key_is_made_by_one_that_is_revoked_meanwhile() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_scraper_needs_no_key_that_makes_keys() {
+async fn metrics_scope_reads_only_metrics() {
     let (server, _) = server().await;
     let scraper = |tenant: &str| json!({ "name": "scraper", "tenant": tenant, "scopes": ["metrics"] });
     let (_, key) = made(&server, OPERATOR, scraper("default")).await;
@@ -219,7 +219,7 @@ async fn a_scraper_needs_no_key_that_makes_keys() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn only_a_key_with_the_scope_comes_before_others_and_only_the_operator_gives_it() {
+async fn raising_priority_needs_a_scope_that_only_the_operator_grants() {
     let (server, _) = server().await;
     let key = |scopes: &[&str]| json!({ "name": "a", "tenant": "a", "scopes": scopes });
     let (_, submits) = made(&server, OPERATOR, key(&["submit", "read", "admin"])).await;
@@ -260,7 +260,7 @@ async fn only_a_key_with_the_scope_comes_before_others_and_only_the_operator_giv
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_first_key_closes_an_open_server_for_good() {
+async fn creating_the_first_key_closes_an_open_server_permanently() {
     let server = testing::spawn().await.unwrap();
     assert_eq!(get(&server, "", "/v1/jobs").await.0, 200);
     let body = json!({ "name": "a", "scopes": ["read", "admin"] });
@@ -285,7 +285,7 @@ async fn the_first_key_closes_an_open_server_for_good() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_use_of_a_key_is_written_down_once_a_minute() {
+async fn last_use_of_a_key_is_stored_at_most_once_a_minute() {
     let (server, clock) = server().await;
     let (id, secret) = made(&server, OPERATOR, json!({ "name": "a", "scopes": ["read"] })).await;
     let path = format!("/v1/keys/{id}");
@@ -324,7 +324,7 @@ fn said(output: &Output) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_command_line_makes_lists_and_revokes_keys_while_the_server_runs() {
+async fn cli_creates_lists_and_revokes_keys_of_a_running_server() {
     let server = testing::spawn().await.unwrap();
     assert_eq!(get(&server, "", "/v1/jobs").await.0, 200, "it is up");
     let create = ["keys", "create", "--name", "render farm", "--tenant", "studio-a", "--scopes", "read"];
@@ -353,7 +353,7 @@ async fn the_command_line_makes_lists_and_revokes_keys_while_the_server_runs() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_key_in_the_database_lets_a_server_listen_beyond_loopback() {
+async fn with_a_stored_key_a_server_may_listen_beyond_loopback() {
     let data = TempDir::new().unwrap();
     assert!(!has_keys(data.path(), None).await.unwrap());
     said(&relume(&["keys", "create", "--name", "first"], data.path()));
@@ -368,7 +368,7 @@ async fn a_key_in_the_database_lets_a_server_listen_beyond_loopback() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn keys_come_from_a_file_that_no_command_line_shows() {
+async fn api_keys_are_read_from_a_key_file() {
     let folder = TempDir::new().unwrap();
     let file = folder.path().join("keys");
     std::fs::write(&file, "# for the farm\nfirst-key-of-the-file\n\n  second-key-of-the-file\n").unwrap();

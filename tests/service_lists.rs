@@ -1,14 +1,14 @@
 //! Lists, page by page.
 
-use relume_api::JobId;
 use relume::testing;
+use relume_api::JobId;
 use reqwest::Method;
 use serde_json::{Value, json};
 
 use crate::service_support::{capture_zip, small_job};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_deletes_what_is_listed_meets_every_item_once() {
+async fn paging_while_deleting_returns_every_item_once() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;

@@ -23,7 +23,7 @@ fn rows(table: &str) -> Vec<Vec<String>> {
 }
 
 #[test]
-fn the_load_table_has_a_row_for_each_load_with_times_in_order() {
+fn load_report_has_a_row_per_load_with_increasing_quantiles() {
     let (ended_well, table, log) = bench(&[]);
     assert!(ended_well, "{log}");
     let rows = rows(&table);
@@ -40,7 +40,7 @@ fn the_load_table_has_a_row_for_each_load_with_times_in_order() {
 }
 
 #[test]
-fn loads_are_chosen_by_name_and_one_that_there_is_not_is_refused() {
+fn loads_are_selected_by_name_and_unknown_ones_are_refused() {
     let (ended_well, table, log) = bench(&["--only", "sockets,idle"]);
     assert!(ended_well, "{log}");
     let names: Vec<String> = rows(&table).into_iter().map(|row| row[0].clone()).collect();

@@ -18,7 +18,7 @@ async fn problem(answer: reqwest::Response) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_needs_more_memory_than_the_server_may_take_is_refused_and_the_rest_goes_on() {
+async fn requests_over_the_memory_limit_answer_413_and_others_succeed() {
     let server = testing::spawn_with(TempDir::new().unwrap(), |c| c.limits.memory_bytes = 64 << 20);
     let server = server.await.unwrap();
     let client = server.client();

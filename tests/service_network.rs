@@ -6,9 +6,9 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use relume_client::Client;
 use relume::server::{ConnectionLimits, raise_file_limit};
 use relume::testing::{self, TestServer};
+use relume_client::Client;
 use tempfile::TempDir;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -61,7 +61,7 @@ async fn refusing_server() -> TestServer {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_that_reads_nothing_before_it_has_sent_all_reads_why_it_was_refused() {
+async fn a_client_that_sends_its_whole_body_first_gets_the_refusal() {
     const BYTES: usize = 24 << 20;
     let server = refusing_server().await;
     let head = format!(
@@ -77,7 +77,7 @@ async fn a_client_that_reads_nothing_before_it_has_sent_all_reads_why_it_was_ref
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn after_a_refusal_a_client_sends_its_next_request_where_it_arrives() {
+async fn after_a_refused_upload_the_next_request_succeeds() {
     let server = refusing_server().await;
     for bytes in [1000, 300_000, 3_000_000].repeat(10) {
         let pieces = futures::stream::iter([Ok::<_, std::io::Error>(vec![0; bytes])]);
@@ -90,7 +90,7 @@ async fn after_a_refusal_a_client_sends_its_next_request_where_it_arrives() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn two_thousand_half_sent_requests_keep_nobody_from_being_answered() {
+async fn two_thousand_partial_requests_do_not_block_other_clients() {
     raise_file_limit(5000);
     let (files, _) = rlimit::getrlimit(rlimit::Resource::NOFILE).unwrap();
     // Both ends of each connection are files of this process.
@@ -125,7 +125,7 @@ fn serve_with_files(folder: &Path, files: u32) -> (Child, Client) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_server_that_may_open_few_files_is_still_reached_past_more_half_sent_requests() {
+async fn few_file_descriptors_are_not_exhausted_by_partial_requests() {
     raise_file_limit(5000);
     let folder = TempDir::new().unwrap();
     let (mut server, client) = serve_with_files(folder.path(), 400);
@@ -140,7 +140,7 @@ async fn a_server_that_may_open_few_files_is_still_reached_past_more_half_sent_r
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn past_the_bound_a_waiting_connection_gives_way_and_an_answered_one_does_not() {
+async fn at_the_connection_limit_only_idle_connections_are_closed() {
     let server = server_with(|limits| limits.connections = 20).await;
     let capture = server.client().upload_capture_bytes(capture_zip()).await.unwrap();
     let mut first = half_sent(address(server.client()), HALF_SENT[1]).await;
@@ -173,7 +173,7 @@ async fn past_the_bound_a_waiting_connection_gives_way_and_an_answered_one_does_
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn half_of_a_head_is_waited_for_briefly_and_a_quiet_connection_for_longer() {
+async fn partial_heads_time_out_before_idle_connections() {
     let server = server_with(|limits| limits.head = Duration::from_millis(200)).await;
     let mut quiet = half_sent(address(server.client()), "").await;
     let mut half = half_sent(address(server.client()), HALF_SENT[1]).await;
@@ -187,7 +187,7 @@ async fn half_of_a_head_is_waited_for_briefly_and_a_quiet_connection_for_longer(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_body_that_stops_is_a_408_and_leaves_nothing() {
+async fn a_stalled_body_answers_408_and_leaves_nothing() {
     let server = server_with(|limits| limits.body = Duration::from_millis(300)).await;
     let form = "Content-Type: multipart/form-data; boundary=x\r\nContent-Length: 5000\r\n\r\n--x\r\n\
                 Content-Disposition: form-data; name=\"archive\"; filename=\"a.zip\"\r\n\r\nPK";
@@ -208,7 +208,7 @@ async fn a_body_that_stops_is_a_408_and_leaves_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_slow_but_steady_upload_may_take_longer_than_the_limit_between_two_pieces() {
+async fn a_slow_but_steady_upload_does_not_time_out() {
     let limit = Duration::from_millis(500);
     let server = server_with(|limits| limits.body = limit).await;
     let zip = capture_zip();
@@ -227,7 +227,7 @@ async fn a_slow_but_steady_upload_may_take_longer_than_the_limit_between_two_pie
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_that_takes_no_answer_is_let_go() {
+async fn a_client_that_does_not_read_its_response_is_disconnected() {
     let server = server_with(|limits| limits.write = Duration::from_millis(200)).await;
     let request = "GET /v1/openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n";
     let mut stream = half_sent(address(server.client()), &request.repeat(1000)).await;
@@ -241,7 +241,7 @@ async fn a_client_that_takes_no_answer_is_let_go() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_shutdown_does_not_wait_for_half_sent_requests() {
+async fn a_shutdown_does_not_wait_for_partial_requests() {
     let server = testing::spawn().await.unwrap();
     let mut slow = half_sent(address(server.client()), HALF_SENT[1]).await;
     assert!(is_healthy(server.client()).await);

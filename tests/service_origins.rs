@@ -42,7 +42,7 @@ async fn only_listed_origins_get_cors_headers() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_star_admits_every_origin_without_credentials_and_pages_may_read_what_they_need() {
+async fn cors_wildcard_allows_all_origins_without_credentials() {
     let server = server_with(|config| {
         config.cors_origins = vec!["*".parse().unwrap()];
         config.api_keys = ApiKeys::new([KEY]);
@@ -67,7 +67,7 @@ async fn a_star_admits_every_origin_without_credentials_and_pages_may_read_what_
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_answer_forbids_what_a_page_could_do_with_it() {
+async fn every_response_has_restrictive_security_headers() {
     let server = testing::spawn().await.unwrap();
     for path in ["/healthz", "/v1/models/nobody", "/nowhere"] {
         let answer = request(&server, Method::GET, path).send().await.unwrap();
@@ -79,7 +79,7 @@ async fn every_answer_forbids_what_a_page_could_do_with_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_a_key_a_foreign_name_is_refused() {
+async fn without_a_key_a_foreign_host_header_is_refused() {
     let server = server_with(|config| config.allowed_hosts = vec!["studio.lan".into()]).await;
     let called = |host: &str| request(&server, Method::GET, "/v1/models").header(header::HOST, host);
     for own in ["localhost:7878", "127.0.0.1", "[::1]:80", "studio.lan"] {
@@ -95,7 +95,7 @@ async fn without_a_key_a_foreign_name_is_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_a_key_what_a_foreign_page_sends_is_refused() {
+async fn without_a_key_cross_origin_requests_are_refused() {
     let server = server_with(listing("https://app.example")).await;
     let form = || reqwest::multipart::Form::new().text("archive", "not a zip");
     let upload = || request(&server, Method::POST, "/v1/captures").multipart(form());

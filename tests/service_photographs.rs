@@ -1,11 +1,11 @@
 //! The photographs of a capture over HTTP: which there are, and how they look.
 
+use relume::testing;
 use relume_api::CaptureId;
 use relume_api::cameras::CameraConvention;
 use relume_api::photographs::{CapturePhotographs, CapturedPhotograph};
-use relume_client::Client;
 use relume_capture::formats::image_file::encode_png;
-use relume::testing;
+use relume_client::Client;
 use reqwest::{Method, Response, header};
 use serde_json::{Value, json};
 
@@ -35,7 +35,7 @@ async fn list(client: &Client, id: &CaptureId) -> CapturePhotographs {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn photographs_are_listed_with_their_cameras_and_what_is_wrong_with_them() {
+async fn photographs_are_listed_with_cameras_and_quality_warnings() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(with_a_dark_one().zip()).await.unwrap();
@@ -54,7 +54,7 @@ async fn photographs_are_listed_with_their_cameras_and_what_is_wrong_with_them()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_photograph_is_shown_at_the_width_that_is_asked_for() {
+async fn a_photograph_is_served_at_the_requested_width() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let sent = with_a_dark_one();
@@ -86,7 +86,7 @@ async fn a_photograph_is_shown_at_the_width_that_is_asked_for() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_photograph_is_sent_once_to_who_keeps_its_tag() {
+async fn photographs_answer_304_for_a_known_etag() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(with_a_dark_one().zip()).await.unwrap();
@@ -114,7 +114,7 @@ async fn a_photograph_is_sent_once_to_who_keeps_its_tag() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn names_lead_nowhere_but_to_photographs_of_the_capture() {
+async fn photograph_names_outside_the_capture_answer_404() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let mut sent = with_a_dark_one();
@@ -165,7 +165,7 @@ fn bent(k1: f64) -> Vec<(String, Vec<u8>)> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_lens_is_undone_where_that_is_asked_for() {
+async fn photographs_are_undistorted_on_request() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     for k1 in [0.3, 0.0] {
@@ -180,7 +180,7 @@ async fn the_lens_is_undone_where_that_is_asked_for() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_kind_of_archive_shows_its_photographs_until_it_is_deleted() {
+async fn photographs_of_a_tar_are_served_until_the_capture_is_deleted() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let mut tar = tar::Builder::new(flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast()));

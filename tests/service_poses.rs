@@ -8,6 +8,9 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
+use relume::server::PosesPolicy;
+use relume::store::hex;
+use relume::testing::{self, TestServer};
 use relume_api::CaptureId;
 use relume_api::cameras::CameraConvention;
 use relume_api::captures::{CaptureState, CaptureSummary, PosesStage};
@@ -15,19 +18,16 @@ use relume_api::jobs::NewJob;
 use relume_capture::{ImportLimits, cameras};
 use relume_client::Client;
 use relume_train::eval::PoseErrors;
-use relume::server::PosesPolicy;
-use relume::store::hex;
-use relume::testing::{self, TestServer};
 use reqwest::Method;
 use reqwest::multipart::{Form, Part};
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
-use crate::captures::small_set::picture;
 use crate::poses::{COPY, Place};
-use crate::requirements::data;
 use crate::server_process::Server;
 use crate::service_support::{files_under, zip_of};
+use relume_fixtures::data;
+use relume_fixtures::small_set::picture;
 
 const PHOTOGRAPHS: usize = 8;
 /// What a script does to wait until the file `gate` is there.
@@ -116,7 +116,7 @@ fn problem_code(capture: &CaptureSummary) -> (&str, &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn photographs_become_a_posed_capture_that_is_made_once() {
+async fn photographs_without_poses_become_one_posed_capture() {
     let place = Place::new("3.8", ":", COPY);
     let server = server(&place).await;
     let client = server.client();
@@ -172,7 +172,7 @@ fn tar_gz(files: &[(String, Vec<u8>)]) -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn photographs_come_in_every_way_that_captures_do() {
+async fn every_upload_method_accepts_photographs_without_poses() {
     let place = Place::new("3.8", ":", COPY);
     let server = server(&place).await;
     let client = server.client();
@@ -194,7 +194,7 @@ async fn photographs_come_in_every_way_that_captures_do() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_capture_tells_the_stage_and_one_waits_for_the_other() {
+async fn pose_estimation_reports_its_stage_and_runs_one_at_a_time() {
     let place = Place::new("3.8", WAIT, COPY);
     let server = server(&place).await;
     let client = server.client();
@@ -220,7 +220,7 @@ async fn a_capture_tells_the_stage_and_one_waits_for_the_other() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_deleted_is_worked_on_no_longer() {
+async fn deletion_stops_pose_estimation() {
     for of_upload in [false, true] {
         let place = Place::new("3.8", HANG, COPY);
         let server = server(&place).await;
@@ -242,7 +242,7 @@ async fn what_is_deleted_is_worked_on_no_longer() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_fails_says_why_and_keeps_its_log() {
+async fn failed_pose_estimation_reports_the_cause_and_keeps_its_log() {
     let too_few = Place::new("3.8", ":", COPY);
     too_few.write_model(3);
     let broken = Place::new("3.8", "echo 'no more memory'; exit 1", COPY);
@@ -280,7 +280,7 @@ async fn what_fails_says_why_and_keeps_its_log() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_colmap_photographs_are_refused_with_what_to_do() {
+async fn without_colmap_photographs_are_refused_with_instructions() {
     let place = Place::new("3.5", ":", COPY);
     let missing = |poses: &mut PosesPolicy| poses.program = place.at("bin/none");
     let off = |poses: &mut PosesPolicy| poses.is_on = false;
@@ -303,7 +303,7 @@ async fn without_colmap_photographs_are_refused_with_what_to_do() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_posed_capture_counts_and_what_would_not_fit_is_not_begun() {
+async fn pose_estimation_does_not_start_beyond_the_quota() {
     let place = Place::new("3.8", ":", COPY);
     let archive = zip_of(&photographs(0));
     let program = place.at("bin/colmap");
@@ -322,7 +322,7 @@ async fn the_posed_capture_counts_and_what_would_not_fit_is_not_begun() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_server_that_ends_goes_on_when_it_is_started_again() {
+async fn pose_estimation_resumes_after_a_restart() {
     let place = Place::new("3.8", WAIT, COPY);
     let first = server(&place).await;
     let begun = first.client().upload_capture_bytes(zip_of(&photographs(0))).await.unwrap();
@@ -339,7 +339,7 @@ async fn a_server_that_ends_goes_on_when_it_is_started_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[cfg(target_os = "linux")]
-async fn after_kill_9_the_next_server_ends_what_was_left_and_goes_on() {
+async fn after_kill_9_orphaned_colmap_is_stopped_and_poses_resumed() {
     let place = Place::new("3.8", HANG, COPY);
     let data = TempDir::new().unwrap();
     let start = || {
@@ -362,7 +362,7 @@ async fn after_kill_9_the_next_server_ends_what_was_left_and_goes_on() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs COLMAP and RELUME_TEST_DATA (see CONTRIBUTING.md), and minutes"]
-async fn colmap_finds_the_poses_of_photographs_by_a_phone_for_the_server() {
+async fn colmap_finds_the_poses_of_phone_photographs_over_http() {
     let capture = data("captures/beer71_colmap");
     let mut entries: Vec<_> =
         fs::read_dir(capture.join("images")).unwrap().map(|e| e.unwrap().path()).collect();

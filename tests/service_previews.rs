@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
+use relume::testing::{self, TestServer};
 use relume_api::JobId;
 use relume_api::jobs::{JobState, JobView};
 use relume_client::Client;
-use relume::testing::{self, TestServer};
 use reqwest::{Method, Response, StatusCode, header};
 use serde_json::Value;
 
@@ -56,7 +56,7 @@ async fn picture(client: &Client, job: &JobId, but: Option<u32>) -> (u32, String
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_training_is_seen_while_it_runs_and_sharpens() {
+async fn previews_of_a_running_training_change_with_its_steps() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let (job, waiting) = busy(&server).await;
@@ -84,7 +84,7 @@ async fn a_training_is_seen_while_it_runs_and_sharpens() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_a_job_with_a_model_the_preview_is_its_thumbnail() {
+async fn preview_of_a_finished_job_is_the_thumbnail_of_its_model() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let job = trained(client).await;
@@ -97,7 +97,7 @@ async fn of_a_job_with_a_model_the_preview_is_its_thumbnail() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_shown_is_refused() {
+async fn invalid_preview_requests_are_refused() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let nobody = JobId::from("01890000-0000-7000-8000-000000000000");

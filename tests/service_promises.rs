@@ -3,17 +3,17 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume_api::jobs::{JobProgress, JobState, NewJob};
-use relume_api::metadata::ResourceMetadata;
-use relume_api::quality::{Figures, QualityGate};
-use relume_api::{JobId, TenantId};
-use relume_spec::CaptureReport;
 use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, Origin, SequentialIds};
 use relume::store::{
     CancelOutcome, CaptureRecord, Filter, IdempotencyKey, LeaseStatus, ModelFile, ModelRecord, Page, Release,
     StoreError, Submitted,
 };
 use relume::testing;
+use relume_api::jobs::{JobProgress, JobState, NewJob};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::quality::{Figures, QualityGate};
+use relume_api::{JobId, TenantId};
+use relume_spec::CaptureReport;
 use tempfile::TempDir;
 
 use crate::service_support::{capture_zip, ended, files_under, open_store, raw_pool, small_job, until};
@@ -158,7 +158,7 @@ async fn a_paused_worker_that_lost_its_lease_publishes_nothing() {
 }
 
 #[tokio::test]
-async fn a_job_that_is_cancelled_while_it_waits_leaves_no_checkpoint() {
+async fn cancelling_a_queued_job_removes_its_checkpoint() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     let lease = bench.claim().await;
@@ -170,7 +170,7 @@ async fn a_job_that_is_cancelled_while_it_waits_leaves_no_checkpoint() {
 }
 
 #[tokio::test]
-async fn a_job_that_waits_for_room_says_so_and_spends_no_attempt() {
+async fn a_job_waiting_for_disk_space_reports_it_and_uses_no_attempt() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     for _ in 0..10 {
@@ -239,7 +239,7 @@ async fn terminal_states_never_change() {
 }
 
 #[tokio::test]
-async fn the_database_itself_refuses_to_change_a_terminal_state() {
+async fn database_constraints_reject_changes_of_terminal_states() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     bench.jobs.cancel(&tenant(), &id).await.unwrap();
@@ -250,7 +250,7 @@ async fn the_database_itself_refuses_to_change_a_terminal_state() {
 }
 
 #[tokio::test]
-async fn a_job_that_only_ever_crashes_is_given_up_with_attempts_exhausted() {
+async fn a_job_that_always_crashes_fails_with_attempts_exhausted() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     for _ in 0..3 {
@@ -262,7 +262,7 @@ async fn a_job_that_only_ever_crashes_is_given_up_with_attempts_exhausted() {
 }
 
 #[tokio::test]
-async fn a_job_that_reaches_checkpoints_may_crash_as_often_as_it_likes() {
+async fn a_job_with_new_checkpoints_may_crash_any_number_of_times() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     for step in 1..=10 {
@@ -277,7 +277,7 @@ async fn a_job_that_reaches_checkpoints_may_crash_as_often_as_it_likes() {
 }
 
 #[tokio::test]
-async fn a_second_checkpoint_of_a_step_does_not_harm_the_first() {
+async fn a_second_checkpoint_at_a_step_does_not_damage_the_first() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     let lease = bench.claim().await;
@@ -292,7 +292,7 @@ async fn a_second_checkpoint_of_a_step_does_not_harm_the_first() {
 }
 
 #[tokio::test]
-async fn a_job_that_has_ended_keeps_no_checkpoint() {
+async fn a_finished_job_keeps_no_checkpoint() {
     let bench = Bench::new().await;
     bench.submit(0).await;
     let lease = bench.claim().await;
@@ -303,7 +303,7 @@ async fn a_job_that_has_ended_keeps_no_checkpoint() {
 }
 
 #[tokio::test]
-async fn a_release_at_shutdown_does_not_count_against_the_job() {
+async fn a_release_at_shutdown_uses_no_attempt() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     for _ in 0..10 {
@@ -332,7 +332,7 @@ async fn higher_priority_runs_first_and_equals_run_in_order() {
 }
 
 #[tokio::test]
-async fn places_in_the_queue_are_counted_to_a_thousand() {
+async fn queue_positions_are_counted_up_to_1000() {
     let bench = Bench::new().await;
     let (first, second) = (bench.submit(0).await, bench.submit(0).await);
     let raw = raw_pool(bench.dir.path()).await;
@@ -356,7 +356,7 @@ async fn places_in_the_queue_are_counted_to_a_thousand() {
 }
 
 #[tokio::test]
-async fn a_repeated_key_queues_one_job_and_another_body_is_refused() {
+async fn a_reused_idempotency_key_with_another_body_is_refused() {
     let bench = Bench::new().await;
     let key = |f: &str| IdempotencyKey { key: "k".into(), fingerprint: f.into() };
     let (one, two) = (key("a"), key("a"));
@@ -378,7 +378,7 @@ async fn a_repeated_key_queues_one_job_and_another_body_is_refused() {
 }
 
 #[tokio::test]
-async fn events_are_numbered_upwards_and_survive_a_restart() {
+async fn event_numbers_increase_and_survive_a_restart() {
     let bench = Bench::new().await;
     let id = bench.submit(0).await;
     bench.claim().await.warn("look out").await.unwrap();
@@ -405,7 +405,7 @@ async fn every_acknowledged_upload_byte_is_on_disk() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn cancelling_frees_the_device_for_the_next_job() {
+async fn cancelling_a_running_job_starts_the_next_one() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -421,7 +421,7 @@ async fn cancelling_frees_the_device_for_the_next_job() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_shutdown_checkpoints_and_the_next_server_goes_on_from_there() {
+async fn a_shutdown_writes_a_checkpoint_and_a_restart_resumes_from_it() {
     let server = testing::spawn().await.unwrap();
     let capture = server.client().upload_capture_bytes(capture_zip()).await.unwrap();
     let job = server.client().create_job(&small_job(&capture.id, 200, 100_000), None).await.unwrap();
@@ -443,7 +443,7 @@ async fn history(server: &testing::TestServer, id: &JobId) -> Vec<relume_client:
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn thumbnails_answer_while_a_job_trains() {
+async fn thumbnails_are_served_while_a_job_trains() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let model = crate::service_support::trained(client).await.model.unwrap();

@@ -4,13 +4,13 @@ use std::process::Command;
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume_api::exports::{NewExport, SplatsExport, SplatsKind};
-use relume_api::jobs::JobView;
-use relume_client::Client;
-use relume_capture::formats::image_file;
 use relume::jobs::ManualClock;
 use relume::server::{ApiKeys, ServerConfig};
 use relume::testing::{self, TestServer};
+use relume_api::exports::{NewExport, SplatsExport, SplatsKind};
+use relume_api::jobs::JobView;
+use relume_capture::formats::image_file;
+use relume_client::Client;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -61,7 +61,7 @@ async fn with_model() -> (TestServer, Arc<ManualClock>, Client, JobView) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_signed_url_is_good_without_a_key_until_it_expires() {
+async fn a_signed_url_works_without_a_key_until_it_expires() {
     let (server, clock, client, job) = with_model().await;
     let model = job.model.unwrap();
     let thumbnail = signed(&client, &format!("/v1/models/{model}/thumbnail?size=32&env=studio")).await;
@@ -90,7 +90,7 @@ async fn a_signed_url_is_good_without_a_key_until_it_expires() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stream_of_events_ends_with_its_signed_url() {
+async fn an_event_stream_ends_when_its_signed_url_expires() {
     let clock = Arc::new(ManualClock::default());
     let server = start(TempDir::new().unwrap(), &[OPERATOR], &clock).await;
     let client = bearer(&server, OPERATOR);
@@ -111,7 +111,7 @@ async fn a_stream_of_events_ends_with_its_signed_url() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_open_stream_of_a_signed_url_ends_when_all_of_them_are_ended_and_one_of_a_key_does_not() {
+async fn rotating_the_secret_ends_streams_of_signed_urls_only() {
     let clock = Arc::new(ManualClock::default());
     let server = start(TempDir::new().unwrap(), &[OPERATOR], &clock).await;
     let client = bearer(&server, OPERATOR);
@@ -141,7 +141,7 @@ fn end_signed_urls(server: &TestServer) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_signed_url_is_good_for_nothing_else() {
+async fn a_changed_signed_url_answers_403() {
     let (server, _, client, job) = with_model().await;
     let model = job.model.unwrap();
     let url = signed(&client, &format!("/v1/models/{model}/thumbnail?size=32&env=studio")).await;
@@ -176,7 +176,7 @@ async fn a_signed_url_is_good_for_nothing_else() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn only_what_a_browser_loads_is_signed_and_for_a_bounded_time() {
+async fn invalid_paths_and_lifetimes_cannot_be_signed() {
     let (server, _, client, job) = with_model().await;
     let model = job.model.unwrap();
     let good = format!("/v1/models/{model}/thumbnail");
@@ -203,7 +203,7 @@ async fn only_what_a_browser_loads_is_signed_and_for_a_bounded_time() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn signed_urls_end_with_the_key_that_signed_and_with_the_secret() {
+async fn signed_urls_end_with_their_key_and_with_the_secret() {
     let (server, clock, client, job) = with_model().await;
     let path = format!("/v1/models/{}/files/model.ply", job.model.unwrap());
     let made = async |body: Value| {
@@ -233,7 +233,7 @@ async fn signed_urls_end_with_the_key_that_signed_and_with_the_secret() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_event_stream_ends_with_the_key_that_opened_it() {
+async fn an_event_stream_ends_when_its_key_is_revoked() {
     let clock = Arc::new(ManualClock::default());
     let server = start(TempDir::new().unwrap(), &[OPERATOR], &clock).await;
     let client = bearer(&server, OPERATOR);
@@ -253,7 +253,7 @@ async fn an_event_stream_ends_with_the_key_that_opened_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_configured_key_that_is_taken_away_takes_its_signed_urls_along() {
+async fn removing_a_configured_key_invalidates_its_signed_urls() {
     let (server, clock, client, job) = with_model().await;
     let url = signed(&client, &format!("/v1/models/{}/files/model.ply", job.model.unwrap())).await;
     let data = server.stop().await.unwrap();
@@ -265,7 +265,7 @@ async fn a_configured_key_that_is_taken_away_takes_its_signed_urls_along() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_an_open_server_signed_ends_with_its_first_key() {
+async fn creating_the_first_key_invalidates_urls_signed_without_one() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let job = trained(client).await;

@@ -5,14 +5,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use glam::DVec3;
+use relume::store::Store;
+use relume::testing::{database_name, database_of};
 use relume_api::jobs::{JobState, JobView, NewJob};
 use relume_api::keys::Scope;
 use relume_api::{CaptureId, JobId};
-use relume_client::Client;
 use relume_capture::formats::image_file::encode_png;
+use relume_client::Client;
 use relume_scene::Camera;
-use relume::store::Store;
-use relume::testing::{database_name, database_of};
 use relume_spec::training::Preset;
 use serde_json::{Value, json};
 use sqlx::AnyPool;

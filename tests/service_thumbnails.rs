@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use relume_api::ModelId;
-use relume_api::keys::Scope;
-use relume_client::Client;
 use relume::server::ApiKeys;
 use relume::store;
 use relume::testing::{self, TestServer};
+use relume_api::ModelId;
+use relume_api::keys::Scope;
+use relume_client::Client;
 use reqwest::{Method, StatusCode, header};
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -42,7 +42,7 @@ async fn get(client: &Client, model: &ModelId, query: &str) -> Answer {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn equal_thumbnails_that_are_asked_for_together_are_rendered_once() {
+async fn equal_concurrent_thumbnail_requests_render_once() {
     let server = testing::spawn().await.unwrap();
     let model = trained(server.client()).await.model.unwrap();
     let rendered = |answers: &[Answer]| answers.iter().filter(|answer| answer.was_rendered).count();
@@ -67,7 +67,7 @@ async fn server_with(bytes: u64) -> TestServer {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_thumbnail_is_rendered_once_also_over_a_restart() {
+async fn a_cached_thumbnail_survives_a_restart() {
     let server = testing::spawn().await.unwrap();
     let model = trained(server.client()).await.model.unwrap();
     let usage = server.client().usage().await.unwrap();
@@ -124,7 +124,7 @@ async fn a_thumbnail_is_rendered_once_also_over_a_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_damaged_cached_thumbnail_is_rendered_anew() {
+async fn a_damaged_cached_thumbnail_is_rendered_again() {
     let server = testing::spawn().await.unwrap();
     let model = trained(server.client()).await.model.unwrap();
     let first = get(server.client(), &model, "").await;
@@ -142,7 +142,7 @@ async fn a_damaged_cached_thumbnail_is_rendered_anew() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn cached_thumbnails_are_their_tenants_alone_and_go_with_their_model() {
+async fn cached_thumbnails_are_per_tenant_and_deleted_with_the_model() {
     const OPERATOR: &str = "the-operators-own-key";
     let change = |config: &mut relume::server::ServerConfig| config.api_keys = ApiKeys::new([OPERATOR]);
     let server = testing::spawn_with(TempDir::new().unwrap(), change).await.unwrap();
@@ -191,7 +191,7 @@ async fn cached_thumbnails_are_their_tenants_alone_and_go_with_their_model() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_cache_of_thumbnails_stays_within_its_bound_and_the_oldest_go() {
+async fn thumbnail_cache_stays_within_its_limit_and_evicts_the_oldest() {
     let server = server_with(3 * BLOCK).await;
     let model = trained(server.client()).await.model.unwrap();
     for azimuth in 0..5 {
@@ -208,7 +208,7 @@ async fn the_cache_of_thumbnails_stays_within_its_bound_and_the_oldest_go() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_a_cache_every_thumbnail_is_rendered_and_nothing_is_kept() {
+async fn without_a_cache_every_thumbnail_is_rendered_again() {
     let server = server_with(0).await;
     let model = trained(server.client()).await.model.unwrap();
     let (one, two) = (get(server.client(), &model, "").await, get(server.client(), &model, "").await);

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume_api::UploadId;
-use relume_api::uploads::UploadState;
-use relume_client::Client;
 use relume::jobs::ManualClock;
 use relume::server::ServerConfig;
 use relume::testing;
+use relume_api::UploadId;
+use relume_api::uploads::UploadState;
+use relume_client::Client;
 use reqwest::Method;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -24,7 +24,7 @@ async fn capture_called(client: &Client, id: &UploadId, query: &str) -> (u16, Va
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_upload_stays_when_what_it_would_become_may_not_be_called_so() {
+async fn an_upload_is_kept_when_its_metadata_is_refused() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let archive = capture_zip();
@@ -51,7 +51,7 @@ async fn an_upload_stays_when_what_it_would_become_may_not_be_called_so() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_would_be_said_of_an_upload_in_vain_is_refused_by_name() {
+async fn unsupported_upload_query_parameters_are_refused() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     for (query, pointer) in
@@ -75,7 +75,7 @@ async fn what_would_be_said_of_an_upload_in_vain_is_refused_by_name() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn uploads_are_listed_until_they_are_captures_given_up_or_expired() {
+async fn uploads_are_listed_until_used_deleted_or_expired() {
     let clock = Arc::new(ManualClock::default());
     let hands = clock.clone();
     let change = move |config: &mut ServerConfig| config.clock = hands;

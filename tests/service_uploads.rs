@@ -7,12 +7,12 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume_api::UploadId;
-use relume_client::{Client, ClientError};
 use relume::jobs::ManualClock;
 use relume::server::{ApiKeys, ServerConfig};
 use relume::store::{self, Quota, hex};
 use relume::testing::{self, TestServer};
+use relume_api::UploadId;
+use relume_client::{Client, ClientError};
 use reqwest::{Method, RequestBuilder, Response};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -77,7 +77,7 @@ pub fn artifacts(server: &TestServer) -> Vec<String> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_upload_that_is_cut_anywhere_goes_on_and_becomes_the_capture() {
+async fn an_upload_interrupted_anywhere_resumes_to_the_same_capture() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let archive = large_zip(3 << 20);
@@ -115,7 +115,7 @@ async fn an_upload_that_is_cut_anywhere_goes_on_and_becomes_the_capture() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn kill_9_in_mid_upload_costs_nothing_that_was_counted() {
+async fn kill_9_during_an_upload_keeps_all_acknowledged_bytes() {
     let data = TempDir::new().unwrap();
     let archive = large_zip(48 << 20);
     let mut server = Server::start(data.path());
@@ -152,7 +152,7 @@ async fn kill_9_in_mid_upload_costs_nothing_that_was_counted() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_protocol_is_spoken_as_it_is_written() {
+async fn uploads_follow_the_tus_protocol() {
     let limit = |config: &mut ServerConfig| {
         config.limits.capture_bytes = 1000;
         config.cors_origins = vec!["https://app.example.org".parse().unwrap()];
@@ -231,7 +231,7 @@ async fn the_protocol_is_spoken_as_it_is_written() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_checked_piece_that_is_cut_leaves_nothing() {
+async fn an_interrupted_chunk_with_a_checksum_is_discarded() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let id = client.begin_upload(100).await.unwrap();
@@ -252,7 +252,7 @@ async fn a_checked_piece_that_is_cut_leaves_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_upload_that_is_no_capture_stays_until_it_is_given_up_or_expires() {
+async fn an_upload_of_an_invalid_capture_is_kept_until_it_expires() {
     let clock = Arc::new(ManualClock::default());
     let hands = clock.clone();
     let changed = move |config: &mut ServerConfig| {
@@ -305,7 +305,7 @@ async fn server_with_keys(change: impl FnOnce(&mut ServerConfig)) -> TestServer 
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn uploads_in_pieces_are_their_tenants_and_count_for_it() {
+async fn resumable_uploads_are_private_and_count_towards_the_quota() {
     let archive = large_zip(60_000);
     let length = archive.len() as u64;
     let most = length * 3 / 2;
@@ -346,7 +346,7 @@ async fn uploads_in_pieces_are_their_tenants_and_count_for_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_two_pieces_at_once_one_is_told_to_wait() {
+async fn a_concurrent_request_on_an_upload_answers_423() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let id = client.begin_upload(10).await.unwrap();
@@ -368,7 +368,7 @@ async fn of_two_pieces_at_once_one_is_told_to_wait() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_capture_is_made_of_an_upload_once_however_many_ask() {
+async fn concurrent_requests_make_one_capture_of_an_upload() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let archive = capture_zip();
@@ -388,7 +388,7 @@ async fn a_capture_is_made_of_an_upload_once_however_many_ask() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_start_knows_the_bytes_of_uploads_and_a_backup_leaves_them_out() {
+async fn startup_restores_upload_offsets_and_backups_omit_uploads() {
     let server = testing::spawn().await.unwrap();
     let (client, data) = (server.client(), server.data_dir().to_owned());
     let [kept, lost] = [client.begin_upload(9).await.unwrap(), client.begin_upload(9).await.unwrap()];

@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
 use std::time::Duration;
 
-use relume_api::captures::{CaptureState, CaptureSummary};
-use relume_api::jobs::NewJob;
-use relume_api::metadata::{ResourceMetadata, MetadataChange};
-use relume_api::uploads::CaptureSource;
-use relume_client::Client;
-use relume_capture::formats::image_file::encode_png;
 use relume::store::hex;
 use relume::testing;
+use relume_api::captures::{CaptureState, CaptureSummary};
+use relume_api::jobs::NewJob;
+use relume_api::metadata::{MetadataChange, ResourceMetadata};
+use relume_api::uploads::CaptureSource;
+use relume_capture::formats::image_file::encode_png;
+use relume_client::Client;
 use reqwest::{Method, Response};
 use serde_json::json;
 use sha2::{Digest, Sha256};
@@ -73,7 +73,7 @@ async fn validated(client: &Client, begun: &CaptureSummary) -> CaptureSummary {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_capture_that_is_validated_later_tells_its_state() {
+async fn an_asynchronous_capture_reports_its_validation_state() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let archive = slow_zip();
@@ -108,7 +108,7 @@ async fn a_capture_that_is_validated_later_tells_its_state() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_promised_is_answered_for_however_many_bring_the_same_at_once() {
+async fn concurrent_asynchronous_uploads_make_one_capture() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let archive = slow_zip();
@@ -129,7 +129,7 @@ async fn what_was_promised_is_answered_for_however_many_bring_the_same_at_once()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_no_capture_becomes_invalid_and_its_upload_stays() {
+async fn an_invalid_asynchronous_capture_keeps_its_upload() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let begun = accepted(post_later(client, b"no archive".to_vec()).await).await;
@@ -156,7 +156,7 @@ async fn what_is_no_capture_becomes_invalid_and_its_upload_stays() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn kill_9_in_mid_validation_loses_nothing() {
+async fn kill_9_during_validation_loses_nothing() {
     let data = TempDir::new().unwrap();
     let mut server = Server::start(data.path());
     let begun = accepted(post_later(&server.client, slow_zip()).await).await;
@@ -184,7 +184,7 @@ fn change(body: serde_json::Value) -> MetadataChange {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_capture_that_is_validated_later_is_called_what_was_said_by_then() {
+async fn metadata_changed_during_validation_is_kept() {
     let data = TempDir::new().unwrap();
     let mut server = Server::start(data.path());
     let archive = slow_zip();
@@ -216,7 +216,7 @@ async fn a_capture_that_is_validated_later_is_called_what_was_said_by_then() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_an_upload_in_pieces_a_capture_is_made_later_and_called_so() {
+async fn an_asynchronous_capture_of_an_upload_keeps_its_metadata() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let archive = capture_zip();

@@ -1,11 +1,11 @@
 //! Streams for viewers: cached by their tags, the same Gaussians in both, signed, and bounded in memory.
 
+use relume::server::ApiKeys;
+use relume::testing;
 use relume_api::ModelId;
 use relume_api::signed_urls::NewSignedUrl;
 use relume_client::Client;
 use relume_scene::EnvMap;
-use relume::server::ApiKeys;
-use relume::testing;
 use reqwest::header::{CACHE_CONTROL, ETAG, IF_NONE_MATCH};
 use reqwest::{Method, Response};
 use serde_json::Value;
@@ -36,7 +36,7 @@ async fn with_model() -> (testing::TestServer, ModelId) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn both_streams_have_a_record_for_each_gaussian() {
+async fn both_viewer_streams_have_one_record_per_gaussian() {
     let (server, model) = with_model().await;
     let gaussians = server.client().model(&model).await.unwrap().summary.gaussians;
     let stream = server.client().viewer_stream(&model).await.unwrap();
@@ -58,7 +58,7 @@ async fn both_streams_have_a_record_for_each_gaussian() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stream_that_the_caller_has_is_not_sent_again() {
+async fn viewer_streams_answer_304_for_a_known_etag() {
     let (server, model) = with_model().await;
     let mut tags = Vec::new();
     for (path, cache) in [
@@ -91,7 +91,7 @@ async fn a_stream_that_the_caller_has_is_not_sent_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_no_light_is_refused_by_its_parameter() {
+async fn invalid_viewer_light_parameters_are_refused_by_name() {
     let (server, model) = with_model().await;
     for (query, parameter) in [
         ("environment=moon", "query/environment"),
@@ -107,7 +107,7 @@ async fn what_is_no_light_is_refused_by_its_parameter() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn both_streams_may_be_signed() {
+async fn both_viewer_streams_accept_signed_urls() {
     let keys = |config: &mut relume::server::ServerConfig| config.api_keys = ApiKeys::new(["operator"]);
     let server = testing::spawn_with(tempfile::TempDir::new().unwrap(), keys).await.unwrap();
     let client = Client::new(server.client().base().as_str(), Some("operator".to_owned())).unwrap();

@@ -30,7 +30,7 @@ async fn page(server: &TestServer) -> (String, Vec<String>) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_page_runs_nothing_but_its_own_files() {
+async fn content_security_policy_allows_only_the_pages_own_files() {
     let server = testing::spawn().await.unwrap();
     let answer = get(&server, "/").await;
     assert_eq!(header_of(&answer, header::CONTENT_TYPE), "text/html; charset=utf-8");
@@ -64,7 +64,7 @@ async fn the_page_runs_nothing_but_its_own_files() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn names_that_hold_a_hash_are_kept_for_ever_and_the_others_are_asked_for_again() {
+async fn hashed_web_files_are_immutable_and_others_are_revalidated() {
     let server = testing::spawn().await.unwrap();
     let (_, named) = page(&server).await;
     for path in &named {
@@ -92,7 +92,7 @@ async fn names_that_hold_a_hash_are_kept_for_ever_and_the_others_are_asked_for_a
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn scripts_are_compressed_for_those_who_take_it() {
+async fn scripts_are_compressed_if_the_client_accepts_gzip() {
     let server = testing::spawn().await.unwrap();
     let (_, named) = page(&server).await;
     let script = named.iter().find(|path| path.ends_with(".js")).unwrap();
@@ -114,7 +114,7 @@ async fn scripts_are_compressed_for_those_who_take_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn pages_are_public_where_the_api_asks_for_a_key() {
+async fn pages_are_public_when_the_api_needs_a_key() {
     let server =
         testing::spawn_with(TempDir::new().unwrap(), |config| config.api_keys = ApiKeys::new(["a-key"]));
     let server = server.await.unwrap();
@@ -130,7 +130,7 @@ async fn pages_are_public_where_the_api_asks_for_a_key() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_no_file_of_it_is_a_problem() {
+async fn unknown_web_paths_answer_with_a_problem() {
     let server = testing::spawn().await.unwrap();
     for path in ["/assets/nothing-0000.js", "/assets/", "/assets/..%2Findex.html", "/src/main.tsx", "/v1"] {
         let answer = get(&server, path).await;

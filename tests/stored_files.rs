@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
+use relume::testing::{self, TestServer};
 use relume_api::Problem;
 use relume_api::jobs::JobState;
-use relume::testing::{self, TestServer};
 use reqwest::Method;
 use reqwest::header::{CONTENT_TYPE, ETAG, IF_NONE_MATCH};
 use serde_json::json;
@@ -77,7 +77,7 @@ async fn a_damaged_model_is_neither_served_nor_rendered() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_damaged_capture_fails_its_job_and_another_upload_mends_it() {
+async fn a_damaged_capture_fails_its_job_and_a_new_upload_repairs_it() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -92,7 +92,7 @@ async fn a_damaged_capture_fails_its_job_and_another_upload_mends_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_damaged_environment_lights_nothing() {
+async fn a_damaged_environment_is_not_used() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let model = trained(client).await.model.unwrap();
@@ -114,7 +114,7 @@ fn hdr() -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_damaged_checkpoint_is_not_gone_on_from() {
+async fn training_starts_over_if_its_checkpoint_is_damaged() {
     let server = testing::spawn().await.unwrap();
     let capture = server.client().upload_capture_bytes(capture_zip()).await.unwrap();
     let job = server.client().create_job(&small_job(&capture.id, 2000, 100_000), None).await.unwrap();
@@ -135,7 +135,7 @@ async fn a_damaged_checkpoint_is_not_gone_on_from() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_start_sweeps_what_nothing_refers_to_and_nothing_else() {
+async fn startup_cleanup_moves_aside_only_orphaned_files() {
     let server = testing::spawn().await.unwrap();
     let job = trained(server.client()).await.id;
     let data = server.stop().await.unwrap();

@@ -1,10 +1,10 @@
 //! How much is stored, and that no more is stored than may be.
 
+use relume::server::ServerConfig;
+use relume::testing::{self, TestServer};
 use relume_api::TenantId;
 use relume_api::usage::StoredKind;
 use relume_client::ClientError;
-use relume::server::ServerConfig;
-use relume::testing::{self, TestServer};
 use tempfile::TempDir;
 
 use crate::crash::noise;
@@ -17,7 +17,7 @@ fn on_disk(server: &TestServer, part: &str) -> u64 {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_stored_is_counted_by_kind() {
+async fn usage_counts_stored_bytes_by_kind() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let empty = client.usage().await.unwrap();
@@ -55,7 +55,7 @@ fn beyond<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn beyond_the_limit_uploads_and_jobs_are_refused_with_the_numbers() {
+async fn over_the_disk_limit_uploads_and_jobs_answer_507() {
     let small = capture_zip();
     let limit = small.len() as u64 + 100_000;
     let limited = |bytes: u64| move |config: &mut ServerConfig| config.limits.disk_bytes = Some(bytes);

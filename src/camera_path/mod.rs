@@ -7,13 +7,11 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use crate::camera_path::fields::{fields, pointer, refused};
-use relume_api::cameras::CameraSpec;
 use relume_api::NerfstudioWorld;
+use relume_api::cameras::CameraSpec;
 use relume_api::problem::FieldError;
 use relume_capture::{CaptureError, PhotoCamera, cameras_of_transforms};
 use relume_train::render::View;
-
-
 
 /// Relume's own file of cameras. An answer of `GET /v1/captures/{id}/cameras` is one.
 #[derive(Debug, Deserialize)]
@@ -91,8 +89,8 @@ fn of_transforms(json: &Value, size: (u32, u32)) -> Result<Vec<View>, FieldError
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relume_scene::Camera;
     use glam::DVec3;
+    use relume_scene::Camera;
     use serde_json::json;
 
     fn views(json: &Value) -> Result<Vec<View>, FieldError> {
@@ -108,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn one_camera_is_the_same_view_however_it_is_written() {
+    fn all_camera_formats_give_the_same_view() {
         let wanted = camera();
         let (fov, opengl) = (0.7f64.to_degrees(), rows(wanted.to_opengl()));
         let (qvec, tvec) = wanted.to_colmap();
@@ -139,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn invalid_camera_paths_are_refused_with_a_pointer() {
         let look = json!({ "look_at": { "eye": [3, 0, 0], "target": [3, 0, 0], "fov_y_deg": 40 } });
         for (file, wanted) in [
             (json!({}), ""),

@@ -7,8 +7,8 @@ use serde_json::Value;
 use crate::camera_path::fields::fields;
 use relume_api::NerfstudioWorld;
 use relume_api::problem::FieldError;
-use relume_train::render::View;
 use relume_scene::Camera;
+use relume_train::render::View;
 
 /// Pictures of files that state no size, pixels: nerfstudio's own.
 const SIZE: (u32, u32) = (1920, 1080);
@@ -65,11 +65,12 @@ pub(super) fn views(json: &Value, world: Option<&NerfstudioWorld>) -> Result<Vec
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec4;
     use glam::{DMat3, DVec3};
     use serde_json::json;
 
     #[test]
-    fn a_path_comes_back_from_the_world_of_nerfstudio() {
+    fn nerfstudio_path_is_transformed_back_to_capture_coordinates() {
         let camera =
             Camera::look_at(DVec3::new(3.0, 1.0, 2.0), DVec3::ZERO, DVec3::Z, 0.7, (64, 48)).unwrap();
         let mut transform = DMat4::from_mat3(DMat3::from_rotation_z(0.4) * DMat3::from_rotation_x(-0.3));

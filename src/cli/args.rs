@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn set_takes_json_or_strings_and_flags_win() {
+    fn set_accepts_json_or_strings_and_flags_take_precedence() {
         let set = ["labels=both".to_owned(), "seed=3".to_owned()];
         let overrides = overrides(&[("seed", Some(4.into())), ("resolution", None)], &set).unwrap();
         assert_eq!(overrides.seed, Some(4));
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_key_is_named() {
+    fn an_unknown_key_is_named_in_the_error() {
         let error = overrides(&[], &["speed=11".to_owned()]).unwrap_err();
         assert!(error.contains("speed"), "{error}");
     }

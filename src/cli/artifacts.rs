@@ -1,6 +1,6 @@
 //! Where artifacts are when they are not in the data directory alone.
 
-use crate::store::{ObjectStoreConfig, ArtifactsUrl};
+use crate::store::{ArtifactsUrl, ObjectStoreConfig};
 
 /// Where artifacts are.
 #[derive(Debug, clap::Args)]

@@ -9,21 +9,21 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::cli::output;
+use crate::server::ServeError;
+use crate::testing;
 use relume_api::cameras::{CameraConvention, CameraSpec};
 use relume_api::jobs::NewJob;
 use relume_api::renders::{EnvironmentSpec, RenderRequest};
 use relume_api::{CaptureId, EnvironmentId, ModelId};
-use relume_capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
-use crate::cli::output;
-use relume_client::{Client, ClientError, JobEvent};
-use relume_train::eval::sheet::Sheet;
-use relume_train::eval::{DisplayImage, EvalError, EvalOptions, Report, evaluate, photograph, truth_layers};
 use relume_capture::formats::environment::{self, EnvironmentFileError};
 use relume_capture::formats::model_file::{self, ModelFileError};
+use relume_capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
+use relume_client::{Client, ClientError, JobEvent};
 use relume_spec::rendering::{FrameFormat, Output};
-use crate::server::ServeError;
-use crate::testing;
 use relume_spec::training::{Preset, TrainOverrides};
+use relume_train::eval::sheet::Sheet;
+use relume_train::eval::{DisplayImage, EvalError, EvalOptions, Report, evaluate, photograph, truth_layers};
 
 /// Test views on the contact sheet, two rows each.
 const SHEET_VIEWS: usize = 3;

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use crate::cli::artifacts::ArtifactsArgs;
 use crate::cli::database::DatabaseArgs;
 use crate::cli::error::CommandResult;
-use relume_engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
 use crate::store::{Store, inspect_with};
+use relume_engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
 
 /// Options of `relume doctor`.
 #[derive(Debug, clap::Args)]

@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use relume_capture::{Capture, ImportOptions, import};
 pub use crate::cli::args::QualityArgs;
 use crate::cli::error::CommandResult;
 use crate::cli::light::read_rotations;
 use crate::cli::{input, output};
+use relume_capture::{Capture, ImportOptions, import};
 use relume_engine::Device;
 use relume_engine::DeviceChoice;
 use relume_train::eval::{EvalOptions, Lpips, contact_sheet, evaluate};

@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crop_is_printed_with_its_ball() {
+    fn a_crop_is_printed_with_its_bounding_sphere() {
         let printed = |ground: bool| {
             crop(&serde_json::json!({"crop": {"ball": [1.0, -2.0, 0.5, 3.25], "is_on_ground": ground}}))
                 .unwrap()

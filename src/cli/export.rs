@@ -7,9 +7,9 @@ use crate::cli::error::CommandResult;
 use crate::cli::light::named_light;
 use crate::cli::render::{finite, up_to};
 use crate::cli::{input, output};
+use relume_scene::Model;
 use relume_spec::rendering::{MOST_BAKED_DEGREE, Shown};
 use relume_train::render::{MeshOptions, SplatFile, encode_mesh_file, encode_splat_file, relit};
-use relume_scene::Model;
 
 /// Options of `relume export`.
 #[derive(Debug, clap::Args)]
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_light_is_for_what_is_relit() {
+    fn light_option_selects_relit_and_conflicts_with_albedo() {
         assert_eq!(args(None, None).shown(), Ok(Shown::Radiance));
         assert_eq!(args(None, Some("sunset")).shown(), Ok(Shown::Relit));
         assert_eq!(args(Some(Shown::Relit), None).shown(), Ok(Shown::Relit));
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn kinds_are_told_by_their_extension() {
+    fn export_format_is_chosen_by_file_extension() {
         assert_eq!(kind(Path::new("a/b.GLB")), Ok(SplatFile::Glb));
         assert_eq!(kind(Path::new("b.usdz")), Ok(SplatFile::Usdz));
         assert!(kind(Path::new("b.spz")).unwrap_err().starts_with("b.spz: "));

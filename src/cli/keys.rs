@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use relume_api::keys::{NewKey, Scope};
-use relume_api::{KeyId, TenantId};
 use crate::cli::CommandResult;
 use crate::cli::database::DatabaseArgs;
 use crate::jobs::{Clock, SystemClock};
 use crate::server::rotate_signing_secret;
-use crate::store::{DatabaseUrl, KeyRecord, NewKeyRecord, DataDirLock, Page, Paginated, Store, StoreError};
+use crate::store::{DataDirLock, DatabaseUrl, KeyRecord, NewKeyRecord, Page, Paginated, Store, StoreError};
+use relume_api::keys::{NewKey, Scope};
+use relume_api::{KeyId, TenantId};
 
 /// Options of `relume keys`.
 #[derive(Debug, Args)]

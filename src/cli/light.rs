@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::Path;
 
-use relume_capture::{BUILTIN, Capture, builtin};
 use relume_capture::formats::environment;
+use relume_capture::{BUILTIN, Capture, builtin};
 use relume_scene::EnvMap;
 use relume_spec::training::TrainConfig;
 
@@ -56,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn a_capture_has_the_light_that_the_settings_name_and_no_other() {
+    fn capture_light_is_the_one_named_in_the_settings() {
         assert_eq!(lit_by(r#"{"light": {"environment": "studio"}}"#), Ok(builtin("studio")));
         assert_eq!(lit_by("{}"), Ok(None));
         let missing = lit_by(r#"{"light": {"environment": "no/such.hdr"}}"#).unwrap_err();

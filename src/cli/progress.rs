@@ -184,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_step_is_one_object_and_what_is_no_number_is_null() {
+    fn json_step_has_null_for_numbers_that_are_not_finite() {
         let step =
             Step { step: 3, total: 9, loss: 0.123_456_78, psnr: f64::NAN, gaussians: 64, eta_seconds: None };
         let line = json!({ "event": "step", "step": 3, "total": 9, "loss": 0.123_457, "psnr": null,
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn no_message_is_two_lines() {
+    fn messages_are_written_on_one_line() {
         assert_eq!(one_line("no room\n  on the disk\r\n"), "no room on the disk");
     }
 }

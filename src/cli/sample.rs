@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use relume_capture::{SyntheticOptions, synthetic, write_archive};
 use crate::cli::error::CommandResult;
 use crate::cli::output;
+use relume_capture::{SyntheticOptions, synthetic, write_archive};
 
 /// Options of `relume sample`.
 #[derive(Debug, clap::Args)]

@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_request_is_called_by_method_and_route_and_nothing_else_is() {
+    fn only_request_spans_are_named_by_method_and_route() {
         let mut request = span("request");
         name_request(&mut request);
         assert_eq!((&*request.name, request.span_kind), ("GET /v1/jobs/{id}", SpanKind::Server));

@@ -4,8 +4,6 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use relume_capture::{Capture, ImportLimits};
-use relume_spec::training::GreyCard;
 use crate::cli::args::{named, overrides};
 use crate::cli::capture::{PoseArgs, posed};
 use crate::cli::error::{CommandResult, EXIT_CODES, STOPPED};
@@ -13,10 +11,14 @@ use crate::cli::light::{named_light, read_rotations};
 use crate::cli::output;
 use crate::cli::progress::{Progress, ProgressKind, Step};
 use crate::cli::stop::Stop;
+use relume_capture::formats::model_file;
+use relume_capture::{Capture, ImportLimits};
 use relume_engine::Device;
 use relume_engine::DeviceChoice;
-use relume_capture::formats::model_file;
-use relume_spec::training::{Crop, KnownLight, LightExposure, Method, Preset, TrainConfig, TrainOverrides, WhiteBalance};
+use relume_spec::training::GreyCard;
+use relume_spec::training::{
+    Crop, KnownLight, LightExposure, Method, Preset, TrainConfig, TrainOverrides, WhiteBalance,
+};
 use relume_train::{MemoryNeed, PhotographSizes, Room, Trainer, import_for_training};
 
 /// Options of `relume train`.

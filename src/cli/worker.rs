@@ -8,17 +8,17 @@ use sysinfo::System;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-use relume_api::work::{WorkerHello, validate_labels};
 use crate::cli::error::{CommandResult, STOPPED};
 use crate::cli::key::key;
 use crate::cli::progress::ProgressKind;
 use crate::cli::size::size;
 use crate::cli::worker_progress::teller;
+use crate::jobs::{Ids, RandomIds, SystemClock};
+use crate::remote_worker::{FileCache, RemoteJobs};
+use crate::worker::{self, JobOutcome, OpenedDevice, TrainingOptions};
+use relume_api::work::{WorkerHello, validate_labels};
 use relume_client::Client;
 use relume_engine::DeviceChoice;
-use crate::remote_worker::{FileCache, RemoteJobs};
-use crate::jobs::{Ids, RandomIds, SystemClock};
-use crate::worker::{self, JobOutcome, OpenedDevice, TrainingOptions};
 
 /// Exit code of `--once` when the job failed.
 const JOB_FAILED: u8 = 3;

@@ -2,9 +2,9 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use relume_api::jobs::JobProgress;
 use crate::cli::progress::{Progress, ProgressKind, Step};
 use crate::remote_worker::{Observer, WorkerEvent};
+use relume_api::jobs::JobProgress;
 
 /// Tells whoever reads `kind`.
 pub(super) fn teller(kind: ProgressKind) -> Observer {
@@ -27,7 +27,9 @@ pub(super) fn teller(kind: ProgressKind) -> Observer {
 fn log(told: WorkerEvent<'_>) {
     match told {
         WorkerEvent::Claimed(task) => tracing::info!(job = %task.job, attempt = task.attempt, "took a job"),
-        WorkerEvent::Progress(progress) => tracing::debug!(step = progress.step, total = progress.total, "trains"),
+        WorkerEvent::Progress(progress) => {
+            tracing::debug!(step = progress.step, total = progress.total, "trains")
+        }
         WorkerEvent::Warning(message) => tracing::warn!("{message}"),
         WorkerEvent::Published => tracing::info!("published the model"),
         WorkerEvent::Failed(detail) => tracing::warn!(detail, "the job failed"),

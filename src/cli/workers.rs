@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use relume_api::WorkerId;
-use relume_api::work::{WorkerChange, WorkerView};
 use crate::cli::error::CommandResult;
 use crate::cli::key::key;
+use relume_api::WorkerId;
+use relume_api::work::{WorkerChange, WorkerView};
 use relume_client::Client;
 
 /// Options of `relume workers`.

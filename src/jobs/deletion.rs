@@ -1,8 +1,8 @@
 //! Deletion, with word of it to workers and listeners.
 
-use relume_api::{ResourceName, TenantId};
 use crate::jobs::queue::Jobs;
 use crate::store::{Deletion, DeletionReport, Retention, StoreError};
+use relume_api::{ResourceName, TenantId};
 
 impl Jobs {
     /// Deletes a capture, an environment, a job or a model of a tenant; see [`crate::store::Store::delete`]. On a full disk the reserve is

@@ -1,8 +1,8 @@
 //! Who works: workers say that they are there, and those that fall silent lose their jobs.
 
-use relume_api::work::WorkerHello;
 use crate::jobs::queue::Jobs;
 use crate::store::StoreError;
+use relume_api::work::WorkerHello;
 
 /// How long a worker that was not heard of again is remembered, milliseconds.
 const FORGET_AFTER_MS: i64 = 24 * 3600 * 1000;
@@ -23,7 +23,11 @@ impl Jobs {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn record_worker_heartbeat(&self, hello: &WorkerHello, server: Option<&str>) -> Result<bool, StoreError> {
+    pub async fn record_worker_heartbeat(
+        &self,
+        hello: &WorkerHello,
+        server: Option<&str>,
+    ) -> Result<bool, StoreError> {
         self.store.record_worker_heartbeat(hello, server, self.now_ms()).await
     }
 

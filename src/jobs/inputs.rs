@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use relume_api::EnvironmentId;
 use crate::jobs::lease::Lease;
 use crate::store::StoreError;
+use relume_api::EnvironmentId;
 
 /// A stored file that an attempt may read.
 #[derive(Debug, Clone)]

@@ -3,12 +3,12 @@
 
 use std::time::Duration;
 
+use crate::jobs::queue::Jobs;
+use crate::store::{Claimant, JobRecord, ModelFile, ModelRecord, QualityResult, StagedUpload, StoreError};
 use relume_api::JobId;
 use relume_api::jobs::{JobProgress, JobState};
 use relume_api::quality::Figures;
 use relume_api::work::{LeaseStatus, Release, Task};
-use crate::jobs::queue::Jobs;
-use crate::store::{Claimant, StagedUpload, JobRecord, QualityResult, ModelFile, ModelRecord, StoreError};
 
 /// How often a worker tries again what the database could not be reached for, and how long it waits in between.
 const MAX_RETRIES: u32 = 60;
@@ -227,7 +227,11 @@ impl Lease {
     }
 
     /// Where no room was left for `size` bytes, nothing is claimed until there is.
-    pub(super) fn note_disk_shortage<T>(&self, stored: Result<T, StoreError>, size: u64) -> Result<T, StoreError> {
+    pub(super) fn note_disk_shortage<T>(
+        &self,
+        stored: Result<T, StoreError>,
+        size: u64,
+    ) -> Result<T, StoreError> {
         if matches!(stored, Err(StoreError::Full)) {
             self.jobs.store.disk_space().note_shortage(size);
         }

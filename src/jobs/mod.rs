@@ -13,10 +13,10 @@
 
 mod clock;
 mod deletion;
-mod model_publication;
+mod heartbeat;
 mod inputs;
 mod lease;
-mod heartbeat;
+mod model_publication;
 mod queue;
 
 pub use clock::{Clock, DatabaseClock, Ids, ManualClock, RandomIds, SequentialIds, SystemClock};

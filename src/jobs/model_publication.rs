@@ -1,9 +1,9 @@
 //! What a finished training leaves: files, then a model that names them, in the transaction that ends its job.
 
+use crate::jobs::lease::Lease;
+use crate::store::{ModelFile, ModelRecord, StagedUpload, StoreError};
 use relume_api::quality::Figures;
 use relume_api::work::{FinishedModel, LeaseStatus, SentFile};
-use crate::jobs::lease::Lease;
-use crate::store::{StagedUpload, ModelFile, ModelRecord, StoreError};
 
 /// Media type of a model's files.
 const CONTENT_TYPE: &str = "application/octet-stream";

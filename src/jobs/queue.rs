@@ -6,13 +6,13 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 
-use relume_api::jobs::{JobState, NewJob};
-use relume_api::{JobId, TenantId};
 use crate::jobs::clock::{Clock, Ids};
 use crate::store::{
-    CancelOutcome, EventRecord, Filter, IdempotencyKey, JobRecord, MAX_QUEUE_POSITION, Page, Store, StoreError,
-    Submitted,
+    CancelOutcome, EventRecord, Filter, IdempotencyKey, JobRecord, MAX_QUEUE_POSITION, Page, Store,
+    StoreError, Submitted,
 };
+use relume_api::jobs::{JobState, NewJob};
+use relume_api::{JobId, TenantId};
 
 /// Time between two attempts to hear of what others write.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);

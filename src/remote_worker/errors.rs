@@ -1,7 +1,7 @@
 //! What errors of the API are to a worker.
 
-use relume_client::ClientError;
 use crate::worker::JobSourceError;
+use relume_client::ClientError;
 
 /// What an error of the API is to a worker.
 pub(super) fn source_error(error: ClientError) -> JobSourceError {
@@ -15,7 +15,9 @@ pub(super) fn source_error(error: ClientError) -> JobSourceError {
         "not-found" => JobSourceError::Gone,
         "artifact-damaged" => JobSourceError::Damaged,
         "insufficient-storage" | "storage-limit" | "quota-exceeded" => JobSourceError::Full,
-        _ if matches!(problem.status, 408 | 429 | 502..=504) => JobSourceError::Unreachable(error.to_string()),
+        _ if matches!(problem.status, 408 | 429 | 502..=504) => {
+            JobSourceError::Unreachable(error.to_string())
+        }
         _ => JobSourceError::Failed(error.to_string()),
     }
 }

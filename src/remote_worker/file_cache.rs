@@ -9,8 +9,8 @@ use futures::{StreamExt, TryStreamExt};
 use sha2::{Digest, Sha256};
 use tokio::io::AsyncWriteExt;
 
-use relume_client::{ClientError, Download};
 use crate::store::hex;
+use relume_client::{ClientError, Download};
 
 /// Name of files on their way.
 const PART: &str = ".part";
@@ -149,7 +149,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_files_used_longest_ago_go_first_and_the_one_in_use_stays() {
+    fn prune_removes_the_oldest_files_but_keeps_the_one_in_use() {
         let dir = tempfile::tempdir().unwrap();
         let now = SystemTime::now();
         let make = |name: &str, age: u64| {
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_file_is_not_there() {
+    fn a_damaged_cached_file_is_removed_and_reported_missing() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("file");
         std::fs::write(&path, b"bytes").unwrap();

@@ -10,16 +10,16 @@ use sha2::{Digest, Sha256};
 use tokio::sync::watch;
 use tokio_util::bytes::Bytes;
 
-use relume_api::EnvironmentId;
-use relume_api::jobs::JobProgress;
-use relume_api::work::{FinishedModel, LeaseStatus, LeaseView, Release, Task, WorkEnd};
-use relume_client::work::LeasedJob;
-use relume_client::{ClientError, Download};
 use crate::remote_worker::errors::source_error;
 use crate::remote_worker::file_cache::{CacheError, FileCache};
 use crate::remote_worker::observer::{Observer, WorkerEvent};
 use crate::store::hex;
 use crate::worker::{Claim, JobSourceError, TrainedModel};
+use relume_api::EnvironmentId;
+use relume_api::jobs::JobProgress;
+use relume_api::work::{FinishedModel, LeaseStatus, LeaseView, Release, Task, WorkEnd};
+use relume_client::work::LeasedJob;
+use relume_client::{ClientError, Download};
 
 /// Least time between two signs of life.
 const MIN_HEARTBEAT_INTERVAL: Duration = Duration::from_millis(100);
@@ -51,7 +51,8 @@ impl RemoteClaim {
         observer: Observer,
         (changes, every): (Arc<watch::Sender<()>>, Duration),
     ) -> Self {
-        let heartbeat_task = tokio::spawn(send_heartbeats(work.clone(), changes, every.max(MIN_HEARTBEAT_INTERVAL)));
+        let heartbeat_task =
+            tokio::spawn(send_heartbeats(work.clone(), changes, every.max(MIN_HEARTBEAT_INTERVAL)));
         Self { work, task, cache, observer, heartbeat_task }
     }
 
@@ -195,7 +196,9 @@ async fn download_with_retries<T>(act: impl AsyncFn() -> Result<T, CacheError>) 
     let mut wrong = 0;
     for _ in 0..MAX_RETRIES {
         match act().await {
-            Err(CacheError::Client(error)) if is_transient(&error) => tokio::time::sleep(RETRY_INTERVAL).await,
+            Err(CacheError::Client(error)) if is_transient(&error) => {
+                tokio::time::sleep(RETRY_INTERVAL).await
+            }
             Err(CacheError::Io(error)) if error.kind() == io::ErrorKind::TimedOut => {
                 tokio::time::sleep(RETRY_INTERVAL).await;
             }

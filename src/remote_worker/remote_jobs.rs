@@ -6,15 +6,15 @@ use std::time::Duration;
 use async_trait::async_trait;
 use tokio::sync::watch;
 
-use relume_api::WorkerId;
-use relume_api::work::WorkerHello;
-use relume_client::Client;
+use crate::jobs::Clock;
 use crate::remote_worker::errors::source_error;
 use crate::remote_worker::file_cache::FileCache;
 use crate::remote_worker::observer::{Observer, WorkerEvent};
 use crate::remote_worker::remote_claim::RemoteClaim;
-use crate::jobs::Clock;
 use crate::worker::{ClaimOutcome, JobSource, JobSourceError};
+use relume_api::WorkerId;
+use relume_api::work::WorkerHello;
+use relume_client::Client;
 
 /// The jobs of a server for one worker.
 pub struct RemoteJobs {

@@ -7,15 +7,15 @@ use axum::http::{Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use crate::server::problem::Problem;
-use relume_api::keys::Scope::{self, Admin, Metrics, Read, Render, Submit, Work};
 use crate::server::caller::Caller;
 use crate::server::keyring::Keyring;
-use crate::server::rate_limiter::{RateLimiter, RateLimitStatus};
+use crate::server::problem::Problem;
+use crate::server::rate_limiter::{RateLimitStatus, RateLimiter};
 use crate::server::signing::{SignedQuery, SignedResource};
 use crate::server::signing_secret::{SigningSecret, digest};
 #[cfg(feature = "web")]
 use crate::server::web;
+use relume_api::keys::Scope::{self, Admin, Metrics, Read, Render, Submit, Work};
 
 /// What a route asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -135,7 +135,11 @@ pub(super) struct AccessControl {
 }
 
 /// Finds out who makes a request and lets it through if they may.
-pub(super) async fn check(State(access_control): State<Arc<AccessControl>>, request: Request, next: Next) -> Response {
+pub(super) async fn check(
+    State(access_control): State<Arc<AccessControl>>,
+    request: Request,
+    next: Next,
+) -> Response {
     let access = access_of(&request);
     if access == Some(Open) {
         return next.run(request).await;
@@ -223,7 +227,7 @@ mod tests {
     use crate::server::openapi;
 
     #[test]
-    fn the_table_has_every_operation_and_no_other() {
+    fn access_table_lists_exactly_the_openapi_operations() {
         let description = serde_json::to_value(openapi()).unwrap();
         let mut described = BTreeSet::new();
         for (path, item) in description["paths"].as_object().unwrap() {

@@ -6,22 +6,22 @@ use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 
-use relume_capture::ImportLimits;
 use crate::jobs::Jobs;
 use crate::server::decoders::Decoders;
 use crate::server::encoders::Encoders;
 use crate::server::exports::ExportQueue;
 use crate::server::fetching::Fetcher;
+use crate::server::keyed_locks::KeyedLocks;
 use crate::server::keyring::Keyring;
 use crate::server::memory::{MemoryBudget, default_budget};
 use crate::server::opened_captures::OpenedCaptures;
 use crate::server::poses::PoseQueue;
 use crate::server::signing_secret::SigningSecret;
 use crate::server::thumbnail_cache::ThumbnailCache;
-use crate::server::keyed_locks::KeyedLocks;
 use crate::server::webhooks::WebhookPolicy;
 use crate::store::{Store, UploadLimits};
 use crate::worker::DeviceHandle;
+use relume_capture::ImportLimits;
 
 /// What handlers share.
 pub(super) type AppState = Arc<App>;

@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_key_only_loopback_is_served() {
+    fn without_a_key_only_loopback_addresses_may_listen() {
         let (local, world) = ("127.0.0.1:80".parse().unwrap(), "0.0.0.0:80".parse().unwrap());
         assert!(may_listen(local, false) && !may_listen(world, false) && may_listen(world, true));
     }

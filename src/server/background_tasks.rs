@@ -19,7 +19,8 @@ impl BackgroundTasks {
     /// Starts them.
     pub(super) fn begin(app: &AppState, retention: Retention) -> Self {
         let (jobs, stop) = (app.jobs.clone(), app.stop.clone());
-        let garbage_collector = GarbageCollector { jobs: jobs.clone(), retention, thumbnails: app.thumbnails.clone() };
+        let garbage_collector =
+            GarbageCollector { jobs: jobs.clone(), retention, thumbnails: app.thumbnails.clone() };
         let gc_task = tokio::spawn(garbage_collector.run(app.gc_wake.clone(), stop.clone()));
         let webhook_task = tokio::spawn(WebhookDispatcher::new(jobs, app.webhooks).run(stop));
         let export_task = tokio::spawn(exports::work(app.clone()));

@@ -4,10 +4,10 @@ use axum::extract::FromRequestParts;
 use axum::http::StatusCode;
 use axum::http::request::Parts;
 
-use relume_api::keys::Scope;
-use relume_api::{KeyId, TenantId};
 use crate::server::problem::Problem;
 use crate::store::StoreError;
+use relume_api::keys::Scope;
+use relume_api::{KeyId, TenantId};
 
 /// What stands for a key where there is none.
 pub(super) const NO_KEY: &str = "none";
@@ -67,7 +67,10 @@ impl Caller {
         if self.scopes.contains(&scope) {
             return Ok(());
         }
-        Err(Self::missing_permission(format!("this operation requires a key with the scope {scope:?}", scope = scope.name())))
+        Err(Self::missing_permission(format!(
+            "this operation requires a key with the scope {scope:?}",
+            scope = scope.name()
+        )))
     }
 
     /// Whether this is an administrator of the tenant of whoever runs the server.
@@ -95,11 +98,14 @@ impl Caller {
         }
         let tenant = TenantId::of_operator();
         let scope = scope.name();
-        Err(Self::missing_permission(format!("this operation requires a key with the scope {scope:?} of the tenant \"{tenant}\"")))
+        Err(Self::missing_permission(format!(
+            "this operation requires a key with the scope {scope:?} of the tenant \"{tenant}\""
+        )))
     }
 
     fn missing_permission(what: String) -> Problem {
-        Problem::new(StatusCode::FORBIDDEN, "forbidden", "The key does not permit this operation").detail(what)
+        Problem::new(StatusCode::FORBIDDEN, "forbidden", "The key does not permit this operation")
+            .detail(what)
     }
 }
 

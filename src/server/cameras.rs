@@ -10,15 +10,15 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::cameras::{CameraConvention, CameraSpec, CaptureCameras, CapturedCamera};
-use relume_api::CaptureId;
-use crate::server::problem::Problem;
-use relume_capture::{self, CaptureError, ImportLimits, PhotoCamera};
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
+use crate::server::problem::Problem;
 use crate::store::{StoreError, hex};
+use relume_api::CaptureId;
+use relume_api::cameras::{CameraConvention, CameraSpec, CaptureCameras, CapturedCamera};
+use relume_capture::{self, CaptureError, ImportLimits, PhotoCamera};
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {

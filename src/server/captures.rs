@@ -7,24 +7,24 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::captures::{CaptureState, CaptureSummary};
-use relume_api::metadata::{ResourceMetadata, MetadataChange};
-use relume_api::uploads::CaptureSource;
-use relume_api::{CaptureId, List, ResourceKind, ResourceName, TenantId};
-use crate::server::problem::Problem;
-use relume_spec::CaptureReport;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::{ArchiveForm, File};
 use crate::server::extract::{JsonBody, NoQuery, QueryString, UrlPath, media_type};
 use crate::server::fetching;
+use crate::server::file_body::{self, AcceptedBody};
 use crate::server::listing::rfc3339;
 use crate::server::metadata::{self, FilteredPageQuery, MetadataQuery};
 use crate::server::poses;
-use crate::server::file_body::{self, AcceptedBody};
+use crate::server::problem::Problem;
 use crate::server::uploads;
 use crate::server::validation::{self, AsyncOutcome};
 use crate::store::{CaptureRecord, StagedUpload};
+use relume_api::captures::{CaptureState, CaptureSummary};
+use relume_api::metadata::{MetadataChange, ResourceMetadata};
+use relume_api::uploads::CaptureSource;
+use relume_api::{CaptureId, List, ResourceKind, ResourceName, TenantId};
+use relume_spec::CaptureReport;
 
 /// The routes of this file that take no archives.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
@@ -265,7 +265,11 @@ async fn receive(app: &AppState, caller: &Caller, request: Request) -> Result<St
 }
 
 /// The bytes that a body names.
-async fn from_source(app: &AppState, caller: &Caller, source: &CaptureSource) -> Result<StagedUpload, Problem> {
+async fn from_source(
+    app: &AppState,
+    caller: &Caller,
+    source: &CaptureSource,
+) -> Result<StagedUpload, Problem> {
     let is_hash = |text: &str| text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
     if source.sha256.as_deref().is_some_and(|text| !is_hash(text)) {
         return Err(Problem::invalid_field("/sha256", "must be 64 hexadecimal digits"));

@@ -57,14 +57,14 @@ mod tests {
     use rayon::prelude::*;
 
     #[test]
-    fn threads_are_bound_by_processors_and_memory() {
+    fn decoder_threads_are_limited_by_processors_and_memory() {
         assert_eq!(threads(64 << 30, 16), 8);
         assert_eq!(threads(16 << 30, 16), 2);
         assert_eq!(threads(1 << 30, 2), 1);
     }
 
     #[tokio::test]
-    async fn parallel_work_stays_on_the_threads_and_a_panic_is_a_problem() {
+    async fn decoder_work_stays_on_its_threads_and_a_panic_answers_500() {
         let decoders = Decoders::start(1 << 30).unwrap();
         let names = || {
             let name = |_| std::thread::current().name().unwrap_or_default().to_owned();

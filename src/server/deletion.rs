@@ -9,13 +9,13 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::{CaptureId, ResourceKind, ResourceName};
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::poses;
+use crate::server::problem::Problem;
 use crate::store::Deletion;
+use relume_api::{CaptureId, ResourceKind, ResourceName};
 
 /// How often, and how many times, it is asked whether work that was cancelled has ended.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);

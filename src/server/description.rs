@@ -69,7 +69,10 @@ const TAGS: [(&str, &str); 11] = [
     ("environments", "HDR environment maps, built-in and uploaded."),
     ("jobs", "Trainings: queue, state, events, previews, cancellation and retries."),
     ("models", "Trained models: metadata, files, rendered frames, thumbnails and data for viewers."),
-    ("exports", "Files that the server makes of a model in the background: sequences of frames, Gaussians and meshes."),
+    (
+        "exports",
+        "Files that the server makes of a model in the background: sequences of frames, Gaussians and meshes.",
+    ),
     ("keys", "API keys of tenants and their scopes."),
     ("signed-urls", "URLs that are valid without a key for a limited time."),
     ("webhooks", "Notifications of job events, and their deliveries."),

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::problem::Problem;
-use relume_train::render::{EncodedFrame, Finish, Frame, encode_wanted_frame};
-use relume_spec::rendering::{FrameFormat, Output};
 use crate::server::memory::MemoryPermit;
+use crate::server::problem::Problem;
+use relume_spec::rendering::{FrameFormat, Output};
+use relume_train::render::{EncodedFrame, Finish, Frame, encode_wanted_frame};
 
 /// Most values of a frame that is encoded at once, whatever else is: 512 x 512 pixels of colour and alpha.
 const AT_ONCE: u64 = 1 << 20;
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_large_frame_waits_for_its_turn_and_a_small_one_does_not() {
+    async fn large_frames_wait_for_an_encoder_and_small_ones_do_not() {
         let encoders = Encoders(Arc::new(Semaphore::new(1)));
         let taken = encoders.0.clone().acquire_owned().await.unwrap();
         assert!(encode(&encoders, 64).await.is_ok());
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_turn_of_a_client_who_has_gone_comes_back() {
+    async fn encoder_permit_is_released_when_the_client_disconnects() {
         let encoders = Encoders(Arc::new(Semaphore::new(1)));
         let begun = tokio::time::timeout(Duration::from_millis(5), encode(&encoders, 2048)).await;
         assert!(begun.is_err(), "nobody encodes four million pixels in five milliseconds");

@@ -8,21 +8,21 @@ use tokio::io::AsyncReadExt;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::environments::{EnvironmentList, EnvironmentView};
-use relume_api::metadata::{ResourceMetadata, MetadataChange};
-use relume_api::problem::ContentError;
-use relume_api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
-use crate::server::problem::Problem;
-use relume_capture::BUILTIN;
-use relume_capture::formats::environment::{self, EnvironmentFileError, LoadedEnvironment};
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::{EnvironmentForm, File};
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
+use crate::server::file_body::{self, AcceptedBody};
 use crate::server::listing::rfc3339;
 use crate::server::metadata::{self, FilteredPageQuery, MetadataQuery};
-use crate::server::file_body::{self, AcceptedBody};
+use crate::server::problem::Problem;
 use crate::store::{EnvironmentRecord, StagedUpload};
+use relume_api::environments::{EnvironmentList, EnvironmentView};
+use relume_api::metadata::{MetadataChange, ResourceMetadata};
+use relume_api::problem::ContentError;
+use relume_api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
+use relume_capture::BUILTIN;
+use relume_capture::formats::environment::{self, EnvironmentFileError, LoadedEnvironment};
 
 /// Bytes from a file's begin that hold its header.
 const HEAD: u64 = 1 << 20;

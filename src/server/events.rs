@@ -15,14 +15,14 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::{JobId, KeyId, TenantId};
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::listing::rfc3339;
+use crate::server::problem::Problem;
 use crate::server::signing_secret::digest;
 use crate::store::{EventRecord, StoreError};
+use relume_api::{JobId, KeyId, TenantId};
 
 /// How long a listener waits for a notification before it queries the database.
 const POLL: Duration = Duration::from_secs(2);

@@ -12,9 +12,9 @@ use serde_json::error::Category;
 use serde_path_to_error::Segment;
 use tower_http::timeout::TimeoutError;
 
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::memory::MemoryPermit;
+use crate::server::problem::Problem;
 
 /// A JSON body of at most `LIMIT` bytes.
 pub(super) struct JsonBody<T, const LIMIT: usize = 65_536>(pub(super) T);
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn the_pointer_names_the_field_at_fault() {
+    fn json_errors_point_to_the_invalid_field() {
         assert_eq!(refusal(r#"{"inner":[{"size":1},{"size":-1}]}"#), (422, "/inner/1/size".into()));
         assert_eq!(refusal(r#"{"inner":[{"size":1,"a/b":2}]}"#), (422, "/inner/0/a~1b".into()));
         assert_eq!(refusal(r#"{"inner":[{}]}"#), (422, "/inner/0/size".into()));
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_json_is_malformed() {
+    fn malformed_json_answers_400() {
         for json in ["", "{", "{} {}", "{\"inner\":[]}x", "{\"inner\":[{\"size\":1e999}]}"] {
             assert_eq!(refusal(json).0, if json.starts_with("{} ") { 422 } else { 400 }, "{json}");
         }

@@ -8,11 +8,11 @@ use axum::extract::{FromRequest, Multipart, Request};
 use futures::{Stream, TryStreamExt};
 use tower_http::timeout::TimeoutError;
 
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{STALLED, caused_by, content_length, media_type};
 use crate::server::file_form;
+use crate::server::problem::Problem;
 use crate::store::StagedUpload;
 
 /// What a route accepts.

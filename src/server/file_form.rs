@@ -10,10 +10,10 @@ use futures::{Stream, TryStreamExt, stream};
 use tokio::io::{AsyncReadExt, AsyncSeekExt, AsyncWriteExt};
 use tower_http::timeout::TimeoutError;
 
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{STALLED, caused_by};
+use crate::server::problem::Problem;
 use crate::store::{StagedUpload, StoreError};
 
 /// Name of the form's fields.
@@ -41,7 +41,9 @@ impl FormError {
         match self {
             Self::Form(error) if caused_by::<TimeoutError>(&error) => Problem::timeout(STALLED),
             Self::Form(error) => Problem::malformed_form(error.body_text()),
-            Self::Disk(error) if error.kind() == io::ErrorKind::StorageFull => caller.problem_for(StoreError::Full),
+            Self::Disk(error) if error.kind() == io::ErrorKind::StorageFull => {
+                caller.problem_for(StoreError::Full)
+            }
             Self::Disk(error) => Problem::storage_failed(error),
             Self::File { pointer, detail } => Problem::invalid_field(pointer, detail),
             Self::TooLarge { limit, .. } => Problem::too_large(limit).detail(self.to_string()),

@@ -13,13 +13,13 @@ use base64::engine::general_purpose::STANDARD;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::ModelId;
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::UrlPath;
+use crate::server::problem::Problem;
 use crate::store::ModelFile;
+use relume_api::ModelId;
 
 /// How long a URL of the object store lets a caller begin to read.
 const SIGNED_URL_LIFETIME: Duration = Duration::from_secs(900);
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_are_read_as_the_standard_says() {
+    fn byte_ranges_are_parsed_as_in_rfc_9110() {
         assert_eq!(ask("bytes=0-3"), Requested::Part(0..4));
         assert_eq!(ask("bytes=4-"), Requested::Part(4..10));
         assert_eq!(ask("bytes=-3"), Requested::Part(7..10));
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_one_byte_range_is_ignored() {
+    fn invalid_or_multiple_byte_ranges_are_ignored() {
         for odd in ["bytes=3-1", "bytes=a-b", "bytes=0-1,3-4", "lines=0-1", "bytes=--1", "bytes=-"] {
             assert_eq!(ask(odd), Requested::Whole, "{odd}");
         }

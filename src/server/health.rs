@@ -10,12 +10,12 @@ use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::server::problem::Problem;
-use relume_api::jobs::JobState;
-use relume_api::work::WorkerState;
 use crate::server::app::AppState;
+use crate::server::problem::Problem;
 use crate::server::telemetry;
 use crate::store::StoreError;
+use relume_api::jobs::JobState;
+use relume_api::work::WorkerState;
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
@@ -67,8 +67,7 @@ async fn readyz(State(app): State<AppState>) -> Result<&'static str, Problem> {
         tracing::warn!(%error, "not ready");
         match error {
             StoreError::NoDiskSpace { bytes } => {
-                not_ready(&format!("the disk is full: {bytes} more bytes do not fit"))
-                    .retry_after(10)
+                not_ready(&format!("the disk is full: {bytes} more bytes do not fit")).retry_after(10)
             }
             error => not_ready(&format!("the data directory cannot be written: {error}")),
         }

@@ -28,8 +28,10 @@ pub(super) fn check(config: &TrainConfig, on_gpu: bool) -> Result<(), Problem> {
     ];
     for (field, value, most_here) in asked {
         if u64::from(value) > most_here {
-            let detail =
-                format!("must be at most {most_here} on the {} with these settings, got {value}", most.engine);
+            let detail = format!(
+                "must be at most {most_here} on the {} with these settings, got {value}",
+                most.engine
+            );
             return Err(Problem::invalid_field(format!("/overrides/{field}"), detail));
         }
     }
@@ -47,7 +49,7 @@ mod tests {
     }
 
     #[test]
-    fn every_preset_may_be_trained_and_what_blocks_a_device_may_not() {
+    fn presets_are_within_job_limits_and_larger_jobs_are_refused() {
         for preset in [Preset::Draft, Preset::Standard, Preset::High] {
             assert!(check(&TrainConfig::preset(preset), false).is_ok());
         }

@@ -9,19 +9,19 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::jobs::{JobChange, JobDevice, JobState, JobView, NewJob};
-use relume_api::keys::Scope;
-use relume_api::work::validate_labels;
-use relume_api::{EnvironmentId, JobId, List, ResourceKind, TenantId};
-use crate::server::problem::Problem;
-use relume_capture::BUILTIN;
 use crate::jobs::Origin;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::PageQuery;
-use crate::server::{idempotency, job_bounds, metadata, telemetry, quality_gate, validation};
+use crate::server::problem::Problem;
+use crate::server::{idempotency, job_bounds, metadata, quality_gate, telemetry, validation};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted};
+use relume_api::jobs::{JobChange, JobDevice, JobState, JobView, NewJob};
+use relume_api::keys::Scope;
+use relume_api::work::validate_labels;
+use relume_api::{EnvironmentId, JobId, List, ResourceKind, TenantId};
+use relume_capture::BUILTIN;
 use relume_spec::training::{ConfigError, KnownLight, TrainConfig};
 
 /// Where jobs are.
@@ -247,7 +247,8 @@ async fn retry_job(
     let job =
         app.store.job(&caller.tenant, &id).await?.ok_or_else(|| Problem::not_found("job", id.as_str()))?;
     if !matches!(job.state, JobState::Failed | JobState::Cancelled) {
-        let detail = format!("the job is {}; only a failed or cancelled job can be retried", job.state.name());
+        let detail =
+            format!("the job is {}; only a failed or cancelled job can be retried", job.state.name());
         return Err(Problem::conflict("job-not-retryable", detail));
     }
     let mut request = job.request;
@@ -290,7 +291,10 @@ async fn check_light(app: &AppState, tenant: &TenantId, light: &KnownLight) -> R
     if BUILTIN.contains(&name) || app.store.environment(tenant, &EnvironmentId::from(name)).await?.is_some() {
         return Ok(());
     }
-    let detail = format!("{name:?} is neither the identifier of an uploaded environment map nor one of {}", BUILTIN.join(", "));
+    let detail = format!(
+        "{name:?} is neither the identifier of an uploaded environment map nor one of {}",
+        BUILTIN.join(", ")
+    );
     Err(Problem::invalid_field("/overrides/light/environment", detail))
 }
 
@@ -299,7 +303,9 @@ async fn check_light(app: &AppState, tenant: &TenantId, light: &KnownLight) -> R
 /// # Errors
 /// 422 for a job that asks for one in vain.
 async fn on_gpu(app: &AppState, asked: JobDevice) -> Result<bool, Problem> {
-    let there = app.device.has_gpu() || !app.trains || app.store.has_gpu_worker(app.jobs.heartbeat_cutoff_ms()).await?;
+    let there = app.device.has_gpu()
+        || !app.trains
+        || app.store.has_gpu_worker(app.jobs.heartbeat_cutoff_ms()).await?;
     if asked == JobDevice::Gpu && !there {
         return Err(Problem::invalid_field("/device", "neither this server nor a worker has a GPU"));
     }

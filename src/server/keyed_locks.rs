@@ -40,7 +40,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn equal_keys_wait_for_one_another_and_nothing_stays() {
+    async fn keyed_lock_serialises_equal_keys_and_frees_unused_ones() {
         let keyed_locks = KeyedLocks::default();
         let first = keyed_locks.take("a").await;
         let _other = keyed_locks.take("b").await;

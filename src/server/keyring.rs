@@ -6,12 +6,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use subtle::ConstantTimeEq;
 
-use relume_api::keys::Scope;
-use relume_api::{KeyId, TenantId};
 use crate::jobs::Clock;
 use crate::server::auth::ApiKeys;
 use crate::server::caller::{CONFIGURED, Caller, NO_KEY};
 use crate::store::{KeyRecord, KeyToken, Store, StoreError, hex};
+use relume_api::keys::Scope;
+use relume_api::{KeyId, TenantId};
 
 /// The use of a key is written down once in this time.
 const RECORD_INTERVAL_MS: i64 = 60_000;

@@ -7,14 +7,14 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::keys::{CreatedKey, KeyView, NewKey, RevokedKey, Scope};
-use relume_api::{KeyId, List, TenantId};
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::{PageQuery, rfc3339};
+use crate::server::problem::Problem;
 use crate::store::{KeyRecord, NewKeyRecord};
+use relume_api::keys::{CreatedKey, KeyView, NewKey, RevokedKey, Scope};
+use relume_api::{KeyId, List, TenantId};
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
@@ -48,10 +48,13 @@ async fn create_key(
     }
     if !caller.has_key {
         // The first key locks out everybody else, for good.
-        let detail =
-            "create the first key of a server on its machine with `relume keys create`";
-        return Err(Problem::new(StatusCode::FORBIDDEN, "forbidden", "The first key cannot be created over HTTP")
-            .detail(detail));
+        let detail = "create the first key of a server on its machine with `relume keys create`";
+        return Err(Problem::new(
+            StatusCode::FORBIDDEN,
+            "forbidden",
+            "The first key cannot be created over HTTP",
+        )
+        .detail(detail));
     }
     if key.tenant.as_ref().is_some_and(|tenant| *tenant != caller.tenant) {
         caller.require_operator(Scope::Admin)?;

@@ -6,14 +6,14 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use sha2::{Digest, Sha256};
 
-use relume_api::renders::EnvironmentSpec;
-use relume_api::{EnvironmentId, TenantId};
-use crate::server::problem::Problem;
-use relume_capture::BUILTIN;
 use crate::server::app::AppState;
 use crate::server::environments;
+use crate::server::problem::Problem;
 use crate::store::{StoreError, hex};
 use crate::worker::LightSource;
+use relume_api::renders::EnvironmentSpec;
+use relume_api::{EnvironmentId, TenantId};
+use relume_capture::BUILTIN;
 
 /// The light of a render request; a stored map is not read yet.
 pub(super) async fn light(
@@ -34,7 +34,10 @@ pub(super) async fn light(
             Problem::invalid_field("/environment/builtin", detail)
         }),
         (None, None, Some(text)) => inline_light(app, text).await,
-        _ => Err(Problem::invalid_field("/environment", "must have at most one of id, builtin and inline_base64")),
+        _ => Err(Problem::invalid_field(
+            "/environment",
+            "must have at most one of id, builtin and inline_base64",
+        )),
     }
 }
 

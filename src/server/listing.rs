@@ -3,9 +3,9 @@
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use relume_api::List;
 use crate::server::problem::Problem;
 use crate::store::{InvalidCursor, Page, Paginated, StoreError};
+use relume_api::List;
 
 pub(super) use crate::store::rfc3339;
 
@@ -41,7 +41,10 @@ impl PageQuery {
     ) -> Result<PageRequest, Problem> {
         let limit = self.limit.unwrap_or(DEFAULT_LIMIT);
         if !(1..=MAX_LIMIT).contains(&limit) {
-            return Err(Problem::invalid_field("query/limit", format!("must be 1 to {MAX_LIMIT}, got {limit}")));
+            return Err(Problem::invalid_field(
+                "query/limit",
+                format!("must be 1 to {MAX_LIMIT}, got {limit}"),
+            ));
         }
         let before = match self.before {
             None => None,

@@ -8,14 +8,14 @@ use async_trait::async_trait;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use relume_api::work::WorkerHello;
-use relume_engine::{DeviceChoice, DeviceError};
 use crate::jobs::Jobs;
 use crate::store::{Claimant, StoreError};
 use crate::worker::{
-    self, ClaimOutcome, DeviceHandle, JobOutcome, OpenedDevice, JobSource, JobSourceError, LocalJobs, TrainingOptions,
-    WorkerOptions,
+    self, ClaimOutcome, DeviceHandle, JobOutcome, JobSource, JobSourceError, LocalJobs, OpenedDevice,
+    TrainingOptions, WorkerOptions,
 };
+use relume_api::work::WorkerHello;
+use relume_engine::{DeviceChoice, DeviceError};
 
 /// Which devices of a server train.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -151,7 +151,9 @@ impl WorkerRegistry {
             jobs.record_worker_heartbeat(hello, Some(&self.server)).await?;
         }
         // The machine slept, or the database was away: silence is held against nobody.
-        if u128::try_from(now.saturating_sub(self.last_ms)).unwrap_or(0) > self.heartbeat_timeout.as_millis() / 2 {
+        if u128::try_from(now.saturating_sub(self.last_ms)).unwrap_or(0)
+            > self.heartbeat_timeout.as_millis() / 2
+        {
             jobs.store().reset_heartbeats(now).await?;
         }
         self.last_ms = now;

@@ -16,7 +16,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn there_is_some_memory() {
+    fn detected_machine_memory_is_plausible() {
         assert!(memory() > 1 << 20);
     }
 }

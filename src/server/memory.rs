@@ -9,9 +9,9 @@ use std::time::Duration;
 use axum::http::StatusCode;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
+use crate::server::machine;
 use crate::server::problem::Problem;
 use relume_spec::rendering::{Output, Quality};
-use crate::server::machine;
 
 /// What one permit stands for.
 const UNIT: u64 = 1 << 20;
@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     #[tokio::test(start_paused = true)]
-    async fn what_never_fits_is_refused_and_what_does_not_fit_now_waits() {
+    async fn requests_over_the_budget_answer_413_and_others_wait() {
         let budget = MemoryBudget::new(1 << 30);
         let never = budget.reserve(1 << 30).await.unwrap_err();
         assert_eq!((never.status, never.kind.ends_with("needs-memory")), (413, true));
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn small_loans_do_not_wait_for_large_ones() {
+    async fn small_memory_requests_do_not_wait_for_large_ones() {
         let budget = MemoryBudget::new(1 << 30);
         let _large = budget.reserve(640 << 20).await.unwrap();
         let small: Vec<_> = futures::future::join_all((0..8).map(|_| budget.reserve(16 << 20))).await;
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn bodies_that_wait_for_frames_take_nothing_from_them() {
+    async fn request_bodies_do_not_use_the_memory_budget_of_frames() {
         let budget = MemoryBudget::new(64 << 20);
         let bodies: Vec<_> = futures::future::join_all((0..5).map(|_| budget.reserve_body(1 << 20))).await;
         assert!(bodies.iter().all(Result::is_ok));
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_are_those_that_were_measured() {
+    fn memory_estimates_match_measured_sizes() {
         let all = [Output::Rgb, Output::Albedo, Output::Normal, Output::Depth, Output::Alpha];
         let large = frame_bytes(4096 * 4096, &all);
         // 2,185 MiB of a whole process with a model of 60,000 Gaussians.
@@ -187,6 +187,8 @@ mod tests {
         assert!(default_budget() > MIN_BUDGET);
         // 62 bytes a Gaussian of a stream and as many floats, of a file of 140 floats a Gaussian; 16 and ten floats of a light.
         assert!(stream_bytes(560_000) > 560_000 + 560_000 + 1000 * (62 + 40 * 4));
-        assert!(light_bytes(1000) - light_bytes(0) >= 1000 * (16 + 2 * 40) && light_bytes(-1) == light_bytes(0));
+        assert!(
+            light_bytes(1000) - light_bytes(0) >= 1000 * (16 + 2 * 40) && light_bytes(-1) == light_bytes(0)
+        );
     }
 }

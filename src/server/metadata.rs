@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use relume_api::metadata::{ResourceMetadata, MetadataChange, parse_labels};
-use crate::server::problem::Problem;
-use relume_api::{ResourceKind, ResourceName, TenantId};
 use crate::server::app::AppState;
 use crate::server::listing::PageQuery;
+use crate::server::problem::Problem;
 use crate::store::{Filter, StoreError};
+use relume_api::metadata::{MetadataChange, ResourceMetadata, parse_labels};
+use relume_api::{ResourceKind, ResourceName, TenantId};
 
 /// Metadata of an upload.
 #[derive(Debug, Default, Deserialize, IntoParams)]

@@ -15,14 +15,14 @@ use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::timeout::RequestBodyTimeoutLayer;
 use utoipa_axum::router::OpenApiRouter;
 
-use crate::server::problem::Problem;
 use crate::server::access::{self, AccessControl};
 use crate::server::app::AppState;
-use crate::server::telemetry;
 use crate::server::origins::{self, CorsOrigin};
-use crate::server::tenant_slots::{self, TenantSlots};
+use crate::server::problem::Problem;
 use crate::server::replica;
 use crate::server::same_site::{self, TrustedHosts};
+use crate::server::telemetry;
+use crate::server::tenant_slots::{self, TenantSlots};
 use crate::server::uploads;
 
 /// What the API sends is no page: it may load, run and frame nothing. Pages bring a policy of their own.
@@ -54,13 +54,17 @@ pub(super) struct RouteLimits {
 }
 
 /// Uploads: bound by the time between two pieces, so that gigabytes may take hours.
-pub(super) const UPLOADS: RouteLimits = RouteLimits { max_concurrent: 64, per_tenant: 32, timeout: Duration::from_secs(24 * 3600) };
+pub(super) const UPLOADS: RouteLimits =
+    RouteLimits { max_concurrent: 64, per_tenant: 32, timeout: Duration::from_secs(24 * 3600) };
 /// Renders: the body, the device's queue, the frame.
-pub(super) const RENDERS: RouteLimits = RouteLimits { max_concurrent: 128, per_tenant: 128, timeout: Duration::from_secs(300) };
+pub(super) const RENDERS: RouteLimits =
+    RouteLimits { max_concurrent: 128, per_tenant: 128, timeout: Duration::from_secs(300) };
 /// Thumbnails, apart from renders so that neither takes the other's slots.
-pub(super) const THUMBNAILS: RouteLimits = RouteLimits { max_concurrent: 256, per_tenant: 256, timeout: Duration::from_secs(300) };
+pub(super) const THUMBNAILS: RouteLimits =
+    RouteLimits { max_concurrent: 256, per_tenant: 256, timeout: Duration::from_secs(300) };
 /// Everything else: small bodies and queries; as many as there are connections by default.
-pub(super) const QUERIES: RouteLimits = RouteLimits { max_concurrent: 4096, per_tenant: 4096, timeout: Duration::from_secs(60) };
+pub(super) const QUERIES: RouteLimits =
+    RouteLimits { max_concurrent: 4096, per_tenant: 4096, timeout: Duration::from_secs(60) };
 
 /// Around the routes of one kind: requests beyond the bounds are turned away at once, none waits for a place.
 pub(super) fn with_limits<S>(routes: OpenApiRouter<S>, bounds: &RouteLimits) -> OpenApiRouter<S>
@@ -69,7 +73,10 @@ where
 {
     routes.layer(
         ServiceBuilder::new()
-            .layer(middleware::from_fn_with_state(TenantSlots::new(bounds.per_tenant), tenant_slots::limit_per_tenant))
+            .layer(middleware::from_fn_with_state(
+                TenantSlots::new(bounds.per_tenant),
+                tenant_slots::limit_per_tenant,
+            ))
             .layer(HandleErrorLayer::new(out_of_bounds))
             .load_shed()
             .layer(GlobalConcurrencyLimitLayer::new(bounds.max_concurrent))
@@ -79,7 +86,8 @@ where
 
 /// Around all routes. Layers run from the first to the last.
 pub(super) fn with_middleware(routes: Router<AppState>, config: MiddlewareConfig) -> Router<AppState> {
-    let MiddlewareConfig { access_control, is_replica, is_open, origins, hosts, body_stall, most_uploaded } = config;
+    let MiddlewareConfig { access_control, is_replica, is_open, origins, hosts, body_stall, most_uploaded } =
+        config;
     // A key, which no foreign page knows, protects as well as the checks of host and origin.
     let csrf = is_open.then(|| same_site::csrf(&origins));
     let host = is_open.then(|| middleware::from_fn_with_state(hosts, same_site::check_host));
@@ -150,8 +158,9 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_request_beyond_the_bound_is_turned_away_at_once_and_a_place_is_given_back() {
-        let (router, go) = routes(&RouteLimits { max_concurrent: 1, per_tenant: 1, timeout: Duration::from_secs(600) });
+    async fn requests_over_the_concurrency_limit_answer_503_at_once() {
+        let (router, go) =
+            routes(&RouteLimits { max_concurrent: 1, per_tenant: 1, timeout: Duration::from_secs(600) });
         let mut first = Box::pin(ask(&router, "/a"));
         assert!(futures::poll!(&mut first).is_pending());
         let refused = ask(&router, "/b").await;
@@ -165,8 +174,9 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_request_that_takes_too_long_is_a_408() {
-        let (router, _go) = routes(&RouteLimits { max_concurrent: 1, per_tenant: 1, timeout: Duration::from_secs(5) });
+    async fn a_request_over_the_time_limit_answers_408() {
+        let (router, _go) =
+            routes(&RouteLimits { max_concurrent: 1, per_tenant: 1, timeout: Duration::from_secs(5) });
         assert_eq!(ask(&router, "/a").await.status(), StatusCode::REQUEST_TIMEOUT);
     }
 }

@@ -5,17 +5,17 @@ use axum::extract::State;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::metadata::MetadataChange;
-use relume_api::models::{FileView, ModelSummary, ModelView};
-use relume_api::{List, ModelId, ResourceKind, TenantId};
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::rfc3339;
 use crate::server::metadata::{self, FilteredPageQuery};
+use crate::server::problem::Problem;
 use crate::store::{ModelFile, ModelRecord};
 use crate::worker::{ModelContent, ModelSource};
+use relume_api::metadata::MetadataChange;
+use relume_api::models::{FileView, ModelSummary, ModelView};
+use relume_api::{List, ModelId, ResourceKind, TenantId};
 
 /// Name of the file that holds the model itself.
 pub(super) const MODEL_FILE: &str = "model.safetensors";

@@ -46,7 +46,7 @@ mod tests {
     }
 
     #[test]
-    fn the_callers_favourite_is_served() {
+    fn accept_header_selects_the_preferred_format() {
         assert_eq!(accept("image/jpeg;q=0.5, image/x-exr"), Some(FrameFormat::Exr));
         assert_eq!(accept("text/html, image/*;q=0.8"), Some(FrameFormat::Png));
         assert_eq!(accept("image/webp, image/jpeg, image/png"), Some(FrameFormat::Jpeg));

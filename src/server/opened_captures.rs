@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use lru::LruCache;
 
+use crate::server::keyed_locks::KeyedLocks;
+use crate::server::memory::MemoryPermit;
 use crate::server::problem::Problem;
 use relume_capture::Photographs;
-use crate::server::memory::MemoryPermit;
-use crate::server::keyed_locks::KeyedLocks;
 
 /// Captures that are open at once.
 const MAX_OPEN_CAPTURES: NonZeroUsize = NonZeroUsize::new(4).unwrap();
@@ -32,7 +32,10 @@ pub(super) struct OpenedCaptures {
 
 impl Default for OpenedCaptures {
     fn default() -> Self {
-        Self { open: Arc::new(Mutex::new(LruCache::new(MAX_OPEN_CAPTURES))), keyed_locks: KeyedLocks::default() }
+        Self {
+            open: Arc::new(Mutex::new(LruCache::new(MAX_OPEN_CAPTURES))),
+            keyed_locks: KeyedLocks::default(),
+        }
     }
 }
 

@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_origin_is_written_as_browsers_write_it() {
+    fn cors_origins_must_be_written_as_browsers_send_them() {
         for good in ["*", "http://localhost:5173", "https://app.example.org", "https://[::1]:8080"] {
             assert!(good.parse::<CorsOrigin>().is_ok(), "{good}");
         }

@@ -12,13 +12,6 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::photographs::{CapturePhotographs, CapturedPhotograph};
-use relume_api::CaptureId;
-use crate::server::problem::Problem;
-use relume_capture::{CaptureError, Photographs, PictureOptions};
-use relume_capture::formats::image_file;
-use relume_scene::srgb;
-use relume_scene::ImageRgba;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::cameras::{self, CamerasQuery};
@@ -26,7 +19,14 @@ use crate::server::description::File;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
 use crate::server::opened_captures::Opened;
+use crate::server::problem::Problem;
 use crate::store::{CaptureRecord, StoreError, hex};
+use relume_api::CaptureId;
+use relume_api::photographs::{CapturePhotographs, CapturedPhotograph};
+use relume_capture::formats::image_file;
+use relume_capture::{CaptureError, Photographs, PictureOptions};
+use relume_scene::ImageRgba;
+use relume_scene::srgb;
 
 /// Widths that may be asked for, pixels.
 const WIDTHS: std::ops::RangeInclusive<u32> = 16..=4096;
@@ -138,7 +138,8 @@ async fn get_photograph(
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
-        let picture = PhotographRequest { caller: &caller, capture: &capture, name: &name, options, digest: &digest };
+        let picture =
+            PhotographRequest { caller: &caller, capture: &capture, name: &name, options, digest: &digest };
         let body = picture.found_or_made(&app, method == Method::HEAD).await?;
         ([(header::CONTENT_TYPE, "image/jpeg")], body).into_response()
     };
@@ -264,7 +265,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_is_one_segment_whatever_it_has() {
+    fn photograph_name_is_encoded_as_one_path_segment() {
         assert_eq!(segment("images/a b.jpg"), "images%2Fa%20b.jpg");
         assert_eq!(segment("ä?#%.png"), "%C3%A4%3F%23%25.png");
         assert_eq!(segment("IMG_1-2~3.JPG"), "IMG_1-2~3.JPG");

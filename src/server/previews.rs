@@ -9,19 +9,19 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::jobs::{JobState, JobView};
-use relume_api::{JobId, ModelId};
-use crate::server::problem::Problem;
-use relume_train::render::{Finish, Orbit, Viewpoint};
-use relume_spec::rendering::{FrameFormat, Output, Tier};
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
+use crate::server::problem::Problem;
 use crate::server::{jobs, renders};
 use crate::store::hex;
 use crate::worker::{LightSource, ModelContent, ModelSource, Preview, RenderTask};
+use relume_api::jobs::{JobState, JobView};
+use relume_api::{JobId, ModelId};
+use relume_spec::rendering::{FrameFormat, Output, Tier};
+use relume_train::render::{Finish, Orbit, Viewpoint};
 
 /// After how many seconds to ask again for a picture that will come.
 const SOON: u32 = 2;

@@ -3,11 +3,11 @@
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
-use relume_api::problem::{ContentError, FieldError, TYPE_PREFIX};
-use relume_api::{ResourceKind, ResourceName};
 use crate::server::telemetry;
 use crate::store::StoreError;
 use crate::worker::RenderFailure;
+use relume_api::problem::{ContentError, FieldError, TYPE_PREFIX};
+use relume_api::{ResourceKind, ResourceName};
 
 /// A problem that a handler answers with: the wire type with constructors for each kind, and its response.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,9 +51,7 @@ impl utoipa::ToSchema for Problem {
         relume_api::Problem::name()
     }
 
-    fn schemas(
-        schemas: &mut Vec<(String, utoipa::openapi::RefOr<utoipa::openapi::schema::Schema>)>,
-    ) {
+    fn schemas(schemas: &mut Vec<(String, utoipa::openapi::RefOr<utoipa::openapi::schema::Schema>)>) {
         relume_api::Problem::schemas(schemas);
     }
 }
@@ -109,9 +107,8 @@ impl Problem {
     /// 422 that names a field.
     pub fn invalid_field(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
         let (pointer, detail) = (pointer.into(), detail.into());
-        let mut problem =
-            Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid-field", "A field is invalid")
-                .detail(format!("{pointer}: {detail}"));
+        let mut problem = Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid-field", "A field is invalid")
+            .detail(format!("{pointer}: {detail}"));
         problem.0.errors.push(FieldError { pointer, detail });
         problem
     }
@@ -152,7 +149,8 @@ impl Problem {
 
     /// 409.
     pub fn conflict(kind: &str, detail: impl Into<String>) -> Self {
-        Self::new(StatusCode::CONFLICT, kind, "The state of the resource does not allow the request").detail(detail)
+        Self::new(StatusCode::CONFLICT, kind, "The state of the resource does not allow the request")
+            .detail(detail)
     }
 
     /// 409 for what was to be deleted and is needed.

@@ -40,7 +40,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_measured_is_refused_by_its_name() {
+    fn gate_on_an_unavailable_metric_is_refused_with_a_pointer() {
         let good = r#"{"novel_view.psnr": ">=28", "novel_view.ssim": "> 0.9"}"#;
         assert_eq!(refused(good, 1, 0.25), None);
         assert_eq!(refused(good, 0, 0.25).as_deref(), Some("/quality_gate"));

@@ -6,9 +6,9 @@ use std::sync::{Mutex, PoisonError};
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 
-use relume_api::{KeyId, TenantId};
-use crate::server::problem::Problem;
 use crate::server::caller::Caller;
+use crate::server::problem::Problem;
+use relume_api::{KeyId, TenantId};
 
 /// The headers of the IETF's draft on rate limits.
 const LIMIT: HeaderName = HeaderName::from_static("ratelimit");
@@ -112,7 +112,8 @@ impl RateLimitStatus {
     /// # Errors
     /// 429 when there was no request left.
     pub(super) fn check(&self) -> Result<(), Problem> {
-        let Some(short) = self.0.iter().filter(|status| status.wait > 0).max_by_key(|status| status.wait) else {
+        let Some(short) = self.0.iter().filter(|status| status.wait > 0).max_by_key(|status| status.wait)
+        else {
             return Ok(());
         };
         let whose = if short.name == "tenant" { "all keys of this tenant together" } else { "this key" };
@@ -154,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bucket_fills_steadily_and_holds_a_minutes_worth() {
+    fn rate_limit_refills_steadily_up_to_one_minute_of_requests() {
         let rates = RateLimiter::new(Some(3), None);
         let take = |at_ms: i64| statuses(&rates, &caller("a", "t"), at_ms)[0];
         assert_eq!([take(0), take(0), take(0)], [(2, 20, 0), (1, 40, 0), (0, 60, 0)]);
@@ -168,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn more_keys_make_no_more_requests_than_the_tenant_may() {
+    fn several_keys_share_the_rate_limit_of_their_tenant() {
         let rates = RateLimiter::new(Some(2), Some(3));
         let take = |key: &str, tenant: &str| statuses(&rates, &caller(key, tenant), 0);
         assert_eq!(take("a", "t"), [(1, 30, 0), (2, 20, 0)]);

@@ -2,9 +2,9 @@
 
 use crate::server::problem::Problem;
 use relume_api::renders::RenderRequest;
-use relume_train::render::{Finish, RenderError};
-use relume_spec::rendering::{FrameFormat, Output, Quality, Tier, is_colour};
 use relume_scene::Camera;
+use relume_spec::rendering::{FrameFormat, Output, Quality, Tier, is_colour};
+use relume_train::render::{Finish, RenderError};
 
 /// Longest side of a frame, pixels.
 const MAX_SIDE: u32 = 4096;
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn samples_are_bounded_by_pixels_and_by_what_renders() {
+    fn sample_limit_depends_on_pixels_and_device() {
         let asked = |tier, samples, side, on_gpu| quality(tier, Some(samples), None, (side, side), on_gpu);
         let refused = |samples, side, on_gpu| asked(Tier::MonteCarlo, samples, side, on_gpu).is_err();
         assert!(refused(128, 800, false) && !refused(128, 800, true));

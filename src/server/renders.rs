@@ -6,21 +6,21 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::renders::RenderRequest;
-use relume_api::ModelId;
-use crate::server::problem::Problem;
-use relume_spec::rendering::{Background, FrameFormat};
-use relume_train::render::{EncodedFrame, Finish, FrameNotes, Viewpoint};
-use relume_scene::Camera;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{LargeJson, UrlPath};
 use crate::server::lights::light;
 use crate::server::memory::frame_bytes;
+use crate::server::problem::Problem;
 use crate::server::render_request::{camera, quality};
 use crate::server::{models, negotiate, render_request};
 use crate::worker::RenderTask;
+use relume_api::ModelId;
+use relume_api::renders::RenderRequest;
+use relume_scene::Camera;
+use relume_spec::rendering::{Background, FrameFormat};
+use relume_train::render::{EncodedFrame, Finish, FrameNotes, Viewpoint};
 
 /// Largest body: a 2k map in base64 and the rest.
 const BODY_LIMIT: usize = 64 << 20;

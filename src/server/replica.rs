@@ -45,7 +45,7 @@ mod tests {
     use crate::server::openapi;
 
     #[test]
-    fn every_path_of_the_list_is_one_of_the_api() {
+    fn every_first_server_route_exists_in_the_api() {
         let description = serde_json::to_value(openapi()).unwrap();
         for (method, path) in PRIMARY_ONLY {
             let item = &description["paths"][path];
@@ -56,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn reading_rendering_and_training_are_not_the_first_servers() {
+    fn replicas_serve_reads_renders_and_training() {
         assert!(is_primary_only(&Method::DELETE, "/v1/models/{id}"));
         assert!(is_primary_only(&Method::HEAD, "/v1/uploads/{id}"));
         for (method, path) in [

@@ -5,9 +5,9 @@ use axum::http::{Method, StatusCode, Uri};
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
-use crate::server::middleware::{self, QUERIES, RENDERS, MiddlewareConfig, THUMBNAILS, UPLOADS, with_limits};
+use crate::server::middleware::{self, MiddlewareConfig, QUERIES, RENDERS, THUMBNAILS, UPLOADS, with_limits};
+use crate::server::problem::Problem;
 #[cfg(feature = "web")]
 use crate::server::web;
 use crate::server::{

@@ -10,36 +10,38 @@ use tokio::net::TcpListener;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
-use relume_engine::DeviceError;
 use crate::jobs::{Clock, Ids, Jobs, LeasePolicy, RandomIds, SystemClock};
 use crate::server::access::AccessControl;
-use crate::server::app::{App, RequestLimits, AppState};
+use crate::server::app::{App, AppState, RequestLimits};
 use crate::server::auth::{ApiKeys, may_listen};
+use crate::server::background_tasks::BackgroundTasks;
 use crate::server::connections::{self, ConnectionLimits};
-use crate::server::local_workers::{self, LocalWorkers, LocalWorkersError, LocalWorkersConfig, WorkerRegistry, Trainers};
 use crate::server::decoders::Decoders;
 use crate::server::encoders::Encoders;
-use crate::server::exports::{ExportQueue, ExportPolicy};
+use crate::server::exports::{ExportPolicy, ExportQueue};
 use crate::server::fetching::{FetchPolicy, Fetcher};
-use crate::server::background_tasks::BackgroundTasks;
+use crate::server::keyed_locks::KeyedLocks;
 use crate::server::keyring::Keyring;
+use crate::server::local_workers::{
+    self, LocalWorkers, LocalWorkersConfig, LocalWorkersError, Trainers, WorkerRegistry,
+};
 use crate::server::memory::MemoryBudget;
-use crate::server::telemetry;
+use crate::server::middleware::MiddlewareConfig;
 use crate::server::opened_captures::OpenedCaptures;
 use crate::server::origins::CorsOrigin;
 use crate::server::poses::{PoseQueue, PosesPolicy};
 use crate::server::rate_limiter::RateLimiter;
 use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
-use crate::server::middleware::MiddlewareConfig;
+use crate::server::telemetry;
 use crate::server::thumbnail_cache::ThumbnailCache;
-use crate::server::keyed_locks::KeyedLocks;
 use crate::server::webhooks::WebhookPolicy;
 use crate::store::{
-    ObjectStoreConfig, DatabaseUrl, DataDirLock, Quota, Retention, ServerLock, Store, StoreError, UploadLimits,
-    has_keys,
+    DataDirLock, DatabaseUrl, ObjectStoreConfig, Quota, Retention, ServerLock, Store, StoreError,
+    UploadLimits, has_keys,
 };
 use crate::worker::{DeviceHandle, WorkerOptions};
+use relume_engine::DeviceError;
 
 /// Time between two searches for leases that ran out; metrics are maintained then, too.
 const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(10);
@@ -196,7 +198,8 @@ pub async fn run(
         jobs.remove_workers(Some(name.as_str())).await?;
     }
     let stop = CancellationToken::new();
-    let LocalWorkers { device, threads, registry } = local_workers::start(plan(&config), &jobs, &name, &stop).await?;
+    let LocalWorkers { device, threads, registry } =
+        local_workers::start(plan(&config), &jobs, &name, &stop).await?;
     let maintenance = tokio::spawn(maintain(jobs.clone(), registry, first, stop.clone()));
     let reconciliation = (!config.replica).then(|| tokio::spawn(reconcile(store.clone())));
     let others = jobs.clone();
@@ -255,8 +258,11 @@ async fn check_openness(config: &ServerConfig, address: SocketAddr) -> Result<bo
 /// Opens what is stored.
 async fn open(config: &ServerConfig) -> Result<Store, ServeError> {
     let (root, url) = (&config.data_dir, config.database.as_ref());
-    let store =
-        if config.replica { Store::open_existing(root, url).await? } else { Store::open_with(root, url).await? };
+    let store = if config.replica {
+        Store::open_existing(root, url).await?
+    } else {
+        Store::open_with(root, url).await?
+    };
     let mut store = store.with_quota(config.quota);
     if let Some(place) = &config.artifacts {
         store = store.with_artifacts(place)?;
@@ -382,7 +388,12 @@ async fn reconcile(store: Store) {
     }
 }
 
-async fn maintain(jobs: Jobs, mut registry: WorkerRegistry, mut first: Option<ServerLock>, stop: CancellationToken) {
+async fn maintain(
+    jobs: Jobs,
+    mut registry: WorkerRegistry,
+    mut first: Option<ServerLock>,
+    stop: CancellationToken,
+) {
     while !stop.is_cancelled() {
         match first.as_mut().map(ServerLock::renew) {
             None => {}

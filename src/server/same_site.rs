@@ -11,8 +11,8 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tower_http::csrf::{CsrfLayer, ProtectionError};
 
-use crate::server::problem::Problem;
 use crate::server::origins::CorsOrigin;
+use crate::server::problem::Problem;
 
 /// Names beside loopback by which the server may be called.
 #[derive(Clone, Default)]
@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn loopback_by_any_of_its_names_is_trusted_and_others_only_when_listed() {
+    fn loopback_hosts_are_trusted_and_others_only_if_listed() {
         let hosts = TrustedHosts::from(vec!["Studio.lan".to_owned()]);
         let trusts = |host: &str| hosts.trusts(&host.parse().unwrap());
         for own in ["localhost", "LOCALHOST:7878", "127.0.0.1:1", "127.8.8.8", "[::1]:7878", "studio.lan:80"]

@@ -6,13 +6,13 @@ use axum::http::uri::PathAndQuery;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::server::problem::Problem;
-use relume_api::signed_urls::{NewSignedUrl, SignedUrl};
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::JsonBody;
 use crate::server::listing::rfc3339;
+use crate::server::problem::Problem;
 use crate::server::signing::{self, SignedResource};
+use relume_api::signed_urls::{NewSignedUrl, SignedUrl};
 
 const LONGEST_PATH: usize = 2048;
 
@@ -56,7 +56,9 @@ async fn sign_url(
     let expires = caller.expires_ms.map_or(end, |key_ends| end.min(key_ends / 1000));
     let secret = app.signing.read_or_make().await.map_err(Problem::internal)?;
     let url = signing::sign(&caller, &secret, target.path(), target.query(), expires);
-    let url = url.ok_or_else(|| wrong("must not have the parameters key, expires and signature, which the server adds"))?;
+    let url = url.ok_or_else(|| {
+        wrong("must not have the parameters key, expires and signature, which the server adds")
+    })?;
     Ok(Json(SignedUrl { url, expires_at: rfc3339(expires.saturating_mul(1000)) }))
 }
 
@@ -74,7 +76,9 @@ async fn must_exist(app: &AppState, caller: &Caller, subject: &SignedResource) -
         SignedResource::Export(id) => {
             (app.store.export(&caller.tenant, id).await?.is_some(), "export", id.to_string())
         }
-        SignedResource::Events(id) => (app.store.job(&caller.tenant, id).await?.is_some(), "job", id.to_string()),
+        SignedResource::Events(id) => {
+            (app.store.job(&caller.tenant, id).await?.is_some(), "job", id.to_string())
+        }
     };
     if there { Ok(()) } else { Err(Problem::not_found(what, &id)) }
 }

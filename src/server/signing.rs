@@ -6,9 +6,9 @@ use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
 use subtle::ConstantTimeEq;
 
-use relume_api::{ExportId, JobId, ModelId};
 use crate::server::caller::Caller;
 use crate::store::hex;
+use relume_api::{ExportId, JobId, ModelId};
 
 /// Parameters that a signed URL gets.
 const RESERVED: [&str; 3] = ["key", "expires", "signature"];
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_that_was_signed_can_be_changed() {
+    fn any_change_to_a_signed_url_invalidates_it() {
         let me = caller("t", "k", "h");
         let path = "/v1/models/m/thumbnail";
         for query in [None, Some("size=16"), Some("size=16&env=a%20b"), Some("")] {
@@ -146,7 +146,8 @@ mod tests {
                 let mut changed = rest.as_bytes().to_vec();
                 changed[at] = if changed[at] == b'1' { b'2' } else { b'1' };
                 let changed = String::from_utf8(changed).unwrap();
-                let good = SignedQuery::parse(Some(&changed)).is_some_and(|s| s.is_valid_for(&me, b"secret", path));
+                let good =
+                    SignedQuery::parse(Some(&changed)).is_some_and(|s| s.is_valid_for(&me, b"secret", path));
                 assert!(!good, "{changed}");
             }
             for changed in [
@@ -156,7 +157,8 @@ mod tests {
                 rest.replace("=100", "=+100"),
                 rest.replace("=100", "=0100"),
             ] {
-                let good = SignedQuery::parse(Some(&changed)).is_some_and(|s| s.is_valid_for(&me, b"secret", path));
+                let good =
+                    SignedQuery::parse(Some(&changed)).is_some_and(|s| s.is_valid_for(&me, b"secret", path));
                 assert!(!good, "{changed}");
             }
         }
@@ -166,9 +168,12 @@ mod tests {
     }
 
     #[test]
-    fn only_what_a_browser_loads_by_itself_is_signed() {
+    fn only_browser_loadable_resources_can_be_signed() {
         assert_eq!(SignedResource::of("/v1/models/m/thumbnail"), Some(SignedResource::Picture("m".into())));
-        assert_eq!(SignedResource::of("/v1/models/m/files/a.b"), Some(SignedResource::File("m".into(), "a.b".into())));
+        assert_eq!(
+            SignedResource::of("/v1/models/m/files/a.b"),
+            Some(SignedResource::File("m".into(), "a.b".into()))
+        );
         assert_eq!(SignedResource::of("/v1/jobs/j/events"), Some(SignedResource::Events("j".into())));
         assert_eq!(SignedResource::of("/v1/exports/e/file"), Some(SignedResource::Export("e".into())));
         for other in [

@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn the_secret_is_made_once_read_by_its_owner_alone_and_replaced_on_demand() {
+    async fn signing_secret_is_made_once_private_and_can_be_rotated() {
         let folder = tempfile::tempdir().unwrap();
         let secret = SigningSecret::of(folder.path());
         assert_eq!(secret.read().await.unwrap(), None);

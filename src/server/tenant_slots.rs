@@ -8,9 +8,9 @@ use axum::http::StatusCode;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
+use crate::server::caller::Caller;
 use crate::server::problem::Problem;
 use relume_api::TenantId;
-use crate::server::caller::Caller;
 
 /// The slots of each tenant.
 #[derive(Clone)]
@@ -61,15 +61,21 @@ impl Drop for TenantSlot {
 
 /// Turns a request away when its tenant has as many in progress as it may. On a server without keys everybody is one tenant, and
 /// the bound of all is the only one.
-pub(super) async fn limit_per_tenant(State(tenant_slots): State<TenantSlots>, request: Request, next: Next) -> Response {
+pub(super) async fn limit_per_tenant(
+    State(tenant_slots): State<TenantSlots>,
+    request: Request,
+    next: Next,
+) -> Response {
     let tenant = request.extensions().get::<Caller>().filter(|caller| caller.has_key);
     let Some(tenant) = tenant.map(|caller| caller.tenant.clone()) else { return next.run(request).await };
     match tenant_slots.take(&tenant) {
         Some(_slot) => next.run(request).await,
         None => {
             let title = "Too many requests of this kind are in progress";
-            let detail =
-                format!("the tenant has reached its maximum of {} concurrent requests of this kind", tenant_slots.per_tenant);
+            let detail = format!(
+                "the tenant has reached its maximum of {} concurrent requests of this kind",
+                tenant_slots.per_tenant
+            );
             Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", title)
                 .detail(detail)
                 .retry_after(1)
@@ -83,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tenant_takes_its_own_places_and_gives_them_back() {
+    fn tenant_slots_are_limited_separately_and_released() {
         let tenant_slots = TenantSlots::new(2);
         let (a, b) = (TenantId::from("a"), TenantId::from("b"));
         let held = [tenant_slots.take(&a), tenant_slots.take(&a)];

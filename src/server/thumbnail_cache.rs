@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_thumbnails_asked_for_longest_ago_go_first_and_the_bound_holds_over_a_restart() {
+    async fn thumbnail_cache_evicts_least_recently_used_after_restarts() {
         let data = tempfile::tempdir().unwrap();
         let cache = ThumbnailCache::open(data.path(), 3 * BLOCK);
         for digest in ["a", "b", "c"] {
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_cached_thumbnail_that_is_not_what_was_written_is_not_served() {
+    async fn a_damaged_cached_thumbnail_is_not_served() {
         let data = tempfile::tempdir().unwrap();
         let cache = ThumbnailCache::open(data.path(), 1 << 20);
         let path = data.path().join(FOLDER).join("m.a");
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn cached_thumbnails_of_models_that_are_gone_go() {
+    async fn cached_thumbnails_of_deleted_models_are_removed() {
         let data = tempfile::tempdir().unwrap();
         let cache = ThumbnailCache::open(data.path(), 1 << 20);
         for model in ["m", "mm", "n"] {
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_folder_that_cannot_be_made_caches_nothing_and_fails_nothing() {
+    async fn an_unusable_cache_folder_disables_the_cache() {
         let data = tempfile::tempdir().unwrap();
         std::fs::write(data.path().join("cache"), "a file").unwrap();
         let cache = ThumbnailCache::open(data.path(), 1 << 20);

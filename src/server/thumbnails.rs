@@ -9,19 +9,19 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::{ModelId, TenantId};
-use crate::server::problem::Problem;
-use relume_spec::rendering::{Background, FrameFormat, Output, Tier, ToneCurve};
-use relume_train::render::{Finish, Orbit, Viewpoint};
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
 use crate::server::lights::named_light;
+use crate::server::problem::Problem;
 use crate::server::{models, renders};
 use crate::store::hex;
 use crate::worker::{LightSource, RenderTask};
+use relume_api::{ModelId, TenantId};
+use relume_spec::rendering::{Background, FrameFormat, Output, Tier, ToneCurve};
+use relume_train::render::{Finish, Orbit, Viewpoint};
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {

@@ -5,10 +5,10 @@ use axum::extract::State;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::server::problem::Problem;
-use relume_api::usage::Usage;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
+use crate::server::problem::Problem;
+use relume_api::usage::Usage;
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {

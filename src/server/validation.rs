@@ -7,20 +7,20 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use tokio::sync::Mutex;
 
-use relume_api::captures::{CaptureState, CaptureSummary};
-use relume_api::metadata::ResourceMetadata;
-use relume_api::problem::{ContentError, TYPE_PREFIX};
-use relume_api::{CaptureId, ResourceKind, ResourceName, TenantId};
-use crate::server::problem::Problem;
-use relume_capture::{self, CaptureError, ImportOptions};
-use relume_spec::CaptureReport;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::listing::rfc3339;
 use crate::server::metadata;
 use crate::server::poses::{self, PoseJob};
+use crate::server::problem::Problem;
 use crate::server::uploads;
 use crate::store::{CaptureRecord, StagedUpload, StoreError, UploadRecord};
+use relume_api::captures::{CaptureState, CaptureSummary};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::problem::{ContentError, TYPE_PREFIX};
+use relume_api::{CaptureId, ResourceKind, ResourceName, TenantId};
+use relume_capture::{self, CaptureError, ImportOptions};
+use relume_spec::CaptureReport;
 
 const APPLIED: HeaderName = HeaderName::from_static("preference-applied");
 const ASYNC: &str = "respond-async";
@@ -155,7 +155,8 @@ async fn enqueue(
     if let Some(mut same) = app.store.validating(&tenant, &incoming.sha256).await? {
         let id = same.capture_id.clone().unwrap_or_default().to_string();
         let what = ResourceName::new(ResourceKind::Capture, id);
-        same.capture_metadata = metadata::apply_metadata(app, &tenant, what, metadata, same.capture_metadata).await?;
+        same.capture_metadata =
+            metadata::apply_metadata(app, &tenant, what, metadata, same.capture_metadata).await?;
         return Ok(Enqueued::Making(Box::new(same)));
     }
     if capture_of(app, &tenant, &incoming).await?.is_some() {
@@ -204,7 +205,13 @@ pub(super) async fn resume(app: AppState) -> Result<(), StoreError> {
 }
 
 /// Makes a capture while others are served; a shutdown leaves it to the next server.
-fn start(app: &AppState, tenant: TenantId, capture: CaptureId, incoming: StagedUpload, pose_job: Option<PoseJob>) {
+fn start(
+    app: &AppState,
+    tenant: TenantId,
+    capture: CaptureId,
+    incoming: StagedUpload,
+    pose_job: Option<PoseJob>,
+) {
     let app = app.clone();
     tokio::spawn(async move {
         tokio::select! {
@@ -251,7 +258,11 @@ fn is_outage(problem: &Problem) -> bool {
 }
 
 /// The bytes again that a capture is being made of; `None` when there is no such upload any more.
-async fn reopen_upload(app: &AppState, tenant: &TenantId, capture: &CaptureId) -> Result<Option<StagedUpload>, StoreError> {
+async fn reopen_upload(
+    app: &AppState,
+    tenant: &TenantId,
+    capture: &CaptureId,
+) -> Result<Option<StagedUpload>, StoreError> {
     let Some(upload) = app.store.upload_of_capture(tenant, capture).await? else { return Ok(None) };
     let Some(lock) = app.store.lock_upload(&upload.id) else { return Ok(None) };
     let name: String = app.jobs.fresh_id();
@@ -297,14 +308,21 @@ fn duplicate_capture(same: &CaptureRecord) -> Problem {
 }
 
 /// Why there is no capture `id` to work on: a job names it.
-pub(super) async fn unavailable_reason(app: &AppState, caller: &Caller, id: &CaptureId) -> Result<Problem, Problem> {
+pub(super) async fn unavailable_reason(
+    app: &AppState,
+    caller: &Caller,
+    id: &CaptureId,
+) -> Result<Problem, Problem> {
     Ok(match app.store.upload_of_capture(&caller.tenant, id).await? {
         Some(UploadRecord { problem: None, .. }) => Problem::conflict(
             "capture-validating",
             "the server is validating the capture; wait until its state is ready",
         )
         .retry_after(5),
-        Some(_) => Problem::invalid_field("/capture", format!("{:?} is invalid; its problem has the reason", id.as_str())),
+        Some(_) => Problem::invalid_field(
+            "/capture",
+            format!("{:?} is invalid; its problem has the reason", id.as_str()),
+        ),
         None => Problem::invalid_field("/capture", format!("{:?} does not exist", id.as_str())),
     })
 }
@@ -355,7 +373,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_preference_is_read_as_the_standard_writes_it() {
+    fn prefer_respond_async_is_parsed_as_in_rfc_7240() {
         let prefers = |values: &[&str]| {
             let pair =
                 |value: &&str| (HeaderName::from_static("prefer"), HeaderValue::from_str(value).unwrap());

@@ -9,10 +9,6 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::ModelId;
-use crate::server::problem::Problem;
-use relume_capture::formats::{model_file, viewer_stream};
-use relume_train::render::stream_gaussians;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
@@ -21,8 +17,12 @@ use crate::server::files::{etag, matches_etag};
 use crate::server::lights::named_light;
 use crate::server::memory;
 use crate::server::models::{self, MODEL_FILE};
+use crate::server::problem::Problem;
 use crate::store::{ModelFile, hex};
 use crate::worker::LightTask;
+use relume_api::ModelId;
+use relume_capture::formats::{model_file, viewer_stream};
+use relume_train::render::stream_gaussians;
 
 const MEDIA_TYPE: HeaderValue = HeaderValue::from_static("application/octet-stream");
 /// A model never changes.

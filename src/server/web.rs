@@ -13,8 +13,8 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use rust_embed::RustEmbed;
 
-use crate::server::problem::Problem;
 use crate::server::files::{etag, matches_etag};
+use crate::server::problem::Problem;
 use crate::store::hex;
 
 /// What `npm run build` in `web/` made.
@@ -40,7 +40,8 @@ struct WebAsset {
 }
 
 /// Every file; compressed when the first is asked for.
-static WEB_ASSETS: LazyLock<Vec<WebAsset>> = LazyLock::new(|| EmbeddedAssets::iter().filter_map(WebAsset::read).collect());
+static WEB_ASSETS: LazyLock<Vec<WebAsset>> =
+    LazyLock::new(|| EmbeddedAssets::iter().filter_map(WebAsset::read).collect());
 
 impl WebAsset {
     fn read(path: Cow<'static, str>) -> Option<Self> {
@@ -144,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gzip_is_sent_to_those_who_take_it() {
+    fn gzip_is_used_only_if_accept_encoding_allows_it() {
         let accepts = |value: &str| {
             accepts_gzip(&HeaderMap::from_iter([(header::ACCEPT_ENCODING, value.parse().unwrap())]))
         };
@@ -154,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn every_file_is_served_under_a_route() {
+    fn every_web_file_is_served_by_a_route() {
         assert!(WebAsset::find("index.html").is_some() && WebAsset::find("relume-viewer.js").is_some());
         let known = |path: &str| {
             path == "index.html" || path.starts_with("assets/") || ROUTES.contains(&&*format!("/{path}"))

@@ -1,9 +1,9 @@
 //! Refuses what a tenant would have beyond its quota.
 
-use relume_api::TenantId;
 use crate::store::sql::{self, Tx};
 use crate::store::usage::Allowance;
 use crate::store::{Quota, Store, StoreError};
+use relume_api::TenantId;
 
 impl Store {
     /// Bounds what each tenant may have.

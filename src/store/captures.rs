@@ -2,11 +2,11 @@
 
 use sqlx::types::Json;
 
-use relume_api::metadata::ResourceMetadata;
-use relume_api::{CaptureId, ResourceKind, ResourceName, TenantId, UploadId};
 use crate::store::metadata::{change_metadata_in_tx, filtered, listed};
 use crate::store::sql;
 use crate::store::{CaptureRecord, Filter, Page, Store, StoreError};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::{CaptureId, ResourceKind, ResourceName, TenantId, UploadId};
 
 impl Store {
     /// Records a capture, or returns the one of the same tenant and content that was there first, called what this one is called.
@@ -56,7 +56,8 @@ impl Store {
         if stored.id != capture.id {
             let what = ResourceName::new(ResourceKind::Capture, stored.id.to_string());
             let change = capture.metadata.clone().into();
-            stored.metadata = change_metadata_in_tx(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.metadata);
+            stored.metadata =
+                change_metadata_in_tx(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.metadata);
         }
         // One that another capture was promised of stays, to say what came of that.
         sql::query("DELETE FROM uploads WHERE id = $1 AND (capture_id IS NULL OR capture_id = $2)")

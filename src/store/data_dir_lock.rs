@@ -62,14 +62,14 @@ mod tests {
     }
 
     #[test]
-    fn a_data_directory_keeps_its_name() {
+    fn a_data_directory_keeps_its_node_name() {
         let dir = tempfile::tempdir().unwrap();
         let named = |name: &str| DataDirLock::acquire(dir.path()).unwrap().name(|| name.to_owned()).unwrap();
         assert_eq!([named("first"), named("second")], ["first", "first"]);
     }
 
     #[test]
-    fn a_data_directory_that_is_made_is_its_owners_alone() {
+    fn a_new_data_directory_is_readable_only_by_its_owner() {
         let dir = tempfile::tempdir().unwrap();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
         let data = dir.path().join("above/data");

@@ -3,11 +3,11 @@
 
 use serde_json::json;
 
-use relume_api::jobs::JobState;
-use relume_api::{JobId, ResourceKind, ResourceName, TenantId};
 use crate::store::exports::delete_exports_of;
 use crate::store::sql::{self, Tx};
 use crate::store::{JobRecord, Store, StoreError, events};
+use relume_api::jobs::JobState;
+use relume_api::{JobId, ResourceKind, ResourceName, TenantId};
 
 /// Outcome of a request to delete.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -7,12 +7,12 @@ use serde::{Deserialize, Serialize};
 use sqlx::FromRow;
 use sqlx::types::Json;
 
-use relume_api::webhooks::{DeliveryState, WebhookData, WebhookEvent, WebhookMessage};
-use relume_api::{DeliveryId, JobId, TenantId, WebhookId};
 use crate::store::job_view::rfc3339;
 use crate::store::page::paginated;
 use crate::store::sql::{self, Tx};
 use crate::store::{JobRecord, Page, Store, StoreError, WebhookRecord};
+use relume_api::webhooks::{DeliveryState, WebhookData, WebhookEvent, WebhookMessage};
+use relume_api::{DeliveryId, JobId, TenantId, WebhookId};
 
 /// Attempts that are kept of a delivery.
 const MAX_LOGGED_ATTEMPTS: usize = 20;
@@ -275,7 +275,11 @@ impl Store {
 }
 
 /// Counts a failure against a webhook.
-async fn record_failure(tx: &mut Tx, webhook: &WebhookId, attempt: &DeliveryAttempt) -> Result<(), StoreError> {
+async fn record_failure(
+    tx: &mut Tx,
+    webhook: &WebhookId,
+    attempt: &DeliveryAttempt,
+) -> Result<(), StoreError> {
     let since: Option<i64> = sql::query_scalar(
         "UPDATE webhooks SET failing_since_ms = COALESCE(failing_since_ms, $2)
          WHERE id = $1 AND enabled RETURNING failing_since_ms",

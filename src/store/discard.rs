@@ -4,8 +4,8 @@
 use std::collections::HashSet;
 
 use crate::store::artifacts::is_key;
-use crate::store::sql;
 use crate::store::orphan_cleanup::prune;
+use crate::store::sql;
 use crate::store::{Store, StoreError};
 
 /// What a sweep of deleted things did.

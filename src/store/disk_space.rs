@@ -114,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_reserve_is_made_given_up_and_made_again() {
+    fn disk_reserve_is_created_released_and_created_again() {
         let folder = tempfile::tempdir().unwrap();
         let disk_space = DiskSpace::new(folder.path());
         let blocks = || {
@@ -123,7 +123,11 @@ mod tests {
         };
         assert!(!disk_space.spend_reserve(), "there is none yet");
         disk_space.check().unwrap();
-        assert_eq!((blocks(), disk_space.is_short()), (Some(true), false), "blocks are taken, not only a length");
+        assert_eq!(
+            (blocks(), disk_space.is_short()),
+            (Some(true), false),
+            "blocks are taken, not only a length"
+        );
         assert!(disk_space.spend_reserve());
         assert_eq!((blocks(), disk_space.is_short()), (None, true));
         disk_space.check().unwrap();
@@ -133,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn what_did_not_fit_is_asked_for_until_it_fits_or_nobody_wants_it() {
+    fn disk_shortage_lasts_until_space_suffices_or_is_forgotten() {
         let folder = tempfile::tempdir().unwrap();
         let disk_space = DiskSpace::new(folder.path());
         // More than any disk has.

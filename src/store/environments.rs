@@ -2,10 +2,10 @@
 
 use sqlx::types::Json;
 
-use relume_api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
 use crate::store::metadata::{change_metadata_in_tx, filtered, listed};
 use crate::store::sql;
 use crate::store::{EnvironmentRecord, Filter, Page, Store, StoreError};
+use relume_api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
 
 impl Store {
     /// Records an environment, or returns the one of the same tenant and content that was there first, called what this one is
@@ -47,7 +47,8 @@ impl Store {
         if stored.id != env.id {
             let what = ResourceName::new(ResourceKind::Environment, stored.id.to_string());
             let change = env.metadata.clone().into();
-            stored.metadata = change_metadata_in_tx(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.metadata);
+            stored.metadata =
+                change_metadata_in_tx(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.metadata);
         }
         tx.commit().await?;
         Ok(stored)

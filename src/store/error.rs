@@ -52,7 +52,9 @@ pub enum StoreError {
         most: u32,
     },
     /// A tenant has as much as it may.
-    #[error("the storage limit of the tenant is {most} bytes: {taken} are stored and {asked} more were requested")]
+    #[error(
+        "the storage limit of the tenant is {most} bytes: {taken} are stored and {asked} more were requested"
+    )]
     ByteQuotaExceeded {
         /// How much.
         most: u64,
@@ -62,7 +64,9 @@ pub enum StoreError {
         asked: u64,
     },
     /// A tenant has as many unfinished uploads as it may.
-    #[error("at most {most} uploads can be open at once; complete some and create captures of them, or delete some")]
+    #[error(
+        "at most {most} uploads can be open at once; complete some and create captures of them, or delete some"
+    )]
     UploadQuotaExceeded {
         /// How many.
         most: u32,
@@ -236,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_is_recognised_however_deep_it_is_wrapped() {
+    fn a_full_disk_is_recognised_in_nested_errors() {
         for kind in [ErrorKind::StorageFull, ErrorKind::QuotaExceeded, ErrorKind::FileTooLarge] {
             assert!(matches!(wrapped(kind), StoreError::Full), "{kind:?}");
         }

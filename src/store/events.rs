@@ -2,11 +2,11 @@
 
 use serde_json::Value;
 
+use crate::store::sql::{self, Tx};
+use crate::store::{EventRecord, Store, StoreError, deliveries};
 use relume_api::jobs::JobState;
 use relume_api::webhooks::WebhookEvent;
 use relume_api::{JobId, TenantId};
-use crate::store::sql::{self, Tx};
-use crate::store::{EventRecord, Store, StoreError, deliveries};
 
 impl Store {
     /// Events of a job of a tenant with a number above `after`, oldest first, 1,000 at most.

@@ -1,9 +1,9 @@
 //! Idempotency keys. A key is written in the transaction of the change it guards, so there is no moment at which
 //! the key exists and the change does not: a second request waits for the first and then sees its answer.
 
-use relume_api::TenantId;
 use crate::store::sql::{self, Tx};
 use crate::store::{Store, StoreError};
+use relume_api::TenantId;
 
 /// How long a key is remembered.
 const KEEP_MS: i64 = 24 * 3600 * 1000;

@@ -7,9 +7,9 @@ use std::path::Path;
 use crate::store::artifacts::{Remote, is_never_uploaded};
 use crate::store::database::{self, Database, ReadOnlyDatabase};
 use crate::store::hash::hash_file;
-use crate::store::references::{Reference, is_artifact_name, references, artifact_keys};
+use crate::store::references::{Reference, artifact_keys, is_artifact_name, references};
 use crate::store::sql::Pool;
-use crate::store::{ObjectStoreConfig, DatabaseUrl, StoreError, has_artifacts};
+use crate::store::{DatabaseUrl, ObjectStoreConfig, StoreError, has_artifacts};
 
 const SCHEMA: &str = "SELECT MAX(version) FROM _sqlx_migrations";
 
@@ -114,7 +114,8 @@ async fn inspect_artifacts(
     found.artifacts = named.len();
     if let Some(remote) = remote {
         // What is here of it is a copy, which is fetched anew when it is damaged.
-        let (elsewhere, here) = named.into_iter().partition(|reference| !is_never_uploaded(&reference.artifact));
+        let (elsewhere, here) =
+            named.into_iter().partition(|reference| !is_never_uploaded(&reference.artifact));
         named = here;
         compare_remote(remote, elsewhere, found).await?;
     }

@@ -1,7 +1,7 @@
 //! A job as the API shows it.
 
-use relume_api::jobs::{JobError, JobView};
 use crate::store::JobRecord;
+use relume_api::jobs::{JobError, JobView};
 
 impl JobRecord {
     /// As the API shows it, with the number of jobs that run before it while it waits.

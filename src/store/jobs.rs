@@ -5,13 +5,13 @@ use std::collections::HashMap;
 use serde_json::json;
 use sqlx::types::Json;
 
-use relume_api::jobs::JobState;
-use relume_api::{JobId, TenantId};
 use crate::store::deletion::check_not_deleted;
 use crate::store::idempotency::{remember, replay};
 use crate::store::metadata::{filtered, listed};
 use crate::store::sql::{self, Tx};
 use crate::store::{Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, events};
+use relume_api::jobs::JobState;
+use relume_api::{JobId, TenantId};
 
 /// Outcome of a submission.
 #[derive(Debug, Clone)]
@@ -59,8 +59,11 @@ impl Store {
         insert(&mut tx, job).await?;
         let queued = json!({ "state": JobState::Queued });
         events::append_state(&mut tx, &job.id, now_ms, JobState::Queued, queued).await?;
-        let position =
-            sql::query_scalar(POSITION).bind(&job.id).bind(MAX_QUEUE_POSITION).fetch_optional(&mut tx).await?;
+        let position = sql::query_scalar(POSITION)
+            .bind(&job.id)
+            .bind(MAX_QUEUE_POSITION)
+            .fetch_optional(&mut tx)
+            .await?;
         let response = answer(job, position);
         if let Some(key) = key {
             remember(&mut tx, &job.tenant, key, &response, now_ms).await?;

@@ -3,9 +3,9 @@
 
 use sha2::{Digest, Sha256};
 
-use relume_api::KeyId;
 use crate::store::StoreError;
 use crate::store::hash::hex;
+use relume_api::KeyId;
 
 const PREFIX: &str = "rlm_";
 
@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_key_is_read_as_it_was_made_and_no_two_are_alike() {
+    fn key_tokens_parse_back_and_are_unique() {
         let (made, text) = KeyToken::mint().unwrap();
         let read = KeyToken::parse(&text).unwrap();
         assert_eq!((read.id.as_str(), &read.sha256), (made.id.as_str(), &made.sha256));

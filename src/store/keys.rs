@@ -5,11 +5,11 @@ use std::path::Path;
 
 use sqlx::types::Json;
 
-use relume_api::keys::Scope;
-use relume_api::{KeyId, TenantId};
 use crate::store::database::{self, DatabaseFile, DatabaseServer, DatabaseUrl};
 use crate::store::sql;
 use crate::store::{KeyRecord, KeyToken, Page, Store, StoreError};
+use relume_api::keys::Scope;
+use relume_api::{KeyId, TenantId};
 
 /// A key to be made.
 #[derive(Debug, Clone)]

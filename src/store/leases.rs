@@ -3,11 +3,11 @@
 use serde_json::json;
 use sqlx::types::Json;
 
+use crate::store::sql::{self, Sql, Tx};
+use crate::store::{JobRecord, ModelFile, ModelRecord, QualityResult, Store, StoreError, events};
 use relume_api::jobs::{JobProgress, JobState};
 use relume_api::work::{LeaseStatus, Release};
 use relume_api::{JobId, WorkerId};
-use crate::store::sql::{self, Sql, Tx};
-use crate::store::{JobRecord, QualityResult, ModelFile, ModelRecord, Store, StoreError, events};
 
 /// Who asks for a job.
 #[derive(Debug, Clone, Default)]

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use sqlx::types::Json;
 
-use relume_api::metadata::{ResourceMetadata, MetadataChange};
-use relume_api::{ResourceKind, ResourceName, TenantId};
 use crate::store::sql::{self, QueryAs, Record, Sql, Tx};
 use crate::store::{Store, StoreError};
+use relume_api::metadata::{MetadataChange, ResourceMetadata};
+use relume_api::{ResourceKind, ResourceName, TenantId};
 
 /// Which things of a list are wanted; all where nothing is said.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

@@ -2,10 +2,10 @@
 
 use std::collections::HashSet;
 
-use relume_api::{ModelId, TenantId};
 use crate::store::metadata::{filtered, listed};
 use crate::store::sql;
 use crate::store::{Filter, ModelFile, ModelRecord, Page, Store, StoreError};
+use relume_api::{ModelId, TenantId};
 
 impl Store {
     /// A model of a tenant by identifier.

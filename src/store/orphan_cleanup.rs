@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use crate::store::exports::EXPORTS;
-use crate::store::references::{references, artifact_keys};
+use crate::store::references::{artifact_keys, references};
 use crate::store::sql;
 use crate::store::uploads::UPLOADS;
 use crate::store::{Store, StoreError};

@@ -77,8 +77,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_place_reads_back_from_its_text_and_nothing_else_does() {
-        for cursor in [PageCursor { at: 0, id: "a-1".to_owned() }, PageCursor { at: i64::MAX, id: "b.2".to_owned() }] {
+    fn page_cursors_round_trip_and_invalid_ones_are_refused() {
+        for cursor in
+            [PageCursor { at: 0, id: "a-1".to_owned() }, PageCursor { at: i64::MAX, id: "b.2".to_owned() }]
+        {
             assert_eq!(cursor.to_string().parse(), Ok(cursor));
         }
         for text in ["", "a", "a.", ".5", "a.+5", "a.05", "a.x", "a.99999999999999999999"] {

@@ -1,8 +1,8 @@
 //! Where uploads get their place: file and row together, one after another, so that no sweep comes in between.
 
-use relume_api::TenantId;
 use crate::store::sql;
-use crate::store::{CaptureRecord, EnvironmentRecord, UploadLock, StagedUpload, Store, StoreError};
+use crate::store::{CaptureRecord, EnvironmentRecord, StagedUpload, Store, StoreError, UploadLock};
+use relume_api::TenantId;
 
 impl Store {
     /// Publishes an upload and records it, or returns the capture of the same tenant and content that was there first. Pieces that
@@ -51,7 +51,11 @@ impl Store {
     ///
     /// # Errors
     /// When the artifact cannot be read or the move fails.
-    pub async fn repair_artifact(&self, mut incoming: StagedUpload, artifact: &str) -> Result<Option<StagedUpload>, StoreError> {
+    pub async fn repair_artifact(
+        &self,
+        mut incoming: StagedUpload,
+        artifact: &str,
+    ) -> Result<Option<StagedUpload>, StoreError> {
         if self.is_intact(artifact, &incoming).await? {
             return self.discard_duplicate(incoming).await.map(|()| None);
         }

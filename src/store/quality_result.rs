@@ -2,11 +2,11 @@
 
 use serde_json::{Value, json};
 
+use crate::store::sql;
+use crate::store::{Store, StoreError};
 use relume_api::jobs::JobState;
 use relume_api::quality::{Figures, MissedFigure, QualityGate};
 use relume_api::{JobId, ModelId};
-use crate::store::sql;
-use crate::store::{Store, StoreError};
 
 /// Most warnings that are repeated at the end of a job.
 const MAX_WARNINGS: i64 = 100;

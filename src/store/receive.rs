@@ -8,11 +8,11 @@ use object_store::{ObjectStoreExt, WriteMultipart};
 use sha2::{Digest, Sha256};
 use tokio_util::bytes::Bytes;
 
-use relume_api::TenantId;
 use crate::store::hash::hex;
-use crate::store::staged_upload::{INCOMING, StagedUpload};
 use crate::store::pending_quota::Reservation;
+use crate::store::staged_upload::{INCOMING, StagedUpload};
 use crate::store::{Store, StoreError};
+use relume_api::TenantId;
 
 impl Store {
     /// Streams a body of a tenant to disk, hashing it. Its bytes count as stored as they arrive. After an error nothing of it is

@@ -6,9 +6,9 @@ use std::time::{Duration, SystemTime};
 
 use crate::store::artifacts::Remote;
 use crate::store::exports::EXPORTS;
+use crate::store::orphan_cleanup::{ORPHAN_RETENTION, ORPHANS};
 use crate::store::references::{is_artifact_name, references};
 use crate::store::sql;
-use crate::store::orphan_cleanup::{ORPHAN_RETENTION, ORPHANS};
 use crate::store::{Store, StoreError};
 
 /// How old an object is at least that nothing refers to, before it goes.
@@ -41,8 +41,9 @@ impl Store {
         report.sent = self.upload_local_only_files(&sizes).await?;
         let named: HashSet<String> =
             references(self.pool()).await?.into_iter().map(|reference| reference.artifact).collect();
-        let age =
-            |object: &crate::store::artifacts::RemoteObject| now.duration_since(object.written).unwrap_or_default();
+        let age = |object: &crate::store::artifacts::RemoteObject| {
+            now.duration_since(object.written).unwrap_or_default()
+        };
         for object in &objects {
             let key = object.key.as_str();
             if key.strip_prefix(ORPHANS).is_some_and(|rest| rest.starts_with('/')) {
@@ -83,7 +84,12 @@ impl Store {
     }
 
     /// Removes an object, or sets it aside, unless the database names it by now.
-    async fn remove_or_set_aside(&self, remote: &Remote, key: &str, report: &mut ReconciliationReport) -> Result<(), StoreError> {
+    async fn remove_or_set_aside(
+        &self,
+        remote: &Remote,
+        key: &str,
+        report: &mut ReconciliationReport,
+    ) -> Result<(), StoreError> {
         // What gets its place meanwhile is looked for in the object store once it has the publish lock.
         let _publish_guard = self.publish_lock.lock().await;
         if references(self.pool()).await?.iter().any(|reference| reference.artifact == key) {

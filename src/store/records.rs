@@ -2,13 +2,13 @@
 
 use sqlx::FromRow;
 
+use crate::store::page::paginated;
 use relume_api::jobs::{JobProgress, JobState, NewJob};
 use relume_api::keys::Scope;
 use relume_api::metadata::ResourceMetadata;
 use relume_api::quality::Figures;
 use relume_api::{CaptureId, EnvironmentId, JobId, KeyId, ModelId, TenantId, WorkerId};
 use relume_spec::CaptureReport;
-use crate::store::page::paginated;
 
 /// An uploaded, validated archive.
 #[derive(Debug, Clone, FromRow)]

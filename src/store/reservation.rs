@@ -1,8 +1,8 @@
 //! Bytes that are on their way count as stored before they are, so that uploads together do not pass what one alone may not.
 
-use relume_api::TenantId;
 use crate::store::pending_quota::Reservation;
 use crate::store::{Store, StoreError};
+use relume_api::TenantId;
 
 /// Bytes that are reserved ahead of those that arrived.
 const RESERVE_AHEAD_BYTES: u64 = 16 << 20;
@@ -40,7 +40,7 @@ mod tests {
     use crate::store::Quota;
 
     #[tokio::test]
-    async fn what_is_on_its_way_counts_together_and_is_given_back() {
+    async fn concurrent_reservations_share_quota_and_are_released() {
         let folder = tempfile::tempdir().unwrap();
         let quota = Quota { jobs: None, bytes: Some(100) };
         let store = Store::open(folder.path()).await.unwrap().with_quota(quota);
@@ -61,7 +61,11 @@ mod tests {
             matches!(refused, Err(StoreError::StorageLimitExceeded { limit: 150, taken: 100, asked: 51 })),
             "{refused:?}"
         );
-        assert_eq!((store.pending_quota.all(), store.pending_quota.of(&b)), (100, 0), "what is refused takes nothing");
+        assert_eq!(
+            (store.pending_quota.all(), store.pending_quota.of(&b)),
+            (100, 0),
+            "what is refused takes nothing"
+        );
         drop(held);
         assert_eq!((store.pending_quota.all(), store.pending_quota.of(&a)), (0, 0));
         let mut alone = store.reservation(&a);

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use relume_api::{ResourceKind, ResourceName, TenantId};
 use crate::store::sql;
 use crate::store::{Deletion, Store, StoreError};
+use relume_api::{ResourceKind, ResourceName, TenantId};
 
 /// How long things are kept; what has no time, or the label `keep:true`, is kept until it is deleted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

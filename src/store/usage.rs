@@ -4,11 +4,11 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::Ordering;
 
-use relume_api::TenantId;
-use relume_api::usage::{StoredKind, Usage};
 use crate::store::references::references;
 use crate::store::sql;
 use crate::store::{Store, StoreError};
+use relume_api::TenantId;
+use relume_api::usage::{StoredKind, Usage};
 
 /// How much may be stored.
 #[derive(Debug, Clone, Copy)]

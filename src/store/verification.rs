@@ -93,7 +93,7 @@ mod tests {
     use crate::store::hash::hex;
 
     #[tokio::test]
-    async fn a_file_is_hashed_once_and_again_when_it_changed() {
+    async fn a_file_is_hashed_again_only_after_it_changed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("file");
         std::fs::write(&path, "as it was").unwrap();

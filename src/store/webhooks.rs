@@ -3,11 +3,11 @@
 use sqlx::FromRow;
 use sqlx::types::Json;
 
-use relume_api::webhooks::{WebhookChange, WebhookEvent};
-use relume_api::{KeyId, TenantId, WebhookId};
 use crate::store::page::paginated;
 use crate::store::sql;
 use crate::store::{Page, Store, StoreError};
+use relume_api::webhooks::{WebhookChange, WebhookEvent};
+use relume_api::{KeyId, TenantId, WebhookId};
 
 /// Most webhooks of a tenant.
 const MAX_WEBHOOKS: i64 = 16;

@@ -3,9 +3,9 @@
 use sqlx::FromRow;
 use sqlx::types::Json;
 
+use crate::store::{Store, StoreError, rfc3339, sql};
 use relume_api::work::{WorkerHello, WorkerState, WorkerView};
 use relume_api::{JobId, WorkerId};
-use crate::store::{Store, StoreError, rfc3339, sql};
 
 /// A worker.
 #[derive(Debug, Clone, FromRow)]
@@ -99,7 +99,12 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn record_lease_heartbeat(&self, job: &JobId, token: &str, now_ms: i64) -> Result<(), StoreError> {
+    pub async fn record_lease_heartbeat(
+        &self,
+        job: &JobId,
+        token: &str,
+        now_ms: i64,
+    ) -> Result<(), StoreError> {
         let mut tx = self.write_row().await?;
         let query = "UPDATE workers SET seen_ms = $3
              WHERE id = (SELECT worker FROM jobs WHERE id = $1 AND lease_token = $2)";

@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use tokio_util::sync::DropGuard;
 
-use relume_api::JobId;
-use relume_train::render::Frame;
 use crate::worker::previews::{Preview, Previews};
 use crate::worker::queued::{Queued, Request, TimedAnswer};
 use crate::worker::render_queue::{RenderPriority, RenderQueue};
 use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
+use relume_api::JobId;
+use relume_train::render::Frame;
 
 /// How long a render may wait for its turn and run: long enough for the first preparation of a light.
 const RENDER_TIMEOUT: Duration = Duration::from_secs(120);

@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_twentieth_of_the_steps_the_end_is_known_within_a_factor_of_two() {
+    fn eta_is_within_a_factor_of_two_after_a_twentieth_of_steps() {
         let short = TrainOverrides { iterations: Some(400), ..TrainOverrides::default() };
         for (config, pixels) in [
             (TrainConfig::preset(Preset::Draft), 160.0 * 120.0),
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn a_roll_back_adds_to_what_is_left_and_a_resumption_counts_its_own_steps() {
+    fn eta_accounts_for_rollbacks_and_resumed_steps() {
         let config = TrainConfig::preset(Preset::Draft);
         let mut eta = Eta::new(&config, 1e4, 1000, 0);
         assert_eq!(eta.seconds(), None, "nothing was seen yet");

@@ -1,9 +1,9 @@
 //! What a worker writes down about an attempt that failed, and that it does write it down.
 
-use relume_api::work::{LeaseStatus, Release, Task};
 use crate::worker::job_source::{Claim, JobSourceError};
 use crate::worker::thread::{JobOutcome, Worker};
 use crate::worker::training::outcome::{AttemptError, stop_attempt};
+use relume_api::work::{LeaseStatus, Release, Task};
 
 /// What becomes of a job after an attempt.
 enum FailureReport {

@@ -1,15 +1,15 @@
 //! Rendering what waits in the queue, on one device, on the thread of frames.
 
 use std::panic::AssertUnwindSafe;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-use relume_train::render::Frame;
 use crate::worker::opened_device::OpenedDevice;
 use crate::worker::panics::panic_message;
 use crate::worker::queued::Request;
 use crate::worker::render_queue::RenderReceiver;
 use crate::worker::renders::{LightTask, RenderCache, RenderFailure, RenderTask};
+use relume_train::render::Frame;
 
 /// Most frames that come at once; and between two bands of a dear one.
 const BATCH: usize = 8;

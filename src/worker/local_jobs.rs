@@ -6,12 +6,12 @@ use async_trait::async_trait;
 use tokio::sync::watch;
 use tokio_util::bytes::Bytes;
 
-use relume_api::jobs::JobProgress;
-use relume_api::work::{FinishedModel, LeaseStatus, Release, Task};
-use relume_api::{EnvironmentId, WorkerId};
 use crate::jobs::{Jobs, Lease};
 use crate::store::{Claimant, StoreError};
 use crate::worker::job_source::{Claim, ClaimOutcome, JobSource, JobSourceError, TrainedModel};
+use relume_api::jobs::JobProgress;
+use relume_api::work::{FinishedModel, LeaseStatus, Release, Task};
+use relume_api::{EnvironmentId, WorkerId};
 
 /// The queue of this process for one worker.
 pub struct LocalJobs {
@@ -54,9 +54,8 @@ impl JobSource for LocalJobs {
             return Ok(ClaimOutcome::Nothing);
         }
         match self.jobs.claim_as(&self.claimant).await {
-            Ok(lease) => {
-                Ok(lease.map_or(ClaimOutcome::Nothing, |lease| ClaimOutcome::Job(Box::new(LocalClaim::new(lease)))))
-            }
+            Ok(lease) => Ok(lease
+                .map_or(ClaimOutcome::Nothing, |lease| ClaimOutcome::Job(Box::new(LocalClaim::new(lease))))),
             Err(error) => {
                 if matches!(error, StoreError::Full) {
                     self.jobs.store().disk_space().note_shortage(1);

@@ -5,8 +5,11 @@
 
 mod device_handle;
 mod eta;
+mod failure_report;
 mod frame_server;
 mod frame_thread;
+mod job_source;
+mod local_jobs;
 mod opened_device;
 mod panics;
 mod previews;
@@ -14,19 +17,16 @@ mod progress;
 mod queued;
 mod render_queue;
 mod renders;
-mod job_source;
 mod start;
-mod local_jobs;
 mod thread;
 mod training;
-mod failure_report;
 
 pub use device_handle::DeviceHandle;
+pub use job_source::{Claim, TrainedModel};
+pub use job_source::{ClaimOutcome, JobSource, JobSourceError};
+pub use local_jobs::LocalJobs;
 pub use opened_device::OpenedDevice;
 pub use previews::Preview;
 pub use renders::{LightSource, LightTask, ModelContent, ModelSource, RenderFailure, RenderTask};
-pub use job_source::{Claim, TrainedModel};
-pub use job_source::{ClaimOutcome, JobSource, JobSourceError};
 pub use start::{TrainingOptions, WorkerOptions, start, start_training};
-pub use local_jobs::LocalJobs;
 pub use thread::JobOutcome;

@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_training_is_looked_at_when_somebody_asked_for_it_and_not_again_at_once() {
+    fn previews_are_rendered_on_request_and_rate_limited() {
         let previews = Arc::new(Previews::default());
         let (job, other) = (JobId::from("job"), JobId::from("other"));
         let shown = previews.of(&job);

@@ -1,9 +1,9 @@
 //! From step reports to progress events: at most two a second, each with the expected time to the end.
 
-use relume_api::jobs::JobProgress;
-use relume_train::{Progress, StepReport};
 use crate::worker::eta::Eta;
 use crate::worker::job_source::{Claim, JobSourceError};
+use relume_api::jobs::JobProgress;
+use relume_train::{Progress, StepReport};
 
 /// Least time between two progress events.
 const INTERVAL_MS: i64 = 500;
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn events_are_throttled_but_the_last_step_is_always_told() {
+    fn events_are_throttled_but_the_last_step_is_always_sent() {
         let config = TrainConfig { iterations: 100, ..TrainConfig::preset(Preset::Draft) };
         let mut reporter = ProgressReporter::new(Eta::new(&config, 1.0, 0, 0));
         let mut at = |ms, n| {

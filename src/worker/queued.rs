@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 use tracing::Span;
 
-use relume_train::render::Frame;
-use relume_spec::rendering::Quality;
 use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
+use relume_spec::rendering::Quality;
+use relume_train::render::Frame;
 
 /// An answer and what it cost to get it.
 #[derive(Debug, Clone)]

@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::Notify;
 
-use relume_spec::rendering::Quality;
 use crate::worker::queued::Request;
+use relume_spec::rendering::Quality;
 
 /// Younger frames that may overtake one because they are cheaper.
 const MAX_OVERTAKES: u32 = 16;
@@ -111,9 +111,13 @@ impl RenderReceiver {
     pub(super) fn try_recv(&mut self) -> Option<Request> {
         let mut state = self.queue.lock();
         let waiting = &mut state.waiting;
-        let patient = waiting.iter().position(|e| e.priority == RenderPriority::Interactive && e.overtaken >= MAX_OVERTAKES);
-        let cheapest =
-            || (0..waiting.len()).min_by_key(|&i| (waiting[i].priority == RenderPriority::Background, waiting[i].cost));
+        let patient = waiting
+            .iter()
+            .position(|e| e.priority == RenderPriority::Interactive && e.overtaken >= MAX_OVERTAKES);
+        let cheapest = || {
+            (0..waiting.len())
+                .min_by_key(|&i| (waiting[i].priority == RenderPriority::Background, waiting[i].cost))
+        };
         let next = patient.or_else(cheapest)?;
         waiting[..next].iter_mut().for_each(|entry| entry.overtaken += 1);
         Some(waiting.remove(next).request)
@@ -146,10 +150,10 @@ impl Drop for QueueSlot {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relume_train::render::{Orbit, Viewpoint};
-    use relume_spec::rendering::{Output, Tier};
     use crate::worker::queued::Queued;
     use crate::worker::{LightSource, LightTask, ModelContent, ModelSource, RenderTask};
+    use relume_spec::rendering::{Output, Tier};
+    use relume_train::render::{Orbit, Viewpoint};
 
     fn task(size: u32, tier: Tier) -> RenderTask {
         RenderTask {
@@ -191,14 +195,14 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_costs_by_its_pixels_and_tier() {
+    fn frame_cost_grows_with_pixels_and_tier() {
         let costs = Tier::ALL.map(|tier| task(64, tier).cost());
         assert!(costs.is_sorted() && costs[3] > 10 * costs[2], "{costs:?}");
         assert!(task(4096, Tier::Preview).cost() > task(256, Tier::High).cost());
     }
 
     #[test]
-    fn cheap_frames_come_first_and_equal_ones_in_order() {
+    fn cheap_frames_are_rendered_first_and_equal_ones_in_order() {
         let (queue, mut waiting) = render_queue(9);
         let _places = [1024, 64, 256, 64].map(|size| push(&queue, size).unwrap());
         assert_eq!([(); 4].map(|()| next_size(&mut waiting)), [64, 64, 256, 1024]);
@@ -206,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn between_the_bands_of_a_frame_come_cheap_ones_alone() {
+    fn only_cheap_frames_run_between_bands_of_a_large_frame() {
         let (queue, mut waiting) = render_queue(9);
         let _places = [2048, 128, 64].map(|size| push(&queue, size).unwrap());
         let (light, _answer) = Queued::new(light(), 0);
@@ -218,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_nobody_looks_at_comes_after_all_others_and_between_no_bands() {
+    fn background_frames_are_rendered_after_all_interactive_ones() {
         let (queue, mut waiting) = render_queue(99);
         let _export = push_as(&queue, 32, RenderPriority::Background).unwrap();
         assert!(waiting.try_recv_cheap().is_none(), "not between the bands of another");
@@ -232,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dear_frame_is_overtaken_so_often_and_no_more() {
+    fn an_expensive_frame_is_overtaken_a_limited_number_of_times() {
         let (queue, mut waiting) = render_queue(9);
         let _dear = push(&queue, 1024).unwrap();
         let mut before = 0;
@@ -247,7 +251,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_frame_whose_caller_has_gone_is_not_rendered_and_leaves_room_at_once() {
+    async fn frames_of_disconnected_callers_leave_the_queue_at_once() {
         let (queue, mut waiting) = render_queue(2);
         let (gone, _stays) = (push(&queue, 64).unwrap(), push(&queue, 128).unwrap());
         assert!(push(&queue, 256).is_none(), "the queue is full");
@@ -259,7 +263,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn when_the_renderer_ends_whoever_waits_is_told() {
+    async fn queued_callers_get_an_error_when_the_renderer_stops() {
         let (queue, waiting) = render_queue(2);
         let (render, frame) = Queued::new(task(64, Tier::Standard), 0);
         let _place = queue.push(Request::Frame(render), RenderPriority::Interactive).unwrap();

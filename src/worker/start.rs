@@ -7,17 +7,17 @@ use std::thread::JoinHandle;
 
 use tokio_util::sync::CancellationToken;
 
-use relume_capture::ImportLimits;
-use relume_engine::DeviceChoice;
 use crate::worker::device_handle::DeviceHandle;
 use crate::worker::frame_server::FrameServer;
 use crate::worker::frame_thread;
+use crate::worker::job_source::JobSource;
 use crate::worker::opened_device::OpenedDevice;
 use crate::worker::previews::Previews;
 use crate::worker::render_queue::render_queue;
 use crate::worker::renders::RenderCache;
-use crate::worker::job_source::JobSource;
 use crate::worker::thread::{JobOutcome, Worker};
+use relume_capture::ImportLimits;
+use relume_engine::DeviceChoice;
 
 /// Sizes of the worker's queue and caches.
 #[derive(Debug, Clone, Copy)]

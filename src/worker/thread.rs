@@ -10,14 +10,14 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use tracing::{Instrument, Span};
 
-use relume_capture::ImportLimits;
-use relume_engine::Device;
 use crate::traces::{self, TraceParent};
+use crate::worker::job_source::{Claim, ClaimOutcome, JobSource, JobSourceError};
 use crate::worker::opened_device::OpenedDevice;
 use crate::worker::panics::panic_message;
 use crate::worker::previews::Previews;
-use crate::worker::job_source::{Claim, ClaimOutcome, JobSource, JobSourceError};
 use crate::worker::training::outcome::AttemptEnd;
+use relume_capture::ImportLimits;
+use relume_engine::Device;
 
 /// How long an idle worker sleeps before it asks for a job unprompted.
 const IDLE: Duration = Duration::from_secs(1);

@@ -9,9 +9,9 @@ use relume_api::{ModelId, Problem};
 use relume_client::{Client, ClientError};
 use reqwest::Method;
 
-use crate::captures::small_set::{blender, gzip, tar};
 use crate::service_support::{CaptureZip, capture_zip, ended, small_job, trained, until};
 use disk::FaultyDisk;
+use relume_fixtures::small_set::{blender, gzip, tar};
 
 const EIO: i32 = 5;
 const EROFS: i32 = 30;
@@ -56,7 +56,7 @@ fn code(job: &JobView) -> Option<&str> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_disk_that_takes_no_writes_is_a_problem_and_publishes_nothing() {
+async fn failed_writes_answer_with_a_problem_and_publish_nothing() {
     let disk = FaultyDisk::start();
     let client = &disk.server.client;
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -88,7 +88,7 @@ async fn a_disk_that_takes_no_writes_is_a_problem_and_publishes_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_disk_that_fails_for_a_while_costs_a_training_checkpoints_and_nothing_else() {
+async fn temporary_write_failures_cost_only_checkpoints() {
     let disk = FaultyDisk::start();
     let client = &disk.server.client;
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -129,7 +129,7 @@ async fn reads(client: &Client, model: &ModelId) -> Vec<Result<(), ClientError>>
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_disk_that_cannot_be_read_is_a_problem_and_no_short_answer() {
+async fn failed_reads_answer_with_a_problem_and_not_truncated_data() {
     let disk = FaultyDisk::start();
     let client = &disk.server.client;
     let job = trained(client).await;
@@ -170,7 +170,7 @@ async fn a_disk_that_cannot_be_read_is_a_problem_and_no_short_answer() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_slow_disk_keeps_nobody_from_being_answered() {
+async fn a_slow_disk_does_not_block_other_requests() {
     let disk = FaultyDisk::start();
     let client = &disk.server.client;
     disk.fails("both", 0, 40);

@@ -15,23 +15,19 @@ use relume_api::renders::RenderRequest;
 use relume_api::uploads::CaptureSource;
 use relume_api::webhooks::{NewWebhook, WebhookChange};
 use relume_api::{Problem, TenantId};
-use relume_capture::{self, ImportLimits, ImportOptions};
 use relume_capture::formats::{environment, exr_image, image_file, model_file, ply_points};
+use relume_capture::{ImportLimits, ImportOptions};
+use relume_fixtures::cases_or;
 use relume_spec::training::TrainConfig;
 use reqwest::{Method, header};
 use tempfile::NamedTempFile;
 
-use crate::captures::small_set::{Files, gzip, tar, zip};
 use mutate::mutated;
+use relume_fixtures::small_set::{Files, gzip, tar, zip};
 
 /// Cases of each reader in a usual run.
 const CASES: u32 = 500;
 const SEED: u64 = 4;
-
-/// The cases that are asked for, or the usual ones.
-pub fn cases_or(usual: u32) -> u32 {
-    std::env::var("RELUME_FUZZ_CASES").map_or(usual, |count| count.parse().unwrap())
-}
 
 fn cases() -> u64 {
     cases_or(CASES).into()
@@ -64,7 +60,7 @@ fn run(name: &str, make: impl Fn(&mut ChaCha8Rng) -> Vec<u8>, read: impl Fn(&[u8
 }
 
 #[test]
-fn a_reader_that_panics_is_found_out() {
+fn fuzzing_detects_a_reader_that_panics() {
     let seeds = seeds::clouds();
     let careless = |bytes: &[u8]| assert!(seeds.iter().any(|seed| seed == bytes), "these are changed");
     let found = std::panic::catch_unwind(|| fuzz("the-control", &seeds, careless)).unwrap_err();
@@ -75,7 +71,7 @@ fn a_reader_that_panics_is_found_out() {
 }
 
 #[test]
-fn changed_pictures_make_no_reader_panic() {
+fn mutated_images_cause_no_panic() {
     fuzz("pictures", &seeds::images(), |bytes| {
         let _ = image_file::dimensions(bytes);
         let _ = image_file::decode(bytes, 1 << 16);
@@ -83,7 +79,7 @@ fn changed_pictures_make_no_reader_panic() {
 }
 
 #[test]
-fn changed_environments_make_no_reader_panic() {
+fn mutated_environments_cause_no_panic() {
     fuzz("environments", &seeds::environments(), |bytes| {
         let _ = exr_image::dimensions(bytes);
         let _ = exr_image::decoded_bytes(bytes);
@@ -95,7 +91,7 @@ fn changed_environments_make_no_reader_panic() {
 }
 
 #[test]
-fn changed_models_make_no_reader_panic() {
+fn mutated_models_cause_no_panic() {
     fuzz("models", &seeds::models(), |bytes| {
         if let Ok(model) = model_file::decode(bytes) {
             let _ = model.check();
@@ -104,12 +100,12 @@ fn changed_models_make_no_reader_panic() {
 }
 
 #[test]
-fn changed_point_clouds_make_no_reader_panic() {
+fn mutated_point_clouds_cause_no_panic() {
     fuzz("point-clouds", &seeds::clouds(), |bytes| drop(ply_points::read_points(bytes, 1000)));
 }
 
 #[test]
-fn changed_bodies_make_no_reader_panic() {
+fn mutated_json_bodies_cause_no_panic() {
     fuzz("bodies", &seeds::bodies(), |bytes| {
         if let Ok(job) = serde_json::from_slice::<NewJob>(bytes) {
             let _ = TrainConfig::new(job.preset, &job.overrides);
@@ -137,8 +133,8 @@ fn read_archive(bytes: &[u8]) {
     let mut limits = ImportLimits::default();
     (limits.max_total_bytes, limits.max_image_pixels) = (1 << 22, 1 << 16);
     let options = ImportOptions { limits, ..ImportOptions::default() };
-    let _ = capture::import(file.path(), &options);
-    let _ = capture::cameras(file.path(), &limits);
+    let _ = relume_capture::import(file.path(), &options);
+    let _ = relume_capture::cameras(file.path(), &limits);
 }
 
 fn pack(files: &Files, random: &mut ChaCha8Rng) -> Vec<u8> {
@@ -150,7 +146,7 @@ fn pack(files: &Files, random: &mut ChaCha8Rng) -> Vec<u8> {
 }
 
 #[test]
-fn changed_archives_make_no_reader_panic() {
+fn mutated_archives_cause_no_panic() {
     let mut random = ChaCha8Rng::seed_from_u64(SEED);
     let archives: Vec<Vec<u8>> = seeds::captures()
         .iter()
@@ -160,7 +156,7 @@ fn changed_archives_make_no_reader_panic() {
 }
 
 #[test]
-fn changed_files_in_sound_archives_make_no_reader_panic() {
+fn mutated_files_in_valid_archives_cause_no_panic() {
     let captures = seeds::captures();
     let make = |random: &mut ChaCha8Rng| {
         let mut files = captures[random.random_range(0..captures.len())].clone();
@@ -180,7 +176,7 @@ fn changed_files_in_sound_archives_make_no_reader_panic() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn changed_bodies_are_problems_and_never_failures_of_the_server() {
+async fn mutated_json_bodies_answer_4xx_and_never_5xx() {
     let server = relume::testing::spawn().await.unwrap();
     let seeds = seeds::bodies();
     // Each of these costs a request.

@@ -7,8 +7,8 @@ use relume_capture::formats::{environment, exr_image, image_file, model_file, pl
 use relume_scene::EnvMap;
 use serde_json::json;
 
-use crate::captures::small_set::{Files, blender, camera, colmap, nerfstudio, picture};
-use crate::extremes::harness;
+use relume_fixtures::model;
+use relume_fixtures::small_set::{Files, blender, camera, colmap, nerfstudio, picture};
 
 pub fn images() -> Vec<Vec<u8>> {
     let rgb: Vec<[u8; 3]> = (0..48).map(|p| [p, 200, 255 - p]).collect();
@@ -38,7 +38,7 @@ pub fn environments() -> Vec<Vec<u8>> {
 }
 
 pub fn models() -> Vec<Vec<u8>> {
-    (1..4).map(|count| model_file::encode(&harness::model(count, 7)).unwrap()).collect()
+    (1..4).map(|count| model_file::encode(&model::model(count, 7)).unwrap()).collect()
 }
 
 pub fn clouds() -> Vec<Vec<u8>> {
@@ -53,7 +53,7 @@ pub fn clouds() -> Vec<Vec<u8>> {
         .to_vec();
     binary.extend(b"end_header\n");
     binary.extend([1u8; 38]);
-    vec![text.as_bytes().to_vec(), binary, ply_model::encode(&harness::model(2, 7))]
+    vec![text.as_bytes().to_vec(), binary, ply_model::encode(&model::model(2, 7))]
 }
 
 /// Captures in every layout, as files: an archive of some kinds has sums, which changed files would not pass.

@@ -5,16 +5,16 @@ use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume_api::jobs::{JobProgress, JobState, NewJob};
-use relume_api::metadata::ResourceMetadata;
-use relume_api::quality::{Figures, QualityGate};
-use relume_api::{JobId, ResourceKind, ResourceName, TenantId};
-use relume_spec::CaptureReport;
 use relume::jobs::{Jobs, Lease, LeasePolicy, ManualClock, Origin, SequentialIds};
 use relume::store::{
     CancelOutcome, CaptureRecord, Deletion, IdempotencyKey, LeaseStatus, ModelRecord, Release, Store,
     StoreError, Submitted,
 };
+use relume_api::jobs::{JobProgress, JobState, NewJob};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::quality::{Figures, QualityGate};
+use relume_api::{JobId, ResourceKind, ResourceName, TenantId};
+use relume_spec::CaptureReport;
 use serde_json::Value;
 use sqlx::AnyPool;
 use tempfile::TempDir;

@@ -47,13 +47,13 @@ fn run(count: u64, wrong: Option<Wrong>) -> Result<u64, String> {
 }
 
 #[test]
-fn ten_thousand_histories_of_the_queue_go_as_its_model_says() {
+fn ten_thousand_random_job_histories_match_the_model() {
     let count = histories();
     assert_eq!(run(count, None), Ok(count));
 }
 
 #[test]
-fn a_wrong_model_of_the_queue_is_found_out() {
+fn a_wrong_model_of_the_queue_is_detected() {
     for wrong in Wrong::ALL {
         let found = run(CONTROLS, Some(wrong));
         assert!(found.is_err(), "{wrong:?} agrees with {CONTROLS} histories");

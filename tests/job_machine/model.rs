@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use relume_api::jobs::JobState;
 use relume::store::{LeaseStatus, Release};
+use relume_api::jobs::JobState;
 
 /// Steps of every job.
 pub const TOTAL: i64 = 100;
@@ -140,7 +140,11 @@ impl Model {
         if let Some((key, request)) = key
             && let Some((known, job, _)) = self.keys.get(key)
         {
-            return if *known == request { Submission::Replayed(*job) } else { Submission::IdempotencyKeyReused };
+            return if *known == request {
+                Submission::Replayed(*job)
+            } else {
+                Submission::IdempotencyKeyReused
+            };
         }
         if retry_of.is_some_and(|job| self.jobs[job].deleted) {
             return Submission::PredecessorDeleted;

@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
+use relume::testing::TestServer;
 use relume_api::ModelId;
 use relume_api::captures::{CaptureState, CaptureSummary};
 use relume_api::exports::NewExport;
 use relume_api::jobs::JobState;
-use relume::testing::TestServer;
 use reqwest::Method;
 use tempfile::TempDir;
 
@@ -31,7 +31,7 @@ async fn ready(server: &TestServer) -> u16 {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_object_store_that_is_away_is_a_503_and_nothing_counts_as_stored() {
+async fn an_unreachable_object_store_answers_503_and_stores_nothing() {
     let bucket = Bucket::start().await;
     let server = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
     let (client, faults) = (server.client(), &bucket.faults);
@@ -54,7 +54,7 @@ async fn an_object_store_that_is_away_is_a_503_and_nothing_counts_as_stored() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_upload_whose_connection_ends_is_sent_again() {
+async fn an_interrupted_put_to_the_object_store_is_retried() {
     let bucket = Bucket::start().await;
     let server = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
     bucket.faults.set(&bucket.faults.unanswered, 2);
@@ -65,7 +65,7 @@ async fn an_upload_whose_connection_ends_is_sent_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_cut_off_goes_on_and_what_comes_wrong_is_fetched_once_more() {
+async fn truncated_objects_are_resumed_and_corrupt_ones_fetched_again() {
     let bucket = Bucket::start().await;
     let (server, model) = with_nothing_here(&bucket).await;
     let (client, faults, name) = (server.client(), &bucket.faults, "model.safetensors");
@@ -100,7 +100,7 @@ async fn what_is_cut_off_goes_on_and_what_comes_wrong_is_fetched_once_more() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_asks_at_once_for_a_file_has_it_fetched_once() {
+async fn concurrent_requests_for_an_object_fetch_it_once() {
     let bucket = Bucket::start().await;
     let (server, model) = with_nothing_here(&bucket).await;
     bucket.faults.slow.store(200, std::sync::atomic::Ordering::SeqCst);
@@ -112,7 +112,7 @@ async fn who_asks_at_once_for_a_file_has_it_fetched_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_waits_for_an_object_store_that_is_away_and_spends_no_attempt_on_it() {
+async fn a_job_waits_for_an_unreachable_object_store() {
     let bucket = Bucket::start().await;
     let change = |config: &mut relume::server::ServerConfig| config.lease.max_idle_attempts = 1;
     let first = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
@@ -133,7 +133,7 @@ async fn a_job_waits_for_an_object_store_that_is_away_and_spends_no_attempt_on_i
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_promised_is_made_once_the_object_store_is_there() {
+async fn accepted_work_is_completed_once_the_object_store_returns() {
     let bucket = Bucket::start().await;
     let server = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
     let (client, faults) = (server.client(), &bucket.faults);
@@ -162,7 +162,7 @@ async fn what_was_promised_is_made_once_the_object_store_is_there() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_deletion_waits_for_an_object_store_that_is_away() {
+async fn a_deletion_waits_for_an_unreachable_object_store() {
     let bucket = Bucket::start().await;
     let server = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
     let (client, faults) = (server.client(), &bucket.faults);

@@ -4,9 +4,9 @@ use std::path::Path;
 use std::process::{Command, Output};
 use std::time::Duration;
 
+use relume::testing;
 use relume_api::cameras::CameraConvention;
 use relume_api::jobs::JobState;
-use relume::testing;
 use tempfile::TempDir;
 
 use super::bucket::{ALL, Bucket};
@@ -38,7 +38,7 @@ fn text(output: &Output) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_machine_with_the_database_alone_serves_everything() {
+async fn a_machine_with_only_the_database_serves_everything() {
     let bucket = Bucket::start().await;
     let first = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
     let model = trained(first.client()).await.model.unwrap();
@@ -72,7 +72,7 @@ async fn a_machine_with_the_database_alone_serves_everything() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_answered_upload_is_in_the_bucket_after_kill_9_and_the_machine() {
+async fn an_answered_upload_survives_the_loss_of_the_machine() {
     let bucket = Bucket::start().await;
     let data = TempDir::new().unwrap();
     let (command, path) = (relume(&bucket), data.path().to_owned());
@@ -98,7 +98,7 @@ async fn an_answered_upload_is_in_the_bucket_after_kill_9_and_the_machine() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_backup_fetches_what_it_names_and_doctor_reads_the_bucket() {
+async fn backup_fetches_objects_and_doctor_checks_the_bucket() {
     let bucket = Bucket::start().await;
     let first = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
     let model = trained(first.client()).await.model.unwrap();
@@ -138,7 +138,7 @@ async fn a_backup_fetches_what_it_names_and_doctor_reads_the_bucket() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_training_goes_on_from_its_checkpoint_on_another_machine() {
+async fn training_resumes_from_its_checkpoint_on_another_machine() {
     let bucket = Bucket::start().await;
     let first = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
     let capture = first.client().upload_capture_bytes(capture_zip()).await.unwrap();

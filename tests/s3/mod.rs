@@ -8,14 +8,14 @@ mod redirects;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
+use relume::server::ServerConfig;
+use relume::store::Store;
+use relume::testing::{self, TestServer};
 use relume_api::ModelId;
 use relume_api::cameras::CameraConvention;
 use relume_api::exports::NewExport;
 use relume_api::jobs::JobState;
 use relume_client::{Client, ClientError};
-use relume::server::ServerConfig;
-use relume::store::Store;
-use relume::testing::{self, TestServer};
 use serde_json::json;
 use tempfile::TempDir;
 
@@ -79,7 +79,7 @@ fn map() -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_round_on_s3_is_in_the_bucket_as_it_is_answered_and_leaves_nothing_there() {
+async fn files_are_in_the_bucket_from_the_answer_until_deletion() {
     let bucket = Bucket::start().await;
     let server = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
     let client = server.client();
@@ -115,7 +115,7 @@ async fn a_round_on_s3_is_in_the_bucket_as_it_is_answered_and_leaves_nothing_the
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn uploads_in_pieces_stay_on_the_machine_until_they_are_captures() {
+async fn resumable_uploads_stay_local_until_they_are_captures() {
     let bucket = Bucket::start().await;
     let server = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
     let client = server.client();
@@ -144,7 +144,7 @@ fn tiny(config: &mut ServerConfig, stays: Duration) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn under_a_tiny_bound_everything_is_served_and_nothing_is_kept() {
+async fn with_a_tiny_cache_everything_is_served_and_nothing_kept() {
     let bucket = Bucket::start().await;
     let change = |config: &mut ServerConfig| tiny(config, Duration::from_secs(3));
     let server = server(&bucket, TempDir::new().unwrap(), change).await;
@@ -168,7 +168,7 @@ async fn under_a_tiny_bound_everything_is_served_and_nothing_is_kept() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_only_this_machine_has_stays_until_it_is_sent_when_a_server_with_a_bucket_starts() {
+async fn local_only_files_are_kept_until_they_are_in_the_bucket() {
     let (bucket, plain) = (Bucket::start().await, |config: &mut ServerConfig| config.database = None);
     let alone = testing::spawn_with(TempDir::new().unwrap(), plain).await.unwrap();
     let model = trained(alone.client()).await.model.unwrap();
@@ -197,7 +197,7 @@ async fn what_only_this_machine_has_stays_until_it_is_sent_when_a_server_with_a_
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_nothing_refers_to_goes_from_the_bucket_after_a_day_and_not_before() {
+async fn orphaned_objects_are_removed_after_a_day() {
     let bucket = Bucket::start().await;
     let server = server(&bucket, TempDir::new().unwrap(), |_| {}).await;
     let job = trained(server.client()).await;

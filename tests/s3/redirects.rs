@@ -1,9 +1,9 @@
 //! Callers who are sent to the bucket for files.
 
-use relume_api::jobs::JobState;
 use relume::server::ServerConfig;
 use relume::store::ArtifactsRedirect;
 use relume::testing::TestServer;
+use relume_api::jobs::JobState;
 use reqwest::redirect::Policy;
 use reqwest::{Method, Response, StatusCode};
 use sha2::{Digest, Sha256};
@@ -33,7 +33,7 @@ fn location(answer: &Response) -> &str {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_caller_is_sent_to_the_bucket_where_it_can_go_and_is_served_where_it_cannot() {
+async fn downloads_are_redirected_to_the_bucket_where_possible() {
     let bucket = Bucket::start().await;
     let server = redirecting(&bucket, ArtifactsRedirect::Same).await;
     let client = server.client();
@@ -80,7 +80,7 @@ async fn a_caller_is_sent_to_the_bucket_where_it_can_go_and_is_served_where_it_c
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn callers_are_sent_to_the_endpoint_that_is_theirs() {
+async fn redirects_use_the_configured_public_endpoint() {
     let bucket = Bucket::start().await;
     let there = ArtifactsRedirect::Endpoint("https://objects.example.com".to_owned());
     let server = redirecting(&bucket, there).await;

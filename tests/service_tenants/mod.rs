@@ -4,13 +4,13 @@ mod operations;
 
 use std::collections::BTreeSet;
 
+use relume::server::{ApiKeys, ServerConfig};
+use relume::store::{Filter, Page, Store};
+use relume::testing::{self, TestServer};
 use relume_api::exports::{NewExport, SplatsExport, SplatsKind};
 use relume_api::keys::Scope::{self, Admin, Metrics, Work};
 use relume_api::{CaptureId, JobId, ModelId, TenantId, UploadId};
 use relume_client::Client;
-use relume::server::{ApiKeys, ServerConfig};
-use relume::store::{Filter, Page, Store};
-use relume::testing::{self, TestServer};
 use reqwest::{Method, RequestBuilder, header};
 use serde_json::{Value, json};
 use sqlx::migrate::Migrator;
@@ -149,7 +149,7 @@ async fn refusal(request: RequestBuilder, id: &str) -> (u16, Value) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn no_operation_tells_a_tenant_of_anothers_things() {
+async fn no_operation_reveals_resources_of_another_tenant() {
     let server = server().await;
     let (a, b) = tokio::join!(Tenant::new(&server, "a"), bearer(&server, "b", &ALL_OF_A_TENANT));
     let mut asked = 0;
@@ -210,7 +210,7 @@ async fn no_operation_tells_a_tenant_of_anothers_things() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_request_names_is_looked_for_among_the_callers_own_things() {
+async fn ids_in_requests_are_resolved_within_the_callers_tenant() {
     let server = server().await;
     let (a, b) = tokio::join!(Tenant::new(&server, "a"), Tenant::new(&server, "b"));
     let job = |capture: &str, light: Option<&str>| {
@@ -261,7 +261,7 @@ async fn what_a_request_names_is_looked_for_among_the_callers_own_things() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_same_content_is_stored_once_and_belongs_to_each_tenant_that_sent_it() {
+async fn equal_content_of_two_tenants_is_stored_once() {
     let server = server().await;
     let (a, b) =
         (bearer(&server, "a", &ALL_OF_A_TENANT).await.0, bearer(&server, "b", &ALL_OF_A_TENANT).await.0);
@@ -288,7 +288,7 @@ async fn the_same_content_is_stored_once_and_belongs_to_each_tenant_that_sent_it
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_operation_refuses_a_key_without_its_scope_by_name() {
+async fn every_operation_refuses_a_key_without_its_scope() {
     let server = server().await;
     let mut few = Vec::new();
     for scope in Scope::ALL {
@@ -351,7 +351,7 @@ async fn former_database(data: &TempDir) {
 }
 
 #[tokio::test]
-async fn what_was_there_before_tenants_belongs_to_the_default_one() {
+async fn data_from_before_tenants_belongs_to_the_default_tenant() {
     let data = TempDir::new().unwrap();
     former_database(&data).await;
     let store = Store::open(data.path()).await.unwrap();

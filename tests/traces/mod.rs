@@ -5,10 +5,10 @@ mod collector;
 #[cfg(feature = "otlp")]
 mod sent;
 
+use relume::testing::spawn_with;
 use relume_api::TenantId;
 use relume_api::jobs::NewJob;
 use relume_client::Client;
-use relume::testing::spawn_with;
 use reqwest::Method;
 use serde_json::Value;
 use tempfile::TempDir;
@@ -37,7 +37,7 @@ async fn post(client: &Client, job: &NewJob, traceparents: &[&str]) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_remembers_a_valid_traceparent_and_ignores_any_other() {
+async fn a_job_stores_a_valid_traceparent_and_ignores_invalid_ones() {
     let server = spawn_with(TempDir::new().unwrap(), without_workers).await.unwrap();
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;

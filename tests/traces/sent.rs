@@ -76,7 +76,7 @@ fn assert_steps(collector: &Collector) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_and_a_frame_are_spans_of_their_callers_traces() {
+async fn jobs_and_renders_are_spans_of_the_callers_trace() {
     let (collector, data) = (Collector::start().await, TempDir::new().unwrap());
     let endpoint = ("OTEL_EXPORTER_OTLP_ENDPOINT", &*collector.endpoint);
     let mut server = Server::start_under(relume(&[endpoint]), data.path());
@@ -138,7 +138,7 @@ async fn kernels(filter: &str) -> usize {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-async fn batches_of_kernels_are_sent_where_they_are_asked_for() {
+async fn kernel_spans_are_sent_if_the_filter_enables_them() {
     assert!(kernels("relume=info,relume_engine=debug").await >= 10, "one for each step at the least");
     assert_eq!(kernels("relume=info").await, 0, "the control");
 }
@@ -159,7 +159,7 @@ async fn names_sent(variables: &[(&str, &str)], traceparent: &str) -> Vec<String
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nothing_is_sent_that_nobody_asked_for() {
+async fn no_spans_are_sent_when_tracing_is_off() {
     let sampled = traceparent(JOB_TRACE);
     let endpoint = ("OTEL_EXPORTER_OTLP_ENDPOINT", "COLLECTOR");
     let traces = ("OTEL_EXPORTER_OTLP_TRACES_ENDPOINT", "COLLECTOR/v1/traces");
@@ -179,7 +179,7 @@ async fn nothing_is_sent_that_nobody_asked_for() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_collector_that_is_away_is_warned_of_once_and_slows_nothing() {
+async fn an_unreachable_collector_gives_one_warning_and_no_delay() {
     // Nobody listens there any more.
     let away = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let endpoint = format!("http://{away}");
@@ -207,7 +207,7 @@ async fn a_collector_that_is_away_is_warned_of_once_and_slows_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_attempt_elsewhere_is_part_of_the_trace_of_its_job() {
+async fn an_attempt_on_a_remote_worker_belongs_to_its_jobs_trace() {
     let (collector, folder) = (Collector::start().await, TempDir::new().unwrap());
     // This server is part of the test's process and sends nothing: the job keeps what the caller sent.
     let server = spawn_server().await;

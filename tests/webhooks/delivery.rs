@@ -3,11 +3,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume_api::webhooks::{DeliveryState, DeliveryView, NewWebhook, WebhookChange, WebhookEvent};
-use relume_client::ClientError;
 use relume::jobs::{Clock, ManualClock};
 use relume::server::{ServerConfig, WebhookPolicy};
 use relume::testing::{self, TestServer};
+use relume_api::webhooks::{DeliveryState, DeliveryView, NewWebhook, WebhookChange, WebhookEvent};
+use relume_client::ClientError;
 use serde_json::json;
 use tempfile::TempDir;
 
@@ -46,7 +46,7 @@ async fn cancelled(server: &TestServer) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_end_of_a_job_is_delivered_signed_to_those_who_want_it() {
+async fn job_end_events_are_delivered_signed_to_subscribed_webhooks() {
     let (server, clock) = start(TempDir::new().unwrap(), PATIENT).await;
     let client = server.client();
     let (mut one, mut other) = (Receiver::new().await, Receiver::new().await);
@@ -78,7 +78,7 @@ async fn the_end_of_a_job_is_delivered_signed_to_those_who_want_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_secret_that_was_replaced_signs_for_a_day_beside_the_new_one() {
+async fn a_rotated_secret_still_signs_for_one_day() {
     let (server, clock) = start(TempDir::new().unwrap(), PATIENT).await;
     let client = server.client();
     let mut receiver = Receiver::new().await;
@@ -102,7 +102,7 @@ async fn a_secret_that_was_replaced_signs_for_a_day_beside_the_new_one() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_fails_is_tried_again_after_growing_gaps_with_the_same_identifier() {
+async fn failed_deliveries_are_retried_with_growing_delays() {
     let (server, clock) = start(TempDir::new().unwrap(), PATIENT).await;
     let client = server.client();
     let mut receiver = Receiver::new().await;
@@ -116,7 +116,10 @@ async fn what_fails_is_tried_again_after_growing_gaps_with_the_same_identifier()
     for attempts in [1, 2] {
         let log = after(attempts).await;
         assert_eq!(log.state, DeliveryState::Pending);
-        assert!(log.attempts[attempts - 1].error.as_ref().unwrap().contains("the receiver answered 50"), "{log:?}");
+        assert!(
+            log.attempts[attempts - 1].error.as_ref().unwrap().contains("the receiver answered 50"),
+            "{log:?}"
+        );
         assert!(client.webhook(&made.webhook.id).await.unwrap().failing_since.is_some());
         assert!(receiver.is_silent(), "not before its time");
         waited.push(wait_out(&clock, &log).as_secs());
@@ -133,7 +136,7 @@ async fn what_fails_is_tried_again_after_growing_gaps_with_the_same_identifier()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_redirect_is_not_followed_and_a_replay_sends_the_same_again() {
+async fn redirects_are_not_followed_and_a_replay_resends_the_message() {
     let (server, _) = start(TempDir::new().unwrap(), PATIENT).await;
     let client = server.client();
     let mut receiver = Receiver::new().await;
@@ -159,7 +162,7 @@ async fn a_redirect_is_not_followed_and_a_replay_sends_the_same_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_that_never_answers_keeps_no_other_waiting_and_an_endless_answer_is_cut_off() {
+async fn slow_receivers_do_not_block_and_endless_responses_are_cut() {
     let (server, _) = start(TempDir::new().unwrap(), Duration::from_secs(1)).await;
     let client = server.client();
     let (mut slow, mut endless) = (Receiver::new().await, Receiver::new().await);
@@ -180,7 +183,7 @@ async fn one_that_never_answers_keeps_no_other_waiting_and_an_endless_answer_is_
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_webhook_that_fails_for_days_is_switched_off_and_says_why() {
+async fn a_webhook_that_fails_for_days_is_disabled_with_a_reason() {
     let (server, clock) = start(TempDir::new().unwrap(), PATIENT).await;
     let client = server.client();
     let mut receiver = Receiver::new().await;
@@ -216,7 +219,7 @@ async fn a_webhook_that_fails_for_days_is_switched_off_and_says_why() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_that_says_it_is_gone_is_switched_off_at_once_and_what_is_off_is_told_nothing() {
+async fn a_webhook_answering_410_is_disabled_and_gets_no_messages() {
     let (server, _) = start(TempDir::new().unwrap(), PATIENT).await;
     let client = server.client();
     let (mut gone, mut off, mut on) = (Receiver::new().await, Receiver::new().await, Receiver::new().await);

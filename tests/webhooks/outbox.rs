@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
+use relume::store::{DeliveryAttempt, Page, Store, WebhookRecord};
 use relume_api::jobs::JobState;
 use relume_api::webhooks::WebhookEvent;
 use relume_api::{JobId, ResourceKind, ResourceName, TenantId, WebhookId};
-use relume::store::{DeliveryAttempt, Page, Store, WebhookRecord};
 
 use crate::service_promises::{Bench, publish};
 
@@ -47,7 +47,7 @@ const ALL: [WebhookEvent; 4] = [
 ];
 
 #[tokio::test]
-async fn each_way_in_which_a_job_ends_enters_one_message_and_no_other_change_does() {
+async fn each_terminal_job_state_enqueues_exactly_one_message() {
     let bench = Bench::new().await;
     let store = bench.jobs.store();
     store.create_webhook(&webhook("all", "default", &ALL)).await.unwrap();
@@ -110,7 +110,7 @@ async fn each_way_in_which_a_job_ends_enters_one_message_and_no_other_change_doe
 }
 
 #[tokio::test]
-async fn messages_are_forgotten_after_a_month_and_with_their_webhook() {
+async fn messages_are_deleted_after_a_month_and_with_their_webhook() {
     let bench = Bench::new().await;
     let store = bench.jobs.store();
     store.create_webhook(&webhook("a", "default", &ALL)).await.unwrap();

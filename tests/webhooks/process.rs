@@ -49,7 +49,7 @@ impl Drop for Process {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_message_survives_kill_9_until_its_delivery_is_written_down_and_the_log_has_no_secret() {
+async fn messages_survive_kill_9_and_logs_contain_no_secret() {
     let folder = TempDir::new().unwrap();
     let log = folder.path().join("log");
     let http = [("RELUME_WEBHOOK_ALLOW_HTTP", "true")];
@@ -91,7 +91,7 @@ async fn answer_over_tls(listener: &TcpListener, tls: &TlsAcceptor) -> Option<St
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn over_tls_only_a_receiver_with_a_good_certificate_is_told() {
+async fn messages_are_sent_only_over_tls_with_a_valid_certificate() {
     let folder = TempDir::new().unwrap();
     let certified = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
     let authority = folder.path().join("authority.pem");

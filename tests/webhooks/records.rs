@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use relume_api::webhooks::{DeliveryState, NewWebhook, WebhookChange, WebhookEvent};
-use relume_client::{Client, ClientError};
 use relume::server::{ServerConfig, WebhookPolicy};
 use relume::testing;
+use relume_api::webhooks::{DeliveryState, NewWebhook, WebhookChange, WebhookEvent};
+use relume_client::{Client, ClientError};
 use reqwest::Method;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -20,7 +20,7 @@ async fn post(client: &Client, body: &Value) -> (u16, Value) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_address_that_is_not_public_is_refused_unless_it_is_allowed() {
+async fn private_webhook_addresses_are_refused_unless_allowed() {
     let strict = testing::spawn().await.unwrap();
     let body = |url: &str| json!({ "url": url, "events": ["job.failed"] });
     let inside = [
@@ -57,7 +57,7 @@ async fn an_address_that_is_not_public_is_refused_unless_it_is_allowed() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_address_is_checked_each_time_and_not_only_when_the_webhook_is_made() {
+async fn webhook_addresses_are_checked_at_every_delivery() {
     let (allowing, clock) = start(TempDir::new().unwrap(), Duration::from_secs(60)).await;
     let mut receiver = Receiver::new().await;
     let id = allowing.client().create_webhook(&for_all(&receiver.url)).await.unwrap().webhook.id;
@@ -77,7 +77,7 @@ async fn an_address_is_checked_each_time_and_not_only_when_the_webhook_is_made()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_wrong_with_a_webhook_is_named_and_there_are_only_so_many() {
+async fn invalid_webhooks_are_refused_and_their_number_is_limited() {
     let (server, _) = start(TempDir::new().unwrap(), Duration::from_secs(60)).await;
     let good = json!({ "url": "https://127.0.0.1/", "events": ["job.failed"], "name": "n" });
     for (field, value) in [
@@ -112,7 +112,7 @@ async fn what_is_wrong_with_a_webhook_is_named_and_there_are_only_so_many() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_secret_is_shown_once() {
+async fn a_webhook_secret_is_shown_only_once() {
     let (server, _) = start(TempDir::new().unwrap(), Duration::from_secs(60)).await;
     let client = server.client();
     let mut receiver = Receiver::new().await;

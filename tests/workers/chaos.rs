@@ -9,10 +9,10 @@ use std::time::{Duration, SystemTime};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use relume::testing::{database_name, database_of, spawn_with};
 use relume_api::JobId;
 use relume_api::jobs::JobState;
 use relume_client::Client;
-use relume::testing::{database_name, database_of, spawn_with};
 use tempfile::TempDir;
 
 use crate::s3::bucket::Bucket;
@@ -31,7 +31,7 @@ fn count() -> usize {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn jobs_end_once_and_with_the_same_bytes_whatever_is_killed() {
+async fn jobs_end_once_with_the_same_bytes_despite_kills() {
     let data = run(None).await;
     let data = spawn_with(data, without_workers).await.unwrap().stop().await.unwrap();
     let mut files = Vec::new();
@@ -41,7 +41,7 @@ async fn jobs_end_once_and_with_the_same_bytes_whatever_is_killed() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs libfaketime, and a PostgreSQL of its own: RELUME_POSTGRES_RESTARTS=1 .ci/postgres"]
-async fn on_postgres_and_s3_jobs_end_once_whatever_is_killed_or_cut() {
+async fn on_postgres_and_s3_jobs_end_once_despite_kills_and_faults() {
     let bucket = Bucket::start().await;
     let data = run(Some(&bucket)).await;
     let store = open_store(data.path()).await.with_artifacts(&bucket.place()).unwrap();
@@ -212,7 +212,7 @@ fn wrong_clock(offset: &str) -> Vec<(&'static str, String)> {
 
 #[test]
 #[ignore = "needs libfaketime"]
-fn a_wrong_clock_is_wrong() {
+fn simulated_clock_skew_takes_effect() {
     let now = |settings: Vec<(&'static str, String)>| -> i64 {
         let said = Command::new("date").arg("+%s").envs(settings).output().unwrap().stdout;
         String::from_utf8(said).unwrap().trim().parse().unwrap()

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
+use relume::testing::spawn_with;
 use relume_api::jobs::{JobProgress, JobState};
 use relume_api::quality::Figures;
 use relume_api::work::{FinishedModel, LeaseStatus, Release, WorkEnd};
 use relume_client::ClientError;
 use relume_client::work::LeasedJob;
-use relume::testing::spawn_with;
 
 use crate::service_support::until;
 use crate::workers::fleet::{claimed, hello, short_job, spawn_server, upload, without_workers};
@@ -24,7 +24,7 @@ async fn publish(work: &LeasedJob, bytes: &'static str) -> Result<LeaseStatus, C
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_lease_that_was_stolen_publishes_nothing_and_the_one_that_stands_does() {
+async fn only_the_current_lease_can_publish() {
     let server = spawn_server().await;
     let client = server.client();
     let capture = upload(client).await;
@@ -66,7 +66,7 @@ async fn a_lease_that_was_stolen_publishes_nothing_and_the_one_that_stands_does(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_model_whose_files_are_not_as_they_were_sent_is_not_published() {
+async fn a_model_with_mismatching_files_is_not_published() {
     let server = spawn_server().await;
     let client = server.client();
     let capture = upload(client).await;
@@ -93,7 +93,7 @@ async fn a_model_whose_files_are_not_as_they_were_sent_is_not_published() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_sent_before_the_server_started_again_is_published_after_it() {
+async fn files_sent_before_a_restart_can_be_published_after_it() {
     let server = spawn_server().await;
     let capture = upload(server.client()).await;
     let id = server.client().create_job(&short_job(&capture), None).await.unwrap().id;
@@ -118,7 +118,7 @@ async fn what_was_sent_before_the_server_started_again_is_published_after_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_lives_keeps_its_job_and_a_silent_one_loses_it() {
+async fn a_worker_keeps_its_job_only_while_it_sends_heartbeats() {
     let server = spawn_server().await;
     let client = server.client();
     let capture = upload(client).await;

@@ -4,12 +4,12 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
+use relume::server::{ServerConfig, Trainers};
+use relume::testing::{TestServer, spawn_with};
 use relume_api::jobs::{JobState, NewJob};
 use relume_api::work::{Claimed, WorkerHello};
 use relume_api::{CaptureId, JobId};
 use relume_client::Client;
-use relume::server::{ServerConfig, Trainers};
-use relume::testing::{TestServer, spawn_with};
 use tempfile::TempDir;
 
 use crate::service_support::{capture_zip, ended, small_job};

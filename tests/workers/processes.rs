@@ -1,8 +1,8 @@
 //! `relume worker` as operators run it: to the end, killed, asked to stop, refused.
 
-use relume_api::jobs::JobState;
 use relume::server::ApiKeys;
 use relume::testing::spawn_with;
+use relume_api::jobs::JobState;
 use tempfile::TempDir;
 
 use crate::service_support::{ended, small_job, until};
@@ -11,7 +11,7 @@ use crate::workers::fleet::{
 };
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_elsewhere_makes_the_bytes_that_the_server_would() {
+async fn a_remote_worker_produces_the_same_bytes_as_the_server() {
     let expected = undisturbed(short_job).await;
     let (server, folder) = (spawn_server().await, TempDir::new().unwrap());
     let capture = upload(server.client()).await;
@@ -39,14 +39,14 @@ async fn a_worker_elsewhere_makes_the_bytes_that_the_server_would() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn with_nothing_to_do_a_worker_that_takes_one_job_ends_well() {
+async fn an_idle_worker_with_once_exits_successfully() {
     let (server, folder) = (spawn_server().await, TempDir::new().unwrap());
     let mut worker = Process::start(server.client(), folder.path(), &["--once"]);
     assert_eq!(worker.end().await.code(), Some(0));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_job_of_a_worker_that_was_killed_goes_on_elsewhere_with_the_same_bytes() {
+async fn the_job_of_a_killed_worker_resumes_to_the_same_bytes() {
     let job = |capture: &_| small_job(capture, 400, 20);
     let expected = undisturbed(job).await;
     let (server, folder) = (spawn_server().await, TempDir::new().unwrap());
@@ -63,7 +63,7 @@ async fn the_job_of_a_worker_that_was_killed_goes_on_elsewhere_with_the_same_byt
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_is_asked_to_stop_gives_its_job_back_at_a_checkpoint() {
+async fn a_terminated_worker_releases_its_job_with_a_checkpoint() {
     let job = |capture: &_| small_job(capture, 2000, 1000);
     let (server, folder) = (spawn_server().await, TempDir::new().unwrap());
     let capture = upload(server.client()).await;
@@ -80,7 +80,7 @@ async fn a_worker_that_is_asked_to_stop_gives_its_job_back_at_a_checkpoint() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_that_is_cancelled_stops_its_worker_elsewhere() {
+async fn cancelling_a_job_stops_its_remote_worker() {
     let (server, folder) = (spawn_server().await, TempDir::new().unwrap());
     let capture = upload(server.client()).await;
     let id = server.client().create_job(&small_job(&capture, 100_000, 50_000), None).await.unwrap().id;
@@ -91,7 +91,7 @@ async fn a_job_that_is_cancelled_stops_its_worker_elsewhere() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_that_fails_and_a_server_that_refuses_are_told_by_the_exit_code() {
+async fn worker_exit_codes_report_failed_jobs_and_refused_keys() {
     let (server, folder) = (spawn_server().await, TempDir::new().unwrap());
     let capture = upload(server.client()).await;
     let archive = std::fs::read_dir(server.data_dir().join("artifacts/captures")).unwrap().next().unwrap();

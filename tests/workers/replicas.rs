@@ -1,9 +1,9 @@
 //! Servers beside the first one of a database, on one bucket: a capture in at one, trained by another's worker, rendered by a third.
 
-use relume_api::jobs::JobState;
 use relume::server::{ServeError, ServerConfig};
 use relume::store::{DatabaseUrl, StoreError};
 use relume::testing::{TestServer, database_of, spawn_with};
+use relume_api::jobs::JobState;
 use tempfile::TempDir;
 
 use crate::s3::bucket::Bucket;
@@ -27,7 +27,7 @@ fn replica(config: &mut ServerConfig) {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL: .ci/postgres"]
-async fn on_postgres_a_capture_comes_in_at_one_server_is_trained_by_another_and_rendered_by_a_third() {
+async fn on_postgres_replicas_train_and_render_and_refuse_uploads() {
     let (data, folder) = (TempDir::new().unwrap(), TempDir::new().unwrap());
     let url = database_of(data.path()).await.unwrap().unwrap();
     let bucket = Bucket::start().await;
@@ -64,7 +64,7 @@ async fn on_postgres_a_capture_comes_in_at_one_server_is_trained_by_another_and_
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL: .ci/postgres"]
-async fn on_postgres_a_replica_does_not_begin_on_a_database_without_its_schema() {
+async fn on_postgres_a_replica_refuses_a_database_without_its_schema() {
     let data = TempDir::new().unwrap();
     let url = database_of(data.path()).await.unwrap().unwrap();
     let bucket = Bucket::start().await;

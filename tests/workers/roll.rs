@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 
+use relume::testing::spawn_with;
 use relume_api::jobs::{JobDevice, JobState};
 use relume_api::keys::{NewKey, Scope};
 use relume_api::work::{WorkerChange, WorkerState};
 use relume_client::Client;
-use relume::testing::spawn_with;
 use reqwest::Method;
 use tempfile::TempDir;
 
@@ -14,7 +14,7 @@ use crate::service_support::{ended, small_job, trained};
 use crate::workers::fleet::{claimed, hello, short_job, spawn_server, upload, without_workers};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_goes_to_a_worker_that_has_what_it_asks_for() {
+async fn a_job_is_given_only_to_a_worker_with_its_labels() {
     let server = spawn_server().await;
     let client = server.client();
     let capture = upload(client).await;
@@ -33,7 +33,7 @@ async fn a_job_goes_to_a_worker_that_has_what_it_asks_for() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_for_a_gpu_waits_for_one() {
+async fn a_gpu_job_waits_for_a_worker_with_a_gpu() {
     let server = spawn_server().await;
     let client = server.client();
     let capture = upload(client).await;
@@ -47,7 +47,7 @@ async fn a_job_for_a_gpu_waits_for_one() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_is_drained_gets_no_more_jobs() {
+async fn a_drained_worker_gets_no_more_jobs() {
     let server = spawn_server().await;
     let client = server.client();
     let capture = upload(client).await;
@@ -65,7 +65,7 @@ async fn a_worker_that_is_drained_gets_no_more_jobs() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_thread_of_the_server_is_a_worker_like_any_other_and_can_be_drained() {
+async fn a_local_worker_is_registered_and_can_be_drained() {
     let server = relume::testing::spawn().await.unwrap();
     let client = server.client();
     let capture = upload(client).await;
@@ -86,7 +86,7 @@ async fn a_thread_of_the_server_is_a_worker_like_any_other_and_can_be_drained() 
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn workers_need_a_key_for_work_and_it_is_good_for_nothing_else() {
+async fn work_scope_allows_only_claiming_jobs() {
     let operator = "an-operators-key-0123456789";
     let server = spawn_with(TempDir::new().unwrap(), |config| {
         without_workers(config);
@@ -120,7 +120,7 @@ async fn workers_need_a_key_for_work_and_it_is_good_for_nothing_else() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_dashboard_shows_metrics_that_there_are() {
+async fn every_metric_on_the_grafana_dashboard_exists() {
     let server = relume::testing::spawn().await.unwrap();
     let client = server.client();
     let job = trained(client).await;

@@ -36,8 +36,7 @@ impl CameraConvention {
 }
 
 /// The cameras of a capture.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CaptureCameras {
     /// Convention of the poses.
     pub convention: CameraConvention,
@@ -48,8 +47,7 @@ pub struct CaptureCameras {
 /// Camera of a photograph after removal of lens distortion.
 ///
 /// A render request accepts `camera`, `width` and `height` unchanged.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CapturedCamera {
     /// Name of the photograph in the capture.
     pub name: String,
@@ -69,8 +67,7 @@ pub struct CapturedCamera {
 /// A camera: exactly one of `look_at`, `camera_to_world` and `colmap`.
 ///
 /// `camera_to_world` and `colmap` also need either `fov_y_deg` or `intrinsics`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraSpec {
     /// Rows of the camera-to-world matrix, capture units.
@@ -108,8 +105,7 @@ impl CameraSpec {
         match (&self.look_at, &self.camera_to_world, &self.colmap) {
             (Some(look), None, None) => {
                 if self.fov_y_deg.is_some() || self.intrinsics.is_some() {
-                    let detail =
-                        "look_at has its own fov_y_deg; fov_y_deg and intrinsics are allowed only with camera_to_world or colmap";
+                    let detail = "look_at has its own fov_y_deg; fov_y_deg and intrinsics are allowed only with camera_to_world or colmap";
                     return Err(refused("", detail));
                 }
                 let [eye, target, up] = [look.eye, look.target, look.up].map(DVec3::from_array);
@@ -199,8 +195,7 @@ pub enum CameraAxes {
 ///
 /// The world is the world of the capture: COLMAP's world, rotated so that the mean up direction of the
 /// photographs is +Z.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ColmapPose {
     /// Quaternion w, x, y, z.
@@ -210,8 +205,7 @@ pub struct ColmapPose {
 }
 
 /// Pinhole intrinsics, pixels. Pixel centres lie at +0.5.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IntrinsicsSpec {
     /// Focal length along x, pixels.
@@ -225,8 +219,7 @@ pub struct IntrinsicsSpec {
 }
 
 /// Camera by position and target.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LookAtSpec {
     /// Position of the camera, capture units.

@@ -45,8 +45,7 @@ pub enum PosesStage {
 }
 
 /// Progress of the pose estimation.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PosesProgress {
     /// Current stage.
     pub stage: PosesStage,
@@ -55,8 +54,7 @@ pub struct PosesProgress {
 }
 
 /// A capture.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = CaptureView)]
 pub struct CaptureSummary {
     /// Identifier.

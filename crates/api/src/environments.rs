@@ -6,8 +6,7 @@ use crate::metadata::ResourceMetadata;
 use crate::{EnvironmentId, List};
 
 /// A stored environment map.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EnvironmentView {
     /// Identifier.
     #[schema(value_type = String)]
@@ -30,8 +29,7 @@ pub struct EnvironmentView {
 }
 
 /// Built-in environment maps, and a page of the uploaded ones.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EnvironmentList {
     /// Names of the built-in maps.
     pub builtin: Vec<String>,

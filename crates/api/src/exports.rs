@@ -11,11 +11,13 @@ use crate::jobs::JobError;
 use crate::models::FileView;
 use crate::renders::EnvironmentSpec;
 use crate::{ExportId, ModelId};
-use relume_spec::rendering::{AlphaMode, Background, ColourDepth, FrameFormat, MOST_BAKED_DEGREE, Output, Primaries, Shown, Tier, ToneCurve};
+use relume_spec::rendering::{
+    AlphaMode, Background, ColourDepth, FrameFormat, MOST_BAKED_DEGREE, Output, Primaries, Shown, Tier,
+    ToneCurve,
+};
 
 /// An export to create. `kind` selects one of the three forms.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged)]
 pub enum NewExport {
     /// A sequence of frames.
@@ -47,8 +49,7 @@ impl NewExport {
 /// `frames`: a sequence of frames as a zip or a video. `gltf`: glTF with KHR_gaussian_splatting, `.glb`.
 /// `usd`: OpenUSD as text, `.usda`. `usdz`: an OpenUSD package, `.usdz`. `ply`: PLY. `mesh`: a textured
 /// triangle mesh, `.glb`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::Type), sqlx(type_name = "text", rename_all = "snake_case"))]
 #[serde(rename_all = "snake_case")]
 pub enum ExportKind {
@@ -81,8 +82,7 @@ impl ExportKind {
 }
 
 /// Kind of an export of frames.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FramesKind {
     /// A sequence of frames.
@@ -92,8 +92,7 @@ pub enum FramesKind {
 
 /// A sequence of frames, as from `relume render --turntable` and `--path`. Exactly one of `turntable` and
 /// `path` is required.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FramesExport {
     /// `frames`.
@@ -189,8 +188,7 @@ impl FramesExport {
 }
 
 /// Cameras on a circle around the model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TurntableSpec {
     /// Number of frames, 1 to 10,000.
@@ -210,8 +208,7 @@ pub struct TurntableSpec {
 }
 
 /// Container of the frames. `zip`: numbered image files. `mp4`: an H.264 video.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Package {
     /// A zip of numbered image files.
@@ -222,8 +219,7 @@ pub enum Package {
 }
 
 /// Kind of an export of Gaussians: `gltf`, `usd`, `usdz` or `ply`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SplatsKind {
     /// glTF with KHR_gaussian_splatting, `.glb`.
@@ -237,8 +233,7 @@ pub enum SplatsKind {
 }
 
 /// Gaussians in a file format of other programs, as from `relume export`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SplatsExport {
     /// File format: `gltf`, `usd`, `usdz` or `ply`.
@@ -272,8 +267,7 @@ impl SplatsExport {
 }
 
 /// Kind of a mesh export.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MeshKind {
     /// A textured triangle mesh.
@@ -282,8 +276,7 @@ pub enum MeshKind {
 }
 
 /// A textured triangle mesh in a `.glb`, as from `relume export --mesh`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeshExport {
     /// `mesh`.
@@ -321,8 +314,7 @@ impl ExportState {
 }
 
 /// Progress of an export.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::FromRow))]
 pub struct ExportProgress {
     /// Completed frames. Other kinds: 0, or 1 after success.
@@ -332,8 +324,7 @@ pub struct ExportProgress {
 }
 
 /// An export.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ExportView {
     /// Identifier.
     #[schema(value_type = String)]

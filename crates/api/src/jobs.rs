@@ -6,14 +6,13 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::metadata::{ResourceMetadata, MetadataChange, given};
+use crate::metadata::{MetadataChange, ResourceMetadata, given};
 use crate::quality::{Figures, MissedFigure, QualityGate};
 use crate::{CaptureId, JobId, ModelId, WorkerId};
 use relume_spec::training::{Preset, TrainOverrides};
 
 /// A training to queue.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::FromRow))]
 #[serde(deny_unknown_fields)]
 pub struct NewJob {
@@ -70,7 +69,11 @@ pub struct NewJob {
 impl NewJob {
     /// Name, external identifier and labels.
     pub fn metadata(&self) -> ResourceMetadata {
-        ResourceMetadata { name: self.name.clone(), external_id: self.external_id.clone(), labels: self.labels.clone() }
+        ResourceMetadata {
+            name: self.name.clone(),
+            external_id: self.external_id.clone(),
+            labels: self.labels.clone(),
+        }
     }
 }
 
@@ -95,8 +98,7 @@ pub enum JobDevice {
 }
 
 /// A change of a job. Omitted fields are unchanged; null clears a field.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JobChange {
     /// Priority of a queued job, -100 to 100. Jobs with a higher priority run first. A value above 0 requires
@@ -186,8 +188,7 @@ impl JobState {
 }
 
 /// A job.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct JobView {
     /// Identifier.
     #[schema(value_type = String)]
@@ -258,8 +259,7 @@ pub struct JobView {
 }
 
 /// Progress of a job.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::FromRow))]
 pub struct JobProgress {
     /// Completed steps.
@@ -279,8 +279,7 @@ pub struct JobProgress {
 }
 
 /// Failure of a job or an export.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct JobError {
     /// Stable code, e.g. `training_failed`, `attempts_exhausted`.
     pub code: String,
@@ -303,7 +302,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_view_shows_the_overrides_that_were_given_with_their_own_digits() {
+    fn view_shows_only_given_overrides_with_unchanged_digits() {
         #[derive(Serialize)]
         struct Shown(#[serde(serialize_with = "only_those_given")] TrainOverrides);
         let overrides = TrainOverrides { warm_up: Some(0.15), seed: Some(3), ..TrainOverrides::default() };

@@ -19,8 +19,7 @@ use crate::{KeyId, TenantId};
 /// only administrators of the tenant `default` grant it. `metrics`: read `/metrics` and `/v1/workers`; only
 /// for the tenant `default`. `work`: claim jobs of all tenants and publish their models, as `relume worker`
 /// does; only for the tenant `default`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Scope {
     /// Read captures, environment maps, jobs, models, exports, their files, thumbnails and usage.
@@ -75,7 +74,9 @@ impl FromStr for Scope {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let found = Self::ALL.into_iter().find(|scope| scope.name() == text);
-        found.ok_or_else(|| format!("{text:?} is not a scope; the scopes are {}", Self::ALL.map(Self::name).join(", ")))
+        found.ok_or_else(|| {
+            format!("{text:?} is not a scope; the scopes are {}", Self::ALL.map(Self::name).join(", "))
+        })
     }
 }
 
@@ -101,8 +102,7 @@ impl TenantId {
 }
 
 /// An API key to create.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewKey {
     /// Display name, 1 to 128 characters without control characters.
@@ -155,8 +155,7 @@ impl NewKey {
 }
 
 /// An API key without its secret.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct KeyView {
     /// Identifier. It is the second part of the key itself.
     #[schema(value_type = String)]
@@ -187,8 +186,7 @@ pub struct KeyView {
 }
 
 /// A new API key with its secret.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CreatedKey {
     /// The key without its secret.
     #[serde(flatten)]
@@ -199,8 +197,7 @@ pub struct CreatedKey {
 }
 
 /// A revoked API key.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct RevokedKey {
     /// The key without its secret.
     #[serde(flatten)]

@@ -12,8 +12,7 @@ const MAX_LABEL_CHARS: usize = 63;
 pub(super) const NO_CONTROL: &str = "must not contain control characters, such as line breaks";
 
 /// Name, external identifier and labels of a resource.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::FromRow))]
 #[schema(as = Marks)]
 pub struct ResourceMetadata {
@@ -103,8 +102,7 @@ fn is_label(text: &str) -> bool {
 
 /// A change of name, external identifier and labels as a JSON merge patch (RFC 7396). Omitted fields are
 /// unchanged; null clears a field.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(as = MarksChange)]
 pub struct MetadataChange {
@@ -145,9 +143,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_change_sets_what_it_names_and_takes_away_what_is_null() {
+    fn change_sets_given_fields_and_null_clears_fields() {
         let change = |text: &str| serde_json::from_str::<MetadataChange>(text).unwrap();
-        let first = ResourceMetadata::default().changed(&change(r#"{"name": "a", "labels": {"x": "1", "y": "2"}}"#));
+        let first =
+            ResourceMetadata::default().changed(&change(r#"{"name": "a", "labels": {"x": "1", "y": "2"}}"#));
         let second =
             first.clone().changed(&change(r#"{"external_id": "e", "labels": {"x": null, "z": "3"}}"#));
         assert_eq!(
@@ -163,8 +162,9 @@ mod tests {
     }
 
     #[test]
-    fn names_are_of_one_line() {
-        let called = |name: &str| ResourceMetadata { name: Some(name.to_owned()), ..ResourceMetadata::default() };
+    fn names_and_external_ids_refuse_control_characters() {
+        let called =
+            |name: &str| ResourceMetadata { name: Some(name.to_owned()), ..ResourceMetadata::default() };
         for good in ["Löwe, 2. Aufnahme", "頭", "🦁 \u{fe0f}", "a\u{a0}b"] {
             assert_eq!(called(good).validation_error(), None, "{good:?}");
         }
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_are_short_and_few() {
+    fn labels_are_limited_in_length_number_and_characters() {
         let with = |labels: &[(&str, &str)]| ResourceMetadata {
             labels: labels.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect(),
             ..ResourceMetadata::default()

@@ -6,8 +6,7 @@ use crate::metadata::ResourceMetadata;
 use crate::{CaptureId, JobId, ModelId};
 
 /// A model as lists show it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ModelSummary {
     /// Identifier.
     #[schema(value_type = String)]
@@ -28,8 +27,7 @@ pub struct ModelSummary {
 }
 
 /// A model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ModelView {
     /// The fields that lists show.
     #[serde(flatten)]
@@ -42,8 +40,7 @@ pub struct ModelView {
 }
 
 /// A file of a model or an export.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FileView {
     /// Name, e.g. `model.ply`.
     pub name: String,

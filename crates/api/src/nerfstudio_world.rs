@@ -5,13 +5,12 @@ use serde::{Deserialize, Serialize};
 
 /// nerfstudio's transformation of the capture's world before training, `x' = scale * transform * x`, as in
 /// its file `dataparser_transforms.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct NerfstudioWorld {
     /// Rows of a rigid transformation.
-    transform: [[f64; 4]; 3],
+    pub transform: [[f64; 4]; 3],
     /// Scale factor, more than 0.
-    scale: f64,
+    pub scale: f64,
 }
 
 impl NerfstudioWorld {

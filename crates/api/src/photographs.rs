@@ -5,8 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::cameras::{CameraConvention, CapturedCamera};
 
 /// The photographs of a capture with their cameras.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CapturePhotographs {
     /// Convention of the camera poses.
     pub convention: CameraConvention,
@@ -15,8 +14,7 @@ pub struct CapturePhotographs {
 }
 
 /// A photograph of a capture.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CapturedPhotograph {
     /// Name, size and camera.
     #[serde(flatten)]

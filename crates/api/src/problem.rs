@@ -8,8 +8,7 @@ use crate::ResourceName;
 pub const TYPE_PREFIX: &str = "urn:relume:problem:";
 
 /// Problem details (RFC 9457), the body of every error, `application/problem+json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Problem {
     /// Stable URI of the problem type, e.g. `urn:relume:problem:invalid-field`.
     #[serde(rename = "type")]
@@ -38,8 +37,7 @@ pub struct Problem {
 }
 
 /// An invalid field of the request.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FieldError {
     /// JSON pointer into the body, or `query/<name>` or `header/<name>`.
     pub pointer: String,
@@ -48,8 +46,7 @@ pub struct FieldError {
 }
 
 /// An error inside an uploaded file.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ContentError {
     /// Stable code, e.g. `capture_archive_damaged`.
     pub code: String,

@@ -6,8 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Figures measured on held-out views at the end of a training, at the training resolution, in the tier
 /// `standard`, on a white background.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Figures {
     /// Number of compared held-out views. They are evenly spaced over the held-out views of the capture. 0 if
     /// nothing was compared.
@@ -33,8 +32,7 @@ pub struct Figures {
 }
 
 /// Similarity of rendered images to photographs. Each figure is computed per image, then averaged.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Similarity {
     /// Peak signal-to-noise ratio, dB.
     #[serde(skip_serializing_if = "Option::is_none", default)]
@@ -51,8 +49,7 @@ pub struct Similarity {
 pub struct QualityGate(pub BTreeMap<String, String>);
 
 /// A figure that misses its bound.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct MissedFigure {
     /// Name of the figure, e.g. `novel_view.psnr`.
     pub figure: String,
@@ -200,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn every_operator_holds_on_its_side_of_the_bound() {
+    fn each_comparison_operator_treats_the_bound_correctly() {
         let missed = |wanted: &str, psnr| !gate("novel_view.psnr", wanted).misses(&found(psnr)).is_empty();
         for (wanted, below, at, above) in [
             (">=28", true, false, false),
@@ -214,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_miss_says_by_how_much_and_what_was_not_measured_is_one() {
+    fn miss_reports_its_margin_and_unmeasured_figures_fail_the_gate() {
         let missed = gate("novel_view.psnr", ">=28").misses(&found(25.5));
         assert_eq!((missed[0].found, missed[0].missed_by), (Some(25.5), Some(2.5)));
         let missed = gate("novel_view.ssim", ">=0.9").misses(&found(25.5));
@@ -223,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_understood_is_named() {
+    fn unparsable_gates_are_refused_by_figure_name() {
         for wanted in ["28", "=28", "==28", ">=", ">=x", ">=inf", ">NaN", "<1e999", ">=28 dB", ""] {
             let error = gate("novel_view.psnr", wanted).figures().unwrap_err();
             assert_eq!(error.name, "novel_view.psnr", "{wanted}");

@@ -7,8 +7,7 @@ use crate::cameras::CameraSpec;
 use relume_spec::rendering::{Background, ColourDepth, Output, Tier, ToneCurve};
 
 /// A render request.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenderRequest {
     /// Camera.
@@ -60,8 +59,7 @@ pub struct RenderRequest {
 
 /// A light: at most one of `id`, `builtin` and `inline_base64`. Without any of them it is the recovered light
 /// of the capture.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EnvironmentSpec {
     /// Identifier of an uploaded map.

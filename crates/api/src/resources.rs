@@ -30,8 +30,7 @@ impl ResourceKind {
 }
 
 /// Name of a stored resource.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ResourceName {
     /// Kind.
     pub kind: ResourceKind,

@@ -3,8 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// A URL to sign.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewSignedUrl {
     /// Path and query of a thumbnail, of a model's stream, light or file, of an export's file, or of a job's
@@ -27,8 +26,7 @@ fn an_hour() -> u64 {
 }
 
 /// A URL that is valid without a key.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SignedUrl {
     /// URL relative to the server's address. Any change of its parameters or of their order invalidates it.
     pub url: String,

@@ -24,8 +24,7 @@ pub enum UploadState {
 }
 
 /// A resumable upload.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct UploadView {
     /// Identifier.
     #[schema(value_type = String)]

@@ -3,8 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Storage use and limits of a tenant.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Usage {
     /// Captures.
     pub captures: StoredKind,
@@ -33,8 +32,7 @@ pub struct Usage {
 }
 
 /// Storage use of one kind of resource.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct StoredKind {
     /// Number of resources.
     pub count: u64,

@@ -10,8 +10,7 @@ use crate::{DeliveryId, JobId, KeyId, WebhookId};
 ///
 /// `job.succeeded`: a job published a model. `job.rejected`: a job published a model that misses its quality
 /// gate. `job.failed`: a job failed. `job.cancelled`: a caller cancelled a job.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::Type), sqlx(type_name = "text"))]
 pub enum WebhookEvent {
     /// A job published a model.
@@ -56,8 +55,7 @@ impl WebhookEvent {
 }
 
 /// A webhook to create.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewWebhook {
     /// Target URL, `https://...`, at most 2048 characters. The host must have a public address. The operator
@@ -74,8 +72,7 @@ pub struct NewWebhook {
 }
 
 /// A change of a webhook. Omitted fields are unchanged.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WebhookChange {
     /// Target URL.
@@ -97,7 +94,10 @@ pub struct WebhookChange {
 }
 
 /// The first invalid field of a list of events and a name, and the reason.
-pub fn validate_webhook(events: Option<&[WebhookEvent]>, name: Option<&str>) -> Option<(&'static str, &'static str)> {
+pub fn validate_webhook(
+    events: Option<&[WebhookEvent]>,
+    name: Option<&str>,
+) -> Option<(&'static str, &'static str)> {
     let twice = |events: &[WebhookEvent]| (1..events.len()).any(|i| events[..i].contains(&events[i]));
     if events.is_some_and(|events| events.is_empty() || twice(events)) {
         return Some(("events", "must contain at least one event, each at most once"));
@@ -110,8 +110,7 @@ pub fn validate_webhook(events: Option<&[WebhookEvent]>, name: Option<&str>) -> 
 }
 
 /// A webhook without its secret.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WebhookView {
     /// Identifier.
     #[schema(value_type = String)]
@@ -144,8 +143,7 @@ pub struct WebhookView {
 }
 
 /// A webhook with a new secret.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CreatedWebhook {
     /// The webhook without its secret.
     #[serde(flatten)]
@@ -172,8 +170,7 @@ pub enum DeliveryState {
 }
 
 /// A delivery to a webhook.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct DeliveryView {
     /// Identifier. Each attempt, including replays, sends it in the header `webhook-id`.
     #[schema(value_type = String)]
@@ -196,8 +193,7 @@ pub struct DeliveryView {
 }
 
 /// An attempt of a delivery.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AttemptView {
     /// Time of the attempt, RFC 3339.
     pub at: String,
@@ -210,8 +206,7 @@ pub struct AttemptView {
 }
 
 /// Body of a webhook message.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WebhookMessage {
     /// Event.
     #[serde(rename = "type")]
@@ -223,8 +218,7 @@ pub struct WebhookMessage {
 }
 
 /// Data of a webhook event.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WebhookData {
     /// The job in its final state.
     pub job: JobView,

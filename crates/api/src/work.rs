@@ -17,12 +17,13 @@ pub fn validate_labels(labels: &[String]) -> Option<String> {
     }
     let is_wrong = |label: &&String| label.is_empty() || label.len() > 63 || !label.chars().all(plain);
     let wrong = labels.iter().find(is_wrong)?;
-    Some(format!("{wrong:?} is not a label: a label has 1 to 63 characters of A-Z, a-z, 0-9, `.`, `_`, `-`, `/` and `:`"))
+    Some(format!(
+        "{wrong:?} is not a label: a label has 1 to 63 characters of A-Z, a-z, 0-9, `.`, `_`, `-`, `/` and `:`"
+    ))
 }
 
 /// A worker that claims a job.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WorkerHello {
     /// Identifier that the worker generated at its start, 8 to 64 characters of A-Z, a-z, 0-9 and `-`.
@@ -44,8 +45,7 @@ pub struct WorkerHello {
 }
 
 /// A claimed job.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Task {
     /// Identifier of the job.
     #[schema(value_type = String)]
@@ -67,8 +67,7 @@ pub struct Task {
 }
 
 /// The answer to a claim.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Claimed {
     /// The claimed job. Absent if there is no job for this worker.
     #[serde(skip_serializing_if = "Option::is_none", default)]
@@ -87,8 +86,7 @@ pub struct Claimed {
 ///
 /// `held`: valid. `cancelling`: valid, and the job was asked to stop. `lost`: expired or revoked; the worker
 /// must stop and publish nothing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LeaseStatus {
     /// The lease is valid.
@@ -104,8 +102,7 @@ pub enum LeaseStatus {
 /// `shutdown`: the worker stops. `outage`: a service that the worker needs is unreachable. `no_room`: the
 /// disk is full; the job waits for disk space. `attempt_failed`: the attempt failed, and another one may
 /// succeed. Only `attempt_failed` counts as an attempt without a checkpoint.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Release {
     /// The worker stops. The attempt does not count as an attempt without a checkpoint.
@@ -119,16 +116,14 @@ pub enum Release {
 }
 
 /// Status of the lease of a job.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LeaseView {
     /// Status.
     pub status: LeaseStatus,
 }
 
 /// A warning for the event history of the job.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WorkWarning {
     /// Text for the user. The server truncates it to 2,000 characters.
@@ -136,8 +131,7 @@ pub struct WorkWarning {
 }
 
 /// End of an attempt without a model.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "how", deny_unknown_fields)]
 pub enum WorkEnd {
     /// The job returns to the queue.
@@ -157,8 +151,7 @@ pub enum WorkEnd {
 }
 
 /// A trained model to publish. The worker has sent its files before.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FinishedModel {
     /// Number of Gaussians.
@@ -173,8 +166,7 @@ pub struct FinishedModel {
 }
 
 /// A file of a model that a worker has sent.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SentFile {
     /// Name, e.g. `model.safetensors`.
@@ -189,8 +181,7 @@ pub struct SentFile {
 ///
 /// `idle`: waits for a job. `working`: works on a job. `draining`: gets no more jobs, and may still work on
 /// one. `lost`: sent no heartbeat for a minute; its job goes to another worker.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WorkerState {
     /// The worker waits for a job.
@@ -219,8 +210,7 @@ impl WorkerState {
 }
 
 /// A worker, as the operator sees it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WorkerView {
     /// Identifier.
     #[schema(value_type = String)]
@@ -252,8 +242,7 @@ pub struct WorkerView {
 }
 
 /// A change of a worker.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WorkerChange {
     /// `true`: the worker gets no more jobs; a remote worker then exits. `false`: the worker gets jobs again.
@@ -265,7 +254,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn labels_are_short_plain_words() {
+    fn worker_labels_are_limited_in_number_and_characters() {
         let fault =
             |labels: &[&str]| validate_labels(&labels.iter().map(|l| (*l).to_owned()).collect::<Vec<_>>());
         assert_eq!(fault(&["a6000", "site:berlin", "vram/48"]), None);

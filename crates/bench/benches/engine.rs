@@ -13,17 +13,17 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use relume_capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
 use relume_engine::Device;
+use relume_engine::cpu::{AttributeSource, BranchImages, Pass, Probes, SurfaceShader};
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
-use relume_engine::cpu::{AttributeSource, BranchImages, Pass, Probes, SurfaceShader};
 use relume_scene::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
-use relume_spec::rendering::{Output, Tier};
-use relume_train::render::Renderer;
 use relume_scene::{
     BitDepth, Camera, EnvMap, Field, Gaussians, ImageRgba, Model, PackedImage, ShadingOptions,
 };
+use relume_spec::rendering::{Output, Tier};
 use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
 use relume_train::Trainer;
+use relume_train::render::Renderer;
 
 const GAUSSIANS: usize = 10_000;
 const SIDE: u32 = 200;

@@ -12,11 +12,11 @@ use relume_engine::Device;
 use relume_engine::cpu::objective::image::Target;
 use relume_engine::gpu::objective::{ImageTerm, LOSS_SLOTS, LossSlot};
 use relume_engine::gpu::{CameraUniform, Gpu, photo_pixel};
+use relume_engine::{DeviceChoice, DeviceError, ImageWeights, RasterCamera};
 use relume_reference::parity::{
     LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, steady_pixels,
 };
 use relume_reference::{Array, Tape, losses};
-use relume_engine::{DeviceChoice, DeviceError, ImageWeights, RasterCamera};
 use relume_scene::light::TableResolution;
 use relume_scene::{Camera, Field, Gaussians, Model, ShadingOptions};
 
@@ -176,7 +176,12 @@ fn scene(kind: Kind, seed: u64) -> Result<(Model, Camera), BoxError> {
 }
 
 /// The error of each of [`STAGES`] on one scene.
-fn measure(device: &Device, light: &LightShape, kind: Kind, seed: u64) -> Result<[f64; STAGES.len()]> {
+fn measure(
+    device: &Device,
+    light: &LightShape,
+    kind: Kind,
+    seed: u64,
+) -> Result<[f64; STAGES.len()], BoxError> {
     let (model, camera) = scene(kind, seed)?;
     let mut question = ParityCase::new(&model, &camera, [0.25, 0.5, 0.75], light, seed);
     let kept = steady_pixels(&question, MARGIN);

@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_out_subject_lies_in_the_ball_that_all_cameras_see() {
+    fn bounds_of_masked_object_are_the_sphere_all_cameras_see() {
         let centre = DVec3::new(1.0, -2.0, 0.5);
         let b = bounds(&ring(centre, 4.031), &[], true);
         assert!((b.centre - centre).length() < 1e-9);
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_is_framed_from_the_middle_of_its_photographs() {
+    fn framing_uses_the_camera_in_the_middle_of_the_photographs() {
         let centre = DVec3::new(1.0, -2.0, 0.5);
         let views = ring(centre, 3.0);
         // Five photographs of a fan; the third is in its middle.

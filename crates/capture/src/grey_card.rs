@@ -5,8 +5,8 @@ use std::path::Path;
 use crate::images::load_image;
 use crate::light_rotations::{NO_SUCH_PHOTO, SEVERAL_PHOTOS, is_named};
 use crate::{Capture, CaptureError, ImportLimits, ImportOptions, Source};
-use relume_scene::srgb;
 use relume_scene::ImageRgba;
+use relume_scene::srgb;
 use relume_spec::training::GreyCard;
 
 /// Least mean of a channel, linear: below, noise decides the colour.
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn the_colour_is_the_linear_mean_of_the_rectangle_alone() {
+    fn card_colour_is_the_linear_mean_of_the_rectangle_only() {
         let mut photograph = photograph(CARD);
         let off = |rectangle: [u32; 4], photograph: &ImageRgba| {
             largest_difference(&colour(&card(rectangle), photograph).unwrap(), &CARD)
@@ -120,9 +120,9 @@ mod tests {
     }
 
     #[test]
-    fn rectangles_outside_and_colours_that_say_nothing_are_refused_by_field() {
-        let refused = |rectangle: [u32; 4], colour: [f32; 3]| {
-            let error = colour(&card(rectangle), &photograph(colour)).unwrap_err();
+    fn rectangles_outside_and_clipped_colours_are_refused_by_field() {
+        let refused = |rectangle: [u32; 4], shown: [f32; 3]| {
+            let error = colour(&card(rectangle), &photograph(shown)).unwrap_err();
             error.field().unwrap().to_owned()
         };
         assert_eq!(refused([7, 2, 2, 3], CARD), "grey_card.width");

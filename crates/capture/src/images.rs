@@ -1,7 +1,7 @@
 //! Reading one image of a capture.
 
-use crate::{CaptureError, ImportOptions, Source};
 use crate::formats::{ImageFileError, exif_facts, image_file};
+use crate::{CaptureError, ImportOptions, Source};
 use relume_scene::{BitDepth, ImageRgba};
 
 /// Decodes an image and reduces it as the options ask; also returns its stored size, pixels.
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_is_turned_only_where_its_lens_is_for_the_turned_one() {
+    fn image_is_rotated_only_if_the_lens_fits_the_rotated_size() {
         let upright = Some((480.0, 640.0));
         assert_eq!(turn(&noting(6), (640, 480), upright), Some(6));
         assert_eq!(
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn each_turn_shows_what_exif_says() {
+    fn each_exif_orientation_gives_the_expected_image() {
         let pixel = |v: u8| [f32::from(v), 0.0, 0.0, 1.0];
         let image = ImageRgba { width: 3, height: 2, pixels: [1, 2, 3, 4, 5, 6].map(pixel).to_vec() };
         for (turn, wanted) in [

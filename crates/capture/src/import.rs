@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use crate::check::{Finding, Looks};
+use crate::formats::image_file;
+use crate::formats::ply_points::Point;
 use crate::photos::{self, PhotoEntry, Split};
 use crate::{
     Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, llff, nerfstudio,
     truth,
 };
 use relume_spec::{CaptureReport, PhotographNote};
-use crate::formats::image_file;
-use crate::formats::ply_points::Point;
 
 /// One in this many views, by sorted name, is held out where the set names no test views.
 const HOLD_OUT_EVERY: usize = 8;
@@ -202,7 +202,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_report_tells_what_is_about_a_photograph_and_nothing_of_others() {
+    fn report_filters_notes_and_warnings_by_photograph() {
         let note = |text: &str, photographs: &[&str]| PhotographNote {
             text: text.to_owned(),
             photographs: photographs.iter().map(|&name| name.to_owned()).collect(),

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_nan_literal_is_refused_by_key() {
+    fn nan_literal_is_refused_by_key() {
         let text = b"{\n \"frames\": [ {\n  \"transform_matrix\": [[1.0, NaN, 0, 0]] } ] }";
         let error = parse_json::<serde_json::Value>("transforms.json", text).unwrap_err();
         assert_eq!(error.file(), Some("transforms.json"));

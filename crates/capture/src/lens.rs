@@ -106,7 +106,7 @@ mod tests {
     };
 
     #[test]
-    fn a_field_of_view_gives_the_blender_focal_length() {
+    fn field_of_view_gives_the_blender_focal_length() {
         let lens = Lens { angle: [Some(0.691_111_2), None], ..BARE };
         let i = lens.resolve("t.json", (800, 800)).unwrap();
         assert!((i.focal.0 - 1111.1).abs() < 0.1 && i.focal.0 == i.focal.1);
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn intrinsics_scale_to_a_smaller_image_of_the_same_shape_only() {
+    fn intrinsics_scale_only_to_images_of_the_same_aspect_ratio() {
         let lens = Lens {
             size: Some((1000.0, 500.0)),
             focal: [Some(800.0), Some(700.0)],
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_and_absurd_focal_lengths_are_named() {
+    fn missing_and_invalid_focal_lengths_are_refused_by_field() {
         assert_eq!(BARE.resolve("t.json", (8, 8)).unwrap_err().field(), Some("fl_x"));
         for angle in [0.0, -1.0, f64::NAN, 4.0] {
             let lens = Lens { angle: [Some(angle), None], ..BARE };

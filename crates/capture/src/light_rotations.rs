@@ -55,7 +55,7 @@ mod tests {
     use crate::{SyntheticOptions, synthetic};
 
     #[test]
-    fn photographs_are_turned_by_name_and_others_refused() {
+    fn light_rotation_is_set_by_name_and_unknown_names_are_refused() {
         let options =
             SyntheticOptions { size: 4, train_views: 3, test_views: 1, paths: 4, ..Default::default() };
         let mut capture = synthetic(&options).unwrap();

@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_name_has_its_own_finite_light_of_known_brightness() {
+    fn each_builtin_light_is_finite_distinct_and_of_known_mean() {
         let maps: Vec<EnvMap> = BUILTIN.iter().map(|n| builtin(n).unwrap()).collect();
         for (i, map) in maps.iter().enumerate() {
             assert!(map.texels().iter().flatten().all(|v| v.is_finite() && *v > 0.0), "{}", BUILTIN[i]);
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sunset_sun_stands_where_it_was_put() {
+    fn sunset_light_has_its_sun_in_the_expected_direction() {
         let map = builtin("sunset").unwrap();
         let sun = DVec3::new(0.3, -1.0, 0.3).normalize();
         assert!(map.sample(sun)[0] > 5.0 * map.sample(-sun)[0]);

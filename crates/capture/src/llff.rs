@@ -119,8 +119,8 @@ fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ImportOptions, import};
     use crate::formats::image_file::encode_png;
+    use crate::{ImportOptions, import};
     use relume_scene::Camera;
 
     fn npy(shape: &str, values: &[f64]) -> Vec<u8> {
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_set_is_imported_with_the_cameras_that_it_states() {
+    fn llff_set_is_imported_with_its_cameras() {
         let folder = tempfile::TempDir::new().unwrap();
         let images = folder.path().join("images");
         std::fs::create_dir(&images).unwrap();
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn arrays_of_another_kind_are_refused() {
+    fn arrays_of_another_type_or_shape_are_refused() {
         let good = npy("1, 17", &[0.5; 17]);
         assert_eq!(rows(&good).unwrap(), [[0.5; 17]]);
         assert!(rows(&good[..good.len() - 1]).is_err() && rows(&good[..9]).is_err() && rows(b"PK").is_err());

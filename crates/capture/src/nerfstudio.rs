@@ -1,10 +1,10 @@
 //! nerfstudio and Instant-NGP: one `transforms.json`, shared or per-frame intrinsics, masks, a point cloud.
 
+use crate::formats::ply_points::{self, Point};
 use crate::photos::{PhotoEntry, Split, check_missing, locate};
 use crate::transforms;
 use crate::truth::TruthFiles;
 use crate::{CaptureError, Source, masks};
-use crate::formats::ply_points::{self, Point};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "transforms.json";

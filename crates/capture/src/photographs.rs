@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_picture_is_as_wide_as_asked_for_and_never_enlarged() {
+    fn image_has_the_requested_width_and_is_never_enlarged() {
         let size = |width, stored| {
             let options = PictureOptions { width, undistorted: false };
             reduction(&options, stored).reduced_size(stored)

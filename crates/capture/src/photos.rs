@@ -5,11 +5,11 @@ use rayon::prelude::*;
 
 use crate::check::Looks;
 use crate::error::name_list;
+use crate::formats::image_file;
 use crate::images::{Loaded, load_image, load_photo, photo_size};
 use crate::lens::{Distortion, Intrinsics, Lens};
 use crate::truth::TruthFiles;
 use crate::{CaptureError, CaptureView, GroundTruthView, ImportOptions, Source, undistort};
-use crate::formats::image_file;
 use relume_scene::{Camera, ImageRgba, PackedImage};
 
 /// A photograph an importer has found, before its pixels are read.

@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_blurred_picture_is_less_sharp() {
+    fn blurred_image_has_lower_sharpness() {
         let stripes = |period: usize| {
             let grey = |i: usize| if (i % 32 / period).is_multiple_of(2) { 0.2 } else { 0.8 };
             let pixels = (0..32 * 32).map(|i| [grey(i), grey(i), grey(i), 1.0]).collect();

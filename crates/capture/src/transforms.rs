@@ -197,7 +197,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn paths_are_normalised_and_kept_inside() {
+    fn paths_are_normalised_and_escaping_paths_are_refused() {
         assert_eq!(relative("./a/../b/c.png").as_deref(), Some("b/c.png"));
         assert_eq!(relative("images\\1.jpg").as_deref(), Some("images/1.jpg"));
         for out in ["../x", "/etc/x", "a/../../x", "", "."] {
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_matrix_needs_its_shape_and_its_last_row() {
+    fn matrix_of_wrong_shape_or_last_row_is_refused() {
         let row = |v: [f64; 4]| v.to_vec();
         let good =
             [row([1., 0., 0., 5.]), row([0., 1., 0., 6.]), row([0., 0., 1., 7.]), row([0., 0., 0., 1.])];

@@ -5,10 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use glam::Vec3;
 use serde::Deserialize;
 
+use crate::formats::{environment, image_file};
 use crate::images::load_image;
 use crate::json::parse_json;
 use crate::{CaptureError, CaptureView, GroundTruthView, ImportOptions, Source};
-use crate::formats::{environment, image_file};
 use relume_scene::srgb;
 use relume_scene::{EnvMap, ImageRgba, Plane};
 

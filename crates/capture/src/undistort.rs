@@ -245,16 +245,19 @@ mod tests {
     }
 
     #[test]
-    fn each_new_pixel_shows_what_the_lens_saw_along_its_ray() {
+    fn undistorted_pixels_show_the_distorted_image_along_their_ray() {
         for lens in [PHONE, WIDE, FISHEYE] {
             assert!(error(&lens, &lens) < 1e-3, "{lens:?}: {}", error(&lens, &lens));
             let control = error(&lens, &Distortion::None);
-            assert!(control.is_finite() && control > 0.1, "the comparison must notice a wrong lens: {control}");
+            assert!(
+                control.is_finite() && control > 0.1,
+                "the comparison must notice a wrong lens: {control}"
+            );
         }
     }
 
     #[test]
-    fn a_lens_that_folds_the_image_is_refused() {
+    fn lens_that_folds_the_image_is_refused() {
         for k in [[-5.0, 0.0, 0.0, 0.0], [1e9, -1e12, 0.0, 0.0], [f64::MAX, 0.0, 0.0, 0.0]] {
             let lens = Distortion::RadialTangential { k, p: [0.0; 2] };
             assert!(undistort(&camera(), &lens, &coordinates()).is_err(), "{k:?}");

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::{CaptureError, ImportLimits, Source, import, masks};
 use crate::formats::image_file;
+use crate::{CaptureError, ImportLimits, Source, import, masks};
 
 /// Endings of photographs that COLMAP reads.
 const ENDINGS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "webp"];
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn photographs_and_their_masks_are_told_apart() {
+    fn photographs_and_their_masks_are_distinguished() {
         let files =
             ["images/a.JPG", "images/b.png", "images/b_mask.png", "masks/a.png", "notes.txt", "x_mask.png"];
         let (photos, masks) = names(&files).unwrap();
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_capture_with_poses_is_not_taken_for_photographs() {
+    fn capture_with_poses_is_not_detected_as_photographs() {
         assert!(names(&["images/a.jpg", "transforms.json"]).is_none());
         assert!(names(&["images/a.jpg", "sparse/0/cameras.bin", "sparse/0/images.bin"]).is_none());
         assert!(names(&["images/a.jpg", "poses_bounds.npy"]).is_none());

@@ -6,10 +6,10 @@ use serde_json::json;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use crate::truth::DEPTH_RANGE;
-use crate::{Capture, CaptureError, CaptureView, GroundTruthView};
 use crate::formats::image_file::{encode_png, encode_png16, encode_rgba};
 use crate::formats::{ImageFileError, environment};
+use crate::truth::DEPTH_RANGE;
+use crate::{Capture, CaptureError, CaptureView, GroundTruthView};
 use relume_scene::srgb;
 use relume_scene::{PackedImage, Plane};
 
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn the_importer_reads_back_what_was_written() {
+    fn importer_reads_back_a_written_archive() {
         let options =
             SyntheticOptions { train_views: 4, test_views: 2, size: 40, paths: 8, ..Default::default() };
         let capture = synthetic(&options).unwrap();

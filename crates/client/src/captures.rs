@@ -7,14 +7,14 @@ use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use serde::de::DeserializeOwned;
 use tokio_util::bytes::Bytes;
 
+use crate::connection::{Client, checked, json};
+use crate::error::Result;
 use relume_api::cameras::{CameraConvention, CaptureCameras};
 use relume_api::captures::CaptureSummary;
 use relume_api::metadata::MetadataChange;
 use relume_api::photographs::{CapturePhotographs, CapturedPhotograph};
 use relume_api::{CaptureId, List};
 use relume_spec::CaptureReport;
-use crate::connection::{Client, checked, json};
-use crate::error::Result;
 
 impl Client {
     /// Uploads a zip, tar or tar.gz, streaming it from disk.

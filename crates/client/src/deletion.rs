@@ -2,9 +2,9 @@
 
 use reqwest::Method;
 
-use relume_api::{CaptureId, EnvironmentId, JobId, ModelId};
 use crate::connection::{Client, checked};
 use crate::error::Result;
+use relume_api::{CaptureId, EnvironmentId, JobId, ModelId};
 
 impl Client {
     /// Deletes a capture; with `cascade` also the jobs that need it.

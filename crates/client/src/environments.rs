@@ -4,11 +4,11 @@ use reqwest::Method;
 use reqwest::header::CONTENT_TYPE;
 use tokio_util::bytes::Bytes;
 
+use crate::connection::{Client, json};
+use crate::error::Result;
 use relume_api::EnvironmentId;
 use relume_api::environments::{EnvironmentList, EnvironmentView};
 use relume_api::metadata::MetadataChange;
-use crate::connection::{Client, json};
-use crate::error::Result;
 
 impl Client {
     /// Uploads an HDR environment map.

@@ -41,7 +41,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn events_survive_any_split_of_the_stream() {
+    async fn events_are_parsed_for_any_chunk_size() {
         let text = ": hello\n\nid: 1\nevent: state\ndata: {\"state\":\"queued\"}\n\nid: 2\nevent: progress\ndata: {}\n\n";
         for size in [1, 2, 7, 1000] {
             let chunks: Vec<_> = text

@@ -6,11 +6,11 @@ use std::time::Duration;
 use reqwest::Method;
 use tokio_util::bytes::Bytes;
 
-use relume_api::exports::{ExportView, NewExport};
-use relume_api::{ExportId, List, ModelId};
 use crate::connection::{Client, checked, json};
 use crate::download::Download;
 use crate::error::Result;
+use relume_api::exports::{ExportView, NewExport};
+use relume_api::{ExportId, List, ModelId};
 
 /// Time between two looks at an export that is waited for.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);

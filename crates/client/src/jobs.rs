@@ -6,11 +6,11 @@ use futures::{Stream, TryStreamExt};
 use reqwest::Method;
 use tokio_util::bytes::Bytes;
 
-use relume_api::jobs::{JobChange, JobView, NewJob};
-use relume_api::{JobId, List};
 use crate::connection::{Client, checked, json};
 use crate::error::{ClientError, Result};
 use crate::events::{self, JobEvent};
+use relume_api::jobs::{JobChange, JobView, NewJob};
+use relume_api::{JobId, List};
 
 /// Most tries to reach a server that went away while a job is waited for, one second apart.
 const MAX_CONNECT_ATTEMPTS: u32 = 60;

@@ -2,11 +2,11 @@
 
 use reqwest::Method;
 
+use crate::connection::{Client, json};
+use crate::error::Result;
 use relume_api::keys::{CreatedKey, KeyView, NewKey, RevokedKey};
 use relume_api::signed_urls::{NewSignedUrl, SignedUrl};
 use relume_api::{KeyId, List};
-use crate::connection::{Client, json};
-use crate::error::Result;
 
 impl Client {
     /// Makes an API key; the answer is the only one that has it.

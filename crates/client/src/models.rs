@@ -6,13 +6,13 @@ use reqwest::Method;
 use reqwest::header::ACCEPT;
 use tokio_util::bytes::Bytes;
 
+use crate::connection::{Client, checked, json};
+use crate::download::Download;
+use crate::error::Result;
 use relume_api::metadata::MetadataChange;
 use relume_api::models::{ModelSummary, ModelView};
 use relume_api::renders::RenderRequest;
 use relume_api::{List, ModelId};
-use crate::connection::{Client, checked, json};
-use crate::download::Download;
-use crate::error::Result;
 use relume_spec::rendering::FrameFormat;
 
 impl Client {

@@ -3,11 +3,11 @@
 use reqwest::header::{CONTENT_TYPE, LOCATION};
 use reqwest::{Method, RequestBuilder, Response};
 
+use crate::connection::{Client, checked, json};
+use crate::error::{ClientError, Result};
 use relume_api::captures::CaptureSummary;
 use relume_api::uploads::{CaptureSource, UploadView};
 use relume_api::{List, UploadId};
-use crate::connection::{Client, checked, json};
-use crate::error::{ClientError, Result};
 
 impl Client {
     /// Begins an upload of `length` bytes.

@@ -2,9 +2,9 @@
 
 use reqwest::Method;
 
-use relume_api::usage::Usage;
 use crate::connection::{Client, json};
 use crate::error::Result;
+use relume_api::usage::Usage;
 
 impl Client {
     /// What the server has stored.

@@ -2,10 +2,10 @@
 
 use reqwest::Method;
 
-use relume_api::webhooks::{CreatedWebhook, DeliveryView, NewWebhook, WebhookChange, WebhookView};
-use relume_api::{DeliveryId, List, WebhookId};
 use crate::connection::{Client, checked, json};
 use crate::error::Result;
+use relume_api::webhooks::{CreatedWebhook, DeliveryView, NewWebhook, WebhookChange, WebhookView};
+use relume_api::{DeliveryId, List, WebhookId};
 
 impl Client {
     /// Makes a webhook; the answer is the only one that has its secret.

@@ -6,14 +6,14 @@ use reqwest::{Method, RequestBuilder};
 use serde::Serialize;
 use tokio_util::bytes::Bytes;
 
+use crate::connection::{Client, json};
+use crate::download::Download;
+use crate::error::Result;
 use relume_api::jobs::JobProgress;
 use relume_api::work::{
     Claimed, FinishedModel, LeaseView, SentFile, WorkEnd, WorkWarning, WorkerChange, WorkerHello, WorkerView,
 };
 use relume_api::{EnvironmentId, JobId, List, WorkerId};
-use crate::connection::{Client, json};
-use crate::download::Download;
-use crate::error::Result;
 
 /// The header with the lease's token.
 const LEASE: &str = "relume-lease";
@@ -109,7 +109,8 @@ impl LeasedJob {
     /// # Errors
     /// The server's refusal, or what failed on the way.
     pub async fn put_checkpoint(&self, step: i64, bytes: Bytes) -> Result<LeaseView> {
-        json(self.request(Method::PUT, &format!("checkpoints/{step}"))?.timeout(UPLOAD_TIMEOUT).body(bytes)).await
+        json(self.request(Method::PUT, &format!("checkpoints/{step}"))?.timeout(UPLOAD_TIMEOUT).body(bytes))
+            .await
     }
 
     /// Sends a file of the model.

@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn auto_takes_hardware_only_and_a_number_takes_anything_usable() {
+    fn auto_selects_hardware_only_and_an_index_any_usable_adapter() {
         let soft = [report(0, true, &[])];
         assert_eq!(choose_adapter(&soft, DeviceChoice::Auto), Ok(None));
         assert_eq!(choose_adapter(&soft, DeviceChoice::Gpu(Some(0))), Ok(Some(0)));
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gpu_that_cannot_be_had_is_refused_with_what_there_is() {
+    fn unavailable_gpu_is_refused_with_the_list_of_adapters() {
         let DeviceError::Unavailable(text) =
             choose_adapter(&[report(0, true, &[])], DeviceChoice::Gpu(None)).unwrap_err()
         else {
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn devices_are_spelled_as_documented() {
+    fn device_choices_parse_and_print_as_documented() {
         for text in ["auto", "cpu", "gpu", "gpu:3"] {
             assert_eq!(text.parse::<DeviceChoice>().unwrap().to_string(), text);
         }

@@ -6,11 +6,9 @@ use std::sync::Arc;
 use crate::adapter::choose_adapter;
 #[cfg(feature = "gpu")]
 use crate::gpu::{self, Adapters, Gpu, GpuOptions};
-use crate::{
-    AdapterReport, DeviceChoice, DeviceError, Frames, TrainState, Training, TrainingLimits, cpu,
-};
-use relume_scene::light::EnvOperators;
+use crate::{AdapterReport, DeviceChoice, DeviceError, Frames, TrainState, Training, TrainingLimits, cpu};
 use relume_scene::Model;
+use relume_scene::light::EnvOperators;
 
 /// An engine that is ready to use.
 #[derive(Debug, Clone, Default)]

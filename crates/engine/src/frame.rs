@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use relume_scene::Output;
 use crate::cpu::srgb;
+use relume_scene::Output;
 
 /// A rendered frame: each output row-major with its own channel count. Linear, scene-referred.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use relume_layout::channel::{self, OutgoingRadiance};
 use crate::zeros;
+use relume_layout::channel::{self, OutgoingRadiance};
 use relume_scene::{Field, Gaussians};
 
 /// Where each field starts in a gradient row.

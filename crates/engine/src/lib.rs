@@ -29,7 +29,6 @@ mod zeros;
 pub use adam::{StepCounts, StepSizes};
 pub use adapter::{AdapterReport, DeviceChoice, choose_adapter};
 pub use camera::RasterCamera;
-pub use relume_layout::constants::TILE;
 pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin};
 pub use device::{Device, adapters};
 pub use error::DeviceError;
@@ -44,6 +43,7 @@ pub use objective::{
 };
 pub use probing::{ProbeSettings, fibonacci_sphere, towards_light};
 pub use ray_job::{RayLight, RayTree};
+pub use relume_layout::constants::TILE;
 pub use state::{Moments, TrainState};
 pub use step::{Branches, FieldUpdate, Photo, PhotoId, PhotoSize, ProbeMeasurement, Step, StepSums};
 pub use training::{Training, TrainingLimits};

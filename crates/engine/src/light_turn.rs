@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_turns_are_kept_as_they_are() {
+    fn few_light_rotations_are_kept_exactly() {
         let (turns, photos) = LightTurns::of(&[120.0, 0.0, -240.0, 360.0, 45.0, 0.0]);
         assert_eq!(turns.blocks, [0.0, 45f64.to_radians(), 120f64.to_radians()]);
         assert_eq!(photos.iter().map(|p| p.block).collect::<Vec<_>>(), [2, 0, 2, 0, 1, 0]);
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn many_turns_share_blocks_and_keep_their_own_angle() {
+    fn many_light_rotations_share_blocks_and_keep_their_angle() {
         let degrees: Vec<f64> = (0..72).map(|i| 5.0 * f64::from(i)).collect();
         let (turns, photos) = LightTurns::of(&degrees);
         assert_eq!(turns.blocks.len(), MOST_TURNS);

@@ -1,9 +1,9 @@
 //! One optimisation step as an engine is asked for it, and what it comes to.
 
 use crate::adam::{StepCounts, StepSizes};
-use relume_layout::channel::{Channels, StepChannels};
 use crate::light_turn::LightTurn;
 use crate::objective::StepWeights;
+use relume_layout::channel::{Channels, StepChannels};
 use relume_scene::{Camera, Field, Gaussians, IndirectForm, ShadeAt, ShadingOptions};
 
 /// A photograph at one resolution, prepared for training.

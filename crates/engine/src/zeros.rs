@@ -20,7 +20,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn there_are_as_many_as_asked_for_and_all_are_zero() {
+    fn zeros_has_the_requested_length_and_only_zeros() {
         for n in [0, 1, RUN - 1, RUN, 40 * RUN + 7] {
             let out = zeros(n);
             assert!(out.len() == n && out.iter().all(|v| v.to_bits() == 0), "{n}");

@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_batch_of_one_matrix_multiplies_every_matrix() {
+    fn single_matrix_is_broadcast_in_batched_matmul() {
         let swap = Array::new(&[1, 2, 2], vec![0.0, 1.0, 1.0, 0.0]);
         let pair = Array::new(&[2, 2, 1], vec![1.0, 2.0, 3.0, 4.0]);
         assert_eq!(swap.matmul(&pair), Array::new(&[2, 2, 1], vec![2.0, 1.0, 4.0, 3.0]));

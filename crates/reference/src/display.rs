@@ -44,7 +44,7 @@ mod tests {
     }
 
     #[test]
-    fn over_bright_pixels_can_only_be_told_to_darken() {
+    fn gradient_of_over_bright_pixels_can_only_darken_them() {
         let told_to_darken = gradients([-0.5, 0.25, 1.0, 3.0], [2.0; 4]);
         let told_to_brighten = gradients([-0.5, 0.25, 1.0, 3.0], [-2.0; 4]);
         let derivative = 1.055 / 2.4;
@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn the_curve_and_its_derivative_belong_together() {
+    fn srgb_derivative_agrees_with_central_differences() {
         for x in [1e-3, 0.02, 0.5, 0.99] {
             let numeric = (srgb_curve(x + 1e-7) - srgb_curve(x - 1e-7)) / 2e-7;
             assert!((srgb_derivative(x) - numeric).abs() < 1e-6, "{x}");

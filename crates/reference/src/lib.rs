@@ -7,6 +7,7 @@
 mod array;
 mod attributes;
 mod compositing;
+mod device;
 mod direct;
 mod display;
 mod forward;
@@ -17,6 +18,7 @@ pub mod losses;
 mod model;
 mod objective;
 mod ops;
+pub mod parity;
 mod probes;
 mod projection;
 mod quadrature;
@@ -27,6 +29,7 @@ mod tape;
 
 pub use array::Array;
 pub use compositing::{AlphaLimits, Weights};
+pub use device::gpu_device;
 pub use forward::{Conventions, Gathered, Light, Options, Stages, forward, render};
 pub use gbuffer::{Attributes, BlendedLight, GBuffer};
 pub use lighting::{DirectLight, Lighting};

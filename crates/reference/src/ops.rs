@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn every_operation_has_the_gradient_central_differences_measure() {
+    fn each_operation_gradient_agrees_with_central_differences() {
         type Op = (&'static str, for<'t> fn(Var<'t>) -> Var<'t>);
         let ops: [Op; 14] = [
             ("exp", |x| x.exp()),
@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn a_saturated_value_can_only_be_told_to_come_back() {
+    fn recoverable_clamp_gradient_only_points_back_into_the_range() {
         let tape = Tape::new();
         let x = tape.input(Array::new(&[3], vec![-1.0, 0.5, 2.0]));
         let down = tape.gradients(x.clamp_recoverable(0.0, 1.0).sum()).of(x);
@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_path_is_noticed_by_central_differences() {
+    fn central_differences_detect_a_detached_path() {
         assert!(gradient_error(&sample(), |x| x.detached() * x) > 0.1);
     }
 }

@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_value_used_twice_collects_both_gradients_and_detached_ones_none() {
+    fn gradients_of_all_uses_add_up_and_detached_uses_add_none() {
         let tape = Tape::new();
         let x = tape.input(Array::new(&[2], vec![2.0, -3.0]));
         let y = (x * x + x * 5.0 + x.detached() * x).sum();

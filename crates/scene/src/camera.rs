@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn one_camera_is_the_same_in_every_convention() {
+    fn camera_round_trips_through_every_pose_convention() {
         let cam = example();
         let (size, focal, centre) = ((64, 48), (cam.fx, cam.fy), (cam.cx, cam.cy));
         let opengl = Camera::from_opengl(&cam.to_opengl(), size, focal, centre).unwrap();
@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn the_target_is_straight_ahead_and_up_is_up() {
+    fn look_at_camera_faces_the_target_and_keeps_up_direction() {
         let cam = example();
         assert!((cam.forward() - (-cam.centre()).normalize()).length() < 1e-12);
         let above = cam.rotation * DVec3::Z;
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_singular_or_nan_pose_is_refused_by_name() {
+    fn singular_and_nan_poses_are_refused_by_field() {
         for m in [DMat4::ZERO, DMat4::from_cols_array(&[f64::NAN; 16])] {
             let err = Camera::from_opengl(&m, (4, 4), (1.0, 1.0), (2.0, 2.0)).unwrap_err();
             assert_eq!(err.field, "transform_matrix");
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn looking_along_up_still_gives_a_rotation() {
+    fn look_at_along_the_up_direction_gives_a_valid_rotation() {
         let cam = Camera::look_at(DVec3::Z, DVec3::ZERO, DVec3::Z, 1.0, (8, 8)).unwrap();
         assert!((cam.rotation.determinant() - 1.0).abs() < 1e-12);
     }

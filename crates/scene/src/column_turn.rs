@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn it_turns_as_environments_do_and_back() {
+    fn column_rotation_matches_the_sampled_rotated_environment() {
         let map = map();
         for degrees in [0.0, 22.5, 90.0, 120.0, -75.0, 360.0, 1000.0f64] {
             let turned = ColumnTurn::new(degrees.to_radians(), 16).apply(map.texels()).into_owned();
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_by_whole_columns_rolls_each_row() {
+    fn rotation_by_whole_columns_shifts_each_row_exactly() {
         let map = map();
         let turned = ColumnTurn::new(TAU * 3.0 / 16.0, 16).apply(map.texels()).into_owned();
         let mut rolled = map.texels().to_vec();
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn the_transposed_turn_is_the_transpose() {
+    fn transposed_rotation_is_the_adjoint() {
         let map = map();
         let probe: Vec<[f32; 3]> =
             (0..128).map(|i| [(i % 7) as f32 - 3.0, (i % 5) as f32, (i % 11) as f32]).collect();

@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn resampling_keeps_power() {
+    fn resampling_preserves_total_power() {
         let map = EnvMap::from_fn(64, 32, |d| [(d.x + 1.5) as f32, d.z.abs() as f32, 1.0]);
         let power = |m: &EnvMap| -> [f64; 3] {
             let mut sum = [0.0; 3];
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quarter_turn_moves_light_from_x_to_y() {
+    fn rotation_by_90_degrees_moves_light_from_x_to_y() {
         let map = EnvMap::from_fn(64, 32, |d| [(d.x as f32).max(0.0); 3]);
         let turned = map.rotated_and_scaled(90.0, 2.0);
         assert!((turned.sample(DVec3::Y)[0] - 2.0).abs() < 0.02);
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn poison_is_refused_and_negatives_counted() {
+    fn nan_texels_are_refused_and_negative_ones_are_counted() {
         let nan = EnvMap::new(2, 1, vec![[0.0; 3], [f32::NAN; 3]]);
         assert_eq!(nan.unwrap_err(), EnvMapError::NotFinite { x: 1, y: 0 });
         let (map, stats) = EnvMap::new(1, 1, vec![[-1.0, 2.0, -0.5]]).unwrap();

@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn one_nan_anywhere_is_noticed() {
+    fn is_finite_detects_a_single_nan() {
         let mut g = Gaussians::zeroed(2, 2, 4, 1);
         assert!(g.is_finite());
         g.field_mut(Field::Visibility)[30] = f32::NAN;

@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn rotation_moves_the_lights_with_the_map() {
+    fn rotation_moves_the_separate_lights_with_the_map() {
         let light = lamp();
         for degrees in [11.25, 90.0, 33.0, -70.0] {
             let turned = light.rotated_and_scaled(degrees, 2.0);

@@ -7,8 +7,7 @@ use crate::{EnvMap, Field, Gaussians, Illumination, LightSplit};
 
 /// Form of the visibility field. `linear`: the sum of coefficients times basis functions, clamped to [0, 1].
 /// `sigmoid`: the sigmoid of that sum. `off`: no occlusion.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum VisibilityForm {
     /// `V = sum c Y` (article Eq. 13), clamped to [0, 1] where it is used. V = 1 gives AO = 1 exactly.
@@ -22,8 +21,7 @@ pub enum VisibilityForm {
 
 /// Form of the diffuse term. `ambient_occlusion`: diffuse light times ambient occlusion. `directional`: the
 /// integral of visibility, light and cosine.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DiffuseForm {
     /// The article's `AO * L_diff(n)` (Eq. 21).
@@ -35,8 +33,7 @@ pub enum DiffuseForm {
 
 /// Place of shading. `pixel`: in the pixel, from blended attributes (deferred shading). `gaussian`: at each
 /// Gaussian, from its own attributes; the resulting radiance is blended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ShadeAt {
     /// In the pixel, from blended attributes (deferred shading, as in the article).
@@ -48,8 +45,7 @@ pub enum ShadeAt {
 
 /// Source of the normals. `free`: the normal field itself, normalised. `shortest_axis`: the shortest axis of
 /// the Gaussian, turned towards the camera, plus the normal field as an offset.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum NormalForm {
     /// The `Normal` field itself, normalised (as in the article's listing).
@@ -62,8 +58,7 @@ pub enum NormalForm {
 /// Light from directions that are not visible. `off`: none. `learned`: 16 learned SH weights on the
 /// low-frequency environment, specular only. `gathered`: irradiance gathered from the occluding Gaussians,
 /// diffuse and specular.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum IndirectForm {
     /// No light.
@@ -77,8 +72,7 @@ pub enum IndirectForm {
 
 /// Options of the forward model. They are stored with the model, because its parameters are valid only with
 /// them.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ShadingOptions {
     /// Form of the visibility field.
@@ -268,7 +262,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn softplus_inverts_from_dim_to_half_float_max() {
+    fn softplus_inverse_is_accurate_from_1e_6_to_6e4() {
         for y in [1e-6f32, 0.1, 1.0, 15.0, 6e4] {
             assert!((softplus(softplus_inverse(y)) / y - 1.0).abs() < 1e-3, "{y}");
         }

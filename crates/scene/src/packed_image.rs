@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn levels_of_a_file_come_back_bit_for_bit() {
+    fn packed_image_round_trips_file_levels_exactly() {
         for transparent in [false, true] {
             let (eight, sixteen) = (ramp(256, transparent), ramp(65_536, transparent));
             assert_eq!(PackedImage::new(&eight, BitDepth::Eight).decoded(), eight);
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn an_opaque_image_takes_three_channels_and_another_four() {
+    fn opaque_images_store_three_channels_and_others_four() {
         let bytes = |transparent, depth| PackedImage::new(&ramp(256, transparent), depth).bytes() / 256;
         assert_eq!(bytes(false, BitDepth::Eight), 3);
         assert_eq!(bytes(true, BitDepth::Eight), 4);
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn values_outside_are_clamped_and_what_is_no_number_is_black() {
+    fn out_of_range_values_are_clamped_and_nan_becomes_black() {
         let image = ImageRgba { width: 1, height: 1, pixels: vec![[-1.0, 2.0, f32::NAN, 1.0]] };
         for depth in [BitDepth::Eight, BitDepth::Sixteen] {
             assert_eq!(PackedImage::new(&image, depth).pixel(0), [0.0, 1.0, 0.0, 1.0]);
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reduced_image_is_that_of_the_floats_to_half_a_level_and_one_of_the_same_size_is_shared() {
+    fn resizing_is_accurate_and_equal_size_shares_the_pixels() {
         let packed = PackedImage::new(&ramp(256, true), BitDepth::Eight);
         let (small, exact) = (packed.resized(64, 1), packed.decoded().resized(64, 1));
         let error = worst(small.pixels().zip(&exact.pixels).map(|(a, b)| largest_difference(&a, b)));

@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn levels_without_a_power_are_those_with_one() {
+    fn table_encoding_to_u8_matches_the_power_function() {
         let all = (0..1.0f32.to_bits() + (1 << 24)).step_by(997).map(f32::from_bits);
         for x in all.chain([-1.0, 1.0, 1e30, f32::INFINITY, f32::NAN, f32::NEG_INFINITY]) {
             assert_eq!(encode_u8(x), to_u8(encode(x)), "{x}");
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn mid_grey_is_where_the_standard_puts_it_and_nan_is_black() {
+    fn mid_grey_matches_the_standard_and_nan_becomes_black() {
         assert!((decode(0.5) - 0.214_041).abs() < 1e-5);
         assert_eq!((encode(f32::NAN), decode(f32::NAN), decode(7.0)), (0.0, 0.0, 1.0));
         assert!((encode(7.0) - 1.0).abs() < 1e-6);

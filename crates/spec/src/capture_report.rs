@@ -3,8 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Report of the validation of a capture.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CaptureReport {
     /// Recognised layout, e.g. `nerf-synthetic`, `nerfstudio`, `colmap`, `llff`.
     pub layout: String,
@@ -61,8 +60,7 @@ fn names(text: &str, file: &str) -> bool {
 }
 
 /// A quality problem of photographs.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PhotographNote {
     /// The problem and its remedy.
     pub text: String,

@@ -7,16 +7,16 @@ use rand_chacha::ChaCha8Rng;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
-use relume_engine::{DensityStats, Moments, TrainState};
-use relume_capture::formats::model_file::{self, Tensor, floats};
-use relume_scene::light::LightColour;
-use relume_scene::{Field, Gaussians, MAX_LIGHTS};
-use relume_spec::training::TrainConfig;
 use crate::complexity::state::ComplexityState;
 use crate::crop::{CutOut, Region, SILHOUETTE};
 use crate::dataset::Gain;
 use crate::error::TrainError;
 use crate::state::ScheduleState;
+use relume_capture::formats::model_file::{self, Tensor, floats};
+use relume_engine::{DensityStats, Moments, TrainState};
+use relume_scene::light::LightColour;
+use relume_scene::{Field, Gaussians, MAX_LIGHTS};
+use relume_spec::training::TrainConfig;
 
 const VERSION: u32 = 1;
 const HEADER_KEY: &str = "relume_checkpoint";
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn lights_and_what_arrives_of_them_survive_and_checkpoints_without_them_have_none() {
+    fn checkpoints_round_trip_with_and_without_lights() {
         let config = TrainConfig::new(Preset::Draft, &Default::default()).unwrap();
         let schedule = ScheduleState {
             step: 7,

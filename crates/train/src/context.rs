@@ -1,10 +1,10 @@
 //! What decisions about a training are made from: its configuration, its light operators, how far it is.
 
+use crate::schedule;
 use relume_engine::cpu::evaluation;
 use relume_engine::{Branches, LightTurns, Photo, TrainState};
 use relume_scene::light::EnvOperators;
 use relume_spec::training::TrainConfig;
-use crate::schedule;
 
 /// What is the same for every step of a training, and how far it is.
 #[derive(Debug, Clone, Copy)]

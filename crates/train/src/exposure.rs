@@ -6,11 +6,11 @@
 
 use rayon::prelude::*;
 
+use crate::context::StepContext;
+use crate::dataset::{Dataset, Gain};
 use relume_engine::cpu::linear_from_srgb;
 use relume_engine::{Photo, PhotoSize, TrainState};
 use relume_scene::Plane;
-use crate::context::StepContext;
-use crate::dataset::{Dataset, Gain};
 
 /// Longest side of the images that are compared, pixels.
 const SIDE: u32 = 96;
@@ -95,9 +95,9 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
+    use crate::dataset::divide;
     use relume_compare::largest_difference;
     use relume_scene::Camera;
-    use crate::dataset::divide;
 
     /// A photograph of a ramp of colours, half of it behind a mask.
     fn photo(alpha: bool) -> Photo {
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gain_is_found_and_divided_out_and_the_background_stays() {
+    fn gain_is_estimated_and_divided_out() {
         for alpha in [false, true] {
             let (plain, mut taken) = (photo(alpha), photo(alpha));
             let gain = [1.2f32, 1.1, 0.85];
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_pixels_tell_nothing() {
+    fn too_few_usable_pixels_give_no_gain() {
         let mut dark = photo(false);
         dark.pixels.iter_mut().skip(LEAST_PIXELS - 1).for_each(|p| *p = [0.01; 3]);
         let brighter: Vec<[f32; 3]> = dark.pixels.iter().map(|p| p.map(|v| v * 0.9)).collect();
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn gains_count_only_where_they_differ() {
+    fn gains_count_only_if_they_differ_between_photographs() {
         let of = |step: f32| -> Vec<Gain> { (0..10).map(|i| [(step * (i % 2) as f32).exp(); 3]).collect() };
         assert!(differ(&of(0.1)) && !differ(&of(0.08)) && !differ(&[]));
         assert!(!differ(&[[1.3, 1.3, 1.3]; 5]), "the level of all of them is the light's");

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use relume_capture::{Capture, ImportLimits, ImportOptions, Undecoded};
-use crate::memory::{self, PhotographSizes, Room};
-use relume_spec::training::TrainConfig;
 use crate::TrainError;
+use crate::memory::{self, PhotographSizes, Room};
+use relume_capture::{Capture, ImportLimits, ImportOptions, Undecoded};
+use relume_spec::training::TrainConfig;
 
 /// A capture at the resolution it will be trained at, without ground truth, so that memory holds no pixel in vain; with
 /// the turns of the light and the colour of the grey card that `config` gives.
@@ -35,13 +35,13 @@ pub fn import_for_training(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relume_spec::training::GreyCard;
+    use crate::Trainer;
     use relume_capture::{SyntheticOptions, synthetic, write_archive};
     use relume_engine::Device;
     use relume_scene::srgb;
     use relume_scene::{BitDepth, PackedImage};
+    use relume_spec::training::GreyCard;
     use relume_spec::training::{Preset, TrainOverrides, WhiteBalance};
-    use crate::Trainer;
 
     const CARD: [f32; 3] = [0.5, 0.4, 0.2];
 
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn a_grey_card_is_measured_at_import_and_is_the_white_balance_of_the_training() {
+    fn grey_card_measured_at_import_sets_the_white_balance() {
         let (file, config) = (capture_with_a_card(), config("train_001/rgba.png", 20));
         let mut capture =
             import_for_training(file.path(), &config, &ImportLimits::default(), Room::unbounded()).unwrap();
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_card_that_cannot_be_measured_is_refused_by_field() {
+    fn grey_card_that_cannot_be_measured_is_refused_by_field() {
         let file = capture_with_a_card();
         for (photo, x, field) in [
             ("train_009/rgba.png", 20, "grey_card.photo"),
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_capture_without_room_is_refused_before_it_is_decoded() {
+    fn capture_exceeding_memory_is_refused_before_decoding() {
         let (file, config) = (capture_with_a_card(), config("train_001/rgba.png", 20));
         let import = |available| {
             let room = Room { on_device: false, available: Some(available) };
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_card_is_refused_beside_a_white_balance_and_without_pixels() {
+    fn grey_card_with_white_balance_or_without_pixels_is_refused() {
         let refused = |overrides: &str| {
             let overrides: TrainOverrides = serde_json::from_str(overrides).unwrap();
             TrainConfig::new(Preset::Draft, &overrides).map_err(|error| error.field)

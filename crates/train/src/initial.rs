@@ -3,6 +3,9 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
+use crate::dataset::Dataset;
+use crate::known_light::applied;
+use crate::{lights, materials};
 use relume_capture::Capture;
 use relume_engine::{Photo, PhotoSize, upward_share};
 use relume_scene::light::{LightColour, SplitEnvironment};
@@ -10,10 +13,7 @@ use relume_scene::{
     Camera, Field, Framing, Gaussians, LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse,
     texel_directions,
 };
-use crate::dataset::Dataset;
-use crate::known_light::applied;
 use relume_spec::training::TrainConfig;
-use crate::{lights, materials};
 
 /// Voxels along an edge of the carved cube.
 const HULL_SIDE: usize = 80;

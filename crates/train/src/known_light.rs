@@ -49,7 +49,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_exposure_makes_white_white_and_a_given_one_is_kept() {
+    fn auto_exposure_normalises_the_light_and_given_stops_are_kept() {
         let sky = EnvMap::from_fn(64, 32, |d| [3.0 * (d.z.max(0.0) as f32), 0.5, 0.25]);
         let expected = luminance([2.0, 0.5, 0.25]) / UPWARD_LUMINANCE;
         assert!((level(&sky) - f64::from(expected)).abs() < 5e-3);

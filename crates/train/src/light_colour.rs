@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn lights_are_ordered_by_their_warmth_whatever_the_colours_of_things() {
+    fn estimated_light_warmth_is_independent_of_surface_colours() {
         let bodies = [[0.5, 0.2, 0.1], [0.2, 0.4, 0.2], [0.15, 0.2, 0.5], [0.4, 0.4, 0.35]];
         let of = |bodies: &[[f32; 3]], light| estimate(&scene(bodies, light, 0.02)).blue_over_red;
         let lights = [[1.4, 0.9, 0.5], [1.0, 1.0, 1.0], [0.8, 0.95, 1.3]];
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn without_change_by_view_the_light_is_taken_for_neutral() {
+    fn light_is_neutral_without_view_dependent_colour() {
         assert_eq!(estimate(&scene(&[[0.5, 0.2, 0.1]], [1.4, 0.9, 0.5], 0.0)), LightColour::NEUTRAL);
         assert_eq!(estimate(&Gaussians::zeroed(0, 1, 0, 1)), LightColour::NEUTRAL);
         assert_eq!(estimate(&Gaussians::zeroed(5, 1, 0, 0)), LightColour::NEUTRAL, "no degree 1");

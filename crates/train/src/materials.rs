@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_removes_the_shading_from_albedo() {
+    fn albedo_restart_removes_shading_from_albedo() {
         let (mut state, operators, normals) = shaded_ball();
         initialise(&mut state, DAYLIGHT_SKY);
         let control = albedo_error(&state);
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_removes_the_shading_of_a_light_that_turns() {
+    fn albedo_restart_removes_shading_of_a_rotating_light() {
         let degrees = [0.0, 90.0];
         let radians = degrees.map(f64::to_radians);
         let (mut state, operators, normals) = ball_under([0.9, 0.0, 0.0], &radians);
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_grey_object_under_daylight_starts_grey() {
+    fn grey_object_under_daylight_is_initialised_grey() {
         let (mut state, ..) = shaded_ball();
         for radiance in state.model.gaussians.field_mut(Field::Radiance).chunks_mut(3) {
             for (r, light) in radiance.iter_mut().zip(DAYLIGHT_SKY.rgb()) {
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_black_sky_and_a_white_colour_leave_albedo_in_its_range() {
+    fn albedo_restart_stays_in_range_under_a_black_sky() {
         let (mut state, operators, normals) = shaded_ball();
         state.model.env_raw.fill([softplus_inverse(1e-6); 3]);
         state.model.gaussians.field_mut(Field::Radiance).fill(10.0);

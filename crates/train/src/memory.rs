@@ -2,13 +2,13 @@
 
 use std::fmt::{self, Display, Formatter};
 
+use crate::TrainError;
+use crate::dataset::cache_bytes;
+use crate::room::{available_memory, whole_memory};
 use relume_capture::{Capture, CaptureError, ImportOptions, Undecoded};
 use relume_engine::{Branches, Device};
 use relume_scene::{Field, Gaussians};
-use crate::dataset::cache_bytes;
-use crate::room::{available_memory, whole_memory};
 use relume_spec::training::TrainConfig;
-use crate::TrainError;
 
 /// Bytes a pixel of a decoded photograph without a mask.
 const DECODED_PIXEL: u64 = 12;
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_refused_with_the_resolution_that_would() {
+    fn too_large_training_is_refused_with_a_fitting_resolution() {
         let (photographs, config) = (opaque(&[(1600, 1200); 2000]), config(1600, 8000));
         let why = refusal(&photographs, &config, 9_100_000_000);
         let named = [
@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn held_out_photographs_need_memory_while_they_are_read_alone() {
+    fn held_out_photographs_need_memory_only_while_reading() {
         let (all, config) = (opaque(&[(1600, 1200); 2000]), config(1600, 8000));
         let some = PhotographSizes { held_out: 250, ..all.clone() };
         let [all, some] = [all, some].map(|photographs| MemoryNeed::of(&photographs, &config, false));
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn too_many_gaussians_are_named_where_no_resolution_would_help() {
+    fn max_gaussians_is_named_if_no_resolution_fits() {
         let (photographs, config) = (opaque(&[(64, 64); 10]), config(64, 4_000_000));
         let why = refusal(&photographs, &config, 1_000_000_000);
         assert!(why.starts_with("max_gaussians: ") && why.contains("4000000 Gaussians"), "{why}");
@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn gaussians_of_a_device_are_not_in_the_hosts_memory() {
+    fn gaussians_on_a_device_need_no_host_memory() {
         let (photographs, config) = (opaque(&[(64, 64); 10]), config(64, 4_000_000));
         let on_device = Room { on_device: true, ..on_cpu(1_000_000_000) };
         assert!(check(&photographs, &config, on_device).is_ok());
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn photographs_of_a_capture_are_counted_as_they_are_kept() {
+    fn photograph_memory_follows_their_stored_format() {
         let options =
             SyntheticOptions { train_views: 3, test_views: 1, size: 16, paths: 4, ..Default::default() };
         let mut capture = synthetic(&options).unwrap();

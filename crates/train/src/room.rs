@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_least_limit_of_a_process_and_of_what_it_is_in_counts() {
+    fn smallest_memory_limit_of_all_parent_cgroups_applies() {
         let root = tempfile::TempDir::new().unwrap();
         let unit = root.path().join("system.slice/relume.service");
         std::fs::create_dir_all(&unit).unwrap();
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_is_read_from_the_line_that_says_so() {
+    fn available_memory_is_parsed_from_meminfo() {
         let text = "MemTotal:       24661284 kB\nMemFree:  1 kB\nMemAvailable:   19531250 kB\n";
         let left_of = |text: &str| bytes_of(text, "MemAvailable:");
         assert_eq!(left_of(text), Some(20_000_000_000));

@@ -4,8 +4,8 @@ use relume_engine::{
     Branches, FieldUpdate, ImageWeights, LightTurns, LightWeights, ParameterWeights, PhotoSize,
     ProbeMeasurement, StepSizes, StepWeights, SurfaceWeights,
 };
-use relume_scene::light::LightColour;
 use relume_scene::Field;
+use relume_scene::light::LightColour;
 use relume_spec::training::{LabelSource, TrainConfig};
 
 /// Progress from which depth-normal consistency acts: before, depth is noise.
@@ -141,7 +141,7 @@ mod tests {
     use relume_spec::training::Preset;
 
     #[test]
-    fn materials_keep_their_step_sizes_to_the_last_quarter_and_sheen_trains_late() {
+    fn material_rates_fall_in_the_last_quarter_and_sheen_is_late() {
         let config = TrainConfig::preset(Preset::Draft);
         let rates = config.rates;
         let size = |field: Field, progress: f32| {
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn longer_trainings_take_materials_no_farther() {
+    fn material_step_sizes_shrink_for_longer_trainings() {
         let sizes = |iterations| {
             let config = TrainConfig { iterations, ..TrainConfig::preset(Preset::High) };
             step_sizes(&config, Branches::Both, 0.5)
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn the_warm_up_trains_radiance_alone_then_normals_then_everything() {
+    fn warm_up_trains_radiance_then_normals_then_everything() {
         let config = TrainConfig::preset(Preset::Draft);
         let at = |step| branches(&config, step);
         assert_eq!(

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use relume_scene::light::LightColour;
 use crate::complexity::state::ComplexityState;
 use crate::crop::CutOut;
 use crate::dataset::Gain;
+use relume_scene::light::LightColour;
 
 /// Where a training stands in its schedule; kept on the host whatever device trains.
 #[derive(Debug, Clone, PartialEq)]
@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_next_photographs_are_known_beyond_the_end_of_an_epoch() {
+    fn next_photographs_are_known_beyond_the_end_of_an_epoch() {
         let mut schedule = ScheduleState::new(5, ChaCha8Rng::seed_from_u64(3));
         let known = schedule.next_photos(14);
         let mut epochs = known.clone();

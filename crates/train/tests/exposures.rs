@@ -7,7 +7,7 @@ use relume_scene::{BitDepth, Model, PackedImage};
 use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
 use relume_train::Trainer;
 
-use crate::requirements::gpu_device;
+use relume_reference::gpu_device;
 
 const VIEWS: usize = 24;
 
@@ -71,7 +71,7 @@ fn error_of_gains(model: &Model, capture: &Capture) -> (f32, f32) {
     (deviation(0), deviation(1))
 }
 
-fn gains_of_photographs_are_found(device: &Device) {
+fn assert_photograph_gains_are_estimated(device: &Device) {
     let capture = capture(true);
     let model = finished(trainer(&capture, true, device));
     let (error, spread) = error_of_gains(&model, &capture);
@@ -79,18 +79,18 @@ fn gains_of_photographs_are_found(device: &Device) {
 }
 
 #[test]
-fn gains_of_photographs_are_found_on_the_cpu() {
-    gains_of_photographs_are_found(&Device::Cpu);
+fn photograph_gains_are_estimated_on_the_cpu() {
+    assert_photograph_gains_are_estimated(&Device::Cpu);
 }
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn gains_of_photographs_are_found_on_a_gpu() {
-    gains_of_photographs_are_found(gpu_device());
+fn photograph_gains_are_estimated_on_a_gpu() {
+    assert_photograph_gains_are_estimated(gpu_device());
 }
 
 #[test]
-fn photographs_of_one_exposure_are_left_as_they_are_and_so_are_others_when_asked() {
+fn equal_exposures_or_disabled_matching_leave_photos_unchanged() {
     let of = |differs: bool, matched: bool| finished(trainer(&capture(differs), matched, &Device::Cpu));
     assert!(of(false, true).card["exposures"].is_null());
     assert!(of(true, false).card["exposures"].is_null());
@@ -98,7 +98,7 @@ fn photographs_of_one_exposure_are_left_as_they_are_and_so_are_others_when_asked
 }
 
 #[test]
-fn a_training_that_was_cut_off_goes_on_with_the_same_photographs() {
+fn resumed_training_keeps_the_exposure_gains() {
     let capture = capture(true);
     let mut first = trainer(&capture, true, &Device::Cpu);
     let config = first.config().clone();

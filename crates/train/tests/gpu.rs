@@ -8,15 +8,17 @@ use relume_compare::{difference, largest_difference};
 use relume_engine::Device;
 use relume_engine::gpu::{Adapters, Gpu, GpuOptions};
 use relume_engine::{DeviceChoice, DeviceError};
-use relume_train::eval::{EvalOptions, Report, evaluate};
+use relume_scene::{EnvMap, Field, Model};
 use relume_spec::rendering::{Output, Quality, Tier};
+use relume_spec::training::{
+    LabelSource, LearningRateChanges, LossWeightChanges, Preset, ShadingChanges, TrainConfig, TrainOverrides,
+};
+use relume_train::eval::{EvalOptions, Report, evaluate};
 use relume_train::render::{PreparedLight, Renderer};
-use relume_scene::{EnvMap, Field, Model, ShadingOptions};
-use relume_spec::training::{LabelSource, LearningRates, LossWeights, Preset, TrainConfig, TrainOverrides};
 use relume_train::{TrainError, Trainer};
 
-use crate::requirements::gpu_device;
 use crate::tiers::sun;
+use relume_reference::gpu_device;
 
 fn capture() -> &'static Capture {
     static CAPTURE: OnceLock<Capture> = OnceLock::new();
@@ -73,7 +75,7 @@ fn model() -> Arc<Model> {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn every_output_of_every_tier_is_that_of_the_cpu_engine() {
+fn every_output_of_every_tier_matches_the_cpu_engine() {
     let device = gpu_device();
     let all = [
         Output::Rgb,
@@ -133,7 +135,7 @@ fn narrow_device(bytes: u64) -> Device {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_picture_too_large_for_one_binding_is_made_in_bands_without_a_seam() {
+fn large_image_rendered_in_bands_has_no_seam() {
     let narrow = narrow_device(4 << 20);
     let renderers = [Renderer::on(model(), gpu_device()).unwrap(), Renderer::on(model(), &narrow).unwrap()];
     let camera = capture().test[0].camera.resized(256, 256);
@@ -156,7 +158,7 @@ fn a_picture_too_large_for_one_binding_is_made_in_bands_without_a_seam() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn frames_of_several_threads_are_those_of_one() {
+fn concurrent_frames_match_single_threaded_frames() {
     const THREADS: usize = 3;
     let sizes = [24, 40, 64, 33];
     let views = |thread: usize| {
@@ -190,7 +192,7 @@ fn frames_of_several_threads_are_those_of_one() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_light_of_one_renderer_is_refused_by_another_and_bad_cameras_are_refused_alike() {
+fn lights_of_other_renderers_and_bad_cameras_are_refused() {
     let device = gpu_device();
     let (cpu, gpu) = (Renderer::new(model()), Renderer::on(model(), device).unwrap());
     let light = EnvMap::constant(8, 4, [1.0; 3]);
@@ -205,16 +207,20 @@ fn a_light_of_one_renderer_is_refused_by_another_and_bad_cameras_are_refused_ali
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_first_steps_of_a_training_are_those_of_the_cpu_engine() {
+fn first_training_steps_match_the_cpu_engine() {
     let device = gpu_device();
-    let weights =
-        Some(LossWeights { smoothness: 0.0, smooth_roughness: 0.0, light: 0.01, ..LossWeights::default() });
+    let weights = Some(LossWeightChanges {
+        smoothness: Some(0.0),
+        smooth_roughness: Some(0.0),
+        light: Some(0.01),
+        ..Default::default()
+    });
     // Adam's first step takes a texel without any gradient but rounding as far as all others: small steps of the light.
     let overrides = || {
-        let rates = LearningRates { environment: 0.01, ..LearningRates::default() };
+        let rates = LearningRateChanges { environment: Some(0.01), ..Default::default() };
         // Without compensation: it thins the small splats of a start until their gradients are next to nothing, and this
         // test counts signs. Its own gradients are held to f64 in the engine's tests.
-        let shading = ShadingOptions { low_pass_compensation: false, ..ShadingOptions::default() };
+        let shading = ShadingChanges { low_pass_compensation: Some(false), ..Default::default() };
         TrainOverrides { rates: Some(rates), shading: Some(shading), ..overrides() }
     };
     let forms = [
@@ -301,16 +307,16 @@ fn report(model: Model) -> Report {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_trained_result_is_that_of_the_cpu_engine() {
+fn trained_result_matches_the_cpu_engine() {
     let device = gpu_device();
     // Small steps: atomic sums come in no fixed order, and with large ones runs of this size scatter beyond what is allowed.
-    let rates = LearningRates {
-        mean: 3e-4,
-        scale: 5e-3,
-        rotation: 1e-3,
-        opacity: 0.03,
-        radiance: 2.5e-3,
-        ..LearningRates::default()
+    let rates = LearningRateChanges {
+        mean: Some(3e-4),
+        scale: Some(5e-3),
+        rotation: Some(1e-3),
+        opacity: Some(0.03),
+        radiance: Some(2.5e-3),
+        ..Default::default()
     };
     let long =
         TrainOverrides { iterations: Some(300), probe_every: Some(50), rates: Some(rates), ..overrides() };
@@ -329,7 +335,7 @@ fn the_trained_result_is_that_of_the_cpu_engine() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_checkpoint_goes_from_engine_to_engine_and_back() {
+fn checkpoint_moves_between_cpu_and_gpu_and_back() {
     let device = gpu_device();
     let config = || TrainConfig::new(Preset::Draft, &overrides()).unwrap();
     let mut first = trainer(&overrides(), &Device::Cpu);
@@ -363,7 +369,7 @@ fn a_checkpoint_goes_from_engine_to_engine_and_back() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn trainings_too_large_for_the_device_are_refused_with_numbers() {
+fn trainings_too_large_for_the_device_are_refused_with_sizes() {
     let narrow = narrow_device(64 << 20);
     let refusal = |overrides: TrainOverrides| {
         let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
@@ -383,7 +389,7 @@ fn trainings_too_large_for_the_device_are_refused_with_numbers() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn wild_step_sizes_end_in_a_finite_model_or_a_refusal() {
+fn extreme_step_sizes_end_in_a_finite_model_or_an_error() {
     let device = gpu_device();
     let rates = serde_json::from_value(serde_json::json!({
         "mean": 1000.0, "mean_final": 1000.0, "scale": 1000.0, "opacity": 1000.0, "radiance": 1000.0
@@ -402,7 +408,7 @@ fn wild_step_sizes_end_in_a_finite_model_or_a_refusal() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn after_a_lost_device_a_training_resumes_from_its_checkpoint_on_the_cpu() {
+fn training_resumes_on_the_cpu_after_a_lost_device() {
     let own = open_again(GpuOptions::default());
     let mut first = trainer(&overrides(), &Device::Gpu(own.clone()));
     (0..5).for_each(|_| drop(first.step().unwrap()));
@@ -421,7 +427,7 @@ fn after_a_lost_device_a_training_resumes_from_its_checkpoint_on_the_cpu() {
 }
 
 #[test]
-fn a_device_that_is_not_there_is_refused_by_name() {
+fn missing_device_is_refused_by_name() {
     let error = Device::open(DeviceChoice::Gpu(Some(99))).unwrap_err().to_string();
     assert!(error.contains("gpu:99"), "{error}");
 }

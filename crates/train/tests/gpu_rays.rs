@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use relume_compare::rms_difference;
-use relume_train::render::{Frame, Renderer};
-use relume_spec::rendering::{Output, Quality, Tier};
 use relume_scene::{Camera, EnvMap, Field, IndirectForm, Model, ShadeAt, VisibilityForm};
+use relume_spec::rendering::{Output, Quality, Tier};
+use relume_train::render::{Frame, Renderer};
 
-use crate::requirements::gpu_device;
 use crate::tiers::{camera, sun, table};
+use relume_reference::gpu_device;
 
 const OUTPUTS: [Output; 3] = [Output::Rgb, Output::Diffuse, Output::Specular];
 
@@ -41,7 +41,7 @@ fn distance(a: &Frame, b: &Frame, output: Output) -> f64 {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn shadows_in_pixels_are_those_of_the_cpu_engine() {
+fn per_pixel_shadows_match_the_cpu_engine() {
     for shade_at in [ShadeAt::Gaussian, ShadeAt::Pixel] {
         for indirect in [IndirectForm::Off, IndirectForm::Gathered] {
             let mut model = (*model(shade_at, indirect)).clone();
@@ -62,7 +62,7 @@ fn shadows_in_pixels_are_those_of_the_cpu_engine() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn lights_without_occlusion_cast_no_shadow_and_lights_that_do_not_stand_out_are_not_taken_out() {
+fn no_shadows_without_visibility_or_under_an_even_light() {
     let mut open = (*model(ShadeAt::Gaussian, IndirectForm::Off)).clone();
     open.shading.visibility = VisibilityForm::Off;
     let open = Arc::new(open);
@@ -78,7 +78,7 @@ fn lights_without_occlusion_cast_no_shadow_and_lights_that_do_not_stand_out_are_
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn samples_of_an_environment_have_the_mean_and_the_noise_of_the_cpu_engine() {
+fn monte_carlo_mean_and_noise_match_the_cpu_engine() {
     for (shade_at, indirect) in
         [(ShadeAt::Gaussian, IndirectForm::Gathered), (ShadeAt::Pixel, IndirectForm::Off)]
     {
@@ -108,7 +108,7 @@ fn samples_of_an_environment_have_the_mean_and_the_noise_of_the_cpu_engine() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn samples_depend_on_their_seed_alone_and_polished_metal_is_a_mirror() {
+fn samples_depend_only_on_the_seed_and_smooth_metal_reflects() {
     let mut polished = (*table()).clone();
     polished.gaussians.field_mut(Field::MetalLogit).fill(20.0);
     polished.gaussians.field_mut(Field::RoughLogit).fill(-20.0);
@@ -131,7 +131,7 @@ fn samples_depend_on_their_seed_alone_and_polished_metal_is_a_mirror() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn frames_by_rays_are_finite_whatever_the_light_and_empty_where_nothing_is() {
+fn ray_traced_frames_are_finite_and_empty_without_a_model() {
     let gpu = on_gpu(&table());
     let mut texels = vec![[0.0f32; 3]; 64 * 32];
     texels[300] = [1e30; 3];
@@ -153,7 +153,7 @@ fn frames_by_rays_are_finite_whatever_the_light_and_empty_where_nothing_is() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn occluders_out_of_reach_cast_no_shadow() {
+fn occluders_beyond_their_reach_cast_no_shadow() {
     let reaching = |reach: Option<f32>| {
         let mut model = (*table()).clone();
         model.shading.occluder_reach = reach;

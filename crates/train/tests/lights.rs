@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use relume_engine::{Device, FieldUpdate, ProbeMeasurement, TrainState, Training, TrainingLimits};
 use relume_scene::light::{EnvOperators, TableResolution};
+use relume_scene::{
+    Field, Illumination, LightSplit, MAX_LIGHTS, Model, ShadeAt, SplitLight, VisibilityForm, texel_directions,
+};
 use relume_spec::rendering::{Output, Tier};
 use relume_train::render::Renderer;
-use relume_scene::{
-    Field, LightSplit, MAX_LIGHTS, Model, ShadeAt, SplitLight, VisibilityForm, texel_directions,
-};
 
 use crate::tiers::{camera, sun, table};
 
@@ -87,7 +87,7 @@ fn shadows_are_measured_and_follow_the_light(device: &Device) -> Vec<f32> {
 }
 
 #[test]
-fn the_shadow_of_a_light_is_measured_and_follows_it() {
+fn measured_shadow_follows_its_light() {
     shadows_are_measured_and_follow_the_light(&Device::Cpu);
     // A wide light has a soft edge, and where nothing is occluded nothing is measured.
     let steps = |radius: f32| {
@@ -116,7 +116,7 @@ fn apart(a: &[f32], b: &[f32]) -> f32 {
 }
 
 #[test]
-fn the_recovered_light_is_split_as_in_training() {
+fn recovered_light_is_split_as_in_training() {
     let split = split(0.0);
     let render = |model: Model| {
         let light = model.recovered_light();
@@ -136,7 +136,7 @@ fn the_recovered_light_is_split_as_in_training() {
 }
 
 #[test]
-fn a_tenth_of_a_degree_changes_the_recovered_light_little() {
+fn small_rotation_changes_the_recovered_light_little() {
     let model = lit_table(&split(0.0));
     let (light, renderer) = (model.recovered_light(), Renderer::new(Arc::new(model)));
     let shown = |light: Illumination| {
@@ -154,11 +154,11 @@ fn a_tenth_of_a_degree_changes_the_recovered_light_little() {
 
 mod on_gpu {
     use super::*;
-    use crate::requirements::gpu_device;
+    use relume_reference::gpu_device;
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn shadows_are_those_of_the_cpu_engine() {
+    fn shadows_match_the_cpu_engine() {
         let cpu = shadows_are_measured_and_follow_the_light(&Device::Cpu);
         let gpu = shadows_are_measured_and_follow_the_light(gpu_device());
         assert!(apart(&gpu, &cpu) < 1e-3, "{}", apart(&gpu, &cpu));
@@ -167,7 +167,7 @@ mod on_gpu {
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn frames_under_a_sun_are_those_of_the_cpu_engine() {
+    fn frames_with_a_sun_match_the_cpu_engine() {
         use relume_scene::IndirectForm;
         for indirect in [IndirectForm::Off, IndirectForm::Gathered] {
             let mut model = (*table()).clone();

@@ -8,11 +8,11 @@ use relume_compare::{largest_difference, rms_difference};
 use relume_engine::cpu::{self, AttributeSource, Probes};
 use relume_engine::{FrameJob, ProbeSettings, RasterCamera, ShadeColour, fibonacci_sphere};
 use relume_scene::light::rendering_tables;
-use relume_train::render::{Frame, Renderer};
-use relume_spec::rendering::{Output, Quality, Tier};
 use relume_scene::{
     Camera, EnvMap, Field, Gaussians, IndirectForm, Model, ShadeAt, ShadingOptions, texel_directions,
 };
+use relume_spec::rendering::{Output, Quality, Tier};
+use relume_train::render::{Frame, Renderer};
 
 const ORDER: usize = 4;
 
@@ -126,7 +126,7 @@ fn distance(a: &Frame, b: &Frame, output: Output) -> f64 {
 }
 
 #[test]
-fn the_shadow_of_a_sun_is_closer_to_the_reference_where_it_is_measured_by_itself() {
+fn separately_measured_sun_shadow_is_closer_to_the_reference() {
     let (map, even) = (sun(), EnvMap::constant(64, 32, [0.7; 3]));
     for shade_at in [ShadeAt::Gaussian, ShadeAt::Pixel] {
         let mut model = (*table()).clone();
@@ -151,7 +151,7 @@ fn the_shadow_of_a_sun_is_closer_to_the_reference_where_it_is_measured_by_itself
 }
 
 #[test]
-fn a_shadow_falls_on_part_of_a_gaussian_where_pixels_ask_for_it() {
+fn high_tier_casts_shadows_on_parts_of_a_gaussian() {
     let discs = [(DVec3::ZERO, DVec3::Z, 4.0), (DVec3::new(0.0, 0.0, 0.45), DVec3::Z, 0.15)];
     for shade_at in [ShadeAt::Gaussian, ShadeAt::Pixel] {
         let mut model = (*model(&discs, 0.6, 0.0)).clone();
@@ -171,7 +171,7 @@ fn a_shadow_falls_on_part_of_a_gaussian_where_pixels_ask_for_it() {
 }
 
 #[test]
-fn colour_without_other_outputs_is_the_colour_with_them_where_gaussians_are_shaded() {
+fn colour_does_not_depend_on_other_requested_outputs() {
     let light = EnvMap::constant(64, 32, [0.9, 0.5, 0.2]);
     let camera = camera(48);
     let colour = |shade_at: ShadeAt, tier: Tier, outputs: &[Output]| {
@@ -194,7 +194,7 @@ fn colour_without_other_outputs_is_the_colour_with_them_where_gaussians_are_shad
 }
 
 #[test]
-fn sheen_brightens_the_light_of_sun_and_sky_alike() {
+fn sheen_brightens_sun_and_sky_light_equally() {
     let discs: Vec<Disc> = plate(40, 0.05, 0.0).collect();
     let plain = model(&discs, 0.3, 0.0);
     let mut cloth = (*plain).clone();
@@ -219,7 +219,7 @@ fn sheen_brightens_the_light_of_sun_and_sky_alike() {
 }
 
 #[test]
-fn a_white_surface_that_nothing_hides_is_white_in_a_white_furnace() {
+fn unoccluded_white_surface_is_white_in_a_white_furnace() {
     let disc = model(&[(DVec3::ZERO, DVec3::Z, 1.5)], 1.0, 0.0);
     let renderer = Renderer::new(disc);
     let white = EnvMap::constant(32, 16, [1.0; 3]);
@@ -256,7 +256,7 @@ fn ball() -> Arc<Model> {
 }
 
 #[test]
-fn the_reference_converges_as_monte_carlo_does() {
+fn reference_converges_at_the_monte_carlo_rate() {
     let renderer = Renderer::new(table());
     let map = sun();
     let truth = frame(&renderer, &map, Quality { seed: 99, ..Quality::monte_carlo(2048) }, 24);
@@ -280,7 +280,7 @@ fn the_reference_converges_as_monte_carlo_does() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_on_one_thread_and_on_four() {
+fn equal_seeds_give_equal_bytes_on_one_and_four_threads() {
     let run = |threads: usize, quality: Quality| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| frame(&Renderer::new(table()), &sun(), quality, 24))
@@ -294,7 +294,7 @@ fn the_same_seed_gives_the_same_bytes_on_one_thread_and_on_four() {
 }
 
 #[test]
-fn samples_out_of_range_are_refused_by_name_and_extreme_lights_stay_finite() {
+fn samples_out_of_range_are_refused_and_bright_lights_finite() {
     let renderer = Renderer::new(table());
     let light = renderer.prepare_light(&sun()).unwrap();
     for samples in [0, Quality::MOST_SAMPLES + 1] {

@@ -3,11 +3,14 @@
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
+use relume_capture::formats::model_file;
 use relume_capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
 use relume_engine::Device;
-use relume_capture::formats::model_file;
 use relume_scene::{EnvMap, Field, IndirectForm, Model, VisibilityForm};
-use relume_spec::training::{Complexity, KnownLight, LabelSource, LightExposure, LossWeights, Preset, TrainConfig, TrainOverrides};
+use relume_spec::training::{
+    Complexity, KnownLight, LabelSource, LightExposure, LossWeightChanges, Preset, TrainConfig,
+    TrainOverrides,
+};
 use relume_train::{Preparation, TrainError, Trainer};
 
 fn capture() -> &'static Capture {
@@ -58,7 +61,7 @@ fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_for_one_thread_and_for_three() {
+fn equal_seeds_give_equal_bytes_on_one_and_three_threads() {
     let one = with_threads(1, || trained(&overrides()));
     let three = with_threads(3, || trained(&overrides()));
     assert!(one == three, "the number of threads must not show in the bytes");
@@ -67,7 +70,7 @@ fn the_same_seed_gives_the_same_bytes_for_one_thread_and_for_three() {
 }
 
 #[test]
-fn how_many_photographs_are_kept_decoded_does_not_show_in_the_bytes() {
+fn photograph_cache_size_does_not_change_the_model() {
     // Photographs that are divided by their gains are decoded anew.
     let overrides = TrainOverrides { match_exposures: Some(false), ..overrides() };
     let trained = |bytes: usize| {
@@ -88,7 +91,7 @@ fn how_many_photographs_are_kept_decoded_does_not_show_in_the_bytes() {
 }
 
 #[test]
-fn a_resumed_training_ends_with_the_bytes_of_an_undisturbed_one() {
+fn resumed_training_gives_the_same_bytes() {
     let undisturbed = trained(&overrides());
     // 30 lies between two probe refreshes, two density rounds and two snapshots.
     for stop in [1, 17, 30, 59] {
@@ -105,7 +108,7 @@ fn a_resumed_training_ends_with_the_bytes_of_an_undisturbed_one() {
 }
 
 #[test]
-fn a_checkpoint_of_another_configuration_or_cut_short_is_refused_by_name() {
+fn checkpoint_of_another_config_or_truncated_is_refused() {
     let mut trainer = Trainer::new(capture(), config(&overrides()), &Device::Cpu).unwrap();
     trainer.step().unwrap();
     let bytes = trainer.checkpoint().unwrap();
@@ -122,7 +125,7 @@ fn a_checkpoint_of_another_configuration_or_cut_short_is_refused_by_name() {
 }
 
 #[test]
-fn training_explains_the_photographs_better_step_by_step() {
+fn training_improves_psnr_by_three_decibels() {
     let long = TrainOverrides { iterations: Some(240), ..overrides() };
     let mut trainer = Trainer::new(capture(), config(&long), &Device::Cpu).unwrap();
     let mut psnr = Vec::new();
@@ -149,7 +152,7 @@ fn every_label_source_trains_to_finite_parameters() {
 }
 
 #[test]
-fn a_known_light_stays_fixed_through_a_resumption_and_is_named_where_missing() {
+fn known_light_stays_fixed_after_resume_and_must_exist() {
     let light =
         KnownLight { environment: "lamp".into(), rotation_deg: 0.0, exposure_ev: LightExposure::Stops(-1.0) };
     let config = config(&TrainOverrides { light: Some(light), ..overrides() });
@@ -174,7 +177,7 @@ fn a_known_light_stays_fixed_through_a_resumption_and_is_named_where_missing() {
 }
 
 #[test]
-fn wild_step_sizes_end_in_a_finite_model_or_a_refusal() {
+fn extreme_step_sizes_end_in_a_finite_model_or_an_error() {
     let rates = serde_json::from_value(serde_json::json!({
         "mean": 1000.0, "mean_final": 1000.0, "scale": 1000.0, "opacity": 1000.0, "radiance": 1000.0
     }));
@@ -195,9 +198,13 @@ fn wild_step_sizes_end_in_a_finite_model_or_a_refusal() {
 }
 
 #[test]
-fn extreme_weights_do_not_poison_a_model() {
-    let heavy =
-        LossWeights { depth_normal: 1000.0, flatness: 1000.0, smoothness: 1000.0, ..Default::default() };
+fn extreme_weights_give_a_finite_model() {
+    let heavy = LossWeightChanges {
+        depth_normal: Some(1000.0),
+        flatness: Some(1000.0),
+        smoothness: Some(1000.0),
+        ..Default::default()
+    };
     let bytes = trained(&TrainOverrides { weights: Some(heavy), iterations: Some(40), ..overrides() });
     assert!(model_file::decode(&bytes).unwrap().gaussians.is_finite());
 }
@@ -229,7 +236,7 @@ fn auto_model(scene: SyntheticScene, overrides: &TrainOverrides) -> Model {
 }
 
 #[test]
-fn auto_complexity_drops_visibility_on_a_ball_and_keeps_it_on_a_table() {
+fn auto_complexity_drops_visibility_on_a_ball_not_on_a_table() {
     let ball = auto_model(SyntheticScene::MatteBall, &auto());
     assert_eq!(ball.shading.visibility, VisibilityForm::Off, "{}", ball.card["complexity"]);
     assert_eq!(ball.shading.indirect, IndirectForm::Off);
@@ -246,7 +253,7 @@ fn auto_complexity_drops_visibility_on_a_ball_and_keeps_it_on_a_table() {
 }
 
 #[test]
-fn a_training_resumed_around_its_complexity_decisions_ends_with_the_same_bytes() {
+fn resume_around_complexity_decisions_gives_the_same_bytes() {
     let start = || Trainer::new(capture(), sized(&auto()), &Device::Cpu).unwrap();
     let undisturbed = run(start());
     // Decisions fall after 15 and 37 steps and at the end.

@@ -6,12 +6,12 @@ use std::sync::OnceLock;
 use relume_capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
 use relume_compare::largest_difference;
 use relume_engine::Device;
-use relume_train::eval::{EvalOptions, evaluate};
 use relume_scene::{EnvMap, Field};
 use relume_spec::training::{KnownLight, LightExposure, Preset, TrainConfig, TrainOverrides};
+use relume_train::eval::{EvalOptions, evaluate};
 use relume_train::{StepReport, TrainError, Trainer};
 
-use crate::requirements::gpu_device;
+use relume_reference::gpu_device;
 
 /// Turns of the light in the photographs, degrees: whole columns of the environment's 32, and not.
 const TURNS: [f64; 3] = [0.0, 112.5, 240.0];
@@ -79,7 +79,7 @@ fn finish(trainer: &mut Trainer) -> Vec<StepReport> {
 }
 
 #[test]
-fn photographs_are_explained_better_with_the_turns_of_their_light_than_without() {
+fn light_rotations_of_a_turntable_improve_psnr() {
     let psnr = |used: bool| {
         let overrides = TrainOverrides { light_rotations: Some(used), ..overrides() };
         let mut trainer = trainer(turntable(), &overrides, &Device::Cpu);
@@ -112,7 +112,7 @@ fn first_steps(mut capture: Capture, overrides: &TrainOverrides, device: &Device
     (1..=2).map(of_step).collect()
 }
 
-fn a_turn_of_every_photograph_is_a_turn_of_the_light(device: &Device) {
+fn assert_photograph_light_rotation_equals_light_rotation(device: &Device) {
     let capture = photographs(lamp());
     let turned = |degrees: f64| {
         let mut capture = capture.clone();
@@ -129,19 +129,19 @@ fn a_turn_of_every_photograph_is_a_turn_of_the_light(device: &Device) {
 }
 
 #[test]
-fn a_turn_of_every_photograph_is_a_turn_of_the_light_on_the_cpu() {
-    a_turn_of_every_photograph_is_a_turn_of_the_light(&Device::Cpu);
+fn photograph_light_rotation_equals_light_rotation_on_the_cpu() {
+    assert_photograph_light_rotation_equals_light_rotation(&Device::Cpu);
 }
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_turn_of_every_photograph_is_a_turn_of_the_light_on_a_gpu() {
-    a_turn_of_every_photograph_is_a_turn_of_the_light(gpu_device());
+fn photograph_light_rotation_equals_light_rotation_on_a_gpu() {
+    assert_photograph_light_rotation_equals_light_rotation(gpu_device());
 }
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_turning_light_trains_on_a_gpu_as_on_the_cpu() {
+fn rotating_light_trains_equally_on_gpu_and_cpu() {
     let still = TrainOverrides { light_rotations: Some(false), ..known(0.0) };
     let expected = first_steps(turntable().clone(), &known(0.0), &Device::Cpu);
     let found = first_steps(turntable().clone(), &known(0.0), gpu_device());
@@ -158,7 +158,7 @@ fn a_turning_light_trains_on_a_gpu_as_on_the_cpu() {
 }
 
 #[test]
-fn a_training_under_a_turning_light_resumes_with_the_same_bytes() {
+fn training_with_rotating_light_resumes_with_the_same_bytes() {
     let form = TrainOverrides { iterations: Some(60), probe_every: Some(13), ..overrides() };
     let means = |mut trainer: Trainer| {
         finish(&mut trainer);
@@ -175,7 +175,7 @@ fn a_training_under_a_turning_light_resumes_with_the_same_bytes() {
 }
 
 #[test]
-fn turns_of_photographs_that_a_capture_came_without_are_refused() {
+fn light_rotations_missing_from_the_capture_are_refused() {
     let mut capture = photographs(lamp());
     let turns = BTreeMap::from([("train_001/rgba.png".to_owned(), 30.0)]);
     let overrides = TrainOverrides { light_rotation_per_photo: Some(turns.clone()), ..overrides() };

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use relume_capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
 use crate::cli::args::{named, overrides};
 use crate::cli::bench::input::{file_name, read_capture};
 use crate::cli::bench::table::{head, machine, publish, row};
@@ -10,11 +9,12 @@ use crate::cli::bench::training::{Trained, train_and_evaluate};
 use crate::cli::error::CommandResult;
 use crate::cli::explain::findings;
 use crate::cli::light::illuminate;
+use relume_capture::formats::model_file;
+use relume_capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
 use relume_engine::Device;
 use relume_engine::DeviceChoice;
-use relume_train::eval::Report;
-use relume_capture::formats::model_file;
 use relume_spec::training::{Complexity, Preset, TrainConfig};
+use relume_train::eval::Report;
 
 /// The synthetic scenes, by the name they have in the table.
 const SCENES: [(&str, SyntheticScene); 4] = [

@@ -4,18 +4,18 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use relume_capture::{Capture, SyntheticOptions, builtin, synthetic};
 use crate::cli::bench::table::{head, machine, publish, row};
 use crate::cli::error::CommandResult;
+use relume_capture::{Capture, SyntheticOptions, builtin, synthetic};
 use relume_engine::Device;
 use relume_engine::DeviceChoice;
 use relume_engine::gpu::{Counts, StageTime};
-use relume_train::eval::figure;
-use relume_spec::rendering::{Output, Quality, Tier};
-use relume_train::render::Renderer;
 use relume_scene::{Camera, Model};
+use relume_spec::rendering::{Output, Quality, Tier};
 use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
 use relume_train::Trainer;
+use relume_train::eval::figure;
+use relume_train::render::Renderer;
 
 /// Steps before the measurement, in which pipelines are compiled and buffers grow to their size.
 const WARM_UP: usize = 5;

@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use relume_capture::{Capture, CaptureError, ImportOptions, import};
 use crate::cli::input;
+use relume_capture::{Capture, CaptureError, ImportOptions, import};
 use relume_scene::Model;
 
 /// A capture with its ground truth, its longest image side at most `resolution` pixels.

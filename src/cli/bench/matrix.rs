@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
-use relume_capture::Capture;
 use crate::cli::args::named;
 use crate::cli::bench::input::{file_name, read_capture};
 use crate::cli::bench::table::{head, row};
@@ -13,10 +12,11 @@ use crate::cli::bench::training::{Trained, train_and_evaluate};
 use crate::cli::error::CommandResult;
 use crate::cli::light::illuminate;
 use crate::cli::output;
-use relume_engine::{Device, DeviceChoice};
-use relume_train::eval::figure;
+use relume_capture::Capture;
 use relume_capture::formats::model_file;
+use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::{Method, Preset, TrainConfig, TrainOverrides};
+use relume_train::eval::figure;
 
 /// Options of `relume bench matrix`.
 #[derive(Debug, clap::Args)]
@@ -226,7 +226,7 @@ mod tests {
     use relume_capture::{SyntheticOptions, synthetic};
 
     #[test]
-    fn every_built_in_variant_is_a_configuration_of_its_own() {
+    fn every_built_in_variant_has_a_distinct_configuration() {
         let mut seen = Vec::new();
         for v in ablation().into_iter().chain(orders()).chain(methods()) {
             let overrides: TrainOverrides = serde_json::from_value(Value::Object(v.overrides)).unwrap();
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn every_method_trains_and_only_colour_alone_has_no_relit_figures() {
+    fn every_method_trains_and_only_3dgs_has_no_relit_metrics() {
         let options =
             SyntheticOptions { size: 24, train_views: 3, test_views: 1, paths: 4, ..Default::default() };
         let capture = synthetic(&options).unwrap();

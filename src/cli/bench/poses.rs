@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use relume_capture::poses::{PoseOptions, Watch, find_poses};
-use relume_capture::{ImportLimits, PhotoCamera, Unposed, cameras};
 use crate::cli::bench::input::file_name;
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
-use relume_train::eval::PoseErrors;
+use relume_capture::poses::{PoseOptions, Watch, find_poses};
+use relume_capture::{ImportLimits, PhotoCamera, Unposed, cameras};
 use relume_scene::Camera;
+use relume_train::eval::PoseErrors;
 
 /// Options of `relume bench poses`.
 #[derive(Debug, clap::Args)]

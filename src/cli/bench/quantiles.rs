@@ -28,7 +28,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_are_times_within_which_a_share_was_done() {
+    fn quantiles_use_the_nearest_rank() {
         let times = Quantiles::of((1..=200).rev().map(f64::from).collect());
         let found = [0.5, 0.95, 0.99, 1.0].map(|share| times.at(share));
         assert_eq!(found, [100.0, 190.0, 198.0, 200.0].map(Some));

@@ -9,16 +9,16 @@ use futures::future::try_join_all;
 use tempfile::TempDir;
 use tokio::task::JoinHandle;
 
-use relume_api::jobs::{JobProgress, NewJob};
-use relume_api::metadata::ResourceMetadata;
-use relume_api::quality::Figures;
-use relume_api::{CaptureId, TenantId};
-use relume_spec::CaptureReport;
 use crate::cli::bench::quantiles::Quantiles;
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
 use crate::jobs::{Jobs, LeasePolicy, Origin, RandomIds, SystemClock};
 use crate::store::{CaptureRecord, DatabaseUrl, Filter, LeaseStatus, ModelRecord, Page, Store, StoreError};
+use relume_api::jobs::{JobProgress, NewJob};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::quality::Figures;
+use relume_api::{CaptureId, TenantId};
+use relume_spec::CaptureReport;
 
 /// Tasks that submit jobs.
 const CLIENTS: u64 = 16;

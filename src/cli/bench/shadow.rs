@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 
-use relume_capture::CaptureView;
 use crate::cli::bench::input::{BenchModel, read_capture};
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
+use relume_capture::CaptureView;
 use relume_engine::cpu::linear_from_srgb;
+use relume_scene::EnvMap;
 use relume_spec::rendering::{Output, Tier};
 use relume_train::render::Renderer;
-use relume_scene::EnvMap;
 
 /// Cosine to +Z of normals that face up: one plane, which only shadows divide.
 const UP: f32 = 0.95;
@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_shadow_in_the_albedo_is_told_and_a_clean_albedo_has_none() {
+    fn shadow_baked_into_the_albedo_is_measured_in_percent() {
         let ground = |left: f32| -> Vec<Ground> {
             (0..100)
                 .map(|i| (if i < 60 { 1.0 } else { 0.2 }, if i < 60 { 1.1 } else { 1.1 * left }))

@@ -3,13 +3,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use relume_capture::Capture;
 use crate::cli::error::CommandResult;
+use relume_capture::Capture;
 use relume_engine::Device;
-use relume_train::eval::{EvalOptions, Report, evaluate};
 use relume_scene::Model;
 use relume_spec::training::TrainConfig;
 use relume_train::Trainer;
+use relume_train::eval::{EvalOptions, Report, evaluate};
 
 /// A trained model and its scores.
 pub(super) struct Trained {

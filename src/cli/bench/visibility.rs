@@ -4,19 +4,19 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 
-use relume_capture::{Capture, CaptureView};
 use crate::cli::bench::input::{BenchModel, read_capture};
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
-use relume_layout::channel::Channels;
-use relume_layout::constants::EarlyStop;
+use relume_capture::{Capture, CaptureView};
 use relume_engine::cpu::{AttributeSource, Occluders, Pass, Surface, surface_at, surface_point};
 use relume_engine::{RasterCamera, fibonacci_sphere};
-use relume_train::eval::evenly_spaced;
+use relume_layout::channel::Channels;
+use relume_layout::constants::EarlyStop;
 use relume_scene::light::sh_eval;
-use relume_spec::rendering::{Output, Tier};
-use relume_train::render::Renderer;
 use relume_scene::{EnvMap, Field, Model, VisibilityForm};
+use relume_spec::rendering::{Output, Tier};
+use relume_train::eval::evenly_spaced;
+use relume_train::render::Renderer;
 
 /// Least coverage of a surface point; pixels of less coverage are edges, which blend several surfaces.
 const SOLID: f32 = 0.9;
@@ -258,7 +258,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn correlation_is_one_along_a_line_minus_one_against_it_and_nothing_for_a_constant() {
+    fn correlation_is_one_minus_one_or_zero_for_constant_input() {
         let of = |pairs: &[[f64; 2]]| {
             let mut sums = PairSums::default();
             sums.add(pairs);

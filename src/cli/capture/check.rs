@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use crate::cli::error::CommandResult;
 use relume_capture::check::{PhotoFacts, PhotographsReport, check_photographs};
 use relume_capture::{ImportLimits, Unposed};
-use crate::cli::error::CommandResult;
 
 /// Names of photographs that a line shows.
 const SHOWN: usize = 12;

@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::cli::error::CommandResult;
 use relume_capture::poses::{
     ClipOptions, PoseOptions, PoseProgress, PoseStage, Watch, find_poses, frames_of_clip, is_clip,
 };
 use relume_capture::{ImportLimits, Unposed};
-use crate::cli::error::CommandResult;
 
 /// How poses are found where photographs have none.
 #[derive(Debug, clap::Args)]
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_made_lies_beside_what_it_is_made_of() {
+    fn output_folder_is_placed_beside_the_input() {
         let folder = tempfile::TempDir::new().unwrap();
         let at = folder.path();
         std::fs::create_dir(at.join("my.photos")).unwrap();

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use super::frame_list::FrameList;
 use crate::cli::args::{QualityArgs, named};
 use relume_engine::DeviceChoice;
-use relume_spec::rendering::{AlphaMode, Background, ColourDepth, Output, Primaries, ToneCurve};
 use relume_scene::Model;
+use relume_spec::rendering::{AlphaMode, Background, ColourDepth, Output, Primaries, ToneCurve};
 
 /// Options of `relume render`.
 #[derive(Debug, clap::Args)]
@@ -151,7 +151,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_that_make_no_picture_are_refused() {
+    fn invalid_numbers_and_resolutions_are_refused() {
         assert_eq!(
             (finite("-1e3"), up_to::<20>("-20"), up_to::<90>("89.5")),
             (Ok(-1e3), Ok(-20.0), Ok(89.5))

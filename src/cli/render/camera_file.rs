@@ -6,10 +6,10 @@ use serde_json::Value;
 
 use super::args::CameraArgs;
 use crate::camera_path::{path_views, photo_view};
+use crate::cli::input;
 use relume_api::NerfstudioWorld;
 use relume_api::problem::FieldError;
 use relume_capture::{ImportLimits, cameras_of_colmap};
-use crate::cli::input;
 use relume_train::render::{View, resized};
 
 /// Most frames of a file.
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resolution_scales_cameras_and_stretches_none() {
+    fn resolution_scales_cameras_but_keeps_the_aspect_ratio() {
         let file = json!({ "width": 64, "height": 48, "cameras": [{ "light_rotation_deg": 30,
             "camera": { "look_at": { "eye": [3, 0, 0], "target": [0, 0, 0], "fov_y_deg": 40 } } }] });
         let small = views(&file, None).unwrap()[0];
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn invalid_camera_files_are_refused_with_the_field_name() {
         let look = json!({ "look_at": { "eye": [3, 0, 0], "target": [3, 0, 0], "fov_y_deg": 40 } });
         for (file, word) in [
             (json!({}), "camera_path"),

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_are_written_as_farms_write_them() {
+    fn frame_lists_use_the_render_farm_syntax() {
         let of = |text: &str| -> Vec<u64> {
             let list: FrameList = text.parse().unwrap();
             (0..=30).filter(|number| list.contains(*number)).collect()
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_outside_the_sequence_is_refused() {
+    fn a_frame_number_outside_the_sequence_is_refused() {
         let check = |text: &str| text.parse::<FrameList>().unwrap().check(1001, 1010);
         assert_eq!(check("1001-1010"), Ok(()));
         for (outside, number) in [("1000", "1000"), ("1001,1011", "1011"), ("1001-1011", "1011")] {

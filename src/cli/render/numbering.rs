@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_are_numbered_as_compositing_programs_write_it() {
+    fn frame_files_are_numbered_by_a_printf_pattern() {
         let file = |pattern: &str, first, index| {
             Numbering::of(Path::new(pattern), first).map(|n| n.file(index).display().to_string())
         };

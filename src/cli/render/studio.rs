@@ -8,9 +8,9 @@ use crate::cli::error::CommandResult;
 use crate::cli::input;
 use crate::cli::light::named_light;
 use relume_engine::Device;
+use relume_scene::{Illumination, Model};
 use relume_spec::rendering::{Background, FrameFormat, Output, Quality, Tier};
 use relume_train::render::{Finish, FrameNotes, PreparedLight, Renderer, View, encode_frame};
-use relume_scene::{Illumination, Model};
 
 /// A model and a light, ready to be rendered many times.
 pub(super) struct Studio {

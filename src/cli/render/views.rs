@@ -2,8 +2,8 @@
 
 use super::args::CameraArgs;
 use crate::cli::error::CommandResult;
-use relume_train::render::{Turntable, View, orbit_camera, turn_light};
 use relume_scene::Model;
+use relume_train::render::{Turntable, View, orbit_camera, turn_light};
 
 /// What the frames show, in their order: cameras of a file, a turntable or one picture.
 pub(super) fn views(

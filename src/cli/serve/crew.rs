@@ -1,7 +1,7 @@
 //! Options about what trains in a server.
 
-use relume_engine::{AdapterReport, DeviceChoice, adapters};
 use crate::server::{ServerConfig, Trainers};
+use relume_engine::{AdapterReport, DeviceChoice, adapters};
 
 /// Options about what trains in a server.
 #[derive(Debug, clap::Args)]

@@ -10,8 +10,8 @@ use tokio::signal::unix::{SignalKind, signal};
 use crate::cli::CommandResult;
 use crate::cli::artifacts::ArtifactsArgs;
 use crate::cli::database::DatabaseArgs;
-use relume_engine::DeviceChoice;
 use crate::server::{self, CorsOrigin, ServerConfig};
+use relume_engine::DeviceChoice;
 
 mod crew;
 mod fairness;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 pub(super) use crate::cli::size::size;
-use crate::store::{ObjectStoreConfig, ArtifactsRedirect, Retention};
+use crate::store::{ArtifactsRedirect, ObjectStoreConfig, Retention};
 
 /// Options about what is stored and for how long.
 #[derive(Debug, clap::Args)]
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_have_units_and_days_are_bounded() {
+    fn storage_options_parse_sizes_days_and_redirect_origins() {
         let read = ["1000", "20GiB", "3 MiB", "2TiB"].map(|text| size(text).unwrap());
         assert_eq!(read, [1000, 20 << 30, 3 << 20, 2 << 40]);
         for wrong in ["", "0", "-1", "GiB", "1.5GiB", "20GB", "99999999999TiB"] {

@@ -30,7 +30,11 @@ impl ActivityState {
 impl Activity {
     /// A connection that was just opened.
     pub(super) fn new() -> Arc<Self> {
-        Arc::new(Self(watch::Sender::new(ActivityState { requests: 0, in_head: false, since: Instant::now() })))
+        Arc::new(Self(watch::Sender::new(ActivityState {
+            requests: 0,
+            in_head: false,
+            since: Instant::now(),
+        })))
     }
 
     /// Bytes arrived. Between requests they begin the head of the next.
@@ -46,7 +50,9 @@ impl Activity {
 
     /// A request's head is complete; the connection is busy until the result is dropped.
     pub(super) fn begin(self: &Arc<Self>) -> Busy {
-        self.0.send_modify(|state| *state = ActivityState { requests: state.requests + 1, in_head: false, ..*state });
+        self.0.send_modify(|state| {
+            *state = ActivityState { requests: state.requests + 1, in_head: false, ..*state }
+        });
         Busy(self.clone())
     }
 
@@ -105,7 +111,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn quiet_clients_have_longer_than_half_sent_heads_and_more_bytes_buy_no_time() {
+    async fn partial_heads_time_out_sooner_than_idle_connections() {
         let quiet = Activity::new();
         assert_eq!(seconds(&quiet).await, 10);
         let sending = Activity::new();
@@ -116,7 +122,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn no_time_runs_while_a_request_is_answered() {
+    async fn idle_timeout_is_paused_while_a_request_is_handled() {
         let activity = Activity::new();
         activity.received();
         let busy = activity.begin();

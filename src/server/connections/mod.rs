@@ -37,7 +37,7 @@ use tower::ServiceExt;
 use crate::server::problem::Problem;
 use activity::Activity;
 pub use limits::{ConnectionLimits, raise_file_limit};
-use registry::{Registry, ConnectionSlot};
+use registry::{ConnectionSlot, Registry};
 use unread::UnreadBody;
 
 /// Pause after the operating system gave no socket, e.g. because this process may open no more files.
@@ -204,7 +204,7 @@ mod tests {
     use axum::routing::get;
 
     #[tokio::test]
-    async fn when_a_client_goes_what_was_done_for_it_is_dropped() {
+    async fn client_disconnect_cancels_its_request_handler() {
         let (begun, dropped, stop) = <(CancellationToken, CancellationToken, CancellationToken)>::default();
         let (begins, drops) = (begun.clone(), dropped.clone());
         let handler = move || async move {

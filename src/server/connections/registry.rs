@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn the_connection_that_has_waited_longest_goes_and_never_one_that_is_answered() {
+    async fn at_the_limit_the_longest_idle_connection_is_closed() {
         let registry = registry(3, 9);
         let answered = from(&registry, 1).unwrap();
         let _busy = answered.activity.begin();
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn when_all_are_answered_one_more_is_turned_away_until_one_ends() {
+    fn new_connections_are_refused_while_all_are_busy() {
         let registry = registry(2, 9);
         let (one, two) = (from(&registry, 1).unwrap(), from(&registry, 2).unwrap());
         let _busy = (one.activity.begin(), two.activity.begin());
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_at_its_bound_displaces_its_own_and_loopback_has_none() {
+    fn per_address_limit_closes_own_connections_except_loopback() {
         let registry = registry(100, 2);
         let other = from(&registry, 9).unwrap();
         let own = [1, 1, 1].map(|last| from(&registry, last).unwrap());

@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_little_that_is_left_of_a_body_is_taken_and_much_is_not() {
+    async fn short_unread_bodies_are_drained_and_long_ones_are_not() {
         let none = HeaderMap::new();
         for (pieces, read) in [(0, 0), (3, 0), (3, 2), (3, 4), (60, 0), (2000, 1950), (2000, 2001)] {
             assert!(drained(pieces, read, &none).await, "{read} of {pieces} read");
@@ -148,14 +148,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_client_that_waits_for_leave_to_send_is_not_told_to_send_in_vain() {
+    async fn unread_body_with_expect_100_continue_is_not_drained() {
         let expect = HeaderMap::from_iter([(header::EXPECT, HeaderValue::from_static("100-continue"))]);
         assert!(!drained(3, 0, &expect).await);
         assert!(drained(3, 1, &expect).await, "it sends already");
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_body_that_does_not_come_is_not_waited_for() {
+    async fn draining_does_not_wait_for_a_body_that_is_not_sent() {
         let never = Body::from_stream(futures::stream::pending::<Result<Bytes, std::io::Error>>());
         let (unread, lent) = UnreadBody::lend(&HeaderMap::new(), never);
         drop(lent);
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_body_that_somebody_still_reads_may_have_more() {
+    async fn a_body_still_held_by_a_reader_is_not_drained() {
         let (unread, lent) = UnreadBody::lend(&HeaderMap::new(), Body::from("all"));
         assert!(!unread.drain_body().await);
         drop(lent);

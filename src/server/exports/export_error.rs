@@ -5,8 +5,8 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use crate::server::problem::Problem;
-use relume_api::problem::TYPE_PREFIX;
 use crate::store::StoreError;
+use relume_api::problem::TYPE_PREFIX;
 
 /// How long it is tried again while the server is busy.
 const MAX_BUSY_WAIT: Duration = Duration::from_secs(3600);

@@ -5,12 +5,12 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tracing::Instrument;
 
-use relume_api::ExportId;
-use relume_api::exports::NewExport;
 use crate::server::app::AppState;
-use crate::server::exports::export_error::{ExportError, BusyRetry};
+use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::{frames, splats};
 use crate::store::{ClaimedExport, ExportedFile, StoreError};
+use relume_api::ExportId;
+use relume_api::exports::NewExport;
 
 /// Time between two looks when nobody asks for one.
 const INTERVAL: Duration = Duration::from_secs(10);

@@ -7,16 +7,16 @@ use std::sync::Arc;
 use tokio::io::AsyncWriteExt;
 use tokio_util::sync::CancellationToken;
 
-use relume_api::exports::{FramesExport, Package};
-use relume_spec::rendering::{Background, FrameFormat};
-use relume_train::render::{Finish, View, Viewpoint};
 use crate::server::app::AppState;
-use crate::server::exports::export_error::{ExportError, BusyRetry};
+use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::plan::FramesPlan;
 use crate::server::exports::{splats, video, zip};
 use crate::server::{models, renders};
 use crate::store::{ExportRecord, ExportedFile, make_private};
 use crate::worker::{ModelSource, RenderTask};
+use relume_api::exports::{FramesExport, Package};
+use relume_spec::rendering::{Background, FrameFormat};
+use relume_train::render::{Finish, View, Viewpoint};
 
 /// Frames a second of a video that states none.
 const FPS: u32 = 24;
@@ -65,7 +65,11 @@ fn frame_name(index: usize, format: FrameFormat) -> String {
 }
 
 /// Where the cameras stand. A turntable takes that from the model, which is read for it.
-async fn views(app: &AppState, plan: &Arc<FramesPlan>, source: &ModelSource) -> Result<Vec<View>, ExportError> {
+async fn views(
+    app: &AppState,
+    plan: &Arc<FramesPlan>,
+    source: &ModelSource,
+) -> Result<Vec<View>, ExportError> {
     if !plan.needs_model() {
         return Ok(plan.path_views());
     }
@@ -140,6 +144,8 @@ async fn package(
 }
 
 /// Runs work that blocks.
-async fn run_blocking(work: impl FnOnce() -> Result<(), ExportError> + Send + 'static) -> Result<(), ExportError> {
+async fn run_blocking(
+    work: impl FnOnce() -> Result<(), ExportError> + Send + 'static,
+) -> Result<(), ExportError> {
     tokio::task::spawn_blocking(work).await.map_err(std::io::Error::other)?
 }

@@ -1,11 +1,11 @@
 //! The light of an export.
 
-use relume_api::renders::EnvironmentSpec;
-use crate::server::problem::Problem;
-use relume_api::TenantId;
 use crate::server::app::AppState;
 use crate::server::lights;
+use crate::server::problem::Problem;
 use crate::worker::LightSource;
+use relume_api::TenantId;
+use relume_api::renders::EnvironmentSpec;
 
 /// The light of an export. One that came with the request would have to be kept until the export is made.
 ///

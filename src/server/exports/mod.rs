@@ -3,19 +3,19 @@
 //! `routes.rs` checks and queues them, `exporter.rs` is the task that makes them: frames one at a time behind those that somebody looks
 //! at, other files beside that, one at a time, too.
 
-mod queue;
 mod export_error;
 mod exporter;
 mod frames;
 mod light;
 mod plan;
+mod queue;
 mod request;
 mod routes;
 mod splats;
 mod video;
 mod zip;
 
-pub(super) use queue::ExportQueue;
-pub use queue::ExportPolicy;
 pub(super) use exporter::work;
+pub use queue::ExportPolicy;
+pub(super) use queue::ExportQueue;
 pub(super) use routes::routes;

@@ -1,17 +1,17 @@
 //! A sequence of frames as it was asked for: cameras, light, quality and finish, checked.
 
 use crate::camera_path::path_views;
-use relume_api::exports::{FramesExport, Package, TurntableSpec};
-use crate::server::problem::Problem;
-use relume_api::TenantId;
-use relume_spec::rendering::{Background, FrameFormat, Quality, ToneCurve, is_colour};
-use relume_train::render::{Finish, FrameNotes, Turntable, View, resized, turn_light};
-use relume_scene::Model;
 use crate::server::app::AppState;
 use crate::server::exports::light::light;
 use crate::server::exports::video;
+use crate::server::problem::Problem;
 use crate::server::render_request::{check_finish, check_outputs, check_sides, quality};
 use crate::worker::LightSource;
+use relume_api::TenantId;
+use relume_api::exports::{FramesExport, Package, TurntableSpec};
+use relume_scene::Model;
+use relume_spec::rendering::{Background, FrameFormat, Quality, ToneCurve, is_colour};
+use relume_train::render::{Finish, FrameNotes, Turntable, View, resized, turn_light};
 
 /// Most frames of an export.
 const MOST_FRAMES: usize = 10_000;
@@ -190,8 +190,7 @@ fn finish(spec: &FramesExport) -> Finish {
 fn check_video(app: &AppState, spec: &FramesExport, cameras: &Cameras) -> Result<(), Problem> {
     let refused = |field: &str, why: &str| Err(Problem::invalid_field(field, why));
     if video::find(&app.exports.policy.ffmpeg).is_none() {
-        let why =
-            "mp4 requires ffmpeg, which is not installed on this server; use zip, or ask the operator to install ffmpeg";
+        let why = "mp4 requires ffmpeg, which is not installed on this server; use zip, or ask the operator to install ffmpeg";
         return refused("/package", why);
     }
     if spec.format == FrameFormat::Exr {
@@ -213,7 +212,10 @@ fn check_video(app: &AppState, spec: &FramesExport, cameras: &Cameras) -> Result
     if let Cameras::Path(views) = cameras
         && views.iter().any(|view| (view.camera.width, view.camera.height) != (width, height))
     {
-        return refused("/path", "has cameras of different sizes, but a video has one size: set width and height");
+        return refused(
+            "/path",
+            "has cameras of different sizes, but a video has one size: set width and height",
+        );
     }
     Ok(())
 }

@@ -7,8 +7,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
-use relume_api::ExportId;
 use crate::server::decoders::Decoders;
+use relume_api::ExportId;
 
 /// How exports are made.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -2,14 +2,14 @@
 
 use serde_json::Value;
 
-use relume_api::exports::{NewExport, SplatsExport};
-use crate::server::problem::Problem;
-use relume_api::TenantId;
-use relume_spec::rendering::{MOST_BAKED_DEGREE, Shown};
 use crate::server::app::AppState;
 use crate::server::exports::light::light;
 use crate::server::exports::plan::FramesPlan;
 use crate::server::extract;
+use crate::server::problem::Problem;
+use relume_api::TenantId;
+use relume_api::exports::{NewExport, SplatsExport};
+use relume_spec::rendering::{MOST_BAKED_DEGREE, Shown};
 
 /// Reads a body by its `kind`.
 ///
@@ -62,6 +62,8 @@ pub(super) fn shown(splats: &SplatsExport) -> Result<Option<Shown>, Problem> {
     match (splats.layer, &splats.environment) {
         (layer, None) => Ok(layer),
         (Some(Shown::Relit) | None, Some(_)) => Ok(Some(Shown::Relit)),
-        (Some(_), Some(_)) => Err(Problem::invalid_field("/environment", "is allowed only with the layer relit")),
+        (Some(_), Some(_)) => {
+            Err(Problem::invalid_field("/environment", "is allowed only with the layer relit"))
+        }
     }
 }

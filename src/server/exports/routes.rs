@@ -10,9 +10,6 @@ use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::exports::{ExportState, ExportView, NewExport};
-use relume_api::{ExportId, List, ModelId, TenantId};
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::description::File;
@@ -21,7 +18,10 @@ use crate::server::extract::{LargeJson, QueryString, UrlPath};
 use crate::server::files::{self, FileRequest};
 use crate::server::idempotency;
 use crate::server::listing::PageQuery;
+use crate::server::problem::Problem;
 use crate::store::{ExportDeletion, ExportRecord, ModelFile, StoreError, Submitted};
+use relume_api::exports::{ExportState, ExportView, NewExport};
+use relume_api::{ExportId, List, ModelId, TenantId};
 
 /// Where exports are.
 const EXPORTS: &str = "/v1/exports";

@@ -1,19 +1,19 @@
 //! Makes files of other programs.
 
-use relume_api::exports::{ExportKind, MeshExport, SplatsExport};
-use relume_api::renders::EnvironmentSpec;
-use relume_capture::formats::model_file;
-use relume_spec::rendering::Shown;
-use relume_train::render::{SplatFile, SplatFileError, encode_mesh_file, encode_splat_file, relit};
-use relume_scene::{Illumination, Model};
 use crate::server::app::AppState;
-use crate::server::exports::export_error::{ExportError, BusyRetry};
+use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::light::light;
 use crate::server::exports::request;
 use crate::server::memory::export_bytes;
 use crate::server::models;
 use crate::store::{ExportRecord, ExportedFile, make_private};
 use crate::worker::{LightSource, ModelContent, ModelSource};
+use relume_api::exports::{ExportKind, MeshExport, SplatsExport};
+use relume_api::renders::EnvironmentSpec;
+use relume_capture::formats::model_file;
+use relume_scene::{Illumination, Model};
+use relume_spec::rendering::Shown;
+use relume_train::render::{SplatFile, SplatFileError, encode_mesh_file, encode_splat_file, relit};
 
 /// Makes a file of Gaussians.
 pub(super) async fn make(
@@ -84,8 +84,14 @@ pub(super) async fn with_model<T: Send + 'static>(
 }
 
 /// The model under a light.
-fn relight(model: Model, light: &LightSource, spec: &EnvironmentSpec, degree: usize) -> Result<Model, ExportError> {
-    let map = light.map().map_err(|why| ExportError::failed(format!("the environment cannot be read: {why}")))?;
+fn relight(
+    model: Model,
+    light: &LightSource,
+    spec: &EnvironmentSpec,
+    degree: usize,
+) -> Result<Model, ExportError> {
+    let map =
+        light.map().map_err(|why| ExportError::failed(format!("the environment cannot be read: {why}")))?;
     let light = map.map_or_else(|| model.recovered_light(), |map| Illumination::from(&*map));
     let light = light.rotated_and_scaled(spec.rotation_deg, spec.exposure_ev.exp2() as f32);
     relit(model, light, degree).map_err(|error| ExportError::failed(error.to_string()))

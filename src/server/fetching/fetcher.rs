@@ -6,9 +6,9 @@ use futures::{Stream, StreamExt};
 use http_body_util::{BodyStream, Empty};
 use tokio::time::{Instant, timeout, timeout_at};
 
-use crate::server::problem::Problem;
 use crate::server::fetching::policy::{FetchOrigin, FetchPolicy};
 use crate::server::outbound::{self, Answer, OutboundTarget, Tls};
+use crate::server::problem::Problem;
 
 /// From where captures are fetched, and over which TLS.
 pub(in crate::server) struct Fetcher {
@@ -27,8 +27,12 @@ impl Fetcher {
         let target = OutboundTarget::parse(url, true).map_err(|why| refused(&why))?;
         match self.policy.origins.contains(&FetchOrigin::of(&target)) {
             true => Ok(target),
-            false if self.policy.origins.is_empty() => Err(refused("fetching is not configured on this server")),
-            false => Err(refused("its scheme, host and port are not among the origins from which this server fetches")),
+            false if self.policy.origins.is_empty() => {
+                Err(refused("fetching is not configured on this server"))
+            }
+            false => Err(refused(
+                "its scheme, host and port are not among the origins from which this server fetches",
+            )),
         }
     }
 
@@ -37,7 +41,8 @@ impl Fetcher {
         let request = Request::builder().body(Empty::<Bytes>::new()).map_err(Problem::internal)?;
         let asked = outbound::ask(target, self.policy.allow_private, &self.tls, request);
         let answer = timeout(self.policy.stall, asked).await;
-        let answer = answer.map_err(|_| failed("the host did not answer in time"))?.map_err(|why| failed(&why))?;
+        let answer =
+            answer.map_err(|_| failed("the host did not answer in time"))?.map_err(|why| failed(&why))?;
         match answer.response.status() {
             StatusCode::OK => Ok(answer),
             status if status.is_redirection() => {

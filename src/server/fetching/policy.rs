@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_origin_is_scheme_host_and_port_and_nothing_else() {
+    fn fetch_origins_are_compared_by_scheme_host_and_port() {
         let origin = |text: &str| text.parse::<FetchOrigin>();
         let of = |url: &str| FetchOrigin::of(&OutboundTarget::parse(url, true).unwrap());
         assert_eq!(origin("https://a.example"), Ok(of("https://A.example:443/x/y.zip?z=1")));

@@ -4,11 +4,11 @@ use axum::http::header;
 use futures::StreamExt;
 use tokio::time::Instant;
 
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::content_length;
 use crate::server::fetching::fetcher::failed;
+use crate::server::problem::Problem;
 use crate::store::StagedUpload;
 
 /// Fetches a file of at most `limit` bytes. After an error, and when the caller does not wait any more, nothing of it is left.

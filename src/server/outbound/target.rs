@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_url_is_taken_apart_or_refused() {
+    fn outbound_urls_are_parsed_or_refused() {
         let target = OutboundTarget::parse("https://example.org/a?b=c", false).unwrap();
         assert_eq!((target.host.as_str(), target.port, target.path.as_str()), ("example.org", 443, "/a?b=c"));
         let target = OutboundTarget::parse("https://example.org:8443", false).unwrap();
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn only_public_addresses_are_public() {
+    fn private_and_reserved_addresses_are_not_public() {
         let public = |text: &str| is_public(text.parse().unwrap_or_else(|_| panic!("{text}")));
         for address in [
             "0.0.0.0",
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_host_with_an_address_of_the_inside_is_refused_however_it_is_written() {
+    async fn private_host_is_refused_in_every_notation() {
         for host in ["127.0.0.1", "localhost", "[::1]", "[::ffff:127.0.0.1]", "0x7f.1", "2130706433", "0"] {
             let target = OutboundTarget::parse(&format!("https://{host}/"), false).unwrap();
             assert!(target.addresses(false).await.is_err(), "{host}");

@@ -25,7 +25,8 @@ impl Tls {
         S: AsyncRead + AsyncWrite + Unpin,
     {
         let config = self.config.get_or_try_init(load).await?.clone();
-        let name = ServerName::try_from(host.to_owned()).map_err(|_| "its host is not a valid TLS server name")?;
+        let name =
+            ServerName::try_from(host.to_owned()).map_err(|_| "its host is not a valid TLS server name")?;
         let connected = tokio_rustls::TlsConnector::from(config).connect(name, stream).await;
         connected.map_err(|error| format!("the TLS handshake failed: {error}"))
     }

@@ -4,8 +4,8 @@ use std::collections::HashSet;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use relume_api::CaptureId;
 use crate::store::{Store, StoreError};
+use relume_api::CaptureId;
 
 /// The folder of all of them.
 const FOLDER: &str = "poses";

@@ -11,12 +11,12 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::folder::{self, LOG};
-use relume_api::CaptureId;
-use crate::server::problem::Problem;
-use relume_capture::Source;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{NoQuery, QueryString, UrlPath};
+use crate::server::problem::Problem;
+use relume_api::CaptureId;
+use relume_capture::Source;
 
 /// Most bytes of a log that are kept and sent: its end.
 const LONGEST: u64 = 1 << 20;

@@ -1,14 +1,14 @@
 //! Poses for photographs that come without: a stage of the validation of a capture.
 
-mod queue;
 mod folder;
 mod log;
 mod pack;
 mod policy;
+mod queue;
 mod stage;
 
-pub(super) use queue::{PoseQueue, PoseJob};
-pub(super) use folder::{remove_leftovers, remove_folder, clean_up};
+pub(super) use folder::{clean_up, remove_folder, remove_leftovers};
 pub(super) use log::routes;
 pub use policy::PosesPolicy;
-pub(super) use stage::{needs_poses, find, refusal};
+pub(super) use queue::{PoseJob, PoseQueue};
+pub(super) use stage::{find, needs_poses, refusal};

@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_folder_becomes_a_tar_of_what_is_part_of_the_capture() {
+    async fn folder_is_packed_as_a_reproducible_tar_of_capture_files() {
         let folder = tempfile::TempDir::new().unwrap();
         for (name, bytes) in [
             ("images/b.jpg", 300_000),

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use relume_capture::poses::PoseOptions;
 use crate::server::memory::default_budget;
+use relume_capture::poses::PoseOptions;
 
 /// Whether and how poses are found.
 #[derive(Debug, Clone, PartialEq, Eq)]

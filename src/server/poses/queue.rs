@@ -7,9 +7,9 @@ use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 
 use super::policy::PosesPolicy;
-use relume_api::captures::{PosesProgress, PosesStage};
-use relume_api::CaptureId;
 use crate::server::problem::Problem;
+use relume_api::CaptureId;
+use relume_api::captures::{PosesProgress, PosesStage};
 use relume_capture::poses::{PoseProgress, PoseStage, colmap_version};
 
 /// The work on all captures.
@@ -127,7 +127,9 @@ impl Drop for PoseJob {
     }
 }
 
-fn lock(active: &Mutex<HashMap<CaptureId, ActiveCapture>>) -> std::sync::MutexGuard<'_, HashMap<CaptureId, ActiveCapture>> {
+fn lock(
+    active: &Mutex<HashMap<CaptureId, ActiveCapture>>,
+) -> std::sync::MutexGuard<'_, HashMap<CaptureId, ActiveCapture>> {
     // Each change of it is one that cannot panic halfway.
     active.lock().unwrap_or_else(PoisonError::into_inner)
 }

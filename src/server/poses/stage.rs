@@ -12,21 +12,26 @@ use tokio_util::sync::CancellationToken;
 
 use super::queue::PoseJob;
 use super::{folder, log, pack};
+use crate::server::app::AppState;
+use crate::server::problem::Problem;
+use crate::store::StagedUpload;
 use relume_api::problem::ContentError;
 use relume_api::{CaptureId, TenantId};
-use crate::server::problem::Problem;
 use relume_capture::poses::{PoseError, Watch, find_poses};
 use relume_capture::{ImportLimits, Unposed};
-use crate::server::app::AppState;
-use crate::store::StagedUpload;
 
 /// Whether an upload is one of photographs without poses, and this server finds them.
 pub(in crate::server) async fn needs_poses(app: &AppState, incoming: &StagedUpload) -> Result<bool, Problem> {
-    Ok(app.poses.policy.is_on && are_photographs(app, incoming).await? && app.poses.check_available().await.is_ok())
+    Ok(app.poses.policy.is_on
+        && are_photographs(app, incoming).await?
+        && app.poses.check_available().await.is_ok())
 }
 
 /// Why this server finds no poses for an upload; `None` where it is not one of photographs without poses.
-pub(in crate::server) async fn refusal(app: &AppState, incoming: &StagedUpload) -> Result<Option<String>, Problem> {
+pub(in crate::server) async fn refusal(
+    app: &AppState,
+    incoming: &StagedUpload,
+) -> Result<Option<String>, Problem> {
     if !are_photographs(app, incoming).await? {
         return Ok(None);
     }

@@ -1,11 +1,11 @@
 //! Complete uploads, for those who make something of them.
 
-use crate::server::problem::Problem;
-use relume_api::UploadId;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
+use crate::server::problem::Problem;
 use crate::server::uploads::finding::find_locked;
 use crate::store::StagedUpload;
+use relume_api::UploadId;
 
 /// The bytes of the complete upload that a body names.
 pub(in crate::server) async fn finalise(

@@ -2,11 +2,11 @@
 
 use axum::http::StatusCode;
 
-use crate::server::problem::Problem;
-use relume_api::UploadId;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
+use crate::server::problem::Problem;
 use crate::store::{UploadLock, UploadRecord};
+use relume_api::UploadId;
 
 /// The media type of a piece.
 pub(super) const PIECE: &str = "application/offset+octet-stream";
@@ -36,8 +36,7 @@ pub(super) async fn find_locked(
 ) -> Result<(UploadLock, UploadRecord), Problem> {
     find(app, caller, id).await?;
     let Some(lock) = app.store.lock_upload(id) else {
-        let problem =
-            Problem::new(StatusCode::LOCKED, "upload-locked", "Another request uses the upload");
+        let problem = Problem::new(StatusCode::LOCKED, "upload-locked", "Another request uses the upload");
         return Err(problem.detail("wait until it has ended, then get the offset").retry_after(1));
     };
     Ok((lock, find(app, caller, id).await?))

@@ -5,8 +5,8 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
 use crate::server::problem::Problem;
-use relume_api::problem::FieldError;
 use crate::store::{Checksum, UploadRecord};
+use relume_api::problem::FieldError;
 
 pub(super) const RESUMABLE: HeaderName = HeaderName::from_static("tus-resumable");
 pub(super) const VERSION: HeaderName = HeaderName::from_static("tus-version");
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_bytes_are_digits() {
+    fn upload_length_accepts_only_decimal_digits() {
         assert_eq!(length(&with(LENGTH, "12")).unwrap(), 12);
         for odd in ["", "-1", "+1", "1.0", "0x1", "1 ", "99999999999999999999", "9223372036854775808"] {
             let refused = length(&with(LENGTH, odd)).unwrap_err();
@@ -135,11 +135,13 @@ mod tests {
             );
         }
         assert!(length(&HeaderMap::new()).is_err() && offset(&HeaderMap::new()).is_err());
-        assert!(length(&with(DEFER, "1")).unwrap_err().detail.unwrap().contains("Upload-Defer-Length"));
+        assert!(
+            length(&with(DEFER, "1")).unwrap_err().detail.as_ref().unwrap().contains("Upload-Defer-Length")
+        );
     }
 
     #[test]
-    fn metadata_is_pairs_and_names_the_file() {
+    fn upload_metadata_pairs_are_parsed_with_the_filename() {
         let sent = "filetype YQ==,filename c2Nhbi56aXA=,private";
         assert_eq!(metadata(&with(METADATA, sent)).unwrap().as_deref(), Some(sent));
         assert_eq!(filename(sent).as_deref(), Some("scan.zip"));
@@ -151,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_checksum_has_the_length_of_its_algorithm() {
+    fn upload_checksum_must_match_the_algorithm_length() {
         let known = checksum(&with(CHECKSUM, "sha1 Kq5sNclPz7QV2+lfQIuc6R7oRu0=")).unwrap();
         assert!(matches!(known, Some(Checksum::Sha1(digest)) if digest.len() == 20));
         for odd in
@@ -162,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_written_as_http_writes_them() {
+    fn times_are_formatted_as_http_dates() {
         assert_eq!(http_date(784_111_777_000), "Sun, 06 Nov 1994 08:49:37 GMT");
     }
 }

@@ -1,10 +1,10 @@
 //! `/v1/uploads`: resumable uploads (tus 1.0.0).
 
+mod finalise;
 mod finding;
 mod headers;
 mod protocol;
 mod receiving;
-mod finalise;
 
 use axum::Json;
 use axum::extract::{Request, State};
@@ -14,22 +14,22 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::metadata::ResourceMetadata;
-use relume_api::uploads::{UploadState, UploadView};
-use relume_api::{List, UploadId};
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::deletion;
 use crate::server::description::File;
 use crate::server::extract::{NoQuery, QueryString, UrlPath, content_length, media_type};
 use crate::server::listing::{PageQuery, rfc3339};
+use crate::server::problem::Problem;
 use crate::server::uploads::finding::{PIECE, find, find_locked};
 use crate::store::UploadRecord;
+use relume_api::metadata::ResourceMetadata;
+use relume_api::uploads::{UploadState, UploadView};
+use relume_api::{List, UploadId};
 
+pub(super) use finalise::finalise;
 pub(super) use finding::expiry;
 pub(super) use protocol::advertise;
-pub(super) use finalise::finalise;
 
 /// The routes of this file that take no pieces.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
@@ -133,7 +133,10 @@ async fn create_upload(
         sha256: None,
         problem: None,
     };
-    app.store.begin_upload(&upload, app.upload_limits.each).await.map_err(|error| caller.problem_for(error))?;
+    app.store
+        .begin_upload(&upload, app.upload_limits.each)
+        .await
+        .map_err(|error| caller.problem_for(error))?;
     if brings_piece {
         upload = receiving::first_piece(&app, &caller, upload, request).await?;
     }
@@ -158,7 +161,11 @@ async fn create_upload(
         (status = 412, description = "Unsupported version of tus")
     )
 )]
-async fn head_upload(app: State<AppState>, caller: Caller, id: UrlPath<UploadId>) -> Result<Response, Problem> {
+async fn head_upload(
+    app: State<AppState>,
+    caller: Caller,
+    id: UrlPath<UploadId>,
+) -> Result<Response, Problem> {
     get_upload(app, caller, id).await
 }
 

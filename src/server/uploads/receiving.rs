@@ -5,14 +5,14 @@ use axum::http::StatusCode;
 use futures::TryStreamExt;
 use tower_http::timeout::TimeoutError;
 
-use crate::server::problem::Problem;
-use relume_api::UploadId;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{STALLED, caused_by, content_length, media_type};
+use crate::server::problem::Problem;
 use crate::server::uploads::finding::{PIECE, expiry, find_locked};
 use crate::server::uploads::headers;
-use crate::store::{Checksum, UploadLock, Piece, StoreError, UploadRecord};
+use crate::store::{Checksum, Piece, StoreError, UploadLock, UploadRecord};
+use relume_api::UploadId;
 
 /// Takes the piece that a request brings; the upload as it is then.
 pub(super) async fn piece(
@@ -28,7 +28,8 @@ pub(super) async fn piece(
     let checksum = headers::checksum(request.headers())?;
     let (lock, upload) = find_locked(app, caller, id).await?;
     if offset != upload.offset() {
-        let detail = format!("the offset of the upload is {}, the offset of the part is {offset}", upload.received);
+        let detail =
+            format!("the offset of the upload is {}, the offset of the part is {offset}", upload.received);
         return Err(Problem::conflict("offset-mismatch", detail));
     }
     append(app, caller, lock, upload, checksum, request).await

@@ -7,14 +7,14 @@ use std::time::Duration;
 use tokio::task::{Id, JoinSet};
 use tokio_util::sync::CancellationToken;
 
-use relume_api::WebhookId;
 use crate::jobs::Jobs;
 use crate::server::outbound::Tls;
 use crate::server::webhooks::policy::WebhookPolicy;
 use crate::server::webhooks::schedule::retry_delay;
-use crate::server::webhooks::sending::{Message, DeliveryOutcome, send};
+use crate::server::webhooks::sending::{DeliveryOutcome, Message, send};
 use crate::server::webhooks::signature::sign;
 use crate::store::{DeliveryAttempt, DeliveryRecord, StoreError};
+use relume_api::WebhookId;
 
 /// Time between two looks at what is due.
 const POLL: Duration = Duration::from_millis(500);
@@ -49,7 +49,8 @@ impl WebhookDispatcher {
                 Vec::new()
             });
             for delivery in due {
-                if busy.len() < MAX_CONCURRENT_WEBHOOKS && !busy.values().any(|id| *id == delivery.webhook_id) {
+                if busy.len() < MAX_CONCURRENT_WEBHOOKS && !busy.values().any(|id| *id == delivery.webhook_id)
+                {
                     let webhook = delivery.webhook_id.clone();
                     let task = under_way.spawn(self.clone().deliver(delivery));
                     busy.insert(task.id(), webhook);
@@ -83,13 +84,15 @@ impl WebhookDispatcher {
         let Some(DeliveryOutcome { status, error }) = self.try_once(&delivery).await else { return };
         let now_ms = self.jobs.now_ms();
         let retry_delay = retry_delay(&id, delivery.tries.saturating_add(1));
-        let retry_at_ms =
-            retry_delay.map(|retry_delay| now_ms.saturating_add(i64::try_from(retry_delay.as_millis()).unwrap_or(i64::MAX)));
+        let retry_at_ms = retry_delay.map(|retry_delay| {
+            now_ms.saturating_add(i64::try_from(retry_delay.as_millis()).unwrap_or(i64::MAX))
+        });
         let outcome = if error.is_none() { "delivered" } else { "failed" };
         metrics::counter!("relume_webhook_attempts_total", "outcome" => outcome).increment(1);
         tracing::info!(%webhook, delivery = %id, status, error, "tried a webhook");
         let attempt = DeliveryAttempt { at_ms: now_ms, status, error };
-        while let Err(error) = self.jobs.store().record_attempt(&delivery, attempt.clone(), retry_at_ms).await {
+        while let Err(error) = self.jobs.store().record_attempt(&delivery, attempt.clone(), retry_at_ms).await
+        {
             tracing::error!(%error, %webhook, delivery = %id, "what came of a webhook cannot be written down");
             tokio::time::sleep(RECORD_RETRY_INTERVAL).await;
         }

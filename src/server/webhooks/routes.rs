@@ -9,20 +9,20 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::webhooks::{
-    AttemptView, CreatedWebhook, DeliveryState, DeliveryView, NewWebhook, WebhookChange, WebhookView,
-    validate_webhook,
-};
-use relume_api::{DeliveryId, List, WebhookId};
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::{PageQuery, rfc3339};
 use crate::server::outbound::OutboundTarget;
+use crate::server::problem::Problem;
 use crate::server::webhooks::policy::WebhookPolicy;
-use crate::server::webhooks::signature::{fresh_secret, encode_secret};
+use crate::server::webhooks::signature::{encode_secret, fresh_secret};
 use crate::store::{DeliveryRecord, Replay, WebhookRecord};
+use relume_api::webhooks::{
+    AttemptView, CreatedWebhook, DeliveryState, DeliveryView, NewWebhook, WebhookChange, WebhookView,
+    validate_webhook,
+};
+use relume_api::{DeliveryId, List, WebhookId};
 
 /// How long the address of a new webhook may take to be found.
 const DNS_TIMEOUT: Duration = Duration::from_secs(5);
@@ -62,8 +62,12 @@ async fn create_webhook(
     caller: Caller,
     JsonBody(webhook): JsonBody<NewWebhook>,
 ) -> Result<Response, Problem> {
-    check(Some(&webhook.url), validate_webhook(Some(&webhook.events), webhook.name.as_deref()), &app.webhooks)
-        .await?;
+    check(
+        Some(&webhook.url),
+        validate_webhook(Some(&webhook.events), webhook.name.as_deref()),
+        &app.webhooks,
+    )
+    .await?;
     let secret = fresh_secret().map_err(Problem::internal)?;
     let record = WebhookRecord {
         id: app.jobs.fresh_id(),
@@ -253,7 +257,9 @@ async fn check(
     let wrong = |why: String| Problem::invalid_field("/url", why);
     let target = OutboundTarget::parse(url, policy.allow_http).map_err(wrong)?;
     let looked_up = tokio::time::timeout(DNS_TIMEOUT, target.addresses(policy.allow_private)).await;
-    looked_up.unwrap_or_else(|_| Err("the address of its host was not found in time".to_owned())).map_err(wrong)?;
+    looked_up
+        .unwrap_or_else(|_| Err("the address of its host was not found in time".to_owned()))
+        .map_err(wrong)?;
     Ok(())
 }
 

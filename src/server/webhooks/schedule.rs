@@ -25,7 +25,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gaps_grow_for_three_days_and_differ_from_message_to_message() {
+    fn retry_delays_grow_for_three_days_with_jitter() {
         for id in ["a", "b", "c"].map(DeliveryId::from) {
             let gaps: Vec<Duration> = (1..=9).map(|tries| retry_delay(&id, tries).unwrap()).collect();
             assert!(gaps.is_sorted(), "{gaps:?}");
@@ -34,7 +34,8 @@ mod tests {
             assert_eq!(retry_delay(&id, 0), None);
             assert_eq!(retry_delay(&id, 4), retry_delay(&id, 4), "the same each time");
         }
-        let drawn: BTreeSet<Duration> = (0..64).map(|n| retry_delay(&n.to_string().into(), 3).unwrap()).collect();
+        let drawn: BTreeSet<Duration> =
+            (0..64).map(|n| retry_delay(&n.to_string().into(), 3).unwrap()).collect();
         assert!(drawn.len() > 32);
         let bounds = (Duration::from_secs(1800), Duration::from_secs(2160));
         assert!(*drawn.first().unwrap() >= bounds.0 && *drawn.last().unwrap() <= bounds.1, "{drawn:?}");

@@ -46,14 +46,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_secret_signs() {
+    fn each_secret_adds_one_signature() {
         let both = sign([b"new".as_slice(), b"old"].into_iter(), "id", 1, "{}").unwrap();
         let alone = |secret: &'static [u8]| sign(std::iter::once(secret), "id", 1, "{}").unwrap();
         assert_eq!(both, format!("{} {}", alone(b"new"), alone(b"old")));
     }
 
     #[test]
-    fn a_message_is_signed_as_the_standards_example() {
+    fn signature_matches_the_standard_webhooks_example() {
         let secret = STANDARD.decode("MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw").unwrap();
         let signed =
             signature(&secret, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, r#"{"test": 2432232314}"#);

@@ -6,15 +6,15 @@ use serde::Deserialize;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::EnvironmentId;
-use crate::server::problem::Problem;
 use crate::jobs::{InputFile, Lease};
 use crate::server::app::AppState;
 use crate::server::description::File;
 use crate::server::extract::UrlPath;
 use crate::server::files::{self, FileRequest};
+use crate::server::problem::Problem;
 use crate::server::workers::lease::Held;
 use crate::store::ModelFile;
+use relume_api::EnvironmentId;
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
@@ -109,7 +109,12 @@ async fn get_checkpoint_of_work(
 }
 
 /// A file, whose bytes are compared with their hash before any are sent from here.
-async fn send(app: &AppState, lease: &Lease, asked: &FileRequest, file: InputFile) -> Result<Response, Problem> {
+async fn send(
+    app: &AppState,
+    lease: &Lease,
+    asked: &FileRequest,
+    file: InputFile,
+) -> Result<Response, Problem> {
     let missing = || Problem::not_found("file", "of the job");
     let size = app.store.artifacts().size(&file.artifact).await?.ok_or_else(missing)?;
     let described = ModelFile {

@@ -4,12 +4,12 @@ use axum::extract::{FromRequestParts, Path};
 use axum::http::request::Parts;
 use serde::Deserialize;
 
-use relume_api::work::LeaseView;
-use relume_api::JobId;
-use crate::server::problem::Problem;
 use crate::jobs::Lease;
 use crate::server::app::AppState;
+use crate::server::problem::Problem;
 use crate::store::{LeaseStatus, StoreError};
+use relume_api::JobId;
+use relume_api::work::LeaseView;
 
 /// The header with the lease's token.
 pub(super) const LEASE: &str = "relume-lease";

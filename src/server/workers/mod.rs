@@ -2,9 +2,9 @@
 
 mod inputs;
 mod lease;
+mod registry;
 mod reports;
 mod results;
-mod registry;
 
 use utoipa_axum::router::OpenApiRouter;
 

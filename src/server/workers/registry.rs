@@ -5,11 +5,11 @@ use axum::extract::State;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use relume_api::work::{WorkerChange, WorkerView};
-use relume_api::{List, WorkerId};
-use crate::server::problem::Problem;
 use crate::server::app::AppState;
 use crate::server::extract::{JsonBody, UrlPath};
+use crate::server::problem::Problem;
+use relume_api::work::{WorkerChange, WorkerView};
+use relume_api::{List, WorkerId};
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {

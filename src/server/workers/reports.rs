@@ -5,17 +5,17 @@ use axum::extract::State;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use crate::server::app::AppState;
+use crate::server::extract::JsonBody;
+use crate::server::problem::Problem;
+use crate::server::workers::lease::{Held, lease_view};
+use crate::server::workers::results::check_name;
+use crate::store::{Claimant, LeaseStatus, StoreError};
+use relume_api::JobId;
 use relume_api::jobs::JobProgress;
 use relume_api::work::{
     Claimed, FinishedModel, LeaseView, WorkEnd, WorkWarning, WorkerHello, validate_labels,
 };
-use relume_api::JobId;
-use crate::server::problem::Problem;
-use crate::server::app::AppState;
-use crate::server::extract::JsonBody;
-use crate::server::workers::lease::{Held, lease_view};
-use crate::server::workers::results::check_name;
-use crate::store::{Claimant, LeaseStatus, StoreError};
 
 /// Longest warning, characters.
 const MAX_WARNING_CHARS: usize = 2000;
@@ -77,8 +77,7 @@ fn check(hello: &WorkerHello) -> Result<(), Problem> {
     // Another version may not know what a job asks for, and makes other bytes.
     let version = env!("CARGO_PKG_VERSION");
     if hello.version != version {
-        let why =
-            format!("must be {version}, the version of the server; got {}", hello.version);
+        let why = format!("must be {version}, the version of the server; got {}", hello.version);
         return wrong("version", &why);
     }
     match validate_labels(&hello.labels) {

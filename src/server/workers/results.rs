@@ -7,14 +7,14 @@ use serde::Deserialize;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::server::problem::Problem;
-use relume_api::work::{LeaseView, SentFile};
 use crate::jobs::Lease;
 use crate::server::app::AppState;
 use crate::server::description::File;
 use crate::server::extract::UrlPath;
+use crate::server::problem::Problem;
 use crate::server::workers::lease::{Held, lease_view};
 use crate::store::StagedUpload;
+use relume_api::work::{LeaseView, SentFile};
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {

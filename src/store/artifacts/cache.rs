@@ -28,7 +28,8 @@ impl Cache {
 
     /// A file was written that the object store has.
     pub(super) fn add(&self, key: &str, bytes: u64) {
-        self.lock().insert(key.to_owned(), CachedFile { bytes, used: SystemTime::now(), is_in_object_store: true });
+        self.lock()
+            .insert(key.to_owned(), CachedFile { bytes, used: SystemTime::now(), is_in_object_store: true });
     }
 
     /// A file is used.
@@ -101,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_used_longest_ago_goes_first_and_only_what_is_too_much() {
+    fn object_cache_evicts_least_recently_used_above_its_limit() {
         assert!(cache(30, Duration::ZERO).evictable().is_empty());
         assert_eq!(cache(29, Duration::ZERO).evictable(), ["a"]);
         let cache = cache(15, Duration::ZERO);
@@ -112,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_used_lately_stays_whatever_the_bound() {
+    fn recently_used_objects_are_never_evicted() {
         let cache = cache(0, Duration::from_secs(150));
         assert_eq!(cache.evictable(), ["a", "b"]);
         assert!(cache.idle("c").is_none() && cache.idle("b").is_some() && cache.idle("d").is_none());

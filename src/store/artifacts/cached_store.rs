@@ -7,11 +7,11 @@ use std::path::Path;
 use tokio::fs::File;
 
 use crate::store::StoreError;
+use crate::store::artifacts::artifact_locks::ArtifactLocks;
 use crate::store::artifacts::cache::{Cache, CachedFile};
 use crate::store::artifacts::key::is_never_uploaded;
 use crate::store::artifacts::object_store_config::ObjectStoreConfig;
 use crate::store::artifacts::remote::Remote;
-use crate::store::artifacts::artifact_locks::ArtifactLocks;
 use crate::store::references::artifact_keys;
 use crate::store::verification::Verification;
 
@@ -40,7 +40,12 @@ impl CachedStore {
             found.insert(key, copy);
         }
         let cache = Cache::new(config.cache_bytes, config.cache_min_age, found);
-        Ok(Self { remote: Remote::open(config)?, cache, artifact_locks: ArtifactLocks::default(), verification })
+        Ok(Self {
+            remote: Remote::open(config)?,
+            cache,
+            artifact_locks: ArtifactLocks::default(),
+            verification,
+        })
     }
 
     /// Fetches a file to its place, through one in `folder` that is gone when it is not the right one. The caller has the turn.

@@ -20,7 +20,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_under_way_stays_here_and_what_is_made_does_not() {
+    fn incomplete_files_stay_local_and_results_do_not() {
         assert!(["uploads/x", "incoming/y", ""].into_iter().all(is_never_uploaded));
         let made = ["captures/00", "environments/00", "attempts/j/1/model.ply", "exports/e", "uploadsx/y"];
         assert!(!made.into_iter().any(is_never_uploaded));

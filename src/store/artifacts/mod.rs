@@ -6,12 +6,12 @@
 //! With an object store that one has what is stored, and the folder is a cache of it: a file is sent there before anybody is told
 //! of it, and fetched from there when it is not here.
 
+mod artifact_locks;
 mod cache;
+mod cached_store;
 mod key;
 mod object_store_config;
 mod remote;
-mod cached_store;
-mod artifact_locks;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -27,14 +27,14 @@ use tokio_util::bytes::Bytes;
 
 use crate::store::StoreError;
 use crate::store::hash::hex;
-use crate::store::staged_upload::{INCOMING, StagedUpload};
 use crate::store::references::of_job;
+use crate::store::staged_upload::{INCOMING, StagedUpload};
 use crate::store::verification::Verification;
 
 use cached_store::CachedStore;
 
 pub(super) use key::{is_key, is_never_uploaded};
-pub use object_store_config::{ObjectStoreConfig, ArtifactsRedirect, ArtifactsUrl};
+pub use object_store_config::{ArtifactsRedirect, ArtifactsUrl, ObjectStoreConfig};
 pub(super) use remote::{Remote, RemoteObject, fetch_to};
 
 /// The artifact store of one data directory.
@@ -186,7 +186,9 @@ impl Artifacts {
     /// [`StoreError::ArtifactsUnreachable`] when credentials cannot be had.
     pub async fn signed_url(&self, key: &str, lasts: Duration) -> Result<Option<String>, StoreError> {
         match self.cached_store_for(key) {
-            Some(cached_store) if !cached_store.cache.is_local_only(key) => cached_store.remote.signed(key, lasts).await,
+            Some(cached_store) if !cached_store.cache.is_local_only(key) => {
+                cached_store.remote.signed(key, lasts).await
+            }
             _ => Ok(None),
         }
     }

@@ -202,7 +202,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_url_names_store_bucket_and_prefix_and_nothing_else() {
+    fn object_store_urls_have_kind_bucket_and_prefix() {
         for (text, kind, bucket, prefix) in [
             ("s3://models", Provider::S3, "models", ""),
             ("s3://models/relume/prod", Provider::S3, "models", "relume/prod"),
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_of_another_store_are_left_alone_and_wrong_ones_are_found() {
+    fn only_settings_of_the_selected_object_store_are_checked() {
         let place = |text: &str, settings: &[(&str, &str)]| {
             let settings = settings.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned()));
             ObjectStoreConfig::new(text.parse().unwrap(), settings).connect()

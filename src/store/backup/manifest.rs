@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_key_leads_nowhere_else() {
+    fn artifact_keys_cannot_leave_the_data_directory() {
         assert!(is_key("captures/00") && is_key("attempts/job/1/model.ply"));
         for wrong in ["", "/etc/passwd", "../x", "captures/../../x", "./x"] {
             assert!(!is_key(wrong), "{wrong:?}");

@@ -73,13 +73,18 @@ impl Database {
     }
 
     /// What is there already, by one connection that changes nothing: `root/relume.db`, or the server at `url`.
-    pub(super) async fn open_read_only(root: &Path, url: Option<&DatabaseUrl>) -> Result<ReadOnlyDatabase, StoreError> {
+    pub(super) async fn open_read_only(
+        root: &Path,
+        url: Option<&DatabaseUrl>,
+    ) -> Result<ReadOnlyDatabase, StoreError> {
         Ok(match url {
             None => {
                 let pool = DatabaseFile::open_read_only(root).await?;
                 ReadOnlyDatabase { pool: Pool::Sqlite(pool), known: schema() }
             }
-            Some(url) => ReadOnlyDatabase { pool: DatabaseServer::open_read_only(url).await?, known: server_schema() },
+            Some(url) => {
+                ReadOnlyDatabase { pool: DatabaseServer::open_read_only(url).await?, known: server_schema() }
+            }
         })
     }
 

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_write_that_met_a_full_disk_spoils_no_later_one() {
+    async fn writes_succeed_again_after_a_full_disk() {
         let folder = tempfile::tempdir().unwrap();
         let database = with_room_for(100, &folder.path().join(FILE)).await;
         for round in 0..20 {
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_database_from_before_figures_keeps_its_rows_and_still_refuses_unknown_states() {
+    async fn metrics_migration_keeps_rows_and_state_constraints() {
         let pool = SqlitePoolOptions::new().max_connections(1).connect("sqlite::memory:").await.unwrap();
         let run = async |sql: &str| {
             let mut tx = pool.begin().await.unwrap();
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn readers_write_nothing() {
+    async fn reader_connections_are_read_only() {
         let folder = tempfile::tempdir().unwrap();
         let database = DatabaseFile::open(folder.path()).await.unwrap();
         let refused = sql::query("DELETE FROM jobs").execute(database.readers()).await.unwrap_err();

@@ -55,7 +55,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_postgres_is_taken_and_no_password_is_shown() {
+    fn database_url_must_be_postgres_and_hides_its_password() {
         for wrong in ["", "sqlite:relume.db", "mysql://localhost/a", "postgres://host:port/a"] {
             assert!(DatabaseUrl::from_str(wrong).is_err(), "{wrong}");
         }

@@ -51,7 +51,10 @@ pub struct CopiedTable {
 /// [`StoreError::NoDatabase`], [`StoreError::Locked`] or [`StoreError::DatabaseLocked`] when `from` or `to` cannot be used;
 /// [`StoreError::DatabaseNotEmpty`] when `to` knows something; [`StoreError::CopyDiffers`] when a row came out otherwise; when a
 /// database fails.
-pub async fn copy_database(from: &DatabaseLocation, to: &DatabaseLocation) -> Result<Vec<CopiedTable>, StoreError> {
+pub async fn copy_database(
+    from: &DatabaseLocation,
+    to: &DatabaseLocation,
+) -> Result<Vec<CopiedTable>, StoreError> {
     if let DatabaseLocation::DataDir(root) = from
         && !root.join(database::FILE).exists()
     {
@@ -173,7 +176,8 @@ async fn part<'c>(
         table.name,
         table.order
     );
-    let query = sql::query(Sql::composed(select)).bind(BATCH_ROWS).bind(i64::try_from(skipped).unwrap_or(i64::MAX));
+    let query =
+        sql::query(Sql::composed(select)).bind(BATCH_ROWS).bind(i64::try_from(skipped).unwrap_or(i64::MAX));
     let columns = table.columns;
     Ok(query.fetch_rows(on, |row| row.fields(columns), |row| row.fields(columns)).await?)
 }
@@ -187,7 +191,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn the_list_of_tables_is_what_the_schema_has() {
+    async fn table_list_matches_the_sqlite_schema() {
         let folder = tempfile::tempdir().unwrap();
         let database = Database::open(folder.path(), None).await.unwrap();
         let query =
@@ -200,7 +204,7 @@ mod tests {
 
     #[tokio::test]
     #[ignore = "needs PostgreSQL: .ci/postgres"]
-    async fn the_list_of_tables_is_that_on_postgres() {
+    async fn table_list_matches_the_schema_on_postgres() {
         let server: DatabaseUrl = std::env::var("RELUME_TEST_POSTGRES").unwrap().parse().unwrap();
         let url = server.sibling("relume_tables").await.unwrap();
         let database = Database::open(Path::new(""), Some(&url)).await.unwrap();

@@ -3,11 +3,11 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use relume_api::ExportId;
 use crate::store::exports::{ClaimedExport, EXPORTS, ExportedFile};
 use crate::store::hash::hash_file;
 use crate::store::sql;
 use crate::store::{Store, StoreError};
+use relume_api::ExportId;
 
 impl Store {
     /// Claims the next export that waits: of frames, or of the other kinds. The tenant whose last one ended longest ago comes first.
@@ -49,7 +49,12 @@ impl Store {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn record_export_progress(&self, id: &ExportId, done: i64, work_bytes: u64) -> Result<bool, StoreError> {
+    pub async fn record_export_progress(
+        &self,
+        id: &ExportId,
+        done: i64,
+        work_bytes: u64,
+    ) -> Result<bool, StoreError> {
         let mut tx = self.write().await?;
         let query = "UPDATE exports SET done = CASE WHEN total < $2 THEN total ELSE $2 END, work_bytes = $3
                          WHERE id = $1 AND state = 'running' AND deleted_ms IS NULL";

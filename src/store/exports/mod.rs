@@ -7,11 +7,11 @@ mod removal;
 
 use sqlx::types::Json;
 
-use relume_api::exports::{ExportState, NewExport};
-use relume_api::{ExportId, ModelId, ResourceKind, ResourceName, TenantId};
 use crate::store::idempotency::{remember, replay};
 use crate::store::sql::{self, Tx};
 use crate::store::{IdempotencyKey, Page, Store, StoreError, Submitted};
+use relume_api::exports::{ExportState, NewExport};
+use relume_api::{ExportId, ModelId, ResourceKind, ResourceName, TenantId};
 
 pub(super) use record::EXPORTS;
 pub use record::{ClaimedExport, ExportRecord, ExportedFile};

@@ -2,12 +2,12 @@
 
 use sqlx::FromRow;
 
+use crate::store::job_view::rfc3339;
+use crate::store::page::paginated;
 use relume_api::exports::{ExportKind, ExportProgress, ExportState, ExportView, NewExport};
 use relume_api::jobs::JobError;
 use relume_api::models::FileView;
 use relume_api::{ExportId, ModelId, TenantId};
-use crate::store::job_view::rfc3339;
-use crate::store::page::paginated;
 
 /// The folder of finished exports among the artifacts, and of their work folders in the data directory.
 pub(in crate::store) const EXPORTS: &str = "exports";

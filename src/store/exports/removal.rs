@@ -3,11 +3,11 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
-use relume_api::{ExportId, TenantId};
 use crate::store::artifacts::is_key;
 use crate::store::exports::{EXPORTS, ExportRecord, columns};
 use crate::store::sql::{self, Tx};
 use crate::store::{Store, StoreError};
+use relume_api::{ExportId, TenantId};
 
 /// Outcome of a request to delete an export.
 #[derive(Debug, Clone)]

@@ -7,8 +7,8 @@ use object_store::path::Path as Key;
 
 use crate::store::hash::hash_file;
 use crate::store::staged_upload::INCOMING;
-use crate::store::uploads::upload_locks::UploadLock;
 use crate::store::uploads::record::UploadRecord;
+use crate::store::uploads::upload_locks::UploadLock;
 use crate::store::{StagedUpload, Store, StoreError};
 
 impl Store {

@@ -1,25 +1,25 @@
 //! Uploads that arrive in pieces, over several requests and lives of the server. How much of one has arrived is in the database;
 //! it is written there after the bytes are on disk.
 
-mod upload_locks;
+mod finalise;
 mod piece;
 mod record;
-mod finalise;
+mod upload_locks;
 mod validating;
 
 use std::path::Path;
 
 use sqlx::types::Json;
 
-use relume_api::{TenantId, UploadId};
 use crate::store::sql::{self, Tx};
 use crate::store::uploads::record::key;
 use crate::store::{Page, Store, StoreError};
+use relume_api::{TenantId, UploadId};
 
-pub use upload_locks::{UploadLock, UploadLocks};
 pub use piece::{Checksum, Piece};
 pub(super) use record::UPLOADS;
 pub use record::{UploadLimits, UploadRecord};
+pub use upload_locks::{UploadLock, UploadLocks};
 
 impl Store {
     /// Begins an upload; a tenant may have `most`.

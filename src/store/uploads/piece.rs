@@ -11,8 +11,8 @@ use tokio_util::bytes::Bytes;
 
 use crate::store::pending_quota::Reservation;
 use crate::store::sql;
-use crate::store::uploads::upload_locks::UploadLock;
 use crate::store::uploads::record::UploadRecord;
+use crate::store::uploads::upload_locks::UploadLock;
 use crate::store::{Store, StoreError};
 
 /// Bytes after which a piece that goes on is brought to disk and written down: what `kill -9` costs at most.

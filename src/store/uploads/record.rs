@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use sqlx::FromRow;
 
+use crate::store::page::paginated;
 use relume_api::metadata::ResourceMetadata;
 use relume_api::{CaptureId, Problem, TenantId, UploadId};
-use crate::store::page::paginated;
 
 /// The folder of uploads that arrive in pieces.
 pub(in crate::store) const UPLOADS: &str = "uploads";

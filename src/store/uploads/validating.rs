@@ -4,11 +4,11 @@ use std::collections::HashSet;
 
 use sqlx::types::Json;
 
-use relume_api::metadata::ResourceMetadata;
-use relume_api::{CaptureId, Problem, TenantId};
 use crate::store::sql;
 use crate::store::uploads::record::UploadRecord;
 use crate::store::{StagedUpload, Store, StoreError};
+use relume_api::metadata::ResourceMetadata;
+use relume_api::{CaptureId, Problem, TenantId};
 
 impl Store {
     /// Makes `upload`, of which a capture is to be made, of a complete body. It is counted with the upload from then on.

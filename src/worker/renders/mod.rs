@@ -11,12 +11,12 @@ use lru::LruCache;
 
 use relume_api::ModelId;
 use relume_capture::builtin;
+use relume_capture::formats::{environment, model_file};
 use relume_engine::Device;
 use relume_engine::DeviceError;
-use relume_capture::formats::{environment, model_file};
-use relume_train::render::{Frame, PreparedLight, RenderError, Renderer, Viewpoint};
-use relume_spec::rendering::{Output, Quality};
 use relume_scene::{Camera, EnvMap, Illumination, Model};
+use relume_spec::rendering::{Output, Quality};
+use relume_train::render::{Frame, PreparedLight, RenderError, Renderer, Viewpoint};
 
 /// Why there is no frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

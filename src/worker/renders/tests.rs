@@ -1,7 +1,7 @@
 use super::*;
-use relume_train::render::Orbit;
-use relume_spec::rendering::Tier;
 use relume_scene::{Field, Gaussians, Model, ShadingOptions};
+use relume_spec::rendering::Tier;
+use relume_train::render::Orbit;
 
 fn render(cache: &RenderCache, task: &RenderTask) -> Result<Frame, RenderFailure> {
     cache.scene(task, &Device::Cpu, &|| true)?.render(task, || Ok(()))
@@ -49,12 +49,12 @@ fn task(model: &ModelSource, tier: Tier, exposure_ev: f64) -> RenderTask {
 }
 
 #[test]
-fn exposure_is_a_factor_on_the_frame_and_prepares_no_light() {
+fn exposure_scales_the_frame_without_preparing_a_new_light() {
     let folder = tempfile::TempDir::new().unwrap();
     let model = model(&folder);
     let cache = RenderCache::new(1, 4);
     for tier in Tier::ALL {
-        let mut at = |ev| render(&cache, &task(&model, tier, ev)).unwrap();
+        let at = |ev| render(&cache, &task(&model, tier, ev)).unwrap();
         let (plain, bright) = (at(0.0), at(2.0));
         for (output, plane) in &plain.planes {
             let lit = matches!(output, Output::Rgb | Output::Diffuse | Output::Specular);
@@ -67,7 +67,7 @@ fn exposure_is_a_factor_on_the_frame_and_prepares_no_light() {
 }
 
 #[test]
-fn a_scaled_frame_is_that_of_a_scaled_light() {
+fn a_scaled_frame_equals_a_frame_under_a_scaled_light() {
     let folder = tempfile::TempDir::new().unwrap();
     let model = model(&folder);
     for tier in Tier::ALL {
@@ -85,7 +85,7 @@ fn a_scaled_frame_is_that_of_a_scaled_light() {
 }
 
 #[test]
-fn the_light_behind_a_model_is_turned_and_exposed_as_the_light_on_it() {
+fn background_environment_is_rotated_and_exposed_like_the_light() {
     let folder = tempfile::TempDir::new().unwrap();
     let model = model(&folder);
     let at = |shows_environment, exposure_ev| {
@@ -107,7 +107,7 @@ fn the_light_behind_a_model_is_turned_and_exposed_as_the_light_on_it() {
 }
 
 #[test]
-fn what_nobody_waits_for_stops_at_the_next_seam() {
+fn abandoned_render_stops_before_the_next_stage() {
     let folder = tempfile::TempDir::new().unwrap();
     let task = task(&model(&folder), Tier::Preview, 0.0);
     for (asked, models, lights) in [(1, 0, 0), (2, 1, 0), (3, 1, 1)] {
@@ -121,7 +121,7 @@ fn what_nobody_waits_for_stops_at_the_next_seam() {
 }
 
 #[test]
-fn a_dear_frame_ends_between_two_bands_when_its_caller_has_gone() {
+fn abandoned_expensive_frame_stops_between_bands() {
     let folder = tempfile::TempDir::new().unwrap();
     let orbit = Orbit { azimuth_deg: Some(10.0), elevation_deg: Some(20.0), size: 40 };
     let quality = Quality::monte_carlo(Quality::MOST_SAMPLES);
@@ -147,7 +147,7 @@ fn a_dear_frame_ends_between_two_bands_when_its_caller_has_gone() {
 }
 
 #[test]
-fn what_was_deleted_before_its_turn_is_gone_and_not_a_failure_of_the_server() {
+fn rendering_a_deleted_model_or_environment_reports_gone() {
     let folder = tempfile::TempDir::new().unwrap();
     let model = model(&folder);
     let render = |task: &RenderTask| render(&RenderCache::new(1, 1), task).map(drop);
@@ -164,7 +164,7 @@ fn what_was_deleted_before_its_turn_is_gone_and_not_a_failure_of_the_server() {
 }
 
 #[test]
-fn the_light_of_a_viewer_is_that_of_frames_and_is_not_made_for_nobody() {
+fn viewer_and_frames_share_one_prepared_light() {
     let folder = tempfile::TempDir::new().unwrap();
     let task = task(&model(&folder), Tier::Standard, 0.0);
     let RenderTask { model, light, rotation_deg, .. } = task.clone();
@@ -215,10 +215,11 @@ fn a_ready_model_renders_while_another_one_loads() {
 }
 
 #[test]
-fn a_model_that_cannot_be_loaded_is_not_kept() {
+fn a_model_that_fails_to_load_is_not_cached() {
     let folder = tempfile::TempDir::new().unwrap();
     let ready = model(&folder);
-    let missing = ModelSource { id: "missing".into(), content: ModelContent::File(folder.path().join("none")) };
+    let missing =
+        ModelSource { id: "missing".into(), content: ModelContent::File(folder.path().join("none")) };
     let cache = RenderCache::new(2, 2);
     render(&cache, &task(&ready, Tier::Preview, 0.0)).unwrap();
     assert!(render(&cache, &task(&missing, Tier::Preview, 0.0)).is_err());

@@ -4,10 +4,10 @@ use std::ops::ControlFlow;
 
 use tracing::Span;
 
-use relume_api::work::{LeaseStatus, Release};
 use crate::worker::job_source::Claim;
 use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, stop_attempt};
+use relume_api::work::{LeaseStatus, Release};
 
 impl Worker {
     /// What `work` makes, or how the attempt ended before that. Work whose result is not wanted any more runs to its end
@@ -49,16 +49,16 @@ mod tests {
     use tokio_util::sync::CancellationToken;
 
     use super::*;
+    use crate::jobs::{Jobs, LeasePolicy, ManualClock, Origin, SequentialIds};
+    use crate::store::{CaptureRecord, Claimant, Store, Submitted};
+    use crate::worker::job_source::{ClaimOutcome, JobSource};
+    use crate::worker::local_jobs::LocalJobs;
+    use crate::worker::opened_device::OpenedDevice;
     use relume_api::jobs::NewJob;
     use relume_api::metadata::ResourceMetadata;
     use relume_api::{JobId, TenantId};
-    use relume_spec::CaptureReport;
     use relume_capture::ImportLimits;
-    use crate::jobs::{Jobs, LeasePolicy, ManualClock, Origin, SequentialIds};
-    use crate::store::{CaptureRecord, Claimant, Store, Submitted};
-    use crate::worker::opened_device::OpenedDevice;
-    use crate::worker::job_source::{ClaimOutcome, JobSource};
-    use crate::worker::local_jobs::LocalJobs;
+    use relume_spec::CaptureReport;
 
     /// A worker without a GPU whose queue has one job.
     async fn worker(dir: &TempDir) -> (Worker, Jobs, JobId) {
@@ -109,12 +109,14 @@ mod tests {
     }
 
     #[tokio::test(flavor = "multi_thread")]
-    async fn work_aside_is_not_waited_for_once_its_job_is_cancelled() {
+    async fn a_cancelled_job_does_not_wait_for_its_background_task() {
         let dir = TempDir::new().unwrap();
         let (mut worker, jobs, id) = worker(&dir).await;
         let claim = claimed(&worker).await.unwrap();
-        let done =
-            worker.run_in_background(claim.as_ref(), || 7).await.unwrap_or_else(|error| panic!("{}", error.detail));
+        let done = worker
+            .run_in_background(claim.as_ref(), || 7)
+            .await
+            .unwrap_or_else(|error| panic!("{}", error.detail));
         assert_eq!(done, ControlFlow::Continue(7), "the control: nothing was cancelled");
         let (finish, finished) = mpsc::channel::<()>();
         let (began, begun) = tokio::sync::oneshot::channel();
@@ -127,14 +129,16 @@ mod tests {
             // Until the test has ended: whoever waits for this waits for ever.
             let _ = finished.recv();
         };
-        let ending =
-            worker.run_in_background(claim.as_ref(), work).await.unwrap_or_else(|error| panic!("{}", error.detail));
+        let ending = worker
+            .run_in_background(claim.as_ref(), work)
+            .await
+            .unwrap_or_else(|error| panic!("{}", error.detail));
         assert_eq!(ending, ControlFlow::Break(AttemptEnd::Cancelled));
         drop(finish);
     }
 
     #[tokio::test(flavor = "multi_thread")]
-    async fn work_aside_is_not_waited_for_when_the_server_stops() {
+    async fn a_shutdown_does_not_wait_for_background_tasks() {
         let dir = TempDir::new().unwrap();
         let (mut worker, ..) = worker(&dir).await;
         let claim = claimed(&worker).await.unwrap();
@@ -144,8 +148,10 @@ mod tests {
             stop.cancel();
             let _ = finished.recv();
         };
-        let ending =
-            worker.run_in_background(claim.as_ref(), work).await.unwrap_or_else(|error| panic!("{}", error.detail));
+        let ending = worker
+            .run_in_background(claim.as_ref(), work)
+            .await
+            .unwrap_or_else(|error| panic!("{}", error.detail));
         assert_eq!(ending, ControlFlow::Break(AttemptEnd::Stopped));
         drop(finish);
         assert!(claimed(&worker).await.is_some(), "the job is in the queue again");

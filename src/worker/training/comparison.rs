@@ -5,9 +5,9 @@ use std::sync::Arc;
 use relume_api::quality::{Figures, Similarity};
 use relume_capture::{Capture, CaptureView};
 use relume_engine::Device;
-use relume_train::eval::{EvalError, NovelViews};
-use relume_spec::rendering::Tier;
 use relume_scene::Model;
+use relume_spec::rendering::Tier;
+use relume_train::eval::{EvalError, NovelViews};
 
 /// Most views that are compared.
 const MAX_VIEWS: usize = 8;
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn at_most_eight_views_are_compared_evenly_spaced_and_as_they_were_trained() {
+    fn at_most_eight_evenly_spaced_held_out_views_are_evaluated() {
         let mut capture = capture(20);
         capture.test.iter_mut().for_each(|view| view.light_rotation_deg = 30.0);
         let names: Vec<String> = capture.test.iter().map(|view| view.name.clone()).collect();
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn without_held_out_views_there_are_no_figures_and_a_note_says_why() {
+    fn without_held_out_views_metrics_are_empty_with_a_note() {
         let comparison = Comparison::new(capture(0), true);
         assert_eq!(comparison.waiting.len(), 0);
         let figures = comparison.figures();

@@ -4,16 +4,16 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use relume_api::quality::Figures;
-use relume_api::work::LeaseStatus;
-use relume_train::eval::EvalError;
-use relume_train::render::RenderError;
-use relume_scene::Model;
-use relume_train::TrainError;
 use crate::worker::thread::Worker;
 use crate::worker::training::comparison::{Comparison, NO_VIEWS};
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, stop_attempt};
 use crate::worker::training::{TrainingAttempt, held_or_unknown};
+use relume_api::quality::Figures;
+use relume_api::work::LeaseStatus;
+use relume_scene::Model;
+use relume_train::TrainError;
+use relume_train::eval::EvalError;
+use relume_train::render::RenderError;
 
 impl Worker {
     /// What the model of a finished training is found to be.

@@ -4,15 +4,15 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 
-use relume_api::EnvironmentId;
-use relume_capture::{BUILTIN, Capture, ImportLimits};
-use relume_train::{MemoryNeed, PhotographSizes, Room, import_for_training};
-use relume_spec::training::TrainConfig;
+use crate::worker::job_source::{Claim, JobSourceError};
 use crate::worker::progress::announce;
 use crate::worker::renders::LightSource;
-use crate::worker::job_source::{Claim, JobSourceError};
 use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, ENVIRONMENT_MISSING};
+use relume_api::EnvironmentId;
+use relume_capture::{BUILTIN, Capture, ImportLimits};
+use relume_spec::training::TrainConfig;
+use relume_train::{MemoryNeed, PhotographSizes, Room, import_for_training};
 
 impl Worker {
     /// Reads the capture on another thread while this one renders; stops early when the job is to stop.

@@ -14,6 +14,13 @@ use std::sync::atomic::Ordering;
 
 use tracing::{Instrument, Span, info_span};
 
+use crate::worker::eta::Eta;
+use crate::worker::job_source::{Claim, JobSource, JobSourceError};
+use crate::worker::previews::{Preview, PreviewPublisher};
+use crate::worker::progress::ProgressReporter;
+use crate::worker::thread::Worker;
+use comparison::Comparison;
+use outcome::{AttemptEnd, AttemptError, stop_attempt};
 use relume_api::jobs::JobDevice;
 use relume_api::work::{LeaseStatus, Release};
 use relume_capture::Capture;
@@ -21,13 +28,6 @@ use relume_engine::Device;
 use relume_scene::Model;
 use relume_spec::training::TrainConfig;
 use relume_train::Trainer;
-use crate::worker::eta::Eta;
-use crate::worker::previews::{Preview, PreviewPublisher};
-use crate::worker::progress::ProgressReporter;
-use crate::worker::job_source::{Claim, JobSource, JobSourceError};
-use crate::worker::thread::Worker;
-use comparison::Comparison;
-use outcome::{AttemptEnd, AttemptError, stop_attempt};
 
 /// The state of one attempt between steps.
 struct TrainingAttempt<'a> {

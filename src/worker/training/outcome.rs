@@ -1,9 +1,9 @@
 //! How an attempt at a job ends.
 
+use crate::worker::job_source::{Claim, JobSourceError};
 use relume_api::work::LeaseStatus;
 use relume_engine::DeviceError;
 use relume_train::TrainError;
-use crate::worker::job_source::{Claim, JobSourceError};
 
 /// How an attempt ended without a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use tokio_util::bytes::Bytes;
 
-use relume_capture::Capture;
-use relume_train::{Preparation, TrainError, Trainer};
-use relume_spec::training::TrainConfig;
-use crate::worker::progress::announce;
 use crate::worker::job_source::{Claim, JobSourceError};
+use crate::worker::progress::announce;
 use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError};
+use relume_capture::Capture;
+use relume_spec::training::TrainConfig;
+use relume_train::{Preparation, TrainError, Trainer};
 
 impl Worker {
     /// Continues from the last checkpoint, or starts over when none can be read.

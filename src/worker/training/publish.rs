@@ -1,11 +1,11 @@
 //! Publishing the model of a finished training.
 
+use crate::worker::job_source::{Claim, TrainedModel};
+use crate::worker::training::outcome::{AttemptEnd, AttemptError, stop_attempt};
 use relume_api::quality::Figures;
 use relume_api::work::LeaseStatus;
 use relume_capture::formats::{model_file, ply_model};
 use relume_scene::Model;
-use crate::worker::job_source::{Claim, TrainedModel};
-use crate::worker::training::outcome::{AttemptEnd, AttemptError, stop_attempt};
 
 /// Writes the files of a model that was trained for `seconds`, then publishes them and ends the job. What was written and is not
 /// published is removed.

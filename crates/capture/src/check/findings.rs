@@ -153,12 +153,12 @@ mod tests {
     }
 
     #[test]
-    fn sound_photographs_are_not_found_fault_with() {
+    fn good_photographs_give_no_findings() {
         assert_eq!(findings(&sound(), &[]), []);
     }
 
     #[test]
-    fn each_fault_is_found_and_many_of_a_kind_are_a_problem() {
+    fn each_fault_gives_a_finding_and_frequent_faults_are_problems() {
         type Fault = fn(&mut PhotoFacts);
         let faults: [(Fault, &str, bool); 7] = [
             (|p| p.sharpness = 10.0, "blurred", true),

@@ -5,8 +5,8 @@ use std::sync::{Mutex, PoisonError};
 use super::findings::{self, Finding};
 use super::overlap::{self, Thumbnail};
 use super::photo::{self, PhotoFacts};
-use crate::sharpness;
 use crate::formats::exif_facts::ExifFacts;
+use crate::sharpness;
 use relume_scene::ImageRgba;
 
 /// Photographs that were looked at, in any order.
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_photograph_that_is_dark_is_named_and_its_transparent_part_does_not_count() {
+    fn dark_photographs_are_found_and_transparent_pixels_ignored() {
         let image = |shade: f32, alpha: f32| {
             let pixel = |i: usize| match i % 2 {
                 0 => [shade, shade, shade, 1.0],

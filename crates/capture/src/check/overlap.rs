@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_shifted_is_similar_and_what_is_another_thing_is_not() {
+    fn shifted_thumbnails_are_similar_and_other_scenes_are_not() {
         let (here, shifted, other) = (window(0, 1), window(6, 1), window(0, 5));
         assert!(similarity(&here, &here) > 0.999_999);
         assert!(similarity(&here, &shifted) > 0.99, "{}", similarity(&here, &shifted));

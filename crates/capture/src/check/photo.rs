@@ -1,10 +1,10 @@
 //! What one photograph tells by itself.
 
 use super::overlap::Thumbnail;
-use crate::sharpness::{SIDE, luma, sharpness};
-use crate::{CaptureError, ImportOptions};
 use crate::formats::exif_facts::{self, ExifFacts};
 use crate::formats::image_file;
+use crate::sharpness::{SIDE, luma, sharpness};
+use crate::{CaptureError, ImportOptions};
 use relume_scene::ImageRgba;
 
 /// A channel from here on is clipped.

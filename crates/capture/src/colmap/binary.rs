@@ -7,8 +7,8 @@ use glam::DVec3;
 
 use super::model::{CAMERA_MODELS, PosedImage, check_count, coloured, lens, posed};
 use crate::CaptureError;
-use crate::lens::Lens;
 use crate::formats::ply_points::Point;
+use crate::lens::Lens;
 
 /// A little-endian reader that refuses to run past the end.
 pub(super) struct ByteReader<'a> {

@@ -11,11 +11,11 @@ use glam::{DMat3, DMat4, DQuat, DVec3};
 use self::binary::ByteReader;
 use self::model::{PosedImage, SparseModel};
 use self::text::TextFile;
+use crate::formats::ply_points::Point;
 use crate::photos::{PhotoEntry, Split, check_missing};
 use crate::truth::TruthFiles;
 use crate::upright::upright;
 use crate::{CaptureError, Source, masks};
-use crate::formats::ply_points::Point;
 
 /// Folders that may hold a sparse model; the first that does is used.
 const FOLDERS: [&str; 5] = ["sparse/0/", "sparse/", "colmap/sparse/0/", "0/", ""];

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use glam::{DQuat, DVec3};
 
 use crate::CaptureError;
-use crate::lens::{Distortion, Lens};
 use crate::formats::ply_points::Point;
+use crate::lens::{Distortion, Lens};
 use relume_scene::srgb;
 
 /// A sparse model as stored: world-to-camera poses, OpenCV axes, COLMAP's own world.

@@ -68,7 +68,7 @@ fn file<'a>(file: &'a str, text: &'a str) -> TextFile<'a> {
 }
 
 #[test]
-fn text_and_binary_say_the_same() {
+fn text_and_binary_models_parse_equally() {
     let binary = read_binary(&binary()).unwrap();
     assert_eq!(text::cameras(&file("cameras.txt", CAMERAS)).unwrap(), binary.lenses);
     let images = text::images(&file("images.txt", IMAGES), 10).unwrap();
@@ -78,7 +78,7 @@ fn text_and_binary_say_the_same() {
 }
 
 #[test]
-fn counts_that_lie_are_refused_before_they_cost_anything() {
+fn wrong_counts_in_headers_are_refused_without_allocation() {
     for file in 0..3 {
         for count in [3u64, 1 << 20, u64::MAX] {
             let mut files = binary();
@@ -90,7 +90,7 @@ fn counts_that_lie_are_refused_before_they_cost_anything() {
 }
 
 #[test]
-fn every_cut_is_an_error_and_no_flipped_byte_panics() {
+fn truncated_models_are_refused_and_flipped_bytes_never_panic() {
     for file in 0..3 {
         let whole = binary();
         for at in 0..whole[file].len() {
@@ -107,7 +107,7 @@ fn every_cut_is_an_error_and_no_flipped_byte_panics() {
 }
 
 #[test]
-fn unusable_values_are_named() {
+fn invalid_values_are_refused_by_field() {
     let field = |e: CaptureError| e.field().unwrap().to_owned();
     let cameras =
         |from, to| text::cameras(&file("c", &CAMERAS.replace(from, to))).map_err(field).unwrap_err();
@@ -125,7 +125,7 @@ fn unusable_values_are_named() {
 }
 
 #[test]
-fn a_point_ahead_lands_where_colmap_projects_it_and_up_becomes_z() {
+fn points_project_as_in_colmap_and_camera_up_becomes_z() {
     let rotation = DQuat::from_euler(glam::EulerRot::XYZ, 1.4, 0.2, -0.3);
     let image =
         PosedImage { name: "a.jpg".into(), camera: 1, rotation, translation: DVec3::new(0.3, -0.2, 2.0) };
@@ -140,7 +140,7 @@ fn a_point_ahead_lands_where_colmap_projects_it_and_up_becomes_z() {
 }
 
 #[test]
-fn cameras_without_a_common_up_leave_the_world_alone() {
+fn cameras_without_common_up_give_no_rotation_and_a_warning() {
     let image = |rotation| PosedImage { name: "a".into(), camera: 1, rotation, translation: DVec3::ZERO };
     let mut warnings = Vec::new();
     let turn = upright(

@@ -6,8 +6,8 @@ use glam::DVec3;
 
 use super::model::{PosedImage, check_count, coloured, lens, posed};
 use crate::CaptureError;
-use crate::lens::Lens;
 use crate::formats::ply_points::Point;
+use crate::lens::Lens;
 
 /// A text file with its name for errors.
 pub(super) struct TextFile<'a> {

@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn exr_is_exact_and_hdr_keeps_one_percent() {
+    fn exr_round_trip_is_exact_and_hdr_is_within_one_percent() {
         let map = example();
         assert_eq!(decode(&encode_exr(&map).unwrap()).unwrap().map, map);
         let hdr = decode(&encode_hdr(&map).unwrap()).unwrap();
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn negatives_are_clamped_with_a_warning() {
+    fn negative_values_are_clamped_with_a_warning() {
         let loaded = decode(&exr_image::encode_rgb(2, 1, &[[-1.0, 0.5, 2.0]; 2]).unwrap()).unwrap();
         assert_eq!(loaded.map.texels()[1], [0.0, 0.5, 2.0]);
         assert!(loaded.warnings[0].contains("2 negative"), "{:?}", loaded.warnings);
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn every_cut_of_a_radiance_file_is_an_error() {
+    fn truncated_radiance_files_are_refused() {
         let bytes = encode_hdr(&example()).unwrap();
         for cut in 0..bytes.len() {
             assert!(decode(&bytes[..cut]).is_err(), "cut at {cut}");

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_camera_noted_is_read() {
+    fn exif_camera_facts_are_read() {
         let picture = [(0x0110, 2, 8, b"Phone 9\0".to_vec()), (0x0112, 3, 1, vec![6, 0])];
         let camera = [
             (0x829a, 5, 1, rational(1, 125)),
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn what_notes_nothing_or_is_cut_notes_nothing() {
+    fn truncated_or_invalid_exif_gives_no_facts() {
         let whole = jpeg(&[(0x0112, 3, 1, vec![6, 0])], &[]);
         assert_eq!(read(&whole).orientation, Some(6));
         for length in 0..whole.len() {

@@ -15,8 +15,8 @@ use exr::prelude::{
 
 use relume_spec::rendering::ColourDepth;
 
-use relume_spec::rendering::Primaries;
 use crate::formats::{ImageFileError, exr_header};
+use relume_spec::rendering::Primaries;
 
 /// Interleaved values that become channels `name.SUFFIX`, or bare suffixes when the name is empty.
 #[derive(Debug, Clone, Copy)]
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn primaries_other_than_those_of_rec_709_are_named_twice() {
+    fn other_primaries_are_stored_as_tag_and_chromaticities() {
         let image = read(&example_in(ColourDepth::Half, Primaries::Acescg));
         let tag = |part: usize| {
             let key = Text::new_or_none("colorInteropID").unwrap();
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_frames_are_equal_files() {
+    fn equal_frames_give_equal_bytes() {
         // The order of a hash map would differ between two of them.
         assert_eq!(example(ColourDepth::Half), example(ColourDepth::Half));
         assert_ne!(example(ColourDepth::Half), example(ColourDepth::Full), "the control");
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn layers_that_do_not_fill_the_frame_are_named() {
+    fn layers_of_wrong_length_are_refused_by_name() {
         let colour = [FrameLayer { name: "albedo", suffixes: "RGB", values: &[0.0; 5] }];
         let frame = FrameLayers {
             width: 2,
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_not_wanted_any_more_is_not_finished() {
+    fn encoding_stops_when_cancelled() {
         let values = vec![0.5; 64 * 64];
         let colour = [FrameLayer { name: "", suffixes: "Y", values: &values }];
         let attributes = &FrameAttributes::default();

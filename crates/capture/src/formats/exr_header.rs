@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_file_is_left_as_it_is() {
+    fn truncated_headers_are_left_unchanged() {
         let whole = file(0x10, &[&["b", "a"], &["d", "c"]]);
         for length in 0..20 {
             let mut cut = whole[..length].to_vec();

@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_file_is_damaged_not_a_panic() {
+    fn truncated_files_are_reported_as_damaged() {
         let bytes = encode_rgb(8, 8, &[[0.5; 3]; 64]).unwrap();
         for cut in [4, 20, bytes.len() / 2, bytes.len() - 1] {
             assert!(matches!(decode_rgba(&bytes[..cut]), Err(ImageFileError::Damaged(_))), "cut at {cut}");

@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn sixteen_bit_grey_keeps_sixteen_bits() {
+    fn sixteen_bit_grey_png_keeps_its_precision() {
         let bytes = encode_png16(2, 1, &[[1u16], [40_001]]).unwrap();
         let back = decode(&bytes, 2).unwrap();
         assert_eq!(back.pixels[0][0], 1.0 / 65535.0);
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn the_depth_is_that_of_the_file() {
+    fn bit_depth_is_read_from_the_file() {
         let eight = encode_png(1, 1, &[[1u8, 2, 3]]).unwrap();
         let sixteen = encode_png16(1, 1, &[[1u16, 2, 3]]).unwrap();
         let floats = tiff(1, 1, &[0; 12], ExtendedColorType::Rgb32F);
@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn jpeg_and_webp_are_told_by_content() {
+    fn jpeg_and_webp_are_detected_by_content() {
         let jpeg = encode_jpeg(16, 16, &[[200, 100, 50]; 256], 95).unwrap();
         let p = decode(&jpeg, 256).unwrap().pixels[17];
         assert!((p[0] - 200.0 / 255.0).abs() < 0.02 && p[3] == 1.0, "{p:?}");
@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn tiff_of_integers_is_displayed_and_of_floats_is_light() {
+    fn integer_tiff_is_display_encoded_and_float_tiff_is_linear() {
         let eight = tiff(2, 1, &[0, 51, 255, 102, 0, 204], ExtendedColorType::Rgb8);
         assert_eq!(dimensions(&eight).unwrap(), (2, 1));
         assert_eq!(decode(&eight, 2).unwrap().pixels, [[0.0, 0.2, 1.0, 1.0], [0.4, 0.0, 0.8, 1.0]]);
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tiff_that_is_cut_or_bent_is_refused_or_read() {
+    fn truncated_or_corrupt_tiff_never_panics() {
         let whole = tiff(5, 4, &[77; 60], ExtendedColorType::Rgb8);
         assert!(decode(&whole, 19).is_err(), "more pixels than are allowed");
         for n in 0..whole.len() {
@@ -347,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_reduced_while_it_is_decoded_is_what_is_reduced_afterwards() {
+    fn reduction_while_decoding_equals_reduction_afterwards() {
         let image = gradient();
         let half = |(width, height): (u32, u32)| (width / 2, height.div_ceil(2));
         let (reduced, stored) = decode_reduced(&encode_rgba(&image).unwrap(), 12, half).unwrap();
@@ -358,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn a_huge_header_is_refused_without_its_pixels() {
+    fn too_large_header_is_refused_before_decoding() {
         let mut png = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR".to_vec();
         png.extend([0, 0, 0x4e, 0x20, 0, 0, 0x4e, 0x20, 8, 6, 0, 0, 0, 0, 0, 0, 0]);
         let error = decode(&png, DEFAULT_MAX_PIXELS).unwrap_err();
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn empty_textual_and_cut_files_say_what_they_are() {
+    fn empty_text_and_truncated_files_give_clear_errors() {
         assert_eq!(decode(b"", 1).unwrap_err(), ImageFileError::Empty);
         let text = decode(b"hello, I am a picture", 1).unwrap_err();
         assert!(text.to_string().contains("hello"), "{text}");
@@ -376,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_lengths_are_not_encoded() {
+    fn encoder_refuses_pixel_buffers_of_wrong_length() {
         assert!(encode_png(2, 2, &[[0u8; 3]; 3]).is_err());
         assert!(encode_png(1, 1, &[[0u8; 2]; 1]).is_err());
         assert!(encode_jpeg(0, 0, &[], 90).is_err());

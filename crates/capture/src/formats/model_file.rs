@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_survives_the_file() {
+    fn model_round_trips_through_its_file() {
         let mut model = example();
         model.shading.indirect = IndirectForm::Learned;
         assert_eq!(decode(&encode(&model).unwrap()).unwrap(), model);
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_that_the_model_does_not_use_are_not_in_the_file() {
+    fn unused_weights_are_not_stored() {
         let mut model = example();
         model.shading.indirect = IndirectForm::Learned;
         let whole = encode(&model).unwrap().len();
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn files_of_versions_before_are_read() {
+    fn files_of_earlier_versions_are_read() {
         let at = |version: u32, shade_at: &str| {
             let mut model = example();
             model.shading.shade_at = ShadeAt::Gaussian;
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn sheen_is_in_the_file_where_there_is_any() {
+    fn sheen_is_stored_only_if_any_is_not_zero() {
         let mut model = example();
         model.shading.indirect = IndirectForm::Learned;
         let (with, floats) = (encode(&model).unwrap(), floats_a_gaussian(&model));
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn lights_are_in_the_file_where_there_are_any() {
+    fn lights_are_stored_only_if_the_model_has_any() {
         let mut model = example();
         model.gaussians.field_mut(Field::Indirect).fill(0.0);
         let without = encode(&model).unwrap();
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn cut_short_or_poisoned_files_are_refused() {
+    fn truncated_files_and_nan_values_are_refused() {
         let bytes = encode(&example()).unwrap();
         for cut in [0, 7, 40, bytes.len() - 1] {
             assert!(decode(&bytes[..cut]).is_err(), "cut at {cut}");

@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn our_own_files_come_back_with_or_without_their_comments() {
+    fn own_files_are_read_back_with_or_without_comments() {
         let model = original();
         let bytes = ply_model::encode(&model);
         let back = decode(&bytes).unwrap();
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn ordinary_files_have_colour_and_no_materials() {
+    fn ordinary_files_give_colour_without_materials() {
         let model = original();
         let plain = Splats::of(&model).painted(Layer::Albedo);
         let back = decode(&ply_model::encode_splats(&model, &plain, Columns::Ordinary)).unwrap();
@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn a_world_is_made_around_gaussians_that_state_none() {
+    fn files_without_world_scale_are_scaled_to_the_unit_ball() {
         let bare = decode(&without_comments(&ply_model::encode(&original()))).unwrap();
         let far =
             bare.gaussians.field(Field::Mean).as_chunks::<3>().0.iter().map(|c| Vec3::from(*c).length());
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_or_wrong_is_named() {
+    fn missing_properties_and_invalid_values_are_named() {
         let bytes = ply_model::encode(&original());
         let error = |from: &str, to: &str| {
             let at = bytes.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();

@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_columns_are_those_of_the_3dgs_authors() {
+    fn first_columns_follow_the_original_3dgs_layout() {
         let names = property_names(&example(), Columns::Relightable, &[Field::Visibility]);
         assert_eq!(names[..9], ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]);
         assert_eq!(
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn radiance_goes_channel_by_channel_and_materials_are_activated() {
+    fn radiance_is_stored_by_channel_and_materials_are_activated() {
         let bytes = encode(&example());
         let get = |name| property(&bytes, name);
         assert_eq!([get("f_dc_0"), get("f_dc_1"), get("f_dc_2")], [0.0, 1.0, 2.0]);
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn viewers_are_told_whether_opacities_expect_compensation() {
+    fn header_states_whether_opacities_need_compensation() {
         let says = |low_pass_compensation: bool, line: &str| {
             let mut model = example();
             model.shading.low_pass_compensation = low_pass_compensation;
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn our_own_point_reader_reads_it() {
+    fn point_reader_reads_a_model_file() {
         let points = crate::formats::ply_points::read_points(&encode(&example()), 2).unwrap();
         assert_eq!(points[1].0, DVec3::new(0.5, -1.25, 0.125));
     }

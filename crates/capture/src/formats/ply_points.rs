@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn ascii_and_binary_say_the_same() {
+    fn ascii_and_binary_files_give_equal_points() {
         let points = read_points(ASCII.as_bytes(), 10).unwrap();
         assert_eq!(points, read_points(&binary(), 10).unwrap());
         assert_eq!(points[1].0, DVec3::new(-1.0, 0.5, 100.0));
@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn counts_that_lie_are_refused_before_they_cost_anything() {
+    fn wrong_counts_in_headers_are_refused_without_allocation() {
         for count in ["99999999999", "3", "-1", "x"] {
             let text = ASCII.replace("vertex 2", &format!("vertex {count}"));
             assert!(read_points(text.as_bytes(), usize::MAX).is_err(), "{count}");
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_headers_and_values_are_named() {
+    fn invalid_headers_and_values_are_refused_by_field() {
         for (from, to, field) in [
             ("ply", "plx", "header"),
             ("property float z\n", "", "property"),

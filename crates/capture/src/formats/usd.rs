@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_says_what_the_model_has() {
+    fn file_contains_the_values_of_the_model() {
         let text = encode_splats(&splats());
         let has = |declaration: &str, part: &str| {
             let found = values(&text, declaration).unwrap_or_else(|| panic!("{declaration} is missing"));
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_package_holds_the_text_uncompressed_where_readers_expect_it() {
+    fn package_stores_the_text_uncompressed_and_aligned() {
         let (bytes, text) = (encode_splats_package(&splats()).unwrap(), encode_splats(&splats()));
         let at = bytes.windows(9).position(|w| w == b"#usda 1.0").unwrap();
         assert_eq!(at % usize::from(ALIGNMENT), 0);
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn the_extent_holds_the_gaussians_and_not_the_centres_alone() {
+    fn extent_contains_whole_gaussians_not_only_their_centres() {
         let splats = splats();
         let [least, most] = extent(&splats);
         for (i, p) in splats.positions.iter().enumerate() {

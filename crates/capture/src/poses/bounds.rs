@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_is_held_to_its_memory_and_steps_back() {
+    fn program_runs_with_a_memory_limit_and_lower_priority() {
         let folder = tempfile::TempDir::new().unwrap();
         // The bounds come right after its start.
         let script = "sleep 0.5; ulimit -d; nice";
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_left_running_is_ended_and_others_are_not() {
+    fn leftover_process_is_killed_and_other_processes_are_not() {
         let folder = tempfile::TempDir::new().unwrap();
         let marker = folder.path().join("process");
         for (argument, is_ours) in [(folder.path(), true), (Path::new("/elsewhere"), false)] {

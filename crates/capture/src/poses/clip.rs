@@ -10,8 +10,8 @@ use super::bounds::Bounds;
 use super::error::PoseError;
 use super::process::Program;
 use super::watch::{PoseProgress, PoseStage, Watch};
-use crate::{CaptureError, sharpness};
 use crate::formats::image_file;
+use crate::{CaptureError, sharpness};
 
 const INSTALL: &str = "apt-get install ffmpeg, brew install ffmpeg, or https://ffmpeg.org/download.html";
 /// The oldest release whose options are those that are used here; what tells no release is taken for newer.
@@ -175,7 +175,7 @@ mod tests {
     use crate::formats::image_file::encode_jpeg;
 
     #[test]
-    fn the_sharpest_of_each_interval_is_kept() {
+    fn sharpest_frame_of_each_interval_is_kept() {
         let folder = tempfile::TempDir::new().unwrap();
         let file = |i: usize| {
             // Stripes of one width whose contrast is highest for frames 3, 6 and 11.
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn clips_and_releases_are_told() {
+    fn clips_and_ffmpeg_versions_are_recognised() {
         assert_eq!(version("ffprobe version 5.1.6-0+deb12u1 Copyright (c) 2007"), Some(5));
         assert_eq!(version("ffmpeg version n7.0 Copyright"), Some(7));
         assert_eq!(version("ffmpeg version 20240101-git"), None);

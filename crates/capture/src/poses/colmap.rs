@@ -312,7 +312,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn versions_and_counts_are_read_from_what_colmap_says() {
+    fn versions_and_counts_are_parsed_from_colmap_output() {
         assert_eq!(version("COLMAP 3.8 -- Structure-from-Motion and Multi-View Stereo"), Some((3, 8)));
         assert_eq!(version("COLMAP 3.12.1 (Commit b1b2 on 2025-07-01 with CUDA)"), Some((3, 12)));
         assert_eq!(version("COLMAP 4.0.0.dev0"), Some((4, 0)));

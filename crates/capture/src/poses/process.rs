@@ -186,7 +186,7 @@ mod tests {
     const LONG: Duration = Duration::from_secs(600);
 
     #[test]
-    fn what_a_program_says_is_heard_and_kept() {
+    fn program_output_is_reported_and_appended_to_the_log() {
         let (ended, lines, log) = run("echo one; echo two >&2; printf 'three\\rfour\\n'", LONG, false);
         ended.unwrap();
         assert_eq!(lines, ["one", "two", "three", "four"]);
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_fails_or_dies_says_so_with_its_last_words() {
+    fn failed_program_gives_an_error_with_its_last_output() {
         let (ended, ..) = run("seq 20; echo no memory; exit 3", LONG, false);
         let Err(PoseError::Failed { end, status, .. }) = ended else { panic!("{ended:?}") };
         assert!(end.ends_with("20\nno memory") && !end.contains("\n12\n") && status.contains('3'), "{end}");
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_is_ended_when_time_is_over_or_nobody_wants_it() {
+    fn program_is_killed_after_timeout_or_cancellation() {
         let runs = |pid: &str| {
             Command::new("sh").args(["-c", &format!("kill -0 {pid}")]).status().unwrap().success()
         };
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_is_not_there_says_how_to_get_it() {
+    fn missing_program_gives_an_error_with_install_advice() {
         let folder = tempfile::TempDir::new().unwrap();
         let log = folder.path().join("x.log");
         let program = Program {

@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_options_give_the_same_bytes_on_any_number_of_threads() {
+    fn equal_options_give_equal_bytes_on_any_number_of_threads() {
         let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
         let one = pool(1).install(|| tiny(5, 16));
         let three = pool(3).install(|| tiny(5, 16));
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn the_noise_is_small_and_falls_with_more_paths() {
+    fn noise_is_small_and_decreases_with_more_paths() {
         let camera = camera(spiral(3, 6, 1.1), 96).unwrap();
         let render = |seed, paths| {
             let tracer = Tracer::new(
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn under_white_light_an_open_diffuse_surface_shows_albedo_times_its_sky() {
+    fn white_light_shows_albedo_times_ambient_occlusion() {
         let white = EnvMap::constant(8, 4, [1.0; 3]);
         let capture = synthetic(&SyntheticOptions {
             train_light: white,
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn options_out_of_range_are_named() {
+    fn options_out_of_range_are_refused_by_name() {
         for (field, options) in [
             ("train_views", SyntheticOptions { train_views: 2, ..SyntheticOptions::default() }),
             ("size", SyntheticOptions { size: 0, ..SyntheticOptions::default() }),

@@ -233,7 +233,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_shape_is_hit_where_geometry_says() {
+    fn ray_intersections_match_the_analytic_shapes() {
         let d = DVec3::new(1.0, 0.0, 0.0);
         let start = DVec3::new(-5.0, 0.0, 0.1);
         let (t, n) = sphere(start, d, 1.0).unwrap();
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn hits_lie_inside_the_promised_ball_and_normals_face_the_ray() {
+    fn hits_lie_inside_the_bounds_and_normals_face_the_ray() {
         let scene = AnalyticScene::new(SyntheticScene::Table);
         let mut hits = 0;
         for i in 0..4000 {

@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mixture_integrates_like_quadrature() {
+    fn mixture_sampling_agrees_with_quadrature() {
         for (metallic, roughness) in [(0.0, 0.3), (1.0, 0.4), (0.5, 0.9)] {
             let (drawn, summed) = both(&surface(metallic, roughness), &builtin("sunset").unwrap());
             let error = ((drawn - summed) / summed).abs().max_element();
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_white_furnace_never_gains_energy() {
+    fn white_furnace_never_gains_energy() {
         for roughness in [0.2, 0.5, 1.0] {
             let mut metal = surface(1.0, roughness);
             metal.material.albedo = DVec3::ONE;

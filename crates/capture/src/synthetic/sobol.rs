@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sixty_four_pairs_fill_every_elementary_box_once() {
+    fn sixty_four_pairs_fill_each_elementary_interval_once() {
         for key in [0, 1, mix(7), u64::MAX] {
             for (columns, rows) in [(64, 1), (1, 64), (8, 8), (16, 4), (4, 16)] {
                 let mut seen = vec![0; 64];
@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_are_independent() {
+    fn sequences_of_different_keys_are_uncorrelated() {
         let correlation: f64 =
             (0..4096).map(|i| (pair(i, mix(1)).x - 0.5) * (pair(i, mix(2)).x - 0.5) * 12.0 / 4096.0).sum();
         assert!(correlation.abs() < 0.06, "{correlation}");

@@ -4,9 +4,11 @@ use std::io::{Cursor, Write};
 
 use proptest::prelude::*;
 
-use super::small_set::{Files, blender, colmap, gzip, import_bytes, import_folder, nerfstudio, tar, zip};
-use crate::fuzz::cases_or;
 use relume_capture::{CaptureError, ImportLimits, ImportOptions, import};
+use relume_fixtures::cases_or;
+use relume_fixtures::small_set::{
+    Files, blender, colmap, gzip, import_bytes, import_folder, nerfstudio, tar, zip,
+};
 
 fn refusal(bytes: &[u8]) -> CaptureError {
     import_bytes(bytes).unwrap_err()
@@ -42,7 +44,7 @@ fn with(name: &str) -> Files {
 }
 
 #[test]
-fn folder_zip_tar_and_gzipped_tar_give_the_same_capture() {
+fn folder_zip_tar_and_gzipped_tar_give_equal_captures() {
     let files = blender();
     let folder = import_folder(&files).unwrap();
     for bytes in [zip(&files), tar(&files), gzip(&tar(&files))] {
@@ -51,7 +53,7 @@ fn folder_zip_tar_and_gzipped_tar_give_the_same_capture() {
 }
 
 #[test]
-fn every_truncation_is_refused() {
+fn truncated_archives_are_refused() {
     let files = blender();
     for whole in [zip(&files), gzip(&tar(&files))] {
         for cut in (0..whole.len()).step_by(7).chain([whole.len() - 1]) {
@@ -66,7 +68,7 @@ fn every_truncation_is_refused() {
 }
 
 #[test]
-fn bombs_are_refused_by_ratio_size_and_count() {
+fn archive_bombs_are_refused_by_ratio_size_and_count() {
     let mut files = blender();
     files.insert("bomb.bin".into(), vec![0; 8 << 20]);
     for bytes in [zip(&files), gzip(&tar(&files))] {
@@ -84,7 +86,7 @@ fn bombs_are_refused_by_ratio_size_and_count() {
 }
 
 #[test]
-fn a_size_that_lies_is_found_out_when_the_entry_is_read() {
+fn wrong_entry_size_is_detected_while_reading() {
     let bytes = zip(&blender());
     // The uncompressed size of each central entry lies 24 bytes behind its signature.
     let at = bytes.windows(4).position(|w| w == b"PK\x01\x02").unwrap() + 24;
@@ -94,7 +96,7 @@ fn a_size_that_lies_is_found_out_when_the_entry_is_read() {
 }
 
 #[test]
-fn paths_that_escape_are_refused() {
+fn escaping_paths_are_refused() {
     for (honest, evil) in [
         ("aa/x.png", "../x.png"),
         ("b/cc/x.png", "b/../x.png"),
@@ -115,7 +117,7 @@ fn paths_that_escape_are_refused() {
 }
 
 #[test]
-fn duplicates_are_refused() {
+fn duplicate_entries_are_refused() {
     let twice = renamed(zip(&with("train/r_9.png")), "train/r_9.png", "train/r_1.png");
     assert_eq!(refusal(&twice).code(), "capture_archive_unsafe");
     let twice: Vec<u8> = {
@@ -131,7 +133,7 @@ fn duplicates_are_refused() {
 }
 
 #[test]
-fn links_devices_and_encryption_are_refused() {
+fn links_devices_and_encrypted_entries_are_refused() {
     let mut writer = zip::ZipWriter::new(Cursor::new(Vec::new()));
     writer.add_symlink("link", "/etc/passwd", zip::write::SimpleFileOptions::default()).unwrap();
     let error = refusal(&writer.finish().unwrap().into_inner());
@@ -156,7 +158,7 @@ fn links_devices_and_encryption_are_refused() {
 }
 
 #[test]
-fn nothing_is_left_on_disk_by_a_refused_archive() {
+fn refused_archive_leaves_no_files_on_disk() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("evil.zip");
     std::fs::write(&path, renamed(zip(&with("aa/x.png")), "aa/x.png", "../x.png")).unwrap();
@@ -167,7 +169,7 @@ fn nothing_is_left_on_disk_by_a_refused_archive() {
 }
 
 #[test]
-fn what_is_no_archive_or_no_capture_says_so() {
+fn files_that_are_no_capture_archive_give_clear_errors() {
     assert_eq!(refusal(b"").code(), "capture_archive_damaged");
     assert_eq!(refusal(b"just some text").code(), "capture_archive_damaged");
     assert_eq!(refusal(&[0; 4096]).code(), "capture_layout_unknown");
@@ -197,7 +199,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: cases_or(300), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_flipped_bytes_in_an_archive_make_the_importer_panic(
+    fn importer_does_not_panic_on_flipped_bytes(
         which in 0usize..4,
         flips in prop::collection::vec((any::<usize>(), 1u8..), 1..6),
     ) {
@@ -211,7 +213,7 @@ proptest! {
     }
 
     #[test]
-    fn no_garbage_behind_a_magic_number_makes_the_importer_panic(
+    fn importer_refuses_random_bytes_after_a_magic_number(
         magic in prop::sample::select(vec![&b"PK\x03\x04"[..], b"\x1f\x8b\x08\x00", b"ustar"]),
         garbage in prop::collection::vec(any::<u8>(), 0..2000),
     ) {

@@ -2,10 +2,10 @@
 
 use serde_json::json;
 
-use super::small_set::{
+use relume_capture::CaptureError;
+use relume_fixtures::small_set::{
     Files, blender, colmap, import_bytes, nerfstudio, picture, pose_with_entry, transforms, zip,
 };
-use relume_capture::CaptureError;
 
 fn refusal(files: &Files) -> CaptureError {
     import_bytes(&zip(files)).unwrap_err()
@@ -31,7 +31,7 @@ fn with_image(bytes: &[u8]) -> Files {
 }
 
 #[test]
-fn images_that_are_none_are_refused_by_name() {
+fn undecodable_images_are_refused_by_name() {
     let cut = picture(1);
     for (bytes, says) in [
         (&b""[..], "empty"),
@@ -45,7 +45,7 @@ fn images_that_are_none_are_refused_by_name() {
 }
 
 #[test]
-fn a_header_of_four_hundred_million_pixels_is_refused_unread() {
+fn header_of_400_million_pixels_is_refused_before_decoding() {
     let mut png = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR".to_vec();
     png.extend([0, 0, 0x4e, 0x20, 0, 0, 0x4e, 0x20, 8, 6, 0, 0, 0, 0, 0, 0, 0]);
     let error = refusal(&with_image(&png));
@@ -60,7 +60,7 @@ fn a_header_of_four_hundred_million_pixels_is_refused_unread() {
 }
 
 #[test]
-fn poses_that_are_none_are_refused_by_frame() {
+fn invalid_poses_are_refused_by_frame() {
     let zero = json!([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]]);
     let flat = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]]);
     let mirrored = json!([[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
@@ -76,7 +76,7 @@ fn poses_that_are_none_are_refused_by_frame() {
 }
 
 #[test]
-fn the_nan_that_python_writes_is_refused_with_file_and_field() {
+fn python_nan_literal_is_refused_with_file_and_field() {
     let text = with_pose(pose_with_entry(0, 3, json!("NAN")))["transforms_train.json"].clone();
     let text = String::from_utf8(text).unwrap().replace("\"NAN\"", "NaN");
     let error = refusal(&with_json(&text));
@@ -85,7 +85,7 @@ fn the_nan_that_python_writes_is_refused_with_file_and_field() {
 }
 
 #[test]
-fn missing_and_absurd_intrinsics_are_named() {
+fn missing_and_invalid_intrinsics_are_refused_by_field() {
     let mut set = transforms(4);
     set.as_object_mut().unwrap().remove("camera_angle_x");
     let error = refusal(&with_json(&set.to_string()));
@@ -103,7 +103,7 @@ fn missing_and_absurd_intrinsics_are_named() {
 }
 
 #[test]
-fn a_turn_of_the_light_that_is_no_number_is_refused() {
+fn invalid_light_rotation_is_refused() {
     for turn in ["\"north\"", "NaN", "1e999"] {
         let mut set = transforms(4);
         set["frames"][2]["light_rotation_deg"] = json!("TURN");
@@ -116,7 +116,7 @@ fn a_turn_of_the_light_that_is_no_number_is_refused() {
 }
 
 #[test]
-fn json_of_another_shape_is_refused() {
+fn json_of_another_schema_is_refused_by_field() {
     for (text, field) in [
         ("{}", Some("frames")),
         ("{\"frames\": 3}", Some("frames")),
@@ -132,7 +132,7 @@ fn json_of_another_shape_is_refused() {
 }
 
 #[test]
-fn too_few_images_are_counted_and_named() {
+fn too_few_images_are_refused_with_count_and_names() {
     let error = refusal(&with_json(&transforms(1).to_string()));
     assert!(matches!(error, CaptureError::TooFewImages { usable: 1, required: 3, .. }), "{error}");
     let mut files = blender();
@@ -149,13 +149,13 @@ fn too_few_images_are_counted_and_named() {
 }
 
 #[test]
-fn a_mask_that_is_named_must_be_there() {
+fn missing_mask_file_is_refused() {
     let error = refusal(&nerfstudio(|set| set["frames"][1]["mask_path"] = json!("masks/1.png")));
     assert_eq!((error.code(), error.file()), ("capture_file_invalid", Some("masks/1.png")));
 }
 
 #[test]
-fn colmap_models_with_bad_values_are_refused_by_file_and_entry() {
+fn invalid_colmap_values_are_refused_by_file_and_entry() {
     for (file, from, to, field) in [
         ("cameras.txt", "PINHOLE", "FULL_OPENCV", Some("cameras[1].model")),
         ("cameras.txt", "1 PINHOLE", "9 PINHOLE", Some("images[0.png].camera_id")),

@@ -3,11 +3,11 @@
 use glam::DVec3;
 use serde_json::json;
 
-use super::small_set::{
+use relume_capture::formats::image_file;
+use relume_capture::{Capture, CaptureView, ImportLimits, ImportOptions, cameras, import, inspect};
+use relume_fixtures::small_set::{
     Files, blender, camera, colmap, import_bytes, import_folder, nerfstudio, pose_error, transforms, zip,
 };
-use relume_capture::{Capture, CaptureView, ImportLimits, ImportOptions, cameras, import, inspect};
-use relume_capture::formats::image_file;
 
 fn view<'a>(capture: &'a Capture, name: &str) -> &'a CaptureView {
     capture.train.iter().chain(&capture.test).find(|v| v.name == name).unwrap()
@@ -21,7 +21,7 @@ fn project(view: &CaptureView, p: DVec3) -> (f64, f64) {
 }
 
 #[test]
-fn a_blender_set_keeps_its_poses_and_holds_out_every_eighth_by_name() {
+fn blender_set_keeps_poses_and_holds_out_every_eighth_image() {
     let capture = import_folder(&blender()).unwrap();
     assert_eq!((capture.layout.as_str(), capture.train.len(), capture.test.len()), ("nerf-synthetic", 3, 1));
     assert_eq!(capture.test[0].name, "train/r_0.png");
@@ -35,7 +35,7 @@ fn a_blender_set_keeps_its_poses_and_holds_out_every_eighth_by_name() {
 }
 
 #[test]
-fn a_point_ahead_is_in_the_middle_and_a_point_above_is_higher_up() {
+fn imported_camera_projects_points_ahead_above_and_right() {
     let capture = import_folder(&blender()).unwrap();
     let view = view(&capture, "train/r_2.png");
     let (u, v) = project(view, DVec3::ZERO);
@@ -46,7 +46,7 @@ fn a_point_ahead_is_in_the_middle_and_a_point_above_is_higher_up() {
 }
 
 #[test]
-fn a_test_file_of_the_sets_own_decides_what_is_held_out() {
+fn transforms_test_file_defines_the_held_out_images() {
     let mut files = blender();
     let mut test = transforms(2);
     test["frames"].as_array_mut().unwrap().remove(0);
@@ -57,7 +57,7 @@ fn a_test_file_of_the_sets_own_decides_what_is_held_out() {
 }
 
 #[test]
-fn nerfstudio_intrinsics_may_be_shared_or_each_frames_own() {
+fn nerfstudio_intrinsics_may_be_shared_or_per_frame() {
     let capture = import_folder(&nerfstudio(|set| {
         set["frames"][2]["fl_x"] = json!(11.0);
         set["test_filenames"] = json!(["./images/5.png"]);
@@ -74,7 +74,7 @@ fn nerfstudio_intrinsics_may_be_shared_or_each_frames_own() {
 }
 
 #[test]
-fn frames_state_how_the_light_stood() {
+fn light_rotation_is_read_from_frames() {
     let mut set = transforms(4);
     set["frames"][2]["light_rotation_deg"] = json!(-120);
     let mut files = blender();
@@ -89,7 +89,7 @@ fn frames_state_how_the_light_stood() {
 }
 
 #[test]
-fn a_mask_becomes_alpha() {
+fn mask_file_becomes_alpha() {
     let mut files = nerfstudio(|set| set["frames"][1]["mask_path"] = json!("masks/1.png"));
     let half: Vec<[u8; 1]> = (0..48u8).map(|i| [if i % 8 < 4 { 0 } else { 255 }]).collect();
     files.insert("masks/1.png".into(), image_file::encode_png(8, 6, &half).unwrap());
@@ -99,7 +99,7 @@ fn a_mask_becomes_alpha() {
 }
 
 #[test]
-fn a_mask_that_lies_beside_its_photograph_needs_no_mention() {
+fn masks_are_found_by_file_name() {
     let half: Vec<[u8; 1]> = (0..48u8).map(|i| [if i % 8 < 4 { 0 } else { 255 }]).collect();
     let half = image_file::encode_png(8, 6, &half).unwrap();
     let is_masked = |view: &CaptureView| view.image.pixel(2)[3] == 0.0 && view.image.pixel(6)[3] == 1.0;
@@ -119,7 +119,7 @@ fn a_mask_that_lies_beside_its_photograph_needs_no_mention() {
 }
 
 #[test]
-fn a_photograph_is_turned_where_its_poses_are_for_the_turned_one() {
+fn photograph_is_rotated_by_exif_if_its_poses_need_it() {
     // Bright on the left as stored, 6 x 8 pixels; orientation 6 turns that to the top.
     let pixels: Vec<[u8; 3]> = (0..48).map(|i| [if i % 6 < 3 { 250 } else { 5 }; 3]).collect();
     let jpeg = image_file::encode_jpeg(6, 8, &pixels, 95).unwrap();
@@ -137,7 +137,7 @@ fn a_photograph_is_turned_where_its_poses_are_for_the_turned_one() {
 }
 
 #[test]
-fn a_colmap_model_may_lie_in_sparse_itself() {
+fn colmap_model_directly_in_sparse_is_read() {
     let moved = |(name, bytes): (String, Vec<u8>)| (name.replace("sparse/0/", "sparse/"), bytes);
     let here: Files = colmap().into_iter().map(moved).collect();
     let there = import_folder(&colmap()).unwrap();
@@ -147,7 +147,7 @@ fn a_colmap_model_may_lie_in_sparse_itself() {
 }
 
 #[test]
-fn a_named_point_cloud_is_read_and_a_missing_one_is_a_warning() {
+fn point_cloud_is_read_and_a_missing_one_gives_a_warning() {
     let mut files = nerfstudio(|set| set["ply_file_path"] = json!("points.ply"));
     let missing = import_folder(&files).unwrap();
     assert!(missing.points.is_empty() && missing.warnings[0].contains("points.ply"));
@@ -158,7 +158,7 @@ fn a_named_point_cloud_is_read_and_a_missing_one_is_a_warning() {
 }
 
 #[test]
-fn distortion_is_gone_after_the_import() {
+fn import_removes_lens_distortion() {
     let bent = import_folder(&nerfstudio(|set| set["k1"] = json!(-0.2))).unwrap();
     let straight = import_folder(&nerfstudio(|_| {})).unwrap();
     let (a, b) = (view(&bent, "images/1.png"), view(&straight, "images/1.png"));
@@ -170,7 +170,7 @@ fn distortion_is_gone_after_the_import() {
 }
 
 #[test]
-fn the_cameras_alone_are_those_of_the_import() {
+fn cameras_read_without_images_equal_the_imported_cameras() {
     let bent = nerfstudio(|set| set["k1"] = json!(-0.2));
     for (files, held_out) in [(blender(), 1), (bent, 1), (colmap(), 1)] {
         let archive = tempfile::NamedTempFile::new().unwrap();
@@ -187,7 +187,7 @@ fn the_cameras_alone_are_those_of_the_import() {
 }
 
 #[test]
-fn a_colmap_scene_is_turned_upright_without_changing_what_is_seen() {
+fn colmap_scene_is_rotated_upright_with_unchanged_projections() {
     let capture = import_bytes(&zip(&colmap())).unwrap();
     assert_eq!((capture.layout.as_str(), capture.points.len()), ("colmap", 2));
     let up = capture.train.iter().chain(&capture.test).map(|v| -v.camera.rotation.row(1)).sum::<DVec3>();
@@ -203,7 +203,7 @@ fn a_colmap_scene_is_turned_upright_without_changing_what_is_seen() {
 }
 
 #[test]
-fn photographs_shrink_with_their_cameras() {
+fn max_side_reduces_photographs_and_their_cameras() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("set.zip"), zip(&blender())).unwrap();
     let options = ImportOptions { max_side: Some(4), ..ImportOptions::default() };
@@ -214,7 +214,7 @@ fn photographs_shrink_with_their_cameras() {
 }
 
 #[test]
-fn an_outer_folder_and_files_of_file_managers_are_ignored() {
+fn outer_folder_and_file_manager_files_are_ignored() {
     let mut files: Files = blender().into_iter().map(|(k, v)| (format!("my scan/lego/{k}"), v)).collect();
     files.insert("__MACOSX/my scan/._lego".into(), vec![0; 9]);
     files.insert("my scan/.DS_Store".into(), vec![0; 9]);
@@ -223,7 +223,7 @@ fn an_outer_folder_and_files_of_file_managers_are_ignored() {
 }
 
 #[test]
-fn the_report_is_json_with_the_facts() {
+fn report_serialises_to_json_with_capture_facts() {
     let report = serde_json::to_value(import_folder(&blender()).unwrap().report()).unwrap();
     assert_eq!(report["layout"], "nerf-synthetic");
     assert_eq!((report["train_images"].as_u64(), report["width"].as_u64()), (Some(3), Some(8)));
@@ -234,7 +234,7 @@ fn the_report_is_json_with_the_facts() {
 }
 
 #[test]
-fn an_inspection_reports_what_an_import_would_find() {
+fn inspection_report_equals_the_import_report() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("set.zip");
     let wide: Vec<[u8; 3]> = vec![[90, 60, 30]; 160 * 120];

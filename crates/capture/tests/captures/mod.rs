@@ -6,5 +6,4 @@
 mod archives;
 mod bad_input;
 mod layouts;
-pub mod small_set;
 mod with_data;

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use glam::DVec2;
-use relume_capture::{Capture, Distortion, ImportOptions, import};
 use relume_capture::formats::environment;
+use relume_capture::{Capture, Distortion, ImportOptions, import};
 
-use crate::requirements::data;
+use relume_fixtures::data;
 
 fn small(path: PathBuf, side: u32) -> Capture {
     import(&path, &ImportOptions { max_side: Some(side), ..ImportOptions::default() }).unwrap()
@@ -15,7 +15,7 @@ fn small(path: PathBuf, side: u32) -> Capture {
 
 #[test]
 #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
-fn lego_is_a_hundred_cut_out_views_around_the_origin() {
+fn lego_has_100_masked_views_around_the_origin() {
     let path = data("captures/lego");
     let capture = small(path, 100);
     assert_eq!(
@@ -35,7 +35,7 @@ fn lego_is_a_hundred_cut_out_views_around_the_origin() {
 
 #[test]
 #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
-fn helmet_comes_with_its_truth_and_its_lights() {
+fn helmet_is_imported_with_ground_truth_and_lights() {
     let path = data("scenes/helmet");
     let capture = small(path, 200);
     assert_eq!((capture.layout.as_str(), capture.train.len(), capture.test.len()), ("tensoir", 80, 16));
@@ -69,7 +69,7 @@ fn helmet_comes_with_its_truth_and_its_lights() {
 
 #[test]
 #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
-fn fox_names_its_seventeen_missing_images_and_goes_on() {
+fn fox_import_warns_of_17_missing_images() {
     let path = data("captures/fox");
     let capture = small(path, 240);
     assert_eq!((capture.layout.as_str(), capture.train.len() + capture.test.len()), ("nerfstudio", 50));
@@ -205,7 +205,7 @@ fn reprojection_error(capture: &Capture, measured: &Measured, bend: f64) -> f64 
 
 #[test]
 #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
-fn distorted_observations_agree_with_the_straightened_cameras_to_a_pixel() {
+fn observations_match_undistorted_cameras_within_one_pixel() {
     let path = data("captures/beer71_colmap");
     let capture = small(path.clone(), 160);
     let measured = measured(path.join("sparse/0"));
@@ -216,7 +216,7 @@ fn distorted_observations_agree_with_the_straightened_cameras_to_a_pixel() {
 
 #[test]
 #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
-fn every_environment_loads_and_the_nasty_ones_warn() {
+fn environments_load_and_negative_values_give_warnings() {
     let folder = data("envmaps");
     for name in ["bridge", "city", "dawn", "forest", "interior", "night", "studio", "sunset"] {
         let loaded =

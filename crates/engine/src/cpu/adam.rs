@@ -6,8 +6,8 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::adam::{FieldGroup, StepCounts, StepSizes, share_of_step};
-use relume_layout::constants::{ADAM_BETA1 as BETA1, ADAM_BETA2 as BETA2, ADAM_EPSILON as EPSILON};
 use crate::{Gradients, Moments};
+use relume_layout::constants::{ADAM_BETA1 as BETA1, ADAM_BETA2 as BETA2, ADAM_EPSILON as EPSILON};
 use relume_scene::{Field, Model};
 
 /// Gaussians a task takes.

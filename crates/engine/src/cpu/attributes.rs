@@ -3,11 +3,11 @@
 
 use crate::RasterCamera;
 use crate::RowLayout;
-use relume_layout::channel::{self, Channels, IncidentLight, OutgoingRadiance, RowLight};
 use crate::cpu::project::{
     Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid, sigmoid_derivative,
 };
 use crate::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceShader};
+use relume_layout::channel::{self, Channels, IncidentLight, OutgoingRadiance, RowLight};
 use relume_scene::light::{LightTables, sh_eval, sh_eval_with_gradient};
 use relume_scene::{Field, Gaussians, IndirectForm, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions};
 

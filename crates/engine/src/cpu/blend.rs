@@ -6,9 +6,9 @@
 
 use multiversion::multiversion;
 
-use relume_layout::constants::{ALPHA_MAX, ALPHA_MIN, EarlyStop, TILE, TRANSMITTANCE_STOP};
 use crate::cpu::lanes::{LANES, Lanes, exp_negative};
 use crate::cpu::project::Splat;
+use relume_layout::constants::{ALPHA_MAX, ALPHA_MIN, EarlyStop, TILE, TRANSMITTANCE_STOP};
 
 /// The part of a splat that a strip needs.
 ///

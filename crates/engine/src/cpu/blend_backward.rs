@@ -10,9 +10,9 @@
 
 use multiversion::multiversion;
 
-use relume_layout::constants::{ALPHA_MAX, TILE};
 use crate::cpu::blend::{BlendScratch, LocalSplat, TileJob, behind_splat, capped, is_finished};
 use crate::cpu::lanes::{LANES, Lanes, totals};
+use relume_layout::constants::{ALPHA_MAX, TILE};
 
 /// Leading floats of a gradient row: projected mean (2), conic (3), opacity (1), absgrad (1), then the channels.
 ///

@@ -2,13 +2,13 @@
 
 use rayon::prelude::*;
 
-use relume_layout::channel::{self, Channels, GROUP, IncidentLight, OutgoingRadiance, RowLight};
-use relume_layout::constants::{LEAST_COVERAGE, TILE};
 use crate::cpu::lanes::LANES;
 use crate::cpu::pass::Pass;
 use crate::cpu::project::normalise;
 use crate::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceShader};
 use crate::zeros;
+use relume_layout::channel::{self, Channels, GROUP, IncidentLight, OutgoingRadiance, RowLight};
+use relume_layout::constants::{LEAST_COVERAGE, TILE};
 use relume_scene::light::LightTables;
 use relume_scene::{MAX_LIGHTS, ShadeAt, sh_count};
 

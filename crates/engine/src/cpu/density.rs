@@ -1,8 +1,8 @@
 //! Density control on CPU arrays: what a round is planned from, and the rebuilding of the model as planned.
 
-use relume_layout::constants::{HALF_OPACITY_EXPONENT, HALF_SCALE_ACROSS, HALF_SCALE_ALONG};
 use crate::cpu::{rotation, sigmoid};
 use crate::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin, TrainState};
+use relume_layout::constants::{HALF_OPACITY_EXPONENT, HALF_SCALE_ACROSS, HALF_SCALE_ALONG};
 use relume_scene::{Field, Gaussians};
 
 /// What a round is planned from.

@@ -2,14 +2,14 @@
 
 use std::borrow::Cow;
 
-use relume_layout::channel::Channels;
-use relume_layout::constants::EarlyStop;
 use crate::cpu::training::environment_radiance;
 use crate::cpu::{
     self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance, training,
 };
 use crate::step::{Branches, Photo};
 use crate::{LightTurn, LightTurns, NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
+use relume_layout::channel::Channels;
+use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
 use relume_scene::{Camera, ColumnTurn, MAX_LIGHTS, SplitLight};
 

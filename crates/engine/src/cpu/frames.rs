@@ -5,8 +5,6 @@ use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
-use relume_layout::channel::{self, Channels, OutgoingRadiance, RowLight};
-use relume_layout::constants::EarlyStop;
 use crate::cpu::project::Splat;
 use crate::cpu::resolve::resolve;
 use crate::cpu::tiles::TileLists;
@@ -16,6 +14,8 @@ use crate::cpu::{
 };
 use crate::{BOUNCES, FrameJob, NO_INDIRECT_BASIS, PROBE_DIRECTIONS, ShadeColour};
 use crate::{Frame, ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
+use relume_layout::channel::{self, Channels, OutgoingRadiance, RowLight};
+use relume_layout::constants::EarlyStop;
 use relume_scene::Output;
 use relume_scene::light::LightTables;
 use relume_scene::{Field, IndirectForm, MAX_LIGHTS, Model, ShadeAt, SplitLight};

@@ -3,10 +3,10 @@
 
 use rayon::prelude::*;
 
-use relume_layout::constants::{LEAST_BLOCKED, NO_HIT};
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::probes::Probes;
 use crate::cpu::project::sigmoid;
+use relume_layout::constants::{LEAST_BLOCKED, NO_HIT};
 use relume_scene::light::{FULLY_OPEN, LightTables};
 use relume_scene::{Field, VisibilityForm};
 

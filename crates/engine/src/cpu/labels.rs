@@ -3,10 +3,10 @@
 use multiversion::multiversion;
 use rayon::prelude::*;
 
-use relume_layout::constants::{EarlyStop, TILE};
 use crate::cpu::blend::{BlendScratch, TileJob, capped};
 use crate::cpu::lanes::{LANES, Lanes};
 use crate::cpu::pass::Pass;
+use relume_layout::constants::{EarlyStop, TILE};
 
 /// A Gaussian's label: mean backward transmittance over the pixels it contributes to, and their summed weight.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -118,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_exponential_is_accurate_over_its_range() {
+    fn exponential_is_accurate_over_its_range() {
         for i in 0..87_000 {
             let x = -(i as f32) / 1000.0;
             let exact = f64::from(x).exp();
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn sums_and_maxima_see_every_lane() {
+    fn sum_and_maximum_use_every_lane() {
         let v = Lanes::from_fn(|i| i as f32);
         assert_eq!((v.sum(), v.max()), (120.0, 15.0));
     }

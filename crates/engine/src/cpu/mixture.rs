@@ -7,9 +7,9 @@ use std::ops::Range;
 
 use multiversion::multiversion;
 
-use relume_layout::channel;
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::lanes::{LANES, Lanes, exp_negative};
+use relume_layout::channel;
 use relume_scene::Field;
 
 /// Memory a thread reuses from block to block.
@@ -195,14 +195,14 @@ mod tests {
     }
 
     #[test]
-    fn sixteen_in_lanes_are_what_each_is_alone() {
+    fn lane_evaluation_equals_scalar_evaluation() {
         let [in_lanes, alone] = both(&gaussians());
         assert_eq!(in_lanes, alone);
         assert!(alone.iter().flatten().any(|a| *a < 0.0), "the control: nothing is clamped yet");
     }
 
     #[test]
-    fn a_gaussian_that_is_not_a_number_spoils_no_neighbour() {
+    fn nan_gaussian_does_not_affect_other_gaussians() {
         let fine = both(&gaussians())[0].clone();
         let mut broken = gaussians();
         broken.row_mut(Field::ProtoLogits, 3).fill(f32::NAN);

@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-use relume_layout::constants::{ALPHA_MAX, ALPHA_MIN, LOG_SCALE_LIMIT, WIDEST};
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::lanes::exp_negative;
 use crate::cpu::project::{rotation, sigmoid};
+use relume_layout::constants::{ALPHA_MAX, ALPHA_MIN, LOG_SCALE_LIMIT, WIDEST};
 
 pub(super) type Vec3 = [f32; 3];
 

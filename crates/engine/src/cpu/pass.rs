@@ -3,8 +3,6 @@
 use crate::RasterCamera;
 use rayon::prelude::*;
 
-use relume_layout::channel::{self, Channels, IncidentLight, RowLight};
-use relume_layout::constants::{EarlyStop, TILE};
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::blend::{BlendScratch, TileJob, blend_tile};
 use crate::cpu::blend_backward::{ABSGRAD, BackwardScratch, ROW_HEADER, blend_tile_backward};
@@ -14,6 +12,8 @@ use crate::cpu::project::{Splat, SplatGradient, project, project_backward, rotat
 use crate::cpu::tiles::TileLists;
 use crate::indirect_basis_backward;
 use crate::{Gradients, RowLayout, zeros};
+use relume_layout::channel::{self, Channels, IncidentLight, RowLight};
+use relume_layout::constants::{EarlyStop, TILE};
 use relume_scene::light::LightTables;
 use relume_scene::{Field, IndirectForm};
 

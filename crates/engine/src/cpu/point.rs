@@ -1,10 +1,10 @@
 //! Where in the world the surface is that a pixel sees.
 
-use relume_layout::channel;
-use relume_layout::constants::{ALPHA_MAX, FARTHEST_MEAN, FARTHEST_PLANE, LIFT, TILE};
 use crate::cpu::occluder::{Vec3, dot};
 use crate::cpu::pass::Pass;
 use crate::cpu::project::{Splat, normalise};
+use relume_layout::channel;
+use relume_layout::constants::{ALPHA_MAX, FARTHEST_MEAN, FARTHEST_PLANE, LIFT, TILE};
 
 /// The world point that pixel (`x`, `y`) of a pass with normals sees: on the plane of the Gaussian that brings coverage
 /// to half of what the pixel has. At an edge the mean depth is between two surfaces and on neither; this is on one of

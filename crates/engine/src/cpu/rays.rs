@@ -3,10 +3,10 @@
 //! A tree of boxes around where each Gaussian's alpha reaches 1/255. The alpha of a Gaussian on a ray is its
 //! peak along the ray's line: that of its footprint on the plane across the ray, as the probes measure it.
 
-use relume_layout::constants::{OPAQUE, TREE_DEPTH, WIDEST};
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::occluder::{Occluder, Vec3, dot, occluders, plane_basis, widening};
 use crate::{ProbeSettings, RayTree};
+use relume_layout::constants::{OPAQUE, TREE_DEPTH, WIDEST};
 
 /// Gaussians a leaf may have.
 const LEAF: usize = 4;
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ray_is_what_a_probe_measures_in_its_direction() {
+    fn ray_transmittance_equals_the_probe_measurement() {
         let (g, options) = (cloud(400), ShadingOptions::default());
         let source = source(&g, &options);
         // From the centres themselves, each as clear of itself as of anything else.
@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn reach_and_clearance_bound_what_hides() {
+    fn reach_and_clearance_limit_the_occluders() {
         let (mut g, options) = (Gaussians::zeroed(1, 1, 0, 0), ShadingOptions::default());
         g.row_mut(Field::Mean, 0).copy_from_slice(&[0.0, 0.0, 1.0]);
         g.field_mut(Field::LogScale).fill(0.1f32.ln());

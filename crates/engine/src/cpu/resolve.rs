@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::Frame;
+use crate::cpu::{Pass, Surface, SurfaceShader, linear_from_srgb, normalise, surface_at};
 use relume_layout::channel::{self, OutgoingRadiance};
 use relume_layout::constants::LEAST_COVERAGE;
-use crate::cpu::{Pass, Surface, SurfaceShader, linear_from_srgb, normalise, surface_at};
-use crate::Frame;
 use relume_scene::Output;
 use relume_scene::light::Reflector;
 

@@ -6,9 +6,9 @@
 use multiversion::multiversion;
 
 use crate::ProbeSettings;
-use relume_layout::constants::{ALPHA_MAX, NO_HIT, OPAQUE};
 use crate::cpu::lanes::{LANES, Lanes, exp_negative};
 use crate::cpu::occluder::{Footprint, Occluder, Vec3, dot, plane_basis};
+use relume_layout::constants::{ALPHA_MAX, NO_HIT, OPAQUE};
 
 /// Gaussians there are for each cell of the grid.
 const PER_CELL: usize = 4;

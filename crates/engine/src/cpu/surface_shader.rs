@@ -1,16 +1,16 @@
 //! Shading of one surface (docs/MODEL.md section 4), forward and backward: the specular term here, the diffuse one in
 //! `lambert`.
 
-use relume_layout::channel::OutgoingRadiance;
-use relume_layout::constants::LEAST_NOV;
 use crate::cpu::lambert::Lambert;
 use crate::cpu::project::{normalise, normalise_backward};
 use crate::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader, dot3};
+use relume_layout::channel::OutgoingRadiance;
+use relume_layout::constants::LEAST_NOV;
+use relume_scene::VisibilityForm;
 use relume_scene::light::{
     BrdfLut, DIELECTRIC_F0, LOBE_ORDERS, LevelPosition, LightTables, LobeAttenuation, LutSample, Sheen, Taps,
     sh_eval, sh_eval_with_gradient,
 };
-use relume_scene::VisibilityForm;
 
 /// A shaded surface and what its backward pass needs.
 #[derive(Debug, Clone, Copy)]

@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
-use relume_layout::constants::TILE;
 use crate::cpu::lanes::LANES;
 use crate::cpu::project::Splat;
+use relume_layout::constants::TILE;
 
 /// Splats that a task looks for tiles of.
 const CHUNK: usize = 1024;
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tile_test_is_exact_against_every_pixel() {
+    fn tile_test_never_misses_a_visible_pixel() {
         let cases = [
             splat([20.3, 17.9], [4.0, 0.0, 4.0], 0.5),
             splat([40.0, 25.0], [300.0, 290.0, 300.0], 0.9),
@@ -211,14 +211,14 @@ mod tests {
     }
 
     #[test]
-    fn a_tile_lists_the_nearest_first_and_the_first_of_equals_first() {
+    fn tile_lists_are_sorted_by_depth_then_index() {
         let at = |depth_key| Splat { depth_key, ..splat([8.0, 8.0], [9.0, 0.0, 9.0], 0.9) };
         let lists = TileLists::new(16, 16, &[at(5), at(2), at(5), at(1)]);
         assert_eq!(lists.members(0), [3, 1, 0, 2]);
     }
 
     #[test]
-    fn slots_and_instances_name_each_other() {
+    fn slots_and_splats_reference_each_other() {
         let splats = [splat([15.0, 15.0], [30.0, 0.0, 30.0], 0.9), splat([30.0, 8.0], [9.0, 0.0, 9.0], 0.9)];
         let lists = TileLists::new(48, 32, &splats);
         for splat in 0..2 {

@@ -3,7 +3,6 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use relume_layout::constants::EarlyStop;
 use crate::cpu::adam::adam_step;
 use crate::cpu::objective::image::Target;
 use crate::cpu::objective::{aggregation, geometry, parameters};
@@ -18,6 +17,7 @@ use crate::{
     DeviceError, Gradients, LightTurn, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights,
     TrainState, fibonacci_sphere, indirect_basis,
 };
+use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
 use relume_scene::{ColumnTurn, Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
 

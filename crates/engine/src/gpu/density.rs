@@ -163,7 +163,7 @@ mod tests {
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn a_round_drops_keeps_and_halves_as_the_host_does() {
+    fn density_round_on_the_gpu_matches_the_host() {
         let gpu = Gpu::for_tests();
         for n in [1usize, 7, 300] {
             let mut model = model(n);
@@ -205,7 +205,7 @@ mod tests {
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn a_round_may_leave_nothing_and_a_plan_may_not_invent_sources() {
+    fn empty_density_plan_is_valid_and_unknown_sources_are_refused() {
         let gpu = Gpu::for_tests();
         let old = ModelBuffers::upload(&gpu, &model(3)).unwrap();
         let mut recorder = gpu.record();
@@ -216,7 +216,7 @@ mod tests {
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn the_signals_are_those_of_the_model() {
+    fn density_signals_equal_the_model_values() {
         let gpu = Gpu::for_tests();
         let model = model(9);
         let buffers = ModelBuffers::upload(&gpu, &model).unwrap();

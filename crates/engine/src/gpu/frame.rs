@@ -2,8 +2,6 @@
 //! one sequence of kernels that training, rendering and the comparison of engines go through.
 
 use crate::DeviceError;
-use relume_layout::channel::Channels;
-use relume_layout::constants::EarlyStop;
 use crate::gpu::permutations::groups;
 use crate::gpu::raster::{Blended, Differentiated, Projected};
 use crate::gpu::shading::{
@@ -11,6 +9,8 @@ use crate::gpu::shading::{
     shaded_images, shaded_images_backward,
 };
 use crate::gpu::{Buffer, Recorder};
+use relume_layout::channel::Channels;
+use relume_layout::constants::EarlyStop;
 use relume_scene::ShadeAt;
 
 /// The branches of the model that a frame shows.

@@ -3,8 +3,8 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::DeviceError;
-use relume_layout::kernel_constants as codes;
 use crate::gpu::{Buffer, Gpu};
+use relume_layout::kernel_constants as codes;
 use relume_scene::{
     DiffuseForm, Field, FieldWidth, Gaussians, IndirectForm, Model, NormalForm, ShadeAt, ShadingOptions,
     VisibilityForm,

@@ -1,8 +1,8 @@
 //! Which permutation of a kernel serves a number of channels or of visibility coefficients.
 
 use crate::DeviceError;
-use relume_layout::channel::Channels;
 use crate::gpu::shaders::Kernel;
+use relume_layout::channel::Channels;
 
 /// The numbers of groups that kernels are compiled for, ascending.
 const GROUPS: [usize; 9] = [1, 2, 4, 6, 8, 9, 12, 14, 18];

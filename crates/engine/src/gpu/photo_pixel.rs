@@ -15,7 +15,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn levels_of_8_bits_are_kept_and_channels_have_their_places() {
+    fn photo_pixel_keeps_8_bit_levels_and_channel_positions() {
         for level in [0u32, 1, 77, 254, 255] {
             let [low, _] = photo_pixel([level as f32 / 255.0, 0.0, 0.0, 0.0]);
             assert_eq!(low, 257 * level);

@@ -331,7 +331,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dispatches_fold_where_one_dimension_is_not_enough() {
+    fn large_dispatches_are_folded_into_two_dimensions() {
         let size = [256, 1, 1];
         assert_eq!(Groups::Linear(0).dimensions(size)[0], 0);
         assert_eq!(Groups::Linear(257).dimensions(size), [2, 1]);

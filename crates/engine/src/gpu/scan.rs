@@ -4,8 +4,8 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::DeviceError;
 use crate::gpu::grow::grow;
-use relume_layout::kernel_constants::SCAN_BLOCK;
 use crate::gpu::{Buffer, Groups, Recorder, shaders, uniform};
+use relume_layout::kernel_constants::SCAN_BLOCK;
 
 /// `ScanSize` of `scan_blocks.wgsl` and `scan_add.wgsl`.
 #[repr(C)]
@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn the_comparison_notices_one_changed_element() {
+    fn comparison_detects_one_changed_element() {
         let gpu = Gpu::for_tests();
         let mut input = vec![1u32; 3000];
         let before = expected(&input);
@@ -132,7 +132,7 @@ mod tests {
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn a_short_buffer_is_an_error() {
+    fn too_short_output_buffer_is_refused() {
         let gpu = Gpu::for_tests();
         let (from, to) = (gpu.upload("in", &[1u32; 8]).unwrap(), gpu.buffer("out", 8).unwrap());
         assert!(Scan::default().exclusive(&mut gpu.record(), &from, &to, 8).is_err());

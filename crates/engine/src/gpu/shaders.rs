@@ -65,16 +65,16 @@ pub(crate) use assert_layout;
 mod tests {
     /// The viewer's bundle is built without this crate, so it has a copy of its shaders. With RELUME_ACCEPT set it is renewed.
     #[test]
-    fn the_viewer_has_the_shaders_of_this_engine() {
+    fn viewer_shaders_match_this_engine() {
         let made = include_str!(concat!(env!("OUT_DIR"), "/viewer_shaders.json"));
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/web/src/viewer/shaders.json");
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../web/src/viewer/shaders.json");
         if std::env::var_os("RELUME_ACCEPT").is_some() {
             std::fs::write(path, made).unwrap();
         }
         let copied = std::fs::read_to_string(path).unwrap();
         assert!(
             made == copied,
-            "run RELUME_ACCEPT=1 cargo test --release --lib the_viewer_has, then npm run build in web/"
+            "run RELUME_ACCEPT=1 cargo test --release -p relume-engine --lib viewer_shaders_match, then npm run build in web/"
         );
     }
 }

@@ -4,9 +4,9 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::DeviceError;
 use crate::gpu::grow::grow;
-use relume_layout::kernel_constants::SORT_BLOCK;
 use crate::gpu::scan::Scan;
 use crate::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
+use relume_layout::kernel_constants::SORT_BLOCK;
 
 /// Most bits a pass sorts by.
 const PASS_BITS: u32 = 8;
@@ -178,7 +178,7 @@ mod tests {
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn sorts_any_number_of_pairs_like_the_stable_sort_of_the_standard_library() {
+    fn sort_matches_the_stable_std_sort_for_any_number_of_pairs() {
         let gpu = Gpu::for_tests();
         let mut sorter = Sorter::default();
         for n in [0, 1, 255, 256, 257, 2047, 2049, 5000, 70_000] {
@@ -189,7 +189,7 @@ mod tests {
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn as_many_pairs_are_sorted_as_the_device_counted() {
+    fn sort_uses_the_pair_count_of_the_device() {
         let gpu = Gpu::for_tests();
         let mut sorter = Sorter::default();
         let keys = random(9000, 11);
@@ -236,7 +236,7 @@ mod tests {
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn the_comparison_tells_an_unstable_order_from_a_stable_one() {
+    fn comparison_detects_an_unstable_sort() {
         let gpu = Gpu::for_tests();
         let mut keys = random(300, 5);
         keys[17] = keys[200];
@@ -248,7 +248,7 @@ mod tests {
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn what_cannot_be_sorted_is_an_error() {
+    fn invalid_sort_arguments_are_refused() {
         let gpu = Gpu::for_tests();
         let short = gpu.upload("keys", &[1u32; 4]).unwrap();
         for (n, bits) in [(5, 8), (4, 0), (4, 33)] {

@@ -20,7 +20,7 @@ fn self_test(gpu: &Gpu, n: usize) -> (Vec<u32>, Vec<f32>) {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_dispatch_reaches_every_element_once_and_sums_are_whole() {
+fn dispatch_processes_each_element_once_and_sums_are_complete() {
     let gpu = Gpu::for_tests();
     for n in [1usize, 255, 256, 257, 100_000] {
         let (seen, sums) = self_test(&gpu, n);
@@ -31,7 +31,7 @@ fn a_dispatch_reaches_every_element_once_and_sums_are_whole() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_device_without_float_atomics_sums_by_compare_and_exchange() {
+fn compare_exchange_sums_equal_float_atomic_sums() {
     let options = GpuOptions { compare_exchange: true, garbage: true, checks: true, ..GpuOptions::default() };
     let gpu = Gpu::with_options(options);
     assert_eq!(self_test(&gpu, 5000).1, [2500.0, 2500.0]);
@@ -48,7 +48,7 @@ fn dispatches_beyond_65535_workgroups_are_folded() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn fresh_buffers_hold_garbage_in_tests_and_parts_can_be_written_and_read() {
+fn new_test_buffers_hold_garbage_and_partial_access_works() {
     let gpu = Gpu::for_tests();
     let buffer: Buffer<f32> = gpu.buffer("b", 5).unwrap();
     assert_eq!(gpu.read(&buffer, 0..5).unwrap(), [-12345.0; 5]);
@@ -60,7 +60,7 @@ fn fresh_buffers_hold_garbage_in_tests_and_parts_can_be_written_and_read() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn what_no_binding_can_hold_is_refused_with_numbers() {
+fn buffer_larger_than_a_binding_is_refused_with_sizes() {
     let gpu = Gpu::for_tests();
     let most = gpu.report().max_binding;
     let Err(DeviceError::TooLarge { needs, most: said, .. }) = gpu.buffer::<f32>("huge", most as usize)
@@ -73,7 +73,7 @@ fn what_no_binding_can_hold_is_refused_with_numbers() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn memory_is_accounted_for_and_given_back() {
+fn memory_use_counts_buffers_until_their_last_handle() {
     let gpu = Gpu::with_options(GpuOptions::default());
     let before = gpu.memory().0;
     let buffer: Buffer<f32> = gpu.buffer("b", 1000).unwrap();
@@ -86,7 +86,7 @@ fn memory_is_accounted_for_and_given_back() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn stages_are_timed_when_the_device_can() {
+fn stages_are_timed_if_the_device_supports_timestamps() {
     let gpu = Gpu::with_options(GpuOptions::default());
     gpu.measure(true);
     self_test(&gpu, 100_000);
@@ -98,7 +98,7 @@ fn stages_are_timed_when_the_device_can() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn harmonics_and_rotations_of_the_shaders_are_those_of_the_host() {
+fn shader_harmonics_and_rotations_match_the_host() {
     let gpu = Gpu::for_tests();
     let given: Vec<[f32; 4]> = vec![
         [0.3, -0.5, 0.81, 0.2],
@@ -141,7 +141,7 @@ fn harmonics_and_rotations_of_the_shaders_are_those_of_the_host() {
 }
 
 #[test]
-fn a_model_survives_the_planar_layout() {
+fn model_round_trips_through_the_planar_layout() {
     let mut g = Gaussians::zeroed(3, 5, 2, 1);
     let mut next = 0.0;
     for (_, _, data) in g.fields_mut() {
@@ -160,7 +160,7 @@ fn a_model_survives_the_planar_layout() {
 }
 
 #[test]
-fn the_view_of_the_shaders_is_that_of_the_cpu_engine() {
+fn camera_uniform_matches_the_cpu_raster_camera() {
     let camera = relume_scene::Camera {
         width: 37,
         height: 21,

@@ -1,7 +1,7 @@
 //! What is computed by every engine, and what comes of it.
 
-use relume_engine::cpu::BufferGradient;
 use crate::{Arrays, TableOperators};
+use relume_engine::cpu::BufferGradient;
 use relume_scene::light::{EnvOperators, TableResolution};
 use relume_scene::{Camera, LightSplit, MAX_LIGHTS, Model};
 

@@ -1,12 +1,12 @@
 //! The CPU engine's result.
 
-use relume_engine::Gradients;
-use relume_layout::channel::{COVERAGE, Channels};
-use relume_layout::constants::EarlyStop;
-use relume_engine::cpu::{AttributeSource, BranchImages, Pass, SurfaceShader};
 use crate::parity::case::{ParityCase, ParityResult, SplatSeen};
 use crate::{Array, Arrays, ENVIRONMENT, PROTOTYPES};
+use relume_engine::Gradients;
+use relume_engine::cpu::{AttributeSource, BranchImages, Pass, SurfaceShader};
 use relume_engine::{RasterCamera, indirect_basis};
+use relume_layout::channel::{COVERAGE, Channels};
+use relume_layout::constants::EarlyStop;
 use relume_scene::{Field, Model, softplus};
 
 /// The result of the CPU engine, without early stop.

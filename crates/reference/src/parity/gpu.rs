@@ -1,8 +1,9 @@
 //! The GPU engine's result.
 
+use crate::Array;
+use crate::parity::case::{ParityCase, ParityResult, SplatSeen};
+use crate::parity::cpu::shared;
 use relume_engine::DeviceError;
-use relume_layout::channel::Channels;
-use relume_layout::constants::EarlyStop;
 use relume_engine::gpu::frame::{FrameBranches, FrameGradients, FramePass};
 use relume_engine::gpu::light::{Constants, TrainingLight};
 use relume_engine::gpu::model::{ModelBuffers, from_planar};
@@ -11,10 +12,9 @@ use relume_engine::gpu::raster::SplatRecord;
 use relume_engine::gpu::shading::{Images, Shading};
 use relume_engine::gpu::update::{STATUS_WORDS, StepInput, Sums, Updater, Upstream};
 use relume_engine::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Raster};
-use crate::parity::case::{ParityCase, ParityResult, SplatSeen};
-use crate::parity::cpu::shared;
-use crate::Array;
 use relume_engine::{LightWeights, ParameterWeights, RasterCamera};
+use relume_layout::channel::Channels;
+use relume_layout::constants::EarlyStop;
 use relume_scene::{Field, IndirectForm};
 
 /// Buffers of one result.

@@ -3,12 +3,10 @@
 
 mod case;
 mod cpu;
-#[cfg(feature = "gpu")]
 mod gpu;
 mod reference;
 
 pub use case::{LightShape, ParityCase, ParityResult, SplatSeen};
 pub use cpu::by_cpu;
-#[cfg(feature = "gpu")]
 pub use gpu::by_gpu;
 pub use reference::{by_reference, steady_pixels};

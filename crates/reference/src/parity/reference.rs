@@ -1,8 +1,8 @@
 //! The f64 reference's result.
 
-use relume_engine::cpu::BufferGradient;
 use crate::parity::case::{ParityCase, ParityResult, SplatSeen};
 use crate::{Array, Gathered, Options, ReferenceModel, Stages, Tape, Var, forward};
+use relume_engine::cpu::BufferGradient;
 
 fn wide<const W: usize>(rows: &[[f32; W]]) -> Array {
     Array::from_rows(&rows.iter().map(|r| r.map(f64::from)).collect::<Vec<_>>())

@@ -5,20 +5,20 @@ use std::sync::Arc;
 use glam::{DMat4, DVec3};
 use relume_compare::largest_difference;
 use relume_engine::Device;
+use relume_scene::{Camera, EnvMap, Field};
 use relume_spec::rendering::{Output, Tier};
 use relume_train::render::Renderer;
-use relume_scene::{Camera, EnvMap, Field};
 
 use super::harness::{Suite, TIGHT, in_front, looking_from, model, on_each_engine, set};
 
 on_each_engine! {
-    views_along_both_poles,
-    cameras_a_million_units_away,
-    a_capture_a_million_units_from_the_origin,
-    fields_of_view_up_to_179_degrees,
+    views_along_the_polar_axis_match,
+    cameras_a_million_units_away_match,
+    capture_a_million_units_from_the_origin_renders_equally,
+    fields_of_view_up_to_179_degrees_match,
 }
 
-fn views_along_both_poles(device: &Device) {
+fn views_along_the_polar_axis_match(device: &Device) {
     let mut suite = Suite::on(device);
     let mut model = model(8, 20);
     // Exactly above and below the camera's axis: directions are exactly +z and -z.
@@ -29,7 +29,7 @@ fn views_along_both_poles(device: &Device) {
     suite.finish();
 }
 
-fn cameras_a_million_units_away(device: &Device) {
+fn cameras_a_million_units_away_match(device: &Device) {
     let mut suite = Suite::on(device);
     let model = model(8, 21);
     for distance in [1e3, 1e6] {
@@ -41,7 +41,7 @@ fn cameras_a_million_units_away(device: &Device) {
     suite.finish();
 }
 
-fn a_capture_a_million_units_from_the_origin(device: &Device) {
+fn capture_a_million_units_from_the_origin_renders_equally(device: &Device) {
     let offset = DVec3::new(1e6, -2e6, 5e5);
     let light = EnvMap::from_fn(8, 4, |d| [0.3 + d.x.max(0.0) as f32, 0.5, 0.6]);
     let render = |shift: DVec3, seed| {
@@ -60,7 +60,7 @@ fn a_capture_a_million_units_from_the_origin(device: &Device) {
     assert!(control.is_finite() && control > 1e-2, "the control: another model is another picture");
 }
 
-fn fields_of_view_up_to_179_degrees(device: &Device) {
+fn fields_of_view_up_to_179_degrees_match(device: &Device) {
     let mut suite = Suite::on(device);
     for degrees in [1e-3f64, 0.1, 90.0, 170.0, 179.0] {
         let mut model = model(8, 24);

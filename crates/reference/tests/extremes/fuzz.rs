@@ -8,7 +8,7 @@ use relume_reference::parity::{ParityCase, ParityResult, by_cpu};
 use relume_scene::{Camera, Field, Model};
 
 use super::harness::{BACKGROUND, LIGHT, answer, in_front, looking_from, model, on_each_engine};
-use crate::fuzz::cases_or;
+use relume_fixtures::cases_or;
 
 on_each_engine! {
     extreme_parameters_give_finite_images,

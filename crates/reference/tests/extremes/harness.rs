@@ -5,15 +5,14 @@ use std::sync::LazyLock;
 use glam::DVec3;
 use relume_compare::relative_error;
 use relume_engine::Device;
+pub(super) use relume_fixtures::model::{ENV, ORDER, model};
 use relume_reference::parity::{
     LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, steady_pixels,
 };
 use relume_scene::light::TableResolution;
-use relume_scene::{Camera, Field, Gaussians, Model, ShadingOptions};
+use relume_scene::{Camera, Field, Model};
 
 pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
-pub(super) const ENV: (usize, usize) = (8, 4);
-pub(super) const ORDER: usize = 2;
 pub(super) const TABLES: TableResolution = TableResolution { diffuse: 5, sharp: 7, rough: 5 };
 /// How far from a threshold of alpha a splat must be in a pixel for the pixel to count.
 const MARGIN: f64 = 2e-3;
@@ -23,57 +22,6 @@ const LEAST_SHARE: f64 = 1e-5;
 
 pub(super) static LIGHT: LazyLock<LightShape> =
     LazyLock::new(|| LightShape::new(ENV.0, ENV.1, ORDER, TABLES));
-
-/// A reproducible stream of numbers in [-1, 1).
-pub(super) struct Noise(pub(super) u64);
-
-impl Noise {
-    pub(super) fn next(&mut self) -> f32 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 40) as f32 / 8_388_608.0 - 1.0
-    }
-}
-
-/// `n` ordinary Gaussians around the origin under an ordinary light.
-pub fn model(n: usize, seed: u64) -> Model {
-    let mut noise = Noise(seed);
-    let mut gaussians = Gaussians::zeroed(n, 3, ORDER, 2);
-    for (field, centre, spread) in [
-        (Field::Mean, 0.0, 0.6),
-        (Field::LogScale, -1.5, 0.6),
-        (Field::Quaternion, 0.1, 1.0),
-        (Field::OpacityLogit, 0.3, 1.5),
-        (Field::Normal, 0.0, 0.3),
-        (Field::MetalLogit, -0.5, 1.5),
-        (Field::RoughLogit, 0.0, 1.5),
-        (Field::Sheen, 0.3, 0.8),
-        (Field::ProtoLogits, 0.0, 1.5),
-        (Field::Residual, 0.0, 0.1),
-        (Field::Visibility, 0.0, 0.2),
-        (Field::Radiance, 0.0, 0.3),
-    ] {
-        gaussians.field_mut(field).iter_mut().for_each(|v| *v = centre + spread * noise.next());
-    }
-    for i in 0..n {
-        gaussians.row_mut(Field::Visibility, i)[0] += 2.2;
-    }
-    let mut triples = |count: usize, centre: f32| {
-        (0..count).map(|_| std::array::from_fn(|_| centre + 0.4 * noise.next())).collect()
-    };
-    Model {
-        gaussians,
-        prototypes: triples(3, 0.5),
-        env_raw: triples(ENV.0 * ENV.1, -0.6),
-        env_width: ENV.0,
-        env_height: ENV.1,
-        lights: Default::default(),
-        shading: ShadingOptions::default(),
-        world_scale: 1.0,
-        world_offset: DVec3::ZERO,
-        framing: None,
-        card: serde_json::Value::Null,
-    }
-}
 
 /// Sets every row of `field` in turn.
 pub(super) fn set<const W: usize>(model: &mut Model, field: Field, rows: &[[f32; W]]) {
@@ -105,7 +53,7 @@ macro_rules! on_each_engine {
             $(#[test]
             #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
             fn $case() {
-                super::$case(crate::requirements::gpu_device());
+                super::$case(relume_reference::gpu_device());
             })*
         }
     };
@@ -230,7 +178,7 @@ pub(super) fn answer(device: &Device, question: &ParityCase<'_>) -> ParityResult
 }
 
 #[test]
-fn the_harness_notices_a_changed_image_a_changed_gradient_and_nan() {
+fn harness_detects_a_changed_image_a_changed_gradient_and_nan() {
     let (plain, camera) = (model(8, 1), in_front((16, 12)));
     let question = ParityCase::new(&plain, &camera, BACKGROUND, &LIGHT, 7);
     let kept = vec![true; 192];

@@ -4,22 +4,22 @@ use std::sync::Arc;
 
 use relume_compare::largest_difference;
 use relume_engine::Device;
+use relume_scene::{DiffuseForm, EnvMap, EnvMapError, Field, NormalForm, VisibilityForm};
 use relume_spec::rendering::{Output, Tier};
 use relume_train::render::Renderer;
-use relume_scene::{DiffuseForm, EnvMap, EnvMapError, Field, NormalForm, VisibilityForm};
 
 use super::harness::{ENV, Suite, TIGHT, in_front, model, on_each_engine, set};
 
 on_each_engine! {
-    normals_square_to_the_view,
-    normals_without_a_direction,
-    roughness_and_metalness_at_both_ends,
-    sheen_at_both_ends,
-    learned_environments_from_black_to_1e18,
+    normals_perpendicular_to_the_view_match,
+    zero_and_extreme_normals_match,
+    extreme_roughness_and_metalness_match,
+    extreme_sheen_matches,
+    learned_environments_from_black_to_1e18_match,
     frames_are_linear_in_the_light,
 }
 
-fn normals_square_to_the_view(device: &Device) {
+fn normals_perpendicular_to_the_view_match(device: &Device) {
     let mut suite = Suite::on(device);
     let mut model = model(3, 30);
     model.shading.normal = NormalForm::Free;
@@ -32,7 +32,7 @@ fn normals_square_to_the_view(device: &Device) {
     suite.finish();
 }
 
-fn normals_without_a_direction(device: &Device) {
+fn zero_and_extreme_normals_match(device: &Device) {
     let mut suite = Suite::on(device);
     let mut model = model(4, 31);
     model.shading.normal = NormalForm::Free;
@@ -41,7 +41,7 @@ fn normals_without_a_direction(device: &Device) {
     suite.finish();
 }
 
-fn roughness_and_metalness_at_both_ends(device: &Device) {
+fn extreme_roughness_and_metalness_match(device: &Device) {
     let mut suite = Suite::on(device);
     for visibility in [VisibilityForm::Linear, VisibilityForm::Sigmoid, VisibilityForm::Off] {
         for (rough, metal) in [(-1e4, -1e4), (-1e4, 1e4), (1e4, -1e4), (1e4, 1e4), (-20.0, 20.0)] {
@@ -58,7 +58,7 @@ fn roughness_and_metalness_at_both_ends(device: &Device) {
     suite.finish();
 }
 
-fn sheen_at_both_ends(device: &Device) {
+fn extreme_sheen_matches(device: &Device) {
     let mut suite = Suite::on(device);
     for sheen in [-1e30, -3.0, 3.0, 1e30] {
         let mut model = model(8, 35);
@@ -68,7 +68,7 @@ fn sheen_at_both_ends(device: &Device) {
     suite.finish();
 }
 
-fn learned_environments_from_black_to_1e18(device: &Device) {
+fn learned_environments_from_black_to_1e18_match(device: &Device) {
     let mut suite = Suite::on(device);
     for texel in [-1e4f32, 6e4, 1e18] {
         let mut model = model(8, 33);
@@ -108,7 +108,7 @@ fn frames_are_linear_in_the_light(device: &Device) {
 }
 
 #[test]
-fn texels_without_a_finite_value_are_refused_by_place_and_negative_ones_counted() {
+fn non_finite_texels_are_refused_and_negative_ones_are_counted() {
     let with = |value: f32| {
         let mut texels = vec![[0.5f32; 3]; 8];
         texels[6][1] = value;

@@ -1,22 +1,22 @@
 //! Opacity at its ends, and very many layers on one ray.
 
 use relume_compare::worst;
-use relume_layout::channel::{COVERAGE, Channels};
-use relume_layout::constants::{EarlyStop, TRANSMITTANCE_STOP};
 use relume_engine::cpu::{AttributeSource, Pass, backward_labels};
 use relume_engine::gpu::raster::{Projected, Raster};
 use relume_engine::gpu::{AttributeSource as GpuSource, CameraUniform, Gpu, model::ModelBuffers};
-use relume_reference::{Options, ReferenceModel, TableOperators, Tape, forward, losses};
 use relume_engine::{Device, RasterCamera};
+use relume_layout::channel::{COVERAGE, Channels};
+use relume_layout::constants::{EarlyStop, TRANSMITTANCE_STOP};
+use relume_reference::{Options, ReferenceModel, TableOperators, Tape, forward, losses};
 use relume_scene::{Camera, Field, Model};
 
 use super::harness::{Bounds, ENV, Suite, TABLES, TIGHT, in_front, model, on_each_engine};
 
 on_each_engine! {
-    opacity_from_nothing_to_everything,
-    ten_thousand_layers_on_one_ray,
-    early_stop_misses_less_weight_than_it_promises,
-    backward_transmittance_reaches_the_end_of_the_ray,
+    extreme_opacities_match,
+    ten_thousand_layers_on_one_ray_match,
+    early_stop_error_is_at_most_the_documented_limit,
+    backward_labels_match_over_the_whole_ray,
 }
 
 const LAYERS: usize = 10_000;
@@ -37,7 +37,7 @@ fn layered(logit: f32) -> (Model, Camera) {
     (model, in_front((1, 1)))
 }
 
-fn opacity_from_nothing_to_everything(device: &Device) {
+fn extreme_opacities_match(device: &Device) {
     let mut suite = Suite::on(device);
     for compensation in [false, true] {
         for logit in [-1e4, -90.0, -20.0, -5.4, -3.0, 0.0, 4.5, 4.7, 20.0, 90.0, 1e4] {
@@ -56,7 +56,7 @@ fn opacity_from_nothing_to_everything(device: &Device) {
     suite.finish();
 }
 
-fn ten_thousand_layers_on_one_ray(device: &Device) {
+fn ten_thousand_layers_on_one_ray_match(device: &Device) {
     let mut suite = Suite::on(device);
     // T ends at 1e-8, 1e-175 (below the smallest f32) and 1e-20000.
     for logit in [-5.3, -3.2, 9.0] {
@@ -102,7 +102,7 @@ fn coverage(device: &Device, model: &Model, camera: &Camera, early_stop: EarlySt
     gpu.read(frame.gbuffer(), 0..1).unwrap()[0][0]
 }
 
-fn early_stop_misses_less_weight_than_it_promises(device: &Device) {
+fn early_stop_error_is_at_most_the_documented_limit(device: &Device) {
     for logit in [-3.2, 0.0, 9.0] {
         let (model, camera) = layered(logit);
         let [whole, stopped] =
@@ -132,7 +132,7 @@ fn labels(device: &Device, model: &Model, camera: &Camera) -> Vec<f64> {
     found.into_iter().map(|[sum, weight]| f64::from(sum) / f64::from(weight)).collect()
 }
 
-fn backward_transmittance_reaches_the_end_of_the_ray(device: &Device) {
+fn backward_labels_match_over_the_whole_ray(device: &Device) {
     let (model, camera) = layered(-3.2);
     let tape = Tape::new();
     let options = Options::model(model.shading, TableOperators::new(ENV.0, ENV.1, TABLES));

@@ -6,17 +6,17 @@ use relume_scene::Field;
 use super::harness::{Suite, TIGHT, in_front, looking_from, model, on_each_engine, set};
 
 on_each_engine! {
-    scales_from_a_millionth_to_a_million,
-    scales_whose_square_overflows_or_underflows,
-    needles_and_pancakes,
-    a_pancake_seen_edge_on_and_one_seen_flat,
-    a_zero_quaternion_is_the_identity,
+    scales_from_1e_6_to_1e6_match,
+    scales_with_overflowing_or_underflowing_squares_match,
+    elongated_and_flat_gaussians_match,
+    flat_gaussians_seen_edge_on_and_face_on_match,
+    zero_quaternion_is_the_identity,
     equal_depths_are_blended_by_index,
-    gaussians_on_the_near_plane_behind_and_at_the_camera,
-    large_gaussians_beside_and_around_the_camera,
+    gaussians_at_the_near_plane_and_behind_the_camera_match,
+    large_gaussians_near_and_around_the_camera_match,
 }
 
-fn scales_from_a_millionth_to_a_million(device: &Device) {
+fn scales_from_1e_6_to_1e6_match(device: &Device) {
     let mut suite = Suite::on(device);
     for compensation in [false, true] {
         for scale in [1e-6f32, 1e-3, 1.0, 1e3, 1e6] {
@@ -32,7 +32,7 @@ fn scales_from_a_millionth_to_a_million(device: &Device) {
     suite.finish();
 }
 
-fn scales_whose_square_overflows_or_underflows(device: &Device) {
+fn scales_with_overflowing_or_underflowing_squares_match(device: &Device) {
     let mut suite = Suite::on(device);
     // A point is as wide as the low-pass; compensation leaves it the weight that it has, none.
     for (log, is_point) in
@@ -51,7 +51,7 @@ fn scales_whose_square_overflows_or_underflows(device: &Device) {
     suite.finish();
 }
 
-fn needles_and_pancakes(device: &Device) {
+fn elongated_and_flat_gaussians_match(device: &Device) {
     let mut suite = Suite::on(device);
     let shapes: [[f32; 3]; 6] = [
         [1.0, 1e-3, 1e-3],
@@ -81,7 +81,7 @@ fn needles_and_pancakes(device: &Device) {
     suite.finish();
 }
 
-fn a_pancake_seen_edge_on_and_one_seen_flat(device: &Device) {
+fn flat_gaussians_seen_edge_on_and_face_on_match(device: &Device) {
     let mut suite = Suite::on(device);
     for compensation in [false, true] {
         let mut model = model(4, 7);
@@ -94,7 +94,7 @@ fn a_pancake_seen_edge_on_and_one_seen_flat(device: &Device) {
     suite.finish();
 }
 
-fn a_zero_quaternion_is_the_identity(device: &Device) {
+fn zero_quaternion_is_the_identity(device: &Device) {
     let mut suite = Suite::on(device);
     let mut zero = model(6, 8);
     let mut identity = zero.clone();
@@ -136,7 +136,7 @@ fn equal_depths_are_blended_by_index(device: &Device) {
     suite.finish();
 }
 
-fn gaussians_on_the_near_plane_behind_and_at_the_camera(device: &Device) {
+fn gaussians_at_the_near_plane_and_behind_the_camera_match(device: &Device) {
     let mut suite = Suite::on(device);
     let mut model = model(8, 10);
     // Camera at y = -3, near plane at -2.95.
@@ -160,7 +160,7 @@ fn gaussians_on_the_near_plane_behind_and_at_the_camera(device: &Device) {
     suite.finish();
 }
 
-fn large_gaussians_beside_and_around_the_camera(device: &Device) {
+fn large_gaussians_near_and_around_the_camera_match(device: &Device) {
     let mut suite = Suite::on(device);
     let mut model = model(6, 11);
     set(&mut model, Field::Mean, &[[2.0, -2.5, 0.5], [-40.0, 1.0, 3.0], [0.1, -2.6, 0.1]]);

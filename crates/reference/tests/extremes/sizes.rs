@@ -11,14 +11,14 @@ use glam::DVec3;
 use super::harness::{BACKGROUND, Suite, TIGHT, in_front, model, on_each_engine};
 
 on_each_engine! {
-    no_gaussian_and_one,
-    a_hundred_thousand_gaussians_in_a_few_tiles,
-    images_of_one_pixel_and_of_8192,
-    photographs_all_black_all_white_and_of_one_pixel,
-    two_thousand_photographs,
+    models_with_zero_and_one_gaussian_match,
+    one_hundred_thousand_gaussians_in_few_tiles_match,
+    images_of_one_pixel_and_of_8192_pixels_match,
+    black_white_and_one_pixel_photographs_train,
+    two_thousand_photographs_train,
 }
 
-fn no_gaussian_and_one(device: &Device) {
+fn models_with_zero_and_one_gaussian_match(device: &Device) {
     let mut suite = Suite::on(device);
     let nothing = suite.alike("none", &model(0, 40), &in_front((16, 12)), 0.0);
     assert!(nothing.radiance.iter().chain(&nothing.physical).all(|p| *p == BACKGROUND.map(f64::from)));
@@ -26,7 +26,7 @@ fn no_gaussian_and_one(device: &Device) {
     suite.finish();
 }
 
-fn a_hundred_thousand_gaussians_in_a_few_tiles(device: &Device) {
+fn one_hundred_thousand_gaussians_in_few_tiles_match(device: &Device) {
     let mut suite = Suite::on(device);
     let mut many = model(100_000, 42);
     many.gaussians.field_mut(Field::LogScale).iter_mut().for_each(|s| *s -= 2.5);
@@ -36,7 +36,7 @@ fn a_hundred_thousand_gaussians_in_a_few_tiles(device: &Device) {
     suite.finish();
 }
 
-fn images_of_one_pixel_and_of_8192(device: &Device) {
+fn images_of_one_pixel_and_of_8192_pixels_match(device: &Device) {
     let mut suite = Suite::on(device);
     suite.check("1 x 1", &model(6, 43), &in_front((1, 1)), TIGHT);
     // Strips as long as 8k, 90 degrees from end to end.
@@ -88,7 +88,7 @@ fn train(capture: &Capture, steps: usize, device: &Device) -> f32 {
     loss
 }
 
-fn photographs_all_black_all_white_and_of_one_pixel(device: &Device) {
+fn black_white_and_one_pixel_photographs_train(device: &Device) {
     for colour in [[0.0, 0.0, 0.0, 1.0], [1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]] {
         let mut flat = capture(4);
         for view in &mut flat.train {
@@ -108,7 +108,7 @@ fn photographs_all_black_all_white_and_of_one_pixel(device: &Device) {
 }
 
 #[test]
-fn fewer_than_three_photographs_are_refused_by_number() {
+fn fewer_than_three_photographs_are_refused_with_their_count() {
     let config = TrainConfig::new(Preset::Draft, &TrainOverrides::default()).unwrap();
     for views in [0, 1, 2] {
         let Err(TrainError::Invalid(reason)) = Trainer::new(&capture(views), config.clone(), &Device::Cpu)
@@ -119,6 +119,6 @@ fn fewer_than_three_photographs_are_refused_by_number() {
     }
 }
 
-fn two_thousand_photographs(device: &Device) {
+fn two_thousand_photographs_train(device: &Device) {
     assert!(train(&capture(2000), 3, device).is_finite());
 }

@@ -138,21 +138,21 @@ fn matches(fixture: &Fixture) {
 }
 
 #[test]
-fn the_small_scene_is_matched_tensor_by_tensor() {
+fn small_scene_matches_the_fixture_tensor_by_tensor() {
     matches(&committed("reference_small.safetensors"));
 }
 
 mod with_data {
     #[test]
     #[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
-    fn the_medium_scene_is_matched_tensor_by_tensor() {
-        let path = crate::requirements::data("../fixtures/reference_medium.safetensors");
+    fn medium_scene_matches_the_fixture_tensor_by_tensor() {
+        let path = relume_fixtures::data("../fixtures/reference_medium.safetensors");
         super::matches(&super::read(&path));
     }
 }
 
 #[test]
-fn the_comparison_notices_a_change_of_one_in_ten_million() {
+fn comparison_detects_a_relative_change_of_1e_7() {
     let mut fixture = committed("reference_small.safetensors");
     let truth = computed(&fixture);
     let moved = |fixture: &Fixture, tensor: &str| worst_error(&computed(fixture)[tensor], &truth[tensor]);
@@ -170,7 +170,7 @@ fn the_comparison_notices_a_change_of_one_in_ten_million() {
 }
 
 #[test]
-fn the_indirect_directions_are_those_of_the_listing() {
+fn indirect_directions_match_the_fixture() {
     let fixture = committed("reference_small.safetensors");
     let worst = worst_error(&fibonacci_sphere(32), &fixture["ind_dirs"]);
     assert!(worst <= RELATIVE, "{worst:e}");
@@ -178,7 +178,7 @@ fn the_indirect_directions_are_those_of_the_listing() {
 }
 
 #[test]
-fn spherical_harmonics_match_to_order_six() {
+fn spherical_harmonics_match_the_fixture_to_degree_six() {
     let fixture = committed("sh.safetensors");
     let tape = Tape::new();
     let directions = tape.input(fixture["dirs"].clone());

@@ -158,23 +158,23 @@ fn gradients_hold(form: &str, options: &Options, idle: &[&str]) {
 }
 
 #[test]
-fn the_listing_form_has_the_gradients_differences_measure() {
+fn listing_form_gradients_agree_with_differences() {
     gradients_hold("listing", &listing(), &["sheen"]);
 }
 
 #[test]
-fn the_default_form_has_the_gradients_differences_measure() {
+fn default_form_gradients_agree_with_differences() {
     gradients_hold("default", &model(ShadingOptions::default()), &["ind_sh"]);
 }
 
 #[test]
-fn the_deferred_form_has_the_gradients_differences_measure() {
+fn deferred_form_gradients_agree_with_differences() {
     let shading = ShadingOptions { shade_at: ShadeAt::Pixel, ..ShadingOptions::default() };
     gradients_hold("deferred", &model(shading), &["ind_sh", "sheen"]);
 }
 
 #[test]
-fn the_article_form_on_tables_has_the_gradients_differences_measure() {
+fn article_form_gradients_agree_with_differences() {
     let shading = ShadingOptions {
         diffuse: DiffuseForm::AmbientOcclusion,
         shade_at: ShadeAt::Pixel,
@@ -188,7 +188,7 @@ fn the_article_form_on_tables_has_the_gradients_differences_measure() {
 }
 
 #[test]
-fn the_barest_form_has_the_gradients_differences_measure() {
+fn minimal_form_gradients_agree_with_differences() {
     let shading = ShadingOptions {
         visibility: VisibilityForm::Off,
         indirect: IndirectForm::Off,
@@ -199,7 +199,7 @@ fn the_barest_form_has_the_gradients_differences_measure() {
 }
 
 #[test]
-fn directional_light_by_quadrature_has_the_gradients_differences_measure() {
+fn quadrature_form_gradients_agree_with_differences() {
     let mut options = listing();
     options.shading = ShadingOptions { indirect: IndirectForm::Learned, ..ShadingOptions::default() };
     gradients_hold("quadrature", &options, &[]);
@@ -223,7 +223,7 @@ fn with_lights() -> Options {
 }
 
 #[test]
-fn lights_of_their_own_have_the_gradients_differences_measure() {
+fn separate_light_gradients_agree_with_differences() {
     let options = with_lights();
     gradients_hold("lights", &options, &["ind_sh"]);
     let dark = Options { arriving: Some(Array::zeros(&[GAUSSIANS, MAX_LIGHTS])), ..options.clone() };
@@ -243,7 +243,7 @@ fn wall() -> ReferenceModel {
 }
 
 #[test]
-fn the_depth_normal_term_has_the_gradients_differences_measure() {
+fn depth_normal_term_gradients_agree_with_differences() {
     let options = model(ShadingOptions::default());
     let camera = Camera::look_at(DVec3::new(0.2, -3.0, 0.3), DVec3::ZERO, DVec3::Z, 0.4, (9, 8)).unwrap();
     let term = |scene: &ReferenceModel| {
@@ -271,7 +271,7 @@ fn the_depth_normal_term_has_the_gradients_differences_measure() {
 }
 
 #[test]
-fn differences_notice_a_sign_and_a_percent() {
+fn gradient_check_detects_a_wrong_sign_and_a_one_percent_error() {
     let options = model(ShadingOptions::default());
     let gradient = &analytic(&options)["quats"];
     assert!(worst_error("quats", gradient, &options) < TOLERANCE);

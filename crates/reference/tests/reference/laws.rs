@@ -55,7 +55,7 @@ fn constant_sky() -> Array {
 }
 
 #[test]
-fn harmonics_are_orthonormal_to_order_six_and_those_of_the_light_module() {
+fn harmonics_are_orthonormal_and_match_the_light_module() {
     // Equal steps in longitude integrate degrees below 16 exactly; midpoints in z leave 1e-6.
     let (rows, columns) = (2000, 16);
     let mut directions = Vec::new();
@@ -84,7 +84,7 @@ fn harmonics_are_orthonormal_to_order_six_and_those_of_the_light_module() {
 }
 
 #[test]
-fn full_visibility_means_ambient_occlusion_of_exactly_one() {
+fn full_visibility_gives_ambient_occlusion_of_one() {
     let tape = Tape::new();
     let normals = tape.input(fibonacci_sphere(50));
     for order in [0, 2, 4, 6] {
@@ -103,7 +103,7 @@ fn full_visibility_means_ambient_occlusion_of_exactly_one() {
 }
 
 #[test]
-fn aggregation_is_zero_at_one_hot_and_known_at_uniform() {
+fn aggregation_is_zero_for_one_hot_and_0_98421_for_uniform() {
     let loss = |rows: Array| {
         let tape = Tape::new();
         losses::aggregation(tape.input(rows)).value().data()[0]
@@ -116,7 +116,7 @@ fn aggregation_is_zero_at_one_hot_and_known_at_uniform() {
 }
 
 #[test]
-fn a_white_ball_in_a_white_furnace_reflects_what_it_gets_and_never_more() {
+fn white_ball_in_a_white_furnace_conserves_energy() {
     let seen = |metal: f64, rough: f64| {
         let scene = ReferenceModel::new(ball(400, metal, rough)).unwrap();
         let frame = render(&scene, &camera_from(DVec3::new(2.0, -3.0, 1.5)), &options(constant_sky()));
@@ -141,7 +141,7 @@ fn a_white_ball_in_a_white_furnace_reflects_what_it_gets_and_never_more() {
 }
 
 #[test]
-fn one_bright_texel_lights_the_ball_from_its_own_side() {
+fn one_bright_texel_lights_the_ball_from_its_direction() {
     let scene = ReferenceModel::new(ball(400, -40.0, 40.0)).unwrap();
     let brightest_normal = |texel: usize, eye: DVec3| {
         let mut radiance = Array::zeros(&[ENV.0 * ENV.1, 3]);
@@ -167,7 +167,7 @@ fn one_bright_texel_lights_the_ball_from_its_own_side() {
 }
 
 #[test]
-fn the_f64_tables_are_those_of_the_light_module() {
+fn f64_tables_match_the_light_module() {
     let radiance: Vec<[f32; 3]> =
         (0..512).map(|i| [1.0, 0.5, 0.2].map(|c| c * (1.0 + (i as f32 * 0.7).sin()))).collect();
     let theirs = EnvOperators::new(32, 16, 4, TableResolution::TRAINING).apply(&radiance);
@@ -200,7 +200,7 @@ fn the_f64_tables_are_those_of_the_light_module() {
 }
 
 #[test]
-fn transmittances_in_front_at_and_behind_a_layer_multiply_to_that_of_the_ray() {
+fn layer_transmittances_multiply_to_the_ray_transmittance() {
     let scene = ReferenceModel::new(ball(60, 0.0, 0.0)).unwrap();
     let tape = Tape::new();
     let pass = forward(&tape, &scene, &camera_from(DVec3::new(1.0, 3.0, 1.0)), &options(constant_sky()));
@@ -218,7 +218,7 @@ fn transmittances_in_front_at_and_behind_a_layer_multiply_to_that_of_the_ray() {
 }
 
 #[test]
-fn a_closed_glowing_ball_hides_the_sky_and_lights_what_is_inside() {
+fn closed_emitting_ball_hides_the_sky_and_lights_its_inside() {
     let normals = |outward: &Array| outward.map(|v| -v);
     let directions = fibonacci_sphere(96);
     // A small Gaussian in the middle of the ball, looking up; the ball's own normals look inwards.
@@ -247,7 +247,7 @@ fn a_closed_glowing_ball_hides_the_sky_and_lights_what_is_inside() {
 }
 
 #[test]
-fn a_wall_hides_what_is_behind_it_and_nothing_else() {
+fn wall_occludes_only_the_directions_behind_it() {
     // A sheet of opaque Gaussians one unit along +x from a small one at the origin.
     const SIDE: usize = 17;
     let count = SIDE * SIDE + 1;
@@ -276,7 +276,7 @@ fn a_wall_hides_what_is_behind_it_and_nothing_else() {
 }
 
 #[test]
-fn a_scene_without_gaussians_is_background_without_gradients() {
+fn empty_scene_shows_the_background_with_zero_gradients() {
     let scene = ReferenceModel::new(ball(0, 0.0, 0.0)).unwrap();
     let options = Options { background: [0.1, 0.2, 0.3], ..options(constant_sky()) };
     let frame = render(&scene, &camera_from(DVec3::X * 4.0), &options);
@@ -290,7 +290,7 @@ fn a_scene_without_gaussians_is_background_without_gradients() {
 }
 
 #[test]
-fn outputs_and_gradients_stay_finite_at_the_extremes() {
+fn outputs_and_gradients_stay_finite_for_extreme_parameters() {
     let target = Target::from(Array::filled(&[17, 17, 3], 0.5));
     let weights =
         [("img_mae", 1.0), ("img_dssim", 1.0), ("radiance_mae", 1.0), ("depth_normal", 1.0), ("occ", 1.0)];
@@ -340,7 +340,7 @@ fn outputs_and_gradients_stay_finite_at_the_extremes() {
 }
 
 #[test]
-fn a_missing_or_misshapen_parameter_is_named() {
+fn missing_or_misshapen_parameters_are_refused_by_name() {
     for name in parameter_names().filter(|n| !["radiance_sh", "sheen"].contains(n)) {
         let mut arrays = ball(3, 0.0, 0.0);
         arrays.remove(name);
@@ -352,7 +352,7 @@ fn a_missing_or_misshapen_parameter_is_named() {
 }
 
 #[test]
-fn relighting_replaces_the_scenes_own_environment() {
+fn relighting_replaces_the_environment_of_the_scene() {
     let scene = ReferenceModel::new(ball(100, 0.0, 0.0)).unwrap();
     let eye = camera_from(DVec3::X * 4.0);
     let own = options(constant_sky());

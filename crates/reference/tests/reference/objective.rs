@@ -2,12 +2,12 @@
 
 use glam::DVec3;
 use relume_compare::relative_error;
-use relume_reference::{
-    Array, Arrays, Options, ReferenceModel, TableOperators, Tape, Target, forward, objective,
-};
 use relume_engine::{
     Branches, ImageWeights, LightTurn, LightWeights, ParameterWeights, Photo, PhotoId, PhotoSize, Step,
     StepCounts, StepSizes, StepWeights, SurfaceWeights, TrainState, cpu,
+};
+use relume_reference::{
+    Array, Arrays, Options, ReferenceModel, TableOperators, Tape, Target, forward, objective,
 };
 use relume_scene::light::{DAYLIGHT, EnvOperators, LightColour, TableResolution};
 use relume_scene::{Camera, Field, Model, ShadingOptions};
@@ -140,7 +140,7 @@ fn by_trainer(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
 }
 
 #[test]
-fn the_trainers_objective_and_its_gradient_are_the_references() {
+fn trainer_objective_and_gradient_match_the_reference() {
     let (wall, camera_of_wall) = (wall(), facing_the_wall());
     let (photo, probes) = photograph(&camera_of_wall, 3);
     let (value, reference) = by_reference(&wall, &photo, &probes);
@@ -158,7 +158,7 @@ fn the_trainers_objective_and_its_gradient_are_the_references() {
 }
 
 #[test]
-fn a_photograph_of_a_turned_light_is_one_of_the_turned_environment() {
+fn rotated_photograph_light_equals_a_rotated_environment() {
     let wall = wall();
     let (photo, probes) = photograph(&facing_the_wall(), 3);
     let columns = 5;
@@ -183,7 +183,7 @@ fn a_photograph_of_a_turned_light_is_one_of_the_turned_environment() {
 }
 
 #[test]
-fn the_gradient_under_a_turn_by_part_of_a_column_is_the_objectives() {
+fn gradient_under_fractional_column_rotation_is_correct() {
     let wall = wall();
     let (photo, probes) = photograph(&facing_the_wall(), 3);
     let photo = Photo { light: LightTurn { radians: 2.1, block: 0 }, ..photo };

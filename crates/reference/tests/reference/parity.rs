@@ -5,9 +5,9 @@ use std::sync::LazyLock;
 use glam::DVec3;
 use relume_compare::{largest_difference, relative_error, worst};
 use relume_engine::cpu::{self, AttributeSource};
+use relume_engine::{Gradients, ProbeSettings, fibonacci_sphere};
 use relume_reference::parity::{LightShape, ParityCase, ParityResult, by_cpu, by_reference};
 use relume_reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES, Probes, ReferenceModel};
-use relume_engine::{Gradients, ProbeSettings, fibonacci_sphere};
 use relume_scene::light::TableResolution;
 use relume_scene::{
     Camera, DiffuseForm, Field, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, NormalForm, ShadeAt,
@@ -130,7 +130,7 @@ fn answers_with_lights(model: &Model, seed: u64, split: &LightSplit) -> [ParityR
 }
 
 #[test]
-fn the_cpu_engine_is_the_reference_under_lights_of_their_own() {
+fn cpu_engine_matches_the_reference_with_separate_lights() {
     let split = lights();
     for seed in 1..=4 {
         let mut model = model(seed, ShadingOptions::default());
@@ -200,17 +200,17 @@ const PLAIN: ProbeSettings =
     ProbeSettings { offset: 1.0, lift: 0.0, clearance: 1.0, bias: 0.0, reach: f32::INFINITY };
 
 #[test]
-fn the_cpu_engine_is_the_reference_in_the_default_form() {
+fn cpu_engine_matches_the_reference_in_the_default_form() {
     engines_agree("default", ShadingOptions::default());
 }
 
 #[test]
-fn the_cpu_engine_is_the_reference_where_pixels_are_shaded() {
+fn cpu_engine_matches_the_reference_with_deferred_shading() {
     engines_agree("deferred", ShadingOptions { shade_at: ShadeAt::Pixel, ..ShadingOptions::default() });
 }
 
 #[test]
-fn the_cpu_engine_is_the_reference_with_learned_indirect_light() {
+fn cpu_engine_matches_the_reference_with_learned_indirect_light() {
     for shade_at in [ShadeAt::Pixel, ShadeAt::Gaussian] {
         let indirect = IndirectForm::Learned;
         let shading = ShadingOptions { shade_at, indirect, ..ShadingOptions::default() };
@@ -219,13 +219,13 @@ fn the_cpu_engine_is_the_reference_with_learned_indirect_light() {
 }
 
 #[test]
-fn the_cpu_engine_is_the_reference_with_ambient_occlusion_at_the_gaussians() {
+fn cpu_engine_matches_the_reference_with_ambient_occlusion() {
     let shading = ShadingOptions { diffuse: DiffuseForm::AmbientOcclusion, ..ShadingOptions::default() };
     engines_agree("ambient", shading);
 }
 
 #[test]
-fn the_cpu_engine_is_the_reference_in_the_article_form_on_tables() {
+fn cpu_engine_matches_the_reference_in_the_article_form() {
     let shading = ShadingOptions {
         visibility: VisibilityForm::Sigmoid,
         diffuse: DiffuseForm::AmbientOcclusion,
@@ -239,7 +239,7 @@ fn the_cpu_engine_is_the_reference_in_the_article_form_on_tables() {
 }
 
 #[test]
-fn the_cpu_engine_is_the_reference_without_visibility() {
+fn cpu_engine_matches_the_reference_without_visibility() {
     let shading = ShadingOptions {
         visibility: VisibilityForm::Off,
         indirect: IndirectForm::Off,
@@ -249,7 +249,7 @@ fn the_cpu_engine_is_the_reference_without_visibility() {
 }
 
 #[test]
-fn probes_of_the_cpu_engine_are_those_of_the_reference() {
+fn cpu_probes_match_the_reference() {
     let model = model(6, ShadingOptions::default());
     let source = AttributeSource {
         gaussians: &model.gaussians,
@@ -267,12 +267,13 @@ fn probes_of_the_cpu_engine_are_those_of_the_reference() {
     let measure = |normals: &[[f32; 3]]| Probes::measure(&scene, &wide(normals), &wide(&directions), 1.0);
     let reference = measure(&normals);
     // The CPU engine calls a transmittance below 1e-3 opaque.
-    let error = |reference: &Probes| {
-        let pairs = (0..GAUSSIANS).flat_map(|i| (0..48).map(move |k| (i, k)));
-        worst(pairs.map(|(i, k)| {
-            (f64::from(ours.transmittance[k][i]) - reference.transmittance.row(i)[k]).abs()
-        }))
-    };
+    let error =
+        |reference: &Probes| {
+            let pairs = (0..GAUSSIANS).flat_map(|i| (0..48).map(move |k| (i, k)));
+            worst(pairs.map(|(i, k)| {
+                (f64::from(ours.transmittance[k][i]) - reference.transmittance.row(i)[k]).abs()
+            }))
+        };
     let blocked = reference.transmittance.data().iter().filter(|t| **t < 0.5).count();
     assert!(blocked > 20, "the scene must occlude something: {blocked}");
     assert!(error(&reference) < 1.1e-3, "{}", error(&reference));
@@ -285,7 +286,7 @@ fn probes_of_the_cpu_engine_are_those_of_the_reference() {
 }
 
 #[test]
-fn the_comparison_notices_another_model_and_another_place_of_shading() {
+fn comparison_detects_another_model_and_shading_location() {
     let [cpu, reference] = answers(&model(1, ShadingOptions::default()), 1);
     let mut rougher = model(1, ShadingOptions::default());
     rougher.gaussians.field_mut(Field::RoughLogit).iter_mut().for_each(|r| *r += 0.05);

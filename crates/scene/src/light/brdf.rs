@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_white_furnace_never_gains_energy_and_a_mirror_head_on_keeps_it_all() {
+    fn brdf_table_never_gains_energy_and_a_mirror_keeps_it() {
         let lut = BrdfLut::shared();
         for r in 0..=20 {
             for v in 0..=20 {
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn derivatives_agree_with_differences_inside_a_cell() {
+    fn brdf_table_derivatives_agree_with_differences() {
         let lut = BrdfLut::shared();
         let (nov, rough) = (0.371, 0.522);
         let s = lut.sample(nov, rough);

@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_colour_is_its_channels_without_the_level() {
+    fn light_colour_is_independent_of_brightness() {
         let colour = LightColour::of([0.8, 0.9, 1.3]);
         let rgb = colour.rgb();
         assert!((luminance(rgb) - 1.0).abs() < 1e-5);
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn black_bodies_turn_from_orange_to_bluish_and_are_neutral_at_the_balance() {
+    fn black_body_colours_get_bluer_and_are_neutral_at_6504_kelvin() {
         let at = |kelvin: f32| LightColour::black_body(kelvin);
         assert!(at(6_504.0).blue_over_red.abs() < 1e-6 && at(6_504.0).green.abs() < 1e-6);
         let steps: Vec<f32> =

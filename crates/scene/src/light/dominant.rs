@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn lights_and_rest_have_the_power_of_the_whole() {
+    fn separate_lights_and_remainder_have_the_total_power() {
         for rows in [32, 128, 700] {
             let map = sky(rows);
             let split = SplitEnvironment::new(&map, 8);
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn sun_and_lamp_are_lights_the_window_and_the_sky_are_not() {
+    fn sun_and_lamp_are_separated_and_window_and_sky_are_not() {
         let split = SplitEnvironment::new(&sky(256), 8);
         let found: Vec<DVec3> = split.lights.iter().map(|l| l.direction).collect();
         assert_eq!(found.len(), 2, "{found:?}");
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn extreme_texels_stay_finite() {
+    fn extreme_texel_gives_a_finite_light() {
         let mut texels = vec![[0.0f32; 3]; 64 * 32];
         texels[500] = [1e30; 3];
         let split = SplitEnvironment::new(&EnvMap::new(64, 32, texels).unwrap().0, 8);

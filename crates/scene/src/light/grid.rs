@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_smooth_function_is_recovered_and_finer_grids_are_better() {
+    fn interpolation_error_is_small_and_falls_with_grid_size() {
         let f = |d: DVec3| (d.x * 2.0 + d.y).sin() + d.z * d.z;
         let error = |n: usize| {
             let grid = CubeGrid::new(n);
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_is_continuous_across_edges_and_corners() {
+    fn interpolation_is_continuous_across_edges_and_corners() {
         let grid = CubeGrid::new(5);
         let values: Vec<f64> = grid.directions().iter().map(|d| d.x + 2.0 * d.y - d.z).collect();
         for centre in [DVec3::new(1.0, 1.0, 0.2), DVec3::new(-1.0, -1.0, -1.0), DVec3::new(0.4, 1.0, -1.0)] {

@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mirror_keeps_every_degree_and_roughness_only_blurs() {
+    fn lobe_attenuation_is_one_for_a_mirror_and_falls_if_rough() {
         let table = LobeAttenuation::shared();
         let mirror = table.sample(0.0f64).value;
         assert!(mirror.iter().all(|h| *h > 0.97), "{mirror:?}");

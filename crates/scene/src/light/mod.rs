@@ -21,10 +21,6 @@ pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
 
 pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
 pub use colour::{LightColour, luminance};
-pub use relume_layout::light::{
-    CLAMPED_COSINE, DIELECTRIC_F0, FULLY_OPEN, LOBE_ORDERS, LUMINANCE, MOST_SHEEN, SPECULAR_LEVELS,
-    UPWARD_LUMINANCE, nrsh_factor,
-};
 pub use dominant::{DominantLight, SplitEnvironment};
 pub use grid::{CubeGrid, Taps};
 pub use lobe::{LobeAttenuation, LobeSample};
@@ -32,6 +28,10 @@ pub use operators::{CompressedRows, EnvOperators, LevelPosition, TableResolution
 pub use prefilter::rendering_tables;
 pub use reflectance::reflectance_tables;
 pub use reflector::{Reflected, Reflector};
+pub use relume_layout::light::{
+    CLAMPED_COSINE, DIELECTRIC_F0, FULLY_OPEN, LOBE_ORDERS, LUMINANCE, MOST_SHEEN, SPECULAR_LEVELS,
+    UPWARD_LUMINANCE, nrsh_factor,
+};
 pub use sampler::{EnvSampler, SamplerTables, Shares, estimate};
 pub use sh::{nrsh, sh_eval, sh_eval_with_gradient};
 pub use sheen::Sheen;

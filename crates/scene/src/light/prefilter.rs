@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pyramid_is_read_as_a_map_is() {
+    fn pyramid_lookup_matches_the_map_sampling() {
         let map =
             EnvMap::from_fn(61, 31, |d| [(9.0 * d.x).sin() as f32 + 1.5, d.y as f32 + 1.5, d.z as f32 + 1.5]);
         let error = |turn: f64| {
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn another_light_gives_other_tables() {
+    fn tables_differ_for_a_rotated_light() {
         let turned = map().rotated_and_scaled(120.0, 1.0);
         let (a, b) = (rendering_tables(&map(), 0), rendering_tables(&turned, 0));
         let most = largest_difference(&a.diffuse, &b.diffuse);

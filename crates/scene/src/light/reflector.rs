@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn under_a_constant_light_the_lobe_is_the_split_sum_table() {
+    fn lobe_integral_matches_the_split_sum_table() {
         for rough in [0.25f32, 0.5, 0.9] {
             for nov in [0.2, 0.5, 0.95] {
                 let r = surface(nov, rough);
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn the_lobe_agrees_with_itself_on_another_grid_of_directions() {
+    fn lobe_integral_is_independent_of_the_direction_grid() {
         // Spherical midpoints instead of half vectors: a density that is wrong shows here and nowhere else.
         let r = surface(0.6, 0.5);
         const ROWS: usize = 900;
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wide_light_spreads_the_highlight_and_keeps_its_energy() {
+    fn wide_light_spreads_the_highlight_with_unchanged_energy() {
         let r = surface(0.9, 0.1);
         let mirror = DVec3::new(-(1.0 - 0.81f64).sqrt(), 0.0, 0.9);
         let at = |radius| r.reflect(mirror, radius).unwrap().specular[0];

@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_is_the_integral_whatever_density_drew_the_samples() {
+    fn estimate_is_unbiased_for_every_sampling_mixture() {
         let want = exact();
         for (light, cosine, lobe) in [(8, 4, 4), (0, 0, 16), (0, 12, 4), (14, 0, 2)] {
             let shares = Shares { light, cosine, lobe };
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn the_density_integrates_to_one_and_draws_fall_where_it_is() {
+    fn sampling_density_integrates_to_one_and_matches_the_samples() {
         let light = EnvSampler::new(lamp());
         let total: f64 = texel_directions(32, 16).iter().map(|(d, w)| light.at(*d).1 * w).sum();
         assert!((total - 1.0).abs() < 1e-9, "{total}");
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn darkness_and_single_samples_are_finite() {
+    fn dark_environments_and_single_samples_give_finite_results() {
         let dark = EnvSampler::new(EnvMap::constant(8, 4, [0.0; 3]));
         assert_eq!(Shares::of(8, &dark).light, 0);
         let mut random = ChaCha8Rng::seed_from_u64(3);

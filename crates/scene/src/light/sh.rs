@@ -143,7 +143,7 @@ mod tests {
     use crate::texel_directions;
 
     #[test]
-    fn the_basis_is_orthonormal_to_order_six() {
+    fn sh_basis_is_orthonormal_to_degree_six() {
         const N: usize = 49;
         let mut gram = vec![0.0f64; N * N];
         // Gauss-like accuracy from a fine equirectangular grid: the trapezoid in longitude is exact here,
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn gradients_agree_with_central_differences_even_at_the_poles() {
+    fn sh_gradients_agree_with_differences_even_at_the_poles() {
         for d in [[0.3, -0.5, 0.81], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]] {
             let (mut y, mut g) = ([0.0f64; 49], [[0.0; 3]; 49]);
             sh_eval_with_gradient(6, d, &mut y, &mut g);
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn full_visibility_has_ambient_occlusion_one() {
+    fn full_visibility_gives_ambient_occlusion_of_one() {
         for (n, _) in texel_directions(8, 4) {
             let mut r = [0.0; 25];
             nrsh(4, n.to_array(), &mut r);

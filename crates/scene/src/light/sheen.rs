@@ -35,7 +35,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn none_is_lambert_and_derivatives_are_those_of_the_gain() {
+    fn zero_sheen_has_gain_one_and_derivatives_match_differences() {
         for nov in [0.0, 0.3, 1.0] {
             assert_eq!(Sheen::new(0.0, nov).gain, 1.0);
         }
@@ -47,7 +47,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_held_within_reason() {
+    fn sheen_gain_is_bounded() {
         let wild = Sheen::new(1e30, 0.0);
         assert_eq!((wild.gain, wild.by_sheen), (MOST_SHEEN.exp(), 0.0));
         assert!(Sheen::new(-1e30, 0.0).gain > 0.04 && Sheen::new(1e30, 1.0).gain == 1.0);

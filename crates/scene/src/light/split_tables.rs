@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sun_is_a_light_and_no_longer_in_the_tables() {
+    fn sun_becomes_a_separate_light_and_leaves_the_tables() {
         let sky = EnvMap::from_fn(128, 64, |d| [1.0 + if d.z > 0.998 { 900.0 } else { 0.0 }; 3]);
         let (split, whole) = (split_tables(&sky, 1), rendering_tables(&sky, 1));
         assert_eq!(split.lights.len(), 1);
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_split_keeps_the_power() {
+    fn known_split_preserves_the_total_power() {
         let sky = EnvMap::from_fn(16, 8, |d| [1.0 + d.x as f32, 2.0, 1.0 - d.y as f32]);
         let mut shares = vec![[0.0; MAX_LIGHTS]; 128];
         (40..44).for_each(|t| shares[t] = [0.5, 0.25, 0.0, 0.0]);

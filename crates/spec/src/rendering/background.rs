@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_background_reads_back_from_its_text_and_nothing_else_does() {
+    fn backgrounds_round_trip_as_text_and_other_text_is_refused() {
         for background in
             [Background::Transparent, Background::Environment, Background::Colour([1, 171, 255])]
         {

@@ -6,8 +6,7 @@ use relume_scene::Output;
 
 /// Image file format. `png`: one output, display-referred or mapped to integers. `jpeg`: one output over
 /// white. `exr`: all outputs, linear floats.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FrameFormat {
     /// One output, display-referred or mapped to integers.

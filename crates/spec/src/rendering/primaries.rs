@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn the_matrix_is_that_of_the_chromaticities() {
+    fn matrix_matches_the_adapted_chromaticities() {
         let [.., white] = Primaries::Rec709.chromaticities();
         let [.., aces_white] = Primaries::Acescg.chromaticities();
         let to_acescg = to_xyz(Primaries::Acescg).inverse();
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn white_stays_white_and_red_turns_paler() {
+    fn acescg_conversion_keeps_white_and_desaturates_red() {
         for value in Primaries::Acescg.from_rec709([1.0; 3]) {
             assert!((value - 1.0).abs() < 1e-5);
         }

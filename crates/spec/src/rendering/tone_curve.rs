@@ -8,8 +8,7 @@ use relume_scene::srgb;
 ///
 /// `srgb`: clamped to 1, sRGB curve. `neutral`: Khronos PBR Neutral. `agx`: AgX, base look. `linear`: clamped
 /// to 1, no curve, 16-bit PNG only.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ToneCurve {
     /// Clamped to 1, sRGB curve. Figures are measured with this curve.
@@ -106,7 +105,7 @@ mod tests {
     const ALL: [ToneCurve; 4] = [ToneCurve::Srgb, ToneCurve::Neutral, ToneCurve::Agx, ToneCurve::Linear];
 
     #[test]
-    fn every_curve_takes_any_number_and_keeps_grey_grey_in_order() {
+    fn tone_curves_accept_any_input_and_keep_grey_monotonic() {
         for curve in ALL {
             let mut last = -1.0;
             for v in [0.0, 1e-30, 1e-3, 0.05, 0.18, 0.5, 0.75, 0.9, 1.0, 2.0, 20.0, 1e4, 1e30, f32::MAX] {
@@ -122,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn the_curve_of_agx_meets_its_three_points() {
+    fn agx_curve_passes_through_its_three_reference_points() {
         for (x, y) in [(0.0, 0.0), (20.0 / 33.0, 0.5), (1.0, 1.0)] {
             assert!((sigmoid(x) - y).abs() < 1e-5, "{x}: {}", sigmoid(x));
         }
@@ -133,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn neutral_keeps_what_is_dim_and_its_hue_above() {
+    fn neutral_curve_keeps_dark_colours_and_bright_hues() {
         let dim = neutral([0.5, 0.3, 0.2]);
         assert_eq!(dim, [0.5 - 0.04, 0.3 - 0.04, 0.2 - 0.04]);
         let [r, g, b] = neutral([8.0, 4.04, 0.08]);

@@ -4,8 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Preset: named compromise between training time and quality. `draft`: a first result within a few minutes.
 /// `standard`: the default. `high`: the most steps, pixels and Gaussians.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::Type), sqlx(type_name = "text", rename_all = "snake_case"))]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
@@ -21,8 +20,7 @@ pub enum Preset {
 /// Source of the visibility labels. `none`: no labels, only the photometric gradient. `backward`: backward
 /// transmittance along camera rays. `probes`: transmittance probes over the sphere. `both`: `backward` and
 /// `probes`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LabelSource {
     /// No labels, only the photometric gradient.
@@ -38,8 +36,7 @@ pub enum LabelSource {
 
 /// Complexity of the model. `auto`: the parts that measurements show the scene needs. `full`: all configured
 /// parts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Complexity {
     /// The parts that measurements show the scene needs. The model card records evidence and decisions.

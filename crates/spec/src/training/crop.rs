@@ -5,8 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::training::ConfigError;
 
 /// Part of the scene that becomes the model. Content outside it acts only as a light source.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged, expecting = "must be \"none\", \"auto\" or [x, y, z, radius]")]
 pub enum Crop {
     /// By name.
@@ -17,8 +16,7 @@ pub enum Crop {
 
 /// Named crop. `none`: the whole scene. `auto`: the object on the ground plane, if there is one, in the ball
 /// around which the cameras stand.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum NamedCrop {
     /// The whole scene.
@@ -70,7 +68,7 @@ mod tests {
     use crate::training::{Preset, TrainConfig, TrainOverrides};
 
     #[test]
-    fn names_and_balls_are_read_and_nonsense_is_refused() {
+    fn crop_names_and_balls_parse_and_other_text_is_refused() {
         assert_eq!("none".parse(), Ok(Crop::NONE));
         assert_eq!("auto".parse(), Ok(Crop::Named(NamedCrop::Auto)));
         assert_eq!("0, -1.5,2,3".parse(), Ok(Crop::Ball([0.0, -1.5, 2.0, 3.0])));
@@ -84,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crop_is_refused_where_it_cannot_be_found_or_is_no_ball() {
+    fn crop_without_radius_or_without_warm_up_is_refused() {
         let refused = |json: &str| {
             let overrides: TrainOverrides = serde_json::from_str(json).unwrap();
             TrainConfig::new(Preset::Draft, &overrides).map_err(|error| error.field)

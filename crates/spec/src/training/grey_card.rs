@@ -5,8 +5,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 /// Rectangle of a photograph that shows a white or grey surface which receives all of the light.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GreyCard {
     /// The photograph: its path in the capture, or the end of that path.
@@ -44,9 +43,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_card_is_read_from_text() {
+    fn grey_card_parses_from_text() {
         let read = |text: &str| text.parse::<GreyCard>();
-        assert_eq!(read("a.png:5,2,2,3").unwrap(), GreyCard { photo: "a.png".into(), x: 5, y: 2, width: 2, height: 3 });
+        assert_eq!(
+            read("a.png:5,2,2,3").unwrap(),
+            GreyCard { photo: "a.png".into(), x: 5, y: 2, width: 2, height: 3 }
+        );
         assert_eq!(read("C:/x/a.png: 5, 2, 2, 3").unwrap().photo, "C:/x/a.png");
         for bad in ["a.png", "5,2,2,3", "a.png:5,2,2", "a.png:5,2,2,-3", "a.png:0.1,0.2,0.3,0.4"] {
             assert!(read(bad).unwrap_err().contains("WIDTH"), "{bad}");

@@ -10,8 +10,7 @@ const MOST_CHARACTERS: usize = 1024;
 pub const MOST_STOPS: f64 = 20.0;
 
 /// A measured light. Training keeps it fixed and recovers no light.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct KnownLight {
     /// Name of a built-in map, or identifier of an uploaded environment map, 1 to 1,024 characters. On the
@@ -26,8 +25,7 @@ pub struct KnownLight {
 }
 
 /// Exposure of a known light: a number of stops or `auto`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged, expecting = "must be a number of stops or \"auto\"")]
 pub enum LightExposure {
     /// Stops, -20 to 20: the map is multiplied by two to this power. At 0, a surface of radiance 1 is white
@@ -39,8 +37,7 @@ pub enum LightExposure {
 }
 
 /// The string `auto`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Auto {
     /// `auto`.
@@ -88,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn the_exposure_is_a_number_or_auto() {
+    fn exposure_is_a_finite_number_or_auto() {
         let read = |text: &str| serde_json::from_str::<KnownLight>(text).map(|l| l.exposure_ev);
         let with = |value: &str| read(&format!(r#"{{"environment": "sky", "exposure_ev": {value}}}"#));
         assert_eq!(with("-1.5").unwrap(), LightExposure::Stops(-1.5));

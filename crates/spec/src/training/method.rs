@@ -12,8 +12,7 @@ use serde_json::{Value, json};
 /// `3dgs`: 3D Gaussian splatting, view-dependent colour without materials; it cannot be relit.
 /// `gaussian-shader`: GaussianShader. `gs-ir`: GS-IR. `r3dg`: Relightable 3D Gaussian. `article`: the model
 /// of the article. `relume`: the model of Relume.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
     /// 3D Gaussian splatting: view-dependent colour with spherical harmonics of degree 3. It has no materials

@@ -2,26 +2,27 @@ use super::*;
 use relume_scene::IndirectForm;
 
 #[test]
-fn overrides_change_only_what_they_name() {
+fn overrides_change_only_the_given_settings() {
     let overrides = TrainOverrides { iterations: Some(7), ..Default::default() };
     let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
     assert_eq!(TrainConfig { iterations: 1_500, ..config }, TrainConfig::preset(Preset::Draft));
 }
 
 #[test]
-fn what_a_caller_names_is_forced_and_nothing_else_is() {
+fn only_settings_given_by_the_caller_are_forced() {
     let forced = |o: TrainOverrides| TrainConfig::new(Preset::Draft, &o).unwrap().forced;
     assert_eq!(
         forced(TrainOverrides { visibility_order: Some(3), ..Default::default() }),
         [ComplexitySetting::Visibility]
     );
-    let shading = forced(TrainOverrides { shading: Some(ShadingOptions::default().into()), ..Default::default() });
+    let shading =
+        forced(TrainOverrides { shading: Some(ShadingOptions::default().into()), ..Default::default() });
     assert_eq!(shading, [ComplexitySetting::Visibility, ComplexitySetting::Indirect]);
     assert!(forced(TrainOverrides { iterations: Some(9), ..Default::default() }).is_empty());
 }
 
 #[test]
-fn what_is_forced_has_the_order_of_stored_files() {
+fn forced_settings_keep_the_order_of_stored_files() {
     let overrides = TrainOverrides {
         prototypes: Some(4),
         bounces: Some(1),
@@ -35,7 +36,7 @@ fn what_is_forced_has_the_order_of_stored_files() {
 }
 
 #[test]
-fn what_is_out_of_range_is_named() {
+fn values_out_of_range_are_refused_by_field() {
     let refused = |o: TrainOverrides| TrainConfig::new(Preset::Draft, &o).unwrap_err();
     let none = refused(TrainOverrides { iterations: Some(0), ..Default::default() });
     assert_eq!((none.field.as_str(), none.reason.as_str()), ("iterations", "0 is outside 1 to 1000000"));
@@ -49,7 +50,7 @@ fn what_is_out_of_range_is_named() {
 }
 
 #[test]
-fn the_documented_ranges_are_those_that_are_checked() {
+fn documented_ranges_match_the_checked_ranges() {
     let ranges: Vec<_> = documented().into_iter().filter(|(.., range)| !range.is_empty()).collect();
     assert_eq!(ranges.len(), 17);
     for (name, documentation, range) in ranges {
@@ -59,7 +60,7 @@ fn the_documented_ranges_are_those_that_are_checked() {
 }
 
 #[test]
-fn a_configuration_reads_back_and_an_older_one_reads_without_the_newer_settings() {
+fn config_round_trips_and_older_files_get_default_settings() {
     let overrides: TrainOverrides =
         serde_json::from_str(r#"{"seed": 3, "light": {"environment": "studio"}, "bounces": 1}"#).unwrap();
     let config = TrainConfig::new(Preset::High, &overrides).unwrap();
@@ -75,7 +76,7 @@ fn a_configuration_reads_back_and_an_older_one_reads_without_the_newer_settings(
 }
 
 #[test]
-fn an_estimated_colour_holds_until_the_second_restart() {
+fn light_colour_weight_lasts_until_the_second_restart() {
     let config = TrainConfig::preset(Preset::Draft);
     let first = config.warm_up_steps();
     let is_round = |step: &u32| config.is_albedo_round(*step);
@@ -87,7 +88,7 @@ fn an_estimated_colour_holds_until_the_second_restart() {
 }
 
 #[test]
-fn the_radiance_branch_weighs_more_without_masks() {
+fn radiance_weight_is_higher_without_masks() {
     let config = TrainConfig::preset(Preset::Draft);
     assert_eq!(config.radiance_weight(true), config.weights.radiance);
     assert!(config.radiance_weight(false) > config.weights.radiance);
@@ -111,7 +112,7 @@ fn of_method(method: Method, overrides: TrainOverrides) -> TrainConfig {
 }
 
 #[test]
-fn every_method_is_a_model_of_its_own_and_ours_changes_nothing() {
+fn methods_have_distinct_configs_and_relume_is_the_default() {
     let ours = TrainConfig::preset(Preset::Draft);
     assert_eq!(of_method(Method::Relume, TrainOverrides::default()), ours);
     let mut seen = Vec::new();
@@ -130,7 +131,7 @@ fn every_method_is_a_model_of_its_own_and_ours_changes_nothing() {
 }
 
 #[test]
-fn a_caller_wins_over_the_method() {
+fn caller_settings_override_the_method() {
     let caller = TrainOverrides { prototypes: Some(5), seed: Some(3), ..Default::default() };
     let config = of_method(Method::GaussianShader, caller);
     assert_eq!((config.prototypes, config.seed, config.bounces), (5, 3, 0));
@@ -146,7 +147,7 @@ fn a_caller_wins_over_the_method() {
 }
 
 #[test]
-fn files_without_a_method_are_ours_and_ours_writes_none() {
+fn files_without_a_method_mean_relume() {
     let json = serde_json::to_value(TrainConfig::preset(Preset::Draft)).unwrap();
     assert!(json.get("method").is_none());
     assert_eq!(serde_json::from_value::<TrainConfig>(json).unwrap().method, Method::Relume);
@@ -158,7 +159,7 @@ fn files_without_a_method_are_ours_and_ours_writes_none() {
 }
 
 #[test]
-fn changes_of_a_group_keep_what_the_method_set() {
+fn partial_group_overrides_keep_the_method_settings() {
     let read = |json: &str| serde_json::from_str::<TrainOverrides>(json).unwrap();
     let weights = |json: &str| TrainConfig::new(Preset::Draft, &read(json)).unwrap().weights;
     let ours = LossWeights::default();
@@ -176,7 +177,7 @@ fn changes_of_a_group_keep_what_the_method_set() {
 }
 
 #[test]
-fn whole_groups_of_stored_jobs_read_as_they_were() {
+fn complete_groups_of_stored_jobs_are_read() {
     let whole = serde_json::to_value(LossWeights { l1: 0.5, ..Default::default() }).unwrap();
     let overrides: TrainOverrides = serde_json::from_value(serde_json::json!({ "weights": whole })).unwrap();
     let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();

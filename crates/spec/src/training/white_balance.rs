@@ -2,15 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use relume_scene::light::{DAYLIGHT, LightColour};
 use crate::training::ConfigError;
+use relume_scene::light::{DAYLIGHT, LightColour};
 
 /// Accepted colour temperatures, kelvin.
 const KELVIN: std::ops::RangeInclusive<f32> = 2_000.0..=20_000.0;
 
 /// Colour of the light in the photographs: the colour of a white surface that receives all of the light.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(
     untagged,
     expecting = "must be \"auto\", \"neutral\", \"daylight\", a number of kelvin or [red, green, blue]"
@@ -29,8 +28,7 @@ pub enum WhiteBalance {
 /// Named colour of the light. `auto`: unknown, estimated from the view dependence of colours and free to
 /// change later. `neutral`: white surfaces are grey in the photographs, which are balanced for their light.
 /// `daylight`: an open sky, in photographs that are balanced for the sun.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum NamedBalance {
     /// Unknown: estimated from the view dependence of colours, and free to change later.
@@ -86,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_kelvin_and_colours_are_read_and_nonsense_is_refused_by_name() {
+    fn white_balance_parses_words_kelvin_and_colours_only() {
         let read = |text: &str| text.parse::<WhiteBalance>();
         assert_eq!(read("auto"), Ok(WhiteBalance::AUTO));
         assert_eq!(read("neutral").unwrap().known(), Some(LightColour::NEUTRAL));

@@ -1,11 +1,11 @@
 //! Makes a state smaller as decided, with its moments and statistics.
 
+use crate::complexity::decide::RequiredVisibility;
+use crate::complexity::evidence::Overlap;
 use relume_engine::TrainState;
 use relume_engine::cpu::{sigmoid, softmax};
 use relume_scene::light::FULLY_OPEN;
 use relume_scene::{Field, Gaussians, IndirectForm, VisibilityForm, sh_count};
-use crate::complexity::decide::RequiredVisibility;
-use crate::complexity::evidence::Overlap;
 
 /// Metalness logit of a surface that is held at dielectric: a metalness of 1e-4.
 pub const DIELECTRIC: f32 = -9.0;

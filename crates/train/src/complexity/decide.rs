@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn visibility_is_the_least_within_both_tolerances() {
+    fn lowest_visibility_within_both_tolerances_is_chosen() {
         let flat = [0.0; 5];
         assert_eq!(visibility(&errors(0.01, flat, flat), Convex, false), RequiredVisibility::Off);
         assert_eq!(visibility(&errors(0.01, flat, flat), Convex, true), RequiredVisibility::Order(1));
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn similar_prototypes_merge_and_unused_ones_join_them() {
+    fn similar_prototypes_merge_and_unused_ones_are_absorbed() {
         let colours = [[0.5; 3], [0.52; 3], [0.9; 3], [0.1; 3]];
         let pure = mixed(&[[0.4, 0.6, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
         let (groups, moved) = prototypes(&colours, &pure);
@@ -196,14 +196,14 @@ mod tests {
     }
 
     #[test]
-    fn colours_far_apart_that_all_surfaces_mix_alike_are_one() {
+    fn prototypes_that_all_surfaces_mix_equally_are_merged() {
         let colours = [[0.2; 3], [0.8; 3]];
         assert_eq!(prototypes(&colours, &mixed(&[[0.5, 0.5], [0.49, 0.51]])).0.len(), 1);
         assert_eq!(prototypes(&colours, &mixed(&[[0.7, 0.3], [0.3, 0.7]])).0.len(), 2, "the control");
     }
 
     #[test]
-    fn growth_ends_when_twice_flat_or_beyond_the_highest_psnr() {
+    fn growth_ends_after_two_flat_rounds_or_at_the_highest_psnr() {
         assert!(is_enough(&[(1000, 30.0), (1200, 30.01), (1400, 30.0)]));
         assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.3)]), "once is not twice");
         assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.6)]));
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn what_adds_least_goes_first_and_something_always_stays() {
+    fn least_contributing_gaussians_are_dropped_but_never_all() {
         let weights = [0.5, 0.0, 3.0, 0.0, 1.0];
         assert_eq!(heaviest(&weights, 0.0), [0, 1, 2, 3, 4]);
         assert_eq!(heaviest(&weights, 0.2), [0, 1, 2, 4], "of equals the later one");
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn the_radiance_branch_keeps_what_matters() {
+    fn radiance_degree_keeps_only_significant_coefficients() {
         assert_eq!(radiance_order(&[0.005, 0.001, 0.0]), 1);
         assert_eq!(radiance_order(&[0.0]), 0, "what is not there cannot stay");
         assert_eq!(radiance_order(&[0.05, 0.004, 0.0]), 1);

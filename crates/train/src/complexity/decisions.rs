@@ -1,12 +1,12 @@
 //! What is decided at which point of a training.
 
-use relume_engine::TrainState;
-use relume_spec::training::ComplexitySetting;
 use crate::complexity::photographs::{DecisionContext, FEW_VIEWS};
 use crate::complexity::state::{ComplexityState, DecisionPoint};
 use crate::complexity::{apply, decide, evidence, orders, trials};
 use crate::context::StepContext;
 use crate::dataset::Dataset;
+use relume_engine::TrainState;
+use relume_spec::training::ComplexitySetting;
 
 impl ComplexityState {
     /// Makes the decisions of `point` and applies them to `state`, whose parameters must be finite.

@@ -234,7 +234,7 @@ mod tests {
     use relume_scene::light::{EnvOperators, TableResolution};
 
     #[test]
-    fn a_surface_of_a_convex_object_needs_no_visibility_and_its_half_sky_has_the_energy_of_its_degrees() {
+    fn visibility_errors_match_the_analytic_half_sky_energy() {
         let up = [0.0, 0.0, 1.0];
         let errors = visibility(&half_open(4, up), 4, &[up], &[2.0]);
         assert!(errors.off < 0.01, "open to all that it faces: {errors:?}");
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_is_not_convex_leaves_its_hull_empty() {
+    fn concavity_is_zero_only_for_convex_silhouettes() {
         let picture = |inside: &dyn Fn(i32, i32) -> bool| -> Vec<f32> {
             (0..32 * 32).map(|i| f32::from(u8::from(inside(i % 32, i / 32)))).collect()
         };
@@ -274,14 +274,14 @@ mod tests {
     }
 
     #[test]
-    fn a_field_is_most_open_where_it_is() {
+    fn open_direction_of_a_half_open_field_is_its_axis() {
         let side = [0.6, 0.0, 0.8];
         let found = open_directions(&half_open(4, side), 4)[0];
         assert!((0..3).all(|k| (found[k] - side[k]).abs() < 0.01), "{found:?}");
     }
 
     #[test]
-    fn the_share_of_bounced_light_is_that_of_irradiances() {
+    fn indirect_share_is_the_ratio_of_irradiances() {
         let operators = EnvOperators::new(16, 8, 1, TableResolution::TRAINING);
         let tables = operators.apply(&[[1.0; 3]; 128]);
         let open = [FULLY_OPEN, 0.0, 0.0, 0.0];
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_radiance_branch_loses_is_the_energy_beyond() {
+    fn radiance_residual_is_the_energy_of_removed_degrees() {
         let mut g = Gaussians::zeroed(2, 1, 0, 1);
         g.row_mut(Field::Radiance, 0)[3..].fill(0.2);
         let expected = (9.0f32 * 0.04 / (12.0 * PI)).sqrt();
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prototypes_mass_is_what_it_colours() {
+    fn prototype_mass_is_its_weighted_share_of_gaussians() {
         let mut g = Gaussians::zeroed(2, 2, 0, 0);
         g.row_mut(Field::ProtoLogits, 0).copy_from_slice(&[0.0, 3f32.ln()]);
         g.row_mut(Field::ProtoLogits, 1).copy_from_slice(&[20.0, 0.0]);

@@ -1,13 +1,13 @@
 //! Decisions on degrees and on bounced light, from the first measurement of visibility.
 
-use relume_engine::TrainState;
-use relume_engine::cpu::evaluation;
-use relume_scene::{Field, IndirectForm, LightSplit, VisibilityForm};
-use relume_spec::training::ComplexitySetting;
 use crate::complexity::decide::{self, Convexity, RequiredVisibility};
 use crate::complexity::photographs::DecisionContext;
 use crate::complexity::state::ComplexityState;
 use crate::complexity::{apply, evidence};
+use relume_engine::TrainState;
+use relume_engine::cpu::evaluation;
+use relume_scene::{Field, IndirectForm, LightSplit, VisibilityForm};
+use relume_spec::training::ComplexitySetting;
 
 /// What the photographs show.
 #[derive(Debug, Clone)]

@@ -1,10 +1,10 @@
 //! Evidence from photographs: what they show of each Gaussian, and how well a state explains them.
 
-use relume_engine::cpu::evaluation;
-use relume_engine::{Photo, PhotoSize, TrainState};
 use crate::complexity::evidence;
 use crate::context::StepContext;
 use crate::dataset::Dataset;
+use relume_engine::cpu::evaluation;
+use relume_engine::{Photo, PhotoSize, TrainState};
 use relume_spec::training::{ComplexitySetting, TrainConfig};
 
 /// Photographs from which blending weights are taken where a rough figure is enough.

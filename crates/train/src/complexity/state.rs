@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn the_record_of_a_stored_checkpoint_reads() {
+    fn state_of_a_stored_checkpoint_is_read() {
         let stored = json!({
             "findings": [{
                 "setting": "visibility", "step": 7, "was": "degree 4", "is": "off", "forced": false,
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn decisions_come_once_each_in_order_and_only_if_asked_for() {
+    fn each_decision_is_due_once_in_order_and_only_in_auto_mode() {
         let auto = config(&TrainOverrides { iterations: Some(100), ..Default::default() });
         let mut complexity = ComplexityState::default();
         assert_eq!(complexity.due(&auto, 24), None);
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn metalness_is_judged_when_it_has_trained_and_not_just_after_a_restart() {
+    fn metalness_is_decided_well_after_the_last_restart() {
         for iterations in [100, 801, 1500] {
             let auto = config(&TrainOverrides { iterations: Some(iterations), ..Default::default() });
             let when = |points, point| {
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn growth_ends_when_it_brings_nothing_unless_the_number_was_named() {
+    fn growth_ends_without_gain_unless_max_gaussians_is_given() {
         let rounds = |config: &TrainConfig| {
             let mut complexity = ComplexityState::default();
             for round in 0..4u32 {

@@ -7,13 +7,13 @@ use super::orders::{self, Shown};
 use super::photographs::DecisionContext;
 use super::state::ComplexityState;
 use super::{apply, evidence, trials};
-use relume_layout::channel::Channels;
-use relume_layout::constants::EarlyStop;
-use relume_engine::cpu::{Pass, evaluation, radiance_image};
-use relume_engine::{Photo, RasterCamera, TrainState};
-use relume_scene::{Field, Gaussians, IndirectForm, Model, ShadingOptions, VisibilityForm};
 use crate::context::StepContext;
 use crate::dataset::Dataset;
+use relume_engine::cpu::{Pass, evaluation, radiance_image};
+use relume_engine::{Photo, RasterCamera, TrainState};
+use relume_layout::channel::Channels;
+use relume_layout::constants::EarlyStop;
+use relume_scene::{Field, Gaussians, IndirectForm, Model, ShadingOptions, VisibilityForm};
 use relume_spec::training::{Complexity, Preset, TrainConfig, TrainOverrides};
 
 fn small_state() -> TrainState {
@@ -55,7 +55,7 @@ fn albedo(state: &TrainState, i: usize) -> [f32; 3] {
 }
 
 #[test]
-fn cutting_degrees_keeps_the_lower_ones_and_the_moments() {
+fn reducing_sh_degrees_keeps_lower_coefficients_and_moments() {
     let (before, mut after) = (small_state(), small_state());
     apply::cut_orders(&mut after, RequiredVisibility::Order(2), 0);
     let (old, new) = (&before.model.gaussians, &after.model.gaussians);
@@ -69,7 +69,7 @@ fn cutting_degrees_keeps_the_lower_ones_and_the_moments() {
 }
 
 #[test]
-fn merging_similar_prototypes_changes_no_albedo_and_merging_others_without_compensation_would() {
+fn merging_prototypes_preserves_albedo_through_the_residual() {
     let (before, mut after) = (small_state(), small_state());
     let groups = [vec![0, 1], vec![2, 3]];
     let overlap = evidence::Overlap::of(&before.model.gaussians, &[0.4, 0.3, 0.297, 0.003, 0.0]);
@@ -91,7 +91,7 @@ fn merging_similar_prototypes_changes_no_albedo_and_merging_others_without_compe
 }
 
 #[test]
-fn a_dielectric_keeps_its_diffuse_colour() {
+fn making_a_model_dielectric_keeps_its_diffuse_colour() {
     let (before, mut after) = (small_state(), small_state());
     apply::make_dielectric(&mut after);
     for i in 0..5 {
@@ -105,7 +105,7 @@ fn a_dielectric_keeps_its_diffuse_colour() {
 }
 
 #[test]
-fn what_stays_keeps_its_rows() {
+fn selected_gaussians_keep_their_rows() {
     let (before, mut after) = (small_state(), small_state());
     after.select(&[1, 4]);
     assert_eq!(after.labels[25..], before.labels[100..]);
@@ -139,7 +139,8 @@ fn convex(share: f32) -> TrainState {
 /// Calls `act` with a context in which 7 steps are done.
 fn in_context(overrides: &TrainOverrides, photos: &Dataset, act: impl FnOnce(&DecisionContext<'_>)) {
     let config = config(overrides);
-    let operators = relume_scene::light::EnvOperators::new(4, 2, 4, relume_scene::light::TableResolution::TRAINING);
+    let operators =
+        relume_scene::light::EnvOperators::new(4, 2, 4, relume_scene::light::TableResolution::TRAINING);
     let step = StepContext {
         config: &config,
         operators: &operators,
@@ -177,14 +178,14 @@ fn a_convex_object_needs_no_visibility_and_no_indirect_light() {
 }
 
 #[test]
-fn bounced_light_stays_with_the_visibility_that_it_needs() {
+fn indirect_light_is_kept_together_with_visibility() {
     let (_, state) = decided(&TrainOverrides::default(), 0.2, convex(0.5));
     assert_eq!(state.model.shading, ShadingOptions::default());
     assert!(state.model.gaussians.visibility_order() >= 1);
 }
 
 #[test]
-fn what_is_named_is_not_decided() {
+fn settings_given_by_the_caller_are_not_decided() {
     let named = TrainOverrides {
         visibility_order: Some(4),
         radiance_order: Some(1),
@@ -221,7 +222,7 @@ fn discs(hidden: &[usize]) -> (TrainState, Photo) {
 }
 
 #[test]
-fn hidden_gaussians_are_dropped_and_visible_ones_stay() {
+fn hidden_gaussians_are_dropped_and_visible_ones_are_kept() {
     let dropped = |hidden: &[usize]| {
         let (mut state, photo) = discs(hidden);
         let mut complexity = ComplexityState::default();
@@ -240,7 +241,7 @@ fn hidden_gaussians_are_dropped_and_visible_ones_stay() {
 }
 
 #[test]
-fn sheen_stays_where_photographs_show_it() {
+fn sheen_is_kept_only_if_photographs_show_it() {
     let decided = |sheen: f32| {
         let (mut state, mut photo) = discs(&[]);
         state.model.gaussians.field_mut(Field::Sheen).fill(sheen);

@@ -1,11 +1,11 @@
 //! Decisions by trial: the photographs are rendered without a part of the model, which stays if they get worse.
 
-use relume_engine::TrainState;
-use relume_scene::Field;
-use relume_spec::training::ComplexitySetting;
 use crate::complexity::photographs::{DecisionContext, MANY_VIEWS};
 use crate::complexity::state::ComplexityState;
 use crate::complexity::{apply, decide};
+use relume_engine::TrainState;
+use relume_scene::Field;
+use relume_spec::training::ComplexitySetting;
 
 /// A learned part that the model is tried without.
 struct Trial {

@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ground_under_a_subject_is_found_though_it_is_tilted() {
+    fn tilted_ground_plane_under_an_object_is_found() {
         let [x, y, z, height] = plane(&scene(0.2, true), 1.0).unwrap();
         let normal = DVec3::new(x, y, z);
         assert!(normal.angle_between(DVec3::new(-0.2f64.sin(), 0.0, 0.2f64.cos())) < 0.05, "{normal}");
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_is_no_ground_and_neither_is_a_ground_without_a_subject() {
+    fn walls_and_planes_without_an_object_are_not_ground() {
         assert_eq!(plane(&scene(1.2, true), 1.0), None);
         assert_eq!(plane(&scene(0.0, false), 1.0), None);
         assert_eq!(plane(&[], 1.0), None);

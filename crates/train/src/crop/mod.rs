@@ -9,10 +9,10 @@ mod region;
 
 use glam::DVec3;
 
+use crate::dataset::Dataset;
 use relume_engine::TrainState;
 use relume_engine::cpu::evaluation;
 use relume_scene::{Camera, Field, Gaussians, LightSplit, Model, ShadingOptions};
-use crate::dataset::Dataset;
 
 pub use region::Region;
 

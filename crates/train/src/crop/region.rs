@@ -3,11 +3,11 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use crate::crop::ground;
+use crate::dataset::Dataset;
 use relume_engine::{PhotoSize, TrainState};
 use relume_scene::{Field, Gaussians};
 use relume_spec::training::{Crop, NamedCrop};
-use crate::crop::ground;
-use crate::dataset::Dataset;
 
 /// Standard deviation from which a Gaussian is haze that explains surroundings, ball radii.
 const HAZE: f64 = 0.2;

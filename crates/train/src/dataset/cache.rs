@@ -7,8 +7,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use relume_engine::{Photo, PhotoSize};
 use crate::dataset::stored_photo::StoredPhoto;
+use relume_engine::{Photo, PhotoSize};
 
 /// Threads that decode ahead.
 const THREADS: usize = 2;

@@ -8,11 +8,11 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use cache::PhotoCache;
 use relume_capture::{Capture, CaptureView};
 use relume_engine::{LightTurn, LightTurns, Photo, PhotoSize};
 use relume_scene::Camera;
 use relume_spec::training::TrainConfig;
-use cache::PhotoCache;
 use stored_photo::StoredPhoto;
 
 pub use cache::DecodingStats;

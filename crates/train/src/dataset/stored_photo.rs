@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
+use crate::dataset::gain::{Gain, divide};
 use relume_engine::{LightTurn, Photo, PhotoSize};
 use relume_scene::{Camera, ImageRgba, PackedImage};
-use crate::dataset::gain::{Gain, divide};
 
 /// A photograph at the configured resolution: its integers, and all that is done to them when it is decoded.
 #[derive(Debug, Clone)]
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_photograph_is_decoded_to_the_floats_of_its_file() {
+    fn decoded_photograph_equals_the_image_exactly() {
         for (transparent, background) in [(false, [0.0; 3]), (true, [1.0; 3])] {
             let image = image(transparent);
             let photo = stored(&image, transparent, background).decoded(PhotoSize::Full);
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_photograph_is_the_mean_of_its_pixels() {
+    fn half_size_photograph_is_the_mean_of_its_pixels() {
         let image = image(true);
         let stored = stored(&image, true, [1.0; 3]);
         let (half, exact) = (stored.decoded(PhotoSize::Half), image.resized(4, 3));
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mask_takes_the_place_of_alpha_and_gains_come_after_it() {
+    fn mask_replaces_alpha_before_gains_are_applied() {
         let opaque = image(false);
         let mut cut = stored(&opaque, true, [1.0; 3]);
         cut.mask = Some((0..48u8).map(|i| if i < 24 { 0 } else { 255 }).collect());

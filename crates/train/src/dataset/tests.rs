@@ -32,7 +32,7 @@ fn dataset(capture: &Capture, resolution: u32) -> Dataset {
 }
 
 #[test]
-fn photographs_take_at_most_four_bytes_a_pixel_together_with_their_capture() {
+fn dataset_shares_pixels_and_uses_at_most_four_bytes_per_pixel() {
     for (has_alpha, most) in [(false, 3), (true, 4)] {
         let capture = capture(has_alpha);
         let data = dataset(&capture, SIDE);
@@ -48,7 +48,7 @@ fn photographs_take_at_most_four_bytes_a_pixel_together_with_their_capture() {
 }
 
 #[test]
-fn photographs_have_the_floats_of_their_files() {
+fn photographs_equal_the_capture_images_exactly() {
     let capture = capture(true);
     let data = dataset(&capture, SIDE);
     for (i, view) in capture.train.iter().enumerate() {
@@ -66,7 +66,7 @@ fn photographs_have_the_floats_of_their_files() {
 }
 
 #[test]
-fn a_reduced_photograph_is_that_of_the_floats_to_half_a_level() {
+fn reduced_photograph_is_accurate_to_half_a_level() {
     let capture = capture(true);
     let (small, data) = (SIDE * 2 / 3, dataset(&capture, SIDE * 2 / 3));
     let found = data.photo(0, PhotoSize::Full);
@@ -92,7 +92,7 @@ fn asked(order: &[usize], bound: usize) -> DecodingStats {
 }
 
 #[test]
-fn nothing_is_decoded_twice_where_all_fits_and_the_bound_holds_where_it_does_not() {
+fn cache_decodes_once_if_all_fits_and_respects_its_limit() {
     let order = [0, 1, 2, 3, 4, 5, 3, 1, 5, 0, 2, 4, 4, 0];
     let whole = asked(&order, VIEWS * FULL);
     assert_eq!((whole.asked, whole.decoded), (14, VIEWS as u64));
@@ -106,7 +106,7 @@ fn nothing_is_decoded_twice_where_all_fits_and_the_bound_holds_where_it_does_not
 }
 
 #[test]
-fn the_one_that_was_not_used_for_longest_goes_first() {
+fn least_recently_used_photograph_is_evicted_first() {
     let mut data = dataset(&capture(true), SIDE);
     data.bound(2 * FULL);
     let key = |i: usize| -> Key { (i, PhotoSize::Full) };
@@ -118,7 +118,7 @@ fn the_one_that_was_not_used_for_longest_goes_first() {
 }
 
 #[test]
-fn what_is_expected_is_decoded_without_being_asked_for() {
+fn prefetched_photograph_is_decoded_before_it_is_requested() {
     let data = dataset(&capture(true), SIDE);
     let start = std::time::Instant::now();
     data.expect([(3, PhotoSize::Half)].into_iter());
@@ -133,7 +133,7 @@ fn what_is_expected_is_decoded_without_being_asked_for() {
 }
 
 #[test]
-fn photographs_that_changed_are_decoded_anew() {
+fn changed_photographs_are_decoded_again() {
     let mut data = dataset(&capture(true), SIDE);
     let before = data.photo(0, PhotoSize::Full);
     data.divide(&[[2.0; 3]; VIEWS]);

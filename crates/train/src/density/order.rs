@@ -31,7 +31,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn codes_interleave_the_bits_of_the_coordinates() {
+    fn morton_codes_interleave_the_coordinate_bits() {
         let corners = [[0.0, 0.0, 0.0], [4.0, 2.0, 8.0]];
         let codes =
             morton_codes(&[corners[0], corners[1], [2.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 4.0]]);
@@ -39,7 +39,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_on_the_curve_are_near_each_other() {
+    fn neighbours_on_the_morton_curve_are_close_in_space() {
         let point = |i: usize| [i % 16, i / 16 % 16, i / 256].map(|x| x as f32);
         let points: Vec<[f32; 3]> = (0..4096).map(|i| point(i * 1031 % 4096)).collect();
         let codes = morton_codes(&points);
@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_has_a_place_and_moves_nobody() {
+    fn non_finite_points_do_not_change_other_codes() {
         let sound = morton_codes(&[[0.0; 3], [1.0; 3]]);
         let codes = morton_codes(&[[0.0; 3], [f32::NAN, 0.0, 0.0], [1.0; 3], [0.0, f32::INFINITY, 0.0]]);
         assert_eq!([codes[0], codes[2]], sound[..]);

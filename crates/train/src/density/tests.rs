@@ -57,7 +57,7 @@ fn planned(
 }
 
 #[test]
-fn the_largest_absgrads_split_while_the_budget_lasts() {
+fn largest_absgrads_split_within_the_budget() {
     let (g, stats) = row(4, &[1, 3]);
     let both = [(0, Keep), (1, UpperHalf), (1, LowerHalf), (2, Keep), (3, UpperHalf), (3, LowerHalf)];
     assert_eq!(planned(&g, &stats, 10, None), both);
@@ -69,7 +69,7 @@ fn the_largest_absgrads_split_while_the_budget_lasts() {
 }
 
 #[test]
-fn the_next_generation_lies_along_a_curve_through_space() {
+fn new_gaussians_are_sorted_along_the_morton_curve() {
     let (mut g, stats) = row(4, &[1]);
     // From right to left.
     (0..4).for_each(|i| g.row_mut(Field::Mean, i)[0] = -(i as f32));
@@ -86,7 +86,7 @@ fn the_next_generation_lies_along_a_curve_through_space() {
 }
 
 #[test]
-fn what_is_transparent_huge_or_at_a_camera_is_dropped() {
+fn transparent_huge_and_near_camera_gaussians_are_dropped() {
     let (mut g, stats) = row(3, &[]);
     g.row_mut(Field::OpacityLogit, 0)[0] = -9.0;
     g.row_mut(Field::LogScale, 1)[2] = 0.0;
@@ -96,7 +96,7 @@ fn what_is_transparent_huge_or_at_a_camera_is_dropped() {
 }
 
 #[test]
-fn halves_lie_on_both_sides_along_the_longest_axis_and_only_kept_moments_stay() {
+fn split_halves_lie_on_the_longest_axis_and_have_zero_moments() {
     let (gaussians, stats) = row(2, &[1]);
     let mut state = state(gaussians, stats);
     state.moments.first.field_mut(Field::Mean).fill(7.0);

@@ -3,15 +3,15 @@
 
 use std::sync::Arc;
 
-use relume_capture::{Capture, CaptureView};
-use relume_engine::cpu::{Surface, SurfaceShader};
 use crate::eval::evaluate::{EvalError, check_sizes, evenly_spaced, lights_of, refused};
 use crate::eval::image::{mean_squared_error, psnr_of};
 use crate::eval::totals::Mean;
 use crate::eval::views::{on_white, photograph};
 use crate::render::{Frame, Renderer};
-use relume_spec::rendering::Output;
+use relume_capture::{Capture, CaptureView};
+use relume_engine::cpu::{Surface, SurfaceShader};
 use relume_scene::Model;
+use relume_spec::rendering::Output;
 
 /// What ground truth can replace in a model's picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,16 +2,16 @@
 
 use std::sync::Arc;
 
-use relume_capture::{Capture, CaptureView};
-use relume_engine::Device;
 use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
 use crate::eval::image::DisplayImage;
 use crate::eval::sheet::{Sheet, error_map, grey};
 use crate::eval::views::{OwnLight, ViewLayers, photograph, relit, shown_by};
-use relume_scene::srgb;
 use crate::render::{PreparedLight, Renderer};
-use relume_spec::rendering::Quality;
+use relume_capture::{Capture, CaptureView};
+use relume_engine::Device;
+use relume_scene::srgb;
 use relume_scene::{Model, Plane};
+use relume_spec::rendering::Quality;
 
 /// Draws a sheet of `rows` test views, evenly spaced: photograph, both branches, each light beside its truth,
 /// albedo, normal, roughness and ambient occlusion beside theirs, and the error of the novel view.

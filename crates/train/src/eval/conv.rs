@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn the_blocked_convolution_equals_its_definition() {
+    fn blocked_convolution_equals_the_direct_convolution() {
         // Neither channels nor pixels fill whole blocks, on purpose.
         let input = ramp(3, 13, 11);
         for (k, stride, pad) in [(3, 1, 1), (5, 2, 2), (3, 4, 0)] {
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn pooling_takes_the_largest_of_nine() {
+    fn max_pooling_takes_the_maximum_of_nine_values() {
         let input = Maps { channels: 1, height: 3, width: 5, values: (0..15).map(|v| v as f32).collect() };
         assert_eq!(max_pool(&input).values, vec![12.0, 14.0]);
     }

@@ -4,18 +4,18 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use relume_capture::{Capture, CaptureView};
-use relume_engine::Device;
-use relume_engine::DeviceError;
 use crate::eval::exposure::matched;
 use crate::eval::layers::albedo_psnr;
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{AlbedoScores, ImageScores, RelitScores, Report};
 use crate::eval::totals::{ImageTotals, LayerTotals, Mean};
 use crate::eval::views::{OwnLight, ViewLayers, is_cropped, photograph, relit, shown_by, with_scaled_albedo};
-use relume_spec::rendering::{Output, Quality, Tier};
 use crate::render::{RenderError, Renderer};
+use relume_capture::{Capture, CaptureView};
+use relume_engine::Device;
+use relume_engine::DeviceError;
 use relume_scene::{ImageRgba, Model, Plane};
+use relume_spec::rendering::{Output, Quality, Tier};
 
 /// How to evaluate.
 pub struct EvalOptions<'a> {

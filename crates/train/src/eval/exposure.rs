@@ -1,8 +1,8 @@
 //! Pictures at the exposure and white balance of a photograph, so that what its camera chose is not held against a model.
 
 use crate::eval::image::DisplayImage;
-use relume_scene::srgb;
 use relume_scene::Plane;
+use relume_scene::srgb;
 
 /// `predicted`, which lies on white by its `alpha`, times one linear gain per channel: the one that brings it nearest to `truth`
 /// in linear light.
@@ -44,7 +44,7 @@ mod tests {
     }
 
     #[test]
-    fn an_exposure_and_a_white_balance_are_taken_out_and_the_background_stays_white() {
+    fn matching_removes_exposure_and_white_balance_differences() {
         let alpha: Vec<f32> = (0..40).map(|i| [0.0, 0.5, 1.0, 1.0][i % 4]).collect();
         let (plain, photograph) = (picture(&alpha, [1.0; 3]), picture(&alpha, [1.3, 1.1, 0.8]));
         let same = matched(&plain, &alpha, &photograph);
@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shape_that_is_wrong_stays_wrong() {
+    fn matching_does_not_hide_wrong_shapes() {
         let alpha = vec![1.0; 40];
         let (plain, mut other) = (picture(&alpha, [1.0; 3]), picture(&alpha, [1.0; 3]));
         other.values.reverse();

@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn psnr_of_a_constant_error_is_its_square() {
+    fn psnr_of_a_constant_error_matches_its_square() {
         let a = Plane { width: 2, height: 2, values: vec![[0.5; 3]; 4] };
         let b = Plane { values: vec![[0.6; 3]; 4], ..a.clone() };
         assert!((psnr(&a, &b) - 20.0).abs() < 1e-5);
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn ssim_is_one_for_equal_pictures_and_falls_with_noise_but_hardly_with_a_small_shift() {
+    fn ssim_is_one_for_equal_images_and_falls_with_noise() {
         let a = textured(0.0);
         assert!((ssim(&a, &a).unwrap() - 1.0).abs() < 1e-12);
         let brighter = ssim(&a, &textured(0.02)).unwrap();
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn ssim_of_flat_pictures_is_the_luminance_term_alone() {
+    fn ssim_of_flat_images_is_the_luminance_term() {
         let flat = |v: f32| Plane { width: 12, height: 11, values: vec![[v; 3]; 132] };
         let (p, q) = (f64::from(0.2f32), f64::from(0.6f32));
         let expected = (2.0 * p * q + C1) / (p * p + q * q + C1);
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_smaller_than_the_window_has_no_ssim() {
+    fn image_smaller_than_the_window_has_no_ssim() {
         let a = Plane { width: 10, height: 30, values: vec![[0.5; 3]; 300] };
         assert_eq!(ssim(&a, &a), None);
     }

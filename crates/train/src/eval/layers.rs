@@ -132,7 +132,7 @@ mod tests {
     const X: [f32; 3] = [1.0, 0.0, 0.0];
 
     #[test]
-    fn background_counts_as_right_only_in_the_all_pixel_normal_error() {
+    fn background_lowers_only_the_all_pixel_normal_error() {
         // One of four pixels is covered, and it is 90 degrees off.
         let mask = [true, false, false, false];
         let alpha = [1.0, 0.0, 0.0, 0.0];
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_predicted_floater_over_background_costs_in_the_all_pixel_error() {
+    fn floater_over_background_raises_the_all_pixel_normal_error() {
         let clean = normal_errors((&[UP, X], &[1.0, 0.0]), (&[UP, UP], &[1.0, 0.0]), &[true, false]);
         let floater = normal_errors((&[UP, X], &[1.0, 1.0]), (&[UP, UP], &[1.0, 0.0]), &[true, false]);
         assert_eq!(clean.unwrap().all_pixels, 0.0);
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn the_median_ratio_undoes_a_channel_scale_despite_outliers_and_background() {
+    fn median_ratio_ignores_outliers_and_background() {
         let truth: Vec<[f32; 3]> = (1..=99).map(|i| [i as f32 / 100.0; 3]).collect();
         let scale = [2.0f32, 0.5, 1.25];
         let mut predicted: Vec<[f32; 3]> =
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn masked_errors_see_only_the_mask_and_do_not_hide_poison() {
+    fn masked_error_uses_only_the_mask_and_propagates_nan() {
         let error = masked_mae(&[0.5, 0.75, 9.0], [0.25, 1.0, 0.0], &[true, true, false]);
         assert_eq!(error, Some(0.25));
         assert!(masked_mae(&[f32::NAN, 0.5], [0.5, 0.5], &[true, true]).is_some_and(f64::is_nan));
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn the_psnr_inside_a_mask_is_that_of_its_pixels() {
+    fn masked_psnr_uses_only_the_masked_pixels() {
         let psnr = masked_psnr(&[[0.1; 3], [1.0; 3]], &[[0.0; 3], [0.0; 3]], &[true, false]);
         assert!((psnr.unwrap() - 20.0).abs() < 1e-5);
     }

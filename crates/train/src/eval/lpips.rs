@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn weights_that_lack_a_tensor_are_refused_by_its_name() {
+    fn weights_without_a_tensor_are_refused_by_its_name() {
         let empty: [(&str, safetensors::tensor::TensorView<'_>); 0] = [];
         let bytes = safetensors::serialize(empty, None).unwrap();
         let refused = Lpips::decode(&bytes).err().unwrap().to_string();
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_file_is_named() {
+    fn missing_weights_file_is_refused_by_path() {
         let refused = Lpips::read(Path::new("no/such/weights.safetensors")).err().unwrap().to_string();
         assert!(refused.contains("no/such/weights.safetensors"), "{refused}");
     }

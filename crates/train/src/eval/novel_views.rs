@@ -2,17 +2,17 @@
 
 use std::sync::Arc;
 
-use relume_capture::CaptureView;
-use relume_engine::Device;
 use crate::eval::EvalError;
 use crate::eval::evaluate::{check_sizes, refused};
 use crate::eval::exposure::matched;
 use crate::eval::report::ImageScores;
 use crate::eval::totals::ImageTotals;
 use crate::eval::views::{OwnLight, ViewLayers, shown_by};
-use relume_spec::rendering::Quality;
 use crate::render::Renderer;
+use relume_capture::CaptureView;
+use relume_engine::Device;
 use relume_scene::Model;
+use relume_spec::rendering::Quality;
 
 /// A comparison of a model with photographs, as in [`crate::eval::evaluate`], without LPIPS.
 pub struct NovelViews {

@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn another_world_is_no_error_and_another_pose_is() {
+    fn pose_error_ignores_the_world_frame_and_detects_wrong_poses() {
         let truth = cameras();
         let mut found: Vec<Camera> = truth.iter().map(moved).collect();
         let none = PoseErrors::of(&found, &truth).unwrap().largest();

@@ -172,7 +172,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_json_has_the_stable_keys_and_null_for_what_is_absent() {
+    fn json_has_stable_keys_and_null_for_missing_values() {
         let mut report = Report::default();
         report.relit.lights.insert("city".into(), ImageScores { psnr: Some(27.5), ..Default::default() });
         report.render_fps.insert("standard".into(), 5.0);
@@ -200,14 +200,14 @@ mod tests {
     }
 
     #[test]
-    fn the_report_survives_its_json() {
+    fn report_round_trips_through_json() {
         let mut report = Report { ao_mae: Some(0.125), ..Default::default() };
         report.relit.lights.insert("night".into(), ImageScores { ssim: Some(0.5), ..Default::default() });
         assert_eq!(serde_json::from_str::<Report>(&report.to_json()).unwrap(), report);
     }
 
     #[test]
-    fn markdown_shows_a_dash_for_what_is_absent_and_keeps_its_columns() {
+    fn markdown_shows_a_dash_for_missing_values_and_escapes_pipes() {
         let mut report = Report::default();
         report.novel_view.psnr = Some(31.234);
         report.relit.lights.insert("a|b".into(), ImageScores::default());

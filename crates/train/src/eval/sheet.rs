@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_land_in_their_cells_and_empty_cells_stay_paper() {
+    fn images_are_drawn_in_their_cells_and_empty_cells_stay_blank() {
         let mut sheet = Sheet::new(["left", "right"]);
         sheet.push("view", vec![None, Some(flat(8, 4, [1.0, 0.0, 0.0]))]);
         let drawn = sheet.draw(32);
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn text_is_cut_off_at_its_room_and_unknown_characters_become_question_marks() {
+    fn text_is_cut_to_its_width_and_unknown_characters_replaced() {
         let drawn = |room: u32, text: &str| {
             let mut sheet = RgbImage::from_pixel(60, 16, Rgb(PAPER));
             write(&mut sheet, (0, 0), room, text);
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_pictures_have_a_black_error_map_and_opposite_ones_a_white_one() {
+    fn error_map_is_black_for_equal_and_white_for_opposite_images() {
         let (black, white) = (flat(2, 1, [0.0; 3]), flat(2, 1, [1.0; 3]));
         assert_eq!(error_map(&black, &black).values, vec![[0.0; 3]; 2]);
         assert_eq!(error_map(&black, &white).values, vec![[1.0; 3]; 2]);

@@ -1,12 +1,12 @@
 //! Running means over views.
 
-use relume_capture::CaptureView;
 use crate::eval::image::DisplayImage;
 use crate::eval::image::{psnr, ssim};
 use crate::eval::layers::{RatioMedian, albedo_psnr, masked_mae, normal_errors};
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{ImageScores, Report};
 use crate::eval::views::{ViewLayers, foreground};
+use relume_capture::CaptureView;
 
 /// A mean of the values that are present.
 #[derive(Debug, Clone, Copy, Default)]
@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mean_of_nothing_is_nothing() {
+    fn mean_ignores_missing_values_and_is_none_without_values() {
         let mut mean = Mean::default();
         mean.add(None);
         assert_eq!(mean.value(), None);

@@ -1,12 +1,12 @@
 //! A model's renderings of one test view, as pictures and layers that can be compared with ground truth.
 
+use crate::eval::image::DisplayImage;
+use crate::render::{Frame, PreparedLight, RenderError, Renderer};
 use relume_capture::CaptureView;
 use relume_engine::DeviceError;
-use crate::eval::image::DisplayImage;
 use relume_scene::srgb;
-use crate::render::{Frame, PreparedLight, RenderError, Renderer};
-use relume_spec::rendering::{Output, Quality};
 use relume_scene::{Camera, ImageRgba, Model, PackedImage, Plane};
+use relume_spec::rendering::{Output, Quality};
 
 /// A test view under the model's own recovered light, with every layer that ground truth may know.
 pub(crate) struct ViewLayers {
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn the_curve_is_applied_before_the_picture_is_laid_on_white() {
+    fn tone_curve_is_applied_before_compositing_on_white() {
         // Linear 0.25 at half coverage: premultiplied 0.125.
         let shown = on_white(&one_pixel([0.125; 3], 0.5), Output::Rgb).values[0][0];
         assert!((shown - (0.5 * srgb::encode(0.25) + 0.5)).abs() < 1e-6);
@@ -183,13 +183,13 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_pixel_is_white_and_an_overexposed_one_is_clamped() {
+    fn empty_pixels_are_white_and_overexposed_ones_are_clamped() {
         assert_eq!(on_white(&one_pixel([0.0; 3], 0.0), Output::Rgb).values[0], [1.0; 3]);
         assert_eq!(on_white(&one_pixel([7.0; 3], 1.0), Output::Rgb).values[0], [1.0; 3]);
     }
 
     #[test]
-    fn what_is_not_covered_of_a_photograph_is_white() {
+    fn uncovered_parts_of_a_photograph_are_white() {
         let picture = Plane { width: 3, height: 1, values: vec![[0.2, 0.4, 0.6]; 3] };
         let shown = covered(picture, &[0.0, 0.5, 1.0]).values;
         for (found, expected) in shown.iter().flatten().zip([1.0, 1.0, 1.0, 0.6, 0.7, 0.8, 0.2, 0.4, 0.6]) {
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn scaling_albedo_scales_prototypes_and_residuals_and_nothing_else() {
+    fn albedo_scaling_changes_only_prototypes_and_residuals() {
         let mut gaussians = Gaussians::zeroed(2, 1, 0, 0);
         gaussians.fields_mut().for_each(|(_, _, d)| d.fill(1.0));
         let model = Model {

@@ -12,13 +12,13 @@ mod split;
 
 use rayon::prelude::*;
 
+use crate::materials;
+use found::FoundLight;
+use neighbours::Neighbours;
 use relume_engine::cpu::evaluation;
 use relume_engine::{TrainState, fibonacci_sphere};
 use relume_scene::light::{FULLY_OPEN, sh_eval};
 use relume_scene::{Camera, Field, Gaussians, MAX_LIGHTS, SplitLight};
-use crate::materials;
-use found::FoundLight;
-use neighbours::Neighbours;
 pub use split::{split, start};
 
 /// Directions of the first search.

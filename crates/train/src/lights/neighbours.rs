@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn an_edge_counts_once_for_each_pair_across_it() {
+    fn variation_is_proportional_to_the_number_of_edges() {
         let g = row(60);
         let used: Vec<u32> = (0..60).collect();
         let pairs = Neighbours::of(&g, &used, &[1.0; 60]);
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn smoothing_keeps_what_is_even_and_what_has_no_neighbour() {
+    fn smoothing_keeps_uniform_values_and_unused_gaussians() {
         let g = row(20);
         let pairs = Neighbours::of(&g, &(0..19).collect::<Vec<_>>(), &[1.0; 20]);
         let mut values: Vec<[f32; 1]> = (0..20).map(|i| [if i == 19 { 5.0 } else { 1.0 }]).collect();

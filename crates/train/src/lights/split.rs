@@ -4,9 +4,9 @@ use std::f32::consts::PI;
 
 use glam::DVec3;
 
+use crate::lights::found::FoundLight;
 use relume_engine::upward_share;
 use relume_scene::{LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse, texel_directions};
-use crate::lights::found::FoundLight;
 
 /// Texels as near to a light as this, beyond its radius, belong to it, radians: a learned light is a blurred one.
 const REACH: f64 = 0.26;
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_light_has_the_texels_around_it_and_at_least_one() {
+    fn split_light_covers_the_texels_around_it_and_at_least_one() {
         for (width, height) in [(32, 16), (8, 4)] {
             let lights = [[0.0, 0.6, 0.8], [0.6, 0.0, 0.8]].map(|d| found(d, 1.0).light);
             let split = split(&lights, width, height);
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn the_light_starts_in_its_strength_and_the_level_stays() {
+    fn split_start_sets_light_strength_and_keeps_the_level() {
         let mut model = Model {
             gaussians: Gaussians::zeroed(1, 1, 0, 0),
             prototypes: vec![[0.5; 3]],

@@ -69,7 +69,7 @@ fn angle(a: [f32; 3], b: [f32; 3]) -> f32 {
 }
 
 #[test]
-fn a_sun_is_found_by_its_shadow_and_without_one_there_is_none() {
+fn light_search_finds_the_sun_by_its_shadow_and_nothing_else() {
     let state = plate(2.0);
     let seen = from_above(&state);
     let found = search(&state, &seen, 1, &[]);
@@ -82,7 +82,7 @@ fn a_sun_is_found_by_its_shadow_and_without_one_there_is_none() {
 }
 
 #[test]
-fn a_light_stays_unless_it_is_clearly_better_elsewhere() {
+fn light_moves_only_for_a_clearly_better_direction() {
     let state = plate(2.0);
     let seen = from_above(&state);
     let near = search(&state, &seen, 1, &[])[0].light;

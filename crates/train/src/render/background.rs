@@ -31,7 +31,7 @@ mod tests {
     use glam::DVec3;
 
     #[test]
-    fn each_pixel_shows_the_light_of_its_direction_where_the_model_is_not() {
+    fn environment_background_is_blended_behind_the_model() {
         let camera = Camera::look_at(DVec3::X * 3.0, DVec3::ZERO, DVec3::Z, 1.2, (9, 7)).unwrap();
         let sky = EnvMap::from_fn(64, 32, |d| [d.x as f32 + 1.0, d.y as f32 + 1.0, d.z as f32 + 1.0]);
         let alpha: Vec<f32> = (0..63).map(|i| [0.0, 0.25, 1.0][i % 3]).collect();

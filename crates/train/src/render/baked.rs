@@ -2,12 +2,12 @@
 
 use rayon::prelude::*;
 
+use crate::render::renderer::{PreparedLight, Renderer};
 use relume_engine::cpu::{AttributeSource, SurfaceShader};
 use relume_engine::fibonacci_sphere;
 use relume_scene::light::sh_eval;
-use crate::render::renderer::{PreparedLight, Renderer};
-use relume_spec::rendering::MOST_BAKED_DEGREE;
 use relume_scene::{Field, Model, VisibilityForm, sh_count};
+use relume_spec::rendering::MOST_BAKED_DEGREE;
 
 const MOST: usize = sh_count(MOST_BAKED_DEGREE);
 /// Directions in which each Gaussian is shaded.
@@ -144,9 +144,8 @@ mod tests {
             let sent = source.outgoing(0, along, &frames.shader(&on_cpu.tables)).total();
             let mut y = [0.0f32; MOST];
             sh_eval(MOST_BAKED_DEGREE, along, &mut y);
-            let shown: [f32; 3] = std::array::from_fn(|c| {
-                0.5 + (0..MOST).map(|j| coefficients[3 * j + c] * y[j]).sum::<f32>()
-            });
+            let shown: [f32; 3] =
+                std::array::from_fn(|c| 0.5 + (0..MOST).map(|j| coefficients[3 * j + c] * y[j]).sum::<f32>());
             largest_difference(&shown, &sent.map(|v| srgb(v.clamp(0.0, 1.0))))
         };
         let directions = [[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.48, 0.64, 0.6]];
@@ -154,14 +153,14 @@ mod tests {
     }
 
     #[test]
-    fn baked_colour_is_the_shaded_one() {
+    fn baked_colour_matches_the_shaded_colour() {
         assert!(baking_error(0.7, 0.7) < 0.03, "{}", baking_error(0.7, 0.7));
         let control = baking_error(0.7, 0.35);
         assert!(control.is_finite() && control > 0.1, "the control: {control}");
     }
 
     #[test]
-    fn a_symmetric_system_is_solved() {
+    fn symmetric_linear_system_is_solved() {
         let (mut matrix, mut right) = ([[0.0; MOST]; MOST], [[0.0; 3]; MOST]);
         let rows = [[4.0, 1.0, 0.5], [1.0, 3.0, -1.0], [0.5, -1.0, 2.0]];
         let wanted = [[1.0, 0.0, 0.0], [-2.0, 0.0, 0.6], [3.0, 0.0, 0.8]];

@@ -3,14 +3,14 @@
 
 use std::collections::BTreeMap;
 
-use relume_engine::{DeviceError, FrameJob, RasterCamera, RayLight};
-use relume_layout::constants::TILE;
 use crate::render::error::RenderError;
 use crate::render::job::Job;
 use crate::render::renderer::{PreparedLight, Renderer};
 use crate::render::{Frame, high, monte_carlo};
-use relume_spec::rendering::{Output, Quality, Tier};
+use relume_engine::{DeviceError, FrameJob, RasterCamera, RayLight};
+use relume_layout::constants::TILE;
 use relume_scene::Camera;
+use relume_spec::rendering::{Output, Quality, Tier};
 
 /// A frame in the making, see [`Renderer::bands`].
 pub struct Bands<'a> {
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_in_bands_is_the_frame_at_once() {
+    fn frame_rendered_in_bands_equals_the_whole_frame() {
         let renderer = balls();
         let texel = |d: DVec3| if d.z > 0.9 { [9.0, 8.0, 7.0] } else { [0.4 + 0.3 * d.x as f32, 0.4, 0.5] };
         let light = renderer.prepare_light(&EnvMap::from_fn(64, 32, texel)).unwrap();
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_band_is_whole_tiles_and_costs_little() {
+    fn bands_consist_of_whole_tiles_and_respect_the_cost_limit() {
         for (width, quality) in
             [(4096, Quality::from(Tier::Standard)), (700, Tier::High.into()), (512, Quality::monte_carlo(64))]
         {

@@ -2,13 +2,13 @@
 
 use rayon::prelude::*;
 
-use relume_layout::channel::{COVERAGE, Channels, OutgoingRadiance, RowLight};
-use relume_layout::constants::{EarlyStop, LEAST_COVERAGE, SHADOW_PLACES};
 use relume_engine::cpu::{
     AttributeSource, Occluders, Pass, Surface, attribute_rows, blended_radiance, normalise, reflector,
     surface_at, surface_points,
 };
 use relume_engine::towards_light;
+use relume_layout::channel::{COVERAGE, Channels, OutgoingRadiance, RowLight};
+use relume_layout::constants::{EarlyStop, LEAST_COVERAGE, SHADOW_PLACES};
 use relume_scene::light::{DominantLight, Sheen, TableLight};
 use relume_scene::{Field, ShadeAt, SplitLight};
 

@@ -1,12 +1,12 @@
 //! A frame whose surfaces are edited before they are shaded.
 
+use crate::render::{Frame, PreparedLight, RenderError, Renderer};
 use relume_engine::DeviceError;
+use relume_engine::cpu::{Pass, Surface, SurfaceShader, resolve};
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
-use relume_engine::cpu::{Pass, Surface, SurfaceShader, resolve};
-use crate::render::{Frame, PreparedLight, RenderError, Renderer};
-use relume_spec::rendering::Output;
 use relume_scene::{Camera, Field, ShadeAt, ShadingOptions};
+use relume_spec::rendering::Output;
 
 impl Renderer {
     /// Colour and alpha of a view, with `edit(shader, pixel, surface)` called on what each row-major pixel sees before it is

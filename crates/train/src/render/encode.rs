@@ -2,12 +2,14 @@
 
 use std::borrow::Cow;
 
+use crate::render::{Finish, Frame};
 use relume_capture::formats::ImageFileError;
 use relume_capture::formats::exr_frame::{self, FrameLayer, FrameLayers};
 use relume_capture::formats::image_file::{encode_jpeg, encode_png, encode_png16};
 use relume_scene::srgb;
-use relume_spec::rendering::{AlphaMode, Background, ColourDepth, FrameFormat, Output, Primaries, ToneCurve, is_colour};
-use crate::render::{Finish, Frame};
+use relume_spec::rendering::{
+    AlphaMode, Background, ColourDepth, FrameFormat, Output, Primaries, ToneCurve, is_colour,
+};
 
 const JPEG_QUALITY: u8 = 90;
 
@@ -255,7 +257,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_half_covered_pixel_keeps_its_albedo() {
+    fn half_covered_pixel_keeps_its_albedo() {
         let planes = [(Output::Albedo, vec![0.5; 3]), (Output::Alpha, vec![0.5])].into();
         let frame = Frame { width: 1, height: 1, planes };
         let finish = Finish { tone_curve: ToneCurve::Agx, ..Finish::default() };
@@ -264,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn an_exr_holds_every_output_asked_for_and_depth_may_be_infinite() {
+    fn exr_contains_the_requested_outputs_and_infinite_depth() {
         let outputs = [Output::Rgb, Output::Normal, Output::Depth, Output::Visibility, Output::Alpha];
         let planes = outputs.map(|o| (o, vec![f32::INFINITY; o.channels()])).into();
         let mut frame = Frame { width: 1, height: 1, planes };
@@ -283,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn an_exr_has_the_alpha_and_the_primaries_that_were_asked_for() {
+    fn exr_has_the_requested_alpha_mode_and_primaries() {
         let planes =
             [(Output::Rgb, vec![0.25, 0.0, 0.0, 0.5, 0.5, 0.5]), (Output::Alpha, vec![0.5, 0.0])].into();
         let frame = Frame { width: 2, height: 1, planes };
@@ -303,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn a_background_takes_the_place_of_alpha_and_coverage_stays_what_it_was() {
+    fn background_replaces_alpha_and_keeps_the_alpha_output() {
         let planes = [(Output::Rgb, vec![0.25; 3]), (Output::Alpha, vec![0.5])].into();
         let frame = Frame { width: 1, height: 1, planes };
         let with = |background, tone_curve| Finish { background, tone_curve, ..Finish::default() };
@@ -321,11 +323,14 @@ mod tests {
         assert_eq!(colour::<u16>(&frame, Output::Rgb, &linear).unwrap(), [[16384, 16384, 16384, 65535]]);
         let bytes =
             encode_frame(&frame, &[Output::Rgb, Output::Alpha], FrameFormat::Exr, &linear).unwrap().bytes;
-        assert_eq!(relume_capture::formats::exr_image::decode_rgba(&bytes).unwrap().2, [[0.25, 0.25, 0.25, 1.0]]);
+        assert_eq!(
+            relume_capture::formats::exr_image::decode_rgba(&bytes).unwrap().2,
+            [[0.25, 0.25, 0.25, 1.0]]
+        );
     }
 
     #[test]
-    fn depth_keeps_its_range_and_marks_nothing() {
+    fn depth_levels_keep_the_range_and_reserve_one_for_infinity() {
         let (levels, range) = depth_levels(&[2.0, f32::INFINITY, 4.0, 3.0]);
         assert_eq!(range, [2.0, 4.0]);
         assert_eq!(levels, [[0], [65535], [65534], [32767]]);

@@ -1,8 +1,10 @@
 //! How a frame becomes a file.
 
-use crate::render::error::RenderError;
-use relume_spec::rendering::{AlphaMode, Background, ColourDepth, FrameFormat, Output, Primaries, ToneCurve, is_colour};
 use crate::render::FrameNotes;
+use crate::render::error::RenderError;
+use relume_spec::rendering::{
+    AlphaMode, Background, ColourDepth, FrameFormat, Output, Primaries, ToneCurve, is_colour,
+};
 
 /// How a frame becomes a file.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -35,7 +37,10 @@ impl Finish {
                 return refuse("background", "is a display colour; an EXR is scene-referred");
             }
             (Background::Colour(_), _) if !outputs.iter().any(|o| is_colour(*o)) => {
-                return refuse("background", "a colour applies only to colours, and the output is not a colour");
+                return refuse(
+                    "background",
+                    "a colour applies only to colours, and the output is not a colour",
+                );
             }
             (Background::Environment, _) if !outputs.contains(&Output::Rgb) => {
                 return refuse("background", "environment requires the output rgb");
@@ -59,7 +64,9 @@ impl Finish {
         }
         match (self.alpha, self.primaries, format) {
             (Some(_), _, Png | Jpeg) => refuse("alpha", "is allowed only for EXR; PNG has straight alpha"),
-            (_, Some(_), Png | Jpeg) => refuse("primaries", "is allowed only for EXR; other formats are sRGB"),
+            (_, Some(_), Png | Jpeg) => {
+                refuse("primaries", "is allowed only for EXR; other formats are sRGB")
+            }
             _ => Ok(()),
         }
     }
@@ -70,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_format_cannot_show_is_refused_by_its_field() {
+    fn unsupported_format_options_are_refused_by_field() {
         let colour = Finish { background: Background::Colour([9; 3]), ..Finish::default() };
         let environment = Finish { background: Background::Environment, ..Finish::default() };
         let curve = |tone_curve| Finish { tone_curve, ..Finish::default() };

@@ -3,14 +3,14 @@
 
 use rayon::prelude::*;
 
-use relume_engine::RayLight;
-use relume_layout::channel::{Channels, OutgoingRadiance};
-use relume_layout::constants::EarlyStop;
-use relume_engine::cpu::{Occluders, Pass, SurfaceShader, blended_radiance, resolve};
-use relume_scene::light::{DominantLight, LightTables, SplitEnvironment, rendering_tables};
 use crate::render::Frame;
 use crate::render::direct::{PixelShadows, Unhidden};
 use crate::render::job::Job;
+use relume_engine::RayLight;
+use relume_engine::cpu::{Occluders, Pass, SurfaceShader, blended_radiance, resolve};
+use relume_layout::channel::{Channels, OutgoingRadiance};
+use relume_layout::constants::EarlyStop;
+use relume_scene::light::{DominantLight, LightTables, SplitEnvironment, rendering_tables};
 use relume_scene::{EnvMap, Field, ShadeAt, VisibilityForm};
 
 /// Most lights that get a shadow of their own.

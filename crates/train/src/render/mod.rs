@@ -19,13 +19,13 @@ mod splat_file;
 mod viewer;
 mod viewpoint;
 
-pub use relume_engine::Frame;
 pub use bands::Bands;
 pub use encode::{EncodedFrame, encode_frame, encode_wanted_frame};
 pub use error::RenderError;
 pub use finish::Finish;
 pub use mesh::MeshOptions;
 pub use notes::FrameNotes;
+pub use relume_engine::Frame;
 pub use renderer::{PreparedLight, Renderer};
 pub use sequence::{Turntable, View, orbit_camera, resized, turn_light};
 pub use splat_file::{SplatFile, SplatFileError, encode_mesh_file, encode_splat_file, relit};

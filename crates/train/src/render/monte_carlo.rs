@@ -4,14 +4,14 @@
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
+use crate::render::Frame;
+use crate::render::job::Job;
+use relume_engine::cpu::{Occluders, Pass, Surface, reflector, resolve, surface_point};
 use relume_layout::channel::{Channels, OutgoingRadiance};
 use relume_layout::constants::EarlyStop;
-use relume_engine::cpu::{Occluders, Pass, Surface, reflector, resolve, surface_point};
-use relume_scene::light::{EnvSampler, Shares, estimate};
-use crate::render::job::Job;
-use crate::render::Frame;
-use relume_spec::rendering::Quality;
 use relume_scene::Field;
+use relume_scene::light::{EnvSampler, Shares, estimate};
+use relume_spec::rendering::Quality;
 
 /// Most rows of a sampled environment: a texel of 0.35 degrees, two thirds of the sun.
 pub(super) const MOST_ROWS: usize = 512;

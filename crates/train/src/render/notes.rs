@@ -1,8 +1,8 @@
 //! What a picture file says of how it was made.
 
 use relume_capture::formats::exr_frame::{ExrLens, FrameAttributes};
-use relume_spec::rendering::{AlphaMode, Background, Quality, Tier};
 use relume_scene::Camera;
+use relume_spec::rendering::{AlphaMode, Background, Quality, Tier};
 
 /// What a picture file says of how it was made.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -75,7 +75,7 @@ mod tests {
     use glam::{DVec3, Vec4};
 
     #[test]
-    fn the_lens_of_an_exr_sees_what_the_camera_sees() {
+    fn exr_lens_attributes_project_like_the_camera() {
         let eye = DVec3::new(3.0, 1.0, 2.0);
         let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, (200, 100)).unwrap();
         let camera = Camera { fx: 150.0, fy: 120.0, cx: 90.0, cy: 55.0, ..camera };
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_beyond_the_numbers_of_a_file_is_left_out() {
+    fn cameras_beyond_the_range_of_exr_attributes_are_omitted() {
         let camera = Camera::look_at(DVec3::X * 3.0, DVec3::ZERO, DVec3::Z, 0.8, (20, 10)).unwrap();
         assert!(lens(&camera).is_some());
         assert!(lens(&Camera { translation: DVec3::X * 1e39, ..camera }).is_none());

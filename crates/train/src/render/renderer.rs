@@ -2,15 +2,15 @@
 
 use std::sync::{Arc, OnceLock};
 
-use relume_engine::cpu::{FrameLight as CpuLight, Occluders};
-use relume_engine::{Device, DeviceError, FrameLight, Frames, RasterCamera, ShadeColour};
-use relume_scene::light::{EnvSampler, LightTables, rendering_tables};
 use crate::render::background;
 use crate::render::error::RenderError;
 use crate::render::high::SplitLight;
 use crate::render::{Frame, monte_carlo};
-use relume_spec::rendering::{Output, Tier};
+use relume_engine::cpu::{FrameLight as CpuLight, Occluders};
+use relume_engine::{Device, DeviceError, FrameLight, Frames, RasterCamera, ShadeColour};
+use relume_scene::light::{EnvSampler, LightTables, rendering_tables};
 use relume_scene::{Camera, Illumination, Model, ShadeAt};
+use relume_spec::rendering::{Output, Tier};
 
 /// Most pixels of a frame.
 const MOST_PIXELS: u64 = 64 << 20;

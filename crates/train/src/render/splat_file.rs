@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use relume_engine::DeviceError;
+use crate::render::renderer::Renderer;
+use crate::render::{MeshOptions, RenderError};
 use relume_capture::formats::environment::{self, EnvironmentFileError};
 use relume_capture::formats::ply_model::{self, Columns};
 use relume_capture::formats::splats::{Layer, Splats};
 use relume_capture::formats::{gltf, usd};
-use crate::render::renderer::Renderer;
-use crate::render::{MeshOptions, RenderError};
+use relume_engine::DeviceError;
 use relume_scene::{Illumination, Model};
 use relume_spec::rendering::Shown;
 

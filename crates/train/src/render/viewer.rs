@@ -1,11 +1,11 @@
 //! What a viewer elsewhere needs to show a model as the standard tier does.
 
+use crate::render::viewpoint::framing;
+use crate::render::{PreparedLight, Renderer};
 use relume_capture::formats::viewer_stream::{
     StreamedLight, StreamedSurface, encode_gaussians, encode_light, importance_order,
 };
 use relume_scene::light::reflectance_tables;
-use crate::render::viewpoint::framing;
-use crate::render::{PreparedLight, Renderer};
 use relume_scene::{Model, SplitLight};
 
 /// Most rows of the picture of a light that stands behind a model.

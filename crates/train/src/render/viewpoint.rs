@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_subject_with_masks_is_seen_whole() {
+    fn default_viewpoint_shows_a_masked_object_completely() {
         let (model, centre) = (model(None), DVec3::new(-1.0, 0.0, 0.0));
         let seen = camera(&model, None, None);
         let stated = camera(&model, Some(0.0), Some(20.0));
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_without_masks_is_seen_as_its_photographs_show_it() {
+    fn default_viewpoint_of_unmasked_scene_uses_its_framing() {
         let framing = Framing { eye: DVec3::new(0.0, -3.0, 1.0), target: DVec3::Z, fov_deg: 50.0 };
         let model = model(Some(framing));
         let seen = camera(&model, None, None);

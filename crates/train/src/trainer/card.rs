@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use relume_scene::light::LightColour;
-use relume_scene::{Model, SplitLight};
 use crate::TrainError;
 use crate::dataset::Gain;
 use crate::exposure;
 use crate::trainer::Trainer;
+use relume_scene::light::LightColour;
+use relume_scene::{Model, SplitLight};
 
 impl Trainer {
     /// The model as it is now, with its card.

@@ -45,8 +45,8 @@ impl Trainer {
 mod tests {
     use super::*;
     use relume_capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
-    use relume_engine::gpu::Gpu;
     use relume_engine::{Device, PhotoSize};
+    use relume_reference::gpu_device;
     use relume_scene::{BitDepth, PackedImage};
     use relume_spec::training::{Crop, Preset, TrainConfig, TrainOverrides};
 
@@ -97,17 +97,17 @@ mod tests {
     }
 
     #[test]
-    fn a_subject_is_cut_out_with_masks_like_its_own_on_the_cpu() {
-        a_subject_is_cut_out_with_masks_like_its_own(&Device::Cpu);
+    fn cropped_object_gets_correct_masks_on_the_cpu() {
+        assert_cropped_object_gets_correct_masks(&Device::Cpu);
     }
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-    fn a_subject_is_cut_out_with_masks_like_its_own_on_a_gpu() {
-        a_subject_is_cut_out_with_masks_like_its_own(&Device::Gpu(Gpu::for_tests()));
+    fn cropped_object_gets_correct_masks_on_a_gpu() {
+        assert_cropped_object_gets_correct_masks(gpu_device());
     }
 
-    fn a_subject_is_cut_out_with_masks_like_its_own(device: &Device) {
+    fn assert_cropped_object_gets_correct_masks(device: &Device) {
         let (capture, masks) = capture();
         let mut trainer = Trainer::new(&capture, config(around(&capture, 0.9)), device).unwrap();
         let warm_up = trainer.config().warm_up_steps();
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resumption_after_the_cut_makes_the_same_model() {
+    fn training_resumed_after_the_crop_gives_the_same_model() {
         let (capture, _) = capture();
         let config = config(around(&capture, 0.9));
         let mut whole = Trainer::new(&capture, config.clone(), &Device::Cpu).unwrap();
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn photographs_with_masks_are_not_cropped() {
+    fn crop_of_photographs_with_masks_is_refused() {
         let (mut capture, _) = capture();
         let refused =
             |capture: &Capture| Trainer::new(capture, config(around(capture, 1.0)), &Device::Cpu).err();
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crop_without_anything_in_it_is_refused() {
+    fn empty_crop_is_refused() {
         let (capture, _) = capture();
         let mut trainer =
             Trainer::new(&capture, config(Crop::Ball([1e3, 0.0, 0.0, 1.0])), &Device::Cpu).unwrap();

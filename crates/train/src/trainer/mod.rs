@@ -13,18 +13,18 @@ use preparation::operators_of;
 use std::sync::Arc;
 use std::time::Instant;
 
-use relume_capture::Capture;
-use relume_engine::cpu::evaluation;
-use relume_engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
-use relume_scene::light::{EnvOperators, LightColour};
-use relume_scene::{Field, SplitLight};
 use crate::complexity;
 use crate::context::StepContext;
 use crate::dataset::{Dataset, DecodingStats};
 use crate::error::{MOST_ROLLBACKS, TrainError};
 use crate::state::ScheduleState;
-use relume_spec::training::{LabelSource, TrainConfig};
 use crate::{checkpoint, density, exposure, initial, light_colour, lights, materials, schedule};
+use relume_capture::Capture;
+use relume_engine::cpu::evaluation;
+use relume_engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
+use relume_scene::light::{EnvOperators, LightColour};
+use relume_scene::{Field, SplitLight};
+use relume_spec::training::{LabelSource, TrainConfig};
 
 /// Steps between the states a roll-back can return to.
 const SNAPSHOT_EVERY: u32 = 50;

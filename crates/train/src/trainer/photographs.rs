@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use relume_engine::{Photo, PhotoId};
 use crate::schedule;
 use crate::trainer::Trainer;
+use relume_engine::{Photo, PhotoId};
 
 /// Steps whose photographs are decoded ahead, as far as there is room for them.
 const AHEAD: u32 = 4;

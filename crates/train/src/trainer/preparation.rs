@@ -5,15 +5,15 @@ use std::sync::Arc;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use relume_capture::Capture;
-use relume_engine::TrainState;
-use relume_scene::light::{EnvOperators, TableResolution};
-use relume_scene::Model;
 use crate::dataset::Dataset;
 use crate::error::TrainError;
 use crate::state::ScheduleState;
-use relume_spec::training::{Crop, TrainConfig, WhiteBalance};
 use crate::{checkpoint, initial};
+use relume_capture::Capture;
+use relume_engine::TrainState;
+use relume_scene::Model;
+use relume_scene::light::{EnvOperators, TableResolution};
+use relume_spec::training::{Crop, TrainConfig, WhiteBalance};
 
 /// Fewest photographs worth training on.
 const LEAST_VIEWS: usize = 3;

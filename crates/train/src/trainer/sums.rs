@@ -1,9 +1,9 @@
 //! What steps came to, as far as it is known: a device may be a step behind the schedule.
 
-use relume_engine::StepSums;
 use crate::error::TrainError;
 use crate::trainer::Trainer;
 use crate::trainer::known_sums::{Asked, Known};
+use relume_engine::StepSums;
 
 impl Trainer {
     /// Notes that the engine was asked for the step at hand, and what it gave: the sums of this step or of an earlier one.

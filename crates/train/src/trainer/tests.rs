@@ -1,18 +1,18 @@
 use super::*;
 use relume_capture::{SyntheticOptions, synthetic};
 use relume_compare::worst;
-use relume_engine::gpu::Gpu;
+use relume_reference::gpu_device;
 use relume_spec::training::{Preset, TrainOverrides};
 
 #[test]
-fn a_poisoned_step_is_rolled_back_with_smaller_steps_on_the_cpu() {
-    a_poisoned_step_is_rolled_back(&Device::Cpu);
+fn non_finite_step_is_rolled_back_with_lower_rates_on_the_cpu() {
+    assert_non_finite_step_is_rolled_back(&Device::Cpu);
 }
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_poisoned_step_is_rolled_back_with_smaller_steps_on_a_gpu() {
-    a_poisoned_step_is_rolled_back(&Device::Gpu(Gpu::for_tests()));
+fn non_finite_step_is_rolled_back_with_lower_rates_on_a_gpu() {
+    assert_non_finite_step_is_rolled_back(gpu_device());
 }
 
 /// Three photographs of 24 pixels, and a training of 64 Gaussians with materials from the first step on.
@@ -38,7 +38,7 @@ fn small() -> (Capture, TrainConfig) {
     (capture, config)
 }
 
-fn a_poisoned_step_is_rolled_back(device: &Device) {
+fn assert_non_finite_step_is_rolled_back(device: &Device) {
     let (capture, config) = small();
     let mut trainer = Trainer::new(&capture, config, device).unwrap();
     assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
@@ -55,17 +55,17 @@ fn a_poisoned_step_is_rolled_back(device: &Device) {
 }
 
 #[test]
-fn a_step_that_was_not_finite_is_in_no_checkpoint_on_the_cpu() {
-    a_step_that_was_not_finite_is_in_no_checkpoint(&Device::Cpu);
+fn checkpoint_excludes_a_non_finite_step_on_the_cpu() {
+    assert_checkpoint_excludes_a_non_finite_step(&Device::Cpu);
 }
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_step_that_was_not_finite_is_in_no_checkpoint_on_a_gpu() {
-    a_step_that_was_not_finite_is_in_no_checkpoint(&Device::Gpu(Gpu::for_tests()));
+fn checkpoint_excludes_a_non_finite_step_on_a_gpu() {
+    assert_checkpoint_excludes_a_non_finite_step(gpu_device());
 }
 
-fn a_step_that_was_not_finite_is_in_no_checkpoint(device: &Device) {
+fn assert_checkpoint_excludes_a_non_finite_step(device: &Device) {
     let (capture, config) = small();
     let mut trainer = Trainer::new(&capture, config.clone(), device).unwrap();
     (0..2).for_each(|_| assert_eq!(trainer.step().unwrap().warning, None));
@@ -105,7 +105,7 @@ fn learned(field: Field, overrides: TrainOverrides) -> Vec<f32> {
 }
 
 #[test]
-fn held_metalness_stays_held_when_materials_start_anew() {
+fn disabled_metalness_stays_fixed_across_material_restarts() {
     let most = |metalness: bool| {
         let overrides = TrainOverrides { metalness: Some(metalness), ..Default::default() };
         learned(Field::MetalLogit, overrides).into_iter().fold(f32::NEG_INFINITY, f32::max)
@@ -115,7 +115,7 @@ fn held_metalness_stays_held_when_materials_start_anew() {
 }
 
 #[test]
-fn sheen_is_learned_unless_it_is_left_out() {
+fn sheen_is_learned_unless_disabled() {
     let most = |sheen: bool| {
         let overrides = TrainOverrides { sheen: Some(sheen), ..Default::default() };
         worst(learned(Field::Sheen, overrides).into_iter().map(f32::abs))
@@ -126,17 +126,17 @@ fn sheen_is_learned_unless_it_is_left_out() {
 }
 
 #[test]
-fn a_model_made_smaller_goes_on_training_on_the_cpu() {
-    a_model_made_smaller_goes_on_training(&Device::Cpu);
+fn reduced_model_continues_training_on_the_cpu() {
+    assert_reduced_model_continues_training(&Device::Cpu);
 }
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_model_made_smaller_goes_on_training_on_a_gpu() {
-    a_model_made_smaller_goes_on_training(&Device::Gpu(Gpu::for_tests()));
+fn reduced_model_continues_training_on_a_gpu() {
+    assert_reduced_model_continues_training(gpu_device());
 }
 
-fn a_model_made_smaller_goes_on_training(device: &Device) {
+fn assert_reduced_model_continues_training(device: &Device) {
     let options = SyntheticOptions {
         scene: relume_capture::SyntheticScene::MatteBall,
         train_views: 5,
@@ -181,7 +181,7 @@ fn decoded_by_nine_steps(device: &Device) -> u64 {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn what_a_gpu_holds_is_decoded_once() {
-    assert_eq!(decoded_by_nine_steps(&Device::Gpu(Gpu::for_tests())), 3);
+fn photographs_on_a_gpu_are_decoded_once() {
+    assert_eq!(decoded_by_nine_steps(gpu_device()), 3);
     assert_eq!(decoded_by_nine_steps(&Device::Cpu), 9, "the control");
 }

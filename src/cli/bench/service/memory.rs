@@ -31,7 +31,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_peak_is_read_from_its_line() {
+    fn peak_memory_is_read_from_the_vmhwm_line() {
         assert_eq!(peak_kibibytes("VmPeak:\t  9 kB\nVmHWM:\t   2048 kB\nVmRSS:\t 5 kB\n"), Some(2048));
         assert_eq!(peak_kibibytes("VmPeak:\t  9 kB\n"), None);
     }

@@ -14,12 +14,12 @@ use tempfile::TempDir;
 
 use crate::cli::bench::table::{head, machine, publish, row};
 use crate::cli::error::CommandResult;
-use relume_engine::Device;
 use crate::server::raise_file_limit;
 use crate::testing;
 use args::Load;
 use memory::PeakMemory;
 use pressed::{OTHER_FILES, Pressed};
+use relume_engine::Device;
 use subject::Subject;
 use timing::{Thumbnails, Times};
 

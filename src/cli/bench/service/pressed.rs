@@ -8,12 +8,12 @@ use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 use tokio::task::JoinSet;
 
-use relume_api::cameras::{CameraSpec, LookAtSpec};
-use relume_api::renders::RenderRequest;
-use relume_api::{JobId, ModelId};
 use crate::cli::bench::service::args::{Load, ServiceArgs};
 use crate::cli::bench::service::subject::{Subject, photographs};
 use crate::cli::error::CommandResult;
+use relume_api::cameras::{CameraSpec, LookAtSpec};
+use relume_api::renders::RenderRequest;
+use relume_api::{JobId, ModelId};
 use relume_client::Client;
 use relume_spec::rendering::{FrameFormat, Output};
 

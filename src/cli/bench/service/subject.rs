@@ -8,11 +8,11 @@ use tokio_util::bytes::Bytes;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
+use crate::cli::bench::service::args::ServiceArgs;
+use crate::cli::error::CommandResult;
 use relume_api::jobs::{JobState, NewJob};
 use relume_api::{CaptureId, ModelId};
 use relume_capture::{SyntheticOptions, synthetic, write_archive};
-use crate::cli::bench::service::args::ServiceArgs;
-use crate::cli::error::CommandResult;
 use relume_client::Client;
 use relume_spec::training::{Preset, TrainOverrides};
 

@@ -2,9 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use relume_api::ModelId;
 use crate::cli::bench::quantiles::Quantiles;
 use crate::cli::bench::service::subject::Subject;
+use relume_api::ModelId;
 use relume_client::Client;
 
 /// How long one thumbnail is waited for.

@@ -8,15 +8,15 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use relume_capture::{Capture, CaptureView};
 use crate::cli::bench::input::{BenchModel, read_capture};
 use crate::cli::error::CommandResult;
 use crate::cli::output;
+use relume_capture::{Capture, CaptureView};
 use relume_engine::Device;
 use relume_engine::DeviceChoice;
+use relume_spec::rendering::{Output, Quality, Tier};
 use relume_train::eval::{DisplayImage, evenly_spaced, lights_of, mean_squared_error, on_white, photograph};
 use relume_train::render::{Frame, PreparedLight, Renderer};
-use relume_spec::rendering::{Output, Quality, Tier};
 use row::Row;
 
 /// Options of `relume bench tradeoff`.

@@ -184,13 +184,13 @@ mod tests {
     use relume_spec::rendering::Quality;
 
     #[test]
-    fn ticks_are_one_two_and_five_within_the_range() {
+    fn log_axis_ticks_are_one_two_and_five_times_powers_of_ten() {
         assert_eq!(ticks(&(0.015..1.5)), [0.02, 0.05, 0.1, 0.2, 0.5, 1.0]);
         assert_eq!(range([0.0, f64::NAN].into_iter()), 0.1..1.0, "nothing that a logarithm can show");
     }
 
     #[test]
-    fn the_figure_has_a_panel_for_each_kind_of_figure_that_is_known_and_escapes_names() {
+    fn plot_has_a_panel_per_known_metric_and_escapes_names() {
         let row = |quality: Quality| Row {
             model: "a<b".to_owned(),
             preset: "draft".to_owned(),

@@ -2,8 +2,8 @@
 
 use super::row::{Row, exponents};
 use crate::cli::bench::table::row;
-use relume_train::eval::{figure, psnr_of};
 use relume_spec::rendering::Tier;
+use relume_train::eval::{figure, psnr_of};
 
 const HEAD: &str = "| model | preset | training, s | device | tier | ms a frame | first frame more, ms | error, linear | error, shown | against truth | dB |
 |---|---|---:|---|---|---:|---:|---:|---:|---:|---:|

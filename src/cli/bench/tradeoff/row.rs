@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_exponent_of_a_power_is_found() {
+    fn exponent_of_a_power_law_is_fitted() {
         let points: Vec<(f64, f64)> = [4.0f64, 16.0, 64.0].iter().map(|n| (*n, 3.0 * n.powf(-0.5))).collect();
         assert!((exponent(&points).unwrap() + 0.5).abs() < 1e-12);
         assert_eq!(exponent(&points[..1]), None);

@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_triangle_is_turned_and_has_both_textures() {
+    fn mesh_is_converted_to_y_up_and_has_both_textures() {
         let mesh = TexturedMesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::new(0.0, 2.0, 3.0)],
             normals: vec![Vec3::Z; 3],

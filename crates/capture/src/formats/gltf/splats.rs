@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_says_what_the_model_has() {
+    fn file_contains_the_values_of_the_model() {
         let splats = Splats::of(&example()).with_y_up();
         let bytes = encode_splats(&splats).unwrap();
         let floats = |name: &str| read(&bytes, name).1.unwrap_or_else(|| panic!("{name} is missing"));
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_has_the_degree_of_its_colour_and_no_more() {
+    fn file_contains_only_the_sh_degrees_of_the_model() {
         let bytes = encode_splats(&Splats::of(&example())).unwrap();
         let (document, none) = read(&bytes, "KHR_gaussian_splatting:SH_DEGREE_2_COEF_0");
         assert_eq!(none, None);

@@ -250,7 +250,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn layers_show_what_they_are_named_after_from_all_sides() {
+    fn painted_layers_show_their_quantity_in_every_direction() {
         let shown = |layer| {
             let painted = Splats::of(&example()).painted(layer);
             assert_eq!((painted.degree, painted.harmonics.len()), (0, 2));
@@ -264,7 +264,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn flattening_brings_the_shortest_axis_to_the_normal_and_nothing_else() {
+    fn flattening_only_rotates_the_shortest_axis_to_the_normal() {
         let mut model = example();
         model.gaussians.row_mut(Field::Normal, 1).copy_from_slice(&[0.5, 0.0, 0.0]);
         let before = Splats::of(&model);
@@ -277,7 +277,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_scale_is_positive_and_finite_whatever_its_logarithm() {
+    fn scale_is_positive_and_finite_for_any_logarithm() {
         let mut splats = Splats::of(&example());
         splats.log_scales[0] = [1e18, -1e18, 0.0];
         let scale = splats.scale(0);

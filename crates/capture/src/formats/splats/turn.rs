@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_thing_is_seen_from_the_turned_side() {
+    fn y_up_rotation_preserves_the_appearance() {
         let (before, after) = (colourful(), colourful().with_y_up());
         for direction in [DVec3::X, DVec3::Z, DVec3::new(0.6, -0.64, 0.48)] {
             let turned = DVec3::new(direction.x, direction.z, -direction.y);

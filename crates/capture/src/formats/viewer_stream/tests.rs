@@ -99,7 +99,7 @@ fn error(read: &Read, field: &str, truth: &[f32]) -> f64 {
 }
 
 #[test]
-fn what_is_read_is_the_model_within_its_steps() {
+fn stream_matches_the_model_within_quantisation_steps() {
     let model = model();
     let read = read(&encode_gaussians(&model, &FRAMING), b"RLMG");
     let order = importance_order(&model.gaussians);
@@ -129,7 +129,7 @@ fn what_is_read_is_the_model_within_its_steps() {
 }
 
 #[test]
-fn rotations_are_unit_and_the_shortest_axis_stays_the_shortest() {
+fn rotations_stay_unit_and_the_shortest_axis_is_preserved() {
     let model = model();
     let read = read(&encode_gaussians(&model, &FRAMING), b"RLMG");
     let field = |name: &str| &read.records.iter().find(|(n, _)| n == name).unwrap().1;
@@ -159,7 +159,7 @@ fn important_gaussians_come_first() {
 }
 
 #[test]
-fn a_light_is_read_as_it_was_however_strong() {
+fn strong_lights_round_trip_through_the_stream() {
     let strong = 1e6f32;
     let surface = |i: usize| StreamedSurface {
         gathered: [0.1 * i as f32, 0.2, 0.3],
@@ -196,7 +196,7 @@ fn a_light_is_read_as_it_was_however_strong() {
 }
 
 #[test]
-fn a_model_without_gaussians_has_a_stream() {
+fn empty_model_gives_a_valid_stream() {
     let model = Model { gaussians: Gaussians::zeroed(0, 2, 2, 1), ..model() };
     assert_eq!(read(&encode_gaussians(&model, &FRAMING), b"RLMG").header["records"]["count"], 0);
 }

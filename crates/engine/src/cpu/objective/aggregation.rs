@@ -4,9 +4,9 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::Gradients;
-use relume_layout::constants::AGGREGATION_EPSILON as EPSILON;
 use crate::cpu::objective::sum;
 use crate::cpu::{LANES, Lanes, softmax_lanes};
+use relume_layout::constants::AGGREGATION_EPSILON as EPSILON;
 use relume_scene::{Field, Gaussians};
 
 /// `-mean ln Q` with `Q = sum_k p_k prod_{j != k} (1 - p_j)`; adds its gradient, returns its value.
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_zero_at_one_hot_and_known_at_uniform() {
+    fn aggregation_is_zero_for_one_hot_and_0_98421_for_uniform() {
         let mut one_hot = vec![-60.0f32; 32];
         one_hot[7] = 60.0;
         assert!(of(&[one_hot.clone()]).0.abs() < 1e-5);
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gradient_agrees_with_central_differences() {
+    fn aggregation_gradient_agrees_with_central_differences() {
         let scores: Vec<Vec<f32>> =
             (0..18).map(|g| (0..8).map(|i| ((g * 8 + i) as f32 * 1.7).sin()).collect()).collect();
         let gradients = of(&scores).1;
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn scores_that_are_not_numbers_spoil_no_neighbour() {
+    fn nan_scores_do_not_affect_other_gaussians() {
         let fine: Vec<f32> = (0..8).map(|i| (i as f32).cos()).collect();
         let (_, alone) = of(&[fine.clone(), fine.clone()]);
         let (_, beside) = of(&[vec![f32::NAN; 8], fine]);

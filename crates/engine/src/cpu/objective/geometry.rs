@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-use relume_layout::channel;
-use relume_layout::constants::{DEPTH_JUMP, LEAST_COVERAGE, TRUSTED_COVERAGE};
 use crate::cpu::objective::sign;
 use crate::cpu::{BufferGradient, Pass, normalise, normalise_backward};
+use relume_layout::channel;
+use relume_layout::constants::{DEPTH_JUMP, LEAST_COVERAGE, TRUSTED_COVERAGE};
 
 type Vec3 = [f32; 3];
 

@@ -6,9 +6,9 @@
 use multiversion::multiversion;
 use rayon::prelude::*;
 
-use relume_layout::constants::{SSIM_C1, SSIM_C2, SSIM_TAPS, ssim_window};
 use crate::cpu::objective::sign;
 use crate::objective::ImageWeights;
+use relume_layout::constants::{SSIM_C1, SSIM_C2, SSIM_TAPS, ssim_window};
 
 /// A photograph with its window statistics, planar.
 #[derive(Debug, Clone)]
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn an_image_equals_itself_and_nothing_else() {
+    fn equal_images_have_ssim_one_and_other_images_do_not() {
         let pixels = noise(24 * 20, 1);
         let target = Target::new(24, 20, &pixels);
         let same = target.compare(&pixels, ImageWeights { l1: 1.0, ssim: 1.0 });
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn the_blur_is_the_sum_over_the_window() {
+    fn blur_equals_the_sum_over_the_ssim_window() {
         let taps = ssim_window();
         for (w, h) in [(1, 1), (3, 40), (32, 4), (70, 9)] {
             let plane: Vec<f32> = noise(w * h, 5).iter().map(|p| p[0]).collect();
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gradient_agrees_with_central_differences() {
+    fn image_loss_gradient_agrees_with_central_differences() {
         let (w, h) = (14, 13);
         let pixels = noise(w * h, 3);
         let target = Target::new(w, h, &pixels);

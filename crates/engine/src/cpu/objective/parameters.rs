@@ -3,10 +3,10 @@
 use rayon::prelude::*;
 
 use crate::Gradients;
-use relume_layout::constants::{LABEL_MARGIN, LEAST_LABEL_WEIGHT, SIGMOID_MARGIN};
 use crate::cpu::objective::{sign, sum};
 use crate::cpu::{self, MAX_COEFFICIENTS, Pass};
 use crate::objective::upward_share;
+use relume_layout::constants::{LABEL_MARGIN, LEAST_LABEL_WEIGHT, SIGMOID_MARGIN};
 use relume_scene::light::{LUMINANCE, LightColour, UPWARD_LUMINANCE, luminance, sh_eval};
 use relume_scene::{Field, Gaussians, VisibilityForm};
 
@@ -164,7 +164,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_colour_of_the_light_is_asked_for_and_nothing_else() {
+    fn light_colour_term_penalises_only_the_colour_of_the_light() {
         let texels = relume_scene::texel_directions(8, 4);
         let wanted = LightColour::of([0.8, 0.94, 1.26]);
         let value = |light: [f32; 3]| light_colour(&[light; 32], &texels, 1.0, wanted).0;
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_grey_light_is_neutral_and_a_red_one_is_not() {
+    fn neutrality_term_is_zero_for_grey_and_positive_for_red_light() {
         assert_eq!(light_neutrality(&[[0.4; 3]; 5], 1.0).0, 0.0);
         let (value, gradient) = light_neutrality(&[[1.0, 0.0, 0.0]], 1.0);
         assert!(value > 0.3 && gradient[0][0] > 0.0 && gradient[0][1] < 0.0);

@@ -8,8 +8,6 @@ use std::sync::{Mutex, OnceLock};
 
 use rayon::prelude::*;
 
-use relume_layout::channel::Channels;
-use relume_layout::constants::EarlyStop;
 use crate::gpu::frame::{FrameBranches, FramePass};
 use crate::gpu::frames::light::FrameLight;
 use crate::gpu::gather::{LightProbes, gather, ungathered};
@@ -23,7 +21,12 @@ use crate::gpu::rays::{RayMemory, TreeBuffers};
 use crate::gpu::resolve::{LightFrom, Planes};
 use crate::gpu::shading::Shading;
 use crate::gpu::{Arrival, AttributeSource, Buffer, CameraUniform, Gpu, Recorder, Ticket};
-use crate::{BOUNCES, DeviceError, DeviceFrames, DeviceLight, Frame, FrameJob, PROBE_DIRECTIONS, ProbeSettings, RasterCamera, RayLight, RayTree, ShadeColour, fibonacci_sphere, indirect_basis};
+use crate::{
+    BOUNCES, DeviceError, DeviceFrames, DeviceLight, Frame, FrameJob, PROBE_DIRECTIONS, ProbeSettings,
+    RasterCamera, RayLight, RayTree, ShadeColour, fibonacci_sphere, indirect_basis,
+};
+use relume_layout::channel::Channels;
+use relume_layout::constants::EarlyStop;
 use relume_scene::Output;
 use relume_scene::light::LightTables;
 use relume_scene::{IndirectForm, Model, ShadingOptions, SplitLight};

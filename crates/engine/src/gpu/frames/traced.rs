@@ -2,7 +2,6 @@
 
 use std::sync::OnceLock;
 
-use relume_layout::constants::EarlyStop;
 use crate::gpu::frame::{FrameBranches, FramePass};
 use crate::gpu::frames::Frames;
 use crate::gpu::frames::light::FrameLight;
@@ -11,6 +10,7 @@ use crate::gpu::permutations::groups;
 use crate::gpu::rays::{EnvironmentBuffers, Samples, TreeBuffers};
 use crate::gpu::resolve::LightFrom;
 use crate::{DeviceError, Frame, FrameJob, RasterCamera, RayLight, RayTree, indirect_basis};
+use relume_layout::constants::EarlyStop;
 use relume_scene::light::{DominantLight, EnvSampler, LightTables, Shares};
 
 /// What `cell` holds, or what `make` gives from now on. Where two make it, one of the two is dropped.

@@ -58,7 +58,7 @@ fn host_and_shaders_agree_on_the_structs() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn bounced_light_is_that_of_the_cpu() {
+fn bounced_light_matches_the_cpu() {
     let gpu = Gpu::for_tests();
     for (bounces, order) in [(1, 4), (2, 2), (4, 0), (0, 1)] {
         let case = Case { scene: Scene::random(1, 300, order), bounces };
@@ -72,7 +72,7 @@ fn bounced_light_is_that_of_the_cpu() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn an_open_sky_and_prototypes_alone_are_those_of_the_cpu() {
+fn gathering_without_visibility_and_residuals_matches_the_cpu() {
     let gpu = Gpu::for_tests();
     let mut scene = Scene::random(2, 200, 2);
     scene.options.visibility = VisibilityForm::Off;
@@ -83,7 +83,7 @@ fn an_open_sky_and_prototypes_alone_are_those_of_the_cpu() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_comparison_notices_another_albedo_another_light_and_one_more_bounce() {
+fn comparison_detects_other_materials_visibility_and_bounces() {
     let gpu = Gpu::for_tests();
     let (_, expected) = Case { scene: Scene::random(1, 300, 2), bounces: 2 }.gathered(&gpu);
     let plain = || Scene::random(1, 300, 2);
@@ -110,7 +110,7 @@ fn no_gaussian_and_one_gaussian_gather_nothing() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn light_that_does_not_fit_is_refused() {
+fn light_buffers_of_wrong_size_are_refused() {
     let gpu = Gpu::for_tests();
     let scene = Scene::random(1, 3, 2);
     let probes = scene.on_device(&gpu, ProbeSettings::default(), &fibonacci_sphere(4));

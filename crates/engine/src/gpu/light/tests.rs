@@ -93,11 +93,11 @@ fn terms(radiance: &[[f32; 3]]) -> (f64, f64) {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn tables_and_basis_are_those_of_the_host() {
+fn light_tables_and_basis_match_the_host() {
     let gpu = Gpu::for_tests();
     let model = model();
     for turn in TURNS {
-        tables_and_basis_are_those_of_the_host_at(&gpu, &model, turn);
+        assert_tables_and_basis_match_the_host(&gpu, &model, turn);
     }
     assert_layout!(TablesUniform as "Tables" in shaders::ENV_TABLES; diffuse_n, coefficients, n_coefficients,
         n_specular, specular_n, specular_first, n_lights, first_light, pad_a, pad_b, lights);
@@ -105,7 +105,7 @@ fn tables_and_basis_are_those_of_the_host() {
         exposure, colour, blue_over_red, green, width, whole, fraction);
 }
 
-fn tables_and_basis_are_those_of_the_host_at(gpu: &Gpu, model: &Model, turn: f64) {
+fn assert_tables_and_basis_match_the_host(gpu: &Gpu, model: &Model, turn: f64) {
     let run = applied(gpu, model, turn);
     let host = |radiance: &[[f32; 3]], turn: f64| {
         run.operators.apply(&ColumnTurn::new(turn, model.env_width).apply(radiance))
@@ -126,14 +126,14 @@ fn tables_and_basis_are_those_of_the_host_at(gpu: &Gpu, model: &Model, turn: f64
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_gradient_of_the_light_is_the_transposed_operator_and_the_terms() {
+fn light_gradient_is_the_transposed_operator_plus_the_terms() {
     let gpu = Gpu::for_tests();
     for turn in TURNS {
-        the_gradient_is_the_transposed_operator_and_the_terms_at(&gpu, turn);
+        assert_light_gradient_is_transposed_operator_plus_terms(&gpu, turn);
     }
 }
 
-fn the_gradient_is_the_transposed_operator_and_the_terms_at(gpu: &Gpu, turn: f64) {
+fn assert_light_gradient_is_transposed_operator_plus_terms(gpu: &Gpu, turn: f64) {
     let mut model = model();
     let run = applied(gpu, &model, turn);
     let losses = gpu.read(&run.losses, 0..16).unwrap();

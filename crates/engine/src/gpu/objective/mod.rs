@@ -3,9 +3,9 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use relume_layout::channel::Channels;
 use crate::gpu::{Buffer, CameraUniform, PhotoPixel, Recorder, shaders, uniform};
 use crate::{ImageWeights, StepWeights, SurfaceWeights};
+use relume_layout::channel::Channels;
 
 #[cfg(test)]
 mod tests;

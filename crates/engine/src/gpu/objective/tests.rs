@@ -1,13 +1,13 @@
 //! The terms against plain f64 versions of their formulas and central differences of those.
 
 use super::*;
-use relume_compare::relative_error;
 use crate::RasterCamera;
-use relume_layout::channel;
 use crate::cpu::Pass;
 use crate::gpu::shaders::assert_layout;
 use crate::gpu::shading::tests::{Noise, camera_view, empty_pass, planar_gbuffer, set};
 use crate::gpu::{Gpu, photo_pixel};
+use relume_compare::relative_error;
+use relume_layout::channel;
 use relume_scene::ShadingOptions;
 
 type Rgb = [f64; 3];
@@ -96,7 +96,7 @@ fn on_device(gpu: &Gpu, view: &RasterCamera, image: &[Rgb], photo: &[Rgb]) -> ([
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn image_terms_and_gradients_are_those_of_the_formula() {
+fn image_terms_and_gradients_match_the_formulas() {
     let gpu = Gpu::for_tests();
     for (seed, (w, h)) in [(1, (1, 1)), (2, (37, 21)), (3, (16, 16)), (4, (3, 40))] {
         let mut noise = Noise::new(seed);
@@ -312,7 +312,7 @@ const SMOOTH: [f32; 3] = [0.15, 0.06, 0.1];
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn terms_on_the_buffers_and_their_gradients_are_those_of_the_formulas() {
+fn surface_terms_and_gradients_match_the_formulas() {
     let gpu = Gpu::for_tests();
     let none = SurfaceWeights::default();
     let cases = [
@@ -355,7 +355,7 @@ fn terms_on_the_buffers_and_their_gradients_are_those_of_the_formulas() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_comparison_of_terms_sees_a_change_of_one_pixel() {
+fn surface_term_comparison_detects_one_changed_pixel() {
     let gpu = Gpu::for_tests();
     let view = camera_view((19, 17), &ShadingOptions::default());
     let weights = SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: SMOOTH };
@@ -372,7 +372,7 @@ fn the_comparison_of_terms_sees_a_change_of_one_pixel() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn pictures_too_small_for_neighbours_have_coverage_only() {
+fn images_one_pixel_wide_or_high_have_only_the_coverage_term() {
     let gpu = Gpu::for_tests();
     let weights = SurfaceWeights { coverage: 0.5, depth_normal: 0.2, smoothness: SMOOTH };
     for size in [(1, 1), (5, 1), (1, 33)] {

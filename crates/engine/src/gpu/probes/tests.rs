@@ -4,18 +4,16 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use crate::DeviceError;
-use relume_compare::largest_difference;
-use relume_layout::constants::NO_HIT;
 use crate::cpu::{self, AttributeSource, outward_normals};
 use crate::gpu::model::LayoutUniform;
 use crate::gpu::model::planar;
-use crate::gpu::probes::sweep::{
-    Axes, CellCounts, Flat, Occluder, ProbeStart, Projection, Sweep, Sweeper,
-};
+use crate::gpu::probes::sweep::{Axes, CellCounts, Flat, Occluder, ProbeStart, Projection, Sweep, Sweeper};
 use crate::gpu::probes::{ProbeBuffers, measure};
 use crate::gpu::shaders::assert_layout;
 use crate::gpu::{Buffer, Gpu, shaders};
 use crate::{ProbeSettings, fibonacci_sphere};
+use relume_compare::largest_difference;
+use relume_layout::constants::NO_HIT;
 use relume_scene::{Field, Gaussians, ShadingOptions, sh_count};
 
 /// Largest difference of a transmittance or, in units of the largest, of a coefficient.
@@ -152,7 +150,7 @@ fn host_and_shaders_agree_on_the_structs() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_random_scene_is_seen_as_on_the_cpu() {
+fn probes_of_a_random_scene_match_the_cpu() {
     let gpu = Gpu::for_tests();
     let scene = Scene::random(1, 400, 4);
     let blocked = assert_parity(&gpu, &scene, ProbeSettings::default());
@@ -194,7 +192,7 @@ fn the_comparison_notices_other_settings_and_another_scene() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn coefficients_are_the_projection_of_the_transmittances() {
+fn coefficients_equal_the_projected_transmittances() {
     let gpu = Gpu::for_tests();
     for (order, n) in [(0, 70), (1, 300), (3, 257), (6, 300)] {
         let scene = Scene::random(3, n, order);
@@ -214,7 +212,7 @@ fn coefficients_are_the_projection_of_the_transmittances() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_grid_changes_nothing() {
+fn grid_size_does_not_change_the_measurement() {
     let gpu = Gpu::for_tests();
     let scene = Scene::random(5, 300, 2);
     let params = gpu.upload("params", &planar(&scene.gaussians)).unwrap();
@@ -237,7 +235,7 @@ fn the_grid_changes_nothing() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn no_gaussian_one_gaussian_and_no_direction_are_fine() {
+fn probes_work_with_zero_or_one_gaussian_and_no_direction() {
     let gpu = Gpu::for_tests();
     assert_parity(&gpu, &Scene::random(1, 0, 2), ProbeSettings::default());
     let one = Scene::random(1, 1, 2);
@@ -248,7 +246,7 @@ fn no_gaussian_one_gaussian_and_no_direction_are_fine() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_plane_a_line_and_a_point_are_seen_as_on_the_cpu() {
+fn probes_of_flat_and_degenerate_scenes_match_the_cpu() {
     let gpu = Gpu::for_tests();
     for fixed in [&[2][..], &[0, 1], &[0, 1, 2]] {
         let scene = Scene::random(11, 300, 2).with(|i, g| {
@@ -267,7 +265,7 @@ fn a_plane_a_line_and_a_point_are_seen_as_on_the_cpu() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_gaussian_far_out_neither_changes_results_nor_fills_one_cell() {
+fn distant_gaussian_does_not_change_results_or_grid_bounds() {
     let gpu = Gpu::for_tests();
     let scene = Scene::random(1, 400, 2).with(|i, g| {
         if i == 100 {
@@ -286,7 +284,7 @@ fn a_gaussian_far_out_neither_changes_results_nor_fills_one_cell() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn needles_and_pancakes_are_seen_as_on_the_cpu() {
+fn probes_of_elongated_and_flat_gaussians_match_the_cpu() {
     let gpu = Gpu::for_tests();
     for (scales, aligned) in [
         ([-1.0, -6.0, -6.0], false),
@@ -306,7 +304,7 @@ fn needles_and_pancakes_are_seen_as_on_the_cpu() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn what_is_too_transparent_too_far_or_no_number_hides_nothing() {
+fn transparent_distant_and_nan_gaussians_do_not_occlude() {
     let gpu = Gpu::for_tests();
     let transparent = Scene::random(31, 300, 2).with(|i, g| g.row_mut(Field::OpacityLogit, i)[0] = -6.0);
     assert_eq!(assert_parity(&gpu, &transparent, ProbeSettings::default()), 0.0);
@@ -344,7 +342,7 @@ fn what_is_too_transparent_too_far_or_no_number_hides_nothing() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_measurement_becomes_the_visibility_field_and_nothing_else_changes() {
+fn storing_probes_changes_only_the_visibility_field() {
     let gpu = Gpu::for_tests();
     let scene = Scene::random(41, 100, 3);
     let params = gpu.upload("params", &planar(&scene.gaussians)).unwrap();
@@ -364,7 +362,7 @@ fn the_measurement_becomes_the_visibility_field_and_nothing_else_changes() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn what_does_not_fit_is_refused_with_numbers() {
+fn too_large_measurement_is_refused_with_its_size() {
     let gpu = Gpu::for_tests();
     let params: Buffer<f32> = gpu.buffer("params", 4).unwrap();
     let model = LayoutUniform { n: 1 << 30, ..Scene::random(1, 1, 0).layout() };

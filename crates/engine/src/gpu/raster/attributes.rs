@@ -1,11 +1,11 @@
 //! Attribute rows on the device: from raw parameters to what is blended.
 
 use crate::DeviceError;
-use relume_layout::channel::Channels;
 use crate::gpu::grow::grow;
 use crate::gpu::permutations::{by_groups, groups};
 use crate::gpu::raster::project::Projected;
 use crate::gpu::{Buffer, Groups, Recorder, shaders, uniform};
+use relume_layout::channel::Channels;
 
 /// A projected view whose splats have attributes.
 #[derive(Debug)]

@@ -1,7 +1,6 @@
 //! Front-to-back blending of attribute rows into a G-buffer (Eq. 4-5).
 
 use crate::DeviceError;
-use relume_layout::constants::{EarlyStop, TRANSMITTANCE_STOP};
 use crate::gpu::grow::grow;
 use crate::gpu::permutations::{by_groups, groups};
 use crate::gpu::raster::attributes::Attributed;
@@ -9,6 +8,7 @@ use crate::gpu::raster::project::Projected;
 use crate::gpu::raster::records::{BlendEnd, Words};
 use crate::gpu::shaders::Kernel;
 use crate::gpu::{Buffer, CameraUniform, Recorder, shaders, uniform};
+use relume_layout::constants::{EarlyStop, TRANSMITTANCE_STOP};
 
 /// Where complete blending ends: what lies behind adds less than the last digit of anything, and transmittances can
 /// still be recovered by division.

@@ -35,10 +35,7 @@ impl<'r> Blended<'r> {
     ///
     /// # Errors
     /// As [`Gpu::buffer`](crate::gpu::Gpu::buffer).
-    pub(in crate::gpu) fn gradient_buffer(
-        &mut self,
-        groups: usize,
-    ) -> Result<Buffer<[f32; 4]>, DeviceError> {
+    pub(in crate::gpu) fn gradient_buffer(&mut self, groups: usize) -> Result<Buffer<[f32; 4]>, DeviceError> {
         let p = &mut self.attributed.projected;
         let (raster, pixels) = (&mut *p.raster, p.camera.pixels());
         grow(&raster.gpu, "gradient of the G-buffer", &mut raster.by_gbuffer, groups * pixels)

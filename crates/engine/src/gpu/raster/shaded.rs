@@ -1,7 +1,6 @@
 //! Shading of each Gaussian on the device, forward and backward.
 
 use crate::DeviceError;
-use relume_layout::channel::Channels;
 use crate::gpu::grow::grow;
 use crate::gpu::permutations::by_coefficients;
 use crate::gpu::raster::attributes::Attributed;
@@ -10,6 +9,7 @@ use crate::gpu::raster::project::Projected;
 use crate::gpu::shaders::Kernel;
 use crate::gpu::shading::Shading;
 use crate::gpu::{Bind, Buffer, Groups, Recorder, shaders, uniform};
+use relume_layout::channel::Channels;
 
 /// Coefficients behind four taps of three colours, multiplied and added forward; about twice that on the way back.
 const OPERATIONS_A_COEFFICIENT: u64 = 24;

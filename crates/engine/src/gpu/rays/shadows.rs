@@ -2,13 +2,13 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use relume_layout::constants::SHADOW_PLACES;
 use crate::gpu::grow::grow;
 use crate::gpu::permutations::groups;
 use crate::gpu::raster::Blended;
 use crate::gpu::rays::{RayMemory, TreeBuffers};
 use crate::gpu::{Buffer, Groups, Recorder, shaders, uniform};
 use crate::{DeviceError, towards_light};
+use relume_layout::constants::SHADOW_PLACES;
 use relume_scene::light::{DominantLight, TableLight};
 use relume_scene::{ShadeAt, ShadingOptions, SplitLight, VisibilityForm};
 
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn no_light_has_more_places_than_the_shader_holds() {
+    fn number_of_light_samples_fits_the_shader_array() {
         let wide = DominantLight { direction: glam::DVec3::Z, irradiance: [1.0; 3], radius: 0.5 };
         let uniform = SharpLightUniform::new(&wide, 5, true);
         let towards = towards_light(&SplitLight::from(&TableLight::from(&wide)));

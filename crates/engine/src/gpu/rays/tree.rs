@@ -55,7 +55,7 @@ mod tests {
     use crate::gpu::shaders::{self, assert_layout};
 
     #[test]
-    fn rules_are_laid_out_as_the_shaders_read_them() {
+    fn ray_rules_are_laid_out_as_the_shaders_read_them() {
         assert_layout!(RayRules as "RayRules" in shaders::SHADOW_RAYS; clearance, bias, reach, n_nodes);
     }
 }

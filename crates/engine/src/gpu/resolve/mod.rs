@@ -3,10 +3,10 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::DeviceError;
-use relume_scene::Output;
 use crate::gpu::permutations::by_coefficients;
 use crate::gpu::shading::Shading;
 use crate::gpu::{Buffer, CameraUniform, Gpu, Recorder, Ticket, shaders, uniform};
+use relume_scene::Output;
 
 #[cfg(test)]
 mod tests;

@@ -1,13 +1,13 @@
 //! Pictures against what the CPU engine's shader and surfaces give.
 
 use super::*;
-use relume_compare::relative_error;
-use relume_layout::channel::{self, OutgoingRadiance};
-use relume_layout::constants::LEAST_COVERAGE;
 use crate::cpu::{Pass, SurfaceShader, linear_from_srgb, normalise, surface_at};
 use crate::gpu::light::{Constants, LightBuffers};
 use crate::gpu::shaders::assert_layout;
 use crate::gpu::shading::tests::{Noise, planar_gbuffer, random_pass, random_tables};
+use relume_compare::relative_error;
+use relume_layout::channel::{self, OutgoingRadiance};
+use relume_layout::constants::LEAST_COVERAGE;
 use relume_scene::{DiffuseForm, ShadeAt, ShadingOptions, VisibilityForm};
 
 const ALL: [Output; 11] = [
@@ -113,7 +113,7 @@ fn plane_error(found: &[f32], host: &[f32]) -> f64 {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn every_picture_is_what_the_cpu_engine_gives() {
+fn resolved_outputs_match_the_cpu_engine() {
     let gpu = Gpu::for_tests();
     let forms = [
         (VisibilityForm::Linear, DiffuseForm::Directional, ShadeAt::Pixel),
@@ -139,7 +139,7 @@ fn every_picture_is_what_the_cpu_engine_gives() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn planes_that_were_not_asked_for_change_nothing_in_those_that_were() {
+fn requested_outputs_do_not_depend_on_other_outputs() {
     let gpu = Gpu::for_tests();
     let options = ShadingOptions::default();
     let (all, _) = resolved(&gpu, 4, &options, &ALL);

@@ -3,12 +3,12 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::DeviceError;
-use relume_layout::channel::Channels;
 use crate::gpu::light::{Constants, LightBuffers};
 use crate::gpu::model::{diffuse_code, shade_at_code, visibility_code};
 use crate::gpu::permutations::{by_coefficients, groups};
 use crate::gpu::shaders::{self, Kernel};
 use crate::gpu::{Bind, Buffer, CameraUniform, Gpu, Groups, Recorder, uniform};
+use relume_layout::channel::Channels;
 use relume_scene::ShadingOptions;
 
 #[cfg(test)]

@@ -4,12 +4,12 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use relume_compare::{largest_difference, worst};
 use crate::RasterCamera;
-use relume_layout::channel;
-use relume_layout::constants::EarlyStop;
 use crate::cpu::{self, AttributeSource, BranchImages, BufferGradient, Pass, SurfaceShader};
 use crate::gpu::shaders::assert_layout;
+use relume_compare::{largest_difference, worst};
+use relume_layout::channel;
+use relume_layout::constants::EarlyStop;
 use relume_scene::light::{CubeGrid, LightTables};
 use relume_scene::{Camera, DiffuseForm, Gaussians, ShadeAt, VisibilityForm, sh_count};
 
@@ -36,11 +36,7 @@ pub(in crate::gpu) fn camera_view(size: (u32, u32), options: &ShadingOptions) ->
 }
 
 /// A pass whose G-buffer is then free to be overwritten.
-pub(in crate::gpu) fn empty_pass(
-    view: RasterCamera,
-    options: &ShadingOptions,
-    channels: Channels,
-) -> Pass {
+pub(in crate::gpu) fn empty_pass(view: RasterCamera, options: &ShadingOptions, channels: Channels) -> Pass {
     let source = AttributeSource {
         gaussians: &Gaussians::zeroed(0, 2, 0, 0),
         prototypes: &[[0.5; 3]; 2],
@@ -59,11 +55,7 @@ pub(in crate::gpu) fn set(pass: &mut Pass, x: usize, y: usize, channel: usize, v
 }
 
 /// A G-buffer of `channels` in `[tile][row][channel][lane]` as the device lays it out, padding channels spoiled.
-pub(in crate::gpu) fn planar_gbuffer(
-    pass: &Pass,
-    values: &[f32],
-    channels: Channels,
-) -> Vec<[f32; 4]> {
+pub(in crate::gpu) fn planar_gbuffer(pass: &Pass, values: &[f32], channels: Channels) -> Vec<[f32; 4]> {
     let (w, h, stored) = (pass.view.width, pass.view.height, channels.stored());
     let mut out = vec![[f32::NAN; 4]; w * h * stored / 4];
     for i in 0..w * h {
@@ -277,7 +269,7 @@ fn errors(case: &Case, all: bool) -> [f64; 4] {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn every_form_shades_as_the_cpu_engine_does() {
+fn shading_matches_the_cpu_engine_for_every_form() {
     let gpu = Gpu::for_tests();
     for (seed, options) in forms().into_iter().enumerate() {
         let case = Case::new(&gpu, seed as u64, (37, 21), 4, options);
@@ -291,7 +283,7 @@ fn every_form_shades_as_the_cpu_engine_does() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn every_order_and_image_size_shades_as_the_cpu_engine_does() {
+fn shading_matches_the_cpu_for_sh_degrees_and_image_sizes() {
     let gpu = Gpu::for_tests();
     for (order, size) in
         [(0, (1, 1)), (1, (16, 16)), (2, (17, 3)), (3, (33, 16)), (5, (9, 31)), (6, (20, 20))]
@@ -308,13 +300,9 @@ fn every_order_and_image_size_shades_as_the_cpu_engine_does() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_device_without_float_atomics_sums_the_same_tables() {
-    let options = crate::gpu::GpuOptions {
-        compare_exchange: true,
-        garbage: true,
-        checks: true,
-        ..Default::default()
-    };
+fn table_gradients_without_float_atomics_match_the_cpu() {
+    let options =
+        crate::gpu::GpuOptions { compare_exchange: true, garbage: true, checks: true, ..Default::default() };
     let gpu = Gpu::with_options(options);
     let case = Case::new(&gpu, 21, (20, 18), 1, deferred());
     let errors = errors(&case, false);
@@ -323,7 +311,7 @@ fn a_device_without_float_atomics_sums_the_same_tables() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_comparison_sees_a_small_change_of_any_input() {
+fn comparison_detects_a_small_change_of_any_input() {
     let gpu = Gpu::for_tests();
     let case = Case::new(&gpu, 7, (12, 9), 2, deferred());
     let (by, by_buffers) = case.gradients(5);
@@ -353,7 +341,7 @@ fn the_comparison_sees_a_small_change_of_any_input() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_radiance_branch_alone_is_that_of_the_cpu_engine() {
+fn radiance_branch_alone_matches_the_cpu_engine() {
     let gpu = Gpu::for_tests();
     let background = [0.1, 0.7, 0.4];
     for channels in [Channels::Colour, Channels::Geometry] {

@@ -2,12 +2,12 @@
 
 use crate::DeviceError;
 use crate::ImageWeights;
-use relume_layout::channel::Channels;
 use crate::gpu::objective::{ImageTerm, LossSlot, surface_terms};
 use crate::gpu::raster::Blended;
 use crate::gpu::shading::Images;
 use crate::gpu::training::device_step::DeviceStep;
 use crate::gpu::{Buffer, Gpu, PhotoPixel, Recorder};
+use relume_layout::channel::Channels;
 
 /// Buffers of the size of the image.
 #[derive(Debug, Clone)]

@@ -1,9 +1,9 @@
 //! A step as the device takes it.
 
-use relume_layout::channel::StepChannels;
 use crate::gpu::{Buffer, CameraUniform, PhotoPixel, Submission, Ticket};
 use crate::light_turn::LightTurn;
 use crate::{Branches, StepCounts, StepSizes, StepWeights};
+use relume_layout::channel::StepChannels;
 
 /// A step with its photograph in device memory, so that it can be recorded again.
 #[derive(Debug, Clone)]

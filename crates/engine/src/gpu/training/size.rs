@@ -1,9 +1,9 @@
 //! Whether a training fits a device.
 
-use relume_layout::channel::Channels;
 use crate::gpu::Gpu;
 use crate::gpu::raster::GRADIENT_HEADER;
 use crate::{DeviceError, RowLayout, TrainingLimits};
+use relume_layout::channel::Channels;
 use relume_scene::{Field, Gaussians};
 
 impl TrainingLimits {

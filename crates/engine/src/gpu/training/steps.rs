@@ -1,6 +1,5 @@
 //! Steps of a training: recorded, submitted, and taken in when what they came to arrives.
 
-use relume_layout::constants::EarlyStop;
 use crate::gpu::frame::{FrameBranches, FrameGradients, FramePass};
 use crate::gpu::objective::{LOSS_SLOTS, LossSlot, objective};
 use crate::gpu::raster::Differentiated;
@@ -12,6 +11,7 @@ use crate::gpu::training::{STATUS_SLOT, Training};
 use crate::gpu::update::{StepInput, Sums, Updater, Upstream};
 use crate::gpu::{CameraUniform, Recorder};
 use crate::{DeviceError, RasterCamera, Step, StepSums};
+use relume_layout::constants::EarlyStop;
 use relume_scene::{IndirectForm, Model, VisibilityForm};
 
 impl Training {

@@ -5,11 +5,11 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use relume_compare::{largest_difference, relative_error, worst};
 use crate::training::Training as _;
 use crate::{
     Branches, ImageWeights, LightTurn, Photo, PhotoId, PhotoSize, StepCounts, StepSizes, StepWeights,
 };
+use relume_compare::{largest_difference, relative_error, worst};
 use relume_scene::light::TableResolution;
 use relume_scene::{Camera, Field, Gaussians, ShadingOptions};
 
@@ -121,7 +121,7 @@ fn every_step_is_reported_once_and_in_order() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_photograph_that_is_held_needs_no_pixels_and_one_that_is_not_is_refused_without() {
+fn step_needs_pixels_only_for_photographs_not_on_the_device() {
     let gpu = Gpu::for_tests();
     let (mut training, mut other) = (training(&gpu), training(&gpu));
     let photos = photos();
@@ -142,7 +142,7 @@ fn a_photograph_that_is_held_needs_no_pixels_and_one_that_is_not_is_refused_with
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn steps_whose_lists_were_short_are_taken_again() {
+fn steps_with_too_short_lists_are_repeated() {
     let gpu = Gpu::for_tests();
     let (mut roomy, mut short) = (training(&gpu), training(&gpu));
     short.raster.set_room(16);
@@ -163,7 +163,7 @@ fn steps_whose_lists_were_short_are_taken_again() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_step_whose_lists_are_short_changes_nothing() {
+fn step_with_too_short_lists_changes_no_state() {
     let gpu = Gpu::for_tests();
     let mut training = training(&gpu);
     training.raster.set_room(16);
@@ -186,7 +186,7 @@ fn a_step_whose_lists_are_short_changes_nothing() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_step_is_one_submission_and_one_wait_and_makes_no_new_bind_groups() {
+fn step_needs_one_submission_one_wait_and_no_new_bind_group() {
     let gpu = Gpu::with_options(Default::default());
     let mut training = training(&gpu);
     run(&mut training, 4);
@@ -209,7 +209,7 @@ fn a_step_is_one_submission_and_one_wait_and_makes_no_new_bind_groups() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn no_part_of_a_training_runs_far_ahead_of_the_device() {
+fn training_never_queues_more_than_three_submissions_ahead() {
     let gpu = Gpu::with_options(Default::default());
     let mut training = training(&gpu);
     run(&mut training, 2);
@@ -235,7 +235,7 @@ fn no_part_of_a_training_runs_far_ahead_of_the_device() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn what_depends_on_unfinished_steps_is_refused() {
+fn state_access_is_refused_while_steps_are_unfinished() {
     let gpu = Gpu::for_tests();
     let mut training = training(&gpu);
     let photos = photos();

@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn every_width_is_summed_in_the_order_of_its_entries() {
+    fn add_rows_sums_in_entry_order_for_every_width() {
         let entries: Vec<(u32, f32)> = (0..50).map(|i| ((i * 7) % 20, 0.1 + i as f32)).collect();
         for width in [48, 96, 144, 192, 7] {
             let rows = numbers(20 * width);
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_in_slices_are_summed_as_they_are_one_by_one() {
+    fn sliced_row_sums_equal_single_row_sums() {
         let colours: Vec<[f32; 3]> = numbers(60).as_chunks::<3>().0.to_vec();
         let rows: Vec<Vec<(u32, f32)>> = (0..37u32)
             .map(|r| (0..20).filter(|k| (k * r) % 3 == 1).map(|k| (k, 0.5 + k as f32)).collect())

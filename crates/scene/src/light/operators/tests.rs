@@ -20,7 +20,7 @@ fn open_sky() -> Vec<f32> {
 }
 
 #[test]
-fn one_bright_texel_lights_the_sphere_from_its_own_side() {
+fn one_bright_texel_lights_the_sphere_from_its_direction() {
     let operators = EnvOperators::new(32, 16, 4, TableResolution::TRAINING);
     for (index, (d, solid_angle)) in texel_directions(32, 16).into_iter().enumerate().step_by(37) {
         let mut radiance = vec![[0.0; 3]; 512];
@@ -40,7 +40,7 @@ fn one_bright_texel_lights_the_sphere_from_its_own_side() {
 }
 
 #[test]
-fn a_constant_sky_gives_pi_and_one() {
+fn constant_sky_gives_irradiance_pi_and_radiance_one() {
     let tables = EnvOperators::new(32, 16, 4, TableResolution::TRAINING).apply(&[[1.0; 3]; 512]);
     for n in CubeGrid::new(5).directions() {
         let e = irradiance(&tables, &open_sky(), n)[0];
@@ -50,7 +50,7 @@ fn a_constant_sky_gives_pi_and_one() {
 }
 
 #[test]
-fn the_transposed_operator_is_the_transpose() {
+fn transposed_operator_is_the_adjoint() {
     let operators = EnvOperators::new(16, 8, 2, TableResolution::TRAINING);
     let radiance: Vec<[f32; 3]> = (0..128).map(|i| [(i % 7) as f32, (i % 5) as f32, 1.0]).collect();
     let tables = operators.apply(&radiance);
@@ -72,7 +72,7 @@ fn the_transposed_operator_is_the_transpose() {
 }
 
 #[test]
-fn rest_and_lights_are_the_whole_and_the_transposed_is_the_transpose_with_lights() {
+fn operators_with_lights_conserve_power_and_have_an_adjoint() {
     let whole = EnvOperators::new(16, 8, 1, TableResolution::TRAINING);
     let radiance: Vec<[f32; 3]> = (0..128).map(|i| [(i % 7) as f32, (i % 5) as f32, 1.0]).collect();
     let mut shares = vec![[0.0; MAX_LIGHTS]; 128];
@@ -121,7 +121,7 @@ fn rest_and_lights_are_the_whole_and_the_transposed_is_the_transpose_with_lights
 }
 
 #[test]
-fn compressed_rows_are_the_operators_with_lights() {
+fn compressed_rows_match_the_operators_with_lights() {
     let mut shares = vec![[0.0; MAX_LIGHTS]; 32];
     shares[9] = [0.5, 0.25, 0.0, 0.0];
     let light = SplitLight { direction: [1.0, 0.0, 0.0], radius: 0.0 };

@@ -3,13 +3,13 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use relume_scene::Output;
-use relume_capture::formats::gltf::TexturedMesh;
-use relume_capture::formats::image_file::encode_png;
-use relume_capture::formats::ImageFileError;
-use relume_scene::srgb;
 use crate::render::mesh::surface::Surface;
 use crate::render::mesh::views::View;
+use relume_capture::formats::ImageFileError;
+use relume_capture::formats::gltf::TexturedMesh;
+use relume_capture::formats::image_file::encode_png;
+use relume_scene::Output;
+use relume_scene::srgb;
 
 /// Texels along the side of a quad's square. Corners of the quad lie at the centres of its outermost texels, so that a reader's
 /// interpolation stays inside.

@@ -8,13 +8,13 @@ mod views;
 
 use glam::Vec3;
 
-use relume_scene::Output;
-use relume_capture::formats::gltf::TexturedMesh;
 use crate::render::RenderError;
 use crate::render::mesh::atlas::Atlas;
 use crate::render::mesh::field::DistanceField;
 use crate::render::mesh::views::View;
 use crate::render::renderer::Renderer;
+use relume_capture::formats::gltf::TexturedMesh;
+use relume_scene::Output;
 
 /// How finely a surface is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_ball_is_round_closed_and_turned_outwards() {
+    fn ball_surface_is_round_closed_and_faces_outwards() {
         let surface = of(&DistanceField::of(32, |p| Some(p.length() - 0.6)));
         let corner = |quad: &[u32; 4], k: usize| surface.vertices[quad[k] as usize];
         for quad in &surface.quads {
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_seen_has_no_surface_and_specks_have_none() {
+    fn unseen_regions_and_small_specks_have_no_surface() {
         let open = |p: Vec3| (p.z > -0.3).then(|| p.length() - 0.6);
         let half = of(&DistanceField::of(32, open));
         assert!(half.vertices.iter().all(|v| v.z > -0.31));

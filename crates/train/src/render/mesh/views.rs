@@ -2,11 +2,11 @@
 
 use glam::{Mat3, Vec3};
 
-use relume_scene::Output;
 use crate::render::renderer::{PreparedLight, Renderer};
 use crate::render::{Frame, Orbit, RenderError, Viewpoint};
-use relume_spec::rendering::Tier;
+use relume_scene::Output;
 use relume_scene::{Camera, Model};
+use relume_spec::rendering::Tier;
 
 /// Lowest view, as the sine of its elevation.
 const LOWEST: f64 = -0.17;

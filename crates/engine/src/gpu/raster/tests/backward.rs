@@ -1,9 +1,9 @@
 //! Gradients of splats and backward labels.
 
 use super::*;
+use crate::cpu::ROW_HEADER;
+use crate::cpu::backward_labels;
 use relume_compare::relative_error;
-use relume_engine::cpu::ROW_HEADER;
-use relume_engine::cpu::backward_labels;
 
 /// A random gradient by the first `count` channels, `[pixel][stored]`; every seventh pixel has none.
 fn random_gradient(view: &RasterCamera, count: usize, seed: u64) -> Vec<Vec<f32>> {
@@ -129,7 +129,7 @@ fn gradients_match_the_cpu() {
         let absgrad = got[i][6] * 0.5 * 64.0;
         assert!((absgrad - rows.absgrad[i]).abs() < 1e-4 * rows.absgrad[i].max(1.0), "Gaussian {i}");
         assert!(got[i][0].hypot(got[i][1]) <= got[i][6] * 1.0001, "a sum is no longer than its parts");
-        let sigma = relume_engine::cpu::sigmoid(scene.gaussians.row(Field::OpacityLogit, i)[0]);
+        let sigma = crate::cpu::sigmoid(scene.gaussians.row(Field::OpacityLogit, i)[0]);
         let opacity = got[i][5] * splat.compensation * sigma * (1.0 - sigma);
         let expected = rows.get(Field::OpacityLogit, i)[0];
         assert!(
@@ -159,7 +159,7 @@ fn the_gradient_comparison_notices_one_changed_pixel() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn no_gradient_gives_none_and_too_many_groups_are_refused() {
+fn zero_gradients_stay_zero_and_wrong_group_counts_are_refused() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     fn geometry(raster: &mut Raster) -> Blended<'_> {
@@ -177,13 +177,9 @@ fn no_gradient_gives_none_and_too_many_groups_are_refused() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_device_without_float_atomics_finds_the_same_gradients() {
-    let options = relume_engine::gpu::GpuOptions {
-        compare_exchange: true,
-        garbage: true,
-        checks: true,
-        ..Default::default()
-    };
+fn gradients_without_float_atomics_match_f64() {
+    let options =
+        crate::gpu::GpuOptions { compare_exchange: true, garbage: true, checks: true, ..Default::default() };
     let gpu = Gpu::with_options(options);
     let mut raster = Raster::new(&gpu).unwrap();
     let error = check(&mut raster, &Scene::random(5, 150, (37, 21), 1), Channels::Material, 13);

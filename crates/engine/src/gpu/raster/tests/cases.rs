@@ -29,7 +29,7 @@ fn forward_errors(raster: &mut Raster, scene: &Scene, channels: Channels) -> (f6
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn needles_keep_their_digits_on_both_engines() {
+fn elongated_gaussians_keep_precision_on_both_engines() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(31, 60, (64, 48), 1).fill(Field::LogScale, &[0.7, -6.0, -6.5]);
@@ -42,7 +42,7 @@ fn needles_keep_their_digits_on_both_engines() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn pancakes_and_splats_that_cover_everything_match_f64() {
+fn flat_and_image_covering_gaussians_match_f64() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for (name, scale, n) in [("pancakes", [-1.5, -1.2, -8.0], 80), ("covering", [1.0, 1.2, 0.8], 40)] {
@@ -57,7 +57,7 @@ fn pancakes_and_splats_that_cover_everything_match_f64() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn three_hundred_opaque_layers_have_gradients_in_front_and_none_behind() {
+fn three_hundred_opaque_layers_match_f64() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for logit in [-1.0, 4.0, 9.0] {
@@ -74,7 +74,7 @@ fn three_hundred_opaque_layers_have_gradients_in_front_and_none_behind() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn early_stop_misses_no_more_than_its_threshold() {
+fn early_stop_error_is_at_most_its_threshold() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(34, 300, (37, 21), 1).fill(Field::LogScale, &[-1.0, -0.8, -1.2]);
@@ -99,7 +99,7 @@ fn any_image_size_matches_the_cpu() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn nothing_to_see_is_an_empty_picture() {
+fn no_visible_gaussians_give_an_empty_image() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for n in [0, 5] {
@@ -120,7 +120,7 @@ fn nothing_to_see_is_an_empty_picture() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn what_is_no_number_is_invisible() {
+fn gaussians_with_nan_parameters_are_invisible() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let fields = [Field::Mean, Field::LogScale, Field::Quaternion, Field::OpacityLogit];
@@ -160,7 +160,7 @@ fn equal_depths_are_ordered_by_index() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn more_pairs_than_a_binding_holds_are_refused_with_numbers() {
+fn more_pairs_than_a_binding_holds_are_refused_with_sizes() {
     let gpu = Gpu::for_tests();
     let raster = Raster::new(&gpu).unwrap();
     let most = gpu.report().max_binding.min(gpu.report().max_buffer);
@@ -175,7 +175,7 @@ fn more_pairs_than_a_binding_holds_are_refused_with_numbers() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn channels_and_buffers_that_do_not_fit_the_model_are_refused() {
+fn channels_and_buffers_not_matching_the_model_are_refused() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(39, 10, (1, 1), 1);
@@ -233,7 +233,7 @@ fn emitted(raster: &mut Raster, scene: &Scene, off: i32, room: usize) -> (Vec<u3
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn miscounted_tiles_are_neither_written_past_nor_left_undefined() {
+fn wrong_tile_counts_cause_no_overflow_or_undefined_entries() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(40, 60, (40, 40), 1);
@@ -252,7 +252,7 @@ fn miscounted_tiles_are_neither_written_past_nor_left_undefined() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_count_of_pairs_carries_beyond_32_bits() {
+fn pair_count_carries_beyond_32_bits() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = Scene::random(41, 300, (64, 48), 1);
@@ -282,7 +282,7 @@ fn the_count_of_pairs_carries_beyond_32_bits() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn memory_for_lists_is_given_back_after_many_small_views_and_not_after_one() {
+fn list_memory_shrinks_only_after_many_small_views() {
     let mut raster = Raster::new(&Gpu::for_tests()).unwrap();
     let (large, small) = ([1 << 20, 0, 1 << 20, 0, 9], [30_000, 0, 30_000, 0, 9]);
     raster.set_room(5 << 18);

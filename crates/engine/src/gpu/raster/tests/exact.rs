@@ -1,6 +1,6 @@
 //! Projection and blending in f64 without tiles or tricks: what both engines approximate where f32 runs out of digits.
 
-use relume_engine::RasterCamera;
+use crate::RasterCamera;
 use relume_scene::{Field, Gaussians};
 
 /// A splat in f64.

@@ -8,19 +8,17 @@ mod shaded;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
+use crate::DeviceError;
+use crate::RasterCamera;
+use crate::cpu::{AttributeSource as CpuSource, Pass};
+use crate::gpu::model::{LayoutUniform, planar};
+use crate::gpu::raster::records::Words;
+use crate::gpu::raster::{BlendEnd, Blended, GRADIENT_HEADER, RasterCounts, SplatRecord};
+use crate::gpu::shaders::assert_layout;
+use crate::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Groups, Raster, groups, shaders, uniform};
 use relume_compare::worst;
-use relume_engine::DeviceError;
-use relume_engine::RasterCamera;
 use relume_layout::channel::Channels;
 use relume_layout::constants::{EarlyStop, TRANSMITTANCE_STOP};
-use relume_engine::cpu::{AttributeSource as CpuSource, Pass};
-use relume_engine::gpu::model::{LayoutUniform, planar};
-use relume_engine::gpu::raster::records::Words;
-use relume_engine::gpu::raster::{BlendEnd, Blended, GRADIENT_HEADER, RasterCounts, SplatRecord};
-use relume_engine::gpu::shaders::assert_layout;
-use relume_engine::gpu::{
-    AttributeSource, Buffer, CameraUniform, Gpu, Groups, Raster, groups, shaders, uniform,
-};
 use relume_scene::{Camera, Field, Gaussians, IndirectForm, MAX_LIGHTS, NormalForm, ShadingOptions};
 
 /// A model, a camera and all that both engines need.
@@ -230,7 +228,7 @@ fn every_channel_set_blends_like_the_cpu() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn every_form_of_the_model_blends_like_the_cpu() {
+fn every_shading_form_blends_like_the_cpu() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for indirect in [IndirectForm::Off, IndirectForm::Learned, IndirectForm::Gathered] {

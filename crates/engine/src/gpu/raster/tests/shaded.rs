@@ -1,13 +1,13 @@
 //! The light of each Gaussian, against the CPU engine.
 
 use super::*;
+use crate::cpu::{ROW_HEADER, SurfaceShader};
+use crate::gpu::light::{Constants, LightBuffers};
+use crate::gpu::shading::Shading;
+use crate::gpu::shading::tests::{Noise, random_tables};
 use relume_compare::relative_error;
 use relume_layout::channel::OutgoingRadiance;
 use relume_layout::constants::EarlyStop;
-use relume_engine::cpu::{ROW_HEADER, SurfaceShader};
-use relume_engine::gpu::light::{Constants, LightBuffers};
-use relume_engine::gpu::shading::Shading;
-use relume_engine::gpu::shading::tests::{Noise, random_tables};
 use relume_scene::light::{LightTables, TableLight};
 use relume_scene::{DiffuseForm, IndirectForm, VisibilityForm, sh_count};
 
@@ -156,7 +156,7 @@ fn assert_small([radiance, rows, by_tables]: [f64; 3], name: &str) {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn every_form_lights_the_gaussians_as_the_cpu_engine_does() {
+fn shading_at_gaussians_matches_the_cpu_for_every_form() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for visibility in [VisibilityForm::Linear, VisibilityForm::Sigmoid, VisibilityForm::Off] {
@@ -197,7 +197,7 @@ fn with_lights(mut case: Case) -> Case {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn lights_beside_the_tables_light_the_gaussians_as_in_the_cpu_engine() {
+fn shading_with_separate_lights_matches_the_cpu() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let plain = || Case::new(3, 2, ShadingOptions::default(), false);
@@ -221,7 +221,7 @@ fn lights_beside_the_tables_light_the_gaussians_as_in_the_cpu_engine() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn colours_alone_are_the_light_of_the_rows() {
+fn colour_only_shading_equals_shading_with_all_rows() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let case = Case::new(9, 2, ShadingOptions::default(), false);
@@ -248,7 +248,7 @@ fn colours_alone_are_the_light_of_the_rows() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn every_order_lights_the_gaussians_as_the_cpu_engine_does() {
+fn shading_at_gaussians_matches_the_cpu_for_every_sh_degree() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for order in [0, 1, 3, 4, 5, 6] {
@@ -262,7 +262,7 @@ fn every_order_lights_the_gaussians_as_the_cpu_engine_does() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_comparison_of_lit_gaussians_notices_their_normals_and_what_was_gathered() {
+fn comparison_detects_changed_normals_and_gathered_light() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let case = || Case::new(3, 2, ShadingOptions::default(), false);
@@ -279,13 +279,9 @@ fn the_comparison_of_lit_gaussians_notices_their_normals_and_what_was_gathered()
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_device_without_float_atomics_sums_the_same_table() {
-    let options = relume_engine::gpu::GpuOptions {
-        compare_exchange: true,
-        garbage: true,
-        checks: true,
-        ..Default::default()
-    };
+fn shading_without_float_atomics_matches_the_cpu() {
+    let options =
+        crate::gpu::GpuOptions { compare_exchange: true, garbage: true, checks: true, ..Default::default() };
     let gpu = Gpu::with_options(options);
     let mut raster = Raster::new(&gpu).unwrap();
     assert_small(Case::new(8, 1, ShadingOptions::default(), false).errors(&mut raster), "compare-exchange");

@@ -4,14 +4,14 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use relume_engine::Gradients;
-use relume_engine::RasterCamera;
+use crate::Gradients;
+use crate::RasterCamera;
+use crate::cpu::{AttributeSource as CpuSource, Pass, ROW_HEADER, backward_labels};
+use crate::gpu::shaders::assert_layout;
+use crate::gpu::shading::tests::error_of_entries;
+use crate::gpu::{GpuOptions, model::LayoutUniform};
 use relume_layout::channel::{Channels, IncidentLight};
 use relume_layout::constants::EarlyStop;
-use relume_engine::cpu::{AttributeSource as CpuSource, Pass, ROW_HEADER, backward_labels};
-use relume_engine::gpu::shaders::assert_layout;
-use crate::gpu::shading::tests::error_of_entries;
-use relume_engine::gpu::{GpuOptions, model::LayoutUniform};
 use relume_scene::{Camera, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions, VisibilityForm};
 
 mod parity;
@@ -323,5 +323,5 @@ fn host_structs_have_the_layout_of_the_shaders() {
     let fields = Field::ALL.map(|field| (field.kernel_name(), first + 4 * field as usize));
     assert_eq!(generated.members[4..4 + Field::COUNT], fields);
     assert_eq!(generated.members[4 + Field::COUNT].1, std::mem::offset_of!(LayoutUniform, normal_form));
-    assert_eq!(layout.floats(), relume_engine::gpu::model::planar(&g).len());
+    assert_eq!(layout.floats(), crate::gpu::model::planar(&g).len());
 }

@@ -48,7 +48,7 @@ fn check(gpu: &Gpu, shape: &Shape, seed: u64) {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn gradients_are_those_of_the_cpu_engine() {
+fn gradients_match_the_cpu_engine() {
     let gpu = Gpu::for_tests();
     let mut seed = 0;
     for normal in [NormalForm::Free, NormalForm::ShortestAxis] {
@@ -65,7 +65,7 @@ fn gradients_are_those_of_the_cpu_engine() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn gradients_hold_for_every_number_of_prototypes_and_coefficients() {
+fn gradients_match_for_all_prototype_and_coefficient_counts() {
     let gpu = Gpu::for_tests();
     let shapes = [(1, 0, 0), (8, 2, 1), (40, 4, 2), (3, 6, 3), (9, 1, 4), (7, 3, 0), (256, 5, 1)];
     for (at, (prototypes, visibility, radiance)) in shapes.into_iter().enumerate() {
@@ -78,7 +78,7 @@ fn gradients_hold_for_every_number_of_prototypes_and_coefficients() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn gradients_hold_for_every_number_of_channels_and_gaussians() {
+fn gradients_match_for_all_channel_and_gaussian_counts() {
     let gpu = Gpu::for_tests();
     for (at, channels) in [Channels::Colour, Channels::Geometry, Channels::Material].into_iter().enumerate() {
         let options = ShadingOptions { indirect: IndirectForm::Learned, ..Default::default() };
@@ -91,7 +91,7 @@ fn gradients_hold_for_every_number_of_channels_and_gaussians() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_device_without_float_atomics_sums_the_same_prototypes() {
+fn gradients_without_float_atomics_match_the_cpu_engine() {
     let options = GpuOptions { compare_exchange: true, garbage: true, checks: true, ..GpuOptions::default() };
     let gpu = Gpu::with_options(options);
     check(&gpu, &Shape { n: 600, ..Default::default() }, 5);
@@ -99,7 +99,7 @@ fn a_device_without_float_atomics_sums_the_same_prototypes() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn control_one_changed_input_is_seen_in_the_gradients() {
+fn gradient_comparison_detects_one_changed_input() {
     let gpu = Gpu::for_tests();
     let options = ShadingOptions { low_pass_compensation: true, ..Default::default() };
     let shape = Shape { options, ..Default::default() };
@@ -121,7 +121,7 @@ fn control_one_changed_input_is_seen_in_the_gradients() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn what_is_not_finite_and_not_seen_does_no_harm() {
+fn invisible_non_finite_gaussians_do_not_affect_gradients() {
     let gpu = Gpu::for_tests();
     let spoil = |model: &mut Model| {
         let g = &mut model.gaussians;
@@ -146,7 +146,7 @@ fn what_is_not_finite_and_not_seen_does_no_harm() {
 }
 
 #[test]
-fn the_cases_reach_the_clamps() {
+fn test_case_contains_clamped_and_invisible_gaussians() {
     let case = Case::new(&Shape::default(), 1, |_| ());
     let clamped = |i: usize| {
         let camera = case.view.to_camera(case.model.gaussians.get(Field::Mean, i));
@@ -168,7 +168,7 @@ fn the_cases_reach_the_clamps() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn nothing_happens_without_gaussians() {
+fn update_without_gaussians_gives_zero_gradients_and_losses() {
     let gpu = Gpu::for_tests();
     let mut case = Case::new(&Shape::default(), 3, |_| ());
     case.model.gaussians = Gaussians::zeroed(0, 8, 2, 2);

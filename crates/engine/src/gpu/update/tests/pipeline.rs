@@ -1,8 +1,8 @@
 //! Behind the device's own rasteriser: splats, gradient rows and labels as the kernels before leave them.
 
 use super::*;
+use crate::gpu::{AttributeSource, Raster};
 use relume_layout::constants::EarlyStop;
-use relume_engine::gpu::{AttributeSource, Raster};
 
 /// `device` with the rasteriser's splats, gradients and labels in place of the CPU engine's.
 fn rasterised(gpu: &Gpu, case: &Case, channels: Channels) -> OnDevice {
@@ -26,7 +26,7 @@ fn rasterised(gpu: &Gpu, case: &Case, channels: Channels) -> OnDevice {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn gradients_through_the_whole_device_are_those_of_the_cpu_engine() {
+fn gradients_of_the_whole_gpu_pipeline_match_the_cpu_engine() {
     let gpu = Gpu::for_tests();
     for (seed, low_pass_compensation) in [(70, false), (71, true)] {
         for channels in [Channels::Colour, Channels::Geometry, Channels::Material, Channels::Full(9)] {
@@ -60,7 +60,7 @@ fn gradients_through_the_whole_device_are_those_of_the_cpu_engine() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn the_labels_of_the_device_pull_as_those_of_the_cpu_engine() {
+fn gradients_of_gpu_view_labels_match_the_cpu_engine() {
     let gpu = Gpu::for_tests();
     let shape = Shape::default();
     let case = Case::new(&shape, 72, |_| ());

@@ -47,7 +47,7 @@ fn step_globals(device: &OnDevice, rates: &StepSizes, ages: StepCounts) {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn steps_are_those_of_adam_at_every_age_and_rate() {
+fn parameter_steps_match_adam_at_every_step_count_and_rate() {
     let gpu = Gpu::for_tests();
     let options = ShadingOptions { indirect: IndirectForm::Learned, ..Default::default() };
     let case = Case::new(&Shape { options, ..Default::default() }, 21, |_| ());
@@ -87,7 +87,7 @@ fn steps_are_those_of_adam_at_every_age_and_rate() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn shared_parameters_step_with_the_age_of_the_material() {
+fn shared_parameters_use_the_material_step_count() {
     let gpu = Gpu::for_tests();
     let case = Case::new(&Shape::default(), 22, |_| ());
     let device = OnDevice::new(&gpu, &case);
@@ -118,7 +118,7 @@ fn shared_parameters_step_with_the_age_of_the_material() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn a_gradient_that_is_not_finite_is_reported_and_changes_nothing() {
+fn non_finite_gradient_is_reported_and_changes_no_parameter() {
     let gpu = Gpu::for_tests();
     let case = Case::new(&Shape::default(), 23, |_| ());
     let seen = case.expected.visible.iter().position(|v| *v).unwrap();

@@ -41,7 +41,7 @@ fn objective(values: &[f64], g: &Gaussians, labels: &[f32], terms: &ParameterWei
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn terms_and_their_slopes_are_those_of_the_formulas() {
+fn parameter_terms_and_gradients_match_the_formulas() {
     let gpu = Gpu::for_tests();
     for (at, prototypes) in [1usize, 2, 8, 40].into_iter().enumerate() {
         let case = unseen(&Shape { n: 20, prototypes, ..Default::default() }, 40 + at as u64);
@@ -96,7 +96,7 @@ fn terms_and_their_slopes_are_those_of_the_formulas() {
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn one_hot_scores_have_a_finite_aggregation() {
+fn aggregation_of_one_hot_scores_is_finite() {
     let gpu = Gpu::for_tests();
     let mut case = unseen(&Shape { n: 5, ..Default::default() }, 50);
     case.model.gaussians.field_mut(Field::ProtoLogits).fill(-60.0);
@@ -168,7 +168,7 @@ fn expected_pull(case: &Case, labels: &[[f32; 2]], form: VisibilityForm) -> (f64
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
-fn backward_labels_pull_where_there_is_weight_and_never_run_away() {
+fn backward_label_gradient_needs_weight_and_stays_bounded() {
     let gpu = Gpu::for_tests();
     use VisibilityForm::{Linear, Sigmoid};
     for (visibility, form) in [(2, Linear), (4, Sigmoid), (6, Linear), (0, Linear)] {

@@ -14,8 +14,8 @@ use relume_capture::{ImportLimits, ImportOptions, Unposed, cameras, import};
 use relume_train::eval::PoseErrors;
 use tempfile::TempDir;
 
-use crate::captures::small_set::{camera, picture};
-use crate::requirements::data;
+use relume_fixtures::data;
+use relume_fixtures::small_set::{camera, picture};
 
 const PHOTOGRAPHS: usize = 8;
 
@@ -108,7 +108,7 @@ const POSES: [&str; 3] = ["capture", "poses", "photos"];
 const LONG: Duration = Duration::from_secs(600);
 
 #[test]
-fn photographs_become_a_capture_that_trains_and_are_placed_once() {
+fn photographs_become_a_trainable_capture_and_poses_are_reused() {
     let place = Place::new("3.8", ":", COPY);
     let train =
         ["train", "photos", "--preset", "draft", "--set", "iterations=4", "--device", "cpu", "--out", "m"];
@@ -134,7 +134,7 @@ fn photographs_become_a_capture_that_trains_and_are_placed_once() {
 }
 
 #[test]
-fn a_colmap_that_is_missing_old_or_fails_is_told_with_its_reason() {
+fn missing_old_or_failing_colmap_gives_an_error_with_reason() {
     let place = Place::new("3.8", ":", COPY);
     place.fails_with(&POSES, false, &["`colmap` is not installed", "apt-get install colmap"]);
     Place::new("3.5", ":", COPY).fails_with(&POSES, true, &["version 3.5", "at least 3.6"]);
@@ -148,7 +148,7 @@ fn a_colmap_that_is_missing_old_or_fails_is_told_with_its_reason() {
 }
 
 #[test]
-fn photographs_without_a_pose_are_counted_and_half_of_them_is_the_least() {
+fn unposed_photographs_are_counted_and_half_must_have_poses() {
     let place = Place::new("3.8", ":", COPY);
     place.write_model(3);
     assert!(matches!(
@@ -162,14 +162,14 @@ fn photographs_without_a_pose_are_counted_and_half_of_them_is_the_least() {
 }
 
 #[test]
-fn the_largest_of_several_models_is_taken() {
+fn largest_of_several_colmap_models_is_used() {
     let two = "mkdir $out/0; cp $model/* $out/0; head -2 $out/0/images.txt > $out/0/i; mv $out/0/i $out/0/images.txt; cp -r $model $out/1";
     let place = Place::new("3.8", ":", two);
     assert_eq!(place.find(LONG, false).0.unwrap(), 0);
 }
 
 #[test]
-fn a_colmap_that_takes_too_long_or_is_not_wanted_is_ended() {
+fn colmap_is_stopped_after_timeout_or_cancellation() {
     let place = Place::new("3.8", "exec sleep 300", COPY);
     let (ended, _) = place.find(Duration::from_secs(2), false);
     assert!(
@@ -194,7 +194,7 @@ fn with_clip(place: &Place) {
 }
 
 #[test]
-fn a_clip_becomes_photographs_or_says_what_is_missing() {
+fn clip_becomes_photographs_or_gives_a_clear_error() {
     let place = Place::new("3.8", ":", "exit 1");
     with_clip(&place);
     let clip = ["capture", "poses", "walk.mp4", "--clip-frames", "6"];
@@ -220,7 +220,7 @@ fn a_clip_becomes_photographs_or_says_what_is_missing() {
 }
 
 #[test]
-fn a_check_tells_by_its_exit_code_whether_photographs_are_fit() {
+fn capture_check_exit_code_reports_photograph_problems() {
     let place = Place::new("3.8", ":", COPY);
     let few = place.relume(&["capture", "check", "photos", "--each"], true);
     let told = String::from_utf8_lossy(&few.stdout);
@@ -245,7 +245,7 @@ fn a_check_tells_by_its_exit_code_whether_photographs_are_fit() {
 
 #[test]
 #[ignore = "needs COLMAP and RELUME_TEST_DATA (see CONTRIBUTING.md), and minutes"]
-fn colmap_finds_the_poses_of_photographs_by_a_phone() {
+fn colmap_finds_the_poses_of_phone_photographs() {
     let folder = TempDir::new().unwrap();
     let photos = folder.path().join("photos");
     fs::create_dir(&photos).unwrap();
